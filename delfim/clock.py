@@ -1,0 +1,41 @@
+"""Time, in one place. Whoever needs the time is handed a clock; nobody asks the operating system behind its back.
+
+Two times exist: `monotonic_s` for ages and intervals, which never steps, and `time_ns` for stamps that people and the
+kernel share (CLOCK_REALTIME), which steps when the GPS sets it.
+"""
+
+import time
+from typing import Protocol
+
+
+class Clock(Protocol):
+    def monotonic_s(self) -> float: ...
+    def time_ns(self) -> int: ...
+
+
+class SystemClock:
+    """The computer's own clocks. The methods are the bare C functions: no frame of Python between caller and clock."""
+
+    monotonic_s = staticmethod(time.monotonic)
+    time_ns = staticmethod(time.time_ns)
+
+
+class ManualClock:
+    """A clock that stands still until it is told to advance: tests and lock-step simulation."""
+
+    def __init__(self, monotonic_s: float = 0.0, time_ns: int = 1_262_304_000_000_000_000) -> None:
+        self._elapsed_ns = round(monotonic_s * 1e9)
+        self._epoch_ns = time_ns - self._elapsed_ns
+
+    def monotonic_s(self) -> float:
+        return self._elapsed_ns / 1e9
+
+    def time_ns(self) -> int:
+        return self._epoch_ns + self._elapsed_ns
+
+    def advance(self, seconds: float) -> None:
+        self._elapsed_ns += round(seconds * 1e9)
+
+    def step(self, seconds: float) -> None:
+        """Step the wall clock alone, as a GPS fix after boot does."""
+        self._epoch_ns += round(seconds * 1e9)

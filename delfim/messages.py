@@ -1,0 +1,272 @@
+"""What the boat's CAN nodes say to each other: identifiers, layouts, units. Little endian throughout.
+
+Frames of up to 8 bytes stand in `etc/delfimx.dbc` too, and a test holds the two against each other. Longer messages travel
+as DSOR segmented messages (`docs/dsor.md`). A number that a node does not know is sent as the largest value of its field
+and arrives as None: an unknown is never a zero.
+
+Propulsion nodes stop by themselves when `PROPELLER_TIMEOUT_S` pass without a command; that is part of the protocol.
+"""
+
+import math
+import struct
+from enum import IntEnum, IntFlag
+from typing import Final, NamedTuple
+
+from delfim.errors import FormatError
+from delfim.frames import extended, standard
+
+
+class Node(IntEnum):
+    """7-bit node identifiers of the DSOR protocol. 0 is the gateway that the vehicle's computer impersonates (thesis 3.2)."""
+
+    VEHICLE = 0x00
+    GPS = 0x01
+    NAVIGATION = 0x02
+    PROPELLER_STARBOARD = 0x10
+    PROPELLER_PORT = 0x11
+    BATTERIES_STARBOARD = 0x20
+    BATTERIES_PORT = 0x21
+    BROADCAST = 0x7F
+
+
+PROPELLER_TIMEOUT_S: Final = 1.0
+
+# Standard format frames, most urgent first.
+TIME_FRAME: Final = standard(0x0C0)  # DSOR vehicle 0xC0 (thesis 3.2): UTC at the start of each second
+PROPELLER_STARBOARD: Final = standard(0x040)
+PROPELLER_PORT: Final = standard(0x041)
+BATTERIES_STARBOARD: Final = standard(0x042)
+BATTERIES_PORT: Final = standard(0x043)
+
+# Extended format frames outside the segmented protocol: priority 8, kind 2 = 3, source node 7, subject 12 bits.
+SYSSTAT_PRIORITY: Final = 0x80
+SYSSTAT_SUBJECT: Final = 1
+
+
+def sysstat_arb(node: Node) -> int:
+    """Arbitration field of a node's system status frame."""
+    return extended(SYSSTAT_PRIORITY << 21 | 3 << 19 | node << 12 | SYSSTAT_SUBJECT)
+
+
+SYSSTAT_MASK: Final = 0x7F << 12 << 3  # as don't-care bits: the status frame of any node
+
+# 32-bit identifiers of segmented messages.
+NAVIGATION_ID: Final = 0x0000_0001
+GPS_SYSSTAT_ID: Final = 0x0000_0002
+NAVIGATION_PRIORITY: Final = 0x20
+
+_I32_UNKNOWN: Final = 0x7FFFFFFF
+_I16_UNKNOWN: Final = 0x7FFF
+_U16_UNKNOWN: Final = 0xFFFF
+_U8_UNKNOWN: Final = 0xFF
+
+
+class Status(IntEnum):
+    GOOD = 0
+    DEGRADED = 1
+    BAD = 2
+
+
+class Fault(IntFlag):
+    """Why a node is not good; shown to people as words."""
+
+    OVERHEATED = 1 << 0
+    OVERCURRENT = 1 << 1
+    NO_COMMAND = 1 << 2  # the propeller stopped itself: no command within PROPELLER_TIMEOUT_S
+    LOW_VOLTAGE = 1 << 3
+    NO_SIGNAL = 1 << 4  # no satellites, no sensor
+    HARDWARE = 1 << 7
+
+
+class Navigation(NamedTuple):
+    """Position, velocity and attitude at one instant. None is unknown. Angles in rad, speeds over ground in m/s."""
+
+    utc_ns: int
+    latitude_rad: float | None
+    longitude_rad: float | None
+    north_mps: float | None
+    east_mps: float | None
+    heading_rad: float | None  # 0..2 pi, true north
+    yaw_rate_radps: float | None
+    roll_rad: float | None
+    pitch_rad: float | None
+    fix: int  # 0 none, 2 two-dimensional, 3 three-dimensional, 4 differential, 5 RTK
+    satellites: int
+    hdop: float | None
+    counter: int  # 0..255, one up each message
+
+
+NAVIGATION: Final = struct.Struct("<QiihhHhhhBBBB")  # 32 bytes
+_DEGREES_1E7: Final = math.radians(1e-7)
+
+
+def pack_navigation(n: Navigation) -> bytes:
+    """The 32 bytes of a navigation message. Values beyond a field's range are sent as unknown."""
+    return NAVIGATION.pack(
+        n.utc_ns,
+        _scaled(n.latitude_rad, 1 / _DEGREES_1E7, _I32_UNKNOWN),
+        _scaled(n.longitude_rad, 1 / _DEGREES_1E7, _I32_UNKNOWN),
+        _scaled(n.north_mps, 1e3, _I16_UNKNOWN),
+        _scaled(n.east_mps, 1e3, _I16_UNKNOWN),
+        _U16_UNKNOWN if n.heading_rad is None else round(n.heading_rad % math.tau * 1e4),
+        _scaled(n.yaw_rate_radps, 1e4, _I16_UNKNOWN),
+        _scaled(n.roll_rad, 1e4, _I16_UNKNOWN),
+        _scaled(n.pitch_rad, 1e4, _I16_UNKNOWN),
+        n.fix,
+        n.satellites,
+        _U8_UNKNOWN if n.hdop is None else min(round(n.hdop * 10), _U8_UNKNOWN - 1),
+        n.counter & 0xFF,
+    )
+
+
+def unpack_navigation(data: bytes) -> Navigation:
+    """Raises FormatError on a wrong length or a value that no boat can have (latitude beyond 90 degrees, heading of 7 rad)."""
+    if len(data) != NAVIGATION.size:
+        raise FormatError(f"navigation message of {len(data)} bytes instead of {NAVIGATION.size}")
+    utc, lat, lon, north, east, heading, rate, roll, pitch, fix, satellites, hdop, counter = NAVIGATION.unpack(data)
+    known = lat != _I32_UNKNOWN and lon != _I32_UNKNOWN and fix
+    if known and not (-900_000_000 <= lat <= 900_000_000 and -1_800_000_000 <= lon <= 1_800_000_000):
+        raise FormatError(f"impossible position {lat / 1e7:.7f}, {lon / 1e7:.7f} degrees")
+    if heading != _U16_UNKNOWN and heading > 62_832:
+        raise FormatError(f"impossible heading {heading / 1e4:.4f} rad")
+    moving = north != _I16_UNKNOWN and east != _I16_UNKNOWN
+    return Navigation(
+        utc,
+        lat * _DEGREES_1E7 if known else None,
+        lon * _DEGREES_1E7 if known else None,
+        north / 1e3 if moving else None,
+        east / 1e3 if moving else None,
+        heading / 1e4 if heading != _U16_UNKNOWN else None,
+        rate / 1e4 if rate != _I16_UNKNOWN else None,
+        roll / 1e4 if roll != _I16_UNKNOWN else None,
+        pitch / 1e4 if pitch != _I16_UNKNOWN else None,
+        fix,
+        satellites,
+        hdop / 10 if hdop != _U8_UNKNOWN else None,
+        counter,
+    )
+
+
+class PropellerCommand(NamedTuple):
+    """What a propeller node is told each navigation cycle. The same bytes serve both sides; only the identifier differs."""
+
+    rpm: int  # reference, positive ahead
+    run: bool  # False: motor off, whatever rpm says
+    counter: int  # one up each command, so that a node sees a frozen sender
+
+
+PROPELLER_COMMAND: Final = struct.Struct("<hBB")
+
+
+def pack_propeller_command(c: PropellerCommand) -> bytes:
+    return PROPELLER_COMMAND.pack(c.rpm, c.run, c.counter & 0xFF)
+
+
+def unpack_propeller_command(data: bytes) -> PropellerCommand:
+    if len(data) != PROPELLER_COMMAND.size:
+        raise FormatError(f"propeller command of {len(data)} bytes instead of {PROPELLER_COMMAND.size}")
+    rpm, flags, counter = PROPELLER_COMMAND.unpack(data)
+    return PropellerCommand(rpm, bool(flags & 1), counter)
+
+
+class BatteriesCommand(NamedTuple):
+    connected: bool  # main contactor closed
+    counter: int
+
+
+BATTERIES_COMMAND: Final = struct.Struct("<BB")
+
+
+def pack_batteries_command(c: BatteriesCommand) -> bytes:
+    return BATTERIES_COMMAND.pack(c.connected, c.counter & 0xFF)
+
+
+def unpack_batteries_command(data: bytes) -> BatteriesCommand:
+    if len(data) != BATTERIES_COMMAND.size:
+        raise FormatError(f"batteries command of {len(data)} bytes instead of {BATTERIES_COMMAND.size}")
+    flags, counter = BATTERIES_COMMAND.unpack(data)
+    return BatteriesCommand(bool(flags & 1), counter)
+
+
+class PropellerStatus(NamedTuple):
+    status: Status
+    faults: Fault
+    rpm: int  # measured, positive ahead
+    current_a: float
+    temperature_c: int
+    counter: int
+
+
+PROPELLER_STATUS: Final = struct.Struct("<BBhhbB")
+
+
+class BatteriesStatus(NamedTuple):
+    status: Status
+    faults: Fault
+    voltage_v: float
+    current_a: float  # positive: discharging
+    charge: float  # 0..1
+    temperature_c: int
+
+
+BATTERIES_STATUS: Final = struct.Struct("<BBHhBb")
+
+
+class GpsStatus(NamedTuple):
+    """Comes as a segmented message (thesis 3.4), so that legacy receivers can add fields."""
+
+    status: Status
+    faults: Fault
+    fix: int
+    satellites: int
+    hdop: float | None
+    utc_ns: int
+
+
+GPS_STATUS: Final = struct.Struct("<BBBBBxxxQ")
+
+
+def pack_propeller_status(s: PropellerStatus) -> bytes:
+    return PROPELLER_STATUS.pack(s.status, s.faults, s.rpm, round(s.current_a * 10), s.temperature_c, s.counter & 0xFF)
+
+
+def pack_batteries_status(s: BatteriesStatus) -> bytes:
+    return BATTERIES_STATUS.pack(
+        s.status, s.faults, round(s.voltage_v * 100), round(s.current_a * 10), round(s.charge * 200), s.temperature_c
+    )
+
+
+def pack_gps_status(s: GpsStatus) -> bytes:
+    hdop = _U8_UNKNOWN if s.hdop is None else min(round(s.hdop * 10), _U8_UNKNOWN - 1)
+    return GPS_STATUS.pack(s.status, s.faults, s.fix, s.satellites, hdop, s.utc_ns)
+
+
+SystemStatus = PropellerStatus | BatteriesStatus | GpsStatus
+
+
+def unpack_sysstat(node: int, data: bytes) -> SystemStatus:
+    """The status that a node reports. Raises FormatError for a node that has none, a wrong length or a wrong status."""
+    try:
+        if node in (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT):
+            status, faults, rpm, current, temperature, counter = PROPELLER_STATUS.unpack(data)
+            return PropellerStatus(Status(status), Fault(faults), rpm, current / 10, temperature, counter)
+        if node in (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT):
+            status, faults, voltage, current, charge, temperature = BATTERIES_STATUS.unpack(data)
+            return BatteriesStatus(Status(status), Fault(faults), voltage / 100, current / 10, charge / 200, temperature)
+        if node == Node.GPS:
+            status, faults, fix, satellites, hdop, utc = GPS_STATUS.unpack(data)
+            known = None if hdop == _U8_UNKNOWN else hdop / 10
+            return GpsStatus(Status(status), Fault(faults), fix, satellites, known, utc)
+    except (struct.error, ValueError) as error:
+        raise FormatError(f"system status of node {node:#04x}: {error}") from None
+    raise FormatError(f"node {node:#04x} has no system status")
+
+
+TIME: Final = struct.Struct("<Q")  # the time frame: UTC, ns since 1970
+
+
+def _scaled(value: float | None, per_unit: float, unknown: int) -> int:
+    """A field's integer; unknown where the value is None or does not fit below the unknown mark."""
+    if value is None or not abs(value * per_unit) < unknown:
+        return unknown
+    return round(value * per_unit)

@@ -1,0 +1,1 @@
+"""The runtime, the supervisor and the daemons around the vehicle."""

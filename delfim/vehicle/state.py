@@ -1,0 +1,114 @@
+"""The words of the vehicle: modes, what control sees, what it is asked for, what it answers. SI units, no behaviour."""
+
+from enum import IntEnum
+from typing import NamedTuple
+
+from delfim.errors import FormatError
+
+
+class Mode(IntEnum):
+    """Numbers are those of the console's link (ArduRover's where it has the mode)."""
+
+    MANUAL = 0
+    HEADING = 3
+    IDLE = 4
+    HOLD = 5
+    PLAY = 10
+    HOME = 11
+    GOTO = 15
+    PATH = 100
+    GREX = 101
+
+
+class Actuation(NamedTuple):
+    """What the propellers are asked for: revolutions per minute, positive ahead. `run` False is motor off."""
+
+    starboard_rpm: float
+    port_rpm: float
+    run: bool
+
+
+class Motion(NamedTuple):
+    """Navigation as control sees it: metres in the local plane, rad, m/s over ground. `has` names what is known; the
+    other fields are zero and must not be used."""
+
+    has: frozenset[str]  # of "position", "heading", "velocity"
+    north_m: float
+    east_m: float
+    heading_rad: float
+    yaw_rate_radps: float
+    north_mps: float
+    east_mps: float
+
+
+NOWHERE = Motion(frozenset(), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+class Waypoint(NamedTuple):
+    north_m: float
+    east_m: float
+    speed_mps: float
+    acceptance_m: float
+
+
+class Arc(NamedTuple):
+    """A piece of a path around a centre; `turn_rad` positive clockwise (to starboard)."""
+
+    north_m: float  # centre
+    east_m: float
+    radius_m: float
+    start_rad: float  # bearing from the centre to where the arc starts
+    turn_rad: float
+    speed_mps: float
+
+
+class Line(NamedTuple):
+    north_m: float  # start
+    east_m: float
+    to_north_m: float
+    to_east_m: float
+    speed_mps: float
+
+
+class Plan(NamedTuple):
+    """A mission in the local plane: waypoints to play, a path to follow (empty where the mission has none)."""
+
+    name: str
+    waypoints: tuple[Waypoint, ...]
+    path: tuple[Line | Arc, ...]
+
+
+class Setpoint(NamedTuple):
+    """What operator, guest and mission ask for; each mode takes its part."""
+
+    speed_mps: float = 0.0
+    heading_rad: float = 0.0
+    starboard: float = 0.0  # manual thrust, -1..1 of rpm_max
+    port: float = 0.0
+    target: Waypoint | None = None  # goto
+    plan: Plan | None = None
+    leg: int = 0  # first leg to play
+    guest_heading_rad: float | None = None
+    guest_speed_mps: float = 0.0
+    track: tuple[tuple[float, float], ...] = ()  # driven so far, oldest first: the way home
+
+
+class Reference(NamedTuple):
+    """Where control is going, for console and log. None where the mode has no such thing."""
+
+    heading_rad: float | None = None
+    speed_mps: float | None = None
+    cross_track_m: float | None = None  # positive: boat is to starboard of the line
+    distance_m: float | None = None  # to the point steered for
+    north_m: float | None = None  # that point
+    east_m: float | None = None
+    leg: int = 0
+    done: bool = False  # the mode has reached its end: the loop goes to hold
+
+
+def mode_named(text: str) -> Mode:
+    """Raises FormatError for a mode that does not exist, naming those that do."""
+    try:
+        return Mode[text.upper()]
+    except KeyError:
+        raise FormatError(f"no mode {text!r}: there are {', '.join(m.name.lower() for m in Mode)}") from None
