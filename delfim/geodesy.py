@@ -1,7 +1,7 @@
 """Angles and the local plane. Controllers work in metres north and east of an origin; degrees exist at the borders only.
 
-The plane is equirectangular at the origin's latitude with the WGS 84 radii of curvature: within 10 km of the origin the
-error stays below 0.1 %, which a boat does not notice.
+The plane is equirectangular at the origin's latitude with the WGS 84 radii of curvature: within 10 km of the origin, up
+to 55 degrees of latitude, the error of a distance stays below 0.1 %, which a boat does not notice.
 """
 
 import math
@@ -48,4 +48,4 @@ def wrap(angle_rad: float) -> float:
 
 def compass(angle_rad: float) -> float:
     """The same angle in 0..2 pi, as headings and courses are shown."""
-    return angle_rad % TAU
+    return angle_rad % TAU % TAU  # twice, because -1e-20 % TAU is TAU

@@ -32,11 +32,11 @@ class Node(IntEnum):
 PROPELLER_TIMEOUT_S: Final = 1.0
 
 # Standard format frames, most urgent first.
-TIME_FRAME: Final = standard(0x0C0)  # DSOR vehicle 0xC0 (thesis 3.2): UTC at the start of each second
 PROPELLER_STARBOARD: Final = standard(0x040)
 PROPELLER_PORT: Final = standard(0x041)
 BATTERIES_STARBOARD: Final = standard(0x042)
 BATTERIES_PORT: Final = standard(0x043)
+TIME_FRAME: Final = standard(0x0C0)  # DSOR vehicle 0xC0 (thesis 3.2): UTC at the start of each second
 
 # Extended format frames outside the segmented protocol: priority 8, kind 2 = 3, source node 7, subject 12 bits.
 SYSSTAT_PRIORITY: Final = 0x80
@@ -59,6 +59,7 @@ _I32_UNKNOWN: Final = 0x7FFFFFFF
 _I16_UNKNOWN: Final = 0x7FFF
 _U16_UNKNOWN: Final = 0xFFFF
 _U8_UNKNOWN: Final = 0xFF
+_I8_UNKNOWN: Final = 0x7F
 
 
 class Status(IntEnum):
@@ -108,13 +109,13 @@ def pack_navigation(n: Navigation) -> bytes:
         _scaled(n.longitude_rad, 1 / _DEGREES_1E7, _I32_UNKNOWN),
         _scaled(n.north_mps, 1e3, _I16_UNKNOWN),
         _scaled(n.east_mps, 1e3, _I16_UNKNOWN),
-        _U16_UNKNOWN if n.heading_rad is None else round(n.heading_rad % math.tau * 1e4),
+        _unsigned(None if n.heading_rad is None else n.heading_rad % math.tau, 1e4, _U16_UNKNOWN),
         _scaled(n.yaw_rate_radps, 1e4, _I16_UNKNOWN),
         _scaled(n.roll_rad, 1e4, _I16_UNKNOWN),
         _scaled(n.pitch_rad, 1e4, _I16_UNKNOWN),
         n.fix,
         n.satellites,
-        _U8_UNKNOWN if n.hdop is None else min(round(n.hdop * 10), _U8_UNKNOWN - 1),
+        _hdop(n.hdop),
         n.counter & 0xFF,
     )
 
@@ -136,7 +137,7 @@ def unpack_navigation(data: bytes) -> Navigation:
         lon * _DEGREES_1E7 if known else None,
         north / 1e3 if moving else None,
         east / 1e3 if moving else None,
-        heading / 1e4 if heading != _U16_UNKNOWN else None,
+        heading / 1e4 % math.tau if heading != _U16_UNKNOWN else None,
         rate / 1e4 if rate != _I16_UNKNOWN else None,
         roll / 1e4 if roll != _I16_UNKNOWN else None,
         pitch / 1e4 if pitch != _I16_UNKNOWN else None,
@@ -159,7 +160,9 @@ PROPELLER_COMMAND: Final = struct.Struct("<hBB")
 
 
 def pack_propeller_command(c: PropellerCommand) -> bytes:
-    return PROPELLER_COMMAND.pack(c.rpm, c.run, c.counter & 0xFF)
+    """A reference that is no number or fits no field is sent as motor off."""
+    rpm = _scaled(c.rpm, 1, _I16_UNKNOWN)
+    return PROPELLER_COMMAND.pack(*((0, False) if rpm == _I16_UNKNOWN else (rpm, c.run)), c.counter & 0xFF)
 
 
 def unpack_propeller_command(data: bytes) -> PropellerCommand:
@@ -189,11 +192,13 @@ def unpack_batteries_command(data: bytes) -> BatteriesCommand:
 
 
 class PropellerStatus(NamedTuple):
+    """None is unknown."""
+
     status: Status
     faults: Fault
-    rpm: int  # measured, positive ahead
-    current_a: float
-    temperature_c: int
+    rpm: int | None  # measured, positive ahead
+    current_a: float | None
+    temperature_c: int | None
     counter: int
 
 
@@ -201,12 +206,14 @@ PROPELLER_STATUS: Final = struct.Struct("<BBhhbB")
 
 
 class BatteriesStatus(NamedTuple):
+    """None is unknown."""
+
     status: Status
     faults: Fault
-    voltage_v: float
-    current_a: float  # positive: discharging
-    charge: float  # 0..1
-    temperature_c: int
+    voltage_v: float | None
+    current_a: float | None  # positive: discharging
+    charge: float | None  # 0..1
+    temperature_c: int | None
 
 
 BATTERIES_STATUS: Final = struct.Struct("<BBHhBb")
@@ -227,18 +234,29 @@ GPS_STATUS: Final = struct.Struct("<BBBBBxxxQ")
 
 
 def pack_propeller_status(s: PropellerStatus) -> bytes:
-    return PROPELLER_STATUS.pack(s.status, s.faults, s.rpm, round(s.current_a * 10), s.temperature_c, s.counter & 0xFF)
+    return PROPELLER_STATUS.pack(
+        s.status,
+        s.faults,
+        _scaled(s.rpm, 1, _I16_UNKNOWN),
+        _scaled(s.current_a, 10, _I16_UNKNOWN),
+        _scaled(s.temperature_c, 1, _I8_UNKNOWN),
+        s.counter & 0xFF,
+    )
 
 
 def pack_batteries_status(s: BatteriesStatus) -> bytes:
     return BATTERIES_STATUS.pack(
-        s.status, s.faults, round(s.voltage_v * 100), round(s.current_a * 10), round(s.charge * 200), s.temperature_c
+        s.status,
+        s.faults,
+        _unsigned(s.voltage_v, 100, _U16_UNKNOWN),
+        _scaled(s.current_a, 10, _I16_UNKNOWN),
+        _unsigned(s.charge, 200, _U8_UNKNOWN),
+        _scaled(s.temperature_c, 1, _I8_UNKNOWN),
     )
 
 
 def pack_gps_status(s: GpsStatus) -> bytes:
-    hdop = _U8_UNKNOWN if s.hdop is None else min(round(s.hdop * 10), _U8_UNKNOWN - 1)
-    return GPS_STATUS.pack(s.status, s.faults, s.fix, s.satellites, hdop, s.utc_ns)
+    return GPS_STATUS.pack(s.status, s.faults, s.fix, s.satellites, _hdop(s.hdop), s.utc_ns)
 
 
 SystemStatus = PropellerStatus | BatteriesStatus | GpsStatus
@@ -249,10 +267,24 @@ def unpack_sysstat(node: int, data: bytes) -> SystemStatus:
     try:
         if node in (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT):
             status, faults, rpm, current, temperature, counter = PROPELLER_STATUS.unpack(data)
-            return PropellerStatus(Status(status), Fault(faults), rpm, current / 10, temperature, counter)
+            return PropellerStatus(
+                Status(status),
+                Fault(faults),
+                rpm if rpm != _I16_UNKNOWN else None,
+                current / 10 if current != _I16_UNKNOWN else None,
+                temperature if temperature != _I8_UNKNOWN else None,
+                counter,
+            )
         if node in (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT):
             status, faults, voltage, current, charge, temperature = BATTERIES_STATUS.unpack(data)
-            return BatteriesStatus(Status(status), Fault(faults), voltage / 100, current / 10, charge / 200, temperature)
+            return BatteriesStatus(
+                Status(status),
+                Fault(faults),
+                voltage / 100 if voltage != _U16_UNKNOWN else None,
+                current / 10 if current != _I16_UNKNOWN else None,
+                charge / 200 if charge <= 200 else None,
+                temperature if temperature != _I8_UNKNOWN else None,
+            )
         if node == Node.GPS:
             status, faults, fix, satellites, hdop, utc = GPS_STATUS.unpack(data)
             known = None if hdop == _U8_UNKNOWN else hdop / 10
@@ -270,3 +302,15 @@ def _scaled(value: float | None, per_unit: float, unknown: int) -> int:
     if value is None or not abs(value * per_unit) < unknown:
         return unknown
     return round(value * per_unit)
+
+
+def _unsigned(value: float | None, per_unit: float, unknown: int) -> int:
+    """The same for a field without sign."""
+    if value is None or not -0.5 <= value * per_unit < unknown:
+        return unknown
+    return round(value * per_unit)
+
+
+def _hdop(value: float | None) -> int:
+    """Dilution beyond the field's 25.4 is as useless as 25.4 and is sent so."""
+    return _unsigned(None if value is None else min(value, 25.4), 10, _U8_UNKNOWN)

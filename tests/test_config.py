@@ -1,0 +1,213 @@
+"""The vehicle's file: what is taken, and what a tired person is told about what is not."""
+
+import tomllib
+from pathlib import Path
+
+import msgspec
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from delfim import config
+from delfim.config import Service, Table, Vehicle
+from delfim.errors import ConfigError
+
+BOAT = '[boat]\nname = "delfimx"\n'
+
+
+def load(tmp_path: Path, text: str) -> Vehicle:
+    file = tmp_path / "boat.toml"
+    file.write_text(text, encoding="utf-8")
+    return config.load(file)
+
+
+def refused(tmp_path: Path, text: str) -> ConfigError:
+    with pytest.raises(ConfigError) as caught:
+        load(tmp_path, text)
+    assert caught.value.file == str(tmp_path / "boat.toml")
+    return caught.value
+
+
+def test_a_name_is_enough(tmp_path: Path) -> None:
+    assert load(tmp_path, BOAT) == Vehicle(boat=config.Boat(name="delfimx"))
+
+
+def test_defaults_lie_within_their_own_ranges() -> None:
+    """Defaults are not checked when they are used, so they are checked here."""
+    vehicle = Vehicle(boat=config.Boat(name="x"))
+    assert msgspec.convert(msgspec.to_builtins(vehicle), Vehicle) == vehicle
+
+
+def test_tables_arrays_and_services(tmp_path: Path) -> None:
+    vehicle = load(
+        tmp_path,
+        BOAT
+        + """
+        [navigation]
+        sources = ["nmea2000", "dsor"]
+        rate_hz = 10
+        [control.heading]
+        p_rpm_per_rad = 0
+        [runtime]
+        cpus = [0, 3]
+        [services.httpd]
+        place = "process"
+        [services.log-guard]
+        enabled = false
+        """,
+    )
+    assert vehicle.navigation.sources == ("nmea2000", "dsor")
+    assert vehicle.navigation.rate_hz == 10.0
+    assert vehicle.control.heading.p_rpm_per_rad == 0.0
+    assert vehicle.runtime.cpus == (0, 3)
+    assert vehicle.services == {"httpd": Service(place="process"), "log-guard": Service(enabled=False)}
+
+
+@pytest.mark.parametrize(
+    ("text", "key", "reason", "allowed"),
+    [
+        # unknown keys
+        (BOAT + "lenght_m = 3", "boat.lenght_m", "unknown key", "name, id, length_m, beam_m"),
+        (BOAT + "[control.pitch]", "control.pitch", "unknown key", "heading, speed, path, hold, home"),
+        (BOAT + "[services.httpd]\ncolour = 1", "services.httpd.colour", "unknown key", "enabled, place"),
+        # missing parts
+        ("", "boat", "missing", ""),
+        ("[boat]\nid = 1", "boat.name", "missing", ""),
+        # out of range
+        (BOAT + "id = 250", "boat.id", "expected int <= 249", "1 to 249"),
+        (BOAT + "id = 9999999999999999999999", "boat.id", "expected int <= 249", "1 to 249"),
+        (BOAT + "length_m = nan", "boat.length_m", "expected float > 0.0", "more than 0.0 to 10000.0"),
+        (BOAT + "length_m = inf", "boat.length_m", "expected float <= 10000.0", "more than 0.0 to 10000.0"),
+        (BOAT + "[watchdog]\nnavigation_s = 0", "watchdog.navigation_s", "expected float > 0.0", "more than 0.0 to 3600.0"),
+        (BOAT + "[runtime]\nnice = 20", "runtime.nice", "expected int <= 19", "-20 to 19"),
+        (BOAT + "[runtime]\ncpus = [0, -1]", "runtime.cpus[1]", "expected int >= 0", "0 to 1023"),
+        (BOAT + "[simulation.sea]\ngusts = 2", "simulation.sea.gusts", "expected float <= 1.0", "0.0 to 1.0"),
+        (BOAT + "[log]\nfree_bytes_min = -1", "log.free_bytes_min", "expected int >= 0", "0 or more"),
+        (
+            BOAT + "[navigation]\nsources = []",
+            "navigation.sources",
+            "expected array of length >= 1",
+            "1 to 2 of dsor, nmea2000",
+        ),
+        # not one of the words
+        (BOAT + '[log]\nwhen_full = "Panic"', "log.when_full", "invalid enum value 'Panic'", "delete-oldest, stop"),
+        (BOAT + '[navigation]\nsources = ["gps"]', "navigation.sources[0]", "invalid enum value 'gps'", "dsor, nmea2000"),
+        (
+            BOAT + '[services.ftpd]\n[services.httpd]\nplace = "moon"',
+            "services.httpd.place",
+            "invalid enum value 'moon'",
+            "runtime, process",
+        ),
+        # other types
+        ("boat = 3", "boat", "expected table, got int", "a table of name, id, length_m, beam_m"),
+        ('[[boat]]\nname = "x"', "boat", "expected table, got array", "a table of name, id, length_m, beam_m"),
+        (BOAT + 'length_m = "4"', "boat.length_m", "expected float, got str", "more than 0.0 to 10000.0"),
+        (BOAT + "length_m = true", "boat.length_m", "expected float, got bool", "more than 0.0 to 10000.0"),
+        (BOAT + "length_m = 1979-05-27", "boat.length_m", "expected float, got date", "more than 0.0 to 10000.0"),
+        (BOAT + '[runtime]\nwindow = "yes"', "runtime.window", "expected bool, got str", "true or false"),
+        (BOAT + "[log]\ndirectory = 3", "log.directory", "expected str, got int", "text"),
+        (BOAT + "[services]\nhttpd = 3", "services.httpd", "expected table, got int", "a table of enabled, place"),
+    ],
+)
+def test_refusals(tmp_path: Path, text: str, key: str, reason: str, allowed: str) -> None:
+    error = refused(tmp_path, text)
+    assert (error.key, error.reason, error.allowed) == (key, reason, allowed)
+    assert key in str(error)
+    assert reason in str(error)
+    assert allowed in str(error)
+
+
+@pytest.mark.parametrize(
+    ("text", "key"),
+    [
+        ('[boat]\nname = "3x"', "boat.name"),
+        ('[boat]\nname = "x\\n"', "boat.name"),
+        (BOAT + '[can]\ninterface = "CAN 0"', "can.interface"),
+        (BOAT + '[guest]\nlisten = "nohost"', "guest.listen"),
+        (BOAT + '[services."9x"]\nenabled = true', "services"),
+    ],
+)
+def test_texts_that_do_not_match_are_told_the_pattern(tmp_path: Path, text: str, key: str) -> None:
+    error = refused(tmp_path, text)
+    assert error.key == key
+    assert error.allowed.startswith("text matching ^")
+
+
+@pytest.mark.parametrize(
+    ("content", "reason"),
+    [
+        (b"[boat", "not TOML: "),
+        (BOAT.encode() + b'name = "again"', "not TOML: "),
+        (b"\xff\xfe", "not UTF-8: invalid start byte at byte 0"),
+    ],
+)
+def test_what_is_not_toml(tmp_path: Path, content: bytes, reason: str) -> None:
+    file = tmp_path / "boat.toml"
+    file.write_bytes(content)
+    with pytest.raises(ConfigError) as caught:
+        config.load(file)
+    assert (caught.value.file, caught.value.key) == (str(file), "file")
+    assert caught.value.reason.startswith(reason)
+
+
+def test_missing_file_and_directory(tmp_path: Path) -> None:
+    for path, reason in ((tmp_path / "none.toml", "No such file or directory"), (tmp_path, "Is a directory")):
+        with pytest.raises(ConfigError, match=reason) as caught:
+            config.load(path)
+        assert caught.value.file == str(path)
+
+
+def test_overrides_lie_over_the_file(tmp_path: Path) -> None:
+    file = tmp_path / "boat.toml"
+    file.write_text(BOAT, encoding="utf-8")
+    vehicle = config.load(file, ["boat.id=7", 'services.httpd.place = "process"', "log.required=false"])
+    assert (vehicle.boat.id, vehicle.services["httpd"].place, vehicle.log.required) == (7, "process", False)
+
+
+@pytest.mark.parametrize("override", ["boat.id", "boat.id=", "boat.id=seven", "boat.name.x=1"])
+def test_overrides_that_are_none_are_refused(tmp_path: Path, override: str) -> None:
+    file = tmp_path / "boat.toml"
+    file.write_text(BOAT, encoding="utf-8")
+    with pytest.raises(ConfigError):
+        config.load(file, [override])
+
+
+trees = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=8) | st.sampled_from(["place"]), inner, max_size=3)
+    ),
+    max_leaves=8,
+)
+
+
+@given(st.sampled_from(["", *Vehicle.__struct_fields__]), trees)
+def test_any_tree_is_taken_or_refused_with_a_key(table: str, tree: object) -> None:
+    whole = {"boat": {"name": "x"}, table: tree} if table else {"x": tree}
+    refusal = None
+    try:
+        config.decode(whole, Vehicle, "f")
+    except ConfigError as error:
+        refusal = error
+    assert table or refusal
+    assert refusal is None or (refusal.key.startswith(table or "x") and refusal.reason)
+
+
+def test_every_parameter_says_what_is_allowed() -> None:
+    def check(kind: type[Table]) -> None:
+        for name, hint in msgspec_hints(kind).items():
+            if isinstance(hint, type) and issubclass(hint, Table):
+                check(hint)
+            else:
+                assert config.allowed(hint), name
+
+    check(Vehicle)
+
+
+def msgspec_hints(kind: type[Table]) -> dict[str, object]:
+    return {field.name: field.type for field in msgspec.structs.fields(kind)}
+
+
+def test_the_boats_own_file_is_obeyed() -> None:
+    file = Path(__file__).parents[1] / "etc" / "delfimx.toml"
+    assert config.load(file).boat.name == tomllib.loads(file.read_text(encoding="utf-8"))["boat"]["name"]
