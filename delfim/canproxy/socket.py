@@ -1,0 +1,235 @@
+"""CAN sockets as chapter 5.2 of the thesis proposes them: one class over Linux SocketCAN, canloop or python-can.
+
+`open_can` opens one by the name of its interface; `bind` sets the acceptance filters, `connect` the arbitration field of
+`send`; `receive` is the way in for the critical loop. What a transport cannot do is said in its own file. CAN FD is not spoken.
+"""
+
+import errno
+import os
+import select
+import time
+from collections.abc import Callable, Sequence
+from socket import MSG_DONTWAIT
+from types import TracebackType
+from typing import Final, NamedTuple, Protocol, Self
+
+from delfim.frames import CAN_ANY, CAN_ERR, Frame
+
+_FULL_RETRY_S: Final = 0.0005  # the kernel has no event for room in an interface's queue; a frame at 1 Mbit/s takes 0.13 ms
+
+
+class CanAddress(NamedTuple):
+    """`struct sockaddr_can` of thesis 5.2.2: what to accept in `bind`, what and where to send in `connect` and `sendto`."""
+
+    arb: int = 0  # arbitration field of thesis figure 5-5, see delfim.frames
+    mask: int = 0  # of arb; set bits are "don't care" (5.2.4); ignored in sending
+    ifindex: int = 0  # interface; 0 for all that the socket was opened on
+
+
+ANYTHING: Final = CanAddress(mask=CAN_ANY)  # every data and remote frame, both formats
+
+
+def accepts(address: CanAddress, arb: int) -> bool:
+    """The meaning of an acceptance filter (thesis 5.2.4). Error frames were never on the bus and pass none."""
+    return not (arb ^ address.arb) & ~address.mask and not arb & CAN_ERR
+
+
+class Transport(Protocol):
+    """What carries the frames of a CanSocket. Nothing here ever blocks."""
+
+    name: str
+    ifindex: int  # 0 where frames come by several interfaces
+    dropped: int
+    outlets: Callable[[], Sequence[int]] | None  # the interfaces that ifindex 0 stands for in sending, where they are several
+
+    def fileno(self) -> int: ...
+    def filter(self, addresses: tuple[CanAddress, ...]) -> None: ...
+    def receive(self) -> Frame | None: ...
+    def send(self, arb: int, data: bytes, ifindex: int) -> None: ...  # BlockingIOError when the transmit queue is full
+    def rebind(self) -> bool: ...
+    def close(self) -> None: ...
+
+
+class CanSocket:
+    """A CAN socket. It receives nothing before `bind`, and never the frames it sent itself.
+
+    Sockets start blocking, as Python's do. MSG_DONTWAIT, `setblocking(False)` and timeouts mean what they mean there:
+    BlockingIOError (EAGAIN) when nothing is queued or the transmit queue is full, TimeoutError after a time-out. Other flags
+    are not supported. Whatever goes wrong with the bus is a BusError with a reason in words; after one, call `rebind` every
+    now and then until it says True.
+    """
+
+    receive: Callable[[], Frame | None]
+    """The hot path: the next frame, or None when nothing is queued. Never blocks, not even on a blocking socket. The frame
+    carries the kernel's receive time, the interface and whether it was sent here. Raises BusError."""
+
+    def __init__(self, transport: Transport) -> None:
+        self._transport = transport
+        self._timeout_s: float | None = None
+        self._peer: CanAddress | None = None
+        self._send = transport.send
+        self.name = transport.name
+        self.receive = transport.receive
+
+    @property
+    def dropped(self) -> int:
+        """Frames that were for this socket and found its queue full, since it was opened."""
+        return self._transport.dropped
+
+    @property
+    def ifindex(self) -> int:
+        """Index of the interface, as if_nametoindex(3) has it; 0 for "any"."""
+        return self._transport.ifindex
+
+    def fileno(self) -> int:
+        """File descriptor to wait on for reading; -1 after close."""
+        return self._transport.fileno()
+
+    def bind(self, *addresses: CanAddress) -> None:
+        """Accept the frames that any of `addresses` accepts, and no others (thesis 5.2.4). The filtering is the kernel's.
+
+        Frames already queued stay. Raises BusError for an interface that is not this socket's.
+        """
+        self._transport.filter(addresses)
+
+    def connect(self, address: CanAddress) -> None:
+        """Set the arbitration field and interface of every later `send` (thesis 5.2.3)."""
+        self._peer = address
+
+    def send(self, data: bytes, flags: int = 0) -> int:
+        """Send up to 8 bytes where `connect` said. Raises OSError (EDESTADDRREQ) where it did not."""
+        if self._peer is None:
+            raise OSError(errno.EDESTADDRREQ, os.strerror(errno.EDESTADDRREQ))
+        return self.sendto(data, self._peer, flags)
+
+    def sendto(self, data: bytes, address: CanAddress, flags: int = 0) -> int:
+        """Queue one frame and return its data length (thesis 5.2.3).
+
+        Raises FormatError beyond 8 bytes, BlockingIOError or TimeoutError when the transmit queue is full, BusError.
+        """
+        if address.ifindex == 0 and self._transport.outlets:
+            for ifindex in self._transport.outlets():
+                self.sendto(data, address._replace(ifindex=ifindex), flags)
+            return len(data)
+        try:
+            self._send(address.arb, data, address.ifindex)
+        except BlockingIOError:
+            if flags & MSG_DONTWAIT or self._timeout_s == 0:
+                raise
+            self._send_late(address.arb, data, address.ifindex)
+        return len(data)
+
+    def sendmsg(self, frame: Frame, flags: int = 0) -> int:
+        """Send a whole frame, by the interface that it names."""
+        return self.sendto(frame.data, CanAddress(frame.arb, 0, frame.ifindex), flags)
+
+    def recv(self, length: int, flags: int = 0) -> bytes:
+        """The next frame's data; bytes beyond `length` are lost for ever (thesis 5.2.5)."""
+        return self.recvmsg(flags).data[:length]
+
+    def recvfrom(self, length: int, flags: int = 0) -> tuple[bytes, CanAddress]:
+        """As `recv`, with the arbitration field and the interface that the frame came by."""
+        frame = self.recvmsg(flags)
+        return frame.data[:length], CanAddress(frame.arb, 0, frame.ifindex)
+
+    def recvmsg(self, flags: int = 0) -> Frame:
+        """The next frame, whole. Raises BlockingIOError, TimeoutError, BusError."""
+        frame = self.receive()
+        if frame is not None:
+            return frame
+        if flags & MSG_DONTWAIT or self._timeout_s == 0:
+            raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
+        deadline_s = self._deadline_s()
+        poll = select.poll()
+        poll.register(self.fileno(), select.POLLIN)
+        while frame is None:
+            remaining_s = deadline_s - time.monotonic()
+            if remaining_s <= 0:
+                raise TimeoutError("timed out")
+            poll.poll(None if remaining_s == float("inf") else remaining_s * 1000)
+            frame = self.receive()
+        return frame
+
+    def rebind(self) -> bool:
+        """Take up a bus that failed, on the same file descriptor and with the same filters. True when it can be used."""
+        return self._transport.rebind()
+
+    def setblocking(self, flag: bool) -> None:
+        self._timeout_s = None if flag else 0.0
+
+    def settimeout(self, timeout_s: float | None) -> None:
+        """None: block; 0: do not; otherwise raise TimeoutError after so many seconds."""
+        self._timeout_s = timeout_s
+
+    def close(self) -> None:
+        self._transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self.close()
+
+    def _deadline_s(self) -> float:
+        return float("inf") if self._timeout_s is None else time.monotonic() + self._timeout_s
+
+    def _send_late(self, arb: int, data: bytes, ifindex: int) -> None:
+        deadline_s = self._deadline_s()
+        while True:
+            time.sleep(_FULL_RETRY_S)
+            try:
+                return self._send(arb, data, ifindex)
+            except BlockingIOError:
+                if time.monotonic() >= deadline_s:
+                    raise TimeoutError(f"{self.name}: the transmit queue stayed full") from None
+
+
+def open_can(interface: str, *, receive_buffer_bytes: int = 1 << 20, error_frames: bool = False) -> CanSocket:
+    """Open a socket on one of these interfaces; raises BusError.
+
+    "can0"                                      a Linux interface, "any" for all of them
+    "canloop:NAME"                              a bus without hardware, inside this computer
+    "python-can:INTERFACE:CHANNEL[@BITRATE]"    an adapter that python-can knows
+
+    `receive_buffer_bytes` bounds the queue of received frames (a frame takes about 800 bytes of it), as far as the system lets
+    it. `error_frames` lets the frames through by which a controller reports its own state; see `bus_state`.
+    """
+    kind, _, name = interface.partition(":")
+    # A transport is imported when it is chosen: python-can alone takes a quarter of a second.
+    if kind == "canloop":
+        from delfim.canproxy.canloop import open_canloop
+
+        return open_canloop(name, receive_buffer_bytes=receive_buffer_bytes, error_frames=error_frames)
+    if kind == "python-can":
+        from delfim.canproxy.adapter import PythonCan
+
+        return CanSocket(PythonCan(name, receive_buffer_bytes, error_frames))
+    from delfim.canproxy.socketcan import SocketCan
+
+    return CanSocket(SocketCan(interface, receive_buffer_bytes, error_frames))
+
+
+class BusState(NamedTuple):
+    """What an error frame says about the controller that sent it."""
+
+    state: str  # "error active", "error warning", "error passive", "bus off" or "restarted"
+    transmit_errors: int | None = None  # the controller's error counters, 0..255, where it tells them
+    receive_errors: int | None = None
+
+
+# linux/can/error.h: classes of error frames and the bits of data[1] in class CRTL
+_CRTL, _BUSOFF, _RESTARTED, _COUNTERS = 0x004, 0x040, 0x100, 0x200
+_CONTROLLER: Final = ((0x30, "error passive"), (0x0C, "error warning"), (0x40, "error active"))
+
+
+def bus_state(frame: Frame) -> BusState | None:
+    """The controller's state in an error frame; None for any other frame and for errors that did not change the state."""
+    if not frame.error:
+        return None
+    kind, data = frame.identifier, frame.data.ljust(8, b"\0")
+    state = "bus off" if kind & _BUSOFF else "restarted" if kind & _RESTARTED else None
+    if state is None and kind & _CRTL:
+        state = next((words for bits, words in _CONTROLLER if data[1] & bits), None)
+    if state is None:
+        return None
+    return BusState(state, data[6], data[7]) if kind & _COUNTERS else BusState(state)
