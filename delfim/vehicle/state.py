@@ -1,9 +1,12 @@
 """The words of the vehicle: modes, what control sees, what it is asked for, what it answers. SI units, no behaviour."""
 
+from dataclasses import dataclass, field
 from enum import IntEnum
 from typing import NamedTuple
 
 from delfim.errors import FormatError
+from delfim.geodesy import Origin
+from delfim.messages import Navigation, SystemStatus
 
 
 class Mode(IntEnum):
@@ -104,6 +107,47 @@ class Reference(NamedTuple):
     east_m: float | None = None
     leg: int = 0
     done: bool = False  # the mode has reached its end: the loop goes to hold
+    reason: str = ""  # why control stopped the propellers, in words; empty while it drives
+
+
+class Profile(NamedTuple):
+    """Wall-clock stamps of one critical path, ns (thesis figure 3-9). t0 is the kernel's receive time of the last frame of
+    the navigation message; t5 is taken after the log, so a record carries the t5 of the cycle before."""
+
+    t0: int = 0
+    t1: int = 0  # navigation readable
+    t2: int = 0  # navigation read
+    t3: int = 0  # control computed
+    t4: int = 0  # propulsion sent: the critical path ends
+    t5: int = 0  # guest and log served
+
+
+@dataclass(slots=True)
+class State:
+    """Everything the vehicle knows now. One object, changed by the loop alone, read by console and log."""
+
+    mode: Mode = Mode.IDLE
+    reason: str = "started"  # why the boat is in this mode, in words
+    navigation: Navigation | None = None
+    source: str = ""  # where navigation came from
+    navigation_s: float = -1e9  # monotonic time it arrived
+    origin: Origin | None = None  # of the local plane: the first position, unless a mission was loaded before
+    motion: Motion = NOWHERE
+    setpoint: Setpoint = field(default_factory=Setpoint)
+    reference: Reference = field(default_factory=Reference)
+    actuation: Actuation = field(default_factory=lambda: Actuation(0.0, 0.0, False))  # as sent
+    sysstat: dict[str, tuple[SystemStatus, float]] = field(default_factory=dict)  # by node: last report, its time
+    console_s: float = -1e9  # monotonic time of the last word of the console
+    manual_s: float = -1e9
+    guest_s: float = -1e9
+    guest_connected: bool = False
+    cycles: int = 0
+    counts: dict[str, int] = field(default_factory=dict)  # what was refused, dropped, repaired, by name
+    profile: Profile = field(default_factory=Profile)
+
+    def count(self, name: str, by: int = 1) -> None:
+        """Count an event that is not worth stopping for. Names are code, so the table is bounded."""
+        self.counts[name] = self.counts.get(name, 0) + by
 
 
 def mode_named(text: str) -> Mode:

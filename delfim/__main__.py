@@ -1,0 +1,122 @@
+"""The command line: `delfim COMMAND ...`. Errors that a person can mend are one line on standard error and exit code 2."""
+
+import argparse
+import sys
+from collections.abc import Sequence
+
+from delfim import __version__
+from delfim.errors import DelfimError, PermanentFailure, Refused
+
+EXIT_REFUSED, EXIT_WRONG, EXIT_PERMANENT = 1, 2, 100  # 100 tells the supervisor: do not start me again
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    asked = _parser().parse_args(arguments)
+    try:
+        code: int = asked.run(asked)
+        return code
+    except KeyboardInterrupt:
+        return 130
+    except BrokenPipeError:  # `delfim ... | head`
+        return 0
+    except Refused as refusal:
+        print(f"delfim: {refusal}", file=sys.stderr)
+        return EXIT_REFUSED
+    except PermanentFailure as failure:
+        print(f"delfim: {failure}", file=sys.stderr)
+        return EXIT_PERMANENT
+    except DelfimError as error:
+        print(f"delfim: {error}", file=sys.stderr)
+        return EXIT_WRONG
+
+
+# Each command imports what it needs when it runs: a boat does not load what draws pictures.
+
+
+def _check(asked: argparse.Namespace) -> int:
+    from delfim.config import load
+
+    vehicle = load(asked.file, asked.set)
+    print(f"{asked.file}: {vehicle.boat.name} is fit to be built")
+    return 0
+
+
+def _describe(asked: argparse.Namespace) -> int:
+    from delfim.console.describe import describe
+
+    print(describe(), end="")
+    return 0
+
+
+def _supervise(asked: argparse.Namespace) -> int:
+    from delfim.suite import supervise
+
+    return supervise(asked.file, asked.set)
+
+
+def _run(asked: argparse.Namespace) -> int:
+    from delfim.suite import run
+
+    return run(asked.file, asked.set, service=asked.service, beat_fd=asked.beat_fd)
+
+
+def _nodes(asked: argparse.Namespace) -> int:
+    from delfim.config import load
+    from delfim.simulator.realtime import run_nodes
+
+    return run_nodes(load(asked.file, asked.set), asked.seed)
+
+
+def _sim(asked: argparse.Namespace) -> int:
+    from delfim.live import simulate
+
+    return simulate(asked)
+
+
+def _drive(asked: argparse.Namespace) -> int:
+    from delfim.config import load
+    from delfim.console.drive import run
+
+    run(asked.socket or load(asked.file, asked.set).console.socket, asked.words)
+    return 0
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="delfim", description="The onboard software of an autonomous surface vehicle.")
+    parser.add_argument("--version", action="version", version=f"delfim {__version__}")
+    commands = parser.add_subparsers(title="commands", required=True, metavar="COMMAND")
+
+    def command(name: str, run: object, text: str) -> argparse.ArgumentParser:
+        one = commands.add_parser(name, help=text, description=text)
+        one.set_defaults(run=run)
+        one.add_argument("file", metavar="FILE", help="the vehicle's file, as etc/delfimx.toml")
+        one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key; the value is TOML")
+        return one
+
+    command("supervise", _supervise, "Run the whole suite: starts, watches and restarts its processes; the dead-man.")
+    run = command("run", _run, "Run the vehicle and its cooperative services in one process, without a supervisor.")
+    run.add_argument("--service", metavar="NAME", help="only this service, in a process of its own")
+    run.add_argument("--beat-fd", type=int, default=-1, help=argparse.SUPPRESS)
+    command("check", _check, "Check a vehicle's file and say what is wrong with it.")
+    describe = commands.add_parser("describe", help="List every key of a vehicle's file with default, range and meaning.")
+    describe.set_defaults(run=_describe)
+    nodes = command("nodes", _nodes, "Play the boat's other CAN nodes (navigation, GPS, propellers, batteries) on its bus.")
+    nodes.add_argument("--seed", type=int, default=1, help="of noise and weather")
+    sim = command("sim", _sim, "Sail a mission in simulation: the whole suite, a modelled boat, a live view.")
+    sim.add_argument("--mission", metavar="FILE", help="instead of the vehicle file's simulation.mission")
+    sim.add_argument(
+        "--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time; otherwise with the mission"
+    )
+    sim.add_argument("--seed", type=int, default=1, help="of noise and weather")
+    sim.add_argument("--lockstep", action="store_true", help="as fast as the machine can; same seed, same bytes")
+    sim.add_argument("--plain", action="store_true", help="one line a second instead of the live view")
+    sim.add_argument("--json", action="store_true", help="one JSON object a state")
+    sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
+    drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
+    drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
+    drive.add_argument("--socket", help="the vehicle's command socket, instead of the file's")
+    return parser
+
+
+if __name__ == "__main__":
+    sys.exit(main())

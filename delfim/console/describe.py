@@ -1,0 +1,69 @@
+"""`delfim describe`: every table and key of a vehicle's file with default, range and meaning, as Markdown.
+
+The meaning is the comment beside the key in `delfim/config.py`, so that there is one list and it cannot go stale.
+"""
+
+import inspect
+import re
+from typing import Any, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from delfim import config
+
+
+def describe() -> str:
+    """The page `docs/vehicle-file.md`."""
+    page = [
+        "# The vehicle's file",
+        "",
+        "One TOML file describes a boat. Keys that are not here are refused, and so are values outside their range: the",
+        "message names file, key, reason and what is allowed. `delfim check FILE` tells without starting anything. This page is",
+        "written by `delfim describe`.",
+    ]
+    for name, table in _tables("", config.Vehicle):
+        page += ["", f"## `[{name}]`", "", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
+        comments = _comments(table)
+        hints = get_type_hints(table, include_extras=True)
+        for field in msgspec.structs.fields(table):
+            if not _is_table(hints[field.name]):
+                allowed = config.allowed(hints[field.name]).replace("|", "\\|")
+                page.append(f"| `{field.name}` | {_default(field)} | {allowed} | {comments.get(field.name, '')} |")
+    return "\n".join(page) + "\n"
+
+
+def _tables(prefix: str, kind: Any) -> list[tuple[str, Any]]:
+    """(dotted name, class) of every table below a class, depth first."""
+    found = []
+    for name, hint in get_type_hints(kind, include_extras=True).items():
+        if get_origin(hint) is dict:
+            found.append((f"{prefix}{name}.NAME", get_args(hint)[1]))
+        elif _is_table(hint):
+            if any(not _is_table(inner) for inner in get_type_hints(hint).values()):
+                found.append((prefix + name, hint))
+            found += _tables(f"{prefix}{name}.", hint)
+    return found
+
+
+def _is_table(hint: Any) -> bool:
+    return get_origin(hint) is dict or (isinstance(hint, type) and issubclass(hint, msgspec.Struct))
+
+
+def _sentence(table: type) -> str:
+    """The class's docstring on one line; nothing where it has none of its own."""
+    text = table.__dict__.get("__doc__") or ""
+    return " ".join(text.split())
+
+
+def _comments(table: type) -> dict[str, str]:
+    found = re.findall(r"^    (\w+): .*?  # (.+)$", inspect.getsource(table), re.MULTILINE)
+    return {name: comment.replace("|", "\\|") for name, comment in found}
+
+
+def _default(field: Any) -> str:
+    value = field.default
+    if value is msgspec.NODEFAULT:
+        return "must be given"
+    if isinstance(value, tuple):
+        value = list(value)
+    return f"`{msgspec.json.encode(value).decode()}`"

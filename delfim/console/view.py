@@ -1,0 +1,146 @@
+"""The live view in a terminal: the track as a chart of dots beside what the boat knows, asks and suffers."""
+
+import math
+from collections import deque
+from typing import Any
+
+from rich.columns import Columns
+from rich.console import Group, RenderableType
+from rich.panel import Panel
+from rich.table import Table
+from rich.text import Text
+
+WIDTH, HEIGHT = 56, 20  # of the chart, characters; each holds 2 x 4 dots
+POINTS_MAX = 5000
+_DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # Unicode braille, row by column
+_ARROWS = "↑↗→↘↓↙←↖"
+
+
+class View:
+    """Feed it states; render it as often as you like. Waypoints are (latitude_deg, longitude_deg)."""
+
+    def __init__(self, waypoints: list[tuple[float, float]]) -> None:
+        self.waypoints = waypoints
+        self.track: deque[tuple[float, float]] = deque(maxlen=POINTS_MAX)
+        self.state: dict[str, Any] | None = None
+
+    def feed(self, state: dict[str, Any]) -> None:
+        self.state = state
+        if state["latitude_deg"] is not None:
+            self.track.append((state["latitude_deg"], state["longitude_deg"]))
+
+    def render(self) -> RenderableType:
+        if self.state is None:
+            return Panel("waiting for the vehicle", title="delfim")
+        chart = Text("\n".join(self.chart()), style="cyan")
+        return Columns([Panel(chart, title=self.title()), Group(*self.panels(self.state))])
+
+    def title(self) -> str:
+        state = self.state
+        assert state is not None
+        return f"{state.get('boat', 'boat')}  {state['mode']}  leg {state['reference']['leg'] + 1}/{state['legs']}"
+
+    def chart(self) -> list[str]:
+        """Rows of text: the track in dots, waypoints as numbers, the boat as an arrow, north up, metres alike both ways."""
+        points = [*self.track, *self.waypoints]
+        if not points:
+            return [" " * WIDTH] * HEIGHT
+        south, north = min(p[0] for p in points), max(p[0] for p in points)
+        west, east = min(p[1] for p in points), max(p[1] for p in points)
+        shrink = math.cos(math.radians((south + north) / 2))
+        span = max((north - south) / (HEIGHT * 4 - 8), (east - west) * shrink / (WIDTH * 2 - 4), 1e-6)
+        middle = (south + north) / 2, (west + east) / 2
+
+        def dot(p: tuple[float, float]) -> tuple[int, int]:
+            x = WIDTH + (p[1] - middle[1]) * shrink / span
+            y = HEIGHT * 2 - (p[0] - middle[0]) / span
+            return min(max(int(x), 0), WIDTH * 2 - 1), min(max(int(y), 0), HEIGHT * 4 - 1)
+
+        cells = [[0] * WIDTH for _ in range(HEIGHT)]
+        for x, y in map(dot, self.track):
+            cells[y // 4][x // 2] |= _DOTS[y % 4][x % 2]
+        rows = [[chr(0x2800 + cell) if cell else " " for cell in row] for row in cells]
+        for number, waypoint in enumerate(self.waypoints, 1):
+            x, y = dot(waypoint)
+            for offset, digit in enumerate(str(number)):
+                rows[y // 4][min(x // 2 + offset, WIDTH - 1)] = digit
+        if self.track and self.state is not None and self.state["heading_deg"] is not None:
+            x, y = dot(self.track[-1])
+            rows[y // 4][x // 2] = _ARROWS[round(self.state["heading_deg"] / 45) % 8]
+        return ["".join(row) for row in rows]
+
+    def panels(self, state: dict[str, Any]) -> list[RenderableType]:
+        return [
+            _rows("motion", _motion(state)),
+            _rows("critical path", _critical_path(state)),
+            _rows("inputs", [(name, _age(age)) for name, age in state["age_s"].items()]),
+            _rows("warnings", warnings(state) or [("", Text("none", style="green"))]),
+        ]
+
+
+def warnings(state: dict[str, Any]) -> list[tuple[str, Text]]:
+    """What a person should know now: why the boat stopped, what is bad, what was refused or lost."""
+    found = []
+    if state["mode"] == "idle":
+        found.append(("idle", Text(state["reason"], style="yellow")))
+    bad = {name: report for name, report in state["sysstat"].items() if report["status"] != "good"}
+    found += [(name, Text(f"{report['status']} {' '.join(report['faults'])}", style="red")) for name, report in bad.items()]
+    for service in state.get("services", ()):
+        if service["state"] not in ("running", "stopped", "starting"):
+            found.append((service["name"], Text(f"{service['state']}: {service['reason']}", style="red")))
+    if log := state.get("log", {}).get("reason"):
+        found.append(("log", Text(log, style="red")))
+    found += [(name.replace("_", " "), Text(str(count), style="yellow")) for name, count in state["counts"].items()]
+    return found
+
+
+def _motion(state: dict[str, Any]) -> list[tuple[str, str | Text]]:
+    reference = state["reference"]
+    bars = Text(f"{_bar(state['port_rpm'])} {state['port_rpm']:5}  {state['starboard_rpm']:5} {_bar(state['starboard_rpm'])}")
+    return [
+        ("position", f"{_number(state['latitude_deg'], '.6f')}  {_number(state['longitude_deg'], '.6f')}"),
+        ("heading", f"{_number(state['heading_deg'], '.1f')}°  wanted {_number(reference['heading_deg'], '.1f')}°"),
+        ("speed", f"{_number(state['speed_mps'], '.2f')} m/s  wanted {_number(reference['speed_mps'], '.2f')}"),
+        ("port / starboard rpm", bars),
+        ("to go", f"{_number(reference['distance_m'], '.1f')} m  off track {_number(reference['cross_track_m'], '+.2f')} m"),
+        ("batteries", "  ".join(_charge(state, side) for side in ("port", "starboard"))),
+    ]
+
+
+def _critical_path(state: dict[str, Any]) -> list[tuple[str, str | Text]]:
+    latency = state["latency"]
+    good = latency["within_100_us"] >= 0.99
+    return [
+        ("cycles", f"{latency['n']}"),
+        ("p50  p99  worst", f"{latency['p50_us']:.0f}  {latency['p99_us']:.0f}  {latency['worst_us']:.0f} µs"),
+        ("within 100 µs", Text(f"{latency['within_100_us']:.2%}", style="green" if good else "yellow")),
+        ("stages", "  ".join(f"{name[:4]} {mean:.0f}" for name, mean in latency["stages_us"].items())),
+    ]
+
+
+def _rows(title: str, rows: list[Any]) -> Panel:
+    table = Table.grid(padding=(0, 1))
+    table.add_column(style="dim", min_width=14)
+    table.add_column(min_width=34)
+    for name, value in rows:
+        table.add_row(name, value)
+    return Panel(table, title=title, title_align="left")
+
+
+def _age(age_s: float | None) -> Text:
+    if age_s is None:
+        return Text("never heard", style="dim")
+    return Text(f"{age_s:.1f} s", style="green" if age_s < 1.5 else "yellow" if age_s < 3.5 else "red")
+
+
+def _bar(rpm: int) -> str:
+    return f"{'▁▂▃▄▅▆▇█'[min(abs(rpm) * 8 // 1201, 7)]}" if rpm else "·"
+
+
+def _charge(state: dict[str, Any], side: str) -> str:
+    report = state["sysstat"].get(f"batteries_{side}", {})
+    return f"{side} {_number(report.get('charge'), '.0%')} {_number(report.get('voltage_v'), '.1f')} V"
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)

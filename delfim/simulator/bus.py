@@ -1,0 +1,106 @@
+"""A CAN bus inside one process for lock-step simulation: no kernel, no threads, and the same frames every time.
+
+What it does not simulate: bit rate, arbitration, bus load, errors, latency. A frame is in the queues of all other sockets
+that accept it when `sendto` returns, stamped with the clock that was handed in; sockets of the bus never become readable for
+a selector (`fileno` is -1), so whoever steps the simulation asks them.
+"""
+
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Final
+
+from delfim.canproxy.socket import CanAddress, CanSocket, accepts
+from delfim.clock import Clock
+from delfim.errors import BusError, FormatError
+from delfim.frames import Frame
+
+QUEUE_MAX: Final = 1024  # frames that a socket holds; those beyond are dropped and counted, as the kernel does
+_IFINDEX: Final = 1
+_ROUTES_MAX: Final = 4096
+
+
+class LockstepBus:
+    """The wire. `socket` opens one more end of it."""
+
+    def __init__(self, clock: Clock, name: str = "lockstep", queue_max: int = QUEUE_MAX) -> None:
+        self.clock, self.name, self.queue_max = clock, name, queue_max
+        self._ends: list[_End] = []
+        self._routes: dict[int, tuple[_End, ...]] = {}  # by arbitration field: the ends that accept it
+
+    def socket(self, computer: str = "vehicle") -> CanSocket:
+        """A socket, not bound and not blocking: who waited here would wait for ever. Frames between sockets of the same
+        `computer` are marked `sent_here`."""
+        end = _End(self, computer)
+        self._ends.append(end)
+        socket = CanSocket(end)
+        socket.setblocking(False)
+        return socket
+
+    def deliver(self, sender: "_End", arb: int, data: bytes) -> None:
+        route = self._routes.get(arb)
+        if route is None:
+            if len(self._routes) >= _ROUTES_MAX:
+                self._routes.clear()
+            route = tuple(end for end in self._ends if any(accepts(address, arb) for address in end.addresses))
+            self._routes[arb] = route
+        t_ns = self.clock.time_ns()
+        for end in route:
+            if end is sender:
+                continue
+            if len(end.queue) < self.queue_max:
+                end.queue.append(Frame(arb, data, t_ns, _IFINDEX, end.computer == sender.computer))
+            else:
+                end.dropped += 1
+
+    def changed(self, closed: "_End | None" = None) -> None:
+        """An end was bound or closed."""
+        self._routes.clear()
+        if closed in self._ends:
+            self._ends.remove(closed)
+
+
+class _End:
+    """One socket's end of the bus, as a transport of CanSocket."""
+
+    outlets: Callable[[], Sequence[int]] | None = None
+    ifindex = _IFINDEX
+
+    def __init__(self, bus: LockstepBus, computer: str) -> None:
+        self.name, self.computer, self.dropped = bus.name, computer, 0
+        self.addresses: tuple[CanAddress, ...] = ()
+        self.queue: deque[Frame] = deque()
+        self._bus: LockstepBus | None = bus
+
+    def fileno(self) -> int:
+        return -1
+
+    def filter(self, addresses: tuple[CanAddress, ...]) -> None:
+        for address in addresses:
+            if address.ifindex not in (0, _IFINDEX):
+                raise BusError(f"{self.name} has index {_IFINDEX}: frames of interface {address.ifindex} do not come by it")
+        self.addresses = addresses
+        self._open().changed()
+
+    def receive(self) -> Frame | None:
+        return self.queue.popleft() if self.queue else None
+
+    def send(self, arb: int, data: bytes, ifindex: int) -> None:
+        if len(data) > 8:
+            raise FormatError(f"{len(data)} bytes of data do not fit a CAN frame of 8")
+        if ifindex not in (0, _IFINDEX):
+            raise BusError(f"{self.name} has index {_IFINDEX}: nothing is sent to interface {ifindex} by it")
+        self._open().deliver(self, arb, bytes(data))
+
+    def rebind(self) -> bool:
+        return self._bus is not None
+
+    def close(self) -> None:
+        bus, self._bus = self._bus, None
+        self.queue.clear()
+        if bus is not None:
+            bus.changed(closed=self)
+
+    def _open(self) -> LockstepBus:
+        if self._bus is None:
+            raise BusError(f"{self.name}: this socket is closed")
+        return self._bus

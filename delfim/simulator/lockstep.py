@@ -1,0 +1,107 @@
+"""Lock-step simulation: the real loop, control, console words and state log, a modelled world, and a clock that jumps.
+
+Nothing waits and nothing runs beside: navigation is due, the nodes speak, the handlers are called, the clock is advanced. The
+same seed gives the same bytes. What is left out is what only real time has: the event loop, sockets, processes.
+"""
+
+from collections.abc import Callable, Iterator
+from typing import Final
+
+from delfim import config
+from delfim.canproxy import dsor
+from delfim.canproxy.socket import CanAddress
+from delfim.clock import ManualClock
+from delfim.messages import SYSSTAT_MASK, Node, sysstat_arb
+from delfim.simulator.bus import LockstepBus
+from delfim.simulator.nodes import COMMANDS, nodes_of
+from delfim.vehicle import console
+from delfim.vehicle.grex import Guest
+from delfim.vehicle.loop import StateLog, Vehicle
+from delfim.vehicle.navcan import DsorNavigation
+from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.state import Mode, State
+
+CONSOLE_S: Final = 1.0  # the operator's console speaks this often
+WATCHDOG_S: Final = 0.1
+
+
+class Lockstep:
+    """A boat and its world, stepped by navigation cycles. `log` is made for the clock of the simulation, as the loop's is."""
+
+    def __init__(self, settings: config.Vehicle, seed: int, make_log: Callable[[ManualClock], StateLog]) -> None:
+        self.settings = settings
+        self.clock = ManualClock()
+        bus = LockstepBus(self.clock)
+        self._world = bus.socket("nodes")
+        self._world.bind(*COMMANDS)
+        self.nodes = nodes_of(settings, seed)
+        self.state = State()
+        navigation, self._status, self._messages = (bus.socket() for _ in range(3))
+        navigation.bind(CanAddress(*dsor.message_filter(source=Node.NAVIGATION)))
+        self._status.bind(CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
+        self._messages.bind(CanAddress(*dsor.message_filter(source=Node.GPS)))
+        self._source = DsorNavigation(navigation, self.state)
+        self.guest = Guest(self.state, self.clock)
+        self.vehicle = Vehicle(
+            settings,
+            self.clock,
+            self.state,
+            (self._source,),
+            Propulsion(bus.socket(), settings.propulsion, self.state),
+            self.guest,
+            make_log(self.clock),
+        )
+        self._cycle_s = 1.0 / settings.navigation.rate_hz
+        self._watchdog_s = self._console_s = 0.0
+
+    @property
+    def elapsed_s(self) -> float:
+        return self.clock.monotonic_s()
+
+    def command(self, command: console.Commands) -> str | None:
+        """A word of the operator; why it was refused, or None."""
+        return self.vehicle.on_command(command)
+
+    def cycle(self) -> None:
+        """One navigation period: the nodes speak, the loop has its turn, time passes."""
+        clock, world, vehicle = self.clock, self._world, self.vehicle
+        now_s = clock.monotonic_s()
+        for frame in self.nodes.step(now_s, clock.time_ns()):
+            world.sendmsg(frame)
+        vehicle.on_navigation(self._source)
+        vehicle.on_sysstat(self._status)
+        vehicle.on_sysstat(self._messages)
+        if now_s >= self._console_s:
+            self._console_s = now_s + CONSOLE_S
+            vehicle.on_command(_ALIVE)
+        if now_s >= self._watchdog_s:
+            self._watchdog_s = now_s + WATCHDOG_S
+            vehicle.on_watchdog()
+        while (frame := world.receive()) is not None:  # type: ignore[assignment]
+            self.nodes.feed(frame, now_s)
+        clock.advance(self._cycle_s)
+
+    def cycles(self, seconds: float) -> Iterator[State]:
+        """Cycles until so many seconds have passed; the state after each."""
+        until_s = self.elapsed_s + seconds
+        while self.elapsed_s < until_s:
+            self.cycle()
+            yield self.state
+
+    def sail(self, mission: str, limit_s: float) -> str:
+        """Load a mission's text, play it as soon as the boat is fit, and sail until it ends; how it ended, in words."""
+        reason = self.command(console.Mission(mission))
+        if reason is not None:
+            return f"stopped: {reason}"
+        playing = False
+        for state in self.cycles(limit_s):
+            if not playing:
+                playing = self.command(console.Play()) is None
+            elif state.mode is Mode.HOLD and state.reason == "play done":
+                return f"mission done in {self.elapsed_s:.0f} s"
+            elif state.mode is Mode.IDLE:
+                return f"stopped: {state.reason}"
+        return f"time: {limit_s:.0f} s sailed, mode {self.state.mode.name.lower()}"
+
+
+_ALIVE: Final = console.Alive()

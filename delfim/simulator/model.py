@@ -1,0 +1,261 @@
+"""The boat, the sea and the wind of the simulator: surge, sway and yaw of a twin-propeller catamaran (thesis 2.13, 3.6).
+
+Equations: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2011: rigid body and added mass with velocity
+through the water in an irrotational current of constant speed (8.3), wind (8.1.2), bilinear thruster. `docs/simulator.md`
+writes them out, says how to describe another hull, and shows what the numbers give.
+
+Not modelled: waves as a force (roll and pitch are for show), shallow water, wind shadow, ropes, the sea bottom.
+"""
+
+import math
+from random import Random
+from typing import Final, Literal, NamedTuple
+
+from delfim.config import Boat, Sea
+from delfim.geodesy import from_plane, origin
+
+Side = Literal["starboard", "port"]
+
+STEP_S: Final = 0.1  # longest integration step; `advance` divides longer times
+WATER: Final = 1025.0  # kg/m3
+AIR: Final = 1.225  # kg/m3
+GUST_S: Final = 5.0  # time constant of the wind's changes, as the VRX simulator has it
+VOLTAGE_V: Final = 48.0  # of a battery bank, half full and at rest
+AMBIENT_C: Final = 16.0
+
+
+class Hull(NamedTuple):
+    """A twin-propeller catamaran. The defaults are of the WAM-V 16 class, the size of DelfimX.
+
+    VRX      wamv_base.urdf, wamv_gazebo_dynamics_plugin.xacro and wamv_aft_thrusters.xacro of the VRX simulator
+             (Bingham et al., "Toward Maritime Robotic Simulation in Gazebo", OCEANS 2019)
+    strip    strip theory for two floating semicircular hulls, 4 m long in the water (Newman, Marine Hydrodynamics, 1977)
+    Fossen   middle of the range that Fossen 2011, 8.1.2 gives
+    assumed  an engineer's guess that gives the documented behaviour; no source
+    """
+
+    length_m: float = 4.9  # VRX
+    mass_kg: float = 210.0  # VRX: 180 of the boat and 15 of each engine
+    inertia_kgm2: float = 650.0  # VRX: 446 about the vertical, and the engines where they hang
+    added_surge_kg: float = 10.0  # assumed: 5 % of the mass
+    added_sway_kg: float = 200.0  # strip: the displaced mass
+    added_yaw_kgm2: float = 270.0  # strip
+    surge_n_per_mps: float = 51.3  # VRX xU
+    surge_n_per_mps2: float = 72.4  # VRX xUU
+    sway_n_per_mps: float = 40.0  # VRX yV
+    sway_n_per_mps2: float = 500.0  # strip: cross-flow drag, coefficient 1 on the side of both hulls
+    yaw_nm_per_radps: float = 400.0  # VRX nR
+    yaw_nm_per_radps2: float = 500.0  # strip: cross-flow drag of the turning hulls
+    lift_kg_per_m: float = 50.0  # strip: added mass per length where the hulls end; slender-body lift
+    lift_m: float = 2.0  # strip: from the centre of gravity to that end
+    propeller_m: float = 1.03  # VRX: from the centre line to each propeller
+    propeller_diameter_m: float = 0.25  # assumed, as all of the propellers: 1,000 rpm drive the boat at about 2 m/s
+    thrust: float = 0.35  # thrust coefficient at rest ...
+    thrust_per_j: float = 0.35  # ... and its loss per advance ratio
+    torque: float = 0.045
+    torque_per_j: float = 0.03
+    astern: float = 0.6  # part of the thrust that is left astern
+    hull_efficiency: float = 0.95  # wake and thrust deduction
+    rpm_max: float = 1400.0  # what a motor controller obeys at most
+    rpm_per_s_max: float = 1000.0  # assumed
+    motor_s: float = 0.3  # assumed: time constant of the motor under control
+    coast_s: float = 0.8  # assumed: of the motor without current
+    motor_efficiency: float = 0.85  # assumed
+    idle_a: float = 0.5  # assumed: drawn by the electronics of each side
+    capacity_ah: float = 200.0  # assumed: of each side's batteries
+    frontal_m2: float = 1.2  # assumed; with its coefficient 0.5 N/(m/s)2, as VRX has it
+    lateral_m2: float = 1.8  # assumed
+    wind_surge: float = 0.7  # Fossen
+    wind_sway: float = 0.8  # Fossen
+    wind_yaw: float = 0.1  # Fossen
+
+
+def hull_of(boat: Boat) -> Hull:
+    """The default hull with the length of the vehicle's file and propellers under the middle of hulls that far apart."""
+    return Hull(length_m=boat.length_m, propeller_m=0.42 * boat.beam_m)
+
+
+class Drive:
+    """One side: motor controller, motor, propeller and batteries."""
+
+    __slots__ = ("charge", "connected", "current_a", "motor_a", "reference_rpm", "rpm", "run", "temperature_c")
+
+    def __init__(self) -> None:
+        self.reference_rpm = 0.0
+        self.run = False
+        self.connected = True  # main contactor; an open one is a motor without current
+        self.rpm = 0.0  # positive ahead
+        self.motor_a = 0.0  # into the motor controller
+        self.current_a = 0.0  # out of the batteries
+        self.charge = 1.0  # 0..1; an empty battery is a motor without current
+        self.temperature_c = AMBIENT_C
+
+    @property
+    def powered(self) -> bool:
+        return self.connected and self.charge > 0.0
+
+    @property
+    def voltage_v(self) -> float:
+        """Of the batteries: 42 V empty to 54 V full at rest, and 20 mohm within (assumed)."""
+        return VOLTAGE_V + 12.0 * (self.charge - 0.5) - 0.02 * self.current_a
+
+
+class Model:
+    """The world of one boat. `command` what the motor controllers shall do, `advance` the time, read the attributes.
+
+    It starts adrift: without motion through the water. The same hull, sea, seed, commands and steps give the same bytes.
+    """
+
+    def __init__(self, hull: Hull, sea: Sea, seed: int, latitude_rad: float, longitude_rad: float, heading_rad: float) -> None:
+        self.hull = hull
+        self.origin = origin(latitude_rad, longitude_rad)
+        self.time_s = 0.0
+        self.north_m = self.east_m = 0.0  # of where it started
+        self.heading_rad = heading_rad % math.tau  # 0..2 pi, true north
+        self.surge_mps = self.sway_mps = 0.0  # through the water, positive ahead and to starboard
+        self.yaw_rate_radps = 0.0  # positive to starboard
+        self.starboard, self.port = Drive(), Drive()
+        to, wind_to = math.radians(sea.current_to_deg), math.radians(sea.wind_from_deg) + math.pi
+        self.current_north_mps, self.current_east_mps = sea.current_mps * math.cos(to), sea.current_mps * math.sin(to)
+        self._mean_north_mps, self._mean_east_mps = sea.wind_mps * math.cos(wind_to), sea.wind_mps * math.sin(wind_to)
+        self._gust_mps = sea.wind_mps * sea.gusts
+        self._random = Random(seed)
+        self._gust_north_mps = self._random.gauss(0.0, self._gust_mps)
+        self._gust_east_mps = self._random.gauss(0.0, self._gust_mps)
+        # Waves for the eye: half a degree in a calm, eight in a gale, of periods that such a catamaran has.
+        self._wave_rad = 0.009 + 0.006 * sea.wind_mps
+        self._roll_phase, self._pitch_phase = self._random.uniform(0.0, math.tau), self._random.uniform(0.0, math.tau)
+
+    def command(self, side: Side, rpm: float, run: bool) -> None:
+        """The reference of a side's motor controller, which limits it. What is no number is motor off."""
+        drive = self.starboard if side == "starboard" else self.port
+        drive.run = run and math.isfinite(rpm)
+        drive.reference_rpm = min(max(rpm, -self.hull.rpm_max), self.hull.rpm_max) if drive.run else 0.0
+
+    def advance(self, dt_s: float) -> None:
+        """Let `dt_s` pass, in equal steps of at most STEP_S."""
+        steps = max(1, math.ceil(dt_s / STEP_S - 1e-9))
+        h = dt_s / steps
+        self._gust(dt_s)
+        for _ in range(steps):
+            self._move(h, self._turn(self.starboard, h), self._turn(self.port, h))
+        self.time_s += dt_s
+
+    @property
+    def starboard_rpm(self) -> float:
+        return self.starboard.rpm
+
+    @property
+    def port_rpm(self) -> float:
+        return self.port.rpm
+
+    @property
+    def north_mps(self) -> float:
+        """Velocity over ground."""
+        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return self.surge_mps * c - self.sway_mps * s + self.current_north_mps
+
+    @property
+    def east_mps(self) -> float:
+        """Velocity over ground."""
+        c, s = math.cos(self.heading_rad), math.sin(self.heading_rad)
+        return self.surge_mps * s + self.sway_mps * c + self.current_east_mps
+
+    @property
+    def latitude_rad(self) -> float:
+        return from_plane(self.origin, self.north_m, self.east_m)[0]
+
+    @property
+    def longitude_rad(self) -> float:
+        return from_plane(self.origin, self.north_m, self.east_m)[1]
+
+    @property
+    def wind_north_mps(self) -> float:
+        """Where the air goes to, over ground, with the gust of this moment."""
+        return self._mean_north_mps + self._gust_north_mps
+
+    @property
+    def wind_east_mps(self) -> float:
+        return self._mean_east_mps + self._gust_east_mps
+
+    @property
+    def roll_rad(self) -> float:
+        return self._wave_rad * math.sin(2.1 * self.time_s + self._roll_phase)
+
+    @property
+    def pitch_rad(self) -> float:
+        return 0.5 * self._wave_rad * math.sin(2.9 * self.time_s + self._pitch_phase)
+
+    def _gust(self, dt_s: float) -> None:
+        """Both components of the gust are first-order Gauss-Markov processes; exact for any step."""
+        if self._gust_mps:
+            keep = math.exp(-dt_s / GUST_S)
+            new = self._gust_mps * math.sqrt(1.0 - keep * keep)
+            self._gust_north_mps = keep * self._gust_north_mps + self._random.gauss(0.0, new)
+            self._gust_east_mps = keep * self._gust_east_mps + self._random.gauss(0.0, new)
+
+    def _turn(self, drive: Drive, h: float) -> float:
+        """Motor, and what it costs the batteries; returns the mean rpm of the step."""
+        hull, before_rpm = self.hull, drive.rpm
+        driven = drive.run and drive.powered
+        if driven:
+            step = (drive.reference_rpm - drive.rpm) * (1.0 - math.exp(-h / hull.motor_s))
+            most = hull.rpm_per_s_max * h
+            drive.rpm += min(max(step, -most), most)
+        else:
+            drive.rpm *= math.exp(-h / hull.coast_s)
+        motor_a = 0.0
+        if driven:
+            n, d = abs(drive.rpm) / 60.0, hull.propeller_diameter_m
+            ahead_mps = math.copysign(self.surge_mps, self.surge_mps * drive.rpm)
+            torque_nm = WATER * d**4 * n * (hull.torque * n * d - hull.torque_per_j * ahead_mps)
+            motor_a = max(torque_nm, 0.0) * math.tau * n / (hull.motor_efficiency * VOLTAGE_V)
+        drive.motor_a = motor_a
+        drive.current_a = motor_a + hull.idle_a if drive.powered else 0.0
+        drive.charge = max(drive.charge - drive.current_a * h / (3600.0 * hull.capacity_ah), 0.0)
+        drive.temperature_c += (AMBIENT_C + 0.01 * motor_a * motor_a - drive.temperature_c) * h / 300.0
+        return 0.5 * (before_rpm + drive.rpm)
+
+    def _move(self, h: float, starboard_rpm: float, port_rpm: float) -> None:
+        """One step by the midpoint rule (second-order Runge-Kutta)."""
+        u, v, r, heading = self.surge_mps, self.sway_mps, self.yaw_rate_radps, self.heading_rad
+        half = 0.5 * h
+        du, dv, dr = self._accelerations(u, v, r, heading, starboard_rpm, port_rpm)
+        um, vm, rm, at = u + half * du, v + half * dv, r + half * dr, heading + half * r
+        du, dv, dr = self._accelerations(um, vm, rm, at, starboard_rpm, port_rpm)
+        c, s = math.cos(at), math.sin(at)
+        self.surge_mps, self.sway_mps, self.yaw_rate_radps = u + h * du, v + h * dv, r + h * dr
+        self.heading_rad = (heading + h * rm) % math.tau
+        self.north_m += h * (um * c - vm * s + self.current_north_mps)
+        self.east_m += h * (um * s + vm * c + self.current_east_mps)
+
+    def _accelerations(
+        self, u: float, v: float, r: float, heading: float, starboard_rpm: float, port_rpm: float
+    ) -> tuple[float, float, float]:
+        """Of surge, sway and yaw, for velocities through the water. Letters are those of Fossen 2011."""
+        hull = self.hull
+        m11, m22 = hull.mass_kg + hull.added_surge_kg, hull.mass_kg + hull.added_sway_kg
+        y = hull.propeller_m
+        starboard_n, port_n = self._thrust(starboard_rpm, u - y * r), self._thrust(port_rpm, u + y * r)
+        # A slender body sheds its cross-flow where it ends: astern of the water that it meets.
+        a, x, abs_u = hull.lift_kg_per_m, -hull.lift_m, abs(u)
+        surge_n = starboard_n + port_n - (hull.surge_n_per_mps + hull.surge_n_per_mps2 * abs_u) * u + m22 * v * r
+        sway_n = -(hull.sway_n_per_mps + hull.sway_n_per_mps2 * abs(v)) * v - a * (abs_u * v + x * u * r) - m11 * u * r
+        yaw_nm = y * (port_n - starboard_n) - (hull.yaw_nm_per_radps + hull.yaw_nm_per_radps2 * abs(r)) * r
+        yaw_nm -= a * (x * u * v + x * x * abs_u * r) + (m22 - m11) * u * v
+        if self._gust_mps or self._mean_north_mps or self._mean_east_mps:
+            c, s = math.cos(heading), math.sin(heading)
+            north = self.current_north_mps - self._mean_north_mps - self._gust_north_mps
+            east = self.current_east_mps - self._mean_east_mps - self._gust_east_mps
+            ua, va = u + north * c + east * s, v + east * c - north * s  # through the air
+            q = 0.5 * AIR * math.hypot(ua, va)
+            surge_n -= q * hull.wind_surge * hull.frontal_m2 * ua
+            sway_n -= q * hull.wind_sway * hull.lateral_m2 * va
+            yaw_nm -= AIR * hull.wind_yaw * hull.lateral_m2 * hull.length_m * ua * va
+        return surge_n / m11, sway_n / m22, yaw_nm / (hull.inertia_kgm2 + hull.added_yaw_kgm2)
+
+    def _thrust(self, rpm: float, inflow_mps: float) -> float:
+        """Of one propeller, N. `inflow_mps` is the speed of the propeller ahead through the water."""
+        hull, n, d = self.hull, rpm / 60.0, self.hull.propeller_diameter_m
+        bollard = hull.thrust * d * n * abs(n) * (1.0 if n > 0.0 else hull.astern)
+        return WATER * d**3 * hull.hull_efficiency * (bollard - hull.thrust_per_j * abs(n) * inflow_mps)

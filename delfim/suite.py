@@ -1,0 +1,244 @@
+"""The composition root: the one place that knows all parts and puts the suite together from the vehicle's file.
+
+SERVICES is the suite, one row a service. To add one: write its coroutine in a file of its own, add a row, add a test.
+"""
+
+import asyncio
+import contextlib
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from delfim import config
+from delfim.canproxy import dsor
+from delfim.canproxy.nmea2000 import Nmea2000Source
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, open_can
+from delfim.clock import Clock, SystemClock
+from delfim.errors import PermanentFailure
+from delfim.logging.canzlogd import BlackBox
+from delfim.logging.liblog import open_log
+from delfim.logging.statelog import Schema, StateWriter
+from delfim.messages import (
+    PROPELLER_COMMAND,
+    PROPELLER_PORT,
+    PROPELLER_STARBOARD,
+    SYSSTAT_MASK,
+    Node,
+    sysstat_arb,
+)
+from delfim.services.runtime import Runtime, Service
+from delfim.services.supervisor import Program, Supervisor
+from delfim.vehicle import record
+from delfim.vehicle.command import CommandServer
+from delfim.vehicle.grex import Guest
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
+from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.state import State
+
+WATCHDOG_S = 0.1
+PUBLISH_EVERY = 2  # watchdog ticks
+MAINTAIN_EVERY = 10
+
+
+class StateLog:
+    """The vehicle's state log: a record a cycle."""
+
+    def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
+        schema = Schema([(f.name, f.code, f.unit, f.description) for f in record.FIELDS], boat=settings.boat.name)
+        limits = settings.log
+        self._log = open_log(
+            limits.directory,
+            "state",
+            ".state",
+            limits.state_method,
+            clock,
+            header=schema.header,
+            file_bytes=limits.file_bytes,
+            file_s=limits.file_s,
+            free_bytes_min=limits.free_bytes_min,
+            when_full=limits.when_full,
+        )
+        self._put = StateWriter(self._log, schema).put
+        self.status, self.poll, self.close = self._log.status, self._log.poll, self._log.close
+
+    def write(self, state: State, now_s: float) -> None:
+        self._put(record.values(state, now_s))
+
+    def reason(self) -> str:
+        status = self._log.status()
+        return "" if status.writable else status.reason
+
+
+async def vehicle(runtime: Runtime) -> None:
+    """The critical program as a service: opens its links, hands them to the loop, and stops the boat when it ends."""
+    settings, clock = runtime.config, runtime.clock
+    state = State()
+    with contextlib.ExitStack() as links:
+        sources = _sources(settings, state, links)
+        status_frames = _opened(links, settings, settings.can.interface, CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
+        status_messages = _opened(links, settings, settings.can.interface, CanAddress(*dsor.message_filter(source=Node.GPS)))
+        log = StateLog(settings, clock)
+        links.callback(log.close)
+        propulsion = Propulsion(_opened(links, settings, settings.can.interface), settings.propulsion, state)
+        boat = Vehicle(settings, clock, state, sources, propulsion, Guest(state, clock), log)
+        links.callback(boat.stop, "shutdown")  # first of all that is undone
+        for source in sources:
+            runtime.navigation(source.socket.fileno(), lambda source=source: boat.on_navigation(source))
+            links.callback(runtime.remove_navigation, source.socket.fileno())
+        for socket in (status_frames, status_messages):
+            runtime.reader(socket.fileno(), lambda socket=socket: boat.on_sysstat(socket))
+            links.callback(runtime.remove_reader, socket.fileno())
+        sockets = [source.socket for source in sources] + [status_frames, status_messages]
+        await _attend(runtime, boat, log, sockets, links)
+
+
+async def _attend(
+    runtime: Runtime, boat: Vehicle, log: StateLog, sockets: list[CanSocket], links: contextlib.ExitStack
+) -> None:
+    """Console and guest served, the watchdog stroked, until the service is cancelled."""
+    settings, loop = runtime.config, asyncio.get_running_loop()
+
+    def more() -> dict[str, object]:
+        return {"boat": settings.boat.name, "log": log.status()._asdict(), **runtime.report()}
+
+    commands = CommandServer(boat.on_command, lambda: boat.snapshot(more()), settings.console.clients)
+    links.callback(commands.close)
+    links.callback((await loop.create_unix_server(commands.connection, _socket_path(settings.console.socket))).close)
+    os.chmod(settings.console.socket, 0o660)
+    if settings.guest.enabled:
+        host, _, port = settings.guest.listen.rpartition(":")
+        links.callback((await loop.create_server(lambda: boat.guest, host, int(port))).close)
+        links.callback(boat.guest.close)
+    ticks = 0
+    while True:
+        await asyncio.sleep(WATCHDOG_S)
+        ticks += 1
+        boat.on_watchdog()
+        if ticks % PUBLISH_EVERY == 0:
+            commands.publish()
+        if ticks % MAINTAIN_EVERY == 0:
+            log.poll()
+            for socket in sockets:
+                socket.rebind()
+
+
+async def canzlogd(runtime: Runtime) -> None:
+    """The black box: every frame of every bus."""
+    settings = runtime.config
+    interfaces = {settings.can.interface}
+    if "nmea2000" in settings.navigation.sources:
+        interfaces.add(settings.nmea2000.interface)
+    with contextlib.ExitStack() as links:
+        sockets = [links.enter_context(open_can(name, error_frames=True)) for name in sorted(interfaces)]
+        box = BlackBox(sockets, settings.log, runtime.clock)
+        links.callback(box.close)
+        for socket in sockets:
+            socket.bind(ANYTHING)
+            socket.setblocking(False)
+            runtime.reader(socket.fileno(), lambda socket=socket: box.on_readable(socket))
+            links.callback(runtime.remove_reader, socket.fileno())
+        while True:
+            await asyncio.sleep(1.0)
+            box.poll()
+
+
+# One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
+SERVICES = (
+    Service("canzlogd", canzlogd),
+    Service("vehicle", vehicle),
+)
+
+
+def services(settings: config.Vehicle) -> list[Service]:
+    """The rows that this vehicle's file enables, each with its place. Raises PermanentFailure for a name that is none."""
+    known = {row.name for row in SERVICES}
+    for name in settings.services:
+        if name not in known:
+            raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
+    asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
+    return [row._replace(place=asked[row.name].place) for row in SERVICES if asked[row.name].enabled]
+
+
+def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: int) -> int:
+    """`delfim run`: the vehicle and its cooperative services in this process; or one service alone."""
+    settings = config.load(file, overrides)
+    rows = services(settings)
+    wanted = [row for row in rows if row.name == service] if service else [row for row in rows if row.place == "runtime"]
+    if not wanted:
+        raise PermanentFailure(f"{file}: no service {service!r} is enabled")
+    return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=service is not None).main(wanted)
+
+
+def supervise(file: str, overrides: Sequence[str]) -> int:
+    """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man."""
+    settings = config.load(file, overrides)
+    command = (sys.executable, "-m", "delfim", "run", file, *(word for one in overrides for word in ("--set", one)))
+    programs = [Program("runtime", command, settings.runtime.nice, critical=True)]
+    programs += [
+        Program(row.name, (*command, "--service", row.name), settings.runtime.service_nice)
+        for row in services(settings)
+        if row.place == "process"
+    ]
+    place = Path(settings.runtime.run_directory)
+    place.mkdir(parents=True, exist_ok=True)
+    limits = settings.supervisor
+    return Supervisor(
+        programs,
+        stop=StopFrames(settings.can.interface),
+        deadman_s=limits.deadman_s,
+        backoff_s=limits.backoff_s,
+        backoff_max_s=limits.backoff_max_s,
+        state_file=place / "supervisor.json",
+        watchdog=limits.hardware_watchdog,
+    ).run_forever()
+
+
+class StopFrames:
+    """What the dead-man sends: both propellers off. The socket is open before it is needed."""
+
+    def __init__(self, interface: str) -> None:
+        self._interface = interface
+        self._socket: CanSocket | None = None
+
+    def __call__(self) -> None:
+        """Raises OSError where the bus does not take the frames."""
+        if self._socket is None:
+            self._socket = open_can(self._interface)
+            self._socket.setblocking(False)
+        for arb in (PROPELLER_STARBOARD, PROPELLER_PORT):
+            self._socket.sendto(PROPELLER_COMMAND.pack(0, 0, 0), CanAddress(arb))
+
+
+def _socket_path(name: str) -> str:
+    """The path for a new UNIX socket; what an earlier run left there is removed."""
+    path = Path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.unlink(missing_ok=True)
+    return name
+
+
+def _opened(links: contextlib.ExitStack, settings: config.Vehicle, interface: str, *filters: CanAddress) -> CanSocket:
+    """A socket that never blocks and receives what the filters accept: none, nothing."""
+    socket = links.enter_context(open_can(interface, receive_buffer_bytes=settings.can.receive_buffer_bytes))
+    socket.setblocking(False)
+    if filters:
+        socket.bind(*filters)
+    return socket
+
+
+def _sources(settings: config.Vehicle, state: State, links: contextlib.ExitStack) -> tuple[Source, ...]:
+    """Navigation inputs in order of preference."""
+    sources: list[Source] = []
+    for name in settings.navigation.sources:
+        if name == "dsor":
+            node = CanAddress(*dsor.message_filter(source=Node.NAVIGATION))
+            socket = _opened(links, settings, settings.can.interface, node)
+            sources.append(DsorNavigation(socket, state))
+        else:
+            decoder = Nmea2000Source(settings.nmea2000, settings.navigation.stale_s)
+            filters = (CanAddress(arb, mask) for arb, mask in decoder.filters)
+            socket = _opened(links, settings, settings.nmea2000.interface, *filters)
+            sources.append(Nmea2000Navigation(socket, decoder, state))
+    return tuple(sources)

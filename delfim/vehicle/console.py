@@ -1,0 +1,183 @@
+"""The console's side of the vehicle (console.c in the thesis): typed commands in, the state back.
+
+Commands are rows of one union: a class that says what may be asked, and a method of `Vehicle` that does it. This file knows the
+words and their ranges; `command.py` carries them over a local socket, and a radio link carries the same words.
+"""
+
+import math
+from typing import Annotated, Any
+
+import msgspec
+
+from delfim.errors import FormatError
+from delfim.geodesy import compass, from_plane
+from delfim.messages import Fault, SystemStatus
+from delfim.vehicle.state import State
+
+Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
+Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
+Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+Speed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
+Thrust = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+
+
+class Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="command", tag=str.lower):
+    """A command of the operator. On the wire: one JSON object a line, `{"command": "heading", "heading_deg": 90}`."""
+
+
+class Alive(Command, frozen=True):
+    """The console is there and listens."""
+
+
+class Stop(Command, frozen=True):
+    """Idle, now."""
+
+
+class Mode(Command, frozen=True):
+    """Enter a mode with the set points as they are."""
+
+    mode: str
+
+
+class Manual(Command, frozen=True):
+    """Thrust of each propeller as a part of the most it may give; enters manual mode. Repeat it, or it fades to zero."""
+
+    starboard: Thrust
+    port: Thrust
+
+
+class Heading(Command, frozen=True):
+    """Hold a true heading; enters heading mode."""
+
+    heading_deg: Degrees
+    speed_mps: Speed | None = None
+
+
+class SetSpeed(Command, frozen=True, tag="speed"):
+    """Change speed, keep the mode."""
+
+    speed_mps: Speed
+
+
+class Goto(Command, frozen=True):
+    """Go to a position, or to the mission's first waypoint when none is given; enters goto mode."""
+
+    latitude_deg: Latitude | None = None
+    longitude_deg: Longitude | None = None
+    speed_mps: Speed | None = None
+
+
+class Mission(Command, frozen=True):
+    """Load a mission, given as the text of its file. The mode stays; nothing is played until told."""
+
+    text: Annotated[str, msgspec.Meta(max_length=1 << 20)]
+
+
+class Play(Command, frozen=True):
+    """Play the mission from a leg on (0: the first waypoint)."""
+
+    leg: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
+
+
+class Report(Command, frozen=True, tag="state"):
+    """Only the state back."""
+
+
+class Watch(Command, frozen=True):
+    """Every state from now on, newest only."""
+
+
+Commands = Alive | Stop | Mode | Manual | Heading | SetSpeed | Goto | Mission | Play | Report | Watch
+_decoder = msgspec.json.Decoder(Commands)
+_encode = msgspec.json.Encoder().encode
+
+
+def parse(line: bytes) -> Commands:
+    """The command in one line of JSON. Raises FormatError in words."""
+    try:
+        return _decoder.decode(line)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise FormatError(f"command not understood: {error}") from None
+
+
+def answer(reason: str | None, snapshot: dict[str, Any]) -> bytes:
+    """The line that goes back: whether the command was carried out, if not why, and the state as it now is."""
+    return _encode({"ok": reason is None, "reason": reason or "", "state": snapshot}) + b"\n"
+
+
+def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any]:
+    """The state for people and programs: degrees, words, and the age of every input. JSON-ready, finite, bounded."""
+    n, m, r = state.navigation, state.motion, state.reference
+    return {
+        "mode": state.mode.name.lower(),
+        "reason": state.reason,
+        "cycle": state.cycles,
+        "utc_ns": n.utc_ns if n else 0,
+        "source": state.source,
+        "latitude_deg": _degrees(n.latitude_rad) if n else None,
+        "longitude_deg": _degrees(n.longitude_rad) if n else None,
+        "heading_deg": _compass_degrees(n.heading_rad) if n else None,
+        "course_deg": _compass_degrees(math.atan2(m.east_mps, m.north_mps)) if "velocity" in m.has else None,
+        "speed_mps": round(math.hypot(m.north_mps, m.east_mps), 3) if "velocity" in m.has else None,
+        "fix": n.fix if n else 0,
+        "satellites": n.satellites if n else 0,
+        "starboard_rpm": round(state.actuation.starboard_rpm),
+        "port_rpm": round(state.actuation.port_rpm),
+        "run": state.actuation.run,
+        "reference": {
+            "heading_deg": _compass_degrees(r.heading_rad),
+            "speed_mps": r.speed_mps,
+            "cross_track_m": _rounded(r.cross_track_m),
+            "distance_m": _rounded(r.distance_m),
+            "leg": r.leg,
+            **_position(state),
+        },
+        "mission": state.setpoint.plan.name if state.setpoint.plan else None,
+        "legs": len(state.setpoint.plan.waypoints) if state.setpoint.plan else 0,
+        "guest_connected": state.guest_connected,
+        "age_s": {
+            "navigation": _age(now_s, state.navigation_s),
+            "console": _age(now_s, state.console_s),
+            "guest": _age(now_s, state.guest_s),
+            **{name: _age(now_s, at_s) for name, (_, at_s) in state.sysstat.items()},
+        },
+        "sysstat": {name: _status(report) for name, (report, _) in state.sysstat.items()},
+        "counts": dict(state.counts),
+        **extra,
+    }
+
+
+def _status(report: SystemStatus) -> dict[str, Any]:
+    fields: dict[str, Any] = report._asdict()
+    faults: Fault = fields.pop("faults")
+    return {
+        **{key: value for key, value in fields.items() if key != "status"},
+        "status": report.status.name.lower(),
+        "faults": [fault.name.lower() for fault in Fault if fault in faults and fault.name],
+    }
+
+
+def _position(state: State) -> dict[str, float | None]:
+    """Where the boat is steering, as a position."""
+    r = state.reference
+    if r.north_m is None or r.east_m is None or state.origin is None:
+        return {"latitude_deg": None, "longitude_deg": None}
+    latitude_rad, longitude_rad = from_plane(state.origin, r.north_m, r.east_m)
+    return {"latitude_deg": _degrees(latitude_rad), "longitude_deg": _degrees(longitude_rad)}
+
+
+def _degrees(angle_rad: float | None) -> float | None:
+    return None if angle_rad is None else round(math.degrees(angle_rad), 7)
+
+
+def _compass_degrees(angle_rad: float | None) -> float | None:
+    return None if angle_rad is None else round(math.degrees(compass(angle_rad)), 2)
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
+
+
+def _age(now_s: float, at_s: float) -> float | None:
+    """None: never heard."""
+    return None if at_s < -1e8 else round(now_s - at_s, 3)

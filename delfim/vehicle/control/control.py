@@ -1,0 +1,110 @@
+"""The control multiplexer (control.c in the thesis), the one door by which a mode is entered, and the last gate before the
+propellers. Pure functions: no input, no output, no clock, no wait.
+"""
+
+import math
+from typing import Protocol
+
+from delfim import config
+from delfim.vehicle.control import goto, grex, heading, hold, home, idle, manual, path_following, play
+from delfim.vehicle.control.autopilot import clamp
+from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.safe import STOP
+from delfim.vehicle.state import Actuation, Mode, Motion, Reference, Setpoint
+
+__all__ = ["MODES", "Memory", "Settings", "admit", "control", "enter", "limited"]
+
+FAR_M = 1e7  # a plane position beyond this is nonsense, and so are the numbers below
+FAST_MPS = 100.0
+SPIN = 1e3  # rad and rad/s
+
+
+class Program(Protocol):
+    """What a mode's file provides."""
+
+    NEEDS: frozenset[str]  # of "position", "heading", "velocity"
+    SENTENCE: str  # for the operator
+
+    def lacks(self, setpoint: Setpoint) -> str | None:
+        """What the set point lacks for this mode, in words; None when nothing."""
+
+    def enter(self, motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory: ...
+
+    def step(
+        self, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+    ) -> tuple[Memory, Reference, Actuation]: ...
+
+
+MODES: dict[Mode, Program] = {
+    Mode.IDLE: idle,
+    Mode.MANUAL: manual,
+    Mode.HEADING: heading,
+    Mode.GOTO: goto,
+    Mode.PLAY: play,
+    Mode.PATH: path_following,
+    Mode.GREX: grex,
+    Mode.HOLD: hold,
+    Mode.HOME: home,
+}
+
+
+def admit(mode: Mode, has: frozenset[str], setpoint: Setpoint) -> str | None:
+    """The one door: None when the mode may be entered and kept, otherwise why not, in words for a tired operator."""
+    program = MODES[mode]
+    if program.NEEDS - has:
+        missing, known = " and no ".join(sorted(program.NEEDS - has)), " and ".join(sorted(has))
+        return f"no {missing}: {known} only" if known else f"no {missing}"
+    return program.lacks(setpoint)
+
+
+def enter(mode: Mode, motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
+    """A mode's memory at its beginning. Never raises: what is not plausible is told by the first step."""
+    return MODES[mode].enter(motion, setpoint, settings) if _plausible(motion) else Memory()
+
+
+def control(
+    mode: Mode, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+) -> tuple[Memory, Reference, Actuation]:
+    """One step of a mode, `dt_s` after the one before. Missing inputs and numbers without meaning stop the propellers, leave
+    the memory as it was, and say why in the reference.
+    """
+    reason = admit(mode, motion.has, setpoint)
+    if reason is None and not (_plausible(motion) and 0.0 <= dt_s < FAR_M):
+        reason = "navigation makes no sense"
+    if reason is not None:
+        return memory, Reference(reason=reason), STOP
+    try:
+        after, reference, actuation = MODES[mode].step(memory, motion, setpoint, settings, dt_s)
+    except (ValueError, ArithmeticError):  # an infinite set point; to fail here would leave the propellers as they were
+        return memory, Reference(reason="set point makes no sense"), STOP
+    if not math.isfinite(actuation.starboard_rpm + actuation.port_rpm):
+        return memory, Reference(reason="set point makes no sense"), STOP
+    return after, reference, actuation
+
+
+def _plausible(motion: Motion) -> bool:
+    """False for what is not finite, too: every comparison with it is false."""
+    return (
+        -FAR_M < motion.north_m < FAR_M
+        and -FAR_M < motion.east_m < FAR_M
+        and -SPIN < motion.heading_rad < SPIN
+        and -SPIN < motion.yaw_rate_radps < SPIN
+        and -FAST_MPS < motion.north_mps < FAST_MPS
+        and -FAST_MPS < motion.east_mps < FAST_MPS
+    )
+
+
+def limited(wanted: Actuation, previous: Actuation, propulsion: config.Propulsion, dt_s: float) -> Actuation:
+    """The last, dumb gate: `wanted` within `rpm_max`, and changed from `previous` by no more than `rpm_per_s_max` allows.
+    A stop is immediate; what is not finite is a stop.
+    """
+    if not wanted.run or not math.isfinite(wanted.starboard_rpm + wanted.port_rpm + dt_s):
+        return STOP
+    change = propulsion.rpm_per_s_max * max(dt_s, 0.0)
+    starboard, port = (previous.starboard_rpm, previous.port_rpm) if previous.run else (0.0, 0.0)
+    rpm_max = propulsion.rpm_max
+    return Actuation(
+        clamp(clamp(wanted.starboard_rpm, starboard - change, starboard + change), -rpm_max, rpm_max),
+        clamp(clamp(wanted.port_rpm, port - change, port + change), -rpm_max, rpm_max),
+        True,
+    )

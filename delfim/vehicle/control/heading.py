@@ -1,0 +1,23 @@
+"""Heading: hold a heading at a speed. Works without position; without velocity the speed is what the revolutions give."""
+
+from delfim.vehicle.control.autopilot import entered, steer
+from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+
+NEEDS = frozenset({"heading"})
+SENTENCE = "Holds a heading at a speed."
+
+
+def lacks(setpoint: Setpoint) -> str | None:
+    return None
+
+
+def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
+    return Memory(entered(motion))
+
+
+def step(
+    memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+) -> tuple[Memory, Reference, Actuation]:
+    integrals, actuation = steer(memory.integrals, motion, setpoint.heading_rad, setpoint.speed_mps, settings, dt_s)
+    return memory._replace(integrals=integrals), Reference(setpoint.heading_rad, setpoint.speed_mps), actuation

@@ -1,0 +1,22 @@
+"""Idle: propellers off."""
+
+from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.safe import STOP
+from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+
+NEEDS: frozenset[str] = frozenset()
+SENTENCE = "Propellers off."
+
+
+def lacks(setpoint: Setpoint) -> str | None:
+    return None
+
+
+def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
+    return Memory()
+
+
+def step(
+    memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+) -> tuple[Memory, Reference, Actuation]:
+    return memory, Reference(), STOP

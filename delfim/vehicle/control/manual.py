@@ -1,0 +1,24 @@
+"""Manual: each propeller as the operator says, as a part of the most it may give."""
+
+from delfim.vehicle.control.autopilot import clamp
+from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+
+NEEDS: frozenset[str] = frozenset()
+SENTENCE = "Thrust of each propeller is set at the console."
+
+
+def lacks(setpoint: Setpoint) -> str | None:
+    return None
+
+
+def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
+    return Memory()
+
+
+def step(
+    memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+) -> tuple[Memory, Reference, Actuation]:
+    rpm_max = settings.propulsion.rpm_max
+    starboard, port = clamp(setpoint.starboard, -1.0, 1.0), clamp(setpoint.port, -1.0, 1.0)
+    return memory, Reference(), Actuation(rpm_max * starboard, rpm_max * port, True)

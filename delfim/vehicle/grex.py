@@ -1,0 +1,98 @@
+"""The guest computer (grex.c in the thesis): navigation out, heading references in, obeyed only in GREX mode.
+
+The vehicle is the TCP server. Both directions are JSON, one object a line (`docs/guest.md`). One guest at a time: a new
+connection replaces the one before, because a guest that restarted must not wait for its own ghost.
+"""
+
+import asyncio
+import math
+
+import msgspec
+
+from delfim.clock import Clock
+from delfim.vehicle.state import State
+
+LINE_BYTES = 1024  # longer input is no reference
+BACKLOG_BYTES = 16384  # a guest that does not read loses the newest, not the vehicle
+
+
+class HeadingReference(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the guest may ask for: a heading, 0..360 degrees true, and a speed in m/s."""
+
+    heading_deg: float
+    speed_mps: float = 0.0
+
+
+_decode = msgspec.json.Decoder(HeadingReference).decode
+_encode = msgspec.json.Encoder().encode
+
+
+class Guest(asyncio.Protocol):
+    """The link to the guest. `send` after each critical path; references arrive as they come."""
+
+    def __init__(self, state: State, clock: Clock) -> None:
+        self._state, self._clock = state, clock
+        self._transport: asyncio.Transport | None = None
+        self._buffer = b""
+
+    def send(self) -> None:
+        """Navigation and mode to the guest, if one is there and reads."""
+        transport, n = self._transport, self._state.navigation
+        if transport is None or n is None:
+            return
+        if transport.get_write_buffer_size() > BACKLOG_BYTES:
+            self._state.count("guest_not_reading")
+            return
+        transport.write(
+            _encode(
+                {
+                    "utc_ns": n.utc_ns,
+                    "latitude_deg": None if n.latitude_rad is None else math.degrees(n.latitude_rad),
+                    "longitude_deg": None if n.longitude_rad is None else math.degrees(n.longitude_rad),
+                    "heading_deg": None if n.heading_rad is None else math.degrees(n.heading_rad),
+                    "north_mps": n.north_mps,
+                    "east_mps": n.east_mps,
+                    "mode": self._state.mode.name.lower(),
+                }
+            )
+            + b"\n"
+        )
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        if self._transport is not None:
+            self._transport.abort()
+        assert isinstance(transport, asyncio.Transport)
+        self._transport, self._buffer = transport, b""
+        self._state.guest_connected = True
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        if self._transport is not None and self._transport.is_closing():
+            self._transport = None
+            self._state.guest_connected = False
+
+    def data_received(self, data: bytes) -> None:
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        if len(self._buffer) > LINE_BYTES:
+            self._buffer = b""
+            self._state.count("guest_malformed")
+        for line in lines:
+            self.reference(line)
+
+    def reference(self, line: bytes) -> None:
+        """One line of the guest. Malformed or not finite ones are counted and change nothing."""
+        try:
+            asked = _decode(line)
+        except msgspec.DecodeError:
+            self._state.count("guest_malformed")
+            return
+        if not (math.isfinite(asked.heading_deg) and math.isfinite(asked.speed_mps)):
+            self._state.count("guest_malformed")
+            return
+        self._state.guest_s = self._clock.monotonic_s()
+        self._state.setpoint = self._state.setpoint._replace(
+            guest_heading_rad=math.radians(asked.heading_deg % 360.0), guest_speed_mps=max(asked.speed_mps, 0.0)
+        )
+
+    def close(self) -> None:
+        if self._transport is not None:
+            self._transport.close()

@@ -1,0 +1,61 @@
+"""Profiling (thesis 2.12, 3.5): the histogram of figure 3-10 and the stage means of figure 3-11, kept while sailing."""
+
+from bisect import bisect_left
+from itertools import accumulate
+
+from delfim.vehicle.state import Profile
+
+# Upper edges in microseconds: 1 us wide up to 500 us, then 5 % wide up to 10 s.
+EDGES_US = [*range(1, 501), *accumulate([1.05] * 205, lambda edge, ratio: edge * ratio, initial=525.0)]
+STAGES = ("poll", "navigation", "control", "propulsion", "log")
+
+
+class Latency:
+    """Distribution of t0 to t4, the critical path. Adding costs a microsecond and is done after the path ends."""
+
+    def __init__(self) -> None:
+        self.counts = [0] * (len(EDGES_US) + 1)
+        self.n = 0
+        self.worst_us = 0.0
+        self._sums_ns = [0] * len(STAGES)
+
+    def add(self, p: Profile) -> None:
+        """One cycle. A path of negative length (the wall clock was stepped in between) is not counted."""
+        path_ns = p.t4 - p.t0
+        if path_ns < 0 or p.t0 == 0:
+            return
+        path_us = path_ns / 1e3
+        self.n += 1
+        self.counts[bisect_left(EDGES_US, path_us)] += 1
+        self.worst_us = max(self.worst_us, path_us)
+        sums = self._sums_ns
+        sums[0] += p.t1 - p.t0
+        sums[1] += p.t2 - p.t1
+        sums[2] += p.t3 - p.t2
+        sums[3] += p.t4 - p.t3
+        sums[4] += p.t5 - p.t4
+
+    def percentile_us(self, part: float) -> float:
+        """The path that `part` (0..1) of all cycles did not exceed, to the histogram's resolution; 0 before the first."""
+        wanted = part * self.n
+        for edge, total in zip(EDGES_US, accumulate(self.counts), strict=False):
+            if total >= wanted:
+                return min(float(edge), self.worst_us)
+        return self.worst_us
+
+    def within(self, limit_us: float) -> float:
+        """Share of cycles that took at most this long, 0..1."""
+        return sum(self.counts[: bisect_left(EDGES_US, limit_us) + 1]) / self.n if self.n else 0.0
+
+    def summary(self) -> dict[str, object]:
+        """JSON-ready: count, percentiles in us, share within 100 us, stage means in us."""
+        means = [sum_ns / 1e3 / self.n if self.n else 0.0 for sum_ns in self._sums_ns]
+        return {
+            "n": self.n,
+            "p50_us": round(self.percentile_us(0.5), 1),
+            "p99_us": round(self.percentile_us(0.99), 1),
+            "p999_us": round(self.percentile_us(0.999), 1),
+            "worst_us": round(self.worst_us, 1),
+            "within_100_us": round(self.within(100.0), 5),
+            "stages_us": {name: round(mean, 2) for name, mean in zip(STAGES, means, strict=True)},
+        }

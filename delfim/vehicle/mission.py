@@ -1,0 +1,192 @@
+"""Mission files: TOML, versioned, checked before anything moves (`docs/missions.md`).
+
+A mission says where; how fast and how near is the boat's matter unless the mission says it. `digest` names a mission's content,
+so that an upload can be read back and compared.
+"""
+
+import hashlib
+import itertools
+import json
+import math
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+
+from delfim import config, geodesy
+from delfim.errors import ConfigError
+from delfim.vehicle.state import Arc, Line, Plan
+from delfim.vehicle.state import Waypoint as PlanWaypoint
+
+LEG_MIN_M, LEG_MAX_M = 0.5, 20_000.0
+RADIUS_MIN_M, RADIUS_MAX_M = 2.0, 5_000.0
+JOINT_M = 1.0  # an arc's stated radius and the distance from its beginning to its centre agree within this
+
+Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
+Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+MissionSpeed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
+Title = Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]{1,64}\Z")]
+
+
+class Waypoint(config.Table, frozen=True):
+    """A place to go to. 0 for speed and acceptance radius: as the vehicle's file says."""
+
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    speed_mps: MissionSpeed = 0.0  # on the way to it
+    acceptance_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0
+
+
+class PathPoint(config.Table, frozen=True):
+    """A piece of the path. The first says where the path begins; one without `turn_deg` is the end of a line from the end of
+    the piece before; one with it is the centre of an arc that begins there.
+    """
+
+    latitude_deg: Latitude
+    longitude_deg: Longitude
+    speed_mps: MissionSpeed = 0.0
+    turn_deg: Annotated[float, msgspec.Meta(ge=-3600.0, le=3600.0)] = 0.0  # positive to starboard
+    radius_m: Annotated[float, msgspec.Meta(ge=0.0, le=RADIUS_MAX_M)] = 0.0  # of an arc
+
+
+class Mission(config.Table, frozen=True):
+    """A mission file."""
+
+    version: Literal[1]
+    name: Title
+    waypoint: Annotated[tuple[Waypoint, ...], msgspec.Meta(min_length=1, max_length=1000)]
+    path: Annotated[tuple[PathPoint, ...], msgspec.Meta(max_length=1000)] = ()
+
+
+def load_mission(path: str | Path) -> Mission:
+    """The mission in a file, checked. Raises ConfigError with file, key and reason."""
+    return _checked(config.decode(config.read_toml(path), Mission, str(path)), str(path))
+
+
+def parse_mission(text: str, file: str = "mission") -> Mission:
+    """The mission in a file's text, checked; `file` names it in a refusal. Raises ConfigError."""
+    try:
+        tree = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(file, "file", f"not TOML: {error}") from None
+    return _checked(config.decode(tree, Mission, file), file)
+
+
+def save_mission(mission: Mission, path: str | Path) -> None:
+    """Write the mission's canonical text. Raises OSError."""
+    Path(path).write_text(canonical(mission), encoding="utf-8")
+
+
+def canonical(mission: Mission) -> str:
+    """The one text of a mission: keys that are not at their default, in a fixed order, numbers as short as they round-trip."""
+    lines = [f"version = {mission.version}", f"name = {json.dumps(mission.name, ensure_ascii=False)}"]
+    for title, rows in (("waypoint", mission.waypoint), ("path", mission.path)):
+        for row in rows:
+            lines += ["", f"[[{title}]]"]
+            for field in msgspec.structs.fields(row):
+                value = getattr(row, field.name)
+                if value != field.default:
+                    lines.append(f"{field.name} = {value!r}")
+    return "\n".join(lines) + "\n"
+
+
+def digest(mission: Mission) -> str:
+    """16 hexadecimal digits that name the mission's content: the first 8 bytes of the SHA-256 of its canonical text."""
+    return hashlib.sha256(canonical(mission).encode()).hexdigest()[:16]
+
+
+def plan(mission: Mission, origin: geodesy.Origin, control: config.ControlTable) -> Plan:
+    """The mission in the local plane, speeds and radii filled in. A mission without a path gets the one that connects its
+    waypoints (thesis chapter 4, key P). Raises ConfigError where this boat, here, cannot do it.
+    """
+    for key, row in _rows(mission):
+        if row.speed_mps > control.speed.max_mps:
+            raise ConfigError(mission.name, f"{key}.speed_mps", "faster than this boat goes", f"up to {control.speed.max_mps}")
+        far_m = math.hypot(*_plane(origin, row))
+        if far_m > LEG_MAX_M:
+            raise ConfigError(mission.name, key, f"{far_m / 1000.0:.1f} km from the boat", f"up to {LEG_MAX_M / 1000.0:.0f} km")
+    waypoints = tuple(
+        PlanWaypoint(
+            *_plane(origin, row), row.speed_mps or control.speed.cruise_mps, row.acceptance_m or control.path.acceptance_m
+        )
+        for row in mission.waypoint
+    )
+    if mission.path:
+        return Plan(mission.name, waypoints, tuple(_pieces(mission.path, origin, control.speed.cruise_mps)))
+    lines = (
+        Line(start.north_m, start.east_m, end.north_m, end.east_m, end.speed_mps)
+        for start, end in itertools.pairwise(waypoints)
+    )
+    return Plan(mission.name, waypoints, tuple(lines))
+
+
+def _checked(mission: Mission, file: str) -> Mission:
+    for key, row in _rows(mission):
+        for field in msgspec.structs.fields(row):
+            if not math.isfinite(getattr(row, field.name)):
+                raise ConfigError(file, f"{key}.{field.name}", "not a number", "finite numbers")
+    first = mission.waypoint[0]
+    origin = geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
+    places = [_plane(origin, row) for row in mission.waypoint]
+    for index in range(1, len(places)):
+        _check_length(file, f"waypoint[{index}]", math.dist(places[index - 1], places[index]))
+    if mission.path:
+        _check_path(mission.path, origin, file)
+    return mission
+
+
+def _check_path(path: tuple[PathPoint, ...], origin: geodesy.Origin, file: str) -> None:
+    """Pieces of sensible length, arcs that begin where the piece before them ends."""
+    if len(path) == 1:
+        raise ConfigError(file, "path", "a single point: a path begins there and needs a line or an arc more")
+    if path[0].turn_deg:
+        raise ConfigError(file, "path[0].turn_deg", "an arc cannot be the first: the first point says where the path begins")
+    for index, (row, piece) in enumerate(zip(path[1:], _pieces(path, origin, 1.0), strict=True), 1):
+        key = f"path[{index}]"
+        if isinstance(piece, Line):
+            if row.radius_m:
+                raise ConfigError(file, f"{key}.radius_m", "a radius without turn_deg: lines have none")
+            _check_length(file, key, math.hypot(piece.to_north_m - piece.north_m, piece.to_east_m - piece.east_m))
+            continue
+        if row.radius_m < RADIUS_MIN_M:
+            raise ConfigError(file, f"{key}.radius_m", "an arc needs its radius", f"{RADIUS_MIN_M} to {RADIUS_MAX_M}")
+        if abs(piece.radius_m - row.radius_m) > JOINT_M:
+            raise ConfigError(
+                file, key, f"the arc begins {piece.radius_m:.2f} m from its centre, not {row.radius_m} m", f"within {JOINT_M} m"
+            )
+        _check_length(file, key, abs(piece.turn_rad) * piece.radius_m)
+
+
+def _check_length(file: str, key: str, length_m: float) -> None:
+    if not LEG_MIN_M <= length_m <= LEG_MAX_M:
+        raise ConfigError(file, key, f"{length_m:.2f} m from the one before", f"{LEG_MIN_M} to {LEG_MAX_M} m")
+
+
+def _pieces(path: tuple[PathPoint, ...], origin: geodesy.Origin, cruise_mps: float) -> Iterator[Line | Arc]:
+    north_m, east_m = _plane(origin, path[0])
+    for row in path[1:]:
+        to_north_m, to_east_m = _plane(origin, row)
+        speed_mps = row.speed_mps or cruise_mps
+        if not row.turn_deg:
+            yield Line(north_m, east_m, to_north_m, to_east_m, speed_mps)
+            north_m, east_m = to_north_m, to_east_m
+            continue
+        radius_m = math.hypot(north_m - to_north_m, east_m - to_east_m)
+        start_rad = math.atan2(east_m - to_east_m, north_m - to_north_m)
+        turn_rad = math.radians(row.turn_deg)
+        yield Arc(to_north_m, to_east_m, radius_m, start_rad, turn_rad, speed_mps)
+        north_m = to_north_m + radius_m * math.cos(start_rad + turn_rad)
+        east_m = to_east_m + radius_m * math.sin(start_rad + turn_rad)
+
+
+def _rows(mission: Mission) -> Iterator[tuple[str, Waypoint | PathPoint]]:
+    for index, waypoint in enumerate(mission.waypoint):
+        yield f"waypoint[{index}]", waypoint
+    for index, point in enumerate(mission.path):
+        yield f"path[{index}]", point
+
+
+def _plane(origin: geodesy.Origin, row: Waypoint | PathPoint) -> tuple[float, float]:
+    return geodesy.to_plane(origin, math.radians(row.latitude_deg), math.radians(row.longitude_deg))

@@ -1,0 +1,98 @@
+"""What the state log holds of each cycle: one row a field, in the order of the record. SI units; NaN is unknown."""
+
+import math
+from collections.abc import Callable
+from typing import NamedTuple
+
+from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.vehicle.state import State
+from delfim.vehicle.sysstat import NAMES
+
+NAN = math.nan
+
+
+class Field(NamedTuple):
+    name: str
+    code: str  # of the struct module
+    unit: str
+    description: str
+    value: Callable[[State, float], object]
+
+
+def _of_navigation(name: str) -> Callable[[State, float], object]:
+    def value(s: State, now_s: float) -> object:
+        known = getattr(s.navigation, name, None)
+        return NAN if known is None else known
+
+    return value
+
+
+def _of_reference(name: str) -> Callable[[State, float], object]:
+    def value(s: State, now_s: float) -> object:
+        known = getattr(s.reference, name)
+        return NAN if known is None else known
+
+    return value
+
+
+def _of_propeller(node: Node, name: str) -> Callable[[State, float], object]:
+    def value(s: State, now_s: float) -> object:
+        report = s.sysstat.get(NAMES[node])
+        known = getattr(report[0], name) if report and isinstance(report[0], PropellerStatus) else None
+        return NAN if known is None else known
+
+    return value
+
+
+def _of_batteries(node: Node, name: str) -> Callable[[State, float], object]:
+    def value(s: State, now_s: float) -> object:
+        report = s.sysstat.get(NAMES[node])
+        known = getattr(report[0], name) if report and isinstance(report[0], BatteriesStatus) else None
+        return NAN if known is None else known
+
+    return value
+
+
+def _stage(name: str) -> Field:
+    return Field(name, "q", "ns", f"profile stamp {name}, wall clock since 1970", lambda s, now_s: getattr(s.profile, name))
+
+
+FIELDS = (
+    Field("monotonic_s", "d", "s", "time since boot", lambda s, now_s: now_s),
+    Field("utc_ns", "q", "ns", "of the navigation message", lambda s, now_s: s.navigation.utc_ns if s.navigation else 0),
+    *(_stage(name) for name in ("t0", "t1", "t2", "t3", "t4")),
+    Field("previous_t5", "q", "ns", "profile stamp t5 of the cycle before", lambda s, now_s: s.profile.t5),
+    Field("cycle", "Q", "", "navigation cycles since start", lambda s, now_s: s.cycles),
+    Field("mode", "B", "", "mode number of the console's link", lambda s, now_s: int(s.mode)),
+    Field("latitude", "d", "rad", "WGS 84", _of_navigation("latitude_rad")),
+    Field("longitude", "d", "rad", "WGS 84", _of_navigation("longitude_rad")),
+    Field("north", "d", "m", "local plane", lambda s, now_s: s.motion.north_m if "position" in s.motion.has else NAN),
+    Field("east", "d", "m", "local plane", lambda s, now_s: s.motion.east_m if "position" in s.motion.has else NAN),
+    Field("north_speed", "f", "m/s", "over ground", _of_navigation("north_mps")),
+    Field("east_speed", "f", "m/s", "over ground", _of_navigation("east_mps")),
+    Field("heading", "f", "rad", "true", _of_navigation("heading_rad")),
+    Field("yaw_rate", "f", "rad/s", "positive to starboard", _of_navigation("yaw_rate_radps")),
+    Field("roll", "f", "rad", "positive to starboard", _of_navigation("roll_rad")),
+    Field("pitch", "f", "rad", "positive bow up", _of_navigation("pitch_rad")),
+    Field("fix", "B", "", "0 none, 4 differential, 5 RTK", lambda s, now_s: s.navigation.fix if s.navigation else 0),
+    Field("satellites", "B", "", "in use", lambda s, now_s: s.navigation.satellites if s.navigation else 0),
+    Field("reference_heading", "f", "rad", "what control steers", _of_reference("heading_rad")),
+    Field("reference_speed", "f", "m/s", "what control wants", _of_reference("speed_mps")),
+    Field("cross_track", "f", "m", "positive: boat to starboard of the line", _of_reference("cross_track_m")),
+    Field("distance", "f", "m", "to the point steered for", _of_reference("distance_m")),
+    Field("leg", "H", "", "leg of the mission", lambda s, now_s: s.reference.leg & 0xFFFF),
+    Field("starboard_rpm", "f", "1/min", "commanded", lambda s, now_s: s.actuation.starboard_rpm),
+    Field("port_rpm", "f", "1/min", "commanded", lambda s, now_s: s.actuation.port_rpm),
+    Field("run", "?", "", "propellers enabled", lambda s, now_s: s.actuation.run),
+    Field("starboard_rpm_measured", "f", "1/min", "reported", _of_propeller(Node.PROPELLER_STARBOARD, "rpm")),
+    Field("port_rpm_measured", "f", "1/min", "reported", _of_propeller(Node.PROPELLER_PORT, "rpm")),
+    Field("starboard_voltage", "f", "V", "batteries", _of_batteries(Node.BATTERIES_STARBOARD, "voltage_v")),
+    Field("port_voltage", "f", "V", "batteries", _of_batteries(Node.BATTERIES_PORT, "voltage_v")),
+    Field("starboard_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_STARBOARD, "charge")),
+    Field("port_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_PORT, "charge")),
+)
+
+
+def values(state: State, now_s: float) -> tuple[object, ...]:
+    """The record of this cycle, in the order of FIELDS."""
+    return tuple([field.value(state, now_s) for field in FIELDS])

@@ -1,0 +1,81 @@
+"""System status of the other nodes (sysstat.c in the thesis): extended frames and segmented messages, one function."""
+
+from delfim.canproxy.dsor import Receiver
+from delfim.canproxy.socket import CanSocket
+from delfim.config import Sysstat
+from delfim.errors import BusError, FormatError
+from delfim.frames import CAN_IDE, CAN_RTR, Frame
+from delfim.messages import GPS_SYSSTAT_ID, SYSSTAT_SUBJECT, Fault, Node, Status, unpack_sysstat
+from delfim.vehicle.state import State
+
+FRAMES_PER_READ = 64
+NAMES = {
+    Node.GPS: "gps",
+    Node.PROPELLER_STARBOARD: "propeller_starboard",
+    Node.PROPELLER_PORT: "propeller_port",
+    Node.BATTERIES_STARBOARD: "batteries_starboard",
+    Node.BATTERIES_PORT: "batteries_port",
+}
+
+
+def receiver() -> Receiver:
+    """Reassembles the segmented status messages."""
+    return Receiver(Node.VEHICLE, lambda message: message.id == GPS_SYSSTAT_ID)
+
+
+def read(socket: CanSocket, segmented: Receiver, state: State, now_s: float) -> None:
+    """Take what waits on either status socket into the state. Never raises; malformed reports are counted."""
+    for _ in range(FRAMES_PER_READ):
+        try:
+            frame = socket.receive()
+            if frame is None:
+                break
+            node, data = _report(frame, segmented, now_s)
+            if data is not None:
+                state.sysstat[NAMES[Node(node)]] = (unpack_sysstat(node, data), now_s)
+        except (FormatError, KeyError, ValueError):
+            state.count("sysstat_malformed")
+        except BusError:
+            state.count("sysstat_bus_errors")
+            break
+    for reply in _drain(segmented):
+        try:
+            socket.sendmsg(reply)
+        except OSError:
+            state.count("acknowledgements_unsent")
+
+
+def wrong(state: State, required: Sysstat, now_s: float) -> str | None:
+    """The first reason why the boat may not sail, in words: a required node that is silent or bad."""
+    for name in required.required:
+        report = state.sysstat.get(name)
+        if report is None:
+            return f"{name.replace('_', ' ')} has not reported"
+        status, at_s = report
+        if now_s - at_s > required.stale_s:
+            return f"{name.replace('_', ' ')} silent for {now_s - at_s:.1f} s"
+        if status.status == Status.BAD:
+            return f"{name.replace('_', ' ')} bad: {words(status.faults)}"
+    return None
+
+
+def words(faults: Fault) -> str:
+    named = [fault.name.lower().replace("_", " ") for fault in Fault if fault in faults and fault.name]
+    return ", ".join(named) or "no reason given"
+
+
+def _report(frame: Frame, segmented: Receiver, now_s: float) -> tuple[int, bytes | None]:
+    """(node, data) of a plain status frame or of a segmented message that this frame completed; data None otherwise."""
+    identifier = frame.identifier
+    if frame.arb & (CAN_IDE | CAN_RTR) != CAN_IDE or identifier >> 19 & 3 != 3:
+        message = segmented.feed(frame, now_s)
+        return (message.source, message.data) if message is not None else (0, None)
+    if identifier & 0xFFF != SYSSTAT_SUBJECT:
+        raise FormatError(f"plain frame of unknown subject {identifier & 0xFFF:#x}")
+    return identifier >> 12 & 0x7F, frame.data
+
+
+def _drain(segmented: Receiver) -> list[Frame]:
+    replies = list(segmented.replies)
+    segmented.replies.clear()
+    return replies

@@ -1,0 +1,95 @@
+"""Whole missions in lock step: the real loop, console words and control around the modelled world."""
+
+import math
+import struct
+from pathlib import Path
+
+import pytest
+
+from delfim import config, geodesy
+from delfim.clock import ManualClock
+from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle import console, record
+from delfim.vehicle.mission import load_mission, plan
+from delfim.vehicle.state import Mode, State
+
+ROOT = Path(__file__).parents[2]
+MISSION = ROOT / "etc/missions/doca.toml"
+PACK = struct.Struct("<" + "".join(field.code for field in record.FIELDS)).pack
+CROSS = config.Sea(current_mps=0.5, current_to_deg=250.0, wind_mps=4.0, wind_from_deg=320.0)
+
+
+class Bytes:
+    """A state log in memory."""
+
+    def __init__(self, clock: ManualClock) -> None:
+        self.data = bytearray()
+
+    def write(self, state: State, now_s: float) -> None:
+        self.data += PACK(*record.values(state, now_s))
+
+    def reason(self) -> str:
+        return ""
+
+
+def boat(seed: int, sea: config.Sea = CROSS) -> Lockstep:
+    settings = config.load(ROOT / "etc/delfimx.toml")
+    there = config.Simulation(sea=sea)
+    simulated = config.Vehicle(boat=settings.boat, control=settings.control, propulsion=settings.propulsion, simulation=there)
+    return Lockstep(simulated, seed, Bytes)
+
+
+def recorded(sailing: Lockstep) -> bytes:
+    log = sailing.vehicle.log
+    assert isinstance(log, Bytes)
+    return bytes(log.data)
+
+
+def test_same_seed_same_bytes_and_another_seed_another_run():
+    runs = []
+    for seed in (1, 1, 2):
+        sailing = boat(seed)
+        assert sailing.sail(MISSION.read_text(), 60.0).startswith("time")
+        runs.append(recorded(sailing))
+    assert runs[0] == runs[1]
+    assert runs[0] != runs[2]
+
+
+@pytest.mark.parametrize("seed", range(1, 21))
+def test_every_waypoint_is_reached_in_a_cross_current_with_sensor_noise(seed):
+    sailing = boat(seed)
+    mission = MISSION.read_text()
+    assert sailing.command(console.Mission(mission)) is None
+    nearest: dict[int, float] = {}
+    playing = False
+    for state in sailing.cycles(3600.0):
+        playing = playing or sailing.command(console.Play()) is None
+        legs = plan(load_mission(MISSION), state.origin, sailing.settings.control).waypoints if not nearest else legs
+        model = sailing.nodes.model
+        where = geodesy.to_plane(state.origin, model.latitude_rad, model.longitude_rad)
+        for number, leg in enumerate(legs):
+            away_m = math.dist(where, (leg.north_m, leg.east_m))
+            nearest[number] = min(nearest.get(number, math.inf), away_m)
+        if state.mode is Mode.HOLD:
+            break
+    assert state.reason == "play done"
+    for number, leg in enumerate(legs):
+        assert nearest[number] <= leg.acceptance_m + 3 * 0.3, f"waypoint {number + 1}, true position (sensor noise 0.3 m)"
+
+
+def test_nothing_is_refused_or_lost_on_a_healthy_boat():
+    sailing = boat(3)
+    sailing.sail(MISSION.read_text(), 120.0)
+    assert sailing.state.counts == {}
+
+
+def test_a_guest_steers_in_grex_mode():
+    sailing = boat(4)
+    for state in sailing.cycles(5.0):
+        pass
+    sailing.vehicle.on_guest(b'{"heading_deg": 90, "speed_mps": 1.5}')
+    assert sailing.command(console.Mode("grex")) is None
+    for state in sailing.cycles(40.0):
+        sailing.vehicle.on_guest(b'{"heading_deg": 90, "speed_mps": 1.5}')
+    assert state.motion.heading_rad == pytest.approx(math.pi / 2, abs=math.radians(5))
+    assert state.motion.east_m > 20

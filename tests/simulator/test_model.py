@@ -1,0 +1,300 @@
+"""The model of boat and sea: what physics demands of it, and the figures that docs/simulator.md states."""
+
+import math
+import statistics
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from delfim.config import Boat, Sea
+from delfim.geodesy import to_plane
+from delfim.simulator.model import Hull, Model, hull_of
+
+CALM = Sea()
+
+
+def boat(sea: Sea = CALM, seed: int = 1, heading_rad: float = 0.0, hull: Hull | None = None) -> Model:
+    return Model(hull or Hull(), sea, seed, math.radians(38.69), math.radians(-9.21), heading_rad)
+
+
+def drive(model: Model, starboard: float, port: float, seconds: float, dt_s: float = 0.2) -> Model:
+    model.command("starboard", starboard, True)
+    model.command("port", port, True)
+    return drift(model, seconds, dt_s)
+
+
+def drift(model: Model, seconds: float, dt_s: float = 0.2) -> Model:
+    for _ in range(round(seconds / dt_s)):
+        model.advance(dt_s)
+    return model
+
+
+def bytes_of(model: Model) -> tuple[str, ...]:
+    """Everything that can be read off, to the last bit."""
+    numbers = [
+        *(model.north_m, model.east_m, model.heading_rad, model.surge_mps, model.sway_mps, model.yaw_rate_radps),
+        *(model.latitude_rad, model.longitude_rad, model.north_mps, model.east_mps, model.roll_rad, model.pitch_rad),
+        *(model.wind_north_mps, model.wind_east_mps, model.starboard_rpm, model.port_rpm),
+        *(model.starboard.current_a, model.port.charge, model.starboard.voltage_v, model.port.temperature_c),
+    ]
+    return tuple(number.hex() for number in numbers)
+
+
+def energy_j(model: Model) -> float:
+    """Kinetic energy of boat and added water."""
+    hull = model.hull
+    return 0.5 * (
+        (hull.mass_kg + hull.added_surge_kg) * model.surge_mps**2
+        + (hull.mass_kg + hull.added_sway_kg) * model.sway_mps**2
+        + (hull.inertia_kgm2 + hull.added_yaw_kgm2) * model.yaw_rate_radps**2
+    )
+
+
+def test_a_boat_at_rest_stays_at_rest() -> None:
+    model = drift(boat(heading_rad=1.0), 600)
+    assert (model.north_m, model.east_m, model.heading_rad, model.surge_mps, model.sway_mps, model.yaw_rate_radps) == (
+        0,
+        0,
+        1,
+        0,
+        0,
+        0,
+    )
+
+
+@pytest.mark.parametrize("heading_deg", [0.0, 77.0, 215.0])
+def test_without_propellers_it_drifts_as_fast_as_the_water(heading_deg: float) -> None:
+    model = drift(boat(Sea(current_mps=0.7, current_to_deg=120.0), heading_rad=math.radians(heading_deg)), 600)
+    assert math.hypot(model.north_mps, model.east_mps) == pytest.approx(0.7, rel=1e-12)
+    assert model.north_m == pytest.approx(420 * math.cos(math.radians(120)), rel=1e-9)
+    assert model.east_m == pytest.approx(420 * math.sin(math.radians(120)), rel=1e-9)
+    assert model.heading_rad == pytest.approx(math.radians(heading_deg))
+
+
+def test_motion_through_the_water_knows_nothing_of_the_current() -> None:
+    """Added mass and Coriolis terms act on the velocity through the water: a steady current carries everything alike."""
+    still, carried = drive(boat(), 600, 900, 60), drive(boat(Sea(current_mps=1.5, current_to_deg=90.0)), 600, 900, 60)
+    assert carried.surge_mps == pytest.approx(still.surge_mps, abs=1e-12)
+    assert carried.heading_rad == pytest.approx(still.heading_rad, abs=1e-12)
+    assert carried.north_m == pytest.approx(still.north_m, abs=1e-9)
+    assert carried.east_m == pytest.approx(still.east_m + 90.0, abs=1e-9)
+
+
+@given(st.floats(-1200, 1200), st.floats(-1200, 1200), st.floats(0, 0.6))
+@settings(deadline=None, max_examples=30)
+def test_a_turn_to_port_mirrors_one_to_starboard(one: float, other: float, current_mps: float) -> None:
+    sea = Sea(current_mps=current_mps, current_to_deg=180.0)
+    left, right = drive(boat(sea), one, other, 20), drive(boat(sea), other, one, 20)
+    assert left.north_m == pytest.approx(right.north_m, abs=1e-9)
+    assert left.east_m == pytest.approx(-right.east_m, abs=1e-9)
+    assert math.remainder(left.heading_rad + right.heading_rad, math.tau) == pytest.approx(0.0, abs=1e-9)
+
+
+def test_it_turns_away_from_the_faster_propeller() -> None:
+    model = drive(boat(), 500, 900, 3)
+    assert 0 < model.yaw_rate_radps
+    assert 0 < model.heading_rad < math.pi
+    assert model.sway_mps < 0, "the boat slides outwards"
+
+
+@pytest.mark.parametrize(
+    ("rpm", "low_mps", "high_mps"),
+    [(500, 0.85, 0.95), (1000, 1.9, 2.1), (1200, 2.3, 2.5), (-1000, -1.5, -1.2)],
+)
+def test_speed_ahead_and_astern(rpm: float, low_mps: float, high_mps: float) -> None:
+    model = drive(boat(), rpm, rpm, 60)
+    assert low_mps <= model.surge_mps <= high_mps
+    assert model.sway_mps == model.yaw_rate_radps == 0.0
+
+
+@pytest.mark.parametrize(
+    ("starboard", "port", "low_degps", "high_degps"),
+    [(500, 1000, 13, 16), (0, 1000, 16, 20), (-1000, 1000, 33, 39), (850, 950, 2.5, 4.0)],
+)
+def test_rate_of_turn(starboard: float, port: float, low_degps: float, high_degps: float) -> None:
+    model = drive(boat(), starboard, port, 60)
+    assert low_degps <= math.degrees(model.yaw_rate_radps) <= high_degps
+    assert abs(math.atan2(model.sway_mps, model.surge_mps)) < math.radians(30), "a catamaran does not sail sideways"
+
+
+@pytest.mark.parametrize("rpm", [800, 1200, -800])
+def test_a_kick_dies_out_and_the_boat_runs_straight(rpm: float) -> None:
+    model = drive(boat(), rpm, rpm, 30)
+    model.yaw_rate_radps = math.radians(5)
+    drift(model, 30)
+    assert abs(model.yaw_rate_radps) < math.radians(0.01)
+    assert abs(model.sway_mps) < 0.001
+
+
+@given(st.floats(-3, 3), st.floats(-1, 1), st.floats(-1, 1))
+@settings(deadline=None)
+def test_without_propellers_the_water_only_takes_energy(surge: float, sway: float, rate: float) -> None:
+    model = boat()
+    model.surge_mps, model.sway_mps, model.yaw_rate_radps = surge, sway, rate
+    before = energy_j(model)
+    for _ in range(100):
+        model.advance(0.1)
+        after = energy_j(model)
+        assert after <= before * (1 + 1e-9)
+        before = after
+
+
+def test_it_stops_when_the_motors_are_switched_off() -> None:
+    model = drive(boat(), 1000, 1000, 60)
+    before = model.north_m
+    model.command("starboard", 1000, False)
+    model.command("port", 1000, False)
+    assert drift(model, 10).surge_mps < 0.4
+    assert drift(model, 110).surge_mps < 0.001
+    assert 3 < model.north_m - before < 8, "stopping distance"
+    assert model.starboard_rpm == pytest.approx(0.0, abs=1e-9)
+
+
+def test_a_motor_follows_its_reference_within_rate_and_limit() -> None:
+    model = boat()
+    model.command("port", 5000, True)
+    seen = [0.0]
+    for _ in range(100):
+        model.advance(0.05)
+        seen.append(model.port_rpm)
+    assert max(after - before for before, after in zip(seen, seen[1:], strict=False)) <= model.hull.rpm_per_s_max * 0.05 + 1e-9
+    assert seen == sorted(seen)
+    assert seen[-1] == pytest.approx(model.hull.rpm_max, rel=1e-3)
+    assert model.starboard_rpm == 0.0
+
+
+@pytest.mark.parametrize("rpm", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_motor_off(rpm: float) -> None:
+    model = drive(boat(), 800, 800, 10)
+    model.command("port", rpm, True)
+    assert drift(model, 20).port_rpm == pytest.approx(0.0, abs=1e-6)
+    assert model.starboard_rpm == pytest.approx(800.0, abs=1.0)
+
+
+@pytest.mark.parametrize("failure", ["contactor", "empty"])
+def test_no_current_no_propeller(failure: str) -> None:
+    model = boat()
+    if failure == "contactor":
+        model.port.connected = False
+    else:
+        model.port.charge = 0.0
+    drive(model, 800, 800, 10)
+    assert model.port_rpm == 0.0
+    assert model.port.current_a == 0.0
+    assert model.starboard_rpm == pytest.approx(800.0, abs=1.0)
+    assert model.yaw_rate_radps < 0, "turns towards the dead side"
+
+
+def test_batteries_pay_for_the_propellers() -> None:
+    model = drive(boat(), 1000, 0, 600)
+    assert 15 < model.starboard.current_a < 35
+    assert model.port.current_a == pytest.approx(model.hull.idle_a)
+    given_ah = (1.0 - model.starboard.charge) * model.hull.capacity_ah
+    assert given_ah == pytest.approx(model.starboard.current_a / 6, rel=0.1)
+    assert model.starboard.voltage_v < model.port.voltage_v
+    assert model.starboard.temperature_c > model.port.temperature_c
+
+
+def test_wind_carries_the_boat_downwind_slower_than_a_tenth_of_its_speed() -> None:
+    model = drift(boat(Sea(wind_mps=10.0, wind_from_deg=270.0, gusts=0.0)), 300)
+    assert 0.2 < model.east_mps < 1.0
+    assert abs(model.north_mps) < 0.2
+    assert (model.wind_north_mps, model.wind_east_mps) == (pytest.approx(0.0, abs=1e-12), pytest.approx(10.0))
+
+
+def test_head_wind_costs_speed() -> None:
+    against, before = (
+        boat(Sea(wind_mps=10.0, wind_from_deg=0.0, gusts=0.0)),
+        boat(Sea(wind_mps=10.0, wind_from_deg=180.0, gusts=0.0)),
+    )
+    calm = drive(boat(), 800, 800, 60).surge_mps
+    assert drive(against, 800, 800, 60).surge_mps < calm - 0.05
+    assert drive(before, 800, 800, 60).surge_mps > calm + 0.05
+
+
+@pytest.mark.parametrize("dt_s", [0.05, 1.0])
+def test_gusts_have_the_asked_mean_and_deviation_whatever_the_step(dt_s: float) -> None:
+    model = boat(Sea(wind_mps=10.0, wind_from_deg=180.0, gusts=0.2))
+    seen = []
+    for _ in range(4000):
+        model._gust(dt_s)
+        seen.append(model.wind_north_mps)
+    assert statistics.fmean(seen) == pytest.approx(10.0, abs=1.0)
+    assert statistics.stdev(seen) == pytest.approx(2.0, rel=0.25)
+
+
+def test_the_same_seed_gives_the_same_bytes_and_another_does_not() -> None:
+    sea = Sea(current_mps=0.5, wind_mps=6.0)
+    one, same, other = (bytes_of(drive(boat(sea, seed), 700, 800, 60)) for seed in (5, 5, 6))
+    assert one == same
+    assert one != other
+
+
+def zigzag(dt_s: float) -> Model:
+    model = boat(Sea(current_mps=0.5, current_to_deg=90.0, wind_mps=5.0, gusts=0.0))
+    for leg in range(8):
+        more = 200 if leg % 2 else -200
+        drive(model, 900 + more, 900 - more, 6, dt_s)
+    return model
+
+
+def test_smaller_steps_change_little_and_less_each_time() -> None:
+    """The midpoint rule is of second order: half the step, a quarter of the error."""
+    exact = zigzag(0.002)
+    errors_m = [math.hypot(m.north_m - exact.north_m, m.east_m - exact.east_m) for m in map(zigzag, (0.1, 0.05, 0.025))]
+    assert errors_m[0] < 0.1
+    assert errors_m[1] < errors_m[0] / 3
+    assert errors_m[2] < errors_m[1] / 3
+
+
+def test_a_long_step_is_divided() -> None:
+    at_once, by_and_by = boat(), boat()
+    for model in (at_once, by_and_by):
+        model.command("port", 800, True)
+    at_once.advance(5.0)
+    drift(by_and_by, 5.0, 0.1)
+    assert at_once.heading_rad == pytest.approx(by_and_by.heading_rad, abs=1e-9)
+    assert at_once.time_s == pytest.approx(by_and_by.time_s)
+
+
+def test_position_agrees_with_the_plane_and_velocity_with_position() -> None:
+    model = drive(boat(Sea(current_mps=0.3, current_to_deg=45.0)), 900, 1000, 30)
+    north_m, east_m = to_plane(model.origin, model.latitude_rad, model.longitude_rad)
+    assert (north_m, east_m) == (pytest.approx(model.north_m, abs=1e-6), pytest.approx(model.east_m, abs=1e-6))
+    before = model.north_m, model.east_m, model.north_mps, model.east_mps
+    model.advance(0.01)
+    assert model.north_m - before[0] == pytest.approx(0.01 * before[2], abs=1e-4)
+    assert model.east_m - before[1] == pytest.approx(0.01 * before[3], abs=1e-4)
+
+
+def test_it_rolls_and_pitches_more_in_wind_but_never_far() -> None:
+    calm, windy = boat(), boat(Sea(wind_mps=10.0))
+    rolls = [(abs(drift(calm, 0.2).roll_rad), abs(drift(windy, 0.2).roll_rad), abs(windy.pitch_rad)) for _ in range(200)]
+    calm_most, windy_most, pitch_most = (max(column) for column in zip(*rolls, strict=True))
+    assert 0 < calm_most < math.radians(1) < windy_most < math.radians(5)
+    assert 0 < pitch_most < windy_most
+
+
+def test_a_hull_takes_length_and_beam_from_the_vehicles_file() -> None:
+    hull = hull_of(Boat(name="other", length_m=6.0, beam_m=3.0))
+    assert hull.length_m == 6.0
+    assert hull.propeller_m == pytest.approx(1.26)
+    assert hull.mass_kg == Hull().mass_kg
+
+
+@given(
+    st.lists(st.tuples(st.floats(-2000, 2000), st.floats(-2000, 2000), st.booleans()), min_size=1, max_size=20),
+    st.floats(0, 5),
+    st.floats(0, 30),
+)
+@settings(deadline=None, max_examples=50)
+def test_nothing_explodes(commands: list[tuple[float, float, bool]], current_mps: float, wind_mps: float) -> None:
+    model = boat(Sea(current_mps=current_mps, wind_mps=wind_mps, wind_from_deg=100.0))
+    for starboard, port, run in commands:
+        model.command("starboard", starboard, run)
+        model.command("port", port, run)
+        drift(model, 2.0, 0.2)
+        assert math.hypot(model.surge_mps, model.sway_mps) < 8.0
+        assert abs(model.yaw_rate_radps) < 3.0
+        assert 0.0 <= model.heading_rad <= math.tau

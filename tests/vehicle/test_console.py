@@ -1,0 +1,80 @@
+"""Typed commands and the state, as they go over a wire."""
+
+import contextlib
+import json
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from delfim.errors import FormatError
+from delfim.vehicle import console
+
+
+@pytest.mark.parametrize(
+    ("line", "command"),
+    [
+        ('{"command":"alive"}', console.Alive()),
+        ('{"command":"stop"}', console.Stop()),
+        ('{"command":"mode","mode":"hold"}', console.Mode("hold")),
+        ('{"command":"manual","starboard":0.5,"port":-0.5}', console.Manual(0.5, -0.5)),
+        ('{"command":"heading","heading_deg":90}', console.Heading(90.0)),
+        ('{"command":"speed","speed_mps":1.5}', console.SetSpeed(1.5)),
+        ('{"command":"goto","latitude_deg":38.7,"longitude_deg":-9.2}', console.Goto(38.7, -9.2)),
+        ('{"command":"play","leg":2}', console.Play(2)),
+        ('{"command":"state"}', console.Report()),
+    ],
+)
+def test_every_command_has_one_spelling(line, command):
+    assert console.parse(line.encode()) == command
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "",
+        "nonsense",
+        "{}",
+        '{"command":"fly"}',
+        '{"command":"manual","starboard":1.1,"port":0}',
+        '{"command":"manual","starboard":NaN,"port":0}',
+        '{"command":"heading","heading_deg":"north"}',
+        '{"command":"goto","latitude_deg":91}',
+        '{"command":"play","leg":-1}',
+        '{"command":"stop","now":true}',
+    ],
+)
+def test_what_is_not_understood_is_refused_in_words(line):
+    with pytest.raises(FormatError, match="not understood"):
+        console.parse(line.encode())
+
+
+@given(st.binary(max_size=200))
+def test_no_bytes_raise_anything_else(line):
+    with contextlib.suppress(FormatError):
+        console.parse(line)
+
+
+def test_the_state_is_json_with_ages_and_words(boat):
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(45.0, 1.0))
+    boat.clock.advance(0.25)
+    state = json.loads(console.answer(None, boat.vehicle.snapshot({})))["state"]
+    assert state["mode"] == "heading"
+    assert state["latitude_deg"] == pytest.approx(38.6925)
+    assert state["reference"]["heading_deg"] == pytest.approx(45.0)
+    assert state["age_s"]["navigation"] == pytest.approx(0.25)
+    assert state["age_s"]["guest"] is None
+    assert state["sysstat"]["propeller_port"]["status"] == "good"
+
+
+def test_an_empty_boat_has_a_state_too(boat):
+    state = json.loads(console.answer(None, boat.vehicle.snapshot({})))["state"]
+    assert state["latitude_deg"] is None
+    assert state["age_s"]["navigation"] is None
+
+
+def test_heading_is_shown_on_the_compass(boat):
+    boat.navigate(heading_rad=math.radians(359.9999))
+    assert 0.0 <= boat.vehicle.snapshot({})["heading_deg"] <= 360.0

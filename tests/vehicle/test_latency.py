@@ -1,0 +1,42 @@
+"""The histogram of the critical path against plain arithmetic on the samples."""
+
+from itertools import pairwise
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from delfim.vehicle.latency import EDGES_US, Latency
+from delfim.vehicle.state import Profile
+
+
+def added(paths_us: list[float]) -> Latency:
+    latency = Latency()
+    for path in paths_us:
+        latency.add(Profile(1, 1, 1, 1, 1 + round(path * 1000), 1 + round(path * 1000)))
+    return latency
+
+
+@given(st.lists(st.floats(0.001, 1e6), min_size=1), st.floats(0.01, 1.0))
+def test_percentiles_are_the_samples_within_the_resolution(paths, part):
+    exact = sorted(paths)[max(0, -(-round(part * 1e9) * len(paths) // 10**9) - 1)]
+    assert added(paths).percentile_us(part) == pytest.approx(exact, rel=0.051, abs=1.0)
+
+
+@given(st.lists(st.floats(0.001, 1e6), min_size=1))
+def test_worst_and_share(paths):
+    latency = added(paths)
+    assert latency.worst_us == pytest.approx(max(paths), abs=0.001)
+    assert latency.within(100.0) == pytest.approx(sum(round(p * 1000) <= 100_000 for p in paths) / len(paths))
+
+
+def test_a_stepped_clock_is_not_a_latency():
+    latency = Latency()
+    latency.add(Profile(100, 50, 50, 50, 50, 50))
+    latency.add(Profile(0, 50, 50, 50, 50, 50))
+    assert latency.n == 0
+    assert latency.summary()["p99_us"] == 0
+
+
+def test_edges_rise():
+    assert all(a < b for a, b in pairwise(EDGES_US))

@@ -1,0 +1,195 @@
+"""The critical program on a real bus: each of the five inputs does what figure 3-7 says, and nothing bad gets out."""
+
+import math
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from delfim import config, messages
+from delfim.frames import Frame, extended
+from delfim.messages import Fault, Node, Status
+from delfim.vehicle import console
+from delfim.vehicle.state import Mode
+
+FOUR = {messages.PROPELLER_STARBOARD, messages.PROPELLER_PORT, messages.BATTERIES_STARBOARD, messages.BATTERIES_PORT}
+
+
+def test_one_navigation_message_makes_four_propulsion_frames_and_one_record(boat):
+    assert boat.navigate()
+    assert {frame.arb for frame in boat.heard()} == FOUR
+    assert boat.log.modes == ["IDLE"]
+
+
+def test_no_message_no_actuation(boat):
+    assert not boat.vehicle.on_navigation(boat.source)
+    assert boat.heard() == []
+
+
+def test_profile_stamps_follow_each_other_and_begin_with_the_kernels(boat, make_boat):
+    from delfim.clock import SystemClock
+
+    boat.vehicle.clock = SystemClock()
+    boat.navigate()
+    p = boat.state.profile
+    assert 0 < p.t0 <= p.t1 <= p.t2 <= p.t3 <= p.t4 <= p.t5
+    assert boat.vehicle.latency.n == 1
+
+
+def test_heading_command_turns_the_propellers_at_once_and_again_each_cycle(boat):
+    boat.ready()
+    assert boat.vehicle.on_command(console.Heading(90.0, 1.0)) is None
+    boat.pass_time(2.0)
+    starboard, port = boat.propellers()
+    assert starboard.run
+    assert port.run
+    assert port.rpm > starboard.rpm, "turning to starboard wants more port thrust"
+    assert boat.state.mode is Mode.HEADING
+
+
+def test_commands_are_refused_with_reasons_until_everything_is_well(boat):
+    assert boat.vehicle.on_command(console.Heading(0.0)) == "heading refused: no navigation yet"
+    boat.navigate()
+    assert boat.vehicle.on_command(console.Heading(0.0)) == "heading refused: gps has not reported"
+    boat.report()
+    boat.log.why = "disk full"
+    assert boat.vehicle.on_command(console.Heading(0.0)) == "heading refused: no log, no start: disk full"
+    boat.log.why = ""
+    assert boat.vehicle.on_command(console.Heading(0.0)) is None
+
+
+def test_a_sailor_without_a_log_may_say_so(make_boat):
+    boat = make_boat(log=config.Log(required=False))
+    boat.ready()
+    boat.log.why = "disk full"
+    assert boat.vehicle.on_command(console.Heading(0.0)) is None
+
+
+@pytest.mark.parametrize(
+    ("mode", "reason"),
+    [("goto", "mission"), ("play", "mission"), ("path", "path"), ("grex", "guest"), ("nonsense", "no mode 'nonsense'")],
+)
+def test_modes_without_what_they_need_are_refused_in_words(boat, mode, reason):
+    boat.ready()
+    answer = boat.vehicle.on_command(console.Mode(mode))
+    assert answer is not None
+    assert reason in answer
+    assert boat.state.mode is Mode.IDLE
+
+
+def test_navigation_silence_stops_the_boat_within_its_limit_and_says_why(boat):
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(0.0, 1.0))
+    boat.pass_time(3.0)
+    boat.heard()
+    boat.pass_time(1.2, navigation=False)
+    assert boat.state.mode is Mode.IDLE
+    assert boat.state.reason.startswith("navigation silent for 1.")
+    starboard, port = boat.propellers()
+    assert (starboard.run, starboard.rpm, port.run, port.rpm) == (False, 0, False, 0)
+
+
+def test_console_silence_stops_the_boat_and_a_word_keeps_it_sailing(make_boat):
+    boat = make_boat(watchdog=config.Watchdog(console_s=3.0))
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(0.0, 1.0))
+    boat.pass_time(2.0)
+    boat.vehicle.on_command(console.Alive())
+    boat.pass_time(2.0)
+    assert boat.state.mode is Mode.HEADING
+    boat.vehicle.on_command(console.Report())
+    boat.pass_time(2.0)
+    assert boat.state.mode is Mode.IDLE, "an onlooker does not keep the boat sailing"
+    assert boat.state.reason.startswith("console silent")
+
+
+def test_manual_thrust_fades_without_fresh_commands(boat):
+    boat.ready()
+    boat.vehicle.on_command(console.Manual(0.5, 0.5))
+    boat.pass_time(1.5)
+    assert boat.propellers()[0].rpm == 600
+    for _ in range(3):
+        boat.vehicle.on_command(console.Alive())
+        boat.pass_time(1.0)
+    assert boat.state.reason.startswith("no manual command")
+
+
+def test_a_bad_or_silent_required_node_stops_the_boat(boat):
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(0.0, 1.0))
+    boat.report(Status.BAD, Fault.OVERHEATED)
+    boat.vehicle.on_watchdog()
+    assert boat.state.reason == "propeller starboard bad: overheated"
+
+
+def test_a_silent_node_is_named_with_its_silence(boat):
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(0.0, 1.0))
+    for _ in range(6):
+        boat.clock.advance(1.0)
+        boat.navigate()
+        boat.report(silent=("batteries_port",))
+        boat.vehicle.on_command(console.Alive())
+        boat.vehicle.on_watchdog()
+    assert boat.state.reason == "batteries port silent for 6.0 s"
+
+
+def test_losing_the_heading_stops_a_mode_that_needs_it(boat):
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(0.0, 1.0))
+    boat.clock.advance(0.2)
+    boat.navigate(heading_rad=None)
+    assert not boat.propellers()[0].run, "not even one cycle on a guess"
+    boat.vehicle.on_watchdog()
+    assert boat.state.reason == "no heading: position and velocity only"
+
+
+def test_an_impossible_jump_is_refused_and_counted_until_silence_allows_it(boat):
+    boat.ready()
+    boat.clock.advance(0.2)
+    assert not boat.navigate(latitude_rad=math.radians(38.70))
+    assert boat.state.counts["navigation_jumps"] == 1
+    boat.clock.advance(1.5)
+    assert boat.navigate(latitude_rad=math.radians(38.70))
+
+
+def test_malformed_messages_are_counted_and_harmless(boat):
+    boat.send(b"short", Node.NAVIGATION, messages.NAVIGATION_ID)
+    assert not boat.vehicle.on_navigation(boat.source)
+    boat.nodes.sendmsg(Frame(messages.sysstat_arb(Node.PROPELLER_PORT), b"\x09"))
+    boat.nodes.sendmsg(Frame(messages.sysstat_arb(Node(0x02)), bytes(8)))
+    boat.vehicle.on_sysstat(boat.status)
+    assert boat.state.counts == {"navigation_malformed": 1, "sysstat_malformed": 2}
+
+
+def test_a_shutdown_stops_the_propellers(boat):
+    boat.ready()
+    boat.vehicle.on_command(console.Manual(1.0, 1.0))
+    boat.heard()
+    boat.vehicle.stop("shutdown")
+    starboard, port = boat.propellers()
+    assert not starboard.run
+    assert not port.run
+
+
+@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.tuples(st.integers(0, 0x1FFFFFFF), st.binary(max_size=8)), max_size=30), st.integers(0, 3))
+def test_random_frames_raise_nothing(boat, frames, kind):
+    """Frames that pass the kernel's filters by construction: right nodes, random rest."""
+    nodes = (Node.NAVIGATION, Node.GPS, Node.PROPELLER_PORT, Node.BATTERIES_STARBOARD)
+    for identifier, data in frames:
+        boat.nodes.sendmsg(Frame(extended(identifier & ~(0x7F << 12) | nodes[kind] << 12), data))
+        boat.vehicle.on_navigation(boat.source)
+        boat.vehicle.on_sysstat(boat.status)
+        boat.vehicle.on_sysstat(boat.messages)
+
+
+def test_the_better_source_wins_while_it_speaks(boat):
+    """Preference and age, with the function that decides."""
+    from delfim.vehicle.navcan import DsorNavigation, preferred
+
+    first, second = boat.source, DsorNavigation(boat.messages, boat.state)
+    first.heard_s, second.heard_s = 10.0, 10.4
+    assert preferred(first, (first, second), 10.5, 1.0)
+    assert not preferred(second, (first, second), 10.5, 1.0)
+    assert preferred(second, (first, second), 11.5, 1.0)
