@@ -6,8 +6,8 @@
     guest readable      -> set point, obeyed in GREX mode only
     watchdog due        -> stop -> propulsion
 
-The handlers are plain functions: no await, no wait, no exception for bad input. Who calls them, an event loop or a lock-step
-simulation, is not their business; clock, sockets and log are handed in.
+The handlers are plain functions: no await, no wait, no exception for bad input. Who calls them, an event loop or a replay
+in lock step, is not their business; clock, sockets and log are handed in.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Recorded NMEA 2000 traffic of real boats, against an independent decoder (package `nmea2000`, built on canboat's tables).
 
-The recordings lie beside the repository in shared/data/nmea2000; their README names source and license.
+The recordings lie in tests/data/nmea2000; their README names source and licence.
 """
 
 import bisect
@@ -22,8 +22,8 @@ from delfim.config import Nmea2000
 from delfim.frames import Frame, extended
 from delfim.messages import Navigation
 
-RECORDINGS = Path(__file__).resolve().parents[3] / "shared/data/nmea2000"
-BUSY, RAYMARINE, GATEWAY = "can0-1.candump.log.gz", "raymarine-p70.candump.log", "actisense-522.candump.log"
+RECORDINGS = Path(__file__).parents[1] / "data/nmea2000"
+BUSY, RAYMARINE, GATEWAY = "can0-1.candump.log.gz", "raymarine-p70.candump.log.gz", "actisense-522.candump.log"
 PGNS = frozenset((126992, 127250, 127251, 127257, 127258, 129025, 129026, 129029))
 STALE_S = 1.0
 DAY_NS = 86_400_000_000_000

@@ -108,7 +108,7 @@ def test_it_never_blocks_and_is_nothing_to_select_on(bus: LockstepBus) -> None:
 
 def test_connect_and_send(bus: LockstepBus) -> None:
     sender, receiver = bus.socket(), bound(bus)
-    with pytest.raises(OSError, match="[Dd]estination address"):
+    with pytest.raises(OSError, match="estination address"):
         sender.send(b"x")
     sender.connect(CanAddress(standard(7)))
     assert sender.send(b"x") == 1

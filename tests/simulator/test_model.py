@@ -2,6 +2,7 @@
 
 import math
 import statistics
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -93,7 +94,7 @@ def test_a_turn_to_port_mirrors_one_to_starboard(one: float, other: float, curre
 
 def test_it_turns_away_from_the_faster_propeller() -> None:
     model = drive(boat(), 500, 900, 3)
-    assert 0 < model.yaw_rate_radps
+    assert model.yaw_rate_radps > 0
     assert 0 < model.heading_rad < math.pi
     assert model.sway_mps < 0, "the boat slides outwards"
 
@@ -158,7 +159,7 @@ def test_a_motor_follows_its_reference_within_rate_and_limit() -> None:
     for _ in range(100):
         model.advance(0.05)
         seen.append(model.port_rpm)
-    assert max(after - before for before, after in zip(seen, seen[1:], strict=False)) <= model.hull.rpm_per_s_max * 0.05 + 1e-9
+    assert max(after - before for before, after in pairwise(seen)) <= model.hull.rpm_per_s_max * 0.05 + 1e-9
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(model.hull.rpm_max, rel=1e-3)
     assert model.starboard_rpm == 0.0

@@ -2,6 +2,7 @@
 
 import math
 import statistics
+from itertools import pairwise
 
 import pytest
 from hypothesis import given, settings
@@ -137,7 +138,7 @@ def test_the_error_of_position_wanders_and_does_not_jump() -> None:
     boat = Boat(config.Simulation(position_noise_m=2.0))
     errors = [boat.nodes.navigation.measured(UTC_NS).latitude_rad or 0.0 for _ in range(3000)]
     metres = [(error - boat.model.latitude_rad) * boat.model.origin.north_m_per_rad for error in errors]
-    steps = [after - before for before, after in zip(metres, metres[1:], strict=False)]
+    steps = [after - before for before, after in pairwise(metres)]
     assert statistics.stdev(steps) == pytest.approx(2.0 * math.sqrt(2 * 0.2 / 60), rel=0.1)
     assert 0.5 < statistics.stdev(metres) < 4.0
 

@@ -1,0 +1,71 @@
+# Delfim. `make` lists the targets; each of them first makes what it needs in ./.venv, from pinned and hashed packages.
+# PYTHON=... chooses the interpreter (3.11 or newer); ARGS="..." is handed to the program that a target runs.
+
+PYTHON ?= python3
+ARGS   ?=
+BIN    := .venv/bin
+READY  := .venv/.ready
+LOCKS  := $(addprefix requirements/,boat.txt ground.txt test.txt build.txt)
+
+# What the tests need of a Debian machine beside Python: a kernel that runs as a process, and tools to look at it.
+SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs
+SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck
+
+export PYTHONSAFEPATH := 1
+export PATH := $(PATH):/usr/sbin:/sbin
+
+.DEFAULT_GOAL := help
+.DELETE_ON_ERROR:
+.PHONY: help run test check bench system guest-shell lock clean
+
+help: ## list the targets
+	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
+
+run: $(READY) ## sail the whole DelfimX in simulation
+	$(BIN)/delfim sim etc/delfimx.toml $(ARGS)
+
+test: $(READY) system ## run all tests, those on a real SocketCAN bus included
+	$(BIN)/pytest $(ARGS)
+
+check: $(READY) ## style, types and the direction of imports
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports
+
+bench: $(READY) ## measure the contracts of the design on this machine
+	$(BIN)/delfim bench $(ARGS)
+
+guest-shell: $(READY) system ## a shell in the kernel with CAN that the guest tests use
+	$(BIN)/python tests/guest/harness.py
+
+system: ## install the Debian packages of the guest tests where that is possible
+	@missing=; for program in $(SYSTEM_PROGRAMS); do command -v $$program >/dev/null || missing="$$missing $$program"; done; \
+	if [ -z "$$missing" ]; then exit 0; fi; \
+	if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+		export DEBIAN_FRONTEND=noninteractive; \
+		{ apt-get update -qq && apt-get install -qq -y --no-install-recommends $(SYSTEM_PACKAGES); } </dev/null >/dev/null && exit 0; \
+		why="apt-get failed"; \
+	else why="installing them needs root and apt-get"; fi; \
+	echo "make system: without$$missing the tests in tests/guest do not run ($$why; Debian packages: $(SYSTEM_PACKAGES))" >&2
+
+lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgrade takes the newest)
+	$(call compile,boat) pyproject.toml
+	$(call compile,ground) --extra ground -c requirements/boat.txt pyproject.toml
+	$(call compile,test) --extra test -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
+	$(call compile,build) requirements/build.in
+compile = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
+	--no-emit-trusted-host --no-emit-find-links $(ARGS) --output-file requirements/$(1).txt
+
+clean: ## remove everything that was made here
+	rm -rf .venv build dist run *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	find . -name __pycache__ -prune -exec rm -rf {} +
+
+$(READY): $(LOCKS) pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+		{ echo "Delfim needs Python 3.11 or newer, and $(PYTHON) is $$($(PYTHON) -V 2>&1). Say: make PYTHON=/path/to/python3.11" >&2; exit 1; }
+	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || \
+		{ echo "$(PYTHON) cannot make a virtual environment; on Debian install the package python3-venv" >&2; rm -rf .venv; exit 1; }
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(addprefix -r ,$(LOCKS))
+	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@

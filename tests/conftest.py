@@ -1,0 +1,39 @@
+"""Fixtures for all tests, and the rule that continuous integration skips nothing."""
+
+import os
+from collections.abc import Generator, Iterator
+
+import pytest
+
+from tests.guest.harness import Guest, guest, missing
+
+
+def _skip_is_failure(report: pytest.TestReport | pytest.CollectReport) -> None:
+    """Under CI a test that does not run has failed; elsewhere a skip with its reason is in order."""
+    if os.environ.get("CI") and report.skipped and not hasattr(report, "wasxfail"):
+        report.outcome = "failed"
+        reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else report.longrepr
+        report.longrepr = f"every test must run in continuous integration, this one did not: {reason}"
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_makereport() -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    report = yield
+    _skip_is_failure(report)
+    return report
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_make_collect_report() -> Generator[None, pytest.CollectReport, pytest.CollectReport]:
+    report = yield
+    _skip_is_failure(report)
+    return report
+
+
+@pytest.fixture(scope="session")
+def can_guest(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guest]:
+    """The one guest that all tests share: vcan0 and vcan1 are up; a test leaves it as it found it."""
+    if reason := missing():
+        pytest.skip(reason)
+    with guest(tmp_path_factory.mktemp("guest")) as shared:
+        yield shared

@@ -1,0 +1,100 @@
+"""The style of this project, as far as a program can tell: what a reviewer should never have to say twice."""
+
+import ast
+import importlib
+import logging
+import re
+import subprocess
+import sysconfig
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+MODULES = sorted((ROOT / "delfim").rglob("*.py"))
+PROGRAMS = [*MODULES, *sorted(path for folder in ("tests", "bench", "docker", "etc") for path in (ROOT / folder).rglob("*.py"))]
+LINES_PER_FUNCTION = 60
+UNFINISHED = re.compile(r"\b(TO" r"DO|FIX" r"ME|X" r"XX|raise Not" r"Implemented\w*)\b")
+REGISTRIES = re.compile(
+    r"py" r"pi\.org|python" r"hosted\.org|npm" r"js\.(org|com)|debian" r"\.org|proxy\.golang" r"\.org|crates" r"\.io"
+)
+OUR_MACHINES = re.compile(r"(?<![\w.$}-])/(home|Users|work|root/\.[a-z]+|opt/(wheels|pypi))/")
+
+
+def _files() -> list[Path]:
+    """Every file of the project, whether git knows it yet or not."""
+    listing = subprocess.run(["git", "ls-files", "-coz", "--exclude-standard"], cwd=ROOT, capture_output=True, check=True)
+    return [path for name in listing.stdout.decode().split("\0") if name and (path := ROOT / name).is_file()]
+
+
+def _lines(paths: list[Path], words: re.Pattern[str]) -> list[str]:
+    """The lines of these files, binary ones apart, in which the words occur, as file:line: text."""
+    texts = ((path.relative_to(ROOT), path.read_bytes()) for path in paths)
+    return [
+        f"{name}:{number}: {line.strip()[:120]}"
+        for name, text in texts
+        if b"\0" not in text
+        for number, line in enumerate(text.decode(errors="replace").splitlines(), 1)
+        if words.search(line)
+    ]
+
+
+def _nodes(paths: list[Path]) -> Iterator[tuple[str, ast.AST]]:
+    for path in paths:
+        for node in ast.walk(ast.parse(path.read_text())):
+            yield f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}", node
+
+
+def test_a_function_fits_on_one_screen() -> None:
+    functions = ((at, node) for at, node in _nodes(PROGRAMS) if isinstance(node, (ast.FunctionDef, ast.AsyncFunctionDef)))
+    lengths = [(at, node.name, (node.end_lineno or 0) - node.lineno + 1) for at, node in functions]
+    assert [each for each in lengths if each[2] > LINES_PER_FUNCTION] == []
+
+
+def test_tasks_are_born_in_the_runtime_only() -> None:
+    born = [
+        at for at, node in _nodes(MODULES) if isinstance(node, ast.Attribute) and node.attr in ("create_task", "ensure_future")
+    ]
+    assert [at for at in born if not at.startswith("delfim/services/runtime.py:")] == []
+
+
+def test_tests_do_not_sleep() -> None:
+    tests = [path for path in PROGRAMS if "tests" in path.parts and not path.name.startswith("guest_")]
+    assert _lines(tests, re.compile(r"\btime\.sleep" r"\(|\bfrom time import .*\bsleep\b")) == []
+
+
+def test_the_vehicle_does_not_know_that_it_is_simulated() -> None:
+    assert _lines([path for path in MODULES if "vehicle" in path.parts], re.compile("simulat", re.IGNORECASE)) == []
+
+
+@pytest.mark.parametrize("words", [UNFINISHED, REGISTRIES, OUR_MACHINES], ids=["unfinished work", "registries", "our machines"])
+def test_no_file_mentions(words: re.Pattern[str]) -> None:
+    assert _lines(_files(), words) == []
+
+
+def test_logging_is_the_standard_one() -> None:
+    assert Path(str(logging.__file__)).is_relative_to(sysconfig.get_path("stdlib"))
+    assert Path(str(importlib.import_module("delfim.logging").__file__)).is_relative_to(ROOT)
+
+
+def test_every_public_module_says_what_it_does() -> None:
+    public = [path for path in MODULES if not path.name.startswith("_") or path.name == "__init__.py"]
+    assert [str(path.relative_to(ROOT)) for path in public if not ast.get_docstring(ast.parse(path.read_text()))] == []
+
+
+def test_every_document_is_reachable_from_the_readme() -> None:
+    """A link to a folder reaches all files in it."""
+    reached, ahead = set[Path](), [ROOT / "README.md", ROOT / "docs" / "README.md"]
+    while ahead:
+        page = ahead.pop()
+        if page in reached or not page.exists():
+            continue
+        reached.add(page)
+        if page.is_dir():
+            ahead += [path for path in page.rglob("*") if path.is_file()]
+        elif page.suffix == ".md":
+            links = re.findall(r"(?:\]\(|^\[[^\]]+\]:\s*|(?:href|src)=\")(?!\w+:)([^)#\s\"]+)", page.read_text(), re.MULTILINE)
+            ahead += [(page.parent / link).resolve() for link in links]
+    documents = [path for path in _files() if path.is_relative_to(ROOT / "docs")]
+    assert [str(path.relative_to(ROOT)) for path in documents if path not in reached] == []
