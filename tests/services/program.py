@@ -66,6 +66,7 @@ def orphan(record: str, name: str) -> None:
 
 
 def run(name: str, record: str, behaviour: list[str], beat_fd: int) -> int:
+    signal.alarm(30)  # whatever becomes of the test, nothing is left behind
     starts = Path(record).read_text().count(f" {name} start\n") if os.path.exists(record) else 0
 
     def end(*_: object) -> None:
