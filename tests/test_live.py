@@ -24,7 +24,8 @@ def delfim(*words: str, **options: object) -> subprocess.Popen[str]:
 
 def sim(tmp_path: Path, *words: str) -> subprocess.Popen[str]:
     bus = f'simulation.interface="canloop:live-{os.getpid()}-{tmp_path.name[-8:]}"'
-    return delfim("sim", VEHICLE, "--output", str(tmp_path / "out"), "--set", bus, *words)
+    any_port = 'cantcpd.listen=["127.0.0.1:0"]'
+    return delfim("sim", VEHICLE, "--output", str(tmp_path / "out"), "--set", bus, "--set", any_port, *words)
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
@@ -56,7 +57,7 @@ def test_every_input_has_an_age_and_nothing_was_lost(sailed):
     assert set(state["sysstat"]) == {"gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"}
     assert state["counts"] == {}
     states = {name: service["state"] for name, service in state["services"].items()}
-    assert states == {"canzlogd": "running", "vehicle": "running"}
+    assert states == {"canzlogd": "running", "cantcpd": "running", "vehicle": "running"}
 
 
 def test_pictures_and_logs_are_left_behind(sailed):
