@@ -33,9 +33,9 @@ check: $(READY) ## style, types and the direction of imports
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 
-pictures: $(READY) ## draw the documentation's pictures again: a mission in real time
-	$(BIN)/delfim sim etc/delfimx.toml --output run/pictures
-	cp run/pictures/track.png run/pictures/latency.png docs/pictures/
+pictures: $(READY) ## draw the documentation's pictures again
+	$(BIN)/delfim sim etc/delfimx.toml --lockstep --output run/pictures
+	cp run/pictures/track.png docs/pictures/
 
 bench: $(READY) ## measure the contracts of the design on this machine
 	$(BIN)/delfim bench $(ARGS)
