@@ -228,6 +228,30 @@ def test_the_loop_wakes_for_a_window_and_holds_it_for_its_bound(window: Navigati
     assert window.opens_s == inf
 
 
+@pytest.mark.parametrize("raises", [False, True])
+def test_the_path_is_rehearsed_when_a_window_opens_and_never_again_once_that_raised(
+    navigation: Navigation, raises: bool
+) -> None:
+    window, rehearsals = NavigationWindow(0.0006, 0.2), list[bool]()
+
+    def rehearse() -> None:
+        rehearsals.append(window.is_open)
+        if raises:
+            raise ValueError("defect")
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, NavigationLoop)
+        loop.set_rehearsal(rehearse)
+        first(navigation.handle, navigation.receiver.fileno())
+        await asyncio.wait_for(flood(lambda kind: None, lambda: len(navigation.others) >= 50), 20)
+
+    with loop_with(window, Scripted(navigation)) as runner:
+        runner.run(main())
+    assert set(rehearsals) == {True}
+    assert len(rehearsals) == (1 if raises else window.hits)
+
+
 def test_nobody_starves_while_navigation_is_always_readable(navigation: Navigation, window: NavigationWindow) -> None:
     """Every frame that is handled brings the next one: others still get a turn each, in turn."""
     turns = Counter[str]()
@@ -390,7 +414,7 @@ def test_the_time_of_a_callback_is_charged_to_who_registered_it(window: Navigati
         ACCOUNT.set(accounts["timer"])
         loop.call_later(0.001, spin, 0.001)
         ACCOUNT.set(accounts["navigation"])
-        first(lambda: read("navigation", 0.005), pairs["navigation"][0].fileno())
+        first(lambda: ACCOUNT.get() is accounts["navigation"] and read("navigation", 0.005), pairs["navigation"][0].fileno())
         ACCOUNT.set(accounts["idle"])
         for _, far in pairs.values():
             far.send(b"frame")

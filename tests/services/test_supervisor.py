@@ -324,6 +324,15 @@ def test_a_supervisor_that_dies_leaves_the_watchdog_armed(suite: Suite) -> None:
     assert b"V" not in suite.watchdog.read_bytes()
 
 
+def test_a_watchdog_that_cannot_be_opened_costs_a_line_in_the_log(suite: Suite) -> None:
+    suite.watchdog.mkdir()
+    suite.program("runtime", critical=True)
+    suite.start()
+    until(lambda: suite.events("runtime", "beat"))
+    assert suite.terminate() == 0
+    assert "watchdog: Is a directory; going on without it" in suite.said
+
+
 def test_a_state_file_that_cannot_be_written_costs_a_line_in_the_log(suite: Suite) -> None:
     suite.state_file.mkdir()
     (suite.state_file / "in the way").touch()
