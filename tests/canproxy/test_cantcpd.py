@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import gzip
 import itertools
 import os
 import pty
@@ -180,7 +181,7 @@ def sleepy(served: Served, name: str) -> tuple[Peer, cantcpd.Client]:
     return peer, client
 
 
-def raw(served: Served, name: str) -> Peer:
+def raw(served: "Served | Daemon", name: str) -> Peer:
     return Peer(served, f"< open {name} >", "< rawmode >")
 
 
@@ -679,9 +680,9 @@ def test_a_bus_that_fails_and_comes_back(served: Served, bus: CanSocket, name: s
 
 
 class Daemon:
-    """The service as the supervisor starts it, in a process of its own."""
+    """The service as the supervisor starts it: alone, or with the vehicle and the black box in the runtime."""
 
-    def __init__(self, interface: str, place: Path) -> None:
+    def __init__(self, interface: str, place: Path, *words: str) -> None:
         with socket.socket() as free:
             free.bind(("127.0.0.1", 0))
             self.port = free.getsockname()[1]
@@ -689,9 +690,12 @@ class Daemon:
             f'can.interface="{interface}"',
             f'cantcpd.listen=["127.0.0.1:{self.port}"]',
             f'runtime.run_directory="{place}"',
+            f'console.socket="{place}/command"',
+            f'log.directory="{place}"',
+            "guest.enabled=false",
         ]
         overrides = [word for setting in settings for word in ("--set", setting)]
-        command = [sys.executable, "-m", "delfim", "run", str(ROOT / "etc/delfimx.toml"), "--service", "cantcpd", *overrides]
+        command = [sys.executable, "-m", "delfim", "run", str(ROOT / "etc/delfimx.toml"), *overrides, *words]
         self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
 
     def __enter__(self) -> "Daemon":
@@ -718,7 +722,8 @@ def test_a_flood_of_malformed_commands_and_of_connections(bus: CanSocket, name: 
     words = ["send", "add", "subscribe", "filter", "muxfilter", "0", "1", "9", "123", "GGG", "f" * 16, "<", ">", "\0", "\xff"]
     rubbish = "".join(f"<{' '.join(chance.choices(words, k=chance.randrange(6)))}>" for _ in range(10_000))
     stages = ["", "< open", f"< open {name} >", f"< open {name} >< rawmode >", f"< open {name} >< add 0 1000 7 0 ><"]
-    with Daemon(f"canloop:{name}", tmp_path) as daemon, Peer(daemon, f"< open {name} >", "< rawmode >") as peer:
+    service = ("--service", "cantcpd")
+    with Daemon(f"canloop:{name}", tmp_path, *service) as daemon, Peer(daemon, f"< open {name} >", "< rawmode >") as peer:
         before = 0
         for _ in range(10):
             reader = threading.Thread(target=peer.say, args=(f"{rubbish}< echo >",))
@@ -734,6 +739,16 @@ def test_a_flood_of_malformed_commands_and_of_connections(bus: CanSocket, name: 
         while peer.frame() != ("001", "01"):
             pass  # what the dropped connections had sent in their short lives
         assert daemon.resident_bytes() - before < 2 << 20
+
+
+def test_every_transmission_is_in_the_black_box(bus: CanSocket, name: str, tmp_path: Path) -> None:
+    with Daemon(f"canloop:{name}", tmp_path) as daemon, raw(daemon, name) as peer:
+        peer.say("".join(f"< send 7A5 1 {number:x} >" for number in range(100)) + "< echo >")
+        assert peer.element() == "< echo >"
+    (log,) = tmp_path.glob(f"*/{name}/*.log.gz")
+    lines = gzip.decompress(log.read_bytes()).decode().splitlines()
+    ours = [line.split(" ", 1)[1] for line in lines if " 7A5#" in line]
+    assert ours == [f"{name} 7A5#{number:02X} T" for number in range(100)]
 
 
 # Beacon and names.
