@@ -92,6 +92,12 @@ def _drive(asked: argparse.Namespace) -> int:
     return 0
 
 
+def _can(asked: argparse.Namespace) -> int:
+    from delfim.console.bus import main as tools
+
+    return tools(asked.words)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="delfim", description="The onboard software of an autonomous surface vehicle.")
     parser.add_argument("--version", action="version", version=f"delfim {__version__}")
@@ -127,6 +133,13 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
+    can = commands.add_parser(
+        "can", help="See a bus, send, make traffic, statistics, play back a log: dump, send, gen, stat, replay."
+    )
+    can.add_argument(
+        "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
+    )
+    can.set_defaults(run=_can)
     return parser
 
 
