@@ -266,6 +266,7 @@ class Client(asyncio.BufferedProtocol):
         self._may_transmit = False
         self._is_full = False  # the kernel and the transport take no more
         self._held: asyncio.TimerHandle | None = None  # frames wait until this is over
+        self._soon: asyncio.Handle | None = None  # they are written then
         self._cycles = Cycles()
         self._statistics_s = inf  # between two tellings
         self._timers: dict[Callable[[], None], asyncio.TimerHandle] = {}
@@ -346,12 +347,17 @@ class Client(asyncio.BufferedProtocol):
     # Towards the client.
 
     def put(self, text: bytes, frames: int) -> None:
-        """Frames for this client: written, or queued, or lost."""
-        if self._is_full or self._held:
-            self._enqueue(text, frames)
-        else:
-            self.counts["frames"] += frames
-            self._transport.write(text)
+        """Frames for this client: soon written, or lost. Soon, because so many writes at once would make a long callback."""
+        self._queue.append((text, frames))
+        self._queued_bytes += len(text)
+        while self._queued_bytes > self._server.settings.queue_bytes:
+            lost, count = self._queue.popleft()
+            self._queued_bytes -= len(lost)
+            if not self.counts["dropped"]:
+                self._server.warn(f"{self.name} is too slow: frames are dropped for it")
+            self.counts["dropped"] += count
+        if not (self._soon or self._is_full or self._held):
+            self._soon = self._loop.call_soon(self._flush)
 
     def offer(self, watch: Watch, text: bytes, data: bytes, now_s: float) -> None:
         """A frame to which this client has subscribed."""
@@ -361,17 +367,8 @@ class Client(asyncio.BufferedProtocol):
         else:
             self._at(self._on_watch, watch.due_s)
 
-    def _enqueue(self, text: bytes, frames: int) -> None:
-        self._queue.append((text, frames))
-        self._queued_bytes += len(text)
-        while self._queued_bytes > self._server.settings.queue_bytes:
-            lost, count = self._queue.popleft()
-            self._queued_bytes -= len(lost)
-            if not self.counts["dropped"]:
-                self._server.warn(f"{self.name} is too slow: frames are dropped for it")
-            self.counts["dropped"] += count
-
     def _flush(self) -> None:
+        self._soon = None
         while self._queue and not self._is_full and not self._held:
             text, frames = self._queue.popleft()
             self._queued_bytes -= len(text)
@@ -379,9 +376,11 @@ class Client(asyncio.BufferedProtocol):
             self._transport.write(text)
 
     def _reply(self, text: bytes) -> None:
+        """After the frames that came before, unless these are held."""
         if self._is_full:
-            self._enqueue(text, 0)
+            self.put(text, 0)
         else:
+            self._flush()
             self._transport.write(text)
 
     # What it asks for.

@@ -5,9 +5,11 @@ Each leaves its output in the shared folder, as NAME.candump and NAME.delfim.
 
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 FOLDER = Path(os.environ["FOLDER"])
@@ -24,9 +26,14 @@ def started(name: str, command: list[str]) -> subprocess.Popen[bytes]:
         return subprocess.Popen(command, stdout=file)
 
 
-def waited_for(what: str, ready: object) -> None:
+def listening() -> bool:
+    with socket.socket() as knock:
+        return knock.connect_ex(("127.0.0.1", 29536)) == 0
+
+
+def waited_for(what: str, ready: Callable[[], bool]) -> None:
     for _ in range(300):
-        if callable(ready) and ready():
+        if ready():
             return
         time.sleep(0.1)
     raise SystemExit(f"{what} never came")
@@ -36,7 +43,7 @@ def main() -> None:
     python = [sys.executable, "-m", "delfim"]
     settings = ["--set", 'can.interface="vcan0"', "--set", f'runtime.run_directory="{FOLDER}"']
     server = subprocess.Popen([*python, "run", "etc/delfimx.toml", "--service", "cantcpd", *settings])
-    waited_for("cantcpd", lambda: ":7360 " in Path("/proc/net/tcp").read_text())  # 29536
+    waited_for("cantcpd", listening)
     processes = []
     for name, (options, theirs, ours) in WAYS.items():
         processes.append(started(f"{name}.candump", ["candump", *options.split(), theirs]))
