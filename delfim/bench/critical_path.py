@@ -228,7 +228,7 @@ class Team:
         return [sys.executable, "-m", "delfim.bench.competitor", kind, *self._arguments]
 
     def _launch(self, *command: str) -> None:
-        self._processes.append(self._all.enter_context(_running(list(command))))
+        self._processes.append(self._all.enter_context(_running(list(command), stdout=subprocess.DEVNULL)))
 
     def _steer(self) -> None:
         """Put the vehicle into heading mode, in which it stays: its watchdog is told to be patient."""

@@ -18,8 +18,8 @@ def describe() -> str:
         "# The vehicle's file",
         "",
         "One TOML file describes a boat. Keys that are not here are refused, and so are values outside their range: the",
-        "message names file, key, reason and what is allowed. `delfim check FILE` tells without starting anything. This page is",
-        "written by `delfim describe`.",
+        "message names file, key, reason and what is allowed. `delfim check FILE` tells without starting anything. This",
+        "page is written by `delfim describe`.",
     ]
     for name, table in _tables("", config.Vehicle):
         page += ["", f"## `[{name}]`", "", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]

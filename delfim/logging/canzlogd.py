@@ -88,7 +88,8 @@ class BlackBox:
     def on_readable(self, socket: Socket) -> None:
         """Log up to FRAMES_A_CALL frames that are queued."""
         bus = self._buses[id(socket)]
-        receive, device, lines = socket.receive, bus.device, []
+        receive, device = socket.receive, bus.device
+        lines: list[str] = []
         try:
             while len(lines) < FRAMES_A_CALL and (frame := receive()) is not None:
                 lines.append(format_line(frame, device))

@@ -4,6 +4,7 @@ Never deleted: the days that the caller names, a day with a file named KEEP in i
 writes in a day holds a shared lock (flock) on its directory, and the kernel gives it back however the writer ends.
 """
 
+import contextlib
 import fcntl
 import os
 import re
@@ -41,12 +42,10 @@ def make_room(directory: str, free_bytes_min: int, spared: Collection[str]) -> N
 def _delete(day: str) -> None:
     if any(KEEP in files for _, _, files in os.walk(day)):
         return
-    lock = os.open(day, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return  # a log is being written here
-    else:
-        shutil.rmtree(day, ignore_errors=True)
-    finally:
-        os.close(lock)
+    with contextlib.suppress(OSError):  # it is no directory, or a log is being written in it
+        lock = os.open(day, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(day, ignore_errors=True)
+        finally:
+            os.close(lock)

@@ -468,9 +468,13 @@ class PipeLog:
         return True
 
     def _send_rest(self) -> None:
-        if self._rest:
-            with contextlib.suppress(OSError):
+        try:
+            if self._rest:
                 self._rest = self._rest[os.write(self._fd, self._rest) :]
+        except BlockingIOError:
+            pass
+        except OSError:  # the child is dead
+            self._rest = b""
 
     def _listen(self) -> None:
         """The last of the child's reports counts; they hold sums."""
@@ -502,7 +506,8 @@ class PipeLog:
 def _write_all(fd: int, data: bytes | bytearray) -> None:
     written = os.write(fd, data)
     while written < len(data):  # the disk is about to be full: the next call says so
-        written += os.write(fd, memoryview(data)[written:])
+        data = data[written:]
+        written = os.write(fd, data)
 
 
 def _sync_directory(path: str) -> None:

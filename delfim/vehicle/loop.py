@@ -34,6 +34,7 @@ class StateLog(Protocol):
 
     def write(self, state: State, now_s: float) -> None: ...
     def reason(self) -> str: ...  # why nothing is being written, in words; empty while all is well
+    def close(self) -> None: ...
 
 
 class Vehicle:
@@ -174,7 +175,7 @@ class Vehicle:
     def _after(self, now_s: float) -> None:
         """What a cycle leaves to do once the propellers have their command."""
         state = self.state
-        if "position" in state.motion.has and state.mode is not Mode.HOME:
+        if "position" in state.motion.has:
             self._track.add(state.motion.north_m, state.motion.east_m)
         if state.reference.done:
             end = f"{state.mode.name.lower()} done"

@@ -6,7 +6,7 @@ from delfim.vehicle.state import Mode, State
 
 
 def unfit(state: State, settings: Vehicle, now_s: float, log_reason: str) -> str | None:
-    """Why the boat may not leave idle now, in words; None when nothing is against it. `log_reason`: empty while the log writes."""
+    """Why the boat may not leave idle now, in words; None when nothing is against it. `log_reason`: why nothing is logged."""
     age_s = now_s - state.navigation_s
     if age_s > settings.navigation.stale_s:
         return "no navigation yet" if state.navigation is None else f"navigation silent for {age_s:.1f} s"

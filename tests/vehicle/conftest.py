@@ -36,6 +36,9 @@ class Records:
     def reason(self) -> str:
         return self.why
 
+    def close(self) -> None:
+        pass
+
 
 class Boat:
     """The vehicle, the bus it is on, and the other nodes' end of it."""
