@@ -1,12 +1,12 @@
 """One competitor of the benchmark as a process: the vehicle on one kind of event loop, with or without the services beside it.
 
-    python -m delfim.bench.competitor KIND FILE PORTS [--set KEY=VALUE]...
+python -m delfim.bench.competitor KIND FILE PORTS [--set KEY=VALUE]...
 
-    delfim      the product: its runtime, its rows, and the rows of the load
-    apart       the product's runtime with the vehicle alone
-    services    the other half of "apart" and of the C program: all rows but the vehicle, niced
-    asyncio     the rows of "delfim" on a plain asyncio loop: no priority, no window
-    uvloop      the same on uvloop
+delfim      the product: its runtime, its rows, and the rows of the load
+apart       the product's runtime with the vehicle alone
+services    the other half of "apart" and of the C program: all rows but the vehicle, niced
+asyncio     the rows of "delfim" on a plain asyncio loop: no priority, no window
+uvloop      the same on uvloop
 """
 
 import argparse

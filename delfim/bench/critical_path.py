@@ -46,7 +46,7 @@ LONG_CYCLES: Final = 150_645  # as many as the thesis logged at sea
 WARM_PERIODS, WARM_S_MIN = 7, 0.3
 START_S: Final = 20.0  # a competitor must be ready within this time
 END_S: Final = 15.0  # and have ended within this one
-GRACE_NS: Final = 50_000_000  # for the last cycle of a slice
+GRACE_S: Final = 0.05  # for the last cycle of a slice
 
 
 class Plan(NamedTuple):
@@ -181,7 +181,7 @@ def _group(rate_hz: float, load: str, slices: dict[str, list[Slice]], logs: dict
 def _within(cycles: Sequence[Cycle], part: Slice) -> Sequence[Cycle]:
     """The cycles of a slice, out of all in their order."""
     first = bisect_left(cycles, part.begin_ns, key=lambda cycle: cycle.t0)
-    return cycles[first : bisect_left(cycles, part.end_ns + GRACE_NS, key=lambda cycle: cycle.t0)]
+    return cycles[first : bisect_left(cycles, part.end_ns, key=lambda cycle: cycle.t0)]
 
 
 class Team:
@@ -247,6 +247,7 @@ class Team:
             before = self._meters()
             said = feeder.communicate(timeout=seconds + 10.0)[0]
             after = self._meters()
+        time.sleep(GRACE_S)  # for the last cycle
         if feeder.returncode:
             raise DelfimError(f"the feeder ended with {feeder.returncode}")
         served = json.loads(_told(clients, "")) if clients is not None else {}
@@ -373,7 +374,9 @@ def _free_ports(count: int) -> list[int]:
 def _family(pid: int) -> list[int]:
     """A process and all its descendants."""
     try:
-        children = [int(word) for task in Path(f"/proc/{pid}/task").iterdir() for word in (task / "children").read_text().split()]
+        children = [
+            int(word) for task in Path(f"/proc/{pid}/task").iterdir() for word in (task / "children").read_text().split()
+        ]
     except OSError:
         return [pid]
     return [pid, *(one for child in children for one in _family(child))]

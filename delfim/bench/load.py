@@ -74,7 +74,7 @@ async def _monitors(runtime: Runtime, port: int) -> None:
         bus.bind(ANYTHING)
 
         def on_readable() -> None:
-            lines = []
+            lines = list[str]()
             while len(lines) < FRAMES_A_CALL and (frame := bus.receive()) is not None:
                 seconds, rest_ns = divmod(frame.t_ns, 1_000_000_000)
                 lines.append(f"< frame {frame.identifier:X} {seconds}.{rest_ns // 1000:06d} {frame.data.hex()} >")

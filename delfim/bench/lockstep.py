@@ -34,15 +34,12 @@ def run(asked: argparse.Namespace) -> int:
         speeds = [_speed(asked, mission, turn, count) for turn in range(count)]
     finally:
         os.sched_setaffinity(0, cpus)
-    results = {
-        "repetitions": count,
-        "times_real_time": {"min": min(speeds), "median": statistics.median(speeds), "max": max(speeds)},
-        "contract": CONTRACT,
-    }
+    times = {"min": min(speeds), "median": statistics.median(speeds), "max": max(speeds)}
+    results = {"repetitions": count, "times_real_time": times, "contract": CONTRACT}
     output = Path(asked.output)
     output.mkdir(parents=True, exist_ok=True)
     (output / "sim.json").write_text(json.dumps(results, indent=1) + "\n")
-    told = ", ".join(f"{name} {value:.0f}" for name, value in results["times_real_time"].items())
+    told = ", ".join(f"{name} {value:.0f}" for name, value in times.items())
     print(f"lock step on one core, {count} voyages: {told} times real time (contract: {CONTRACT:.0f}); {output}/sim.json")
     return 0
 

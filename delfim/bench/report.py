@@ -149,7 +149,7 @@ def _name(key: str) -> str:
 
 
 def picture(results: Mapping[str, Any], file: Path) -> None:
-    """Figure 3-10 for all competitors, a line of the sheet for each rate: idle, under load, and the stage means of figure 3-11."""
+    """Figure 3-10 for all competitors, a line for each rate: idle, under load, and the stage means of figure 3-11."""
     from matplotlib.figure import Figure
 
     rates = sorted({group["rate_hz"] for group in results["groups"]})
@@ -172,8 +172,15 @@ def _histograms(axes: Any, group: Mapping[str, Any]) -> None:
         n = max(row["cycles"], 1)
         shares = [count / n for count in row["histogram"]]
         axes.stairs(shares, EDGES_US, color=COLOURS[row["competitor"]], lw=1.4, label=row["label"])
-    axes.axvline(100.0, color=LINE, lw=1, zorder=0)
-    axes.set(xscale="log", yscale="log", xlim=(5, 2e4), title=f"{group['rate_hz']:g} Hz, {group['load']}: t0 to t4")
+    most = max([row["cycles"] for row in group["rows"]] + [1])
+    axes.axvline(100.0, color=INK, lw=0.8, ls=":", zorder=0)
+    axes.set(
+        ylim=(0.5 / most, 1.0),
+        xscale="log",
+        yscale="log",
+        xlim=(5, 2e4),
+        title=f"{group['rate_hz']:g} Hz, {group['load']}: t0 to t4",
+    )
     axes.set(xlabel="latency, µs", ylabel="share of cycles")
 
 
