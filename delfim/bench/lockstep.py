@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final
 
 from delfim import config
-from delfim.errors import ConfigError
+from delfim.errors import ConfigError, DelfimError
 from delfim.simulator.lockstep import Lockstep
 from delfim.suite import StateLog
 from delfim.vehicle.mission import canonical, load_mission
@@ -28,7 +28,7 @@ def run(asked: argparse.Namespace) -> int:
         raise ConfigError(asked.file, "simulation.mission", "missing: there is nothing to sail")
     mission = canonical(load_mission(str(Path(asked.file).parent / settings.simulation.mission)))
     cpus = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(cpus)})  # the log's writer shares it
+    os.sched_setaffinity(0, {min(cpus)})
     try:
         count = asked.rounds or (QUICK_REPETITIONS if asked.quick else REPETITIONS)
         speeds = [_speed(asked, mission, turn, count) for turn in range(count)]
@@ -47,11 +47,13 @@ def run(asked: argparse.Namespace) -> int:
 def _speed(asked: argparse.Namespace, mission: str, turn: int, count: int) -> float:
     """One voyage, in seconds sailed a second of the clock."""
     with tempfile.TemporaryDirectory(prefix="delfim-bench-") as place:
-        settings = config.load(asked.file, [*asked.set, f'log.directory="{place}"'])
+        settings = config.load(asked.file, [*asked.set, f'log.directory="{place}"', 'log.state_method="write"'])
         started_s = time.monotonic()
         voyage = Lockstep(settings, turn + 1, lambda clock: StateLog(settings, clock))
         end = voyage.sail(mission, asked.seconds or SAILED_S)
-        voyage.vehicle.log.close()
+        voyage.close()
         speed = voyage.elapsed_s / (time.monotonic() - started_s)
+    if end.startswith("stopped") or end.endswith("mode idle"):
+        raise DelfimError(f"voyage {turn + 1}, which is the seed of its weather, was not sailed to its end: {end}")
     print(f"delfim: voyage {turn + 1} of {count}: {end}, {speed:.0f} times real time", file=sys.stderr, flush=True)
     return speed

@@ -46,7 +46,7 @@ def test_quick_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_lock_step_bench(tmp_path: Path) -> None:
-    words = ["bench", "sim", "--rounds", "2", "--seconds", "20"]
+    words = ["bench", "sim", "--rounds", "2", "--seconds", "60"]
     assert main([*words, "--file", VEHICLE, "--output", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "sim.json").read_text())
     assert results["repetitions"] == 2

@@ -14,7 +14,7 @@ import pytest
 from delfim.bench.critical_path import build
 from delfim.canproxy.canloop import group_of
 from delfim.canproxy.dsor import Message, Receiver, message_filter, segments
-from delfim.canproxy.socket import CanAddress, CanSocket, open_can
+from delfim.canproxy.socket import CanAddress, open_can
 from delfim.frames import Frame
 from delfim.logging.statelog import columns
 from delfim.messages import (
@@ -111,7 +111,7 @@ def test_c_puts_together_what_python_does(programs: dict[str, Path], bus: str, t
 
 
 def test_c_steers_as_python_does(programs: dict[str, Path], bus: str, tmp_path: Path) -> None:
-    """A boat that heads north-east and wants to go east turns to starboard: port ahead of starboard, both as fast as allowed."""
+    """A boat that heads north-east and wants to go east turns to starboard: port ahead of starboard, within the limits."""
     log = tmp_path / "c.state"
     with open_can(f"canloop:{bus}") as world, loop(programs, bus, log):
         world.bind(CanAddress(PROPELLER_STARBOARD), CanAddress(PROPELLER_PORT))
