@@ -138,6 +138,9 @@ def _add_bench(commands: Any) -> None:
     bench.add_argument("--rounds", type=int, help="how often everybody has a turn")
     bench.add_argument("--rates", type=float, nargs="+", metavar="HZ", help="of navigation (5 100 500)")
     bench.add_argument("--bus", metavar="INTERFACE", help="a Linux CAN interface instead of loopback buses")
+    bench.add_argument(
+        "--wire-us", type=int, default=0, help="between the frames of a message; 130 is a bus of 1 Mbit/s (%(default)s)"
+    )
     bench.add_argument("--quick", action="store_true", help="about a minute: whether it works, not how fast it is")
     bench.add_argument("--long", action="store_true", help="150,645 cycles at 100 Hz under load, against C")
 

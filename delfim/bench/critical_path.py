@@ -11,6 +11,7 @@ import itertools
 import json
 import os
 import platform
+import resource
 import shutil
 import signal
 import socket
@@ -76,7 +77,8 @@ class Slice(NamedTuple):
     cpu_ns_per_cycle: float  # of the critical process
     cpu_all_ns_per_cycle: float  # of all its processes
     window_share: float | None  # of the time; None where there is no window
-    steal_share: float
+    steal_share: float  # of all processors, taken by other machines
+    others_share: float  # of all processors, taken by programs that are no part of the benchmark
     feeder: dict[str, Any]
     served: dict[str, int]  # what the load's clients got
 
@@ -90,7 +92,7 @@ def run(asked: argparse.Namespace) -> int:
         programs = build(Path(place))
         for rate_hz in plan.rates_hz:
             groups += _measure_rate(plan, rate_hz, asked, programs, progress)
-    results = {"machine": _machine(), "plan": plan._asdict(), "groups": groups}
+    results = {"machine": _machine(), "plan": plan._asdict() | {"wire_us": asked.wire_us}, "groups": groups}
     (output / "critical-path.json").write_text(json.dumps(results, indent=1) + "\n")
     print(report.table(results))
     report.picture(results, output / "critical-path.png")
@@ -155,16 +157,18 @@ def _group(rate_hz: float, load: str, slices: dict[str, list[Slice]], logs: dict
     rows = []
     for key in (key for key in LABELS if key in slices):
         turns = slices[key]
-        row = {"competitor": key, "label": LABELS[key], **report.figures(list(itertools.chain(*samples[key])))}
+        row = {
+            "competitor": key,
+            "label": LABELS[key],
+            **report.figures(list(itertools.chain(*samples[key])), sum(each.due for each in turns)),
+        }
         shares = [each.window_share for each in turns if each.window_share is not None]
         rows.append(
             row
             | {
-                "lost": sum(each.due for each in turns) - row["cycles"],
                 "cpu_us": round(_mean([each.cpu_ns_per_cycle for each in turns]) / 1e3, 1),
                 "cpu_all_us": round(_mean([each.cpu_all_ns_per_cycle for each in turns]) / 1e3, 1),
                 "window_share": round(_mean(shares), 4) if shares else None,
-                "late_us_max": max(each.feeder["late_us_max"] for each in turns),
                 "served": {name: sum(each.served[name] for each in turns) for name in turns[0].served},
             }
         )
@@ -174,6 +178,8 @@ def _group(rate_hz: float, load: str, slices: dict[str, list[Slice]], logs: dict
         "load": load,
         "noise": factors,
         "steal_share": round(_mean([each.steal_share for each in everybody]), 4),
+        "others_share": round(_mean([each.others_share for each in everybody]), 3),
+        "late_us_max": max(each.feeder["late_us_max"] for each in everybody),
         "rows": [row | report.compared(row, rows[0], factors) for row in rows],
     }
 
@@ -199,7 +205,7 @@ class Team:
             self._arguments += ["--set", override]
         self._all = contextlib.ExitStack()
         self._processes: list[subprocess.Popen[bytes]] = []
-        self._loop = str(programs["loop"])
+        self._loop, self._wire_us = str(programs["loop"]), asked.wire_us
 
     def __enter__(self) -> "Team":
         try:
@@ -244,9 +250,9 @@ class Team:
         warm_s = max(WARM_S_MIN, WARM_PERIODS / self.rate_hz)
         with self._feeding(seconds, warm_s, flood=clients is not None) as feeder:
             time.sleep(warm_s)
-            before = self._meters()
+            before = self._meters(clients)
             said = feeder.communicate(timeout=seconds + 10.0)[0]
-            after = self._meters()
+            after = self._meters(clients)
         time.sleep(GRACE_S)  # for the last cycle
         if feeder.returncode:
             raise DelfimError(f"the feeder ended with {feeder.returncode}")
@@ -257,25 +263,45 @@ class Team:
         fed = json.loads(said)
         span_s = after["time"] - before["time"]
         cycles, spent = span_s * self.rate_hz, {name: after[name] - before[name] for name in after}
-        window = spent["window"] / span_s if self.key in ("delfim", "apart") else None
-        due = fed["messages"] - round(warm_s * self.rate_hz)
-        bounds = fed["begin_ns"], fed["end_ns"], due
-        return Slice(*bounds, spent["cpu"] / cycles, spent["all"] / cycles, window, spent["steal"] / span_s, fed, served)
+        cpus = os.cpu_count() or 1
+        others_s = max(spent["busy"] - spent["ours"], 0.0)
+        return Slice(
+            fed["begin_ns"],
+            fed["end_ns"],
+            fed["messages"] - round(warm_s * self.rate_hz),
+            spent["cpu"] / cycles,
+            spent["all"] / cycles,
+            spent["window"] / span_s if self.key in ("delfim", "apart") else None,
+            spent["steal"] / span_s / cpus,
+            others_s / span_s / cpus,
+            fed,
+            served,
+        )
 
-    def _meters(self) -> dict[str, float]:
-        """Seconds of the machine taken away from all processors, ns of processor time, seconds in the window, and the time."""
-        pids = [pid for process in self._processes for pid in _family(process.pid)]
+    def _meters(self, clients: "subprocess.Popen[bytes] | None") -> dict[str, float]:
+        """Meters that only go up, of the competitor and the machine: ns of processor time, otherwise seconds."""
+        times = [_cpu_ns(pid) for process in self._processes for pid in _family(process.pid)]
         window_s = 0.0
         if self.key in ("delfim", "apart"):
             with Link(self._socket) as link:
                 window_s = link.ask("state")["window"]["spent_s"]
-        times = [_cpu_ns(pid) for pid in pids]
-        return {"time": time.monotonic(), "cpu": times[0], "all": sum(times), "window": window_s, "steal": _steal_s()}
+        busy_s, steal_s = _processors_s()
+        feeders = resource.getrusage(resource.RUSAGE_CHILDREN)
+        ours_ns = sum(times) + time.process_time_ns() + (_cpu_ns(clients.pid) if clients else 0)
+        return {
+            "time": time.monotonic(),
+            "cpu": times[0],
+            "all": sum(times),
+            "window": window_s,
+            "busy": busy_s,
+            "steal": steal_s,
+            "ours": ours_ns / 1e9 + feeders.ru_utime + feeders.ru_stime,
+        }
 
     @contextlib.contextmanager
     def _feeding(self, seconds: float, warm_s: float, *, flood: bool) -> Iterator[subprocess.Popen[bytes]]:
-        words = [self._bus, f"{self.rate_hz}", f"{warm_s}", f"{seconds}", str(BUS_FRAMES_PER_S if flood else 0)]
-        with _running([self._feeder, *words], stdout=subprocess.PIPE) as feeder:
+        words = self.rate_hz, warm_s, seconds, BUS_FRAMES_PER_S if flood else 0, self._wire_us
+        with _running([self._feeder, self._bus, *map(str, words)], stdout=subprocess.PIPE) as feeder:
             yield feeder
 
     def _stop(self, number: signal.Signals) -> None:
@@ -390,10 +416,11 @@ def _cpu_ns(pid: int) -> int:
         return 0
 
 
-def _steal_s() -> float:
-    """Time that the hypervisor took from this machine's processors, mean of all of them."""
-    words = Path("/proc/stat").read_text().split("\n", 1)[0].split()
-    return int(words[8]) / os.sysconf("SC_CLK_TCK") / (os.cpu_count() or 1)
+def _processors_s() -> tuple[float, float]:
+    """How long all processors together worked, and how long the hypervisor took them away, since boot."""
+    user, nice, system, _, _, irq, softirq, steal, *_ = map(int, Path("/proc/stat").read_text().split("\n", 1)[0].split()[1:])
+    tick_s = 1.0 / os.sysconf("SC_CLK_TCK")
+    return (user + nice + system + irq + softirq) * tick_s, steal * tick_s
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -28,9 +28,12 @@ class Cycle(NamedTuple):
     t5: int
 
 
-def percentile(ordered: Sequence[float], part: float) -> float:
-    """The sample that `part` (0..1) of all do not exceed; 0 where there are none."""
-    return ordered[min(int(len(ordered) * part), len(ordered) - 1)] if ordered else 0.0
+def percentile(ordered: Sequence[float], part: float, due: int = 0) -> float | None:
+    """The sample that `part` (0..1) of all `due` ones, or of those that there are, do not exceed. Those that are missing count
+    as longer than all others; None where the answer is one of them."""
+    n = max(len(ordered), due)
+    at = min(int(n * part), n - 1)
+    return ordered[at] if 0 <= at < len(ordered) else None
 
 
 def paths_us(cycles: Sequence[Cycle]) -> list[float]:
@@ -38,25 +41,33 @@ def paths_us(cycles: Sequence[Cycle]) -> list[float]:
     return sorted((cycle.t4 - cycle.t0) / 1e3 for cycle in cycles)
 
 
-def figures(cycles: Sequence[Cycle]) -> dict[str, Any]:
+def figures(cycles: Sequence[Cycle], due: int) -> dict[str, Any]:
     """Percentiles, the worst, the share within 100 us, the stage means and the histogram of these cycles.
+
+    `due` is how many navigation messages were sent. A loop that is late may pass over one for the newer one behind it: its
+    path never ended, so it counts as the longest of all.
 
     A loop that was awake already when the last frame came began to read before it: its poll stage is then zero, not negative.
     """
     path = paths_us(cycles)
-    n = len(path)
+    n = max(len(path), due)
     spans = [
         (max(c.t1 - c.t0, 0), c.t2 - max(c.t0, c.t1), c.t3 - c.t2, c.t4 - c.t3, c.t5 - c.t4) for c in cycles if c.t5 >= c.t4
     ]
     means = [sum(stage) / len(spans) / 1e3 for stage in zip(*spans, strict=True)] if spans else [0.0] * len(STAGES)
     return {
-        "cycles": n,
-        **{f"{name}_us": round(percentile(path, part), 2) for name, part in PERCENTILES.items()},
+        "cycles": len(path),
+        "lost": n - len(path),
+        **{f"{name}_us": _rounded(percentile(path, part, due)) for name, part in PERCENTILES.items()},
         "worst_us": round(path[-1], 2) if path else 0.0,
         "within_100_us": round(sum(value <= 100.0 for value in path) / n, 6) if n else 0.0,
         "stages_us": {name: round(mean, 2) for name, mean in zip(STAGES, means, strict=True)},
         "histogram": histogram(path),
     }
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None else round(value, 2)
 
 
 def histogram(ordered_us: Sequence[float]) -> list[int]:
@@ -76,8 +87,8 @@ def noise(first: Sequence[Cycle], second: Sequence[Cycle]) -> dict[str, float | 
     one, other = paths_us(first), paths_us(second)
     result: dict[str, float | None] = {}
     for name, part in PERCENTILES.items():
-        pair = percentile(one, part), percentile(other, part)
-        result[name] = round(max(pair) / min(pair), 3) if min(pair) > 0 else None
+        pair = percentile(one, part) or 0.0, percentile(other, part) or 0.0
+        result[name] = round(max(pair) / min(pair), 3) if pair[0] and pair[1] else None
     return result
 
 
@@ -85,10 +96,13 @@ def verdict(ratio: float | None, factor: float | None, limit: float, beyond: flo
     """What may be said of a ratio to C that shall not exceed `limit`.
 
     `factor` is the noise: C against C. The contract is held, or missed, where it is so on the unfavourable side of the noise;
-    in between nobody can tell. `beyond` is how many samples lie beyond the percentile in question.
+    in between nobody can tell. `beyond` is how many samples lie beyond the percentile in question. No ratio: the percentile is
+    a cycle that never ended.
     """
-    if ratio is None or factor is None or beyond < BEYOND_MIN:
+    if factor is None or beyond < BEYOND_MIN:
         return "too few cycles"
+    if ratio is None:
+        return "missed"
     if ratio * factor <= limit:
         return "held"
     if ratio / factor > limit:
@@ -101,17 +115,31 @@ def compared(row: Mapping[str, Any], reference: Mapping[str, Any], factors: Mapp
     ratios: dict[str, float | None] = {}
     verdicts: dict[str, str] = {}
     for name, part in PERCENTILES.items():
-        base = reference[f"{name}_us"]
-        ratio = round(row[f"{name}_us"] / base, 3) if base > 0 and row["cycles"] else None
-        ratios[name] = ratio
-        beyond = min(row["cycles"], reference["cycles"]) * (1.0 - part)
+        mine, base = row[f"{name}_us"], reference[f"{name}_us"]
+        ratios[name] = ratio = round(mine / base, 3) if mine and base else None
+        beyond = min(each["cycles"] + each["lost"] for each in (row, reference)) * (1.0 - part)
         verdicts[name] = verdict(ratio, factors[name], LIMITS[name], beyond)
     return {"ratio": ratios, "verdict": verdicts}
 
 
 def table(results: Mapping[str, Any]) -> str:
     """The results as text: a block for each rate and load, and under each what the machine allows to be said."""
-    head = ("us", "cycles", "p50", "p99", "p99.9", "worst", "<=100us", "cpu", "cpu all", "window", "x C: p50", "p99", "p99.9")
+    head = (
+        "us",
+        "cycles",
+        "lost",
+        "p50",
+        "p99",
+        "p99.9",
+        "worst",
+        "<=100us",
+        "cpu",
+        "cpu all",
+        "window",
+        "x C: p50",
+        "p99",
+        "p99.9",
+    )
     lines = []
     for group in results["groups"]:
         lines.append(f"\n{group['rate_hz']:g} Hz, {group['load']}")
@@ -120,7 +148,8 @@ def table(results: Mapping[str, Any]) -> str:
             share = row["window_share"]
             cells = [
                 f"{row['cycles']}",
-                *(f"{row[f'{name}_us']:.0f}" for name in (*PERCENTILES, "worst")),
+                f"{row['lost']}",
+                *("lost" if row[f"{name}_us"] is None else f"{row[f'{name}_us']:.0f}" for name in (*PERCENTILES, "worst")),
                 f"{row['within_100_us']:.2%}",
                 f"{row['cpu_us']:.0f}",
                 f"{row['cpu_all_us']:.0f}",
@@ -134,10 +163,11 @@ def table(results: Mapping[str, Any]) -> str:
 
 def _remarks(group: Mapping[str, Any]) -> list[str]:
     factors = ", ".join(f"{_name(k)} x {v:.2f}" if v else f"{_name(k)} unknown" for k, v in group["noise"].items())
-    lines = [f"  noise, C against C: {factors}; taken by other machines: {group['steal_share']:.1%} of the processors"]
+    taken = (
+        f"{group['others_share']:.0%} of the processors taken by other programs, {group['steal_share']:.1%} by other machines"
+    )
+    lines = [f"  noise, C against C: {factors}; {taken}; navigation up to {group['late_us_max']:.0f} us late"]
     for row in group["rows"]:
-        if row["lost"]:
-            lines.append(f"  {row['label']}: {row['lost']} cycles are missing in its log")
         if row["competitor"] == "delfim":
             said = "; ".join(f"{_name(k)} {v} (<= {LIMITS[k]:.2f} x C)" for k, v in row["verdict"].items())
             lines.append(f"  the contract: {said}")

@@ -134,7 +134,7 @@ def test_feeder_sends_what_python_understands(programs: dict[str, Path], bus: st
     with open_can(f"canloop:{bus}") as navigation, open_can(f"canloop:{bus}") as status:
         navigation.bind(CanAddress(*message_filter(source=Node.NAVIGATION)))
         status.bind(CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
-        command = [programs["feeder"], wire(bus), "200", "0.1", "0.4", "2000"]
+        command = [programs["feeder"], wire(bus), "200", "0.1", "0.4", "2000", "0"]
         told = json.loads(subprocess.run(command, capture_output=True, check=True, timeout=READY_S).stdout)
         receiver = Receiver(Node.VEHICLE)
         fixes = []
@@ -156,5 +156,7 @@ def test_feeder_sends_what_python_understands(programs: dict[str, Path], bus: st
 
 def test_feeder_keeps_time(programs: dict[str, Path], bus: str) -> None:
     started_s = time.monotonic()
-    subprocess.run([programs["feeder"], wire(bus), "50", "0", "0.4", "0"], capture_output=True, check=True, timeout=READY_S)
+    subprocess.run(
+        [programs["feeder"], wire(bus), "50", "0", "0.4", "0", "0"], capture_output=True, check=True, timeout=READY_S
+    )
     assert time.monotonic() - started_s >= 0.4
