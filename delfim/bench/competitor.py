@@ -48,6 +48,9 @@ class PlainRuntime(Runtime):
     def remove_reader(self, fd: int) -> None:
         asyncio.get_running_loop().remove_reader(fd)
 
+    def rehearsal(self, rehearse: Callable[[], None] | None) -> None:
+        """There is no window in which it could be done."""
+
     def report(self) -> dict[str, Any]:
         return {"services": []}
 
