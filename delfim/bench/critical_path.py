@@ -173,14 +173,15 @@ def _group(rate_hz: float, load: str, slices: dict[str, list[Slice]], logs: dict
             }
         )
     everybody = [each for turns in slices.values() for each in turns]
+    steal, others = _mean([each.steal_share for each in everybody]), _mean([each.others_share for each in everybody])
     return {
         "rate_hz": rate_hz,
         "load": load,
         "noise": factors,
-        "steal_share": round(_mean([each.steal_share for each in everybody]), 4),
-        "others_share": round(_mean([each.others_share for each in everybody]), 3),
+        "steal_share": round(steal, 4),
+        "others_share": round(others, 3),
         "late_us_max": max(each.feeder["late_us_max"] for each in everybody),
-        "rows": [row | report.compared(row, rows[0], factors) for row in rows],
+        "rows": [row | report.compared(row, rows[0], factors, steal + others) for row in rows],
     }
 
 

@@ -14,6 +14,7 @@ LIMITS: Final = {"p50": 1.25, "p99": 1.0, "p999": 1.0}  # of the ratio to the C 
 STAGES: Final = ("poll", "navigation", "control", "propulsion", "log")
 EDGES_US: Final = tuple(10 ** (k / 20) for k in range(101))  # 1 us .. 0.1 s, twenty bins a decade
 BEYOND_MIN: Final = 5  # a percentile of fewer samples beyond it is an anecdote
+TAKEN_MAX: Final = 0.1  # of the processors, by others, while the worst case is still the competitors' own
 COLOURS: Final = {"c": INK, "delfim": "#d1495b", "apart": "#e8b04a", "asyncio": "#2e86ab", "uvloop": "#5b9a68"}
 
 
@@ -110,15 +111,18 @@ def verdict(ratio: float | None, factor: float | None, limit: float, beyond: flo
     return "too noisy to tell"
 
 
-def compared(row: Mapping[str, Any], reference: Mapping[str, Any], factors: Mapping[str, float | None]) -> dict[str, Any]:
-    """Ratios of a competitor to C, and the verdict on each."""
+def compared(
+    row: Mapping[str, Any], reference: Mapping[str, Any], factors: Mapping[str, float | None], taken: float
+) -> dict[str, Any]:
+    """Ratios of a competitor to C, and the verdict on each. `taken` is what others had of the processors, 0..1."""
     ratios: dict[str, float | None] = {}
     verdicts: dict[str, str] = {}
     for name, part in PERCENTILES.items():
         mine, base = row[f"{name}_us"], reference[f"{name}_us"]
         ratios[name] = ratio = round(mine / base, 3) if mine and base else None
         beyond = min(each["cycles"] + each["lost"] for each in (row, reference)) * (1.0 - part)
-        verdicts[name] = verdict(ratio, factors[name], LIMITS[name], beyond)
+        quiet = taken <= TAKEN_MAX
+        verdicts[name] = verdict(ratio, factors[name], LIMITS[name], beyond) if quiet else "too noisy to tell"
     return {"ratio": ratios, "verdict": verdicts}
 
 

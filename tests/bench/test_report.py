@@ -50,7 +50,7 @@ def test_figures_of_nothing() -> None:
 def test_a_loop_that_passes_messages_over_gains_nothing_by_it() -> None:
     got = report.figures(cycles(*[50.0] * 970), 1000)
     assert (got["cycles"], got["lost"], got["p50_us"], got["p99_us"], got["within_100_us"]) == (970, 30, 50.0, None, 0.97)
-    told = report.compared(got, report.figures(cycles(*[50.0] * 1000), 1000), {"p50": 1.0, "p99": 1.0, "p999": 1.0})
+    told = report.compared(got, report.figures(cycles(*[50.0] * 1000), 1000), {"p50": 1.0, "p99": 1.0, "p999": 1.0}, 0.0)
     assert told["verdict"] == {"p50": "held", "p99": "missed", "p999": "too few cycles"}
 
 
@@ -90,6 +90,13 @@ def test_verdict(ratio: float | None, factor: float | None, limit: float, beyond
 
 def test_comparison_names_what_too_few_cycles_cannot_tell() -> None:
     c, fast = report.figures(cycles(*[100.0] * 2000), 2000), report.figures(cycles(*[50.0] * 2000), 2000)
-    got = report.compared(fast, c, {"p50": 1.0, "p99": 1.0, "p999": 1.0})
+    got = report.compared(fast, c, {"p50": 1.0, "p99": 1.0, "p999": 1.0}, 0.02)
     assert got["ratio"] == {"p50": 0.5, "p99": 0.5, "p999": 0.5}
     assert got["verdict"] == {"p50": "held", "p99": "held", "p999": "too few cycles"}
+
+
+def test_on_a_machine_that_others_use_nothing_is_held_and_nothing_missed() -> None:
+    c, fast = report.figures(cycles(*[100.0] * 9000), 9000), report.figures(cycles(*[50.0] * 9000), 9000)
+    for row in (c, fast):
+        got = report.compared(row, fast, {"p50": 1.0, "p99": 1.0, "p999": 1.0}, 0.3)
+        assert set(got["verdict"].values()) == {"too noisy to tell"}
