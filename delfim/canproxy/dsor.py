@@ -11,8 +11,9 @@ import math
 import struct
 import zlib
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import IntEnum
+from itertools import chain
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError, Refused
@@ -145,12 +146,16 @@ def ack_filter(node: int) -> tuple[int, int]:
 def segments(message: Message, number: int) -> list[Frame]:
     """All frames of a message in order, header first: how a broadcast message is sent. `number` counts a node's messages; 5
     bits of it travel. Raises FormatError where a field does not fit."""
+    return list(iter_segments(message, number))
+
+
+def iter_segments(message: Message, number: int) -> Iterator[Frame]:
+    """The same one by one, for who has no time to cut 65,535 bytes at once. Raises FormatError at once."""
     header, stream = _encoded(message)
     arb = dsor_arb(message.priority, Kind.HEADER, message.source, message.destination, number & 31)
     body = arb & _STREAM | _BODY_FRAME
-    frames = [Frame(arb, header)]
-    frames += [Frame(body | (i >> 3 & 31) << _SEQUENCE, stream[i : i + 8]) for i in range(0, len(stream), 8)]
-    return frames
+    bodies = (Frame(body | (i >> 3 & 31) << _SEQUENCE, stream[i : i + 8]) for i in range(0, len(stream), 8))
+    return chain((Frame(arb, header),), bodies)
 
 
 def _encoded(message: Message) -> tuple[bytes, bytes]:
@@ -240,6 +245,11 @@ class Receiver:
         self._open: dict[int, _Assembly] = {}
         self._last: dict[int, _Received] = {}  # by stream
 
+    @property
+    def next_due_s(self) -> float:
+        """When `expire` has something to do; infinity while no message is under way."""
+        return min((assembly.heard_s for assembly in self._open.values()), default=math.inf) + self._timeout_s
+
     def feed(self, frame: Frame, now_s: float) -> Message | None:
         """The message that this frame completes. Never raises; frames of no concern are passed over."""
         arb = frame.arb
@@ -268,9 +278,9 @@ class Receiver:
         return None
 
     def expire(self, now_s: float) -> None:
-        """Drops the messages that have been silent for longer than the time-out."""
+        """Drops the messages that have been silent for as long as the time-out."""
         for stream, assembly in list(self._open.items()):
-            if now_s - assembly.heard_s > self._timeout_s:
+            if assembly.heard_s + self._timeout_s <= now_s:
                 self._drop(stream, "timed out")
 
     def _header(self, arb: int, header: bytes, now_s: float) -> None:
