@@ -185,10 +185,9 @@ class Canip(Table, frozen=True):
         IPv4Address(self.source)
         if self.address:
             IPv4Interface(self.address)
-        for values in ([peer.address for peer in self.peers.values()], [peer.node for peer in self.peers.values()]):
-            twice = [value for value in values if values.count(value) > 1]
-            if twice:
-                raise ValueError(f"two peers have {twice[0]}")
+        peers = self.peers.values()
+        if len({peer.address for peer in peers}) < len(peers) or len({peer.node for peer in peers}) < len(peers):
+            raise ValueError("two peers have the same address or the same node")
 
 
 class Timed(Table, frozen=True):

@@ -5,8 +5,6 @@ SERVICES is the suite, one row a service. To add one: write its coroutine in a f
 
 import asyncio
 import contextlib
-import json
-import logging
 import os
 import socket
 import sys
@@ -19,7 +17,7 @@ from delfim.canproxy import dsor
 from delfim.canproxy.canip import CanIp, open_tun
 from delfim.canproxy.nmea2000 import Nmea2000Source
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, bus_state, open_can
-from delfim.canproxy.timed import SecondTimer, Timekeeper
+from delfim.canproxy.timed import SecondTimer, Timekeeper, TimeService
 from delfim.clock import Clock, SystemClock
 from delfim.errors import DelfimError, PermanentFailure
 from delfim.logging.canzlogd import BlackBox
@@ -47,9 +45,6 @@ from delfim.vehicle.state import State
 WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
 MAINTAIN_EVERY = 10
-REPORT_S = 600.0
-
-log = logging.getLogger(__name__)
 
 
 class StateLog:
@@ -120,7 +115,8 @@ async def _attend(
     settings, loop = runtime.config, asyncio.get_running_loop()
 
     def more() -> dict[str, object]:
-        return {"boat": settings.boat.name, "log": log.status()._asdict(), **runtime.report()}
+        figures = {name: report() for name, report in runtime.board.items()}
+        return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
     commands = CommandServer(boat.on_command, lambda: boat.snapshot(more()), settings.console.clients)
     links.callback(commands.close)
@@ -172,7 +168,7 @@ async def canip(runtime: Runtime) -> None:
         can = links.enter_context(open_can(runtime.config.can.interface))
         carrier = CanIp(asyncio.get_running_loop(), tun, can, settings)
         links.callback(carrier.close)
-        await _told("canip", carrier.report)
+        await _published(runtime, "canip", carrier.report)
 
 
 async def timed(runtime: Runtime) -> None:
@@ -188,14 +184,16 @@ async def timed(runtime: Runtime) -> None:
         for fd, handler in ((can.fileno(), service.on_frames), (timer.fileno(), service.on_second)):
             runtime.reader(fd, handler)
             links.callback(runtime.remove_reader, fd)
-        await _told("timed", service.report)
+        await _published(runtime, "timed", service.report)
 
 
-async def _told(name: str, report: Callable[[], dict[str, object]]) -> None:
-    """Until cancelled; the figures of a service without a page of its own go to the log now and then."""
-    while True:
-        await asyncio.sleep(REPORT_S)
-        log.info("%s: %s", name, json.dumps(report()))
+async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str, object]]) -> None:
+    """Until cancelled: the rest happens in callbacks, and the figures are on the runtime's board."""
+    runtime.board[name] = report
+    try:
+        await asyncio.Event().wait()
+    finally:
+        del runtime.board[name]
 
 
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.

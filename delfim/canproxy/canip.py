@@ -12,7 +12,6 @@ import os
 import socket
 import struct
 from collections import Counter
-from functools import partial
 from ipaddress import IPv4Address, IPv4Interface
 from typing import Final
 
@@ -72,7 +71,7 @@ def rebuilt(message: Message, source: int, identification: int) -> bytes:
 
 def checksum(header: bytes) -> int:
     """The internet checksum (RFC 1071) of an even number of bytes."""
-    total = sum(struct.unpack(f"!{len(header) // 2}H", header))
+    total: int = sum(struct.unpack(f"!{len(header) // 2}H", header))
     total = (total & 0xFFFF) + (total >> 16)
     return ~(total + (total >> 16)) & 0xFFFF
 
@@ -183,16 +182,16 @@ def open_tun(name: str, address: str, mtu: int) -> int:
 
 def _configure(name: str, address: str, mtu: int) -> None:
     """netdevice(7)."""
+    device = name.encode()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as inet:
-        request = partial(fcntl.ioctl, inet)
-        request(_SIOCSIFMTU, struct.pack("16si20x", name.encode(), mtu))
+        fcntl.ioctl(inet, _SIOCSIFMTU, struct.pack("16si20x", device, mtu))
         if address:
             interface = IPv4Interface(address)
-            request(_SIOCSIFADDR, _address_request(name, interface.ip))
-            request(_SIOCSIFNETMASK, _address_request(name, interface.netmask))
-        flags = struct.unpack("16xH22x", request(_SIOCGIFFLAGS, struct.pack("40s", name.encode())))[0]
-        request(_SIOCSIFFLAGS, struct.pack("16sH22x", name.encode(), flags | _IFF_UP))
+            fcntl.ioctl(inet, _SIOCSIFADDR, _address_request(device, interface.ip))
+            fcntl.ioctl(inet, _SIOCSIFNETMASK, _address_request(device, interface.netmask))
+        flags = struct.unpack("16xH22x", fcntl.ioctl(inet, _SIOCGIFFLAGS, struct.pack("40s", device)))[0]
+        fcntl.ioctl(inet, _SIOCSIFFLAGS, struct.pack("16sH22x", device, flags | _IFF_UP))
 
 
-def _address_request(name: str, address: IPv4Address) -> bytes:
-    return struct.pack("16sHH4s16x", name.encode(), socket.AF_INET, 0, address.packed)
+def _address_request(device: bytes, address: IPv4Address) -> bytes:
+    return struct.pack("16sHH4s16x", device, socket.AF_INET, 0, address.packed)

@@ -228,7 +228,8 @@ class Receiver:
     replies  acknowledgements that the caller sends, at most 64; when they are not taken the oldest is lost
     errors   reason in words -> count
 
-    Memory is bounded: `open_max` messages under way, each of at most 64 KiB; the oldest makes room for a new one.
+    Memory is bounded: `open_max` messages under way, each of at most 64 KiB; the one that is silent for longest makes
+    room for a new one.
     """
 
     def __init__(
@@ -294,13 +295,15 @@ class Receiver:
         stream, number = arb & _STREAM, arb >> _SEQUENCE & 31
         assembly, last = self._open.get(stream), self._last.get(stream)
         accepted = self._accept is None or self._accept(message)
+        is_late = last is not None and last.number - number & 31 < 16
         if not accepted:
-            self._last.pop(stream, None)  # what follows on this stream is for somebody else
+            if not is_late:
+                self._last.pop(stream, None)  # what follows on this stream is for somebody else
         elif assembly and (number, header) == (assembly.number, assembly.header) and (assembly.answered or not assembly.next):
             assembly.heard_s = now_s
             self._acknowledge(arb, Ack.HEADER, number, assembly.next)
             return
-        elif last and last.number - number & 31 < 16 and message.destination != BROADCAST:
+        elif last and is_late and message.destination != BROADCAST:
             self._acknowledge(arb, Ack.COMPLETE, number, last.segments if last[:2] == (number, header) else 0)
             return
         if assembly:
@@ -309,7 +312,7 @@ class Receiver:
         if not accepted:
             return
         if len(self._open) >= self._open_max:
-            self._drop(next(iter(self._open)), "crowded out")
+            self._drop(min(self._open, key=lambda each: self._open[each].heard_s), "crowded out")
         self._open[stream] = _Assembly(number, header, length, message, now_s)
         self._acknowledge(arb, Ack.HEADER, number, 0)
 

@@ -92,7 +92,7 @@ class Endpoint:
         self.outcomes, self.errors = self._sender.outcomes, self._receiver.errors
         self._wanted: Callable[[Message], bool] = lambda message: False
         self._outbox: list[tuple[int, bool, int, Iterator[Frame]]] = []
-        """A heap: by priority, at the same priority broadcast messages last, for a peer's patience is short; then first come."""
+        """A heap: by priority; at the same one broadcast messages last, for a peer's patience is short; then first come."""
         self._serial = self._broadcasts = 0
         self._held: Frame | None = None  # found the bus's queue full
         self._flush_s = inf
@@ -246,8 +246,7 @@ class DsorSocket:
         while deadline_s > -inf and ended is None:
             if message.destination == BROADCAST and not self._end.is_sending:
                 break
-            self._turn(deadline_s)
-            ended = self._collect(message)
+            ended = self._turn(deadline_s, message)
         if ended and ended.failure:
             raise BusError(ended.failure)
         return len(data)
@@ -303,8 +302,8 @@ class DsorSocket:
             return -inf
         return inf if self._timeout_s is None else time.monotonic() + self._timeout_s
 
-    def _turn(self, deadline_s: float) -> None:
-        """Wait for something to do, and do it."""
+    def _turn(self, deadline_s: float, message: Message | None = None) -> Outcome | None:
+        """Wait for something to do, and do it. Returns how this message ended, if it has."""
         if deadline_s == -inf:
             raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN))
         now_s = time.monotonic()
@@ -313,6 +312,7 @@ class DsorSocket:
         until_s = min(deadline_s, self._end.next_due_s)
         self._poll.poll(None if until_s == inf else max(0.0, until_s - now_s) * 1000.0)
         self._end.step(time.monotonic())
+        return self._collect(message)
 
     def _collect(self, message: Message | None) -> Outcome | None:
         """The outcome of this message, if there is one; those of others are put aside."""
