@@ -100,9 +100,11 @@ class Relay:
 
 
 def sizes(messages: int, bytes_max: int, seed: int) -> list[int]:
-    """As many of 10 to 100 bytes as of 1,000 to 10,000; the shortest and the longest are among them."""
-    random = Random(seed)
-    return [1, bytes_max, *(round(bytes_max ** random.random()) for _ in range(messages - 2))][:messages]
+    """The shortest and the longest, and of the others nine of ten short; up to `bytes_max` / 64, and from there, every order
+    of magnitude is as likely as another."""
+    random, middle = Random(seed), bytes_max / 64
+    rest = (middle ** random.random() if random.random() < 0.9 else middle * 64 ** random.random() for _ in range(messages - 2))
+    return [1, bytes_max, *map(round, rest)][:messages]
 
 
 def payload(seed: int, node: int, index: int, size: int) -> bytes:

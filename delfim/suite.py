@@ -168,6 +168,8 @@ async def canip(runtime: Runtime) -> None:
         can = links.enter_context(open_can(runtime.config.can.interface))
         carrier = CanIp(asyncio.get_running_loop(), tun, can, settings)
         links.callback(carrier.close)
+        runtime.reader(tun, carrier.on_packets)
+        links.callback(runtime.remove_reader, tun)
         await _published(runtime, "canip", carrier.report)
 
 

@@ -77,7 +77,8 @@ def checksum(header: bytes) -> int:
 
 
 class CanIp:
-    """Carries datagrams between the TUN device `tun` (a file descriptor that does not block) and the bus, both ways.
+    """Carries datagrams between the TUN device `tun` (a file descriptor that does not block) and the bus, both ways. Call
+    `on_packets` when the device is readable.
 
     counts  what happened to datagrams, in words -> number: "sent", "delivered", "received", and why others were dropped
     """
@@ -85,7 +86,7 @@ class CanIp:
     def __init__(self, loop: asyncio.AbstractEventLoop, tun: int, can: CanSocket, settings: config.Canip) -> None:
         """Both stay the caller's to close, after `close`. Raises BusError, FormatError."""
         self.counts: Counter[str] = Counter()
-        self._loop, self._tun, self._settings = loop, tun, settings
+        self._tun, self._settings = tun, settings
         self._nodes = {int(IPv4Address(peer.address)): peer.node for peer in settings.peers.values()}
         self._addresses = {node: address for address, node in self._nodes.items()}
         self._everybody = _broadcasts(IPv4Interface(settings.address)) if settings.address else set()
@@ -102,30 +103,28 @@ class CanIp:
             sending_max=WAITING_MAX * max(1, len(self._nodes)),
         )
         self.errors = self._dsor.errors
-        loop.add_reader(tun, self._read)
 
     def close(self) -> None:
-        self._loop.remove_reader(self._tun)
         self._dsor.close()
 
-    def report(self) -> dict[str, object]:
-        """JSON-ready."""
-        return {"datagrams": dict(self.counts), "protocol": dict(self.errors), "waiting": sum(self._waiting.values())}
-
-    def _read(self) -> None:
+    def on_packets(self) -> None:
+        """A few packets from the device to the bus. Raises DelfimError where there is no device any more."""
         for _ in range(PACKETS_PER_READ):
             try:
                 packet = os.read(self._tun, 65_536)
             except BlockingIOError:
                 return
-            except OSError as error:  # EIO: the device is down; it is read again when it is up
-                self.counts[f"device: {error.strerror}"] += 1
-                return
+            except OSError as error:
+                raise DelfimError(f"{self._settings.device}: {error.strerror}") from None
             try:
                 self._send(*parsed(packet))
                 self.counts["sent"] += 1
             except (FormatError, Refused) as reason:
                 self.counts[str(reason)] += 1
+
+    def report(self) -> dict[str, object]:
+        """JSON-ready."""
+        return {"datagrams": dict(self.counts), "protocol": dict(self.errors), "waiting": sum(self._waiting.values())}
 
     def _send(self, address: int, port: int, data: bytes) -> None:
         node = self._nodes.get(address)
