@@ -89,7 +89,9 @@ class CanIp:
         self._tun, self._settings = tun, settings
         self._nodes = {int(IPv4Address(peer.address)): peer.node for peer in settings.peers.values()}
         self._addresses = {node: address for address, node in self._nodes.items()}
-        self._everybody = _broadcasts(IPv4Interface(settings.address)) if settings.address else set()
+        self._everybody = {0xFFFFFFFF}
+        if settings.address:
+            self._everybody.add(int(IPv4Interface(settings.address).network.broadcast_address))
         self._source = int(IPv4Address(settings.source))
         self._identification = 0
         self._waiting: Counter[int] = Counter()  # by node
@@ -152,10 +154,6 @@ class CanIp:
             self.counts[str(reason)] += 1
         except OSError as error:
             self.counts[f"device: {error.strerror}"] += 1
-
-
-def _broadcasts(interface: IPv4Interface) -> set[int]:
-    return {int(interface.network.broadcast_address), 0xFFFFFFFF}
 
 
 def open_tun(name: str, address: str, mtu: int) -> int:
