@@ -277,19 +277,31 @@ def test_in_a_real_loop_the_frame_comes_at_the_start_of_a_second(buses: tuple[Ca
     assert "worst" in master.report()["late_s"]  # type: ignore[operator]
 
 
-def test_the_service_runs_in_a_process_of_its_own(buses: tuple[CanSocket, CanSocket], tmp_path: Path) -> None:
+@pytest.mark.parametrize("mode", ["master", "redundant"])
+def test_the_service_runs_in_a_process_of_its_own(buses: tuple[CanSocket, CanSocket], tmp_path: Path, mode: str) -> None:
     _, other = buses
-    overrides = (f'can.interface="{BUS}"', 'timed.mode="master"', f'runtime.run_directory="{tmp_path}"')
+    overrides = (
+        f'can.interface="{BUS}"',
+        f'timed.mode="{mode}"',
+        "timed.takeover_s=1.1",
+        f'runtime.run_directory="{tmp_path}"',
+    )
     words = [word for override in overrides for word in ("--set", override)]
     command = [sys.executable, "-m", "delfim", "run", "etc/delfimx.toml", "--service", "timed", *words]
     with subprocess.Popen(command, cwd=ROOT, env={**os.environ, "PYTHONPATH": str(ROOT)}, stderr=subprocess.PIPE) as program:
         other.settimeout(30.0)
         try:
             assert TIME.unpack(other.recvmsg().data)[0] % S < S // 4
+            if mode == "redundant":
+                other.sendmsg(frame(0))  # the master is back
+                other.settimeout(1.0)
+                with pytest.raises(TimeoutError):
+                    other.recvmsg()
         finally:
             program.send_signal(signal.SIGTERM)
-            errors = program.communicate(timeout=20)[1]
+            errors = program.communicate(timeout=20)[1].decode()
     assert program.returncode == 0, errors
+    assert ("taking over" in errors, "quiet" in errors) == (mode == "redundant", mode == "redundant")
 
 
 def test_report_is_json() -> None:
