@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from delfim import __version__
 from delfim.errors import DelfimError, PermanentFailure, Refused
@@ -92,6 +93,13 @@ def _drive(asked: argparse.Namespace) -> int:
     return 0
 
 
+def _bench(asked: argparse.Namespace) -> int:
+    from delfim.bench import critical_path, lockstep
+
+    programs = {"critical-path": critical_path.run, "sim": lockstep.run}
+    return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="delfim", description="The onboard software of an autonomous surface vehicle.")
     parser.add_argument("--version", action="version", version=f"delfim {__version__}")
@@ -127,7 +135,27 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
+    _add_bench(commands)
     return parser
+
+
+def _add_bench(commands: Any) -> None:
+    text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
+    bench = commands.add_parser("bench", help=text, description=text)
+    bench.set_defaults(run=_bench)
+    bench.add_argument("what", nargs="?", choices=["critical-path", "sim"], help="all of them when none is named")
+    bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
+    bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
+    bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")
+    bench.add_argument("--seconds", type=float, help="of a slice of the critical path; of the sea in sim")
+    bench.add_argument("--rounds", type=int, help="how often everybody has a turn")
+    bench.add_argument("--rates", type=float, nargs="+", metavar="HZ", help="of navigation (5 100 500)")
+    bench.add_argument("--bus", metavar="INTERFACE", help="a Linux CAN interface instead of loopback buses")
+    bench.add_argument(
+        "--wire-us", type=int, default=0, help="between the frames of a message; 130 is a bus of 1 Mbit/s (%(default)s)"
+    )
+    bench.add_argument("--quick", action="store_true", help="about a minute: whether it works, not how fast it is")
+    bench.add_argument("--long", action="store_true", help="150,645 cycles at 100 Hz under load, against C")
 
 
 if __name__ == "__main__":
