@@ -5,6 +5,7 @@ SERVICES is the suite, one row a service. To add one: write its coroutine in a f
 
 import asyncio
 import contextlib
+import json
 import os
 import sys
 from collections.abc import Sequence
@@ -47,7 +48,7 @@ class StateLog:
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
         schema = Schema([(f.name, f.code, f.unit, f.description) for f in record.FIELDS], boat=settings.boat.name)
-        limits = settings.log
+        limits, self._clock = settings.log, clock
         self._log = open_log(
             limits.directory,
             "state",
@@ -65,6 +66,9 @@ class StateLog:
 
     def write(self, state: State, now_s: float) -> None:
         self._put(record.values(state, now_s))
+
+    def note(self, text: str) -> None:
+        self._log.note(json.dumps({"utc_ns": self._clock.time_ns(), "note": text}).encode() + b"\n")
 
     def reason(self) -> str:
         status = self._log.status()

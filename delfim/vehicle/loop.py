@@ -4,7 +4,7 @@
     sysstat readable    -> update the health of the other nodes
     console command     -> command -> control -> propulsion -> state back
     guest readable      -> set point, obeyed in GREX mode only
-    watchdog due        -> stop -> propulsion
+    watchdog due        -> failsafe -> stop, hold or home -> propulsion
 
 The handlers are plain functions: no await, no wait, no exception for bad input. Who calls them, an event loop or a replay
 in lock step, is not their business; clock, sockets and log are handed in.
@@ -17,15 +17,17 @@ from delfim import config, geodesy
 from delfim.canproxy.socket import CanSocket
 from delfim.clock import Clock
 from delfim.errors import DelfimError, Refused
-from delfim.vehicle import console, sysstat, watchdog
-from delfim.vehicle.control.control import Settings, admit, control, enter
+from delfim.vehicle import console, failsafe, fence, sysstat
+from delfim.vehicle.checks import Check, checks, refusal
+from delfim.vehicle.control.control import Memory, Settings, admit, control, enter
+from delfim.vehicle.failsafe import Action, Inputs
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.latency import Latency
 from delfim.vehicle.mission import parse_mission, plan
 from delfim.vehicle.navcan import Fix, Source, preferred
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Mode, Motion, Profile, Reference, Setpoint, State, Waypoint, mode_named
+from delfim.vehicle.state import Actuation, Mode, Motion, Notice, Profile, Reference, Setpoint, State, Waypoint, mode_named
 from delfim.vehicle.track import Track
 
 
@@ -33,6 +35,7 @@ class StateLog(Protocol):
     """Where a cycle's record goes."""
 
     def write(self, state: State, now_s: float) -> None: ...
+    def note(self, text: str) -> None: ...  # an event, in words
     def reason(self) -> str: ...  # why nothing is being written, in words; empty while all is well
 
 
@@ -55,6 +58,11 @@ class Vehicle:
         self._limits = Settings(settings.control, settings.propulsion)
         self._memory = enter(Mode.IDLE, state.motion, state.setpoint, self._limits)
         self._track = Track(settings.control.home)
+        self._rules, self._troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
+        self._fence: fence.Fence | None = None
+        self._zones: config.Zones | None = None  # the mission's
+        self._survey()
+        self._taken = False  # the failsafe changed the mode; a joystick that is still pushed does not take it back
         self._segmented = sysstat.receiver()
         self._controlled_s = clock.monotonic_s()
 
@@ -104,13 +112,16 @@ class Vehicle:
         self.guest.reference(line)
 
     def on_watchdog(self) -> None:
-        """Due ten times a second: silent inputs and bad sensors stop the boat."""
-        now_s = self.clock.monotonic_s()
-        alarm = watchdog.alarm(self.state, self.settings, now_s)
-        if alarm is not None:
-            self.stop(alarm)
-        elif self.state.mode is Mode.IDLE and now_s - self.state.navigation_s > self.settings.navigation.stale_s:
-            self.state.actuation = self.propulsion.send(STOP, now_s)  # no navigation cycle does it
+        """Due ten times a second: what has gone wrong, and what is done about it."""
+        now_s, state = self.clock.monotonic_s(), self.state
+        inputs = Inputs(self.log.reason(), self._fence)
+        self._troubles, action, reason, notices = failsafe.failsafe(self._rules, self._troubles, state, inputs, now_s)
+        if notices or state.notices:
+            self._tell(notices)
+        if action > Action.WARN:
+            self._fall_back(action, reason, now_s)
+        elif state.mode is Mode.IDLE and now_s - state.navigation_s > self.settings.navigation.stale_s:
+            state.actuation = self.propulsion.send(STOP, now_s)  # no navigation cycle does it
 
     # What they do.
 
@@ -121,23 +132,69 @@ class Vehicle:
 
     def snapshot(self, extra: dict[str, object]) -> dict[str, object]:
         """The state for the console, JSON-ready."""
-        return console.snapshot(self.state, self.clock.monotonic_s(), {"latency": self.latency.summary(), **extra})
+        lines = [line._asdict() for line in self.checks()]
+        more = {"checks": lines, "latency": self.latency.summary(), **extra}
+        return console.snapshot(self.state, self.clock.monotonic_s(), more)
+
+    def checks(self) -> list[Check]:
+        """What is in order before the start and what is not, a line each."""
+        inputs = Inputs(self.log.reason(), self._fence)
+        return checks(self._rules, self.state, inputs, self.clock.monotonic_s(), self.clock.time_ns())
+
+    def _tell(self, notices: tuple[Notice, ...]) -> None:
+        """Troubles to the console, and their beginnings and ends to the log."""
+        before, after = ({(n.name, n.action) for n in each} for each in (self.state.notices, notices))
+        self.state.notices = notices
+        for notice in notices:
+            if (notice.name, notice.action) not in before:
+                self.log.note(f"{notice.name}: {notice.reason}: {notice.action}")
+        for name in sorted({name for name, _ in before} - {name for name, _ in after}):
+            self.log.note(f"{name}: over")
+
+    def _fall_back(self, action: Action, reason: str, now_s: float) -> None:
+        """Do what the failsafe asks; what cannot be done becomes the next safer thing: home, hold, stop."""
+        state = self.state
+        if action is Action.DISCONNECT:
+            self.propulsion.disconnect(failsafe.unfollowed(self._rules.table.thruster, state, now_s))
+        elif action is Action.STOP:
+            self._taken = True
+            self.stop(reason)
+        elif state.mode is not (Mode.HOME if action is Action.HOME else Mode.HOLD):
+            self._taken = True
+            for mode in (Mode.HOME, Mode.HOLD) if action is Action.HOME else (Mode.HOLD,):
+                if mode is state.mode:
+                    return
+                asked = state.setpoint._replace(track=self._track.points()) if mode is Mode.HOME else state.setpoint
+                cannot = admit(mode, state.motion.has, asked)
+                if cannot is None:
+                    state.setpoint = asked
+                    self._enter(mode, reason)
+                    state.actuation = self.propulsion.send(self._control(now_s), now_s)
+                    return
+            self.stop(f"{reason}; cannot hold: {cannot}")
 
     def _take(self, source: Source, fix: Fix) -> bool:
         """A fix into the state; False when it is not used: a better source speaks, or no boat moves that fast."""
         state, limits = self.state, self.settings.navigation
         if not preferred(source, self.sources, fix.received_s, limits.stale_s):
             return False
-        n = fix.navigation
+        n, last = fix.navigation, state.navigation
+        if last is not None and n.counter == last.counter and n.utc_ns == last.utc_ns and state.source == source.name:
+            state.count("navigation_repeated")
+            source.heard_s = state.navigation_s  # what says the same again is silent: the next source may speak
+            return False
         if n.latitude_rad is not None and n.longitude_rad is not None:
+            if not (abs(n.latitude_rad) < math.pi / 2 and abs(n.longitude_rad) <= math.tau):  # nor what is no number
+                state.count("navigation_malformed")
+                return False
             if state.origin is None:
                 state.origin = geodesy.origin(n.latitude_rad, n.longitude_rad)
+                self._survey()
             north_m, east_m = geodesy.to_plane(state.origin, n.latitude_rad, n.longitude_rad)
             has = _POSITION
         else:
             north_m, east_m, has = state.motion.north_m, state.motion.east_m, 0
         if has and self._jumped(north_m, east_m, fix.received_s):
-            state.count("navigation_jumps")
             return False
         moving, headed = n.north_mps is not None, n.heading_rad is not None
         state.motion = Motion(
@@ -149,6 +206,8 @@ class Vehicle:
             n.north_mps or 0.0,
             n.east_mps or 0.0,
         )
+        if last is None or n[_MEASURED] != last[_MEASURED]:
+            state.changed_s = fix.received_s
         state.navigation, state.navigation_s, state.source = n, fix.received_s, source.name
         state.cycles += 1
         return True
@@ -160,7 +219,13 @@ class Vehicle:
         if age_s > limits.stale_s or "position" not in state.motion.has:
             return False
         moved_m = math.hypot(north_m - state.motion.north_m, east_m - state.motion.east_m)
-        return moved_m > limits.jump_m + limits.jump_mps * age_s
+        if moved_m <= limits.jump_m + limits.jump_mps * age_s:
+            return False
+        state.count("navigation_jumps")
+        if now_s - state.jumped_s > limits.stale_s:
+            state.jumping_s = now_s
+        state.jumped_s, state.jumped_m = now_s, moved_m
+        return True
 
     def _control(self, now_s: float) -> Actuation:
         state = self.state
@@ -186,7 +251,22 @@ class Vehicle:
         if mode is Mode.IDLE and state.mode is Mode.IDLE and state.reason == reason:
             return
         self._memory = enter(mode, state.motion, state.setpoint, self._limits)
+        if mode is Mode.HOLD:
+            self._memory = self._room_to_hold(self._memory)
+        if mode is not state.mode:
+            state.mode_s = self.clock.monotonic_s()
         state.mode, state.reason, state.reference = mode, reason, Reference()
+        self.log.note(f"{mode.name.lower()}: {reason}")
+
+    def _room_to_hold(self, memory: Memory) -> Memory:
+        """Near the fence the boat holds where it has room: at the newest place of the driven track that has."""
+        zones, room_m = self._fence, self.settings.control.hold.radius_m
+        if zones is None or fence.roomy(zones, memory.north_m, memory.east_m, room_m):
+            return memory
+        for north_m, east_m in reversed(self._track.points()):
+            if fence.roomy(zones, north_m, east_m, room_m):
+                return memory._replace(north_m=north_m, east_m=east_m)
+        return memory
 
     def _request(self, mode: Mode, setpoint: Setpoint, now_s: float) -> None:
         """The one door: the operator asks for a mode with its set points. Raises Refused; nothing has changed then."""
@@ -194,22 +274,43 @@ class Vehicle:
         if mode is Mode.HOME:
             setpoint = setpoint._replace(track=self._track.points())
         if mode is not Mode.IDLE:
-            reason = watchdog.unfit(state, self.settings, now_s, self.log.reason()) or admit(mode, state.motion.has, setpoint)
-            if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.watchdog.guest_s:
+            reason = refusal(self._rules, mode, self.checks()) or admit(mode, state.motion.has, setpoint)
+            if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
                 reason = "no reference from the guest"
+            if reason is None:
+                reason = self._out_of_bounds(mode, setpoint)
             if reason is not None:
                 raise Refused(f"{mode.name.lower()} refused: {reason}")
         state.setpoint = setpoint
+        self._troubles, self._taken = failsafe.overruled(self._troubles), False
         self._enter(mode, "operator")
+
+    def _out_of_bounds(self, mode: Mode, setpoint: Setpoint) -> str | None:
+        """Why the fence does not let the boat go to where the mode begins, in words."""
+        to = setpoint.target
+        if mode is Mode.PLAY and setpoint.plan is not None:
+            to = setpoint.plan.waypoints[setpoint.leg]
+        elif mode is Mode.GOTO and to is None and setpoint.plan is not None:
+            to = setpoint.plan.waypoints[0]
+        if self._fence is None or to is None or mode not in (Mode.PLAY, Mode.GOTO):
+            return None
+        motion = self.state.motion
+        return fence.crossing(self._fence, (motion.north_m, motion.east_m), (to.north_m, to.east_m))
 
     def _obey(self, command: console.Commands, now_s: float) -> None:
         setpoint = self.state.setpoint
         match command:
             case console.Stop():
+                self._taken = False
                 self.stop("operator")
             case console.Mode(mode):
-                self._request(mode_named(mode), setpoint, now_s)
+                wanted = mode_named(mode)
+                if wanted is Mode.MANUAL:  # without thrust, until told
+                    self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
+                self._request(wanted, setpoint, now_s)
             case console.Manual(starboard, port):
+                if self._taken:
+                    raise Refused(f"manual refused: {self.state.reason}; ask for the mode first")
                 self.state.manual_s = now_s
                 self.state.setpoint = setpoint = setpoint._replace(starboard=starboard, port=port)
                 if self.state.mode is not Mode.MANUAL:
@@ -248,9 +349,24 @@ class Vehicle:
         if state.origin is None:
             first = mission.waypoint[0]
             state.origin = geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
-        state.setpoint = state.setpoint._replace(plan=plan(mission, state.origin, self._limits.control), leg=0)
+            self._survey()
+        planned = plan(mission, state.origin, self._limits.control)
+        zones = fence.survey(self.settings.fence, mission.fence, state.origin)
+        if (why := fence.complaint(zones, planned)) is not None:
+            raise Refused(f"mission refused: {why}")
+        state.setpoint = state.setpoint._replace(plan=planned, leg=0)
+        self._zones = mission.fence
+        self._survey()
+
+    def _survey(self) -> None:
+        """The fence, laid again: the mission or the origin of the plane is new."""
+        limits, zones = self.settings.fence, self._zones
+        surveyed = fence.survey(limits, zones, self.state.origin) if self.state.origin else None
+        fenced = limits.keep_in or limits.keep_out or (surveyed and surveyed.zones)
+        self._fence = (surveyed or fence.Fence((), limits)) if fenced else None
 
 
+_MEASURED = slice(1, 9)  # of a navigation message: position, velocity, attitude
 _POSITION, _HEADING, _VELOCITY = 1, 2, 4
 _HAS = tuple(
     frozenset(name for bit, name in ((1, "position"), (2, "heading"), (4, "velocity")) if known & bit) for known in range(8)
