@@ -77,7 +77,7 @@ def _drive(asked: argparse.Namespace) -> int:
     from delfim.config import load
     from delfim.console.drive import run
 
-    run(asked.socket or load(asked.file, asked.set).console.socket, asked.words)
+    run(load(asked.file, asked.set).console.socket, asked.words)
     return 0
 
 
@@ -114,7 +114,6 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
-    drive.add_argument("--socket", help="the vehicle's command socket, instead of the file's")
     return parser
 
 

@@ -82,7 +82,7 @@ class HeadingTable(Table, frozen=True):
     """Heading autopilot: differential rpm per rad and per rad/s, and the integral that carries wind."""
 
     p_rpm_per_rad: Gain = 700.0  # differential for a heading error
-    p_limit_rpm: Gain = 400.0  # most of it: sets the rate of turn
+    p_limit_rpm: Gain = 700.0  # most of it: sets the rate of turn
     d_rpm_per_radps: Gain = 1000.0  # differential against a rate of turn
     turn_rpm_per_radps: Gain = 1000.0  # differential that keeps a turn going, on an arc
     i_rpm_per_rad_s: Gain = 30.0  # differential gathered from an error that stays
@@ -103,9 +103,9 @@ class SpeedTable(Table, frozen=True):
 class PathTable(Table, frozen=True):
     """Line-of-sight guidance with integral action against current, for missions, paths and the way home."""
 
-    lookahead_m: Metres = 12.0  # the boat steers for a point of the path this far ahead
-    integral_gain: Gain = 0.5  # m/s: how fast a cross-track error that stays turns into crab angle
-    crab_s: Seconds = 3.0  # smoothing of the measured crab angle
+    lookahead_m: Metres = 8.0  # the boat steers for a point of the path this far ahead
+    integral_gain: Gain = 0.1  # m/s: how fast a cross-track error that stays turns into crab angle
+    crab_s: Seconds = 1.0  # smoothing of the measured crab angle
     acceptance_m: Metres = 5.0  # a waypoint is reached within this radius unless it names its own
 
 
@@ -339,7 +339,7 @@ class Runtime(Table, frozen=True):
     mlockall: bool = False  # keep the runtime in memory
     window: bool = True  # navigation window: spin shortly before navigation is due
     window_share_max: Fraction = 0.1  # of one processor, at most
-    window_guard_s: Annotated[float, msgspec.Meta(gt=0.0, le=0.05)] = 0.0006
+    window_guard_s: Annotated[float, msgspec.Meta(gt=0.0, le=0.05)] = 0.0006  # it opens so long before navigation
     callback_budget_s: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.0005  # a service whose callback takes longer is shown
     run_directory: str = "/run/delfim"  # for sockets and state files
 
@@ -373,9 +373,9 @@ class Sea(Table, frozen=True):
 class Simulation(Table, frozen=True):
     """What only `delfim sim` and `delfim nodes` read."""
 
-    interface: Interface = "canloop:delfimx"  # the bus of a simulated boat
-    latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] = 38.6925  # where it starts
-    longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = -9.2150  # where it starts
+    interface: Interface = "canloop:can0"  # the bus of a simulated boat
+    latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] = 38.6907  # where it starts
+    longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = -9.2153  # where it starts
     heading_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # how it lies at start
     mission: str = ""  # played by `delfim sim`, beside the vehicle's file
     position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position

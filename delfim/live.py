@@ -8,6 +8,7 @@ import argparse
 import contextlib
 import json
 import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,18 +18,24 @@ from pathlib import Path
 from typing import Any
 
 from delfim import config
+from delfim.canproxy.socket import ANYTHING, open_can
 from delfim.console.drive import line
 from delfim.console.link import Link
 from delfim.console.view import View
-from delfim.errors import ConfigError, DelfimError
+from delfim.errors import BusError, ConfigError, DelfimError
+from delfim.suite import StateLog
 from delfim.vehicle.mission import Mission, canonical, load_mission
 
 START_S = 10.0  # the suite must answer within this time
 END_S = 10.0  # and have ended within this time
+QUIET_S = 0.25  # a bus on which nobody speaks for so long is free
+LOCKSTEP_S = 7200.0  # longest mission in lock step
 
 
 def simulate(asked: argparse.Namespace) -> int:
     """The command. Returns 0 when the mission was sailed to its end or the asked time passed, 1 when the boat stopped."""
+    for number in (signal.SIGTERM, signal.SIGHUP):  # what we started ends with us
+        signal.signal(number, signal.default_int_handler)
     settings = config.load(asked.file, asked.set)
     mission = _mission(asked, settings)
     output = Path(asked.output)
@@ -37,11 +44,18 @@ def simulate(asked: argparse.Namespace) -> int:
         return _lockstep(asked, settings, mission, output)
     overrides = [*asked.set, *_simulated(settings, output)]
     settings = config.load(asked.file, overrides)
+    _alone(settings.can.interface)
     arguments = [asked.file, *(word for override in overrides for word in ("--set", override))]
+    started = time.time()
     with _process("nodes", *arguments, "--seed", str(asked.seed)), _process("supervise", *arguments):
         end = _sail(asked, settings, mission)
-    _pictures(Path(settings.log.directory), mission, settings.boat.name, output)
+    log = Path(settings.log.directory)
+    _pictures([file for file in log.glob("*/state/*.state*") if file.stat().st_mtime > started], mission, settings, output)
     print(f"delfim: {end}")
+    return _code(end)
+
+
+def _code(end: str) -> int:
     return 0 if end.startswith(("mission done", "time")) else 1
 
 
@@ -49,13 +63,25 @@ def _simulated(settings: config.Vehicle, output: Path) -> list[str]:
     """What is otherwise on a desk than at sea."""
     place = output.resolve()
     return [
-        f'can.interface="{settings.simulation.interface}-{os.getpid()}"',
+        f'can.interface="{settings.simulation.interface}"',
         f'console.socket="{place}/command"',
         f'log.directory="{place}/log"',
         f'runtime.run_directory="{place}"',
         'supervisor.hardware_watchdog=""',
         'guest.listen="127.0.0.1:0"',
     ]
+
+
+def _alone(interface: str) -> None:
+    """Raises BusError when somebody sails on this bus already: two boats would obey each other's commands."""
+    with open_can(interface) as socket:
+        socket.bind(ANYTHING)
+        socket.settimeout(QUIET_S)
+        with contextlib.suppress(TimeoutError):
+            socket.recvmsg()
+            raise BusError(
+                f"{interface} is in use by another simulation; name another with --set 'simulation.interface=\"canloop:can1\"'"
+            )
 
 
 def _mission(asked: argparse.Namespace, settings: config.Vehicle) -> Mission:
@@ -149,30 +175,35 @@ def _shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Any]:
 
 
 def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission, output: Path) -> int:
+    """The same mission as fast as the machine can; the state log's bytes depend on file, mission and seed alone."""
     from delfim.simulator.lockstep import Lockstep
 
-    log = output / "log"
-    run = Lockstep(settings, asked.seed, log)
+    log = output.resolve() / f"lockstep-{asked.seed}"
+    shutil.rmtree(log, ignore_errors=True)
+    settings = config.load(asked.file, [*asked.set, f'log.directory="{log}"', 'log.state_method="write"'])
     started = time.monotonic()
-    end = run.sail(canonical(mission), asked.for_s or 7200.0)
+    run = Lockstep(settings, asked.seed, lambda clock: StateLog(settings, clock))
+    end = run.sail(canonical(mission), asked.for_s or LOCKSTEP_S)
     run.close()
     wall_s = time.monotonic() - started
-    _pictures(log, mission, settings.boat.name, output)
+    _pictures(list(log.glob("*/state/*.state*")), mission, settings, output, timed=False)
     print(f"delfim: {end}; {run.elapsed_s:.0f} s sailed in {wall_s:.2f} s, {run.elapsed_s / wall_s:.0f} times real time")
-    return 0 if end.startswith(("mission done", "time")) else 1
+    return _code(end)
 
 
-def _pictures(log: Path, mission: Mission, boat: str, output: Path) -> None:
-    """Track and latency of the newest run under `log`, as PNG beside it."""
+def _pictures(files: list[Path], mission: Mission, settings: config.Vehicle, output: Path, *, timed: bool = True) -> None:
+    """Track of a run, and its latency where time was real, as PNG from the state log."""
     from delfim.logging import plot
     from delfim.logging.statelog import columns
 
-    files = sorted(log.glob("*/state/*"))
-    if not files:
-        print(f"delfim: nothing was logged under {log}", file=sys.stderr)
-        return
     data = columns(files)
-    marks = [(w.latitude_deg, w.longitude_deg, w.acceptance_m or 5.0) for w in mission.waypoint]
-    plot.track(data, marks, f"{boat}: {mission.name}", output / "track.png")
-    plot.latency(data, f"{boat}: critical path, t0 to t4", output / "latency.png")
-    print(f"delfim: {output}/track.png, {output}/latency.png")
+    if not data:
+        print("delfim: nothing was logged, so there are no pictures", file=sys.stderr)
+        return
+    acceptance_m = settings.control.path.acceptance_m
+    marks = [(w.latitude_deg, w.longitude_deg, w.acceptance_m or acceptance_m) for w in mission.waypoint]
+    plot.track(data, marks, f"{settings.boat.name}: {mission.name}", output / "track.png")
+    print(f"delfim: {output}/track.png")
+    if timed:
+        plot.latency(data, f"{settings.boat.name}: critical path, t0 to t4", output / "latency.png")
+        print(f"delfim: {output}/latency.png")

@@ -7,16 +7,18 @@ import asyncio
 import contextlib
 import json
 import os
+import socket
 import sys
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from delfim import config
 from delfim.canproxy import dsor
 from delfim.canproxy.nmea2000 import Nmea2000Source
-from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, open_can
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, bus_state, open_can
 from delfim.clock import Clock, SystemClock
-from delfim.errors import PermanentFailure
+from delfim.errors import DelfimError, PermanentFailure
 from delfim.logging.canzlogd import BlackBox
 from delfim.logging.liblog import open_log
 from delfim.logging.statelog import Schema, StateWriter
@@ -47,7 +49,11 @@ class StateLog:
     """The vehicle's state log: a record a cycle."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
-        schema = Schema([(f.name, f.code, f.unit, f.description) for f in record.FIELDS], boat=settings.boat.name)
+        schema = Schema(
+            [(f.name, f.code, f.unit, f.description) for f in record.FIELDS],
+            boat=settings.boat.name,
+            started_ns=clock.time_ns(),
+        )
         limits, self._clock = settings.log, clock
         self._log = open_log(
             limits.directory,
@@ -61,18 +67,21 @@ class StateLog:
             free_bytes_min=limits.free_bytes_min,
             when_full=limits.when_full,
         )
-        self._put = StateWriter(self._log, schema).put
-        self.status, self.poll, self.close = self._log.status, self._log.poll, self._log.close
+        self._writer = StateWriter(self._log, schema)
+        self.status, self.poll = self._log.status, self._log.poll
 
     def write(self, state: State, now_s: float) -> None:
-        self._put(record.values(state, now_s))
+        self._writer.put(record.values(state, now_s))
 
     def note(self, text: str) -> None:
         self._log.note(json.dumps({"utc_ns": self._clock.time_ns(), "note": text}).encode() + b"\n")
 
     def reason(self) -> str:
         status = self._log.status()
-        return "" if status.writable else status.reason
+        return self._writer.reason if status.writable else status.reason
+
+    def close(self) -> None:
+        self._log.close()
 
 
 async def vehicle(runtime: Runtime) -> None:
@@ -89,11 +98,11 @@ async def vehicle(runtime: Runtime) -> None:
         boat = Vehicle(settings, clock, state, sources, propulsion, Guest(state, clock), log)
         links.callback(boat.stop, "shutdown")  # first of all that is undone
         for source in sources:
-            runtime.navigation(source.socket.fileno(), lambda source=source: boat.on_navigation(source))
+            runtime.navigation(source.socket.fileno(), partial(boat.on_navigation, source))
             links.callback(runtime.remove_navigation, source.socket.fileno())
-        for socket in (status_frames, status_messages):
-            runtime.reader(socket.fileno(), lambda socket=socket: boat.on_sysstat(socket))
-            links.callback(runtime.remove_reader, socket.fileno())
+        for status in (status_frames, status_messages):
+            runtime.reader(status.fileno(), partial(boat.on_sysstat, status))
+            links.callback(runtime.remove_reader, status.fileno())
         sockets = [source.socket for source in sources] + [status_frames, status_messages]
         await _attend(runtime, boat, log, sockets, links)
 
@@ -124,8 +133,8 @@ async def _attend(
             commands.publish()
         if ticks % MAINTAIN_EVERY == 0:
             log.poll()
-            for socket in sockets:
-                socket.rebind()
+            for each in sockets:
+                each.rebind()
 
 
 async def canzlogd(runtime: Runtime) -> None:
@@ -136,13 +145,13 @@ async def canzlogd(runtime: Runtime) -> None:
         interfaces.add(settings.nmea2000.interface)
     with contextlib.ExitStack() as links:
         sockets = [links.enter_context(open_can(name, error_frames=True)) for name in sorted(interfaces)]
-        box = BlackBox(sockets, settings.log, runtime.clock)
+        box = BlackBox(sockets, settings.log, runtime.clock, bus_state)
         links.callback(box.close)
-        for socket in sockets:
-            socket.bind(ANYTHING)
-            socket.setblocking(False)
-            runtime.reader(socket.fileno(), lambda socket=socket: box.on_readable(socket))
-            links.callback(runtime.remove_reader, socket.fileno())
+        for each in sockets:
+            each.bind(ANYTHING)
+            each.setblocking(False)
+            runtime.reader(each.fileno(), partial(box.on_readable, each))
+            links.callback(runtime.remove_reader, each.fileno())
         while True:
             await asyncio.sleep(1.0)
             box.poll()
@@ -216,20 +225,24 @@ class StopFrames:
 
 
 def _socket_path(name: str) -> str:
-    """The path for a new UNIX socket; what an earlier run left there is removed."""
+    """The path for a new UNIX socket; what a run that was killed left there is removed. Raises DelfimError when a vehicle is
+    running there: two must not answer to one name."""
     path = Path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
+    with socket.socket(socket.AF_UNIX) as knock:
+        if knock.connect_ex(name) == 0:
+            raise DelfimError(f"another vehicle answers on {name}")
     path.unlink(missing_ok=True)
     return name
 
 
 def _opened(links: contextlib.ExitStack, settings: config.Vehicle, interface: str, *filters: CanAddress) -> CanSocket:
     """A socket that never blocks and receives what the filters accept: none, nothing."""
-    socket = links.enter_context(open_can(interface, receive_buffer_bytes=settings.can.receive_buffer_bytes))
-    socket.setblocking(False)
+    can = links.enter_context(open_can(interface, receive_buffer_bytes=settings.can.receive_buffer_bytes))
+    can.setblocking(False)
     if filters:
-        socket.bind(*filters)
-    return socket
+        can.bind(*filters)
+    return can
 
 
 def _sources(settings: config.Vehicle, state: State, links: contextlib.ExitStack) -> tuple[Source, ...]:
@@ -238,11 +251,10 @@ def _sources(settings: config.Vehicle, state: State, links: contextlib.ExitStack
     for name in settings.navigation.sources:
         if name == "dsor":
             node = CanAddress(*dsor.message_filter(source=Node.NAVIGATION))
-            socket = _opened(links, settings, settings.can.interface, node)
-            sources.append(DsorNavigation(socket, state))
+            sources.append(DsorNavigation(_opened(links, settings, settings.can.interface, node), state))
         else:
             decoder = Nmea2000Source(settings.nmea2000, settings.navigation.stale_s)
             filters = (CanAddress(arb, mask) for arb, mask in decoder.filters)
-            socket = _opened(links, settings, settings.nmea2000.interface, *filters)
-            sources.append(Nmea2000Navigation(socket, decoder, state))
+            can = _opened(links, settings, settings.nmea2000.interface, *filters)
+            sources.append(Nmea2000Navigation(can, decoder, state))
     return tuple(sources)

@@ -18,8 +18,8 @@ def describe() -> str:
         "# The vehicle's file",
         "",
         "One TOML file describes a boat. Keys that are not here are refused, and so are values outside their range: the",
-        "message names file, key, reason and what is allowed. `delfim check FILE` tells without starting anything. This page is",
-        "written by `delfim describe`.",
+        "message names file, key, reason and what is allowed. `delfim check FILE` tells without starting anything. This",
+        "page is written by `delfim describe`.",
     ]
     for name, table in _tables("", config.Vehicle):
         page += ["", f"## `[{name}]`", "", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
@@ -57,7 +57,7 @@ def _sentence(table: type) -> str:
 
 def _comments(table: type) -> dict[str, str]:
     """Of the class and of those that it extends; the nearest one counts."""
-    found = {}
+    found: dict[str, str] = {}
     for each in reversed([kind for kind in table.__mro__ if issubclass(kind, config.Table)]):
         found.update(re.findall(r"^    (\w+): .*?  # (.+)$", inspect.getsource(each), re.MULTILINE))
     return {name: comment.replace("|", "\\|") for name, comment in found.items()}

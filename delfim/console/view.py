@@ -85,9 +85,9 @@ def warnings(state: dict[str, Any]) -> list[tuple[str, Text]]:
         found.append(("idle", Text(state["reason"], style="yellow")))
     bad = {name: report for name, report in state["sysstat"].items() if report["status"] != "good"}
     found += [(name, Text(f"{report['status']} {' '.join(report['faults'])}", style="red")) for name, report in bad.items()]
-    for service in state.get("services", ()):
+    for name, service in state.get("services", {}).items():
         if service["state"] not in ("running", "stopped", "starting"):
-            found.append((service["name"], Text(f"{service['state']}: {service['reason']}", style="red")))
+            found.append((name, Text(f"{service['state']}: {service['reason']}", style="red")))
     if log := state.get("log", {}).get("reason"):
         found.append(("log", Text(log, style="red")))
     found += [(name.replace("_", " "), Text(str(count), style="yellow")) for name, count in state["counts"].items()]

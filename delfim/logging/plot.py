@@ -33,11 +33,13 @@ def track(columns: Columns, waypoints: Sequence[tuple[float, float, float]], tit
     axes.plot([p[0] for p in marks], [p[1] for p in marks], "--", color=LINE, lw=1.2, zorder=1)
     for number, (east_m, north_m, radius) in enumerate(marks, 1):
         axes.add_patch(_circle(east_m, north_m, radius))
-        axes.annotate(str(number), (east_m, north_m), (7, 7), textcoords="offset points", color=INK, fontsize=10, weight="bold")
+        twins = [str(other) for other, mark in enumerate(marks, 1) if mark[:2] == (east_m, north_m)]
+        label = "" if twins[0] != str(number) else ", ".join(twins)
+        axes.annotate(label, (east_m, north_m), (9, 9), textcoords="offset points", color=INK, fontsize=10, weight="bold")
     dots = axes.scatter([p[0] for p in points], [p[1] for p in points], c=speeds, s=4, cmap="viridis", zorder=3)
     axes.plot(*points[0], "o", color=BOAT, ms=8, zorder=4)
-    axes.annotate("start", points[0], (-10, -16), textcoords="offset points", color=BOAT)
-    figure.colorbar(dots, ax=axes, label="speed over ground, m/s", shrink=0.7)
+    axes.annotate("start", points[0], (-9, 9), textcoords="offset points", ha="right", color=BOAT)
+    figure.colorbar(dots, ax=axes, label="speed over ground, m/s", location="bottom", shrink=0.6, aspect=40, pad=0.02)
     axes.set(aspect="equal", xlabel="east, m", ylabel="north, m", title=title)
     axes.margins(0.08)
     _save(figure, file)
@@ -51,15 +53,15 @@ def latency(columns: Columns, title: str, file: Path) -> None:
     if path_us:
         edges = [10 ** (k / 20) for k in range(20, 101)]
         above.hist(path_us, bins=edges, color="#2e86ab", edgecolor="white", lw=0.4)
-        above.set(xscale="log", yscale="log", xlabel="latency, µs", ylabel="samples", title=title)
+        above.set(xscale="log", yscale="log", xlabel="latency, µs", ylabel="samples")
         n = len(path_us)
         figures = {"p50": path_us[n // 2], "p99": path_us[int(n * 0.99)], "worst": path_us[-1]}
-        for name, value in figures.items():
+        for height, (name, value) in zip((0.97, 0.85, 0.73), figures.items(), strict=True):
             above.axvline(value, color=BOAT, lw=1, ls=":")
-            above.annotate(f"{name} {value:.0f}", (value, 0.97), (3, -3), xycoords=("data", "axes fraction"),
-                           textcoords="offset points", rotation=90, va="top", fontsize=8, color=BOAT)  # fmt: skip
+            at = {"xycoords": ("data", "axes fraction"), "fontsize": 9, "color": BOAT}
+            above.annotate(f" {name} {value:.0f} µs", (value, height), **at)
         within = sum(value <= 100 for value in path_us) / n
-        above.annotate(f"{n} cycles, {within:.2%} within 100 µs", (0.98, 0.95), xycoords="axes fraction", ha="right", va="top")
+        above.set_title(f"{title}\n{n} cycles, {within:.2%} within 100 µs")
     t5 = columns["previous_t5"][1:]
     spans = [(t0, t1), (t1, t2), (t2, t3), (t3, t4), (t4[:-1], t5)]
     means = [_mean([(b - a) / 1e3 for a, b in zip(*span, strict=True) if 0 < a <= b]) for span in spans]

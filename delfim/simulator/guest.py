@@ -129,6 +129,6 @@ async def guest(host: str, port: int, plan: Plan, *, backoff_s: tuple[float, flo
             why = f"the vehicle was silent or did not read for {SILENCE_S:.0f} s"
         except (OSError, ValueError) as error:  # not there, gone, a line too long, or no navigation (FormatError)
             why = str(error)
-        _log.info("guest of %s:%d: %s; again in %.1f s", host, port, why, pause_s)
+        _log.info("guest of %s:%d: %s; again in %.3g s", host, port, why, pause_s)
         await asyncio.sleep(pause_s)
         pause_s = min(2.0 * pause_s, backoff_s[1])

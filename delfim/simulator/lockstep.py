@@ -54,6 +54,11 @@ class Lockstep:
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
 
+    def close(self) -> None:
+        """End the log."""
+        self.vehicle.stop("end of the run")
+        self.vehicle.log.close()
+
     @property
     def elapsed_s(self) -> float:
         return self.clock.monotonic_s()

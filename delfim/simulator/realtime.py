@@ -4,6 +4,7 @@ One process, one socket, one loop: wait until a node has something to say or a c
 the real nodes, on a loopback bus or on a real one.
 """
 
+import contextlib
 import select
 import signal
 from types import FrameType
@@ -48,7 +49,5 @@ def _turn(nodes: Nodes, socket: CanSocket, clock: SystemClock) -> None:
     while (frame := socket.receive()) is not None:
         nodes.feed(frame, now_s)
     for frame in nodes.step(now_s, clock.time_ns()):
-        try:
+        with contextlib.suppress(BlockingIOError):  # a full transmit queue: a real node loses the frame too
             socket.sendmsg(frame)
-        except BlockingIOError:  # a full transmit queue: a real node loses the frame too
-            pass

@@ -1,4 +1,4 @@
-"""What is looked at before the boat leaves idle, a line and a reason each: the page that is read on the quay (docs/failsafe.md).
+"""What is looked at before the boat leaves idle, a line and a reason each: the page that is read on the quay.
 
 The one door asks the same lines: what the page shows in order, the door does not refuse.
 """

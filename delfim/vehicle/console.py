@@ -95,7 +95,8 @@ _encode = msgspec.json.Encoder().encode
 def parse(line: bytes) -> Commands:
     """The command in one line of JSON. Raises FormatError in words."""
     try:
-        return _decoder.decode(line)
+        command: Commands = _decoder.decode(line)
+        return command
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise FormatError(f"command not understood: {error}") from None
 

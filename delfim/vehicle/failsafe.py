@@ -14,8 +14,9 @@ from typing import Final, NamedTuple
 from delfim import config
 from delfim.messages import BatteriesStatus, Node, PropellerStatus
 from delfim.vehicle import sysstat
+from delfim.vehicle.control.control import admit
 from delfim.vehicle.fence import Fence, ahead, outside
-from delfim.vehicle.state import Mode, Notice, State
+from delfim.vehicle.state import Mode, Notice, Setpoint, State
 
 
 class Action(IntEnum):
@@ -76,6 +77,7 @@ class Verdict(NamedTuple):
     notices: tuple[Notice, ...]
 
 
+_DOES: Final = {Action.HOME: (Mode.HOME, Mode.HOLD), Action.HOLD: (Mode.HOLD,), Action.STOP: ()}
 NO_TROUBLE: Final[Memory] = MappingProxyType({})
 _WELL: Final = Verdict(NO_TROUBLE, Action.NONE, "", ())
 _NEVER_S: Final = math.inf
@@ -134,6 +136,23 @@ def failsafe(rules: Rules, memory: Memory, state: State, inputs: Inputs, now_s: 
         notices.append(Notice(trigger.name.lower(), why, episode.since_s, action.name.lower()))
     notices.sort(key=lambda notice: -Action[notice.action.upper()])
     return Verdict(after, worst, reason, tuple(notices))
+
+
+def fallback(action: Action, reason: str, has: frozenset[str], setpoint: Setpoint) -> tuple[Mode, str]:
+    """The mode that does an action, or the next safer one whose inputs are there: home, hold, idle. And why."""
+    cannot = None
+    for mode in _DOES[action]:
+        cannot = admit(mode, has, setpoint)
+        if cannot is None:
+            return mode, reason
+    return Mode.IDLE, reason if cannot is None else f"{reason}; cannot hold: {cannot}"
+
+
+def news(before: tuple[Notice, ...], after: tuple[Notice, ...]) -> list[str]:
+    """What a log should say of the change from one look to the next."""
+    known, present = {(n.name, n.action) for n in before}, {n.name for n in after}
+    lines = [f"{n.name}: {n.reason}: {n.action}" for n in after if (n.name, n.action) not in known]
+    return lines + [f"{n.name}: over" for n in before if n.name not in present]
 
 
 def overruled(memory: Memory) -> Memory:
@@ -264,7 +283,9 @@ def _astray(state: State, sides: tuple[str, ...]) -> str:
     def words(side: str) -> str:
         report = state.sysstat[f"propeller_{side}"][0]
         measured = report.rpm if isinstance(report, PropellerStatus) else None
-        wanted = (state.actuation.starboard_rpm if side == "starboard" else state.actuation.port_rpm) if state.actuation.run else 0
+        wanted = (
+            (state.actuation.starboard_rpm if side == "starboard" else state.actuation.port_rpm) if state.actuation.run else 0
+        )
         return f"{side} propeller turns {measured} instead of {wanted:.0f} rpm"
 
     return ", ".join(map(words, sides))

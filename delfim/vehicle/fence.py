@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 from delfim import config, geodesy
 from delfim.vehicle.control.path_following import arc_point
-from delfim.vehicle.state import Line, Motion, Plan
+from delfim.vehicle.state import Line, Mode, Motion, Plan, Setpoint
 
 Point = tuple[float, float]  # north_m, east_m
 
@@ -62,9 +62,11 @@ def polygon(name: str, keep_in: bool, corners: Sequence[Point]) -> Zone:
     return Zone(name, keep_in, tuple(Side(a[0], a[1], b[0] - a[0], b[1] - a[1]) for a, b in zip(corners, ends, strict=True)))
 
 
-def survey(limits: config.Fence, mission: config.Zones | None, at: geodesy.Origin) -> Fence:
-    """The boat's own zones and the mission's, laid into the local plane."""
-    return Fence((*_zones("", limits, at), *(_zones("mission's ", mission, at) if mission is not None else ())), limits)
+def survey(limits: config.Fence, mission: config.Zones, at: geodesy.Origin | None) -> Fence | None:
+    """The boat's own zones and the mission's, laid into the local plane; none yet while there is no plane. None: no fence."""
+    if not (limits.keep_in or limits.keep_out or mission.keep_in or mission.keep_out):
+        return None
+    return Fence((*_zones("", limits, at), *_zones("mission's ", mission, at)) if at is not None else (), limits)
 
 
 def _zones(whose: str, zones: config.Zones, at: geodesy.Origin) -> Iterator[Zone]:
@@ -163,18 +165,27 @@ def outside(fence: Fence, north_m: float, east_m: float) -> str | None:
     return None
 
 
-def roomy(fence: Fence, north_m: float, east_m: float, room_m: float) -> bool:
-    """Whether a circle of this radius around the point, and the margin, is free of all zones."""
-    return all(clearance_m(zone, north_m, east_m) >= room_m + fence.limits.margin_m for zone in fence.zones)
-
-
-def crossing(fence: Fence, a: Point, b: Point) -> str | None:
-    """Which zone the straight way from a to b comes too near to, in words. Where the boat starts within the margin it may go
-    away from it.
+def place_to_hold(fence: Fence, here: Point, track: Sequence[Point], radius_m: float) -> Point:
+    """Where to hold so that drifting about within `radius_m` keeps the margin: here, or else at the newest place of the driven
+    track, oldest first, that has this room; here again where none has.
     """
+    room_m = radius_m + fence.limits.margin_m
+    for point in (here, *reversed(track)):
+        if all(clearance_m(zone, *point) >= room_m for zone in fence.zones):
+            return point
+    return here
+
+
+def crossing(fence: Fence, mode: Mode, motion: Motion, setpoint: Setpoint) -> str | None:
+    """What the fence has against the straight way to where a mode first goes, in words. Within the margin it may lead away."""
+    waypoints = setpoint.plan.waypoints if setpoint.plan is not None else ()
+    to = waypoints[setpoint.leg] if mode is Mode.PLAY else setpoint.target or waypoints[0] if mode is Mode.GOTO else None
+    if to is None:
+        return None
+    here = motion.north_m, motion.east_m
     for zone in fence.zones:
-        least = least_m(zone, a, b)
-        if least < fence.limits.margin_m and least < clearance_m(zone, *a) - RECEDES_M:
+        least = least_m(zone, here, (to.north_m, to.east_m))
+        if least < fence.limits.margin_m and least < clearance_m(zone, *here) - RECEDES_M:
             return f"the way leads {_through(zone, least)}"
     return None
 

@@ -19,7 +19,7 @@ from delfim.clock import Clock
 from delfim.errors import DelfimError, Refused
 from delfim.vehicle import console, failsafe, fence, sysstat
 from delfim.vehicle.checks import Check, checks, refusal
-from delfim.vehicle.control.control import Memory, Settings, admit, control, enter
+from delfim.vehicle.control.control import Settings, admit, control, enter
 from delfim.vehicle.failsafe import Action, Inputs
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.latency import Latency
@@ -27,7 +27,7 @@ from delfim.vehicle.mission import parse_mission, plan
 from delfim.vehicle.navcan import Fix, Source, preferred
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Mode, Motion, Notice, Profile, Reference, Setpoint, State, Waypoint, mode_named
+from delfim.vehicle.state import Actuation, Mode, Motion, Profile, Reference, Setpoint, State, Waypoint, mode_named
 from delfim.vehicle.track import Track
 
 
@@ -37,6 +37,7 @@ class StateLog(Protocol):
     def write(self, state: State, now_s: float) -> None: ...
     def note(self, text: str) -> None: ...  # an event, in words
     def reason(self) -> str: ...  # why nothing is being written, in words; empty while all is well
+    def close(self) -> None: ...
 
 
 class Vehicle:
@@ -59,9 +60,8 @@ class Vehicle:
         self._memory = enter(Mode.IDLE, state.motion, state.setpoint, self._limits)
         self._track = Track(settings.control.home)
         self._rules, self._troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
-        self._fence: fence.Fence | None = None
-        self._zones: config.Zones | None = None  # the mission's
-        self._survey()
+        self._zones = config.Zones()  # the mission's
+        self._fence = fence.survey(settings.fence, self._zones, state.origin)
         self._taken = False  # the failsafe changed the mode; a joystick that is still pushed does not take it back
         self._segmented = sysstat.receiver()
         self._controlled_s = clock.monotonic_s()
@@ -117,7 +117,9 @@ class Vehicle:
         inputs = Inputs(self.log.reason(), self._fence)
         self._troubles, action, reason, notices = failsafe.failsafe(self._rules, self._troubles, state, inputs, now_s)
         if notices or state.notices:
-            self._tell(notices)
+            for text in failsafe.news(state.notices, notices):
+                self.log.note(text)
+            state.notices = notices
         if action > Action.WARN:
             self._fall_back(action, reason, now_s)
         elif state.mode is Mode.IDLE and now_s - state.navigation_s > self.settings.navigation.stale_s:
@@ -141,37 +143,18 @@ class Vehicle:
         inputs = Inputs(self.log.reason(), self._fence)
         return checks(self._rules, self.state, inputs, self.clock.monotonic_s(), self.clock.time_ns())
 
-    def _tell(self, notices: tuple[Notice, ...]) -> None:
-        """Troubles to the console, and their beginnings and ends to the log."""
-        before, after = ({(n.name, n.action) for n in each} for each in (self.state.notices, notices))
-        self.state.notices = notices
-        for notice in notices:
-            if (notice.name, notice.action) not in before:
-                self.log.note(f"{notice.name}: {notice.reason}: {notice.action}")
-        for name in sorted({name for name, _ in before} - {name for name, _ in after}):
-            self.log.note(f"{name}: over")
-
     def _fall_back(self, action: Action, reason: str, now_s: float) -> None:
-        """Do what the failsafe asks; what cannot be done becomes the next safer thing: home, hold, stop."""
+        """Do what the failsafe asks, or the next safer thing that can be done."""
         state = self.state
         if action is Action.DISCONNECT:
             self.propulsion.disconnect(failsafe.unfollowed(self._rules.table.thruster, state, now_s))
-        elif action is Action.STOP:
-            self._taken = True
-            self.stop(reason)
-        elif state.mode is not (Mode.HOME if action is Action.HOME else Mode.HOLD):
-            self._taken = True
-            for mode in (Mode.HOME, Mode.HOLD) if action is Action.HOME else (Mode.HOLD,):
-                if mode is state.mode:
-                    return
-                asked = state.setpoint._replace(track=self._track.points()) if mode is Mode.HOME else state.setpoint
-                cannot = admit(mode, state.motion.has, asked)
-                if cannot is None:
-                    state.setpoint = asked
-                    self._enter(mode, reason)
-                    state.actuation = self.propulsion.send(self._control(now_s), now_s)
-                    return
-            self.stop(f"{reason}; cannot hold: {cannot}")
+            return
+        setpoint = state.setpoint._replace(track=self._track.points())
+        mode, reason = failsafe.fallback(action, reason, state.motion.has, setpoint)
+        if mode is not state.mode:
+            state.setpoint, self._taken = setpoint, True
+            self._enter(mode, reason)
+            state.actuation = self.propulsion.send(self._control(now_s), now_s)
 
     def _take(self, source: Source, fix: Fix) -> bool:
         """A fix into the state; False when it is not used: a better source speaks, or no boat moves that fast."""
@@ -189,7 +172,7 @@ class Vehicle:
                 return False
             if state.origin is None:
                 state.origin = geodesy.origin(n.latitude_rad, n.longitude_rad)
-                self._survey()
+                self._fence = fence.survey(self.settings.fence, self._zones, state.origin)
             north_m, east_m = geodesy.to_plane(state.origin, n.latitude_rad, n.longitude_rad)
             has = _POSITION
         else:
@@ -239,7 +222,7 @@ class Vehicle:
     def _after(self, now_s: float) -> None:
         """What a cycle leaves to do once the propellers have their command."""
         state = self.state
-        if "position" in state.motion.has and state.mode is not Mode.HOME:
+        if "position" in state.motion.has:
             self._track.add(state.motion.north_m, state.motion.east_m)
         if state.reference.done:
             end = f"{state.mode.name.lower()} done"
@@ -251,22 +234,14 @@ class Vehicle:
         if mode is Mode.IDLE and state.mode is Mode.IDLE and state.reason == reason:
             return
         self._memory = enter(mode, state.motion, state.setpoint, self._limits)
-        if mode is Mode.HOLD:
-            self._memory = self._room_to_hold(self._memory)
+        if mode is Mode.HOLD and self._fence is not None:
+            here, radius_m = (self._memory.north_m, self._memory.east_m), self.settings.control.hold.radius_m
+            north_m, east_m = fence.place_to_hold(self._fence, here, self._track.points(), radius_m)
+            self._memory = self._memory._replace(north_m=north_m, east_m=east_m)
         if mode is not state.mode:
             state.mode_s = self.clock.monotonic_s()
         state.mode, state.reason, state.reference = mode, reason, Reference()
         self.log.note(f"{mode.name.lower()}: {reason}")
-
-    def _room_to_hold(self, memory: Memory) -> Memory:
-        """Near the fence the boat holds where it has room: at the newest place of the driven track that has."""
-        zones, room_m = self._fence, self.settings.control.hold.radius_m
-        if zones is None or fence.roomy(zones, memory.north_m, memory.east_m, room_m):
-            return memory
-        for north_m, east_m in reversed(self._track.points()):
-            if fence.roomy(zones, north_m, east_m, room_m):
-                return memory._replace(north_m=north_m, east_m=east_m)
-        return memory
 
     def _request(self, mode: Mode, setpoint: Setpoint, now_s: float) -> None:
         """The one door: the operator asks for a mode with its set points. Raises Refused; nothing has changed then."""
@@ -277,25 +252,13 @@ class Vehicle:
             reason = refusal(self._rules, mode, self.checks()) or admit(mode, state.motion.has, setpoint)
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
                 reason = "no reference from the guest"
-            if reason is None:
-                reason = self._out_of_bounds(mode, setpoint)
+            if reason is None and self._fence is not None:
+                reason = fence.crossing(self._fence, mode, state.motion, setpoint)
             if reason is not None:
                 raise Refused(f"{mode.name.lower()} refused: {reason}")
         state.setpoint = setpoint
         self._troubles, self._taken = failsafe.overruled(self._troubles), False
         self._enter(mode, "operator")
-
-    def _out_of_bounds(self, mode: Mode, setpoint: Setpoint) -> str | None:
-        """Why the fence does not let the boat go to where the mode begins, in words."""
-        to = setpoint.target
-        if mode is Mode.PLAY and setpoint.plan is not None:
-            to = setpoint.plan.waypoints[setpoint.leg]
-        elif mode is Mode.GOTO and to is None and setpoint.plan is not None:
-            to = setpoint.plan.waypoints[0]
-        if self._fence is None or to is None or mode not in (Mode.PLAY, Mode.GOTO):
-            return None
-        motion = self.state.motion
-        return fence.crossing(self._fence, (motion.north_m, motion.east_m), (to.north_m, to.east_m))
 
     def _obey(self, command: console.Commands, now_s: float) -> None:
         setpoint = self.state.setpoint
@@ -346,24 +309,14 @@ class Vehicle:
         if state.mode in (Mode.PLAY, Mode.PATH):
             raise Refused("mission refused: one is being played; stop or hold first")
         mission = parse_mission(text, "mission")
-        if state.origin is None:
-            first = mission.waypoint[0]
-            state.origin = geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
-            self._survey()
-        planned = plan(mission, state.origin, self._limits.control)
-        zones = fence.survey(self.settings.fence, mission.fence, state.origin)
-        if (why := fence.complaint(zones, planned)) is not None:
+        first = mission.waypoint[0]
+        origin = state.origin or geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
+        planned = plan(mission, origin, self._limits.control)
+        around = fence.survey(self.settings.fence, mission.fence, origin)
+        if around is not None and (why := fence.complaint(around, planned)) is not None:
             raise Refused(f"mission refused: {why}")
-        state.setpoint = state.setpoint._replace(plan=planned, leg=0)
-        self._zones = mission.fence
-        self._survey()
-
-    def _survey(self) -> None:
-        """The fence, laid again: the mission or the origin of the plane is new."""
-        limits, zones = self.settings.fence, self._zones
-        surveyed = fence.survey(limits, zones, self.state.origin) if self.state.origin else None
-        fenced = limits.keep_in or limits.keep_out or (surveyed and surveyed.zones)
-        self._fence = (surveyed or fence.Fence((), limits)) if fenced else None
+        state.origin, state.setpoint = origin, state.setpoint._replace(plan=planned, leg=0)
+        self._zones, self._fence = mission.fence, around
 
 
 _MEASURED = slice(1, 9)  # of a navigation message: position, velocity, attitude

@@ -139,10 +139,6 @@ def plan(mission: Mission, origin: geodesy.Origin, control: config.ControlTable)
 
 
 def _checked(mission: Mission, file: str) -> Mission:
-    for key, row in _rows(mission):
-        for field in msgspec.structs.fields(row):
-            if not math.isfinite(getattr(row, field.name)):
-                raise ConfigError(file, f"{key}.{field.name}", "not a number", "finite numbers")
     first = mission.waypoint[0]
     origin = geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
     places = [_plane(origin, row) for row in mission.waypoint]

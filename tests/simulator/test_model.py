@@ -141,12 +141,25 @@ def test_without_propellers_the_water_only_takes_energy(surge: float, sway: floa
         before = after
 
 
+@given(st.floats(-3, 3), st.floats(-1, 1), st.floats(-1, 1))
+@settings(deadline=None)
+def test_without_drag_energy_is_kept(surge: float, sway: float, rate: float) -> None:
+    """Coriolis terms and Munk's moment do no work: they only move energy between the three motions."""
+    drag = ("surge_n_per_mps", "surge_n_per_mps2", "sway_n_per_mps", "sway_n_per_mps2", "yaw_nm_per_radps", "yaw_nm_per_radps2")
+    model = boat(hull=Hull()._replace(lift_kg_per_m=0.0, **dict.fromkeys(drag, 0.0)))
+    model.surge_mps, model.sway_mps, model.yaw_rate_radps = surge, sway, rate
+    before = energy_j(model)
+    drift(model, 5.0, 0.01)
+    assert energy_j(model) == pytest.approx(before, rel=1e-3, abs=1e-12)
+
+
 def test_it_stops_when_the_motors_are_switched_off() -> None:
     model = drive(boat(), 1000, 1000, 60)
     before = model.north_m
     model.command("starboard", 1000, False)
     model.command("port", 1000, False)
-    assert drift(model, 10).surge_mps < 0.4
+    assert drift(model, 0.8, 0.1).starboard_rpm == pytest.approx(1000 / math.e, rel=0.01)
+    assert drift(model, 9.2).surge_mps < 0.4
     assert drift(model, 110).surge_mps < 0.001
     assert 3 < model.north_m - before < 8, "stopping distance"
     assert model.starboard_rpm == pytest.approx(0.0, abs=1e-9)
@@ -217,12 +230,16 @@ def test_head_wind_costs_speed() -> None:
 @pytest.mark.parametrize("dt_s", [0.05, 1.0])
 def test_gusts_have_the_asked_mean_and_deviation_whatever_the_step(dt_s: float) -> None:
     model = boat(Sea(wind_mps=10.0, wind_from_deg=180.0, gusts=0.2))
-    seen = []
+    along, across = [], []
     for _ in range(4000):
         model._gust(dt_s)
-        seen.append(model.wind_north_mps)
-    assert statistics.fmean(seen) == pytest.approx(10.0, abs=1.0)
-    assert statistics.stdev(seen) == pytest.approx(2.0, rel=0.25)
+        along.append(model.wind_north_mps)
+        across.append(model.wind_east_mps)
+    assert statistics.fmean(along) == pytest.approx(10.0, abs=1.0)
+    assert statistics.fmean(across) == pytest.approx(0.0, abs=1.0)
+    for component in (along, across):
+        assert statistics.stdev(component) == pytest.approx(2.0, rel=0.25)
+        assert statistics.correlation(component[1:], component[:-1]) == pytest.approx(math.exp(-dt_s / 5.0), abs=0.03)
 
 
 def test_the_same_seed_gives_the_same_bytes_and_another_does_not() -> None:

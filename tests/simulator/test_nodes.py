@@ -362,5 +362,5 @@ def test_a_stalled_simulator_does_not_sail_on_nor_send_what_it_missed() -> None:
     assert len([frame for _, frame in boat.said if frame.arb == sysstat_arb(Node.PROPELLER_PORT)]) == 1
     assert boat.propeller().faults == Fault.NO_COMMAND
     boat.said.clear()
-    boat.sail(1, 0, 0)
+    boat.sail(1, 0, 0, dt_s=0.05)
     assert len(boat.status(Node.PROPELLER_PORT)) == 5

@@ -5,14 +5,15 @@
 prints the figures of docs/control.md. A day at sea takes seconds.
 """
 
-import itertools
 import math
 import random
 import time
 from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
-from delfim.config import ControlTable, Propulsion, Sea, Simulation
+import msgspec
+
+from delfim.config import ControlTable, Propulsion, Sea, load
 from delfim.geodesy import Origin, origin, wrap
 from delfim.simulator.model import Hull, Model
 from delfim.vehicle.control.control import Settings, admit, control, enter, limited
@@ -25,10 +26,15 @@ from delfim.vehicle.track import Track
 SETTINGS = Settings(ControlTable(), Propulsion())
 ALL = frozenset({"position", "heading", "velocity"})
 DT_S = 0.2
-START: Origin = origin(math.radians(Simulation().latitude_deg), math.radians(Simulation().longitude_deg))
+PLACE = load("etc/delfimx.toml").simulation
+START: Origin = origin(math.radians(PLACE.latitude_deg), math.radians(PLACE.longitude_deg))
 DOCA = plan(load_mission("etc/missions/doca.toml"), START, SETTINGS.control)
 LAWNMOWER = plan(load_mission("etc/missions/lawnmower.toml"), START, SETTINGS.control)
-SETTLED_S = 10.0  # after the beginning of a line or arc
+OTHERS = {
+    "heavy": Hull(mass_kg=420.0, inertia_kgm2=1900.0, added_sway_kg=400.0, added_yaw_kgm2=800.0, surge_n_per_mps2=110.0),
+    "light": Hull(mass_kg=100.0, inertia_kgm2=250.0, added_sway_kg=100.0, added_yaw_kgm2=100.0),
+}
+CORNER_S = 20.0  # a boat that comes onto a path across it gets this long; smooth joints get nothing
 
 
 class Sample(NamedTuple):
@@ -49,9 +55,19 @@ class Boat:
     `noise` scales the sensors' errors; 1 is position 0.3 m, heading 0.5 degrees, speed 0.03 m/s, rate of turn 0.2 degrees/s.
     """
 
-    def __init__(self, seed: int = 1, sea: Sea | None = None, heading_rad: float = 0.0, noise: float = 1.0) -> None:
-        self.model = Model(Hull(), sea or Sea(), seed, START.latitude_rad, START.longitude_rad, heading_rad)
-        self.t_s, self.sent, self.noise, self.rate_sensor = 0.0, STOP, noise, True
+    def __init__(
+        self,
+        seed: int = 1,
+        sea: Sea | None = None,
+        heading_rad: float = 0.0,
+        noise: float = 1.0,
+        rate_sensor: bool = True,
+        hull: Hull | None = None,
+        settings: Settings = SETTINGS,
+    ) -> None:
+        self.model = Model(hull or Hull(), sea or Sea(), seed, START.latitude_rad, START.longitude_rad, heading_rad)
+        self.t_s, self.sent = 0.0, STOP
+        self.noise, self.rate_sensor, self.settings = noise, rate_sensor, settings
         self._gauss = random.Random(seed).gauss
 
     def truth(self) -> Motion:
@@ -73,15 +89,15 @@ class Boat:
     def sail(self, mode: Mode, setpoint: Setpoint, seconds: float) -> Iterator[Sample]:
         seen = self.seen()
         assert admit(mode, seen.has, setpoint) is None
-        memory = enter(mode, seen, setpoint, SETTINGS)
+        memory = enter(mode, seen, setpoint, self.settings)
         for _ in range(round(seconds / DT_S)):
             leg = memory.leg
-            memory, reference, wanted = control(mode, memory, seen, setpoint, SETTINGS, DT_S)
-            self.sent = limited(wanted, self.sent, SETTINGS.propulsion, DT_S)
+            memory, reference, wanted = control(mode, memory, seen, setpoint, self.settings, DT_S)
+            self.sent = limited(wanted, self.sent, self.settings.propulsion, DT_S)
             yield Sample(self.t_s, mode, leg, self.truth(), seen, reference, self.sent)
             if reference.done:
                 mode = Mode.HOLD
-                memory = enter(mode, seen, setpoint, SETTINGS)
+                memory = enter(mode, seen, setpoint, self.settings)
             self.model.command("starboard", self.sent.starboard_rpm, self.sent.run)
             self.model.command("port", self.sent.port_rpm, self.sent.run)
             self.model.advance(DT_S)
@@ -103,12 +119,8 @@ def current(seed: int, of: int = 20, mps: float = 0.5) -> Sea:
     return Sea(current_mps=mps, current_to_deg=360.0 * seed / of)
 
 
-def heading_step(
-    degrees: float, speed_mps: float, sea: Sea | None = None, rate_sensor: bool = True
-) -> tuple[float, float, Errors]:
+def heading_step(boat: Boat, degrees: float, speed_mps: float) -> tuple[float, float, Errors]:
     """(overshoot in degrees, settling time to 5 % or 3 degrees in s, steady error in degrees) from steady speed due north."""
-    boat = Boat(sea=sea)
-    boat.rate_sensor = rate_sensor
     start_s = [x.t_s for x in boat.sail(Mode.HEADING, Setpoint(speed_mps=speed_mps), 60.0)][-1]
     turn = boat.sail(Mode.HEADING, Setpoint(speed_mps=speed_mps, heading_rad=math.radians(degrees)), 120.0)
     left = [(x.t_s - start_s, math.degrees(wrap(math.radians(degrees) - x.truth.heading_rad))) for x in turn]
@@ -117,26 +129,26 @@ def heading_step(
     return max(0.0, -min(near)), settled_s, errors([e for t, e in left if t > 60.0])
 
 
-def path_errors(path: tuple[Line | Arc, ...], sea: Sea, seed: int = 1) -> tuple[list[float], list[float]]:
-    """True cross-track errors on lines and on arcs, once each is settled; fails where the end is not reached."""
+def path_errors(boat: Boat, path: tuple[Line | Arc, ...]) -> tuple[list[float], list[float]]:
+    """True cross-track errors on lines and on arcs, from CORNER_S after the first began; fails where the end is not reached."""
     on_lines: list[float] = []
     on_arcs: list[float] = []
-    leg, began_s = APPROACH, 0.0
-    for x in Boat(seed, sea).sail(Mode.PATH, Setpoint(plan=Plan("", (), path)), 3600.0):
+    began_s = 0.0
+    for x in boat.sail(Mode.PATH, Setpoint(plan=Plan("", (), path)), 3600.0):
         if x.mode is Mode.HOLD:
             return on_lines, on_arcs
-        if x.leg != leg:
-            leg, began_s = x.leg, x.t_s
-        if leg >= 0 and x.t_s - began_s > SETTLED_S:
-            cross_m = nearest(path[leg], x.truth, 0.0)[1]
-            (on_arcs if isinstance(path[leg], Arc) else on_lines).append(cross_m)
+        if x.leg == APPROACH:
+            began_s = x.t_s
+        elif x.t_s - began_s > CORNER_S:
+            piece = path[x.leg]
+            (on_arcs if isinstance(piece, Arc) else on_lines).append(nearest(piece, x.truth, 0.0)[1])
     raise AssertionError("the end of the path was not reached in an hour")
 
 
-def play(mission: Plan, sea: Sea, seed: int) -> tuple[list[float], float]:
+def play(boat: Boat, mission: Plan) -> tuple[list[float], float]:
     """(true closest approach to each waypoint, time) of a mission played to its end."""
     closest = [math.inf] * len(mission.waypoints)
-    for x in Boat(seed, sea).sail(Mode.PLAY, Setpoint(plan=mission), 3600.0):
+    for x in boat.sail(Mode.PLAY, Setpoint(plan=mission), 3600.0):
         for index, to in enumerate(mission.waypoints):
             closest[index] = min(closest[index], math.hypot(x.truth.north_m - to.north_m, x.truth.east_m - to.east_m))
         if x.mode is Mode.HOLD:
@@ -144,17 +156,16 @@ def play(mission: Plan, sea: Sea, seed: int) -> tuple[list[float], float]:
     raise AssertionError("the mission was not finished in an hour")
 
 
-def hold_distances(sea: Sea, seed: int = 1, way_mps: float = 0.0, seconds: float = 600.0) -> list[float]:
-    """Distances to the held point, m, one each cycle; the boat has that way on it when hold is asked for."""
-    boat = Boat(seed, sea)
+def hold_distances(boat: Boat, way_mps: float = 0.0) -> list[float]:
+    """Distances to the held point, m, one each cycle of ten minutes; the boat has that way on it when hold is asked for."""
     for _ in boat.sail(Mode.HEADING, Setpoint(speed_mps=way_mps), 30.0):
         pass
-    return [x.reference.distance_m or 0.0 for x in boat.sail(Mode.HOLD, Setpoint(), seconds)]
+    return [x.reference.distance_m or 0.0 for x in boat.sail(Mode.HOLD, Setpoint(), 600.0)]
 
 
-def home_errors(sea: Sea, seed: int = 1) -> tuple[list[float], float, int]:
+def home_errors(boat: Boat) -> tuple[list[float], float, int]:
     """(distances to the track driven before, distance to the start in the end, points left of the track) on the way home."""
-    boat, track = Boat(seed, sea), Track(SETTINGS.control.home)
+    track = Track(boat.settings.control.home)
     out = tuple(Waypoint(north, east, 1.5, 5.0) for north, east in ((80.0, 0.0), (80.0, 60.0), (20.0, 60.0), (20.0, 120.0)))
     driven: list[Motion] = []
     for x in boat.sail(Mode.PLAY, Setpoint(plan=Plan("out", out, ())), 600.0):
@@ -169,6 +180,28 @@ def home_errors(sea: Sea, seed: int = 1) -> tuple[list[float], float, int]:
         track.add(x.seen.north_m, x.seen.east_m)
         off.append(min(math.hypot(x.truth.north_m - d.north_m, x.truth.east_m - d.east_m) for d in driven[::2]))
     raise AssertionError("home was not reached in 15 minutes")
+
+
+def tuned(hull: Hull) -> Settings:
+    """Gains for another boat, by the recipe of docs/control.md: two trials in calm water with the propellers set by hand."""
+    rpm_max = SETTINGS.propulsion.rpm_max
+    ahead, turning = Boat(hull=hull).model, Boat(hull=hull).model
+    rates = []
+    for _ in range(600):
+        for model, starboard, port in ((ahead, 0.6, 0.6), (turning, -0.5, 0.5)):
+            model.command("starboard", starboard * rpm_max, True)
+            model.command("port", port * rpm_max, True)
+            model.advance(DT_S)
+        rates.append(turning.yaw_rate_radps)
+    speed_per_rpm = ahead.north_mps / (0.6 * rpm_max)
+    turn, lag_s = 0.25 * rpm_max / rates[-1], DT_S * sum(rate < 0.63 * rates[-1] for rate in rates)
+    p, d = turn * lag_s * 0.65**2, turn * max(2.0 * 0.65 * lag_s - 1.0, 0.3)
+    control, replace = SETTINGS.control, msgspec.structs.replace
+    heading = replace(control.heading, p_rpm_per_rad=p, d_rpm_per_radps=d, turn_rpm_per_radps=turn, i_rpm_per_rad_s=p / 25.0)
+    speed = replace(control.speed, p_rpm_per_mps=0.3 / speed_per_rpm, i_rpm_per_m=0.06 / speed_per_rpm)
+    return Settings(
+        replace(control, heading=heading, speed=speed), replace(SETTINGS.propulsion, speed_per_rpm_mps=speed_per_rpm)
+    )
 
 
 def control_us(mode: Mode) -> float:
@@ -187,35 +220,44 @@ def control_us(mode: Mode) -> float:
 
 
 def main() -> None:
-    for degrees, speed_mps in itertools.product((20.0, 90.0, 180.0), (0.0, 1.5)):
-        overshoot, settled_s, steady = heading_step(degrees, speed_mps)
-        print(
-            f"heading {degrees:3.0f} deg at {speed_mps} m/s: {overshoot:.1f} deg over, {settled_s:.1f} s, rms {steady.rms:.2f}"
-        )
-    print("heading 90 deg, no rate of turn: {:.1f} deg over, {:.1f} s".format(*heading_step(90.0, 1.5, rate_sensor=False)[:2]))
     gale = Sea(wind_mps=8.0, wind_from_deg=0.0)
-    print("heading 90 deg, wind 8 m/s abeam: {:.1f} deg over, {:.1f} s, {}".format(*heading_step(90.0, 1.5, gale)))
-    for mission in (DOCA, LAWNMOWER):
-        runs = [path_errors(mission.path, current(seed), seed) for seed in range(20)]
-        on_lines, on_arcs = errors(sum((r[0] for r in runs), [])), errors(sum((r[1] for r in runs), []))
-        print(f"path {mission.name}: lines rms {on_lines.rms:.2f} max {on_lines.most:.2f}, ", end="")
-        print(f"arcs rms {on_arcs.rms:.2f} max {on_arcs.most:.2f} m")
-        played = [play(mission, current(seed), seed) for seed in range(20)]
-        miss = max(c - to.acceptance_m for closest, _ in played for c, to in zip(closest, mission.waypoints, strict=True))
-        print(f"play {mission.name}: {min(t for _, t in played):.0f} to {max(t for _, t in played):.0f} s, miss {miss:.2f} m")
-    for name, sea in (
-        ("calm", Sea()),
-        ("0.5 m/s", current(0)),
-        ("0.5 m/s, wind 8", Sea(current_mps=0.5, wind_mps=8.0, wind_from_deg=90.0)),
+    for degrees, speed_mps, boat, name in (
+        (20.0, 0.0, Boat(), "at rest"),
+        (20.0, 1.5, Boat(), "at 1.5 m/s"),
+        (90.0, 1.5, Boat(), "at 1.5 m/s"),
+        (180.0, 1.5, Boat(), "at 1.5 m/s"),
+        (90.0, 1.5, Boat(sea=gale), "at 1.5 m/s, wind 8 m/s"),
+        (90.0, 1.5, Boat(rate_sensor=False), "at 1.5 m/s, no rate of turn"),
     ):
-        distances = hold_distances(sea, way_mps=1.5)
-        print(f"hold in {name}: max {max(distances):.1f} m, mean {sum(distances) / len(distances):.1f} m")
+        over, settled_s, steady = heading_step(boat, degrees, speed_mps)
+        print(f"heading {degrees:3.0f} deg {name}: {over:.1f} deg over, settled in {settled_s:.1f} s, rms {steady.rms:.2f} deg")
+    for mission in (DOCA, LAWNMOWER):
+        show_path(mission.name, [path_errors(Boat(seed, current(seed)), mission.path) for seed in range(20)])
+        played = [play(Boat(seed, current(seed)), mission) for seed in range(20)]
+        late = max(c - to.acceptance_m for closest, _ in played for c, to in zip(closest, mission.waypoints, strict=True))
+        times = [t for _, t in played]
+        print(f"play {mission.name}: {min(times):.0f} to {max(times):.0f} s, passed at acceptance {late:+.2f} m at most")
+    windy = Sea(current_mps=0.5, wind_mps=8.0, wind_from_deg=90.0)
+    for name, sea in (("calm", Sea()), ("current 0.5 m/s", current(0)), ("current 0.5 m/s and wind 8 m/s abeam", windy)):
+        distances = hold_distances(Boat(sea=sea), way_mps=1.5)
+        print(f"hold, {name}: max {max(distances):.1f} m, mean {sum(distances) / len(distances):.1f} m")
     for degrees in (0, 90, 180, 270):
-        off, end_m, points = home_errors(current(degrees, 360))
-        print(
-            f"home, current to {degrees}: rms {errors(off).rms:.1f} max {errors(off).most:.1f} m, end {end_m:.1f} m, {points} points"
+        off, end_m, points = home_errors(Boat(sea=current(degrees, 360)))
+        print("home, current to {:3}: rms {:.1f} max {:.1f} m off the track,".format(degrees, *errors(off)), end=" ")
+        print(f"end {end_m:.1f} m from the start, {points} points left")
+    for name, hull in OTHERS.items():
+        settings = tuned(hull)
+        over, settled_s, _ = heading_step(Boat(hull=hull, settings=settings), 90.0, 1.5)
+        print(f"{name} boat, tuned by the recipe: {over:.1f} deg over, settled in {settled_s:.1f} s")
+        show_path(
+            name, [path_errors(Boat(seed, current(seed, 8), hull=hull, settings=settings), DOCA.path) for seed in range(8)]
         )
     print("control():", ", ".join(f"{mode.name.lower()} {control_us(mode):.1f}" for mode in Mode), "µs")
+
+
+def show_path(name: str, runs: list[tuple[list[float], list[float]]]) -> None:
+    for kind, values in (("lines", [e for on, _ in runs for e in on]), ("arcs", [e for _, on in runs for e in on])):
+        print("path {} {}: rms {:.2f} max {:.2f} m".format(name, kind, *errors(values)))
 
 
 if __name__ == "__main__":

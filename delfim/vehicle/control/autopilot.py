@@ -1,12 +1,14 @@
 """Heading and speed to revolutions: two PI(D) loops that share two propellers.
 
-    differential = sat(Kp e) + Kd (turn - r) + I_heading      e = wrap(heading asked for - heading), r yaw rate
-    common       = u_d / speed_per_rpm + Kp (u_d - u) + I_speed       u speed over ground along the keel
+    differential = sat(Kp e) + Kd (turn - r) + Kt turn + I_heading    e = wrap(heading asked for - heading), r yaw rate
+    n            = u_d / speed_per_rpm + Kp (u_d - u) + I_speed       u speed over ground along the keel
+    port, starboard = common + differential, common - differential    common = n |n| / rpm_max
 
-    port = common + differential,  starboard = common - differential
+Thrust goes with the square of revolutions. So the two parts are added as thrust, in units of a thrust of n |n| / rpm_max, and
+turned into revolutions in the end: the same gains turn the boat alike at rest and at full speed (`docs/control.md`).
 
 When both together exceed `rpm_max` the differential is kept and the common part gives way: a boat that holds its heading and
-is slow is safe, the other one is not (see `docs/control.md`). Speed falls with the cosine of the heading error, so that the
+is slow is safe, the other one is not. Speed falls with the cosine of the heading error, so that the
 boat turns first; an order ahead never runs both propellers astern.
 """
 
@@ -66,7 +68,9 @@ def steer(
     common_rpm = wanted_mps / propulsion.speed_per_rpm_mps + speed.p_rpm_per_mps * lag_mps + was.speed_rpm
     room = propulsion.rpm_max - abs(differential)
     astern = asked_mps < 0.0
-    common, spare = _saturated(common_rpm * abs(common_rpm) / propulsion.rpm_max, -room if astern else 0.0, 0.0 if astern else room)
+    common, spare = _saturated(
+        common_rpm * abs(common_rpm) / propulsion.rpm_max, -room if astern else 0.0, 0.0 if astern else room
+    )
     speed_rpm = was.speed_rpm
     if abs(error_rad) < TURNING_RAD and lag_mps * spare >= 0.0:
         speed_rpm = clamp(speed_rpm + speed.i_rpm_per_m * lag_mps * dt_s, -speed.i_limit_rpm, speed.i_limit_rpm)
@@ -75,6 +79,7 @@ def steer(
 
 
 def _revolutions(thrust: float, propulsion: config.Propulsion) -> float:
+    """The rpm that give a thrust of n |n| / rpm_max."""
     return math.copysign(math.sqrt(abs(thrust) * propulsion.rpm_max), thrust)
 
 

@@ -59,7 +59,10 @@ def admit(mode: Mode, has: frozenset[str], setpoint: Setpoint) -> str | None:
 
 def enter(mode: Mode, motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
     """A mode's memory at its beginning. Never raises: what is not plausible is told by the first step."""
-    return MODES[mode].enter(motion, setpoint, settings) if _plausible(motion) else Memory()
+    try:
+        return MODES[mode].enter(motion, setpoint, settings) if _plausible(motion) else Memory()
+    except (ValueError, ArithmeticError):
+        return Memory()
 
 
 def control(

@@ -4,8 +4,8 @@
 
 gamma is the tangent of the path at its nearest point, y the cross-track error (positive: boat to starboard of the path), D the
 lookahead distance, sigma the integral gain: Borhaug, Pavlov and Pettersen, "Integral LOS control for path following of
-underactuated marine surface vessels in the presence of constant ocean currents", IEEE CDC 2008; Fossen, "Handbook of Marine
-Craft Hydrodynamics and Motion Control", 2nd ed. 2021, 12.5. crab is the measured angle from heading to course over ground,
+underactuated marine surface vessels in the presence of constant ocean currents", IEEE CDC 2008; see also Fossen and Lekkas,
+Int. J. Adaptive Control and Signal Processing 31, 2017. crab is the measured angle from heading to course over ground,
 smoothed: it answers a new leg within seconds, and the integral is left with what it does not see.
 """
 

@@ -1,8 +1,8 @@
 """Path following: lines and arcs, with a cross-track error bounded as `docs/control.md` states.
 
 A boat that is not on the path goes to where it begins; one that is, within the acceptance radius, goes on from the first piece
-it stands on: that is how a path is resumed after a hold. At a corner the boat leaves a line early by R tan(angle / 2), the
-wheel-over distance of a turn of radius R (Bowditch), and meets the next one without overshoot.
+it stands on: that is how a path is resumed after a hold. At a corner the boat leaves a line early by R tan(angle / 2), where
+a turn of radius R begins that ends on the next one.
 """
 
 import math
@@ -32,7 +32,7 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
     memory = Memory(entered(motion), north_m=motion.north_m, east_m=motion.east_m, leg=APPROACH)
     reach_m = settings.control.path.acceptance_m
     for leg, piece in enumerate(setpoint.plan.path if setpoint.plan is not None else ()):
-        _, cross_m, left_m, swept_rad = _nearest(piece, motion, 0.0)
+        _, cross_m, left_m, swept_rad = nearest(piece, motion, 0.0)
         if abs(cross_m) <= reach_m and 0.0 <= left_m <= _length_m(piece) + reach_m:
             return memory._replace(leg=leg, swept_rad=swept_rad)
     return memory
@@ -45,7 +45,7 @@ def step(
     if memory.leg >= len(path):
         return memory, Reference(leg=memory.leg, done=True), STOP
     piece = path[memory.leg] if memory.leg >= 0 else _approach(memory, path[0])
-    tangent_rad, cross_m, left_m, swept_rad = _nearest(piece, motion, memory.swept_rad)
+    tangent_rad, cross_m, left_m, swept_rad = nearest(piece, motion, memory.swept_rad)
     course, heading_rad = course_to_steer(memory.course, motion, tangent_rad, cross_m, settings.control.path, dt_s)
     last = memory.leg + 1 == len(path)
     speed_mps = piece.speed_mps
@@ -68,7 +68,7 @@ def _approach(memory: Memory, first: Line | Arc) -> Line:
     return Line(memory.north_m, memory.east_m, to_north_m, to_east_m, first.speed_mps)
 
 
-def _nearest(piece: Line | Arc, motion: Motion, swept_rad: float) -> tuple[float, float, float, float]:
+def nearest(piece: Line | Arc, motion: Motion, swept_rad: float) -> tuple[float, float, float, float]:
     """(tangent, cross-track, left to go, swept) at the point of the piece that is nearest to the boat. The angle swept so far
     tells the turns of an arc apart.
     """

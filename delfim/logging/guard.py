@@ -1,0 +1,51 @@
+"""The free-space guard: whole days of logs are deleted, oldest first, until enough of the disk is free.
+
+Never deleted: the days that the caller names, a day with a file named KEEP in it, a day in which a log is being written. Who
+writes in a day holds a shared lock (flock) on its directory, and the kernel gives it back however the writer ends.
+"""
+
+import contextlib
+import fcntl
+import os
+import re
+import shutil
+from collections.abc import Collection
+from typing import Final
+
+KEEP: Final = "KEEP"
+_DAY: Final = re.compile(r"[0-9]{8}")
+
+
+def free_bytes(directory: str) -> int:
+    """What an unprivileged program may still write on the disk of this directory. Raises OSError."""
+    disk = os.statvfs(directory)
+    return disk.f_bavail * disk.f_frsize
+
+
+def make_room(directory: str, free_bytes_min: int, spared: Collection[str]) -> None:
+    """Delete days (directories YYYYMMDD) until so many bytes are free or no day is left that may go. Raises OSError.
+
+    Blocks for as long as the disk takes, and while another process makes room in the same directory.
+    """
+    lock = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        fcntl.flock(lock, fcntl.LOCK_EX)  # two at a time would delete a day too many
+        for day in sorted(filter(_DAY.fullmatch, os.listdir(directory))):
+            if free_bytes(directory) >= free_bytes_min:
+                break
+            if day not in spared:
+                _delete(os.path.join(directory, day))
+    finally:
+        os.close(lock)
+
+
+def _delete(day: str) -> None:
+    if any(KEEP in files for _, _, files in os.walk(day)):
+        return
+    with contextlib.suppress(OSError):  # it is no directory, or a log is being written in it
+        lock = os.open(day, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            shutil.rmtree(day, ignore_errors=True)
+        finally:
+            os.close(lock)

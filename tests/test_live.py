@@ -1,0 +1,134 @@
+"""The command line from outside: the whole suite in real time on a loopback bus, and the same mission in lock step."""
+
+import gzip
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from delfim.console.link import Link
+from delfim.logging.statelog import columns, read_state
+
+ROOT = Path(__file__).parents[1]
+VEHICLE = str(ROOT / "etc/delfimx.toml")
+
+
+def delfim(*words: str, **options: object) -> subprocess.Popen[str]:
+    command = [sys.executable, "-m", "delfim", *words]
+    return subprocess.Popen(command, text=True, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options)
+
+
+def sim(tmp_path: Path, *words: str) -> subprocess.Popen[str]:
+    bus = f'simulation.interface="canloop:live-{os.getpid()}-{tmp_path.name[-8:]}"'
+    return delfim("sim", VEHICLE, "--output", str(tmp_path / "out"), "--set", bus, *words)
+
+
+def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 0, err
+    return out, err
+
+
+@pytest.fixture(scope="module")
+def sailed(tmp_path_factory):
+    """Ten seconds in real time: its states and its folder."""
+    tmp_path = tmp_path_factory.mktemp("sailed")
+    out, err = ended(sim(tmp_path, "--json", "--for", "10"))
+    states = [json.loads(line) for line in out.splitlines() if line.startswith("{")]
+    return states, tmp_path / "out", out, err
+
+
+def test_the_boat_leaves_idle_and_plays_its_mission(sailed):
+    states, _, out, _ = sailed
+    assert states[-1]["mode"] == "play"
+    assert states[-1]["cycle"] >= 40, "navigation at 5 Hz for 10 s"
+    assert states[-1]["starboard_rpm"] or states[-1]["port_rpm"]
+    assert "time: 10 s sailed" in out
+
+
+def test_every_input_has_an_age_and_nothing_was_lost(sailed):
+    state = sailed[0][-1]
+    assert state["age_s"]["navigation"] < 1.0
+    assert set(state["sysstat"]) == {"gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"}
+    assert state["counts"] == {}
+    states = {name: service["state"] for name, service in state["services"].items()}
+    assert states == {"canzlogd": "running", "vehicle": "running"}
+
+
+def test_pictures_and_logs_are_left_behind(sailed):
+    _, folder, _, _ = sailed
+    for picture in ("track.png", "latency.png"):
+        assert (folder / picture).read_bytes().startswith(b"\x89PNG")
+    files = list(folder.glob("log/*/state/*.state.gz"))
+    assert [read_state(file).complaint for file in files] == [""], "closed in order"
+    assert len(columns(files)["t0"]) >= 40
+    box = list(folder.glob("log/*/*/*.log.gz"))
+    assert len(box) == 1
+
+
+def test_propulsion_was_stopped_first_and_the_logs_closed_last(sailed):
+    """The black box holds the stop that the ending vehicle sent."""
+    _, folder, _, _ = sailed
+    lines = gzip.decompress(next(folder.glob("log/*/*/*.log.gz")).read_bytes()).decode().splitlines()
+    commands = [line.split()[2] for line in lines if line.split()[2].startswith(("040#", "041#"))]
+    assert commands[-2][:10] == "040#000000"
+    assert commands[-1][:10] == "041#000000"
+
+
+def test_a_killed_simulation_leaves_nothing_behind(tmp_path):
+    process = sim(tmp_path, "--json")
+    assert process.stdout is not None
+    process.stdout.readline()
+    socket = tmp_path / "out/command"
+    with Link(socket) as link:
+        link.ask("state")
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=30)
+    with pytest.raises(Exception, match="no vehicle"):
+        Link(socket)
+
+
+def test_two_simulations_on_one_bus_are_refused(tmp_path):
+    first = sim(tmp_path, "--json")
+    assert first.stdout is not None
+    first.stdout.readline()
+    second = sim(tmp_path, "--json", "--for", "1")
+    _, err = second.communicate(timeout=30)
+    first.send_signal(signal.SIGTERM)
+    first.communicate(timeout=30)
+    assert second.returncode == 2
+    assert "in use by another simulation" in err
+
+
+def test_lockstep_sails_the_whole_mission_and_repeats_itself_byte_for_byte(tmp_path):
+    logs = []
+    for name in ("one", "two"):
+        out, _ = ended(delfim("sim", VEHICLE, "--lockstep", "--output", str(tmp_path / name)))
+        assert "mission done" in out
+        assert (tmp_path / name / "track.png").exists()
+        logs.append([(file.name, file.read_bytes()) for file in sorted((tmp_path / name).glob("lockstep-1/*/state/*.state"))])
+    assert logs[0]
+    assert logs[0] == logs[1]
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (("check", "/no/such/file"), "No such file"),
+        (("check", VEHICLE, "--set", "runtime.window=3"), "runtime.window"),
+        (("check", VEHICLE, "--set", "nonsense"), "not KEY=VALUE"),
+        (("drive", "--set", "console.socket='/no/such/socket'", VEHICLE, "stop"), "is it running"),
+        (("run", VEHICLE, "--set", "services.nonsense.enabled=true"), "there is no such service"),
+    ],
+)
+def test_mistakes_are_one_line_on_standard_error(words, reason):
+    process = delfim(*words)
+    out, err = process.communicate(timeout=30)
+    assert process.returncode in (2, 100)
+    assert reason in err
+    assert err.count("\n") == 1
+    assert not out

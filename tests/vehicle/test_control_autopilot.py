@@ -1,0 +1,134 @@
+"""Heading and speed: the step responses that docs/control.md states, and the rules of saturation."""
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from delfim.config import Propulsion, Sea
+from delfim.geodesy import wrap
+from delfim.vehicle.control.autopilot import entered, steer
+from delfim.vehicle.control.memory import Integrals
+from delfim.vehicle.state import Mode, Motion, Setpoint
+from tests.vehicle.closed_loop import ALL, DT_S, SETTINGS, Boat, heading_step
+
+RPM_MAX = SETTINGS.propulsion.rpm_max
+AT_REST = Motion(ALL, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(("degrees", "within_s"), [(20.0, 6.0), (90.0, 10.0), (180.0, 14.0)])
+@pytest.mark.parametrize("speed_mps", [0.0, 1.5, 2.2])
+def test_a_heading_step_settles_without_overshoot(degrees: float, within_s: float, speed_mps: float) -> None:
+    over_deg, settled_s, steady = heading_step(Boat(), degrees, speed_mps)
+    assert over_deg < 2.5
+    assert settled_s < within_s
+    assert steady.rms < 0.3
+
+
+def test_wind_abeam_costs_a_few_degrees_not_the_heading() -> None:
+    over_deg, settled_s, steady = heading_step(Boat(sea=Sea(wind_mps=8.0, wind_from_deg=0.0)), 90.0, 1.5)
+    assert over_deg < 4.0
+    assert settled_s < 15.0
+    assert steady.rms < 2.0
+
+
+def test_a_boat_without_a_rate_of_turn_still_holds_its_heading() -> None:
+    _, settled_s, steady = heading_step(Boat(rate_sensor=False), 90.0, 1.5)
+    assert settled_s < 20.0
+    assert steady.rms < 0.5
+
+
+@pytest.mark.parametrize("to_deg", [0.0, 90.0, 180.0])
+def test_speed_over_ground_is_kept_in_current(to_deg: float) -> None:
+    boat = Boat(sea=Sea(current_mps=0.5, current_to_deg=to_deg))
+    speeds = [x.truth.north_mps for x in boat.sail(Mode.HEADING, Setpoint(speed_mps=1.5), 60.0)]
+    assert max(speeds) < 1.9  # a following current is felt before the integral has answered it
+    assert all(abs(speed - 1.5) < 0.1 for speed in speeds[150:])
+
+
+def test_without_velocity_the_speed_is_what_the_revolutions_give() -> None:
+    motion = AT_REST._replace(has=frozenset({"heading"}), north_mps=9.0)
+    integrals = entered(AT_REST)
+    for _ in range(50):
+        integrals, actuation = steer(integrals, motion._replace(north_mps=0.0), 0.0, 1.0, SETTINGS, DT_S)
+    assert actuation.port_rpm == pytest.approx(1.0 / SETTINGS.propulsion.speed_per_rpm_mps)
+    assert integrals.speed_rpm == 0.0
+
+
+@given(
+    st.floats(-math.pi, math.pi),
+    st.floats(-1.0, 1.0),
+    st.floats(-2.5, 2.5),
+    st.floats(-math.pi, math.pi),
+    st.floats(-3.0, 3.0),
+    st.builds(Integrals, st.floats(-150.0, 150.0), st.floats(-400.0, 400.0), st.floats(-2.2, 2.2)),
+)
+def test_saturation_keeps_the_heading(
+    heading_rad: float, yaw_radps: float, surge_mps: float, asked_rad: float, asked_mps: float, was: Integrals
+) -> None:
+    """Thrust goes with the square of revolutions; the difference of thrust is what turns the boat, whatever the speed wants."""
+
+    def thrust(rpm: float) -> float:
+        return rpm * abs(rpm) / RPM_MAX
+
+    north_mps, east_mps = surge_mps * math.cos(heading_rad), surge_mps * math.sin(heading_rad)
+    motion = Motion(ALL, 0.0, 0.0, heading_rad, yaw_radps, north_mps, east_mps)
+    _, moving = steer(was, motion, asked_rad, asked_mps, SETTINGS, DT_S)
+    _, still = steer(was, motion._replace(has=frozenset({"heading"})), asked_rad, 0.0, SETTINGS, DT_S)
+    assert max(abs(moving.starboard_rpm), abs(moving.port_rpm)) <= RPM_MAX + 1e-6
+    turning = thrust(moving.port_rpm) - thrust(moving.starboard_rpm)
+    assert turning == pytest.approx(thrust(still.port_rpm) - thrust(still.starboard_rpm), abs=1e-6)
+
+
+@given(st.floats(-math.pi, math.pi), st.floats(0.0, 2.2), st.floats(-1.0, 3.0))
+def test_an_order_ahead_never_runs_both_propellers_astern(error_rad: float, asked_mps: float, surge_mps: float) -> None:
+    motion = AT_REST._replace(north_mps=surge_mps)
+    _, actuation = steer(Integrals(speed_mps=asked_mps), motion, error_rad, asked_mps, SETTINGS, DT_S)
+    assert actuation.starboard_rpm + actuation.port_rpm >= -1e-9
+
+
+def test_the_boat_turns_first() -> None:
+    _, actuation = steer(Integrals(speed_mps=1.5), AT_REST, math.pi / 2.0 + 0.1, 1.5, SETTINGS, DT_S)
+    assert actuation.port_rpm == pytest.approx(-actuation.starboard_rpm)
+    assert actuation.port_rpm > 0.0
+
+
+@pytest.mark.parametrize(("heading_deg", "asked_deg"), [(179.0, -179.0), (-179.0, 179.0), (1.0, 359.0), (350.0, 730.0)])
+def test_the_short_way_round(heading_deg: float, asked_deg: float) -> None:
+    motion = AT_REST._replace(heading_rad=math.radians(heading_deg))
+    _, actuation = steer(Integrals(), motion, math.radians(asked_deg), 0.0, SETTINGS, DT_S)
+    error_rad = wrap(math.radians(asked_deg - heading_deg))
+    assert abs(error_rad) < 0.5
+    assert math.copysign(1.0, actuation.port_rpm - actuation.starboard_rpm) == math.copysign(1.0, error_rad)
+
+
+def test_integrals_do_not_wind_up() -> None:
+    """A boat that is held fast: propellers at their limit add nothing, errors that are being turned away add nothing."""
+    integrals = Integrals()
+    for _ in range(5000):
+        integrals, _ = steer(integrals, AT_REST, 0.3, 2.2, SETTINGS, DT_S)
+    assert abs(integrals.heading_rpm) <= SETTINGS.control.heading.i_limit_rpm
+    assert abs(integrals.speed_rpm) <= SETTINGS.control.speed.i_limit_rpm
+    turning = Integrals()
+    for _ in range(500):
+        turning, _ = steer(turning, AT_REST._replace(yaw_rate_radps=0.2), 2.0, 1.5, SETTINGS, DT_S)
+    assert (turning.heading_rpm, turning.speed_rpm) == (0.0, 0.0)
+    weak = SETTINGS._replace(propulsion=Propulsion(rpm_max=100))
+    pinned = Integrals()
+    for _ in range(500):
+        pinned, _ = steer(pinned, AT_REST, 0.3, 0.0, weak, DT_S)
+    assert pinned.heading_rpm == 0.0
+    saturated = Integrals()
+    for _ in range(500):
+        saturated, actuation = steer(saturated, AT_REST._replace(north_mps=-3.0), 0.0, 2.2, SETTINGS, DT_S)
+    assert actuation.port_rpm == RPM_MAX
+    assert saturated.speed_rpm < SETTINGS.control.speed.i_limit_rpm
+
+
+def test_entering_at_speed_changes_no_revolutions_by_a_jump() -> None:
+    """From hold or heading at 1.5 m/s into a mode that asks for the same: within 10 % of the steady revolutions at once."""
+    boat = Boat(noise=0.0)
+    steady = [x.sent.port_rpm for x in boat.sail(Mode.HEADING, Setpoint(speed_mps=1.5), 90.0)][-1]
+    first = next(iter(boat.sail(Mode.HEADING, Setpoint(speed_mps=1.5), 1.0))).sent.port_rpm
+    assert first == pytest.approx(steady, rel=0.1)

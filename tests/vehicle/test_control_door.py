@@ -1,0 +1,172 @@
+"""The door into a mode, the gate before the propellers, and what control answers to missing and mad inputs."""
+
+import itertools
+import math
+from typing import TypeVar
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from delfim.config import Propulsion
+from delfim.vehicle.control.control import MODES, Memory, admit, control, enter, limited
+from delfim.vehicle.safe import STOP
+from delfim.vehicle.state import NOWHERE, Actuation, Arc, Line, Mode, Motion, Plan, Setpoint, Waypoint
+from tests.vehicle.closed_loop import ALL, DT_S, SETTINGS
+
+T = TypeVar("T")
+INPUTS = ("position", "heading", "velocity")
+PLAN = Plan("plan", (Waypoint(50.0, 0.0, 1.5, 5.0),), (Line(0.0, 0.0, 50.0, 0.0, 1.5), Arc(50.0, 20.0, 20.0, -1.57, 3.0, 1.0)))
+READY = Setpoint(1.0, 1.0, 0.5, 0.5, plan=PLAN, guest_heading_rad=1.0, guest_speed_mps=1.0, track=((0.0, 0.0), (9.0, 9.0)))
+KNOWN = Motion(ALL, 1.0, 2.0, 0.5, 0.0, 1.0, 0.0)
+FLOATS = st.floats() | st.sampled_from([math.nan, math.inf, -math.inf, 1e308, -1e308, 5e-324, 0.0, -0.0])
+SUBSETS = [frozenset(c) for n in range(4) for c in itertools.combinations(INPUTS, n)]
+
+
+def waypoints() -> st.SearchStrategy[Waypoint]:
+    return st.builds(Waypoint, FLOATS, FLOATS, FLOATS, FLOATS)
+
+
+def rows(of: st.SearchStrategy[T]) -> st.SearchStrategy[tuple[T, ...]]:
+    return st.lists(of, max_size=3).map(tuple)
+
+
+def plans() -> st.SearchStrategy[Plan]:
+    pieces = st.builds(Line, *[FLOATS] * 5) | st.builds(Arc, *[FLOATS] * 6)
+    return st.builds(Plan, st.just("mad"), rows(waypoints()), rows(pieces))
+
+
+SETPOINTS = st.builds(
+    Setpoint,
+    FLOATS,
+    FLOATS,
+    FLOATS,
+    FLOATS,
+    st.none() | waypoints(),
+    st.none() | plans(),
+    st.integers(-2, 5),
+    st.none() | FLOATS,
+    FLOATS,
+    rows(st.tuples(FLOATS, FLOATS)),
+)
+MOTIONS = st.builds(Motion, st.sampled_from(SUBSETS), *[FLOATS] * 6)
+ACTUATIONS = st.builds(Actuation, FLOATS, FLOATS, st.booleans())
+
+
+def test_every_mode_has_a_row_and_says_what_it_is() -> None:
+    assert set(MODES) == set(Mode)
+    for program in MODES.values():
+        assert set(INPUTS) >= program.NEEDS
+        assert program.SENTENCE.endswith(".")
+
+
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("has", SUBSETS, ids=lambda has: "+".join(sorted(has)) or "nothing")
+def test_a_mode_runs_with_what_it_needs_and_stops_without(mode: Mode, has: frozenset[str]) -> None:
+    motion = Motion(has, *KNOWN[1:])
+    memory = enter(mode, motion, READY, SETTINGS)
+    after, reference, actuation = control(mode, memory, motion, READY, SETTINGS, DT_S)
+    refusal = admit(mode, has, READY)
+    assert reference.reason == (refusal or "")
+    if has >= MODES[mode].NEEDS:
+        assert refusal is None
+        assert actuation.run == (mode is not Mode.IDLE)
+    else:
+        assert refusal is not None
+        for missing in MODES[mode].NEEDS - has:
+            assert missing in refusal
+        assert actuation == STOP
+        assert after == memory
+
+
+def test_refusals_are_sentences_for_a_tired_operator() -> None:
+    assert admit(Mode.PLAY, frozenset({"heading", "velocity"}), READY) == "no position: heading and velocity only"
+    assert admit(Mode.HEADING, frozenset(), READY) == "no heading"
+    assert admit(Mode.PLAY, ALL, Setpoint()) == "no mission loaded"
+    assert admit(Mode.PLAY, ALL, READY._replace(leg=1)) == "no leg 1: the mission has legs 0 to 0"
+    assert admit(Mode.GOTO, ALL, Setpoint()) == "no point to go to and no mission loaded"
+    assert admit(Mode.PATH, ALL, Setpoint()) == "no mission loaded"
+    assert admit(Mode.PATH, ALL, Setpoint(plan=PLAN._replace(path=()))) is not None
+    assert admit(Mode.GREX, ALL, Setpoint()) == "no reference from the guest computer"
+    assert admit(Mode.HOME, ALL, Setpoint()) == "no driven track to go back along"
+
+
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("field", Motion._fields[1:])
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e9])
+def test_navigation_that_makes_no_sense_stops_and_leaves_no_trace(mode: Mode, field: str, value: float) -> None:
+    motion = Motion(**{**KNOWN._asdict(), field: value})
+    memory = enter(mode, KNOWN, READY, SETTINGS)
+    after, reference, actuation = control(mode, memory, motion, READY, SETTINGS, DT_S)
+    assert (after, actuation) == (memory, STOP)
+    assert reference.reason == "navigation makes no sense"
+
+
+@pytest.mark.parametrize("mode", Mode)
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e308, -1e308])
+def test_a_set_point_that_makes_no_sense_stops_or_changes_nothing(mode: Mode, value: float) -> None:
+    pieces = (Arc(*[value] * 6), Line(*[value] * 5))
+    plan = Plan("mad", (Waypoint(*[value] * 4),), pieces)
+    mad = Setpoint(value, value, value, value, Waypoint(*[value] * 4), plan, 0, value, value, ((value, value),) * 2)
+    memory = enter(mode, KNOWN, mad, SETTINGS)
+    after, reference, actuation = control(mode, memory, KNOWN, mad, SETTINGS, DT_S)
+    assert math.isfinite(actuation.starboard_rpm + actuation.port_rpm)
+    if reference.reason:
+        assert (after, actuation) == (memory, STOP)
+
+
+@given(st.sampled_from(Mode), MOTIONS, SETPOINTS, FLOATS, ACTUATIONS)
+def test_whatever_comes_what_is_sent_is_finite_and_within_limits(
+    mode: Mode, motion: Motion, setpoint: Setpoint, dt_s: float, previous: Actuation
+) -> None:
+    memory = enter(mode, motion, setpoint, SETTINGS)
+    for seen in (motion, KNOWN):
+        memory, _, wanted = control(mode, memory, seen, setpoint, SETTINGS, dt_s)
+        sent = limited(wanted, previous, SETTINGS.propulsion, dt_s)
+        assert abs(sent.starboard_rpm) <= SETTINGS.propulsion.rpm_max
+        assert abs(sent.port_rpm) <= SETTINGS.propulsion.rpm_max
+        assert sent.run or sent == STOP
+
+
+@given(ACTUATIONS, ACTUATIONS, FLOATS)
+def test_the_gate_passes_nothing_else(wanted: Actuation, previous: Actuation, dt_s: float) -> None:
+    sent = limited(wanted, previous, Propulsion(), dt_s)
+    assert abs(sent.starboard_rpm) <= 1200.0
+    assert abs(sent.port_rpm) <= 1200.0
+    assert math.isfinite(sent.starboard_rpm + sent.port_rpm)
+
+
+@given(*[st.floats(-1200.0, 1200.0)] * 4, st.floats(0.0, 1.0))
+def test_the_gate_limits_the_rate_and_arrives(starboard: float, port: float, old: float, older: float, dt_s: float) -> None:
+    limits, sent, wanted = Propulsion(), Actuation(old, older, True), Actuation(starboard, port, True)
+    after = limited(wanted, sent, limits, dt_s)
+    change = limits.rpm_per_s_max * dt_s + 1e-9
+    assert abs(after.starboard_rpm - old) <= change
+    assert abs(after.port_rpm - older) <= change
+    for _ in range(16):  # 2,400 rpm at 800 rpm/s
+        after = limited(wanted, after, limits, 0.2)
+    assert after == wanted
+
+
+@pytest.mark.parametrize(
+    "wanted", [STOP, Actuation(500.0, 500.0, False), Actuation(math.nan, 0.0, True), Actuation(0.0, math.inf, True)]
+)
+def test_a_stop_is_immediate(wanted: Actuation) -> None:
+    assert limited(wanted, Actuation(1200.0, 1200.0, True), Propulsion(), 0.001) == STOP
+
+
+def test_after_a_stop_revolutions_begin_at_zero() -> None:
+    after = limited(Actuation(1000.0, 1000.0, True), Actuation(900.0, 900.0, False), Propulsion(), 0.1)
+    assert after == Actuation(80.0, 80.0, True)
+
+
+def test_idle_and_manual_need_nothing() -> None:
+    assert control(Mode.IDLE, Memory(), NOWHERE, Setpoint(), SETTINGS, DT_S)[2] == STOP
+    asked = Setpoint(starboard=-0.5, port=2.0)
+    assert control(Mode.MANUAL, Memory(), NOWHERE, asked, SETTINGS, DT_S)[2] == Actuation(-600.0, 1200.0, True)
+
+
+def test_a_guest_that_asked_for_nothing_gets_a_stop() -> None:
+    _, reference, actuation = control(Mode.GREX, Memory(), KNOWN, Setpoint(), SETTINGS, DT_S)
+    assert actuation == STOP
+    assert "guest" in reference.reason

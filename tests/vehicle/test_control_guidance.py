@@ -1,0 +1,221 @@
+"""Missions, paths, station keeping and the way home in current and noise: the figures of docs/control.md."""
+
+import itertools
+import math
+
+import pytest
+
+from delfim.config import Sea
+from delfim.vehicle.control.control import control, enter
+from delfim.vehicle.control.guidance import along
+from delfim.vehicle.control.path_following import APPROACH
+from delfim.vehicle.state import Arc, Line, Mode, Motion, Plan, Setpoint, Waypoint
+from tests.vehicle.closed_loop import (
+    ALL,
+    DOCA,
+    DT_S,
+    LAWNMOWER,
+    OTHERS,
+    SETTINGS,
+    Boat,
+    current,
+    errors,
+    heading_step,
+    hold_distances,
+    home_errors,
+    path_errors,
+    play,
+    tuned,
+)
+
+HERE = Motion(ALL, 0.0, 0.0, 0.0, 0.0, 1.5, 0.0)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_every_waypoint_is_reached_in_half_a_metre_per_second_of_current(seed: int) -> None:
+    closest, seconds = play(Boat(seed, current(seed)), DOCA)
+    assert seconds < 480.0
+    for approach_m, to in zip(closest, DOCA.waypoints, strict=True):
+        assert approach_m <= to.acceptance_m
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_survey_is_played_to_its_end(seed: int) -> None:
+    closest, _ = play(Boat(seed, current(seed, 4)), LAWNMOWER)
+    for approach_m, to in zip(closest, LAWNMOWER.waypoints, strict=True):
+        assert approach_m <= to.acceptance_m + 0.5  # the radius is measured with a position that errs by 0.3 m
+
+
+def test_path_following_keeps_to_lines_and_wide_arcs() -> None:
+    runs = [path_errors(Boat(seed, current(seed, 8)), DOCA.path) for seed in range(8)]
+    on_lines, on_arcs = errors([e for run in runs for e in run[0]]), errors([e for run in runs for e in run[1]])
+    assert on_lines.rms < 0.3
+    assert on_lines.most < 1.5
+    assert on_arcs.rms < 0.3
+    assert on_arcs.most < 1.5
+
+
+def test_path_following_keeps_to_half_turns_of_ten_metres() -> None:
+    runs = [path_errors(Boat(seed, current(seed, 4)), LAWNMOWER.path) for seed in range(4)]
+    assert errors([e for run in runs for e in run[0]]).rms < 0.6
+    assert errors([e for run in runs for e in run[1]]).rms < 1.3
+    assert errors([e for run in runs for on in run for e in on]).most < 3.0
+
+
+def test_path_following_in_calm_water_is_better_than_the_sensor() -> None:
+    on_lines, on_arcs = path_errors(Boat(), DOCA.path)
+    assert errors(on_lines).rms < 0.3
+    assert errors(on_arcs).rms < 0.3
+
+
+def test_the_integral_takes_away_what_the_measured_course_does_not_see() -> None:
+    """A velocity sensor that errs by 0.15 m/s athwart would leave the boat 0.8 m beside the line for ever."""
+
+    class Deceived(Boat):
+        def seen(self) -> Motion:
+            seen = super().seen()
+            return seen._replace(east_mps=seen.east_mps + 0.15)
+
+    off = path_errors(Deceived(), (Line(0.0, 0.0, 900.0, 0.0, 1.5),))[0]
+    assert abs(sum(off[:50]) / 50) > 0.4
+    assert abs(sum(off[-300:]) / 300) < 0.15
+
+
+def test_an_arc_of_more_than_one_turn_is_sailed_to_its_end() -> None:
+    path = (Line(0.0, 0.0, 40.0, 0.0, 1.5), Arc(40.0, -20.0, 20.0, math.pi / 2.0, -4.0 * math.pi, 1.5))
+    _, on_arcs = path_errors(Boat(), path)
+    assert len(on_arcs) * DT_S * 1.5 == pytest.approx(4.0 * math.pi * 20.0, rel=0.2)
+
+
+def test_a_path_is_resumed_where_the_boat_stands_on_it_and_begun_elsewhere() -> None:
+    path = (
+        Line(0.0, 0.0, 100.0, 0.0, 1.5),
+        Arc(100.0, 20.0, 20.0, -math.pi / 2.0, math.pi, 1.5),
+        Line(100.0, 40.0, 0.0, 40.0, 1.5),
+    )
+    setpoint = Setpoint(plan=Plan("", (), path))
+    for north_m, east_m, leg in (
+        (50.0, 2.0, 0),
+        (120.0, 20.0, 1),
+        (50.0, 42.0, 2),
+        (50.0, 20.0, APPROACH),
+        (-60.0, 0.0, APPROACH),
+    ):
+        memory = enter(Mode.PATH, HERE._replace(north_m=north_m, east_m=east_m), setpoint, SETTINGS)
+        assert memory.leg == leg
+        assert leg != 1 or memory.swept_rad == pytest.approx(math.pi / 2.0)
+
+
+def test_cross_track_is_positive_to_starboard() -> None:
+    bearing_rad, cross_m, left_m = along(HERE._replace(north_m=10.0, east_m=3.0), 0.0, 0.0, 100.0, 0.0)
+    assert (bearing_rad, cross_m, left_m) == (0.0, 3.0, 90.0)
+    bearing_rad, cross_m, left_m = along(HERE._replace(north_m=3.0, east_m=-10.0), 0.0, 0.0, 0.0, -100.0)
+    assert (bearing_rad, cross_m, left_m) == pytest.approx((-math.pi / 2.0, 3.0, 90.0))
+
+
+def test_a_leg_can_be_jumped_to() -> None:
+    setpoint = Setpoint(plan=DOCA, leg=7)
+    samples = list(Boat().sail(Mode.PLAY, setpoint, 5.0))
+    assert {x.reference.leg for x in samples} == {7}
+    assert (samples[0].reference.north_m, samples[0].reference.east_m) == DOCA.waypoints[7][:2]
+
+
+def test_a_narrow_miss_is_not_sailed_again_and_a_wide_one_is() -> None:
+    plan = Plan("", (Waypoint(50.0, 0.0, 1.5, 2.0), Waypoint(200.0, 0.0, 1.5, 2.0)), ())
+    setpoint = Setpoint(plan=plan)
+    begun = enter(Mode.PLAY, HERE, setpoint, SETTINGS)
+    narrow, _, _ = control(Mode.PLAY, begun, HERE._replace(north_m=50.1, east_m=3.5), setpoint, SETTINGS, DT_S)
+    assert narrow.leg == 1
+    wide, reference, _ = control(Mode.PLAY, begun, HERE._replace(north_m=50.1, east_m=9.0), setpoint, SETTINGS, DT_S)
+    assert wide.leg == 0
+    assert (wide.north_m, wide.east_m) == (50.1, 9.0)
+    assert reference.cross_track_m == pytest.approx(0.0, abs=1e-9)
+
+
+def test_the_speed_of_each_waypoint_is_kept() -> None:
+    plan = Plan("", (Waypoint(80.0, 0.0, 1.0, 5.0), Waypoint(200.0, 0.0, 2.0, 5.0), Waypoint(300.0, 0.0, 2.0, 5.0)), ())
+    samples = list(Boat().sail(Mode.PLAY, Setpoint(plan=plan), 130.0))
+    assert [x.truth.north_mps for x in samples if x.leg == 0][-1] == pytest.approx(1.0, abs=0.15)
+    assert [x.truth.north_mps for x in samples if x.leg == 1][-1] == pytest.approx(2.0, abs=0.15)
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_goto_arrives_slowly_and_is_done(seed: int) -> None:
+    target = Waypoint(-40.0, 70.0, 2.0, 5.0)
+    samples = []
+    for x in Boat(seed, current(seed, 4)).sail(Mode.GOTO, Setpoint(target=target), 200.0):
+        samples.append(x)
+        if x.reference.done:
+            break
+    arrived = samples[-1].truth
+    assert samples[-1].reference.done
+    assert math.hypot(arrived.north_m - target.north_m, arrived.east_m - target.east_m) < target.acceptance_m + 1.0
+    assert math.hypot(arrived.north_mps, arrived.east_mps) < 1.75  # 2.0 asked for
+
+
+def test_goto_without_a_point_goes_to_the_first_waypoint() -> None:
+    x = next(iter(Boat().sail(Mode.GOTO, Setpoint(plan=DOCA), 1.0)))
+    assert (x.reference.north_m, x.reference.east_m) == DOCA.waypoints[0][:2]
+
+
+@pytest.mark.parametrize("way_mps", [0.0, 1.5, 2.2])
+@pytest.mark.parametrize("to_deg", [0.0, 90.0, 180.0])
+def test_hold_stays_within_ten_metres_in_current_and_wind(way_mps: float, to_deg: float) -> None:
+    sea = Sea(current_mps=0.5, current_to_deg=to_deg, wind_mps=8.0, wind_from_deg=90.0)
+    distances = hold_distances(Boat(sea=sea), way_mps)
+    assert max(distances) < 10.0
+    assert max(distances[300:]) < 8.0
+
+
+def test_hold_rests_in_calm_water() -> None:
+    samples = list(Boat().sail(Mode.HOLD, Setpoint(), 300.0))
+    assert all(x.sent == (0.0, 0.0, True) for x in samples)
+
+
+def test_hold_does_not_circle() -> None:
+    boat = Boat(sea=Sea(current_mps=0.5), heading_rad=math.pi / 2.0)
+    headings = [x.truth.heading_rad for x in boat.sail(Mode.HOLD, Setpoint(), 600.0)]
+    turned_rad = sum(abs(math.remainder(b - a, math.tau)) for a, b in itertools.pairwise(headings))
+    assert turned_rad < 2.0 * math.tau  # in ten minutes: once into the drift, and the small corrections
+
+
+def test_hold_backs_up_to_a_point_close_astern() -> None:
+    memory = enter(Mode.HOLD, HERE._replace(north_mps=0.0), Setpoint(), SETTINGS)
+    near = HERE._replace(north_m=7.0, north_mps=0.0)
+    for _ in range(5):
+        memory, _, actuation = control(Mode.HOLD, memory, near, Setpoint(), SETTINGS, DT_S)
+    assert actuation.starboard_rpm < 0.0
+    assert actuation.port_rpm < 0.0
+    memory = enter(Mode.HOLD, HERE._replace(north_mps=0.0), Setpoint(), SETTINGS)
+    _, _, actuation = control(Mode.HOLD, memory, HERE._replace(north_m=50.0, north_mps=0.0), Setpoint(), SETTINGS, DT_S)
+    assert actuation.starboard_rpm * actuation.port_rpm < 0.0  # far astern: turn
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_home_leads_back_along_the_driven_track(seed: int) -> None:
+    off, end_m, points = home_errors(Boat(seed, current(seed, 6)))
+    assert errors(off).rms < 2.5
+    assert max(off) < 12.0  # while it turns around in the current; the track itself has corners of 5 m
+    assert end_m < 6.0
+    assert points <= 3  # driving home has taken the track back
+
+
+def test_grex_follows_the_guest() -> None:
+    setpoint = Setpoint(guest_heading_rad=math.radians(300.0), guest_speed_mps=1.0)
+    last = list(Boat().sail(Mode.GREX, setpoint, 60.0))[-1].truth
+    assert math.degrees(last.heading_rad) % 360.0 == pytest.approx(300.0, abs=2.0)
+    assert math.hypot(last.north_mps, last.east_mps) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_the_recipe_tunes_another_boat(name: str) -> None:
+    hull, settings = OTHERS[name], tuned(OTHERS[name])
+    over_deg, settled_s, _ = heading_step(Boat(hull=hull, settings=settings), 90.0, 1.5)
+    assert over_deg < 5.0
+    assert settled_s < 15.0
+    runs = [path_errors(Boat(seed, current(seed, 4), hull=hull, settings=settings), DOCA.path) for seed in range(4)]
+    assert errors([e for _, on_arcs in runs for e in on_arcs]).rms < 0.5
+
+
+def test_a_run_is_repeated_bit_by_bit() -> None:
+    assert play(Boat(3, current(3)), DOCA) == play(Boat(3, current(3)), DOCA)
