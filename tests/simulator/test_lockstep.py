@@ -46,9 +46,8 @@ def boat(seed: int, sea: config.Sea = CROSS) -> Lockstep:
 
 
 def recorded(sailing: Lockstep) -> bytes:
-    log = sailing.vehicle.log
-    assert isinstance(log, Bytes)
-    return bytes(log.data)
+    assert isinstance(sailing.log, Bytes)
+    return bytes(sailing.log.data)
 
 
 def test_same_seed_same_bytes_and_another_seed_another_run():
