@@ -411,22 +411,24 @@ T = TypeVar("T", bound=Table)
 
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
     """The vehicle's file, checked, with "key.key=TOML value" overrides laid over it. Raises ConfigError."""
-    tree = read_toml(path)
-    for override in overrides:
-        _override(tree, override)
-    return decode(tree, Vehicle, str(path))
+    return decode(read_toml(path, overrides), Vehicle, str(path))
 
 
-def read_toml(path: str | Path) -> dict[str, object]:
-    """Raises ConfigError where the file is missing, unreadable or no TOML."""
+def read_toml(path: str | Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """The file's tables, with "key.key=TOML value" overrides laid over them. Raises ConfigError where the file is missing,
+    unreadable or no TOML.
+    """
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(str(path), "file", error.strerror or str(error)) from None
     except UnicodeDecodeError as error:
         raise ConfigError(str(path), "file", f"not UTF-8: {error.reason} at byte {error.start}") from None
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(str(path), "file", f"not TOML: {error}") from None
+    for override in overrides:
+        _override(tree, override)
+    return tree
 
 
 def _override(tree: dict[str, Any], override: str) -> None:

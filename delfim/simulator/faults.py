@@ -90,7 +90,7 @@ class Faults:
         self.nodes, self.model = nodes, nodes.model
         self.on: dict[str, float] = {}  # kinds that are there now, with their value
         self._random = Random(f"faults {seed}")
-        self._ends: dict[tuple[str, str], float] = {}
+        self.faults: dict[tuple[str, str], float] = {}  # kind and place of each that is there, and when it ends
         self._late: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # when due: to the bus ...
         self._late_heard: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # ... and from it
 
@@ -98,26 +98,26 @@ class Faults:
     def due_s(self) -> float:
         """When `step` has something to do again."""
         late = [queue[0][0] for queue in (self._late, self._late_heard) if queue]
-        return min(self.nodes.due_s, *self._ends.values(), *late, math.inf)
+        return min(self.nodes.due_s, *self.faults.values(), *late, math.inf)
 
     def begin(self, broken: Fault, now_s: float) -> None:
         """It breaks now; the same fault at the same place replaces the one before."""
-        self._ends[broken.kind, broken.where] = now_s + broken.for_s
+        self.faults[broken.kind, broken.where] = now_s + broken.for_s
         self.on[broken.kind] = broken.value
         self._set(broken.kind, broken.where, broken.value, True)
 
     def end(self, kind: str, where: str = "") -> None:
         """It is whole again."""
-        if self._ends.pop((kind, where), None) is not None:
+        if self.faults.pop((kind, where), None) is not None:
             self._set(kind, where, 0.0, False)
-            if not any(other == kind for other, _ in self._ends):
+            if not any(other == kind for other, _ in self.faults):
                 del self.on[kind]
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         """As of the nodes."""
-        if not self._ends and not self._late and not self._late_heard:
+        if not self.faults and not self._late and not self._late_heard:
             return self.nodes.step(now_s, utc_ns)
-        for key in [key for key, end_s in self._ends.items() if now_s >= end_s]:
+        for key in [key for key, end_s in self.faults.items() if now_s >= end_s]:
             self.end(*key)
         while self._late_heard and self._late_heard[0][0] <= now_s:
             self.nodes.feed(self._late_heard.popleft()[1], now_s)

@@ -30,6 +30,8 @@ from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation, Mode, Motion, Profile, Reference, Setpoint, State, Waypoint, mode_named
 from delfim.vehicle.track import Track
 
+PUSHED_S = 1.0  # manual commands that come faster are one push
+
 
 class StateLog(Protocol):
     """Where a cycle's record goes."""
@@ -61,7 +63,7 @@ class Vehicle:
         self._track = Track(settings.control.home)
         self._rules, self._troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
         self._zones = config.Zones()  # the mission's
-        self._fence = fence.survey(settings.fence, self._zones, state.origin)
+        self.fence = fence.survey(settings.fence, self._zones, state.origin)  # the boat's and the mission's; None: none
         self._taken = False  # the failsafe changed the mode; a joystick that is still pushed does not take it back
         self._segmented = sysstat.receiver()
         self._controlled_s = clock.monotonic_s()
@@ -114,7 +116,7 @@ class Vehicle:
     def on_watchdog(self) -> None:
         """Due ten times a second: what has gone wrong, and what is done about it."""
         now_s, state = self.clock.monotonic_s(), self.state
-        inputs = Inputs(self.log.reason(), self._fence)
+        inputs = Inputs(self.log.reason(), self.fence)
         self._troubles, action, reason, notices = failsafe.failsafe(self._rules, self._troubles, state, inputs, now_s)
         if notices or state.notices:
             for text in failsafe.news(state.notices, notices):
@@ -140,7 +142,7 @@ class Vehicle:
 
     def checks(self) -> list[Check]:
         """What is in order before the start and what is not, a line each."""
-        inputs = Inputs(self.log.reason(), self._fence)
+        inputs = Inputs(self.log.reason(), self.fence)
         return checks(self._rules, self.state, inputs, self.clock.monotonic_s(), self.clock.time_ns())
 
     def _fall_back(self, action: Action, reason: str, now_s: float) -> None:
@@ -172,7 +174,7 @@ class Vehicle:
                 return False
             if state.origin is None:
                 state.origin = geodesy.origin(n.latitude_rad, n.longitude_rad)
-                self._fence = fence.survey(self.settings.fence, self._zones, state.origin)
+                self.fence = fence.survey(self.settings.fence, self._zones, state.origin)
             north_m, east_m = geodesy.to_plane(state.origin, n.latitude_rad, n.longitude_rad)
             has = _POSITION
         else:
@@ -234,9 +236,9 @@ class Vehicle:
         if mode is Mode.IDLE and state.mode is Mode.IDLE and state.reason == reason:
             return
         self._memory = enter(mode, state.motion, state.setpoint, self._limits)
-        if mode is Mode.HOLD and self._fence is not None:
+        if mode is Mode.HOLD and self.fence is not None:
             here, radius_m = (self._memory.north_m, self._memory.east_m), self.settings.control.hold.radius_m
-            north_m, east_m = fence.place_to_hold(self._fence, here, self._track.points(), radius_m)
+            north_m, east_m = fence.place_to_hold(self.fence, here, self._track.points(), radius_m)
             self._memory = self._memory._replace(north_m=north_m, east_m=east_m)
         if mode is not state.mode:
             state.mode_s = self.clock.monotonic_s()
@@ -252,8 +254,8 @@ class Vehicle:
             reason = refusal(self._rules, mode, self.checks()) or admit(mode, state.motion.has, setpoint)
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
                 reason = "no reference from the guest"
-            if reason is None and self._fence is not None:
-                reason = fence.crossing(self._fence, mode, state.motion, setpoint)
+            if reason is None and self.fence is not None:
+                reason = fence.crossing(self.fence, mode, state.motion, setpoint)
             if reason is not None:
                 raise Refused(f"{mode.name.lower()} refused: {reason}")
         state.setpoint = setpoint
@@ -272,9 +274,9 @@ class Vehicle:
                     self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
                 self._request(wanted, setpoint, now_s)
             case console.Manual(starboard, port):
-                if self._taken:
-                    raise Refused(f"manual refused: {self.state.reason}; ask for the mode first")
-                self.state.manual_s = now_s
+                pushed, self.state.manual_s = now_s - self.state.manual_s < PUSHED_S, now_s
+                if self._taken and pushed:
+                    raise Refused(f"manual refused: {self.state.reason}; let go for {PUSHED_S:g} s or ask for a mode")
                 self.state.setpoint = setpoint = setpoint._replace(starboard=starboard, port=port)
                 if self.state.mode is not Mode.MANUAL:
                     self._request(Mode.MANUAL, setpoint, now_s)
@@ -316,7 +318,7 @@ class Vehicle:
         if around is not None and (why := fence.complaint(around, planned)) is not None:
             raise Refused(f"mission refused: {why}")
         state.origin, state.setpoint = origin, state.setpoint._replace(plan=planned, leg=0)
-        self._zones, self._fence = mission.fence, around
+        self._zones, self.fence = mission.fence, around
 
 
 _MEASURED = slice(1, 9)  # of a navigation message: position, velocity, attitude
