@@ -221,6 +221,7 @@ class ThrusterAstray(Trouble, frozen=True):
 
     error_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 300.0  # difference that is none yet ...
     error: Fraction = 0.25  # ... plus this part of what was commanded
+    idle_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 100.0  # the same for one that was switched off
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 4.0  # for this long
     manual: ModeAction = "warn"
     disconnect: bool = True  # one that turns although it was stopped loses its batteries until the program is restarted

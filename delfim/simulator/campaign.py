@@ -1,6 +1,6 @@
 """Campaigns: many short runs of mixed faults, drawn from a seed, watched for what must never happen.
 
-A run is an ordinary afternoon gone wrong: a boat with a fence and a mission, an operator who goes to and fro, and up to four
+A run is an ordinary afternoon gone wrong: a boat with a fence and a mission, an operator who goes to and fro, and up to five
 faults that come, overlap and mostly go.
 """
 
@@ -18,7 +18,7 @@ from delfim.simulator.scenario import FaultAt, Guest, Result, Scenario, sail, se
 
 MIXED: Final = "mixed"
 START_S, QUIET_S = 8.0, 15.0  # nothing breaks before all is well, and the last faults are over before the end
-HALF_M: Final = 90.0  # of the fence's sides from where the boat starts
+HALF_M: Final = 65.0  # of the fence's sides from where the boat starts
 
 
 def mixed(seed: int, here: config.Simulation) -> Scenario:
@@ -38,14 +38,14 @@ def mixed(seed: int, here: config.Simulation) -> Scenario:
         name=f"mixed faults, seed {seed}",
         seconds=seconds,
         vehicle={
-            "fence": {"keep_in": corners, "keep_out": [{"centre": [place(50.0, 0.0)], "radius_m": 12.0}]},
+            "fence": {"keep_in": corners, "keep_out": [{"centre": [place(45.0, 0.0)], "radius_m": 10.0}]},
             "failsafe": {"pause_s": random.choice([0.0, 5.0, 15.0])},
             "simulation": {"sea": sea, "heading_deg": random.uniform(0.0, 360.0)},
             "log": {"required": random.random() < 0.5},
         },
         guest=Guest(heading_deg=random.uniform(0.0, 360.0), speed_mps=1.5) if random.random() < 0.3 else None,
         command=tuple(_orders(random, seconds, place)),
-        fault=tuple(_fault(random, seconds) for _ in range(random.randint(1, 4))),
+        fault=tuple(_fault(random, seconds) for _ in range(random.randint(1, 5))),
     )
 
 
@@ -57,7 +57,7 @@ def _place(here: config.Simulation, north_m: float, east_m: float) -> list[float
 
 def _mission(here: config.Simulation) -> str:
     """Once around, clear of the fence."""
-    corners = [_place(here, *corner) for corner in ((-50.0, -50.0), (-50.0, 50.0), (20.0, 50.0), (20.0, -50.0))]
+    corners = [_place(here, *corner) for corner in ((-40.0, -40.0), (-40.0, 40.0), (15.0, 40.0), (15.0, -40.0))]
     rows = [f"[[waypoint]]\nlatitude_deg = {latitude}\nlongitude_deg = {longitude}\n" for latitude, longitude in corners]
     return "\n".join(['version = 1\nname = "Once around"\n', *rows])
 
@@ -67,7 +67,7 @@ def _orders(random: Random, seconds: float, place: Callable[[float, float], list
     orders: list[dict[str, Any]] = []
     at_s = START_S / 2
     while at_s < seconds - 5.0:
-        latitude_deg, longitude_deg = place(random.uniform(-70.0, 70.0), random.uniform(-70.0, 70.0))
+        latitude_deg, longitude_deg = place(random.uniform(-55.0, 55.0), random.uniform(-55.0, 55.0))
         choices: list[dict[str, Any]] = [
             {"command": "heading", "heading_deg": random.uniform(0.0, 360.0), "speed_mps": random.uniform(0.5, 2.2)},
             {"command": "heading", "heading_deg": random.uniform(0.0, 360.0), "speed_mps": 2.2},

@@ -7,6 +7,7 @@ format by example.
 import json
 import math
 import tomllib
+from collections import deque
 from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple, Self
@@ -25,7 +26,8 @@ from delfim.vehicle.state import Mode, State
 RETRY_S: Final = 1.0  # an operator who was refused asks again so often ...
 PATIENCE_S: Final = 15.0  # ... and gives up after so long
 GUEST_S: Final = 0.5
-TURNS_RPM: Final = 100.0  # a propeller that gives thrust worth the name
+HELD_S: Final = 0.5
+TURNS_RPM: Final = 120.0  # a propeller that gives thrust worth the name
 COAST_S: Final = 4.0  # until a stopped one does not any more
 ASTRAY_S: Final = 12.0  # the same where it does not obey: seen, disconnected, coasted
 BLIND_S: Final = 0.5  # beyond its limit, for the watchdog to come round
@@ -79,7 +81,7 @@ class Scenario(config.Table, frozen=True):
     mission: str = ""  # a mission file, beside this one
     vehicle: dict[str, Any] = msgspec.field(default_factory=dict)  # tables laid over the vehicle's file
     guest: Guest | None = None
-    command: tuple[dict[str, Any], ...] = ()  # the operator's words with `at_s`; `refused`: in these words they must be
+    command: tuple[dict[str, Any], ...] = ()  # the operator's words with `at_s`, and `held_s` or `refused` (class Order)
     fault: tuple[FaultAt, ...] = ()
     expect: tuple[Expect, ...] = ()
 
@@ -130,16 +132,17 @@ class Order(NamedTuple):
 
     at_s: float
     command: console.Commands
-    refused: str  # it must be, in these words; empty: it must not
+    refused: str = ""  # it must be, in these words; empty: it must not
+    held_s: float = 0.0  # once obeyed it is given again twice a second for so long, as by a stick that is pushed
 
     @classmethod
     def of(cls, words: dict[str, Any]) -> Self:
         """From a table of a scenario. Raises FormatError."""
         rest = {**words}
-        at_s, refused = rest.pop("at_s", None), rest.pop("refused", "")
-        if not isinstance(at_s, float | int) or not isinstance(refused, str):
-            raise FormatError("a command needs at_s, a number; `refused` is text")
-        return cls(float(at_s), console.parse(json.dumps(rest).encode()), refused)
+        at_s, refused, held_s = rest.pop("at_s", None), rest.pop("refused", ""), rest.pop("held_s", 0.0)
+        if not isinstance(at_s, float | int) or not isinstance(held_s, float | int) or not isinstance(refused, str):
+            raise FormatError("a command needs at_s, a number; held_s is a number and refused is text")
+        return cls(float(at_s), console.parse(json.dumps(rest).encode()), refused, float(held_s))
 
 
 class Watch:
@@ -149,7 +152,7 @@ class Watch:
         self._run, self._model, self._settings = run, run.nodes.model, run.settings
         self.failures: list[str] = []
         self._turning_since_s = math.inf
-        self._was_inside = True
+        self._was_inside, self._astray = True, False
 
     def look(self) -> None:
         run, state = self._run, self._run.state
@@ -171,11 +174,11 @@ class Watch:
         model, on = self._model, self._run.faults.on
         turns = max(abs(model.starboard.rpm), abs(model.port.rpm)) > TURNS_RPM
         if not (idle and turns) or "bus_off" in on or any(kind.startswith("frames_") for kind in on):
-            self._turning_since_s = math.inf
+            self._turning_since_s, self._astray = math.inf, False
             return
         self._turning_since_s = min(self._turning_since_s, now_s)
-        astray = model.starboard.fault or model.port.fault
-        if now_s - self._turning_since_s > (ASTRAY_S if astray else COAST_S):
+        self._astray = self._astray or model.starboard.fault is not None or model.port.fault is not None
+        if now_s - self._turning_since_s > (ASTRAY_S if self._astray else COAST_S):
             self._fail("adrift under power")
 
     def _fenced(self, around: fence.Fence, state: State, idle: bool) -> None:
@@ -203,7 +206,7 @@ class Recorder:
     def __init__(self, run: Lockstep) -> None:
         self._run, self.events = run, list[Event]()
         self._mode: tuple[Mode, str] | None = None
-        self._notices: set[str] = set()
+        self._notices: set[tuple[str, str]] = set()
         self._stopped = False
         self.nearest_m: list[float] = []
 
@@ -216,8 +219,8 @@ class Recorder:
             self._mode = state.mode, state.reason
             self.events.append(Event(now_s, "mode", state.mode.name.lower(), state.reason))
         if state.notices or self._notices:
-            present = {notice.name for notice in state.notices}
-            news = [notice for notice in state.notices if notice.name not in self._notices]
+            present = {(notice.name, notice.action) for notice in state.notices}
+            news = [notice for notice in state.notices if (notice.name, notice.action) not in self._notices]
             self.events += [Event(now_s, "notice", notice.name, f"{notice.reason}: {notice.action}") for notice in news]
             self._notices = present
         stopped = max(abs(model.starboard.rpm), abs(model.port.rpm)) <= TURNS_RPM
@@ -253,53 +256,73 @@ def sail(
     patient gives an order once and takes a refusal for an answer.
     """
     run = Lockstep(settings, seed, make_log or Silence)
-    watch, recorder = Watch(run), Recorder(run)
-    failures: list[str] = []
-    orders = [Order.of(words) for words in scenario.command]
-    if mission:
-        orders.insert(0, Order(0.0, console.Mission(mission), ""))
-    orders.sort(key=lambda order: order.at_s)
-    broken = sorted(((each.at_s, _fault(each)) for each in scenario.fault), key=lambda pair: pair[0])
-    again_s = guest_s = 0.0
+    watch, recorder, operator = Watch(run), Recorder(run), Operator(run, scenario, mission, patient)
+    broken = deque(sorted(((each.at_s, _fault(each)) for each in scenario.fault), key=lambda pair: pair[0]))
+    guest_s = 0.0
     for _ in run.cycles(scenario.seconds):
-        now_s = run.elapsed_s
-        while broken and broken[0][0] <= now_s:
-            each = broken.pop(0)[1]
+        while broken and broken[0][0] <= run.elapsed_s:
+            each = broken.popleft()[1]
             recorder.add("fault", each.kind, each.where)
             run.breaks(each)
-        if scenario.guest is not None and now_s >= guest_s:
-            guest_s = now_s + GUEST_S
+        if scenario.guest is not None and run.elapsed_s >= guest_s:
+            guest_s = run.elapsed_s + GUEST_S
             run.guest_says(msgspec.json.encode(scenario.guest))
-        if orders and orders[0].at_s <= now_s and now_s >= again_s:
-            again_s = now_s + RETRY_S
-            if _given(run, orders[0], recorder, failures) or not patient:
-                orders.pop(0)
-                again_s = 0.0
+        operator.speak(recorder)
         watch.look()
         recorder.look()
         if any(expected.waypoints for expected in scenario.expect):
             recorder.passes()
-    if not patient:
-        failures.clear()
-    failures += [words for expected in scenario.expect if (words := _missed(expected, recorder, run.elapsed_s))]
+    missed = [words for expected in scenario.expect if (words := _missed(expected, recorder, run.elapsed_s))]
     run.close()
-    return Result(recorder.events, watch.failures + failures, run.elapsed_s)
+    return Result(recorder.events, [*watch.failures, *operator.failures, *missed], run.elapsed_s)
 
 
-def _given(run: Lockstep, order: Order, recorder: Recorder, failures: list[str]) -> bool:
-    """Whether the operator is done with an order: it was obeyed, or refused as it should be, or given up."""
-    name = type(order.command).__name__.lower()
-    why = run.command(order.command)
-    if order.refused:
-        recorder.add("command", name, f"refused: {why}" if why else "")
-        if order.refused not in (why or ""):
-            failures.append(f"{name} at {order.at_s:g} s: {why or 'obeyed'}, not refused with {order.refused!r}")
+class Operator:
+    """Who gives a scenario's orders: each until it is obeyed, or refused as it should be, or given up."""
+
+    def __init__(self, run: Lockstep, scenario: Scenario, mission: str, patient: bool) -> None:
+        self._run, self._patience_s = run, PATIENCE_S if patient else 0.0
+        orders = [Order.of(words) for words in scenario.command]
+        if mission:
+            orders.append(Order(-1.0, console.Mission(mission)))
+        self._orders = deque(sorted(orders, key=lambda order: order.at_s))
+        self._again_s = self._held_s = 0.0
+        self._held: console.Commands | None = None
+        self.failures: list[str] = []
+
+    def speak(self, recorder: Recorder) -> None:
+        """What is due now."""
+        now_s = self._run.elapsed_s
+        if self._held is not None and now_s >= self._again_s:
+            self._again_s = now_s + HELD_S
+            self._run.command(self._held)
+            self._held = self._held if now_s < self._held_s else None
+        elif self._orders and self._orders[0].at_s <= now_s and now_s >= self._again_s:
+            order = self._orders[0]
+            if self._give(order, recorder):
+                self._orders.popleft()
+            else:
+                self._again_s = now_s + RETRY_S
+
+    def _give(self, order: Order, recorder: Recorder) -> bool:
+        """Whether the operator is done with the order."""
+        name, now_s = type(order.command).__name__.lower(), self._run.elapsed_s
+        why = self._run.command(order.command)
+        if order.refused:
+            recorder.add("command", name, f"refused: {why}" if why else "")
+            if order.refused not in (why or ""):
+                self.failures.append(f"{name} at {order.at_s:g} s: {why or 'obeyed'}, not refused with {order.refused!r}")
+            return True
+        if why is None:
+            recorder.add("command", name)
+            if order.held_s:
+                self._held, self._held_s, self._again_s = order.command, now_s + order.held_s, now_s + HELD_S
+            return True
+        if now_s - order.at_s < self._patience_s:
+            return False
+        if self._patience_s:
+            self.failures.append(f"{name} at {order.at_s:g} s: {why}")
         return True
-    if why is None:
-        recorder.add("command", name)
-    elif run.elapsed_s - order.at_s > PATIENCE_S:
-        failures.append(f"{name} at {order.at_s:g} s: {why}")
-    return why is None or run.elapsed_s - order.at_s > PATIENCE_S
 
 
 def _missed(expected: Expect, recorder: Recorder, end_s: float) -> str | None:

@@ -274,7 +274,7 @@ def unfollowed(limits: config.ThrusterAstray, state: State, now_s: float) -> tup
         if report is None or now_s - report[1] > FRESH_S or not isinstance(report[0], PropellerStatus) or report[0].rpm is None:
             continue
         wanted = (sent.starboard_rpm if side == "starboard" else sent.port_rpm) if sent.run else 0.0
-        if abs(report[0].rpm - wanted) > limits.error_rpm + limits.error * abs(wanted):
+        if abs(report[0].rpm - wanted) > (limits.error_rpm + limits.error * abs(wanted) if sent.run else limits.idle_rpm):
             astray += (side,)
     return astray
 

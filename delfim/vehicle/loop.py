@@ -30,6 +30,7 @@ from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation, Mode, Motion, Profile, Reference, Setpoint, State, Waypoint, mode_named
 from delfim.vehicle.track import Track
 
+REPEAT_S = 0.5  # a propeller that heard nothing for PROPELLER_TIMEOUT_S stops itself, and that would hide the cause
 PUSHED_S = 1.0  # manual commands that come faster are one push
 
 
@@ -124,8 +125,8 @@ class Vehicle:
             state.notices = notices
         if action > Action.WARN:
             self._fall_back(action, reason, now_s)
-        elif state.mode is Mode.IDLE and now_s - state.navigation_s > self.settings.navigation.stale_s:
-            state.actuation = self.propulsion.send(STOP, now_s)  # no navigation cycle does it
+        elif now_s - state.navigation_s > REPEAT_S:
+            state.actuation = self.propulsion.send(state.actuation, now_s)  # no navigation cycle does it
 
     # What they do.
 
