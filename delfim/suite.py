@@ -100,6 +100,8 @@ async def vehicle(runtime: Runtime) -> None:
         for source in sources:
             runtime.navigation(source.socket.fileno(), partial(boat.on_navigation, source))
             links.callback(runtime.remove_navigation, source.socket.fileno())
+        runtime.rehearsal(boat.rehearse)
+        links.callback(runtime.rehearsal, None)
         for status in (status_frames, status_messages):
             runtime.reader(status.fileno(), partial(boat.on_sysstat, status))
             links.callback(runtime.remove_reader, status.fileno())
