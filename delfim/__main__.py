@@ -94,7 +94,7 @@ def _fault(asked: argparse.Namespace) -> int:
     from delfim.config import load
     from delfim.simulator.realtime import socket_path, tell
 
-    place = asked.socket or socket_path(load(asked.file, asked.set))
+    place = socket_path(load(asked.file, asked.set))
     print(f"delfim: {tell(place, asked.kind, asked.where, asked.value, asked.for_s)}")
     return 0
 
@@ -146,7 +146,6 @@ def _parser() -> argparse.ArgumentParser:
     fault.add_argument("where", metavar="WHERE", nargs="?", default="", help="of a sensor or thruster: gps, port, ...")
     fault.add_argument("--value", type=float, help="how much, where the kind has such a thing")
     fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
-    fault.add_argument("--socket", help="of the nodes, instead of the one in the file's run directory")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
     return parser

@@ -75,7 +75,7 @@ class Boat:
         self._number = 0
 
     def navigate(self, **changes: object) -> bool:
-        """A navigation message on the bus, and the loop's turn. By default: at rest off Lisbon, heading north, rocking a little."""
+        """A navigation message on the bus, and the loop's turn. By default: at rest off Lisbon, heading north, rocking."""
         self._number += 1
         rocking_rad = 0.01 * (self._number % 2)
         place, utc_ns = (math.radians(38.6925), math.radians(-9.215)), self.clock.time_ns()

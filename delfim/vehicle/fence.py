@@ -21,12 +21,14 @@ RECEDES_M = 0.01  # a boat whose clearance does not shrink by more than this goe
 
 
 class Side(NamedTuple):
-    """A side of a polygon: from a point, by so much."""
+    """A side of a polygon: from a point, by so much, to a point. (Start and step do not add up to the end, to the last bit.)"""
 
     north_m: float
     east_m: float
     by_north_m: float
     by_east_m: float
+    to_north_m: float
+    to_east_m: float
 
 
 class Zone(NamedTuple):
@@ -59,7 +61,7 @@ class Fence(NamedTuple):
 def polygon(name: str, keep_in: bool, corners: Sequence[Point]) -> Zone:
     """A zone from the corners of a polygon, in either direction."""
     ends = [*corners[1:], corners[0]]
-    return Zone(name, keep_in, tuple(Side(a[0], a[1], b[0] - a[0], b[1] - a[1]) for a, b in zip(corners, ends, strict=True)))
+    return Zone(name, keep_in, tuple(Side(*a, b[0] - a[0], b[1] - a[1], *b) for a, b in zip(corners, ends, strict=True)))
 
 
 def survey(limits: config.Fence, mission: config.Zones, at: geodesy.Origin | None) -> Fence | None:
@@ -88,7 +90,7 @@ def clearance_m(zone: Zone, north_m: float, east_m: float) -> float:
     if not zone.sides:
         return math.hypot(north_m - zone.north_m, east_m - zone.east_m) - zone.radius_m
     nearest, inside = math.inf, False
-    for n, e, by_n, by_e in zone.sides:
+    for n, e, by_n, by_e, to_n, _ in zone.sides:
         off_n, off_e = north_m - n, east_m - e
         t = (off_n * by_n + off_e * by_e) / (by_n * by_n + by_e * by_e)
         t = 0.0 if t < 0.0 else 1.0 if t > 1.0 else t
@@ -97,7 +99,7 @@ def clearance_m(zone: Zone, north_m: float, east_m: float) -> float:
         if squared < nearest:
             nearest = squared
         # The half-line east of the point crosses this side: an odd number of crossings is inside.
-        if (n > north_m) != (n + by_n > north_m) and off_e < by_e * off_n / by_n:
+        if (n > north_m) != (to_n > north_m) and off_e < by_e * off_n / by_n:
             inside = not inside
     return math.sqrt(nearest) if inside is zone.keep_in else -math.sqrt(nearest)
 
@@ -112,8 +114,8 @@ def least_m(zone: Zone, a: Point, b: Point) -> float:
         return min(least, _from_segment(a, by, (zone.north_m, zone.east_m)) - zone.radius_m)
     if least <= 0.0:
         return least
-    for n, e, by_n, by_e in zone.sides:
-        if geodesy.segments_meet(a, b, (n, e), (n + by_n, e + by_e)):
+    for n, e, _, _, to_n, to_e in zone.sides:
+        if geodesy.segments_meet(a, b, (n, e), (to_n, to_e)):
             return 0.0
         least = min(least, _from_segment(a, by, (n, e)))
     return least
