@@ -10,7 +10,7 @@ from delfim.vehicle.failsafe import Action, Inputs, Rules, Trigger, charge
 from delfim.vehicle.fence import outside
 from delfim.vehicle.state import Mode, State
 
-EARLIEST_NS = 1_262_304_000_000_000_000  # 2010: a clock before that was never set
+EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
 HEARD_S = 5.0  # a console that was silent for longer is no link
 
 

@@ -125,8 +125,9 @@ class Vehicle:
             state.notices = notices
         if action > Action.WARN:
             self._fall_back(action, reason, now_s)
-        elif now_s - state.navigation_s > REPEAT_S:
-            state.actuation = self.propulsion.send(state.actuation, now_s)  # no navigation cycle does it
+        if now_s - state.navigation_s > REPEAT_S:
+            again = STOP if state.mode is Mode.IDLE else state.actuation  # no navigation cycle says it
+            state.actuation = self.propulsion.send(again, now_s)
 
     # What they do.
 

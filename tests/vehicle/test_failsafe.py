@@ -238,6 +238,7 @@ def test_however_a_trouble_flickers_the_boat_only_becomes_more_careful(trigger, 
     assert all(after == before or after in careful for before, after in pairwise(modes))
 
 
+@settings(deadline=None)
 @given(st.lists(st.booleans(), min_size=40, max_size=200))
 def test_a_notice_does_not_flicker_with_its_cause(there):
     """It stays for `clear_s` after the trouble was last there."""

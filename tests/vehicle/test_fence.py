@@ -90,6 +90,7 @@ def test_the_least_clearance_of_a_way_is_that_of_its_worst_point(corners, a, b, 
         assert min(ways) < math.dist(a, b) / 200, "between two samples, or at one of them, the way is forbidden"
 
 
+@settings(deadline=None)
 @given(points, points, st.floats(1.0, 60.0))
 def test_the_same_around_a_circle(a, b, radius_m):
     zone = Zone("", False, (), 10.0, -20.0, radius_m)
@@ -135,6 +136,7 @@ def test_a_boat_that_keeps_its_course_is_stopped_in_time(speed_mps, course_rad):
     assert min(least_m(zone, (north_m, east_m), end) for zone in around.zones) >= LIMITS.margin_m - 0.1 * speed_mps - 1e-6
 
 
+@settings(deadline=None)
 @given(points, st.floats(0.05, 3.0))
 def test_a_boat_that_goes_straight_away_from_a_zone_is_not_stopped(at, speed_mps):
     away_m = math.dist(at, (ROCK.north_m, ROCK.east_m))
