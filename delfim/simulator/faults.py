@@ -95,6 +95,11 @@ class Faults:
         self._late_heard: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # ... and from it
 
     @property
+    def busy(self) -> bool:
+        """Whether anything is not as the nodes would have it."""
+        return bool(self.faults or self._late or self._late_heard)
+
+    @property
     def due_s(self) -> float:
         """When `step` has something to do again."""
         late = [queue[0][0] for queue in (self._late, self._late_heard) if queue]
@@ -115,7 +120,7 @@ class Faults:
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         """As of the nodes."""
-        if not self.faults and not self._late and not self._late_heard:
+        if not self.busy:
             return self.nodes.step(now_s, utc_ns)
         for key in [key for key, end_s in self.faults.items() if now_s >= end_s]:
             self.end(*key)

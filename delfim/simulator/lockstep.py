@@ -85,7 +85,8 @@ class Lockstep:
         """One navigation period: the nodes speak, the loop has its turn, time passes."""
         clock, world, vehicle, faults = self.clock, self._world, self.vehicle, self.faults
         now_s = clock.monotonic_s()
-        frames = faults.step(now_s, clock.time_ns())
+        nodes = faults if faults.busy else self.nodes
+        frames = nodes.step(now_s, clock.time_ns())
         self._bus.off = "bus_off" in faults.on
         for frame in frames:
             world.sendmsg(frame)
@@ -99,7 +100,7 @@ class Lockstep:
             self._watchdog_s = now_s + WATCHDOG_S
             vehicle.on_watchdog()
         while (frame := world.receive()) is not None:  # type: ignore[assignment]
-            faults.feed(frame, now_s)
+            nodes.feed(frame, now_s)
         clock.advance(self._cycle_s)
 
     def cycles(self, seconds: float) -> Iterator[State]:
