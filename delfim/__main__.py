@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from delfim import __version__
 from delfim.errors import DelfimError, PermanentFailure, Refused
@@ -67,6 +68,17 @@ def _nodes(asked: argparse.Namespace) -> int:
     return run_nodes(load(asked.file, asked.set), asked.seed)
 
 
+def _guest(asked: argparse.Namespace) -> int:
+    import asyncio
+
+    from delfim.config import load
+    from delfim.simulator.guest import Zigzag, guest
+
+    host, _, port = load(asked.file, asked.set).guest.listen.rpartition(":")
+    asyncio.run(guest(host, int(port), Zigzag(course_deg=asked.course, amplitude_deg=30.0, leg_s=20.0, speed_mps=1.2)))
+    return 0
+
+
 def _sim(asked: argparse.Namespace) -> int:
     if asked.scenario:
         return _scenario(asked)
@@ -107,6 +119,13 @@ def _drive(asked: argparse.Namespace) -> int:
     return 0
 
 
+def _bench(asked: argparse.Namespace) -> int:
+    from delfim.bench import critical_path, lockstep
+
+    programs = {"critical-path": critical_path.run, "sim": lockstep.run}
+    return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="delfim", description="The onboard software of an autonomous surface vehicle.")
     parser.add_argument("--version", action="version", version=f"delfim {__version__}")
@@ -128,6 +147,8 @@ def _parser() -> argparse.ArgumentParser:
     describe.set_defaults(run=_describe)
     nodes = command("nodes", _nodes, "Play the boat's other CAN nodes (navigation, GPS, propellers, batteries) on its bus.")
     nodes.add_argument("--seed", type=int, default=1, help="of noise and weather")
+    guest = command("guest", _guest, "Play the guest computer: a zigzag, obeyed in mode grex.")
+    guest.add_argument("--course", type=float, default=90.0, help="of the zigzag, degrees (%(default)s)")
     sim = command("sim", _sim, "Sail a mission in simulation: the whole suite, a modelled boat, a live view.")
     sim.add_argument("--mission", metavar="FILE", help="instead of the vehicle file's simulation.mission")
     sim.add_argument("--scenario", metavar="FILE", help='sail this scenario in lock step; "mixed": faults drawn from the seed')
@@ -148,7 +169,27 @@ def _parser() -> argparse.ArgumentParser:
     fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
+    _add_bench(commands)
     return parser
+
+
+def _add_bench(commands: Any) -> None:
+    text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
+    bench = commands.add_parser("bench", help=text, description=text)
+    bench.set_defaults(run=_bench)
+    bench.add_argument("what", nargs="?", choices=["critical-path", "sim"], help="all of them when none is named")
+    bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
+    bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
+    bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")
+    bench.add_argument("--seconds", type=float, help="of a slice of the critical path; of the sea in sim")
+    bench.add_argument("--rounds", type=int, help="how often everybody has a turn")
+    bench.add_argument("--rates", type=float, nargs="+", metavar="HZ", help="of navigation (5 100 500)")
+    bench.add_argument("--bus", metavar="INTERFACE", help="a Linux CAN interface instead of loopback buses")
+    bench.add_argument(
+        "--wire-us", type=int, default=0, help="between the frames of a message; 130 is a bus of 1 Mbit/s (%(default)s)"
+    )
+    bench.add_argument("--quick", action="store_true", help="about a minute: whether it works, not how fast it is")
+    bench.add_argument("--long", action="store_true", help="150,645 cycles at 100 Hz under load, against C")
 
 
 if __name__ == "__main__":

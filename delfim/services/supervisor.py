@@ -80,7 +80,7 @@ class Supervisor:
         self._stop, self._stop_error = stop, ""
         self._deadman_s, self._backoff_s, self._backoff_max_s = deadman_s, backoff_s, backoff_max_s
         self._state_file = state_file
-        self._watchdog = os.open(watchdog, os.O_WRONLY | os.O_CLOEXEC) if watchdog and os.path.exists(watchdog) else -1
+        self._watchdog = _opened(watchdog)
         self._deadman: dict[str, object] | None = None  # last event
         self._stop_due_s: float | None = None  # when to send stop frames again; None: the critical program is in charge
         self._signal = ""  # that ends us
@@ -99,9 +99,7 @@ class Supervisor:
                 self._keep_stopped()
         finally:
             self._end()
-        if self._watchdog >= 0:  # an end that was not in order leaves it to the hardware to start again
-            os.write(self._watchdog, b"V")
-            os.close(self._watchdog)
+        self._stroke(b"V")  # magic close; an end that was not in order leaves it to the hardware to start again
         failed = any(child.state == "failed" for child in self._children)
         return EXIT_PERMANENT if failed and not self._signal else 0
 
@@ -203,15 +201,15 @@ class Supervisor:
         return child.start_s + START_S if child.beat_s is None else child.beat_s + self._deadman_s
 
     def _watch_beat(self) -> None:
+        """Kill what is silent. Stop frames follow at once."""
         now_s, child = time.monotonic(), self._critical
         if child is None or now_s < self._deadline_s():
             return
         silent_s = now_s - (child.start_s if child.beat_s is None else child.beat_s)
         verdict = f"{'no beat' if child.beat_s is None else 'beat stopped'} for {silent_s:.1f} s: dead-man"
         self._kill(child, verdict)
-        self._stop_now()
+        self._stop_due_s = now_s
         self._deadman = {"reason": verdict, "time": time.time()}
-        self._stop_due_s = now_s + STOP_EVERY_S
 
     def _keep_stopped(self) -> None:
         """Stop frames again and again, until a critical program beats."""
@@ -243,8 +241,7 @@ class Supervisor:
             if fd != self._wake:
                 self._on_beat(pipes[fd]) if told else self._hang_up(pipes[fd])
         self._reap()
-        if self._watchdog >= 0:
-            os.write(self._watchdog, b"\0")
+        self._stroke(b"\0")
 
     def _on_beat(self, child: Child) -> None:
         child.beat_s = time.monotonic()
@@ -255,6 +252,14 @@ class Supervisor:
         if child.pipe >= 0:
             os.close(child.pipe)
             child.pipe = -1
+
+    def _stroke(self, word: bytes) -> None:
+        if self._watchdog >= 0:
+            try:
+                os.write(self._watchdog, word)
+            except OSError as error:
+                log.error("hardware watchdog: %s; going on without it", error.strerror)
+                self._watchdog = -1
 
     def _end(self) -> None:
         """In order and bounded: the critical program first, which stops the propellers itself; then they are stopped again."""
@@ -299,3 +304,14 @@ class Supervisor:
             new.replace(self._state_file)
         except OSError as error:
             log.error("%s: %s", self._state_file, error.strerror)
+
+
+def _opened(watchdog: str) -> int:
+    """A descriptor of the device, -1 where there is none."""
+    if not watchdog or not os.path.exists(watchdog):
+        return -1
+    try:
+        return os.open(watchdog, os.O_WRONLY)
+    except OSError as error:
+        log.error("%s: %s; going on without it", watchdog, error.strerror)
+        return -1
