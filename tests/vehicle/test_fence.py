@@ -84,10 +84,10 @@ def test_the_least_clearance_of_a_way_is_that_of_its_worst_point(corners, a, b, 
     least = least_m(zone, a, b)
     ways = [clearance_m(zone, a[0] + (b[0] - a[0]) * i / 200, a[1] + (b[1] - a[1]) * i / 200) for i in range(201)]
     if least > 0.0:
-        assert least == pytest.approx(min(ways), abs=math.dist(a, b) / 200)
+        assert least == pytest.approx(min(ways), abs=math.dist(a, b) / 200 + 1e-9)
         assert min(ways) > 0.0
     else:
-        assert min(ways) < math.dist(a, b) / 200, "between two samples, or at one of them, the way is forbidden"
+        assert min(ways) < math.dist(a, b) / 200 + 1e-9, "between two samples, or at one of them, the way is forbidden"
 
 
 @settings(deadline=None)
