@@ -5,6 +5,7 @@ SERVICES is the suite, one row a service. To add one: write its coroutine in a f
 
 import asyncio
 import contextlib
+import json
 import logging
 import os
 import socket
@@ -57,7 +58,7 @@ class StateLog:
             boat=settings.boat.name,
             started_ns=clock.time_ns(),
         )
-        limits = settings.log
+        limits, self._clock = settings.log, clock
         self._log = open_log(
             limits.directory,
             "state",
@@ -76,6 +77,9 @@ class StateLog:
     def write(self, state: State, now_s: float) -> None:
         self._writer.put(record.values(state, now_s))
 
+    def note(self, text: str) -> None:
+        self._log.note(json.dumps({"t_ns": self._clock.time_ns(), "event": text}).encode() + b"\n")
+
     def reason(self) -> str:
         status = self._log.status()
         return self._writer.reason if status.writable else status.reason
@@ -89,6 +93,7 @@ async def vehicle(runtime: Runtime) -> None:
     settings, clock = runtime.config, runtime.clock
     state = State()
     with contextlib.ExitStack() as links:
+        state.last_shutdown = _last_shutdown(Path(settings.log.directory), links)
         sources = _sources(settings, state, links)
         status_frames = _opened(links, settings, settings.can.interface, CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
         status_messages = _opened(links, settings, settings.can.interface, CanAddress(*dsor.message_filter(source=Node.GPS)))
@@ -138,6 +143,24 @@ async def _attend(
             log.poll()
             for each in sockets:
                 each.rebind()
+
+
+def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
+    """What was wrong with the end of the run before, in words, told by a mark that lies among the logs while a run goes on."""
+    mark = directory / "running"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        unclean = mark.exists()
+        mark.touch()
+    except OSError:  # no disk: the check of the log says so
+        return ""
+
+    def ended() -> None:
+        with contextlib.suppress(OSError):
+            mark.unlink()
+
+    links.callback(ended)
+    return "the run before did not end in order: a crash, or the power was cut" if unclean else ""
 
 
 async def _guest_server(boat: Vehicle, listen: str) -> asyncio.Server:
