@@ -5,19 +5,22 @@ SERVICES is the suite, one row a service. To add one: write its coroutine in a f
 
 import asyncio
 import contextlib
+import json
 import logging
 import os
 import socket
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 from delfim import config
 from delfim.canproxy import dsor
+from delfim.canproxy.canip import CanIp, open_tun
 from delfim.canproxy.cantcpd import Cantcpd
 from delfim.canproxy.nmea2000 import Nmea2000Source
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, bus_state, open_can
+from delfim.canproxy.timed import SecondTimer, Timekeeper, TimeService
 from delfim.clock import Clock, SystemClock
 from delfim.errors import DelfimError, PermanentFailure
 from delfim.logging.canzlogd import BlackBox
@@ -28,6 +31,7 @@ from delfim.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
     SYSSTAT_MASK,
+    TIME_FRAME,
     Node,
     sysstat_arb,
 )
@@ -55,7 +59,7 @@ class StateLog:
             boat=settings.boat.name,
             started_ns=clock.time_ns(),
         )
-        limits = settings.log
+        limits, self._clock = settings.log, clock
         self._log = open_log(
             limits.directory,
             "state",
@@ -74,6 +78,9 @@ class StateLog:
     def write(self, state: State, now_s: float) -> None:
         self._writer.put(record.values(state, now_s))
 
+    def note(self, text: str) -> None:
+        self._log.note(json.dumps({"t_ns": self._clock.time_ns(), "event": text}).encode() + b"\n")
+
     def reason(self) -> str:
         status = self._log.status()
         return self._writer.reason if status.writable else status.reason
@@ -87,6 +94,7 @@ async def vehicle(runtime: Runtime) -> None:
     settings, clock = runtime.config, runtime.clock
     state = State()
     with contextlib.ExitStack() as links:
+        state.last_shutdown = _last_shutdown(Path(settings.log.directory), links)
         sources = _sources(settings, state, links)
         status_frames = _opened(links, settings, settings.can.interface, CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
         status_messages = _opened(links, settings, settings.can.interface, CanAddress(*dsor.message_filter(source=Node.GPS)))
@@ -114,7 +122,8 @@ async def _attend(
     settings, loop = runtime.config, asyncio.get_running_loop()
 
     def more() -> dict[str, object]:
-        return {"boat": settings.boat.name, "log": log.status()._asdict(), **runtime.report()}
+        figures = {name: report() for name, report in runtime.board.items()}
+        return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
     commands = CommandServer(boat.on_command, lambda: boat.snapshot(more()), settings.console.clients)
     links.callback(commands.close)
@@ -135,6 +144,24 @@ async def _attend(
             log.poll()
             for each in sockets:
                 each.rebind()
+
+
+def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
+    """What was wrong with the end of the run before, in words, told by a mark that lies among the logs while a run goes on."""
+    mark = directory / "running"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        unclean = mark.exists()
+        mark.touch()
+    except OSError:  # no disk: the check of the log says so
+        return ""
+
+    def ended() -> None:
+        with contextlib.suppress(OSError):
+            mark.unlink()
+
+    links.callback(ended)
+    return "the run before did not end in order: a crash, or the power was cut" if unclean else ""
 
 
 async def _guest_server(boat: Vehicle, listen: str) -> asyncio.Server:
@@ -176,15 +203,58 @@ async def cantcpd(runtime: Runtime) -> None:
             listening = await loop.create_server(server.connection, host.strip("[]"), int(number))
             links.callback(listening.close)
         port = listening.sockets[0].getsockname()[1]
+        runtime.board["cantcpd"] = server.report
+        links.callback(runtime.board.pop, "cantcpd")
         while True:
             server.poll(port)
             await asyncio.sleep(1.0)
+
+
+async def canip(runtime: Runtime) -> None:
+    """UDP datagrams over the bus."""
+    settings = runtime.config.canip
+    tun = open_tun(settings.device, settings.address, settings.mtu)
+    with contextlib.ExitStack() as links:
+        links.callback(os.close, tun)
+        can = links.enter_context(open_can(runtime.config.can.interface))
+        carrier = CanIp(asyncio.get_running_loop(), tun, can, settings)
+        links.callback(carrier.close)
+        runtime.reader(tun, carrier.on_packets)
+        links.callback(runtime.remove_reader, tun)
+        await _published(runtime, "canip", carrier.report)
+
+
+async def timed(runtime: Runtime) -> None:
+    """The time frame at the start of each second."""
+    settings, clock = runtime.config.timed, runtime.clock
+    assert settings.mode != "off"
+    keeper = Timekeeper(settings.mode, settings.takeover_s, clock.monotonic_s())
+    with contextlib.ExitStack() as links:
+        can = _opened(links, runtime.config, runtime.config.can.interface, CanAddress(TIME_FRAME))
+        timer = SecondTimer(keeper.delay_s, clock.time_ns())
+        links.callback(timer.close)
+        service = TimeService(keeper, timer, can, clock)
+        for fd, handler in ((can.fileno(), service.on_frames), (timer.fileno(), service.on_second)):
+            runtime.reader(fd, handler)
+            links.callback(runtime.remove_reader, fd)
+        await _published(runtime, "timed", service.report)
+
+
+async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str, object]]) -> None:
+    """Until cancelled: the rest happens in callbacks, and the figures are on the runtime's board."""
+    runtime.board[name] = report
+    try:
+        await asyncio.Event().wait()
+    finally:
+        del runtime.board[name]
 
 
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
     Service("canzlogd", canzlogd),
     Service("cantcpd", cantcpd),
+    Service("timed", timed),
+    Service("canip", canip),
     Service("vehicle", vehicle),
 )
 
@@ -196,7 +266,9 @@ def services(settings: config.Vehicle) -> list[Service]:
         if name not in known:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
-    return [row._replace(place=asked[row.name].place) for row in SERVICES if asked[row.name].enabled]
+    off = {"canip"} if not settings.canip.enabled else set()
+    off |= {"timed"} if settings.timed.mode == "off" else set()
+    return [row._replace(place=asked[row.name].place) for row in SERVICES if asked[row.name].enabled and row.name not in off]
 
 
 def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: int) -> int:

@@ -8,6 +8,16 @@ import pytest
 from tests.guest.harness import Guest, guest, missing
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--seeds", type=int, default=100, help="runs of mixed faults in lock step (%(default)s)")
+
+
+@pytest.fixture
+def seeds(request: pytest.FixtureRequest) -> range:
+    """Of the runs of mixed faults."""
+    return range(request.config.getoption("--seeds"))
+
+
 def _skip_is_failure(report: pytest.TestReport | pytest.CollectReport) -> None:
     """Under CI a test that does not run has failed; elsewhere a skip with its reason is in order."""
     if os.environ.get("CI") and report.skipped and not hasattr(report, "wasxfail"):

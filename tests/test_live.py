@@ -160,5 +160,5 @@ def test_the_black_box_works_in_a_process_of_its_own_and_a_guest_steers(tmp_path
     process.communicate(timeout=30)
     assert modes, "grex was entered"
     assert modes[-1]["reference"]["heading_deg"] == pytest.approx(180.0), "course 150, 30 to starboard"
-    assert set(modes[-1]["services"]) == {"vehicle"}, "the black box is not in this process"
+    assert set(modes[-1]["services"]) == {"cantcpd", "vehicle"}, "the black box is not in this process"
     assert list((tmp_path / "out").glob("log/*/*/*.log.gz")), "and works"

@@ -344,9 +344,8 @@ class _Ready(deque[asyncio.Handle]):
 class NavigationLoop(asyncio.SelectorEventLoop):
     """An asyncio loop with one difference: navigation first.
 
-    It rests on two details of CPython's asyncio that no public interface offers and that have not changed from 3.4 to 3.14:
-    `_ready.popleft()` hands out each callback, and a handle has its `_context`. tests/services/test_priority.py fails
-    where they do not hold.
+    It rests on two details of CPython's asyncio that no public interface offers: `_ready.popleft()` hands out each callback,
+    and a handle has its `_context`. tests/services/test_priority.py fails in a version in which that is not so.
     """
 
     _ready: Any

@@ -208,24 +208,26 @@ def test_no_callback_runs_when_the_frame_comes_inside_its_window(navigation: Nav
     assert running_at_arrival[5:99] == running_at_opening[:94]
 
 
-def test_the_loop_wakes_for_a_window_and_holds_it_for_its_bound(window: NavigationWindow) -> None:
-    """Nothing else to do and nothing comes: the window is opened in time, and closed."""
-    window = NavigationWindow(0.002, 0.5)
-    receiver, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+def test_the_loop_wakes_for_a_window_and_holds_it_for_its_bound() -> None:
+    """Nothing else to do and nothing comes: the window is opened in time, and closed. A busy machine may need another try."""
 
-    async def main() -> None:
-        first(lambda: True, receiver.fileno())
+    async def main(window: NavigationWindow, fd: int) -> None:
+        first(lambda: True, fd)
         now_s = time.monotonic()
         for i in range(-10, 0):
-            window.arrived(receiver.fileno(), now_s + 0.02 * i + 0.01)
-        await asyncio.sleep(0.2)
+            window.arrived(fd, now_s + 0.02 * i + 0.01)
+        await asyncio.sleep(0.1)
 
-    with receiver, sender, loop_with(window) as runner:
-        runner.run(main())
-    assert window.hits == 0
-    assert window.misses + window.late == 3
-    assert 0.002 * window.misses < window.spent_s <= 0.02  # opened before the message was due
-    assert window.opens_s == inf
+    for _ in range(10):
+        window = NavigationWindow(0.002, 0.5)
+        receiver, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        with receiver, sender, loop_with(window) as runner:
+            runner.run(main(window, receiver.fileno()))
+        assert (window.hits, window.misses + window.late) == (0, 3)
+        assert window.opens_s == inf
+        if window.misses == 3:
+            break
+    assert 3 * 0.002 < window.spent_s < 3 * 0.004 + 0.005  # opened before the message was due
 
 
 @pytest.mark.parametrize("raises", [False, True])
