@@ -94,7 +94,7 @@ class Bus:
         self.failure = ""  # of the bus, in words
         self.received = self.received_bytes = self.transmitted = self.transmitted_bytes = 0
         self.raw: list[Client] = []
-        self.watches: dict[int, dict[Client, Watch]] = {}
+        self.watchers: dict[int, set[Client]] = {}  # by arbitration field
         self._readers, self._clock = readers, clock
         self._clients: set[Client] = set()
         self._can: CanSocket | None = None
@@ -124,13 +124,18 @@ class Bus:
     def quiet(self, client: "Client") -> None:
         """No frames any more for this client."""
         self.raw = [other for other in self.raw if other is not client]
-        for arb in [arb for arb, watches in self.watches.items() if client in watches]:
+        for arb in list(client.watches):
             self.unwatch(client, arb)
 
+    def watch(self, client: "Client", arb: int, watch: Watch) -> None:
+        client.watches[arb] = watch
+        self.watchers.setdefault(arb, set()).add(client)
+
     def unwatch(self, client: "Client", arb: int) -> None:
-        self.watches.get(arb, {}).pop(client, None)
-        if not self.watches.get(arb):
-            self.watches.pop(arb, None)
+        if client.watches.pop(arb, None):
+            self.watchers[arb].discard(client)
+            if not self.watchers[arb]:
+                del self.watchers[arb]
 
     def close(self) -> None:
         if self._can:
@@ -195,7 +200,7 @@ class Bus:
             self._readers.reader(self._can.fileno(), self._wake)
 
     def _receive(self) -> list[Frame]:
-        """Up to FRAMES_A_CALL frames, of which the data frames are kept: socketcand has no others."""
+        """Up to FRAMES_A_CALL frames of all kinds."""
         frames: list[Frame] = []
         if self._can is None:
             return frames
@@ -208,15 +213,15 @@ class Bus:
         return frames
 
     def _tell(self, frames: list[Frame], now_s: float) -> None:
-        told = [frame for frame in frames if not frame.arb & (CAN_RTR | CAN_ERR)]
+        told = [frame for frame in frames if not frame.arb & (CAN_RTR | CAN_ERR)]  # socketcand has no others
         self.received += len(told)
         self.received_bytes += sum(len(frame.data) for frame in told)
         if self.raw and told:
             text = b"".join(map(socketcand.raw_text, told))
             for client in self.raw:
                 client.put(text, len(told))
-        if self.watches:
-            self._tell_watches(told, now_s)
+        if self.watchers:
+            self._tell_watchers(told, now_s)
 
     def _tell_sent(self, frames: list[Frame], now_s: float) -> None:
         """As `_tell`, with what clients sent, in order of time; nobody hears his own."""
@@ -232,16 +237,15 @@ class Bus:
             if others:
                 client.put(b"".join(others), len(others))
         for frame in told:
-            self._tell_watches([frame], now_s, authors.get(id(frame)))
+            self._tell_watchers([frame], now_s, authors.get(id(frame)))
 
-    def _tell_watches(self, frames: Iterable[Frame], now_s: float, author: "Client | None" = None) -> None:
+    def _tell_watchers(self, frames: Iterable[Frame], now_s: float, author: "Client | None" = None) -> None:
         for frame in frames:
-            watches = self.watches.get(frame.arb)
-            if watches:
+            if clients := self.watchers.get(frame.arb):
                 text = socketcand.bcm_text(frame)
-                for client, watch in watches.items():
+                for client in clients:
                     if client is not author:
-                        client.offer(watch, text, frame.data, now_s)
+                        client.offer(frame, text, now_s)
 
     def _failed(self, error: BusError) -> None:
         if str(error) != self.failure:
@@ -267,6 +271,7 @@ class Client(asyncio.BufferedProtocol):
         self._is_full = False  # the kernel and the transport take no more
         self._held: asyncio.TimerHandle | None = None  # frames wait until this is over
         self._soon: asyncio.Handle | None = None  # they are written then
+        self.watches: dict[int, Watch] = {}  # the bus sees to it
         self._cycles = Cycles()
         self._statistics_s = inf  # between two tellings
         self._timers: dict[Callable[[], None], asyncio.TimerHandle] = {}
@@ -300,10 +305,10 @@ class Client(asyncio.BufferedProtocol):
         self._transport.write(socketcand.HI)
 
     def connection_lost(self, _: Exception | None) -> None:
-        self._end_jobs()
         self._todo.clear()
         self._queue.clear()
         self._queued_bytes = 0
+        self._end_jobs()
         if self._bus:
             self._bus.leave(self)
             self._bus = None
@@ -359,9 +364,10 @@ class Client(asyncio.BufferedProtocol):
         if not (self._soon or self._is_full or self._held):
             self._soon = self._loop.call_soon(self._flush)
 
-    def offer(self, watch: Watch, text: bytes, data: bytes, now_s: float) -> None:
+    def offer(self, frame: Frame, text: bytes, now_s: float) -> None:
         """A frame to which this client has subscribed."""
-        told = watch.offer(text, data, now_s)
+        watch = self.watches[frame.arb]
+        told = watch.offer(text, frame.data, now_s)
         if told:
             self.put(told, 1)
         else:
@@ -456,7 +462,6 @@ class Client(asyncio.BufferedProtocol):
         self._flush()
 
     def _hang_up(self, text: bytes) -> None:
-        self._todo.clear()
         self._reply(text)
         self._transport.close()
 
@@ -470,15 +475,14 @@ class Client(asyncio.BufferedProtocol):
         self._timers.clear()
         if self._held:
             self._held.cancel()
-            self._release()
+            self._held = None
+        self._flush()
 
     def _subscribe(self, arb: int, watch: Watch) -> None:
-        if self._bus is None:
-            return
-        if sum(self in watches for watches in self._bus.watches.values()) >= JOBS_MAX:
-            self.counts["refused"] += 1
+        if self._bus and (arb in self.watches or len(self.watches) < JOBS_MAX):
+            self._bus.watch(self, arb, watch)
         else:
-            self._bus.watches.setdefault(arb, {})[self] = watch
+            self.counts["refused"] += 1
 
     def _allowed(self, arb: int) -> bool:
         """Whether this client may send this identifier; where not, that is counted, and logged once."""
@@ -537,11 +541,10 @@ class Client(asyncio.BufferedProtocol):
 
     def _on_watch(self) -> None:
         now_s = self._loop.time()
-        for watches in self._bus.watches.values() if self._bus else ():
-            if watch := watches.get(self):
-                for text in watch.take(now_s):
-                    self.put(text, 1)
-                self._at(self._on_watch, watch.due_s)
+        for watch in self.watches.values():
+            for text in watch.take(now_s):
+                self.put(text, 1)
+            self._at(self._on_watch, watch.due_s)
 
     def _on_statistics(self) -> None:
         if self._bus:

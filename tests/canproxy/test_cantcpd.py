@@ -23,6 +23,7 @@ import pytest
 
 from delfim import config
 from delfim.canproxy import cantcpd
+from delfim.canproxy.bcm import JOBS_MAX
 from delfim.canproxy.beacon import DATAGRAM_BYTES, announce, datagram
 from delfim.canproxy.canloop import open_canloop
 from delfim.canproxy.cantcpd import Access, Cantcpd, bus_name
@@ -53,10 +54,12 @@ class Served:
     def __init__(self, buses: list[str], **settings: Any) -> None:
         self._settings, self._buses = config.Cantcpd(**settings), buses
         self._ready, self._never, self._stop = threading.Event(), threading.Event(), asyncio.Event()
+        self.defects: list[dict[str, Any]] = []  # exceptions that reached the loop
         self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
 
     async def _run(self) -> None:
         self.loop = asyncio.get_running_loop()
+        self.loop.set_exception_handler(lambda _, context: self.defects.append(context))
         self.server = Cantcpd(self._settings, self._buses, Loop(), SystemClock())
         listening = await self.loop.create_server(self.server.connection, "127.0.0.1", 0)
         self.port = listening.sockets[0].getsockname()[1]
@@ -75,6 +78,7 @@ class Served:
         self.loop.call_soon_threadsafe(self._stop.set)
         self._thread.join(TIMEOUT_S)
         assert not self._thread.is_alive()
+        assert self.defects == []
 
     def call(self, function: Callable[[], T]) -> T:
         """What a function returns that runs in the server's loop."""
@@ -292,6 +296,17 @@ def test_subscriptions_are_throttled_and_the_newest_frame_is_told(served: Served
         assert peer.element() == "< echo >"
         bus.sendto(b"\1", CanAddress(standard(0x125)))
         assert peer.silent()
+
+
+def test_subscriptions_are_bounded_and_may_be_changed(served: Served, bus: CanSocket, name: str) -> None:
+    with Peer(served, f"< open {name} >") as peer:
+        peer.say("".join(f"< subscribe 0 0 {number:x} >" for number in range(JOBS_MAX + 10)) + "< subscribe 9 0 5 >< echo >")
+        assert peer.element() == "< echo >"
+        assert served.counts()["refused"] == 10
+        for arb in (JOBS_MAX, 5, 5, JOBS_MAX - 1):
+            bus.sendto(b"", CanAddress(standard(arb)))
+        assert [peer.frame()[0], peer.frame()[0]] == ["005", "0FF"]
+    served.wait_for(lambda: not served.server.buses[name].watchers)
 
 
 def test_content_filters(served: Served, bus: CanSocket, name: str) -> None:
