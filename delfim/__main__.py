@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from delfim import __version__
 from delfim.errors import DelfimError, PermanentFailure, Refused
@@ -81,6 +82,12 @@ def _drive(asked: argparse.Namespace) -> int:
     return 0
 
 
+def _log(asked: argparse.Namespace) -> int:
+    from delfim.logs import run
+
+    return run(asked)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="delfim", description="The onboard software of an autonomous surface vehicle.")
     parser.add_argument("--version", action="version", version=f"delfim {__version__}")
@@ -114,7 +121,15 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
+    _add_log(commands)
     return parser
+
+
+def _add_log(commands: Any) -> None:
+    text = "Look at logs, convert, repeat, mend and fetch them: delfim log VERB --help."
+    log = commands.add_parser("log", help=text, description=text)
+    log.set_defaults(run=_log)
+    log.add_argument("words", nargs=argparse.REMAINDER, metavar="VERB ...", help="ls, cat, info, plot, export, ...")
 
 
 if __name__ == "__main__":

@@ -12,14 +12,16 @@ from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 
-from delfim import config
+import msgspec
+
+from delfim import __version__, config
 from delfim.canproxy import dsor
 from delfim.canproxy.nmea2000 import Nmea2000Source
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, bus_state, open_can
 from delfim.clock import Clock, SystemClock
 from delfim.errors import DelfimError, PermanentFailure
 from delfim.logging.canzlogd import BlackBox
-from delfim.logging.liblog import open_log
+from delfim.logging.liblog import event_line, open_log
 from delfim.logging.statelog import Schema, StateWriter
 from delfim.messages import (
     PROPELLER_COMMAND,
@@ -33,6 +35,7 @@ from delfim.services.runtime import Runtime, Service
 from delfim.services.supervisor import Program, Supervisor
 from delfim.vehicle import record
 from delfim.vehicle.command import CommandServer
+from delfim.vehicle.console import Alive, Commands, Report, Watch
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
@@ -53,7 +56,7 @@ class StateLog:
             boat=settings.boat.name,
             started_ns=clock.time_ns(),
         )
-        limits = settings.log
+        limits, self._clock = settings.log, clock
         self._log = open_log(
             limits.directory,
             "state",
@@ -68,15 +71,34 @@ class StateLog:
         )
         self._writer = StateWriter(self._log, schema)
         self.status, self.poll = self._log.status, self._log.poll
+        self._told = ("", "")
+        self.event("start", version=__version__, settings=msgspec.to_builtins(settings))
 
     def write(self, state: State, now_s: float) -> None:
         self._writer.put(record.values(state, now_s))
+
+    def event(self, event: str, **what: object) -> None:
+        """Into the sidecar: what happened that is no record."""
+        self._log.note(event_line(self._clock, event, **what))
+
+    def command(self, command: Commands, refused: str | None, state: State) -> None:
+        """A word of the console and what became of it. Those that only ask or only say that somebody is there are not kept."""
+        if not isinstance(command, Alive | Report | Watch):
+            self.event("command", at_s=state.console_s, value=msgspec.to_builtins(command), refused=refused or "")
+
+    def watch(self, state: State) -> None:
+        """Called after each look of the watchdog: the mode and why, when they changed since the last one."""
+        told = state.mode.name.lower(), state.reason
+        if told != self._told:
+            self._told = told
+            self.event("mode", at_s=state.watchdog_s, value=told[0], reason=told[1])
 
     def reason(self) -> str:
         status = self._log.status()
         return self._writer.reason if status.writable else status.reason
 
     def close(self) -> None:
+        self.event("end")
         self._log.close()
 
 
@@ -112,7 +134,12 @@ async def _attend(
     def more() -> dict[str, object]:
         return {"boat": settings.boat.name, "log": log.status()._asdict(), **runtime.report()}
 
-    commands = CommandServer(boat.on_command, lambda: boat.snapshot(more()), settings.console.clients)
+    def obeyed(command: Commands) -> str | None:
+        refused = boat.on_command(command)
+        log.command(command, refused, boat.state)
+        return refused
+
+    commands = CommandServer(obeyed, lambda: boat.snapshot(more()), settings.console.clients)
     links.callback(commands.close)
     links.callback((await loop.create_unix_server(commands.connection, _socket_path(settings.console.socket))).close)
     os.chmod(settings.console.socket, 0o660)
@@ -125,6 +152,7 @@ async def _attend(
         await asyncio.sleep(WATCHDOG_S)
         ticks += 1
         boat.on_watchdog()
+        log.watch(boat.state)
         if ticks % PUBLISH_EVERY == 0:
             commands.publish()
         if ticks % MAINTAIN_EVERY == 0:

@@ -124,6 +124,11 @@ def read_log(path: str | Path) -> tuple[bytes, str]:
     return bytes(text), ""
 
 
+def event_line(clock: Clock, event: str, **what: object) -> bytes:
+    """A line for a sidecar: what happened, when, and more words about it (JSON-ready)."""
+    return json.dumps({"t_ns": clock.time_ns(), "monotonic_s": clock.monotonic_s(), "event": event} | what).encode() + b"\n"
+
+
 def in_order(paths: Iterable[Path]) -> list[Path]:
     """Log files in the order in which they were made; plain sorting puts hhmmss-1 before hhmmss."""
 

@@ -106,7 +106,7 @@ class Vehicle:
 
     def on_watchdog(self) -> None:
         """Due ten times a second: silent inputs and bad sensors stop the boat."""
-        now_s = self.clock.monotonic_s()
+        now_s = self.state.watchdog_s = self.clock.monotonic_s()
         alarm = watchdog.alarm(self.state, self.settings, now_s)
         if alarm is not None:
             self.stop(alarm)

@@ -140,6 +140,7 @@ class State:
     console_s: float = -1e9  # monotonic time of the last word of the console
     manual_s: float = -1e9
     guest_s: float = -1e9
+    watchdog_s: float = -1e9  # when the watchdog looked last
     guest_connected: bool = False
     cycles: int = 0
     counts: dict[str, int] = field(default_factory=dict)  # what was refused, dropped, repaired, by name
