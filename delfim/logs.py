@@ -190,10 +190,16 @@ def _repair(asked: argparse.Namespace) -> int:
 def _fetch(asked: argparse.Namespace) -> int:
     from delfim.logging.fetch import fetch
 
-    zero_ns = time.time_ns()
-    return fetch(
-        asked.url, Path(asked.to_directory), asked.id, tree.span(asked.from_, asked.to, zero_ns), summary=asked.summary
-    )
+    folder = Path(asked.directory)
+    span = tree.span(asked.from_, asked.to, time.time_ns())
+    for summary in (True, False)[: 1 if asked.summary else 2]:
+        outcome, seconds = fetch(asked.url, folder, asked.id, span, summary=summary)
+        print(f"{len(outcome.fetched)} files, {_size(outcome.bytes)} in {seconds:.1f} s")
+        for path in outcome.cut:
+            print(f"{path}: cut on the boat already; delfim log repair mends it")
+        if summary and any("/state/" in path for path in outcome.fetched):
+            run(argparse.Namespace(words=["info", str(folder)]))
+    return 0
 
 
 def _frames(chosen: Selection, what: str) -> Iterator[tuple[str, Frame]]:
@@ -307,5 +313,5 @@ def _parser() -> argparse.ArgumentParser:
     )
     fetch.add_argument("--summary", action="store_true", help="only state logs and sidecars, and the summary of the last run")
     fetch.add_argument("url", metavar="URL")
-    fetch.add_argument("to_directory", metavar="DIRECTORY")
+    fetch.add_argument("directory", metavar="DIRECTORY")
     return parser

@@ -35,12 +35,17 @@ class BusState(Protocol):
     def state(self) -> str: ...
 
 
+def device(interface: str) -> str:
+    """The name of a bus in candump's text, and the id of its log."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", interface.rpartition(":")[2])
+
+
 class Bus:
     """The log of one bus, and what was last said in its sidecar."""
 
     def __init__(self, socket: Socket, limits: Limits, clock: Clock) -> None:
         self.socket, self.clock = socket, clock
-        self.device = re.sub(r"[^A-Za-z0-9_.-]", "-", socket.name.rpartition(":")[2])
+        self.device = device(socket.name)
         self.log = open_log(
             limits.directory,
             self.device,

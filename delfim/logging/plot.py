@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
     from numpy.typing import NDArray
 
-Columns = Mapping[str, Sequence[Any]]  # of the state log, by field name
+Columns = Mapping[str, Any]  # of the state log, by field name
 Waypoint = tuple[float, float, float]  # latitude, longitude, degrees; acceptance radius, m
 
 POINTS_MAX: Final = 20_000  # drawn of a line
@@ -72,7 +72,7 @@ def speeds(columns: Columns, title: str, file: Path) -> None:
     north, east, yaw_rate = _arrays(columns, "north_speed", "east_speed", "yaw_rate")
     _lines(above, columns, {"over ground": np.hypot(north, east), "north": north, "east": east}, "m/s")
     _lines(below, columns, {"rate of turn, positive to starboard": np.degrees(yaw_rate)}, "deg/s")
-    above.set_title(title)
+    above.set_title(title, loc="left")
     _save(figure, file)
 
 
@@ -82,7 +82,7 @@ def rpm(columns: Columns, title: str, file: Path) -> None:
     for axes, side in zip(both, ("starboard", "port"), strict=True):
         commanded, measured = _arrays(columns, f"{side}_rpm", f"{side}_rpm_measured")
         _lines(axes, columns, {f"{side}, measured": measured, f"{side}, commanded": commanded}, "1/min")
-    both[0].set_title(title)
+    both[0].set_title(title, loc="left")
     _save(figure, file)
 
 
@@ -94,7 +94,8 @@ def references(columns: Columns, title: str, file: Path) -> None:
     _lines(above, columns, {"heading": _compass(heading), "reference": _compass(asked)}, "deg")
     _lines(middle, columns, {"speed over ground": np.hypot(north, east), "reference": speed}, "m/s")
     _lines(below, columns, {"cross track, positive to starboard of the line": off}, "m")
-    above.set(title=title, ylim=(0, 360), yticks=range(0, 361, 90))
+    above.set_title(title, loc="left")
+    above.set(ylim=(0, 360), yticks=range(0, 361, 90))
     _save(figure, file)
 
 
@@ -110,8 +111,9 @@ def latency(columns: Columns, title: str, file: Path) -> None:
         figures = {"p50": np.percentile(path_us, 50), "p99": np.percentile(path_us, 99), "worst": path_us.max()}
         for height, (name, value) in zip((0.97, 0.85, 0.73), figures.items(), strict=True):
             above.axvline(value, color=BOAT, lw=1, ls=":")
-            at = {"xycoords": ("data", "axes fraction"), "fontsize": 9, "color": BOAT}
-            above.annotate(f" {name} {value:.0f} µs", (value, height), **at)
+            side = "right" if value > 1e4 else "left"
+            at = {"xycoords": ("data", "axes fraction"), "fontsize": 9, "color": BOAT, "ha": side}
+            above.annotate(f" {name} {value:.0f} µs ", (value, height), **at)
         above.set_title(f"{title}\n{len(path_us)} cycles, {np.mean(path_us <= 100):.2%} within 100 µs")
     else:
         above.set_title(f"{title}\nnot measured: the clock stood still, as in lock step")
@@ -140,7 +142,7 @@ def _lines(axes: "Axes", columns: Columns, lines: "Mapping[str, NDArray[Any]]", 
     axes.xaxis.set_major_locator(locator)
     axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
     axes.set(ylabel=unit)
-    axes.legend(loc="upper right", fontsize=8, framealpha=0.8)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, fontsize=8, frameon=False)  # beside the data
 
 
 def _compass(heading_rad: "NDArray[Any]") -> "NDArray[Any]":
@@ -175,4 +177,4 @@ def _circle(x: float, y: float, radius: float) -> Any:
 
 
 def _save(figure: "Figure", file: Path) -> None:
-    figure.savefig(file, dpi=120)
+    figure.savefig(file, dpi=120, bbox_inches="tight")

@@ -5,6 +5,7 @@ for logs that have none, and it ended in order when its last sidecar says `end`.
 """
 
 import calendar
+import contextlib
 import json
 import os
 import re
@@ -24,6 +25,9 @@ _NAME: Final = re.compile(r"([0-9]{2})([0-9]{2})([0-9]{2})(?:-([0-9]+))?(\.repai
 _DAY: Final = re.compile(r"[0-9]{4}(0[1-9]|1[0-2])(0[1-9]|[12][0-9]|3[01])")
 _META: Final = ".meta.jsonl"
 _SECOND: Final = 1_000_000_000
+
+
+End = Literal["clean", "cut", "running"]
 
 
 class LogFile(NamedTuple):
@@ -55,15 +59,12 @@ ALWAYS: Final = Span()
 class Run(NamedTuple):
     id: str
     files: tuple[LogFile, ...]
-    end: Literal["clean", "cut", "running"]
+    end: End
+    end_ns: int
 
     @property
     def begin_ns(self) -> int:
         return self.files[0].begin_ns
-
-    @property
-    def end_ns(self) -> int:
-        return max(file.end_ns for file in self.files)
 
     @property
     def size(self) -> int:
@@ -100,7 +101,7 @@ def runs(files: Iterable[LogFile], now_ns: int) -> list[Run]:
         first = 0
         for i in range(1, len(its) + 1):
             if i == len(its) or _starts(its[i], max(file.end_ns for file in its[max(first, i - 2) : i])):
-                result.append(Run(id_, tuple(its[first:i]), _end(its[i - 1], now_ns)))
+                result.append(Run(id_, tuple(its[first:i]), *_end(its[i - 1], now_ns)))
                 first = i
     return sorted(result, key=lambda run: (run.begin_ns, run.id))
 
@@ -177,6 +178,17 @@ def default_place() -> str:
     raise DelfimError(f"no logs in {' or '.join(PLACES)}: name their directory")
 
 
+def is_log(day: str, name: str) -> bool:
+    """Whether files of such a name in a folder of such a day are log files or sidecars."""
+    return bool(_DAY.fullmatch(day) and _NAME.fullmatch(name)) and not name.endswith(".part")
+
+
+def begins(day: str, name: str) -> int:
+    """When a log file was made, ns since 1970, as its name says."""
+    moment = calendar.timegm((int(day[:4]), int(day[4:6]), int(day[6:]), int(name[:2]), int(name[2:4]), int(name[4:6])))
+    return moment * _SECOND
+
+
 def _walk(place: str) -> Iterator[LogFile]:
     if _DAY.fullmatch(os.path.basename(os.path.dirname(place))):
         yield from _folder(place)
@@ -196,16 +208,16 @@ def _folder(folder: str, only: str = "") -> Iterator[LogFile]:
     entries = {entry.name: entry for entry in os.scandir(folder)}
     if only and not (_NAME.fullmatch(only) and _DAY.fullmatch(day)):
         raise FormatError(f"{folder}/{only} is no log file: they are named YYYYMMDD/id/hhmmss.suffix")
-    midnight_s = calendar.timegm((int(day[:4]), int(day[4:6]), int(day[6:]), 0, 0, 0)) if _DAY.fullmatch(day) else 0
+    midnight_ns = begins(day, "000000") if _DAY.fullmatch(day) else 0
     for name in [only] if only else entries:
         match = _NAME.fullmatch(name)
-        if not match or name.endswith(_META):
+        if not match or name.endswith((_META, ".part")):
             continue
         hour, minute, second, number, repaired, suffix = match.groups()
         stem = name[: -len(suffix) - len(repaired or "")]
         if not repaired and f"{stem}.repaired{suffix}" in entries and not only:
             continue
-        begin_ns = (midnight_s + int(hour) * 3600 + int(minute) * 60 + int(second)) * _SECOND
+        begin_ns = midnight_ns + (int(hour) * 3600 + int(minute) * 60 + int(second)) * _SECOND
         sidecar = next((n for n in (f"{stem}.repaired{_META}", stem + _META) if n in entries), "")
         status = entries[name].stat()
         yield LogFile(
@@ -230,13 +242,17 @@ def _starts(file: LogFile, before_ns: int) -> bool:
         return b'"event": "start"' in sidecar.readline(200)
 
 
-def _end(last: LogFile, now_ns: int) -> Literal["clean", "cut", "running"]:
+def _end(last: LogFile, now_ns: int) -> tuple[End, int]:
+    """How and when a run ended whose last file this is."""
     if last.sidecar:
         with open(last.sidecar, "rb") as sidecar:
             sidecar.seek(-min(200, os.fstat(sidecar.fileno()).st_size), os.SEEK_END)
-            if b'"event": "end"' in sidecar.read().rpartition(b"{")[2]:
-                return "clean"
-    return "running" if now_ns - last.end_ns < RUNNING_S * _SECOND else "cut"
+            line = sidecar.read().rstrip(b"\n").rpartition(b"\n")[2]
+        with contextlib.suppress(ValueError, TypeError, KeyError):
+            told = json.loads(line)
+            if told["event"] == "end":
+                return "clean", int(told["t_ns"])
+    return "running" if now_ns - last.end_ns < RUNNING_S * _SECOND else "cut", last.end_ns
 
 
 def _meet(one: Run, other: Run) -> bool:
