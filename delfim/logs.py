@@ -41,7 +41,12 @@ class Selection(NamedTuple):
 
 def run(asked: argparse.Namespace) -> int:
     """The command. Returns the exit code; raises DelfimError for what a person can mend."""
-    words = _parser().parse_args(asked.words)
+    parser = _parser()
+    words, rest = parser.parse_known_args(asked.words)
+    if "path" not in words or any(word.startswith("-") for word in rest):
+        parser.parse_args(asked.words)  # says what is wrong
+    else:
+        words.path += rest  # argparse does not take them behind an option
     code: int = words.verb(words)
     return code
 

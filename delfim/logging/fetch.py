@@ -1,8 +1,8 @@
 """Logs from a boat over a slow radio: ftp://, ftps:// (RFC 959, 3659, 4217) or sftp:// (needs asyncssh), state logs first.
 
 A file that is here in full is not fetched again; one that is here in part goes on where it stopped (NAME.part), also after the
-link was lost. Arrived, its size is compared and a gzip file's checksums verified; one that fails is fetched once more from its
-beginning, and is what the boat has when both times agree: then the power cut it there.
+link was lost. Arrived, its size is compared and a gzip file's checksums verified; one that is damaged is fetched once more from
+its beginning, and is what the boat has when both times agree. One that lacks its end was cut by the power or is still written.
 """
 
 import asyncio
@@ -160,22 +160,28 @@ def _fetched(link: _Link, entry: Entry, target: Path, count: Callable[[bytes], N
     if target.exists() and here > _size(part):  # it has grown since
         os.replace(target, part)
     link.read(entry.path, part, entry.size, count)
-    whole = _whole(part)
-    if not whole and here:
+    how = _condition(part)
+    if how == "damaged":
         first = part.read_bytes()
         part.unlink()
         link.read(entry.path, part, entry.size, count)
-        whole = _whole(part)
-        if not whole and part.read_bytes() != first:
+        how = _condition(part)
+        if how == "damaged" and part.read_bytes() != first:
             part.unlink()
             raise DelfimError(f"{entry.path}: arrives damaged, each time in another way")
     os.utime(part, ns=(entry.changed_ns, entry.changed_ns))
     os.replace(part, target)
-    return whole
+    return not how
 
 
-def _whole(file: Path) -> bool:
-    return not file.name.removesuffix(".part").endswith(".gz") or all(not piece.trouble for piece in pieces(file.read_bytes()))
+def _condition(file: Path) -> str:
+    """ "damaged", "cut", or "" for whole: of a gzip file; others carry no checksum."""
+    if not file.name.removesuffix(".part").endswith(".gz"):
+        return ""
+    return min((piece.trouble.partition(" ")[0] for piece in pieces(file.read_bytes())), key=_ORDER.index, default="")
+
+
+_ORDER: Final = ("damaged", "cut", "")  # worst first
 
 
 def _size(file: Path) -> int:

@@ -34,7 +34,7 @@ class Piece(NamedTuple):
 
 
 def repair(file: LogFile, *, in_place: bool = False) -> list[Repair]:
-    """Check a log file and its sidecar and make them whole where they are not: beside the original, as hhmmss.repaired.suffix,
+    """Check a log file and its sidecar and make them whole where they are not: beside the original, as hhmmss-repaired.suffix,
     or in its place. Raises OSError."""
     results = []
     for path in (file.path, file.sidecar):
@@ -72,43 +72,44 @@ def mended(data: bytes, suffix: str) -> tuple[bytes, str]:
 
 
 def pieces(data: bytes) -> Iterator[Piece]:
-    """All of a gzip file, in order. Members that are whole are verified by their checksums."""
+    """All of a gzip file, in order. Whole members are verified by their checksums."""
     at = 0
     while at < len(data):
-        content, size, trouble = _member(data, at)
-        if trouble:
-            if not size:
-                following = data.find(MEMBER, at + 1)
-                size = (following if following >= 0 else len(data)) - at
-            trouble = f"{trouble} after {len(content)} bytes of the member at {at}"
-        yield Piece(data[at : at + size], content, trouble)
+        size = _whole(data, at)
+        if size:
+            raw = data[at : at + size]
+            yield Piece(raw, zlib.decompress(raw, wbits=31), "")
+        else:
+            following = data.find(MEMBER, at + 1)
+            raw = data[at:following] if following >= 0 else data[at:]
+            size = len(raw)
+            content, how = _readable(raw)
+            how = "damaged" if following >= 0 else how
+            yield Piece(raw, content, f"{how} after {len(content)} bytes of the member at {at}")
         at += size
 
 
-def _member(data: bytes, at: int) -> tuple[bytes, int, str]:
-    """Content, size and trouble of the gzip member that begins here; size 0 where it cannot be known."""
+def _whole(data: bytes, at: int) -> int:
+    """Size of the whole gzip member that begins here; 0 where there is none."""
     stream = zlib.decompressobj(wbits=31)
     with contextlib.suppress(zlib.error):
-        content = stream.decompress(memoryview(data)[at:])
-        if stream.eof:
-            return content, len(data) - at - len(stream.unused_data), ""
-        return content, len(data) - at, "cut"
-    return _before_damage(data, at), 0, "damaged"
+        stream.decompress(memoryview(data)[at:])
+    return len(data) - at - len(stream.unused_data) if stream.eof else 0
 
 
-def _before_damage(data: bytes, at: int) -> bytes:
-    """What a damaged member gives before it makes no sense: in large steps, then byte by byte."""
-    stream, content, step = zlib.decompressobj(wbits=31), bytearray(), STEP
-    while at < len(data):
+def _readable(raw: bytes) -> tuple[bytes, str]:
+    """What a member gives before it ends or makes no sense, and which of the two: in large steps, then byte by byte."""
+    stream, content, step, at = zlib.decompressobj(wbits=31), bytearray(), STEP, 0
+    while at < len(raw):
         before = stream.copy()
         try:
-            content += stream.decompress(data[at : at + step])
+            content += stream.decompress(raw[at : at + step])
             at += step
         except zlib.error:
             if step == 1:
-                break
+                return bytes(content), "damaged"
             stream, step = before, 1
-    return bytes(content)
+    return bytes(content), "cut"
 
 
 def _records(suffix: str) -> Callable[[bytes], bytes]:
@@ -132,20 +133,16 @@ def _records(suffix: str) -> Callable[[bytes], bytes]:
 
 
 def _frames(content: bytes) -> bytes:
-    """Lines of candump, as long as each of them is one; what follows a damage is not guessed at."""
-    kept = content[: content.rfind(b"\n") + 1]
-    for end in _line_ends_backwards(kept):
-        with contextlib.suppress(FormatError, UnicodeDecodeError):
-            parse_line(kept[kept.rfind(b"\n", 0, end - 1) + 1 : end].decode())
-            return kept[:end]
-    return b""
+    """Whole lines of candump. Before a damage some may have become something else; they are not kept."""
+    return b"".join(filter(_is_frame, content.splitlines(keepends=True)))
 
 
-def _line_ends_backwards(content: bytes) -> Iterator[int]:
-    end = len(content)
-    while end > 0:
-        yield end
-        end = content.rfind(b"\n", 0, end - 1) + 1
+def _is_frame(line: bytes) -> bool:
+    try:
+        parse_line(line.decode())
+    except (FormatError, UnicodeDecodeError):
+        return False
+    return line.endswith(b"\n")
 
 
 def _lines(content: bytes) -> bytes:
@@ -160,7 +157,7 @@ def _deflated(content: bytes) -> bytes:
 def _beside(path: str) -> str:
     folder, name = os.path.split(path)
     stem, dot, suffix = name.partition(".")
-    return os.path.join(folder, f"{stem}.repaired{dot}{suffix.removeprefix('repaired.')}")
+    return os.path.join(folder, f"{stem.removesuffix('-repaired')}-repaired{dot}{suffix}")
 
 
 def _write(path: str, data: bytes, like: os.stat_result) -> None:

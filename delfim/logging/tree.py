@@ -21,7 +21,7 @@ PLACES: Final = ("/log", "run/sim/log")  # where logs are looked for when nothin
 PAUSE_S: Final = 60  # between the files of one run
 LATE_S: Final = 2  # a file may hold records so much older or younger than its name and its time say
 RUNNING_S: Final = 5  # a log is written at least this often
-_NAME: Final = re.compile(r"([0-9]{2})([0-9]{2})([0-9]{2})(?:-([0-9]+))?(\.repaired)?(\.[a-z0-9.]+)")
+_NAME: Final = re.compile(r"([0-9]{2})([0-9]{2})([0-9]{2})(?:-([0-9]+))?(-repaired)?(\.[a-z0-9.]+)")
 _DAY: Final = re.compile(r"[0-9]{4}(0[1-9]|1[0-2])(0[1-9]|[12][0-9]|3[01])")
 _META: Final = ".meta.jsonl"
 _SECOND: Final = 1_000_000_000
@@ -215,10 +215,10 @@ def _folder(folder: str, only: str = "") -> Iterator[LogFile]:
             continue
         hour, minute, second, number, repaired, suffix = match.groups()
         stem = name[: -len(suffix) - len(repaired or "")]
-        if not repaired and f"{stem}.repaired{suffix}" in entries and not only:
+        if not repaired and f"{stem}-repaired{suffix}" in entries and not only:
             continue
         begin_ns = midnight_ns + (int(hour) * 3600 + int(minute) * 60 + int(second)) * _SECOND
-        sidecar = next((n for n in (f"{stem}.repaired{_META}", stem + _META) if n in entries), "")
+        sidecar = next((n for n in (f"{stem}-repaired{_META}", stem + _META) if n in entries), "")
         status = entries[name].stat()
         yield LogFile(
             begin_ns,

@@ -31,7 +31,7 @@ class Lockstep:
     def __init__(self, settings: config.Vehicle, seed: int, make_log: Callable[[ManualClock], StateLog]) -> None:
         self.settings = settings
         self.clock = ManualClock()
-        bus = LockstepBus(self.clock)
+        bus = self.bus = LockstepBus(self.clock)
         self._world = bus.socket("nodes")
         self._world.bind(*COMMANDS)
         self.nodes = nodes_of(settings, seed)

@@ -261,6 +261,8 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None) -> Result:
     settings = config.load(vehicle_file) if vehicle_file else config.decode(starts[0]["settings"], config.Vehicle, "the log")
     columns, _ = table(state_files)
     boxes = [file for file in files if file.suffix.startswith(".log")]
+    if device(settings.can.interface) not in {file.id for file in boxes}:
+        raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
     run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"])
     due = sorted([*_cycles(columns), *_commands(told), *_looks(columns, told)], key=lambda each: each.t_ns)
     words = sorted(
