@@ -61,7 +61,7 @@ def _selection(asked: argparse.Namespace) -> Selection:
     chosen = tree.choose(found, name, time.time_ns())
     main = next((each for each in chosen if each.id == "state"), chosen[0])
     span = tree.span(asked.from_, asked.to, main.begin_ns)
-    chosen = [each for each in chosen if tree.within([each], span)]
+    chosen = [each for each in chosen if each.end_ns >= span.from_ns and tree.within([each], span)]
     return Selection(chosen, tree.within(chosen, span), span)
 
 

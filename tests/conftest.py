@@ -8,6 +8,10 @@ import pytest
 from tests.guest.harness import Guest, guest, missing
 
 
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--cuts", type=int, default=3, help="how often the power fails in tests/guest/test_power_cut.py (3)")
+
+
 def _skip_is_failure(report: pytest.TestReport | pytest.CollectReport) -> None:
     """Under CI a test that does not run has failed; elsewhere a skip with its reason is in order."""
     if os.environ.get("CI") and report.skipped and not hasattr(report, "wasxfail"):

@@ -134,7 +134,7 @@ def _records(suffix: str) -> Callable[[bytes], bytes]:
 
 def _frames(content: bytes) -> bytes:
     """Whole lines of candump. Before a damage some may have become something else; they are not kept."""
-    return b"".join(filter(_is_frame, content.splitlines(keepends=True)))
+    return b"".join(line for line in content.splitlines(keepends=True) if _is_frame(line))
 
 
 def _is_frame(line: bytes) -> bool:
