@@ -68,6 +68,17 @@ def _nodes(asked: argparse.Namespace) -> int:
     return run_nodes(load(asked.file, asked.set), asked.seed)
 
 
+def _guest(asked: argparse.Namespace) -> int:
+    import asyncio
+
+    from delfim.config import load
+    from delfim.simulator.guest import Zigzag, guest
+
+    host, _, port = load(asked.file, asked.set).guest.listen.rpartition(":")
+    asyncio.run(guest(host, int(port), Zigzag(course_deg=asked.course, amplitude_deg=30.0, leg_s=20.0, speed_mps=1.2)))
+    return 0
+
+
 def _sim(asked: argparse.Namespace) -> int:
     from delfim.live import simulate
 
@@ -86,6 +97,13 @@ def _log(asked: argparse.Namespace) -> int:
     from delfim.logs import run
 
     return run(asked)
+
+
+def _bench(asked: argparse.Namespace) -> int:
+    from delfim.bench import critical_path, lockstep
+
+    programs = {"critical-path": critical_path.run, "sim": lockstep.run}
+    return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -109,6 +127,8 @@ def _parser() -> argparse.ArgumentParser:
     describe.set_defaults(run=_describe)
     nodes = command("nodes", _nodes, "Play the boat's other CAN nodes (navigation, GPS, propellers, batteries) on its bus.")
     nodes.add_argument("--seed", type=int, default=1, help="of noise and weather")
+    guest = command("guest", _guest, "Play the guest computer: a zigzag, obeyed in mode grex.")
+    guest.add_argument("--course", type=float, default=90.0, help="of the zigzag, degrees (%(default)s)")
     sim = command("sim", _sim, "Sail a mission in simulation: the whole suite, a modelled boat, a live view.")
     sim.add_argument("--mission", metavar="FILE", help="instead of the vehicle file's simulation.mission")
     sim.add_argument(
@@ -122,6 +142,7 @@ def _parser() -> argparse.ArgumentParser:
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
     _add_log(commands)
+    _add_bench(commands)
     return parser
 
 
@@ -130,6 +151,25 @@ def _add_log(commands: Any) -> None:
     log = commands.add_parser("log", help=text, description=text)
     log.set_defaults(run=_log)
     log.add_argument("words", nargs=argparse.REMAINDER, metavar="VERB ...", help="ls, cat, info, plot, export, ...")
+
+
+def _add_bench(commands: Any) -> None:
+    text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
+    bench = commands.add_parser("bench", help=text, description=text)
+    bench.set_defaults(run=_bench)
+    bench.add_argument("what", nargs="?", choices=["critical-path", "sim"], help="all of them when none is named")
+    bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
+    bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
+    bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")
+    bench.add_argument("--seconds", type=float, help="of a slice of the critical path; of the sea in sim")
+    bench.add_argument("--rounds", type=int, help="how often everybody has a turn")
+    bench.add_argument("--rates", type=float, nargs="+", metavar="HZ", help="of navigation (5 100 500)")
+    bench.add_argument("--bus", metavar="INTERFACE", help="a Linux CAN interface instead of loopback buses")
+    bench.add_argument(
+        "--wire-us", type=int, default=0, help="between the frames of a message; 130 is a bus of 1 Mbit/s (%(default)s)"
+    )
+    bench.add_argument("--quick", action="store_true", help="about a minute: whether it works, not how fast it is")
+    bench.add_argument("--long", action="store_true", help="150,645 cycles at 100 Hz under load, against C")
 
 
 if __name__ == "__main__":
