@@ -100,9 +100,9 @@ def _log(asked: argparse.Namespace) -> int:
 
 
 def _bench(asked: argparse.Namespace) -> int:
-    from delfim.bench import critical_path, lockstep
+    from delfim.bench import critical_path, liblog, lockstep
 
-    programs = {"critical-path": critical_path.run, "sim": lockstep.run}
+    programs = {"critical-path": critical_path.run, "sim": lockstep.run, "log": liblog.run}
     return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
 
 
@@ -157,7 +157,7 @@ def _add_bench(commands: Any) -> None:
     text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
     bench = commands.add_parser("bench", help=text, description=text)
     bench.set_defaults(run=_bench)
-    bench.add_argument("what", nargs="?", choices=["critical-path", "sim"], help="all of them when none is named")
+    bench.add_argument("what", nargs="?", choices=["critical-path", "sim", "log"], help="all of them when none is named")
     bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
     bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")

@@ -8,6 +8,7 @@ import argparse
 import heapq
 import json
 import os
+import re
 import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -96,11 +97,19 @@ def _cat(asked: argparse.Namespace) -> int:
     elif chosen.state():
         _cat_state(chosen, asked.fields)
     else:
-        for file in chosen.files:
-            from delfim.logging.liblog import read_log
-
-            sys.stdout.buffer.write(read_log(file.path)[0])
+        _cat_lines(chosen)
     return 0
+
+
+def _cat_lines(chosen: Selection) -> None:
+    """What nodes said: lines of JSON that begin with their time."""
+    from delfim.logging.liblog import read_log
+
+    for file in chosen.files:
+        for line in read_log(file.path)[0].splitlines(keepends=True):
+            match = re.match(rb'\{"t_ns": ([0-9]+)', line)
+            if match and line.endswith(b"\n") and chosen.span.has(int(match[1])):
+                sys.stdout.write(line.decode(errors="replace"))
 
 
 def _cat_state(chosen: Selection, fields: str | None) -> None:

@@ -23,8 +23,10 @@ from delfim.clock import Clock, SystemClock
 from delfim.errors import DelfimError, PermanentFailure
 from delfim.logging.canzlogd import BlackBox
 from delfim.logging.liblog import event_line, open_log
+from delfim.logging.logd import LogMessages
 from delfim.logging.statelog import Schema, StateWriter
 from delfim.messages import (
+    LOG_ID,
     PROPELLER_COMMAND,
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
@@ -194,9 +196,27 @@ async def canzlogd(runtime: Runtime) -> None:
             box.poll()
 
 
+async def logd(runtime: Runtime) -> None:
+    """What the nodes of the bus say in words."""
+    settings = runtime.config
+    names = {node: Node(node).name.lower() if node in list(Node) else f"node-{node}" for node in settings.logd.nodes}
+    with contextlib.ExitStack() as links:
+        filters = [CanAddress(*dsor.message_filter(source=node)) for node in names]
+        can = _opened(links, settings, settings.can.interface, *filters)
+        receiver = dsor.Receiver(Node.VEHICLE, lambda message: message.id == LOG_ID and message.port is None)
+        log = LogMessages(can, receiver, names, settings.log, runtime.clock)
+        links.callback(log.close)
+        runtime.reader(can.fileno(), log.on_readable)
+        links.callback(runtime.remove_reader, can.fileno())
+        while True:
+            await asyncio.sleep(1.0)
+            log.poll()
+
+
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
     Service("canzlogd", canzlogd),
+    Service("logd", logd),
     Service("vehicle", vehicle),
 )
 
@@ -208,7 +228,8 @@ def services(settings: config.Vehicle) -> list[Service]:
         if name not in known:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
-    return [row._replace(place=asked[row.name].place) for row in SERVICES if asked[row.name].enabled]
+    off = {"logd"} if not settings.logd.nodes else set()
+    return [row._replace(place=asked[row.name].place) for row in SERVICES if asked[row.name].enabled and row.name not in off]
 
 
 def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: int) -> int:

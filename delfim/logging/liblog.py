@@ -32,7 +32,7 @@ from typing import Any, Final, Literal, NamedTuple, Protocol
 from delfim.clock import Clock
 from delfim.logging import guard
 
-FLUSH_S: Final = 0.8  # with the writer's rhythm and the disk's own time a power cut costs less than a second
+FLUSH_S: Final = 0.6  # with the writer's rhythm and a slow disk's own time a power cut costs less than a second
 MEMBER_S: Final = 10.0  # of log in a gzip member: what is behind a damaged one can be found again
 PENDING_BYTES: Final = 1 << 18  # deflated and not yet written
 SAME_SECOND: Final = 1000  # files of one name and second
