@@ -100,6 +100,11 @@ class LogMessages:
         """How the log of each node fares."""
         return {self._names[node]: log.status() for node, log in self._logs.items()}
 
+    def report(self) -> dict[str, object]:
+        """JSON-ready: messages logged and lost, frames that could not be answered, why a log is not written."""
+        reasons = {name: status.reason for name, status in self.status().items() if status.reason}
+        return {"messages": self.messages, "lost": self.lost, "unanswered": self.unanswered, "not_writable": reasons}
+
     def close(self) -> None:
         self._note("end")
         for log in self._logs.values():

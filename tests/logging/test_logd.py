@@ -107,6 +107,7 @@ def test_a_bus_that_goes_down_is_taken_up_again(wire, daemon, tmp_path, clock):
 
 def test_start_and_end_are_noted_and_the_status_has_names(tmp_path, daemon):
     assert set(daemon.status()) == {"gps", "node-51"}
+    assert daemon.report() == {"messages": 0, "lost": 0, "unanswered": 0, "not_writable": {}}
     daemon.close()
     sidecars = sorted(tmp_path.glob("*/*/*.meta.jsonl"))
     assert [[json.loads(row)["event"] for row in path.read_text().splitlines()] for path in sidecars] == [["start", "end"]] * 2
