@@ -227,7 +227,7 @@ class Ftp:
         return list(self._walk("", 3))
 
     def _walk(self, below: str, depth: int) -> Iterator[Entry]:
-        for name, facts in list(self._ftp.mlsd(posixpath.join(self._root, below), ["type", "size", "modify"])):
+        for name, facts in list(self._ftp.mlsd(posixpath.join(self._root, below))):
             path = posixpath.join(below, name)
             if facts.get("type") == "dir" and depth > 1:
                 yield from self._walk(path, depth - 1)
