@@ -17,7 +17,7 @@ export PATH := $(PATH):/usr/sbin:/sbin
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test check pictures bench system guest-shell formats lock clean
+.PHONY: help run test seeds check pictures bench system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -27,6 +27,9 @@ run: $(READY) ## sail the whole DelfimX in simulation
 
 test: $(MORE) system ## run all tests, those on a real SocketCAN bus included
 	$(BIN)/pytest $(ARGS)
+
+seeds: $(READY) ## sail 1,000 runs of mixed faults in lock step (ARGS="--seeds 5000" for more)
+	$(BIN)/pytest tests/simulator/test_scenarios.py -k mixed --timeout 3600 --seeds 1000 $(ARGS)
 
 check: $(READY) ## style, types and the direction of imports
 	$(BIN)/ruff check .

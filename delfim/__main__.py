@@ -80,9 +80,35 @@ def _guest(asked: argparse.Namespace) -> int:
 
 
 def _sim(asked: argparse.Namespace) -> int:
+    if asked.scenario:
+        return _scenario(asked)
     from delfim.live import simulate
 
     return simulate(asked)
+
+
+def _scenario(asked: argparse.Namespace) -> int:
+    from delfim.simulator import campaign, scenario
+
+    if asked.scenario == campaign.MIXED:
+        result = campaign.sail_mixed(asked.file, asked.seed, tuple(asked.set))
+    else:
+        result = scenario.run_file(asked.scenario, asked.file, asked.seed, tuple(asked.set))
+    print(*scenario.report(result), sep="\n")
+    if result.failures:
+        print(f"delfim: failed; again: {campaign.again(asked.file, asked.scenario, asked.seed, asked.set)}", file=sys.stderr)
+        return 1
+    print(f"delfim: {asked.scenario}, seed {asked.seed}: all as it must be, {result.elapsed_s:.0f} s sailed")
+    return 0
+
+
+def _fault(asked: argparse.Namespace) -> int:
+    from delfim.config import load
+    from delfim.simulator.realtime import socket_path, tell
+
+    place = socket_path(load(asked.file, asked.set))
+    print(f"delfim: {tell(place, asked.kind, asked.where, asked.value, asked.for_s)}")
+    return 0
 
 
 def _drive(asked: argparse.Namespace) -> int:
@@ -131,6 +157,7 @@ def _parser() -> argparse.ArgumentParser:
     guest.add_argument("--course", type=float, default=90.0, help="of the zigzag, degrees (%(default)s)")
     sim = command("sim", _sim, "Sail a mission in simulation: the whole suite, a modelled boat, a live view.")
     sim.add_argument("--mission", metavar="FILE", help="instead of the vehicle file's simulation.mission")
+    sim.add_argument("--scenario", metavar="FILE", help='sail this scenario in lock step; "mixed": faults drawn from the seed')
     sim.add_argument(
         "--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time; otherwise with the mission"
     )
@@ -139,6 +166,13 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--plain", action="store_true", help="one line a second instead of the live view")
     sim.add_argument("--json", action="store_true", help="one JSON object a state")
     sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
+    fault = command(
+        "fault", _fault, "Break something of the boat that `delfim nodes` or `delfim sim` plays (docs/scenarios.md)."
+    )
+    fault.add_argument("kind", metavar="KIND", help='navigation_silent, thruster_dead, ...; "end" ends all')
+    fault.add_argument("where", metavar="WHERE", nargs="?", default="", help="of a sensor or thruster: gps, port, ...")
+    fault.add_argument("--value", type=float, help="how much, where the kind has such a thing")
+    fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
     _add_log(commands)

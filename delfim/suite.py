@@ -46,7 +46,7 @@ from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
 from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.state import State
+from delfim.vehicle.state import Mode, State
 
 WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
@@ -77,7 +77,7 @@ class StateLog:
         )
         self._writer = StateWriter(self._log, schema)
         self.status, self.poll = self._log.status, self._log.poll
-        self._told = ("", "")
+        self._noted = False
         self.event("start", version=__version__, settings=msgspec.to_builtins(settings))
 
     def write(self, state: State, now_s: float) -> None:
@@ -92,12 +92,20 @@ class StateLog:
         if not isinstance(command, Alive | Report | Watch):
             self.event("command", at_s=state.console_s, value=msgspec.to_builtins(command), refused=refused or "")
 
+    def note(self, text: str) -> None:
+        """An event of the loop, in words; "hold: fence ahead" is a change of mode with its reason."""
+        self._noted = True
+        mode, _, reason = text.partition(": ")
+        if mode.upper() in Mode.__members__:
+            self.event("mode", value=mode, reason=reason)
+        else:
+            self.event("note", value=text)
+
     def watch(self, state: State) -> None:
-        """Called after each look of the watchdog: the mode and why, when they changed since the last one."""
-        told = state.mode.name.lower(), state.reason
-        if told != self._told:
-            self._told = told
-            self.event("mode", at_s=state.watchdog_s, value=told[0], reason=told[1])
+        """Called after each look of the watchdog: when it was, where something was noted since the one before."""
+        if self._noted:
+            self._noted = False
+            self.event("watchdog", at_s=state.watchdog_s)
 
     def reason(self) -> str:
         status = self._log.status()
@@ -113,6 +121,7 @@ async def vehicle(runtime: Runtime) -> None:
     settings, clock = runtime.config, runtime.clock
     state = State()
     with contextlib.ExitStack() as links:
+        state.last_shutdown = _last_shutdown(Path(settings.log.directory), links)
         sources = _sources(settings, state, links)
         status_frames = _opened(links, settings, settings.can.interface, CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
         status_messages = _opened(links, settings, settings.can.interface, CanAddress(*dsor.message_filter(source=Node.GPS)))
@@ -168,6 +177,24 @@ async def _attend(
             log.poll()
             for each in sockets:
                 each.rebind()
+
+
+def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
+    """What was wrong with the end of the run before, in words, told by a mark that lies among the logs while a run goes on."""
+    mark = directory / "running"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        unclean = mark.exists()
+        mark.touch()
+    except OSError:  # no disk: the check of the log says so
+        return ""
+
+    def ended() -> None:
+        with contextlib.suppress(OSError):
+            mark.unlink()
+
+    links.callback(ended)
+    return "the run before did not end in order: a crash, or the power was cut" if unclean else ""
 
 
 async def _guest_server(boat: Vehicle, listen: str) -> asyncio.Server:
@@ -291,10 +318,11 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=service is not None).main(wanted)
 
 
-def supervise(file: str, overrides: Sequence[str]) -> int:
-    """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man."""
+def supervise(file: str, overrides: Sequence[str], program: Sequence[str] = (sys.executable, "-m", "delfim")) -> int:
+    """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
+    `program` is what is started with `run FILE`."""
     settings = config.load(file, overrides)
-    command = (sys.executable, "-m", "delfim", "run", file, *(word for one in overrides for word in ("--set", one)))
+    command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
     programs = [Program("runtime", command, settings.runtime.nice, critical=True)]
     programs += [
         Program(row.name, (*command, "--service", row.name), settings.runtime.service_nice)

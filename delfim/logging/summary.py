@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 STAGES: Final = ("poll", "navigation", "control", "propulsion", "log")
 GAP: Final = 2.5  # periods without a record that are told
 EVENTS_MAX: Final = 20  # told in full
-QUIET: Final = ("start", "end", "command")  # events that are no trouble
+QUIET: Final = ("start", "end", "command", "watchdog")  # events that are no trouble
 
 
 def summary(files: Sequence[LogFile], span: Span, modes: dict[int, str]) -> dict[str, Any]:

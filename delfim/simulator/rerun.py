@@ -35,10 +35,10 @@ from delfim.messages import (
 from delfim.simulator.bus import LockstepBus
 from delfim.vehicle import console
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import REPEAT_S, Vehicle
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
 from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.state import Mode, State
+from delfim.vehicle.state import State
 
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
 TICK_S: Final = 0.1  # of the watchdog; looks of which the time is not recorded are put in between
@@ -183,7 +183,7 @@ class Rerun:
             self._navigate(due)
         elif due.kind == "command":
             self._command(due)
-        elif due.kind == "watchdog" or self.state.mode is not Mode.IDLE:
+        elif due.kind == "watchdog" or due.at_s - self.state.navigation_s <= REPEAT_S:  # beyond, it sends: that is recorded
             self.vehicle.on_watchdog()
         self._compare(due.t_ns)
 
@@ -292,7 +292,7 @@ def _commands(told: Iterable[dict[str, Any]]) -> Iterator[Due]:
 
 def _looks(columns: Any, told: Iterable[dict[str, Any]]) -> Iterator[Due]:
     """Of the watchdog: those of which the time is recorded, and between them those that must have been."""
-    known = {event["at_s"]: _wall_ns(event) for event in told if event["event"] == "mode"}
+    known = {event["at_s"]: _wall_ns(event) for event in told if event["event"] == "watchdog"}
     for t1, now_s, at_s in zip(*(columns[key].tolist() for key in ("t1", "monotonic_s", "watchdog_s")), strict=True):
         known.setdefault(at_s, t1 - round((now_s - at_s) * 1e9))
     times = sorted(at_s for at_s in known if at_s > NEVER_S)

@@ -24,6 +24,7 @@ class Propulsion:
         self._sendto, self._rehearse = socket.sendto, socket.rehearse
         self._propellers = CanAddress(PROPELLER_STARBOARD), CanAddress(PROPELLER_PORT)
         self._batteries = CanAddress(BATTERIES_STARBOARD), CanAddress(BATTERIES_PORT)
+        self._contactors = True, True  # starboard, port: closed
         self._sent = STOP
         self._sent_s = 0.0
         self._counter = 0
@@ -43,15 +44,20 @@ class Propulsion:
         sent = self._sent = limited(wanted, self._sent, self._limits, dt_s)
         self._sent_s = now_s
         self._counter = counter = self._counter + 1 & 0xFF
-        batteries = BATTERIES_COMMAND.pack(1, counter)
+        starboard, port = self._contactors
         for to, data in (
             (self._propellers[0], PROPELLER_COMMAND.pack(round(sent.starboard_rpm), sent.run, counter)),
             (self._propellers[1], PROPELLER_COMMAND.pack(round(sent.port_rpm), sent.run, counter)),
-            (self._batteries[0], batteries),
-            (self._batteries[1], batteries),
+            (self._batteries[0], BATTERIES_COMMAND.pack(starboard, counter)),
+            (self._batteries[1], BATTERIES_COMMAND.pack(port, counter)),
         ):
             try:
                 self._sendto(data, to)
             except OSError:  # one side's frame lost must not cost the other's
                 self._state.count("propulsion_unsent")
         return sent
+
+    def disconnect(self, sides: tuple[str, ...]) -> None:
+        """Open the batteries' contactors of these sides with the next command, for good: a propeller there does not obey."""
+        starboard, port = self._contactors
+        self._contactors = starboard and "starboard" not in sides, port and "port" not in sides

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.vehicle.failsafe import bits
 from delfim.vehicle.state import State
 from delfim.vehicle.sysstat import NAMES
 
@@ -68,6 +69,7 @@ FIELDS = (
     Field("previous_t5", "q", "ns", "profile stamp t5 of the cycle before", lambda s, now_s: s.profile.t5),
     Field("cycle", "Q", "", "navigation cycles since start", lambda s, now_s: s.cycles),
     Field("mode", "B", "", "mode number of the console's link", lambda s, now_s: int(s.mode)),
+    Field("troubles", "I", "", "bit n: trouble n of docs/failsafe.md", lambda s, now_s: bits(s.notices)),
     Field("latitude", "d", "rad", "WGS 84", _of_navigation("latitude_rad")),
     Field("longitude", "d", "rad", "WGS 84", _of_navigation("longitude_rad")),
     Field("north", "d", "m", "local plane", lambda s, now_s: s.motion.north_m if "position" in s.motion.has else NAN),

@@ -6,6 +6,7 @@ import pytest
 
 from delfim import config
 from delfim.canproxy.socket import ANYTHING
+from delfim.clock import ManualClock
 from delfim.logging import canzlogd
 from delfim.logging.canzlogd import BlackBox
 from delfim.logging.liblog import open_log
@@ -25,13 +26,17 @@ class Day:
         more = ['log.state_method="zwrite"', f'log.directory="{place}"', "log.free_bytes_min=0"]
         more += ['can.interface="canloop:lockstep"', *overrides]
         self.settings = config.load(ROOT / "etc/delfimx.toml", more)
-        self.sailing = Lockstep(self.settings, 1, lambda clock: StateLog(self.settings, clock))
-        self.log, self.clock = self.sailing.vehicle.log, self.sailing.clock
+        self.sailing = Lockstep(self.settings, 1, self._opened)
+        self.clock = self.sailing.clock
         self.socket = self.sailing.bus.socket("logger")
         self.socket.bind(ANYTHING)
         with pytest.MonkeyPatch.context() as patch:  # files of the clock of the simulation need no child
             patch.setattr(canzlogd, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))
             self.box = BlackBox([self.socket], self.settings.log, self.clock)
+
+    def _opened(self, clock: ManualClock) -> StateLog:
+        self.log = StateLog(self.settings, clock)
+        return self.log
 
     def command(self, command: console.Commands) -> str | None:
         self.clock.advance(0.01)

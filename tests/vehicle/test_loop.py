@@ -89,8 +89,8 @@ def test_navigation_silence_stops_the_boat_within_its_limit_and_says_why(boat):
     assert (starboard.run, starboard.rpm, port.run, port.rpm) == (False, 0, False, 0)
 
 
-def test_console_silence_stops_the_boat_and_a_word_keeps_it_sailing(make_boat):
-    boat = make_boat(watchdog=config.Watchdog(console_s=3.0))
+def test_console_silence_makes_the_boat_hold_and_a_word_keeps_it_sailing(make_boat):
+    boat = make_boat(failsafe=config.Failsafe(console_silent=config.ConsoleSilent(after_s=3.0)))
     boat.ready()
     boat.vehicle.on_command(console.Heading(0.0, 1.0))
     boat.pass_time(2.0)
@@ -99,7 +99,7 @@ def test_console_silence_stops_the_boat_and_a_word_keeps_it_sailing(make_boat):
     assert boat.state.mode is Mode.HEADING
     boat.vehicle.on_command(console.Report())
     boat.pass_time(2.0)
-    assert boat.state.mode is Mode.IDLE, "an onlooker does not keep the boat sailing"
+    assert boat.state.mode is Mode.HOLD, "an onlooker does not keep the boat sailing"
     assert boat.state.reason.startswith("console silent")
 
 
