@@ -428,6 +428,7 @@ class Simulation(Table, frozen=True):
     position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position
     heading_noise_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.5  # standard deviation of the heading
     speed_noise_mps: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.03  # standard deviation of the speed
+    external: Annotated[str, msgspec.Meta(pattern=r"^([^ :]+:[0-9]{1,5})?\Z")] = ""  # host:port for a model in another program
     sea: Sea = Sea()
 
 
