@@ -119,6 +119,12 @@ def _drive(asked: argparse.Namespace) -> int:
     return 0
 
 
+def _can(asked: argparse.Namespace) -> int:
+    from delfim.console.bus import main as tools
+
+    return tools(asked.words)
+
+
 def _log(asked: argparse.Namespace) -> int:
     from delfim.logs import run
 
@@ -175,6 +181,13 @@ def _parser() -> argparse.ArgumentParser:
     fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
+    can = commands.add_parser(
+        "can", help="See a bus, send, make traffic, statistics, play back a log: dump, send, gen, stat, replay."
+    )
+    can.add_argument(
+        "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
+    )
+    can.set_defaults(run=_can)
     _add_log(commands)
     _add_bench(commands)
     return parser

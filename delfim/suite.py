@@ -18,6 +18,7 @@ import msgspec
 from delfim import __version__, config
 from delfim.canproxy import dsor
 from delfim.canproxy.canip import CanIp, open_tun
+from delfim.canproxy.cantcpd import Cantcpd
 from delfim.canproxy.nmea2000 import Nmea2000Source
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, bus_state, open_can
 from delfim.canproxy.timed import SecondTimer, Timekeeper, TimeService
@@ -210,11 +211,8 @@ async def _guest_server(boat: Vehicle, listen: str) -> asyncio.Server:
 async def canzlogd(runtime: Runtime) -> None:
     """The black box: every frame of every bus."""
     settings = runtime.config
-    interfaces = {settings.can.interface}
-    if "nmea2000" in settings.navigation.sources:
-        interfaces.add(settings.nmea2000.interface)
     with contextlib.ExitStack() as links:
-        sockets = [links.enter_context(open_can(name, error_frames=True)) for name in sorted(interfaces)]
+        sockets = [links.enter_context(open_can(name, error_frames=True)) for name in _interfaces(settings)]
         box = BlackBox(sockets, settings.log, runtime.clock, bus_state)
         links.callback(box.close)
         for each in sockets:
@@ -244,6 +242,25 @@ async def logd(runtime: Runtime) -> None:
         while True:
             await asyncio.sleep(1.0)
             log.poll()
+
+
+async def cantcpd(runtime: Runtime) -> None:
+    """CAN over TCP: whoever may watches the buses, and sends."""
+    settings, loop = runtime.config, asyncio.get_running_loop()
+    interfaces = settings.cantcpd.buses or _interfaces(settings)
+    with contextlib.ExitStack() as links:
+        server = Cantcpd(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes)
+        links.callback(server.close)
+        for address in settings.cantcpd.listen:
+            host, _, number = address.rpartition(":")
+            listening = await loop.create_server(server.connection, host.strip("[]"), int(number))
+            links.callback(listening.close)
+        port = listening.sockets[0].getsockname()[1]
+        runtime.board["cantcpd"] = server.report
+        links.callback(runtime.board.pop, "cantcpd")
+        while True:
+            server.poll(port)
+            await asyncio.sleep(1.0)
 
 
 async def canip(runtime: Runtime) -> None:
@@ -289,6 +306,7 @@ async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str,
 SERVICES = (
     Service("canzlogd", canzlogd),
     Service("logd", logd),
+    Service("cantcpd", cantcpd),
     Service("timed", timed),
     Service("canip", canip),
     Service("vehicle", vehicle),
@@ -369,6 +387,14 @@ def _socket_path(name: str) -> str:
             raise DelfimError(f"another vehicle answers on {name}")
     path.unlink(missing_ok=True)
     return name
+
+
+def _interfaces(settings: config.Vehicle) -> list[str]:
+    """All buses of the boat."""
+    interfaces = {settings.can.interface}
+    if "nmea2000" in settings.navigation.sources:
+        interfaces.add(settings.nmea2000.interface)
+    return sorted(interfaces)
 
 
 def _opened(links: contextlib.ExitStack, settings: config.Vehicle, interface: str, *filters: CanAddress) -> CanSocket:
