@@ -125,10 +125,16 @@ def _can(asked: argparse.Namespace) -> int:
     return tools(asked.words)
 
 
-def _bench(asked: argparse.Namespace) -> int:
-    from delfim.bench import critical_path, lockstep
+def _log(asked: argparse.Namespace) -> int:
+    from delfim.logs import run
 
-    programs = {"critical-path": critical_path.run, "sim": lockstep.run}
+    return run(asked)
+
+
+def _bench(asked: argparse.Namespace) -> int:
+    from delfim.bench import critical_path, liblog, lockstep
+
+    programs = {"critical-path": critical_path.run, "sim": lockstep.run, "log": liblog.run}
     return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
 
 
@@ -182,15 +188,23 @@ def _parser() -> argparse.ArgumentParser:
         "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
     )
     can.set_defaults(run=_can)
+    _add_log(commands)
     _add_bench(commands)
     return parser
+
+
+def _add_log(commands: Any) -> None:
+    text = "Look at logs, convert, repeat, mend and fetch them: delfim log VERB --help."
+    log = commands.add_parser("log", help=text, description=text)
+    log.set_defaults(run=_log)
+    log.add_argument("words", nargs=argparse.REMAINDER, metavar="VERB ...", help="ls, cat, info, plot, export, ...")
 
 
 def _add_bench(commands: Any) -> None:
     text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
     bench = commands.add_parser("bench", help=text, description=text)
     bench.set_defaults(run=_bench)
-    bench.add_argument("what", nargs="?", choices=["critical-path", "sim"], help="all of them when none is named")
+    bench.add_argument("what", nargs="?", choices=["critical-path", "sim", "log"], help="all of them when none is named")
     bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
     bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")

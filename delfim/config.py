@@ -395,6 +395,12 @@ class Log(Table, frozen=True):
     required: bool = True  # no log, no start
 
 
+class Logd(Table, frozen=True):
+    """Log messages of the nodes of the bus."""
+
+    nodes: tuple[Annotated[int, msgspec.Meta(ge=1, le=126)], ...] = ()  # whose messages are logged; empty: the service is off
+
+
 class Runtime(Table, frozen=True):
     """Real-time settings. What the process is not allowed to set costs one warning."""
 
@@ -470,6 +476,7 @@ class Vehicle(Table, frozen=True):
     canip: Canip = Canip()
     timed: Timed = Timed()
     log: Log = Log()
+    logd: Logd = Logd()
     runtime: Runtime = Runtime()
     supervisor: Supervisor = Supervisor()
     services: dict[Name, Service] = {}

@@ -80,6 +80,12 @@ def test_propulsion_was_stopped_first_and_the_logs_closed_last(sailed):
     assert commands[-1][:10] == "041#000000"
 
 
+def test_what_was_sailed_repeats_bit_by_bit_from_its_logs(sailed):
+    _, folder, _, _ = sailed
+    out, _ = ended(delfim("log", "replay", str(folder / "log")))
+    assert "all the same, bit by bit" in out
+
+
 def test_a_killed_simulation_leaves_nothing_behind(tmp_path):
     process = sim(tmp_path, "--json")
     assert process.stdout is not None
