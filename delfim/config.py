@@ -7,6 +7,7 @@ are no environment variables and no second list of options.
 import re
 import tomllib
 from collections.abc import Sequence
+from ipaddress import IPv4Address, IPv4Interface
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -29,6 +30,7 @@ ActionName = Literal["warn", "hold", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "home", "stop"]
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=100)]  # corners of a polygon, degrees north and east
+DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 Endpoint = Annotated[str, msgspec.Meta(pattern=r"^[^ :]+:[0-9]{1,5}\Z")]  # host:port
 
 
@@ -318,6 +320,44 @@ class Guest(Table, frozen=True):
     listen: Endpoint = "127.0.0.1:4747"  # address and port; only loopback is safe without a guard
 
 
+class CanipPeer(Table, frozen=True):
+    """A node of the bus that has an address."""
+
+    address: str  # IPv4
+    node: DsorNode  # on the bus
+
+    def __post_init__(self) -> None:
+        IPv4Address(self.address)
+
+
+class Canip(Table, frozen=True):
+    """IP over CAN: a TUN device that carries UDP datagrams to nodes of the bus and back."""
+
+    enabled: bool = False  # run it; needs CAP_NET_ADMIN
+    device: Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_.-]{0,14}\Z")] = "canip0"  # the device's name
+    address: str = "192.168.1.2/24"  # of the device, IPv4 with the network's length; empty: whoever else sets it
+    mtu: Annotated[int, msgspec.Meta(ge=576, le=65_535)] = 65_535  # larger datagrams come as fragments, which are dropped
+    node: DsorNode = 0  # of this computer
+    priority: Annotated[int, msgspec.Meta(ge=0, le=255)] = 192  # of datagrams on the bus; 0 is the most urgent
+    source: str = "192.168.1.1"  # IPv4 address that datagrams from nodes seem to have come from that are no peers
+    peers: dict[Name, CanipPeer] = {}
+
+    def __post_init__(self) -> None:
+        IPv4Address(self.source)
+        if self.address:
+            IPv4Interface(self.address)
+        peers = self.peers.values()
+        if len({peer.address for peer in peers}) < len(peers) or len({peer.node for peer in peers}) < len(peers):
+            raise ValueError("two peers have the same address or the same node")
+
+
+class Timed(Table, frozen=True):
+    """The time frame at the start of each second, from this computer's clock."""
+
+    mode: Literal["off", "master", "redundant"] = "off"  # redundant: only while no other node sends it
+    takeover_s: Annotated[float, msgspec.Meta(ge=1.1, le=3600.0)] = 2.5  # silence after which the redundant one sends
+
+
 class Log(Table, frozen=True):
     """Where and how logs are written, and what happens when the disk is full."""
 
@@ -400,6 +440,8 @@ class Vehicle(Table, frozen=True):
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
     guest: Guest = Guest()
+    canip: Canip = Canip()
+    timed: Timed = Timed()
     log: Log = Log()
     runtime: Runtime = Runtime()
     supervisor: Supervisor = Supervisor()

@@ -10,14 +10,16 @@ import logging
 import os
 import socket
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 from delfim import config
 from delfim.canproxy import dsor
+from delfim.canproxy.canip import CanIp, open_tun
 from delfim.canproxy.nmea2000 import Nmea2000Source
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, bus_state, open_can
+from delfim.canproxy.timed import SecondTimer, Timekeeper, TimeService
 from delfim.clock import Clock, SystemClock
 from delfim.errors import DelfimError, PermanentFailure
 from delfim.logging.canzlogd import BlackBox
@@ -28,6 +30,7 @@ from delfim.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
     SYSSTAT_MASK,
+    TIME_FRAME,
     Node,
     sysstat_arb,
 )
@@ -118,7 +121,8 @@ async def _attend(
     settings, loop = runtime.config, asyncio.get_running_loop()
 
     def more() -> dict[str, object]:
-        return {"boat": settings.boat.name, "log": log.status()._asdict(), **runtime.report()}
+        figures = {name: report() for name, report in runtime.board.items()}
+        return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
     commands = CommandServer(boat.on_command, lambda: boat.snapshot(more()), settings.console.clients)
     links.callback(commands.close)
@@ -189,9 +193,50 @@ async def canzlogd(runtime: Runtime) -> None:
             box.poll()
 
 
+async def canip(runtime: Runtime) -> None:
+    """UDP datagrams over the bus."""
+    settings = runtime.config.canip
+    tun = open_tun(settings.device, settings.address, settings.mtu)
+    with contextlib.ExitStack() as links:
+        links.callback(os.close, tun)
+        can = links.enter_context(open_can(runtime.config.can.interface))
+        carrier = CanIp(asyncio.get_running_loop(), tun, can, settings)
+        links.callback(carrier.close)
+        runtime.reader(tun, carrier.on_packets)
+        links.callback(runtime.remove_reader, tun)
+        await _published(runtime, "canip", carrier.report)
+
+
+async def timed(runtime: Runtime) -> None:
+    """The time frame at the start of each second."""
+    settings, clock = runtime.config.timed, runtime.clock
+    assert settings.mode != "off"
+    keeper = Timekeeper(settings.mode, settings.takeover_s, clock.monotonic_s())
+    with contextlib.ExitStack() as links:
+        can = _opened(links, runtime.config, runtime.config.can.interface, CanAddress(TIME_FRAME))
+        timer = SecondTimer(keeper.delay_s, clock.time_ns())
+        links.callback(timer.close)
+        service = TimeService(keeper, timer, can, clock)
+        for fd, handler in ((can.fileno(), service.on_frames), (timer.fileno(), service.on_second)):
+            runtime.reader(fd, handler)
+            links.callback(runtime.remove_reader, fd)
+        await _published(runtime, "timed", service.report)
+
+
+async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str, object]]) -> None:
+    """Until cancelled: the rest happens in callbacks, and the figures are on the runtime's board."""
+    runtime.board[name] = report
+    try:
+        await asyncio.Event().wait()
+    finally:
+        del runtime.board[name]
+
+
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
     Service("canzlogd", canzlogd),
+    Service("timed", timed),
+    Service("canip", canip),
     Service("vehicle", vehicle),
 )
 
@@ -203,7 +248,9 @@ def services(settings: config.Vehicle) -> list[Service]:
         if name not in known:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
-    return [row._replace(place=asked[row.name].place) for row in SERVICES if asked[row.name].enabled]
+    off = {"canip"} if not settings.canip.enabled else set()
+    off |= {"timed"} if settings.timed.mode == "off" else set()
+    return [row._replace(place=asked[row.name].place) for row in SERVICES if asked[row.name].enabled and row.name not in off]
 
 
 def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: int) -> int:

@@ -34,7 +34,7 @@ class PlainRuntime(Runtime):
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
         self.config, self.clock = settings, clock
-        self.status = {}
+        self.status, self.board = {}, {}
 
     def navigation(self, fd: int, handler: Callable[[], bool]) -> None:
         asyncio.get_running_loop().add_reader(fd, handler)
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[])
     asked = parser.parse_args(arguments)
     settings = config.load(asked.file, asked.set)
-    suites = {row.name: row for row in suite.SERVICES}
+    suites = {row.name: row for row in suite.services(settings)}
     boat = suites.pop("vehicle")
     others = [*suites.values(), *rows(Ports(*map(int, asked.ports.split(","))))]
     services = {"apart": [boat], "services": others}.get(asked.kind, [*others, boat])

@@ -89,6 +89,7 @@ class Runtime:
     def __init__(self, settings: config.Vehicle, clock: Clock, *, beat_fd: int = -1, alone: bool = False) -> None:
         self.config, self.clock = settings, clock
         self.status: dict[str, ServiceStatus] = {}
+        self.board: dict[str, Callable[[], dict[str, object]]] = {}  # JSON-ready figures of services, by their names
         limits = settings.runtime
         self.window = NavigationWindow(limits.window_guard_s, 0.0 if alone or not limits.window else limits.window_share_max)
         self._account = Account("runtime", limits.callback_budget_s)  # the loop's own callbacks

@@ -58,8 +58,8 @@ class DsorNavigation:
             unpack_navigation(received.data)
 
     def read(self, now_s: float) -> Fix | None:
-        """The newest complete message that was waiting, None when there is none. Malformed ones are counted."""
-        fix = None
+        """The next complete message, None when there is none yet. What is behind it stays readable. Malformed ones are
+        counted."""
         feed = self._receiver.feed
         for _ in range(FRAMES_PER_READ):
             try:
@@ -68,14 +68,14 @@ class DsorNavigation:
                     break
                 message = feed(frame, now_s)
                 if message is not None:
-                    fix = Fix(unpack_navigation(message.data), message.t_ns, now_s)
                     self.heard_s = now_s
+                    return Fix(unpack_navigation(message.data), message.t_ns, now_s)
             except FormatError:
                 self._state.count("navigation_malformed")
             except BusError:
                 self._state.count("navigation_bus_errors")
                 break
-        return fix
+        return None
 
 
 class Nmea2000Navigation:
