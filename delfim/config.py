@@ -26,11 +26,11 @@ Nice = Annotated[int, msgspec.Meta(ge=-20, le=19)]
 Interface = Annotated[str, msgspec.Meta(pattern=r"^([a-z][a-z0-9_.-]{0,14}|canloop:[A-Za-z0-9_.-]{1,32}|python-can:[^ ]+)\Z")]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
 Sources = Annotated[tuple[Literal["dsor", "nmea2000"], ...], msgspec.Meta(min_length=1, max_length=2)]
+DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 ActionName = Literal["warn", "hold", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "home", "stop"]
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=100)]  # corners of a polygon, degrees north and east
-DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 Endpoint = Annotated[str, msgspec.Meta(pattern=r"^[^ :]+:[0-9]{1,5}\Z")]  # host:port
 
 
@@ -422,6 +422,7 @@ class Simulation(Table, frozen=True):
     position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position
     heading_noise_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.5  # standard deviation of the heading
     speed_noise_mps: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.03  # standard deviation of the speed
+    external: Annotated[str, msgspec.Meta(pattern=r"^([^ :]+:[0-9]{1,5})?\Z")] = ""  # host:port for a model in another program
     sea: Sea = Sea()
 
 

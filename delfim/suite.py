@@ -263,10 +263,11 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=service is not None).main(wanted)
 
 
-def supervise(file: str, overrides: Sequence[str]) -> int:
-    """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man."""
+def supervise(file: str, overrides: Sequence[str], program: Sequence[str] = (sys.executable, "-m", "delfim")) -> int:
+    """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
+    `program` is what is started with `run FILE`."""
     settings = config.load(file, overrides)
-    command = (sys.executable, "-m", "delfim", "run", file, *(word for one in overrides for word in ("--set", one)))
+    command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
     programs = [Program("runtime", command, settings.runtime.nice, critical=True)]
     programs += [
         Program(row.name, (*command, "--service", row.name), settings.runtime.service_nice)

@@ -146,6 +146,11 @@ class Model:
         self.time_s += dt_s
 
     @property
+    def alive(self) -> bool:
+        """False when nobody knows where the boat is: a model in another program that is silent."""
+        return True
+
+    @property
     def starboard_rpm(self) -> float:
         return self.starboard.rpm
 

@@ -110,7 +110,7 @@ class NavigationNode:
         return self._period.due_s
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
-        if not self._period.passed(now_s) or self.silent:
+        if not self._period.passed(now_s) or self.silent or not self._model.alive:
             return []
         said = self._said
         if said is None or not (self.frozen or self.repeating):
@@ -307,16 +307,11 @@ def _arbitration(frame: Frame) -> int:
     return frame.arb
 
 
-def nodes_of(settings: config.Vehicle, seed: int) -> Nodes:
-    """The model and the nodes that a vehicle's file describes."""
+def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) -> Nodes:
+    """The nodes that a vehicle's file describes, around its model or another one."""
     there = settings.simulation
-    model = Model(
-        hull_of(settings.boat),
-        there.sea,
-        seed,
-        math.radians(there.latitude_deg),
-        math.radians(there.longitude_deg),
-        math.radians(there.heading_deg),
-    )
+    if model is None:
+        start = math.radians(there.latitude_deg), math.radians(there.longitude_deg)
+        model = Model(hull_of(settings.boat), there.sea, seed, *start, math.radians(there.heading_deg))
     noise = Noise(there.position_noise_m, math.radians(there.heading_noise_deg), there.speed_noise_mps)
     return Nodes(model, settings.navigation.rate_hz, noise, seed)

@@ -6,6 +6,7 @@ the real nodes, on a loopback bus or on a real one.
 
 import contextlib
 import json
+import math
 import os
 import select
 import signal
@@ -19,7 +20,9 @@ from delfim import config
 from delfim.canproxy.socket import CanSocket, open_can
 from delfim.clock import SystemClock
 from delfim.errors import BusError, DelfimError, FormatError, Refused
+from delfim.simulator.external import ExternalModel
 from delfim.simulator.faults import AROUND, Faults, fault
+from delfim.simulator.model import hull_of
 from delfim.simulator.nodes import COMMANDS, nodes_of
 
 BUS_RETRY_S = 0.5
@@ -39,13 +42,18 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
     with open_can(settings.can.interface) as bus, _requests(socket_path(settings)) as requests:
         bus.setblocking(False)
         bus.bind(*COMMANDS)
-        nodes, clock = Faults(nodes_of(settings, seed), seed), SystemClock()
-        poll = select.poll()
+        clock, poll = SystemClock(), select.poll()
+        model = _external(settings, clock)
+        if model is not None:
+            poll.register(model.fileno(), select.POLLIN)
+        nodes = Faults(nodes_of(settings, seed, model), seed)
         poll.register(bus.fileno(), select.POLLIN)
         poll.register(requests.fileno(), select.POLLIN)
         while not ended:
             wait_s = max(nodes.due_s - clock.monotonic_s(), 0.0)
             poll.poll(min(wait_s, 1.0) * 1000.0)
+            if model is not None:
+                model.listen()
             try:
                 _turn(nodes, bus, clock)
             except BusError:  # the bus went away; boats survive that, so do we
@@ -53,6 +61,15 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
                 bus.rebind()
             _obey(nodes, requests, clock)
     return 0
+
+
+def _external(settings: config.Vehicle, clock: SystemClock) -> ExternalModel | None:
+    """The model in another program, where the vehicle's file names an address for it."""
+    there = settings.simulation
+    if not there.external:
+        return None
+    hull, start = hull_of(settings.boat), (math.radians(there.latitude_deg), math.radians(there.longitude_deg))
+    return ExternalModel(hull, clock, there.external, *start)
 
 
 def _turn(nodes: Faults, bus: CanSocket, clock: SystemClock) -> None:
