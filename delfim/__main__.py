@@ -119,10 +119,22 @@ def _drive(asked: argparse.Namespace) -> int:
     return 0
 
 
-def _bench(asked: argparse.Namespace) -> int:
-    from delfim.bench import critical_path, lockstep
+def _can(asked: argparse.Namespace) -> int:
+    from delfim.console.bus import main as tools
 
-    programs = {"critical-path": critical_path.run, "sim": lockstep.run}
+    return tools(asked.words)
+
+
+def _log(asked: argparse.Namespace) -> int:
+    from delfim.logs import run
+
+    return run(asked)
+
+
+def _bench(asked: argparse.Namespace) -> int:
+    from delfim.bench import critical_path, liblog, lockstep
+
+    programs = {"critical-path": critical_path.run, "sim": lockstep.run, "log": liblog.run}
     return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
 
 
@@ -169,15 +181,30 @@ def _parser() -> argparse.ArgumentParser:
     fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
+    can = commands.add_parser(
+        "can", help="See a bus, send, make traffic, statistics, play back a log: dump, send, gen, stat, replay."
+    )
+    can.add_argument(
+        "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
+    )
+    can.set_defaults(run=_can)
+    _add_log(commands)
     _add_bench(commands)
     return parser
+
+
+def _add_log(commands: Any) -> None:
+    text = "Look at logs, convert, repeat, mend and fetch them: delfim log VERB --help."
+    log = commands.add_parser("log", help=text, description=text)
+    log.set_defaults(run=_log)
+    log.add_argument("words", nargs=argparse.REMAINDER, metavar="VERB ...", help="ls, cat, info, plot, export, ...")
 
 
 def _add_bench(commands: Any) -> None:
     text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
     bench = commands.add_parser("bench", help=text, description=text)
     bench.set_defaults(run=_bench)
-    bench.add_argument("what", nargs="?", choices=["critical-path", "sim"], help="all of them when none is named")
+    bench.add_argument("what", nargs="?", choices=["critical-path", "sim", "log"], help="all of them when none is named")
     bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
     bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")

@@ -7,7 +7,7 @@ are no environment variables and no second list of options.
 import re
 import tomllib
 from collections.abc import Sequence
-from ipaddress import IPv4Address, IPv4Interface
+from ipaddress import IPv4Address, IPv4Interface, ip_network
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
@@ -32,6 +32,13 @@ ModeAction = Literal["same", "warn", "hold", "home", "stop"]
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=100)]  # corners of a polygon, degrees north and east
 Endpoint = Annotated[str, msgspec.Meta(pattern=r"^[^ :]+:[0-9]{1,5}\Z")]  # host:port
+Listen = Annotated[str, msgspec.Meta(pattern=r"^([^ :]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}\Z")]  # as Endpoint, or [IPv6]:port
+Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
+LinuxInterface = Annotated[str, msgspec.Meta(pattern=r"^[^ /:]{1,15}\Z")]
+Network = Annotated[str, msgspec.Meta(pattern=r"^[0-9A-Fa-f:.]+(/[0-9]{1,3})?\Z")]
+Identifiers = Annotated[  # one or a range; three digits are a standard identifier, eight an extended one
+    str, msgspec.Meta(pattern=r"^([0-7][0-9A-Fa-f]{2}(-[0-7][0-9A-Fa-f]{2})?|[01][0-9A-Fa-f]{7}(-[01][0-9A-Fa-f]{7})?)\Z")
+]
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -320,6 +327,24 @@ class Guest(Table, frozen=True):
     listen: Endpoint = "127.0.0.1:4747"  # address and port; only loopback is safe without a guard
 
 
+class Cantcpd(Table, frozen=True):
+    """CAN over TCP, the socketcand protocol. Who may watch and who may transmit; there are no passwords in it."""
+
+    listen: Listeners = ("127.0.0.1:29536",)  # addresses and ports
+    buses: tuple[Interface, ...] = ()  # that clients can open, by their name or what follows its last colon; empty: the boat's
+    watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
+    transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # of these, the networks that may send frames, too
+    barred: tuple[Identifiers, ...] = ("040-043",)  # no client sends these: the commands to propellers and batteries
+    clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once
+    queue_bytes: Annotated[int, msgspec.Meta(ge=8192, le=16 << 20)] = 1 << 18  # of one client; beyond, its oldest frames go
+    stall_s: Seconds = 30.0  # a client that takes nothing and says nothing for so long is closed
+    beacon: tuple[LinuxInterface, ...] = ()  # LANs on which the buses are announced (UDP port 42000); never a radio link
+
+    def __post_init__(self) -> None:
+        for network in (*self.watch, *self.transmit):
+            ip_network(network)
+
+
 class CanipPeer(Table, frozen=True):
     """A node of the bus that has an address."""
 
@@ -368,6 +393,12 @@ class Log(Table, frozen=True):
     when_full: Literal["delete-oldest", "stop"] = "delete-oldest"  # what the guard does
     state_method: Literal["write", "zwrite", "zpipe"] = "zpipe"  # plain, deflated here, by a niced child
     required: bool = True  # no log, no start
+
+
+class Logd(Table, frozen=True):
+    """Log messages of the nodes of the bus."""
+
+    nodes: tuple[Annotated[int, msgspec.Meta(ge=1, le=126)], ...] = ()  # whose messages are logged; empty: the service is off
 
 
 class Runtime(Table, frozen=True):
@@ -441,9 +472,11 @@ class Vehicle(Table, frozen=True):
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
     guest: Guest = Guest()
+    cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()
     timed: Timed = Timed()
     log: Log = Log()
+    logd: Logd = Logd()
     runtime: Runtime = Runtime()
     supervisor: Supervisor = Supervisor()
     services: dict[Name, Service] = {}

@@ -5,7 +5,6 @@ SERVICES is the suite, one row a service. To add one: write its coroutine in a f
 
 import asyncio
 import contextlib
-import json
 import logging
 import os
 import socket
@@ -14,18 +13,23 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from delfim import config
+import msgspec
+
+from delfim import __version__, config
 from delfim.canproxy import dsor
 from delfim.canproxy.canip import CanIp, open_tun
+from delfim.canproxy.cantcpd import Cantcpd
 from delfim.canproxy.nmea2000 import Nmea2000Source
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, bus_state, open_can
 from delfim.canproxy.timed import SecondTimer, Timekeeper, TimeService
 from delfim.clock import Clock, SystemClock
 from delfim.errors import DelfimError, PermanentFailure
 from delfim.logging.canzlogd import BlackBox
-from delfim.logging.liblog import open_log
+from delfim.logging.liblog import event_line, open_log
+from delfim.logging.logd import LogMessages
 from delfim.logging.statelog import Schema, StateWriter
 from delfim.messages import (
+    LOG_ID,
     PROPELLER_COMMAND,
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
@@ -38,11 +42,12 @@ from delfim.services.runtime import Runtime, Service
 from delfim.services.supervisor import Program, Supervisor
 from delfim.vehicle import record
 from delfim.vehicle.command import CommandServer
+from delfim.vehicle.console import Alive, Commands, Report, Watch
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
 from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.state import State
+from delfim.vehicle.state import Mode, State
 
 WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
@@ -73,18 +78,42 @@ class StateLog:
         )
         self._writer = StateWriter(self._log, schema)
         self.status, self.poll = self._log.status, self._log.poll
+        self._noted = False
+        self.event("start", version=__version__, settings=msgspec.to_builtins(settings))
 
     def write(self, state: State, now_s: float) -> None:
         self._writer.put(record.values(state, now_s))
 
+    def event(self, event: str, **what: object) -> None:
+        """Into the sidecar: what happened that is no record."""
+        self._log.note(event_line(self._clock, event, **what))
+
+    def command(self, command: Commands, refused: str | None, state: State) -> None:
+        """A word of the console and what became of it. Those that only ask or only say that somebody is there are not kept."""
+        if not isinstance(command, Alive | Report | Watch):
+            self.event("command", at_s=state.console_s, value=msgspec.to_builtins(command), refused=refused or "")
+
     def note(self, text: str) -> None:
-        self._log.note(json.dumps({"t_ns": self._clock.time_ns(), "event": text}).encode() + b"\n")
+        """An event of the loop, in words; "hold: fence ahead" is a change of mode with its reason."""
+        self._noted = True
+        mode, _, reason = text.partition(": ")
+        if mode.upper() in Mode.__members__:
+            self.event("mode", value=mode, reason=reason)
+        else:
+            self.event("note", value=text)
+
+    def watch(self, state: State) -> None:
+        """Called after each look of the watchdog: when it was, where something was noted since the one before."""
+        if self._noted:
+            self._noted = False
+            self.event("watchdog", at_s=state.watchdog_s)
 
     def reason(self) -> str:
         status = self._log.status()
         return self._writer.reason if status.writable else status.reason
 
     def close(self) -> None:
+        self.event("end")
         self._log.close()
 
 
@@ -124,7 +153,12 @@ async def _attend(
         figures = {name: report() for name, report in runtime.board.items()}
         return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
-    commands = CommandServer(boat.on_command, lambda: boat.snapshot(more()), settings.console.clients)
+    def obeyed(command: Commands) -> str | None:
+        refused = boat.on_command(command)
+        log.command(command, refused, boat.state)
+        return refused
+
+    commands = CommandServer(obeyed, lambda: boat.snapshot(more()), settings.console.clients)
     links.callback(commands.close)
     links.callback((await loop.create_unix_server(commands.connection, _socket_path(settings.console.socket))).close)
     os.chmod(settings.console.socket, 0o660)
@@ -137,6 +171,7 @@ async def _attend(
         await asyncio.sleep(WATCHDOG_S)
         ticks += 1
         boat.on_watchdog()
+        log.watch(boat.state)
         if ticks % PUBLISH_EVERY == 0:
             commands.publish()
         if ticks % MAINTAIN_EVERY == 0:
@@ -176,11 +211,8 @@ async def _guest_server(boat: Vehicle, listen: str) -> asyncio.Server:
 async def canzlogd(runtime: Runtime) -> None:
     """The black box: every frame of every bus."""
     settings = runtime.config
-    interfaces = {settings.can.interface}
-    if "nmea2000" in settings.navigation.sources:
-        interfaces.add(settings.nmea2000.interface)
     with contextlib.ExitStack() as links:
-        sockets = [links.enter_context(open_can(name, error_frames=True)) for name in sorted(interfaces)]
+        sockets = [links.enter_context(open_can(name, error_frames=True)) for name in _interfaces(settings)]
         box = BlackBox(sockets, settings.log, runtime.clock, bus_state)
         links.callback(box.close)
         for each in sockets:
@@ -191,6 +223,44 @@ async def canzlogd(runtime: Runtime) -> None:
         while True:
             await asyncio.sleep(1.0)
             box.poll()
+
+
+async def logd(runtime: Runtime) -> None:
+    """What the nodes of the bus say in words."""
+    settings = runtime.config
+    names = {node: Node(node).name.lower() if node in list(Node) else f"node-{node}" for node in settings.logd.nodes}
+    with contextlib.ExitStack() as links:
+        filters = [CanAddress(*dsor.message_filter(source=node)) for node in names]
+        can = _opened(links, settings, settings.can.interface, *filters)
+        receiver = dsor.Receiver(Node.VEHICLE, lambda message: message.id == LOG_ID and message.port is None)
+        log = LogMessages(can, receiver, names, settings.log, runtime.clock)
+        links.callback(log.close)
+        runtime.reader(can.fileno(), log.on_readable)
+        links.callback(runtime.remove_reader, can.fileno())
+        runtime.board["logd"] = log.report
+        links.callback(runtime.board.pop, "logd")
+        while True:
+            await asyncio.sleep(1.0)
+            log.poll()
+
+
+async def cantcpd(runtime: Runtime) -> None:
+    """CAN over TCP: whoever may watches the buses, and sends."""
+    settings, loop = runtime.config, asyncio.get_running_loop()
+    interfaces = settings.cantcpd.buses or _interfaces(settings)
+    with contextlib.ExitStack() as links:
+        server = Cantcpd(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes)
+        links.callback(server.close)
+        for address in settings.cantcpd.listen:
+            host, _, number = address.rpartition(":")
+            listening = await loop.create_server(server.connection, host.strip("[]"), int(number))
+            links.callback(listening.close)
+        port = listening.sockets[0].getsockname()[1]
+        runtime.board["cantcpd"] = server.report
+        links.callback(runtime.board.pop, "cantcpd")
+        while True:
+            server.poll(port)
+            await asyncio.sleep(1.0)
 
 
 async def canip(runtime: Runtime) -> None:
@@ -235,6 +305,8 @@ async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str,
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
     Service("canzlogd", canzlogd),
+    Service("logd", logd),
+    Service("cantcpd", cantcpd),
     Service("timed", timed),
     Service("canip", canip),
     Service("vehicle", vehicle),
@@ -250,6 +322,7 @@ def services(settings: config.Vehicle) -> list[Service]:
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
     off = {"canip"} if not settings.canip.enabled else set()
     off |= {"timed"} if settings.timed.mode == "off" else set()
+    off |= set() if settings.logd.nodes else {"logd"}
     return [row._replace(place=asked[row.name].place) for row in SERVICES if asked[row.name].enabled and row.name not in off]
 
 
@@ -314,6 +387,14 @@ def _socket_path(name: str) -> str:
             raise DelfimError(f"another vehicle answers on {name}")
     path.unlink(missing_ok=True)
     return name
+
+
+def _interfaces(settings: config.Vehicle) -> list[str]:
+    """All buses of the boat."""
+    interfaces = {settings.can.interface}
+    if "nmea2000" in settings.navigation.sources:
+        interfaces.add(settings.nmea2000.interface)
+    return sorted(interfaces)
 
 
 def _opened(links: contextlib.ExitStack, settings: config.Vehicle, interface: str, *filters: CanAddress) -> CanSocket:

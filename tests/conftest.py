@@ -9,6 +9,7 @@ from tests.guest.harness import Guest, guest, missing
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--cuts", type=int, default=3, help="how often the power fails in tests/guest/test_power_cut.py (3)")
     parser.addoption("--seeds", type=int, default=100, help="runs of mixed faults in lock step (%(default)s)")
 
 

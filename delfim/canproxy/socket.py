@@ -1,4 +1,4 @@
-"""CAN sockets as chapter 5.2 of the thesis proposes them: one class over Linux SocketCAN, canloop or python-can.
+"""CAN sockets as chapter 5.2 of the thesis proposes them: one class over Linux SocketCAN, canloop, python-can or TCP.
 
 `open_can` opens one by the name of its interface; `bind` sets the acceptance filters, `connect` the arbitration field of
 `send`; `receive` is the way in for the critical loop. What a transport cannot do is said in its own file. CAN FD is not spoken.
@@ -195,6 +195,7 @@ def open_can(interface: str, *, receive_buffer_bytes: int = 1 << 20, error_frame
     "can0"                                      a Linux interface, "any" for all of them
     "canloop:NAME"                              a bus without hardware, inside this computer
     "python-can:INTERFACE:CHANNEL[@BITRATE]"    an adapter that python-can knows
+    "socketcand:HOST:PORT:BUS"                  a bus behind cantcpd, or another socketcand server
 
     `receive_buffer_bytes` bounds the queue of received frames (a frame takes about 800 bytes of it), as far as the system lets
     it. `error_frames` lets the frames through by which a controller reports its own state; see `bus_state`.
@@ -209,6 +210,10 @@ def open_can(interface: str, *, receive_buffer_bytes: int = 1 << 20, error_frame
         from delfim.canproxy.adapter import PythonCan
 
         return CanSocket(PythonCan(name, receive_buffer_bytes, error_frames))
+    if kind == "socketcand":
+        from delfim.canproxy.remote import Remote
+
+        return CanSocket(Remote(name, receive_buffer_bytes))
     from delfim.canproxy.socketcan import SocketCan
 
     return CanSocket(SocketCan(interface, receive_buffer_bytes, error_frames))

@@ -1,8 +1,8 @@
 """A model in another program, in any language, over UDP (thesis 3.6.2, figure 3-16).
 
-The other program sends where the boat is and how it moves, whenever it likes; each datagram is answered with what the propellers
-do now. Motors, batteries and all CAN nodes stay ours, so the vehicle is the same as ever. `docs/external-model.md` has the
-protocol and an example that a test runs.
+The other program sends where the boat is and how it moves, whenever it likes; each datagram is answered with what the
+propellers do now. Motors, batteries and all CAN nodes stay ours, so the vehicle is the same as ever.
+`docs/external-model.md` has the protocol and an example that a test runs.
 """
 
 import math

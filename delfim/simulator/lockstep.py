@@ -33,7 +33,7 @@ class Lockstep:
     def __init__(self, settings: config.Vehicle, seed: int, make_log: Callable[[ManualClock], StateLog]) -> None:
         self.settings = settings
         self.clock = ManualClock()
-        bus = self._bus = LockstepBus(self.clock)
+        bus = self.bus = LockstepBus(self.clock)
         self._world = bus.socket("nodes")
         self._world.bind(*COMMANDS)
         self.nodes = nodes_of(settings, seed)
@@ -88,7 +88,7 @@ class Lockstep:
         now_s = clock.monotonic_s()
         nodes = faults if faults.busy else self.nodes
         frames = nodes.step(now_s, clock.time_ns())
-        self._bus.off = "bus_off" in faults.on
+        self.bus.off = "bus_off" in faults.on
         for frame in frames:
             world.sendmsg(frame)
         for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is served again

@@ -116,7 +116,8 @@ class Vehicle:
 
     def on_watchdog(self) -> None:
         """Due ten times a second: what has gone wrong, and what is done about it."""
-        now_s, state = self.clock.monotonic_s(), self.state
+        state = self.state
+        now_s = state.watchdog_s = self.clock.monotonic_s()
         inputs = Inputs(self.log.reason(), self.fence)
         self._troubles, action, reason, notices = failsafe.failsafe(self._rules, self._troubles, state, inputs, now_s)
         if notices or state.notices:

@@ -54,6 +54,10 @@ def _of_batteries(node: Node, name: str) -> Callable[[State, float], object]:
     return value
 
 
+def _known(value: float | None) -> float:
+    return NAN if value is None else value
+
+
 def _stage(name: str) -> Field:
     return Field(name, "q", "ns", f"profile stamp {name}, wall clock since 1970", lambda s, now_s: getattr(s.profile, name))
 
@@ -92,6 +96,12 @@ FIELDS = (
     Field("port_voltage", "f", "V", "batteries", _of_batteries(Node.BATTERIES_PORT, "voltage_v")),
     Field("starboard_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_STARBOARD, "charge")),
     Field("port_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_PORT, "charge")),
+    # With the black box and the commands in the sidecar, all that it takes to repeat the cycle bit by bit.
+    Field("console_s", "d", "s", "time since boot of the console's last word", lambda s, now_s: s.console_s),
+    Field("guest_s", "d", "s", "time since boot of the guest's last reference", lambda s, now_s: s.guest_s),
+    Field("guest_heading", "d", "rad", "last asked for by the guest", lambda s, now_s: _known(s.setpoint.guest_heading_rad)),
+    Field("guest_speed", "d", "m/s", "last asked for by the guest", lambda s, now_s: s.setpoint.guest_speed_mps),
+    Field("watchdog_s", "d", "s", "time since boot when the watchdog looked last", lambda s, now_s: s.watchdog_s),
 )
 
 

@@ -154,6 +154,7 @@ class State:
     console_s: float = -1e9  # monotonic time of the last word of the console
     manual_s: float = -1e9
     guest_s: float = -1e9
+    watchdog_s: float = -1e9  # when the watchdog looked last
     guest_connected: bool = False
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
     last_shutdown: str = ""  # what was wrong with the end of the run before, in words; empty: nothing, or not known
