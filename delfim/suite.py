@@ -5,6 +5,7 @@ SERVICES is the suite, one row a service. To add one: write its coroutine in a f
 
 import asyncio
 import contextlib
+import importlib
 import os
 import socket
 import sys
@@ -153,10 +154,20 @@ async def canzlogd(runtime: Runtime) -> None:
             box.poll()
 
 
+async def httpd(runtime: Runtime) -> None:
+    """The page. Its library is loaded only where it runs, and before the loop turns: see `run`."""
+    try:
+        from delfim.services.httpd import serve
+    except ModuleNotFoundError as error:
+        raise PermanentFailure(f"{error.name} is not installed: pip install 'delfim[services]'") from None
+    await serve(runtime)
+
+
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
     Service("canzlogd", canzlogd),
     Service("vehicle", vehicle),
+    Service("httpd", httpd),
 )
 
 
@@ -167,7 +178,8 @@ def services(settings: config.Vehicle) -> list[Service]:
         if name not in known:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
-    return [row._replace(place=asked[row.name].place) for row in SERVICES if asked[row.name].enabled]
+    enabled = [(row, asked[row.name].place) for row in SERVICES if asked[row.name].enabled]
+    return [row if place == "default" else row._replace(place=place) for row, place in enabled]
 
 
 def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: int) -> int:
@@ -177,6 +189,9 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     wanted = [row for row in rows if row.name == service] if service else [row for row in rows if row.place == "runtime"]
     if not wanted:
         raise PermanentFailure(f"{file}: no service {service!r} is enabled")
+    for row in wanted:  # now, for a cooperative service has no time to load a library
+        with contextlib.suppress(ImportError):
+            importlib.import_module(f"delfim.services.{row.name}")
     return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=service is not None).main(wanted)
 
 

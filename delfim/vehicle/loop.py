@@ -122,7 +122,10 @@ class Vehicle:
 
     def snapshot(self, extra: dict[str, object]) -> dict[str, object]:
         """The state for the console, JSON-ready."""
-        return console.snapshot(self.state, self.clock.monotonic_s(), {"latency": self.latency.summary(), **extra})
+        now_s = self.clock.monotonic_s()
+        reason = watchdog.unfit(self.state, self.settings, now_s, self.log.reason())
+        checks = [{"name": "door", "ok": reason is None, "reason": reason or "the boat may leave idle"}]
+        return console.snapshot(self.state, now_s, {"checks": checks, "latency": self.latency.summary(), **extra})
 
     def _take(self, source: Source, fix: Fix) -> bool:
         """A fix into the state; False when it is not used: a better source speaks, or no boat moves that fast."""
