@@ -16,7 +16,7 @@ export PATH := $(PATH):/usr/sbin:/sbin
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test check bench system guest-shell lock clean
+.PHONY: help run test check pictures bench system guest-shell lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -32,6 +32,10 @@ check: $(READY) ## style, types and the direction of imports
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+
+pictures: $(READY) ## draw the documentation's pictures again
+	$(BIN)/delfim sim etc/delfimx.toml --lockstep --output run/pictures
+	cp run/pictures/track.png docs/pictures/
 
 bench: $(READY) ## measure the contracts of the design on this machine
 	$(BIN)/delfim bench $(ARGS)

@@ -67,6 +67,17 @@ def _nodes(asked: argparse.Namespace) -> int:
     return run_nodes(load(asked.file, asked.set), asked.seed)
 
 
+def _guest(asked: argparse.Namespace) -> int:
+    import asyncio
+
+    from delfim.config import load
+    from delfim.simulator.guest import Zigzag, guest
+
+    host, _, port = load(asked.file, asked.set).guest.listen.rpartition(":")
+    asyncio.run(guest(host, int(port), Zigzag(course_deg=asked.course, amplitude_deg=30.0, leg_s=20.0, speed_mps=1.2)))
+    return 0
+
+
 def _sim(asked: argparse.Namespace) -> int:
     from delfim.live import simulate
 
@@ -102,6 +113,8 @@ def _parser() -> argparse.ArgumentParser:
     describe.set_defaults(run=_describe)
     nodes = command("nodes", _nodes, "Play the boat's other CAN nodes (navigation, GPS, propellers, batteries) on its bus.")
     nodes.add_argument("--seed", type=int, default=1, help="of noise and weather")
+    guest = command("guest", _guest, "Play the guest computer: a zigzag, obeyed in mode grex.")
+    guest.add_argument("--course", type=float, default=90.0, help="of the zigzag, degrees (%(default)s)")
     sim = command("sim", _sim, "Sail a mission in simulation: the whole suite, a modelled boat, a live view.")
     sim.add_argument("--mission", metavar="FILE", help="instead of the vehicle file's simulation.mission")
     sim.add_argument(

@@ -68,7 +68,6 @@ def _simulated(settings: config.Vehicle, output: Path) -> list[str]:
         f'log.directory="{place}/log"',
         f'runtime.run_directory="{place}"',
         'supervisor.hardware_watchdog=""',
-        'guest.listen="127.0.0.1:0"',
         f'httpd.listen="{settings.simulation.httpd}"',
     ]
 

@@ -6,6 +6,7 @@ SERVICES is the suite, one row a service. To add one: write its coroutine in a f
 import asyncio
 import contextlib
 import importlib
+import logging
 import os
 import socket
 import sys
@@ -97,6 +98,8 @@ async def vehicle(runtime: Runtime) -> None:
         for source in sources:
             runtime.navigation(source.socket.fileno(), partial(boat.on_navigation, source))
             links.callback(runtime.remove_navigation, source.socket.fileno())
+        runtime.rehearsal(boat.rehearse)
+        links.callback(runtime.rehearsal, None)
         for status in (status_frames, status_messages):
             runtime.reader(status.fileno(), partial(boat.on_sysstat, status))
             links.callback(runtime.remove_reader, status.fileno())
@@ -118,9 +121,9 @@ async def _attend(
     links.callback((await loop.create_unix_server(commands.connection, _socket_path(settings.console.socket))).close)
     os.chmod(settings.console.socket, 0o660)
     if settings.guest.enabled:
-        host, _, port = settings.guest.listen.rpartition(":")
-        links.callback((await loop.create_server(lambda: boat.guest, host, int(port))).close)
         links.callback(boat.guest.close)
+        with contextlib.suppress(OSError):  # a boat without its guest sails; the state says that none is connected
+            links.callback((await _guest_server(boat, settings.guest.listen)).close)
     ticks = 0
     while True:
         await asyncio.sleep(WATCHDOG_S)
@@ -134,6 +137,16 @@ async def _attend(
                 each.rebind()
 
 
+async def _guest_server(boat: Vehicle, listen: str) -> asyncio.Server:
+    """Raises OSError where the address cannot be had; the reason is logged."""
+    host, _, port = listen.rpartition(":")
+    try:
+        return await asyncio.get_running_loop().create_server(lambda: boat.guest, host, int(port))
+    except OSError as error:
+        logging.getLogger(__name__).error("guest: nobody can connect on %s: %s", listen, error.strerror)
+        raise
+
+
 async def canzlogd(runtime: Runtime) -> None:
     """The black box: every frame of every bus."""
     settings = runtime.config
@@ -144,6 +157,8 @@ async def canzlogd(runtime: Runtime) -> None:
         sockets = [links.enter_context(open_can(name, error_frames=True)) for name in sorted(interfaces)]
         box = BlackBox(sockets, settings.log, runtime.clock, bus_state)
         links.callback(box.close)
+        runtime.board["canzlogd"] = box.figures
+        links.callback(runtime.board.pop, "canzlogd")
         for each in sockets:
             each.bind(ANYTHING)
             each.setblocking(False)

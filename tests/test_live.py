@@ -132,3 +132,32 @@ def test_mistakes_are_one_line_on_standard_error(words, reason):
     assert reason in err
     assert err.count("\n") == 1
     assert not out
+
+
+def test_the_black_box_works_in_a_process_of_its_own_and_a_guest_steers(tmp_path):
+    """`place = "process"`, the guest computer over TCP, and the operator's words, all of them real programs."""
+    port = 20_000 + os.getpid() % 20_000
+    settings = ("--set", 'services.canzlogd.place="process"', "--set", f'guest.listen="127.0.0.1:{port}"')
+    process = sim(tmp_path, "--json", "--for", "20", *settings)
+    guest = delfim("guest", VEHICLE, "--set", f'guest.listen="127.0.0.1:{port}"', "--course", "150")
+    modes = []
+    assert process.stdout is not None
+    for line in process.stdout:
+        if not line.startswith("{"):
+            continue
+        state = json.loads(line)
+        if not modes and state["guest_connected"] and state["mode"] == "play":
+            with Link(tmp_path / "out/command") as operator:
+                operator.ask("mode", mode="grex")
+        if state["mode"] == "grex":
+            modes.append(state)
+            if len(modes) > 10:
+                break
+    guest.terminate()
+    guest.communicate(timeout=30)
+    process.send_signal(signal.SIGTERM)
+    process.communicate(timeout=30)
+    assert modes, "grex was entered"
+    assert modes[-1]["reference"]["heading_deg"] == pytest.approx(180.0), "course 150, 30 to starboard"
+    assert set(modes[-1]["services"]) == {"vehicle"}, "the black box is not in this process"
+    assert list((tmp_path / "out").glob("log/*/*/*.log.gz")), "and works"

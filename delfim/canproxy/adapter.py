@@ -97,6 +97,9 @@ class PythonCan:
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN)) from None
             raise BusError(f"{self.name}: {error}") from None
 
+    def rehearse(self, arb: int, data: bytes) -> None:
+        """python-can has no way to send nowhere."""
+
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         for address in addresses:
             if address.ifindex not in (0, self.ifindex):

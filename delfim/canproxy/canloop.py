@@ -13,6 +13,7 @@ sending, at every other socket that accepts it and has room. A full receive queu
 sockets it counts what the BPF program refuses as well.)
 """
 
+import contextlib
 import errno
 import os
 import socket
@@ -29,6 +30,7 @@ from delfim.canproxy.socketcan import SO_TIMESTAMPNS, TIMESPEC, set_receive_buff
 from delfim.errors import BusError, FormatError
 from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, identifier
 
+_DISCARD = 9  # a port where no bus is
 _DATAGRAM = struct.Struct("!IIB8s")
 _ANCILLARY_BYTES = socket.CMSG_SPACE(TIMESPEC.size)
 _COUNTED_MAX = 4096  # arbitration fields whose numbering is remembered
@@ -98,6 +100,7 @@ class CanLoop:
         self._sent: dict[int, int] = {}
         self._seen: dict[int, int] = {}
         self._addresses: tuple[CanAddress, ...] = ()
+        self._joined = False  # a socket that only sends costs the senders nothing
         self._input = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._output = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._recvmsg = self._input.recvmsg
@@ -126,7 +129,6 @@ class CanLoop:
         set_receive_buffer(self._input, receive_buffer_bytes)
         self.filter(())
         self._input.bind(self._group)
-        self._input.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, socket.inet_aton(self._group[0]) + _LOOPBACK)
 
     def fileno(self) -> int:
         return self._input.fileno()
@@ -153,6 +155,13 @@ class CanLoop:
                 self._input.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, program)
             except OSError as error:
                 raise BusError(f"{self.name}: {len(addresses)} acceptance filters refused: {error.strerror}") from None
+        if addresses and not self._joined:
+            try:
+                member = socket.inet_aton(self._group[0]) + _LOOPBACK
+                self._input.setsockopt(socket.IPPROTO_IP, socket.IP_ADD_MEMBERSHIP, member)
+            except OSError as error:
+                raise BusError(f"{self.name}: {error.strerror}; it needs the loopback interface (ip link set lo up)") from None
+            self._joined = True
         self._addresses = addresses
         self._seen.clear()
 
@@ -200,6 +209,11 @@ class CanLoop:
         if len(self._sent) >= _COUNTED_MAX and not count:
             self._sent.clear()
         self._sent[arb] = count + 1 & 0xFFFFFFFF
+
+    def rehearse(self, arb: int, data: bytes) -> None:
+        """A datagram that nobody hears: to the bus's group, at a port where no bus is."""
+        with contextlib.suppress(OSError):
+            self._output.sendto(_DATAGRAM.pack(0, arb, len(data), data), (self._group[0], _DISCARD))
 
     def _missed(self, key: int, expected: int | None, count: int) -> None:
         """Count a gap in the numbering. A numbering never seen, or one that went back, begins anew."""

@@ -46,6 +46,7 @@ class Transport(Protocol):
     def filter(self, addresses: tuple[CanAddress, ...]) -> None: ...
     def receive(self) -> Frame | None: ...
     def send(self, arb: int, data: bytes, ifindex: int) -> None: ...  # BlockingIOError when the transmit queue is full
+    def rehearse(self, arb: int, data: bytes) -> None: ...
     def rebind(self) -> bool: ...
     def close(self) -> None: ...
 
@@ -149,6 +150,10 @@ class CanSocket:
             poll.poll(None if remaining_s == float("inf") else remaining_s * 1000)
             frame = self.receive()
         return frame
+
+    def rehearse(self, data: bytes, address: CanAddress) -> None:
+        """Go the way of `sendto` as far as it goes without a frame on the bus, so that caches are warm when it matters."""
+        self._transport.rehearse(address.arb, data)
 
     def rebind(self) -> bool:
         """Take up a bus that failed, on the same file descriptor and with the same filters. True when it can be used."""

@@ -3,6 +3,7 @@
 An interface that goes down or away is reported once by the kernel, as a BusError here; `rebind` takes it up again.
 """
 
+import contextlib
 import errno
 import fcntl
 import os
@@ -127,6 +128,11 @@ class SocketCan:
             if error.errno in (errno.EAGAIN, errno.ENOBUFS):  # the socket's or the interface's queue (txqueuelen) is full
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN)) from None
             raise self._failure(error) from None
+
+    def rehearse(self, arb: int, data: bytes) -> None:
+        """The kernel looks the interface up and refuses 15 bytes, for a frame has 16."""
+        with contextlib.suppress(OSError):
+            self._socket.send(to_can_frame(arb, data)[:-1])
 
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         indices = {address.ifindex for address in addresses} or {0}

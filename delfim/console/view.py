@@ -60,9 +60,10 @@ class View:
         for x, y in map(dot, self.track):
             cells[y // 4][x // 2] |= _DOTS[y % 4][x % 2]
         rows = [[chr(0x2800 + cell) if cell else " " for cell in row] for row in cells]
-        for number, waypoint in enumerate(self.waypoints, 1):
+        for waypoint in dict.fromkeys(self.waypoints):  # a mission may come back to where it began
             x, y = dot(waypoint)
-            for offset, digit in enumerate(str(number)):
+            label = "/".join(str(number) for number, other in enumerate(self.waypoints, 1) if other == waypoint)
+            for offset, digit in enumerate(label):
                 rows[y // 4][min(x // 2 + offset, WIDTH - 1)] = digit
         if self.track and self.state is not None and self.state["heading_deg"] is not None:
             x, y = dot(self.track[-1])

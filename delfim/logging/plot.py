@@ -100,4 +100,4 @@ def _circle(x: float, y: float, radius: float) -> Any:
 
 
 def _save(figure: "Figure", file: Path) -> None:
-    figure.savefig(file, dpi=120)
+    figure.savefig(file, dpi=120, bbox_inches="tight")

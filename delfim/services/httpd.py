@@ -192,7 +192,7 @@ class Board:
                 vehicle = await self.feed.ask()
             except DelfimError as error:
                 reason = str(error)
-            own = {name: msgspec.convert(each.report(now_s), Service) for name, each in self._runtime.status.items()}
+            own = msgspec.convert(self._runtime.report()["services"], dict[str, Service])
             look = self._look
             self._report = Report(
                 utc_ns=self._clock.time_ns(),
@@ -201,7 +201,7 @@ class Board:
                 services={**(vehicle.services if vehicle else {}), **own},
                 computer=look.computer,
                 computer_age_s=round(now_s - look.at_s, 1) if look.computer else None,
-                server=Server(connections=self._door.inside.total(), requests=self._door.requests, refused=self._door.refused),
+                server=msgspec.convert(self._door.figures(), Server),
             )
             self._report_s = now_s
         return self._report
@@ -214,6 +214,9 @@ class Door:
         self._limits = limits
         self.inside: Counter[str] = Counter()
         self.refused = self.requests = 0
+
+    def figures(self) -> dict[str, object]:
+        return {"connections": self.inside.total(), "requests": self.requests, "refused": self.refused}
 
     def enter(self, address: str) -> bool:
         if self.inside.total() >= self._limits.connections or self.inside[address] >= self._limits.connections_per_address:
@@ -412,7 +415,10 @@ async def serve(runtime: Runtime) -> None:
         host, _, port = settings.httpd.listen.rpartition(":")
         listener = await loop.create_server(lambda: Connection(server, door), host, int(port), backlog=BACKLOG)
         links.callback(listener.close)
-        log.warning("httpd: http://%s:%d/", *listener.sockets[0].getsockname()[:2])
+        address = "http://{}:{}/".format(*listener.sockets[0].getsockname()[:2])
+        runtime.board["httpd"] = lambda: {"address": address, **door.figures()}
+        links.callback(runtime.board.pop, "httpd")
+        log.warning("httpd: %s", address)
         while True:
             with contextlib.suppress(OSError):  # no room for a child now: the page says how old the last look is
                 await look.start()

@@ -7,11 +7,11 @@ only while every better one is silent.
 
 from typing import NamedTuple, Protocol
 
-from delfim.canproxy.dsor import Receiver
+from delfim.canproxy.dsor import Message, Receiver, segments
 from delfim.canproxy.nmea2000 import Nmea2000Source
 from delfim.canproxy.socket import CanSocket
 from delfim.errors import BusError, FormatError
-from delfim.messages import NAVIGATION_ID, Navigation, Node, unpack_navigation
+from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation, unpack_navigation
 from delfim.vehicle.state import State
 
 FRAMES_PER_READ = 64  # bounds one call on a flooded bus; what is left stays readable
@@ -33,6 +33,7 @@ class Source(Protocol):
     heard_s: float
 
     def read(self, now_s: float) -> Fix | None: ...
+    def rehearse(self, last: Navigation) -> None: ...
 
 
 class DsorNavigation:
@@ -46,6 +47,15 @@ class DsorNavigation:
         self._receive = socket.receive
         self._receiver = Receiver(Node.VEHICLE, lambda message: message.id == NAVIGATION_ID)
         self.expire, self.errors = self._receiver.expire, self._receiver.errors
+
+    def rehearse(self, last: Navigation) -> None:
+        """Take the last message apart once more, with a receiver that nobody listens to."""
+        message = Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, pack_navigation(last))
+        receiver = Receiver(Node.VEHICLE, lambda announced: announced.id == NAVIGATION_ID)
+        for frame in segments(message, 0):
+            received = receiver.feed(frame, 0.0)
+        if received is not None:
+            unpack_navigation(received.data)
 
     def read(self, now_s: float) -> Fix | None:
         """The newest complete message that was waiting, None when there is none. Malformed ones are counted."""
@@ -76,6 +86,9 @@ class Nmea2000Navigation:
     def __init__(self, socket: CanSocket, source: Nmea2000Source, state: State) -> None:
         self.socket, self._source, self._state = socket, source, state
         self.heard_s = -1e9
+
+    def rehearse(self, last: Navigation) -> None:
+        """Its frames come one by one all the time; nothing of it is cold."""
 
     def read(self, now_s: float) -> Fix | None:
         """As `DsorNavigation.read`: a fix whenever the chosen position source spoke."""

@@ -21,12 +21,21 @@ from delfim.vehicle.state import Actuation, State
 class Propulsion:
     def __init__(self, socket: CanSocket, limits: config.Propulsion, state: State) -> None:
         self._limits, self._state = limits, state
-        self._sendto = socket.sendto
+        self._sendto, self._rehearse = socket.sendto, socket.rehearse
         self._propellers = CanAddress(PROPELLER_STARBOARD), CanAddress(PROPELLER_PORT)
         self._batteries = CanAddress(BATTERIES_STARBOARD), CanAddress(BATTERIES_PORT)
         self._sent = STOP
         self._sent_s = 0.0
         self._counter = 0
+
+    def rehearse(self, wanted: Actuation) -> None:
+        """All that `send` does, but that nothing is sent and nothing remembered."""
+        would = limited(wanted, self._sent, self._limits, 0.0)
+        batteries = BATTERIES_COMMAND.pack(1, 0)
+        for to, rpm in zip(self._propellers, (would.starboard_rpm, would.port_rpm), strict=True):
+            self._rehearse(PROPELLER_COMMAND.pack(round(rpm), would.run, 0), to)
+        for to in self._batteries:
+            self._rehearse(batteries, to)
 
     def send(self, wanted: Actuation, now_s: float) -> Actuation:
         """Command the propellers; returns what was sent. A frame that the bus does not take is counted, never waited for."""

@@ -48,7 +48,7 @@ def heading_home(operator: Link) -> None:
     """Leave idle as soon as the boat is fit to."""
     for _ in range(100):
         try:
-            operator.ask("heading", heading_deg=45.0, speed_mps=1.2)
+            operator.ask("heading", heading_deg=150.0, speed_mps=1.2)
             return
         except DelfimError as refusal:
             last = str(refusal)

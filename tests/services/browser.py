@@ -61,12 +61,12 @@ class Page:
             while not await self.value(expression):
                 await asyncio.sleep(0.05)
 
-    async def picture(self, file: Path, height: int | None = None) -> None:
-        """The whole page, or its top."""
+    async def picture(self, height: int | None = None) -> bytes:
+        """The whole page, or its top, as PNG."""
         size = (await self.call("Page.getLayoutMetrics"))["cssContentSize"]
         clip = {"x": 0, "y": 0, "width": size["width"], "height": height or size["height"], "scale": 1}
         taken = await self.call("Page.captureScreenshot", format="png", clip=clip, captureBeyondViewport=True)
-        file.write_bytes(base64.b64decode(taken["data"]))
+        return base64.b64decode(taken["data"])
 
 
 @contextlib.asynccontextmanager
@@ -105,6 +105,10 @@ async def browser(folder: Path) -> AsyncIterator[Page]:
 
 async def _port(file: Path) -> int:
     async with asyncio.timeout(START_S):
-        while not file.exists() or not file.read_text():
+        while not (text := _read(file)):
             await asyncio.sleep(0.05)
-    return int(file.read_text().splitlines()[0])
+    return int(text.splitlines()[0])
+
+
+def _read(file: Path) -> str:
+    return file.read_text() if file.exists() else ""

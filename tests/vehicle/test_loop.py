@@ -193,3 +193,16 @@ def test_the_better_source_wins_while_it_speaks(boat):
     assert preferred(first, (first, second), 10.5, 1.0)
     assert not preferred(second, (first, second), 10.5, 1.0)
     assert preferred(second, (first, second), 11.5, 1.0)
+
+
+def test_a_rehearsal_sends_nothing_and_changes_nothing(boat):
+    boat.vehicle.rehearse()
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(90.0, 1.0))
+    boat.pass_time(1.0)
+    boat.heard()
+    twin = boat.vehicle._memory, boat.vehicle.propulsion._sent, boat.state.profile, boat.state.cycles
+    for _ in range(3):
+        boat.vehicle.rehearse()
+    assert boat.heard() == []
+    assert (boat.vehicle._memory, boat.vehicle.propulsion._sent, boat.state.profile, boat.state.cycles) == twin

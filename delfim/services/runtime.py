@@ -1,0 +1,339 @@
+"""The runtime: one process, one loop, navigation first; the vehicle and the services as cooperative tasks of it.
+
+A service is a row of a table (`Service`) and a coroutine function that runs until it is cancelled. Returning is finishing,
+raising is being started again after a pause, raising PermanentFailure is staying down; the reason is kept and shown.
+Services start in the order of the table and are stopped one after the other in reverse order.
+
+How to add a service, and what the figures of `report` mean: docs/runtime.md.
+"""
+
+import asyncio
+import ctypes
+import gc
+import json
+import logging
+import os
+import signal
+from collections.abc import Awaitable, Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+from delfim import config
+from delfim.clock import Clock
+from delfim.errors import DelfimError, PermanentFailure
+from delfim.services.priority import ACCOUNT, Account, NavigationLoop, NavigationWindow
+from delfim.services.supervisor import EXIT_PERMANENT
+
+BEAT_S: Final = 0.1  # the longest time between two beats of a loop that is well
+SETTLE_S: Final = 1.0  # a service is starting for so long; what its callbacks cost counts afterwards
+STOP_S: Final = 1.0  # that a service has to end after its cancellation
+COLLECT_EVERY_S: Final = 0.1  # garbage is looked for so often ...
+COLLECT_QUIET_S: Final = 0.002  # ... and collected when no navigation is due for so long ...
+OVERDUE: Final = 10  # ... or when there is so many times more than the interpreter would have let be
+
+State = Literal["starting", "running", "waiting", "failed", "stopped"]
+
+log = logging.getLogger(__name__)
+
+
+class Service(NamedTuple):
+    """One row of the table of services."""
+
+    name: str
+    start: Callable[["Runtime"], Awaitable[None]]  # runs until cancelled
+    place: Literal["runtime", "process"] = "runtime"
+    budget_s: float | None = None  # of one callback; None: the vehicle's file says it
+
+
+@dataclass(slots=True)
+class ServiceStatus:
+    """What is known of a service. `since_s` is the monotonic time of the last change of state."""
+
+    name: str
+    place: str
+    account: Account
+    pid: int
+    since_s: float
+    state: State = "starting"
+    restarts: int = 0
+    reason: str = ""  # of the last end, in words
+    failure: Exception | None = None  # raised by a callback and not yet acted upon
+
+    def report(self, now_s: float) -> dict[str, object]:
+        """JSON-ready."""
+        return {
+            "place": self.place,
+            "state": self.state,
+            "for_s": round(now_s - self.since_s, 1),
+            "restarts": self.restarts,
+            "reason": self.reason,
+            "pid": self.pid,
+            "busy_s": round(self.account.busy_s, 3),
+            "longest_callback_s": round(self.account.longest_s, 6),
+            "over_budget": self.account.over_budget,
+        }
+
+
+class Runtime:
+    """The loop and its services. One per process.
+
+    beat_fd: pipe to the supervisor, -1 for none; a byte goes into it every BEAT_S while the loop turns, and when its other
+    end is gone the runtime stops in order: a boat without dead-man must not sail.
+    alone: this process carries one service outside the runtime; it has no windows and no real-time settings.
+    """
+
+    def __init__(self, settings: config.Vehicle, clock: Clock, *, beat_fd: int = -1, alone: bool = False) -> None:
+        self.config, self.clock = settings, clock
+        self.status: dict[str, ServiceStatus] = {}
+        self.board: dict[str, Callable[[], dict[str, object]]] = {}  # what a service has to show: figures by its name
+        limits = settings.runtime
+        self.window = NavigationWindow(limits.window_guard_s, 0.0 if alone or not limits.window else limits.window_share_max)
+        self._account = Account("runtime", limits.callback_budget_s)  # the loop's own callbacks
+        self._place = "process" if alone else "runtime"
+        self._beat_fd = beat_fd
+        self._beat_s = min(BEAT_S, settings.supervisor.deadman_s / 4)
+        self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._stop_reason = ""
+        self._stopping = asyncio.Event()
+        self._collections, self._collection_longest_s = 0, 0.0
+        self._collection_s = [0.0, 0.0, 0.0]  # the last one of each generation
+        self._deadman: dict[str, object] = {}
+        if beat_fd >= 0:
+            os.set_inheritable(beat_fd, False)
+            os.set_blocking(beat_fd, False)
+            self._deadman = _last_deadman(Path(limits.run_directory) / "supervisor.json")
+
+    # For services.
+
+    def navigation(self, fd: int, handler: Callable[[], bool]) -> None:
+        """Call `handler` strictly first whenever `fd` is readable. It drains the socket and returns True where that completed
+        a navigation message. Its time is the calling service's, and so is the failure when it raises."""
+        self._loop.add_navigation(fd, handler, self._failed())
+
+    def rehearsal(self, rehearse: Callable[[], None] | None) -> None:
+        """What to do at the opening of each window: the critical path without effect, so that its caches are warm."""
+        self._loop.set_rehearsal(rehearse)
+
+    def remove_navigation(self, fd: int) -> None:
+        self._loop.remove_navigation(fd)
+
+    def reader(self, fd: int, handler: Callable[[], object]) -> None:
+        """Call `handler` in its turn whenever `fd` is readable. Time and failure as in `navigation`."""
+        failed = self._failed()
+
+        def guarded() -> None:
+            try:
+                handler()
+            except Exception as error:  # a defect of the service: it is restarted, the loop goes on
+                self._loop.remove_reader(fd)
+                failed(error)
+
+        self._loop.add_reader(fd, guarded)
+
+    def remove_reader(self, fd: int) -> None:
+        self._loop.remove_reader(fd)
+
+    def report(self) -> dict[str, object]:
+        """JSON-ready: every service, the navigation window, the loop's own callbacks, the dead-man's last event."""
+        now_s = self.clock.monotonic_s()
+        return {
+            "services": {name: status.report(now_s) | self._shown(name) for name, status in self.status.items()},
+            "window": self.window.report(),
+            "loop": {
+                "busy_s": round(self._account.busy_s, 3),
+                "longest_callback_s": round(self._account.longest_s, 6),
+                "collections": self._collections,
+                "longest_collection_s": round(self._collection_longest_s, 6),
+            },
+            "deadman": self._deadman,
+        }
+
+    def _shown(self, name: str) -> dict[str, object]:
+        return {"figures": self.board[name]()} if name in self.board else {}
+
+    def stop(self, reason: str) -> None:
+        """End in order: every service, the last of the table first."""
+        if not self._stop_reason:
+            log.warning("runtime: stopping: %s", reason)
+            self._stop_reason = reason
+            self._stopping.set()
+
+    # The life of the process.
+
+    def main(self, services: Sequence[Service]) -> int:
+        """Run until SIGTERM, SIGINT, the end of the supervisor or of all services. Returns the exit code: EXIT_PERMANENT where
+        a service must not be started again, otherwise 0."""
+        if self._place == "runtime":
+            _privileges(self.config.runtime)
+            gc.collect()
+            gc.freeze()
+            gc.disable()
+        with asyncio.Runner(loop_factory=self._new_loop) as runner:
+            runner.run(self.run(services))
+        failed = any(status.state == "failed" for status in self.status.values())
+        return EXIT_PERMANENT if failed else 0
+
+    async def run(self, services: Sequence[Service]) -> None:
+        """All of `main` that happens in the loop."""
+        budget_s = self.config.runtime.callback_budget_s
+        for row in services:
+            account = Account(row.name, budget_s if row.budget_s is None else row.budget_s)
+            self.status[row.name] = ServiceStatus(row.name, self._place, account, os.getpid(), self.clock.monotonic_s())
+        for number in (signal.SIGTERM, signal.SIGINT):
+            self._loop.add_signal_handler(number, self.stop, number.name)
+        async with asyncio.TaskGroup() as group:
+            for row in services:
+                self._tasks[row.name] = group.create_task(self._serve(row), name=row.name)
+                self._tasks[row.name].add_done_callback(self._ended)
+            if self._beat_fd >= 0:
+                self._loop.call_soon(self._beat)  # after the first step of every service
+            self._tick()
+            await self._stopping.wait()
+            stuck = [row.name for row in reversed(services) if not await self._end(row.name)]
+            if stuck:  # the group would wait for ever
+                log.critical("runtime: %s did not end in %g s and held up the rest", ", ".join(stuck), STOP_S)
+                logging.shutdown()
+                os._exit(1)
+
+    def _new_loop(self) -> NavigationLoop:
+        self._loop = NavigationLoop(self.window, self.clock, self._account)
+        return self._loop
+
+    async def _serve(self, row: Service) -> None:
+        """One service: started, and started again when it fails, until it is stopped."""
+        status, limits = self.status[row.name], self.config.supervisor
+        ACCOUNT.set(status.account)
+        pause_s = limits.backoff_s
+        began_s = self.clock.monotonic_s()
+        while await self._attempt(row, status):
+            if self.clock.monotonic_s() - began_s > limits.backoff_max_s:
+                pause_s = limits.backoff_s
+            log.error("%s: %s; started again in %g s", row.name, status.reason, pause_s)
+            await asyncio.sleep(pause_s)
+            pause_s = min(2 * pause_s, limits.backoff_max_s)
+            status.restarts += 1
+            began_s = self.clock.monotonic_s()
+
+    async def _attempt(self, row: Service, status: ServiceStatus) -> bool:
+        """One run of a service. Returns whether there is to be another one."""
+        status.failure = None
+        self._change(status, "starting", status.reason)
+        settled = self._loop.call_later(SETTLE_S, self._settled, status)
+        try:
+            await row.start(self)
+            self._change(status, "stopped", "finished")
+            return False
+        except asyncio.CancelledError:
+            if status.failure is None or self._stop_reason:
+                raise
+            while self._tasks[row.name].uncancel():
+                pass
+            error = status.failure
+        except Exception as raised:
+            error = raised
+        finally:
+            settled.cancel()
+        if not isinstance(error, DelfimError | OSError):
+            log.error("%s: a defect", row.name, exc_info=error)
+        reason = str(error) if isinstance(error, DelfimError) else f"{type(error).__name__}: {error}"
+        if isinstance(error, PermanentFailure):
+            log.error("%s: %s; not started again", row.name, reason)
+            self._change(status, "failed", reason)
+            return False
+        self._change(status, "waiting", reason)
+        return not self._stop_reason
+
+    def _change(self, status: ServiceStatus, state: State, reason: str) -> None:
+        status.state, status.reason, status.since_s = state, reason, self.clock.monotonic_s()
+
+    def _settled(self, status: ServiceStatus) -> None:
+        self._change(status, "running", status.reason)
+        status.account.reset()
+
+    def _failed(self) -> Callable[[Exception], None]:
+        """What a callback of the calling service does with its exception. Raises LookupError outside a service."""
+        name = ACCOUNT.get().name
+
+        def failed(error: Exception) -> None:
+            self.status[name].failure = error
+            self._tasks[name].cancel()
+
+        return failed
+
+    async def _end(self, name: str) -> bool:
+        """Stop one service. Returns whether it ended."""
+        task, status = self._tasks[name], self.status[name]
+        task.cancel()
+        ended, _ = await asyncio.wait([task], timeout=STOP_S)
+        if ended and status.state not in ("failed", "stopped"):
+            self._change(status, "stopped", self._stop_reason)
+        return bool(ended)
+
+    def _ended(self, _: asyncio.Task[None]) -> None:
+        if all(task.done() for task in self._tasks.values()):
+            self.stop("all services have ended")
+
+    # What the loop itself does.
+
+    def _beat(self) -> None:
+        """Tell the supervisor that the loop turns."""
+        self._loop.call_later(self._beat_s, self._beat)
+        try:
+            os.write(self._beat_fd, b".")
+        except BlockingIOError:
+            pass  # the supervisor is slow, not gone
+        except OSError:
+            self.stop("the supervisor is gone")
+
+    def _tick(self) -> None:
+        """Collect garbage as the interpreter would, but in quiet time; where there is none, when it is long overdue."""
+        self._loop.call_later(COLLECT_EVERY_S, self._tick)
+        counts, thresholds = gc.get_count(), gc.get_threshold()
+        if gc.isenabled() or counts[0] <= thresholds[0]:
+            return
+        generation = 2 if counts[2] > thresholds[2] else 1 if counts[1] > thresholds[1] else 0
+        began_s = self.clock.monotonic_s()
+        quiet_s = self.window.opens_s - began_s
+        if quiet_s > 2 * self._collection_s[generation] + COLLECT_QUIET_S or counts[0] > OVERDUE * thresholds[0]:
+            gc.collect(generation)
+            self._collections += 1
+            self._collection_s[generation] = spent_s = self.clock.monotonic_s() - began_s
+            self._collection_longest_s = max(self._collection_longest_s, spent_s)
+
+
+def _privileges(settings: config.Runtime) -> None:
+    """The real-time settings of the vehicle's file. What is not permitted costs a warning and is done without."""
+    asked: list[tuple[str, bool, Callable[[], object]]] = [
+        (f"nice = {settings.nice}", settings.nice != 0, lambda: os.setpriority(os.PRIO_PROCESS, 0, settings.nice)),
+        (f"cpus = {list(settings.cpus)}", bool(settings.cpus), lambda: os.sched_setaffinity(0, settings.cpus)),
+        ("mlockall", settings.mlockall, _mlockall),
+        (f"fifo_priority = {settings.fifo_priority}", settings.fifo_priority > 0, lambda: _fifo(settings.fifo_priority)),
+    ]
+    for name, wanted, do in asked:
+        if wanted:
+            try:
+                do()
+            except OSError as error:
+                log.warning("runtime.%s: %s; going on without it", name, error.strerror)
+
+
+def _fifo(priority: int) -> None:
+    """Children and threads start with the ordinary scheduler."""
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
+def _mlockall() -> None:
+    current, future = 1, 2  # sys/mman.h
+    if ctypes.CDLL(None, use_errno=True).mlockall(current | future):
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+
+
+def _last_deadman(path: Path) -> dict[str, object]:
+    """The supervisor's last dead-man event; empty where there was none."""
+    try:
+        event: dict[str, object] = json.loads(path.read_text())["deadman"] or {}
+    except (OSError, ValueError, KeyError):
+        return {}
+    return event

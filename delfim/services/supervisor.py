@@ -1,0 +1,317 @@
+"""The supervisor: the parent of all programs, and the dead-man. Standard library only; it fits for PID 1.
+
+It starts the programs, each in a session of its own, and starts again what died. Every program is told `--beat-fd N`, the
+write end of a pipe. The critical one beats on it; when the beat stops, whatever the reason, the supervisor itself stops the
+propellers, kills the program and starts it again. A program whose pipe breaks knows that the supervisor is gone.
+
+What it does not do: dependencies, logs, commands. It never waits for anything but time and its children.
+"""
+
+import json
+import logging
+import os
+import select
+import signal
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from math import inf
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+EXIT_PERMANENT: Final = 100  # of a program: do not start me again
+START_S: Final = 5.0  # a critical program may take so long to its first beat
+STOP_EVERY_S: Final = 0.1  # between two stop frames while nothing beats
+TICK_S: Final = 0.5  # the longest wait: the hardware watchdog is stroked so often
+END_CRITICAL_S: Final = 5.0  # that the critical program has to end in order
+END_S: Final = 2.0  # that another program has
+KILL_S: Final = 1.0  # that the kernel has to end what was killed
+
+log = logging.getLogger(__name__)
+
+
+class Program(NamedTuple):
+    """One program. The critical one has the dead-man; there is at most one."""
+
+    name: str
+    argv: tuple[str, ...]
+    nice: int = 0
+    critical: bool = False
+
+
+@dataclass(slots=True)
+class Child:
+    """A program and what became of it. Times are monotonic unless they say otherwise."""
+
+    program: Program
+    state: Literal["waiting", "running", "stopped", "failed"] = "waiting"
+    pid: int = 0  # 0 while it does not run
+    pipe: int = -1  # read end
+    start_s: float = 0.0  # when it was started, or will be
+    beat_s: float | None = None  # last beat
+    pause_s: float = 0.0  # before its last start
+    restarts: int = 0
+    reason: str = ""  # of its last end, in words
+    verdict: str = ""  # why it was killed by us
+    since: float = 0.0  # wall clock, of the last change of state
+
+
+class Supervisor:
+    """`run_forever` does it all.
+
+    stop: sends frames that stop the propellers; what it raises is logged and does not matter.
+    state_file: JSON for the other programs, replaced at each change.
+    watchdog: device, "" for none; where it does not exist there is none.
+    """
+
+    def __init__(
+        self,
+        programs: Sequence[Program],
+        *,
+        stop: Callable[[], None],
+        deadman_s: float,
+        backoff_s: float,
+        backoff_max_s: float,
+        state_file: Path,
+        watchdog: str = "",
+    ) -> None:
+        self._children = [Child(program) for program in sorted(programs, key=lambda program: not program.critical)]
+        self._critical = next((child for child in self._children if child.program.critical), None)
+        self._stop, self._stop_error = stop, ""
+        self._deadman_s, self._backoff_s, self._backoff_max_s = deadman_s, backoff_s, backoff_max_s
+        self._state_file = state_file
+        self._watchdog = _opened(watchdog)
+        self._deadman: dict[str, object] | None = None  # last event
+        self._stop_due_s: float | None = None  # when to send stop frames again; None: the critical program is in charge
+        self._signal = ""  # that ends us
+        self._wake = -1  # readable when a signal came
+        self._is_ending = False
+
+    def run_forever(self) -> int:
+        """Returns when a signal says so, the critical program ended in order, or nothing is left that could be started.
+        The exit code: EXIT_PERMANENT where a program must not be started again, otherwise 0."""
+        self._catch_signals()
+        try:
+            while not self._done():
+                self._start_due()
+                self._wait()
+                self._watch_beat()
+                self._keep_stopped()
+        finally:
+            self._end()
+        self._stroke(b"V")  # magic close; an end that was not in order leaves it to the hardware to start again
+        failed = any(child.state == "failed" for child in self._children)
+        return EXIT_PERMANENT if failed and not self._signal else 0
+
+    def _catch_signals(self) -> None:
+        wake, woken = os.pipe()
+        os.set_blocking(wake, False)
+        os.set_blocking(woken, False)
+        self._wake = wake
+        signal.set_wakeup_fd(woken, warn_on_full_buffer=False)
+        signal.signal(signal.SIGCHLD, lambda *_: None)
+        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
+            signal.signal(number, self._on_signal)
+
+    def _on_signal(self, number: int, _: object) -> None:
+        self._signal = signal.Signals(number).name
+
+    def _done(self) -> bool:
+        if self._signal or (self._critical and self._critical.state == "stopped"):
+            return True
+        return all(child.state in ("stopped", "failed") for child in self._children)
+
+    # Programs.
+
+    def _start_due(self) -> None:
+        for child in self._children:
+            if child.state == "waiting" and child.start_s <= time.monotonic():
+                self._start(child)
+
+    def _start(self, child: Child) -> None:
+        program = child.program
+        child.start_s, child.beat_s, child.verdict = time.monotonic(), None, ""
+        child.pipe, beat = os.pipe()
+        os.set_inheritable(beat, True)
+        argv = (*program.argv, "--beat-fd", str(beat))
+        try:
+            child.pid = os.posix_spawnp(argv[0], argv, os.environ, setsid=True, setsigmask=(), setsigdef=(signal.SIGPIPE,))
+        except OSError as error:
+            self._died(child, 1, f"cannot be started: {error.strerror}")
+            return
+        finally:
+            os.close(beat)
+        if program.nice:
+            try:
+                os.setpriority(os.PRIO_PROCESS, child.pid, program.nice)
+            except OSError as error:
+                log.warning("%s: nice %d: %s; going on without it", program.name, program.nice, error.strerror)
+        self._change(child, "running")
+
+    def _reap(self) -> None:
+        """Every process that ended, also those that PID 1 inherited."""
+        while True:
+            try:
+                pid, status = os.waitpid(-1, os.WNOHANG)
+            except ChildProcessError:
+                return
+            if pid == 0:
+                return
+            for child in self._children:
+                if child.pid == pid:
+                    code = os.waitstatus_to_exitcode(status)
+                    reason = f"exit code {code}" if code >= 0 else f"killed by signal {-code} ({signal.strsignal(-code)})"
+                    self._died(child, code, reason)
+
+    def _died(self, child: Child, code: int, reason: str) -> None:
+        now_s = time.monotonic()
+        self._hang_up(child)
+        child.pid, child.reason = 0, child.verdict or reason
+        if child.program.critical:
+            self._stop_due_s = now_s
+        if code == 0 or self._is_ending:
+            self._change(child, "stopped")
+        elif code == EXIT_PERMANENT:
+            log.error("%s: %s: not to be started again", child.program.name, child.reason)
+            self._change(child, "failed")
+        else:
+            if child.verdict:
+                child.pause_s = 0.0  # deadman_s paces it
+            elif now_s - child.start_s > self._backoff_max_s:
+                child.pause_s = self._backoff_s
+            else:
+                child.pause_s = min(max(2 * child.pause_s, self._backoff_s), self._backoff_max_s)
+            child.start_s, child.restarts = now_s + child.pause_s, child.restarts + 1
+            log.error("%s: %s; started again in %g s", child.program.name, child.reason, child.pause_s)
+            self._change(child, "waiting")
+
+    def _kill(self, child: Child, verdict: str) -> None:
+        """The whole group. Its log writers live in sessions of their own and finish what they were given."""
+        child.verdict = verdict
+        log.critical("%s: %s", child.program.name, verdict)
+        os.killpg(child.pid, signal.SIGKILL)
+
+    # The dead-man.
+
+    def _deadline_s(self) -> float:
+        """When the critical program has been silent for too long."""
+        child = self._critical
+        if child is None or child.state != "running" or child.verdict:
+            return inf
+        return child.start_s + START_S if child.beat_s is None else child.beat_s + self._deadman_s
+
+    def _watch_beat(self) -> None:
+        now_s, child = time.monotonic(), self._critical
+        if child is None or now_s < self._deadline_s():
+            return
+        silent_s = now_s - (child.start_s if child.beat_s is None else child.beat_s)
+        verdict = f"{'no beat' if child.beat_s is None else 'beat stopped'} for {silent_s:.1f} s: dead-man"
+        self._kill(child, verdict)
+        self._stop_now()
+        self._deadman = {"reason": verdict, "time": time.time()}
+        self._stop_due_s = now_s + STOP_EVERY_S
+
+    def _keep_stopped(self) -> None:
+        """Stop frames again and again, until a critical program beats."""
+        now_s = time.monotonic()
+        if self._stop_due_s is not None and now_s >= self._stop_due_s:
+            self._stop_now()
+            self._stop_due_s = now_s + STOP_EVERY_S
+
+    def _stop_now(self) -> None:
+        try:
+            self._stop()
+            self._stop_error = ""
+        except Exception as error:  # whatever is wrong with the bus, killing and starting again go on
+            if str(error) != self._stop_error:
+                log.error("stop frames: %s", error)
+                self._stop_error = str(error)
+
+    # Time.
+
+    def _wait(self) -> None:
+        """For a beat, a death, a signal, or what is due next."""
+        now_s = time.monotonic()
+        due_s = [child.start_s for child in self._children if child.state == "waiting"]
+        due_s += [now_s + TICK_S, self._deadline_s(), inf if self._stop_due_s is None else self._stop_due_s]
+        pipes = {child.pipe: child for child in self._children if child.pipe >= 0}
+        readable, _, _ = select.select([self._wake, *pipes], [], [], max(0.0, min(due_s) - now_s))
+        for fd in readable:
+            told = os.read(fd, 4096)
+            if fd != self._wake:
+                self._on_beat(pipes[fd]) if told else self._hang_up(pipes[fd])
+        self._reap()
+        self._stroke(b"\0")
+
+    def _on_beat(self, child: Child) -> None:
+        child.beat_s = time.monotonic()
+        if child.program.critical:
+            self._stop_due_s = None
+
+    def _hang_up(self, child: Child) -> None:
+        if child.pipe >= 0:
+            os.close(child.pipe)
+            child.pipe = -1
+
+    def _stroke(self, word: bytes) -> None:
+        if self._watchdog >= 0:
+            try:
+                os.write(self._watchdog, word)
+            except OSError as error:
+                log.error("hardware watchdog: %s; going on without it", error.strerror)
+                self._watchdog = -1
+
+    def _end(self) -> None:
+        """In order and bounded: the critical program first, which stops the propellers itself; then they are stopped again."""
+        self._is_ending = True
+        critical = [child for child in self._children if child.program.critical]
+        for child in critical + [child for child in reversed(self._children) if not child.program.critical]:
+            self._end_child(child, END_CRITICAL_S if child.program.critical else END_S)
+            if child.program.critical:
+                self._stop_due_s = time.monotonic()  # until the others have ended, too
+                self._keep_stopped()
+
+    def _end_child(self, child: Child, patience_s: float) -> None:
+        if child.state == "waiting":
+            self._change(child, "stopped")
+        if child.pid:
+            os.kill(child.pid, signal.SIGTERM)
+        until_s = time.monotonic() + patience_s
+        while child.pid and (now_s := time.monotonic()) < until_s + KILL_S:
+            self._wait()
+            self._watch_beat()
+            self._keep_stopped()
+            if child.pid and now_s > until_s and not child.verdict:
+                self._kill(child, f"did not end in {patience_s:g} s")
+
+    # What others see.
+
+    def _change(self, child: Child, state: Literal["waiting", "running", "stopped", "failed"]) -> None:
+        child.state, child.since = state, time.time()
+        programs = {
+            each.program.name: {
+                "state": each.state,
+                "pid": each.pid,
+                "restarts": each.restarts,
+                "reason": each.reason,
+                "since": each.since,
+            }
+            for each in self._children
+        }
+        new = self._state_file.with_suffix(".new")
+        try:
+            new.write_text(json.dumps({"pid": os.getpid(), "programs": programs, "deadman": self._deadman}))
+            new.replace(self._state_file)
+        except OSError as error:
+            log.error("%s: %s", self._state_file, error.strerror)
+
+
+def _opened(watchdog: str) -> int:
+    """A descriptor of the device, -1 where there is none."""
+    if not watchdog or not os.path.exists(watchdog):
+        return -1
+    try:
+        return os.open(watchdog, os.O_WRONLY)
+    except OSError as error:
+        log.error("%s: %s; going on without it", watchdog, error.strerror)
+        return -1

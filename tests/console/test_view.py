@@ -1,0 +1,77 @@
+"""The live view: what a person sees of a state, as text."""
+
+import io
+import json
+
+import pytest
+from rich.console import Console
+
+from delfim.console.view import HEIGHT, WIDTH, View, warnings
+from delfim.messages import Fault, Status
+from delfim.vehicle import console
+
+SQUARE = [(38.0, -9.0), (38.001, -9.0), (38.001, -8.999), (38.0, -9.0)]
+
+
+@pytest.fixture
+def state(boat):
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(90.0, 1.0))
+    boat.pass_time(1.0)
+    more = {"boat": "test", "log": {"reason": ""}, "services": {}}
+    return json.loads(console.answer(None, boat.vehicle.snapshot(more)))["state"]
+
+
+def shown(view: View) -> str:
+    screen = Console(file=io.StringIO(), width=130, height=40)
+    screen.print(view.render())
+    return screen.file.getvalue()
+
+
+def test_everything_that_matters_is_on_the_screen(state):
+    view = View(SQUARE)
+    view.feed(state)
+    text = shown(view)
+    for words in ("test  heading", "38.692500", "wanted 90.0", "p50  p99  worst", "propeller_port", "none", "within 100"):
+        assert words in text
+
+
+def test_before_the_first_state_it_waits():
+    assert "waiting for the vehicle" in shown(View(SQUARE))
+
+
+def test_the_chart_keeps_its_size_and_draws_track_waypoints_and_boat(state):
+    view = View(SQUARE)
+    for step in range(50):
+        view.feed({**state, "latitude_deg": 38.0 + step * 2e-5, "longitude_deg": -9.0})
+    rows = view.chart()
+    assert len(rows) == HEIGHT
+    assert {len(row) for row in rows} == {WIDTH}
+    text = "".join(rows)
+    assert "1/4" in text, "two waypoints at one place share a label"
+    assert any(0x2800 < ord(c) < 0x2900 for c in text)
+    assert any(arrow in text for arrow in "↑↗→↘↓↙←↖")
+
+
+def test_a_boat_that_never_had_a_position_can_be_shown(boat):
+    view = View([])
+    view.feed(json.loads(console.answer(None, boat.vehicle.snapshot({})))["state"])
+    assert "never heard" in shown(view)
+
+
+def test_warnings_say_what_is_wrong(boat, state):
+    boat.report(Status.BAD, Fault.OVERHEATED)
+    boat.vehicle.on_watchdog()
+    bad = json.loads(console.answer(None, boat.vehicle.snapshot({})))["state"]
+    bad["services"] = {"canzlogd": {"state": "waiting", "reason": "no bus"}}
+    bad["log"] = {"reason": "disk full"}
+    bad["counts"] = {"navigation_jumps": 3}
+    words = {name: text.plain for name, text in warnings(bad)}
+    assert words == {
+        "idle": "propeller starboard bad: overheated",
+        "propeller_starboard": "bad overheated",
+        "canzlogd": "waiting: no bus",
+        "log": "disk full",
+        "navigation jumps": "3",
+    }
+    assert not warnings(state)

@@ -1,0 +1,432 @@
+"""Strict priority, on the real loop with real sockets: what runs between a readable navigation frame and its handler."""
+
+import asyncio
+import random
+import socket
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from math import inf
+
+import pytest
+
+from delfim.clock import Clock, SystemClock
+from delfim.services.priority import ACCOUNT, Account, NavigationLoop, NavigationWindow
+
+
+class Navigation:
+    """A navigation socket, and for each frame how many callbacks began between its sending and its handling."""
+
+    def __init__(self) -> None:
+        self.receiver, self._sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        self.receiver.setblocking(False)
+        self.began = 0  # callbacks of the loop
+        self.others: list[int] = []
+        self._sent_at: int | None = None
+
+    def send(self) -> None:
+        """Now readable, unless a frame already is."""
+        if self._sent_at is None:
+            self._sent_at = self.began
+            self._sender.send(b"frame")
+
+    def handle(self) -> bool:
+        assert self.receiver.recv(16) == b"frame"
+        assert self._sent_at is not None
+        self.others.append(self.began - self._sent_at)
+        self._sent_at = None
+        return True
+
+    def close(self) -> None:
+        self.receiver.close()
+        self._sender.close()
+
+
+@pytest.fixture
+def navigation(monkeypatch: pytest.MonkeyPatch) -> Iterator[Navigation]:
+    """Counts every callback that the loop runs, of whatever kind."""
+    navigation, run = Navigation(), asyncio.Handle._run
+
+    def counted(handle: asyncio.Handle) -> None:
+        navigation.began += 1
+        run(handle)
+
+    monkeypatch.setattr(asyncio.Handle, "_run", counted)
+    yield navigation
+    navigation.close()
+
+
+@pytest.fixture
+def window() -> NavigationWindow:
+    return NavigationWindow(0.0006, 0.0)
+
+
+def loop_with(window: NavigationWindow, clock: Clock | None = None) -> asyncio.Runner:
+    return asyncio.Runner(loop_factory=lambda: NavigationLoop(window, clock or SystemClock(), Account("loop", 1.0)))
+
+
+def first(handler: Callable[[], bool], fd: int) -> list[Exception]:
+    """Register a navigation handler with the running loop; what it raises ends in the list."""
+    loop, failures = asyncio.get_running_loop(), list[Exception]()
+    assert isinstance(loop, NavigationLoop)
+    loop.add_navigation(fd, handler, failures.append)
+    return failures
+
+
+class Echo(asyncio.Protocol):
+    """Sends back what comes; two of them never stop."""
+
+    def __init__(self, ran: Callable[[str], None]) -> None:
+        self._ran = ran
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        assert isinstance(transport, asyncio.Transport)
+        self._transport = transport
+
+    def data_received(self, data: bytes) -> None:
+        self._ran("protocol")
+        self._transport.write(data)
+
+
+async def flood(ran: Callable[[str], None], enough: Callable[[], bool]) -> None:
+    """Work of every kind that asyncio knows, always more of it than gets done, until it is enough."""
+    loop = asyncio.get_running_loop()
+
+    async def task() -> None:
+        while not enough():
+            ran("task")
+            await asyncio.sleep(0)
+
+    def soon() -> None:
+        ran("soon")
+        if not enough():
+            loop.call_soon(soon)
+
+    def timer() -> None:
+        ran("timer")
+        if not enough():
+            loop.call_later(0.0001, timer)
+
+    async def worker() -> None:
+        while not enough():
+            await loop.run_in_executor(None, abs, -1)
+            ran("worker")
+
+    transports = []
+    for _ in range(3):
+        loop.call_soon(soon)
+        timer()
+        for end in socket.socketpair():
+            transport, _ = await loop.create_connection(lambda: Echo(ran), sock=end)
+            transports.append(transport)
+        transport.write(b"ping")
+    await asyncio.gather(*(task() for _ in range(20)), worker(), worker())
+    for transport in transports:
+        transport.close()
+
+
+def test_nothing_runs_between_a_frame_and_its_handler(navigation: Navigation, window: NavigationWindow) -> None:
+    """Frames come while callbacks of every kind run; the one under way is the only one."""
+    kinds, chance = Counter[str](), random.Random(1)
+
+    def ran(kind: str) -> None:
+        kinds[kind] += 1
+        if chance.random() < 0.1:
+            navigation.send()
+
+    async def main() -> None:
+        first(navigation.handle, navigation.receiver.fileno())
+        await asyncio.wait_for(flood(ran, lambda: len(navigation.others) >= 1000), 20)
+
+    with loop_with(window) as runner:
+        runner.run(main())
+    assert set(kinds) == {"task", "soon", "timer", "protocol", "worker"}
+    assert max(navigation.others) == 0
+
+
+class Interrupting(SystemClock):
+    """The loop reads the clock at every step that it makes between two callbacks, so that is when frames come, too."""
+
+    def __init__(self, navigation: Navigation) -> None:
+        self._navigation, self._chance = navigation, random.Random(1)
+
+    def monotonic_s(self) -> float:
+        if self._chance.random() < 0.1:
+            self._navigation.send()
+        return time.monotonic()
+
+
+def test_one_callback_at_most_when_a_frame_comes_at_any_step_of_the_loop(
+    navigation: Navigation, window: NavigationWindow
+) -> None:
+    async def main() -> None:
+        first(navigation.handle, navigation.receiver.fileno())
+        await asyncio.wait_for(flood(lambda kind: None, lambda: len(navigation.others) >= 1000), 20)
+
+    with loop_with(window, Interrupting(navigation)) as runner:
+        runner.run(main())
+    assert max(navigation.others) == 1
+
+
+class Scripted(SystemClock):
+    """Time passes by being read; every 10 ms of it a frame comes."""
+
+    def __init__(self, navigation: Navigation) -> None:
+        self._navigation, self.now_s, self._due_s = navigation, 100.0, 100.0
+
+    def monotonic_s(self) -> float:
+        self.now_s += 2e-5
+        if self.now_s >= self._due_s:
+            self._navigation.send()
+            self._due_s += 0.01
+        return self.now_s
+
+
+def test_no_callback_runs_when_the_frame_comes_inside_its_window(navigation: Navigation) -> None:
+    window, running_at_opening = NavigationWindow(0.0006, 0.2), []
+    open_window = window.open
+
+    def opened(now_s: float) -> float:
+        running_at_opening.append(navigation.began)
+        return open_window(now_s)
+
+    window.open = opened  # type: ignore[method-assign]
+    running_at_arrival: list[int] = []
+
+    def handle() -> bool:
+        running_at_arrival.append(navigation.began)
+        return navigation.handle()
+
+    async def main() -> None:
+        first(handle, navigation.receiver.fileno())
+        await asyncio.wait_for(flood(lambda kind: None, lambda: len(navigation.others) >= 100), 20)
+
+    with loop_with(window, Scripted(navigation)) as runner:
+        runner.run(main())
+    assert window.hits >= 94
+    assert window.misses == window.late == 0
+    assert running_at_arrival[5:99] == running_at_opening[:94]
+
+
+def test_the_loop_wakes_for_a_window_and_holds_it_for_its_bound(window: NavigationWindow) -> None:
+    """Nothing else to do and nothing comes: the window is opened in time, and closed."""
+    window = NavigationWindow(0.002, 0.5)
+    receiver, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+
+    async def main() -> None:
+        first(lambda: True, receiver.fileno())
+        now_s = time.monotonic()
+        for i in range(-10, 0):
+            window.arrived(receiver.fileno(), now_s + 0.02 * i + 0.01)
+        await asyncio.sleep(0.2)
+
+    with receiver, sender, loop_with(window) as runner:
+        runner.run(main())
+    assert window.hits == 0
+    assert window.misses + window.late == 3
+    assert 0.002 * window.misses < window.spent_s <= 0.02  # opened before the message was due
+    assert window.opens_s == inf
+
+
+@pytest.mark.parametrize("raises", [False, True])
+def test_the_path_is_rehearsed_when_a_window_opens_and_never_again_once_that_raised(
+    navigation: Navigation, raises: bool
+) -> None:
+    window, rehearsals = NavigationWindow(0.0006, 0.2), list[bool]()
+
+    def rehearse() -> None:
+        rehearsals.append(window.is_open)
+        if raises:
+            raise ValueError("defect")
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, NavigationLoop)
+        loop.set_rehearsal(rehearse)
+        first(navigation.handle, navigation.receiver.fileno())
+        await asyncio.wait_for(flood(lambda kind: None, lambda: len(navigation.others) >= 50), 20)
+
+    with loop_with(window, Scripted(navigation)) as runner:
+        runner.run(main())
+    assert set(rehearsals) == {True}
+    assert len(rehearsals) == (1 if raises else window.hits)
+
+
+def test_nobody_starves_while_navigation_is_always_readable(navigation: Navigation, window: NavigationWindow) -> None:
+    """Every frame that is handled brings the next one: others still get a turn each, in turn."""
+    turns = Counter[str]()
+    ends = [socket.socketpair() for _ in range(3)]
+
+    def handle() -> bool:
+        navigation.handle()
+        navigation.send()
+        return True
+
+    async def main() -> list[int]:
+        loop = asyncio.get_running_loop()
+        first(handle, navigation.receiver.fileno())
+        navigation.send()
+
+        def turn(name: str) -> None:
+            turns[name] += 1
+
+        def chain(name: str) -> None:
+            turn(name)
+            loop.call_soon(chain, name)
+
+        for i, (near, far) in enumerate(ends):
+            far.send(b"always readable")
+            loop.add_reader(near, turn, f"reader {i}")
+            chain(f"chain {i}")
+        while min(turns.values()) < 500 or len(turns) < 6:
+            await asyncio.sleep(0)
+        for near, _ in ends:
+            loop.remove_reader(near)
+        return list(turns.values())
+
+    with loop_with(window) as runner:
+        counts = runner.run(asyncio.wait_for(main(), 20))
+    for near, far in ends:
+        near.close()
+        far.close()
+    assert max(counts) <= min(counts) + 2
+    assert len(navigation.others) >= sum(counts)
+
+
+def test_two_sources_are_both_first(window: NavigationWindow) -> None:
+    pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM) for _ in range(2)]
+    order: list[str] = []
+
+    def handler(end: socket.socket, name: str) -> Callable[[], bool]:
+        def handle() -> bool:
+            end.recv(16)
+            order.append(name)
+            return True
+
+        return handle
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        for i, (near, _) in enumerate(pairs):
+            first(handler(near, f"navigation {i}"), near.fileno())
+        loop.call_soon(order.append, "other")
+        loop.call_soon(order.append, "other")
+        for _, far in pairs:
+            far.send(b"frame")
+        await asyncio.sleep(0.01)
+
+    with loop_with(window) as runner:
+        runner.run(main())
+    for near, far in pairs:
+        near.close()
+        far.close()
+    assert sorted(order[:2]) == ["navigation 0", "navigation 1"]
+    assert order[2:] == ["other", "other"]
+
+
+def test_a_handler_that_raises_is_removed_and_told(window: NavigationWindow) -> None:
+    receiver, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+
+    def handle() -> bool:
+        raise ValueError("defect")
+
+    async def main() -> list[Exception]:
+        failures = first(handle, receiver.fileno())
+        sender.send(b"frame")
+        await asyncio.sleep(0.02)
+        return failures
+
+    with receiver, sender, loop_with(window) as runner:
+        failures = runner.run(main())
+    assert [str(failure) for failure in failures] == ["defect"]
+
+
+def test_a_handler_may_remove_the_other_one(window: NavigationWindow) -> None:
+    pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM) for _ in range(2)]
+    called: list[int] = []
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, NavigationLoop)
+
+        def handler(this: int) -> Callable[[], bool]:
+            def handle() -> bool:
+                called.append(this)
+                for near, _ in pairs:
+                    loop.remove_navigation(near.fileno())
+                return False
+
+            return handle
+
+        for i, (near, far) in enumerate(pairs):
+            first(handler(i), near.fileno())
+            far.send(b"frame")
+        await asyncio.sleep(0.01)
+
+    with loop_with(window) as runner:
+        runner.run(main())
+    for near, far in pairs:
+        near.close()
+        far.close()
+    assert len(called) == 1
+
+
+def test_removing_a_socket_that_is_closed_already_is_in_order(window: NavigationWindow) -> None:
+    receiver, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        assert isinstance(loop, NavigationLoop)
+        fd = receiver.fileno()
+        first(lambda: False, fd)
+        receiver.close()
+        loop.remove_navigation(fd)
+        loop.remove_navigation(fd)
+
+    with sender, loop_with(window) as runner:
+        runner.run(main())
+
+
+def test_the_time_of_a_callback_is_charged_to_who_registered_it(window: NavigationWindow) -> None:
+    """Readers, timers, tasks and navigation handlers, each on the account of the context they come from."""
+    accounts = {name: Account(name, 0.002) for name in ("reader", "timer", "task", "navigation", "idle")}
+    pairs = {name: socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM) for name in ("reader", "navigation")}
+
+    def spin(seconds: float) -> None:
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s:
+            pass
+
+    async def task() -> None:
+        ACCOUNT.set(accounts["task"])
+        await asyncio.sleep(0)
+        spin(0.004)
+
+    def read(name: str, seconds: float) -> bool:
+        pairs[name][0].recv(16)
+        spin(seconds)
+        return True
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        ACCOUNT.set(accounts["reader"])
+        loop.add_reader(pairs["reader"][0], read, "reader", 0.003)
+        ACCOUNT.set(accounts["timer"])
+        loop.call_later(0.001, spin, 0.001)
+        ACCOUNT.set(accounts["navigation"])
+        first(lambda: ACCOUNT.get() is accounts["navigation"] and read("navigation", 0.005), pairs["navigation"][0].fileno())
+        ACCOUNT.set(accounts["idle"])
+        for _, far in pairs.values():
+            far.send(b"frame")
+        await asyncio.gather(task(), asyncio.sleep(0.1))
+        loop.remove_reader(pairs["reader"][0])
+
+    with loop_with(window) as runner:
+        runner.run(main())
+    for pair in pairs.values():
+        for end in pair:
+            end.close()
+    for name, least_s, over in (("reader", 0.003, 1), ("timer", 0.001, 0), ("task", 0.004, 1), ("navigation", 0.005, 1)):
+        assert least_s <= accounts[name].longest_s < 0.05, name
+        assert accounts[name].over_budget >= over, name
+    assert accounts["idle"].busy_s < 0.01  # waiting costs nothing

@@ -1,0 +1,360 @@
+"""The runtime with real services, signals and pipes. What changes a whole process runs in one of its own."""
+
+import asyncio
+import gc
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Awaitable, Callable
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from delfim import config
+from delfim.clock import SystemClock
+from delfim.errors import BusError, PermanentFailure
+from delfim.services import runtime as module
+from delfim.services.runtime import Runtime, Service
+from delfim.services.supervisor import EXIT_PERMANENT
+
+SETTINGS = config.Vehicle(
+    boat=config.Boat(name="Test"), supervisor=config.Supervisor(deadman_s=0.4, backoff_s=0.01, backoff_max_s=0.04)
+)
+pytestmark = pytest.mark.timeout(20)
+Start = Callable[[Runtime], Awaitable[None]]
+
+
+def ran(*services: Service, beat_fd: int = -1) -> tuple[Runtime, int]:
+    """The runtime after it ended, and its exit code."""
+    runtime = Runtime(SETTINGS, SystemClock(), beat_fd=beat_fd, alone=True)
+    return runtime, runtime.main(services)
+
+
+def in_a_process(program: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """A program that may spoil its process, with the names of this file."""
+    preamble = f"import sys; sys.path.insert(0, {str(Path(__file__).parent)!r}); from test_runtime import *\n"
+    command = [sys.executable, "-c", preamble + program, *arguments]
+    return subprocess.run(command, capture_output=True, text=True, timeout=20, check=False)
+
+
+async def forever(runtime: Runtime) -> None:
+    await asyncio.Event().wait()
+
+
+async def stopper(runtime: Runtime) -> None:
+    """A service that ends the test once the others have had their time."""
+    await asyncio.sleep(0.1)
+    runtime.stop("test over")
+
+
+def test_it_ends_when_all_services_have() -> None:
+    async def brief(runtime: Runtime) -> None:
+        await asyncio.sleep(0)
+
+    runtime, code = ran(Service("one", brief), Service("two", brief))
+    assert code == 0
+    assert {(name, status.state, status.reason) for name, status in runtime.status.items()} == {
+        ("one", "stopped", "finished"),
+        ("two", "stopped", "finished"),
+    }
+
+
+def test_a_service_that_raises_is_started_again_after_growing_pauses() -> None:
+    starts_s: list[float] = []
+
+    async def failing(runtime: Runtime) -> None:
+        starts_s.append(time.monotonic())
+        if len(starts_s) == 5:
+            return
+        raise BusError("bus-off")
+
+    runtime, _ = ran(Service("failing", failing))
+    pauses_s = [later - sooner for sooner, later in pairwise(starts_s)]
+    assert all(pause_s >= least_s for pause_s, least_s in zip(pauses_s, (0.01, 0.02, 0.04, 0.04), strict=True))
+    assert sum(pauses_s) < 1.0
+    assert runtime.status["failing"].restarts == 4
+
+
+def test_the_reason_of_a_failure_is_kept_in_words(caplog: pytest.LogCaptureFixture) -> None:
+    async def failing(runtime: Runtime) -> None:
+        raise BusError("can0: bus-off")
+
+    async def defective(runtime: Runtime) -> None:
+        raise KeyError("heading")
+
+    reasons: list[str] = []
+
+    async def looking(runtime: Runtime) -> None:
+        await asyncio.sleep(0.05)
+        reasons.extend(status.reason for status in runtime.status.values())
+        runtime.stop("test over")
+
+    ran(Service("failing", failing), Service("defective", defective), Service("looking", looking))
+    assert reasons == ["can0: bus-off", "KeyError: 'heading'", ""]
+    with_traceback = {record.message for record in caplog.records if record.exc_info}
+    assert with_traceback == {"defective: a defect"}
+
+
+def test_a_permanent_failure_is_final_and_others_go_on() -> None:
+    starts: list[str] = []
+
+    async def hopeless(runtime: Runtime) -> None:
+        starts.append("hopeless")
+        raise PermanentFailure("no such device")
+
+    async def well(runtime: Runtime) -> None:
+        await asyncio.sleep(0.05)
+
+    runtime, code = ran(Service("hopeless", hopeless), Service("well", well))
+    assert starts == ["hopeless"]
+    assert (runtime.status["hopeless"].state, runtime.status["hopeless"].reason) == ("failed", "no such device")
+    assert runtime.status["well"].state == "stopped"
+    assert code == EXIT_PERMANENT
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_stops_the_services_one_after_the_other_the_last_row_first(number: signal.Signals) -> None:
+    order: list[str] = []
+
+    def noting(name: str) -> Start:
+        async def start(runtime: Runtime) -> None:
+            try:
+                await forever(runtime)
+            finally:
+                await asyncio.sleep(0.01)  # its end takes time, and the next one waits for it
+                order.append(name)
+
+        return start
+
+    async def killer(runtime: Runtime) -> None:
+        await asyncio.sleep(0.01)
+        os.kill(os.getpid(), number)
+        await forever(runtime)
+
+    runtime, code = ran(*(Service(name, noting(name)) for name in ("log", "httpd", "vehicle")), Service("killer", killer))
+    assert order == ["vehicle", "httpd", "log"]
+    assert code == 0
+    assert {(status.state, status.reason) for status in runtime.status.values()} == {("stopped", number.name)}
+
+
+def test_a_service_waiting_for_its_next_start_stops_at_once() -> None:
+    async def failing(runtime: Runtime) -> None:
+        raise BusError("bus-off")
+
+    runtime, _ = ran(Service("failing", failing), Service("stopper", stopper))
+    assert runtime.status["failing"].state == "stopped"
+
+
+def test_a_service_that_raises_while_it_stops_is_not_started_again() -> None:
+    starts: list[str] = []
+
+    async def untidy(runtime: Runtime) -> None:
+        starts.append("untidy")
+        try:
+            await forever(runtime)
+        finally:
+            raise BusError("cannot close")
+
+    runtime, _ = ran(Service("untidy", untidy), Service("stopper", stopper))
+    assert starts == ["untidy"]
+    assert runtime.status["untidy"].state == "stopped"
+
+
+REFUSING = """
+async def refusing(runtime):
+    while True:
+        try:
+            await forever(runtime)
+        except asyncio.CancelledError:
+            pass
+async def noting(runtime):
+    try:
+        await forever(runtime)
+    finally:
+        print("stopped", flush=True)
+module.STOP_S = 0.1
+ran(Service("log", noting), Service("refusing", refusing), Service("stopper", stopper))
+"""
+
+
+def test_a_service_that_refuses_to_end_does_not_keep_the_process() -> None:
+    end = in_a_process(REFUSING)
+    assert (end.returncode, end.stdout) == (1, "stopped\n")
+    assert "refusing did not end in 0.1 s" in end.stderr
+
+
+@pytest.mark.parametrize("register", [Runtime.reader, Runtime.navigation])
+def test_a_callback_that_raises_fails_its_service(register: Callable[[Runtime, int, Callable[[], bool]], None]) -> None:
+    near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+    starts: list[str] = []
+
+    async def service(runtime: Runtime) -> None:
+        starts.append(runtime.status["service"].reason)
+        if len(starts) == 2:
+            return
+
+        def handler() -> bool:
+            raise BusError("gone")
+
+        register(runtime, near.fileno(), handler)
+        far.send(b"frame")
+        await forever(runtime)
+
+    async def well(runtime: Runtime) -> None:
+        await asyncio.sleep(0.05)
+        starts.append("well is well")
+
+    with near, far:
+        _, code = ran(Service("service", service), Service("well", well))
+    assert starts == ["", "gone", "well is well"]
+    assert code == 0
+
+
+def test_readers_and_navigation_are_called_until_they_are_removed() -> None:
+    calls: list[str] = []
+    pairs = [socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM) for _ in range(2)]
+
+    async def service(runtime: Runtime) -> None:
+        def handler(i: int) -> Callable[[], bool]:
+            def handle() -> bool:
+                calls.append(pairs[i][0].recv(16).decode())
+                return True
+
+            return handle
+
+        runtime.navigation(pairs[0][0].fileno(), handler(0))
+        runtime.reader(pairs[1][0].fileno(), handler(1))
+        for _ in range(2):
+            pairs[1][1].send(b"other")
+            pairs[0][1].send(b"navigation")
+            await asyncio.sleep(0.01)
+            runtime.remove_navigation(pairs[0][0].fileno())
+            runtime.remove_reader(pairs[1][0].fileno())
+
+    ran(Service("service", service))
+    for pair in pairs:
+        for end in pair:
+            end.close()
+    assert calls == ["navigation", "other"]
+
+
+def test_every_callback_is_charged_to_its_service_from_when_it_has_settled(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The connections that a server of a service accepts are the service's, too. What starting costs does not count."""
+    monkeypatch.setattr(module, "SETTLE_S", 0.02)
+
+    def spin(seconds: float) -> None:
+        until_s = time.monotonic() + seconds
+        while time.monotonic() < until_s:
+            pass
+
+    class Slow(asyncio.Protocol):
+        def data_received(self, data: bytes) -> None:
+            spin(0.005)
+
+    async def serving(runtime: Runtime) -> None:
+        spin(0.05)
+        server = await asyncio.get_running_loop().create_server(Slow, "127.0.0.1", 0)
+        async with server:
+            await asyncio.sleep(0.05)
+            assert runtime.status["serving"].state == "running"
+            with socket.create_connection(server.sockets[0].getsockname()) as client:
+                client.send(b"work")
+                await asyncio.sleep(0.05)
+
+    async def idle(runtime: Runtime) -> None:
+        await asyncio.sleep(0.2)
+
+    runtime, _ = ran(Service("serving", serving), Service("idle", idle))
+    serving_account, idle_account = runtime.status["serving"].account, runtime.status["idle"].account
+    assert 0.005 <= serving_account.longest_s < 0.05
+    assert serving_account.over_budget >= 1
+    assert idle_account.longest_s < 0.005
+    report = runtime.report()
+    assert json.loads(json.dumps(report)) == report
+
+
+def test_it_beats_at_least_every_tenth_of_a_second_and_says_when_nobody_listens() -> None:
+    reader, writer = os.pipe()
+    os.set_blocking(reader, False)
+    beats: list[int] = []
+
+    async def listening(runtime: Runtime) -> None:
+        for _ in range(4):
+            await asyncio.sleep(module.BEAT_S)
+            beats.append(len(os.read(reader, 100)))
+        os.close(reader)
+        await forever(runtime)
+
+    runtime, code = ran(Service("listening", listening), beat_fd=writer)
+    os.close(writer)
+    assert all(1 <= n <= 3 for n in beats)
+    assert (code, runtime.status["listening"].reason) == (0, "the supervisor is gone")
+
+
+def test_a_full_pipe_does_not_disturb() -> None:
+    reader, writer = os.pipe()
+    os.set_blocking(writer, False)
+    while select.select([], [writer], [], 0)[1]:
+        os.write(writer, bytes(4096))
+    runtime, code = ran(Service("stopper", stopper), beat_fd=writer)
+    os.close(reader)
+    os.close(writer)
+    assert (code, runtime.status["stopper"].restarts) == (0, 0)
+
+
+def test_the_last_deadman_event_is_shown(tmp_path: Path) -> None:
+    event = {"reason": "beat stopped for 1.0 s: dead-man", "time": 1.5e9}
+    (tmp_path / "supervisor.json").write_text(json.dumps({"deadman": event}))
+    reader, writer = os.pipe()
+    settings = config.Vehicle(boat=config.Boat(name="Test"), runtime=config.Runtime(run_directory=str(tmp_path)))
+    assert Runtime(settings, SystemClock(), beat_fd=writer).report()["deadman"] == event
+    (tmp_path / "supervisor.json").write_text("{")
+    assert Runtime(settings, SystemClock(), beat_fd=writer).report()["deadman"] == {}
+    os.close(reader)
+    os.close(writer)
+
+
+UNPRIVILEGED = """
+import resource
+if os.geteuid() == 0:
+    os.setuid(65534)
+resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))
+settings = config.Runtime(nice=-5, fifo_priority=10, cpus=(1023,), mlockall=True)
+async def brief(runtime):
+    print("well")
+vehicle = config.Vehicle(boat=config.Boat(name="Test"), runtime=settings)
+sys.exit(Runtime(vehicle, SystemClock()).main([Service("brief", brief)]))
+"""
+
+
+def test_what_is_not_permitted_costs_one_warning_each() -> None:
+    end = in_a_process(UNPRIVILEGED)
+    assert (end.returncode, end.stdout) == (0, "well\n"), end.stderr
+    warnings = [line.split(": ")[0] for line in end.stderr.splitlines() if "going on without" in line]
+    assert warnings == ["runtime.nice = -5", "runtime.cpus = [1023]", "runtime.mlockall", "runtime.fifo_priority = 10"]
+
+
+COLLECTING = """
+async def littering(runtime):
+    print(json.dumps([gc.isenabled(), gc.get_freeze_count() > 10000]))
+    for i in range(20):
+        for _ in range(2000):
+            loop = []
+            loop.append(loop)
+        await asyncio.sleep(0.01)
+    await asyncio.sleep(0.25)
+    print(json.dumps([runtime.report()["loop"]["collections"] >= 1, gc.get_count()[0] < 5000]))
+Runtime(SETTINGS, SystemClock()).main([Service("littering", littering)])
+"""
+
+
+def test_garbage_is_collected_by_the_loop_and_not_by_the_interpreter() -> None:
+    end = in_a_process(COLLECTING)
+    assert end.stdout == "[false, true]\n[true, true]\n", end.stderr
+    assert gc.isenabled()

@@ -1,0 +1,344 @@
+"""The supervisor as a real process with real programs (program.py) that fail in every way that programs have."""
+
+import contextlib
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from delfim.services.supervisor import EXIT_PERMANENT
+
+pytestmark = pytest.mark.timeout(30)
+PROGRAM = [sys.executable, str(Path(__file__).with_name("program.py"))]
+DEADMAN_S = 0.3
+SLACK_S = 0.3  # for a machine that has other things to do
+
+
+class Event(NamedTuple):
+    at_s: float
+    name: str
+    word: str
+
+
+class Suite:
+    """A supervisor and its programs."""
+
+    def __init__(self, place: Path) -> None:
+        self.record, self.state_file = place / "record", place / "state.json"
+        self.watchdog = place / "watchdog"
+        self.is_namespace = False  # then nothing survives it, and its process ids are its own
+        self._rows: list[tuple[str, list[str], int, bool]] = []
+
+    def program(self, name: str, *behaviour: str, critical: bool = False, nice: int = 0) -> None:
+        self._rows.append((name, [*PROGRAM, name, str(self.record), *behaviour], nice, critical))
+
+    def command(self, name: str, *argv: str) -> None:
+        self._rows.append((name, list(argv), 0, False))
+
+    def start(
+        self, prefix: tuple[str, ...] = (), subreaper: bool = False, broken_bus: bool = False, **constants: float
+    ) -> None:
+        told = {
+            "record": str(self.record),
+            "broken_bus": broken_bus,
+            "subreaper": subreaper,
+            "constants": constants,
+            "programs": self._rows,
+            "state_file": str(self.state_file),
+            "deadman_s": DEADMAN_S,
+            "backoff_s": 0.05,
+            "backoff_max_s": 0.2,
+            "watchdog": str(self.watchdog),
+        }
+        self.process = subprocess.Popen(
+            [*prefix, *PROGRAM, "supervise", json.dumps(told)], stderr=subprocess.PIPE, text=True, start_new_session=True
+        )
+
+    def events(self, name: str = "", word: str = "") -> list[Event]:
+        lines = self.record.read_text().splitlines() if self.record.exists() else []
+        events = [Event(float(at_s), who, what) for at_s, who, what in (line.split() for line in lines)]
+        return [event for event in events if name in ("", event.name) and word in ("", event.word)]
+
+    def state(self) -> Any:
+        return json.loads(self.state_file.read_text()) if self.state_file.exists() else {"programs": {}}
+
+    def terminate(self) -> int:
+        self.process.send_signal(signal.SIGTERM)
+        return self.ended()
+
+    def ended(self) -> int:
+        """Its exit code, when it has one."""
+        _, self.said = self.process.communicate(timeout=15)
+        return self.process.returncode
+
+
+def until(condition: Callable[[], object], within_s: float = 10.0) -> None:
+    """Wait for it."""
+    deadline_s = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline_s, "it did not happen"
+        select.select([], [], [], 0.005)
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Iterator[Suite]:
+    """What a test leaves running is ended with it."""
+    suite = Suite(tmp_path)
+    yield suite
+    if suite.process.poll() is None:
+        suite.process.kill()
+        suite.process.wait()
+    if suite.process.stderr:
+        suite.process.stderr.close()
+    for program in suite.state()["programs"].values():
+        if program["pid"] > 1 and not suite.is_namespace:
+            with contextlib.suppress(ProcessLookupError):
+                os.kill(program["pid"], signal.SIGKILL)
+
+
+@pytest.mark.parametrize("how", ["busy", "regex", "holds-gil", "stopped", "hangs-up"])
+def test_a_stalled_runtime_is_stopped_killed_and_started_again(suite: Suite, how: str) -> None:
+    suite.program("runtime", f"stall={how}", critical=True)
+    suite.start()
+    until(lambda: len(suite.events("runtime", "beat")) == 2)
+    stall, stops = suite.events("runtime", "stall")[0], suite.events("bus", "stop")
+    again, beat = suite.events("runtime", "start")[1], suite.events("runtime", "beat")[1]
+    assert stops[0].at_s - stall.at_s < DEADMAN_S + SLACK_S
+    assert again.at_s - stall.at_s < DEADMAN_S + 1.0
+    assert stops[-1].at_s < beat.at_s + 0.1
+    runtime, deadman = suite.state()["programs"]["runtime"], suite.state()["deadman"]
+    assert runtime["restarts"] == 1
+    assert runtime["reason"] == deadman["reason"] == "beat stopped for 0.3 s: dead-man"
+    assert abs(deadman["time"] - time.time()) < 10
+    assert suite.terminate() == 0
+    assert "beat stopped for 0.3 s: dead-man" in suite.said
+
+
+def test_stop_frames_are_repeated_until_a_runtime_beats_again(suite: Suite) -> None:
+    suite.program("runtime", "exit=1", critical=True)
+    suite.start(STOP_EVERY_S=0.01)
+    until(lambda: len(suite.events("runtime", "beat")) == 2)
+    ordered = [event.word for event in suite.events()]
+    first, second = (i for i, word in enumerate(ordered) if word == "beat")
+    assert "stop" not in ordered[:first]
+    assert ordered[first + 1 : second].count("stop") > 3
+
+
+def test_a_broken_bus_does_not_keep_the_deadman_from_its_work(suite: Suite) -> None:
+    suite.program("runtime", "stall=busy", critical=True)
+    suite.start(broken_bus=True)
+    until(lambda: len(suite.events("runtime", "beat")) == 2)
+    suite.terminate()
+    assert suite.said.count("stop frames: bus-off") == 1
+
+
+def test_a_runtime_that_never_beats_is_killed_after_its_grace(suite: Suite) -> None:
+    suite.program("runtime", "mute", critical=True)
+    suite.start(START_S=0.5)
+    until(lambda: len(suite.events("runtime", "start")) == 2)
+    first, second = suite.events("runtime", "start")
+    assert 0.4 < second.at_s - first.at_s < 0.5 + 2 * SLACK_S
+    assert suite.state()["programs"]["runtime"]["reason"] == "no beat for 0.5 s: dead-man"
+
+
+def test_other_programs_have_no_deadman(suite: Suite) -> None:
+    suite.program("runtime", critical=True)
+    suite.program("sshd", "stall=busy")
+    suite.start()
+    until(lambda: suite.events("sshd", "stall"))
+    select.select([], [], [], 2 * DEADMAN_S)
+    assert suite.state()["programs"]["sshd"]["restarts"] == 0
+    assert suite.events("bus") == []
+
+
+@pytest.mark.parametrize(
+    ("behaviour", "reason"), [("exit=1", "exit code 1"), ("killed", "killed by signal 9 (Killed)"), ("exit=77", "exit code 77")]
+)
+def test_what_dies_is_started_again_and_the_reason_kept(suite: Suite, behaviour: str, reason: str) -> None:
+    suite.program("runtime", critical=True)
+    suite.program("sshd", behaviour)
+    suite.start()
+    until(lambda: len(suite.events("sshd", "start")) == 2)
+    sshd = suite.state()["programs"]["sshd"]
+    assert (sshd["reason"], sshd["restarts"]) == (reason, 1)
+    assert suite.state()["programs"]["runtime"]["restarts"] == 0
+    assert suite.events("bus") == []
+    suite.terminate()
+    assert f"sshd: {reason}; started again in 0.05 s" in suite.said
+
+
+def test_a_crash_loop_is_slowed_down(suite: Suite) -> None:
+    suite.command("sshd", "false")
+    suite.start()
+    until(lambda: suite.state()["programs"].get("sshd", {}).get("restarts", 0) >= 4)
+    suite.terminate()
+    pauses = [line.rpartition(" in ")[2] for line in suite.said.splitlines() if "started again" in line]
+    assert pauses[:4] == ["0.05 s", "0.1 s", "0.2 s", "0.2 s"]
+
+
+def test_a_program_that_cannot_be_started_is_tried_again(suite: Suite) -> None:
+    suite.command("sshd", "/does/not/exist")
+    suite.start()
+    until(lambda: suite.state()["programs"].get("sshd", {}).get("restarts", 0) >= 2)
+    assert suite.state()["programs"]["sshd"]["reason"] == "cannot be started: No such file or directory"
+
+
+def test_what_must_not_be_started_again_is_not(suite: Suite) -> None:
+    suite.program("runtime", critical=True)
+    suite.program("sshd", f"exit={EXIT_PERMANENT}")
+    suite.start()
+    until(lambda: suite.state()["programs"].get("sshd", {}).get("state") == "failed")
+    select.select([], [], [], 0.3)
+    assert len(suite.events("sshd", "start")) == 1
+    assert suite.state()["programs"]["runtime"]["state"] == "running"
+
+
+def test_nothing_left_to_run_is_the_end(suite: Suite) -> None:
+    suite.program("runtime", f"exit={EXIT_PERMANENT}", critical=True)
+    suite.start()
+    assert suite.ended() == EXIT_PERMANENT
+    assert suite.events("bus", "stop")
+
+
+def test_the_ordered_end_of_the_runtime_ends_all(suite: Suite) -> None:
+    suite.program("runtime", "exit=0", critical=True)
+    suite.program("sshd")
+    suite.start()
+    assert suite.ended() == 0
+    assert len(suite.events("runtime", "start")) == 1
+    assert suite.state()["programs"]["sshd"]["state"] == "stopped"
+
+
+def test_a_signal_ends_the_runtime_first_then_stops_the_propellers_then_ends_the_others(suite: Suite) -> None:
+    suite.program("sshd")
+    suite.program("ftpd")
+    suite.program("runtime", critical=True)
+    suite.start()
+    until(lambda: len(suite.events(word="beat")) == 3)
+    assert next(iter(suite.state()["programs"])) == "runtime"  # started first
+    assert suite.terminate() == 0
+    end = [(event.name, event.word) for event in suite.events()[-20:] if event.word in ("end", "stop")]
+    assert list(dict.fromkeys(end)) == [("runtime", "end"), ("bus", "stop"), ("ftpd", "end"), ("sshd", "end")]
+    assert {program["state"] for program in suite.state()["programs"].values()} == {"stopped"}
+    assert all(program["pid"] == 0 for program in suite.state()["programs"].values())
+
+
+def test_the_end_is_bounded(suite: Suite) -> None:
+    suite.program("runtime", "deaf", critical=True)
+    suite.program("sshd", "deaf")
+    suite.start(END_CRITICAL_S=0.2, END_S=0.2)
+    until(lambda: len(suite.events(word="beat")) == 2)
+    began_s = time.monotonic()
+    assert suite.terminate() == 0
+    assert time.monotonic() - began_s < 0.4 + 2 * 0.5 + SLACK_S
+    assert suite.state()["programs"]["runtime"]["reason"] == "did not end in 0.2 s"
+    assert suite.events("bus", "stop")
+
+
+def test_the_deadman_is_awake_while_the_runtime_ends(suite: Suite) -> None:
+    suite.program("runtime", critical=True)
+    suite.start()
+    until(lambda: suite.events("runtime", "beat"))
+    os.kill(suite.state()["programs"]["runtime"]["pid"], signal.SIGSTOP)
+    began_s = time.monotonic()
+    assert suite.terminate() == 0
+    assert suite.events("bus", "stop")[0].at_s - began_s < DEADMAN_S + SLACK_S
+
+
+def test_a_runtime_without_supervisor_learns_of_it(suite: Suite) -> None:
+    suite.program("runtime", critical=True)
+    suite.program("sshd")
+    suite.start()
+    until(lambda: len(suite.events(word="beat")) == 2)
+    suite.process.kill()
+    until(lambda: len(suite.events(word="abandoned")) == 2, 1.0)
+
+
+def test_programs_have_their_nice_value_and_a_session_of_their_own(suite: Suite) -> None:
+    suite.program("sshd", nice=7)
+    suite.start()
+    until(lambda: suite.events("sshd", "beat"))
+    pid = suite.state()["programs"]["sshd"]["pid"]
+    assert os.getpriority(os.PRIO_PROCESS, pid) == 7
+    assert os.getsid(pid) == pid
+
+
+def may_make_a_namespace() -> bool:
+    command = ["unshare", "--user", "--map-root-user", "--pid", "--fork", "true"]
+    return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+
+def zombies_below(pid: int) -> list[str]:
+    """The names of dead processes that a descendant of this one has not reaped."""
+    rows = {}
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):
+            text = path.read_text()
+            state, parent = text.rpartition(")")[2].split()[:2]
+            rows[int(path.parent.name)] = (int(parent), state, text.partition("(")[2].rpartition(")")[0])
+    family = {pid}
+    while more := {each for each, row in rows.items() if row[0] in family} - family:
+        family |= more
+    return [rows[each][2] for each in family if each in rows and rows[each][1] == "Z"]
+
+
+def test_orphans_are_reaped(suite: Suite) -> None:
+    """As PID 1 of a namespace, or where the machine forbids namespaces, as their appointed reaper."""
+    suite.program("runtime", "orphan", critical=True)
+    is_allowed = may_make_a_namespace()
+    prefix = ("unshare", "--user", "--map-root-user", "--pid", "--fork", "--kill-child") if is_allowed else ()
+    suite.is_namespace = is_allowed
+    suite.start(prefix, subreaper=not is_allowed)
+    until(lambda: suite.events("runtime", "orphan-ends"))
+    until(lambda: zombies_below(suite.process.pid) == [], 2.0)
+    assert suite.state()["programs"]["runtime"]["state"] == "running"
+    if is_allowed:
+        assert suite.state()["pid"] == 1
+
+
+def test_the_hardware_watchdog_is_stroked_and_let_go_in_order(suite: Suite) -> None:
+    suite.watchdog.touch()
+    suite.program("runtime", critical=True)
+    suite.start()
+    until(lambda: len(suite.watchdog.read_bytes()) > 3)
+    assert set(suite.watchdog.read_bytes()) == {0}
+    assert suite.terminate() == 0
+    assert suite.watchdog.read_bytes().strip(b"\0") == b"V"
+
+
+def test_a_supervisor_that_dies_leaves_the_watchdog_armed(suite: Suite) -> None:
+    suite.watchdog.touch()
+    suite.program("runtime", critical=True)
+    suite.start()
+    until(lambda: suite.events("runtime", "beat"))
+    suite.process.kill()
+    suite.process.wait()
+    assert b"V" not in suite.watchdog.read_bytes()
+
+
+def test_a_watchdog_that_cannot_be_opened_costs_a_line_in_the_log(suite: Suite) -> None:
+    suite.watchdog.mkdir()
+    suite.program("runtime", critical=True)
+    suite.start()
+    until(lambda: suite.events("runtime", "beat"))
+    assert suite.terminate() == 0
+    assert "watchdog: Is a directory; going on without it" in suite.said
+
+
+def test_a_state_file_that_cannot_be_written_costs_a_line_in_the_log(suite: Suite) -> None:
+    suite.state_file.mkdir()
+    (suite.state_file / "in the way").touch()
+    suite.state = lambda: {"programs": {}}  # type: ignore[method-assign]
+    suite.program("runtime", critical=True)
+    suite.start()
+    until(lambda: suite.events("runtime", "beat"))
+    assert suite.terminate() == 0
+    assert "state.json" in suite.said

@@ -1,0 +1,155 @@
+"""A vehicle on a real bus (canloop) with a clock that is handed in: send what nodes send, see what the propellers are told.
+
+Fixtures for the folders that need a boat."""
+
+import math
+import os
+from collections.abc import Callable, Iterator
+from itertools import count
+
+import pytest
+
+from delfim import config, messages
+from delfim.canproxy import dsor
+from delfim.canproxy.socket import ANYTHING, CanAddress, open_can
+from delfim.clock import ManualClock
+from delfim.frames import Frame
+from delfim.messages import BatteriesStatus, Fault, Navigation, Node, PropellerCommand, PropellerStatus, Status
+from delfim.vehicle.grex import Guest
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.navcan import DsorNavigation
+from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.state import State
+
+WELL = Fault(0)
+_names = count()
+
+
+class Records:
+    """A log that keeps the records it is given."""
+
+    def __init__(self) -> None:
+        self.modes: list[str] = []
+        self.why = ""
+
+    def write(self, state: State, now_s: float) -> None:
+        self.modes.append(state.mode.name)
+
+    def reason(self) -> str:
+        return self.why
+
+    def close(self) -> None:
+        pass
+
+
+class Boat:
+    """The vehicle, the bus it is on, and the other nodes' end of it."""
+
+    def __init__(self, settings: config.Vehicle) -> None:
+        name = f"canloop:test-{os.getpid()}-{next(_names)}"
+        self.clock = ManualClock(monotonic_s=1000.0)
+        self.state, self.log = State(), Records()
+        self.sockets = [open_can(name) for _ in range(5)]
+        self.nodes, self._navigation, self.status, self.messages, propulsion = self.sockets
+        for socket in self.sockets:
+            socket.setblocking(False)
+        self._navigation.bind(CanAddress(*dsor.message_filter(source=Node.NAVIGATION)))
+        self.status.bind(CanAddress(messages.sysstat_arb(Node.VEHICLE), messages.SYSSTAT_MASK))
+        self.messages.bind(CanAddress(*dsor.message_filter(source=Node.GPS)))
+        self.nodes.bind(ANYTHING)
+        self.source = DsorNavigation(self._navigation, self.state)
+        self.guest = Guest(self.state, self.clock)
+        self.vehicle = Vehicle(
+            settings,
+            self.clock,
+            self.state,
+            (self.source,),
+            Propulsion(propulsion, settings.propulsion, self.state),
+            self.guest,
+            self.log,
+        )
+        self._number = 0
+
+    def navigate(self, **changes: object) -> bool:
+        """A navigation message on the bus, and the loop's turn. By default: at rest off Lisbon, heading north."""
+        self._number += 1
+        place, utc_ns = (math.radians(38.6925), math.radians(-9.215)), self.clock.time_ns()
+        still = Navigation(utc_ns, *place, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3, 9, 0.9, self._number & 255)
+        data = messages.pack_navigation(still._replace(**changes))
+        self.send(data, Node.NAVIGATION, messages.NAVIGATION_ID)
+        return self.vehicle.on_navigation(self.source)
+
+    def send(self, data: bytes, source: Node, identifier: int) -> None:
+        message = dsor.Message(messages.NAVIGATION_PRIORITY, source, Node.BROADCAST, identifier, data)
+        for frame in dsor.segments(message, self._number):
+            self.nodes.sendmsg(frame)
+
+    def report(self, status: Status = Status.GOOD, faults: Fault = WELL, silent: tuple[str, ...] = ()) -> None:
+        """Every node reports its health, the starboard propeller as told; those named in `silent` do not."""
+        propeller = PropellerStatus(Status.GOOD, WELL, 10, 1.0, 20, 0)
+        batteries = messages.pack_batteries_status(BatteriesStatus(Status.GOOD, WELL, 48.0, 1.0, 0.9, 20))
+        reports = {
+            Node.PROPELLER_STARBOARD: messages.pack_propeller_status(propeller._replace(status=status, faults=faults)),
+            Node.PROPELLER_PORT: messages.pack_propeller_status(propeller),
+            Node.BATTERIES_STARBOARD: batteries,
+            Node.BATTERIES_PORT: batteries,
+        }
+        for node, data in reports.items():
+            if node.name.lower() not in silent:
+                self.nodes.sendmsg(Frame(messages.sysstat_arb(node), data))
+        if "gps" not in silent:
+            gps = messages.GpsStatus(Status.GOOD, WELL, 3, 9, 0.9, self.clock.time_ns())
+            self.send(messages.pack_gps_status(gps), Node.GPS, messages.GPS_SYSSTAT_ID)
+        self.vehicle.on_sysstat(self.status)
+        self.vehicle.on_sysstat(self.messages)
+
+    def heard(self) -> list[Frame]:
+        """What the vehicle has sent since the last call."""
+        frames = []
+        while (frame := self.nodes.receive()) is not None:
+            frames.append(frame)
+        return frames
+
+    def propellers(self) -> tuple[PropellerCommand, PropellerCommand]:
+        """The newest commands to starboard and port."""
+        newest = {frame.arb: frame.data for frame in self.heard()}
+        return (
+            messages.unpack_propeller_command(newest[messages.PROPELLER_STARBOARD]),
+            messages.unpack_propeller_command(newest[messages.PROPELLER_PORT]),
+        )
+
+    def ready(self) -> None:
+        """Everything reports, navigation comes: fit to leave idle."""
+        self.report()
+        assert self.navigate()
+        self.heard()
+
+    def pass_time(self, seconds: float, *, navigation: bool = True) -> None:
+        """Cycles at 5 Hz with sysstat, watchdog at 10 Hz."""
+        for tick in range(round(seconds * 10)):
+            self.clock.advance(0.1)
+            if navigation and tick % 2:
+                self.navigate()
+            if tick % 10 == 0:
+                self.report()
+            self.vehicle.on_watchdog()
+
+
+@pytest.fixture
+def make_boat() -> Iterator[Callable[..., Boat]]:
+    """Boats from tables of a vehicle's file: `make_boat(watchdog=config.Watchdog(console_s=3))`."""
+    boats = []
+
+    def make(**tables: config.Table) -> Boat:
+        boats.append(Boat(config.Vehicle(boat=config.Boat(name="test"), **tables)))
+        return boats[-1]
+
+    yield make
+    for boat in boats:
+        for socket in boat.sockets:
+            socket.close()
+
+
+@pytest.fixture
+def boat(make_boat: Callable[..., Boat]) -> Boat:
+    return make_boat()
