@@ -230,7 +230,7 @@ def programs(state: str, now_s: float) -> tuple[dict[str, Service], str]:
         }
         event = tree["deadman"]
         return found, f"{event['reason']}, {max(now_s - event['time'], 0.0):.0f} s ago" if event else ""
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, AttributeError):
         return {}, ""
 
 

@@ -123,6 +123,7 @@ class Look(asyncio.SubprocessProtocol):
         self._clock_s = clock_s
         self._buffer = bytearray()
         self._transport: asyncio.SubprocessTransport | None = None
+        self._ended = asyncio.Event()
         self.computer: Computer | None = None
         self.at_s = 0.0
 
@@ -130,11 +131,14 @@ class Look(asyncio.SubprocessProtocol):
         """Nothing happens while it runs. Raises OSError."""
         if self._transport is None:
             loop = asyncio.get_running_loop()
+            self._ended.clear()
             self._transport, _ = await loop.subprocess_exec(lambda: self, *self._command, stderr=None)
 
-    def close(self) -> None:
+    async def close(self) -> None:
+        """Nothing is left behind."""
         if self._transport is not None:
             self._transport.close()
+            await self._ended.wait()
 
     def pipe_data_received(self, fd: int, data: bytes) -> None:
         self._buffer += data
@@ -142,13 +146,15 @@ class Look(asyncio.SubprocessProtocol):
             with contextlib.suppress(msgspec.DecodeError):  # it died in the middle of a word
                 self.computer, self.at_s = _COMPUTER.decode(self._buffer.splitlines()[-1]), self._clock_s()
             self._buffer.clear()
-        elif len(self._buffer) > ANSWER_BYTES:
-            self.close()
+        elif len(self._buffer) > ANSWER_BYTES and self._transport is not None:
+            self._transport.kill()
 
     def process_exited(self) -> None:
-        log.error("httpd: the look at the computer ended; again in %g s", AGAIN_S)
-        self._transport = None
+        if self._transport is not None:
+            self._transport.close()
+            self._transport = None
         self._buffer.clear()
+        self._ended.set()
 
 
 class Board:
@@ -263,6 +269,7 @@ class Connection(web.RequestHandler):
         link = transport.get_extra_info("socket")
         link.setsockopt(socket.IPPROTO_IP, socket.IP_TOS, IPTOS_THROUGHPUT)
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * STALL_S))
         super().connection_made(transport)
 
     def connection_lost(self, exc: BaseException | None) -> None:
@@ -299,7 +306,9 @@ class Site:
         self._door.requests += 1
         path = unquote(request.rel_url.raw_path)
         if request.method not in ("GET", "HEAD"):
-            return _refused(405, "Here is only something to read.", {"Allow": "GET, HEAD", "Connection": "close"})
+            refusal = _refused(405, "Here is only something to read.", {"Allow": "GET, HEAD"})
+            refusal.force_close()  # and what was to be uploaded is not read
+            return refusal
         if place := self._places.get(path):
             return await place(request)
         if path == "/logs":
@@ -392,6 +401,8 @@ class Site:
                 async with asyncio.timeout(STALL_S):
                     await response.write(chunk)
             except TimeoutError:
+                if request.transport is not None:
+                    request.transport.abort()
                 raise ConnectionResetError("nobody reads") from None
         return response
 
@@ -407,9 +418,9 @@ async def serve(runtime: Runtime) -> None:
     board = Board(runtime, look, door)
     site = Site(settings, board, door)
     server = web.Server(site.answer, handler_cancellation=True)
-    with contextlib.ExitStack() as links:
+    async with contextlib.AsyncExitStack() as links:
         links.callback(site.close)
-        links.callback(look.close)
+        links.push_async_callback(look.close)
         links.callback(board.feed.close)
         links.callback(_hang_up, server)
         host, _, port = settings.httpd.listen.rpartition(":")
