@@ -154,11 +154,11 @@ def _limit_s(settings: config.Vehicle, name: str) -> float:
 
 def _node(node: Node) -> str:
     values = (
-        (node.rpm, "{:.0f} rpm"),
+        (node.rpm, "{:.0f}\N{NO-BREAK SPACE}rpm"),
         (node.charge, "{:.0%}"),
-        (node.voltage_v, "{:.1f} V"),
-        (node.current_a, "{:.1f} A"),
-        (node.temperature_c, "{:.0f} °C"),
+        (node.voltage_v, "{:.1f}\N{NO-BREAK SPACE}V"),
+        (node.current_a, "{:.1f}\N{NO-BREAK SPACE}A"),
+        (node.temperature_c, "{:.0f}\N{NO-BREAK SPACE}°C"),
     )
     told = " ".join(form.format(value) for value, form in values if value is not None)
     return told if node.status == "good" else f"<b>{escape(node.status)} {escape(', '.join(node.faults))}</b> {told}"
