@@ -3,9 +3,14 @@
 import os
 from collections.abc import Generator, Iterator
 
+import hypothesis
 import pytest
 
 from tests.guest.harness import Guest, guest, missing
+
+# The same examples in every run, and no stopwatch: a busy machine is no failure.
+hypothesis.settings.register_profile("delfim", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("delfim")
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

@@ -24,6 +24,7 @@ from delfim.vehicle.state import Mode, State
 
 CONSOLE_S: Final = 1.0  # the operator's console speaks this often
 WATCHDOG_S: Final = 0.1
+BURST: Final = 16  # navigation messages at most that come at once, when something was late
 
 
 class Lockstep:
@@ -90,7 +91,8 @@ class Lockstep:
         self.bus.off = "bus_off" in faults.on
         for frame in frames:
             world.sendmsg(frame)
-        vehicle.on_navigation(self._source)
+        for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is served again
+            vehicle.on_navigation(self._source)
         vehicle.on_sysstat(self._status)
         vehicle.on_sysstat(self._messages)
         if now_s >= self._console_s and "console_lost" not in faults.on:

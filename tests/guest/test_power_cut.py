@@ -7,7 +7,6 @@ import random
 import select
 import shutil
 import subprocess
-import time
 from pathlib import Path
 
 import can
@@ -57,24 +56,25 @@ def test_a_power_cut_costs_a_second_and_no_human(disk, tmp_path, cut):
     found = files([place])
     for file in found:
         repair(file)
+    lost_s = {}
     for id_ in ("state", "vcan0"):
         its = [file for file in files([place]) if file.id == id_]
         assert its
         for file in its:
             opens(file)
-        lost_s = ended_s - max(last_s(file) for file in its[-2:])
-        print(f"cut {cut}: {id_}: {lost_s:.2f} s missing, {len(its)} files")
-        assert lost_s <= LOST_S, f"{id_}: {lost_s:.2f} s are missing"
+        lost_s[id_] = round(ended_s - max(last_s(file) for file in its[-2:]), 3)
+    print(f"cut {cut}: missing, s: {lost_s}, of {len(found)} files")
+    assert max(lost_s.values()) <= LOST_S
     shutil.rmtree(place)
 
 
 def power_cut(disk: Path, folder: Path, after_s: float) -> float:
-    """Boot, sail, log, and die after so long; the time of death."""
+    """Boot, sail, log, and die after so long. Returns the guest's last sign of life: a busy host may have stopped it before."""
     with guest(folder, memory_mib=384, kernel_args=(f"ubd0={disk}",)) as boat:
         result = boat.run(f"python tests/guest/guest_cut.py {FRAMES_PER_S}", timeout_s=90.0)
         assert result.code == 0, result.output
         select.select([], [], [], after_s)
-        return time.time()
+    return float((boat.folder / "alive").read_text())
 
 
 def opens(file: LogFile) -> None:

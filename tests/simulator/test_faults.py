@@ -270,6 +270,16 @@ def test_in_lock_step_everything_around_breaks_too():
     assert run.state.mode is Mode.HEADING
 
 
+def test_what_came_late_is_not_kept_for_later():
+    """The loop takes one message at a time; when a delay ends, all that waited are taken, and the newest is the present."""
+    run = Lockstep(SETTINGS, 1, Silence)
+    list(run.cycles(4.0))
+    run.breaks(fault("frames_late", "", 0.7, 3.0))
+    list(run.cycles(8.0))
+    assert run.state.navigation is not None
+    assert run.clock.time_ns() - run.state.navigation.utc_ns == pytest.approx(0.2e9, abs=1e6), "of the last cycle"
+
+
 def test_running_nodes_break_by_command(tmp_path: Path):
     vehicle = Path(__file__).parents[2] / "etc/delfimx.toml"
     overrides = [f'can.interface="canloop:{tmp_path.name[-20:]}"', f'runtime.run_directory="{tmp_path}"']
