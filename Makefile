@@ -6,11 +6,12 @@ ARGS   ?=
 BIN    := .venv/bin
 READY  := .venv/.ready
 MORE   := .venv/.formats
-LOCKS  := $(addprefix requirements/,boat.txt ground.txt test.txt build.txt)
+LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt test.txt build.txt)
 
-# What the tests need of a Debian machine beside Python: a kernel that runs as a process, and tools to look at it.
-SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs
-SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck
+# What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
+# that people use: a browser, FTP, SSH.
+SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs chromium curl lftp openssh-client
+SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck chromium curl lftp ssh
 
 export PYTHONSAFEPATH := 1
 export PATH := $(PATH):/usr/sbin:/sbin
@@ -40,6 +41,7 @@ check: $(READY) ## style, types and the direction of imports
 pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/delfim sim etc/delfimx.toml --lockstep --output run/pictures
 	cp run/pictures/track.png docs/pictures/
+	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures
 
 bench: $(READY) ## measure the contracts of the design on this machine
 	$(BIN)/delfim bench $(ARGS)
@@ -55,12 +57,13 @@ system: ## install the Debian packages of the guest tests where that is possible
 		{ apt-get update -qq && apt-get install -qq -y --no-install-recommends $(SYSTEM_PACKAGES); } </dev/null >/dev/null && exit 0; \
 		why="apt-get failed"; \
 	else why="installing them needs root and apt-get"; fi; \
-	echo "make system: without$$missing the tests in tests/guest do not run ($$why; Debian packages: $(SYSTEM_PACKAGES))" >&2
+	echo "make system: without$$missing some tests do not run ($$why; Debian packages: $(SYSTEM_PACKAGES))" >&2
 
 formats: $(MORE) ## install the packages for Parquet and MF4, 300 MB; the tests need them
 
 lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgrade takes the newest)
 	$(call compile,boat) pyproject.toml
+	$(call compile,services) --extra services -c requirements/boat.txt pyproject.toml
 	$(call compile,ground) --extra ground -c requirements/boat.txt pyproject.toml
 	$(call compile,test) --extra test -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,formats) --extra formats -c requirements/boat.txt -c requirements/ground.txt pyproject.toml

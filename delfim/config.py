@@ -383,6 +383,15 @@ class Timed(Table, frozen=True):
     takeover_s: Annotated[float, msgspec.Meta(ge=1.1, le=3600.0)] = 2.5  # silence after which the redundant one sends
 
 
+class Httpd(Table, frozen=True):
+    """The statistics page: it shows, and changes nothing. Whoever reaches the address may read it and the logs."""
+
+    listen: Endpoint = "127.0.0.1:8080"  # address and port; 0.0.0.0 is every interface
+    connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 32  # at once; the next one is closed
+    connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
+    scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two looks at the computer and its processes
+
+
 class Log(Table, frozen=True):
     """Where and how logs are written, and what happens when the disk is full."""
 
@@ -429,7 +438,7 @@ class Service(Table, frozen=True):
     """A service of the suite, by its name."""
 
     enabled: bool = True  # run it
-    place: Literal["runtime", "process"] = "runtime"  # in the runtime's loop, or in a niced process of its own
+    place: Literal["default", "runtime", "process"] = "default"  # the runtime's loop, a niced process, or as usual
 
 
 class Sea(Table, frozen=True):
@@ -446,6 +455,7 @@ class Simulation(Table, frozen=True):
     """What only `delfim sim` and `delfim nodes` read."""
 
     interface: Interface = "canloop:can0"  # the bus of a simulated boat
+    httpd: Endpoint = "127.0.0.1:8080"  # where its page is
     latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] = 38.6907  # where it starts
     longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = -9.2153  # where it starts
     heading_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # how it lies at start
@@ -475,6 +485,7 @@ class Vehicle(Table, frozen=True):
     cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()
     timed: Timed = Timed()
+    httpd: Httpd = Httpd()
     log: Log = Log()
     logd: Logd = Logd()
     runtime: Runtime = Runtime()

@@ -68,6 +68,7 @@ def _simulated(settings: config.Vehicle, output: Path) -> list[str]:
         f'log.directory="{place}/log"',
         f'runtime.run_directory="{place}"',
         'supervisor.hardware_watchdog=""',
+        f'httpd.listen="{settings.simulation.httpd}"',
     ]
 
 

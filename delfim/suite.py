@@ -5,6 +5,7 @@ SERVICES is the suite, one row a service. To add one: write its coroutine in a f
 
 import asyncio
 import contextlib
+import importlib
 import logging
 import os
 import socket
@@ -215,6 +216,8 @@ async def canzlogd(runtime: Runtime) -> None:
         sockets = [links.enter_context(open_can(name, error_frames=True)) for name in _interfaces(settings)]
         box = BlackBox(sockets, settings.log, runtime.clock, bus_state)
         links.callback(box.close)
+        runtime.board["canzlogd"] = box.figures
+        links.callback(runtime.board.pop, "canzlogd")
         for each in sockets:
             each.bind(ANYTHING)
             each.setblocking(False)
@@ -302,6 +305,15 @@ async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str,
         del runtime.board[name]
 
 
+async def httpd(runtime: Runtime) -> None:
+    """The page. Its library is loaded only where it runs, and before the loop turns: see `run`."""
+    try:
+        from delfim.services.httpd import serve
+    except ModuleNotFoundError as error:
+        raise PermanentFailure(f"{error.name} is not installed: pip install 'delfim[services]'") from None
+    await serve(runtime)
+
+
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
     Service("canzlogd", canzlogd),
@@ -309,6 +321,7 @@ SERVICES = (
     Service("cantcpd", cantcpd),
     Service("timed", timed),
     Service("canip", canip),
+    Service("httpd", httpd),
     Service("vehicle", vehicle),
 )
 
@@ -323,7 +336,8 @@ def services(settings: config.Vehicle) -> list[Service]:
     off = {"canip"} if not settings.canip.enabled else set()
     off |= {"timed"} if settings.timed.mode == "off" else set()
     off |= set() if settings.logd.nodes else {"logd"}
-    return [row._replace(place=asked[row.name].place) for row in SERVICES if asked[row.name].enabled and row.name not in off]
+    enabled = [(row, asked[row.name].place) for row in SERVICES if asked[row.name].enabled and row.name not in off]
+    return [row if place == "default" else row._replace(place=place) for row, place in enabled]
 
 
 def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: int) -> int:
@@ -333,6 +347,9 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     wanted = [row for row in rows if row.name == service] if service else [row for row in rows if row.place == "runtime"]
     if not wanted:
         raise PermanentFailure(f"{file}: no service {service!r} is enabled")
+    for row in wanted:  # now, for a cooperative service has no time to load a library
+        with contextlib.suppress(ImportError):
+            importlib.import_module(f"delfim.services.{row.name}")
     return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=service is not None).main(wanted)
 
 

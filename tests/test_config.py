@@ -101,7 +101,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             BOAT + '[services.ftpd]\n[services.httpd]\nplace = "moon"',
             "services.httpd.place",
             "invalid enum value 'moon'",
-            "runtime, process",
+            "default, runtime, process",
         ),
         # other types
         ("boat = 3", "boat", "expected table, got int", "a table of name, id, length_m, beam_m"),

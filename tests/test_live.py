@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import urllib.request
 from pathlib import Path
 
 import pytest
@@ -24,8 +25,8 @@ def delfim(*words: str, **options: object) -> subprocess.Popen[str]:
 
 def sim(tmp_path: Path, *words: str) -> subprocess.Popen[str]:
     bus = f'simulation.interface="canloop:live-{os.getpid()}-{tmp_path.name[-8:]}"'
-    any_port = 'cantcpd.listen=["127.0.0.1:0"]'
-    return delfim("sim", VEHICLE, "--output", str(tmp_path / "out"), "--set", bus, "--set", any_port, *words)
+    ports = ("--set", 'cantcpd.listen=["127.0.0.1:0"]', "--set", 'simulation.httpd="127.0.0.1:0"')
+    return delfim("sim", VEHICLE, "--output", str(tmp_path / "out"), "--set", bus, *ports, *words)
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
@@ -57,7 +58,7 @@ def test_every_input_has_an_age_and_nothing_was_lost(sailed):
     assert set(state["sysstat"]) == {"gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"}
     assert state["counts"] == {}
     states = {name: service["state"] for name, service in state["services"].items()}
-    assert states == {"canzlogd": "running", "cantcpd": "running", "vehicle": "running"}
+    assert states == {"canzlogd": "running", "cantcpd": "running", "httpd": "running", "vehicle": "running"}
 
 
 def test_pictures_and_logs_are_left_behind(sailed):
@@ -141,10 +142,12 @@ def test_mistakes_are_one_line_on_standard_error(words, reason):
     assert not out
 
 
-def test_the_black_box_works_in_a_process_of_its_own_and_a_guest_steers(tmp_path):
+def test_black_box_and_page_work_in_processes_of_their_own_and_a_guest_steers(tmp_path):
     """`place = "process"`, the guest computer over TCP, and the operator's words, all of them real programs."""
     port = 20_000 + os.getpid() % 20_000
-    settings = ("--set", 'services.canzlogd.place="process"', "--set", f'guest.listen="127.0.0.1:{port}"')
+    apart = (word for name in ("canzlogd", "httpd") for word in ("--set", f'services.{name}.place="process"'))
+    page = ("--set", f'simulation.httpd="127.0.0.1:{port + 1}"')
+    settings = (*apart, *page, "--set", f'guest.listen="127.0.0.1:{port}"')
     process = sim(tmp_path, "--json", "--for", "20", *settings)
     guest = delfim("guest", VEHICLE, "--set", f'guest.listen="127.0.0.1:{port}"', "--course", "150")
     modes = []
@@ -159,6 +162,8 @@ def test_the_black_box_works_in_a_process_of_its_own_and_a_guest_steers(tmp_path
         if state["mode"] == "grex":
             modes.append(state)
             if len(modes) > 10:
+                with urllib.request.urlopen(f"http://127.0.0.1:{port + 1}/api/state") as answer:
+                    seen = json.load(answer)
                 break
     guest.terminate()
     guest.communicate(timeout=30)
@@ -166,5 +171,8 @@ def test_the_black_box_works_in_a_process_of_its_own_and_a_guest_steers(tmp_path
     process.communicate(timeout=30)
     assert modes, "grex was entered"
     assert modes[-1]["reference"]["heading_deg"] == pytest.approx(180.0), "course 150, 30 to starboard"
-    assert set(modes[-1]["services"]) == {"cantcpd", "vehicle"}, "the black box is not in this process"
+    assert set(modes[-1]["services"]) == {"cantcpd", "vehicle"}, "the others are not in this process"
+    assert seen["vehicle"]["mode"] == "grex"
+    assert set(seen["services"]) >= {"vehicle", "httpd"}
+    assert set(seen["computer"]["supervisor"]) == {"runtime", "canzlogd", "httpd"}
     assert list((tmp_path / "out").glob("log/*/*/*.log.gz")), "and works"

@@ -125,6 +125,17 @@ class BlackBox:
         """How the log of each bus fares."""
         return {bus.device: bus.log.status() for bus in self._buses.values()}
 
+    def figures(self) -> dict[str, object]:
+        """JSON-ready: of each bus the bytes on disk, the frames lost, and its trouble where it has one."""
+        shown: dict[str, object] = {}
+        for name, bus in ((bus.device, bus) for bus in self._buses.values()):
+            status = bus.log.status()
+            shown[f"{name}_bytes"] = status.bytes
+            shown[f"{name}_frames_lost"] = bus.socket.dropped + bus.lost
+            if trouble := bus.error or status.reason or bus.state:
+                shown[name] = trouble
+        return shown
+
     def close(self) -> None:
         for bus in self._buses.values():
             bus.note("end")

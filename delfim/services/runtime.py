@@ -141,7 +141,7 @@ class Runtime:
         """JSON-ready: every service, the navigation window, the loop's own callbacks, the dead-man's last event."""
         now_s = self.clock.monotonic_s()
         return {
-            "services": {name: status.report(now_s) for name, status in self.status.items()},
+            "services": {name: status.report(now_s) | self._shown(name) for name, status in self.status.items()},
             "window": self.window.report(),
             "loop": {
                 "busy_s": round(self._account.busy_s, 3),
@@ -151,6 +151,9 @@ class Runtime:
             },
             "deadman": self._deadman,
         }
+
+    def _shown(self, name: str) -> dict[str, object]:
+        return {"figures": self.board[name]()} if name in self.board else {}
 
     def stop(self, reason: str) -> None:
         """End in order: every service, the last of the table first."""

@@ -1,12 +1,14 @@
 """Profiling (thesis 2.12, 3.5): the histogram of figure 3-10 and the stage means of figure 3-11, kept while sailing."""
 
 from bisect import bisect_left
-from itertools import accumulate
+from itertools import accumulate, pairwise
 
 from delfim.vehicle.state import Profile
 
 # Upper edges in microseconds: 1 us wide up to 500 us, then 5 % wide up to 10 s.
 EDGES_US = [*range(1, 501), *accumulate([1.05] * 205, lambda edge, ratio: edge * ratio, initial=525.0)]
+# The bars that are shown: ten a decade from 10 us on, the last one open.
+_BARS = [*(bisect_left(EDGES_US, 10.0 * 10.0 ** (k / 10)) for k in range(60)), len(EDGES_US) - 1]
 STAGES = ("poll", "navigation", "control", "propulsion", "log")
 
 
@@ -38,18 +40,21 @@ class Latency:
 
     def percentile_us(self, part: float) -> float:
         """The path that `part` (0..1) of all cycles did not exceed, to the histogram's resolution; 0 before the first."""
-        wanted = part * self.n
-        for edge, total in zip(EDGES_US, accumulate(self.counts), strict=False):
-            if total >= wanted:
-                return min(float(edge), self.worst_us)
-        return self.worst_us
+        index = bisect_left(list(accumulate(self.counts)), part * self.n)
+        return min(float(EDGES_US[index]), self.worst_us) if index < len(EDGES_US) else self.worst_us
 
     def within(self, limit_us: float) -> float:
         """Share of cycles that took at most this long, 0..1."""
         return sum(self.counts[: bisect_left(EDGES_US, limit_us) + 1]) / self.n if self.n else 0.0
 
+    def histogram(self) -> list[tuple[float, int]]:
+        """Upper edge in us and cycles of each bar of figure 3-10 that is not empty; the first one starts at 0."""
+        totals = list(accumulate(self.counts))
+        bars = zip(_BARS, pairwise([0, *(totals[last] for last in _BARS)]), strict=True)
+        return [(round(float(EDGES_US[last]), 1), upto - before) for last, (before, upto) in bars if upto > before]
+
     def summary(self) -> dict[str, object]:
-        """JSON-ready: count, percentiles in us, share within 100 us, stage means in us."""
+        """JSON-ready: count, percentiles in us, share within 100 us, stage means in us, histogram."""
         means = [sum_ns / 1e3 / self.n if self.n else 0.0 for sum_ns in self._sums_ns]
         return {
             "n": self.n,
@@ -59,4 +64,5 @@ class Latency:
             "worst_us": round(self.worst_us, 1),
             "within_100_us": round(self.within(100.0), 5),
             "stages_us": {name: round(mean, 2) for name, mean in zip(STAGES, means, strict=True)},
+            "histogram": self.histogram(),
         }

@@ -40,3 +40,13 @@ def test_a_stepped_clock_is_not_a_latency():
 
 def test_edges_rise():
     assert all(a < b for a, b in pairwise(EDGES_US))
+
+
+@given(st.lists(st.floats(0.001, 1e6), min_size=1))
+def test_every_cycle_is_in_the_bar_that_its_path_belongs_to(paths):
+    bars = added(paths).histogram()
+    assert sum(n for _, n in bars) == len(paths)
+    assert bars == sorted(bars)
+    for edge, _ in bars:
+        exact = sum(round(path * 1000) <= edge * 1000 for path in paths)
+        assert sum(n for other, n in bars if other <= edge) == pytest.approx(exact, abs=sum(abs(p - edge) < 0.1 for p in paths))

@@ -1,0 +1,45 @@
+"""A directory that no path leads out of: not by `..`, not by a link, not by one that is put there between look and opening.
+
+httpd, ftpd and sshd open files through it. Everything here blocks on the disk: call it in a worker.
+"""
+
+import os
+import stat
+
+from delfim.errors import DelfimError
+
+
+class Jail:
+    """Paths as clients name them, "/" being the directory itself, made real ones. Raises DelfimError at the door."""
+
+    def __init__(self, root: str | os.PathLike[str]) -> None:
+        self.root = os.path.realpath(root)
+
+    def real(self, path: str) -> str:
+        """The real path, which need not exist. A link is followed as long as it stays inside."""
+        if "\0" in path:
+            raise DelfimError("no such file")
+        real = os.path.realpath(os.path.join(self.root, path.lstrip("/")))
+        if not self._holds(real):
+            raise DelfimError("outside of what may be seen")
+        return real
+
+    def open(self, path: str, flags: int = os.O_RDONLY, mode: int = 0o644) -> int:
+        """A descriptor of a plain file. Raises OSError as os.open does."""
+        fd = os.open(self.real(path), flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, mode)
+        try:
+            if not self._holds(os.readlink(f"/proc/self/fd/{fd}")):
+                raise DelfimError("outside of what may be seen")
+            if not stat.S_ISREG(os.fstat(fd).st_mode):
+                raise DelfimError("not a plain file")
+        except BaseException:
+            os.close(fd)
+            raise
+        return fd
+
+    def shown(self, real: str) -> str:
+        """A real path as clients see it."""
+        return "/" + os.path.relpath(real, self.root).removeprefix(".")
+
+    def _holds(self, real: str) -> bool:
+        return real == self.root or real.startswith(self.root.rstrip("/") + "/")

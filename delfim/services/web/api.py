@@ -1,0 +1,229 @@
+"""The words of the interface: what the vehicle says, what the computer says, and their schema. SI units, the unit in the name.
+
+The vehicle's words are those of `delfim.vehicle.console.snapshot`. What is not named here is left out, what is missing there
+has its default, so that a page and a vehicle of two versions understand each other.
+"""
+
+from typing import Any
+
+import msgspec
+
+
+class Words(msgspec.Struct, frozen=True, kw_only=True):
+    """Unknown fields are ignored, missing ones have their default."""
+
+
+class Reference(Words, frozen=True):
+    """Where the boat is going."""
+
+    heading_deg: float | None = None
+    speed_mps: float | None = None
+    cross_track_m: float | None = None  # positive: the boat is to starboard of its line
+    distance_m: float | None = None
+    leg: int = 0  # from 0
+
+
+class Node(Words, frozen=True):
+    """The last report of one CAN node. Each kind of node fills its own fields."""
+
+    status: str
+    faults: tuple[str, ...] = ()
+    rpm: float | None = None
+    voltage_v: float | None = None
+    current_a: float | None = None
+    charge: float | None = None  # 0..1
+    temperature_c: float | None = None
+
+
+class Latency(Words, frozen=True):
+    """The critical path from the kernel's receive time of navigation to the propellers' command (thesis figures 3-10, 3-11)."""
+
+    n: int = 0
+    p50_us: float = 0.0
+    p99_us: float = 0.0
+    p999_us: float = 0.0
+    worst_us: float = 0.0
+    within_100_us: float = 0.0  # share of cycles, 0..1
+    stages_us: dict[str, float] = {}
+    histogram: tuple[tuple[float, int], ...] = ()  # (upper edge in us, cycles) of each bar that is not empty
+
+
+class Service(Words, frozen=True):
+    """A service, or a process of the supervisor."""
+
+    state: str
+    place: str = "process"
+    for_s: float = 0.0  # in this state
+    restarts: int = 0
+    reason: str = ""  # of its last end
+    pid: int = 0
+    busy_s: float = 0.0
+    longest_callback_s: float = 0.0
+    over_budget: int = 0  # callbacks
+    memory_bytes: int = 0  # resident, of a process of its own
+    figures: dict[str, Any] = {}  # its own
+
+
+class LogStatus(Words, frozen=True):
+    writable: bool = True
+    reason: str = ""
+    file: str = ""
+    bytes: int = 0
+    records: int = 0
+    dropped: int = 0
+
+
+class Check(Words, frozen=True):
+    """A line of the page that is read on the quay."""
+
+    name: str
+    ok: bool
+    reason: str
+
+
+class Notice(Words, frozen=True):
+    """A trouble, and what the boat does about it."""
+
+    name: str
+    reason: str
+    age_s: float | None = None
+    action: str = "warn"
+
+
+class State(Words, frozen=True):
+    """What the vehicle says of itself."""
+
+    mode: str
+    reason: str
+    boat: str = "boat"
+    cycle: int = 0
+    utc_ns: int = 0  # navigation's clock, 0 where it tells none
+    source: str = ""  # of navigation
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    heading_deg: float | None = None
+    course_deg: float | None = None
+    speed_mps: float | None = None
+    fix: int = 0
+    satellites: int = 0
+    starboard_rpm: float = 0.0
+    port_rpm: float = 0.0
+    run: bool = False
+    reference: Reference = Reference()
+    mission: str | None = None
+    legs: int = 0
+    guest_connected: bool = False
+    age_s: dict[str, float | None] = {}  # of every input; null: never heard
+    sysstat: dict[str, Node] = {}
+    counts: dict[str, int] = {}  # what was refused, dropped, repaired
+    latency: Latency = Latency()
+    log: LogStatus = LogStatus()
+    services: dict[str, Service] = {}
+    checks: tuple[Check, ...] = ()
+    notices: tuple[Notice, ...] = ()
+    deadman: dict[str, Any] = {}
+
+
+class Memory(Words, frozen=True):
+    total_bytes: int = 0
+    available_bytes: int = 0
+
+
+class Disk(Words, frozen=True):
+    """The partition of the logs."""
+
+    path: str
+    total_bytes: int = 0
+    free_bytes: int = 0
+    full_in_s: float | None = None  # until the guard has to make room, at the present rate; null: it is not filling
+
+
+class Network(Words, frozen=True):
+    """A network interface; the rates are means since the last look."""
+
+    up: bool
+    addresses: tuple[str, ...] = ()
+    received_bytes: int = 0
+    sent_bytes: int = 0
+    received_bps: float = 0.0
+    sent_bps: float = 0.0
+    errors: int = 0
+    dropped: int = 0
+
+
+class Bus(Words, frozen=True):
+    """A CAN controller as the kernel sees it; load is null where the bit rate is not known."""
+
+    state: str = ""
+    bitrate_bps: int = 0
+    frames_per_s: float = 0.0
+    load: float | None = None  # 0..1
+    frames: int = 0
+    dropped: int = 0
+    errors: int = 0
+    bus_off: int = 0
+    transmit_errors: int | None = None  # the controller's counters, 0..255
+    receive_errors: int | None = None
+
+
+class Process(Words, frozen=True):
+    """A process. Its arguments are not shown: they may hold what is nobody's business."""
+
+    pid: int
+    name: str
+    nice: int
+    cpu: float  # of one processor, since the last look
+    memory_bytes: int
+    threads: int = 1
+
+
+class Time(Words, frozen=True):
+    """The computer's clock."""
+
+    utc_ns: int = 0
+    synchronised: bool = False  # the kernel is told by some source that its clock is right
+    error_s: float | None = None  # at most, as that source says
+
+
+class Computer(Words, frozen=True):
+    """What a look at the computer found."""
+
+    uptime_s: float = 0.0
+    cpu: tuple[float, ...] = ()  # busy share of each processor since the last look, 0..1
+    load: tuple[float, ...] = ()  # the kernel's means over 1, 5 and 15 minutes
+    memory: Memory = Memory()
+    temperature_c: float | None = None  # of the hottest zone
+    disk: Disk | None = None
+    networks: dict[str, Network] = {}
+    buses: dict[str, Bus] = {}
+    processes: tuple[Process, ...] = ()  # the busiest
+    process_count: int = 0
+    time: Time = Time()
+    supervisor: dict[str, Service] = {}  # its processes
+    deadman: str = ""  # its last event, in words
+
+
+class Server(Words, frozen=True):
+    """This server itself."""
+
+    connections: int = 0
+    requests: int = 0
+    refused: int = 0  # connections beyond the limits
+
+
+class Report(Words, frozen=True):
+    """/api/state: everything. `vehicle` is null while it does not answer, and `reason` says why."""
+
+    utc_ns: int
+    vehicle: State | None
+    reason: str
+    services: dict[str, Service]
+    computer: Computer | None
+    computer_age_s: float | None
+    server: Server = Server()
+
+
+def schema() -> dict[str, Any]:
+    """JSON Schema (draft 2020-12) of `Report`."""
+    (reference,), components = msgspec.json.schema_components([Report], ref_template="#/$defs/{name}")
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **reference, "$defs": components}

@@ -1,0 +1,92 @@
+"""Figures as inline SVG: the latency histogram (thesis figure 3-10), bars, a compass. Numbers in, markup out.
+
+Colours are classes of style.css, so that a figure follows the page by day and by night.
+"""
+
+import math
+from typing import Final
+
+from delfim.services.web.api import Latency
+
+LIMIT_US: Final = 100.0  # of the critical path
+WIDTH, HEIGHT, LEFT, BOTTOM, TOP = 360, 180, 30, 26, 6
+
+
+def histogram(latency: Latency) -> str:
+    """Figure 3-10: cycles over latency, both logarithmic, so that one late cycle in a hundred thousand is seen."""
+    highest_us = max([1000.0, latency.worst_us, *(edge for edge, _ in latency.histogram)])
+    decades = math.ceil(math.log10(highest_us) - 1e-9) - 1
+    most = max((n for _, n in latency.histogram), default=1)
+    powers = max(1, math.ceil(math.log10(most) - 1e-9))
+
+    def x(us: float) -> float:
+        return round(LEFT + (WIDTH - LEFT - 6) * min(max(math.log10(max(us, 1e-3) / 10) / decades, 0.0), 1.0), 1)
+
+    def y(n: float) -> float:
+        """One cycle stands a little above the axis."""
+        share = (math.log10(max(n, 1)) + 0.3) / (powers + 0.3) if n else 0.0
+        return round(HEIGHT - BOTTOM - (HEIGHT - BOTTOM - TOP) * share, 1)
+
+    base = HEIGHT - BOTTOM
+    parts = [f'<rect class="late" x="{x(LIMIT_US)}" y="{TOP}" width="{WIDTH - 6 - x(LIMIT_US)}" height="{base - TOP}"/>']
+    for power in range(powers + 1):
+        at = y(10**power)
+        parts.append(f'<path class="grid" d="M{LEFT} {at}H{WIDTH - 6}"/>')
+        parts.append(f'<text class="tick end" x="{LEFT - 4}" y="{at + 3.5}">{_count(10**power)}</text>')
+    for power in range(1, decades + 2):
+        at = x(10.0**power)
+        parts.append(f'<path class="grid" d="M{at} {TOP}V{base}"/>')
+        parts.append(f'<text class="tick middle" x="{min(at, WIDTH - 20)}" y="{HEIGHT - 10}">{micros(10.0**power)}</text>')
+    bars = (f"M{x(edge / 10**0.1)} {base}V{y(n)}H{round(x(edge) - 0.8, 1)}V{base}Z" for edge, n in latency.histogram)
+    parts.append(f'<path class="bars" d="{"".join(bars)}"/>')
+    marks = (("median", latency.p50_us), ("p99", latency.p99_us), ("worst", latency.worst_us))
+    parts += [f'<path class="mark {name}" d="M{x(us)} {TOP}V{base}"/>' for name, us in marks if us > 0]
+    label = f"Histogram of {latency.n} cycles: median {latency.p50_us:.0f}, worst {latency.worst_us:.0f} microseconds"
+    return f'<svg class="figure" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
+
+
+def bar(value: float, maximum: float, kind: str = "") -> str:
+    """A horizontal bar that fills its place; beyond the maximum it is full."""
+    share = 100 * min(max(value / maximum, 0.0), 1.0) if maximum > 0 and math.isfinite(value) else 0.0
+    return (
+        f'<svg class="bar {kind}" viewBox="0 0 100 8" preserveAspectRatio="none" aria-hidden="true">'
+        f'<rect class="rail" width="100" height="8"/><rect class="fill" width="{share:.1f}" height="8"/></svg>'
+    )
+
+
+def thrust(rpm: float, maximum: float) -> str:
+    """A bar from the middle: ahead to the right, astern to the left."""
+    share = 50 * min(max(rpm / maximum, -1.0), 1.0)
+    return (
+        '<svg class="bar" viewBox="0 0 100 8" preserveAspectRatio="none" aria-hidden="true">'
+        f'<rect class="rail" width="100" height="8"/><rect class="fill" x="{50 + min(share, 0):.1f}" '
+        f'width="{abs(share):.1f}" height="8"/><rect class="middle" x="49.6" width="0.8" height="8"/></svg>'
+    )
+
+
+def compass(heading_deg: float | None, wanted_deg: float | None) -> str:
+    """A rose, north up: the boat as a hull, where it is to point as a mark on the rim."""
+    ticks = "".join(
+        f'<path class="{"grid" if deg else "north"}" d="M50 3V{8 if deg % 90 else 12}" transform="rotate({deg} 50 50)"/>'
+        for deg in range(0, 360, 30)
+    )
+    wanted, hull = "", ""
+    if wanted_deg is not None:
+        wanted = f'<path class="wanted" d="M50 14L44 3H56Z" transform="rotate({wanted_deg:.0f} 50 50)"/>'
+    if heading_deg is not None:
+        shape = "M50 16C58 30 60 48 59 78L50 72L41 78C40 48 42 30 50 16Z"
+        hull = f'<path class="hull" d="{shape}" transform="rotate({heading_deg:.0f} 50 50)"/>'
+    circle = '<circle class="rim" cx="50" cy="50" r="47"/>'
+    return f'<svg class="compass" viewBox="0 0 100 100" aria-hidden="true">{circle}{ticks}{hull}{wanted}</svg>'
+
+
+def micros(us: float) -> str:
+    """A time as people read it: 87 µs, 1.2 ms, 3 s."""
+    for size, unit in ((1e6, "s"), (1e3, "ms")):
+        if us >= size * 0.9995:
+            return f"{us / size:.3g} {unit}"
+    return f"{us:.3g} µs" if us < 99.5 else f"{us:.0f} µs"
+
+
+def _count(n: int) -> str:
+    return f"{n // 1_000_000}M" if n >= 1_000_000 else f"{n // 1000}k" if n >= 1000 else str(n)

@@ -1,0 +1,72 @@
+"""/logs: a directory as rows, a file as ranges of bytes. All but `byte_range` blocks on the disk: call it in a worker."""
+
+import os
+import re
+from typing import Final, NamedTuple
+
+from delfim.errors import FormatError
+from delfim.services.jail import Jail
+
+ENTRIES_MAX: Final = 2000
+_RANGE: Final = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
+
+
+class Entry(NamedTuple):
+    name: str
+    is_directory: bool
+    bytes: int
+    mtime_s: float
+
+
+class Opened(NamedTuple):
+    """A plain file that is being sent, as long as it was when it was opened: a log that is being written grows."""
+
+    fd: int
+    bytes: int
+    mtime_ns: int
+
+    @property
+    def tag(self) -> str:
+        return f'"{self.mtime_ns:x}-{self.bytes:x}"'
+
+
+def opened(jail: Jail, path: str) -> Opened:
+    """Raises DelfimError, OSError."""
+    fd = jail.open(path)
+    status = os.fstat(fd)
+    return Opened(fd, status.st_size, status.st_mtime_ns)
+
+
+def is_directory(jail: Jail, path: str) -> bool:
+    """Raises DelfimError for a path that leads out."""
+    return os.path.isdir(jail.real(path))
+
+
+def entries(jail: Jail, path: str) -> tuple[list[Entry], bool]:
+    """What is in a directory, newest names first, directories before files; and whether that is all. What leads out of the
+    jail is not listed. Raises DelfimError, OSError."""
+    found = []
+    with os.scandir(jail.real(path)) as scan:
+        for each in scan:
+            if each.is_symlink():
+                continue
+            status = each.stat(follow_symlinks=False)
+            found.append(Entry(each.name, each.is_dir(follow_symlinks=False), status.st_size, status.st_mtime))
+            if len(found) > ENTRIES_MAX:
+                break
+    found.sort(key=lambda entry: entry.name, reverse=True)
+    found.sort(key=lambda entry: not entry.is_directory)
+    return found[:ENTRIES_MAX], len(found) <= ENTRIES_MAX
+
+
+def byte_range(header: str | None, length: int) -> tuple[int, int] | None:
+    """(first byte, byte after the last) of a Range header for so many bytes; None: all of them, also for a header that asks for
+    several ranges, which a server may ignore (RFC 9110, 14.2). Raises FormatError where nothing can be sent."""
+    match = _RANGE.fullmatch(header.strip()) if header else None
+    if match is None or match.group(1) == match.group(2) == "":
+        return None
+    first, last = match.groups()
+    start, stop = (int(first), int(last) + 1 if last else length) if first else (max(length - int(last), 0), length)
+    if start >= length or stop <= start:
+        raise FormatError(f"there are only {length} bytes")
+    return start, min(stop, length)

@@ -1,0 +1,395 @@
+"""The page: each section is a function of what is known to HTML. The server sends a section again when its HTML has changed.
+
+Whatever comes from outside is escaped here. What a person must know first stands first, in words.
+"""
+
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
+from html import escape
+from typing import Final, NamedTuple
+
+from delfim import config
+from delfim.services.web import figures
+from delfim.services.web.api import Computer, Network, Node, Report, Service, State
+
+HURT: Final = ("stop", "disconnect")  # actions of the failsafe that end the sailing
+OWN_WILL: Final = ("operator", "started", "")  # reasons to lie idle that nobody has to look at
+GONE: Final = "the vehicle does not answer"
+
+
+class View(NamedTuple):
+    """What all sections are made from."""
+
+    report: Report
+    settings: config.Vehicle
+
+
+class Section(NamedTuple):
+    id: str
+    title: str
+    render: Callable[[View], str]
+    every_s: float  # figures and tables of the computer need not run with every second
+    column: int  # on a wide screen; on a phone they stand below each other
+
+
+def head(view: View) -> str:
+    """The mode in letters that are read at arm's length in the sun, and why."""
+    vehicle, reason = view.report.vehicle, view.report.reason
+    name = escape(vehicle.boat if vehicle else view.settings.boat.name)
+    if vehicle is None:
+        return f'<div class="band bad"><p>{name}</p><h1>No answer</h1><p class="why">{escape(reason or GONE)}</p></div>'
+    why = vehicle.reason if vehicle.reason != "operator" else "as the operator asked"
+    if vehicle.mode == "play":
+        why = f"{vehicle.mission or 'mission'}, leg {vehicle.reference.leg + 1} of {vehicle.legs}: {why}"
+    return (
+        f'<div class="band {mood(vehicle)}"><p>{name}</p><h1>{escape(vehicle.mode.capitalize())}</h1>'
+        f'<p class="why">{escape(why)}</p></div>'
+    )
+
+
+def mood(vehicle: State) -> str:
+    """The colour of the band: how the boat fares, in a word."""
+    if any(notice.action in HURT for notice in vehicle.notices):
+        return "bad"
+    if vehicle.mode == "idle":
+        return "calm" if vehicle.reason in OWN_WILL else "warn"
+    return "warn" if vehicle.notices else "good"
+
+
+def warnings(view: View) -> str:
+    """All that a person should look at now, worst first."""
+    found = list(troubles(view))
+    if not found:
+        return '<p class="well">Nothing to report.</p>'
+    rows = (f'<li class="{kind}"><b>{escape(name)}</b> {escape(text)}</li>' for kind, name, text in found)
+    return f'<ul class="lines">{"".join(rows)}</ul>'
+
+
+def troubles(view: View) -> Iterable[tuple[str, str, str]]:
+    """(kind, name, words) of each."""
+    report = view.report
+    vehicle = report.vehicle
+    if vehicle is None:
+        yield "bad", "vehicle", report.reason or GONE
+    else:
+        for notice in vehicle.notices:
+            yield "bad" if notice.action in HURT else "warn", notice.name.replace("_", " "), f"{notice.reason}: {notice.action}"
+        for name, node in vehicle.sysstat.items():
+            if node.status != "good":
+                yield "bad", _words(name), f"{node.status} {', '.join(map(_words, node.faults))}"
+        if vehicle.log.reason:
+            yield "bad", "log", vehicle.log.reason
+        if vehicle.deadman:
+            yield "bad", "dead-man", str(vehicle.deadman.get("reason", ""))
+    computer = report.computer
+    for name, service in [*report.services.items(), *(computer.supervisor if computer else {}).items()]:
+        if service.state in ("waiting", "failed"):
+            yield "bad", name, f"{service.state}: {service.reason}"
+    if vehicle is not None:
+        for name, count in vehicle.counts.items():
+            yield "note", _words(name), f"{count} times"
+    if computer and computer.disk and computer.disk.free_bytes < 2 * view.settings.log.free_bytes_min:
+        yield "warn", "disk", f"{size(computer.disk.free_bytes)} free"
+
+
+def motion(view: View) -> str:
+    vehicle = view.report.vehicle
+    if vehicle is None:
+        return f'<p class="none">{GONE}</p>'
+    reference, most = vehicle.reference, view.settings.propulsion.rpm_max
+    wanted = f"to {number(reference.heading_deg, '03.0f')}°" if reference.heading_deg is not None else "&nbsp;"
+    asked = f"of {number(reference.speed_mps, '.1f')} asked for" if reference.speed_mps is not None else "&nbsp;"
+    track = f"{number(reference.cross_track_m, '+.1f')} m off track" if reference.cross_track_m is not None else "&nbsp;"
+    sides = "".join(
+        f'<div class="side"><b>{side}</b> {figures.thrust(rpm, most)} <span>{rpm:.0f} rpm</span></div>'
+        for side, rpm in (("Port", vehicle.port_rpm), ("Starboard", vehicle.starboard_rpm))
+    )
+    position = f"{number(vehicle.latitude_deg, '.6f')}, {number(vehicle.longitude_deg, '.6f')}"
+    return (
+        f'<div class="tiles"><div class="rose">{figures.compass(vehicle.heading_deg, reference.heading_deg)}</div>'
+        f"{tile('Heading', number(vehicle.heading_deg, '03.0f'), '°', wanted)}"
+        f"{tile('Speed', number(vehicle.speed_mps, '.2f'), 'm/s', asked)}"
+        f"{tile('To go', number(reference.distance_m, '.0f'), 'm', track)}</div>{sides}"
+        f'<p class="small">{position} · {vehicle.satellites} satellites · by {escape(vehicle.source or "nobody")}'
+        f"{_batteries(vehicle)}</p>"
+    )
+
+
+def _batteries(vehicle: State) -> str:
+    charged = [(name, node) for name, node in vehicle.sysstat.items() if node.charge is not None]
+    return "".join(
+        f" · {escape(name.removeprefix('batteries_'))} batteries {number(node.charge, '.0%')} {number(node.voltage_v, '.1f')} V"
+        for name, node in charged
+    )
+
+
+def inputs(view: View) -> str:
+    """The age of every input beside the age at which it counts as silent."""
+    vehicle = view.report.vehicle
+    if vehicle is None:
+        return f'<p class="none">{GONE}</p>'
+    rows = []
+    for name, age_s in vehicle.age_s.items():
+        limit_s = _limit_s(view.settings, name)
+        used = name != "guest" or vehicle.guest_connected
+        kind = "" if not used else "bad" if age_s is None or age_s > limit_s else "warn" if age_s > 0.6 * limit_s else "good"
+        node = vehicle.sysstat.get(name)
+        told = f'<span class="more">{_node(node)}</span>' if node else ""
+        text = "never heard" if age_s is None else span(age_s)
+        rows.append(
+            f'<tr class="{kind}"><th>{_words(name)}{told}</th><td class="gauge">{figures.bar(age_s or 0.0, limit_s, kind)}</td>'
+            f'<td class="value">{text}</td></tr>'
+        )
+    return f'<table class="ages">{"".join(rows)}</table><p class="small">A full bar is the limit of the vehicle’s file.</p>'
+
+
+def _limit_s(settings: config.Vehicle, name: str) -> float:
+    named = {
+        "navigation": settings.navigation.stale_s,
+        "console": settings.failsafe.console_silent.after_s,
+        "guest": settings.failsafe.guest_silent.after_s,
+    }
+    return named.get(name, settings.sysstat.stale_s)
+
+
+def _node(node: Node) -> str:
+    values = (
+        (node.rpm, "{:.0f}\N{NO-BREAK SPACE}rpm"),
+        (node.charge, "{:.0%}"),
+        (node.voltage_v, "{:.1f}\N{NO-BREAK SPACE}V"),
+        (node.current_a, "{:.1f}\N{NO-BREAK SPACE}A"),
+        (node.temperature_c, "{:.0f}\N{NO-BREAK SPACE}°C"),
+    )
+    told = " ".join(form.format(value) for value, form in values if value is not None)
+    return told if node.status == "good" else f"<b>{escape(node.status)} {escape(', '.join(node.faults))}</b> {told}"
+
+
+def latency(view: View) -> str:
+    vehicle = view.report.vehicle
+    if vehicle is None or not vehicle.latency.n:
+        return '<p class="none">no navigation cycle yet</p>'
+    told = vehicle.latency
+    marks = (("median", "median", told.p50_us), ("p99", "99 %", told.p99_us), ("worst", "worst", told.worst_us))
+    key = "".join(f'<span class="key {name}">{words} <b>{figures.micros(us)}</b></span>' for name, words, us in marks)
+    return (
+        f'{figures.histogram(told)}<p class="keys">{key}</p>'
+        f'<p class="small">{told.n} cycles, {told.within_100_us:.2%} within 100 µs. From the kernel’s receive time '
+        "of navigation to the command of the propellers.</p>"
+    )
+
+
+def stages(view: View) -> str:
+    """Figure 3-11: where the time of a cycle goes, on average."""
+    vehicle = view.report.vehicle
+    if vehicle is None or not vehicle.latency.n:
+        return '<p class="none">no navigation cycle yet</p>'
+    means = vehicle.latency.stages_us
+    most = max([*means.values(), 1e-9])
+    rows = "".join(
+        f'<tr><th>{_words(name)}</th><td class="gauge">{figures.bar(mean, most, "after" if name == "log" else "")}</td>'
+        f'<td class="value">{figures.micros(mean)}</td></tr>'
+        for name, mean in means.items()
+    )
+    return f'<table>{rows}</table><p class="small">Means. The log comes after the propellers have their command.</p>'
+
+
+def services(view: View) -> str:
+    report = view.report
+    supervisor = report.computer.supervisor if report.computer else {}
+    rows = [_service(view, name, service) for name, service in report.services.items()]
+    rows += [_service(view, name, service) for name, service in supervisor.items() if name not in report.services]
+    dead = report.computer.deadman if report.computer else ""
+    note = f'<p class="small">Dead-man: {escape(dead)}</p>' if dead else ""
+    return f'<ul class="services">{"".join(rows)}</ul>{note}'
+
+
+def _service(view: View, name: str, service: Service) -> str:
+    kind = {"running": "good", "starting": "warn", "stopped": "calm"}.get(service.state, "bad")
+    told = [f"for {span(service.for_s)}", "in the runtime" if service.place == "runtime" else f"process {service.pid or '–'}"]
+    if service.longest_callback_s:
+        slow = service.longest_callback_s > view.settings.runtime.callback_budget_s
+        text = f"longest callback {figures.micros(service.longest_callback_s * 1e6)}"
+        told.append(f'<b class="warn">{text}</b>' if slow else text)
+        told.append(f"{100 * service.busy_s / max(service.for_s, 1e-3):.1f} % busy")
+    if service.memory_bytes:
+        told.append(size(service.memory_bytes))
+    if service.restarts:
+        told.append(f'<b class="warn">restarted {service.restarts} times</b>')
+    if service.reason:
+        told.append(f"last end: {escape(service.reason)}")
+    told += [f"{escape(_words(key))} {escape(str(value))}" for key, value in service.figures.items()]
+    return (
+        f'<li><b class="name">{escape(name)}</b> <span class="pill {kind}">{escape(service.state)}</span>'
+        f'<span class="small">{" · ".join(told)}</span></li>'
+    )
+
+
+def buses(view: View) -> str:
+    """CAN controllers as the kernel sees them; a bus without hardware has none."""
+    computer, vehicle = view.report.computer, view.report.vehicle
+    found = computer.buses if computer else {}
+    rows = []
+    for name, bus in found.items():
+        kind = "good" if bus.state in ("error active", "up", "unknown", "") else "bad"
+        load = "" if bus.load is None else f'<td class="gauge">{figures.bar(bus.load, 1.0)}</td><td>{bus.load:.0%}</td>'
+        counters = "" if bus.transmit_errors is None else f" · error counters {bus.transmit_errors} / {bus.receive_errors}"
+        rows.append(
+            f'<tr><th>{escape(name)} <span class="pill {kind}">{escape(bus.state or "up")}</span></th>{load}</tr>'
+            f'<tr><td colspan="3" class="small">{bus.frames_per_s:.0f} frames/s · {bus.frames} frames · '
+            f"{bus.dropped} dropped · {bus.errors} errors · bus off {bus.bus_off} times{counters}</td></tr>"
+        )
+    if not rows:
+        name = escape(view.settings.can.interface)
+        rows.append(f'<tr><td class="none">{name} has no controller for which the kernel counts</td></tr>')
+    refused = vehicle.counts if vehicle else {}
+    counts = "".join(f"<tr><th>{_words(name)}</th><td>{count}</td></tr>" for name, count in refused.items())
+    return f"<table>{''.join(rows)}{counts}</table>" + ("" if counts else '<p class="small">The vehicle refused nothing.</p>')
+
+
+def computer(view: View) -> str:
+    found = view.report.computer
+    if found is None:
+        return '<p class="none">not looked at yet</p>'
+    used = found.memory.total_bytes - found.memory.available_bytes
+    rows = [(f"CPU {n}", share, 1.0, f"{share:.0%}") for n, share in enumerate(found.cpu)]
+    rows.append(("Memory", used, found.memory.total_bytes, f"{size(used)} of {size(found.memory.total_bytes)}"))
+    told = [f"up {span(found.uptime_s)}", f"load {' '.join(f'{each:.2f}' for each in found.load)}"]
+    if found.temperature_c is not None:
+        told.append(f"{found.temperature_c:.0f} °C")
+    return f'{_gauges(rows)}<p class="small">{" · ".join(told)}</p>'
+
+
+def disk(view: View) -> str:
+    found, vehicle = view.report.computer, view.report.vehicle
+    if found is None or found.disk is None:
+        return '<p class="none">not looked at yet, or not there</p>'
+    space = found.disk
+    used = space.total_bytes - space.free_bytes
+    full = "not filling" if space.full_in_s is None else f"full in {span(space.full_in_s)} at this rate"
+    keep = view.settings.log.free_bytes_min
+    then = "then the oldest days go" if view.settings.log.when_full == "delete-oldest" else "then logging stops"
+    log = ""
+    if vehicle is not None:
+        status = vehicle.log
+        state = "being written" if status.writable else f"not written: {status.reason}"
+        log = f'<p class="small">State log {escape(state)}: {status.records} records, {status.dropped} dropped.</p>'
+    return (
+        f"{_gauges([('Used', used, space.total_bytes, f'{size(space.free_bytes)} free')])}"
+        f'<p><b>{full}</b></p><p class="small">{escape(space.path)}, {size(keep)} are kept free, {then}. '
+        f'<a href="/logs/">Browse the logs</a></p>{log}'
+    )
+
+
+def networks(view: View) -> str:
+    found = view.report.computer
+    if found is None:
+        return '<p class="none">not looked at yet</p>'
+    up = "".join(_network(name, each) for name, each in found.networks.items() if each.up)
+    down = ", ".join(escape(name) for name, each in found.networks.items() if not each.up)
+    return f'<ul class="services">{up}</ul>' + (f'<p class="small">Down: {down}</p>' if down else "")
+
+
+def _network(name: str, network: Network) -> str:
+    rates = f"in {rate(network.received_bps)} · out {rate(network.sent_bps)}"
+    totals = f"{size(network.received_bytes)} in, {size(network.sent_bytes)} out"
+    bad = f" · {network.errors} errors, {network.dropped} dropped" if network.errors or network.dropped else ""
+    addresses = escape(", ".join(network.addresses))
+    return f'<li><b class="name">{escape(name)}</b> {addresses}<span class="small">{rates} · {totals}{bad}</span></li>'
+
+
+def clock(view: View) -> str:
+    """The computer's clock beside that of the satellites."""
+    report, vehicle = view.report, view.report.vehicle
+    now = datetime.fromtimestamp(report.utc_ns // 1_000_000_000, UTC)
+    told = [f"{now:%Y-%m-%d}"]
+    if report.computer is not None:
+        time = report.computer.time
+        error = f", right to {span(time.error_s)}" if time.error_s is not None else ""
+        told.append(f"the kernel’s clock is {'kept right by a source' + error if time.synchronised else 'running free'}")
+    age_s = vehicle.age_s.get("navigation") if vehicle else None
+    if vehicle is not None and vehicle.utc_ns and age_s is not None:
+        off_s = (report.utc_ns - vehicle.utc_ns) / 1e9 - age_s
+        told.append(f"{off_s:+.1f} s off navigation’s, by {escape(vehicle.source)}")
+    else:
+        told.append("navigation tells no time to compare with")
+    return f'<p class="big">{now:%H:%M:%S} <small>UTC</small></p><p class="small">{" · ".join(told)}</p>'
+
+
+def processes(view: View) -> str:
+    found = view.report.computer
+    if found is None:
+        return '<p class="none">not looked at yet</p>'
+    rows = "".join(
+        f"<tr><td>{each.pid}</td><th>{escape(each.name)}</th><td>{each.cpu:.1%}</td><td>{size(each.memory_bytes)}</td>"
+        f"<td>{each.nice}</td></tr>"
+        for each in found.processes
+    )
+    names = "<tr><th>id</th><th>name</th><th>cpu</th><th>memory</th><th>nice</th></tr>"
+    return f'<table class="processes"><thead>{names}</thead>{rows}</table><p class="small">{_busiest(found)}</p>'
+
+
+def _busiest(found: Computer) -> str:
+    return f"The busiest {len(found.processes)} of {found.process_count}."
+
+
+# The page, in its order.
+SECTIONS: Final = (
+    Section("motion", "Motion", motion, 1.0, 0),
+    Section("warnings", "To look at", warnings, 1.0, 0),
+    Section("inputs", "Age of every input", inputs, 1.0, 0),
+    Section("disk", "Logs", disk, 5.0, 0),
+    Section("latency", "Critical path", latency, 5.0, 1),
+    Section("stages", "Stages of a cycle", stages, 5.0, 1),
+    Section("services", "Services", services, 5.0, 1),
+    Section("buses", "CAN", buses, 5.0, 1),
+    Section("computer", "Computer", computer, 5.0, 2),
+    Section("networks", "Network", networks, 5.0, 2),
+    Section("clock", "Clock", clock, 1.0, 2),
+    Section("processes", "Processes", processes, 5.0, 2),
+)
+
+
+# Words.
+
+
+def tile(name: str, value: str, unit: str, more: str) -> str:
+    return f'<div class="tile"><b>{name}</b><p class="big">{value}<small>{unit}</small></p><p class="small">{more}</p></div>'
+
+
+def _gauges(rows: Iterable[tuple[str, float, float, str]]) -> str:
+    lines = (
+        f'<tr><th>{name}</th><td class="gauge">{figures.bar(value, most, "warn" if value > 0.9 * most else "")}</td>'
+        f'<td class="value">{text}</td></tr>'
+        for name, value, most, text in rows
+    )
+    return f"<table>{''.join(lines)}</table>"
+
+
+def number(value: float | None, form: str) -> str:
+    return "–" if value is None else format(value, form)
+
+
+def span(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 60:
+        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
+    for limit, big, small, names in ((3600, 60, 1, "min s"), (86_400, 3600, 60, "h min"), (1e12, 86_400, 3600, "d h")):
+        if seconds < limit:
+            first, second = names.split()
+            return f"{seconds // big:.0f} {first} {seconds % big // small:.0f} {second}"
+    return "for ever"
+
+
+def size(count: float) -> str:
+    for limit, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if count >= limit:
+            return f"{count / limit:.1f} {unit}" if count < 100 * limit else f"{count / limit:.0f} {unit}"
+    return f"{count:.0f} B"
+
+
+def rate(bps: float) -> str:
+    return f"{bps / 1e6:.1f} Mbit/s" if bps >= 1e6 else f"{bps / 1e3:.1f} kbit/s" if bps >= 1e3 else f"{bps:.0f} bit/s"
+
+
+def _words(name: str) -> str:
+    return escape(name.replace("_", " "))

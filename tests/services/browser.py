@@ -1,0 +1,114 @@
+"""A browser engine for the tests: headless Chromium over its DevTools socket, as little of it as is needed."""
+
+import asyncio
+import base64
+import contextlib
+import itertools
+import json
+import shutil
+import signal
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+
+PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+START_S = 20.0
+
+
+class Page:
+    """One tab."""
+
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
+        self._socket = socket
+        self._numbers = itertools.count(1)
+        self.complaints: list[str] = []  # of the page's console: errors, what the policy refused
+
+    async def call(self, method: str, **words: Any) -> dict[str, Any]:
+        number = next(self._numbers)
+        await self._socket.send_json({"id": number, "method": method, "params": words})
+        while True:
+            told = json.loads(await self._socket.receive_str())
+            if told.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
+                self.complaints.append(json.dumps(told["params"]))
+            if told.get("id") == number:
+                assert "error" not in told, told
+                return told["result"]
+
+    async def open(
+        self, url: str, *, width: int, height: int, scale: float = 2.0, dark: bool = False, script: bool = True
+    ) -> None:
+        await self.call("Runtime.enable")
+        await self.call("Log.enable")
+        await self.call("Page.enable")
+        await self.call(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=scale, mobile=width < 600
+        )
+        await self.call("Emulation.setScriptExecutionDisabled", value=not script)
+        features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
+        await self.call("Emulation.setEmulatedMedia", features=features)
+        await self.call("Page.navigate", url=url)
+        await self.until("document.readyState === 'complete'")
+
+    async def value(self, expression: str) -> Any:
+        answer = await self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        return answer["result"].get("value")
+
+    async def until(self, expression: str, timeout_s: float = 15.0) -> None:
+        """Wait until an expression is true in the page."""
+        async with asyncio.timeout(timeout_s):
+            while not await self.value(expression):
+                await asyncio.sleep(0.05)
+
+    async def picture(self, height: int | None = None) -> bytes:
+        """The whole page, or its top, as PNG."""
+        size = (await self.call("Page.getLayoutMetrics"))["cssContentSize"]
+        clip = {"x": 0, "y": 0, "width": size["width"], "height": height or size["height"], "scale": 1}
+        taken = await self.call("Page.captureScreenshot", format="png", clip=clip, captureBeyondViewport=True)
+        return base64.b64decode(taken["data"])
+
+
+@contextlib.asynccontextmanager
+async def browser(folder: Path) -> AsyncIterator[Page]:
+    """A tab of a fresh browser whose files are in `folder`."""
+    assert PROGRAM is not None
+    words = (
+        "--headless=new",
+        "--no-sandbox",
+        "--disable-gpu",
+        "--hide-scrollbars",
+        "--remote-debugging-port=0",
+        "--no-first-run",
+    )
+    child = await asyncio.create_subprocess_exec(
+        PROGRAM,
+        *words,
+        f"--user-data-dir={folder}",
+        "about:blank",
+        stdout=asyncio.subprocess.DEVNULL,
+        stderr=asyncio.subprocess.DEVNULL,
+        start_new_session=True,
+    )
+    try:
+        port = await _port(folder / "DevToolsActivePort")
+        async with aiohttp.ClientSession() as session:
+            async with session.get(f"http://127.0.0.1:{port}/json") as answer:
+                tab = next(each for each in await answer.json() if each["type"] == "page")
+            async with session.ws_connect(tab["webSocketDebuggerUrl"], max_msg_size=0) as socket:
+                yield Page(socket)
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            child.send_signal(signal.SIGTERM)
+        await child.wait()
+
+
+async def _port(file: Path) -> int:
+    async with asyncio.timeout(START_S):
+        while not (text := _read(file)):
+            await asyncio.sleep(0.05)
+    return int(text.splitlines()[0])
+
+
+def _read(file: Path) -> str:
+    return file.read_text() if file.exists() else ""

@@ -1,0 +1,498 @@
+"""httpd from outside, on loopback: what it says, what it keeps to itself, and who cannot hurt it."""
+
+import asyncio
+import contextlib
+import copy
+import os
+import re
+import shutil
+import socket
+import sys
+from collections.abc import AsyncIterator
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import msgspec
+import pytest
+
+from delfim import config
+from delfim.services import httpd
+from delfim.services.httpd import Look
+from delfim.services.web import api
+from tests.services.boat import STATE, served, vehicle, vehicle_file
+from tests.services.browser import PROGRAM, browser
+
+pytestmark = pytest.mark.timeout(60)
+PLACES = ("/", "/checks", "/logs/", "/metrics", "/api/state", "/api/checks", "/api/schema")
+
+
+class Site:
+    """The running service and how it is reached."""
+
+    def __init__(self, url: str, state: dict[str, Any], settings: config.Vehicle, session: aiohttp.ClientSession) -> None:
+        self.url, self.state, self.settings, self.session = url.rstrip("/"), state, settings, session
+        self.writers: list[asyncio.StreamWriter] = []
+        self.log = Path(settings.log.directory)
+        self.port = int(self.url.rpartition(":")[2])
+
+    async def get(self, path: str, **headers: str) -> tuple[int, aiohttp.typedefs.LooseHeaders, bytes]:
+        async with self.session.get(self.url + path, headers=headers, allow_redirects=False) as answer:
+            return answer.status, answer.headers, await answer.read()
+
+    async def raw(self, data: bytes, address: str = "127.0.0.1") -> tuple[asyncio.StreamReader, asyncio.StreamWriter]:
+        streams = await asyncio.open_connection("127.0.0.1", self.port, local_addr=(address, 0))
+        streams[1].write(data)
+        self.writers.append(streams[1])
+        return streams
+
+    async def hang_up(self) -> None:
+        for writer in self.writers:
+            writer.transport.abort()
+        await asyncio.sleep(0)
+
+
+@contextlib.asynccontextmanager
+async def site(tmp_path: Path, *, with_vehicle: bool = True, **limits: Any) -> AsyncIterator[Site]:
+    settings = vehicle_file(tmp_path, httpd=config.Httpd(listen="127.0.0.1:0", **limits))
+    state = copy.deepcopy(STATE)
+    async with contextlib.AsyncExitStack() as stack:
+        if with_vehicle:
+            await stack.enter_async_context(vehicle(settings, state))
+        runtime = await stack.enter_async_context(served(settings, httpd.serve, "httpd"))
+        session = await stack.enter_async_context(aiohttp.ClientSession())
+        boat = Site(str(runtime.board["httpd"]()["address"]), state, settings, session)
+        stack.push_async_callback(boat.hang_up)
+        yield boat
+
+
+async def ended(reader: asyncio.StreamReader) -> bytes:
+    """What was said until the server hung up."""
+    async with asyncio.timeout(5):
+        try:
+            return await reader.read()
+        except ConnectionResetError:
+            return b""
+
+
+def test_every_place_answers_and_nothing_comes_from_elsewhere(tmp_path):
+    async def main():
+        async with site(tmp_path) as boat:
+            for place in PLACES:
+                status, headers, body = await boat.get(place)
+                assert status == 200, place
+                assert headers["X-Content-Type-Options"] == "nosniff"
+                assert "default-src 'none'" in headers["Content-Security-Policy"]
+                assert headers["Server"] == "delfim"
+                text = body.decode().replace("http://www.w3.org/2000/svg", "")
+                assert not re.search(r"(src|href)=.?(https?:)?//", text), "everything is on the page itself"
+            assert (await boat.get("/nothing"))[0] == 404
+            assert (await boat.get("/logs"))[1]["Location"] == "/logs/"
+
+    asyncio.run(main())
+
+
+def test_the_page_says_without_a_script_what_a_person_must_know(tmp_path):
+    async def main():
+        async with site(tmp_path) as boat:
+            text = (await boat.get("/"))[2].decode()
+            for words in (
+                "<h1>Play</h1>",
+                "Doca, leg 1 of 12",
+                "batteries port at 12 %: home",
+                "bad overheated",
+                "waiting: bus off",
+                "restarted 4 times",
+                "navigation jumps",
+                "never heard",
+                "98.00% within 100 µs",
+                "640 µs",
+                '<noscript><meta http-equiv="refresh"',
+            ):
+                assert words in text
+            checks = (await boat.get("/checks"))[2].decode()
+            assert "1 of 2 not in order" in checks
+            assert "disk full" in checks
+
+    asyncio.run(main())
+
+
+def test_words_from_outside_are_not_markup(tmp_path):
+    async def main():
+        async with site(tmp_path) as boat:
+            boat.state["reason"] = boat.state["mission"] = "<script>alert(1)</script>"
+            boat.state["counts"] = {"<img src=x>": 1}
+            (boat.log / "<b>&.log").write_text("x")
+            for place in ("/", "/logs/"):
+                text = (await boat.get(place))[2].decode()
+                assert "<script>alert" not in text
+                assert "<img" not in text
+                assert "<b>&.log" not in text
+
+    asyncio.run(main())
+
+
+def test_state_is_as_the_schema_says(tmp_path):
+    async def main():
+        async with site(tmp_path) as boat:
+            report = msgspec.json.decode((await boat.get("/api/state"))[2], type=api.Report, strict=True)
+            assert report.vehicle is not None
+            assert report.vehicle.heading_deg == 131.65
+            assert report.vehicle.latency.histogram[-1] == (704.0, 1)
+            schema = msgspec.json.decode((await boat.get("/api/schema"))[2])
+            assert set(schema["$defs"]["Report"]["properties"]) == {f.name for f in msgspec.structs.fields(api.Report)}
+            named = set(re.findall(r"#/\$defs/(\w+)", str(schema)))
+            assert named <= set(schema["$defs"])
+
+    asyncio.run(main())
+
+
+def test_metrics_are_what_prometheus_reads(tmp_path):
+    label = r'[a-z]+="(\\.|[^"\\])*"'
+    line = re.compile(rf"(# (HELP|TYPE) [a-z_]+ .+|[a-z_]+(\{{{label}(,{label})*\}})? -?[0-9.e+-]+)")
+
+    async def main():
+        async with site(tmp_path) as boat:
+            boat.state["counts"] = {'a "quoted"\\\nname': 1}
+            _, headers, body = await boat.get("/metrics")
+            assert headers["Content-Type"].startswith("text/plain; version=0.0.4")
+            lines = body.decode().splitlines()
+            assert [each for each in lines if not line.fullmatch(each.replace('le="+Inf"', 'le="1"'))] == []
+            samples = [each.rpartition(" ")[0] for each in lines if not each.startswith("#")]
+            assert len(set(samples)) == len(samples)
+            buckets = [int(each.split()[-1]) for each in lines if "_bucket" in each]
+            assert buckets == sorted(buckets)
+            assert buckets[-1] == 1000
+            assert 'delfim_service_restarts_total{service="canzlogd"} 4' in lines
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("mute", [False, True], ids=["gone", "mute"])
+def test_a_vehicle_that_does_not_answer_is_said_to_be_so(tmp_path, monkeypatch, mute):
+    monkeypatch.setattr(httpd, "ANSWER_S", 0.05)
+
+    async def main():
+        async with site(tmp_path, with_vehicle=False) as boat:
+            if mute:
+                path = boat.settings.console.socket
+                silent = await asyncio.start_unix_server(lambda _, writer: boat.writers.append(writer), path)
+            text = (await boat.get("/"))[2].decode()
+            assert "No answer" in text
+            assert "the vehicle does not answer" in text
+            assert "delfim_up 0" in (await boat.get("/metrics"))[2].decode()
+            assert msgspec.json.decode((await boat.get("/api/state"))[2])["vehicle"] is None
+            if mute:
+                silent.close()
+
+    asyncio.run(main())
+
+
+def test_events_bring_all_sections_once_and_then_what_has_changed(tmp_path, monkeypatch):
+    monkeypatch.setattr(httpd, "EVERY_S", (0.02, 60.0))
+    monkeypatch.setattr(httpd, "FRESH_S", 0.0)
+
+    async def main():
+        async with site(tmp_path) as boat, boat.session.get(boat.url + "/events") as events:
+            assert events.headers["Content-Type"] == "text/event-stream"
+
+            async def event() -> dict[str, str]:
+                line = await events.content.readline()
+                assert await events.content.readline() == b"\n"
+                return msgspec.json.decode(line.removeprefix(b"data: "))
+
+            first = await event()
+            assert {"head", "motion", "inputs", "latency", "processes"} <= set(first)
+            boat.state["mode"] = "hold"
+            async with asyncio.timeout(5):
+                while "head" not in (changed := await event()):
+                    pass
+            assert "Hold" in changed["head"]
+            assert "motion" not in changed
+
+    asyncio.run(main())
+
+
+def test_a_page_that_is_not_read_costs_nothing_and_is_hung_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(httpd, "EVERY_S", (0.005, 60.0))
+    monkeypatch.setattr(httpd, "FRESH_S", 0.0)
+    monkeypatch.setattr(httpd, "STALL_S", 0.3)
+    monkeypatch.setattr(httpd, "UNSENT_BYTES", 4096)
+
+    async def main():
+        async with site(tmp_path) as boat:
+            link = socket.socket()
+            link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            link.connect(("127.0.0.1", boat.port))
+            link.sendall(b"GET /events HTTP/1.1\r\nHost: x\r\n\r\n")
+            async with asyncio.timeout(20):
+                while (await shown(boat))["connections"] < 2:
+                    boat.state["heading_deg"] = (boat.state["heading_deg"] + 1) % 360
+                    await asyncio.sleep(0.01)
+                while (await shown(boat))["connections"] > 1:
+                    boat.state["heading_deg"] = (boat.state["heading_deg"] + 1) % 360
+                    await asyncio.sleep(0.01)
+            link.close()
+
+    asyncio.run(main())
+
+
+async def shown(boat: Site) -> dict[str, int]:
+    server: dict[str, int] = msgspec.json.decode((await boat.get("/api/state"))[2])["server"]
+    return server
+
+
+def test_one_visitor_cannot_take_all_connections(tmp_path):
+    async def main():
+        async with site(tmp_path, connections=6, connections_per_address=4) as boat:
+            held = [await boat.raw(b"GET / HT", "127.0.0.2") for _ in range(6)]
+            answers = [asyncio.wait_for(reader.read(), 0.3) for reader, _ in held]
+            told = await asyncio.gather(*answers, return_exceptions=True)
+            assert sum(isinstance(each, bytes) and each.startswith(b"HTTP/1.1 503") for each in told) == 2
+            assert (await boat.get("/"))[0] == 200
+            assert (await shown(boat))["refused"] == 2
+
+    asyncio.run(main())
+
+
+def test_half_a_request_is_hung_up_while_others_are_served(tmp_path, monkeypatch):
+    """Slow-loris: a byte now and then does not hold a connection."""
+    monkeypatch.setattr(httpd, "IDLE_S", 0.3)
+
+    async def main():
+        async with site(tmp_path) as boat:
+            reader, writer = await boat.raw(b"GET / HTTP/1.1\r\n", "127.0.0.2")
+            dripping = True
+
+            async def drip() -> None:
+                while dripping:
+                    writer.write(b"X: y\r\n")
+                    await asyncio.sleep(0.05)
+
+            async def visit() -> list[int]:
+                return [(await boat.get("/api/checks"))[0] for _ in range(5)]
+
+            drops = asyncio.create_task(drip())
+            statuses = await visit()
+            assert await ended(reader) == b""
+            dripping = False
+            await drops
+            assert statuses == [200] * 5
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    ("request_", "status"),
+    [
+        (b"GET /" + b"a" * 9000 + b" HTTP/1.1\r\nHost: x\r\n\r\n", b"400"),
+        (b"GET / HTTP/1.1\r\nHost: x\r\nX: " + b"a" * 9000 + b"\r\n\r\n", b"400"),
+        (b"GET / HTTP/1.1\r\nHost: x\r\n" + b"X: y\r\n" * 500 + b"\r\n", b"400"),
+        (b"POST / HTTP/1.1\r\nHost: x\r\nContent-Length: 1000000000\r\n\r\nabc", b"405"),
+        (b"DELETE /logs/x HTTP/1.1\r\nHost: x\r\n\r\n", b"405"),
+        (b"\x16\x03\x01\x02\x00 what is this\r\n\r\n", b"400"),
+    ],
+    ids=["line", "field", "fields", "upload", "delete", "no HTTP"],
+)
+def test_what_is_too_much_is_refused(tmp_path, request_, status):
+    async def main():
+        async with site(tmp_path) as boat:
+            reader, _ = await boat.raw(request_)
+            assert (await ended(reader)).split(b" ")[1] == status
+            assert (await boat.get("/checks"))[0] == 200
+
+    asyncio.run(main())
+
+
+def test_it_answers_where_the_file_says_and_nowhere_else(tmp_path):
+    async def main():
+        async with site(tmp_path) as boat:
+            assert boat.url.startswith("http://127.0.0.1:")
+            with pytest.raises(ConnectionRefusedError):
+                await asyncio.open_connection("127.0.0.2", boat.port)
+
+    asyncio.run(main())
+
+
+CONTENT = bytes(range(256)) * 1000
+
+
+@pytest.mark.parametrize(
+    ("asked", "status", "part"),
+    [
+        (None, 200, CONTENT),
+        ("bytes=0-99", 206, CONTENT[:100]),
+        ("bytes=255990-", 206, CONTENT[255990:]),
+        ("bytes=-7", 206, CONTENT[-7:]),
+        ("bytes=-999999999", 206, CONTENT),
+        ("bytes=100-999999999", 206, CONTENT[100:]),
+        ("bytes=0-1,5-6", 200, CONTENT),
+        ("lines=1-2", 200, CONTENT),
+        ("bytes=256000-", 416, None),
+        ("bytes=9-3", 416, None),
+    ],
+)
+def test_a_log_comes_whole_or_in_the_range_that_was_asked_for(tmp_path, asked, status, part):
+    async def main():
+        async with site(tmp_path) as boat:
+            (boat.log / "20260101").mkdir()
+            (boat.log / "20260101/a b.log").write_bytes(CONTENT)
+            got, headers, body = await boat.get("/logs/20260101/a%20b.log", **({"Range": asked} if asked else {}))
+            assert got == status
+            if part is None:
+                assert headers["Content-Range"] == "bytes */256000"
+            else:
+                assert body == part
+                assert headers["Accept-Ranges"] == "bytes"
+            stale = await boat.get("/logs/20260101/a%20b.log", Range="bytes=0-9", **{"If-Range": '"another"'})
+            assert (stale[0], len(stale[2])) == (200, len(CONTENT))
+            fresh = await boat.get("/logs/20260101/a%20b.log", Range="bytes=0-9", **{"If-Range": stale[1]["ETag"]})
+            assert (fresh[0], fresh[2]) == (206, CONTENT[:10])
+            async with boat.session.head(boat.url + "/logs/20260101/a%20b.log") as head:
+                assert head.headers["Content-Length"] == "256000"
+
+    asyncio.run(main())
+
+
+@pytest.mark.skipif(not shutil.which("curl"), reason="needs curl")
+def test_curl_resumes_a_download_that_broke_off(tmp_path):
+    async def main():
+        async with site(tmp_path) as boat:
+            (boat.log / "x.log").write_bytes(CONTENT)
+            part = tmp_path / "part"
+            part.write_bytes(CONTENT[:77_777])
+            curl = await asyncio.create_subprocess_exec("curl", "-sS", "-C", "-", "-o", part, boat.url + "/logs/x.log")
+            assert await curl.wait() == 0
+            assert part.read_bytes() == CONTENT
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "/logs/../secret",
+        "/logs/%2e%2e/secret",
+        "/logs/..%2fsecret",
+        "/logs/%252e%252e/secret",
+        "/logs/link",
+        "/logs/folder/secret",
+        "/logs//etc/passwd",
+        "/logs/%2fetc/passwd",
+        "/logs/secret%00.log",
+        "/logs/pipe",
+        "/logs/gone",
+        "/logs/%ff%fe",
+    ],
+)
+def test_no_path_leads_out_of_the_logs(tmp_path, path):
+    async def main():
+        async with site(tmp_path) as boat:
+            (tmp_path / "secret").write_text("secret")
+            (boat.log / "link").symlink_to(tmp_path / "secret")
+            (boat.log / "folder").symlink_to(tmp_path)
+            os.mkfifo(boat.log / "pipe")
+            reader, _ = await boat.raw(f"GET {path} HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n".encode())
+            told = await ended(reader)
+            assert told.split(b" ")[1] == b"404"
+            assert b"\r\n\r\nsecret" not in told
+            listing = (await boat.get("/logs/"))[2].decode()
+            assert "link" not in listing.partition("files")[2]
+
+    asyncio.run(main())
+
+
+def test_a_download_that_nobody_reads_is_given_up(tmp_path, monkeypatch):
+    monkeypatch.setattr(httpd, "STALL_S", 0.2)
+
+    async def main():
+        async with site(tmp_path) as boat:
+            (boat.log / "big").write_bytes(bytes(20 << 20))
+            _, writer = await boat.raw(b"")
+            writer.transport.pause_reading()
+            writer.write(b"GET /logs/big HTTP/1.1\r\nHost: x\r\n\r\n")
+            async with asyncio.timeout(10):
+                while (await shown(boat))["connections"] < 2:
+                    await asyncio.sleep(0.02)
+                while (await shown(boat))["connections"] > 1:
+                    await asyncio.sleep(0.02)
+
+    asyncio.run(main())
+
+
+def test_arguments_of_processes_are_nobodys_business(tmp_path):
+    async def main():
+        async with site(tmp_path) as boat:
+            words = (sys.executable, "-c", "input()", "--password=sesame")
+            child = await asyncio.create_subprocess_exec(*words, stdin=asyncio.subprocess.PIPE)
+            try:
+                async with asyncio.timeout(10):
+                    while b'"computer":null' in (text := (await boat.get("/api/state"))[2]):
+                        await asyncio.sleep(0.1)
+                assert b"sesame" not in text
+                assert b'"processes":[{' in text
+            finally:
+                await child.communicate(b"\n")
+
+    asyncio.run(main())
+
+
+def test_the_look_at_the_computer_is_started_again_and_ends_with_the_service(tmp_path, monkeypatch):
+    monkeypatch.setattr(httpd, "AGAIN_S", 0.05)
+    looks: list[Look] = []
+    start = Look.start
+
+    async def noted(self: Look) -> None:
+        looks.append(self)
+        await start(self)
+
+    monkeypatch.setattr(Look, "start", noted)
+
+    async def main():
+        async with site(tmp_path):
+            async with asyncio.timeout(20):
+                while looks[0].computer is None:
+                    await asyncio.sleep(0.02)
+                first = looks[0]._transport
+                first.kill()
+                while looks[0]._transport in (None, first):
+                    await asyncio.sleep(0.02)
+            second = looks[0]._transport
+        async with asyncio.timeout(5):
+            while second.get_returncode() is None:
+                await asyncio.sleep(0.02)
+
+    asyncio.run(main())
+
+
+@pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
+def test_a_browser_shows_the_page_alive_and_says_when_it_is_not(tmp_path):
+    async def main():
+        async with browser(tmp_path / "browser") as page:
+            async with site(tmp_path) as boat:
+                await page.open(boat.url, width=390, height=844)
+                await page.until("document.querySelector('#head h1').textContent === 'Play'")
+                boat.state["mode"] = "hold"
+                await page.until("document.querySelector('#head h1').textContent === 'Hold'")
+                assert await page.value("document.title") == "Hold · Test"
+                assert not await page.value("document.body.classList.contains('stale')")
+                wide = "document.documentElement.scrollWidth"
+                assert await page.value(wide) == 390, "nothing sticks out on a phone"
+                assert page.complaints == []
+                assert len(await page.picture()) > 50_000
+            await page.until("document.body.classList.contains('stale')")
+            assert "No connection" in await page.value("document.getElementById('late').textContent")
+
+    asyncio.run(main())
+
+
+@pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
+def test_a_browser_without_script_shows_the_essentials(tmp_path):
+    async def main():
+        async with browser(tmp_path / "browser") as page, site(tmp_path) as boat:
+            await page.open(boat.url, width=390, height=844, script=False)
+            text = (await page.call("DOM.getDocument", depth=-1))["root"]
+            assert "Doca, leg 1 of 12" in str(text)
+            assert page.complaints == []
+
+    asyncio.run(main())

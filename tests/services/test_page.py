@@ -1,0 +1,140 @@
+"""The sections: whatever the boat says, they are well-formed, and the figures stay in their frames."""
+
+import re
+from xml.etree import ElementTree
+
+import msgspec
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from delfim import config
+from delfim.services.web import api, document, figures, page
+from delfim.services.web.page import SECTIONS, View, head, mood, size, span
+from tests.services.boat import STATE
+
+FILE = config.Vehicle(boat=config.Boat(name="Test"))
+VEHICLE = msgspec.convert(STATE, api.State)
+words = st.text(st.characters(exclude_categories=("Cs", "Cc"), exclude_characters="\ufffe\uffff"), max_size=12)
+numbers = st.one_of(st.none(), st.floats(-1e9, 1e9), st.floats(allow_nan=True, allow_infinity=True))
+
+
+def rendered(report: api.Report) -> dict[str, ElementTree.Element]:
+    view = View(report, FILE)
+    texts = {"head": head(view), **{section.id: section.render(view) for section in SECTIONS}}
+    return {name: ElementTree.fromstring(f"<div>{text.replace('&nbsp;', ' ')}</div>") for name, text in texts.items()}
+
+
+def report(vehicle: api.State | None, computer: api.Computer | None = None) -> api.Report:
+    services = vehicle.services if vehicle else {}
+    now_ns = 1_795_231_735_093_121_524
+    return api.Report(utc_ns=now_ns, vehicle=vehicle, reason="", services=services, computer=computer, computer_age_s=None)
+
+
+networks = st.dictionaries(words, st.builds(api.Network, up=st.booleans(), addresses=st.tuples(words)), max_size=2)
+computers = st.builds(
+    api.Computer,
+    networks=networks,
+    buses=st.dictionaries(words, st.builds(api.Bus, state=words, load=st.one_of(st.none(), st.floats(0, 2))), max_size=2),
+    processes=st.tuples(
+        st.builds(api.Process, pid=st.just(1), name=words, nice=st.just(0), cpu=st.just(0.5), memory_bytes=st.just(9))
+    ),
+    supervisor=st.dictionaries(words, st.builds(api.Service, state=words, reason=words), max_size=2),
+    deadman=words,
+    disk=st.one_of(st.none(), st.builds(api.Disk, path=words)),
+)
+states = st.builds(
+    api.State,
+    mode=words,
+    reason=words,
+    boat=words,
+    source=words,
+    mission=st.one_of(st.none(), words),
+    heading_deg=numbers,
+    speed_mps=numbers,
+    latitude_deg=numbers,
+    starboard_rpm=st.floats(-1e6, 1e6),
+    reference=st.builds(api.Reference, heading_deg=numbers, speed_mps=numbers, distance_m=numbers, cross_track_m=numbers),
+    age_s=st.dictionaries(words, numbers, max_size=3),
+    sysstat=st.dictionaries(words, st.builds(api.Node, status=words, faults=st.tuples(words), charge=numbers), max_size=2),
+    counts=st.dictionaries(words, st.integers(0, 9), max_size=2),
+    services=st.dictionaries(
+        words, st.builds(api.Service, state=words, reason=words, figures=st.dictionaries(words, words, max_size=1)), max_size=2
+    ),
+    notices=st.tuples(st.builds(api.Notice, name=words, reason=words, action=words)),
+    log=st.builds(api.LogStatus, writable=st.booleans(), reason=words),
+)
+
+
+@given(states, computers)
+@settings(max_examples=60, suppress_health_check=[HealthCheck.too_slow], deadline=None)
+def test_whatever_is_said_the_page_is_well_formed(vehicle, computer):
+    assert set(rendered(report(vehicle, computer))) == {"head", *(section.id for section in SECTIONS)}
+
+
+def test_without_vehicle_and_computer_the_page_says_so():
+    found = {name: "".join(section.itertext()) for name, section in rendered(report(None)).items()}
+    assert "No answer" in found["head"]
+    assert "the vehicle does not answer" in found["warnings"]
+    assert "not looked at yet" in found["computer"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "colour"),
+    [
+        ({"notices": ()}, "good"),
+        ({}, "warn"),
+        ({"notices": (api.Notice(name="sensor_bad", reason="gps", action="stop"),)}, "bad"),
+        ({"mode": "idle", "notices": ()}, "calm"),
+        ({"mode": "idle", "reason": "navigation silent for 1.2 s", "notices": ()}, "warn"),
+    ],
+)
+def test_the_colour_of_the_band(changes, colour):
+    assert mood(msgspec.structs.replace(VEHICLE, **changes)) == colour
+
+
+bars = st.lists(st.tuples(st.floats(10, 1e7), st.integers(1, 10**7)), max_size=40).map(
+    lambda found: tuple(sorted(dict(found).items()))
+)
+
+
+@given(bars, st.floats(0, 1e7))
+def test_the_histogram_stays_in_its_frame(found, worst_us):
+    latency = api.Latency(n=sum(n for _, n in found), worst_us=worst_us, p50_us=worst_us / 2, histogram=found)
+    drawing = figures.histogram(latency)
+    ElementTree.fromstring(drawing)
+    points = re.findall(r"[MVH](-?[0-9.]+)(?: (-?[0-9.]+))?", " ".join(re.findall(r' d="([^"]+)"', drawing)))
+    assert all(-0.5 <= float(value) <= figures.WIDTH for pair in points for value in pair if value)
+
+
+def test_higher_counts_are_higher_bars():
+    drawing = figures.histogram(api.Latency(n=111, histogram=((20.0, 1), (40.0, 10), (80.0, 100))))
+    path = re.search(r'class="bars" d="([^"]+)"', drawing)
+    assert path is not None
+    tops = [float(each) for each in re.findall(r"V([0-9.]+)H", path[1])]
+    assert tops == sorted(tops, reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("value", "text"), [(0.04, "0.0 s"), (59.4, "59 s"), (61, "1 min 1 s"), (7260, "2 h 1 min"), (200_000, "2 d 7 h")]
+)
+def test_times_as_people_say_them(value, text):
+    assert span(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(0, "0 B"), (1500, "1.5 kB"), (123e6, "123 MB"), (2.5e9, "2.5 GB")])
+def test_sizes(value, text):
+    assert size(value) == text
+
+
+@pytest.mark.parametrize(("value", "text"), [(7.25, "7.25 µs"), (640.2, "640 µs"), (1234, "1.23 ms"), (2.5e6, "2.5 s")])
+def test_micros(value, text):
+    assert figures.micros(value) == text
+
+
+def test_style_and_script_are_what_the_policy_lets_run():
+    whole = document.live({section.id: "" for section in page.SECTIONS} | {"head": ""}, 1.0)
+    for tag, text in (("style", document.STYLE), ("script", document.SCRIPT)):
+        assert f"<{tag}>{text}</{tag}>" in whole
+        assert document._digest(text) in document.POLICY
+    assert not re.search(r'\sstyle="|\son[a-z]+="', whole), "the policy would refuse it"
