@@ -340,6 +340,7 @@ def _overrides(interface: str, rate_hz: float, place: Path) -> list[str]:
         'supervisor.hardware_watchdog=""',
         'guest.listen="127.0.0.1:0"',
         'cantcpd.listen=["127.0.0.1:0"]',
+        'httpd.listen="127.0.0.1:0"',
         *(f"failsafe.{key}.after_s=3600.0" for key in ("navigation_silent", "navigation_frozen", "console_silent")),
         "sysstat.stale_s=3600.0",
     ]
