@@ -171,7 +171,7 @@ class Vehicle:
             state.setpoint, self._taken = state.setpoint._replace(starboard=0.0, port=0.0), True
             state.reason = f"no thrust: no manual command for {silent_s:.1f} s"
             self.log.note(state.reason)
-            state.actuation = self.propulsion.send(self._control(now_s), now_s)
+            state.actuation = self.propulsion.send(STOP, now_s)  # at once; from the next cycle on, none
 
     def unfit(self) -> str | None:
         """Why the boat cannot leave idle, in words; None: it can. Manual asks for least: what forbids it forbids everything."""
