@@ -558,16 +558,16 @@ def decode(tree: dict[str, object], kind: type[T], file: str) -> T:
 CHANGEABLE = ("control.", "failsafe.console_silent.", "failsafe.manual_silent.")  # while the program runs
 
 
-def changed(settings: Vehicle, key: str, value: float) -> Vehicle:
-    """The settings with another number at a key that may change. Raises ConfigError."""
+def changed(settings: Vehicle, key: str, value: float | str) -> Vehicle:
+    """The settings with another value at a key that may change. Raises ConfigError."""
     if not key.startswith(CHANGEABLE):
         raise ConfigError("the vehicle's file", key, "this does not change while the boat runs", ", ".join(CHANGEABLE))
     tree = table = msgspec.to_builtins(settings)
     *tables, last = key.split(".")
     for name in tables:
         table = table.get(name) if isinstance(table, dict) else None
-    if not isinstance(table, dict) or not isinstance(table.get(last), float):
-        raise ConfigError("the vehicle's file", key, "no such number")
+    if not isinstance(table, dict) or not isinstance(table.get(last), float | str):
+        raise ConfigError("the vehicle's file", key, "no such key")
     table[last] = value
     return decode(tree, Vehicle, "the vehicle's file")
 

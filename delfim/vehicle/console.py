@@ -118,10 +118,10 @@ class Reset(Command, frozen=True):
 
 
 class Set(Command, frozen=True):
-    """Another value for a number of the vehicle's file, until the program ends."""
+    """Another value for a key of the vehicle's file, until the program ends."""
 
     key: Annotated[str, msgspec.Meta(max_length=64)]
-    value: float
+    value: float | Annotated[str, msgspec.Meta(max_length=64)]
 
 
 class Report(Command, frozen=True, tag="state"):

@@ -428,8 +428,8 @@ class Vehicle:
         passed = [i for i, point in enumerate(track) if any(math.dist(point, harbour) <= near_m for harbour in harbours)]
         return track[passed[-1] :] if passed else track
 
-    def _set(self, key: str, value: float) -> None:
-        """A number of the tables that may change while the boat sails. Raises Refused with what is allowed."""
+    def _set(self, key: str, value: float | str) -> None:
+        """A value of the tables that may change while the boat sails. Raises Refused with what is allowed."""
         try:
             self.settings = settings = config.changed(self.settings, key, value)
         except ConfigError as error:

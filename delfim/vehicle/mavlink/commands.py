@@ -18,8 +18,11 @@ LATER: Final = int(dialect.MAV_RESULT_TEMPORARILY_REJECTED)
 DENIED: Final = int(dialect.MAV_RESULT_DENIED)
 UNSUPPORTED: Final = int(dialect.MAV_RESULT_UNSUPPORTED)
 
-PX4_HOLD, PX4_MISSION = (4, 3), (4, 4)  # main mode, sub mode: what MAVSDK says to an autopilot that it does not know
-SURELY: Final = frozenset({dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_CMD_COMPONENT_ARM_DISARM})
+PX4: Final[dict[tuple[float, float], console.Commands]] = {  # main mode, sub mode: what MAVSDK says to whom it does not know
+    (4, 3): console.Stop(),  # "hold" must never move the boat
+    (4, 4): console.Mode("play"),
+    (4, 5): console.Mode("home"),
+}
 
 
 class Order(NamedTuple):
@@ -50,11 +53,9 @@ def order(message: Message) -> Order:
 def mode(base: float, custom: float, sub: float) -> console.Commands:
     """DO_SET_MODE. Raises FormatError for what is not ours; nothing must be changed then."""
     if sub:
-        if (custom, sub) == PX4_HOLD:
-            return console.Stop()
-        if (custom, sub) == PX4_MISSION:
-            return console.Mode("play")
-        raise FormatError(f"mode {custom:g}/{sub:g} is another autopilot's")
+        if (custom, sub) not in PX4:
+            raise FormatError(f"mode {custom:g}/{sub:g} is another autopilot's")
+        return PX4[custom, sub]
     if not (math.isfinite(base) and int(base) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
         raise FormatError("a mode is asked for by its custom number")
     if custom not in list(Mode):

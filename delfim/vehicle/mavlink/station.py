@@ -14,8 +14,11 @@ from typing import Final, NamedTuple
 from delfim.errors import FormatError
 from delfim.vehicle import console
 from delfim.vehicle.loop import Vehicle
-from delfim.vehicle.mavlink import commands, telemetry, wire
+from delfim.vehicle.mavlink import commands, params, telemetry, wire
+from delfim.vehicle.mavlink.answers import ANSWERS
 from delfim.vehicle.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
+from delfim.vehicle.mavlink.missions import KINDS, Missions
+from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.telemetry import NEVER_S, Profile, Row, View
 from delfim.vehicle.mavlink.wire import Message, Sender, dialect
@@ -34,6 +37,8 @@ SOURCES: Final = 64  # senders whose frames are counted
 TEXT_BYTES: Final = 50
 GUEST: Final = 191  # component of the guest computer, of this system
 FREQUENCY_MAX_HZ: Final = 10.0
+SLOWLY: Final = 5  # ticks from one parameter to the next where the link is slow
+NAK, UNKNOWN_COMMAND = 129, 7  # of MAVLink FTP
 
 
 class Source(NamedTuple):
@@ -56,6 +61,7 @@ class Peer:
         self.asked_s: dict[int, float] = {}  # intervals that it asked for, by message
         self.due_s: dict[int, float] = {}
         self.told: dict[int, object] = {}  # what it knows already, by message
+        self.params: deque[str] = deque(maxlen=len(params.NAMES))  # to be told, a few a tick
         self.answered: tuple[bytes, float, Message] | None = None  # the last command, when, and its answer
 
     def interval_s(self, row: Row) -> float:
@@ -83,7 +89,9 @@ class Station:
         self._newest: dict[tuple[Address, Source], tuple[int, float]] = {}  # number of the last frame, and when
         self._owner_s = -math.inf
         self._said: tuple[object, ...] = ()
-        self._text_id = 0
+        self._text_id = self._ticks = 0
+        self._leg_now: tuple[object, int] = None, 0
+        self.missions = Missions(boat, self.settings.autopilot == "ardurover")
         for listen in self.settings.peers:
             host, _, port = listen.rpartition(":")
             self._peer((host.strip("[]"), int(port)), configured=True)
@@ -168,12 +176,15 @@ class Station:
     def tick(self) -> None:
         """What is due now. Call it some twenty times a second."""
         now_s = self.clock.monotonic_s()
+        self._ticks += 1
         self._news()
-        view = View(self.boat, self.settings, self.owner, now_s)
+        self.missions.tick(now_s)
+        view = self._view()
         for peer in [peer for peer in self.peers.values() if not peer.configured and now_s - peer.heard_s > HEARD_S]:
             del self.peers[peer.address]
         for peer in self.peers.values():
-            self._tell(peer, [message for row in telemetry.ROWS for message in self._due(peer, row, view)])
+            due = [message for row in telemetry.ROWS for message in self._due(peer, row, view)]
+            self.tell(peer, [*due, *self._params(peer)])
 
     def _due(self, peer: Peer, row: Row, view: View) -> list[Message]:
         interval_s, now_s = peer.interval_s(row), view.now_s
@@ -189,7 +200,12 @@ class Station:
         peer.due_s[row.id] = due_s if due_s > now_s - interval_s else now_s + interval_s
         return list(row.make(view))
 
-    def _tell(self, peer: Peer, messages: list[Message]) -> None:
+    def _params(self, peer: Peer) -> list[Message]:
+        """Of the list that it asked for: slowly, where the link is slow."""
+        count = 5 if peer.profile == "wifi" else 1 if self._ticks % SLOWLY == 0 else 0
+        return [self._param(peer, peer.params.popleft()) for _ in range(min(count, len(peer.params)))]
+
+    def tell(self, peer: Peer, messages: list[Message]) -> None:
         packed = b""
         for message in messages:
             frame = peer.sender.pack(message)
@@ -202,18 +218,15 @@ class Station:
 
     def say(self, severity: int, text: str) -> None:
         """Words to every console that is there."""
-        now_s = self.clock.monotonic_s()
         self._text_id = self._text_id % 0xFFFF + 1
         data = text.encode("ascii", "replace")
         chunks = [data[at : at + TEXT_BYTES] for at in range(0, max(len(data), 1), TEXT_BYTES)]
         number = self._text_id if len(chunks) > 1 else 0
-        texts = [dialect.MAVLink_statustext_message(severity, chunk, number, i) for i, chunk in enumerate(chunks)]
-        for peer in self.peers.values():
-            if now_s - peer.heard_s <= HEARD_S:
-                self._tell(peer, texts)
+        self.tell_all([dialect.MAVLink_statustext_message(severity, chunk, number, i) for i, chunk in enumerate(chunks)])
 
     def _news(self) -> None:
         """Changes of mode and troubles, in words, and a heartbeat at once where the mode is another one."""
+        self._reached()
         state = self.boat.state
         said = state.mode, state.reason, state.notices, self.owner
         if said == self._said:
@@ -236,6 +249,22 @@ class Station:
             self.say(dialect.MAV_SEVERITY_NOTICE, f"console {self.owner} commands" if self.owner else "no console commands")
         self._at_once(dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT)
 
+    def _reached(self) -> None:
+        """A waypoint of the mission is behind the boat: its item, to everybody."""
+        state = self.boat.state
+        plan, leg = (state.setpoint.plan, state.reference.leg) if state.mode is Mode.PLAY else (None, 0)
+        was, self._leg_now = self._leg_now, (plan, leg)
+        done = state.mode is Mode.HOLD and state.reason == "play done" and was[0] is not None
+        if done or (plan is not None and plan is was[0] and leg > was[1]):
+            self.tell_all([dialect.MAVLink_mission_item_reached_message(self.missions.number(was[1]))])
+
+    def tell_all(self, messages: list[Message]) -> None:
+        """To every console that is there."""
+        now_s = self.clock.monotonic_s()
+        for peer in self.peers.values():
+            if now_s - peer.heard_s <= HEARD_S:
+                self.tell(peer, messages)
+
     def _at_once(self, *ids: int) -> None:
         for peer in self.peers.values():
             for each in ids:
@@ -250,18 +279,23 @@ class Station:
             command = console.checked(command)
         except FormatError as error:
             return str(error)
-        now_s = self.clock.monotonic_s()
         if self.owner != source.system and not isinstance(command, console.Stop):
-            lost = now_s - self._owner_s > self.boat.settings.failsafe.console_silent.after_s
-            if self.owner and not lost and not isinstance(command, console.Take):
-                self._count("not_owner")
-                return f"console {self.owner} commands; take over first"
+            if not isinstance(command, console.Take) and (reason := self._refusal(source)) is not None:
+                return reason
             self.owner = source.system
         if self.owner == source.system:
-            self._owner_s = now_s
+            self._owner_s = self.clock.monotonic_s()
         refused = self._obey(command, source.name)
         self._news()
         return refused
+
+    def _refusal(self, source: Source) -> str | None:
+        """Why this console may not command, in words."""
+        lost = self.clock.monotonic_s() - self._owner_s > self.boat.settings.failsafe.console_silent.after_s
+        if self.owner in (0, source.system) or lost:
+            return None
+        self._count("not_owner")
+        return f"console {self.owner} commands; take over first"
 
     def _heartbeat(self, peer: Peer, source: Source, message: Message) -> None:
         if source.system == self.owner:
@@ -275,12 +309,12 @@ class Station:
         now_s, order = self.clock.monotonic_s(), commands.order(message)
         same = repr((source, order.command, order.p)).encode()
         if order.confirmation and peer.answered and peer.answered[0] == same and now_s - peer.answered[1] < AGAIN_S:
-            self._tell(peer, [peer.answered[2]])
+            self.tell(peer, [peer.answered[2]])
             return
         result, reason = self._ordered(peer, source, order)
         answer = dialect.MAVLink_command_ack_message(order.command, result, 0xFF, 0, *source)
         peer.answered = same, now_s, answer
-        self._tell(peer, [answer])
+        self.tell(peer, [answer])
         if reason:
             self.say(dialect.MAV_SEVERITY_WARNING, reason)
 
@@ -295,14 +329,11 @@ class Station:
         if order.target_system != self.system:
             return DENIED, "a command must name its vehicle"
         try:
-            command = make(order, commands.Terms(self._leg, self.boat.settings.control.speed.max_mps))
+            command = make(order, commands.Terms(self.missions.leg, self.boat.settings.control.speed.max_mps))
         except FormatError as error:
             return DENIED, str(error)
         refused = self.ask(source, command)
         return (ACCEPTED, None) if refused is None else (LATER, refused)
-
-    def _leg(self, item: int) -> int:
-        return item
 
     def _set_mode(self, peer: Peer, source: Source, message: Message) -> None:
         """SET_MODE, of old programs: no answer exists but the heartbeat."""
@@ -326,9 +357,139 @@ class Station:
         if refused:
             self._count("manual_refused")
 
+    def _guest(self, peer: Peer, source: Source, message: Message) -> None:
+        """SET_POSITION_TARGET_GLOBAL_INT of the guest computer: a course and a speed, obeyed in GREX mode only."""
+        if source != (self.system, GUEST) or not math.isfinite(message.vx + message.vy):
+            self._count("unknown")
+            return
+        heading_deg = math.degrees(math.atan2(message.vy, message.vx)) % 360.0
+        speed_mps = math.hypot(message.vx, message.vy)
+        self.boat.on_guest(b'{"heading_deg": %.3f, "speed_mps": %.3f}' % (heading_deg, speed_mps))
+
+    def _set_current(self, peer: Peer, source: Source, message: Message) -> None:
+        """MISSION_SET_CURRENT: the answer is MISSION_CURRENT."""
+        order = commands.Order(dialect.MAV_CMD_DO_SET_MISSION_CURRENT, (float(message.seq),), message.target_system, 0)
+        _, reason = self._ordered(peer, source, order)
+        self.tell(peer, list(telemetry.current(self._view())))
+        if reason:
+            self.say(dialect.MAV_SEVERITY_WARNING, reason)
+
+    # Plans.
+
+    def _listed(self, peer: Peer, source: Source, message: Message) -> None:
+        self.missions.listed(_Line(self, peer, source), source, message)
+
+    def _requested(self, peer: Peer, source: Source, message: Message) -> None:
+        self.missions.requested(_Line(self, peer, source), source, message)
+
+    def _counted(self, peer: Peer, source: Source, message: Message) -> None:
+        if self._may(peer, source, message):
+            self.missions.counted(_Line(self, peer, source), source, message, self.clock.monotonic_s())
+
+    def _item(self, peer: Peer, source: Source, message: Message) -> None:
+        self.missions.item(_Line(self, peer, source), source, message, self.clock.monotonic_s())
+
+    def _clear(self, peer: Peer, source: Source, message: Message) -> None:
+        if self._may(peer, source, message):
+            self.missions.clear(_Line(self, peer, source), source, message)
+
+    def _old_item(self, peer: Peer, source: Source, message: Message) -> None:
+        """MISSION_ITEM, MISSION_WRITE_PARTIAL_LIST: there is a better way to say it."""
+        self.tell(peer, [dialect.MAVLink_mission_ack_message(*source, dialect.MAV_MISSION_UNSUPPORTED, message.mission_type)])
+
+    def _may(self, peer: Peer, source: Source, message: Message) -> bool:
+        """Whether this console may change a plan; it is told why not."""
+        reason = self._refusal(source) if message.target_system == self.system else "a plan must name its vehicle"
+        if reason:
+            self.tell(peer, [dialect.MAVLink_mission_ack_message(*source, dialect.MAV_MISSION_DENIED, message.mission_type)])
+            self.say(dialect.MAV_SEVERITY_WARNING, reason)
+        return reason is None
+
+    # Parameters.
+
+    def _param(self, peer: Peer, name: str) -> Message:
+        if name == params.PROFILE:
+            return params.message(name, float(telemetry.PROFILES.index(peer.profile)))
+        return params.message(name, params.value(self.boat.settings, params.BY_NAME[name]))
+
+    def _param_list(self, peer: Peer, source: Source, message: Message) -> None:
+        peer.params.clear()
+        peer.params.extend(params.NAMES)
+
+    def _param_read(self, peer: Peer, source: Source, message: Message) -> None:
+        index = message.param_index
+        name = params.named(message.param_id) if index < 0 else params.NAMES[index] if index < len(params.NAMES) else ""
+        known = name in params.NAMES
+        missing = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
+        self.tell(peer, [self._param(peer, name) if known else params.error(source, name, index, missing)])
+
+    def _param_set(self, peer: Peer, source: Source, message: Message) -> None:
+        """The answer is the value that is in force; where that is not the one asked for, a text says why."""
+        name, number = params.named(message.param_id), message.param_value
+        if name not in params.NAMES:
+            self.tell(peer, [params.error(source, name, -1, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST)])
+            return
+        reason: str | None = None
+        if name == params.PROFILE:
+            if number in range(len(telemetry.PROFILES)):
+                peer.profile = telemetry.PROFILES[int(number)]
+                peer.asked_s.clear()
+        elif message.target_system != self.system:
+            reason = "a parameter must name its vehicle"
+        else:
+            try:
+                reason = self.ask(source, params.command(name, number))
+            except FormatError as error:
+                reason = str(error)
+        self.tell(peer, [self._param(peer, name)])
+        if reason:
+            self.tell(peer, [params.error(source, name, -1, dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)])
+            self.say(dialect.MAV_SEVERITY_WARNING, reason)
+
+    # Questions.
+
+    def _ftp(self, peer: Peer, source: Source, message: Message) -> None:
+        """FILE_TRANSFER_PROTOCOL: not here; `delfim log fetch` is."""
+        payload = [*message.payload]
+        number = payload[0] + 256 * payload[1] + 1
+        nak = [number & 0xFF, number >> 8 & 0xFF, 0, NAK, 1, payload[3], 0, 0, 0, 0, 0, 0, UNKNOWN_COMMAND]
+        answer = dialect.MAVLink_file_transfer_protocol_message(0, *source, nak + [0] * (len(payload) - len(nak)))
+        self.tell(peer, [answer])
+
+    def _logs(self, peer: Peer, source: Source, message: Message) -> None:
+        self.tell(peer, [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)])
+
+    def _ping(self, peer: Peer, source: Source, message: Message) -> None:
+        if message.target_system == 0:
+            self.tell(peer, [dialect.MAVLink_ping_message(message.time_usec, message.seq, *source)])
+
+    def _request(self, peer: Peer, source: Source, order: commands.Order) -> int:
+        """REQUEST_MESSAGE: once, after the answer."""
+        number, index = (int(value) if math.isfinite(value) else -1 for value in order.p[:2])
+        view = self._view()
+        rows = [row for row in telemetry.ROWS if row.id == number]
+        if number == dialect.MAVLINK_MSG_ID_MISSION_CHECKSUM and index in (*KINDS, ALL):
+            found = [dialect.MAVLink_mission_checksum_message(index, self.missions.checksum(index))]
+        elif number == dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
+            found = [self._interval_of(peer, index)]
+        elif rows:
+            found = list(rows[0].make(view))
+        elif number in ANSWERS:
+            found = list(ANSWERS[number](view, index))
+        else:
+            return UNSUPPORTED
+        self.tell(peer, found)
+        return ACCEPTED if found else LATER
+
+    def _interval_of(self, peer: Peer, number: int) -> Message:
+        """MESSAGE_INTERVAL: -1 is not sent, 0 not known."""
+        rows = [row for row in telemetry.ROWS if row.id == number]
+        interval_us = round(peer.interval_s(rows[0]) * 1e6) or -1 if rows else 0
+        return dialect.MAVLink_message_interval_message(number & 0xFFFF, interval_us)
+
     def _timesync(self, peer: Peer, source: Source, message: Message) -> None:
         if message.tc1 == 0:
-            self._tell(peer, [dialect.MAVLink_timesync_message(self.clock.time_ns(), message.ts1)])
+            self.tell(peer, [dialect.MAVLink_timesync_message(self.clock.time_ns(), message.ts1)])
 
     def _take(self, peer: Peer, source: Source, order: commands.Order) -> int:
         if order.target_system != self.system:
@@ -361,7 +522,7 @@ class Station:
         return ACCEPTED
 
     def _view(self) -> View:
-        return View(self.boat, self.settings, self.owner, self.clock.monotonic_s())
+        return View(self.boat, self.settings, self.owner, self.missions.number, self.clock.monotonic_s())
 
 
 MAV_CMD_REQUEST_OPERATOR_CONTROL: Final = 32100
@@ -370,6 +531,7 @@ _Request = Callable[[Station, Peer, Source, commands.Order], int]
 _REQUESTS: Final[dict[int, _Request]] = {
     MAV_CMD_REQUEST_OPERATOR_CONTROL: Station._take,
     dialect.MAV_CMD_SET_MESSAGE_INTERVAL: Station._interval,
+    dialect.MAV_CMD_REQUEST_MESSAGE: Station._request,
     dialect.MAV_CMD_CONTROL_HIGH_LATENCY: Station._high_latency,
 }
 _HANDLERS: Final[dict[int, Callable[[Station, Peer, Source, Message], None]]] = {
@@ -379,7 +541,43 @@ _HANDLERS: Final[dict[int, Callable[[Station, Peer, Source, Message], None]]] = 
     dialect.MAVLINK_MSG_ID_SET_MODE: Station._set_mode,
     dialect.MAVLINK_MSG_ID_MANUAL_CONTROL: Station._manual,
     dialect.MAVLINK_MSG_ID_TIMESYNC: Station._timesync,
+    dialect.MAVLINK_MSG_ID_PING: Station._ping,
+    dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: Station._guest,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: Station._listed,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT: Station._requested,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST: Station._requested,
+    dialect.MAVLINK_MSG_ID_MISSION_COUNT: Station._counted,
+    dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT: Station._item,
+    dialect.MAVLINK_MSG_ID_MISSION_ITEM: Station._old_item,
+    dialect.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: Station._old_item,
+    dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: Station._clear,
+    dialect.MAVLINK_MSG_ID_MISSION_SET_CURRENT: Station._set_current,
+    dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: Station._param_list,
+    dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: Station._param_read,
+    dialect.MAVLINK_MSG_ID_PARAM_SET: Station._param_set,
+    dialect.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: Station._ftp,
+    dialect.MAVLINK_MSG_ID_LOG_REQUEST_LIST: Station._logs,
 }
+
+
+class _Line(NamedTuple):
+    """One console, as the mission protocol sees it."""
+
+    station: Station
+    peer: Peer
+    source: Source
+
+    def tell(self, message: Message) -> None:
+        self.station.tell(self.peer, [message])
+
+    def tell_all(self, message: Message) -> None:
+        self.station.tell_all([message])
+
+    def ask(self, command: console.Commands) -> str | None:
+        return self.station.ask(self.source, command)
+
+    def complain(self, text: str) -> None:
+        self.station.say(dialect.MAV_SEVERITY_WARNING, text)
 
 
 def _meant(message: Message, system: int) -> bool:

@@ -40,6 +40,7 @@ class View(NamedTuple):
     boat: Vehicle
     settings: Mavlink
     owner: int  # system that commands; 0: none
+    item: Callable[[int], int]  # number of the item that a leg of the mission leads to
     now_s: float
 
 
@@ -184,6 +185,21 @@ def steering(view: View) -> Iterator[Message]:
 _ONLY_PLACE_AND_SPEED: Final = 0x0FF0  # vx is the speed along the way, in m/s
 
 
+def current(view: View) -> Iterator[Message]:
+    """MISSION_CURRENT: the item under way, or the one that play would begin with."""
+    state = view.boat.state
+    plan = state.setpoint.plan
+    if plan is None:
+        yield dialect.MAVLink_mission_current_message(0, 0, dialect.MISSION_STATE_NO_MISSION)
+        return
+    playing = state.mode is Mode.PLAY
+    done = state.mode is Mode.HOLD and state.reason == "play done"
+    leg = state.reference.leg if playing else state.setpoint.leg
+    now = dialect.MISSION_STATE_ACTIVE if playing else dialect.MISSION_STATE_NOT_STARTED
+    doing = dialect.MISSION_STATE_COMPLETE if done else now
+    yield dialect.MAVLink_mission_current_message(view.item(leg), len(plan.waypoints), doing)
+
+
 def owner(view: View) -> Iterator[Message]:
     yield dialect.MAVLink_named_value_int_message(_boot_ms(view), b"OWNER", view.owner)
 
@@ -238,6 +254,7 @@ ROWS: Final = (
     Row(dialect.MAVLINK_MSG_ID_VFR_HUD, NEVER_S, 1.0, 0.5, head_up, _measured),
     Row(dialect.MAVLINK_MSG_ID_GPS_RAW_INT, NEVER_S, 1.0, 1.0, satellites, _measured),
     Row(dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT, NEVER_S, 1.0, 0.5, steering),
+    Row(dialect.MAVLINK_MSG_ID_MISSION_CURRENT, NEVER_S, 1.0, 1.0, current),
     Row(dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT, NEVER_S, 5.0, 1.0, owner),
     Row(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, NEVER_S, 5.0, 1.0, override),
     Row(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
