@@ -87,19 +87,17 @@ def mission_text(items: Sequence[Item], name: str, zones: config.Zones) -> str:
         if item.command == SPEED:
             speed_mps = _asked_mps(number, item)
             continue
-        latitude_deg, longitude_deg = _place(number, item)
+        if item.command not in (WAYPOINT, PATH):
+            raise FormatError(f"item {number}: command {item.command} is not something this boat does")
+        place = dict(zip(("latitude_deg", "longitude_deg"), _place(number, item), strict=True))
         if item.command == WAYPOINT:
             if item.p1:
                 raise FormatError(f"item {number}: to wait at a waypoint is not something this boat does")
             reach_m = _number(number, item.p2)
-            place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
             waypoints.append(_row(number, Waypoint, **place, speed_mps=speed_mps, acceptance_m=reach_m))
-        elif item.command == PATH:
-            turn_deg, radius_m, piece_mps = (_number(number, value) for value in (item.p1, item.p2, item.p3))
-            place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
-            path.append(_row(number, PathPoint, **place, speed_mps=piece_mps, turn_deg=turn_deg, radius_m=radius_m))
         else:
-            raise FormatError(f"item {number}: command {item.command} is not something this boat does")
+            turn_deg, radius_m, piece_mps = (_number(number, value) for value in (item.p1, item.p2, item.p3))
+            path.append(_row(number, PathPoint, **place, speed_mps=piece_mps, turn_deg=turn_deg, radius_m=radius_m))
     if not waypoints:
         raise FormatError("a mission without a waypoint")
     return canonical(Mission(version=1, name=name, waypoint=tuple(waypoints), path=tuple(path), fence=zones))
