@@ -166,6 +166,46 @@ class Httpd(Table, frozen=True):
     scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two looks at the computer and its processes
 
 
+class FtpUser(Table, frozen=True):
+    """Who may come in by FTP, by name."""
+
+    password: Annotated[str, msgspec.Meta(pattern=r"^scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+\Z")]  # from `delfim password`
+    upload: bool = False  # may write in the staging area; everything else is read-only for everybody
+
+
+class Ftpd(Table, frozen=True):
+    """Files over FTP. Without users it is not started."""
+
+    listen: Endpoint = "127.0.0.1:2121"  # address and port; 0.0.0.0 is every interface
+    root: str = "/log"  # what is seen as "/"; no path leads out of it
+    staging: Name = "upload"  # the folder in it where some may write
+    upload_bytes_max: Annotated[int, msgspec.Meta(ge=0)] = 1 << 30  # of one file
+    certificate: str = ""  # PEM with certificate and key: FTPS from the first byte (implicit); "" for FTP
+    connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
+    connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
+    users: dict[Name, FtpUser] = {}
+
+
+class SshUser(Table, frozen=True):
+    """Who may come in by SSH, by name."""
+
+    keys: Annotated[tuple[str, ...], msgspec.Meta(min_length=1, max_length=16)]  # public ones, as ssh-keygen writes them
+
+
+class Sshd(Table, frozen=True):
+    """Commands, a shell, SFTP and SCP over SSH. Without users it is not started."""
+
+    listen: Endpoint = "127.0.0.1:2222"  # address and port; 0.0.0.0 is every interface
+    user: str = ""  # of the system, as whom all is done; "": as who started this. Needs a process of its own
+    shell: str = "/bin/sh"  # that runs the commands
+    root: str = "/log"  # what SFTP and SCP see as "/"; no path leads out of it
+    host_key: str = "/log/.keys/ssh_host_ed25519"  # made at the first start, and kept
+    sessions: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # programs at once
+    connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
+    connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
+    users: dict[Name, SshUser] = {}
+
+
 class Log(Table, frozen=True):
     """Where and how logs are written, and what happens when the disk is full."""
 
@@ -224,6 +264,8 @@ class Simulation(Table, frozen=True):
 
     interface: Interface = "canloop:can0"  # the bus of a simulated boat
     httpd: Endpoint = "127.0.0.1:8080"  # where its page is
+    ftpd: Endpoint = "127.0.0.1:2121"  # where its files are
+    sshd: Endpoint = "127.0.0.1:2222"  # where its shell is
     latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] = 38.6907  # where it starts
     longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = -9.2153  # where it starts
     heading_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # how it lies at start
@@ -248,6 +290,8 @@ class Vehicle(Table, frozen=True):
     console: Console = Console()
     guest: Guest = Guest()
     httpd: Httpd = Httpd()
+    ftpd: Ftpd = Ftpd()
+    sshd: Sshd = Sshd()
     log: Log = Log()
     runtime: Runtime = Runtime()
     supervisor: Supervisor = Supervisor()

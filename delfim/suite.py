@@ -178,11 +178,31 @@ async def httpd(runtime: Runtime) -> None:
     await serve(runtime)
 
 
+async def ftpd(runtime: Runtime) -> None:
+    """Files over FTP, for the users of the vehicle's file."""
+    try:
+        from delfim.services.ftpd import serve
+    except ModuleNotFoundError as error:
+        raise PermanentFailure(f"{error.name} is not installed: pip install 'delfim[services]'") from None
+    await serve(runtime)
+
+
+async def sshd(runtime: Runtime) -> None:
+    """Commands and files over SSH, for the users of the vehicle's file."""
+    try:
+        from delfim.services.sshd import serve
+    except ModuleNotFoundError as error:
+        raise PermanentFailure(f"{error.name} is not installed: pip install 'delfim[services]'") from None
+    await serve(runtime)
+
+
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
     Service("canzlogd", canzlogd),
     Service("vehicle", vehicle),
     Service("httpd", httpd),
+    Service("ftpd", ftpd, place="process"),
+    Service("sshd", sshd, place="process"),
 )
 
 
@@ -193,7 +213,8 @@ def services(settings: config.Vehicle) -> list[Service]:
         if name not in known:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
-    enabled = [(row, asked[row.name].place) for row in SERVICES if asked[row.name].enabled]
+    idle = {"ftpd": not settings.ftpd.users, "sshd": not settings.sshd.users}  # nobody could come in
+    enabled = [(row, asked[row.name].place) for row in SERVICES if asked[row.name].enabled and not idle.get(row.name)]
     return [row if place == "default" else row._replace(place=place) for row, place in enabled]
 
 
