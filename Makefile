@@ -5,7 +5,8 @@ PYTHON ?= python3
 ARGS   ?=
 BIN    := .venv/bin
 READY  := .venv/.ready
-LOCKS  := $(addprefix requirements/,boat.txt ground.txt test.txt build.txt)
+MORE   := .venv/.formats
+LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt test.txt build.txt)
 
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
 # that people use: a browser, FTP, SSH.
@@ -17,7 +18,7 @@ export PATH := $(PATH):/usr/sbin:/sbin
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test check pictures bench system guest-shell lock clean
+.PHONY: help run test seeds check pictures bench system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -25,8 +26,11 @@ help: ## list the targets
 run: $(READY) ## sail the whole DelfimX in simulation
 	$(BIN)/delfim sim etc/delfimx.toml $(ARGS)
 
-test: $(READY) system ## run all tests, those on a real SocketCAN bus included
+test: $(MORE) system ## run all tests, those on a real SocketCAN bus included
 	$(BIN)/pytest $(ARGS)
+
+seeds: $(READY) ## sail 1,000 runs of mixed faults in lock step (ARGS="--seeds 5000" for more)
+	$(BIN)/pytest tests/simulator/test_scenarios.py -k mixed --timeout 3600 --seeds 1000 $(ARGS)
 
 check: $(READY) ## style, types and the direction of imports
 	$(BIN)/ruff check .
@@ -55,10 +59,14 @@ system: ## install the Debian packages of the guest tests where that is possible
 	else why="installing them needs root and apt-get"; fi; \
 	echo "make system: without$$missing some tests do not run ($$why; Debian packages: $(SYSTEM_PACKAGES))" >&2
 
+formats: $(MORE) ## install the packages for Parquet and MF4, 300 MB; the tests need them
+
 lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgrade takes the newest)
 	$(call compile,boat) pyproject.toml
+	$(call compile,services) --extra services -c requirements/boat.txt pyproject.toml
 	$(call compile,ground) --extra ground -c requirements/boat.txt pyproject.toml
 	$(call compile,test) --extra test -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
+	$(call compile,formats) --extra formats -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,build) requirements/build.in
 compile = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
 	--no-emit-trusted-host --no-emit-find-links $(ARGS) --output-file requirements/$(1).txt
@@ -74,4 +82,8 @@ $(READY): $(LOCKS) pyproject.toml
 		{ echo "$(PYTHON) cannot make a virtual environment; on Debian install the package python3-venv" >&2; rm -rf .venv; exit 1; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(addprefix -r ,$(LOCKS))
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(MORE): $(READY) requirements/formats.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/formats.txt
 	@touch $@

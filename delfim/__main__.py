@@ -3,6 +3,7 @@
 import argparse
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from delfim import __version__
 from delfim.errors import DelfimError, PermanentFailure, Refused
@@ -88,9 +89,35 @@ def _guest(asked: argparse.Namespace) -> int:
 
 
 def _sim(asked: argparse.Namespace) -> int:
+    if asked.scenario:
+        return _scenario(asked)
     from delfim.live import simulate
 
     return simulate(asked)
+
+
+def _scenario(asked: argparse.Namespace) -> int:
+    from delfim.simulator import campaign, scenario
+
+    if asked.scenario == campaign.MIXED:
+        result = campaign.sail_mixed(asked.file, asked.seed, tuple(asked.set))
+    else:
+        result = scenario.run_file(asked.scenario, asked.file, asked.seed, tuple(asked.set))
+    print(*scenario.report(result), sep="\n")
+    if result.failures:
+        print(f"delfim: failed; again: {campaign.again(asked.file, asked.scenario, asked.seed, asked.set)}", file=sys.stderr)
+        return 1
+    print(f"delfim: {asked.scenario}, seed {asked.seed}: all as it must be, {result.elapsed_s:.0f} s sailed")
+    return 0
+
+
+def _fault(asked: argparse.Namespace) -> int:
+    from delfim.config import load
+    from delfim.simulator.realtime import socket_path, tell
+
+    place = socket_path(load(asked.file, asked.set))
+    print(f"delfim: {tell(place, asked.kind, asked.where, asked.value, asked.for_s)}")
+    return 0
 
 
 def _drive(asked: argparse.Namespace) -> int:
@@ -99,6 +126,25 @@ def _drive(asked: argparse.Namespace) -> int:
 
     run(load(asked.file, asked.set).console.socket, asked.words)
     return 0
+
+
+def _can(asked: argparse.Namespace) -> int:
+    from delfim.console.bus import main as tools
+
+    return tools(asked.words)
+
+
+def _log(asked: argparse.Namespace) -> int:
+    from delfim.logs import run
+
+    return run(asked)
+
+
+def _bench(asked: argparse.Namespace) -> int:
+    from delfim.bench import critical_path, liblog, lockstep
+
+    programs = {"critical-path": critical_path.run, "sim": lockstep.run, "log": liblog.run}
+    return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -128,6 +174,7 @@ def _parser() -> argparse.ArgumentParser:
     guest.add_argument("--course", type=float, default=90.0, help="of the zigzag, degrees (%(default)s)")
     sim = command("sim", _sim, "Sail a mission in simulation: the whole suite, a modelled boat, a live view.")
     sim.add_argument("--mission", metavar="FILE", help="instead of the vehicle file's simulation.mission")
+    sim.add_argument("--scenario", metavar="FILE", help='sail this scenario in lock step; "mixed": faults drawn from the seed')
     sim.add_argument(
         "--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time; otherwise with the mission"
     )
@@ -136,9 +183,51 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--plain", action="store_true", help="one line a second instead of the live view")
     sim.add_argument("--json", action="store_true", help="one JSON object a state")
     sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
+    fault = command(
+        "fault", _fault, "Break something of the boat that `delfim nodes` or `delfim sim` plays (docs/scenarios.md)."
+    )
+    fault.add_argument("kind", metavar="KIND", help='navigation_silent, thruster_dead, ...; "end" ends all')
+    fault.add_argument("where", metavar="WHERE", nargs="?", default="", help="of a sensor or thruster: gps, port, ...")
+    fault.add_argument("--value", type=float, help="how much, where the kind has such a thing")
+    fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
+    can = commands.add_parser(
+        "can", help="See a bus, send, make traffic, statistics, play back a log: dump, send, gen, stat, replay."
+    )
+    can.add_argument(
+        "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
+    )
+    can.set_defaults(run=_can)
+    _add_log(commands)
+    _add_bench(commands)
     return parser
+
+
+def _add_log(commands: Any) -> None:
+    text = "Look at logs, convert, repeat, mend and fetch them: delfim log VERB --help."
+    log = commands.add_parser("log", help=text, description=text)
+    log.set_defaults(run=_log)
+    log.add_argument("words", nargs=argparse.REMAINDER, metavar="VERB ...", help="ls, cat, info, plot, export, ...")
+
+
+def _add_bench(commands: Any) -> None:
+    text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
+    bench = commands.add_parser("bench", help=text, description=text)
+    bench.set_defaults(run=_bench)
+    bench.add_argument("what", nargs="?", choices=["critical-path", "sim", "log"], help="all of them when none is named")
+    bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
+    bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
+    bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")
+    bench.add_argument("--seconds", type=float, help="of a slice of the critical path; of the sea in sim")
+    bench.add_argument("--rounds", type=int, help="how often everybody has a turn")
+    bench.add_argument("--rates", type=float, nargs="+", metavar="HZ", help="of navigation (5 100 500)")
+    bench.add_argument("--bus", metavar="INTERFACE", help="a Linux CAN interface instead of loopback buses")
+    bench.add_argument(
+        "--wire-us", type=int, default=0, help="between the frames of a message; 130 is a bus of 1 Mbit/s (%(default)s)"
+    )
+    bench.add_argument("--quick", action="store_true", help="about a minute: whether it works, not how fast it is")
+    bench.add_argument("--long", action="store_true", help="150,645 cycles at 100 Hz under load, against C")
 
 
 if __name__ == "__main__":

@@ -7,12 +7,14 @@ are no environment variables and no second list of options.
 import re
 import tomllib
 from collections.abc import Sequence
+from ipaddress import IPv4Address, IPv4Interface, ip_network
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
 import msgspec
 
 from delfim.errors import ConfigError
+from delfim.geodesy import polygon_fault
 
 Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}\Z")]
 Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
@@ -24,7 +26,19 @@ Nice = Annotated[int, msgspec.Meta(ge=-20, le=19)]
 Interface = Annotated[str, msgspec.Meta(pattern=r"^([a-z][a-z0-9_.-]{0,14}|canloop:[A-Za-z0-9_.-]{1,32}|python-can:[^ ]+)\Z")]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
 Sources = Annotated[tuple[Literal["dsor", "nmea2000"], ...], msgspec.Meta(min_length=1, max_length=2)]
+DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
+ActionName = Literal["warn", "hold", "home", "stop"]
+ModeAction = Literal["same", "warn", "hold", "home", "stop"]
+Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
+Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=100)]  # corners of a polygon, degrees north and east
 Endpoint = Annotated[str, msgspec.Meta(pattern=r"^[^ :]+:[0-9]{1,5}\Z")]  # host:port
+Listen = Annotated[str, msgspec.Meta(pattern=r"^([^ :]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}\Z")]  # as Endpoint, or [IPv6]:port
+Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
+LinuxInterface = Annotated[str, msgspec.Meta(pattern=r"^[^ /:]{1,15}\Z")]
+Network = Annotated[str, msgspec.Meta(pattern=r"^[0-9A-Fa-f:.]+(/[0-9]{1,3})?\Z")]
+Identifiers = Annotated[  # one or a range; three digits are a standard identifier, eight an extended one
+    str, msgspec.Meta(pattern=r"^([0-7][0-9A-Fa-f]{2}(-[0-7][0-9A-Fa-f]{2})?|[01][0-9A-Fa-f]{7}(-[01][0-9A-Fa-f]{7})?)\Z")
+]
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -127,13 +141,169 @@ class ControlTable(Table, frozen=True):
     home: HomeTable = HomeTable()
 
 
-class Watchdog(Table, frozen=True):
-    """The thesis' rule: navigation or console silent for this long stops the boat."""
+class Trouble(Table, frozen=True):
+    """What is done about a trouble: `action`, or what a mode's own key says instead of it."""
 
-    navigation_s: Seconds = 1.0  # silence of navigation that stops the boat
-    console_s: Seconds = 10.0  # silence of the console that stops the boat
-    manual_s: Seconds = 2.0  # manual commands are fresh or zero
-    guest_s: Seconds = 5.0  # silence of the guest that stops the boat in GREX mode
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 0.0  # it must last this long
+    action: ActionName = "stop"  # in every mode that says nothing else
+    manual: ModeAction = "same"  # in manual mode; "same": as `action`
+    heading: ModeAction = "same"  # in heading mode
+    goto: ModeAction = "same"  # in goto mode
+    play: ModeAction = "same"  # in play mode
+    path: ModeAction = "same"  # in path mode
+    grex: ModeAction = "same"  # in GREX mode
+    hold: ModeAction = "same"  # while holding
+    home: ModeAction = "same"  # on the way home
+
+
+class NavigationSilent(Trouble, frozen=True):
+    """No navigation message (the thesis' rule)."""
+
+    after_s: Seconds = 1.0  # age of the last one
+
+
+class NavigationJumping(Trouble, frozen=True):
+    """Positions that would need a boat faster than `navigation.jump_mps`."""
+
+    after_s: Seconds = 0.5  # from the first one that was refused to the last
+
+
+class NavigationFrozen(Trouble, frozen=True):
+    """Navigation messages that say the same to the last bit while the propellers turn."""
+
+    after_s: Seconds = 3.0  # since something changed
+
+
+class SensorBad(Trouble, frozen=True):
+    """A node of `sysstat.required` that reports bad or is silent for `sysstat.stale_s` (the thesis' rule)."""
+
+
+class ConsoleSilent(Trouble, frozen=True):
+    """No word of the operator's console."""
+
+    after_s: Seconds = 10.0  # age of the last one
+    action: ActionName = "home"
+    manual: ModeAction = "stop"
+    home: ModeAction = "warn"
+
+
+class ManualSilent(Trouble, frozen=True):
+    """No manual command, in manual mode."""
+
+    after_s: Seconds = 2.0  # age of the last one
+
+
+class GuestSilent(Trouble, frozen=True):
+    """No reference of the guest computer, in GREX mode."""
+
+    after_s: Seconds = 5.0  # age of the last one
+    action: ActionName = "hold"
+
+
+class BatteryLow(Trouble, frozen=True):
+    """Either side's batteries."""
+
+    charge: Fraction = 0.25  # this much, or less
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 5.0  # for this long
+    action: ActionName = "home"
+    manual: ModeAction = "warn"
+    home: ModeAction = "warn"
+
+
+class BatteryCritical(Trouble, frozen=True):
+    """Either side's batteries; what is left is for radio and computer. Where this stops a mode, it cannot be entered."""
+
+    charge: Fraction = 0.1  # this much, or less
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 5.0  # for this long
+    manual: ModeAction = "warn"
+    home: ModeAction = "warn"
+
+
+class FenceNear(Trouble, frozen=True):
+    """The fence is about to be crossed: the boat could not stop within `fence.margin_m` of it any more."""
+
+    action: ActionName = "hold"
+
+
+class ThrusterAstray(Trouble, frozen=True):
+    """A propeller that does not turn as it is told, by its own report."""
+
+    error_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 300.0  # difference that is none yet ...
+    error: Fraction = 0.25  # ... plus this part of what was commanded
+    idle_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 100.0  # the same for one that was switched off
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 4.0  # for this long
+    manual: ModeAction = "warn"
+    disconnect: bool = True  # one that turns although it was stopped loses its batteries until the program is restarted
+
+
+class LogNotWritable(Trouble, frozen=True):
+    """The state log is not being written."""
+
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 5.0  # for this long
+    action: ActionName = "warn"
+
+
+class Failsafe(Table, frozen=True):
+    """Trouble by trouble, mode by mode, what the boat does about it (docs/failsafe.md). In idle there is nothing to stop."""
+
+    pause_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 30.0  # hold before home: the operator may overrule
+    clear_s: Seconds = 3.0  # a trouble that was away for this long is over
+    navigation_silent: NavigationSilent = NavigationSilent()
+    navigation_jumping: NavigationJumping = NavigationJumping()
+    navigation_frozen: NavigationFrozen = NavigationFrozen()
+    sensor_bad: SensorBad = SensorBad()
+    console_silent: ConsoleSilent = ConsoleSilent()
+    manual_silent: ManualSilent = ManualSilent()
+    guest_silent: GuestSilent = GuestSilent()
+    battery_low: BatteryLow = BatteryLow()
+    battery_critical: BatteryCritical = BatteryCritical()
+    fence: FenceNear = FenceNear()
+    thruster: ThrusterAstray = ThrusterAstray()
+    log: LogNotWritable = LogNotWritable()
+
+
+class KeepOut(Table, frozen=True):
+    """Where the boat must not be: the inside of a polygon, or of a circle."""
+
+    name: Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]{0,64}\Z")] = ""  # for people
+    polygon: Ring = ()  # corners, [latitude_deg, longitude_deg]; or
+    centre: Annotated[tuple[Position, ...], msgspec.Meta(max_length=1)] = ()  # [[latitude_deg, longitude_deg]] of a circle ...
+    radius_m: Annotated[float, msgspec.Meta(ge=0.0, le=20_000.0)] = 0.0  # ... and its radius
+
+    def __post_init__(self) -> None:
+        if bool(self.polygon) == bool(self.centre):
+            raise ValueError("either a polygon or a centre with a radius")
+        if bool(self.centre) != bool(self.radius_m):
+            raise ValueError("a circle needs its centre and its radius")
+        if self.polygon and (wrong := polygon_fault(self.polygon)):
+            raise ValueError(wrong)
+
+
+class Zones(Table, frozen=True):
+    """Where the boat may be. A mission's zones come on top of the boat's own: both are obeyed."""
+
+    version: Literal[1] = 1  # of this description
+    keep_in: Ring = ()  # corners, [latitude_deg, longitude_deg], of the polygon that the boat does not leave; none: no such
+    keep_out: Annotated[tuple[KeepOut, ...], msgspec.Meta(max_length=100)] = ()  # zones that the boat does not enter
+
+    def __post_init__(self) -> None:
+        if self.keep_in and (wrong := polygon_fault(self.keep_in)):
+            raise ValueError(f"keep_in: {wrong}")
+
+
+class Fence(Zones, frozen=True):
+    """Where the boat may be, always, and what it needs to stay there."""
+
+    margin_m: Metres = 3.0  # the boat stops so far from the fence
+    mission_margin_m: Metres = 6.0  # missions keep so far from it
+    reaction_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 1.0  # until a stop shows
+    deceleration_mps2: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.3  # of the boat with propellers off, as measured
+
+
+class Checks(Table, frozen=True):
+    """What must be in order before the boat leaves idle, besides navigation and sensors."""
+
+    clock_s: Seconds = 5.0  # the computer's clock and that of navigation differ by less
 
 
 class Sysstat(Table, frozen=True):
@@ -155,6 +325,62 @@ class Guest(Table, frozen=True):
 
     enabled: bool = False  # serve a guest
     listen: Endpoint = "127.0.0.1:4747"  # address and port; only loopback is safe without a guard
+
+
+class Cantcpd(Table, frozen=True):
+    """CAN over TCP, the socketcand protocol. Who may watch and who may transmit; there are no passwords in it."""
+
+    listen: Listeners = ("127.0.0.1:29536",)  # addresses and ports
+    buses: tuple[Interface, ...] = ()  # that clients can open, by their name or what follows its last colon; empty: the boat's
+    watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
+    transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # of these, the networks that may send frames, too
+    barred: tuple[Identifiers, ...] = ("040-043",)  # no client sends these: the commands to propellers and batteries
+    clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once
+    queue_bytes: Annotated[int, msgspec.Meta(ge=8192, le=16 << 20)] = 1 << 18  # of one client; beyond, its oldest frames go
+    stall_s: Seconds = 30.0  # a client that takes nothing and says nothing for so long is closed
+    beacon: tuple[LinuxInterface, ...] = ()  # LANs on which the buses are announced (UDP port 42000); never a radio link
+
+    def __post_init__(self) -> None:
+        for network in (*self.watch, *self.transmit):
+            ip_network(network)
+
+
+class CanipPeer(Table, frozen=True):
+    """A node of the bus that has an address."""
+
+    address: str  # IPv4
+    node: DsorNode  # on the bus
+
+    def __post_init__(self) -> None:
+        IPv4Address(self.address)
+
+
+class Canip(Table, frozen=True):
+    """IP over CAN: a TUN device that carries UDP datagrams to nodes of the bus and back."""
+
+    enabled: bool = False  # run it; needs CAP_NET_ADMIN
+    device: Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_.-]{0,14}\Z")] = "canip0"  # the device's name
+    address: str = "192.168.1.2/24"  # of the device, IPv4 with the network's length; empty: whoever else sets it
+    mtu: Annotated[int, msgspec.Meta(ge=576, le=65_535)] = 65_535  # larger datagrams come as fragments, which are dropped
+    node: DsorNode = 0  # of this computer
+    priority: Annotated[int, msgspec.Meta(ge=0, le=255)] = 192  # of datagrams on the bus; 0 is the most urgent
+    source: str = "192.168.1.1"  # IPv4 address that datagrams from nodes seem to have come from that are no peers
+    peers: dict[Name, CanipPeer] = {}
+
+    def __post_init__(self) -> None:
+        IPv4Address(self.source)
+        if self.address:
+            IPv4Interface(self.address)
+        peers = self.peers.values()
+        if len({peer.address for peer in peers}) < len(peers) or len({peer.node for peer in peers}) < len(peers):
+            raise ValueError("two peers have the same address or the same node")
+
+
+class Timed(Table, frozen=True):
+    """The time frame at the start of each second, from this computer's clock."""
+
+    mode: Literal["off", "master", "redundant"] = "off"  # redundant: only while no other node sends it
+    takeover_s: Annotated[float, msgspec.Meta(ge=1.1, le=3600.0)] = 2.5  # silence after which the redundant one sends
 
 
 class Httpd(Table, frozen=True):
@@ -218,6 +444,12 @@ class Log(Table, frozen=True):
     required: bool = True  # no log, no start
 
 
+class Logd(Table, frozen=True):
+    """Log messages of the nodes of the bus."""
+
+    nodes: tuple[Annotated[int, msgspec.Meta(ge=1, le=126)], ...] = ()  # whose messages are logged; empty: the service is off
+
+
 class Runtime(Table, frozen=True):
     """Real-time settings. What the process is not allowed to set costs one warning."""
 
@@ -273,6 +505,7 @@ class Simulation(Table, frozen=True):
     position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position
     heading_noise_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.5  # standard deviation of the heading
     speed_noise_mps: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.03  # standard deviation of the speed
+    external: Annotated[str, msgspec.Meta(pattern=r"^([^ :]+:[0-9]{1,5})?\Z")] = ""  # host:port for a model in another program
     sea: Sea = Sea()
 
 
@@ -285,14 +518,20 @@ class Vehicle(Table, frozen=True):
     nmea2000: Nmea2000 = Nmea2000()
     propulsion: Propulsion = Propulsion()
     control: ControlTable = ControlTable()
-    watchdog: Watchdog = Watchdog()
+    failsafe: Failsafe = Failsafe()
+    fence: Fence = Fence()
+    checks: Checks = Checks()
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
     guest: Guest = Guest()
+    cantcpd: Cantcpd = Cantcpd()
+    canip: Canip = Canip()
+    timed: Timed = Timed()
     httpd: Httpd = Httpd()
     ftpd: Ftpd = Ftpd()
     sshd: Sshd = Sshd()
     log: Log = Log()
+    logd: Logd = Logd()
     runtime: Runtime = Runtime()
     supervisor: Supervisor = Supervisor()
     services: dict[Name, Service] = {}
@@ -304,22 +543,24 @@ T = TypeVar("T", bound=Table)
 
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
     """The vehicle's file, checked, with "key.key=TOML value" overrides laid over it. Raises ConfigError."""
-    tree = read_toml(path)
-    for override in overrides:
-        _override(tree, override)
-    return decode(tree, Vehicle, str(path))
+    return decode(read_toml(path, overrides), Vehicle, str(path))
 
 
-def read_toml(path: str | Path) -> dict[str, object]:
-    """Raises ConfigError where the file is missing, unreadable or no TOML."""
+def read_toml(path: str | Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
+    """The file's tables, with "key.key=TOML value" overrides laid over them. Raises ConfigError where the file is missing,
+    unreadable or no TOML.
+    """
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise ConfigError(str(path), "file", error.strerror or str(error)) from None
     except UnicodeDecodeError as error:
         raise ConfigError(str(path), "file", f"not UTF-8: {error.reason} at byte {error.start}") from None
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(str(path), "file", f"not TOML: {error}") from None
+    for override in overrides:
+        _override(tree, override)
+    return tree
 
 
 def _override(tree: dict[str, Any], override: str) -> None:
@@ -391,6 +632,9 @@ def allowed(hint: Any) -> str:
     """A type's range in words: "0.0 to 1.0", "dsor, nmea2000"."""
     if get_origin(hint) is Literal:
         return ", ".join(map(str, get_args(hint)))
+    if get_origin(hint) is tuple:
+        parts = get_args(hint)
+        return f"any number of {allowed(parts[0])}" if parts[-1] is ... else f"[{', '.join(map(allowed, parts))}]"
     if get_origin(hint) is not Annotated:
         if isinstance(hint, type) and issubclass(hint, Table):
             return f"a table of {', '.join(field.encode_name for field in msgspec.structs.fields(hint))}"
@@ -398,7 +642,7 @@ def allowed(hint: Any) -> str:
     meta = get_args(hint)[1]
     if meta.pattern:
         return f"text matching {meta.pattern}"
-    if meta.min_length is not None:
-        return f"{meta.min_length} to {meta.max_length} of {allowed(get_args(get_args(hint)[0])[0])}"
+    if meta.max_length is not None:
+        return f"{meta.min_length or 0} to {meta.max_length} of {allowed(get_args(get_args(hint)[0])[0])}"
     low = f"{meta.ge}" if meta.ge is not None else f"more than {meta.gt}" if meta.gt is not None else ""
     return f"{low} to {meta.le}" if meta.le is not None else f"{low} or more"

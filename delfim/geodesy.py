@@ -5,6 +5,8 @@ to 55 degrees of latitude, the error of a distance stays below 0.1 %, which a bo
 """
 
 import math
+from collections.abc import Sequence
+from itertools import combinations
 from typing import NamedTuple
 
 _A = 6378137.0  # WGS 84 semi-major axis, m
@@ -49,3 +51,43 @@ def wrap(angle_rad: float) -> float:
 def compass(angle_rad: float) -> float:
     """The same angle in 0..2 pi, as headings and courses are shown."""
     return angle_rad % TAU % TAU  # twice, because -1e-20 % TAU is TAU
+
+
+def polygon_fault(corners: Sequence[tuple[float, float]]) -> str | None:
+    """Why corners, in any unit, enclose no area that a person can have meant, in words; None where they do."""
+    if len(corners) < 3:
+        return f"a polygon of {len(corners)} corners: it needs three"
+    if len(set(corners)) < len(corners):
+        return "the polygon has the same corner twice"
+    sides = list(zip(corners, [*corners[1:], corners[0]], strict=True))
+    for (i, (a, b)), (j, (c, d)) in combinations(enumerate(sides), 2):
+        if j == i + 1 or (i == 0 and j == len(sides) - 1):
+            continue  # neighbours share a corner
+        if segments_meet(a, b, c, d):
+            return f"the polygon crosses itself: the side from corner {i + 1} meets the one from corner {j + 1}"
+    if not any(_side(corners[0], corners[1], corner) for corner in corners[2:]):
+        return "the polygon's corners lie on one line"
+    return None
+
+
+def segments_meet(a: tuple[float, float], b: tuple[float, float], c: tuple[float, float], d: tuple[float, float]) -> bool:
+    """Whether the segments a-b and c-d have a point in common."""
+    to_c, to_d, to_a, to_b = _side(a, b, c), _side(a, b, d), _side(c, d, a), _side(c, d, b)
+    if to_c * to_d < 0.0 and to_a * to_b < 0.0:
+        return True
+    return (
+        (to_c == 0.0 and _within(a, b, c))
+        or (to_d == 0.0 and _within(a, b, d))
+        or (to_a == 0.0 and _within(c, d, a))
+        or (to_b == 0.0 and _within(c, d, b))
+    )
+
+
+def _side(a: tuple[float, float], b: tuple[float, float], p: tuple[float, float]) -> float:
+    """On which side of the line through a and b the point p is, by sign."""
+    return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+
+
+def _within(a: tuple[float, float], b: tuple[float, float], p: tuple[float, float]) -> bool:
+    """Whether p, known to be on the line through a and b, is between them."""
+    return min(a[0], b[0]) <= p[0] <= max(a[0], b[0]) and min(a[1], b[1]) <= p[1] <= max(a[1], b[1])

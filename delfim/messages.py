@@ -53,6 +53,7 @@ SYSSTAT_MASK: Final = 0x7F << 12 << 3  # as don't-care bits: the status frame of
 # 32-bit identifiers of segmented messages.
 NAVIGATION_ID: Final = 0x0000_0001
 GPS_SYSSTAT_ID: Final = 0x0000_0002
+LOG_ID: Final = 0x0000_0003  # bytes that a node wants logged, text by preference
 NAVIGATION_PRIORITY: Final = 0x20
 
 _I32_UNKNOWN: Final = 0x7FFFFFFF

@@ -10,24 +10,32 @@ import logging
 import os
 import socket
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
-from delfim import config
+import msgspec
+
+from delfim import __version__, config
 from delfim.canproxy import dsor
+from delfim.canproxy.canip import CanIp, open_tun
+from delfim.canproxy.cantcpd import Cantcpd
 from delfim.canproxy.nmea2000 import Nmea2000Source
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, bus_state, open_can
+from delfim.canproxy.timed import SecondTimer, Timekeeper, TimeService
 from delfim.clock import Clock, SystemClock
 from delfim.errors import DelfimError, PermanentFailure
 from delfim.logging.canzlogd import BlackBox
-from delfim.logging.liblog import open_log
+from delfim.logging.liblog import event_line, open_log
+from delfim.logging.logd import LogMessages
 from delfim.logging.statelog import Schema, StateWriter
 from delfim.messages import (
+    LOG_ID,
     PROPELLER_COMMAND,
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
     SYSSTAT_MASK,
+    TIME_FRAME,
     Node,
     sysstat_arb,
 )
@@ -35,11 +43,13 @@ from delfim.services.runtime import Runtime, Service
 from delfim.services.supervisor import Program, Supervisor
 from delfim.vehicle import record
 from delfim.vehicle.command import CommandServer
+from delfim.vehicle.console import Alive, Commands, Report, Watch
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
 from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.state import State
+from delfim.vehicle.rehearsal import Rehearsal
+from delfim.vehicle.state import Mode, State
 
 WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
@@ -55,7 +65,7 @@ class StateLog:
             boat=settings.boat.name,
             started_ns=clock.time_ns(),
         )
-        limits = settings.log
+        limits, self._clock = settings.log, clock
         self._log = open_log(
             limits.directory,
             "state",
@@ -70,15 +80,42 @@ class StateLog:
         )
         self._writer = StateWriter(self._log, schema)
         self.status, self.poll = self._log.status, self._log.poll
+        self._noted = False
+        self.event("start", version=__version__, settings=msgspec.to_builtins(settings))
 
     def write(self, state: State, now_s: float) -> None:
         self._writer.put(record.values(state, now_s))
+
+    def event(self, event: str, **what: object) -> None:
+        """Into the sidecar: what happened that is no record."""
+        self._log.note(event_line(self._clock, event, **what))
+
+    def command(self, command: Commands, refused: str | None, state: State) -> None:
+        """A word of the console and what became of it. Those that only ask or only say that somebody is there are not kept."""
+        if not isinstance(command, Alive | Report | Watch):
+            self.event("command", at_s=state.console_s, value=msgspec.to_builtins(command), refused=refused or "")
+
+    def note(self, text: str) -> None:
+        """An event of the loop, in words; "hold: fence ahead" is a change of mode with its reason."""
+        self._noted = True
+        mode, _, reason = text.partition(": ")
+        if mode.upper() in Mode.__members__:
+            self.event("mode", value=mode, reason=reason)
+        else:
+            self.event("note", value=text)
+
+    def watch(self, state: State) -> None:
+        """Called after each look of the watchdog: when it was, where something was noted since the one before."""
+        if self._noted:
+            self._noted = False
+            self.event("watchdog", at_s=state.watchdog_s)
 
     def reason(self) -> str:
         status = self._log.status()
         return self._writer.reason if status.writable else status.reason
 
     def close(self) -> None:
+        self.event("end")
         self._log.close()
 
 
@@ -87,18 +124,20 @@ async def vehicle(runtime: Runtime) -> None:
     settings, clock = runtime.config, runtime.clock
     state = State()
     with contextlib.ExitStack() as links:
+        state.last_shutdown = _last_shutdown(Path(settings.log.directory), links)
         sources = _sources(settings, state, links)
         status_frames = _opened(links, settings, settings.can.interface, CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
         status_messages = _opened(links, settings, settings.can.interface, CanAddress(*dsor.message_filter(source=Node.GPS)))
         log = StateLog(settings, clock)
         links.callback(log.close)
-        propulsion = Propulsion(_opened(links, settings, settings.can.interface), settings.propulsion, state)
+        outlet = _opened(links, settings, settings.can.interface)
+        propulsion = Propulsion(outlet, settings.propulsion, state)
         boat = Vehicle(settings, clock, state, sources, propulsion, Guest(state, clock), log)
         links.callback(boat.stop, "shutdown")  # first of all that is undone
         for source in sources:
             runtime.navigation(source.socket.fileno(), partial(boat.on_navigation, source))
             links.callback(runtime.remove_navigation, source.socket.fileno())
-        runtime.rehearsal(boat.rehearse)
+        runtime.rehearsal(Rehearsal(boat, outlet))
         links.callback(runtime.rehearsal, None)
         for status in (status_frames, status_messages):
             runtime.reader(status.fileno(), partial(boat.on_sysstat, status))
@@ -114,9 +153,15 @@ async def _attend(
     settings, loop = runtime.config, asyncio.get_running_loop()
 
     def more() -> dict[str, object]:
-        return {"boat": settings.boat.name, "log": log.status()._asdict(), **runtime.report()}
+        figures = {name: report() for name, report in runtime.board.items()}
+        return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
-    commands = CommandServer(boat.on_command, lambda: boat.snapshot(more()), settings.console.clients)
+    def obeyed(command: Commands) -> str | None:
+        refused = boat.on_command(command)
+        log.command(command, refused, boat.state)
+        return refused
+
+    commands = CommandServer(obeyed, lambda: boat.snapshot(more()), settings.console.clients)
     links.callback(commands.close)
     links.callback((await loop.create_unix_server(commands.connection, _socket_path(settings.console.socket))).close)
     os.chmod(settings.console.socket, 0o660)
@@ -129,12 +174,31 @@ async def _attend(
         await asyncio.sleep(WATCHDOG_S)
         ticks += 1
         boat.on_watchdog()
+        log.watch(boat.state)
         if ticks % PUBLISH_EVERY == 0:
             commands.publish()
         if ticks % MAINTAIN_EVERY == 0:
             log.poll()
             for each in sockets:
                 each.rebind()
+
+
+def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
+    """What was wrong with the end of the run before, in words, told by a mark that lies among the logs while a run goes on."""
+    mark = directory / "running"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        unclean = mark.exists()
+        mark.touch()
+    except OSError:  # no disk: the check of the log says so
+        return ""
+
+    def ended() -> None:
+        with contextlib.suppress(OSError):
+            mark.unlink()
+
+    links.callback(ended)
+    return "the run before did not end in order: a crash, or the power was cut" if unclean else ""
 
 
 async def _guest_server(boat: Vehicle, listen: str) -> asyncio.Server:
@@ -150,11 +214,8 @@ async def _guest_server(boat: Vehicle, listen: str) -> asyncio.Server:
 async def canzlogd(runtime: Runtime) -> None:
     """The black box: every frame of every bus."""
     settings = runtime.config
-    interfaces = {settings.can.interface}
-    if "nmea2000" in settings.navigation.sources:
-        interfaces.add(settings.nmea2000.interface)
     with contextlib.ExitStack() as links:
-        sockets = [links.enter_context(open_can(name, error_frames=True)) for name in sorted(interfaces)]
+        sockets = [links.enter_context(open_can(name, error_frames=True)) for name in _interfaces(settings)]
         box = BlackBox(sockets, settings.log, runtime.clock, bus_state)
         links.callback(box.close)
         runtime.board["canzlogd"] = box.figures
@@ -167,6 +228,83 @@ async def canzlogd(runtime: Runtime) -> None:
         while True:
             await asyncio.sleep(1.0)
             box.poll()
+
+
+async def logd(runtime: Runtime) -> None:
+    """What the nodes of the bus say in words."""
+    settings = runtime.config
+    names = {node: Node(node).name.lower() if node in list(Node) else f"node-{node}" for node in settings.logd.nodes}
+    with contextlib.ExitStack() as links:
+        filters = [CanAddress(*dsor.message_filter(source=node)) for node in names]
+        can = _opened(links, settings, settings.can.interface, *filters)
+        receiver = dsor.Receiver(Node.VEHICLE, lambda message: message.id == LOG_ID and message.port is None)
+        log = LogMessages(can, receiver, names, settings.log, runtime.clock)
+        links.callback(log.close)
+        runtime.reader(can.fileno(), log.on_readable)
+        links.callback(runtime.remove_reader, can.fileno())
+        runtime.board["logd"] = log.report
+        links.callback(runtime.board.pop, "logd")
+        while True:
+            await asyncio.sleep(1.0)
+            log.poll()
+
+
+async def cantcpd(runtime: Runtime) -> None:
+    """CAN over TCP: whoever may watches the buses, and sends."""
+    settings, loop = runtime.config, asyncio.get_running_loop()
+    interfaces = settings.cantcpd.buses or _interfaces(settings)
+    with contextlib.ExitStack() as links:
+        server = Cantcpd(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes)
+        links.callback(server.close)
+        for address in settings.cantcpd.listen:
+            host, _, number = address.rpartition(":")
+            listening = await loop.create_server(server.connection, host.strip("[]"), int(number))
+            links.callback(listening.close)
+        port = listening.sockets[0].getsockname()[1]
+        runtime.board["cantcpd"] = server.report
+        links.callback(runtime.board.pop, "cantcpd")
+        while True:
+            server.poll(port)
+            await asyncio.sleep(1.0)
+
+
+async def canip(runtime: Runtime) -> None:
+    """UDP datagrams over the bus."""
+    settings = runtime.config.canip
+    tun = open_tun(settings.device, settings.address, settings.mtu)
+    with contextlib.ExitStack() as links:
+        links.callback(os.close, tun)
+        can = links.enter_context(open_can(runtime.config.can.interface))
+        carrier = CanIp(asyncio.get_running_loop(), tun, can, settings)
+        links.callback(carrier.close)
+        runtime.reader(tun, carrier.on_packets)
+        links.callback(runtime.remove_reader, tun)
+        await _published(runtime, "canip", carrier.report)
+
+
+async def timed(runtime: Runtime) -> None:
+    """The time frame at the start of each second."""
+    settings, clock = runtime.config.timed, runtime.clock
+    assert settings.mode != "off"
+    keeper = Timekeeper(settings.mode, settings.takeover_s, clock.monotonic_s())
+    with contextlib.ExitStack() as links:
+        can = _opened(links, runtime.config, runtime.config.can.interface, CanAddress(TIME_FRAME))
+        timer = SecondTimer(keeper.delay_s, clock.time_ns())
+        links.callback(timer.close)
+        service = TimeService(keeper, timer, can, clock)
+        for fd, handler in ((can.fileno(), service.on_frames), (timer.fileno(), service.on_second)):
+            runtime.reader(fd, handler)
+            links.callback(runtime.remove_reader, fd)
+        await _published(runtime, "timed", service.report)
+
+
+async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str, object]]) -> None:
+    """Until cancelled: the rest happens in callbacks, and the figures are on the runtime's board."""
+    runtime.board[name] = report
+    try:
+        await asyncio.Event().wait()
+    finally:
+        del runtime.board[name]
 
 
 async def httpd(runtime: Runtime) -> None:
@@ -199,10 +337,14 @@ async def sshd(runtime: Runtime) -> None:
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
     Service("canzlogd", canzlogd),
-    Service("vehicle", vehicle),
+    Service("logd", logd),
+    Service("cantcpd", cantcpd),
+    Service("timed", timed),
+    Service("canip", canip),
     Service("httpd", httpd),
     Service("ftpd", ftpd, place="process"),
     Service("sshd", sshd, place="process"),
+    Service("vehicle", vehicle),
 )
 
 
@@ -213,8 +355,12 @@ def services(settings: config.Vehicle) -> list[Service]:
         if name not in known:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
-    idle = {"ftpd": not settings.ftpd.users, "sshd": not settings.sshd.users}  # nobody could come in
-    enabled = [(row, asked[row.name].place) for row in SERVICES if asked[row.name].enabled and not idle.get(row.name)]
+    off = {"canip"} if not settings.canip.enabled else set()
+    off |= {"timed"} if settings.timed.mode == "off" else set()
+    off |= set() if settings.logd.nodes else {"logd"}
+    off |= set() if settings.ftpd.users else {"ftpd"}  # nobody could come in
+    off |= set() if settings.sshd.users else {"sshd"}
+    enabled = [(row, asked[row.name].place) for row in SERVICES if asked[row.name].enabled and row.name not in off]
     return [row if place == "default" else row._replace(place=place) for row, place in enabled]
 
 
@@ -231,10 +377,11 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=service is not None).main(wanted)
 
 
-def supervise(file: str, overrides: Sequence[str]) -> int:
-    """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man."""
+def supervise(file: str, overrides: Sequence[str], program: Sequence[str] = (sys.executable, "-m", "delfim")) -> int:
+    """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
+    `program` is what is started with `run FILE`."""
     settings = config.load(file, overrides)
-    command = (sys.executable, "-m", "delfim", "run", file, *(word for one in overrides for word in ("--set", one)))
+    command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
     programs = [Program("runtime", command, settings.runtime.nice, critical=True)]
     programs += [
         Program(row.name, (*command, "--service", row.name), settings.runtime.service_nice)
@@ -281,6 +428,14 @@ def _socket_path(name: str) -> str:
             raise DelfimError(f"another vehicle answers on {name}")
     path.unlink(missing_ok=True)
     return name
+
+
+def _interfaces(settings: config.Vehicle) -> list[str]:
+    """All buses of the boat."""
+    interfaces = {settings.can.interface}
+    if "nmea2000" in settings.navigation.sources:
+        interfaces.add(settings.nmea2000.interface)
+    return sorted(interfaces)
 
 
 def _opened(links: contextlib.ExitStack, settings: config.Vehicle, interface: str, *filters: CanAddress) -> CanSocket:

@@ -3,9 +3,25 @@
 import os
 from collections.abc import Generator, Iterator
 
+import hypothesis
 import pytest
 
 from tests.guest.harness import Guest, guest, missing
+
+# The same examples in every run, and no stopwatch: a busy machine is no failure.
+hypothesis.settings.register_profile("delfim", deadline=None, derandomize=True)
+hypothesis.settings.load_profile("delfim")
+
+
+def pytest_addoption(parser: pytest.Parser) -> None:
+    parser.addoption("--cuts", type=int, default=3, help="how often the power fails in tests/guest/test_power_cut.py (3)")
+    parser.addoption("--seeds", type=int, default=100, help="runs of mixed faults in lock step (%(default)s)")
+
+
+@pytest.fixture
+def seeds(request: pytest.FixtureRequest) -> range:
+    """Of the runs of mixed faults."""
+    return range(request.config.getoption("--seeds"))
 
 
 def _skip_is_failure(report: pytest.TestReport | pytest.CollectReport) -> None:

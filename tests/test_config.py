@@ -78,7 +78,12 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
         (BOAT + "id = 9999999999999999999999", "boat.id", "expected int <= 249", "1 to 249"),
         (BOAT + "length_m = nan", "boat.length_m", "expected float > 0.0", "more than 0.0 to 10000.0"),
         (BOAT + "length_m = inf", "boat.length_m", "expected float <= 10000.0", "more than 0.0 to 10000.0"),
-        (BOAT + "[watchdog]\nnavigation_s = 0", "watchdog.navigation_s", "expected float > 0.0", "more than 0.0 to 3600.0"),
+        (
+            BOAT + "[failsafe.navigation_silent]\nafter_s = 0",
+            "failsafe.navigation_silent.after_s",
+            "expected float > 0.0",
+            "more than 0.0 to 3600.0",
+        ),
         (BOAT + "[runtime]\nnice = 20", "runtime.nice", "expected int <= 19", "-20 to 19"),
         (BOAT + "[runtime]\ncpus = [0, -1]", "runtime.cpus[1]", "expected int >= 0", "0 to 1023"),
         (BOAT + "[simulation.sea]\ngusts = 2", "simulation.sea.gusts", "expected float <= 1.0", "0.0 to 1.0"),

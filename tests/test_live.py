@@ -25,8 +25,8 @@ def delfim(*words: str, **options: object) -> subprocess.Popen[str]:
 
 def sim(tmp_path: Path, *words: str) -> subprocess.Popen[str]:
     bus = f'simulation.interface="canloop:live-{os.getpid()}-{tmp_path.name[-8:]}"'
-    page = 'simulation.httpd="127.0.0.1:0"'
-    return delfim("sim", VEHICLE, "--output", str(tmp_path / "out"), "--set", bus, "--set", page, *words)
+    ports = ("--set", 'cantcpd.listen=["127.0.0.1:0"]', "--set", 'simulation.httpd="127.0.0.1:0"')
+    return delfim("sim", VEHICLE, "--output", str(tmp_path / "out"), "--set", bus, *ports, *words)
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
@@ -58,7 +58,7 @@ def test_every_input_has_an_age_and_nothing_was_lost(sailed):
     assert set(state["sysstat"]) == {"gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"}
     assert state["counts"] == {}
     states = {name: service["state"] for name, service in state["services"].items()}
-    assert states == {"canzlogd": "running", "vehicle": "running", "httpd": "running"}
+    assert states == {"canzlogd": "running", "cantcpd": "running", "httpd": "running", "vehicle": "running"}
 
 
 def test_pictures_and_logs_are_left_behind(sailed):
@@ -79,6 +79,12 @@ def test_propulsion_was_stopped_first_and_the_logs_closed_last(sailed):
     commands = [line.split()[2] for line in lines if line.split()[2].startswith(("040#", "041#"))]
     assert commands[-2][:10] == "040#000000"
     assert commands[-1][:10] == "041#000000"
+
+
+def test_what_was_sailed_repeats_bit_by_bit_from_its_logs(sailed):
+    _, folder, _, _ = sailed
+    out, _ = ended(delfim("log", "replay", str(folder / "log")))
+    assert "all the same, bit by bit" in out
 
 
 def test_a_killed_simulation_leaves_nothing_behind(tmp_path):
@@ -165,8 +171,8 @@ def test_black_box_and_page_work_in_processes_of_their_own_and_a_guest_steers(tm
     process.communicate(timeout=30)
     assert modes, "grex was entered"
     assert modes[-1]["reference"]["heading_deg"] == pytest.approx(180.0), "course 150, 30 to starboard"
-    assert set(modes[-1]["services"]) == {"vehicle"}, "the others are not in this process"
+    assert set(modes[-1]["services"]) == {"cantcpd", "vehicle"}, "the others are not in this process"
     assert seen["vehicle"]["mode"] == "grex"
-    assert set(seen["services"]) == {"vehicle", "httpd"}
+    assert set(seen["services"]) >= {"vehicle", "httpd"}
     assert set(seen["computer"]["supervisor"]) == {"runtime", "canzlogd", "httpd"}
     assert list((tmp_path / "out").glob("log/*/*/*.log.gz")), "and works"

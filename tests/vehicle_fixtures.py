@@ -30,10 +30,14 @@ class Records:
 
     def __init__(self) -> None:
         self.modes: list[str] = []
+        self.notes: list[str] = []
         self.why = ""
 
     def write(self, state: State, now_s: float) -> None:
         self.modes.append(state.mode.name)
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
 
     def reason(self) -> str:
         return self.why
@@ -50,7 +54,7 @@ class Boat:
         self.clock = ManualClock(monotonic_s=1000.0)
         self.state, self.log = State(), Records()
         self.sockets = [open_can(name) for _ in range(5)]
-        self.nodes, self._navigation, self.status, self.messages, propulsion = self.sockets
+        self.nodes, self._navigation, self.status, self.messages, self.outlet = self.sockets
         for socket in self.sockets:
             socket.setblocking(False)
         self._navigation.bind(CanAddress(*dsor.message_filter(source=Node.NAVIGATION)))
@@ -64,17 +68,18 @@ class Boat:
             self.clock,
             self.state,
             (self.source,),
-            Propulsion(propulsion, settings.propulsion, self.state),
+            Propulsion(self.outlet, settings.propulsion, self.state),
             self.guest,
             self.log,
         )
         self._number = 0
 
     def navigate(self, **changes: object) -> bool:
-        """A navigation message on the bus, and the loop's turn. By default: at rest off Lisbon, heading north."""
+        """A navigation message on the bus, and the loop's turn. By default: at rest off Lisbon, heading north, rocking."""
         self._number += 1
+        rocking_rad = 0.01 * (self._number % 2)
         place, utc_ns = (math.radians(38.6925), math.radians(-9.215)), self.clock.time_ns()
-        still = Navigation(utc_ns, *place, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3, 9, 0.9, self._number & 255)
+        still = Navigation(utc_ns, *place, 0.0, 0.0, 0.0, 0.0, rocking_rad, 0.0, 3, 9, 0.9, self._number & 255)
         data = messages.pack_navigation(still._replace(**changes))
         self.send(data, Node.NAVIGATION, messages.NAVIGATION_ID)
         return self.vehicle.on_navigation(self.source)
@@ -85,12 +90,14 @@ class Boat:
             self.nodes.sendmsg(frame)
 
     def report(self, status: Status = Status.GOOD, faults: Fault = WELL, silent: tuple[str, ...] = ()) -> None:
-        """Every node reports its health, the starboard propeller as told; those named in `silent` do not."""
-        propeller = PropellerStatus(Status.GOOD, WELL, 10, 1.0, 20, 0)
+        """Every node reports its health, the starboard propeller as told; those named in `silent` do not. Propellers obey."""
+        sent = self.state.actuation
+        starboard = PropellerStatus(status, faults, round(sent.starboard_rpm), 1.0, 20, 0)
+        port = PropellerStatus(Status.GOOD, WELL, round(sent.port_rpm), 1.0, 20, 0)
         batteries = messages.pack_batteries_status(BatteriesStatus(Status.GOOD, WELL, 48.0, 1.0, 0.9, 20))
         reports = {
-            Node.PROPELLER_STARBOARD: messages.pack_propeller_status(propeller._replace(status=status, faults=faults)),
-            Node.PROPELLER_PORT: messages.pack_propeller_status(propeller),
+            Node.PROPELLER_STARBOARD: messages.pack_propeller_status(starboard),
+            Node.PROPELLER_PORT: messages.pack_propeller_status(port),
             Node.BATTERIES_STARBOARD: batteries,
             Node.BATTERIES_PORT: batteries,
         }
@@ -137,7 +144,7 @@ class Boat:
 
 @pytest.fixture
 def make_boat() -> Iterator[Callable[..., Boat]]:
-    """Boats from tables of a vehicle's file: `make_boat(watchdog=config.Watchdog(console_s=3))`."""
+    """Boats from tables of a vehicle's file: `make_boat(log=config.Log(required=False))`."""
     boats = []
 
     def make(**tables: config.Table) -> Boat:

@@ -11,8 +11,9 @@ import math
 import struct
 import zlib
 from collections import Counter, deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from enum import IntEnum
+from itertools import chain
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError, Refused
@@ -145,12 +146,16 @@ def ack_filter(node: int) -> tuple[int, int]:
 def segments(message: Message, number: int) -> list[Frame]:
     """All frames of a message in order, header first: how a broadcast message is sent. `number` counts a node's messages; 5
     bits of it travel. Raises FormatError where a field does not fit."""
+    return list(iter_segments(message, number))
+
+
+def iter_segments(message: Message, number: int) -> Iterator[Frame]:
+    """The same one by one, for who has no time to cut 65,535 bytes at once. Raises FormatError at once."""
     header, stream = _encoded(message)
     arb = dsor_arb(message.priority, Kind.HEADER, message.source, message.destination, number & 31)
     body = arb & _STREAM | _BODY_FRAME
-    frames = [Frame(arb, header)]
-    frames += [Frame(body | (i >> 3 & 31) << _SEQUENCE, stream[i : i + 8]) for i in range(0, len(stream), 8)]
-    return frames
+    bodies = (Frame(body | (i >> 3 & 31) << _SEQUENCE, stream[i : i + 8]) for i in range(0, len(stream), 8))
+    return chain((Frame(arb, header),), bodies)
 
 
 def _encoded(message: Message) -> tuple[bytes, bytes]:
@@ -223,7 +228,8 @@ class Receiver:
     replies  acknowledgements that the caller sends, at most 64; when they are not taken the oldest is lost
     errors   reason in words -> count
 
-    Memory is bounded: `open_max` messages under way, each of at most 64 KiB; the oldest makes room for a new one.
+    Memory is bounded: `open_max` messages under way, each of at most 64 KiB; the one that is silent for longest makes
+    room for a new one.
     """
 
     def __init__(
@@ -239,6 +245,16 @@ class Receiver:
         self._node, self._accept, self._timeout_s, self._open_max = node, accept, timeout_s, open_max
         self._open: dict[int, _Assembly] = {}
         self._last: dict[int, _Received] = {}  # by stream
+
+    @property
+    def next_due_s(self) -> float:
+        """When `expire` has something to do; infinity while no message is under way."""
+        return min((assembly.heard_s for assembly in self._open.values()), default=math.inf) + self._timeout_s
+
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a message is under way."""
+        return bool(self._open)
 
     def feed(self, frame: Frame, now_s: float) -> Message | None:
         """The message that this frame completes. Never raises; frames of no concern are passed over."""
@@ -268,9 +284,9 @@ class Receiver:
         return None
 
     def expire(self, now_s: float) -> None:
-        """Drops the messages that have been silent for longer than the time-out."""
+        """Drops the messages that have been silent for as long as the time-out."""
         for stream, assembly in list(self._open.items()):
-            if now_s - assembly.heard_s > self._timeout_s:
+            if assembly.heard_s + self._timeout_s <= now_s:
                 self._drop(stream, "timed out")
 
     def _header(self, arb: int, header: bytes, now_s: float) -> None:
@@ -284,13 +300,15 @@ class Receiver:
         stream, number = arb & _STREAM, arb >> _SEQUENCE & 31
         assembly, last = self._open.get(stream), self._last.get(stream)
         accepted = self._accept is None or self._accept(message)
+        is_late = last is not None and last.number - number & 31 < 16
         if not accepted:
-            self._last.pop(stream, None)  # what follows on this stream is for somebody else
+            if not is_late:
+                self._last.pop(stream, None)  # what follows on this stream is for somebody else
         elif assembly and (number, header) == (assembly.number, assembly.header) and (assembly.answered or not assembly.next):
             assembly.heard_s = now_s
             self._acknowledge(arb, Ack.HEADER, number, assembly.next)
             return
-        elif last and last.number - number & 31 < 16 and message.destination != BROADCAST:
+        elif last and is_late and message.destination != BROADCAST:
             self._acknowledge(arb, Ack.COMPLETE, number, last.segments if last[:2] == (number, header) else 0)
             return
         if assembly:
@@ -299,7 +317,7 @@ class Receiver:
         if not accepted:
             return
         if len(self._open) >= self._open_max:
-            self._drop(next(iter(self._open)), "crowded out")
+            self._drop(min(self._open, key=lambda each: self._open[each].heard_s), "crowded out")
         self._open[stream] = _Assembly(number, header, length, message, now_s)
         self._acknowledge(arb, Ack.HEADER, number, 0)
 

@@ -56,8 +56,11 @@ def _sentence(table: type) -> str:
 
 
 def _comments(table: type) -> dict[str, str]:
-    found = re.findall(r"^    (\w+): .*?  # (.+)$", inspect.getsource(table), re.MULTILINE)
-    return {name: comment.replace("|", "\\|") for name, comment in found}
+    """Of the class and of those that it extends; the nearest one counts."""
+    found: dict[str, str] = {}
+    for each in reversed([kind for kind in table.__mro__ if issubclass(kind, config.Table)]):
+        found.update(re.findall(r"^    (\w+): .*?  # (.+)$", inspect.getsource(each), re.MULTILINE))
+    return {name: comment.replace("|", "\\|") for name, comment in found.items()}
 
 
 def _default(field: Any) -> str:

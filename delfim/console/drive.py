@@ -15,6 +15,7 @@ from delfim.errors import DelfimError, FormatError
 ALIVE_S = 1.0
 WORDS: dict[str, tuple[str, tuple[str, ...]]] = {  # verb: (what it does, names of its numbers in order)
     "state": ("show the state", ()),
+    "checks": ("what is in order for the start, and what is not", ()),
     "stop": ("idle, propellers off", ()),
     "manual": ("thrust of each propeller, -1..1", ("starboard", "port")),
     "heading": ("hold a true heading", ("heading_deg", "speed_mps")),
@@ -67,9 +68,18 @@ def line(state: dict[str, Any]) -> str:
     )
 
 
+def checks(state: dict[str, Any]) -> list[str]:
+    """The checks before the start and the present troubles, a line each, for people."""
+    lines = [f"{'ok ' if check['ok'] else 'NOT'}  {check['name']:13}  {check['reason']}" for check in state["checks"]]
+    return lines + [f"     {n['name']}: {n['reason']} (for {n['age_s']:.0f} s): {n['action']}" for n in state["notices"]]
+
+
 def once(link: Link, words: list[str], out: TextIO) -> None:
     """One command, its state printed. Raises Refused."""
     asked = command(words)
+    if words[0] == "checks":
+        print(*checks(link.ask("state")), sep="\n", file=out)
+        return
     print(line(link.ask(asked.pop("command"), **asked)), file=out)
 
 

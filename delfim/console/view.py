@@ -84,6 +84,14 @@ def warnings(state: dict[str, Any]) -> list[tuple[str, Text]]:
     found = []
     if state["mode"] == "idle":
         found.append(("idle", Text(state["reason"], style="yellow")))
+    colours = {"warn": "yellow", "hold": "yellow", "home": "yellow"}
+    found += [
+        (
+            notice["name"].replace("_", " "),
+            Text(f"{notice['reason']}: {notice['action']}", colours.get(notice["action"], "red")),
+        )
+        for notice in state["notices"]
+    ]
     bad = {name: report for name, report in state["sysstat"].items() if report["status"] != "good"}
     found += [(name, Text(f"{report['status']} {' '.join(report['faults'])}", style="red")) for name, report in bad.items()]
     for name, service in state.get("services", {}).items():

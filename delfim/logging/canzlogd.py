@@ -4,7 +4,6 @@ One log a bus, `DIRECTORY/YYYYMMDD/can0/hhmmss.log.gz`, its id the name of the i
 a line of JSON for each start, loss of frames, change of the bus, step of the wall clock and trouble of the log itself.
 """
 
-import json
 import re
 from collections.abc import Callable, Iterable
 from typing import Final, Protocol
@@ -14,7 +13,7 @@ from delfim.config import Log as Limits
 from delfim.errors import BusError
 from delfim.frames import CAN_ERR, Frame
 from delfim.logging.candump import format_line
-from delfim.logging.liblog import LogStatus, open_log
+from delfim.logging.liblog import LogStatus, event_line, open_log
 
 FRAMES_A_CALL: Final = 64  # a fraction of a millisecond; the loop calls again while frames are queued
 STEP_S: Final = 0.5  # a wall clock that differs by more from where it should be has stepped
@@ -36,12 +35,17 @@ class BusState(Protocol):
     def state(self) -> str: ...
 
 
+def device(interface: str) -> str:
+    """The name of a bus in candump's text, and the id of its log."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", interface.rpartition(":")[2])
+
+
 class Bus:
     """The log of one bus, and what was last said in its sidecar."""
 
     def __init__(self, socket: Socket, limits: Limits, clock: Clock) -> None:
         self.socket, self.clock = socket, clock
-        self.device = re.sub(r"[^A-Za-z0-9_.-]", "-", socket.name.rpartition(":")[2])
+        self.device = device(socket.name)
         self.log = open_log(
             limits.directory,
             self.device,
@@ -59,8 +63,7 @@ class Bus:
         self.note("start")
 
     def note(self, event: str, **what: object) -> bool:
-        line = {"t_ns": self.clock.time_ns(), "monotonic_s": self.clock.monotonic_s(), "event": event} | what
-        return self.log.note(json.dumps(line).encode() + b"\n")
+        return self.log.note(event_line(self.clock, event, **what))
 
     def tell(self, event: str, value: object, empty: object) -> None:
         """Note a value when it is another than the one noted last; `empty` needs no first note."""
@@ -135,6 +138,7 @@ class BlackBox:
 
     def close(self) -> None:
         for bus in self._buses.values():
+            bus.note("end")
             bus.log.close()
 
     def _wall_offset_s(self) -> float:

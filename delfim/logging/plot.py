@@ -1,34 +1,52 @@
-"""Pictures of a run from its state log: the track, and the latency figures 3-10 and 3-11 of the thesis. Needs matplotlib."""
+"""Pictures of a run from its state log: track, speeds, propellers, references, and the latency figures 3-10 and 3-11 of the
+thesis. PNG or SVG, as the file's name says. Needs matplotlib."""
 
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from delfim.logging.summary import STAGES, critical_path_us, stages_us
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from numpy.typing import NDArray
 
-Columns = Mapping[str, Sequence[Any]]  # of the state log, by field name
-INK, SEA, LINE, BOAT = "#1b2a33", "#f3f7f9", "#c9d6dd", "#d1495b"
+Columns = Mapping[str, Any]  # of the state log, by field name
+Waypoint = tuple[float, float, float]  # latitude, longitude, degrees; acceptance radius, m
+
+POINTS_MAX: Final = 20_000  # drawn of a line
+INK, SEA, LINE, BOAT, WATER, SAND = "#1b2a33", "#f3f7f9", "#c9d6dd", "#d1495b", "#2e86ab", "#e8b04a"
 
 
-def track(columns: Columns, waypoints: Sequence[tuple[float, float, float]], title: str, file: Path) -> None:
-    """The driven track over the mission, north up, metres. Waypoints are (latitude_deg, longitude_deg, acceptance_m)."""
+def draw(columns: Columns, waypoints: Sequence[Waypoint], title: str, folder: Path, form: str = "png") -> list[Path]:
+    """All pictures of a run into a folder, as "png" or "svg"."""
+    files = {name: folder / f"{name}.{form}" for name in ("track", "speeds", "rpm", "references", "latency")}
+    track(columns, waypoints, title, files["track"])
+    speeds(columns, f"{title}: speeds", files["speeds"])
+    rpm(columns, f"{title}: propellers", files["rpm"])
+    references(columns, f"{title}: references and what became of them", files["references"])
+    latency(columns, f"{title}: critical path, t0 to t4", files["latency"])
+    return list(files.values())
+
+
+def track(columns: Columns, waypoints: Sequence[Waypoint], title: str, file: Path) -> None:
+    """The driven track over the mission, north up, metres."""
     figure, axes = _sheet((8, 8))
-    latitude, longitude = columns["latitude"], columns["longitude"]
-    known = [i for i, value in enumerate(latitude) if math.isfinite(value)]
-    if not known:
+    its = _arrays(columns, "latitude", "longitude", "north_speed", "east_speed")
+    latitude, longitude, north, east = (column[np.isfinite(its[0] + its[1])] for column in its)
+    if not len(latitude):
         axes.set_title(f"{title}: no position was logged")
         _save(figure, file)
         return
-    zero = latitude[known[0]], longitude[known[0]]
+    zero = float(latitude[0]), float(longitude[0])
 
-    def metres(latitude_rad: float, longitude_rad: float) -> tuple[float, float]:
+    def metres(latitude_rad: Any, longitude_rad: Any) -> tuple[Any, Any]:
         return (longitude_rad - zero[1]) * 6.378e6 * math.cos(zero[0]), (latitude_rad - zero[0]) * 6.367e6
 
-    points = [metres(latitude[i], longitude[i]) for i in known]
-    speeds = [math.hypot(columns["north_speed"][i], columns["east_speed"][i]) for i in known]
     marks = [(*metres(math.radians(la), math.radians(lo)), radius) for la, lo, radius in waypoints]
     axes.plot([p[0] for p in marks], [p[1] for p in marks], "--", color=LINE, lw=1.2, zorder=1)
     for number, (east_m, north_m, radius) in enumerate(marks, 1):
@@ -36,43 +54,102 @@ def track(columns: Columns, waypoints: Sequence[tuple[float, float, float]], tit
         twins = [str(other) for other, mark in enumerate(marks, 1) if mark[:2] == (east_m, north_m)]
         label = "" if twins[0] != str(number) else ", ".join(twins)
         axes.annotate(label, (east_m, north_m), (9, 9), textcoords="offset points", color=INK, fontsize=10, weight="bold")
-    dots = axes.scatter([p[0] for p in points], [p[1] for p in points], c=speeds, s=4, cmap="viridis", zorder=3)
-    axes.plot(*points[0], "o", color=BOAT, ms=8, zorder=4)
-    axes.annotate("start", points[0], (-9, 9), textcoords="offset points", ha="right", color=BOAT)
+    some = slice(None, None, len(latitude) // POINTS_MAX + 1)
+    x, y = metres(latitude[some], longitude[some])
+    dots = axes.scatter(x, y, c=np.hypot(north, east)[some], s=4, cmap="viridis", zorder=3, rasterized=True)
+    axes.plot(0, 0, "o", color=BOAT, ms=8, zorder=4)
+    axes.annotate("start", (0, 0), (-9, 9), textcoords="offset points", ha="right", color=BOAT)
     figure.colorbar(dots, ax=axes, label="speed over ground, m/s", location="bottom", shrink=0.6, aspect=40, pad=0.02)
-    axes.set(aspect="equal", xlabel="east, m", ylabel="north, m", title=title)
+    place = f"of {math.degrees(zero[0]):.5f}, {math.degrees(zero[1]):.5f}"
+    axes.set(aspect="equal", xlabel=f"east {place}, m", ylabel="north, m", title=title)
     axes.margins(0.08)
+    _save(figure, file)
+
+
+def speeds(columns: Columns, title: str, file: Path) -> None:
+    """Speed over ground with its parts, and the rate of turn, over time."""
+    figure, (above, below) = _sheet((10, 6), 2)
+    north, east, yaw_rate = _arrays(columns, "north_speed", "east_speed", "yaw_rate")
+    _lines(above, columns, {"over ground": np.hypot(north, east), "north": north, "east": east}, "m/s")
+    _lines(below, columns, {"rate of turn, positive to starboard": np.degrees(yaw_rate)}, "deg/s")
+    above.set_title(title, loc="left")
+    _save(figure, file)
+
+
+def rpm(columns: Columns, title: str, file: Path) -> None:
+    """Revolutions of both propellers, commanded and measured."""
+    figure, both = _sheet((10, 6), 2)
+    for axes, side in zip(both, ("starboard", "port"), strict=True):
+        commanded, measured = _arrays(columns, f"{side}_rpm", f"{side}_rpm_measured")
+        _lines(axes, columns, {f"{side}, measured": measured, f"{side}, commanded": commanded}, "1/min")
+    both[0].set_title(title, loc="left")
+    _save(figure, file)
+
+
+def references(columns: Columns, title: str, file: Path) -> None:
+    """Heading and speed as they were asked for and as they were, and the distance from the line."""
+    figure, (above, middle, below) = _sheet((10, 8), 3)
+    heading, asked, speed, off = _arrays(columns, "heading", "reference_heading", "reference_speed", "cross_track")
+    north, east = _arrays(columns, "north_speed", "east_speed")
+    _lines(above, columns, {"heading": _compass(heading), "reference": _compass(asked)}, "deg")
+    _lines(middle, columns, {"speed over ground": np.hypot(north, east), "reference": speed}, "m/s")
+    _lines(below, columns, {"cross track, positive to starboard of the line": off}, "m")
+    above.set_title(title, loc="left")
+    above.set(ylim=(0, 360), yticks=range(0, 361, 90))
     _save(figure, file)
 
 
 def latency(columns: Columns, title: str, file: Path) -> None:
     """Histogram of the critical path t0 to t4 (figure 3-10) above the stage means (figure 3-11)."""
-    t0, t1, t2, t3, t4 = (columns[name] for name in ("t0", "t1", "t2", "t3", "t4"))
-    path_us = sorted((b - a) / 1e3 for a, b in zip(t0, t4, strict=True) if 0 < a <= b)
+    stamps = ("t0", "t1", "t2", "t3", "t4", "previous_t5")
+    arrays = dict(zip(stamps, _arrays(columns, *stamps), strict=True))
+    path_us = critical_path_us(arrays)
     figure, (above, below) = _sheet((8, 8), 2)
-    if path_us:
-        edges = [10 ** (k / 20) for k in range(20, 101)]
-        above.hist(path_us, bins=edges, color="#2e86ab", edgecolor="white", lw=0.4)
+    if len(path_us):
+        above.hist(path_us, bins=10 ** (np.arange(20, 101) / 20), color=WATER, edgecolor="white", lw=0.4)
         above.set(xscale="log", yscale="log", xlabel="latency, µs", ylabel="samples")
-        n = len(path_us)
-        figures = {"p50": path_us[n // 2], "p99": path_us[int(n * 0.99)], "worst": path_us[-1]}
+        figures = {"p50": np.percentile(path_us, 50), "p99": np.percentile(path_us, 99), "worst": path_us.max()}
         for height, (name, value) in zip((0.97, 0.85, 0.73), figures.items(), strict=True):
             above.axvline(value, color=BOAT, lw=1, ls=":")
-            at = {"xycoords": ("data", "axes fraction"), "fontsize": 9, "color": BOAT}
-            above.annotate(f" {name} {value:.0f} µs", (value, height), **at)
-        within = sum(value <= 100 for value in path_us) / n
-        above.set_title(f"{title}\n{n} cycles, {within:.2%} within 100 µs")
-    t5 = columns["previous_t5"][1:]
-    spans = [(t0, t1), (t1, t2), (t2, t3), (t3, t4), (t4[:-1], t5)]
-    means = [_mean([(b - a) / 1e3 for a, b in zip(*span, strict=True) if 0 < a <= b]) for span in spans]
-    bars = below.bar(["poll", "navigation", "control", "propulsion", "log"], means, color="#2e86ab")
+            side = "right" if value > 1e4 else "left"
+            at = {"xycoords": ("data", "axes fraction"), "fontsize": 9, "color": BOAT, "ha": side}
+            above.annotate(f" {name} {value:.0f} µs ", (value, height), **at)
+        above.set_title(f"{title}\n{len(path_us)} cycles, {np.mean(path_us <= 100):.2%} within 100 µs")
+    else:
+        above.set_title(f"{title}\nnot measured: the clock stood still, as in lock step")
+    bars = below.bar(STAGES, stages_us(arrays), color=WATER)
     below.bar_label(bars, fmt="%.1f", padding=2)
     below.set(ylabel="mean, µs", title="stages of the critical path, and the log after it")
     _save(figure, file)
 
 
-def _mean(values: list[float]) -> float:
-    return sum(values) / len(values) if values else 0.0
+def _arrays(columns: Columns, *names: str) -> "list[NDArray[Any]]":
+    """These columns; NaN for those that are not there."""
+    length = len(columns["t1"])
+    return [np.asarray(columns[name]) if name in columns else np.full(length, np.nan) for name in names]
+
+
+def _lines(axes: "Axes", columns: Columns, lines: "Mapping[str, NDArray[Any]]", unit: str) -> None:
+    """Values over UTC. Of many points a part is drawn."""
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+    (stamps,) = _arrays(columns, "t1")
+    some = slice(None, None, len(stamps) // POINTS_MAX + 1)
+    times = stamps[some].astype("datetime64[ns]")
+    for (name, values), color in zip(lines.items(), (WATER, BOAT, SAND), strict=False):
+        axes.plot(times, values[some], color=color, lw=1.1, label=name)
+    locator = AutoDateLocator()  # type: ignore[no-untyped-call]
+    axes.xaxis.set_major_locator(locator)
+    axes.xaxis.set_major_formatter(ConciseDateFormatter(locator))  # type: ignore[no-untyped-call]
+    axes.set(ylabel=unit)
+    axes.legend(loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, fontsize=8, frameon=False)  # beside the data
+
+
+def _compass(heading_rad: "NDArray[Any]") -> "NDArray[Any]":
+    """Degrees, 0..360, broken where a line would cross the whole picture."""
+    degrees: NDArray[Any] = np.degrees(heading_rad).astype(float) % 360.0
+    degrees[1:][np.abs(np.diff(degrees)) > 180.0] = np.nan
+    return degrees
 
 
 def _sheet(size: tuple[float, float], rows: int = 1) -> "tuple[Figure, Any]":

@@ -17,11 +17,12 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim.clock import SystemClock
-from delfim.logging.liblog import LENGTH, NOTE, FileLog, LogStatus, Settings
+from delfim.logging.liblog import FLUSH_S, LENGTH, NOTE, FileLog, LogStatus, Settings
 
 TICK_S: Final = 0.05  # between two looks into the pipe
 READ_BYTES: Final = 1 << 16
 REPORT_S: Final = 1.0  # reports come at least so often
+NOTES_BYTES: Final = 1 << 22  # kept while the log cannot be written
 REASON_MAX: Final = 1000  # characters; a report fits into PIPE_BUF and is written whole or not at all
 
 
@@ -62,6 +63,7 @@ class Writer:
         self._messages = Messages()
         self._clock = SystemClock()
         self._log: FileLog | None = None
+        self._notes, self._notes_s = bytearray(), 0.0  # lines for the sidecar; when they are written: a note costs two syncs
         self._reported, self._report_s = LogStatus(False, "", "", 0, 0, 0), 0.0
 
     def feed(self, data: bytes) -> None:
@@ -69,19 +71,28 @@ class Writer:
             if self._log is None:
                 self._log = self._opened(message)
             elif is_note:
-                self._log.note(message)
+                self._notes += message
             else:
                 self._log.put(message)
 
     def poll(self) -> None:
         if self._log:
             self._log.poll()
+            if self._notes and self._clock.monotonic_s() >= self._notes_s:
+                self._write_notes(self._log)
             self._report(self._log.status())
 
     def close(self) -> None:
         if self._log:
+            self._write_notes(self._log)
             self._log.close()
             self._report(self._log.status())
+
+    def _write_notes(self, log: FileLog) -> None:
+        if self._notes and log.note(bytes(self._notes)):
+            self._notes.clear()
+        del self._notes[:-NOTES_BYTES]
+        self._notes_s = self._clock.monotonic_s() + FLUSH_S
 
     def _opened(self, message: bytes) -> FileLog:
         told = json.loads(message)

@@ -14,7 +14,9 @@ import json
 import logging
 import os
 import signal
+import sys
 from collections.abc import Awaitable, Callable, Sequence
+from contextvars import copy_context
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
@@ -27,6 +29,7 @@ from delfim.services.supervisor import EXIT_PERMANENT
 
 BEAT_S: Final = 0.1  # the longest time between two beats of a loop that is well
 SETTLE_S: Final = 1.0  # a service is starting for so long; what its callbacks cost counts afterwards
+SWITCH_S: Final = 0.0001  # that a thread may keep the interpreter from the loop; the interpreter's own choice is 5 ms
 STOP_S: Final = 1.0  # that a service has to end after its cancellation
 COLLECT_EVERY_S: Final = 0.1  # garbage is looked for so often ...
 COLLECT_QUIET_S: Final = 0.002  # ... and collected when no navigation is due for so long ...
@@ -86,7 +89,7 @@ class Runtime:
     def __init__(self, settings: config.Vehicle, clock: Clock, *, beat_fd: int = -1, alone: bool = False) -> None:
         self.config, self.clock = settings, clock
         self.status: dict[str, ServiceStatus] = {}
-        self.board: dict[str, Callable[[], dict[str, object]]] = {}  # what a service has to show: figures by its name
+        self.board: dict[str, Callable[[], dict[str, object]]] = {}  # JSON-ready figures of services, by their names
         limits = settings.runtime
         self.window = NavigationWindow(limits.window_guard_s, 0.0 if alone or not limits.window else limits.window_share_max)
         self._account = Account("runtime", limits.callback_budget_s)  # the loop's own callbacks
@@ -166,6 +169,7 @@ class Runtime:
         a service must not be started again, otherwise 0."""
         if self._place == "runtime":
             _privileges(self.config.runtime)
+            sys.setswitchinterval(SWITCH_S)
             gc.collect()
             gc.freeze()
             gc.disable()
@@ -184,7 +188,9 @@ class Runtime:
             self._loop.add_signal_handler(number, self.stop, number.name)
         async with asyncio.TaskGroup() as group:
             for row in services:
-                self._tasks[row.name] = group.create_task(self._serve(row), name=row.name)
+                context = copy_context()
+                context.run(ACCOUNT.set, self.status[row.name].account)
+                self._tasks[row.name] = group.create_task(self._serve(row), name=row.name, context=context)
                 self._tasks[row.name].add_done_callback(self._ended)
             if self._beat_fd >= 0:
                 self._loop.call_soon(self._beat)  # after the first step of every service
@@ -203,7 +209,6 @@ class Runtime:
     async def _serve(self, row: Service) -> None:
         """One service: started, and started again when it fails, until it is stopped."""
         status, limits = self.status[row.name], self.config.supervisor
-        ACCOUNT.set(status.account)
         pause_s = limits.backoff_s
         began_s = self.clock.monotonic_s()
         while await self._attempt(row, status):

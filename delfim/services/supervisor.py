@@ -201,15 +201,15 @@ class Supervisor:
         return child.start_s + START_S if child.beat_s is None else child.beat_s + self._deadman_s
 
     def _watch_beat(self) -> None:
+        """Kill what is silent. Stop frames follow at once."""
         now_s, child = time.monotonic(), self._critical
         if child is None or now_s < self._deadline_s():
             return
         silent_s = now_s - (child.start_s if child.beat_s is None else child.beat_s)
         verdict = f"{'no beat' if child.beat_s is None else 'beat stopped'} for {silent_s:.1f} s: dead-man"
         self._kill(child, verdict)
-        self._stop_now()
+        self._stop_due_s = now_s
         self._deadman = {"reason": verdict, "time": time.time()}
-        self._stop_due_s = now_s + STOP_EVERY_S
 
     def _keep_stopped(self) -> None:
         """Stop frames again and again, until a critical program beats."""

@@ -1,8 +1,8 @@
 """A CAN bus inside one process for lock-step simulation: no kernel, no threads, and the same frames every time.
 
-What it does not simulate: bit rate, arbitration, bus load, errors, latency. A frame is in the queues of all other sockets
-that accept it when `sendto` returns, stamped with the clock that was handed in; sockets of the bus never become readable for
-a selector (`fileno` is -1), so whoever steps the simulation asks them.
+What it does not simulate: bit rate, arbitration, bus load, errors but bus-off, latency. A frame is in the queues of all other
+sockets that accept it when `sendto` returns, stamped with the clock that was handed in; sockets of the bus never become
+readable for a selector (`fileno` is -1), so whoever steps the simulation asks them.
 """
 
 from collections import deque
@@ -24,6 +24,7 @@ class LockstepBus:
 
     def __init__(self, clock: Clock, name: str = "lockstep", queue_max: int = QUEUE_MAX) -> None:
         self.clock, self.name, self.queue_max = clock, name, queue_max
+        self.off = False  # as after too many errors: nothing is sent, nothing comes
         self._ends: list[_End] = []
         self._routes: dict[int, tuple[_End, ...]] = {}  # by arbitration field: the ends that accept it
 
@@ -89,9 +90,12 @@ class _End:
             raise FormatError(f"{len(data)} bytes of data do not fit a CAN frame of 8")
         if ifindex not in (0, _IFINDEX):
             raise BusError(f"{self.name} has index {_IFINDEX}: nothing is sent to interface {ifindex} by it")
-        self._open().deliver(self, arb, bytes(data))
+        bus = self._open()
+        if bus.off:
+            raise BusError(f"{self.name}: bus-off")
+        bus.deliver(self, arb, bytes(data))
 
-    def rehearse(self, arb: int, data: bytes) -> None:
+    def rehearse(self) -> None:
         """Nothing is cold here."""
 
     def rebind(self) -> bool:

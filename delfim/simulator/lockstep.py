@@ -13,6 +13,7 @@ from delfim.canproxy.socket import CanAddress
 from delfim.clock import ManualClock
 from delfim.messages import SYSSTAT_MASK, Node, sysstat_arb
 from delfim.simulator.bus import LockstepBus
+from delfim.simulator.faults import Fault, Faults, FaultyLog
 from delfim.simulator.nodes import COMMANDS, nodes_of
 from delfim.vehicle import console
 from delfim.vehicle.grex import Guest
@@ -23,6 +24,7 @@ from delfim.vehicle.state import Mode, State
 
 CONSOLE_S: Final = 1.0  # the operator's console speaks this often
 WATCHDOG_S: Final = 0.1
+BURST: Final = 16  # navigation messages at most that come at once, when something was late
 
 
 class Lockstep:
@@ -31,10 +33,11 @@ class Lockstep:
     def __init__(self, settings: config.Vehicle, seed: int, make_log: Callable[[ManualClock], StateLog]) -> None:
         self.settings = settings
         self.clock = ManualClock()
-        bus = LockstepBus(self.clock)
+        bus = self.bus = LockstepBus(self.clock)
         self._world = bus.socket("nodes")
         self._world.bind(*COMMANDS)
         self.nodes = nodes_of(settings, seed)
+        self.faults = Faults(self.nodes, seed)
         self.state = State()
         navigation, self._status, self._messages = (bus.socket() for _ in range(3))
         navigation.bind(CanAddress(*dsor.message_filter(source=Node.NAVIGATION)))
@@ -42,6 +45,7 @@ class Lockstep:
         self._messages.bind(CanAddress(*dsor.message_filter(source=Node.GPS)))
         self._source = DsorNavigation(navigation, self.state)
         self.guest = Guest(self.state, self.clock)
+        self.log = make_log(self.clock)
         self.vehicle = Vehicle(
             settings,
             self.clock,
@@ -49,7 +53,7 @@ class Lockstep:
             (self._source,),
             Propulsion(bus.socket(), settings.propulsion, self.state),
             self.guest,
-            make_log(self.clock),
+            FaultyLog(self.log, self.faults),
         )
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
@@ -67,23 +71,38 @@ class Lockstep:
         """A word of the operator; why it was refused, or None."""
         return self.vehicle.on_command(command)
 
+    def breaks(self, broken: Fault) -> None:
+        """Something breaks now."""
+        if broken.kind == "clock_stepped":
+            self.clock.step(broken.value)
+        self.faults.begin(broken, self.elapsed_s)
+
+    def guest_says(self, line: bytes) -> None:
+        """A line of the guest computer, while it is there."""
+        if "guest_lost" not in self.faults.on:
+            self.vehicle.on_guest(line)
+
     def cycle(self) -> None:
         """One navigation period: the nodes speak, the loop has its turn, time passes."""
-        clock, world, vehicle = self.clock, self._world, self.vehicle
+        clock, world, vehicle, faults = self.clock, self._world, self.vehicle, self.faults
         now_s = clock.monotonic_s()
-        for frame in self.nodes.step(now_s, clock.time_ns()):
+        nodes = faults if faults.busy else self.nodes
+        frames = nodes.step(now_s, clock.time_ns())
+        self.bus.off = "bus_off" in faults.on
+        for frame in frames:
             world.sendmsg(frame)
-        vehicle.on_navigation(self._source)
+        for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is served again
+            vehicle.on_navigation(self._source)
         vehicle.on_sysstat(self._status)
         vehicle.on_sysstat(self._messages)
-        if now_s >= self._console_s:
+        if now_s >= self._console_s and "console_lost" not in faults.on:
             self._console_s = now_s + CONSOLE_S
             vehicle.on_command(_ALIVE)
         if now_s >= self._watchdog_s:
             self._watchdog_s = now_s + WATCHDOG_S
             vehicle.on_watchdog()
         while (frame := world.receive()) is not None:  # type: ignore[assignment]
-            self.nodes.feed(frame, now_s)
+            nodes.feed(frame, now_s)
         clock.advance(self._cycle_s)
 
     def cycles(self, seconds: float) -> Iterator[State]:

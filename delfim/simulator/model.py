@@ -15,6 +15,9 @@ from delfim.config import Boat, Sea
 from delfim.geodesy import from_plane, origin
 
 Side = Literal["starboard", "port"]
+DriveFault = Literal[
+    "dead", "stuck", "reversed"
+]  # gives nothing; keeps its revolutions while it has current; turns the other way
 
 STEP_S: Final = 0.1  # longest integration step; `advance` divides longer times
 WATER: Final = 1025.0  # kg/m3
@@ -78,7 +81,7 @@ def hull_of(boat: Boat) -> Hull:
 class Drive:
     """One side: motor controller, motor, propeller and batteries."""
 
-    __slots__ = ("charge", "connected", "current_a", "motor_a", "reference_rpm", "rpm", "run", "temperature_c")
+    __slots__ = ("charge", "connected", "current_a", "fault", "motor_a", "reference_rpm", "rpm", "run", "temperature_c")
 
     def __init__(self) -> None:
         self.reference_rpm = 0.0
@@ -89,6 +92,7 @@ class Drive:
         self.current_a = 0.0  # out of the batteries
         self.charge = 1.0  # 0..1; an empty battery is a motor without current
         self.temperature_c = AMBIENT_C
+        self.fault: DriveFault | None = None
 
     @property
     def powered(self) -> bool:
@@ -140,6 +144,11 @@ class Model:
         for _ in range(steps):
             self._move(h, self._turn(self.starboard, h), self._turn(self.port, h))
         self.time_s += dt_s
+
+    @property
+    def alive(self) -> bool:
+        """False when nobody knows where the boat is: a model in another program that is silent."""
+        return True
 
     @property
     def starboard_rpm(self) -> float:
@@ -197,9 +206,11 @@ class Model:
     def _turn(self, drive: Drive, h: float) -> float:
         """Motor, and what it costs the batteries; returns the mean rpm of the step."""
         hull, before_rpm = self.hull, drive.rpm
-        driven = drive.run and drive.powered
+        driven, reference_rpm = drive.run and drive.powered, drive.reference_rpm
+        if drive.fault is not None:
+            driven, reference_rpm = _faulty(drive)
         if driven:
-            step = (drive.reference_rpm - drive.rpm) * (1.0 - math.exp(-h / hull.motor_s))
+            step = (reference_rpm - drive.rpm) * (1.0 - math.exp(-h / hull.motor_s))
             most = hull.rpm_per_s_max * h
             drive.rpm += min(max(step, -most), most)
         else:
@@ -259,3 +270,10 @@ class Model:
         hull, n, d = self.hull, rpm / 60.0, self.hull.propeller_diameter_m
         bollard = hull.thrust * d * n * abs(n) * (1.0 if n > 0.0 else hull.astern)
         return WATER * d**3 * hull.hull_efficiency * (bollard - hull.thrust_per_j * abs(n) * inflow_mps)
+
+
+def _faulty(drive: Drive) -> tuple[bool, float]:
+    """Whether a drive with a fault is driven, and to what rpm."""
+    if drive.fault == "stuck":
+        return drive.powered, drive.rpm
+    return drive.run and drive.powered and drive.fault != "dead", -drive.reference_rpm

@@ -54,6 +54,8 @@ STALL_S: Final = 1.0  # a longer pause of the whole simulator does not exist in 
 LOW_CHARGE: Final = 0.2
 EMPTY_CHARGE: Final = 0.05
 FIX, SATELLITES, HDOP = 3, 10, 0.9
+_GOOD: Final = Status.GOOD, Fault(0)
+_BAD: Final = Status.BAD, Fault.HARDWARE
 _SECOND_NS: Final = 1_000_000_000
 _TOLERANCE_S: Final = 1e-6  # sums of tenths are never exact
 
@@ -97,15 +99,28 @@ class NavigationNode:
         self._north_m = self._random.gauss(0.0, noise.position_m)
         self._east_m = self._random.gauss(0.0, noise.position_m)
         self._counter = 0
+        self.silent = False
+        self.jump_m = 0.0  # error of the position, to the north
+        self.frozen = False  # the sensors say what they said
+        self.repeating = False  # the node sends its last message again and again
+        self._said: Navigation | None = None
 
     @property
     def due_s(self) -> float:
         return self._period.due_s
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
-        if not self._period.passed(now_s):
+        if not self._period.passed(now_s) or self.silent or not self._model.alive:
             return []
-        data = pack_navigation(self.measured(utc_ns))
+        said = self._said
+        if said is None or not (self.frozen or self.repeating):
+            said = self.measured(utc_ns)
+            if self.jump_m and said.latitude_rad is not None:
+                said = said._replace(latitude_rad=said.latitude_rad + self.jump_m / self._model.origin.north_m_per_rad)
+        elif not self.repeating:
+            said = said._replace(utc_ns=utc_ns, counter=self._counter)
+        self._said = said
+        data = pack_navigation(said)
         self._counter += 1
         message = Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, data)
         return segments(message, self._counter)
@@ -139,17 +154,18 @@ class GpsNode:
 
     def __init__(self) -> None:
         self.due_s = -math.inf
+        self.silent = self.bad = False
         self._second: int | None = None
         self._number = 0
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         second, rest_ns = divmod(utc_ns, _SECOND_NS)
         self.due_s = now_s + (_SECOND_NS - rest_ns) / 1e9
-        if second == self._second:
+        if second == self._second or self.silent:
             return []
         self._second = second
         self._number += 1
-        status = GpsStatus(Status.GOOD, Fault(0), FIX, SATELLITES, HDOP, utc_ns)
+        status = GpsStatus(*(_BAD if self.bad else _GOOD), FIX, SATELLITES, HDOP, utc_ns)
         message = Message(SYSSTAT_PRIORITY, Node.GPS, Node.BROADCAST, GPS_SYSSTAT_ID, pack_gps_status(status))
         return [Frame(TIME_FRAME, TIME.pack(utc_ns)), *segments(message, self._number)]
 
@@ -169,6 +185,7 @@ class PropellerNode:
         self._heard_counter = -1
         self._counter = 0
         self.malformed = 0
+        self.silent = self.bad = False
 
     @property
     def due_s(self) -> float:
@@ -190,11 +207,13 @@ class PropellerNode:
         silent, drive = self._silent(now_s), self._drive
         if silent:
             self._model.command(self._side, 0.0, False)
-        if not self._status.passed(now_s):
+        if not self._status.passed(now_s) or self.silent:
             return []
         faults = Fault.NO_COMMAND if silent else Fault(0)
         if not drive.powered:
             faults |= Fault.LOW_VOLTAGE
+        if self.bad:
+            faults |= Fault.HARDWARE
         status = Status.BAD if faults else Status.GOOD
         self._counter += 1
         report = PropellerStatus(status, faults, round(drive.rpm), drive.motor_a, round(drive.temperature_c), self._counter)
@@ -213,6 +232,7 @@ class BatteriesNode:
         self._arb = sysstat_arb(Node.BATTERIES_STARBOARD if side == "starboard" else Node.BATTERIES_PORT)
         self._status = _Period(BATTERIES_STATUS_S)
         self.malformed = 0
+        self.silent = self.bad = False
 
     @property
     def due_s(self) -> float:
@@ -226,11 +246,13 @@ class BatteriesNode:
             self.malformed += 1
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
-        if not self._status.passed(now_s):
+        if not self._status.passed(now_s) or self.silent:
             return []
         drive = self._drive
         status = Status.BAD if drive.charge < EMPTY_CHARGE else Status.DEGRADED if drive.charge < LOW_CHARGE else Status.GOOD
         faults = Fault(0) if status is Status.GOOD else Fault.LOW_VOLTAGE
+        if self.bad:
+            status, faults = Status.BAD, faults | Fault.HARDWARE
         report = BatteriesStatus(status, faults, drive.voltage_v, drive.current_a, drive.charge, round(drive.temperature_c))
         return [Frame(self._arb, pack_batteries_status(report))]
 
@@ -244,6 +266,13 @@ class Nodes:
         self.gps = GpsNode()
         self.propellers = PropellerNode(model, "starboard"), PropellerNode(model, "port")
         self.batteries = BatteriesNode(model, "starboard"), BatteriesNode(model, "port")
+        self.sensors: dict[str, GpsNode | PropellerNode | BatteriesNode] = {
+            "gps": self.gps,
+            "propeller_starboard": self.propellers[0],
+            "propeller_port": self.propellers[1],
+            "batteries_starboard": self.batteries[0],
+            "batteries_port": self.batteries[1],
+        }
         self._all = self.gps, self.navigation, *self.propellers, *self.batteries
         self._by_arb: Mapping[int, PropellerNode | BatteriesNode] = {
             PROPELLER_STARBOARD: self.propellers[0],
@@ -278,16 +307,11 @@ def _arbitration(frame: Frame) -> int:
     return frame.arb
 
 
-def nodes_of(settings: config.Vehicle, seed: int) -> Nodes:
-    """The model and the nodes that a vehicle's file describes."""
+def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) -> Nodes:
+    """The nodes that a vehicle's file describes, around its model or another one."""
     there = settings.simulation
-    model = Model(
-        hull_of(settings.boat),
-        there.sea,
-        seed,
-        math.radians(there.latitude_deg),
-        math.radians(there.longitude_deg),
-        math.radians(there.heading_deg),
-    )
+    if model is None:
+        start = math.radians(there.latitude_deg), math.radians(there.longitude_deg)
+        model = Model(hull_of(settings.boat), there.sea, seed, *start, math.radians(there.heading_deg))
     noise = Noise(there.position_noise_m, math.radians(there.heading_noise_deg), there.speed_noise_mps)
     return Nodes(model, settings.navigation.rate_hz, noise, seed)

@@ -6,7 +6,7 @@ nobody.
 
 import asyncio
 from collections.abc import Callable
-from typing import Any
+from typing import Any, cast
 
 from delfim.errors import FormatError
 from delfim.vehicle import console
@@ -51,8 +51,7 @@ class Connection(asyncio.Protocol):
         self.watching = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        assert isinstance(transport, asyncio.Transport)
-        self._transport = transport
+        self._transport = cast(asyncio.Transport, transport)  # uvloop's are none by descent
         if len(self._server.clients) >= self._server.clients_max:
             self.write(console.answer("too many connections", {}))
             transport.close()

@@ -143,6 +143,9 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
             **{name: _age(now_s, at_s) for name, (_, at_s) in state.sysstat.items()},
         },
         "sysstat": {name: _status(report) for name, (report, _) in state.sysstat.items()},
+        "notices": [
+            {"name": n.name, "reason": n.reason, "age_s": _age(now_s, n.since_s), "action": n.action} for n in state.notices
+        ],
         "counts": dict(state.counts),
         **extra,
     }

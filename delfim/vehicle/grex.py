@@ -6,6 +6,7 @@ connection replaces the one before, because a guest that restarted must not wait
 
 import asyncio
 import math
+from typing import cast
 
 import msgspec
 
@@ -61,8 +62,7 @@ class Guest(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         if self._transport is not None:
             self._transport.abort()
-        assert isinstance(transport, asyncio.Transport)
-        self._transport, self._buffer = transport, b""
+        self._transport, self._buffer = cast(asyncio.Transport, transport), b""  # uvloop's are none by descent
         self._state.guest_connected = True
 
     def connection_lost(self, exc: Exception | None) -> None:

@@ -31,8 +31,9 @@ class Latency:
         self.counts[bisect_left(EDGES_US, path_us)] += 1
         self.worst_us = max(self.worst_us, path_us)
         sums = self._sums_ns
-        sums[0] += p.t1 - p.t0
-        sums[1] += p.t2 - p.t1
+        t1 = max(p.t1, p.t0)  # a loop that was awake before the last frame came did not wait for it
+        sums[0] += t1 - p.t0
+        sums[1] += p.t2 - t1
         sums[2] += p.t3 - p.t2
         sums[3] += p.t4 - p.t3
         sums[4] += p.t5 - p.t4

@@ -58,6 +58,7 @@ class Mission(config.Table, frozen=True):
     name: Title
     waypoint: Annotated[tuple[Waypoint, ...], msgspec.Meta(min_length=1, max_length=1000)]
     path: Annotated[tuple[PathPoint, ...], msgspec.Meta(max_length=1000)] = ()
+    fence: config.Zones = config.Zones()
 
 
 def load_mission(path: str | Path) -> Mission:
@@ -89,7 +90,22 @@ def canonical(mission: Mission) -> str:
                 value = getattr(row, field.name)
                 if value != field.default:
                     lines.append(f"{field.name} = {value!r}")
-    return "\n".join(lines) + "\n"
+    return "\n".join([*lines, *_canonical_fence(mission.fence)]) + "\n"
+
+
+def _canonical_fence(fence: config.Zones) -> list[str]:
+    if fence == config.Zones():
+        return []
+    lines = ["", "[fence]", f"version = {fence.version}"]
+    if fence.keep_in:
+        lines.append(f"keep_in = {json.dumps(fence.keep_in)}")
+    for zone in fence.keep_out:
+        lines += ["", "[[fence.keep_out]]"]
+        for field in msgspec.structs.fields(zone):
+            value = getattr(zone, field.name)
+            if value != field.default:
+                lines.append(f"{field.name} = {json.dumps(value, ensure_ascii=False)}")
+    return lines
 
 
 def digest(mission: Mission) -> str:

@@ -5,6 +5,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.vehicle.failsafe import bits
 from delfim.vehicle.state import State
 from delfim.vehicle.sysstat import NAMES
 
@@ -53,6 +54,10 @@ def _of_batteries(node: Node, name: str) -> Callable[[State, float], object]:
     return value
 
 
+def _known(value: float | None) -> float:
+    return NAN if value is None else value
+
+
 def _stage(name: str) -> Field:
     return Field(name, "q", "ns", f"profile stamp {name}, wall clock since 1970", lambda s, now_s: getattr(s.profile, name))
 
@@ -64,6 +69,7 @@ FIELDS = (
     Field("previous_t5", "q", "ns", "profile stamp t5 of the cycle before", lambda s, now_s: s.profile.t5),
     Field("cycle", "Q", "", "navigation cycles since start", lambda s, now_s: s.cycles),
     Field("mode", "B", "", "mode number of the console's link", lambda s, now_s: int(s.mode)),
+    Field("troubles", "I", "", "bit n: trouble n of docs/failsafe.md", lambda s, now_s: bits(s.notices)),
     Field("latitude", "d", "rad", "WGS 84", _of_navigation("latitude_rad")),
     Field("longitude", "d", "rad", "WGS 84", _of_navigation("longitude_rad")),
     Field("north", "d", "m", "local plane", lambda s, now_s: s.motion.north_m if "position" in s.motion.has else NAN),
@@ -90,6 +96,12 @@ FIELDS = (
     Field("port_voltage", "f", "V", "batteries", _of_batteries(Node.BATTERIES_PORT, "voltage_v")),
     Field("starboard_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_STARBOARD, "charge")),
     Field("port_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_PORT, "charge")),
+    # With the black box and the commands in the sidecar, all that it takes to repeat the cycle bit by bit.
+    Field("console_s", "d", "s", "time since boot of the console's last word", lambda s, now_s: s.console_s),
+    Field("guest_s", "d", "s", "time since boot of the guest's last reference", lambda s, now_s: s.guest_s),
+    Field("guest_heading", "d", "rad", "last asked for by the guest", lambda s, now_s: _known(s.setpoint.guest_heading_rad)),
+    Field("guest_speed", "d", "m/s", "last asked for by the guest", lambda s, now_s: s.setpoint.guest_speed_mps),
+    Field("watchdog_s", "d", "s", "time since boot when the watchdog looked last", lambda s, now_s: s.watchdog_s),
 )
 
 

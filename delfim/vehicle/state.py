@@ -110,6 +110,15 @@ class Reference(NamedTuple):
     reason: str = ""  # why control stopped the propellers, in words; empty while it drives
 
 
+class Notice(NamedTuple):
+    """A trouble that the operator should know of."""
+
+    name: str  # of the trouble, as in the vehicle's file
+    reason: str  # in words
+    since_s: float  # monotonic time it began
+    action: str  # what is being done: "warn", "hold", "home", "stop", "disconnect"
+
+
 class Profile(NamedTuple):
     """Wall-clock stamps of one critical path, ns (thesis figure 3-9). t0 is the kernel's receive time of the last frame of
     the navigation message; t5 is taken after the log, so a record carries the t5 of the cycle before."""
@@ -128,9 +137,14 @@ class State:
 
     mode: Mode = Mode.IDLE
     reason: str = "started"  # why the boat is in this mode, in words
+    mode_s: float = -1e9  # monotonic time it entered the mode
     navigation: Navigation | None = None
     source: str = ""  # where navigation came from
     navigation_s: float = -1e9  # monotonic time it arrived
+    changed_s: float = -1e9  # and of the last that said something else than the one before
+    jumped_s: float = -1e9  # monotonic time of the last position that no boat could have reached
+    jumping_s: float = -1e9  # and of the first of that run
+    jumped_m: float = 0.0  # how far it was
     origin: Origin | None = None  # of the local plane: the first position, unless a mission was loaded before
     motion: Motion = NOWHERE
     setpoint: Setpoint = field(default_factory=Setpoint)
@@ -140,7 +154,10 @@ class State:
     console_s: float = -1e9  # monotonic time of the last word of the console
     manual_s: float = -1e9
     guest_s: float = -1e9
+    watchdog_s: float = -1e9  # when the watchdog looked last
     guest_connected: bool = False
+    notices: tuple[Notice, ...] = ()  # present troubles, worst first
+    last_shutdown: str = ""  # what was wrong with the end of the run before, in words; empty: nothing, or not known
     cycles: int = 0
     counts: dict[str, int] = field(default_factory=dict)  # what was refused, dropped, repaired, by name
     profile: Profile = field(default_factory=Profile)

@@ -190,6 +190,28 @@ def test_bodies_of_a_message_for_others_are_no_error() -> None:
     assert not receiver.errors
 
 
+def test_a_late_header_that_is_not_for_here_does_not_make_forget() -> None:
+    """Corrupted so that nobody wants it; the last body, repeated for want of an answer, is known all the same."""
+    receiver = Receiver(0, lambda message: message.id == 2)
+    header, *bodies = segments(TO_VEHICLE, 1)
+    assert feed(receiver, [header, *bodies]) == [TO_VEHICLE]
+    assert feed(receiver, [flipped(header, 20)]) == []
+    receiver.replies.clear()
+    assert feed(receiver, [bodies[-1]]) == []
+    assert list(receiver.replies) == [ack(TO_VEHICLE, Ack.COMPLETE, 1, 3)._replace(arb=receiver.replies[0].arb)]
+
+
+def test_the_message_that_is_silent_for_longest_makes_room() -> None:
+    receiver = Receiver(0, open_max=2)
+    first, second, third = (segments(TO_VEHICLE._replace(source=source), 0) for source in (1, 2, 3))
+    feed(receiver, [first[0]], 0.0)
+    feed(receiver, [second[0]], 0.1)
+    feed(receiver, [first[1]], 0.2)
+    feed(receiver, [third[0]], 0.3)
+    assert feed(receiver, first[2:], 0.4) == [TO_VEHICLE._replace(source=1)]
+    assert receiver.errors == {"crowded out": 1}
+
+
 def test_a_message_for_others_ends_the_one_before_it() -> None:
     receiver = Receiver(0, lambda message: message.id == 1)
     assert feed(receiver, segments(NAVIGATION, 0)[:3] + segments(NAVIGATION._replace(id=9), 1)) == []

@@ -69,6 +69,7 @@ def test_warnings_say_what_is_wrong(boat, state):
     words = {name: text.plain for name, text in warnings(bad)}
     assert words == {
         "idle": "propeller starboard bad: overheated",
+        "sensor bad": "propeller starboard bad: overheated: stop",
         "propeller_starboard": "bad overheated",
         "canzlogd": "waiting: no bus",
         "log": "disk full",

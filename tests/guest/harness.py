@@ -132,7 +132,7 @@ def _prepare(tmp_path: Path) -> Path:
     shutil.copy(Path(__file__).with_name("init.sh"), folder)
     (folder / "init.sh").chmod(0o755)
     path = f"{Path(sys.executable).parent}:$PATH"
-    settings = {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONSAFEPATH": "1", "FOLDER": str(folder)}
+    settings = {"PYTHONDONTWRITEBYTECODE": "1", "PYTHONSAFEPATH": "1", "PYTHONPATH": str(ROOT), "FOLDER": str(folder)}
     settings |= {"CI": os.environ["CI"]} if "CI" in os.environ else {}
     exports = "".join(f"export {name}={shlex.quote(value)}\n" for name, value in settings.items())
     (folder / "profile").write_text(f'{exports}export PATH="{path}"\ncd {shlex.quote(str(ROOT))}\n')

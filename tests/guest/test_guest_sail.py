@@ -23,7 +23,8 @@ def test_the_boat_sails_on_a_real_bus_and_stops_when_navigation_is_pulled(can_gu
     assert report["headers"] >= 35, "navigation at 5 Hz for 8 s"
     for frames in report["propulsion"]:
         assert frames == pytest.approx(report["headers"], abs=25), "four propulsion frames for each navigation message"
-    assert min(report["propulsion"]) == max(report["propulsion"])
+    # candump came and went at any moment, so a cycle at either end may be seen in part
+    assert max(report["propulsion"]) - min(report["propulsion"]) <= 2, report["propulsion"]
 
     assert report["silence_s"] < 1.0 + 0.2 + 0.3, "the watchdog's limit, a cycle and its own period"
     assert report["reason"].startswith("navigation silent for 1.")

@@ -120,7 +120,8 @@ def test_python_can_reads_what_we_write(frames):
 def test_recorded_traffic_comes_back_as_it_was(recordings):
     with gzip.open(recordings / "can0-1.candump.log.gz", "rt") as packed:
         lines = packed.read().splitlines()
-    plain = [path.read_text().splitlines() for path in recordings.glob("*.candump.log")]
+    plain = [(recordings / "actisense-522.candump.log").read_text().splitlines()]
+    plain.append(gzip.decompress((recordings / "raymarine-p70.candump.log.gz").read_bytes()).decode().splitlines())
     lines += [line for text in plain for line in text if line[:1] == "("]
     assert len(lines) > 50_000
     for line in lines:

@@ -182,7 +182,7 @@ def test_recorded_traffic_through_the_whole_black_box(tmp_path, clock, recording
             read = [(message.arbitration_id, bytes(message.data)) for message in reader]
         assert read == [(each.identifier, each.data) for each in frames]
         (sidecar,) = tmp_path.glob(f"*/{wire.name}/*.meta.jsonl")
-        assert [json.loads(line)["event"] for line in sidecar.read_text().splitlines()] == ["start"]
+        assert [json.loads(line)["event"] for line in sidecar.read_text().splitlines()] == ["start", "end"]
 
 
 def test_a_can_socket_is_such_a_socket(tmp_path, box, wire, clock):

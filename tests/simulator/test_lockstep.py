@@ -10,6 +10,7 @@ from delfim import config, geodesy
 from delfim.clock import ManualClock
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console, record
+from delfim.vehicle.fence import stopping_m
 from delfim.vehicle.mission import load_mission, plan
 from delfim.vehicle.state import Mode, State
 
@@ -28,6 +29,9 @@ class Bytes:
     def write(self, state: State, now_s: float) -> None:
         self.data += PACK(*record.values(state, now_s))
 
+    def note(self, text: str) -> None:
+        self.data += text.encode()
+
     def reason(self) -> str:
         return ""
 
@@ -43,9 +47,8 @@ def boat(seed: int, sea: config.Sea = CROSS) -> Lockstep:
 
 
 def recorded(sailing: Lockstep) -> bytes:
-    log = sailing.vehicle.log
-    assert isinstance(log, Bytes)
-    return bytes(log.data)
+    assert isinstance(sailing.log, Bytes)
+    return bytes(sailing.log.data)
 
 
 def test_same_seed_same_bytes_and_another_seed_another_run():
@@ -96,3 +99,19 @@ def test_a_guest_steers_in_grex_mode():
     state = sailing.state
     assert state.motion.heading_rad == pytest.approx(math.pi / 2, abs=math.radians(5))
     assert state.motion.east_m > 20
+
+
+@pytest.mark.parametrize("speed_mps", [0.5, 1.0, 1.5, 2.2])
+@pytest.mark.parametrize("order", [console.Stop(), console.Mode("hold")], ids=["stop", "hold"])
+def test_the_boat_comes_to_rest_where_the_fence_reckons_with(speed_mps, order):
+    sailing = boat(1, config.Sea())
+    list(sailing.cycles(4.0))
+    assert sailing.command(console.Heading(0.0, speed_mps)) is None
+    list(sailing.cycles(40.0))
+    model = sailing.nodes.model
+    before_m = model.north_m
+    assert model.north_mps == pytest.approx(speed_mps, abs=0.15)
+    assert sailing.command(order) is None
+    rolled_m = max(model.north_m - before_m for _ in sailing.cycles(60.0))
+    limits = config.Fence()
+    assert 1.0 < rolled_m < stopping_m(limits, speed_mps) + limits.margin_m

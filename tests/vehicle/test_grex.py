@@ -30,12 +30,12 @@ def test_grex_mode_needs_a_fresh_guest(boat):
     assert boat.vehicle.on_command(console.Mode("grex")) == "grex refused: no reference from the guest"
 
 
-def test_a_silent_guest_stops_the_boat(boat):
+def test_a_silent_guest_makes_the_boat_hold(boat):
     boat.ready()
     boat.vehicle.on_guest(b'{"heading_deg": 0, "speed_mps": 1.0}')
     boat.vehicle.on_command(console.Mode("grex"))
     boat.pass_time(5.5)
-    assert boat.state.mode is Mode.IDLE
+    assert boat.state.mode is Mode.HOLD
     assert boat.state.reason.startswith("guest silent")
 
 

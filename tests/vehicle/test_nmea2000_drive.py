@@ -71,6 +71,9 @@ class NoLog:
     def write(self, state: State, now_s: float) -> None:
         pass
 
+    def note(self, text):
+        pass
+
     def reason(self) -> str:
         return ""
 

@@ -28,5 +28,5 @@ def test_a_sailing_state_is_recorded_in_full(boat):
     PACKER.pack(*values.values())
     assert values["mode"] == 3
     assert values["port_rpm"] > values["starboard_rpm"]
-    assert values["starboard_rpm_measured"] == 10
+    assert values["starboard_rpm_measured"] != values["port_rpm_measured"]
     assert values["starboard_charge"] == 0.9

@@ -146,8 +146,8 @@ def inputs(view: View) -> str:
 def _limit_s(settings: config.Vehicle, name: str) -> float:
     named = {
         "navigation": settings.navigation.stale_s,
-        "console": settings.watchdog.console_s,
-        "guest": settings.watchdog.guest_s,
+        "console": settings.failsafe.console_silent.after_s,
+        "guest": settings.failsafe.guest_silent.after_s,
     }
     return named.get(name, settings.sysstat.stale_s)
 

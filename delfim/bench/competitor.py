@@ -1,0 +1,99 @@
+"""One competitor of the benchmark as a process: the vehicle on one kind of event loop, with or without the services beside it.
+
+python -m delfim.bench.competitor KIND FILE PORTS [--set KEY=VALUE]...
+
+delfim      the product: its runtime, its rows, and the rows of the load
+apart       the product's runtime with the vehicle alone
+services    the other half of "apart" and of the C program: all rows but the vehicle, niced
+asyncio     the rows of "delfim" on a plain asyncio loop: no priority, no window
+uvloop      the same on uvloop
+"""
+
+import argparse
+import asyncio
+import contextlib
+import gc
+import importlib
+import os
+import signal
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, Final
+
+from delfim import config, suite
+from delfim.bench.load import Ports, rows
+from delfim.clock import Clock, SystemClock
+from delfim.services.runtime import Runtime, Service
+
+KINDS: Final = ("delfim", "apart", "services", "asyncio", "uvloop")
+SERVICES_NICE: Final = 10
+
+
+class PlainRuntime(Runtime):
+    """What a service sees of the runtime, on whatever loop runs: each reader is just a reader."""
+
+    def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
+        self.config, self.clock = settings, clock
+        self.status, self.board = {}, {}
+
+    def navigation(self, fd: int, handler: Callable[[], bool]) -> None:
+        asyncio.get_running_loop().add_reader(fd, handler)
+
+    def reader(self, fd: int, handler: Callable[[], object]) -> None:
+        asyncio.get_running_loop().add_reader(fd, handler)
+
+    def remove_navigation(self, fd: int) -> None:
+        asyncio.get_running_loop().remove_reader(fd)
+
+    def remove_reader(self, fd: int) -> None:
+        asyncio.get_running_loop().remove_reader(fd)
+
+    def rehearsal(self, rehearse: Callable[[], None] | None) -> None:
+        """There is no window in which it could be done."""
+
+    def report(self) -> dict[str, Any]:
+        return {"services": []}
+
+    async def run(self, services: Sequence[Service]) -> None:
+        """All rows until SIGTERM. A row that fails ends the run: a benchmark does not go on without its load."""
+        ended = asyncio.Event()
+        asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, ended.set)
+        gc.collect()
+        gc.freeze()
+        gc.disable()  # as the product's runtime does; a run is short
+        everything = asyncio.gather(*(row.start(self) for row in services))
+        everything.add_done_callback(lambda _: ended.set())
+        await ended.wait()
+        everything.cancel()
+        with contextlib.suppress(asyncio.CancelledError):
+            await everything
+
+
+def new_loop(kind: str) -> asyncio.AbstractEventLoop:
+    loop: asyncio.AbstractEventLoop = importlib.import_module("uvloop" if kind == "uvloop" else "asyncio").new_event_loop()
+    return loop
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("kind", choices=KINDS)
+    parser.add_argument("file")
+    parser.add_argument("ports", help="four, with commas")
+    parser.add_argument("--set", action="append", default=[])
+    asked = parser.parse_args(arguments)
+    settings = config.load(asked.file, asked.set)
+    suites = {row.name: row for row in suite.services(settings)}
+    boat = suites.pop("vehicle")
+    others = [*suites.values(), *rows(Ports(*map(int, asked.ports.split(","))))]
+    services = {"apart": [boat], "services": others}.get(asked.kind, [*others, boat])
+    if asked.kind in ("delfim", "apart"):
+        return Runtime(settings, SystemClock()).main(services)
+    if asked.kind == "services":
+        os.nice(SERVICES_NICE)
+    with asyncio.Runner(loop_factory=lambda: new_loop(asked.kind)) as runner:
+        runner.run(PlainRuntime(settings, SystemClock()).run(services))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,244 @@
+"""`delfim bench log`: figure 2-8 of the thesis on this machine, and beside it what a log call of ours costs the loop.
+
+The figure's ways of getting rid of a record, one write after the other: a pipe, a UNIX socket, a file, a UDP socket, a buffered
+file, deflate, and a file with O_SYNC. Ours come paced, as in a control loop: back to back everything is in the caches and
+nothing shows. Last, the black box at the rate of a full bus.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import random
+import resource
+import socket
+import subprocess
+import sys
+import tempfile
+import time
+import zlib
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, get_args
+
+from delfim.clock import SystemClock
+from delfim.config import Log
+from delfim.frames import Frame, extended
+from delfim.logging.canzlogd import BlackBox
+from delfim.logging.liblog import Method, open_log
+from delfim.logging.plot import INK, LINE, SEA
+
+WRITES, QUICK_WRITES = 100_000, 2_000
+RECORD_BYTES, RECORDS_PER_S = 250, 500
+FRAMES_PER_S, BATCHES_PER_S = 7_700, 500
+SECONDS, QUICK_SECONDS = 10.0, 2.0
+CONTRACT_US: Final = 10.0  # of `write` and `zpipe` at p99
+PARTS: Final = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "worst": 1.0}
+DRAIN: Final = "import socket, sys; s = socket.socket(fileno=int(sys.argv[1]))\nwhile s.recv(65536): pass"
+
+Write = Callable[[bytes], object]
+
+
+def run(asked: argparse.Namespace) -> int:
+    """The command. Returns 0 when it was measured, whatever came out."""
+    output = Path(asked.output)
+    output.mkdir(parents=True, exist_ok=True)
+    writes = QUICK_WRITES if asked.quick else WRITES
+    seconds = asked.seconds or (QUICK_SECONDS if asked.quick else SECONDS)
+    with tempfile.TemporaryDirectory(dir=output) as place:
+        times = {name: figure_us(way, Path(place) / f"{i}", writes) for i, (name, way) in enumerate(WAYS.items())}
+        times |= {f"liblog {method}": put_us(Path(place), method, seconds) for method in get_args(Method)}
+        box = black_box(Path(place), seconds)
+    told = {name: {part: round(_part(each, share), 2) for part, share in PARTS.items()} for name, each in times.items()}
+    (output / "log.json").write_text(json.dumps({"writes": writes, "us": told, "black_box": box}, indent=1) + "\n")
+    picture(times, output / "log.png")
+    print(f"{'one record of 250 bytes, us':28}" + "".join(f"{part:>10}" for part in PARTS))
+    for name, figures in told.items():
+        print(f"{name:28}" + "".join(f"{figure:10.1f}" for figure in figures.values()))
+    print(
+        f"black box, {FRAMES_PER_S} frames a second for {seconds:.0f} s: {box['caller']:.1%} of a core in the runtime,"
+        f" {box['writer']:.1%} in its child, {box['blocks_lost']} blocks lost; {output}/log.png"
+    )
+    return 0
+
+
+@contextlib.contextmanager
+def _pipe(path: Path) -> Iterator[Write]:
+    """To a child that reads, as figure 2-8 has it."""
+    with _draining("import os\nwhile os.read(0, 65536): pass", stdin=subprocess.PIPE) as child:
+        assert child.stdin is not None
+        fd = child.stdin.fileno()
+        yield lambda record: os.write(fd, record)
+
+
+@contextlib.contextmanager
+def _unix_socket(path: Path) -> Iterator[Write]:
+    ours, its = socket.socketpair(socket.AF_UNIX, socket.SOCK_STREAM)
+    with ours, its, _draining(DRAIN, str(its.fileno()), pass_fds=(its.fileno(),)):
+        yield ours.sendall
+
+
+@contextlib.contextmanager
+def _udp_socket(path: Path) -> Iterator[Write]:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as its, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
+        its.bind(("127.0.0.1", 0))
+        ours.connect(its.getsockname())
+        with _draining(DRAIN, str(its.fileno()), pass_fds=(its.fileno(),)):
+            yield ours.send
+
+
+@contextlib.contextmanager
+def _file(path: Path, flags: int = 0) -> Iterator[Write]:
+    fd = os.open(path, os.O_WRONLY | os.O_CREAT | flags)
+    try:
+        yield lambda record: os.write(fd, record)
+    finally:
+        os.close(fd)
+
+
+@contextlib.contextmanager
+def _o_sync(path: Path) -> Iterator[Write]:
+    with _file(path, os.O_SYNC) as write:
+        yield write
+
+
+@contextlib.contextmanager
+def _buffered_file(path: Path) -> Iterator[Write]:
+    with path.open("wb") as file:
+        yield file.write
+
+
+@contextlib.contextmanager
+def _deflate(path: Path) -> Iterator[Write]:
+    stream = zlib.compressobj()
+    with _file(path) as write:
+
+        def deflated(record: bytes) -> None:
+            data = stream.compress(record)
+            if data:
+                write(data)
+
+        yield deflated
+        write(stream.flush())
+
+
+@contextlib.contextmanager
+def _draining(program: str, *words: str, **options: Any) -> Iterator[subprocess.Popen[bytes]]:
+    """A child that reads and does nothing with it."""
+    with subprocess.Popen([sys.executable, "-c", program, *words], **options) as child:
+        try:
+            yield child
+        finally:
+            child.kill()
+
+
+WAYS: Final = {
+    "pipe": _pipe,
+    "UNIX socket": _unix_socket,
+    "file": _file,
+    "UDP socket": _udp_socket,
+    "buffered file": _buffered_file,
+    "deflate": _deflate,
+    "O_SYNC": _o_sync,
+}
+
+
+def figure_us(way: Callable[[Path], Any], path: Path, writes: int) -> list[float]:
+    """The time of each write, sorted, us."""
+    chance = random.Random(1)
+    records = [_record(chance) for _ in range(256)]
+    times = [0] * writes
+    stamp = time.perf_counter_ns
+    with way(path) as write:
+        for i in range(writes):
+            record = records[i & 255]
+            start_ns = stamp()
+            write(record)
+            times[i] = stamp() - start_ns
+    return sorted(each / 1e3 for each in times)
+
+
+def put_us(directory: Path, method: Method, seconds: float) -> list[float]:
+    """The time of each put of liblog, paced, sorted, us."""
+    clock, chance = SystemClock(), random.Random(1)
+    log = open_log(directory, method, ".log", method, clock, file_bytes=1_000_000, file_s=600.0)
+    times, due_s = [], time.monotonic()
+    for _ in range(round(seconds * RECORDS_PER_S)):
+        record = _record(chance)
+        due_s += 1 / RECORDS_PER_S
+        time.sleep(max(0.0, due_s - time.monotonic()))
+        start_ns = time.perf_counter_ns()
+        log.put(record)
+        times.append((time.perf_counter_ns() - start_ns) / 1e3)
+        log.poll()
+    log.close()
+    assert log.status().records == len(times), log.status()
+    return sorted(times)
+
+
+class Wire:
+    """A socket with frames in its queue."""
+
+    def __init__(self) -> None:
+        self.name, self.dropped, self.queue = "can0", 0, deque[Frame]()
+        self.receive: Callable[[], Frame | None] = lambda: self.queue.popleft() if self.queue else None
+
+    def rebind(self) -> bool:
+        return True
+
+
+def black_box(directory: Path, seconds: float) -> dict[str, float]:
+    """Shares of a core that caller and writer took, frames, blocks lost."""
+    clock, chance, wire = SystemClock(), random.Random(1), Wire()
+    arbs = [extended(chance.getrandbits(29)) for _ in range(40)]
+    box = BlackBox([wire], Log(directory=str(directory), free_bytes_min=0), clock)
+    frames, due_s, used_s = 0, time.monotonic(), 0.0
+    for _ in range(round(seconds * BATCHES_PER_S)):
+        due_s += 1 / BATCHES_PER_S
+        time.sleep(max(0.0, due_s - time.monotonic()))
+        for _ in range(round(FRAMES_PER_S / BATCHES_PER_S)):
+            data = bytes(chance.choice((0, 0, 1, 255, chance.getrandbits(8))) for _ in range(8))
+            wire.queue.append(Frame(chance.choice(arbs), data, clock.time_ns()))
+            frames += 1
+        start_s = time.process_time()
+        box.on_readable(wire)
+        used_s += time.process_time() - start_s
+    start_s = time.process_time()
+    box.poll()
+    used_s += time.process_time() - start_s
+    lost = box.status()["can0"].dropped
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    box.close()
+    child = resource.getrusage(resource.RUSAGE_CHILDREN)
+    writer_s = child.ru_utime + child.ru_stime - before.ru_utime - before.ru_stime
+    return {"caller": used_s / seconds, "writer": writer_s / seconds, "frames": frames, "blocks_lost": lost}
+
+
+def picture(times: dict[str, list[float]], file: Path) -> None:
+    """A histogram a way, both axes logarithmic, as figure 2-8."""
+    import numpy as np
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(9, 1.25 * len(times)), layout="constrained", facecolor="white")
+    edges = 10 ** (np.arange(-20, 121) / 20)
+    for axes, (name, each) in zip(figure.subplots(len(times), sharex=True), times.items(), strict=True):
+        axes.hist(each, bins=edges, color="#d1495b" if name.startswith("liblog") else "#2e86ab")
+        axes.set(xscale="log", yscale="log", facecolor=SEA, xlim=(0.1, 1e6))
+        axes.grid(color=LINE, lw=0.5)
+        axes.set_axisbelow(True)
+        words = f"{name}   p50 {_part(each, 0.5):.1f}   p99 {_part(each, 0.99):.1f}   worst {each[-1]:.0f} µs"
+        axes.text(0.99, 0.93, words, transform=axes.transAxes, ha="right", va="top", fontsize=9, color=INK)
+        for side in ("top", "right"):
+            axes.spines[side].set_visible(False)
+    axes.set_xlabel("one write of 250 bytes, µs")
+    figure.savefig(file, dpi=110)
+
+
+def _record(chance: random.Random) -> bytes:
+    """Half of it changes, half does not, as in a state."""
+    return chance.randbytes(RECORD_BYTES // 2) + bytes(RECORD_BYTES - RECORD_BYTES // 2)
+
+
+def _part(ordered: Sequence[float], share: float) -> float:
+    return ordered[int(share * (len(ordered) - 1))]

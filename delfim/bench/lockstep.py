@@ -1,0 +1,59 @@
+"""`delfim bench sim`: how many times faster than the clock one core sails a mission in lock step, its state log written."""
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Final
+
+from delfim import config
+from delfim.errors import ConfigError, DelfimError
+from delfim.simulator.lockstep import Lockstep
+from delfim.suite import StateLog
+from delfim.vehicle.mission import canonical, load_mission
+
+REPETITIONS, QUICK_REPETITIONS = 7, 2
+SAILED_S: Final = 7200.0  # the longest voyage
+CONTRACT: Final = 1000.0  # times real time
+
+
+def run(asked: argparse.Namespace) -> int:
+    """The command. Returns 0 when it was measured, whatever came out."""
+    settings = config.load(asked.file, asked.set)
+    if not settings.simulation.mission:
+        raise ConfigError(asked.file, "simulation.mission", "missing: there is nothing to sail")
+    mission = canonical(load_mission(str(Path(asked.file).parent / settings.simulation.mission)))
+    cpus = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {min(cpus)})
+    try:
+        count = asked.rounds or (QUICK_REPETITIONS if asked.quick else REPETITIONS)
+        speeds = [_speed(asked, mission, turn, count) for turn in range(count)]
+    finally:
+        os.sched_setaffinity(0, cpus)
+    times = {"min": min(speeds), "median": statistics.median(speeds), "max": max(speeds)}
+    results = {"repetitions": count, "times_real_time": times, "contract": CONTRACT}
+    output = Path(asked.output)
+    output.mkdir(parents=True, exist_ok=True)
+    (output / "sim.json").write_text(json.dumps(results, indent=1) + "\n")
+    told = ", ".join(f"{name} {value:.0f}" for name, value in times.items())
+    print(f"lock step on one core, {count} voyages: {told} times real time (contract: {CONTRACT:.0f}); {output}/sim.json")
+    return 0
+
+
+def _speed(asked: argparse.Namespace, mission: str, turn: int, count: int) -> float:
+    """One voyage, in seconds sailed a second of the clock."""
+    with tempfile.TemporaryDirectory(prefix="delfim-bench-") as place:
+        settings = config.load(asked.file, [*asked.set, f'log.directory="{place}"', 'log.state_method="write"'])
+        started_s = time.monotonic()
+        voyage = Lockstep(settings, turn + 1, lambda clock: StateLog(settings, clock))
+        end = voyage.sail(mission, asked.seconds or SAILED_S)
+        voyage.close()
+        speed = voyage.elapsed_s / (time.monotonic() - started_s)
+    if end.startswith("stopped") or end.endswith("mode idle"):
+        raise DelfimError(f"voyage {turn + 1}, which is the seed of its weather, was not sailed to its end: {end}")
+    print(f"delfim: voyage {turn + 1} of {count}: {end}, {speed:.0f} times real time", file=sys.stderr, flush=True)
+    return speed

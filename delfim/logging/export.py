@@ -1,0 +1,202 @@
+"""State logs in the formats of others: CSV, Parquet, GPX, KML, MCAP (Foxglove, Lichtblick) and MAT (Octave, MATLAB, scipy).
+
+Numbers stay in SI units and radians, as they were logged, except where the format itself has degrees.
+"""
+
+import csv
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+from xml.sax.saxutils import escape
+
+from delfim.errors import DelfimError
+from delfim.logging.statelog import Schema
+from delfim.logging.table import TIME, units
+
+if TYPE_CHECKING:
+    from delfim.logging.table import Table
+
+GAP_NS: Final = 10_000_000_000  # without positions: the track is broken here
+
+Events = Iterable[Mapping[str, Any]]  # of the sidecars
+
+
+def to_csv(columns: "Table", schema: Schema, events: Events, file: Path) -> None:
+    """A line a record, names in the first; the first column is the time in UTC."""
+    lists = [column.tolist() for column in columns.values()]
+    with file.open("w", newline="") as text:
+        writer = csv.writer(text)
+        writer.writerow(["utc", *columns])
+        for t_ns, *values in zip(columns[TIME].tolist(), *lists, strict=True):
+            writer.writerow([_iso(t_ns), *values])
+
+
+def to_parquet(columns: "Table", schema: Schema, events: Events, file: Path) -> None:
+    """A column a field, its unit and description in the field's metadata. Needs pyarrow."""
+    arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+    told = {name: {"unit": unit, "description": words} for name, _, unit, words in schema.rows}
+    arrays = [arrow.array(column) for column in columns.values()]
+    fields = [arrow.field(name, array.type, metadata=told.get(name)) for name, array in zip(columns, arrays, strict=True)]
+    stamps = arrow.array(columns[TIME]).cast(arrow.timestamp("ns", tz="UTC"))
+    table = arrow.Table.from_arrays([stamps, *arrays], schema=arrow.schema([arrow.field("utc", stamps.type), *fields]))
+    parquet.write_table(table.replace_schema_metadata({"boat": schema.boat}), file, compression="zstd")
+
+
+def to_gpx(columns: "Table", schema: Schema, events: Events, file: Path) -> None:
+    """GPX 1.1: the track, broken where positions are missing, and a waypoint where the mode changed."""
+    with file.open("w", encoding="utf-8") as text:
+        text.write('<?xml version="1.0" encoding="UTF-8"?>\n')
+        text.write('<gpx version="1.1" creator="Delfim" xmlns="http://www.topografix.com/GPX/1/1">\n')
+        for t_ns, latitude, longitude, name in _mode_changes(columns, events):
+            place = f'lat="{latitude:.8f}" lon="{longitude:.8f}"'
+            text.write(f"<wpt {place}><time>{_iso(t_ns)}</time><name>{escape(name)}</name></wpt>\n")
+        text.write(f"<trk><name>{escape(schema.boat)}</name><trkseg>\n")
+        before_ns = 0
+        for t_ns, latitude, longitude in _positions(columns):
+            if before_ns and t_ns - before_ns > GAP_NS:
+                text.write("</trkseg><trkseg>\n")
+            before_ns = t_ns
+            text.write(f'<trkpt lat="{latitude:.8f}" lon="{longitude:.8f}"><time>{_iso(t_ns)}</time></trkpt>\n')
+        text.write("</trkseg></trk>\n</gpx>\n")
+
+
+def to_kml(columns: "Table", schema: Schema, events: Events, file: Path) -> None:
+    """KML 2.2 with a gx:Track, which Google Earth plays, and a place mark where the mode changed."""
+    with file.open("w", encoding="utf-8") as text:
+        text.write('<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"')
+        text.write(f' xmlns:gx="http://www.google.com/kml/ext/2.2"><Document><name>{escape(schema.boat)}</name>\n')
+        for t_ns, latitude, longitude, name in _mode_changes(columns, events):
+            text.write(f"<Placemark><name>{escape(name)}</name><TimeStamp><when>{_iso(t_ns)}</when></TimeStamp>")
+            text.write(f"<Point><coordinates>{longitude:.8f},{latitude:.8f},0</coordinates></Point></Placemark>\n")
+        text.write("<Placemark><name>track</name><Style><LineStyle><color>ff5b49d1</color><width>2</width></LineStyle></Style>")
+        text.write("<gx:Track><altitudeMode>clampToGround</altitudeMode>\n")
+        points = list(_positions(columns))
+        for t_ns, _, _ in points:
+            text.write(f"<when>{_iso(t_ns)}</when>\n")
+        for _, latitude, longitude in points:
+            text.write(f"<gx:coord>{longitude:.8f} {latitude:.8f} 0</gx:coord>\n")
+        text.write("</gx:Track></Placemark></Document></kml>\n")
+
+
+def to_mcap(columns: "Table", schema: Schema, events: Events, file: Path) -> None:
+    """MCAP with JSON messages: /state with every field, /location as foxglove.LocationFix for maps, /log as foxglove.Log."""
+    with file.open("wb") as stream:
+        writer = needed("mcap.writer").Writer(stream)
+        writer.start(profile="", library="delfim")
+        channels = {}
+        for topic, (name, properties) in _mcap_schemas(schema).items():
+            told = json.dumps({"type": "object", "title": name, "properties": properties}).encode()
+            channels[topic] = writer.register_channel(topic, "json", writer.register_schema(name, "jsonschema", told))
+
+        def add(topic: str, t_ns: int, message: object) -> None:
+            writer.add_message(channels[topic], t_ns, json.dumps(message).encode(), t_ns)
+
+        for event in sorted(events, key=lambda each: each["t_ns"]):
+            add("/log", event["t_ns"], _foxglove_log(event))
+        for t_ns, latitude, longitude in _positions(columns):
+            fix = {"latitude": latitude, "longitude": longitude, "altitude": 0.0, "frame_id": schema.boat}
+            add("/location", t_ns, {"timestamp": _stamp(t_ns), **fix})
+        names, lists = tuple(columns), [column.tolist() for column in columns.values()]
+        for t_ns, *values in zip(columns[TIME].tolist(), *lists, strict=True):
+            known = {n: v for n, v in zip(names, values, strict=True) if not isinstance(v, float) or math.isfinite(v)}
+            add("/state", t_ns, known)  # JSON has no NaN
+        writer.finish()
+
+
+def to_mat(columns: "Table", schema: Schema, events: Events, file: Path) -> None:
+    """MAT version 4: a column vector of doubles a field. Wall clock stamps become seconds since the text `start`: a double
+    does not hold nanoseconds since 1970."""
+    import struct
+
+    zero_ns, its = int(columns[TIME][0]), units(schema)
+
+    def matrix(name: str, kind: int, rows: int, columns: int, data: bytes) -> bytes:
+        return struct.pack("<5i", kind, rows, columns, 0, len(name) + 1) + name.encode() + b"\0" + data
+
+    with file.open("wb") as stream:
+        for name, text in (("boat", schema.boat), ("start", _iso(zero_ns)), ("start_ns", str(zero_ns))):
+            letters = text.encode("latin-1", "replace")
+            stream.write(matrix(name, 51, 1, len(letters), letters))  # 51: text of one byte a letter
+        for name, column in columns.items():
+            seconds = (column - zero_ns) / 1e9 if its.get(name) == "ns" else column
+            stream.write(matrix(name, 0, len(seconds), 1, seconds.astype("<f8").tobytes()))
+
+
+FORMATS: Final[dict[str, Callable[["Table", Schema, Events, Path], None]]] = {
+    "csv": to_csv,
+    "parquet": to_parquet,
+    "gpx": to_gpx,
+    "kml": to_kml,
+    "mcap": to_mcap,
+    "mat": to_mat,
+}
+
+
+def needed(name: str) -> Any:
+    """A module of an optional package. Raises DelfimError that says what to install."""
+    import importlib
+
+    try:
+        return importlib.import_module(name)
+    except ImportError:
+        package = name.partition(".")[0]
+        raise DelfimError(f"this format needs the package {package}: pip install 'delfim[formats]'") from None
+
+
+def _positions(columns: "Table") -> Iterator[tuple[int, float, float]]:
+    """(time, latitude, longitude) in ns and degrees, where they are known."""
+    its = (columns[name].tolist() for name in (TIME, "latitude", "longitude"))
+    for t_ns, latitude, longitude in zip(*its, strict=True):
+        if math.isfinite(latitude + longitude):
+            yield t_ns, math.degrees(latitude), math.degrees(longitude)
+
+
+def _mode_changes(columns: "Table", events: Events) -> Iterator[tuple[int, float, float, str]]:
+    """(time, latitude, longitude, mode and reason) of what the sidecar tells, at the position known then."""
+    import numpy as np
+
+    points = list(_positions(columns))
+    stamps = np.array([point[0] for point in points])
+    for event in events:
+        if event["event"] == "mode" and points:
+            at = max(int(np.searchsorted(stamps, event["t_ns"], "right")) - 1, 0)
+            yield event["t_ns"], points[at][1], points[at][2], f"{event['value']}: {event['reason']}"
+
+
+def _mcap_schemas(schema: Schema) -> dict[str, tuple[str, dict[str, object]]]:
+    stamp = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+    number, text = {"type": "number"}, {"type": "string"}
+    state = {name: {"type": _JSON[code], "description": f"{words} [{unit}]"} for name, code, unit, words in schema.rows}
+    return {
+        "/state": ("delfim.State", dict(state)),
+        "/location": (
+            "foxglove.LocationFix",
+            {"timestamp": stamp, "frame_id": text, "latitude": number, "longitude": number, "altitude": number},
+        ),
+        "/log": ("foxglove.Log", {"timestamp": stamp, "level": {"type": "integer"}, "message": text, "name": text}),
+    }
+
+
+_JSON: Final = {"?": "boolean", "f": "number", "d": "number"} | dict.fromkeys("bBhHiIqQ", "integer")
+
+
+def _foxglove_log(event: Mapping[str, Any]) -> dict[str, object]:
+    words = {key: value for key, value in event.items() if key not in ("t_ns", "monotonic_s", "event", "id", "settings")}
+    level = 2 if event["event"] in ("start", "end", "command", "mode") else 3  # information, warning
+    return {
+        "timestamp": _stamp(event["t_ns"]),
+        "level": level,
+        "name": event["id"],
+        "message": f"{event['event']} {json.dumps(words) if words else ''}".strip(),
+    }
+
+
+def _stamp(t_ns: int) -> dict[str, int]:
+    return dict(zip(("sec", "nsec"), divmod(t_ns, 1_000_000_000), strict=True))
+
+
+def _iso(t_ns: int) -> str:
+    return (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(microseconds=t_ns // 1000)).isoformat().replace("+00:00", "Z")

@@ -1,0 +1,301 @@
+"""Logs from a boat over a slow radio: ftp://, ftps:// (RFC 959, 3659, 4217) or sftp:// (needs asyncssh), state logs first.
+
+A file that is here in full is not fetched again; one that is here in part goes on where it stopped (NAME.part), also after the
+link was lost. Arrived, its size is compared and a gzip file's checksums verified; one that is damaged is fetched once more from
+its beginning, and is what the boat has when both times agree. One that lacks its end was cut by the power or is still written.
+"""
+
+import asyncio
+import contextlib
+import ftplib
+import getpass
+import os
+import posixpath
+import ssl
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
+from urllib.parse import SplitResult, unquote, urlsplit
+
+from delfim.errors import DelfimError
+from delfim.logging import tree
+from delfim.logging.progress import progress
+from delfim.logging.repair import pieces
+from delfim.logging.tree import Span
+
+ATTEMPTS: Final = 5  # in a row without a byte
+TIMEOUT_S: Final = 20.0
+BLOCK: Final = 1 << 16
+
+
+class Entry(NamedTuple):
+    """A file on the boat."""
+
+    path: str  # below the tree: 20100101/state/093000.state.gz
+    size: int
+    changed_ns: int
+
+
+class Boat(Protocol):
+    """Where files come from. Every method raises OSError or EOFError when the link is lost."""
+
+    def entries(self) -> list[Entry]: ...
+    def read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None: ...
+    def close(self) -> None: ...
+
+
+class Outcome(NamedTuple):
+    fetched: list[str]  # paths
+    bytes: int
+    cut: list[str]  # of these, what is cut on the boat too: delfim log repair
+
+
+def fetch(url: str, directory: Path, ids: Sequence[str], span: Span, *, summary: bool) -> tuple[Outcome, float]:
+    """Fetch what is not here yet, the state logs first. `summary`: only them and the sidecars. Returns what came, and how long
+    it took, s. Raises DelfimError."""
+    began_s = time.monotonic()
+    connect = opener(url)
+    try:
+        with contextlib.closing(connect()) as boat:
+            entries = wanted(boat.entries(), ids, span, summary=summary)
+    except (OSError, EOFError, ftplib.Error) as error:
+        raise DelfimError(f"{urlsplit(url).hostname}: {error or type(error).__name__}") from None
+    outcome = transfer(connect, entries, directory, lambda words: print(words, file=sys.stderr))
+    return outcome, time.monotonic() - began_s
+
+
+def wanted(entries: Sequence[Entry], ids: Sequence[str], span: Span, *, summary: bool) -> list[Entry]:
+    """The log files among these, in the order in which they matter: sidecars, state logs, the rest; the newest first."""
+    margin_ns = tree.LATE_S * 1_000_000_000
+    result = []
+    for entry in entries:
+        parts = entry.path.split("/")
+        if len(parts) != 3 or not tree.is_log(parts[0], parts[2]) or (ids and parts[1] not in ids):
+            continue
+        if summary and not (parts[1] == "state" or parts[2].endswith(".jsonl")):
+            continue
+        begin_ns = tree.begins(parts[0], parts[2])
+        if begin_ns - margin_ns <= span.to_ns and max(entry.changed_ns, begin_ns) + margin_ns >= span.from_ns:
+            result.append(entry)
+    result.sort(key=lambda entry: entry.path, reverse=True)
+    return sorted(result, key=_rank)
+
+
+def transfer(connect: Callable[[], Boat], entries: Sequence[Entry], directory: Path, tell: Callable[[str], object]) -> Outcome:
+    """Fetch these files where they are not here in full. A lost link is taken up again. Raises DelfimError when that does not
+    help; what came so far stays for the next time."""
+    due = [entry for entry in entries if _size(directory / entry.path) != entry.size]
+    total = sum(entry.size - _here(directory / entry.path, entry.size) for entry in due)
+    tell(f"{len(due)} files to fetch, {total / 1e6:.1f} MB; {len(entries) - len(due)} are here")
+    told, fetched, cut, arrived = progress("fetch", total, bytes=True), [], [], [0]
+
+    def count(data: bytes) -> None:
+        arrived[0] += len(data)
+        told(min(arrived[0], total - 1))
+
+    with _Link(connect) as link:
+        for entry in due:
+            if not _fetched(link, entry, directory / entry.path, count):
+                cut.append(entry.path)
+            fetched.append(entry.path)
+    told(total)
+    return Outcome(fetched, arrived[0], cut)
+
+
+class _Link:
+    """A connection that is made again when it is lost, as long as something comes."""
+
+    def __init__(self, connect: Callable[[], Boat]) -> None:
+        self._connect = connect
+        self._boat: Boat | None = None
+
+    def __enter__(self) -> "_Link":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._drop()
+
+    def read(self, path: str, part: Path, size: int, count: Callable[[bytes], None]) -> None:
+        """The rest of a file, appended to what is here of it."""
+        attempts = 0
+        with part.open("ab") as file:
+            while file.tell() < size:
+                before = file.tell()
+
+                def sink(data: bytes) -> None:
+                    file.write(data)
+                    count(data)
+
+                try:
+                    self._boat = self._boat or self._connect()
+                    self._boat.read(path, before, sink)
+                    lost = "it ended early" if file.tell() < size else ""
+                except (OSError, EOFError, ftplib.Error) as error:
+                    lost = str(error) or type(error).__name__
+                    self._drop()
+                attempts = 0 if file.tell() > before else attempts + 1
+                if lost and attempts >= ATTEMPTS:
+                    raise DelfimError(f"{path}: {lost}; the same command goes on where this one stopped")
+            file.truncate(size)  # it grew meanwhile
+            file.flush()
+            os.fsync(file.fileno())
+
+    def _drop(self) -> None:
+        if self._boat:
+            with contextlib.suppress(OSError, EOFError, ftplib.Error):
+                self._boat.close()
+        self._boat = None
+
+
+def _fetched(link: _Link, entry: Entry, target: Path, count: Callable[[bytes], None]) -> bool:
+    """One file, verified. False where the boat's own is cut."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    part = target.with_name(target.name + ".part")
+    here = _here(target, entry.size)
+    if _size(part) > entry.size:
+        part.unlink()
+    if target.exists() and here > _size(part):  # it has grown since
+        os.replace(target, part)
+    link.read(entry.path, part, entry.size, count)
+    how = _condition(part)
+    if how == "damaged":
+        first = part.read_bytes()
+        part.unlink()
+        link.read(entry.path, part, entry.size, count)
+        how = _condition(part)
+        if how == "damaged" and part.read_bytes() != first:
+            part.unlink()
+            raise DelfimError(f"{entry.path}: arrives damaged, each time in another way")
+    os.utime(part, ns=(entry.changed_ns, entry.changed_ns))
+    os.replace(part, target)
+    return not how
+
+
+def _condition(file: Path) -> str:
+    """ "damaged", "cut", or "" for whole: of a gzip file; others carry no checksum."""
+    if not file.name.removesuffix(".part").endswith(".gz"):
+        return ""
+    return min((piece.trouble.partition(" ")[0] for piece in pieces(file.read_bytes())), key=_ORDER.index, default="")
+
+
+_ORDER: Final = ("damaged", "cut", "")  # worst first
+
+
+def _size(file: Path) -> int:
+    return file.stat().st_size if file.exists() else -1
+
+
+def _here(target: Path, size: int) -> int:
+    """Bytes that need not be fetched."""
+    its = max(_size(target), _size(target.with_name(target.name + ".part")), 0)
+    return its if its <= size else 0
+
+
+def _rank(entry: Entry) -> int:
+    return 0 if entry.path.endswith(".jsonl") else 1 if "/state/" in entry.path else 2
+
+
+def opener(url: str) -> Callable[[], Boat]:
+    """A function that connects to what the URL names. Raises DelfimError for another kind of URL."""
+    parts = urlsplit(url)
+    if parts.scheme not in ("ftp", "ftps", "sftp") or not parts.hostname:
+        raise DelfimError(f"{url}: write ftp://, ftps:// or sftp://[USER[:PASSWORD]@]HOST[:PORT]/DIRECTORY")
+    password = unquote(parts.password or "")
+    if parts.username and not password and parts.scheme != "sftp" and sys.stdin.isatty():
+        password = getpass.getpass(f"password of {parts.username}: ")
+    return lambda: Sftp(parts, password) if parts.scheme == "sftp" else Ftp(parts, password)
+
+
+class Ftp:
+    """With TLS where the URL says ftps; listings by MLSD."""
+
+    def __init__(self, url: SplitResult, password: str) -> None:
+        secure = url.scheme == "ftps"
+        self._ftp = (
+            ftplib.FTP_TLS(context=ssl.create_default_context(), timeout=TIMEOUT_S) if secure else ftplib.FTP(timeout=TIMEOUT_S)
+        )
+        self._ftp.connect(url.hostname or "", url.port or 21)
+        self._ftp.login(unquote(url.username or "anonymous"), password)
+        if isinstance(self._ftp, ftplib.FTP_TLS):
+            self._ftp.prot_p()
+        self._root = unquote(url.path) or "/"
+
+    def entries(self) -> list[Entry]:
+        return list(self._walk("", 3))
+
+    def _walk(self, below: str, depth: int) -> Iterator[Entry]:
+        for name, facts in list(self._ftp.mlsd(posixpath.join(self._root, below))):
+            path = posixpath.join(below, name)
+            if facts.get("type") == "dir" and depth > 1:
+                yield from self._walk(path, depth - 1)
+            elif facts.get("type") == "file":
+                changed = datetime.strptime(facts["modify"][:14], "%Y%m%d%H%M%S").replace(tzinfo=UTC)
+                yield Entry(path, int(facts["size"]), int(changed.timestamp()) * 1_000_000_000)
+
+    def read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None:
+        self._ftp.retrbinary(f"RETR {posixpath.join(self._root, path)}", sink, BLOCK, offset or None)
+
+    def close(self) -> None:
+        self._ftp.close()
+
+
+class Sftp:
+    """With the keys, agent and known hosts of this user, or the URL's password."""
+
+    def __init__(self, url: SplitResult, password: str) -> None:
+        try:
+            import asyncssh
+        except ImportError:
+            raise DelfimError("sftp:// needs the package asyncssh: pip install 'delfim[ground]'") from None
+        self._ssh, self._root = asyncssh, unquote(url.path) or "/"
+        self._runner = asyncio.Runner()
+        try:
+            self._client = self._runner.run(self._connected(url, password))
+        except (OSError, asyncssh.Error) as error:
+            self._runner.close()
+            raise DelfimError(f"{url.hostname}: {error}") from None
+
+    async def _connected(self, url: SplitResult, password: str) -> Any:
+        names = {"username": unquote(url.username)} if url.username else {}
+        secrets = {"password": password} if password else {}
+        address = (url.hostname or "", url.port or 22)
+        self._connection = await self._ssh.connect(
+            *address, connect_timeout=TIMEOUT_S, keepalive_interval=5, **names, **secrets
+        )
+        return await self._connection.start_sftp_client()
+
+    def entries(self) -> list[Entry]:
+        found: list[Entry] = self._run(self._walk("", 3))
+        return found
+
+    async def _walk(self, below: str, depth: int) -> list[Entry]:
+        found: list[Entry] = []
+        async for each in self._client.scandir(posixpath.join(self._root, below)):
+            path, its = posixpath.join(below, str(each.filename)), each.attrs
+            if its.type == self._ssh.FILEXFER_TYPE_DIRECTORY and depth > 1 and not str(each.filename).startswith("."):
+                found += await self._walk(path, depth - 1)
+            elif its.type == self._ssh.FILEXFER_TYPE_REGULAR:
+                found.append(Entry(path, its.size or 0, int(its.mtime or 0) * 1_000_000_000))
+        return found
+
+    def read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None:
+        self._run(self._read(posixpath.join(self._root, path), offset, sink))
+
+    async def _read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None:
+        async with self._client.open(path, "rb") as file:
+            while data := await file.read(BLOCK * 4, offset):
+                sink(data)
+                offset += len(data)
+
+    def _run(self, work: Any) -> Any:
+        try:
+            return self._runner.run(work)
+        except self._ssh.Error as error:
+            raise OSError(str(error)) from None
+
+    def close(self) -> None:
+        self._connection.close()
+        self._runner.close()

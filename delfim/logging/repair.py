@@ -1,0 +1,182 @@
+"""What a power cut left: log files made whole again, for readers that insist on it. Nothing that can be read is lost.
+
+A file keeps, byte by byte, every gzip member that is whole. What can be read of a cut or damaged one follows as a member of
+its own, up to its last whole record, and so does what lies behind the damage. The original stays, unless told otherwise.
+"""
+
+import contextlib
+import os
+import zlib
+from collections.abc import Callable, Iterable, Iterator
+from typing import Final, NamedTuple
+
+from delfim.errors import FormatError
+from delfim.logging.candump import parse_line
+from delfim.logging.statelog import Schema
+from delfim.logging.tree import LogFile
+
+MEMBER: Final = b"\x1f\x8b\x08" + bytes(5)  # how a member of ours begins: no name, no time
+STEP: Final = 512  # bytes of a damaged member that are tried at a time
+
+
+class Repair(NamedTuple):
+    path: str
+    complaint: str  # what is wrong, in words; empty when nothing is
+    target: str  # where the whole file is now; empty where none was needed
+
+
+class Piece(NamedTuple):
+    """A part of a gzip file: a whole member, or what can be read of another, or bytes that mean nothing."""
+
+    raw: bytes
+    content: bytes
+    trouble: str  # empty: a whole member
+
+
+def repair(file: LogFile, *, in_place: bool = False) -> list[Repair]:
+    """Check a log file and its sidecar and make them whole where they are not: beside the original, as hhmmss-repaired.suffix,
+    or in its place. Raises OSError."""
+    results = []
+    for path in (file.path, file.sidecar):
+        if not path:
+            continue
+        with open(path, "rb") as original:
+            data = original.read()
+        whole, complaint = mended(data, ".jsonl" if path == file.sidecar else file.suffix)
+        target = ""
+        if complaint:
+            target = path if in_place else _beside(path)
+            _write(target, whole, os.stat(path))
+        results.append(Repair(path, complaint, target))
+    return results
+
+
+def mended(data: bytes, suffix: str) -> tuple[bytes, str]:
+    """A log file's bytes made whole, and what was wrong with them, in words; empty where nothing was."""
+    if not suffix.endswith(".gz"):
+        kept = _records(suffix)(data)
+        return kept, "" if kept == data else f"{len(data) - len(kept)} bytes of its end are no whole record"
+    trim = _records(suffix.removesuffix(".gz"))
+    parts, troubles = [], []
+    for piece in pieces(data):
+        if not piece.trouble:
+            trim(piece.content)  # the first one tells how long a record is
+            parts.append(piece.raw)
+            continue
+        troubles.append(piece.trouble)
+        if kept := trim(piece.content):
+            parts.append(_deflated(kept))
+    if not data:
+        troubles.append("empty")
+    return b"".join(parts) or _deflated(b""), "; ".join(troubles)
+
+
+def pieces(data: bytes) -> Iterator[Piece]:
+    """All of a gzip file, in order. Whole members are verified by their checksums."""
+    at = 0
+    while at < len(data):
+        size = _whole(data, at)
+        if size:
+            raw = data[at : at + size]
+            yield Piece(raw, zlib.decompress(raw, wbits=31), "")
+        else:
+            following = data.find(MEMBER, at + 1)
+            raw = data[at:following] if following >= 0 else data[at:]
+            size = len(raw)
+            content, how = _readable(raw)
+            how = "damaged" if following >= 0 else how
+            yield Piece(raw, content, f"{how} after {len(content)} bytes of the member at {at}")
+        at += size
+
+
+def _whole(data: bytes, at: int) -> int:
+    """Size of the whole gzip member that begins here; 0 where there is none."""
+    stream = zlib.decompressobj(wbits=31)
+    with contextlib.suppress(zlib.error):
+        stream.decompress(memoryview(data)[at:])
+    return len(data) - at - len(stream.unused_data) if stream.eof else 0
+
+
+def _readable(raw: bytes) -> tuple[bytes, str]:
+    """What a member gives before it ends or makes no sense, and which of the two: in large steps, then byte by byte."""
+    stream, content, step, at = zlib.decompressobj(wbits=31), bytearray(), STEP, 0
+    while at < len(raw):
+        before = stream.copy()
+        try:
+            content += stream.decompress(raw[at : at + step])
+            at += step
+        except zlib.error:
+            if step == 1:
+                return bytes(content), "damaged"
+            stream, step = before, 1
+    return bytes(content), "cut"
+
+
+def _records(suffix: str) -> Callable[[bytes], bytes]:
+    """A function that keeps the whole records of what it is given, called with one part of a file after the other."""
+    if suffix != ".state":
+        return _frames if suffix == ".log" else _lines
+    size = 0
+
+    def records(content: bytes) -> bytes:
+        nonlocal size
+        start = 0
+        if not size:
+            try:
+                schema, start = Schema.parse(content)
+            except FormatError:
+                return b""
+            size = schema.struct.size
+        return content[: len(content) - (len(content) - start) % size]
+
+    return records
+
+
+def _frames(content: bytes) -> bytes:
+    """Whole lines of candump. Before a damage some may have become something else; they are not kept."""
+    return b"".join(line for line in content.splitlines(keepends=True) if _is_frame(line))
+
+
+def _is_frame(line: bytes) -> bool:
+    try:
+        parse_line(line.decode())
+    except (FormatError, UnicodeDecodeError):
+        return False
+    return line.endswith(b"\n")
+
+
+def _lines(content: bytes) -> bytes:
+    return content[: content.rfind(b"\n") + 1]
+
+
+def _deflated(content: bytes) -> bytes:
+    stream = zlib.compressobj(wbits=31)
+    return stream.compress(content) + stream.flush()
+
+
+def _beside(path: str) -> str:
+    folder, name = os.path.split(path)
+    stem, dot, suffix = name.partition(".")
+    return os.path.join(folder, f"{stem.removesuffix('-repaired')}-repaired{dot}{suffix}")
+
+
+def _write(path: str, data: bytes, like: os.stat_result) -> None:
+    """A file that is there whole or not at all, with the times of the one that it stands for."""
+    part = path + ".part"
+    with open(part, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())
+    os.utime(part, ns=(like.st_atime_ns, like.st_mtime_ns))
+    os.replace(part, path)
+    folder = os.open(os.path.dirname(path) or ".", os.O_RDONLY)
+    try:
+        os.fsync(folder)
+    finally:
+        os.close(folder)
+
+
+def repair_all(files: Iterable[LogFile], *, in_place: bool = False) -> Iterator[Repair]:
+    """Every file in turn."""
+    for file in files:
+        yield from repair(file, in_place=in_place)

@@ -1,0 +1,105 @@
+"""Campaigns: many short runs of mixed faults, drawn from a seed, watched for what must never happen.
+
+A run is an ordinary afternoon gone wrong: a boat with a fence and a mission, an operator who goes to and fro, and up to five
+faults that come, overlap and mostly go.
+"""
+
+import math
+import shlex
+from collections.abc import Callable, Sequence
+from functools import partial
+from pathlib import Path
+from random import Random
+from typing import Any, Final
+
+from delfim import config, geodesy
+from delfim.simulator.faults import KINDS, VALUES, WHERE
+from delfim.simulator.scenario import FaultAt, Guest, Result, Scenario, sail, settings_of
+
+MIXED: Final = "mixed"
+START_S, QUIET_S = 8.0, 15.0  # nothing breaks before all is well, and the last faults are over before the end
+HALF_M: Final = 65.0  # of the fence's sides from where the boat starts
+
+
+def mixed(seed: int, here: config.Simulation) -> Scenario:
+    """The run of a seed."""
+    random = Random(f"mixed {seed}")
+    seconds = random.uniform(60.0, 120.0)
+    place = partial(_place, here)
+    corners = [place(n * HALF_M, e * HALF_M) for n, e in ((1, -1), (1, 1), (-1, 1), (-1, -1))]
+    sea = {
+        "current_mps": random.uniform(0.0, 0.4),
+        "current_to_deg": random.uniform(0.0, 360.0),
+        "wind_mps": random.uniform(0.0, 6.0),
+        "wind_from_deg": random.uniform(0.0, 360.0),
+    }
+    return Scenario(
+        version=1,
+        name=f"mixed faults, seed {seed}",
+        seconds=seconds,
+        vehicle={
+            "fence": {"keep_in": corners, "keep_out": [{"centre": [place(45.0, 0.0)], "radius_m": 10.0}]},
+            "failsafe": {"pause_s": random.choice([0.0, 5.0, 15.0])},
+            "simulation": {"sea": sea, "heading_deg": random.uniform(0.0, 360.0)},
+            "log": {"required": random.random() < 0.5},
+        },
+        guest=Guest(heading_deg=random.uniform(0.0, 360.0), speed_mps=1.5) if random.random() < 0.3 else None,
+        command=tuple(_orders(random, seconds, place)),
+        fault=tuple(_fault(random, seconds) for _ in range(random.randint(1, 5))),
+    )
+
+
+def _place(here: config.Simulation, north_m: float, east_m: float) -> list[float]:
+    """[latitude_deg, longitude_deg] of a point so far from where the boat starts."""
+    at = geodesy.origin(math.radians(here.latitude_deg), math.radians(here.longitude_deg))
+    return [round(math.degrees(angle), 7) for angle in geodesy.from_plane(at, north_m, east_m)]
+
+
+def _mission(here: config.Simulation) -> str:
+    """Once around, clear of the fence."""
+    corners = [_place(here, *corner) for corner in ((-40.0, -40.0), (-40.0, 40.0), (15.0, 40.0), (15.0, -40.0))]
+    rows = [f"[[waypoint]]\nlatitude_deg = {latitude}\nlongitude_deg = {longitude}\n" for latitude, longitude in corners]
+    return "\n".join(['version = 1\nname = "Once around"\n', *rows])
+
+
+def _orders(random: Random, seconds: float, place: Callable[[float, float], list[float]]) -> list[dict[str, Any]]:
+    """An operator who wants something else each half minute; being refused is in order."""
+    orders: list[dict[str, Any]] = []
+    at_s = START_S / 2
+    while at_s < seconds - 5.0:
+        latitude_deg, longitude_deg = place(random.uniform(-55.0, 55.0), random.uniform(-55.0, 55.0))
+        choices: list[dict[str, Any]] = [
+            {"command": "heading", "heading_deg": random.uniform(0.0, 360.0), "speed_mps": random.uniform(0.5, 2.2)},
+            {"command": "heading", "heading_deg": random.uniform(0.0, 360.0), "speed_mps": 2.2},
+            {"command": "goto", "latitude_deg": latitude_deg, "longitude_deg": longitude_deg},
+            {"command": "play"},
+            {"command": "mode", "mode": random.choice(["hold", "home", "path", "grex", "manual"])},
+            {"command": "manual", "starboard": random.uniform(-1.0, 1.0), "port": random.uniform(-1.0, 1.0)},
+            {"command": "stop"},
+        ]
+        orders.append({"at_s": at_s, **random.choice(choices)})
+        at_s += random.uniform(8.0, 40.0)
+    return orders
+
+
+def _fault(random: Random, seconds: float) -> FaultAt:
+    kind = random.choice(KINDS)
+    at_s = random.uniform(START_S, seconds - QUIET_S - 5.0)
+    for_s = random.choice([random.uniform(0.5, 3.0), random.uniform(3.0, 15.0), seconds])
+    if not kind.startswith("thruster_"):
+        for_s = min(for_s, seconds - QUIET_S - at_s)
+    value = VALUES[kind][0] * random.uniform(0.5, 1.5) if kind in VALUES else None
+    return FaultAt(at_s=at_s, kind=kind, where=random.choice(WHERE[kind]) if kind in WHERE else "", value=value, for_s=for_s)
+
+
+def sail_mixed(vehicle: str | Path, seed: int, overrides: tuple[str, ...] = ()) -> Result:
+    """The run of a seed with a vehicle's file. Raises ConfigError. That an order is refused is no failure here."""
+    here = config.load(vehicle, overrides).simulation
+    scenario = mixed(seed, here)
+    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, _mission(here), patient=False)
+
+
+def again(vehicle: str, scenario: str, seed: int, overrides: Sequence[str]) -> str:
+    """The command line that repeats a run."""
+    words = ["delfim", "sim", vehicle, "--scenario", scenario, "--seed", str(seed)]
+    return shlex.join([*words, *(word for override in overrides for word in ("--set", override))])

@@ -1,0 +1,211 @@
+"""Faults by command: what breaks on a boat, put into the modelled nodes, their bus, and, in lock step, everything around.
+
+`Faults` stands between the nodes and whoever steps them, and looks like the nodes. Without a fault it only passes on. Chance is
+drawn from its own seed, so the same faults at the same times give the same bytes.
+"""
+
+import math
+from collections import deque
+from collections.abc import Iterable
+from random import Random
+from typing import Final, Literal, NamedTuple, get_args
+
+from delfim.errors import FormatError
+from delfim.frames import Frame
+from delfim.simulator.model import Drive
+from delfim.simulator.nodes import Nodes
+from delfim.vehicle.loop import StateLog
+from delfim.vehicle.state import State
+
+Kind = Literal[
+    "navigation_silent",
+    "navigation_frozen",
+    "navigation_repeating",
+    "navigation_jumping",
+    "frames_dropped",
+    "frames_duplicated",
+    "frames_late",
+    "bus_off",
+    "sensor_bad",
+    "sensor_silent",
+    "thruster_dead",
+    "thruster_stuck",
+    "thruster_reversed",
+    "battery_sag",
+    "console_lost",
+    "guest_lost",
+    "disk_full",
+    "disk_slow",
+    "clock_stepped",
+]
+KINDS: Final[tuple[str, ...]] = get_args(Kind)
+AROUND: Final = frozenset({"console_lost", "guest_lost", "disk_full", "disk_slow", "clock_stepped"})  # not of the nodes
+SIDES: Final = ("starboard", "port")
+SENSORS: Final = ("gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port")
+WHERE: Final = {
+    **dict.fromkeys(("sensor_bad", "sensor_silent"), SENSORS),
+    **dict.fromkeys(("thruster_dead", "thruster_stuck", "thruster_reversed", "battery_sag"), SIDES),
+}
+VALUES: Final = {  # default, and what it is
+    "navigation_jumping": (40.0, "metres to the north"),
+    "frames_dropped": (0.3, "part of all frames"),
+    "frames_duplicated": (0.3, "part of all frames"),
+    "frames_late": (0.5, "seconds"),
+    "battery_sag": (0.15, "charge that is left, 0 to 1"),
+    "clock_stepped": (60.0, "seconds"),
+}
+LATE_MAX: Final = 4096  # frames under way at once
+HANGS_S: Final = 5.0  # a log that was not written for so long says so
+
+
+class Fault(NamedTuple):
+    """What breaks, where, how much, and for how long. What a propeller or a battery loses comes back when the time has passed,
+    but for charge."""
+
+    kind: str
+    where: str = ""
+    value: float = math.nan
+    for_s: float = math.inf
+
+
+def fault(kind: str, where: str = "", value: float | None = None, for_s: float | None = None) -> Fault:
+    """A fault, checked, with the kind's default value. Raises FormatError in words."""
+    if kind not in KINDS:
+        raise FormatError(f"no fault {kind!r}; there are {', '.join(KINDS)}")
+    places = WHERE.get(kind, ("",))
+    if where not in places:
+        raise FormatError(f"{kind} needs one of {', '.join(places)}" if kind in WHERE else f"{kind} is of no place: {where!r}")
+    default = VALUES.get(kind, (math.nan, ""))[0]
+    if value is not None and (kind not in VALUES or not math.isfinite(value)):
+        raise FormatError(f"{kind}: {value} means nothing here")
+    if for_s is not None and not for_s > 0.0:
+        raise FormatError(f"{kind}: no duration: {for_s} s")
+    return Fault(kind, where, default if value is None else value, math.inf if for_s is None else for_s)
+
+
+class Faults:
+    """Nodes that break when they are told to."""
+
+    def __init__(self, nodes: Nodes, seed: int) -> None:
+        self.nodes, self.model = nodes, nodes.model
+        self.on: dict[str, float] = {}  # kinds that are there now, with their value
+        self._random = Random(f"faults {seed}")
+        self.faults: dict[tuple[str, str], float] = {}  # kind and place of each that is there, and when it ends
+        self._late: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # when due: to the bus ...
+        self._late_heard: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # ... and from it
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything is not as the nodes would have it."""
+        return bool(self.faults or self._late or self._late_heard)
+
+    @property
+    def due_s(self) -> float:
+        """When `step` has something to do again."""
+        late = [queue[0][0] for queue in (self._late, self._late_heard) if queue]
+        return min(self.nodes.due_s, *self.faults.values(), *late, math.inf)
+
+    def begin(self, broken: Fault, now_s: float) -> None:
+        """It breaks now; the same fault at the same place replaces the one before."""
+        self.faults[broken.kind, broken.where] = now_s + broken.for_s
+        self.on[broken.kind] = broken.value
+        self._set(broken.kind, broken.where, broken.value, True)
+
+    def end(self, kind: str, where: str = "") -> None:
+        """It is whole again."""
+        if self.faults.pop((kind, where), None) is not None:
+            self._set(kind, where, 0.0, False)
+            if not any(other == kind for other, _ in self.faults):
+                del self.on[kind]
+
+    def step(self, now_s: float, utc_ns: int) -> list[Frame]:
+        """As of the nodes."""
+        if not self.busy:
+            return self.nodes.step(now_s, utc_ns)
+        for key in [key for key, end_s in self.faults.items() if now_s >= end_s]:
+            self.end(*key)
+        while self._late_heard and self._late_heard[0][0] <= now_s:
+            self.nodes.feed(self._late_heard.popleft()[1], now_s)
+        frames = self._disturbed(self.nodes.step(now_s, utc_ns), self._late, now_s)
+        while self._late and self._late[0][0] <= now_s:
+            frames.append(self._late.popleft()[1])
+        return [] if "bus_off" in self.on else frames
+
+    def feed(self, frame: Frame, now_s: float) -> None:
+        """As of the nodes."""
+        if not self.on:
+            self.nodes.feed(frame, now_s)
+        elif "bus_off" not in self.on:
+            for heard in self._disturbed([frame], self._late_heard, now_s):
+                self.nodes.feed(heard, now_s)
+
+    def _disturbed(self, frames: Iterable[Frame], late: deque[tuple[float, Frame]], now_s: float) -> list[Frame]:
+        """What arrives of these frames now."""
+        drop, double = self.on.get("frames_dropped", 0.0), self.on.get("frames_duplicated", 0.0)
+        if drop:
+            frames = [frame for frame in frames if self._random.random() >= drop]
+        if double:
+            frames = [each for frame in frames for each in ([frame] * (2 if self._random.random() < double else 1))]
+        if "frames_late" in self.on:
+            late.extend((now_s + self.on["frames_late"], frame) for frame in frames)
+            return []
+        return list(frames)
+
+    def _set(self, kind: str, where: str, value: float, on: bool) -> None:
+        """What a fault changes in the nodes and the model."""
+        navigation = self.nodes.navigation
+        match kind:
+            case "navigation_silent":
+                navigation.silent = on
+            case "navigation_frozen":
+                navigation.frozen = on
+            case "navigation_repeating":
+                navigation.repeating = on
+            case "navigation_jumping":
+                navigation.jump_m = value
+            case "sensor_bad":
+                self.nodes.sensors[where].bad = on
+            case "sensor_silent":
+                self.nodes.sensors[where].silent = on
+            case "thruster_dead":
+                self._drive(where).fault = "dead" if on else None
+            case "thruster_stuck":
+                self._drive(where).fault = "stuck" if on else None
+            case "thruster_reversed":
+                self._drive(where).fault = "reversed" if on else None
+            case "battery_sag" if on:
+                drive = self._drive(where)
+                drive.charge = min(drive.charge, max(value, 0.0))
+
+    def _drive(self, side: str) -> Drive:
+        return self.model.starboard if side == "starboard" else self.model.port
+
+
+class FaultyLog:
+    """A state log on a disk that can be full (`disk_full`) or so slow that its writer hangs (`disk_slow`)."""
+
+    def __init__(self, log: StateLog, faults: Faults) -> None:
+        self._log, self._faults = log, faults
+        self._began_s, self._hung_s = math.inf, 0.0
+        self.dropped = 0
+        self.note, self.close = log.note, log.close
+
+    def write(self, state: State, now_s: float) -> None:
+        on = self._faults.on
+        if on and ("disk_full" in on or "disk_slow" in on):
+            self._began_s = min(self._began_s, now_s)
+            self._hung_s = now_s - self._began_s
+            self.dropped += 1
+            return
+        self._began_s, self._hung_s = math.inf, 0.0
+        self._log.write(state, now_s)
+
+    def reason(self) -> str:
+        on = self._faults.on
+        if not on:
+            return self._log.reason()
+        if "disk_full" in on:
+            return "no space left on device"
+        if "disk_slow" in on and self._hung_s > HANGS_S:
+            return f"the writer has been hanging for {self._hung_s:.0f} s"
+        return self._log.reason()

@@ -1,0 +1,328 @@
+"""A day at sea once more: the recorded frames and commands through the real loop, at the recorded times, and the propulsion
+frames that come out compared bit by bit with those that the black box holds.
+
+What decides a cycle is in the logs: frames in the black box; the time of each cycle and of the watchdog's last look, the
+console's and the guest's last words in the state log; commands and settings in its sidecar. A run is repeated from its start,
+because the loop remembers: integrators, ramps, the driven track. Not recorded is the order of inputs within a few microseconds.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, Final, NamedTuple
+
+import msgspec
+
+from delfim import config
+from delfim.canproxy import dsor
+from delfim.canproxy.nmea2000 import Nmea2000Source
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
+from delfim.errors import DelfimError
+from delfim.frames import Frame
+from delfim.logging import tree
+from delfim.logging.canzlogd import device
+from delfim.logging.summary import utc
+from delfim.logging.table import frames, table
+from delfim.logging.tree import LogFile
+from delfim.messages import (
+    BATTERIES_PORT,
+    BATTERIES_STARBOARD,
+    PROPELLER_PORT,
+    PROPELLER_STARBOARD,
+    SYSSTAT_MASK,
+    Node,
+    sysstat_arb,
+)
+from delfim.simulator.bus import LockstepBus
+from delfim.vehicle import console
+from delfim.vehicle.grex import Guest
+from delfim.vehicle.loop import REPEAT_S, Vehicle
+from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
+from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.state import State
+
+COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
+TICK_S: Final = 0.1  # of the watchdog; looks of which the time is not recorded are put in between
+LATER_NS: Final = 50_000_000  # the black box may have its stamp of a frame so much later than the vehicle
+SHOWN: Final = 10  # differences
+NEVER_S: Final = -1e8
+
+Group = tuple[tuple[int, bytes], ...]  # the frames of one command of the propellers
+
+
+class Difference(NamedTuple):
+    t_ns: int
+    recorded: Group
+    repeated: Group
+
+
+class Result(NamedTuple):
+    cycles: int
+    frames: int  # compared
+    differences: list[Difference]
+    refusals: list[str]  # commands that were refused then and not now, or the other way round
+
+    @property
+    def exact(self) -> bool:
+        return self.frames > 0 and not self.differences and not self.refusals
+
+    def text(self) -> str:
+        lines = [f"{self.cycles} cycles repeated, {self.frames} propulsion frames compared: "]
+        lines[0] += "all the same, bit by bit" if self.exact else f"{len(self.differences)} commands differ"
+        for t_ns, recorded, repeated in self.differences[:SHOWN]:
+            lines.append(f"  {_time(t_ns)}  recorded {_words(recorded)}  repeated {_words(repeated)}")
+        return "\n".join([*lines, *(f"  {words}" for words in self.refusals[:SHOWN])])
+
+
+class Due(NamedTuple):
+    """Something that happened to the loop."""
+
+    t_ns: int
+    kind: str  # "command", "navigation", "watchdog", "guess"
+    at_s: float  # monotonic
+    what: Any = None
+
+
+class Recalled:
+    """The clock of the recorded run."""
+
+    def __init__(self) -> None:
+        self.now_s, self.now_ns = 0.0, 0
+
+    def monotonic_s(self) -> float:
+        return self.now_s
+
+    def time_ns(self) -> int:
+        return self.now_ns
+
+
+class NoLog:
+    """Nothing is logged; `why` makes the loop refuse what was refused then."""
+
+    def __init__(self) -> None:
+        self.why = ""
+
+    def write(self, state: State, now_s: float) -> None:
+        pass
+
+    def note(self, text: str) -> None:
+        pass
+
+    def reason(self) -> str:
+        return self.why
+
+    def close(self) -> None:
+        pass
+
+
+class Rerun:
+    """The loop, its inputs on buses without time, and what it sends."""
+
+    def __init__(self, settings: config.Vehicle, recorded: Iterable[tuple[str, Frame]], start_s: float) -> None:
+        self.clock, self.log, self.state = Recalled(), NoLog(), State()
+        self.clock.now_s = start_s
+        self._interface = device(settings.can.interface)
+        names = {self._interface, device(settings.nmea2000.interface)}
+        self._buses = {name: LockstepBus(self.clock, name) for name in names}
+        self._world = {name: bus.socket("nodes") for name, bus in self._buses.items()}
+        self._heard = self._buses[self._interface].socket("onlooker")
+        self._heard.bind(*(CanAddress(arb) for arb in COMMANDS))
+        bus = self._buses[self._interface]
+        self._status = [_bound(bus, CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))]
+        self._status.append(_bound(bus, CanAddress(*dsor.message_filter(source=Node.GPS))))
+        self.sources = tuple(self._source(name, settings) for name in settings.navigation.sources)
+        propulsion = Propulsion(bus.socket(), settings.propulsion, self.state)
+        guest = Guest(self.state, self.clock)
+        self.vehicle = Vehicle(settings, self.clock, self.state, self.sources, propulsion, guest, self.log)
+        self._inputs = deque[tuple[str, Frame]]()
+        self.recorded = deque[tuple[int, Group]]()
+        self._split(recorded)
+        self.differences, self.refusals, self.frames = list[Difference](), list[str](), 0
+
+    def _source(self, name: str, settings: config.Vehicle) -> Source:
+        if name == "dsor":
+            node = CanAddress(*dsor.message_filter(source=Node.NAVIGATION))
+            return DsorNavigation(_bound(self._buses[self._interface], node), self.state)
+        decoder = Nmea2000Source(settings.nmea2000, settings.navigation.stale_s)
+        bus = self._buses[device(settings.nmea2000.interface)]
+        filters = (CanAddress(arb, mask) for arb, mask in decoder.filters)
+        return Nmea2000Navigation(_bound(bus, *filters), decoder, self.state)
+
+    def _split(self, recorded: Iterable[tuple[str, Frame]]) -> None:
+        """What the vehicle sent into groups, everything else is its input."""
+        group: list[tuple[int, bytes]] = []
+        for name, frame in recorded:
+            if name != self._interface or frame.arb not in COMMANDS:
+                self._inputs.append((name, frame))
+                continue
+            if not group or frame.data[-1:] != group[-1][1][-1:]:  # the counter
+                group = []
+                self.recorded.append((frame.t_ns, ()))
+            group.append((frame.arb, frame.data))
+            self.recorded[-1] = self.recorded[-1][0], tuple(group)
+
+    def feed(self, until_ns: int) -> None:
+        """The frames that had arrived by then."""
+        while self._inputs and self._inputs[0][1].t_ns <= until_ns:
+            self._deliver(*self._inputs.popleft())
+
+    def _deliver(self, name: str, frame: Frame) -> None:
+        self.clock.now_s += (frame.t_ns - self.clock.now_ns) / 1e9 if self.clock.now_ns else 0.0
+        self.clock.now_ns = frame.t_ns
+        if name in self._world and not frame.error:
+            self._world[name].sendto(frame.data, CanAddress(frame.arb))
+            for socket in self._status:
+                self.vehicle.on_sysstat(socket)
+
+    def step(self, due: Due) -> None:
+        """One thing that happened, after all that the vehicle sent before it for reasons that were not recorded."""
+        while self.recorded and self.recorded[0][0] < due.t_ns:
+            self._unexplained()
+        self.feed(due.t_ns)
+        self._at(due.t_ns, due.at_s)
+        if due.kind == "navigation":
+            self._navigate(due)
+        elif due.kind == "command":
+            self._command(due)
+        elif due.kind == "watchdog" or due.at_s - self.state.navigation_s <= REPEAT_S:  # beyond, it sends: that is recorded
+            self.vehicle.on_watchdog()
+        self._compare(due.t_ns)
+
+    def _at(self, t_ns: int, at_s: float) -> None:
+        self.clock.now_ns, self.clock.now_s = t_ns, at_s
+
+    def _unexplained(self) -> None:
+        """A command that no cycle gave: a look of the watchdog in idle, or the end."""
+        t_ns, group = self.recorded[0]
+        self.feed(t_ns)
+        self.clock.now_s += (t_ns - self.clock.now_ns) / 1e9 if self.clock.now_ns else 0.0
+        self.clock.now_ns = t_ns
+        self.vehicle.on_watchdog()
+        if not self._compare(t_ns):
+            self.recorded.popleft()
+            self.differences.append(Difference(t_ns, group, ()))
+
+    def _navigate(self, due: Due) -> None:
+        """The cycle of a record. The last frame may have got its stamp in the black box after the vehicle had read it."""
+        record = due.what
+        self.state.setpoint = self.state.setpoint._replace(
+            guest_heading_rad=None if record["guest_heading"] != record["guest_heading"] else float(record["guest_heading"]),
+            guest_speed_mps=float(record["guest_speed"]),
+        )
+        while not any(self.vehicle.on_navigation(source) for source in self.sources):
+            if not self._inputs or self._inputs[0][1].t_ns > due.t_ns + LATER_NS:
+                break
+            self._deliver(*self._inputs.popleft())
+            self._at(due.t_ns, due.at_s)
+
+    def _command(self, due: Due) -> None:
+        event = due.what
+        self.log.why = event["refused"]
+        refused = self.vehicle.on_command(console.parse(msgspec.json.encode(event["value"]))) or ""
+        self.log.why = ""
+        if bool(refused) != bool(event["refused"]):
+            name = event["value"]["command"]
+            then, now = (f"refused ({words})" if words else "obeyed" for words in (event["refused"], refused))
+            self.refusals.append(f"{_time(due.t_ns)}  {name}: {then} then, {now} now")
+
+    def _compare(self, t_ns: int) -> bool:
+        """What was just sent with what was sent then. False where nothing was sent."""
+        made = list[tuple[int, bytes]]()
+        while (frame := self._heard.receive()) is not None:
+            made.append((frame.arb, frame.data))
+        groups = [tuple(made[i : i + len(COMMANDS)]) for i in range(0, len(made), len(COMMANDS))]
+        for group in groups:
+            then = self.recorded[0][1] if self.recorded else ()
+            if self.recorded and not _ahead(then, group):
+                self.recorded.popleft()
+            else:
+                then = ()
+            self.frames += len(then)
+            if then != group:
+                self.differences.append(Difference(t_ns, then, group))
+        return bool(groups)
+
+    def finish(self, ended: bool) -> None:
+        """What was sent after the last record; where the program ended in order, its last word was a stop."""
+        while len(self.recorded) > ended:
+            self._unexplained()
+        if self.recorded:
+            self._at(self.recorded[0][0], self.clock.now_s)
+            self.vehicle.stop("shutdown")
+            self._compare(self.recorded[0][0])
+
+
+def rerun(files: Sequence[LogFile], vehicle_file: str | None) -> Result:
+    """Repeat a run. Raises DelfimError where the logs do not hold what it takes."""
+    state_files = [file for file in files if file.id == "state"]
+    told = [event for event in tree.events(state_files) if "at_s" in event or event["event"] in ("start", "end")]
+    starts = [event for event in told if event["event"] == "start"]
+    if len(starts) != 1:
+        raise DelfimError(f"a run is repeated from its start to its end, and these logs hold {len(starts)} starts")
+    settings = config.load(vehicle_file) if vehicle_file else config.decode(starts[0]["settings"], config.Vehicle, "the log")
+    columns, _ = table(state_files)
+    boxes = [file for file in files if file.suffix.startswith(".log")]
+    if device(settings.can.interface) not in {file.id for file in boxes}:
+        raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
+    run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"])
+    due = sorted([*_cycles(columns), *_commands(told), *_looks(columns, told)], key=lambda each: each.t_ns)
+    words = sorted(
+        (float(at_s), key) for key in ("console_s", "guest_s") for at_s in set(columns[key].tolist()) if at_s > NEVER_S
+    )
+    spoken = deque(words)
+    for each in due:
+        while spoken and spoken[0][0] <= each.at_s:
+            at_s, key = spoken.popleft()
+            setattr(run.state, key, at_s)
+        run.step(each)
+    run.finish(any(event["event"] == "end" for event in told))
+    return Result(run.state.cycles, run.frames, run.differences, run.refusals)
+
+
+def _cycles(columns: Any) -> Iterator[Due]:
+    keys = ("guest_heading", "guest_speed")
+    for i, (t1, at_s) in enumerate(zip(columns["t1"].tolist(), columns["monotonic_s"].tolist(), strict=True)):
+        yield Due(t1, "navigation", at_s, {key: columns[key][i] for key in keys})
+
+
+def _commands(told: Iterable[dict[str, Any]]) -> Iterator[Due]:
+    for event in told:
+        if event["event"] == "command":
+            yield Due(_wall_ns(event), "command", event["at_s"], event)
+
+
+def _looks(columns: Any, told: Iterable[dict[str, Any]]) -> Iterator[Due]:
+    """Of the watchdog: those of which the time is recorded, and between them those that must have been."""
+    known = {event["at_s"]: _wall_ns(event) for event in told if event["event"] == "watchdog"}
+    for t1, now_s, at_s in zip(*(columns[key].tolist() for key in ("t1", "monotonic_s", "watchdog_s")), strict=True):
+        known.setdefault(at_s, t1 - round((now_s - at_s) * 1e9))
+    times = sorted(at_s for at_s in known if at_s > NEVER_S)
+    for i, at_s in enumerate(times):
+        yield Due(known[at_s], "watchdog", at_s)
+        between = round((times[i + 1] - at_s) / TICK_S) if i + 1 < len(times) else 0
+        for k in range(1, between):
+            later_s = k * (times[i + 1] - at_s) / between
+            yield Due(known[at_s] + round(later_s * 1e9), "guess", at_s + later_s)
+
+
+def _wall_ns(event: dict[str, Any]) -> int:
+    at_ns: int = event["t_ns"] - round((event["monotonic_s"] - event["at_s"]) * 1e9)
+    return at_ns
+
+
+def _ahead(then: Group, now: Group) -> bool:
+    """Whether the recorded command is a later one than this: the one in between is missing in the black box."""
+    return bool(then) and 0 < then[0][1][-1] - now[0][1][-1] & 0xFF < 0x80
+
+
+def _bound(bus: LockstepBus, *filters: CanAddress) -> CanSocket:
+    socket = bus.socket()
+    socket.bind(*filters or (ANYTHING,))
+    return socket
+
+
+def _words(group: Group) -> str:
+    return " ".join(data.hex() for _, data in group) or "nothing"
+
+
+def _time(t_ns: int) -> str:
+    return f"{utc(t_ns)}.{t_ns // 1000 % 1_000_000:06}"

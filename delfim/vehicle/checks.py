@@ -1,0 +1,88 @@
+"""What is looked at before the boat leaves idle, a line and a reason each: the page that is read on the quay.
+
+The one door asks the same lines: what the page shows in order, the door does not refuse.
+"""
+
+from typing import NamedTuple
+
+from delfim.vehicle import sysstat
+from delfim.vehicle.failsafe import Action, Inputs, Rules, Trigger, charge
+from delfim.vehicle.fence import outside
+from delfim.vehicle.state import Mode, State
+
+EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
+HEARD_S = 5.0  # a console that was silent for longer is no link
+
+
+class Check(NamedTuple):
+    name: str
+    ok: bool
+    reason: str  # in words, for either answer
+
+
+ADVISORY = frozenset({"mission", "link", "last shutdown"})  # told, and in nobody's way
+
+
+def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: int) -> list[Check]:
+    """All lines, in the order in which they matter. `time_ns`: the computer's clock, since 1970."""
+    age_s = now_s - state.navigation_s
+    if age_s > rules.settings.navigation.stale_s:
+        silent = "no navigation yet" if state.navigation is None else f"navigation silent for {age_s:.1f} s"
+    else:
+        silent = ""
+    bad = sysstat.wrong(state, rules.settings.sysstat, now_s)
+    least, batteries = charge(state)
+    critical = batteries and least <= rules.table.battery_critical.charge
+    level = f"{batteries.replace('_', ' ')} at {least:.0%}" if batteries else "no charge reported"
+    plan = state.setpoint.plan
+    heard_s = now_s - state.console_s
+    return [
+        Check("navigation", not silent, silent or f"{state.source}, {age_s:.1f} s old"),
+        Check("sensors", bad is None, bad or f"{len(rules.settings.sysstat.required)} nodes report good"),
+        _clock(rules, state, age_s, time_ns),
+        Check("log", not inputs.log_reason, f"no log, no start: {inputs.log_reason}" if inputs.log_reason else "being written"),
+        Check("battery", not critical, level),
+        _fence(state, inputs),
+        Check("mission", True, f"{plan.name}, {len(plan.waypoints)} waypoints" if plan is not None else "none loaded"),
+        Check("link", heard_s < HEARD_S, f"console heard {heard_s:.1f} s ago" if heard_s < 1e8 else "console never heard"),
+        Check("last shutdown", not state.last_shutdown, state.last_shutdown or "nothing wrong known"),
+    ]
+
+
+def refusal(rules: Rules, mode: Mode, lines: list[Check]) -> str | None:
+    """The reason of the first line that keeps the boat from entering a mode; None when none does."""
+    for line in lines:
+        if not line.ok and line.name not in ADVISORY and not _allowed(rules, line.name, mode):
+            return line.reason
+    return None
+
+
+def _allowed(rules: Rules, name: str, mode: Mode) -> bool:
+    """A boat outside its fence is driven back by hand; one with its last charge does what the table lets it do."""
+    if name == "fence":
+        return mode is Mode.MANUAL
+    if name == "battery":
+        return rules.actions[Trigger.BATTERY_CRITICAL][mode] < Action.STOP
+    return name == "log" and not rules.settings.log.required
+
+
+def _clock(rules: Rules, state: State, age_s: float, time_ns: int) -> Check:
+    """The log's times are worth what this clock is worth; navigation's UTC comes from satellites."""
+    if time_ns < EARLIEST_NS:
+        return Check("clock", False, "the computer's clock was never set")
+    n = state.navigation
+    if n is None or not n.utc_ns:
+        return Check("clock", True, "navigation tells no time to compare with")
+    off_s = (time_ns - n.utc_ns) / 1e9 - age_s
+    ok = abs(off_s) <= rules.settings.checks.clock_s
+    return Check("clock", ok, f"the computer's clock is {off_s:+.1f} s off navigation's")
+
+
+def _fence(state: State, inputs: Inputs) -> Check:
+    fence = inputs.fence
+    if fence is None:
+        return Check("fence", True, "none")
+    if "position" not in state.motion.has:
+        return Check("fence", False, "no position: the fence cannot be watched")
+    away = outside(fence, state.motion.north_m, state.motion.east_m)
+    return Check("fence", away is None, away or f"{len(fence.zones)} zones, the boat is where it may be")

@@ -1,0 +1,822 @@
+"""cantcpd on real TCP connections and a canloop bus, with real clients, and with others as they are documented to behave."""
+
+import asyncio
+import contextlib
+import gzip
+import itertools
+import os
+import pty
+import random
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, TypeVar
+
+import can
+import pytest
+
+from delfim import config
+from delfim.canproxy import cantcpd
+from delfim.canproxy.bcm import JOBS_MAX
+from delfim.canproxy.beacon import DATAGRAM_BYTES, announce, datagram
+from delfim.canproxy.canloop import open_canloop
+from delfim.canproxy.cantcpd import Access, Cantcpd, bus_name
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, open_can
+from delfim.clock import SystemClock
+from delfim.errors import BusError
+from delfim.frames import CAN_RTR, Frame, extended, standard
+
+T = TypeVar("T")
+ROOT = Path(__file__).parents[2]
+_numbers = itertools.count()
+TIMEOUT_S = 10.0
+
+
+class Loop:
+    """What is needed of the runtime."""
+
+    def reader(self, fd: int, handler: Callable[[], object]) -> None:
+        asyncio.get_running_loop().add_reader(fd, handler)
+
+    def remove_reader(self, fd: int) -> None:
+        asyncio.get_running_loop().remove_reader(fd)
+
+
+class Served:
+    """A server in a thread of its own, as clients block."""
+
+    def __init__(self, buses: list[str], **settings: Any) -> None:
+        self._settings, self._buses = config.Cantcpd(**settings), buses
+        self._ready, self._never, self._stop = threading.Event(), threading.Event(), asyncio.Event()
+        self.defects: list[dict[str, Any]] = []  # exceptions that reached the loop
+        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
+
+    async def _run(self) -> None:
+        self.loop = asyncio.get_running_loop()
+        self.loop.set_exception_handler(lambda _, context: self.defects.append(context))
+        self.server = Cantcpd(self._settings, self._buses, Loop(), SystemClock())
+        listening = await self.loop.create_server(self.server.connection, "127.0.0.1", 0)
+        self.port = listening.sockets[0].getsockname()[1]
+        self._ready.set()
+        await self._stop.wait()
+        listening.close()
+        self.server.close()
+        await asyncio.sleep(0)
+
+    def __enter__(self) -> "Served":
+        self._thread.start()
+        assert self._ready.wait(TIMEOUT_S)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.loop.call_soon_threadsafe(self._stop.set)
+        self._thread.join(TIMEOUT_S)
+        assert not self._thread.is_alive()
+        assert self.defects == []
+
+    def call(self, function: Callable[[], T]) -> T:
+        """What a function returns that runs in the server's loop."""
+
+        async def called() -> T:
+            return function()
+
+        return asyncio.run_coroutine_threadsafe(called(), self.loop).result(TIMEOUT_S)
+
+    def wait_for(self, condition: Callable[[], object]) -> None:
+        deadline_s = time.monotonic() + TIMEOUT_S
+        while not self.call(condition):
+            assert time.monotonic() < deadline_s, self.call(self.server.report)
+            self._never.wait(0.002)  # this thread and the server's share one processor
+
+    def counts(self) -> dict[str, int]:
+        """Of the only client."""
+        (client,) = self.server.clients
+        return self.call(lambda: dict(client.counts))
+
+
+class Peer:
+    """A client as blunt as they come: bytes out, bytes in."""
+
+    def __init__(self, served: "Served | Daemon", *greeting: str) -> None:
+        self.socket = socket.create_connection(("127.0.0.1", served.port), TIMEOUT_S)
+        self.rest = b""
+        assert self.element() == "< hi >"
+        for text in greeting:
+            self.say(text)
+            assert self.element() == "< ok >"
+
+    def say(self, text: str) -> None:
+        self.socket.sendall(text.encode("latin-1"))
+
+    def element(self) -> str:
+        while b">" not in self.rest:
+            data = self.socket.recv(4096)
+            assert data, "the server closed the connection"
+            self.rest += data
+        element, _, self.rest = self.rest.partition(b">")
+        return element.decode() + ">"
+
+    def frame(self) -> tuple[str, str]:
+        """Identifier and data of the next frame."""
+        start, kind, identifier, _, *data, end = self.element().split(" ")
+        assert (start, kind, end) == ("<", "frame", ">")
+        return identifier, " ".join(data)
+
+    def silent(self, seconds: float = 0.05) -> bool:
+        """Whether nothing comes for so long."""
+        self.socket.settimeout(seconds)
+        try:
+            return not self.rest and not self.socket.recv(1)
+        except TimeoutError:
+            return True
+        finally:
+            self.socket.settimeout(TIMEOUT_S)
+
+    def closed(self) -> bool:
+        with contextlib.suppress(ConnectionResetError):
+            while data := self.socket.recv(4096):
+                self.rest += data
+        return True
+
+    def __enter__(self) -> "Peer":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.socket.close()
+
+
+@pytest.fixture
+def name() -> str:
+    return f"t{os.getpid() % 100000}-{next(_numbers)}"
+
+
+@pytest.fixture
+def served(name: str) -> Iterator[Served]:
+    with Served([f"canloop:{name}"]) as one:
+        yield one
+
+
+@pytest.fixture
+def bus(name: str) -> Iterator[CanSocket]:
+    with open_canloop(name) as one:
+        one.settimeout(TIMEOUT_S)
+        one.bind(ANYTHING)
+        yield one
+
+
+def sleepy(served: Served, name: str) -> tuple[Peer, cantcpd.Client]:
+    """A client in raw mode that takes little before it reads, and its other side."""
+    peer = Peer.__new__(Peer)
+    peer.socket, peer.rest = socket.socket(), b""
+    peer.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 2048)
+    peer.socket.settimeout(TIMEOUT_S)
+    peer.socket.connect(("127.0.0.1", served.port))
+    peer.say(f"< open {name} >< rawmode >")
+    assert [peer.element() for _ in range(3)] == ["< hi >", "< ok >", "< ok >"]
+    own = f"127.0.0.1:{peer.socket.getsockname()[1]}"
+    (client,) = [client for client in served.server.clients if client.name == own]
+    served.wait_for(lambda: client._held is None)
+    return peer, client
+
+
+def raw(served: "Served | Daemon", name: str) -> Peer:
+    return Peer(served, f"< open {name} >", "< rawmode >")
+
+
+# The protocol on the wire.
+
+
+def test_raw_mode_both_directions(served: Served, bus: CanSocket, name: str) -> None:
+    with raw(served, name) as peer:
+        bus.sendto(b"\xab\x01", CanAddress(standard(0x12)))
+        assert peer.frame() == ("012", "AB01")
+        bus.sendto(b"", CanAddress(extended(0x12)))
+        assert peer.frame() == ("00000012", "")
+        bus.sendto(b"", CanAddress(standard(5) | CAN_RTR))  # socketcand has no remote frames
+        peer.say("< send 7FF 2 1 ff >")
+        assert bus.recvmsg()[:2] == (standard(0x7FF), b"\x01\xff")
+        assert peer.silent()  # nobody hears his own
+
+
+def test_a_client_hears_the_others(served: Served, bus: CanSocket, name: str) -> None:
+    with raw(served, name) as one, raw(served, name) as two, Peer(served, f"< open {name} >") as three:
+        three.say("< subscribe 0 0 123 >< echo >")
+        assert three.element() == "< echo >"
+        one.say("< send 123 1 11 >")
+        assert bus.recv(8) == b"\x11"
+        bus.sendto(b"\x22", CanAddress(standard(0x123)))  # the answer comes after the question
+        assert [two.frame(), two.frame()] == [("123", "11"), ("123", "22")]
+        assert [three.frame(), three.frame()] == [("123", "11 "), ("123", "22 ")]
+        assert one.frame() == ("123", "22")
+
+
+def test_modes_and_errors(served: Served, name: str) -> None:
+    with Peer(served, f"< open {name} >") as peer:
+        peer.say("< isotpmode >")
+        assert peer.element() == "< error unknown command >"
+        peer.say("< controlmode >")
+        assert peer.element() == "< ok >"
+        peer.say("< echo >< bcmmode >< rawmode >< send x >")
+        assert [peer.element() for _ in range(3)] == ["< echo >", "< ok >", "< ok >"]
+        assert peer.silent()
+
+
+@pytest.mark.parametrize("text", ["< open nothing >", "< rawmode >"])
+def test_a_bus_that_is_none_ends_the_connection(served: Served, text: str) -> None:
+    with Peer(served) as peer:
+        peer.say(text)
+        assert peer.closed()
+        assert peer.rest == b"< error could not open bus >"
+
+
+def test_a_bus_that_cannot_be_opened_ends_the_connection() -> None:
+    with Served(["can77"]) as served, Peer(served) as peer:
+        peer.say("< open can77 >< rawmode >< echo >")
+        assert peer.closed()
+        assert peer.rest == b"< error could not open bus >"
+
+
+def test_cycles_are_sent_changed_and_deleted(served: Served, bus: CanSocket, name: str) -> None:
+    with Peer(served, f"< open {name} >") as peer:
+        peer.say("< add 0 2000 123 1 01 >")
+        stamps_ns = [bus.recvmsg().t_ns for _ in range(20)]
+        assert 1.9 < (stamps_ns[-1] - stamps_ns[0]) / 19e6 < 50.0  # ms; late on a busy machine, never early
+        peer.say("< update 123 2 02 03 >")
+        while bus.recv(8) != b"\x02\x03":
+            pass
+        peer.say("< delete 123 >< echo >")
+        assert peer.element() == "< echo >"
+        while bus.receive():
+            pass
+        bus.settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            bus.recvmsg()
+
+
+def test_cycles_and_subscriptions_end_with_their_mode_and_connection(served: Served, bus: CanSocket, name: str) -> None:
+    with Peer(served, f"< open {name} >") as peer:
+        peer.say("< add 0 1000 123 0 >< subscribe 0 0 55 >")
+        bus.recvmsg()
+        peer.say("< controlmode >")
+        assert peer.element() == "< ok >"
+        while bus.receive():
+            pass
+        bus.sendto(b"", CanAddress(standard(0x55)))
+        peer.say("< bcmmode >")
+        assert peer.element() == "< ok >"
+        assert peer.silent()
+        peer.say("< add 0 1000 123 0 >")
+        bus.recvmsg()
+    served.wait_for(lambda: not served.server.clients)
+    while bus.receive():
+        pass
+    bus.settimeout(0.05)
+    with pytest.raises(TimeoutError):
+        bus.recvmsg()
+    assert served.call(lambda: served.server.buses[name]._can) is None  # nobody watches: the bus is closed
+
+
+def test_subscriptions_are_throttled_and_the_newest_frame_is_told(served: Served, bus: CanSocket, name: str) -> None:
+    with Peer(served, f"< open {name} >") as peer:
+        peer.say("< subscribe 0 200000 123 >< subscribe 0 0 125 >< echo >")
+        assert peer.element() == "< echo >"
+        for number in range(50):
+            bus.sendto(bytes([number]), CanAddress(standard(0x123)))
+            bus.sendto(b"", CanAddress(standard(0x124)))  # not subscribed
+        assert [peer.frame(), peer.frame()] == [("123", "00 "), ("123", "31 ")]
+        bus.sendto(b"\1", CanAddress(standard(0x125)))
+        assert peer.frame() == ("125", "01 ")
+        peer.say("< unsubscribe 125 >< echo >")
+        assert peer.element() == "< echo >"
+        bus.sendto(b"\1", CanAddress(standard(0x125)))
+        assert peer.silent()
+
+
+def test_subscriptions_are_bounded_and_may_be_changed(served: Served, bus: CanSocket, name: str) -> None:
+    with Peer(served, f"< open {name} >") as peer:
+        peer.say("".join(f"< subscribe 0 0 {number:x} >" for number in range(JOBS_MAX + 10)) + "< subscribe 9 0 5 >< echo >")
+        assert peer.element() == "< echo >"
+        assert served.counts()["refused"] == 10
+        for arb in (JOBS_MAX, 5, 5, JOBS_MAX - 1):
+            bus.sendto(b"", CanAddress(standard(arb)))
+        assert [peer.frame()[0], peer.frame()[0]] == ["005", "0FF"]
+    served.wait_for(lambda: not served.server.buses[name].watchers)
+
+
+def test_content_filters(served: Served, bus: CanSocket, name: str) -> None:
+    with Peer(served, f"< open {name} >") as peer:
+        rows = "FF 00 00 00 00 00 00 00 01 FF 00 00 00 00 00 00"
+        peer.say(f"< filter 0 0 123 1 F0 >< muxfilter 0 0 124 2 {rows} >< echo >")
+        assert peer.element() == "< echo >"
+        for data in (b"\x10", b"\x1f", b"\x20"):
+            bus.sendto(data, CanAddress(standard(0x123)))
+        for data in (b"\x01\x01", b"\x02\x01", b"\x01\x01", b"\x01\x02"):
+            bus.sendto(data, CanAddress(standard(0x124)))
+        told = [peer.frame() for _ in range(4)]
+        assert told == [("123", "10 "), ("123", "20 "), ("124", "01 01 "), ("124", "01 02 ")]
+        assert peer.silent()
+
+
+def test_statistics(served: Served, bus: CanSocket, name: str) -> None:
+    with Peer(served, f"< open {name} >", "< controlmode >") as peer, raw(served, name) as other:
+        bus.sendto(b"\1\2\3", CanAddress(standard(1)))
+        assert other.frame() == ("001", "010203")
+        other.say("< send 1 1 1 >< echo >")
+        assert other.element() == "< echo >"
+        peer.say("< statistics 10 >")
+        assert [peer.element(), peer.element()] == ["< stat 3 1 1 1 >"] * 2
+        peer.say("< statistics 0 >< echo >")
+        while peer.element() != "< echo >":
+            pass
+        assert peer.silent(0.2)
+
+
+def test_a_connection_has_its_socket_options(served: Served, name: str) -> None:
+    with raw(served, name):
+        (client,) = served.server.clients
+        peer = client._transport.get_extra_info("socket")
+        assert peer.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+        assert peer.getsockopt(socket.IPPROTO_IP, socket.IP_TOS) == 0x10
+        assert cantcpd._round_trip_s(peer) < 1.0
+
+
+# Real clients.
+
+
+def python_can(served: Served, name: str) -> can.BusABC:
+    return can.Bus(interface="socketcand", host="127.0.0.1", port=served.port, channel=name)
+
+
+def test_python_can_on_a_busy_bus(served: Served, bus: CanSocket, name: str) -> None:
+    """It reads exactly "< hi >", "< ok >", "< ok >": a frame in the same read is an error."""
+    stop = threading.Event()
+
+    def traffic() -> None:
+        with open_canloop(name) as source:
+            for number in itertools.count():
+                if stop.wait(0.0005):
+                    return
+                source.sendto(number.to_bytes(4, "big"), CanAddress(standard(0x100)))
+
+    busy = threading.Thread(target=traffic)
+    busy.start()
+    try:
+        for _ in range(10):
+            with python_can(served, name) as client:
+                received = [client.recv(TIMEOUT_S) for _ in range(50)]
+                numbers = [int.from_bytes(message.data, "big") for message in received if message]
+                assert numbers == list(range(numbers[0], numbers[0] + 50))
+    finally:
+        stop.set()
+        busy.join()
+
+
+def test_python_can_both_directions_and_notifier(served: Served, bus: CanSocket, name: str) -> None:
+    heard: list[can.Message] = []
+    with python_can(served, name) as client:
+        both = threading.Event()
+
+        def listen(message: can.Message) -> None:
+            heard.append(message)
+            if len(heard) == 3:
+                both.set()
+
+        notifier = can.Notifier(client, [listen], timeout=0.1)
+        bus.sendto(b"\1\2", CanAddress(standard(0x123)))
+        bus.sendto(b"", CanAddress(standard(0x124)))
+        bus.sendto(bytes(8), CanAddress(extended(0x123)))
+        assert both.wait(TIMEOUT_S)
+        notifier.stop()
+        client.send(can.Message(arbitration_id=0x321, is_extended_id=False, data=b"\x0a\xff"))
+        client.send(can.Message(arbitration_id=0x321, data=bytes(8)))
+        assert bus.recvmsg()[:2] == (standard(0x321), b"\x0a\xff")
+        assert bus.recvmsg()[:2] == (extended(0x321), bytes(8))
+    seen = [(message.arbitration_id, message.is_extended_id, bytes(message.data)) for message in heard]
+    assert seen == [(0x123, False, b"\1\2"), (0x124, False, b""), (0x123, True, bytes(8))]
+    assert all(abs(message.timestamp - time.time()) < TIMEOUT_S for message in heard)
+
+
+def test_python_can_may_send_what_it_may_not_and_reads_on(served: Served, bus: CanSocket, name: str) -> None:
+    with python_can(served, name) as client:
+        client.send(can.Message(arbitration_id=0x40, is_extended_id=False, data=bytes(4)))  # barred
+        client.send(can.Message(arbitration_id=4, is_extended_id=False, is_remote_frame=True, dlc=4))
+        bus.sendto(b"on", CanAddress(standard(1)))
+        message = client.recv(TIMEOUT_S)
+        assert message is not None
+        assert bytes(message.data) == b"on"
+    assert bus.receive() is None
+
+
+def test_python_can_logger_and_viewer(served: Served, bus: CanSocket, name: str, tmp_path: Path) -> None:
+    """The tools run unchanged; what the viewer draws on its terminal holds the identifier."""
+    log = tmp_path / "out.log"
+    options = ["-i", "socketcand", "-c", name, "--bus-kwargs", "host=127.0.0.1", f"port={served.port}"]
+    terminal, other_end = pty.openpty()
+    environment = {**os.environ, "TERM": "xterm", "LINES": "24", "COLUMNS": "80"}
+    viewer = subprocess.Popen(
+        [sys.executable, "-m", "can.viewer", *options], stdin=other_end, stdout=other_end, stderr=other_end, env=environment
+    )
+    os.close(other_end)
+    logger = subprocess.Popen([sys.executable, "-m", "can.logger", "-f", str(log), *options], stdout=subprocess.DEVNULL)
+    try:
+        served.wait_for(lambda: len(served.server.buses[name].raw) == 2)
+        screen = b""
+        while b"5A5" not in screen:
+            bus.sendto(b"\x5a", CanAddress(standard(0x5A5)))
+            assert select.select([terminal], [], [], TIMEOUT_S)[0], screen
+            screen += os.read(terminal, 65536)
+        while not (log.exists() and log.stat().st_size):
+            bus.sendto(b"\x5a", CanAddress(standard(0x5A5)))
+            served.wait_for(lambda: True)
+    finally:
+        logger.send_signal(signal.SIGINT)
+        viewer.terminate()
+        logger.wait(TIMEOUT_S)
+        viewer.wait(TIMEOUT_S)
+        os.close(terminal)
+    assert "5A5#5A" in log.read_text()
+
+
+# Clients that cannot be run here, as their sources say they behave (ecosystem notes, docs/cantcpd.md).
+
+
+def test_savvycan(served: Served, bus: CanSocket, name: str) -> None:
+    """Whole reads are compared with the greeting; numbers are signed and as wide as Qt makes them; after 10 s without data it
+    comes again, so that coming again is cheap."""
+    for _ in range(5):
+        with socket.create_connection(("127.0.0.1", served.port), TIMEOUT_S) as savvy:
+            assert savvy.recv(4096) == b"< hi >"
+            savvy.sendall(f"< open {name} >".encode())
+            assert savvy.recv(4096) == b"< ok >"
+            savvy.sendall(b"< rawmode >")
+            bus.sendto(b"\1", CanAddress(standard(1)))
+            assert savvy.recv(4096) == b"< ok >"
+            assert savvy.recv(4096).startswith(b"< frame 001 ")
+            savvy.sendall(b"< send 12 2 ffffff80 7f >< send ffffffff92345678 1 ffffffffffffffff >")
+            assert bus.recvmsg()[:2] == (standard(0x12), b"\x80\x7f")
+            assert bus.recvmsg()[:2] == (extended(0x12345678), b"\xff")
+
+
+def test_kayak(served: Served, bus: CanSocket, name: str) -> None:
+    """A connection each for raw, BCM and control; microseconds are parsed as an integer of six digits."""
+    with (
+        raw(served, name) as frames,
+        Peer(served, f"< open {name} >") as jobs,
+        Peer(served, f"< open {name} >", "< controlmode >") as control,
+    ):
+        jobs.say("< subscribe 0 0 123 >")
+        control.say("< statistics 100 >")
+        assert control.element().startswith("< stat ")
+        bus.sendto(b"\1\2", CanAddress(standard(0x123)))
+        element = frames.element().split()
+        assert element[:2] == ["<", "frame"]
+        assert len(element[3].partition(".")[2]) == 6
+        assert jobs.frame() == ("123", "01 02 ")
+        jobs.say("< send 321 1 01 >")
+        assert bus.recv(8) == b"\1"
+
+
+def test_socketcandcl_and_those_who_do_not_wait(served: Served, bus: CanSocket, name: str) -> None:
+    """open and rawmode back to back, a trailing double blank; others send a newline after each element."""
+    for text in (f"< open {name} >< rawmode >", f"< open {name} >\n< rawmode >\n"):
+        with Peer(served) as peer:
+            peer.say(text)
+            assert [peer.element(), peer.element()] == ["< ok >", "< ok >"]
+            peer.say("< send 123 2 11 22  >\n< send 00000123 0  >\n")
+            assert bus.recvmsg()[:2] == (standard(0x123), b"\x11\x22")
+            assert bus.recvmsg()[:2] == (extended(0x123), b"")
+
+
+def test_whole_reads_of_the_greeting_while_the_bus_is_busy(served: Served, bus: CanSocket, name: str) -> None:
+    """C# and Go clients: one read, one answer, and no frame with it."""
+    with socket.create_connection(("127.0.0.1", served.port), TIMEOUT_S) as client:
+        for command, answer in (("", b"< hi >"), (f"< open {name} >", b"< ok >"), ("< rawmode >", b"< ok >")):
+            client.sendall(command.encode())
+            for number in range(10):
+                bus.sendto(bytes([number]), CanAddress(standard(0x100)))
+            assert client.recv(4096) == answer
+
+
+def test_our_own_client(served: Served, bus: CanSocket, name: str) -> None:
+    with open_can(f"socketcand:127.0.0.1:{served.port}:{name}") as remote:
+        remote.settimeout(TIMEOUT_S)
+        remote.bind(CanAddress(standard(0x100), standard(0xFF)))
+        bus.sendto(b"no", CanAddress(standard(0x200)))
+        bus.sendto(b"yes", CanAddress(standard(0x123)))
+        bus.sendto(b"two", CanAddress(standard(0x124)))
+        assert remote.recvfrom(8) == (b"yes", CanAddress(standard(0x123), 0, remote.ifindex))
+        assert remote.recv(8) == b"two"
+        remote.sendto(b"back", CanAddress(extended(7)))
+        assert bus.recvmsg()[:2] == (extended(7), b"back")
+        served.call(lambda: [client.abort() for client in served.server.clients])
+        with pytest.raises(BusError, match=r"closed|reset"):
+            remote.recvmsg()
+        assert remote.receive() is None
+        with pytest.raises(BusError, match="not connected"):
+            remote.sendto(b"", CanAddress(standard(1)))
+        assert remote.rebind()
+        bus.sendto(b"again", CanAddress(standard(0x123)))
+        assert remote.recv(8) == b"again"
+
+
+@pytest.mark.parametrize("place", ["127.0.0.1", "127.0.0.1:can0", "127.0.0.1:x:can0", "127.0.0.1:1:a b", "127.0.0.1:1:"])
+def test_our_own_client_says_how_a_place_is_written(place: str) -> None:
+    with pytest.raises(BusError, match="write socketcand:HOST:PORT:BUS"):
+        open_can(f"socketcand:{place}")
+
+
+def test_our_own_client_is_told_why_not(served: Served) -> None:
+    with pytest.raises(BusError, match="could not open bus"):
+        open_can(f"socketcand:127.0.0.1:{served.port}:nothing")
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        with pytest.raises(BusError, match="refused"):
+            open_can(f"socketcand:127.0.0.1:{free.getsockname()[1]}:can0")
+
+
+# Access.
+
+
+def test_access_by_network_and_identifier() -> None:
+    access = Access(
+        config.Cantcpd(watch=("10.0.0.0/8", "::1/128"), transmit=("10.1.0.0/16",), barred=("040-043", "050", "00000040"))
+    )
+    assert access.may_watch("10.9.9.9")
+    assert access.may_watch("::ffff:10.9.9.9")
+    assert access.may_watch("::1")
+    assert not access.may_watch("11.0.0.1")
+    assert not access.may_watch("fe80::1%eth0")
+    assert access.may_transmit("10.1.2.3")
+    assert not access.may_transmit("10.2.0.1")
+    barred = [arb for arb in range(0x7FF) if access.is_barred(standard(arb))]
+    assert barred == [0x40, 0x41, 0x42, 0x43, 0x50]
+    assert [arb for arb in range(0x100) if access.is_barred(extended(arb))] == [0x40]
+    assert not access.is_barred(extended(0x40 << 18))
+
+
+def test_by_default_only_this_computer_transmits_and_nobody_commands_propellers() -> None:
+    access = Access(config.Cantcpd())
+    assert access.may_transmit("127.0.0.1")
+    assert not access.may_transmit("192.168.1.5")
+    assert all(access.is_barred(standard(identifier)) for identifier in range(0x40, 0x44))
+
+
+def test_who_may_not_watch_is_not_greeted(name: str) -> None:
+    with Served([f"canloop:{name}"], watch=("10.0.0.0/8",)) as served:
+        with socket.create_connection(("127.0.0.1", served.port), TIMEOUT_S) as stranger, contextlib.suppress(ConnectionError):
+            assert stranger.recv(100) == b""
+        served.wait_for(lambda: served.server.refused == 1)
+
+
+def test_who_may_only_watch_does_not_transmit(name: str, bus: CanSocket) -> None:
+    with Served([f"canloop:{name}"], transmit=()) as served, Peer(served, f"< open {name} >") as peer:
+        peer.say("< send 123 0 >< add 0 1000 123 0 >< rawmode >")
+        assert peer.element() == "< ok >"
+        peer.say("< send 123 0 >< echo >")
+        assert peer.element() == "< echo >"
+        assert served.counts()["refused"] == 3
+        bus.sendto(b"\1", CanAddress(standard(1)))
+        assert peer.frame() == ("001", "01")
+    assert bus.receive() is None
+
+
+def test_barred_identifiers_are_not_sent_by_anybody(served: Served, bus: CanSocket, name: str) -> None:
+    with Peer(served, f"< open {name} >") as peer:
+        peer.say("< send 040 0 >< add 0 1000 043 0 >< send 044 0 >< send 00000040 0 >")
+        assert [bus.recvmsg().arb, bus.recvmsg().arb] == [standard(0x44), extended(0x40)]
+
+
+def test_connections_are_bounded(name: str) -> None:
+    with Served([f"canloop:{name}"], clients=2) as served, Peer(served), Peer(served):
+        with socket.create_connection(("127.0.0.1", served.port), TIMEOUT_S) as third, contextlib.suppress(ConnectionError):
+            assert third.recv(100) == b""
+        served.wait_for(lambda: served.server.refused == 1)
+
+
+# Backpressure.
+
+
+def test_a_sleeping_client_loses_its_oldest_frames_and_nobody_else_does(name: str, bus: CanSocket) -> None:
+    with Served([f"canloop:{name}"], queue_bytes=8192) as served, raw(served, name) as awake:
+        asleep, sleeper = sleepy(served, name)
+        sent = 0
+        while not served.call(lambda: sleeper.counts["dropped"]):
+            for _ in range(100):
+                bus.sendto(sent.to_bytes(8, "big"), CanAddress(standard(1)))
+                sent += 1
+            heard = [int(awake.frame()[1], 16) for _ in range(100)]
+            assert heard == list(range(sent - 100, sent))
+            assert served.call(lambda: sleeper._queued_bytes) <= 8192
+        lost = served.call(lambda: sleeper.counts["dropped"])
+        numbers = [int(asleep.frame()[1], 16) for _ in range(sent - lost)]
+        assert numbers[-1] == sent - 1  # the newest is there
+        assert sorted(set(numbers)) == numbers
+        assert served.call(lambda: sleeper.counts["frames"]) == sent - lost
+        asleep.socket.close()
+
+
+def test_seven_of_eight_clients_lose_nothing_on_a_full_bus_while_one_sleeps() -> None:
+    """7,700 frames a second, as long as bench/cantcpd.py is patient."""
+    command = [sys.executable, str(ROOT / "bench/cantcpd.py"), "--clients", "8", "--seconds", "1"]
+    told = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+    assert told.splitlines()[1].endswith("[0, 0, 0, 0, 0, 0, 0]"), told
+
+
+def test_a_client_that_stalls_is_closed(name: str, bus: CanSocket) -> None:
+    with Served([f"canloop:{name}"], queue_bytes=8192, stall_s=0.2) as served:
+        asleep, client = sleepy(served, name)
+        while not served.call(lambda: client.counts["dropped"]):
+            for _ in range(100):
+                bus.sendto(bytes(8), CanAddress(standard(1)))
+        served.call(lambda: served.server.poll(0))
+        assert client in served.server.clients  # not yet
+        served.wait_for(lambda: client.stalled(served.loop.time(), 0.2))
+        served.call(lambda: served.server.poll(0))
+        served.wait_for(lambda: not served.server.clients)
+        assert asleep.closed()
+        asleep.socket.close()
+
+
+def test_a_full_bus_holds_back_the_sender_and_loses_nothing(
+    served: Served, bus: CanSocket, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with raw(served, name) as peer:
+        can_socket = served.server.buses[name]._can
+        assert can_socket is not None
+        sendto, attempts = can_socket.sendto, itertools.count()
+
+        def often_full(data: bytes, address: CanAddress) -> int:
+            if next(attempts) % 3:
+                raise BlockingIOError
+            return sendto(data, address)
+
+        monkeypatch.setattr(can_socket, "sendto", often_full)
+        peer.say("".join(f"< send 123 1 {number:x} >" for number in range(100)) + "< echo >")
+        assert [bus.recv(8)[0] for _ in range(100)] == list(range(100))
+        assert peer.element() == "< echo >"
+
+
+def test_a_bus_that_takes_nothing_is_given_up(
+    served: Served, bus: CanSocket, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cantcpd, "GIVE_UP_S", 0.05)
+    with raw(served, name) as peer:
+        can_socket = served.server.buses[name]._can
+        assert can_socket is not None
+
+        def full(data: bytes, address: CanAddress) -> int:
+            raise BlockingIOError
+
+        monkeypatch.setattr(can_socket, "sendto", full)
+        peer.say("< send 123 0 >" * 100 + "< echo >")
+        assert peer.element() == "< echo >"
+        assert served.counts()["not transmitted"] == 100
+
+
+def test_a_bus_that_fails_and_comes_back(served: Served, bus: CanSocket, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    with raw(served, name) as peer:
+        one = served.server.buses[name]
+        assert one._can is not None
+        receive = one._can.receive
+
+        def down() -> Frame | None:
+            raise BusError("can0 is down")
+
+        monkeypatch.setattr(one._can, "receive", down)
+        bus.sendto(b"", CanAddress(standard(1)))
+        served.wait_for(lambda: one.failure == "can0 is down")
+        monkeypatch.setattr(one._can, "receive", receive)
+        served.call(lambda: served.server.poll(0))
+        assert one.failure == ""
+        bus.sendto(b"\1", CanAddress(standard(1)))
+        assert [peer.frame(), peer.frame()] == [("001", ""), ("001", "01")]
+
+
+# Robustness.
+
+
+class Daemon:
+    """The service as the supervisor starts it: alone, or with the vehicle and the black box in the runtime."""
+
+    def __init__(self, interface: str, place: Path, *words: str) -> None:
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            self.port = free.getsockname()[1]
+        settings = [
+            f'can.interface="{interface}"',
+            f'cantcpd.listen=["127.0.0.1:{self.port}"]',
+            f'runtime.run_directory="{place}"',
+            f'console.socket="{place}/command"',
+            f'log.directory="{place}"',
+            "guest.enabled=false",
+        ]
+        overrides = [word for setting in settings for word in ("--set", setting)]
+        command = [sys.executable, "-m", "delfim", "run", str(ROOT / "etc/delfimx.toml"), *overrides, *words]
+        self._process = subprocess.Popen(command, stderr=subprocess.DEVNULL)
+
+    def __enter__(self) -> "Daemon":
+        deadline_s = time.monotonic() + TIMEOUT_S
+        never = threading.Event()
+        while True:
+            with contextlib.suppress(ConnectionRefusedError), socket.create_connection(("127.0.0.1", self.port)):
+                return self
+            assert time.monotonic() < deadline_s
+            assert self._process.poll() is None
+            never.wait(0.02)
+
+    def __exit__(self, *_: object) -> None:
+        self._process.terminate()
+        assert self._process.wait(TIMEOUT_S) == 0
+
+    def resident_bytes(self) -> int:
+        return int(Path(f"/proc/{self._process.pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
+
+
+def test_a_flood_of_malformed_commands_and_of_connections(bus: CanSocket, name: str, tmp_path: Path) -> None:
+    """100,000 commands that mean nothing on one connection, and 1,000 connections dropped in all stages."""
+    chance = random.Random(1)
+    words = ["send", "add", "subscribe", "filter", "muxfilter", "0", "1", "9", "123", "GGG", "f" * 16, "<", ">", "\0", "\xff"]
+    rubbish = "".join(f"<{' '.join(chance.choices(words, k=chance.randrange(6)))}>" for _ in range(10_000))
+    stages = ["", "< open", f"< open {name} >", f"< open {name} >< rawmode >", f"< open {name} >< add 0 1000 7 0 ><"]
+    service = ("--service", "cantcpd")
+    with Daemon(f"canloop:{name}", tmp_path, *service) as daemon, Peer(daemon, f"< open {name} >", "< rawmode >") as peer:
+        before = 0
+        for _ in range(10):
+            reader = threading.Thread(target=peer.say, args=(f"{rubbish}< echo >",))
+            reader.start()
+            while peer.element() != "< echo >":
+                pass
+            reader.join()
+            before = before or daemon.resident_bytes()
+        for number in range(1000):
+            with socket.create_connection(("127.0.0.1", daemon.port), TIMEOUT_S) as dropped:
+                dropped.sendall(stages[number % len(stages)].encode())
+        bus.sendto(b"\1", CanAddress(standard(1)))
+        while peer.frame() != ("001", "01"):
+            pass  # what the dropped connections had sent in their short lives
+        assert daemon.resident_bytes() - before < 2 << 20
+
+
+def test_every_transmission_is_in_the_black_box(bus: CanSocket, name: str, tmp_path: Path) -> None:
+    with Daemon(f"canloop:{name}", tmp_path) as daemon, raw(daemon, name) as peer:
+        peer.say("".join(f"< send 7A5 1 {number:x} >" for number in range(100)) + "< echo >")
+        assert peer.element() == "< echo >"
+    (log,) = tmp_path.glob(f"*/{name}/*.log.gz")
+    lines = gzip.decompress(log.read_bytes()).decode().splitlines()
+    ours = [line.split(" ", 1)[1] for line in lines if " 7A5#" in line]
+    assert ours == [f"{name} 7A5#{number:02X} T" for number in range(100)]
+
+
+# Beacon and names.
+
+
+def test_the_beacon_is_what_python_can_looks_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    from can.interfaces.socketcand import socketcand as python_can_socketcand
+
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    monkeypatch.setattr(python_can_socketcand, "DEFAULT_SOCKETCAND_DISCOVERY_ADDRESS", "127.0.0.1")
+    monkeypatch.setattr(python_can_socketcand, "DEFAULT_SOCKETCAND_DISCOVERY_PORT", port)
+    stop = threading.Event()
+
+    def announcing() -> None:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+            while not stop.wait(0.02):
+                sender.sendto(datagram('a "boat" <x>', "127.0.0.1", 29536, ["can0", "can1"]), ("127.0.0.1", port))
+
+    thread = threading.Thread(target=announcing)
+    thread.start()
+    found = python_can_socketcand.detect_beacon()
+    stop.set()
+    thread.join()
+    assert [(each["host"], each["port"], each["channel"]) for each in found] == [
+        ("127.0.0.1", 29536, "can0"),
+        ("127.0.0.1", 29536, "can1"),
+    ]
+
+
+def test_a_beacon_is_never_too_long_and_never_on_what_is_no_lan() -> None:
+    assert len(datagram("x" * 64, "1.2.3.4", 29536, [f"canbus-{n:09}" for n in range(100)])) <= DATAGRAM_BYTES
+    with pytest.raises(OSError, match="is no LAN"):
+        announce("lo", 29536, ["can0"])
+    with pytest.raises(OSError, match="No such device"):
+        announce("nothing0", 29536, ["can0"])
+
+
+def test_a_failing_beacon_is_told_once(name: str, caplog: pytest.LogCaptureFixture) -> None:
+    with Served([f"canloop:{name}"], beacon=("lo",)) as served:
+        for _ in range(7):
+            served.call(lambda: served.server.poll(29536))
+    assert [record.getMessage() for record in caplog.records] == ["cantcpd: no beacon on lo: lo is no LAN"]
+
+
+def test_names_by_which_clients_open_a_bus() -> None:
+    names = [bus_name(interface) for interface in ("can0", "canloop:can1", "python-can:pcan:PCAN_USBBUS1@500000")]
+    assert names == ["can0", "can1", "PCAN_USBBUS1-500"]

@@ -1,0 +1,83 @@
+"""Inside a guest that is about to lose its power: mounts the log partition as the boat's init does, starts the suite and full
+bus load, and returns as soon as everything sails and logs. What it started goes on until the guest is killed."""
+
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+from delfim.console.link import Link
+from delfim.errors import DelfimError
+
+LOG = Path("/mnt/log")
+FOLDER = os.environ["FOLDER"]
+FRAMES_PER_S = sys.argv[1]
+HEART = """
+import os, sys, time
+fd = os.open(sys.argv[1] + "/alive", os.O_WRONLY | os.O_CREAT)
+while True:
+    os.pwrite(fd, f"{time.time():.3f}".encode(), 0)
+    os.fsync(fd)  # on the host now
+    time.sleep(0.02)
+"""
+SETTINGS = {
+    "can.interface": '"vcan0"',
+    "console.socket": '"/run/delfim/command"',
+    "log.directory": f'"{LOG}"',
+    "log.free_bytes_min": "1_000_000",
+    "log.file_bytes": "200_000",
+    "navigation.rate_hz": "20.0",
+    "runtime.run_directory": '"/run/delfim"',
+    "supervisor.hardware_watchdog": '""',
+}
+
+
+def start(*command: str) -> None:
+    """Goes on when this program has ended."""
+    with open(f"{FOLDER}/suite.out", "ab") as output:
+        subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=output, stderr=output, start_new_session=True)
+
+
+def delfim(command: str) -> None:
+    overrides = [word for key, value in SETTINGS.items() for word in ("--set", f"{key}={value}")]
+    start(sys.executable, "-m", "delfim", command, "etc/delfimx.toml", *overrides)
+
+
+def until(true: object, what: str) -> None:
+    for _ in range(600):
+        if true():
+            return
+        time.sleep(0.05)
+    raise SystemExit(f"{what}\n{Path(FOLDER, 'suite.out').read_text(errors='replace')[-3000:]}")
+
+
+def heading() -> bool:
+    try:
+        with Link("/run/delfim/command") as operator:
+            operator.ask("heading", heading_deg=45.0, speed_mps=1.2)
+    except DelfimError:
+        return False
+    return True
+
+
+def growing() -> bool:
+    """Whether this boot's logs of both kinds are on the disk."""
+    begun = os.stat(f"{FOLDER}/begun").st_mtime
+    new = [path for path in LOG.glob("*/*/*.gz") if path.stat().st_mtime > begun and path.stat().st_size > 2000]
+    return {path.parent.name for path in new} >= {"state", "vcan0"}
+
+
+def main() -> None:
+    LOG.mkdir()
+    subprocess.run(["mount", "-t", "ext2", "/dev/ubda", LOG], check=True)
+    Path(f"{FOLDER}/begun").touch()
+    start(sys.executable, "-c", HEART, FOLDER)
+    delfim("nodes")
+    delfim("supervise")
+    until(heading, "the boat never became fit")
+    start("cangen", "vcan0", "-g", f"{1000 / float(FRAMES_PER_S):.3f}", "-i")
+    until(growing, "the logs do not grow")
+
+
+main()

@@ -1,0 +1,29 @@
+"""The C programs of the benchmark on the kernel's own CAN: the feeder sends navigation and other traffic, the loop answers."""
+
+import json
+
+from delfim.bench.critical_path import build
+from delfim.logging.statelog import columns
+from tests.guest.harness import Guest
+
+SCRIPT = """
+{loop} vcan1 {log} & sleep 0.2
+candump -L vcan1 >{frames} & sleep 0.2
+{feeder} vcan1 50 0.2 1 500 0; code=$?
+sleep 0.3; kill %1 %2; exit $code
+"""
+
+
+def test_c_programs_on_a_real_bus(can_guest: Guest) -> None:
+    programs = build(can_guest.folder)
+    log, frames = can_guest.folder / "c.state", can_guest.folder / "frames"
+    result = can_guest.run(SCRIPT.format(**programs, log=log, frames=frames), timeout_s=30.0)
+    assert result.code == 0, result.output
+    told = json.loads(result.output[result.output.index("{") : result.output.index("}") + 1])
+    data = columns([log])
+    assert told["messages"] == len(data["t0"]) == 60
+    assert data["counter"] == list(range(60))
+    assert all(t0 <= t2 <= t3 <= t4 for t0, t2, t3, t4 in zip(*(data[name] for name in ("t0", "t2", "t3", "t4")), strict=True))
+    lines = frames.read_text().splitlines()
+    for identifier in ("040", "041", "042", "043"):
+        assert sum(f" {identifier}#" in line for line in lines) == 60

@@ -1,0 +1,83 @@
+"""A short day at sea for tests: the real loop in lock step, with its state log, its commands and its black box on disk."""
+
+from pathlib import Path
+
+import pytest
+
+from delfim import config
+from delfim.canproxy.socket import ANYTHING
+from delfim.clock import ManualClock
+from delfim.logging import canzlogd
+from delfim.logging.canzlogd import BlackBox
+from delfim.logging.liblog import open_log
+from delfim.logging.tree import LogFile, files
+from delfim.simulator.lockstep import Lockstep
+from delfim.suite import StateLog
+from delfim.vehicle import console
+
+ROOT = Path(__file__).parents[2]
+MISSION = (ROOT / "etc/missions/doca.toml").read_text()
+
+
+class Day:
+    """A boat that logs. `cut` ends it as a power cut does: no last words."""
+
+    def __init__(self, place: Path, *overrides: str) -> None:
+        more = ['log.state_method="zwrite"', f'log.directory="{place}"', "log.free_bytes_min=0"]
+        more += ['can.interface="canloop:lockstep"', *overrides]
+        self.settings = config.load(ROOT / "etc/delfimx.toml", more)
+        self.sailing = Lockstep(self.settings, 1, self._opened)
+        self.clock = self.sailing.clock
+        self.socket = self.sailing.bus.socket("logger")
+        self.socket.bind(ANYTHING)
+        with pytest.MonkeyPatch.context() as patch:  # files of the clock of the simulation need no child
+            patch.setattr(canzlogd, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))
+            self.box = BlackBox([self.socket], self.settings.log, self.clock)
+
+    def _opened(self, clock: ManualClock) -> StateLog:
+        self.log = StateLog(self.settings, clock)
+        return self.log
+
+    def command(self, command: console.Commands) -> str | None:
+        self.clock.advance(0.01)
+        refused = self.sailing.command(command)
+        self.clock.advance(0.01)  # at sea no two things happen in the same nanosecond
+        self.log.command(command, refused, self.sailing.state)
+        self.box.on_readable(self.socket)
+        return refused
+
+    def sail(self, seconds: float) -> None:
+        for state in self.sailing.cycles(seconds):
+            self.log.watch(state)
+            for _ in range(4):
+                self.box.on_readable(self.socket)
+            self.box.poll()
+            self.log.poll()
+
+    def end(self) -> None:
+        self.clock.advance(0.01)
+        self.sailing.vehicle.stop("shutdown")
+        self.box.on_readable(self.socket)
+        self.log.close()
+        self.box.close()
+
+
+def sailed(place: Path, *overrides: str) -> Day:
+    """A refused start, a mission, a heading, manual thrust, a stop; half a minute of each."""
+    day = Day(place, *overrides)
+    assert day.command(console.Play()) is not None
+    day.sail(5.0)
+    for commands in (
+        [console.Mission(MISSION), console.Play()],
+        [console.Heading(200.0, 1.2)],
+        [console.Manual(0.5, 0.25)],
+        [console.Stop()],
+    ):
+        for command in commands:
+            assert day.command(command) is None
+        day.sail(15.0)
+    return day
+
+
+def logged(place: Path) -> list[LogFile]:
+    return files([place])

@@ -1,0 +1,163 @@
+"""Logs in the formats of others, read back by the readers of others."""
+
+import csv
+import json
+import struct
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+
+import can
+import mcap.reader
+import numpy as np
+import pytest
+
+from delfim.errors import DelfimError
+from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
+from delfim.logging import canexport, export, tree
+from delfim.logging.candump import format_line
+from delfim.logging.table import table
+from tests.logging.sailing import logged, sailed
+
+FORMATS_MISSING = "needs the packages of `make formats`"
+
+
+@pytest.fixture(scope="module")
+def day(tmp_path_factory):
+    """(columns, schema, events) of a sailed minute."""
+    place = tmp_path_factory.mktemp("day")
+    sailed(place).end()
+    state = [file for file in logged(place) if file.id == "state"]
+    return *table(state), list(tree.events(state))
+
+
+def written(day, tmp_path: Path, form: str) -> Path:
+    file = tmp_path / f"out.{form}"
+    export.FORMATS[form](*day, file)
+    return file
+
+
+def test_csv_has_every_field_of_every_record(day, tmp_path):
+    columns, schema, _ = day
+    with written(day, tmp_path, "csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == len(columns["t1"])
+    assert list(rows[0]) == ["utc", *schema.names]
+    assert rows[0]["utc"].startswith("2010-01-01T00:00:00")
+    assert [float(row["latitude"]) for row in rows] == columns["latitude"].tolist()
+
+
+def test_parquet_has_types_units_and_time(day, tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet", reason=FORMATS_MISSING)
+    columns, schema, _ = day
+    read = parquet.read_table(written(day, tmp_path, "parquet"))
+    assert read.column_names == ["utc", *schema.names]
+    assert str(read.schema.field("utc").type) == "timestamp[ns, tz=UTC]"
+    assert read.schema.field("heading").metadata[b"unit"] == b"rad"
+    np.testing.assert_array_equal(read.column("starboard_rpm").to_numpy(), columns["starboard_rpm"])
+
+
+def test_gpx_has_the_track_and_the_changes_of_mode(day, tmp_path):
+    columns, _, _ = day
+    root = ElementTree.parse(written(day, tmp_path, "gpx")).getroot()
+    names = {"g": "http://www.topografix.com/GPX/1/1"}
+    points = root.findall("g:trk/g:trkseg/g:trkpt", names)
+    assert len(points) == np.isfinite(columns["latitude"]).sum()
+    assert float(points[0].get("lat")) == pytest.approx(np.degrees(columns["latitude"][0]), abs=1e-7)
+    assert points[0].find("g:time", names).text.endswith("Z")
+    told = [each.find("g:name", names).text for each in root.findall("g:wpt", names)]
+    assert "play: operator" in told
+    assert "idle: no manual command for 2.0 s" in told
+
+
+def test_a_gap_without_positions_breaks_the_track(day, tmp_path):
+    columns, schema, _ = day
+    part = {name: column.copy() for name, column in columns.items()}
+    part["latitude"][100:200] = np.nan
+    export.to_gpx(part, schema, [], tmp_path / "gap.gpx")
+    assert (tmp_path / "gap.gpx").read_text().count("<trkseg>") == 2
+
+
+def test_kml_has_as_many_times_as_places(day, tmp_path):
+    text = written(day, tmp_path, "kml").read_text()
+    ElementTree.fromstring(text)
+    track = text[text.index("<gx:Track>") :]
+    assert track.count("<when>") == track.count("<gx:coord>") == len(day[0]["t1"])
+
+
+def test_mcap_opens_with_its_own_reader(day, tmp_path):
+    columns, _, events = day
+    with written(day, tmp_path, "mcap").open("rb") as stream:
+        messages = [
+            (channel.topic, message.log_time, json.loads(message.data), known.name)
+            for known, channel, message in mcap.reader.make_reader(stream).iter_messages()
+        ]
+    states = [(t_ns, message) for topic, t_ns, message, _ in messages if topic == "/state"]
+    assert [t_ns for t_ns, _ in states] == columns["t1"].tolist()
+    assert states[5][1]["heading"] == pytest.approx(float(columns["heading"][5]))
+    assert {name for topic, _, _, name in messages if topic == "/location"} == {"foxglove.LocationFix"}
+    assert sum(topic == "/log" for topic, *_ in messages) == len(events)
+    assert "settings" not in json.dumps([message for topic, _, message, _ in messages if topic == "/log"])
+
+
+def test_mat_holds_every_column_as_doubles(day, tmp_path):
+    """Read as the format is specified (MAT version 4): header of five integers, name, numbers in the order of columns."""
+    columns, schema, _ = day
+    data, at, matrices = written(day, tmp_path, "mat").read_bytes(), 0, {}
+    while at < len(data):
+        kind, rows, count, imaginary, length = struct.unpack_from("<5i", data, at)
+        name = data[at + 20 : at + 20 + length - 1].decode()
+        at += 20 + length
+        assert imaginary == 0
+        assert data[at - 1] == 0
+        wide = 1 if kind == 51 else 8
+        matrices[name] = data[at : at + rows * count * wide]
+        at += rows * count * wide
+    assert matrices["start"].startswith(b"2010-01-01T00:00:00")
+    assert set(matrices) == {"boat", "start", "start_ns", *schema.names}
+    np.testing.assert_array_equal(np.frombuffer(matrices["heading"]), columns["heading"].astype(float))
+    assert np.frombuffer(matrices["t1"])[-1] == pytest.approx((columns["t1"][-1] - columns["t1"][0]) / 1e9, abs=1e-9)
+
+
+FRAMES = [
+    ("can0", Frame(standard(0x123), b"\x11\x22", 1_262_304_000_000_123_000)),
+    ("can1", Frame(extended(0x18EF2A10), bytes(8), 1_262_304_000_100_000_000, sent_here=True)),
+    ("can0", Frame(standard(0x7FF, remote=True), bytes(3), 1_262_304_000_200_000_000)),
+    ("can0", Frame(standard(0x001), b"", 1_262_304_001_000_000_000)),
+]
+
+
+@pytest.mark.parametrize("form", canexport.FORMATS)
+def test_the_black_box_in_formats_of_others(tmp_path, form):
+    if form == "mf4":
+        pytest.importorskip("asammdf", reason=FORMATS_MISSING)
+    file = tmp_path / f"out.{form}"
+    assert canexport.write(iter(FRAMES), file, form) == len(FRAMES)
+    with can.LogReader(file) as reader:
+        read = sorted(reader, key=lambda message: message.timestamp)
+    assert [message.arbitration_id for message in read] == [frame.identifier for _, frame in FRAMES]
+    assert [message.is_extended_id for message in read] == [frame.extended for _, frame in FRAMES]
+    assert [message.is_remote_frame for message in read] == [frame.remote for _, frame in FRAMES]
+    assert [bytes(message.data) for message in read if not message.is_remote_frame] == [
+        f.data for _, f in FRAMES if not f.remote
+    ]
+    since = [message.timestamp - read[0].timestamp for message in read]
+    assert since == pytest.approx([(frame.t_ns - FRAMES[0][1].t_ns) / 1e9 for _, frame in FRAMES], abs=2e-4)
+    if form != "log":
+        assert len({message.channel for message in read}) == 2
+
+
+def test_plain_candump_is_what_was_logged_error_frames_included(tmp_path):
+    error = Frame(4 << 3 | CAN_IDE | CAN_ERR, bytes(8), 1_262_304_002_000_000_000)
+    canexport.write([*FRAMES, ("can0", error)], tmp_path / "out.log", "log")
+    lines = (tmp_path / "out.log").read_text().splitlines(keepends=True)
+    assert lines == [format_line(frame, name) for name, frame in [*FRAMES, ("can0", error)]]
+
+
+def test_a_missing_package_is_named():
+    with pytest.raises(DelfimError, match=r"needs the package no_such_package: pip install 'delfim\[formats\]'"):
+        export.needed("no_such_package.inside")
+
+
+def test_nothing_logged_is_told(tmp_path):
+    with pytest.raises(DelfimError, match="no state was logged"):
+        table([])

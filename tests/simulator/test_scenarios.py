@@ -1,0 +1,165 @@
+"""The scenarios of etc/scenarios, each with its expectations; what a scenario may say; and campaigns of mixed faults."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from delfim import config
+from delfim.errors import ConfigError
+from delfim.simulator import campaign, scenario
+from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle.failsafe import Trigger
+
+ROOT = Path(__file__).parents[2]
+VEHICLE = ROOT / "etc/delfimx.toml"
+SCENARIOS = sorted((ROOT / "etc/scenarios").glob("*.toml"))
+SETTINGS = config.Vehicle(boat=config.Boat(name="test"))
+SAILING = """version = 1
+name = "test"
+seconds = 20
+
+[[command]]
+at_s = 3
+command = "heading"
+heading_deg = 90
+speed_mps = 1.0
+"""
+
+
+def run(tmp_path: Path, text: str, seed: int = 1) -> scenario.Result:
+    file = tmp_path / "test.toml"
+    file.write_text(text)
+    return scenario.run_file(file, VEHICLE, seed)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
+def test_the_scenario_ends_as_it_must(file, seed):
+    result = scenario.run_file(file, VEHICLE, seed)
+    assert not result.failures, f"delfim sim {VEHICLE} --scenario {file} --seed {seed}"
+
+
+def test_there_are_scenarios_for_every_trouble_of_the_table():
+    told = {event.name for file in SCENARIOS for event in scenario.run_file(file, VEHICLE, 1).events if event.kind == "notice"}
+    assert told == {trigger.name.lower() for trigger in Trigger} - {"control"}
+
+
+@pytest.mark.parametrize(
+    ("expect", "failure"),
+    [
+        ('mode = "heading"', None),
+        ('mode = "heading"\nreason = "operator"\nafter = "heading"\nwithin_s = 0.2\nat_end = true', None),
+        ('mode = "hold"', "mode hold: not after 0.0"),
+        ('mode = "heading"\nreason = "guest"', "mode heading (guest): not after 0.0"),
+        ('mode = "heading"\nwithin_s = 1', "mode heading: 3.0 s after 0.0, not 1 s"),
+        ('mode = "heading"\nnever = true', "mode heading at 3.0 s, never expected after 0.0"),
+        ('mode = "idle"\nafter = 10\nnever = true', None),
+        ('mode = "idle"\nat_end = true', "mode idle: at 20 s it is heading (operator)"),
+        ('mode = "heading"\nafter = "bus_off"', "mode heading: there was no bus_off"),
+        ('propellers = "stopped"\nafter = 10\nwithin_s = 1', "propellers stopped: not after 10.0"),
+        ('notice = "fence"', "notice fence: not after 0.0"),
+        ('notice = "fence"\nnever = true', None),
+        ("waypoints = 2", "0 of 2 waypoints reached"),
+    ],
+)
+def test_an_expectation_can_be_met_and_can_be_missed(tmp_path, expect, failure):
+    result = run(tmp_path, f"{SAILING}\n[[expect]]\n{expect}\n")
+    assert result.failures == ([] if failure is None else [failure])
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("version = 2", "version"),
+        (SAILING.replace("seconds = 20", ""), "seconds: missing"),
+        (SAILING + "[[fault]]\nat_s = 1\nkind = 'sunk'", "fault[0]: no fault 'sunk'"),
+        (SAILING + "[[fault]]\nat_s = 1\nkind = 'thruster_dead'", "fault[0]: thruster_dead needs one of"),
+        (SAILING + "[[command]]\nat_s = 1\ncommand = 'swim'", "command[1]: command not understood"),
+        (SAILING + "[[command]]\ncommand = 'play'", "command[1]: a command needs at_s"),
+        (SAILING + "[[expect]]\nreason = 'x'", "one of mode, notice, propellers, waypoints"),
+        (SAILING + "[[expect]]\nmode = 'idle'\nnotice = 'log'", "one of mode, notice, propellers, waypoints"),
+        (SAILING + "[vehicle.propulsion]\nrpm_max = -1", "propulsion.rpm_max"),
+        ("mission = 'none.toml'\n" + SAILING, "none.toml"),
+    ],
+)
+def test_a_scenario_that_cannot_be_meant_is_refused(tmp_path, text, reason):
+    with pytest.raises(ConfigError) as refused:
+        run(tmp_path, text)
+    assert reason in str(refused.value)
+
+
+def test_orders_are_repeated_until_obeyed_and_then_given_up(tmp_path):
+    early = run(tmp_path, SAILING.replace("at_s = 3", "at_s = 0"))
+    assert not early.failures
+    assert next(event for event in early.events if event.kind == "command").t_s > 0.5, "refused at first: nothing had reported"
+    never = run(
+        tmp_path, SAILING.replace('"heading"', '"mode"\nmode = "grex"').replace("heading_deg = 90\nspeed_mps = 1.0", "")
+    )
+    assert never.failures == ["mode at 3 s: grex refused: no reference from the guest computer"]
+    obeyed = run(tmp_path, SAILING + 'refused = "no"')
+    assert obeyed.failures == ["heading at 3 s: obeyed, not refused with 'no'"]
+
+
+def test_a_run_is_repeated_by_its_seed_and_a_file_by_its_command():
+    file = ROOT / "etc/scenarios/bad-wire.toml"
+    assert scenario.run_file(file, VEHICLE, 3) == scenario.run_file(file, VEHICLE, 3)
+    assert campaign.sail_mixed(VEHICLE, 7) == campaign.sail_mixed(VEHICLE, 7)
+    assert campaign.again("a b.toml", "mixed", 7, ["log.required=false"]) == (
+        "delfim sim 'a b.toml' --scenario mixed --seed 7 --set log.required=false"
+    )
+
+
+@pytest.mark.parametrize(("seconds", "code"), [(3.0, 0), (1.0, 1)])
+def test_the_command_tells_by_its_exit_code_and_how_to_repeat(tmp_path, seconds, code):
+    file = tmp_path / "test.toml"
+    file.write_text(f'{SAILING}\n[[expect]]\nmode = "heading"\nwithin_s = {seconds}\n')
+    words = [sys.executable, "-m", "delfim", "sim", str(VEHICLE), "--scenario", str(file), "--seed", "4"]
+    ran = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert ran.returncode == code
+    assert "mode       heading  operator" in ran.stdout
+    assert (f"again: delfim sim {VEHICLE} --scenario {file} --seed 4" in ran.stderr) is bool(code)
+
+
+def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
+    """No exception, not adrift under power, inside the fence, no stop without a reason: `pytest --seeds 1000` for more."""
+    bad = {seed: result.failures for seed in seeds if (result := campaign.sail_mixed(VEHICLE, seed)).failures}
+    assert not bad, "\n".join(f"{campaign.again(str(VEHICLE), 'mixed', seed, [])}: {why}" for seed, why in bad.items())
+
+
+@pytest.mark.parametrize(
+    ("trigger", "failure"),
+    [
+        (Trigger.FENCE, "outside the fence in mode"),
+        (Trigger.NAVIGATION_SILENT, "sailing blind in mode"),
+        (Trigger.THRUSTER, "adrift under power"),
+    ],
+    ids=lambda each: getattr(each, "name", ""),
+)
+def test_without_a_row_of_the_table_the_campaign_finds_it(monkeypatch, trigger, failure):
+    """The watch is not blind: a vehicle that has lost one of its failsafes fails."""
+    module = sys.modules["delfim.vehicle.failsafe"]
+    whole = module.troubles
+    monkeypatch.setattr(module, "troubles", lambda *given: [each for each in whole(*given) if each[0] is not trigger])
+    found: list[str] = []
+    for seed in range(100):
+        found += campaign.sail_mixed(VEHICLE, seed).failures
+        if any(failure in words for words in found):
+            return
+    pytest.fail(f"not found in 100 runs: {failure}; only {found}")
+
+
+def test_the_watch_sees_propellers_commanded_in_idle():
+    sailing = Lockstep(SETTINGS, 1, scenario.Silence)
+    watch = scenario.Watch(sailing)
+    list(sailing.cycles(1.0))
+    watch.look()
+    assert watch.failures == []
+    sailing.state.actuation = sailing.state.actuation._replace(port_rpm=5.0, run=True)
+    sailing.state.reason = ""
+    watch.look()
+    assert [words.partition(" at ")[0] for words in watch.failures] == [
+        "commanded Actuation(starboard_rpm=0.0, port_rpm=5.0, run=True)",
+        "stopped without a reason",
+    ]

@@ -1,0 +1,101 @@
+"""The dead-man with the whole suite on a bus: the runtime really hangs, and somebody else stops the propellers.
+
+The contract: stop frames within 1.2 s, the suite back within 3 s, the reason in the state. The boat is held to it with room for
+a busy machine; the figures are printed (`pytest -rP`).
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from delfim import messages
+from delfim.canproxy.socket import CanAddress, CanSocket, open_can
+from delfim.console.link import Link
+from delfim.errors import DelfimError
+
+ROOT = Path(__file__).parents[1]
+VEHICLE = str(ROOT / "etc/delfimx.toml")
+
+
+class Suite(NamedTuple):
+    folder: Path
+    bus: CanSocket
+    hang: Path
+
+    def runtime_pid(self) -> int:
+        return int(json.loads((self.folder / "supervisor.json").read_text())["programs"]["runtime"]["pid"])
+
+    def asked(self, command: str, **words: object) -> dict:
+        """The answer to a command, as soon as the vehicle carries it out."""
+        until = time.monotonic() + 20
+        while True:
+            try:
+                with Link(self.folder / "command") as link:
+                    return link.ask(command, **words)
+            except DelfimError:
+                if time.monotonic() > until:
+                    raise
+
+    def stopped(self, since: float) -> float:
+        """How long after `since` the bus carried a stop for the starboard propeller."""
+        while True:
+            if not messages.unpack_propeller_command(self.bus.recvmsg().data).run:
+                return time.monotonic() - since
+
+
+@pytest.fixture
+def suite(tmp_path: Path) -> Iterator[Suite]:
+    """A supervised boat under way."""
+    bus = f"canloop:deadman-{os.getpid()}-{tmp_path.name[-10:]}"
+    settings = {
+        "can.interface": f'"{bus}"',
+        "console.socket": f'"{tmp_path}/command"',
+        "log.directory": f'"{tmp_path}/log"',
+        "runtime.run_directory": f'"{tmp_path}"',
+        "supervisor.hardware_watchdog": '""',
+        "guest.enabled": "false",
+    }
+    words = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
+    hang = tmp_path / "hang"
+    nodes = subprocess.Popen([sys.executable, "-m", "delfim", "nodes", VEHICLE, *words])
+    supervisor = subprocess.Popen([sys.executable, str(ROOT / "tests/hanging.py"), str(hang), "supervise", VEHICLE, *words])
+    with open_can(bus) as socket:
+        socket.bind(CanAddress(messages.PROPELLER_STARBOARD))
+        socket.settimeout(10)
+        boat = Suite(tmp_path, socket, hang)
+        boat.asked("manual", starboard=0.5, port=0.5)
+        while not messages.unpack_propeller_command(socket.recvmsg().data).run:
+            pass
+        yield boat
+    for process in (supervisor, nodes):
+        process.send_signal(signal.SIGTERM)
+        process.wait(20)
+
+
+@pytest.mark.timeout(90)
+@pytest.mark.parametrize("how", ["python", "interpreter lock", "memory", "SIGSTOP", "SIGKILL"])
+def test_a_runtime_that_hangs_loses_the_propellers_and_comes_back(suite, how):
+    pid = suite.runtime_pid()
+    suite.hang.write_text(how)
+    began = time.monotonic()
+    os.kill(pid, getattr(signal, how, signal.SIGUSR1))
+    silence_s = suite.stopped(began)
+    state = suite.asked("state")
+    back_s = time.monotonic() - began
+    print(f"{how}: stopped after {silence_s:.2f} s, back after {back_s:.2f} s")
+    assert silence_s < 1.2 + 1.0
+    assert back_s < 3.0 + 3.0
+    assert state["mode"] == "idle"
+    told = json.loads((suite.folder / "supervisor.json").read_text())
+    assert told["programs"]["runtime"]["restarts"] == 1
+    expected = "killed by signal 9" if how == "SIGKILL" else "dead-man"
+    assert expected in told["programs"]["runtime"]["reason"]
+    assert suite.runtime_pid() != pid

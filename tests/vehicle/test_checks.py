@@ -1,0 +1,108 @@
+"""The checks before the start: a line and a reason each, and the one door that reads them."""
+
+import math
+
+import pytest
+
+from delfim import config, messages
+from delfim.frames import Frame
+from delfim.messages import BatteriesStatus, Fault, Node, Status
+from delfim.vehicle import console
+from delfim.vehicle.state import Mode
+
+AROUND = config.Fence(keep_in=((38.692, -9.216), (38.693, -9.216), (38.693, -9.214), (38.692, -9.214)))
+
+
+def lines(boat) -> dict[str, tuple[bool, str]]:
+    return {line.name: (line.ok, line.reason) for line in boat.vehicle.checks()}
+
+
+def charge(boat, part: float) -> None:
+    status = BatteriesStatus(Status.GOOD, Fault(0), 44.0, 1.0, part, 20)
+    boat.nodes.sendmsg(Frame(messages.sysstat_arb(Node.BATTERIES_PORT), messages.pack_batteries_status(status)))
+    boat.vehicle.on_sysstat(boat.status)
+
+
+def test_a_boat_that_nobody_has_heard_of_says_so_line_by_line(boat):
+    assert lines(boat) == {
+        "navigation": (False, "no navigation yet"),
+        "sensors": (False, "gps has not reported"),
+        "clock": (True, "navigation tells no time to compare with"),
+        "log": (True, "being written"),
+        "battery": (True, "no charge reported"),
+        "fence": (True, "none"),
+        "mission": (True, "none loaded"),
+        "link": (False, "console never heard"),
+        "last shutdown": (True, "nothing wrong known"),
+    }
+
+
+def test_a_boat_that_is_ready_says_what_it_knows(boat):
+    boat.ready()
+    boat.vehicle.on_command(console.Alive())
+    known = lines(boat)
+    assert all(ok for ok, _ in known.values())
+    assert known["navigation"] == (True, "dsor, 0.0 s old")
+    assert known["sensors"] == (True, "5 nodes report good")
+    assert known["battery"] == (True, "batteries starboard at 90%")
+    assert known["link"] == (True, "console heard 0.0 s ago")
+
+
+@pytest.mark.parametrize(("off_s", "ok"), [(-6.0, False), (-4.0, True), (0.0, True), (4.0, True), (6.0, False)])
+def test_the_clock_is_held_against_that_of_navigation(boat, off_s, ok):
+    boat.ready()
+    boat.clock.step(off_s)
+    assert lines(boat)["clock"] == (ok, f"the computer's clock is {off_s:+.1f} s off navigation's")
+    refused = boat.vehicle.on_command(console.Heading(0.0))
+    assert refused == (None if ok else f"heading refused: the computer's clock is {off_s:+.1f} s off navigation's")
+
+
+def test_a_clock_that_was_never_set_is_no_clock(boat):
+    boat.ready()
+    boat.clock.step(-40 * 365 * 86_400.0)
+    assert lines(boat)["clock"] == (False, "the computer's clock was never set")
+
+
+def test_a_last_charge_is_for_the_way_home_and_for_the_hand(boat):
+    boat.ready()
+    charge(boat, 0.06)
+    assert lines(boat)["battery"] == (False, "batteries port at 6%")
+    assert boat.vehicle.on_command(console.Heading(0.0)) == "heading refused: batteries port at 6%"
+    assert boat.vehicle.on_command(console.Mode("home")) is None
+    assert boat.vehicle.on_command(console.Manual(0.1, 0.1)) is None
+
+
+def test_a_boat_outside_its_fence_is_driven_back_by_hand(make_boat):
+    boat = make_boat(fence=AROUND)
+    boat.report()
+    assert boat.navigate(latitude_rad=math.radians(38.6931))
+    assert lines(boat)["fence"] == (False, "11.1 m outside the keep-in zone")
+    assert boat.vehicle.on_command(console.Heading(180.0)) == "heading refused: 11.1 m outside the keep-in zone"
+    assert boat.vehicle.on_command(console.Manual(0.5, 0.5)) is None
+
+
+def test_a_fence_without_a_position_refuses_what_does_not_need_one(make_boat):
+    boat = make_boat(fence=AROUND)
+    boat.report()
+    assert boat.navigate(latitude_rad=None)
+    refused = boat.vehicle.on_command(console.Heading(180.0))
+    assert refused == "heading refused: no position: the fence cannot be watched"
+
+
+def test_what_is_only_told_keeps_nobody_on_the_quay(boat):
+    boat.ready()
+    boat.state.last_shutdown = "the power was cut"
+    assert lines(boat)["last shutdown"] == (False, "the power was cut")
+    assert boat.vehicle.on_command(console.Heading(0.0)) is None
+    assert boat.state.mode is Mode.HEADING
+
+
+def test_the_state_for_the_console_has_the_lines_and_the_present_troubles(boat):
+    boat.log.why = "disk full"
+    boat.ready()
+    boat.pass_time(6.0)
+    state = boat.vehicle.snapshot({})
+    assert {"name": "log", "ok": False, "reason": "no log, no start: disk full"} in state["checks"]
+    notice = next(each for each in state["notices"] if each["name"] == "log")
+    assert (notice["reason"], notice["action"]) == ("log not written: disk full", "warn")
+    assert notice["age_s"] == pytest.approx(5.9, abs=0.2)

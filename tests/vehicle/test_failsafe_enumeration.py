@@ -1,0 +1,208 @@
+"""What reaches the propellers, for every mode, thrust before, age and value of navigation, and trouble: always finite, within
+value and rate, and zero when it must be.
+
+The vehicle is whole; navigation is handed to it as no bus could carry it (NaN, infinities), and every frame that it sends is
+taken apart again.
+"""
+
+import math
+from itertools import pairwise, product
+from typing import NamedTuple
+
+import pytest
+
+from delfim import config, messages
+from delfim.canproxy.socket import ANYTHING, CanSocket
+from delfim.clock import ManualClock
+from delfim.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
+from delfim.simulator.bus import LockstepBus
+from delfim.simulator.scenario import Silence
+from delfim.vehicle import console
+from delfim.vehicle.grex import Guest
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.navcan import Fix
+from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.state import Line, Mode, Plan, State, Waypoint
+
+SECONDS, NAVIGATION_S = 1.6, 0.2
+HERE = Navigation(0, 0.675, -0.16, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 3, 9, 0.9, 0)
+PLAN = Plan("", (Waypoint(50.0, 0.0, 1.5, 5.0), Waypoint(50.0, 50.0, 1.5, 5.0)), (Line(0.0, 0.0, 50.0, 0.0, 1.5),))
+SETTINGS = config.Vehicle(
+    boat=config.Boat(name="test"),
+    failsafe=config.Failsafe(
+        pause_s=0.3,
+        console_silent=config.ConsoleSilent(after_s=0.5),
+        manual_silent=config.ManualSilent(after_s=0.5),
+        guest_silent=config.GuestSilent(after_s=0.5),
+        battery_low=config.BatteryLow(after_s=0.2),
+        battery_critical=config.BatteryCritical(after_s=0.2),
+        thruster=config.ThrusterAstray(after_s=0.5),
+        log=config.LogNotWritable(after_s=0.2),
+    ),
+)
+
+
+class Value(NamedTuple):
+    """A change of the navigation message, and what is missing then; `wild` makes no sense in any mode."""
+
+    change: dict[str, float | None]
+    missing: str = ""
+    wild: bool = False
+
+
+VALUES = {
+    "good": Value({}),
+    "latitude nan": Value({"latitude_rad": math.nan}, wild=True),
+    "longitude inf": Value({"longitude_rad": math.inf}, wild=True),
+    "latitude huge": Value({"latitude_rad": 1e300}, wild=True),
+    "heading nan": Value({"heading_rad": math.nan}, wild=True),
+    "heading huge": Value({"heading_rad": 1e30}, wild=True),
+    "yaw rate inf": Value({"yaw_rate_radps": -math.inf}, wild=True),
+    "speed nan": Value({"north_mps": math.nan}, wild=True),
+    "speed huge": Value({"east_mps": 1e9}, wild=True),
+    "no position": Value({"latitude_rad": None, "longitude_rad": None}, "position"),
+    "no heading": Value({"heading_rad": None}, "heading"),
+    "no velocity": Value({"north_mps": None, "east_mps": None}, "velocity"),
+}
+AGES_S = (0.0, 0.8, 1.2, 1.6)  # of the last navigation message at the end
+TROUBLES = ("none", "sensor", "console", "manual", "guest", "battery", "thruster", "log")
+NEEDS = {
+    Mode.HEADING: {"heading"},
+    Mode.GREX: {"heading"},
+    **{mode: {"position", "heading", "velocity"} for mode in (Mode.HOLD, Mode.PLAY, Mode.HOME, Mode.GOTO, Mode.PATH)},
+}
+
+
+class Sensors:
+    """A navigation input that says anything."""
+
+    name, heard_s = "test", 0.0
+
+    def __init__(self, socket: CanSocket) -> None:
+        self.socket, self.says = socket, HERE
+
+    def read(self, now_s: float) -> Fix:
+        self.says = self.says._replace(counter=self.says.counter + 1, roll_rad=0.01 * (self.says.counter % 2))
+        return Fix(self.says, 0, now_s)
+
+    def rehearse(self, last: Navigation) -> None: ...
+
+
+class Log(Silence):
+    why = ""
+
+    def reason(self) -> str:
+        return self.why
+
+
+class Boat:
+    """A vehicle in a mode, its propellers at some thrust already, and the list of all it sends."""
+
+    def __init__(self, mode: Mode, rpm: float) -> None:
+        self.clock = ManualClock()
+        bus = LockstepBus(self.clock)
+        self.world = bus.socket("world")
+        self.world.bind(ANYTHING)
+        self.state, self.source, self.log = State(), Sensors(bus.socket()), Log(self.clock)
+        propulsion, guest = Propulsion(bus.socket(), SETTINGS.propulsion, self.state), Guest(self.state, self.clock)
+        self.vehicle = Vehicle(SETTINGS, self.clock, self.state, (self.source,), propulsion, guest, self.log)
+        self.report("none")
+        self.vehicle.on_navigation(self.source)
+        state = self.state
+        state.setpoint = state.setpoint._replace(
+            plan=PLAN, guest_heading_rad=0.5, guest_speed_mps=1.0, speed_mps=1.5, track=((-20.0, 0.0),), starboard=0.7, port=0.7
+        )
+        state.console_s = state.manual_s = state.guest_s = 0.0
+        self.vehicle._enter(mode, "test")
+        propulsion._sent = state.actuation = state.actuation._replace(starboard_rpm=rpm, port_rpm=-rpm, run=rpm != 0.0)
+        self.sent: list[tuple[float, float, float]] = []
+        self.hear(0.0)
+        self.sent = [(0.0, rpm, -rpm)]
+
+    def report(self, trouble: str) -> None:
+        """All nodes, as if they had spoken just now."""
+        now_s, well, sent = self.clock.monotonic_s(), (Status.GOOD, Fault(0)), self.state.actuation
+        gps = (Status.BAD, Fault.HARDWARE) if trouble == "sensor" else well
+        charge = 0.05 if trouble == "battery" else 0.9
+        starboard = sent.starboard_rpm - (1000.0 if trouble == "thruster" else 0.0)
+        self.state.sysstat = {
+            "gps": (GpsStatus(*gps, 3, 9, 0.9, 0), now_s),
+            "propeller_starboard": (PropellerStatus(*well, round(starboard), 1.0, 20, 0), now_s),
+            "propeller_port": (PropellerStatus(*well, round(sent.port_rpm), 1.0, 20, 0), now_s),
+            "batteries_starboard": (BatteriesStatus(*well, 48.0, 1.0, 0.9, 20), now_s),
+            "batteries_port": (BatteriesStatus(*well, 48.0, 1.0, charge, 20), now_s),
+        }
+
+    def pass_time(self, age_s: float, trouble: str) -> None:
+        """SECONDS of cycles, watchdogs and words, without navigation for the last `age_s`."""
+        ticks = round(SECONDS * 10)
+        self.log.why = "disk full" if trouble == "log" else ""
+        for tick in range(1, ticks + 1):
+            self.clock.advance(0.1)
+            now_s = self.clock.monotonic_s()
+            self.report(trouble)
+            if trouble != "console":
+                self.vehicle.on_command(console.Alive())
+            self.state.manual_s = 0.0 if trouble == "manual" else now_s
+            self.state.guest_s = 0.0 if trouble == "guest" else now_s
+            if tick % 2 == 0 and tick <= ticks - round(age_s * 10):
+                self.vehicle.on_navigation(self.source)
+            self.vehicle.on_watchdog()
+            self.hear(now_s)
+
+    def hear(self, now_s: float) -> None:
+        newest: dict[int, float] = {}
+        while (frame := self.world.receive()) is not None:
+            if frame.arb in (messages.PROPELLER_STARBOARD, messages.PROPELLER_PORT):
+                command = messages.unpack_propeller_command(frame.data)
+                assert command.run or command.rpm == 0, "motor off says zero, too"
+                newest[frame.arb] = command.rpm
+        if newest:
+            self.sent.append((now_s, newest[messages.PROPELLER_STARBOARD], newest[messages.PROPELLER_PORT]))
+
+
+def must_be_zero(mode: Mode, age_s: float, value: Value, trouble: str) -> bool:
+    """By the rules of docs/failsafe.md, in the words of this test."""
+    lacks = value.missing in NEEDS.get(mode, set())
+    held = {"console": mode not in (Mode.MANUAL, Mode.HOME), "guest": mode is Mode.GREX}.get(trouble, False)
+    stops = {
+        "sensor": True,
+        "manual": mode is Mode.MANUAL,
+        "console": mode is Mode.MANUAL,
+        "battery": mode not in (Mode.MANUAL, Mode.HOME),
+        "thruster": mode is not Mode.MANUAL,
+    }.get(trouble, False)
+    return mode is Mode.IDLE or age_s > 1.0 or value.wild or lacks or stops or (held and value.missing != "")
+
+
+CASES = [(age_s, name) for age_s, name in product(AGES_S, VALUES) if age_s == 0.0 or name == "good"]
+
+
+@pytest.mark.parametrize("mode", Mode, ids=lambda mode: mode.name)
+@pytest.mark.parametrize("rpm", [0.0, 900.0], ids=["at rest", "under way"])
+def test_the_propellers_get_what_they_may_get(mode, rpm):
+    limits = SETTINGS.propulsion
+    for (age_s, name), trouble in product(CASES, TROUBLES):
+        case = f"navigation {name}, {age_s} s old, trouble {trouble}"
+        boat = Boat(mode, rpm)
+        boat.source.says = boat.source.says._replace(**VALUES[name].change)
+        boat.pass_time(age_s, trouble)
+        for (before_s, *before), (after_s, *after) in pairwise(boat.sent):
+            for old, new in zip(before, after, strict=True):
+                assert abs(new) <= limits.rpm_max, case
+                change = limits.rpm_per_s_max * (after_s - before_s) + 1.0  # rounded twice
+                assert abs(new - old) <= change or new == 0, f"{case}: {old} to {new} rpm in {after_s - before_s:.1f} s"
+        if must_be_zero(mode, age_s, VALUES[name], trouble):
+            assert boat.sent[-1][1:] == (0, 0), case
+            if mode is not Mode.IDLE and age_s > 1.0:
+                assert boat.state.mode is Mode.IDLE, case
+        if boat.state.mode is not mode:
+            assert boat.state.reason != "test", f"{case}: a reason is stated"
+
+
+def test_the_test_can_fail():
+    """A healthy boat under way is not at zero: the propellers are listened to."""
+    boat = Boat(Mode.HEADING, 900.0)
+    boat.pass_time(0.0, "none")
+    assert max(map(abs, boat.sent[-1][1:])) > 100
+    assert not must_be_zero(Mode.HEADING, 0.0, VALUES["good"], "none")

@@ -1,0 +1,277 @@
+"""The fence's geometry, against slow and obvious ways to say the same."""
+
+import math
+
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from delfim import config, geodesy
+from delfim.errors import ConfigError
+from delfim.vehicle import fence
+from delfim.vehicle.fence import Fence, Zone, clearance_m, least_m, polygon, stopping_m
+from delfim.vehicle.mission import canonical, digest, parse_mission
+from delfim.vehicle.state import Arc, Line, Mode, Motion, Plan, Setpoint, Waypoint
+
+LIMITS = config.Fence()
+ALL = frozenset({"position", "heading", "velocity"})
+SQUARE = polygon("square", True, [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)])
+ROCK = Zone("rock", False, (), 0.0, 100.0, 10.0)
+WALL = polygon("wall", False, [(20.0, -40.0), (20.5, -40.0), (20.5, 40.0), (20.0, 40.0)])
+
+metres = st.floats(-150.0, 150.0, allow_nan=False)
+points = st.tuples(metres, metres)
+
+
+@st.composite
+def stars(draw: st.DrawFn) -> list[tuple[float, float]]:
+    """Corners of a polygon that does not cross itself: by bearing around a point."""
+    n = draw(st.integers(3, 12))
+    radii = draw(st.lists(st.floats(5.0, 80.0), min_size=n, max_size=n))
+    at = draw(points)
+    return [(at[0] + r * math.cos(math.tau * i / n), at[1] + r * math.sin(math.tau * i / n)) for i, r in enumerate(radii)]
+
+
+def motion(north_m: float, east_m: float, north_mps: float = 0.0, east_mps: float = 0.0, has: frozenset[str] = ALL) -> Motion:
+    return Motion(has, north_m, east_m, 0.0, 0.0, north_mps, east_mps)
+
+
+def winds_around(corners: list[tuple[float, float]], at: tuple[float, float]) -> bool:
+    """Inside by the sum of angles."""
+    total = 0.0
+    for a, b in zip(corners, [*corners[1:], corners[0]], strict=True):
+        first, second = math.atan2(a[1] - at[1], a[0] - at[0]), math.atan2(b[1] - at[1], b[0] - at[0])
+        total += geodesy.wrap(second - first)
+    return abs(total) > math.pi
+
+
+def sampled_distance(corners: list[tuple[float, float]], at: tuple[float, float], steps: int = 400) -> float:
+    sides = zip(corners, [*corners[1:], corners[0]], strict=True)
+    return min(
+        math.dist(at, (a[0] + (b[0] - a[0]) * i / steps, a[1] + (b[1] - a[1]) * i / steps))
+        for a, b in sides
+        for i in range(steps + 1)
+    )
+
+
+@settings(deadline=None)
+@given(stars(), points)
+def test_clearance_is_the_distance_to_the_edge_with_the_sign_of_the_side(corners, at):
+    away = clearance_m(polygon("", False, corners), *at)
+    assume(abs(away) > 0.5)
+    assert (away < 0.0) is winds_around(corners, at)
+    assert abs(away) == pytest.approx(sampled_distance(corners, at), abs=0.5)
+
+
+@settings(deadline=None)
+@given(stars(), points, st.booleans())
+def test_keep_in_and_keep_out_are_opposites_and_the_direction_of_corners_does_not_matter(corners, at, reverse):
+    inwards = clearance_m(polygon("", True, corners[::-1] if reverse else corners), *at)
+    assert clearance_m(polygon("", False, corners), *at) == pytest.approx(-inwards, abs=1e-9)
+
+
+@settings(deadline=None)
+@given(stars(), points, points)
+def test_clearance_changes_no_faster_than_the_boat_moves(corners, a, b):
+    zone = polygon("", True, corners)
+    assert abs(clearance_m(zone, *a) - clearance_m(zone, *b)) <= math.dist(a, b) + 1e-6
+
+
+@settings(deadline=None)
+@given(stars(), points, points, st.booleans())
+def test_the_least_clearance_of_a_way_is_that_of_its_worst_point(corners, a, b, keep_in):
+    zone = polygon("", keep_in, corners)
+    least = least_m(zone, a, b)
+    ways = [clearance_m(zone, a[0] + (b[0] - a[0]) * i / 200, a[1] + (b[1] - a[1]) * i / 200) for i in range(201)]
+    if least > 0.0:
+        assert least == pytest.approx(min(ways), abs=math.dist(a, b) / 200 + 1e-9)
+        assert min(ways) > 0.0
+    else:
+        assert min(ways) < math.dist(a, b) / 200 + 1e-9, "between two samples, or at one of them, the way is forbidden"
+
+
+@settings(deadline=None)
+@given(points, points, st.floats(1.0, 60.0))
+def test_the_same_around_a_circle(a, b, radius_m):
+    zone = Zone("", False, (), 10.0, -20.0, radius_m)
+    ways = [clearance_m(zone, a[0] + (b[0] - a[0]) * i / 200, a[1] + (b[1] - a[1]) * i / 200) for i in range(201)]
+    assert least_m(zone, a, b) == pytest.approx(min(ways), abs=math.dist(a, b) / 200 + 1e-9)
+
+
+@settings(deadline=None)
+@given(stars())
+def test_a_polygon_by_bearing_is_accepted_and_one_that_crosses_itself_is_not(corners):
+    assert geodesy.polygon_fault(corners) is None
+    assert "same corner twice" in (geodesy.polygon_fault([*corners, corners[0]]) or "")
+
+
+@pytest.mark.parametrize(
+    ("corners", "reason"),
+    [
+        ([], "it needs three"),
+        ([(0, 0), (1, 1)], "it needs three"),
+        ([(0, 0), (1, 1), (1, 0), (0, 1)], "the side from corner 1 meets the one from corner 3"),
+        ([(0, 0), (2, 0), (2, 2), (1, 0), (0, 2)], "crosses itself"),  # touches
+        ([(0, 0), (1, 0), (2, 0)], "on one line"),
+        ([(0, 0), (1, 0), (0, 0), (0, 1)], "same corner twice"),
+    ],
+)
+def test_polygons_that_nobody_can_have_meant(corners, reason):
+    assert reason in (geodesy.polygon_fault(corners) or "")
+
+
+@settings(deadline=None)
+@given(st.floats(0.2, 2.5), st.floats(-math.pi, math.pi))
+def test_a_boat_that_keeps_its_course_is_stopped_in_time(speed_mps, course_rad):
+    """From the middle to the edge, looked at ten times a second: the first alarm leaves stopping distance and margin."""
+    around = Fence((SQUARE, ROCK, WALL), LIMITS)
+    north_m = east_m = 0.0
+    for _ in range(5_000):
+        if fence.ahead(around, motion(north_m, east_m, speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad))):
+            break
+        north_m += 0.1 * speed_mps * math.cos(course_rad)
+        east_m += 0.1 * speed_mps * math.sin(course_rad)
+    room_m = stopping_m(LIMITS, speed_mps)
+    end = north_m + room_m * math.cos(course_rad), east_m + room_m * math.sin(course_rad)
+    assert min(least_m(zone, (north_m, east_m), end) for zone in around.zones) >= LIMITS.margin_m - 0.1 * speed_mps - 1e-6
+
+
+@settings(deadline=None)
+@given(points, st.floats(0.05, 3.0))
+def test_a_boat_that_goes_straight_away_from_a_zone_is_not_stopped(at, speed_mps):
+    away_m = math.dist(at, (ROCK.north_m, ROCK.east_m))
+    assume(away_m > 0.1)
+    course = (at[0] - ROCK.north_m) / away_m, (at[1] - ROCK.east_m) / away_m
+    assert fence.ahead(Fence((ROCK,), LIMITS), motion(*at, speed_mps * course[0], speed_mps * course[1])) is None
+
+
+def test_a_boat_at_rest_is_not_stopped_and_one_of_unknown_velocity_is_when_it_is_near():
+    around = Fence((SQUARE,), LIMITS)
+    assert fence.ahead(around, motion(49.0, 0.0)) is None
+    unknown = motion(49.0, 0.0, has=frozenset({"position"}))
+    assert fence.ahead(around, unknown) == "square 1.0 m away, velocity unknown"
+    assert fence.ahead(around, unknown._replace(north_m=0.0)) is None
+
+
+def test_outside_is_told_with_the_distance():
+    around = Fence((SQUARE, ROCK), LIMITS)
+    assert fence.outside(around, 0.0, 0.0) is None
+    assert fence.outside(around, 62.0, 0.0) == "12.0 m outside the square"
+    assert fence.outside(Fence((ROCK,), LIMITS), 0.0, 96.0) == "6.0 m inside rock"
+
+
+def to(north_m: float, east_m: float, speed_mps: float = 1.5) -> Waypoint:
+    return Waypoint(north_m, east_m, speed_mps, 5.0)
+
+
+@pytest.mark.parametrize(
+    ("waypoints", "reason"),
+    [
+        ([to(0, 0)], None),
+        ([to(48, 0)], "waypoint 1 leads 2.0 m past square; missions keep 6 m away"),
+        ([to(0, 0), to(0, 40)], None),
+        ([to(0, 0), to(0, 60)], "the leg to waypoint 2 leads out of the square; missions keep 6 m away"),
+        ([to(0, -44), to(15, 30)], "the leg to waypoint 2 leads 5.0 m past wall; missions keep 6 m away"),
+        ([to(0, 0), to(40, 0)], "the leg to waypoint 2 leads through wall; missions keep 6 m away"),
+        ([to(0, 0), to(0, 43), to(-20, 43)], "the leg to waypoint 2 ends at 1.5 m/s without room to stop before square"),
+        ([to(0, 0), to(0, 43, 0.5), to(-20, 43)], None),
+    ],
+)
+def test_missions_are_held_against_the_fence(waypoints, reason):
+    assert fence.complaint(Fence((SQUARE, WALL), LIMITS), Plan("", tuple(waypoints), ())) == reason
+
+
+def test_paths_and_their_arcs_too():
+    line = Line(-20.0, -30.0, -20.0, 0.0, 1.5)
+    inside = Arc(0.0, 0.0, 20.0, math.pi, -math.pi / 2, 1.5)
+    around = Fence((SQUARE,), LIMITS)
+    assert fence.complaint(around, Plan("", (), (line, inside))) is None
+    bulging = Arc(-20.0, 20.0, 28.0, -math.pi / 2, -math.pi, 1.5)
+    assert (fence.complaint(around, Plan("", (), (line, bulging))) or "").startswith("piece 2 of the path leads")
+
+
+def test_a_turn_that_points_at_the_fence_needs_room_too():
+    """Legs along the fence, and between them half a turn towards it."""
+    there, back = [to(-30, 43), to(0, 43)], to(-30, 43.9)
+    assert "without room to stop" in (fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (*there, back), ())) or "")
+    assert fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (to(-30, 36), to(0, 36), to(-30, 34)), ())) is None
+
+
+def test_the_way_to_where_a_mode_begins_is_held_against_it():
+    around = Fence((WALL,), LIMITS)
+    behind, before = Setpoint(target=to(40, 0)), Setpoint(target=to(0, 30))
+    assert fence.crossing(around, Mode.GOTO, motion(0.0, 0.0), behind) == "the way leads through wall"
+    assert fence.crossing(around, Mode.GOTO, motion(0.0, 0.0), before) is None
+    played = Setpoint(plan=Plan("", (to(0, 0), to(40, 0)), ()), leg=1)
+    assert fence.crossing(around, Mode.PLAY, motion(0.0, 0.0), played) == "the way leads through wall"
+    assert fence.crossing(around, Mode.PLAY, motion(0.0, 0.0), played._replace(leg=0)) is None
+    assert fence.crossing(around, Mode.GOTO, motion(0.0, 0.0), played._replace(leg=0)) is None
+    assert fence.crossing(around, Mode.HEADING, motion(0.0, 0.0), behind) is None
+    assert fence.crossing(around, Mode.GOTO, motion(19.0, 0.0), before) is None, "out of the margin it may go"
+
+
+def test_it_holds_where_it_has_room():
+    around = Fence((SQUARE,), LIMITS)
+    track = ((0.0, 0.0), (0.0, 20.0), (0.0, 40.0), (0.0, 45.0))
+    assert fence.place_to_hold(around, (0.0, 10.0), track, 5.0) == (0.0, 10.0)
+    assert fence.place_to_hold(around, (0.0, 47.0), track, 5.0) == (0.0, 40.0)
+    assert fence.place_to_hold(around, (0.0, 47.0), ((0.0, 49.0),), 5.0) == (0.0, 47.0)
+
+
+MISSION = """version = 1
+name = "fenced"
+
+[[waypoint]]
+latitude_deg = 38.69
+longitude_deg = -9.21
+
+[fence]
+version = 1
+keep_in = [[38.6, -9.3], [38.8, -9.3], [38.8, -9.1], [38.6, -9.1]]
+
+[[fence.keep_out]]
+name = "the \\"old\\" pier"
+centre = [[38.7, -9.2]]
+radius_m = 30.0
+
+[[fence.keep_out]]
+polygon = [[38.61, -9.29], [38.62, -9.29], [38.62, -9.28]]
+"""
+
+
+def test_a_missions_fence_is_part_of_its_text_and_comes_on_top_of_the_boats():
+    mission = parse_mission(MISSION)
+    assert canonical(mission) == MISSION
+    assert digest(mission) != digest(parse_mission(MISSION.replace("30.0", "31.0")))
+    own = config.Fence(keep_out=(config.KeepOut(name="buoy", centre=((38.7, -9.25),), radius_m=5.0),))
+    at = geodesy.origin(math.radians(38.69), math.radians(-9.21))
+    around = fence.survey(own, mission.fence, at)
+    assert around is not None
+    assert [zone.name for zone in around.zones] == [
+        "buoy",
+        "mission's keep-in zone",
+        'the "old" pier',
+        "mission's keep-out zone 2",
+    ]
+    assert fence.survey(config.Fence(), config.Zones(), at) is None
+    unlaid = fence.survey(own, config.Zones(), None)
+    assert unlaid is not None
+    assert unlaid.zones == ()
+
+
+@pytest.mark.parametrize(
+    ("wrong", "reason"),
+    [
+        ("version = 2", "fence.version"),
+        ("keep_in = [[38.6, -9.3], [38.8, -9.1], [38.8, -9.3], [38.6, -9.1]]", "keep_in: the polygon crosses itself"),
+        ("keep_in = [[38.6, -9.3], [38.8, -9.1]]", "a polygon of 2 corners: it needs three"),
+        ("keep_out = [{}]", "either a polygon or a centre with a radius"),
+        ("keep_out = [{centre = [[38.7, -9.2]]}]", "a circle needs its centre and its radius"),
+        ("keep_out = [{centre = [[98.7, -9.2]], radius_m = 3}]", "-89.0 to 89.0"),
+        ("moat = 3", "fence.moat"),
+    ],
+)
+def test_a_fence_that_cannot_be_meant_is_refused_in_words(wrong, reason):
+    with pytest.raises(ConfigError) as refused:
+        parse_mission(MISSION[: MISSION.index("[fence]")] + "[fence]\n" + wrong)
+    assert reason in str(refused.value)
