@@ -35,6 +35,7 @@ STALL_S: Final = 60.0  # a client that reads nothing for so long is gone
 ALIVE_S: Final = 15.0  # a client is asked whether it is there ...
 ALIVE_MAX: Final = 4  # ... and is not when it did not answer so often
 HANG_UP_S: Final = 2.0  # that a program has to end when its client went away
+BLOCK_BYTES: Final = 64 << 10
 WRONG_MAX: Final = 6  # keys of one connection
 PATH: Final = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
 # The first terminal that the leader of a session opens becomes that session's.
@@ -55,8 +56,7 @@ class Daemon:
         self.door, self.patience = Door(table.connections, table.connections_per_address), Patience()
         self.sessions = self.commands = 0
         self._visitors: set[Visitor] = set()
-        self._quiet = asyncio.Event()  # no program runs
-        self._quiet.set()
+        self._children: set[asyncio.subprocess.Process] = set()
 
     def figures(self) -> dict[str, object]:
         return {
@@ -95,8 +95,12 @@ class Daemon:
             keepalive_count_max=ALIVE_MAX,
             server_version="Delfim",
         )
-        if table.user:
-            _become(table.user)
+        try:
+            if table.user:
+                _become(table.user)
+        except PermanentFailure:
+            acceptor.close()
+            raise
         return acceptor
 
     def _visitor(self) -> "Visitor":
@@ -106,45 +110,35 @@ class Daemon:
         """Hang up, and see to it that no program stays behind."""
         for visitor in list(self._visitors):
             visitor.hang_up()
-        with contextlib.suppress(TimeoutError):
-            async with asyncio.timeout(HANG_UP_S):
-                await self._quiet.wait()
+        for child in self._children:
+            _signal(child, signal.SIGKILL)
+        await asyncio.gather(*(child.wait() for child in self._children))
         self.workers.shutdown(wait=False, cancel_futures=True)
 
     async def run(self, process: "asyncssh.SSHServerProcess[bytes]") -> None:
         """A program, or the shell, from its start to its exit status."""
         visitor = process.channel.get_connection().get_owner()
-        assert isinstance(visitor, Visitor)
-        if self.sessions >= self.table.sessions:
-            process.stderr.write(b"too many programs are running\n")
+        name = "a shell" if process.command is None else process.command
+        if process.subsystem is not None or self.sessions >= self.table.sessions:
+            process.stderr.write(b"too many programs are running\n" if process.subsystem is None else b"there is only sftp\n")
             process.exit(1)
             return
         self.sessions += 1
         self.commands += 1
-        self._quiet.clear()
-        log.warning("sshd: %s runs %s", visitor, process.command if process.command is not None else "a shell")
+        log.warning("sshd: %s runs %s", visitor, name)
         try:
-            child = await (self._on_terminal if process.term_type else self._on_pipes)(process)
-            visitor.children.add(child)
-            try:
-                code = await child.wait()
-                process.set_redirect_pid(None)
-                await process.stdout.drain()
-                await process.stderr.drain()
-            finally:
-                visitor.children.discard(child)
-            log.warning("sshd: %s: %s ended with %d", visitor, process.command or "the shell", code)
-            if code < 0:
+            code = await (self._on_terminal if process.term_type else self._on_pipes)(process)
+            log.warning("sshd: %s: %s ended with %d", visitor, name, code)
+            if 0 < -code <= signal.SIGSYS:  # the last one that has a name
                 process.exit_with_signal(signal.Signals(-code).name.removeprefix("SIG"))
             else:
-                process.exit(code)
+                process.exit(code if code >= 0 else 128 - code)
         except OSError as error:
+            log.warning("sshd: %s: %s: %s", visitor, name, error.strerror)
             process.stderr.write(f"{error.strerror}\n".encode())
             process.exit(127)
         finally:
             self.sessions -= 1
-            if not self.sessions:
-                self._quiet.set()
 
     def _words(self, process: "asyncssh.SSHServerProcess[bytes]") -> tuple[tuple[str, ...], dict[str, str], str]:
         """(program and arguments, environment, directory)."""
@@ -155,39 +149,163 @@ class Daemon:
         home = account.pw_dir if os.path.isdir(account.pw_dir) else "/"
         return words, {"PATH": PATH, "LANG": "C.UTF-8", **names, **more}, home
 
-    async def _on_pipes(self, process: "asyncssh.SSHServerProcess[bytes]") -> asyncio.subprocess.Process:
+    async def _on_pipes(self, process: "asyncssh.SSHServerProcess[bytes]") -> int:
         words, names, home = self._words(process)
-        with contextlib.ExitStack() as theirs:
-            ends = [os.pipe() for _ in range(3)]
-            (stdin, our_stdin), (our_stdout, stdout), (our_stderr, stderr) = ends
-            for fd in (stdin, stdout, stderr):
-                theirs.callback(os.close, fd)
+        with contextlib.ExitStack() as ours, contextlib.ExitStack() as theirs:
+            feed, stdin = _pipe(ours, theirs, reads=False)
+            out, stdout = _pipe(ours, theirs, reads=True)
+            err, stderr = _pipe(ours, theirs, reads=True)
             child = await asyncio.create_subprocess_exec(
                 *words, env=names, cwd=home, stdin=stdin, stdout=stdout, stderr=stderr, start_new_session=True
             )
-        process.set_redirect_pid(child.pid)
-        await process.redirect(stdin=our_stdin, stdout=our_stdout, stderr=our_stderr)
-        return child
+            theirs.close()
+            return await self._attended(process, child, feed, {out: process.stdout, err: process.stderr}, theirs)
 
-    async def _on_terminal(self, process: "asyncssh.SSHServerProcess[bytes]") -> asyncio.subprocess.Process:
+    async def _on_terminal(self, process: "asyncssh.SSHServerProcess[bytes]") -> int:
         words, names, home = self._words(process)
-        ours, theirs = os.openpty()
-        try:
-            columns, rows, width, height = process.term_size
-            fcntl.ioctl(theirs, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, width, height))
+        with contextlib.ExitStack() as ours, contextlib.ExitStack() as theirs:
+            fd, slave = os.openpty()
+            terminal = ours.enter_context(_Pipe(fd))
+            theirs.callback(os.close, slave)  # when the program has ended: a terminal that nobody has open is over
+            _resize(fd, process.term_size)
             null = asyncio.subprocess.DEVNULL
             child = await asyncio.create_subprocess_exec(
-                *ON_TERMINAL, os.ttyname(theirs), *words,
+                *ON_TERMINAL, os.ttyname(slave), *words,
                 env=names, cwd=home, stdin=null, stdout=null, stderr=null, start_new_session=True,
             )  # fmt: skip
-        except BaseException:
-            os.close(ours)
-            raise
+            return await self._attended(process, child, terminal, {terminal: process.stdout}, theirs)
+
+    async def _attended(
+        self,
+        process: "asyncssh.SSHServerProcess[bytes]",
+        child: asyncio.subprocess.Process,
+        stdin: "_Pipe",
+        sinks: "dict[_Pipe, asyncssh.SSHWriter[bytes]]",
+        theirs: contextlib.ExitStack,
+    ) -> int:
+        """What the client says goes in and what the program says comes out, until the program has ended and all of it is sent,
+        or the client has gone. Returns the exit status, or the negative number of the signal that ended the program."""
+        self._children.add(child)
+        try:
+            async with asyncio.TaskGroup() as group:
+                gone = group.create_task(process.channel.wait_closed())
+                feeding = group.create_task(_feed(process, child, stdin, is_terminal=stdin in sinks))
+                over = group.create_task(_over(child, sinks, theirs))
+                await asyncio.wait((gone, over), return_when=asyncio.FIRST_COMPLETED)
+                for task in (gone, feeding, over):
+                    task.cancel()
+            if child.returncode is None:
+                _signal(child, signal.SIGHUP)
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(HANG_UP_S):
+                        await child.wait()
         finally:
-            os.close(theirs)
-        process.set_redirect_pid(child.pid)
-        await process.redirect(stdin=os.dup(ours), stdout=ours)
-        return child
+            _signal(child, signal.SIGKILL)
+            self._children.discard(child)
+        return await child.wait()
+
+
+class _Pipe:
+    """Our end of a pipe or of a terminal. Nothing is read before it can go on, so that a slow client slows the program."""
+
+    def __init__(self, fd: int) -> None:
+        self.fd = fd
+        os.set_blocking(fd, False)
+
+    def __enter__(self) -> "_Pipe":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        if self.fd >= 0:
+            os.close(self.fd)
+            self.fd = -1
+
+    async def read(self) -> bytes:
+        """Empty when all who could write have closed it."""
+        while True:
+            try:
+                return os.read(self.fd, BLOCK_BYTES)
+            except BlockingIOError:
+                loop = asyncio.get_running_loop()
+                await _once(loop.add_reader, loop.remove_reader, self.fd)
+            except OSError:  # EIO: a terminal says it so
+                return b""
+
+    async def write(self, data: bytes) -> None:
+        """Raises OSError when nobody reads any more."""
+        while data:
+            try:
+                data = data[os.write(self.fd, data) :]
+            except BlockingIOError:
+                loop = asyncio.get_running_loop()
+                await _once(loop.add_writer, loop.remove_writer, self.fd)
+
+
+def _pipe(ours: contextlib.ExitStack, theirs: contextlib.ExitStack, *, reads: bool) -> tuple[_Pipe, int]:
+    """(our end, the program's)."""
+    reading, writing = os.pipe()
+    mine, other = (reading, writing) if reads else (writing, reading)
+    theirs.callback(os.close, other)
+    return ours.enter_context(_Pipe(mine)), other
+
+
+async def _once(add: Callable[..., Any], remove: Callable[[int], object], fd: int) -> None:
+    """Until the descriptor is ready."""
+    ready = asyncio.Event()
+    add(fd, ready.set)
+    try:
+        await ready.wait()
+    finally:
+        remove(fd)
+
+
+async def _over(
+    child: asyncio.subprocess.Process, sinks: "dict[_Pipe, asyncssh.SSHWriter[bytes]]", theirs: contextlib.ExitStack
+) -> None:
+    """The program has ended, and all that it and its children wrote is sent."""
+    async with asyncio.TaskGroup() as group:
+        for pipe, sink in sinks.items():
+            group.create_task(_pour(pipe, sink))
+        await child.wait()
+        theirs.close()
+
+
+async def _pour(pipe: _Pipe, sink: "asyncssh.SSHWriter[bytes]") -> None:
+    with contextlib.suppress(OSError, asyncssh.Error):  # the client has gone: `_attended` sees it
+        while data := await pipe.read():
+            sink.write(data)
+            await sink.drain()
+
+
+async def _feed(
+    process: "asyncssh.SSHServerProcess[bytes]", child: asyncio.subprocess.Process, pipe: _Pipe, *, is_terminal: bool
+) -> None:
+    """Bytes, signals, and the size of the client's window. What the program does not want to read is thrown away."""
+    while True:
+        try:
+            data = await process.stdin.read(BLOCK_BYTES)
+            if not data:
+                break
+            if pipe.fd >= 0:
+                await pipe.write(data)
+        except asyncssh.TerminalSizeChanged as changed:
+            if is_terminal:
+                _resize(pipe.fd, changed.term_size)
+        except asyncssh.SignalReceived as told:
+            _signal(child, signal.Signals.__members__.get(f"SIG{told.signal}", signal.SIGTERM))
+        except asyncssh.BreakReceived:
+            _signal(child, signal.SIGINT)
+        except asyncssh.Error:
+            break
+        except OSError:
+            if is_terminal:
+                break
+            pipe.close()
+    if not is_terminal:
+        pipe.close()
 
 
 class Visitor(asyncssh.SSHServer):
@@ -198,7 +316,6 @@ class Visitor(asyncssh.SSHServer):
         self._connection: asyncssh.SSHServerConnection | None = None
         self._address = self._name = ""
         self._wrong, self._is_in = 0, False
-        self.children: set[asyncio.subprocess.Process] = set()
 
     def __str__(self) -> str:
         return f"{self._name} from {self._address}"
@@ -213,7 +330,6 @@ class Visitor(asyncssh.SSHServer):
         bulk(conn.get_extra_info("socket"), STALL_S)
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Programs of a client that went away are told so, as a terminal does it, and ended when they do not listen."""
         if self._connection is None:
             return
         self._all.discard(self)
@@ -221,9 +337,6 @@ class Visitor(asyncssh.SSHServer):
         daemon.door.leave(self._address)
         if self._wrong and not self._is_in:
             daemon.patience.failed(self._address, daemon.clock_s())
-        for child in self.children:
-            _signal(child, signal.SIGHUP)
-            asyncio.get_running_loop().call_later(HANG_UP_S / 2, _signal, child, signal.SIGKILL)
 
     def hang_up(self) -> None:
         if self._connection is not None:
@@ -252,22 +365,33 @@ class Visitor(asyncssh.SSHServer):
         log.warning("sshd: %s logged in", self)
 
 
-def _in_worker(name: str) -> Any:
-    """asyncssh's own method, which blocks, in a worker."""
+def _in_worker(name: str, *, changes: bool = False) -> Any:
+    """asyncssh's own method, which blocks, in a worker. What changes something is logged."""
     do = getattr(asyncssh.SFTPServer, name)
 
     async def method(files: "Files", *arguments: Any) -> Any:
-        return await files.work(do, files, *arguments)
+        done = await files.work(do, files, *arguments)
+        if changes:
+            files.note(name, *arguments)
+        return done
 
     return method
 
 
 class Files(asyncssh.SFTPServer):
-    """SFTP and SCP inside of the jail. Every call is a worker's; links cannot be made, and are followed as long as they stay."""
+    """SFTP and SCP inside of the jail. Every call is a worker's; no link can be made, and those that lead out are not there."""
 
     def __init__(self, channel: Any, jail: Jail, workers: ThreadPoolExecutor) -> None:
         super().__init__(channel, chroot=os.fsencode(jail.root))
         self._jail, self._workers = jail, workers
+        self._visitor = str(channel.get_connection().get_owner())
+
+    def note(self, did: str, *what: object) -> None:
+        log.warning("sshd: %s: %s %s", self._visitor, did, " ".join(_normal(w) for w in what if isinstance(w, bytes)))
+
+    def exit(self) -> None:
+        """At the end of a session, with the exit status that scp waits for."""
+        self.channel.exit(0)
 
     async def work(self, do: Callable[..., Any], *arguments: Any) -> Any:
         return await asyncio.get_running_loop().run_in_executor(self._workers, do, *arguments)
@@ -315,7 +439,9 @@ class Files(asyncssh.SFTPServer):
             yield name
 
     async def open(self, path: bytes, pflags: int, attrs: asyncssh.SFTPAttrs) -> object:
-        return await self.work(self._opened, path, pflags, attrs)
+        file = await self.work(self._opened, path, pflags, attrs)
+        self.note("writes" if pflags & (asyncssh.FXF_WRITE | asyncssh.FXF_APPEND) else "reads", path)
+        return file
 
     async def close(self, file_obj: object) -> None:
         await self.work(self._closed, file_obj)
@@ -336,11 +462,11 @@ class Files(asyncssh.SFTPServer):
     def readlink(self, path: bytes) -> bytes:
         raise PermissionError(errno.EACCES, "no links here")
 
-    stat, lstat, fstat = _in_worker("stat"), _in_worker("lstat"), _in_worker("fstat")
-    setstat, lsetstat, fsetstat = _in_worker("setstat"), _in_worker("lsetstat"), _in_worker("fsetstat")
-    remove, rename, posix_rename = _in_worker("remove"), _in_worker("rename"), _in_worker("posix_rename")
-    mkdir, rmdir, realpath = _in_worker("mkdir"), _in_worker("rmdir"), _in_worker("realpath")
-    statvfs, fstatvfs, fsync = _in_worker("statvfs"), _in_worker("fstatvfs"), _in_worker("fsync")
+    stat, lstat, fstat, realpath = _in_worker("stat"), _in_worker("lstat"), _in_worker("fstat"), _in_worker("realpath")
+    statvfs, fstatvfs, fsync, fsetstat = (_in_worker(name) for name in ("statvfs", "fstatvfs", "fsync", "fsetstat"))
+    setstat, lsetstat = _in_worker("setstat", changes=True), _in_worker("lsetstat", changes=True)
+    remove, mkdir, rmdir = (_in_worker(name, changes=True) for name in ("remove", "mkdir", "rmdir"))
+    rename, posix_rename = _in_worker("rename", changes=True), _in_worker("posix_rename", changes=True)
 
 
 async def serve(runtime: Runtime) -> None:
@@ -405,6 +531,12 @@ def _become(name: str) -> None:
             os.setuid(account.pw_uid)
     except (KeyError, PermissionError):
         raise PermanentFailure(f"sshd.user: {name}: there is no such user, or this one cannot become it") from None
+
+
+def _resize(fd: int, size: tuple[int, int, int, int]) -> None:
+    """`size` as SSH has it: columns, rows, width, height."""
+    columns, rows, width, height = (min(each, 0xFFFF) for each in size)
+    fcntl.ioctl(fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, width, height))
 
 
 def _signal(child: asyncio.subprocess.Process, number: int) -> None:
