@@ -406,7 +406,7 @@ class Ftpd(Table, frozen=True):
     root: str = "/log"  # what is seen as "/"; no path leads out of it
     staging: Name = "upload"  # the folder in it where some may write
     upload_bytes_max: Annotated[int, msgspec.Meta(ge=0)] = 1 << 30  # of one file
-    certificate: str = ""  # PEM with certificate and key: FTPS from the first byte (implicit); "" for FTP
+    certificate: str = ""  # PEM with certificate and key: nobody logs in without TLS (RFC 4217); "": all in the clear
     connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
     connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
     users: dict[Name, FtpUser] = {}

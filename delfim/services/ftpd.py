@@ -1,7 +1,7 @@
-"""ftpd: the logs over FTP, and files for the boat into a staging area (RFC 959, 2428, 3659; thesis 2.8, 3.3).
+"""ftpd: the logs over FTP, and files for the boat into a staging area (RFC 959, 2428, 3659, 4217; thesis 2.8, 3.3).
 
 It stands on aioftp, which brings connections, replies and passive sockets, and adds what clients ask for and aioftp does not
-have (FEAT, SIZE, MDTM, NLST, NOOP, OPTS, options of LIST), a jail, uploads that are whole or not there, hashed passwords,
+have (AUTH, FEAT, SIZE, MDTM, NLST, NOOP, OPTS, options of LIST), a jail, uploads that are whole or not there, hashed passwords,
 patience with those who guess, and bounds. Files are read and written by two workers. Active mode is not spoken: a server that
 connects to where it is told can be sent anywhere. How it is used: docs/ftpd.md.
 """
@@ -42,7 +42,7 @@ LINE_BYTES: Final = 4096
 ENTRIES_MAX: Final = 20_000  # of a directory
 ROOM_EVERY_BYTES: Final = 1 << 20  # the disk is looked at so often while something is written
 PART: Final = ".part"
-BEFORE_LOGIN: Final = ("user", "pass", "quit", "feat", "help", "noop", "opts", "pbsz", "prot", "clnt", "syst")
+BEFORE_LOGIN: Final = ("user", "pass", "quit", "auth", "feat", "help", "noop", "opts", "pbsz", "prot", "clnt", "syst")
 FEATURES: Final = ("EPSV", "MDTM", "MLST type*;size*;modify*;", "PASV", "REST STREAM", "SIZE", "TVFS", "UTF8")
 MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 HALF_A_YEAR_S: Final = 180 * 86_400
@@ -84,12 +84,12 @@ class FtpServer(aioftp.Server):
         self._users = Users(table.users, self._work)
         super().__init__(
             self._users,
-            ssl=_tls(table.certificate),
             socket_timeout=STALL_S,
             wait_future_timeout=DATA_S,
             block_size=BLOCK_BYTES,
             welcome_message=f"{settings.boat.name}",
         )
+        self._tls = _tls(table.certificate)
         self._jail = Jail(table.root)
         self._staging = os.path.join(self._jail.root, table.staging)
         self.door, self.patience = Door(table.connections, table.connections_per_address), Patience()
@@ -99,7 +99,7 @@ class FtpServer(aioftp.Server):
             "feat": self.feat, "help": self.help, "mdtm": self.mdtm, "nlst": self.nlst, "noop": self.noop, "opts": self.opts,
             "size": self.size, "list": self.ls, "stat": self.stat, "allo": self.noop, "clnt": self.noop, "mode": self.noop,
             "pbsz": self.noop, "stru": self.noop, "xcup": self.cdup, "xcwd": self.cwd, "xmkd": self.mkd, "xpwd": self.pwd,
-            "xrmd": self.rmd,
+            "xrmd": self.rmd, "auth": self.auth,
         }  # fmt: skip
         known: dict[str, Any] = {**self.commands_mapping, **added}
         turns = {name: self._in_turn(name, command) for name, command in known.items() if name != "abor"}
@@ -118,9 +118,8 @@ class FtpServer(aioftp.Server):
         """Listen. Returns the address. Raises OSError."""
         await self._work(lambda: os.makedirs(self._staging, exist_ok=True))
         host, _, port = self._table.listen.rpartition(":")
-        patience: Any = {"ssl_handshake_timeout": HANDSHAKE_S} if self.ssl else {}
-        await self.start(host, int(port), limit=LINE_BYTES, backlog=16, **patience)
-        return "{}://{}:{}/".format("ftps" if self.ssl else "ftp", *self.server.sockets[0].getsockname()[:2])
+        await self.start(host, int(port), limit=LINE_BYTES, backlog=16)
+        return "ftp://{}:{}/".format(*self.server.sockets[0].getsockname()[:2])
 
     async def close(self) -> None:
         self._is_closing = True
@@ -155,6 +154,7 @@ class FtpServer(aioftp.Server):
         connection.idle.set()
         connection.since_s = self._clock.monotonic_s()
         connection.wrong = 0
+        connection.is_secret = connection.is_data_secret = self._tls is None  # or need not be
         connection.awaited = False
         return await super().greeting(connection, rest)
 
@@ -212,6 +212,9 @@ class FtpServer(aioftp.Server):
 
         async def carried_out(connection: Any, rest: Any) -> bool:
             try:
+                if name in ("user", "pass") and not connection.is_secret:
+                    connection.response("530", "first AUTH TLS: no password in the clear")
+                    return True
                 if name not in BEFORE_LOGIN and not connection.future.logged.done():
                     connection.response("530", "log in first")
                     return True
@@ -251,7 +254,7 @@ class FtpServer(aioftp.Server):
     # Small words.
 
     async def feat(self, connection: Any, rest: str) -> bool:
-        connection.response("211", ("Features:", *FEATURES, "End"), True)
+        connection.response("211", ("Features:", *FEATURES, *(("AUTH TLS", "PBSZ", "PROT") if self._tls else ()), "End"), True)
         return True
 
     async def noop(self, connection: Any, rest: str) -> bool:
@@ -280,9 +283,31 @@ class FtpServer(aioftp.Server):
         connection.response(*("350", f"from {connection.offset}") if rest.isdecimal() else ("501", "how many bytes?"))
         return True
 
+    async def auth(self, connection: Any, rest: str) -> bool:
+        """From here on it is TLS. What was said before must not be taken for something said within it."""
+        if self._tls is None or connection.is_secret or rest.upper() not in ("TLS", "TLS-C", "SSL"):
+            connection.response(*("502", "there is no TLS here") if self._tls is None else ("503", "once, AUTH TLS"))
+            return True
+        stream = connection.command_connection
+        stream.writer.transport.pause_reading()
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(0):
+                await stream.reader.read(1)
+                stream.writer.transport.abort()
+                return False
+        try:
+            await self.write_response(stream, "234", "go on")
+            await stream.writer.start_tls(self._tls, ssl_handshake_timeout=HANDSHAKE_S)
+        except OSError as error:
+            log.warning("ftpd: no TLS with %s: %s", connection.client_host, error)
+            return False
+        connection.is_secret = True
+        return True
+
     async def prot(self, connection: Any, rest: Any) -> bool:
-        wanted = "P" if self.ssl else "C"
+        wanted = "P" if self._tls else "C"
         connection.response(*("200", "ok") if rest.upper() == wanted else ("536", f"only {wanted}"))
+        connection.is_data_secret |= rest.upper() == "P"
         return True
 
     async def epsv(self, connection: Any, rest: Any) -> bool:
@@ -359,7 +384,7 @@ class FtpServer(aioftp.Server):
     async def stor(self, connection: Any, rest: Any, mode: str = "wb") -> bool:
         """Into a file beside, and under its name when all of it is on the disk. What breaks off stays beside, to be resumed."""
         real, offset = self._writable(connection, rest), self._offset(connection)
-        fd, at = await self._work(_part, real, offset, mode == "ab")
+        fd, at = await self._work(_part, self._jail, real, offset, mode == "ab")
         began = at
         try:
             async with self._data(connection) as stream:
@@ -432,11 +457,17 @@ class FtpServer(aioftp.Server):
             bulk(writer.get_extra_info("socket"), STALL_S)
             await handler_callback(reader, writer)
 
-        return await asyncio.start_server(connected, connection.server_host, 0, ssl=self.ssl, limit=BLOCK_BYTES, backlog=2)
+        patience: Any = {"ssl_handshake_timeout": HANDSHAKE_S} if self._tls else {}
+        return await asyncio.start_server(
+            connected, connection.server_host, 0, ssl=self._tls, limit=BLOCK_BYTES, backlog=2, **patience
+        )
 
     @contextlib.asynccontextmanager
     async def _data(self, connection: Any) -> AsyncIterator[Any]:
         """A transfer: announced, carried by the data connection, and told how it ended."""
+        if not connection.is_data_secret:
+            connection.response("521", "first PROT P")
+            raise _Answered
         if not connection.future.passive_server.done():
             connection.response("425", "first PASV or EPSV")
             raise _Answered
@@ -550,17 +581,15 @@ async def serve(runtime: Runtime) -> None:
         await server.close()
 
 
-def _part(real: str, offset: int, append: bool) -> tuple[int, int]:
+def _part(jail: Jail, real: str, offset: int, append: bool) -> tuple[int, int]:
     """The part of an upload, open and locked, and where to go on writing. What is there under the name stays until all of the
     new is. Raises DelfimError, OSError."""
     part = real + PART
     if (append or offset) and not os.path.exists(part) and os.path.exists(real):
         shutil.copyfile(real, part)
-    fd = os.open(part, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, 0o644)
+    fd = jail.open(jail.shown(part), os.O_RDWR | os.O_CREAT)
     try:
         status = os.fstat(fd)
-        if not stat.S_ISREG(status.st_mode):
-            raise DelfimError("not a plain file")
         if offset > status.st_size:
             raise DelfimError(f"there are only {status.st_size} bytes of it")
         try:

@@ -31,7 +31,7 @@ class Jail:
         """A descriptor of a plain file. Raises OSError as os.open does."""
         fd = os.open(self.real(path), flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, mode)
         try:
-            if not self.holds(fd):
+            if not self._holds(os.readlink(f"/proc/self/fd/{fd}")):  # between look and opening a link was put there
                 raise DelfimError("outside of what may be seen")
             if not stat.S_ISREG(os.fstat(fd).st_mode):
                 raise DelfimError("not a plain file")
@@ -43,10 +43,6 @@ class Jail:
     def shown(self, real: str) -> str:
         """A real path as clients see it."""
         return "/" + os.path.relpath(real, self.root).removeprefix(".")
-
-    def holds(self, fd: int) -> bool:
-        """Whether what is open is inside: between look and opening a link may have been put there."""
-        return self._holds(os.readlink(f"/proc/self/fd/{fd}"))
 
     def _holds(self, real: str) -> bool:
         return real == self.root or real.startswith(self.root.rstrip("/") + "/")

@@ -6,6 +6,7 @@ import ftplib
 import io
 import os
 import shutil
+import ssl
 import subprocess
 import time
 from collections.abc import AsyncIterator, Callable
@@ -102,7 +103,7 @@ async def files(tmp_path: Path, **limits: Any) -> AsyncIterator[Files]:
     root = tmp_path / "log"
     table = config.Ftpd(listen="127.0.0.1:0", root=str(root), users=USERS, **limits)
     settings = vehicle_file(tmp_path, ftpd=table)
-    (root / "20260101").mkdir()
+    (root / "20260101").mkdir(exist_ok=True)
     (root / "20260101/a b.log").write_bytes(CONTENT)
     os.utime(root / "20260101/a b.log", (1_767_225_600, 1_767_225_600))
     async with served(settings, ftpd.serve, "ftpd") as runtime:
@@ -471,32 +472,72 @@ def test_it_goes_on_when_a_download_is_not_read(tmp_path, monkeypatch):
     run(tmp_path, test)
 
 
-def test_ftps(tmp_path):
-    if not shutil.which("openssl"):
-        pytest.skip("needs openssl")
-    pem = tmp_path / "boat.pem"
-    words = (
-        "openssl",
-        "req",
-        "-x509",
-        "-newkey",
-        "ec",
-        "-pkeyopt",
-        "ec_paramgen_curve:prime256v1",
-        "-nodes",
-        "-subj",
-        "/CN=boat",
-    )
-    subprocess.run([*words, "-keyout", tmp_path / "key", "-out", tmp_path / "cert"], check=True, capture_output=True)
-    pem.write_text((tmp_path / "cert").read_text() + (tmp_path / "key").read_text())
+@pytest.fixture(scope="session")
+def certificate(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of 127.0.0.1, by itself, with its key."""
+    place = tmp_path_factory.mktemp("certificate")
+    words = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -subj /CN=boat -days 2"
+    more = ("-addext", "subjectAltName=IP:127.0.0.1", "-keyout", place / "key", "-out", place / "cert")
+    subprocess.run([*words.split(), *more], check=True, capture_output=True)
+    pem = place / "boat.pem"
+    pem.write_text((place / "cert").read_text() + (place / "key").read_text())
+    return pem
+
+
+def test_ftps_with_curl_lftp_and_pythons_ftplib(tmp_path, certificate):
+    def use(port: int) -> None:
+        with ftplib.FTP_TLS(context=ssl.create_default_context(cafile=certificate), timeout=10) as ftp:
+            ftp.connect("127.0.0.1", port)
+            with pytest.raises(ftplib.error_perm, match="no password in the clear"):
+                ftplib.FTP.login(ftp, "writer", "open")
+            ftp.login("writer", "open")
+            with pytest.raises(ftplib.error_perm, match="first PROT P"):
+                ftp.nlst()
+            ftp.prot_p()
+            assert ftp.nlst() == ["20260101", "upload"]
+            ftp.storbinary("STOR upload/new", io.BytesIO(CONTENT))
+            got = io.BytesIO()
+            ftp.retrbinary("RETR upload/new", got.write)
+            assert got.getvalue() == CONTENT
 
     async def test(there: Files) -> None:
-        url = f"ftps://127.0.0.1:{there.port}/20260101/a%20b.log"
-        await there.tool("curl", "-sS", "-k", "-u", "reader:sesame", "-o", "got", url)
+        await there.curl("/20260101/a%20b.log", "--ssl-reqd", "--cacert", str(certificate), "-o", "got")
         assert (tmp_path / "got").read_bytes() == CONTENT
+        script = (
+            f"set ssl:ca-file {certificate}; set net:max-retries 1; set ftp:ssl-force true; set ftp:ssl-protect-data true; "
+        )
+        await there.tool("lftp", "-c", f"{script} open -u reader,sesame 127.0.0.1:{there.port}; mirror 20260101 copy")
+        assert (tmp_path / "copy/a b.log").read_bytes() == CONTENT
+        await asyncio.to_thread(use, there.port)
+        assert (there.staging / "new").read_bytes() == CONTENT
 
-    run(tmp_path, test, certificate=str(pem))
-    with pytest.raises(PermanentFailure, match="certificate"):
-        ftpd._tls(str(tmp_path / "key"))
-    with pytest.raises(PermanentFailure, match="No such file"):
-        ftpd._tls(str(tmp_path / "gone"))
+    run(tmp_path, test, certificate=str(certificate))
+
+
+def test_what_is_said_before_the_handshake_does_not_count(tmp_path, certificate):
+    async def test(there: Files) -> None:
+        ftp = await there.raw()
+        await ftp.answer()
+        assert "AUTH TLS" in await ftp.say("FEAT")
+        ftp.writer.write(b"AUTH TLS\r\nUSER reader\r\n")
+        assert await ftp.answer() == ""
+
+    run(tmp_path, test, certificate=str(certificate))
+
+
+def test_who_does_not_shake_hands_is_hung_up(tmp_path, certificate, monkeypatch):
+    monkeypatch.setattr(ftpd, "HANDSHAKE_S", 0.2)
+
+    async def test(there: Files) -> None:
+        ftp = await there.raw()
+        await ftp.answer()
+        assert (await ftp.say("AUTH TLS")).startswith("234")
+        assert await ftp.answer() == ""
+
+    run(tmp_path, test, certificate=str(certificate))
+
+
+def test_a_certificate_that_is_none_is_said_and_not_tried_again(tmp_path, certificate):
+    for file, reason in ((certificate.parent / "key", "certificate"), (tmp_path / "gone", "No such file")):
+        with pytest.raises(PermanentFailure, match=reason):
+            run(tmp_path, lambda there: there.raw(), certificate=str(file))
