@@ -36,6 +36,10 @@ Listen = Annotated[str, msgspec.Meta(pattern=r"^([^ :]+|\[[0-9A-Fa-f:.]+\]):[0-9
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
 LinuxInterface = Annotated[str, msgspec.Meta(pattern=r"^[^ /:]{1,15}\Z")]
 Network = Annotated[str, msgspec.Meta(pattern=r"^[0-9A-Fa-f:.]+(/[0-9]{1,3})?\Z")]
+Password = Annotated[  # hashed; in a log it is what no password is
+    str,
+    msgspec.Meta(pattern=r"^scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+\Z", extra={"shown": "scrypt:hidden:hidden"}),
+]
 Identifiers = Annotated[  # one or a range; three digits are a standard identifier, eight an extended one
     str, msgspec.Meta(pattern=r"^([0-7][0-9A-Fa-f]{2}(-[0-7][0-9A-Fa-f]{2})?|[01][0-9A-Fa-f]{7}(-[01][0-9A-Fa-f]{7})?)\Z")
 ]
@@ -395,7 +399,7 @@ class Httpd(Table, frozen=True):
 class FtpUser(Table, frozen=True):
     """Who may come in by FTP, by name."""
 
-    password: Annotated[str, msgspec.Meta(pattern=r"^scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+\Z")]  # from `delfim password`
+    password: Password  # from `delfim password`
     upload: bool = False  # may write in the staging area; everything else is read-only for everybody
 
 
@@ -544,6 +548,27 @@ T = TypeVar("T", bound=Table)
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
     """The vehicle's file, checked, with "key.key=TOML value" overrides laid over it. Raises ConfigError."""
     return decode(read_toml(path, overrides), Vehicle, str(path))
+
+
+def shown(table: Table) -> dict[str, Any]:
+    """All keys and values for everybody to read, JSON-ready and fit for `decode`: of a secret, what its declaration says instead
+    of it (`extra={"shown": ...}`)."""
+    fields: dict[str, Any] = _shown(table, type(table))
+    return fields
+
+
+def _shown(value: Any, hint: Any) -> Any:
+    if get_origin(hint) is Annotated:
+        instead = (get_args(hint)[1].extra or {}).get("shown")
+        return _shown(value, get_args(hint)[0]) if instead is None else instead
+    if isinstance(value, Table):
+        hints = get_type_hints(type(value), include_extras=True)
+        return {name: _shown(getattr(value, name), hints[name]) for name in value.__struct_fields__}
+    if isinstance(value, dict):
+        return {key: _shown(each, get_args(hint)[1]) for key, each in value.items()}
+    if isinstance(value, tuple):
+        return [_shown(each, get_args(hint)[0]) for each in value]
+    return value
 
 
 def read_toml(path: str | Path, overrides: Sequence[str] = ()) -> dict[str, Any]:

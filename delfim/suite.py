@@ -81,7 +81,7 @@ class StateLog:
         self._writer = StateWriter(self._log, schema)
         self.status, self.poll = self._log.status, self._log.poll
         self._noted = False
-        self.event("start", version=__version__, settings=msgspec.to_builtins(settings))
+        self.event("start", version=__version__, settings=config.shown(settings))
 
     def write(self, state: State, now_s: float) -> None:
         self._writer.put(record.values(state, now_s))

@@ -7,7 +7,7 @@ import io
 import os
 import shutil
 import ssl
-import subprocess
+import textwrap
 import time
 from collections.abc import AsyncIterator, Callable
 from datetime import UTC, datetime
@@ -35,17 +35,17 @@ class Files:
         self.port, self.root, self.staging = port, root, root / "upload"
         self.writers: list[asyncio.StreamWriter] = []
 
-    async def tool(self, *words: str, code: int | None = 0) -> str:
-        """What a client prints."""
+    async def tool(self, *words: str, code: int | None = 0, said: str = "") -> str:
+        """What a client prints, and what it is told."""
         child = await asyncio.create_subprocess_exec(
             *words,
             cwd=self.root.parent,
-            stdin=asyncio.subprocess.DEVNULL,
+            stdin=asyncio.subprocess.PIPE,
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
         )
         async with asyncio.timeout(30):
-            out = (await child.communicate())[0].decode()
+            out = (await child.communicate(said.encode()))[0].decode()
         assert code is None or child.returncode == code, (words, child.returncode, out)
         return out
 
@@ -186,16 +186,45 @@ def test_lftp_lists_mirrors_and_puts(tmp_path):
     run(tmp_path, test)
 
 
+@pytest.mark.skipif(not shutil.which("wget") or not shutil.which("tnftp"), reason="needs wget and tnftp")
 def test_wget_and_tnftp(tmp_path):
-    if not shutil.which("wget") and not shutil.which("tnftp"):
-        pytest.skip("needs wget or tnftp")
-
     async def test(there: Files) -> None:
-        url = f"ftp://reader:sesame@127.0.0.1:{there.port}/20260101/a%20b.log"
+        url = f"ftp://writer:open@127.0.0.1:{there.port}/"
         for program, option in (("wget", "-qO"), ("tnftp", "-Vo")):
-            if shutil.which(program):
-                await there.tool(program, option, "got", url)
-                assert (there.root.parent / "got").read_bytes() == CONTENT
+            await there.tool(program, option, "got", f"{url}20260101/a%20b.log")
+            assert (there.root.parent / "got").read_bytes() == CONTENT
+            (there.root.parent / "got").unlink()
+        await there.tool("wget", "-qr", "-nH", f"{url}20260101")
+        assert (there.root.parent / "20260101/a b.log").read_bytes() == CONTENT
+        await there.tool("tnftp", "-u", f"{url}upload/new", str(there.root / "20260101/a b.log"))
+        assert (there.staging / "new").read_bytes() == CONTENT
+
+        said = f"""
+            open 127.0.0.1 {there.port}
+            user writer open
+            binary
+            cd 20260101
+            ls -la
+            nlist
+            size "a b.log"
+            modtime "a b.log"
+            mget *.log
+            restart 1000
+            get "a b.log" rest
+            pwd
+            features
+            cd ../upload
+            mkdir sub
+            rename new sub/newer
+            delete sub/newer
+            rmdir sub
+            bye
+        """
+        told = await there.tool("tnftp", "-ni", said=textwrap.dedent(said))
+        for words in (f"{len(CONTENT)}", "01 Jan 2026", "/20260101", "MLST"):
+            assert words in told, words
+        assert (tmp_path / "a b.log").read_bytes() == CONTENT
+        assert list(there.staging.iterdir()) == []
 
     run(tmp_path, test)
 
@@ -470,18 +499,6 @@ def test_it_goes_on_when_a_download_is_not_read(tmp_path, monkeypatch):
         data.transport.abort()
 
     run(tmp_path, test)
-
-
-@pytest.fixture(scope="session")
-def certificate(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Of 127.0.0.1, by itself, with its key."""
-    place = tmp_path_factory.mktemp("certificate")
-    words = "openssl req -x509 -newkey ec -pkeyopt ec_paramgen_curve:prime256v1 -nodes -subj /CN=boat -days 2"
-    more = ("-addext", "subjectAltName=IP:127.0.0.1", "-keyout", place / "key", "-out", place / "cert")
-    subprocess.run([*words.split(), *more], check=True, capture_output=True)
-    pem = place / "boat.pem"
-    pem.write_text((place / "cert").read_text() + (place / "key").read_text())
-    return pem
 
 
 def test_ftps_with_curl_lftp_and_pythons_ftplib(tmp_path, certificate):
