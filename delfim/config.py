@@ -551,8 +551,8 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
 
 
 def shown(table: Table) -> dict[str, Any]:
-    """All keys and values for everybody to read, JSON-ready and fit for `decode`: of a secret, what its declaration says instead
-    of it (`extra={"shown": ...}`)."""
+    """All keys and values for everybody to read, JSON-ready and fit for `decode`; instead of a secret, what its declaration
+    says (`extra={"shown": ...}`)."""
     fields: dict[str, Any] = _shown(table, type(table))
     return fields
 

@@ -9,6 +9,7 @@ connects to where it is told can be sent anywhere. How it is used: docs/ftpd.md.
 import asyncio
 import contextlib
 import fcntl
+import fnmatch
 import logging
 import os
 import shutil
@@ -357,7 +358,15 @@ class FtpServer(aioftp.Server):
         return await self._list(connection, rest, _facts_line)
 
     async def _list(self, connection: Any, rest: str, line: Callable[[str, os.stat_result], str]) -> bool:
-        lines = await self._work(self._listed, self._real(connection, rest), line)
+        folder, _, names = rest.rpartition("/")
+        if set(names) & set("*?["):  # clients leave it to the server which names are meant
+            real, before = (
+                self._real(connection, folder or ("/" if rest.startswith("/") else "")),
+                f"{folder}/" if "/" in rest else "",
+            )
+            lines = await self._work(self._listed, real, lambda name, status: line(before + name, status), names)
+        else:
+            lines = await self._work(self._listed, self._real(connection, rest), line)
         text = "".join(f"{each}\r\n" for each in lines).encode("utf-8", "surrogateescape")
         async with self._data(connection) as stream:
             for start in range(0, len(text), BLOCK_BYTES):
@@ -534,12 +543,12 @@ class FtpServer(aioftp.Server):
                 return os.stat(real + PART)
             raise
 
-    def _listed(self, real: str, line: Callable[[str, os.stat_result], str]) -> list[str]:
+    def _listed(self, real: str, line: Callable[[str, os.stat_result], str], pattern: str = "*") -> list[str]:
         """A line for each entry, or for the file itself. Links that lead out are not there."""
         if not os.path.isdir(real):
             return [line(os.path.basename(real), os.stat(real))]
         found = []
-        names = (name for name in sorted(os.listdir(real)) if not set(name) & {"\r", "\n"})
+        names = (name for name in sorted(fnmatch.filter(os.listdir(real), pattern)) if not set(name) & {"\r", "\n"})
         for name in islice(names, ENTRIES_MAX):
             with contextlib.suppress(OSError, DelfimError):
                 found.append(line(name, os.stat(self._jail.real(os.path.join(self._jail.shown(real), name)))))

@@ -199,6 +199,7 @@ def test_wget_and_tnftp(tmp_path):
         await there.tool("tnftp", "-u", f"{url}upload/new", str(there.root / "20260101/a b.log"))
         assert (there.staging / "new").read_bytes() == CONTENT
 
+        (tmp_path / "begun").write_bytes(CONTENT[:1000])
         said = f"""
             open 127.0.0.1 {there.port}
             user writer open
@@ -209,8 +210,7 @@ def test_wget_and_tnftp(tmp_path):
             size "a b.log"
             modtime "a b.log"
             mget *.log
-            restart 1000
-            get "a b.log" rest
+            reget "a b.log" begun
             pwd
             features
             cd ../upload
@@ -223,7 +223,7 @@ def test_wget_and_tnftp(tmp_path):
         told = await there.tool("tnftp", "-ni", said=textwrap.dedent(said))
         for words in (f"{len(CONTENT)}", "01 Jan 2026", "/20260101", "MLST"):
             assert words in told, words
-        assert (tmp_path / "a b.log").read_bytes() == CONTENT
+        assert (tmp_path / "a b.log").read_bytes() == (tmp_path / "begun").read_bytes() == CONTENT
         assert list(there.staging.iterdir()) == []
 
     run(tmp_path, test)
@@ -232,6 +232,9 @@ def test_wget_and_tnftp(tmp_path):
 def test_pythons_ftplib(tmp_path):
     def use(ftp: ftplib.FTP) -> None:
         assert ftp.nlst() == ["20260101", "upload"]
+        assert ftp.nlst("2026*") == ["20260101"]
+        assert ftp.nlst("20260101/*.log") == ["20260101/a b.log"]
+        assert ftp.nlst("*.none") == []
         assert ftp.size("20260101/a b.log") == len(CONTENT)
         assert ftp.sendcmd("NOOP").startswith("200")
         assert "MLST" in ftp.sendcmd("FEAT")
