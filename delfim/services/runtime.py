@@ -196,8 +196,9 @@ class Runtime:
             if self._beat_fd >= 0:
                 self._loop.call_soon(self._beat)  # after the first step of every service
             self._tick()
-            if self._place == "process":
-                self._tell(_status_file(Path(self.config.runtime.run_directory) / f"service-{services[0].name}.json"))
+            if self._place == "process" and self._beat_fd >= 0:
+                place = Path(self.config.runtime.run_directory)
+                self._tell({name: _status_file(place / f"service-{name}.json") for name in self.status})
             await self._stopping.wait()
             stuck = [row.name for row in reversed(services) if not await self._end(row.name)]
             if stuck:  # the group would wait for ever
@@ -294,15 +295,13 @@ class Runtime:
         except OSError:
             self.stop("the supervisor is gone")
 
-    def _tell(self, fd: int) -> None:
-        """Say in a file how the service is: the page is in another process. Opened before the service becomes somebody else."""
-        if fd < 0:
-            return
-        self._loop.call_later(TELL_S, self._tell, fd)
-        (status,) = self.status.values()
-        told = status.report(self.clock.monotonic_s()) | self._shown(status.name)
-        text = json.dumps(told).encode()
-        os.ftruncate(fd, os.pwrite(fd, text, 0))
+    def _tell(self, files: dict[str, int]) -> None:
+        """Say how the services are: the page is in another process. The files were open before a service became another user."""
+        self._loop.call_later(TELL_S, self._tell, files)
+        for name, status in self.status.items():
+            if files[name] >= 0:
+                told = status.report(self.clock.monotonic_s()) | self._shown(name)
+                os.ftruncate(files[name], os.pwrite(files[name], json.dumps(told).encode(), 0))
 
     def _tick(self) -> None:
         """Collect garbage as the interpreter would, but in quiet time; where there is none, when it is long overdue."""
