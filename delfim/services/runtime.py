@@ -296,7 +296,7 @@ class Runtime:
             self.stop("the supervisor is gone")
 
     def _tell(self, files: dict[str, int]) -> None:
-        """Say how the services are: the page is in another process. The files were open before a service became another user."""
+        """Say how the services are: the page is in another process. The files were open before one became another user."""
         self._loop.call_later(TELL_S, self._tell, files)
         for name, status in self.status.items():
             if files[name] >= 0:

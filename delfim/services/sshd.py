@@ -25,6 +25,7 @@ import asyncssh
 from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure
+from delfim.logging.guard import free_bytes
 from delfim.services.door import Door, Patience, bulk
 from delfim.services.jail import Jail
 from delfim.services.runtime import Runtime
@@ -51,7 +52,7 @@ class Daemon:
         table = settings.sshd
         self.table, self.clock_s = table, clock.monotonic_s
         self.keys = {name: _public(name, user.keys) for name, user in table.users.items()}
-        self.jail = Jail(table.root)
+        self.jail, self.free_bytes_min = Jail(table.root), settings.log.free_bytes_min
         self.workers = ThreadPoolExecutor(2, "sshd")
         self.door, self.patience = Door(table.connections, table.connections_per_address), Patience()
         self.sessions = self.commands = 0
@@ -79,7 +80,7 @@ class Daemon:
             backlog=16,
             server_host_keys=[host_key],
             process_factory=self.run,
-            sftp_factory=lambda channel: Files(channel, self.jail, self.workers),
+            sftp_factory=lambda channel: Files(channel, self.jail, self.workers, self.free_bytes_min),
             allow_scp=True,
             kex_algs=KEX,
             encoding=None,
@@ -381,9 +382,9 @@ def _in_worker(name: str, *, changes: bool = False) -> Any:
 class Files(asyncssh.SFTPServer):
     """SFTP and SCP inside of the jail. Every call is a worker's; no link can be made, and those that lead out are not there."""
 
-    def __init__(self, channel: Any, jail: Jail, workers: ThreadPoolExecutor) -> None:
+    def __init__(self, channel: Any, jail: Jail, workers: ThreadPoolExecutor, free_bytes_min: int) -> None:
         super().__init__(channel, chroot=os.fsencode(jail.root))
-        self._jail, self._workers = jail, workers
+        self._jail, self._workers, self._free_bytes_min = jail, workers, free_bytes_min
         self._visitor = str(channel.get_connection().get_owner())
 
     def note(self, did: str, *what: object) -> None:
@@ -451,7 +452,16 @@ class Files(asyncssh.SFTPServer):
         return found
 
     async def write(self, file_obj: Any, offset: int, data: bytes) -> int:
-        return int(await self.work(os.pwrite, file_obj.fileno(), data, offset))
+        return int(await self.work(self._written, file_obj.fileno(), data, offset))
+
+    def _written(self, fd: int, data: bytes, offset: int) -> int:
+        """Raises OSError where the logs need the room."""
+        if free_bytes(self._jail.root) < self._free_bytes_min:
+            raise OSError(errno.ENOSPC, "the disk is full")
+        written = 0
+        while written < len(data):
+            written += os.pwrite(fd, data[written:], offset + written)
+        return written
 
     def symlink(self, oldpath: bytes, newpath: bytes) -> None:
         raise PermissionError(errno.EACCES, "no links here")
