@@ -200,4 +200,8 @@ def test_the_page_shows_who_is_at_the_doors(boat: Boat) -> None:
             break
         assert time.monotonic() < deadline_s, programs
         select.select([], [], [], 0.2)
-    assert programs["ftpd"]["state"] == programs["sshd"]["state"] == "running"
+    for name in ("ftpd", "sshd"):
+        assert programs[name]["state"] == "running"
+        assert os.getpriority(os.PRIO_PROCESS, programs[name]["pid"]) > os.getpriority(
+            os.PRIO_PROCESS, programs["runtime"]["pid"]
+        )

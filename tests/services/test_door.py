@@ -1,6 +1,7 @@
 """Who may come in, and who has to wait."""
 
 import contextlib
+import socket
 
 import pytest
 from hypothesis import given
@@ -8,7 +9,7 @@ from hypothesis import strategies as st
 
 from delfim.errors import FormatError
 from delfim.services import door
-from delfim.services.door import Door, Patience, hashed, matches
+from delfim.services.door import Door, Patience, bulk, hashed, matches
 
 
 def test_connections_are_counted_and_forgotten():
@@ -35,6 +36,13 @@ def test_each_wrong_word_doubles_the_pause_of_its_address():
     assert patience.pause_s("a", 800.0) == 1.0, "long ago is forgiven"
     patience.succeeded("a")
     assert patience.pause_s("a", 800.0) == 0.0
+
+
+def test_much_goes_behind_the_console_and_is_given_up_when_nobody_reads():
+    with socket.create_server(("127.0.0.1", 0)) as server, socket.create_connection(server.getsockname()) as link:
+        bulk(link, 60.0)
+        assert link.getsockopt(socket.IPPROTO_IP, socket.IP_TOS) == 0x08, "IPTOS_THROUGHPUT"
+        assert link.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 60_000
 
 
 def test_the_table_of_addresses_is_bounded(monkeypatch):
