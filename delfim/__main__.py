@@ -194,6 +194,20 @@ def _parser() -> argparse.ArgumentParser:
     fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
+    can = commands.add_parser(
+        "can", help="See a bus, send, make traffic, statistics, play back a log: dump, send, gen, stat, replay."
+    )
+    can.add_argument(
+        "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
+    )
+    can.set_defaults(run=_can)
+    _add_console(commands)
+    _add_log(commands)
+    _add_bench(commands)
+    return parser
+
+
+def _add_console(commands: Any) -> None:
     console = commands.add_parser("console", help="All boats on one screen, in the browser.")
     console.add_argument(
         "--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="where boats are heard (%(default)s)"
@@ -204,16 +218,6 @@ def _parser() -> argparse.ArgumentParser:
     console.add_argument("--keygen", metavar="FILE", help="make a signing key, and end")
     console.add_argument("--no-browser", dest="browser", action="store_false", help="do not open it")
     console.set_defaults(run=_console)
-    can = commands.add_parser(
-        "can", help="See a bus, send, make traffic, statistics, play back a log: dump, send, gen, stat, replay."
-    )
-    can.add_argument(
-        "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
-    )
-    can.set_defaults(run=_can)
-    _add_log(commands)
-    _add_bench(commands)
-    return parser
 
 
 def _add_log(commands: Any) -> None:

@@ -34,6 +34,7 @@ CHUNK: Final = 500  # points of a track in one message
 BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses what is not the newest
 IPTOS_LOWDELAY: Final = 0x10
 PAGES_MAX: Final = 8
+QUEUE_MAX: Final = 1000  # messages to one of them
 MESSAGE_BYTES: Final = 1 << 20
 
 log = logging.getLogger(__name__)
@@ -67,21 +68,24 @@ class Page:
 
     def __init__(self, link: web.WebSocketResponse, request: web.Request) -> None:
         self._link, self._request = link, request
-        self.queue: asyncio.Queue[str] = asyncio.Queue(maxsize=1000)
+        self.queue: asyncio.Queue[str | None] = asyncio.Queue(maxsize=QUEUE_MAX + 1)  # None: the end
         self.steers: set[int] = set()  # boats that this page gives input to
 
     def tell(self, message: dict[str, Any]) -> None:
         transport = self._request.transport
         behind = transport is None or transport.get_write_buffer_size() > BACKLOG_BYTES
-        if self.queue.full() or (behind and message["t"] in ("boats", "progress")):
+        if self.queue.qsize() >= QUEUE_MAX or (behind and message["t"] in ("boats", "progress")):
             return
         self.queue.put_nowait(json.dumps(message))
+
+    def end(self) -> None:
+        self.queue.put_nowait(None)
 
     async def write(self) -> None:
         """Until the connection ends."""
         with suppress(ConnectionError):
-            while True:
-                await self._link.send_str(await self.queue.get())
+            while (text := await self.queue.get()) is not None:
+                await self._link.send_str(text)
 
 
 class Gateway:
@@ -148,17 +152,20 @@ class Gateway:
         self._greet(page)
         self._pages.add(page)
         try:
-            async with asyncio.TaskGroup() as group:
-                writer = group.create_task(page.write())
-                async for message in link:
-                    if message.type is WSMsgType.TEXT:
-                        self._hear(page, message.data)
-                writer.cancel()
+            await asyncio.gather(self._listen(page, link), page.write())
         finally:
             self._pages.discard(page)
             for number in page.steers:
                 self.fleet.release(number, "the page was closed")
         return link
+
+    async def _listen(self, page: Page, link: web.WebSocketResponse) -> None:
+        try:
+            async for message in link:
+                if message.type is WSMsgType.TEXT:
+                    self._hear(page, message.data)
+        finally:
+            page.end()
 
     def _greet(self, page: Page) -> None:
         page.tell(
