@@ -121,7 +121,8 @@ def _console(asked: argparse.Namespace) -> int:
         keygen(Path(asked.keygen))
         print(f"delfim: {asked.keygen}: a new key; the boat needs the same file, brought there by hand")
         return 0
-    return run(asked.boats, asked.page, Path(asked.missions), Path(asked.key) if asked.key else None, asked.browser)
+    key, vehicle = (Path(file) if file else None for file in (asked.key, asked.vehicle))
+    return run(asked.boats, asked.page, Path(asked.missions), key, vehicle, asked.browser)
 
 
 def _drive(asked: argparse.Namespace) -> int:
@@ -215,6 +216,7 @@ def _add_console(commands: Any) -> None:
     console.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="where the page is (%(default)s)")
     console.add_argument("--missions", default="missions", metavar="FOLDER", help="the operator's missions (%(default)s)")
     console.add_argument("--key", metavar="FILE", help="signing key: the boats must have the same")
+    console.add_argument("--vehicle", metavar="FILE", help="the vehicle's file, for dry runs of missions")
     console.add_argument("--keygen", metavar="FILE", help="make a signing key, and end")
     console.add_argument("--no-browser", dest="browser", action="store_false", help="do not open it")
     console.set_defaults(run=_console)
