@@ -387,7 +387,7 @@ class FtpServer(aioftp.Server):
         finally:
             os.close(fd)
             self.sent_bytes += sent - offset
-            log.info("ftpd: %s read %s, %d bytes", connection.user.login, rest, sent - offset)
+            log.info("ftpd: %s read %r, %d bytes", connection.user.login, rest, sent - offset)
         return True
 
     async def stor(self, connection: Any, rest: Any, mode: str = "wb") -> bool:
@@ -406,7 +406,7 @@ class FtpServer(aioftp.Server):
         finally:
             os.close(fd)
             self.received_bytes += at - began
-            log.warning("ftpd: %s wrote %s, %d bytes", connection.user.login, self._jail.shown(real), at - began)
+            log.warning("ftpd: %s wrote %r, %d bytes", connection.user.login, self._jail.shown(real), at - began)
         return True
 
     async def dele(self, connection: Any, rest: Any) -> bool:
@@ -450,7 +450,9 @@ class FtpServer(aioftp.Server):
 
     async def _changed(self, connection: Any, do: Callable[..., None], *paths: str) -> bool:
         await self._work(do, *paths)
-        log.warning("ftpd: %s: %s %s", connection.user.login, do.__name__, " ".join(map(self._jail.shown, paths)))
+        log.warning(
+            "ftpd: %s: %s %s", connection.user.login, do.__name__, " ".join(repr(self._jail.shown(path)) for path in paths)
+        )
         connection.response("250", "ok")
         return True
 

@@ -119,7 +119,9 @@ class Daemon:
     async def run(self, process: "asyncssh.SSHServerProcess[bytes]") -> None:
         """A program, or the shell, from its start to its exit status."""
         visitor = process.channel.get_connection().get_owner()
-        name = "a shell" if process.command is None else process.command
+        name = (
+            "a shell" if process.command is None else repr(process.command)
+        )  # so that no command looks like a line of the log
         if process.subsystem is not None or self.sessions >= self.table.sessions:
             process.stderr.write(b"too many programs are running\n" if process.subsystem is None else b"there is only sftp\n")
             process.exit(1)
@@ -388,7 +390,7 @@ class Files(asyncssh.SFTPServer):
         self._visitor = str(channel.get_connection().get_owner())
 
     def note(self, did: str, *what: object) -> None:
-        log.warning("sshd: %s: %s %s", self._visitor, did, " ".join(_normal(w) for w in what if isinstance(w, bytes)))
+        log.warning("sshd: %s: %s %s", self._visitor, did, " ".join(repr(_normal(w)) for w in what if isinstance(w, bytes)))
 
     def exit(self) -> None:
         """At the end of a session, with the exit status that scp waits for."""

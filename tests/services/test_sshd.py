@@ -98,6 +98,16 @@ def test_a_program_runs_with_its_input_output_errors_and_exit_status(tmp_path, k
     run(tmp_path, keys, test)
 
 
+def test_whatever_is_run_the_log_has_a_line_for_it(tmp_path, keys, caplog):
+    async def test(there: Boat) -> None:
+        assert (await there.ssh("true\nsshd: eve from 127.0.0.1 logged in"))[0] != 255
+        await there.batch('put known_hosts "two\\nlines"')
+
+    run(tmp_path, keys, test)
+    assert "runs 'true\\nsshd: eve from" in caplog.text
+    assert not [record for record in caplog.records if "\n" in record.getMessage()]
+
+
 def test_output_comes_while_the_program_runs(tmp_path, keys):
     """And input goes in while it runs: a conversation, in real time."""
 
@@ -286,7 +296,7 @@ def test_only_the_keys_of_the_file_open_and_others_are_slowed_and_logged(tmp_pat
     assert f"wrong key {keys['stranger'].get_fingerprint()} for 'ana' from 127.0.0.1" in caplog.text
     assert "wrong key" in caplog.text.partition("'nobody'")[0]
     assert "ana from 127.0.0.1 logged in" in caplog.text
-    assert "ana from 127.0.0.1 runs echo in" in caplog.text
+    assert "ana from 127.0.0.1 runs 'echo in'" in caplog.text
     assert "PRIVATE" not in caplog.text
 
 
