@@ -2,7 +2,6 @@
 
 import math
 import struct
-import tomllib
 from random import Random
 
 import pytest
@@ -14,7 +13,7 @@ from delfim.errors import FormatError
 from delfim.vehicle import console
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
-from delfim.vehicle.mission import Mission, PathPoint, Waypoint, parse_mission
+from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical
 from delfim.vehicle.state import Mode
 from tests.vehicle.mavlink_console import Console, messages, newest, texts
 from tests.vehicle.test_mavlink_station import afloat, sail
@@ -80,14 +79,9 @@ pieces = st.builds(
 def test_a_mission_comes_back_as_it_was_sent(points, path):
     mission = Mission(version=1, name="any", waypoint=tuple(points), path=tuple(path))
     items = [single(item) for item in plans.mission_items(mission)]
-    text = plans.mission_text(items, "any", config.Zones())
-    assert plans.mission_items(mission) == plans.mission_items(config_mission(text))
-    assert plans.checksum(items) == plans.checksum(plans.mission_items(config_mission(text)))
-
-
-def config_mission(text: str) -> Mission:
-    """Parsed, but not held against a boat and its legs."""
-    return config.decode(tomllib.loads(text), Mission, "test")
+    back = plans.mission(items, "any", config.Zones())
+    assert back == mission
+    assert plans.checksum(items) == plans.checksum(plans.mission_items(back))
 
 
 def single(item: Item) -> Item:
@@ -168,13 +162,13 @@ def test_up_down_and_the_checksum_is_everybodys(sea):
     assert newest(heard, "MISSION_CHECKSUM").checksum == plans.checksum(plans.mission_items(mission))
     assert [single(item) for item in plans.mission_items(mission)] == download(sea.console)
     assert sea.vehicle.mission.waypoint == mission.waypoint
-    assert isinstance(sea.log[-1], console.Mission), "through the one door"
+    assert isinstance(sea.log[-1], console.Upload), "through the one door"
     assert newest(sea.console.say("command_long", 1, 1, 512, 0, 53, 0, 0, 0, 0, 0, 0), "MISSION_CHECKSUM").mission_type == 0
 
 
 def test_a_boats_own_mission_file_is_told_item_by_item(sea):
     mission = zigzag(3)
-    sea.vehicle.on_command(console.Mission(plans.mission_text(plans.mission_items(mission), "here", config.Zones())))
+    sea.vehicle.on_command(console.Mission(canonical(mission)))
     assert download(sea.console) == plans.mission_items(mission)
 
 
@@ -320,7 +314,7 @@ def test_a_mission_keeps_the_fence_that_came_before_it(sea):
     upload(sea.console, plans.fence_items(config.Zones(keep_in=wide)), FENCE)
     upload(sea.console, plans.mission_items(zigzag(3)))
     assert sea.vehicle.zones.keep_in == wide
-    assert parse_mission(sea.log[-1].text).fence.keep_in == wide
+    assert sea.log[-1].mission.fence.keep_in == wide
 
 
 def test_the_way_home_ends_at_the_last_harbour_that_was_passed(sea):

@@ -314,9 +314,9 @@ class Station:
         result, reason = self._ordered(peer, source, order)
         answer = dialect.MAVLink_command_ack_message(order.command, result, 0xFF, 0, *source)
         peer.answered = same, now_s, answer
-        self.tell(peer, [answer])
-        if reason:
+        if reason:  # before the answer, so that whoever hears that knows why
             self.say(dialect.MAV_SEVERITY_WARNING, reason)
+        self.tell(peer, [answer])
 
     def _ordered(self, peer: Peer, source: Source, order: commands.Order) -> tuple[int, str | None]:
         """(MAV_RESULT, why not)"""
@@ -401,8 +401,8 @@ class Station:
         """Whether this console may change a plan; it is told why not."""
         reason = self._refusal(source) if message.target_system == self.system else "a plan must name its vehicle"
         if reason:
-            self.tell(peer, [dialect.MAVLink_mission_ack_message(*source, dialect.MAV_MISSION_DENIED, message.mission_type)])
             self.say(dialect.MAV_SEVERITY_WARNING, reason)
+            self.tell(peer, [dialect.MAVLink_mission_ack_message(*source, dialect.MAV_MISSION_DENIED, message.mission_type)])
         return reason is None
 
     # Parameters.
