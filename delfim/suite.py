@@ -298,6 +298,13 @@ async def timed(runtime: Runtime) -> None:
         await _published(runtime, "timed", service.report)
 
 
+async def slipd(runtime: Runtime) -> None:
+    """The radio's serial line."""
+    from delfim.services.slipd import serve
+
+    await serve(runtime)
+
+
 async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str, object]]) -> None:
     """Until cancelled: the rest happens in callbacks, and the figures are on the runtime's board."""
     runtime.board[name] = report
@@ -322,6 +329,7 @@ SERVICES = (
     Service("logd", logd),
     Service("cantcpd", cantcpd),
     Service("timed", timed),
+    Service("slipd", slipd),
     Service("canip", canip),
     Service("httpd", httpd),
     Service("vehicle", vehicle),
@@ -336,6 +344,7 @@ def services(settings: config.Vehicle) -> list[Service]:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
     off = {"canip"} if not settings.canip.enabled else set()
+    off |= {"slipd"} if not settings.slipd.device else set()
     off |= {"timed"} if settings.timed.mode == "off" else set()
     off |= set() if settings.logd.nodes else {"logd"}
     enabled = [(row, asked[row.name].place) for row in SERVICES if asked[row.name].enabled and row.name not in off]
