@@ -392,6 +392,22 @@ class Httpd(Table, frozen=True):
     scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two looks at the computer and its processes
 
 
+class Powerd(Table, frozen=True):
+    """The ordered end: by the shutdown frame, a button, a command, or before the batteries are empty (docs/powerd.md)."""
+
+    partition: Annotated[str, msgspec.Meta(pattern=r"^(/[^/\x00]+)*\Z")] = (
+        "/log"  # unmounted at last, if logs go there; "": none
+    )
+    end_s: Seconds = 5.0  # that other users of the partition have to end before they are killed
+    held_s: Seconds = 30.0  # a partition that stays in use for so long is given up: synced, but not unmounted
+    told_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the acknowledge is repeated for so long, then it is dark
+    button: str = ""  # an input device under /dev/input, or a file (a GPIO's value); "" for none
+    button_pressed: str = "1"  # what the file begins with while the button is pressed
+    button_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # it must be held for so long
+    battery_charge: Fraction = 0.05  # either side's batteries at this or less; 0 for never ...
+    battery_s: Seconds = 60.0  # ... for so long, and no propeller told to run meanwhile
+
+
 class Log(Table, frozen=True):
     """Where and how logs are written, and what happens when the disk is full."""
 
@@ -439,6 +455,10 @@ class Service(Table, frozen=True):
 
     enabled: bool = True  # run it
     place: Literal["default", "runtime", "process"] = "default"  # the runtime's loop, a niced process, or as usual
+    memory_max_mb: Annotated[int, msgspec.Meta(ge=0, le=1 << 20)] = (
+        0  # of a process and all it starts; beyond, it is started again
+    )
+    cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
 
 
 class Sea(Table, frozen=True):
@@ -486,6 +506,7 @@ class Vehicle(Table, frozen=True):
     canip: Canip = Canip()
     timed: Timed = Timed()
     httpd: Httpd = Httpd()
+    powerd: Powerd = Powerd()
     log: Log = Log()
     logd: Logd = Logd()
     runtime: Runtime = Runtime()

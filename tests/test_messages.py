@@ -156,6 +156,8 @@ UNPACKERS = [
     (messages.unpack_navigation, 32),
     (messages.unpack_propeller_command, 4),
     (messages.unpack_batteries_command, 2),
+    (messages.unpack_shutdown, 5),
+    (messages.unpack_shutdown_acknowledge, 2),
     *((lambda data, node=node: messages.unpack_sysstat(node, data), 8) for node in (0x10, 0x11, 0x20, 0x21)),
     (lambda data: messages.unpack_sysstat(Node.GPS, data), 16),
 ]
@@ -241,7 +243,7 @@ def test_gps_status_round_trip(
 def test_identifiers_are_unique_and_ordered_by_urgency() -> None:
     commands = [messages.PROPELLER_STARBOARD, messages.PROPELLER_PORT, messages.BATTERIES_STARBOARD, messages.BATTERIES_PORT]
     reports = [messages.sysstat_arb(node) for node in sorted(Node) if node not in (Node.VEHICLE, Node.BROADCAST)]
-    ranked = [*commands, messages.TIME_FRAME, *reports]
+    ranked = [*commands, messages.TIME_FRAME, messages.SHUTDOWN, messages.SHUTDOWN_ACKNOWLEDGE, *reports]
     assert ranked == sorted(set(ranked))
 
 
