@@ -156,8 +156,6 @@ UNPACKERS = [
     (messages.unpack_navigation, 32),
     (messages.unpack_propeller_command, 4),
     (messages.unpack_batteries_command, 2),
-    (messages.unpack_shutdown, 5),
-    (messages.unpack_shutdown_acknowledge, 2),
     *((lambda data, node=node: messages.unpack_sysstat(node, data), 8) for node in (0x10, 0x11, 0x20, 0x21)),
     (lambda data: messages.unpack_sysstat(Node.GPS, data), 16),
 ]
@@ -253,3 +251,20 @@ def test_the_mask_accepts_the_status_of_any_node(a: Node, b: Node) -> None:
     frame = Frame(messages.sysstat_arb(a))
     assert frame.extended
     assert frame.identifier >> 12 & 0x7F == a
+
+
+@given(st.binary(max_size=8))
+def test_no_other_bytes_are_a_shutdown_order(data: bytes) -> None:
+    with pytest.raises(FormatError, match="shutdown order"):
+        messages.unpack_shutdown(data)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x02", b"\x00\x00", b"\x04\x00", b"\x02\x00\x00"])
+def test_no_other_bytes_say_that_the_power_may_be_cut(data: bytes) -> None:
+    with pytest.raises(FormatError, match="shutdown acknowledge"):
+        messages.unpack_shutdown_acknowledge(data)
+
+
+def test_more_holders_than_fit_are_many() -> None:
+    data = messages.pack_shutdown_acknowledge(messages.ShutdownAcknowledge(messages.ShutdownStage.HELD, 1000))
+    assert messages.unpack_shutdown_acknowledge(data).holders == 255

@@ -102,8 +102,8 @@ class Powerd:
         self.malformed = 0
         self.button = Button(settings.button, settings.button_pressed)
         self._charges: dict[Node, tuple[float, float]] = {}  # charge, and when it was reported
-        self._released_s = self._driven_s = clock.monotonic_s()  # when the button last was, when a propeller last was to run
-        self._enough_s = self._driven_s  # when the batteries last had enough
+        self._pressed_s = inf  # when the button was first seen pressed
+        self._driven_s = self._enough_s = clock.monotonic_s()  # when a propeller last was to run, the batteries had enough
 
     def on_frame(self, frame: Frame) -> None:
         """A frame of the bus. Malformed ones are counted."""
@@ -125,9 +125,8 @@ class Powerd:
     def look(self) -> None:
         """At the button and the batteries; due every LOOK_S."""
         now_s, settings = self._clock.monotonic_s(), self._settings
-        if not self.button.pressed():
-            self._released_s = now_s
-        elif now_s - self._released_s >= settings.button_s:
+        self._pressed_s = min(self._pressed_s, now_s) if self.button.pressed() else inf
+        if now_s - self._pressed_s >= settings.button_s:
             self._ask("off", "button")
         least = self._least(now_s)
         if least > settings.battery_charge or not settings.battery_charge:
