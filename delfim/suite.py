@@ -52,6 +52,7 @@ from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
 from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.rehearsal import Rehearsal
 from delfim.vehicle.state import Mode, State
 
 WATCHDOG_S = 0.1
@@ -134,13 +135,14 @@ async def vehicle(runtime: Runtime) -> None:
         status_messages = _opened(links, settings, settings.can.interface, CanAddress(*dsor.message_filter(source=Node.GPS)))
         log = StateLog(settings, clock)
         links.callback(log.close)
-        propulsion = Propulsion(_opened(links, settings, settings.can.interface), settings.propulsion, state)
+        outlet = _opened(links, settings, settings.can.interface)
+        propulsion = Propulsion(outlet, settings.propulsion, state)
         boat = Vehicle(settings, clock, state, sources, propulsion, Guest(state, clock), log)
         links.callback(boat.stop, "shutdown")  # first of all that is undone
         for source in sources:
             runtime.navigation(source.socket.fileno(), partial(boat.on_navigation, source))
             links.callback(runtime.remove_navigation, source.socket.fileno())
-        runtime.rehearsal(boat.rehearse)
+        runtime.rehearsal(Rehearsal(boat, outlet))
         links.callback(runtime.rehearsal, None)
         for status in (status_frames, status_messages):
             runtime.reader(status.fileno(), partial(boat.on_sysstat, status))

@@ -54,7 +54,7 @@ class Boat:
         self.clock = ManualClock(monotonic_s=1000.0)
         self.state, self.log = State(), Records()
         self.sockets = [open_can(name) for _ in range(5)]
-        self.nodes, self._navigation, self.status, self.messages, propulsion = self.sockets
+        self.nodes, self._navigation, self.status, self.messages, self.outlet = self.sockets
         for socket in self.sockets:
             socket.setblocking(False)
         self._navigation.bind(CanAddress(*dsor.message_filter(source=Node.NAVIGATION)))
@@ -68,7 +68,7 @@ class Boat:
             self.clock,
             self.state,
             (self.source,),
-            Propulsion(propulsion, settings.propulsion, self.state),
+            Propulsion(self.outlet, settings.propulsion, self.state),
             self.guest,
             self.log,
         )

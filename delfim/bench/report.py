@@ -14,6 +14,7 @@ LIMITS: Final = {"p50": 1.25, "p99": 1.0, "p999": 1.0}  # of the ratio to the C 
 STAGES: Final = ("poll", "navigation", "control", "propulsion", "log")
 EDGES_US: Final = tuple(10 ** (k / 20) for k in range(101))  # 1 us .. 0.1 s, twenty bins a decade
 BEYOND_MIN: Final = 5  # a percentile of fewer samples beyond it is an anecdote
+OVER_BUDGET_MAX: Final = 1.0  # callbacks a second of one service; a few are the machine's, which interrupts whom it likes
 TAKEN_MAX: Final = 0.1  # of the processors, by others, while the worst case is still the competitors' own
 COLOURS: Final = {"c": INK, "delfim": "#d1495b", "apart": "#e8b04a", "asyncio": "#2e86ab", "uvloop": "#5b9a68"}
 
@@ -175,7 +176,20 @@ def _remarks(group: Mapping[str, Any]) -> list[str]:
         if row["competitor"] == "delfim":
             said = "; ".join(f"{_name(k)} {v} (<= {LIMITS[k]:.2f} x C)" for k, v in row["verdict"].items())
             lines.append(f"  the contract: {said}")
+            over = ", ".join(f"{name} {per_s:g}" for name, per_s in row["over_budget_per_s"].items() if per_s) or "none"
+            beyond = over_budget(group)
+            failed = f"; more than {OVER_BUDGET_MAX:g}: {', '.join(beyond)} FAILED" if beyond else ""
+            lines.append(f"  callbacks longer than their budget, a second: {over}{failed}")
     return lines
+
+
+def over_budget(group: Mapping[str, Any]) -> list[str]:
+    """The services of this program whose callbacks are too long too often. None where others had too much of the machine to
+    tell."""
+    if group["others_share"] + group["steal_share"] > TAKEN_MAX:
+        return []
+    rows = [row for row in group["rows"] if row["competitor"] == "delfim"]
+    return [name for row in rows for name, per_s in row["over_budget_per_s"].items() if per_s > OVER_BUDGET_MAX]
 
 
 def _name(key: str) -> str:

@@ -97,7 +97,7 @@ class PythonCan:
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN)) from None
             raise BusError(f"{self.name}: {error}") from None
 
-    def rehearse(self, arb: int, data: bytes) -> None:
+    def rehearse(self) -> None:
         """python-can has no way to send nowhere."""
 
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:

@@ -251,6 +251,11 @@ class Receiver:
         """When `expire` has something to do; infinity while no message is under way."""
         return min((assembly.heard_s for assembly in self._open.values()), default=math.inf) + self._timeout_s
 
+    @property
+    def is_waiting(self) -> bool:
+        """Whether a message is under way."""
+        return bool(self._open)
+
     def feed(self, frame: Frame, now_s: float) -> Message | None:
         """The message that this frame completes. Never raises; frames of no concern are passed over."""
         arb = frame.arb

@@ -76,7 +76,7 @@ class Remote:
         self._unsent += send_text(arb, data)
         self._push()
 
-    def rehearse(self, arb: int, data: bytes) -> None:
+    def rehearse(self) -> None:
         """There is no frame that a server would not take for one."""
 
     def rebind(self) -> bool:

@@ -3,7 +3,6 @@
 An interface that goes down or away is reported once by the kernel, as a BusError here; `rebind` takes it up again.
 """
 
-import contextlib
 import errno
 import fcntl
 import os
@@ -13,9 +12,10 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from delfim.canproxy.socket import CanAddress
+from delfim.canproxy import mmsg
+from delfim.canproxy.socket import BATCH, REHEARSED, CanAddress, receive_each
 from delfim.errors import BusError
-from delfim.frames import CAN_ERR, CAN_FRAME, CAN_IDE, CAN_RTR, Frame, from_can_id, to_can_frame
+from delfim.frames import CAN_ERR, CAN_FRAME, CAN_IDE, CAN_RTR, Frame, from_can_id, to_can_frame, to_can_id
 
 # asm-generic/socket.h, linux/can/raw.h, linux/if_arp.h, linux/sockios.h: what Python 3.11 does not name
 SO_RCVBUFFORCE: Final = 33
@@ -28,7 +28,11 @@ _SIOCGIFFLAGS, _SIOCGIFHWADDR, _IFF_UP = 0x8913, 0x8927, 1
 TIMESPEC: Final = struct.Struct("@ll")
 _COUNT = struct.Struct("@I")
 _FILTER = struct.Struct("=II")  # struct can_filter
+_INTERFACE = struct.Struct("=4xi16x")  # struct sockaddr_can
+_CONTROL = struct.Struct("@16xqq16xI4x")  # two struct cmsghdr: struct timespec, drop count
+_HEADER = struct.Struct("@40xQQ8x")  # struct mmsghdr: bytes of ancillary data, flags
 _ANCILLARY_BYTES = socket.CMSG_SPACE(TIMESPEC.size) + socket.CMSG_SPACE(_COUNT.size)
+_STAMP_BYTES = socket.CMSG_SPACE(TIMESPEC.size)
 _EFF, _RTR, _STANDARD = 1 << 31, 1 << 30, 0x7FF
 _EXTENDED_BITS = 0x3FFFF << 3  # of the arbitration field, 0 in standard format frames
 
@@ -87,11 +91,15 @@ class SocketCan:
             failure = self._failure(error)
             self._socket.close()
             raise failure from None
+        self._taken: mmsg.Messages | None = mmsg.Messages(self._socket, BATCH, CAN_FRAME.size, _INTERFACE.size, _CONTROL.size)
+        self._given: mmsg.Messages | None = mmsg.Messages(self._socket, BATCH, CAN_FRAME.size)
+        self._nothing: mmsg.Messages | None = mmsg.Messages(self._socket, BATCH, CAN_FRAME.size - 1)
 
     def fileno(self) -> int:
         return self._socket.fileno()
 
     def close(self) -> None:
+        self._taken = self._given = self._nothing = None  # their descriptor may soon be somebody else's
         self._socket.close()
 
     def receive(self) -> Frame | None:
@@ -113,6 +121,33 @@ class SocketCan:
             flags & socket.MSG_DONTROUTE != 0,
         )
 
+    def receive_many(self) -> list[Frame]:
+        taken = self._taken
+        if taken is None:
+            return receive_each(self.receive)
+        try:
+            count = taken.receive()
+        except OSError as error:
+            raise self._failure(error) from None
+        frames = []
+        rows = (CAN_FRAME, taken.data), (_INTERFACE, taken.names), (_CONTROL, taken.controls), (_HEADER, taken.headers)
+        each = zip(range(count), *(form.iter_unpack(into) for form, into in rows), strict=False)
+        for _, (can_id, length, data), (ifindex,), (seconds, nanoseconds, dropped), (ancillary_bytes, flags) in each:
+            if ancillary_bytes > _STAMP_BYTES:
+                self.dropped = dropped
+            t_ns = seconds * 1_000_000_000 + nanoseconds
+            frames.append(Frame(from_can_id(can_id), data[:length], t_ns, ifindex, flags & socket.MSG_DONTROUTE != 0))
+        return frames
+
+    def send_many(self, messages: Sequence[tuple[int, bytes]]) -> int:
+        at, given = 0, self._given
+        if given is None:
+            return len(messages)
+        for arb, data in messages:
+            CAN_FRAME.pack_into(given.data, at, to_can_id(arb), len(data), data)
+            at += CAN_FRAME.size
+        return given.send(len(messages))
+
     def send(self, arb: int, data: bytes, ifindex: int) -> None:
         raw = to_can_frame(arb, data)
         try:
@@ -129,10 +164,10 @@ class SocketCan:
                 raise BlockingIOError(errno.EAGAIN, os.strerror(errno.EAGAIN)) from None
             raise self._failure(error) from None
 
-    def rehearse(self, arb: int, data: bytes) -> None:
+    def rehearse(self) -> None:
         """The kernel looks the interface up and refuses 15 bytes, for a frame has 16."""
-        with contextlib.suppress(OSError):
-            self._socket.send(to_can_frame(arb, data)[:-1])
+        if self._nothing is not None:
+            self._nothing.send(REHEARSED)
 
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         indices = {address.ifindex for address in addresses} or {0}

@@ -32,6 +32,7 @@ MISSES_MAX: Final = 3  # windows in a row without their message; then there are 
 FORGET_PERIODS: Final = 4.0  # a source silent for so long starts anew
 RATE_CHANGE: Final = 0.25  # of the period, by which the last four intervals all have to differ
 IRREGULAR: Final = 0.125  # of the period: a source that scatters more is not periodic
+REHEARSALS: Final = 8  # in a window, at most
 HOLD_MAX_S: Final = 0.01  # the longest time that the loop is ever held
 
 
@@ -102,13 +103,15 @@ class NavigationWindow:
 
     def __init__(self, guard_s: float, share_max: float) -> None:
         self.opens_s = inf  # of the next window
+        self.due_s = inf  # when its message should come
         self.hits = 0  # windows in which the message came
         self.misses = 0  # windows in which it did not
         self.late = 0  # windows that were over before the loop was free to hold them
         self.spent_s = 0.0  # held altogether
         self._guard_s, self._share_max = guard_s, share_max
         self._rhythms: dict[int, Rhythm] = {}
-        self._due: Rhythm | None = None  # whose window is next
+        self.awaited = -1  # the source whose window is next
+        self._due: Rhythm | None = None  # and its rhythm
         self._closes_s = -inf
         self._is_open = False
         self._credit_s, self._credit_at_s = HOLD_MAX_S, inf  # what may be spent now, and when that was reckoned
@@ -146,7 +149,7 @@ class NavigationWindow:
     def close(self, opened_s: float, now_s: float) -> None:
         """The loop is let go, now."""
         self.spent_s += now_s - opened_s
-        self._credit_s -= now_s - opened_s
+        self._credit_s = max(self._credit_s - (now_s - opened_s), -HOLD_MAX_S)  # a computer that slept owes no windows for it
         if self._is_open and self._due:
             self._is_open = False
             if opened_s < self._closes_s:
@@ -171,11 +174,12 @@ class NavigationWindow:
     def _plan(self) -> None:
         """Choose the window that opens first. A source that scatters more than a window can cover has none."""
         self.opens_s = inf
-        for rhythm in self._rhythms.values():
+        for source, rhythm in self._rhythms.items():
             allowed_s = min(self._share_max * rhythm.period_s, HOLD_MAX_S / 2)
             early_s = min(self._guard_s + 2.0 * rhythm.spread_s, allowed_s)
             if rhythm.next_s - early_s < self.opens_s and rhythm.spread_s < early_s:
-                self._due, self.opens_s, self._closes_s = rhythm, rhythm.next_s - early_s, rhythm.next_s + early_s
+                self.awaited, self._due, self.due_s = source, rhythm, rhythm.next_s
+                self.opens_s, self._closes_s = rhythm.next_s - early_s, rhythm.next_s + early_s
 
 
 @dataclass(slots=True)
@@ -242,6 +246,7 @@ class NavigationFirst:
         self._since_s = self._clock_s()
         self._is_fresh = False  # navigation was looked at, and nothing ran since
         self.rehearse: Callable[[], None] | None = None  # warms the caches at the opening of a window
+        self._rehearsal_s = 0.0  # what is left to the message when another one begins
 
     def fileno(self) -> int:
         """Readable while a navigation socket is."""
@@ -296,26 +301,42 @@ class NavigationFirst:
         window = self.window
         if now_s >= window.opens_s:
             opened_s, until_s = now_s, window.open(now_s)
-            if self.rehearse is not None and now_s < until_s:
-                self._rehearse(self.rehearse)
-            while window.is_open and now_s < until_s:
-                for fd, _ in self._poll(0.0, 4):
-                    now_s = self._handle(fd, self._clock_s())
-                now_s = self._clock_s()
+            if self.rehearse is not None:
+                now_s = self._rehearse(self.rehearse, min(window.due_s, until_s), now_s)
+            awaited = window.awaited
+            while window.is_open and now_s < until_s:  # the handler looks itself: so all of its way stays warm
+                now_s = self._handle(awaited, now_s)
+                if window.is_open:
+                    for fd, _ in self._poll(0.0, 4):
+                        now_s = self._handle(fd, now_s)
             window.close(opened_s, now_s)
         return now_s
 
-    def _rehearse(self, rehearse: Callable[[], None]) -> None:
+    def _rehearse(self, rehearse: Callable[[], None], until_s: float, now_s: float) -> float:
+        """Several times, for each is faster than the one before; none that may not be over in time, and none when the message
+        is there. Returns when that was last known not to be so: a message that came meanwhile did not come later than it was
+        due, and the next window must not open later for it."""
+        looked_s = now_s
         try:
-            rehearse()
+            for _ in range(REHEARSALS):
+                if now_s + self._rehearsal_s > until_s:
+                    self._rehearsal_s *= 0.5  # one that was interrupted is not for ever the measure
+                    break
+                if self._poll(0.0, 1):
+                    break
+                looked_s = now_s
+                rehearse()
+                now_s = self._clock_s()
+                self._rehearsal_s = 2.0 * (now_s - looked_s)
         except Exception:  # a defect that costs warmth and must cost no more: there are no more rehearsals
             self.rehearse = None
             logging.getLogger(__name__).exception("rehearsal of the critical path")
+        return looked_s
 
     def _handle(self, fd: int, at_s: float) -> float:
         """Call the handler of a readable socket; `at_s` is when it was seen. Returns the time."""
         if fd not in self._handlers:  # the handler before this one removed it
-            return at_s
+            return self._clock_s()
         context, handler, account, failed = self._handlers[fd]
         try:
             if context.run(handler):

@@ -95,7 +95,7 @@ class _End:
             raise BusError(f"{self.name}: bus-off")
         bus.deliver(self, arb, bytes(data))
 
-    def rehearse(self, arb: int, data: bytes) -> None:
+    def rehearse(self) -> None:
         """Nothing is cold here."""
 
     def rebind(self) -> bool:

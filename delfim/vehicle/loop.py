@@ -137,15 +137,10 @@ class Vehicle:
         self._enter(Mode.IDLE, reason)
         self.state.actuation = self.propulsion.send(STOP, self.clock.monotonic_s())
 
-    def rehearse(self) -> None:
-        """Go through the critical path without effect, shortly before navigation is due: what the processor has forgotten
-        since the last cycle is fetched while there is time. Control is pure, so its answer can be thrown away."""
-        state = self.state
-        if state.navigation is None:
-            return
-        self.sources[0].rehearse(state.navigation)
-        _, _, wanted = control(state.mode, self._memory, state.motion, state.setpoint, self._limits, 0.0)
-        self.propulsion.rehearse(wanted)
+    def follow(self, other: "Vehicle") -> None:
+        """Be in the mode that another vehicle is in, with its set points and its memory."""
+        self.state.mode, self.state.setpoint, self._memory = other.state.mode, other.state.setpoint, other._memory
+        self.state.origin = other.state.origin
 
     def snapshot(self, extra: dict[str, object]) -> dict[str, object]:
         """The state for the console, JSON-ready."""

@@ -7,14 +7,16 @@ only while every better one is silent.
 
 from typing import NamedTuple, Protocol
 
-from delfim.canproxy.dsor import Message, Receiver, segments
+from delfim.canproxy.dsor import Message, Receiver
 from delfim.canproxy.nmea2000 import Nmea2000Source
 from delfim.canproxy.socket import CanSocket
 from delfim.errors import BusError, FormatError
-from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation, unpack_navigation
+from delfim.messages import NAVIGATION_ID, Navigation, Node, unpack_navigation
 from delfim.vehicle.state import State
 
 FRAMES_PER_READ = 64  # bounds one call on a flooded bus; what is left stays readable
+READS = FRAMES_PER_READ
+LOOKS = 8  # for the next frame of a message, 20 us in all: many an adapter hands over its frames in a burst
 
 
 class Fix(NamedTuple):
@@ -33,7 +35,6 @@ class Source(Protocol):
     heard_s: float
 
     def read(self, now_s: float) -> Fix | None: ...
-    def rehearse(self, last: Navigation) -> None: ...
 
 
 class DsorNavigation:
@@ -44,38 +45,41 @@ class DsorNavigation:
     def __init__(self, socket: CanSocket, state: State) -> None:
         self.socket, self._state = socket, state
         self.heard_s = -1e9
-        self._receive = socket.receive
+        self._receive_many = socket.receive_many
         self._receiver = Receiver(Node.VEHICLE, lambda message: message.id == NAVIGATION_ID)
         self.expire, self.errors = self._receiver.expire, self._receiver.errors
-
-    def rehearse(self, last: Navigation) -> None:
-        """Take the last message apart once more, with a receiver that nobody listens to."""
-        message = Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, pack_navigation(last))
-        receiver = Receiver(Node.VEHICLE, lambda announced: announced.id == NAVIGATION_ID)
-        for frame in segments(message, 0):
-            received = receiver.feed(frame, 0.0)
-        if received is not None:
-            unpack_navigation(received.data)
 
     def read(self, now_s: float) -> Fix | None:
         """The next complete message, None when there is none yet. What is behind it stays readable. Malformed ones are
         counted."""
-        feed = self._receiver.feed
-        for _ in range(FRAMES_PER_READ):
+        feed, fix, looks = self._receiver.feed, None, 0
+        for _ in range(READS):
             try:
-                frame = self._receive()
-                if frame is None:
-                    break
-                message = feed(frame, now_s)
-                if message is not None:
-                    self.heard_s = now_s
-                    return Fix(unpack_navigation(message.data), message.t_ns, now_s)
-            except FormatError:
-                self._state.count("navigation_malformed")
+                frames = self._receive_many()
             except BusError:
                 self._state.count("navigation_bus_errors")
                 break
-        return None
+            for frame in frames:  # no more than a message has, so that no two can be complete
+                message = feed(frame, now_s)
+                if message is not None:
+                    fix = self._fix(message, now_s) or fix
+            if frames:
+                looks = 0
+            elif looks == LOOKS or not self._receiver.is_waiting:
+                break
+            else:
+                looks += 1
+            if fix is not None:
+                break
+        return fix
+
+    def _fix(self, message: Message, now_s: float) -> Fix | None:
+        self.heard_s = now_s
+        try:
+            return Fix(unpack_navigation(message.data), message.t_ns, now_s)
+        except FormatError:
+            self._state.count("navigation_malformed")
+            return None
 
 
 class Nmea2000Navigation:
@@ -86,9 +90,6 @@ class Nmea2000Navigation:
     def __init__(self, socket: CanSocket, source: Nmea2000Source, state: State) -> None:
         self.socket, self._source, self._state = socket, source, state
         self.heard_s = -1e9
-
-    def rehearse(self, last: Navigation) -> None:
-        """Its frames come one by one all the time; nothing of it is cold."""
 
     def read(self, now_s: float) -> Fix | None:
         """As `DsorNavigation.read`: a fix whenever the chosen position source spoke."""

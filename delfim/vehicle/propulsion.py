@@ -4,7 +4,7 @@ The limit is applied in the statement that sends: nothing leaves here that is no
 """
 
 from delfim import config
-from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.canproxy.socket import CanSocket
 from delfim.messages import (
     BATTERIES_COMMAND,
     BATTERIES_PORT,
@@ -21,22 +21,11 @@ from delfim.vehicle.state import Actuation, State
 class Propulsion:
     def __init__(self, socket: CanSocket, limits: config.Propulsion, state: State) -> None:
         self._limits, self._state = limits, state
-        self._sendto, self._rehearse = socket.sendto, socket.rehearse
-        self._propellers = CanAddress(PROPELLER_STARBOARD), CanAddress(PROPELLER_PORT)
-        self._batteries = CanAddress(BATTERIES_STARBOARD), CanAddress(BATTERIES_PORT)
+        self._send_many = socket.send_many
         self._contactors = True, True  # starboard, port: closed
         self._sent = STOP
         self._sent_s = 0.0
         self._counter = 0
-
-    def rehearse(self, wanted: Actuation) -> None:
-        """All that `send` does, but that nothing is sent and nothing remembered."""
-        would = limited(wanted, self._sent, self._limits, 0.0)
-        batteries = BATTERIES_COMMAND.pack(1, 0)
-        for to, rpm in zip(self._propellers, (would.starboard_rpm, would.port_rpm), strict=True):
-            self._rehearse(PROPELLER_COMMAND.pack(round(rpm), would.run, 0), to)
-        for to in self._batteries:
-            self._rehearse(batteries, to)
 
     def send(self, wanted: Actuation, now_s: float) -> Actuation:
         """Command the propellers; returns what was sent. A frame that the bus does not take is counted, never waited for."""
@@ -45,16 +34,16 @@ class Propulsion:
         self._sent_s = now_s
         self._counter = counter = self._counter + 1 & 0xFF
         starboard, port = self._contactors
-        for to, data in (
-            (self._propellers[0], PROPELLER_COMMAND.pack(round(sent.starboard_rpm), sent.run, counter)),
-            (self._propellers[1], PROPELLER_COMMAND.pack(round(sent.port_rpm), sent.run, counter)),
-            (self._batteries[0], BATTERIES_COMMAND.pack(starboard, counter)),
-            (self._batteries[1], BATTERIES_COMMAND.pack(port, counter)),
-        ):
-            try:
-                self._sendto(data, to)
-            except OSError:  # one side's frame lost must not cost the other's
-                self._state.count("propulsion_unsent")
+        unsent = self._send_many(
+            (
+                (PROPELLER_STARBOARD, PROPELLER_COMMAND.pack(round(sent.starboard_rpm), sent.run, counter)),
+                (PROPELLER_PORT, PROPELLER_COMMAND.pack(round(sent.port_rpm), sent.run, counter)),
+                (BATTERIES_STARBOARD, BATTERIES_COMMAND.pack(starboard, counter)),
+                (BATTERIES_PORT, BATTERIES_COMMAND.pack(port, counter)),
+            )
+        )
+        if unsent:
+            self._state.count("propulsion_unsent", unsent)
         return sent
 
     def disconnect(self, sides: tuple[str, ...]) -> None:

@@ -91,7 +91,7 @@ class ScriptedBus:
         self.room -= 1
         self.sent.append(Frame(arb, data))
 
-    def rehearse(self, arb: int, data: bytes) -> None:
+    def rehearse(self) -> None:
         raise AssertionError
 
     def rebind(self) -> bool:

@@ -14,7 +14,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from delfim.canproxy.canloop import CanLoop
-from delfim.canproxy.socket import ANYTHING, BusState, CanAddress, CanSocket, accepts, bus_state, open_can
+from delfim.canproxy.socket import ANYTHING, BATCH, BusState, CanAddress, CanSocket, accepts, bus_state, open_can
 from delfim.canproxy.socketcan import SocketCan, kernel_filters
 from delfim.errors import BusError, FormatError
 from delfim.frames import CAN_ANY, CAN_ERR, CAN_ID, CAN_IDE, CAN_RTR, Frame, extended, standard, to_can_id
@@ -276,6 +276,83 @@ def test_a_closed_socket_says_so(opened: Callable[..., CanSocket]) -> None:
         one.sendto(b"", CanAddress(standard(1)))
 
 
+MANY = [(standard(0x40 + i), bytes(range(i))) for i in range(3)] + [
+    (extended(0x1ABCDEF0), b"delfim"),
+    (extended(7), b"12345678"),
+]
+
+
+def test_many_frames_at_once_are_those_one_by_one(opened: Callable[..., CanSocket]) -> None:
+    sender, receiver, other = opened(), opened(), opened()
+    receiver.bind(ANYTHING)
+    other.bind(ANYTHING)
+    assert sender.receive_many() == []
+    assert sender.send_many(MANY) == 0
+    sender.sendto(b"", CanAddress(standard(1)))
+    one_by_one = [other.recvmsg() for _ in range(6)]
+    assert [frame[:2] for frame in one_by_one] == [*MANY, (standard(1), b"")]
+    select.select([receiver], [], [], 5.0)
+    frames: list[Frame] = []
+    while len(frames) < 6:
+        frames += receiver.receive_many()
+    assert [frame._replace(t_ns=0) for frame in frames] == [frame._replace(t_ns=0) for frame in one_by_one]
+    assert all(abs(at_once.t_ns - single.t_ns) < 50_000_000 for at_once, single in zip(frames, one_by_one, strict=True))
+    assert receiver.dropped == 0
+
+
+def test_many_frames_leave_no_more_than_a_batch_at_a_time(opened: Callable[..., CanSocket]) -> None:
+    sender, receiver = opened(), opened()
+    receiver.bind(ANYTHING)
+    for number in range(BATCH + 2):
+        sender.sendto(bytes([number]), CanAddress(standard(1)))
+    select.select([receiver], [], [], 5.0)
+    assert [frame.data[0] for frame in receiver.receive_many()] == list(range(BATCH))
+    assert [frame.data[0] for frame in receiver.receive_many()] == [BATCH, BATCH + 1]
+
+
+def test_many_frames_count_what_a_full_queue_lost(opened: Callable[..., CanSocket]) -> None:
+    sender, receiver = opened(), opened(receive_buffer_bytes=2048)
+    receiver.bind(ANYTHING)
+    for _ in range(100):
+        sender.send_many([(standard(1), b"12345678")] * BATCH)
+    heard = 0
+    while frames := receiver.receive_many():
+        heard += len(frames)
+    assert heard < 600
+    sender.send_many([(standard(1), b"last")])
+    assert [frame.data for frame in receiver.receive_many()] == [b"last"]
+    assert receiver.dropped == 600 - heard
+
+
+def test_a_rehearsal_is_heard_by_nobody(opened: Callable[..., CanSocket]) -> None:
+    sender, receiver = opened(), opened()
+    receiver.bind(ANYTHING)
+    sender.rehearse()
+    sender.sendto(b"after", CanAddress(standard(1)))
+    assert receiver.recv(8) == b"after"
+    assert receiver.dropped == 0
+
+
+def test_a_closed_socket_neither_takes_nor_gives_many(opened: Callable[..., CanSocket]) -> None:
+    """Its descriptor may be somebody else's by then."""
+    closed = opened()
+    receive_many, send_many = closed.receive_many, closed.send_many
+    closed.close()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as heir:
+        heir.bind(("127.0.0.1", 0))
+        heir.sendto(b"not yours", heir.getsockname())
+        with pytest.raises(BusError):
+            receive_many()
+        assert send_many(MANY) == len(MANY)
+        assert heir.recv(16) == b"not yours"
+
+
+def test_one_frame_that_is_not_taken_does_not_keep_the_others_back() -> None:
+    bus = FullBus(full=2)
+    assert CanSocket(bus).send_many(MANY) == 2
+    assert [arb for arb, _, _ in bus.sent] == [arb for arb, _ in MANY[2:]]
+
+
 class FullBus:
     """A transport whose transmit queue is full for the first `full` tries."""
 
@@ -292,6 +369,8 @@ class FullBus:
 
     def receive(self) -> None:
         return None
+
+    def rehearse(self) -> None: ...
 
 
 def test_a_full_transmit_queue() -> None:

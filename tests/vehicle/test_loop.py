@@ -1,5 +1,6 @@
 """The critical program on a real bus: each of the five inputs does what figure 3-7 says, and nothing bad gets out."""
 
+import copy
 import math
 
 import pytest
@@ -10,6 +11,7 @@ from delfim import config, messages
 from delfim.frames import Frame, extended
 from delfim.messages import Fault, Node, Status
 from delfim.vehicle import console
+from delfim.vehicle.rehearsal import Rehearsal
 from delfim.vehicle.state import Mode
 
 FOUR = {messages.PROPELLER_STARBOARD, messages.PROPELLER_PORT, messages.BATTERIES_STARBOARD, messages.BATTERIES_PORT}
@@ -195,14 +197,17 @@ def test_the_better_source_wins_while_it_speaks(boat):
     assert preferred(second, (first, second), 11.5, 1.0)
 
 
-def test_a_rehearsal_sends_nothing_and_changes_nothing(boat):
-    boat.vehicle.rehearse()
+def test_a_rehearsal_goes_the_whole_way_sends_nothing_and_changes_nothing(boat):
+    rehearsal = Rehearsal(boat.vehicle, boat.outlet)
+    rehearsal()
     boat.ready()
     boat.vehicle.on_command(console.Heading(90.0, 1.0))
     boat.pass_time(1.0)
     boat.heard()
-    twin = boat.vehicle._memory, boat.vehicle.propulsion._sent, boat.state.profile, boat.state.cycles
+    before = copy.deepcopy((boat.vehicle._memory, boat.vehicle.propulsion._sent, boat.state))
     for _ in range(3):
-        boat.vehicle.rehearse()
+        rehearsal()
     assert boat.heard() == []
-    assert (boat.vehicle._memory, boat.vehicle.propulsion._sent, boat.state.profile, boat.state.cycles) == twin
+    assert (boat.vehicle._memory, boat.vehicle.propulsion._sent, boat.state) == before
+    twin = rehearsal._twin
+    assert (twin.state.cycles, twin.state.mode, twin.state.actuation.run) == (3, Mode.HEADING, True)
