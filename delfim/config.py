@@ -35,6 +35,8 @@ Endpoint = Annotated[str, msgspec.Meta(pattern=r"^[^ :]+:[0-9]{1,5}\Z")]  # host
 Listen = Annotated[str, msgspec.Meta(pattern=r"^([^ :]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}\Z")]  # as Endpoint, or [IPv6]:port
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
 LinuxInterface = Annotated[str, msgspec.Meta(pattern=r"^[^ /:]{1,15}\Z")]
+MountPoint = Annotated[str, msgspec.Meta(pattern=r"^(/[^/\x00]+)*\Z")]
+Megabytes = Annotated[int, msgspec.Meta(ge=0, le=1 << 20)]
 Network = Annotated[str, msgspec.Meta(pattern=r"^[0-9A-Fa-f:.]+(/[0-9]{1,3})?\Z")]
 Identifiers = Annotated[  # one or a range; three digits are a standard identifier, eight an extended one
     str, msgspec.Meta(pattern=r"^([0-7][0-9A-Fa-f]{2}(-[0-7][0-9A-Fa-f]{2})?|[01][0-9A-Fa-f]{7}(-[01][0-9A-Fa-f]{7})?)\Z")
@@ -395,9 +397,7 @@ class Httpd(Table, frozen=True):
 class Powerd(Table, frozen=True):
     """The ordered end: by the shutdown frame, a button, a command, or before the batteries are empty (docs/powerd.md)."""
 
-    partition: Annotated[str, msgspec.Meta(pattern=r"^(/[^/\x00]+)*\Z")] = (
-        "/log"  # unmounted at last, if logs go there; "": none
-    )
+    partition: MountPoint = "/log"  # unmounted at last, if logs go there; "": none
     end_s: Seconds = 5.0  # that other users of the partition have to end before they are killed
     held_s: Seconds = 30.0  # a partition that stays in use for so long is given up: synced, but not unmounted
     told_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the acknowledge is repeated for so long, then it is dark
@@ -455,9 +455,7 @@ class Service(Table, frozen=True):
 
     enabled: bool = True  # run it
     place: Literal["default", "runtime", "process"] = "default"  # the runtime's loop, a niced process, or as usual
-    memory_max_mb: Annotated[int, msgspec.Meta(ge=0, le=1 << 20)] = (
-        0  # of a process and all it starts; beyond, it is started again
-    )
+    memory_max_mb: Megabytes = 0  # of its process and all it starts; beyond, it is started again; 0: no limit
     cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
 
 
