@@ -131,6 +131,12 @@ def _log(asked: argparse.Namespace) -> int:
     return run(asked)
 
 
+def _image(asked: argparse.Namespace) -> int:
+    from delfim.image import run
+
+    return run(asked)
+
+
 def _bench(asked: argparse.Namespace) -> int:
     from delfim.bench import critical_path, liblog, lockstep
 
@@ -189,6 +195,9 @@ def _parser() -> argparse.ArgumentParser:
     )
     can.set_defaults(run=_can)
     _add_log(commands)
+    image = command("image", _image, "The boat's image: look, install, confirm; two slots, the old one is kept.")
+    image.add_argument("verb", choices=["status", "verify", "install", "confirm"], help="verify and install name an image")
+    image.add_argument("image", metavar="IMAGE", nargs="?", help="what `make image` packed, as it was uploaded")
     _add_bench(commands)
     return parser
 

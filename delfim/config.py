@@ -434,6 +434,14 @@ class Supervisor(Table, frozen=True):
     hardware_watchdog: str = "/dev/watchdog"  # stroked where it exists; "" for none
 
 
+class Image(Table, frozen=True):
+    """The two slots of the boot partition, and whose images are installed there."""
+
+    signers: tuple[str, ...] = ()  # public ed25519 keys, as ssh-keygen writes them; without any, nothing can be installed
+    partition: str = ""  # of the slots, mounted only while it is read or written; "" where the directory is always there
+    directory: str = "/boot"  # where it is mounted
+
+
 class Service(Table, frozen=True):
     """A service of the suite, by its name."""
 
@@ -490,6 +498,7 @@ class Vehicle(Table, frozen=True):
     logd: Logd = Logd()
     runtime: Runtime = Runtime()
     supervisor: Supervisor = Supervisor()
+    image: Image = Image()
     services: dict[Name, Service] = {}
     simulation: Simulation = Simulation()
 

@@ -1,18 +1,17 @@
 """Build the boat's root file system, and from it the image that is booted: kernel and initramfs (thesis 2.3 to 2.5).
 
-    python docker/image.py run/image                        all of it; what it wrote, and how large each part is, is printed
-    python docker/image.py run/image --root-only            the root file system alone, as the container has it
-    python docker/image.py run/image --kernel /usr/lib/uml/modules/6.1.176    with the modules of another kernel
+    python docker/image.py run/image                 all of it; prints how large each part is
+    python docker/image.py run/image --root-only     the root file system alone, which is also the container
 
-Debian packages are named, never addressed: they come from where this machine's own apt gets them. They are unpacked, not installed:
-no maintainer's script runs, no root is needed, and the same packages give the same bytes. Python packages are those of
-requirements/, pinned and hashed. Dates of files are SOURCE_DATE_EPOCH, owners root, order alphabetical. Said in docs/image.md.
+Debian packages are named, never addressed: they come from where this machine's own apt gets them. They are unpacked, not
+installed: no maintainer's script runs, no root is needed, and the same packages give the same bytes. Python packages are
+those of requirements/, pinned and hashed. Dates of files are SOURCE_DATE_EPOCH, owners root, order alphabetical. How it is
+used, and what is in it: docs/image.md.
 """
 
 import argparse
 import gzip
 import hashlib
-import json
 import os
 import re
 import shutil
@@ -23,6 +22,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Final
+
+from delfim import __version__
+from delfim.services.slots import PARTS, pack
 
 SOURCES: Final = Path(__file__).parents[1]
 EPOCH_S: Final = int(os.environ.get("SOURCE_DATE_EPOCH", "1767225600"))  # of every file in the image
@@ -36,13 +38,36 @@ LEFT_OUT: Final = re.compile(
 PROGRAMS: Final = {"busybox", "e2fsck", "ip", "mke2fs", "tc", "tune2fs"}  # beside Python; the shell and the rest are Busybox
 PRUNED: Final = (
     *("usr/share", "usr/lib/*/gconv", "usr/lib/*/perl*", "usr/lib/tmpfiles.d", "usr/lib/systemd", "var", "etc/*"),
-    *("usr/lib/python3*/" + name for name in ("ensurepip", "idlelib", "lib2to3", "tkinter", "turtledemo", "test", "unittest", "sqlite3")),
+    *(
+        "usr/lib/python3*/" + name
+        for name in ("ensurepip", "idlelib", "lib2to3", "tkinter", "turtledemo", "test", "unittest", "sqlite3")
+    ),
     *("usr/lib/python3*/" + name for name in ("dbm", "distutils", "pydoc*", "pydoc_data", "sitecustomize.py")),
-    *("usr/lib/python3*/lib-dynload/" + name for name in ("nis.*", "_dbm.*", "_sqlite3.*", "_test*", "_xxtestfuzz*", "_ctypes_test*")),
+    *(
+        "usr/lib/python3*/lib-dynload/" + name
+        for name in ("nis.*", "_dbm.*", "_sqlite3.*", "_test*", "_xxtestfuzz*", "_ctypes_test*")
+    ),
     *("usr/lib/python3/dist-packages/" + name for name in ("bin", "*.dist-info/RECORD", "*.dist-info/direct_url.json")),
-    *("usr/lib/python3/dist-packages/" + name for name in ("*.dist-info/INSTALLER", "*.dist-info/REQUESTED", "*.dist-info/licenses")),
+    *(
+        "usr/lib/python3/dist-packages/" + name
+        for name in ("*.dist-info/INSTALLER", "*.dist-info/REQUESTED", "*.dist-info/licenses")
+    ),
 )
-DIRECTORIES: Final = ("boot", "dev", "etc", "log", "proc", "root", "run", "sys", "tmp", "usr/bin", "usr/sbin", "usr/lib", "usr/lib64")
+DIRECTORIES: Final = (
+    "boot",
+    "dev",
+    "etc",
+    "log",
+    "proc",
+    "root",
+    "run",
+    "sys",
+    "tmp",
+    "usr/bin",
+    "usr/sbin",
+    "usr/lib",
+    "usr/lib64",
+)
 FILES: Final = {
     "etc/passwd": "root:x:0:0:root:/root:/bin/sh\nnobody:x:65534:65534:nobody:/:/bin/false\n",
     "etc/group": "root:x:0:\nnogroup:x:65534:\n",
@@ -52,45 +77,49 @@ FILES: Final = {
     "usr/bin/delfim": "#!/usr/bin/python3 -P\nimport sys\n\nfrom delfim.__main__ import main\n\nsys.exit(main())\n",
 }
 MODES: Final = {"root": 0o700, "tmp": 0o1777, "etc/shadow": 0o600}  # others by what they are
-# Drivers that a boat's computer may want; which of them it has, it finds out at boot. Those they depend on come along.
-MODULES: Final = tuple(
-    """
-    can can-raw can-bcm can-dev vcan slcan sja1000 kvaser_pci peak_pci ems_pci plx_pci tscan1 cc770 peak_usb kvaser_usb gs_usb
-    mcp251x mcp251xfd slip slhc tun ext4 vfat nls_ascii nls_cp437 ahci ata_piix ata_generic sd_mod nvme mmc_block sdhci-pci sdhci-acpi
-    virtio_pci virtio_blk virtio_net e1000 e1000e igb igc r8169 usbserial ftdi_sio pl2303 cp210x ch341 cdc-acm xhci-pci ehci-pci
-    ohci-pci uhci_hcd usb-storage uas usbhid hid-generic evdev button iTCO_wdt softdog wdat_wdt
-    """.split()
-)
 
 
 def main() -> int:
     asked = argparse.ArgumentParser(description="Build the boat's image.")
     asked.add_argument("output", type=Path)
     asked.add_argument("--root-only", action="store_true", help="no kernel, no initramfs: what a container runs")
-    asked.add_argument("--kernel", type=Path, metavar="DIRECTORY", help="modules of another kernel than Debian's, which is then not packed")
+    asked.add_argument(
+        "--kernel",
+        action="append",
+        metavar="DIRECTORY",
+        help='modules of another kernel; "debian": the stock one (%(default)s)',
+    )
+    asked.add_argument("--sign", type=Path, metavar="KEY", help="also pack what is uploaded to boats; ssh-keygen's ed25519 key")
     asked.add_argument("--vehicle", type=Path, default=SOURCES / "etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     words = asked.parse_args()
     began_s = time.monotonic()
     output = words.output.resolve()
     output.mkdir(parents=True, exist_ok=True)
-    root = output / "root"
-    parts = build_root(root, output / "cache", words.vehicle)
-    if not words.root_only:
-        modules, image = output / "modules", output / "initramfs.gz"
-        if words.kernel:
-            source = words.kernel
-        else:
-            source = unpack_kernel(output / "cache", output / "kernel", output / "vmlinuz")
-            parts["kernel"] = (output / "vmlinuz").stat().st_size
-        parts["kernel modules"] = copy_modules(source, modules)
-        write_initramfs(image, root, modules)
-        parts["initramfs, compressed"] = image.stat().st_size
-        report = {"sha256": hashlib.sha256(image.read_bytes()).hexdigest(), "bytes": parts}
-        (output / "image.json").write_text(json.dumps(report, indent=1) + "\n")
+    parts = build_root(output / "root", output / "cache", words.vehicle)
+    for kernel in [] if words.root_only else words.kernel or ["debian"]:
+        parts |= build_image(output, kernel)
+    if words.sign:
+        pack(output / f"delfim-{__version__}.image", {name: output / name for name in PARTS}, __version__, words.sign)
     for name, size in parts.items():
         print(f"{size / 1e6:8.1f} MB  {name}")
     print(f"{output}: {time.monotonic() - began_s:.0f} s")
     return 0
+
+
+def build_image(output: Path, kernel: str) -> dict[str, int]:
+    """The initramfs for a kernel; Debian's own is laid beside it. Returns the bytes of its parts."""
+    parts, name = {}, "initramfs.gz"
+    if kernel == "debian":
+        source = unpack_kernel(output / "cache", output / "kernel", output / "vmlinuz")
+        parts[f"vmlinuz ({source.name})"] = (output / "vmlinuz").stat().st_size
+    else:
+        source = Path(kernel)
+        name = f"initramfs-{source.name}.gz"
+    parts[f"modules of {source.name}"] = copy_modules(source, output / "modules")
+    write_initramfs(output / name, output / "root", output / "modules")
+    digest = hashlib.sha256((output / name).read_bytes()).hexdigest()
+    parts[f"{name}, sha256 {digest[:16]}..."] = (output / name).stat().st_size
+    return parts
 
 
 # The root file system.
@@ -134,7 +163,9 @@ def fetch(names: tuple[str, ...], cache: Path, left_out: re.Pattern[str]) -> lis
     (cache / "nothing").touch()  # the packages that are installed: none
     apt = ("apt-get", "-q", "-o", f"Dir::State::Status={cache / 'nothing'}", "-o", "APT::Install-Recommends=false")
     plan = subprocess.run([*apt, "-s", "install", *names], check=True, capture_output=True, text=True).stdout
-    wanted = sorted(f"{name}={version}" for name, version in re.findall(r"^Inst (\S+) \((\S+)", plan, re.M) if not left_out.fullmatch(name))
+    wanted = sorted(
+        f"{name}={version}" for name, version in re.findall(r"^Inst (\S+) \((\S+)", plan, re.M) if not left_out.fullmatch(name)
+    )
     files = [cache / each.replace("=", "_").replace(":", "%3a") for each in wanted]
     present = {path.name.rpartition("_")[0]: path for path in cache.glob("*.deb")}
     missing = [each for each, file in zip(wanted, files, strict=True) if file.name not in present]
@@ -161,9 +192,16 @@ def install_python(site: Path, version: str, cache: Path) -> None:
     shutil.copytree(SOURCES / "delfim", source / "delfim", ignore=shutil.ignore_patterns("__pycache__"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(SOURCES / name, source)
-    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    pip = [sys.executable, "-m", "pip", "-qq", "--disable-pip-version-check"]
     subprocess.run([*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", wheels, source], check=True, env=environment())
-    target = [f"--target={site}", f"--python-version={version}", "--implementation=cp", "--only-binary=:all:", "--no-deps", "--no-compile"]
+    target = [
+        f"--target={site}",
+        f"--python-version={version}",
+        "--implementation=cp",
+        "--only-binary=:all:",
+        "--no-deps",
+        "--no-compile",
+    ]
     platforms = [f"--platform=manylinux_2_{minor}_{os.uname().machine}" for minor in (5, 12, 17, 24, 26, 27, 28, 31, 34)]
     locks = [f"--requirement={SOURCES / 'requirements' / name}" for name in ("boat.txt", "services.txt")]
     subprocess.run([*pip, "install", *target, *platforms, "--require-hashes", *locks], check=True)
@@ -177,14 +215,14 @@ def configure(root: Path, vehicle: Path, packages: list[Path]) -> None:
     (root / "usr/bin/delfim").chmod(0o755)
     shutil.copy(SOURCES / "etc/init", root / "init")
     (root / "init").chmod(0o755)
-    (root / "etc/delfim").mkdir()
-    shutil.copy(vehicle, root / "etc/delfim/vehicle.toml")
-    shutil.copytree(vehicle.parent / "missions", root / "etc/delfim/missions")
-    names = subprocess.run([root / "usr/bin/busybox", "--list"], check=True, capture_output=True, text=True).stdout.split()
-    for name in names:
-        if not any((root / folder / name).is_symlink() or (root / folder / name).exists() for folder in ("usr/bin", "usr/sbin")):
-            (root / "usr/bin" / name).symlink_to("busybox")
-    (root / "etc/delfim/packages").write_text("".join(f"{package.stem}\n" for package in packages))
+    shutil.copy(vehicle, root / "etc/delfimx.toml")
+    shutil.copytree(vehicle.parent / "missions", root / "etc/missions")
+    listing = subprocess.run([root / "usr/bin/busybox", "--list-full"], check=True, capture_output=True, text=True).stdout
+    for name in (Path(line) for line in listing.split()):
+        applet = root / "usr" / name.parts[-2] / name.name
+        if name.name not in PROGRAMS and applet.parent.is_dir():
+            applet.symlink_to("/usr/bin/busybox")
+    (root / "etc/packages").write_text("".join(f"{package.stem}\n" for package in packages))
 
 
 def compile_python(root: Path, library: Path) -> None:
@@ -205,7 +243,11 @@ def complete(root: Path) -> None:
 
 def is_dynamic(path: Path) -> bool:
     with path.open("rb") as file:
-        return file.read(4) == b"\x7fELF" and (".so" in path.name or path.parent.name in ("bin", "sbin")) and path.name != "busybox"
+        return (
+            file.read(4) == b"\x7fELF"
+            and (".so" in path.name or path.parent.name in ("bin", "sbin"))
+            and path.name != "busybox"
+        )
 
 
 def run_inside(root: Path, *words: str, **variables: str) -> str:
@@ -220,7 +262,13 @@ def run_inside(root: Path, *words: str, **variables: str) -> str:
 
 
 def environment(**variables: str) -> dict[str, str]:
-    return {"PATH": os.environ["PATH"], "PYTHONHASHSEED": "0", "SOURCE_DATE_EPOCH": str(EPOCH_S), "LC_ALL": "C.UTF-8", **variables}
+    return {
+        "PATH": os.environ["PATH"],
+        "PYTHONHASHSEED": "0",
+        "SOURCE_DATE_EPOCH": str(EPOCH_S),
+        "LC_ALL": "C.UTF-8",
+        **variables,
+    }
 
 
 # The kernel.
@@ -240,13 +288,14 @@ def unpack_kernel(cache: Path, folder: Path, image: Path) -> Path:
 
 
 def copy_modules(source: Path, modules: Path) -> int:
-    """Those of MODULES that this kernel has, with those they need, and an index of them. Returns their bytes."""
+    """Those of modules.txt that this kernel has, with those they need, and an index of them. Returns their bytes."""
     shutil.rmtree(modules, ignore_errors=True)
     target = modules / "usr/lib/modules" / source.name
     target.mkdir(parents=True)
     (modules / "lib").symlink_to("usr/lib")  # where depmod looks
     paths = {path.name.partition(".")[0].replace("-", "_"): path for path in source.rglob("*.ko*")}
-    ahead = [name.replace("-", "_") for name in MODULES]
+    lines = (SOURCES / "docker/modules.txt").read_text().splitlines()
+    ahead = [name.replace("-", "_") for line in lines if not line.startswith("#") for name in line.split()]
     copied = set[str]()
     while ahead:
         name = ahead.pop()
@@ -274,7 +323,7 @@ def copy_modules(source: Path, modules: Path) -> int:
 
 
 def write_initramfs(image: Path, *trees: Path) -> None:
-    """The trees in one compressed archive, a later one over the earlier. Deterministic: `gzip -n -9` of a sorted newc archive."""
+    """The trees in one compressed archive, a later one over the earlier. As `gzip -n -9` of a sorted newc archive."""
     entries = {str(path.relative_to(tree)): path for tree in trees for path in tree.rglob("*")}
     with image.open("wb") as file, gzip.GzipFile("", "wb", 9, file, mtime=0) as packed:
         for number, name in enumerate(sorted(entries), 1):
