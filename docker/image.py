@@ -219,8 +219,8 @@ def configure(root: Path, vehicle: Path, packages: list[Path]) -> None:
     shutil.copytree(vehicle.parent / "missions", root / "etc/missions")
     listing = subprocess.run([root / "usr/bin/busybox", "--list-full"], check=True, capture_output=True, text=True).stdout
     for name in (Path(line) for line in listing.split()):
-        applet = root / "usr" / name.parts[-2] / name.name
-        if name.name not in PROGRAMS and applet.parent.is_dir():
+        applet = root / "usr" / name.parent.name / name.name
+        if name.name not in PROGRAMS and name.parent.name in ("bin", "sbin"):
             applet.symlink_to("/usr/bin/busybox")
     (root / "etc/packages").write_text("".join(f"{package.stem}\n" for package in packages))
 
