@@ -41,6 +41,9 @@ Identifiers = Annotated[  # one or a range; three digits are a standard identifi
 ]
 
 
+PublicKey = Annotated[str, msgspec.Meta(pattern=r"^ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?\Z")]
+
+
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A table of the vehicle's file. Unknown keys are refused."""
 
@@ -437,7 +440,7 @@ class Supervisor(Table, frozen=True):
 class Image(Table, frozen=True):
     """The two slots of the boot partition, and whose images are installed there."""
 
-    signers: tuple[str, ...] = ()  # public ed25519 keys, as ssh-keygen writes them; without any, nothing can be installed
+    signers: tuple[PublicKey, ...] = ()  # public ed25519 keys, as ssh-keygen writes them; without any, nothing can be installed
     partition: str = ""  # of the slots, mounted only while it is read or written; "" where the directory is always there
     directory: str = "/boot"  # where it is mounted
 

@@ -212,6 +212,8 @@ def configure(root: Path, vehicle: Path, packages: list[Path]) -> None:
     """What is the boat's own: the first program, the vehicle's file, Busybox under all its names, what is in here."""
     for name, text in FILES.items():
         (root / name).write_text(text)
+    for name, mode in MODES.items():
+        (root / name).chmod(mode)
     (root / "usr/bin/delfim").chmod(0o755)
     shutil.copy(SOURCES / "etc/init", root / "init")
     (root / "init").chmod(0o755)
