@@ -111,6 +111,19 @@ def _fault(asked: argparse.Namespace) -> int:
     return 0
 
 
+def _console(asked: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from delfim.console.gateway import run
+    from delfim.console.mavlink import keygen
+
+    if asked.keygen:
+        keygen(Path(asked.keygen))
+        print(f"delfim: {asked.keygen}: a new key; the boat needs the same file, brought there by hand")
+        return 0
+    return run(asked.boats, asked.page, Path(asked.missions), Path(asked.key) if asked.key else None, asked.browser)
+
+
 def _drive(asked: argparse.Namespace) -> int:
     from delfim.config import load
     from delfim.console.drive import run
@@ -194,12 +207,26 @@ def _parser() -> argparse.ArgumentParser:
         "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
     )
     can.set_defaults(run=_can)
+    _add_console(commands)
     _add_log(commands)
     image = command("image", _image, "The boat's image: look, install, confirm; two slots, the old one is kept.")
     image.add_argument("verb", choices=["status", "verify", "install", "confirm"], help="verify and install name an image")
     image.add_argument("image", metavar="IMAGE", nargs="?", help="what `make image` packed, as it was uploaded")
     _add_bench(commands)
     return parser
+
+
+def _add_console(commands: Any) -> None:
+    console = commands.add_parser("console", help="All boats on one screen, in the browser.")
+    console.add_argument(
+        "--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="where boats are heard (%(default)s)"
+    )
+    console.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="where the page is (%(default)s)")
+    console.add_argument("--missions", default="missions", metavar="FOLDER", help="the operator's missions (%(default)s)")
+    console.add_argument("--key", metavar="FILE", help="signing key: the boats must have the same")
+    console.add_argument("--keygen", metavar="FILE", help="make a signing key, and end")
+    console.add_argument("--no-browser", dest="browser", action="store_false", help="do not open it")
+    console.set_defaults(run=_console)
 
 
 def _add_log(commands: Any) -> None:

@@ -28,7 +28,7 @@ from delfim.services.slots import PARTS, pack
 
 SOURCES: Final = Path(__file__).parents[1]
 EPOCH_S: Final = int(os.environ.get("SOURCE_DATE_EPOCH", "1767225600"))  # of every file in the image
-PACKAGES: Final = ("busybox-static", "python3-minimal", "libpython3-stdlib", "e2fsprogs", "iproute2")
+PACKAGES: Final = ("busybox", "python3-minimal", "libpython3-stdlib", "e2fsprogs", "iproute2")
 KERNEL: Final = "linux-image-amd64"
 # What those packages depend on for work that is not done on a boat: installing packages, Kerberos, NIS, databases.
 LEFT_OUT: Final = re.compile(

@@ -1,0 +1,165 @@
+"""The gateway from outside: real UDP, a real WebSocket client, boats on loopback."""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import aiohttp
+import pytest
+
+from delfim.clock import SystemClock
+from delfim.console.gateway import Gateway, serve
+from delfim.errors import ConfigError
+from tests.console.fakeboat import FakeBoat
+
+
+class Opened:
+    """A console, two boats and one page."""
+
+    def __init__(self, gateway: Gateway, url: str, session: aiohttp.ClientSession, boats: list[FakeBoat]) -> None:
+        self.gateway, self.url, self.session, self.boats = gateway, url, session, boats
+        self.heard: list[dict[str, Any]] = []
+
+    async def until(self, page: aiohttp.ClientWebSocketResponse, is_so: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+        """The next message of which something is so."""
+        async with asyncio.timeout(20):
+            while True:
+                message = await page.receive_json()
+                self.heard.append(message)
+                if is_so(message):
+                    return message  # type: ignore[no-any-return]
+
+
+@contextlib.asynccontextmanager
+async def opened(tmp_path: Path) -> AsyncIterator[Opened]:
+    gateway, ready = Gateway(SystemClock(), tmp_path / "missions"), asyncio.get_running_loop().create_future()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    async with asyncio.TaskGroup() as group, aiohttp.ClientSession() as session:
+        console = group.create_task(serve(gateway, ("127.0.0.1", port), ("127.0.0.1", 0), ready.set_result))
+        url = await ready
+        links, boats = [], []
+        loop = asyncio.get_running_loop()
+        for number in (1, 2):
+            link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+            link.setblocking(False)
+            link.connect(("127.0.0.1", port))
+            boat = FakeBoat(number, SystemClock(), link.send)  # type: ignore[arg-type]
+            loop.add_reader(link, lambda boat=boat, link=link: boat.hear(link.recv(2048)))
+            links.append(link)
+            boats.append(boat)
+            boat.tick()
+        yield Opened(gateway, url, session, boats)
+        for link in links:
+            loop.remove_reader(link)
+            link.close()
+        console.cancel()
+
+
+def boat_in(message: dict[str, Any], number: int) -> dict[str, Any]:
+    return next((boat for boat in message.get("boats", []) if boat["id"] == number), {})
+
+
+def test_a_page_sees_both_boats_and_commands_one(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+            assert (await page.receive_json())["t"] == "hello"
+            await sea.until(page, lambda m: boat_in(m, 1) and boat_in(m, 2))
+            begun_s = asyncio.get_running_loop().time()
+            await page.send_json({"t": "command", "seq": 7, "boat": 2, "command": "hold"})
+            answer = await sea.until(page, lambda m: m["t"] == "answer")
+            took_s = asyncio.get_running_loop().time() - begun_s
+            assert answer == {"t": "answer", "seq": 7, "ok": True, "reason": ""}
+            assert (sea.boats[0].mode, sea.boats[1].mode) == (4, 5)
+            assert took_s < 1.0  # 2 ms on a quiet machine
+            await page.send_json({"t": "command", "seq": 8, "boat": "all", "command": "stop"})
+            await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 8)
+            await page.send_json({"t": "command", "seq": 9, "boat": "all", "command": "play"})
+            assert (await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 9))["ok"] is False
+
+    asyncio.run(main())
+
+
+def test_a_closed_page_releases_what_it_steered(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with opened(tmp_path) as sea:
+            async with sea.session.ws_connect(sea.url + "ws") as page:
+                await sea.until(page, lambda m: boat_in(m, 1))
+                for n in range(3):
+                    await page.send_json({"t": "input", "boat": 1, "n": n, "port_pct": 30, "starboard_pct": 30})
+                async with asyncio.timeout(20):
+                    while len(sea.boats[0].thrust) < 3:
+                        await asyncio.sleep(0.01)
+            async with asyncio.timeout(20):
+                while sea.boats[0].thrust[-1] != (0, 0):
+                    await asyncio.sleep(0.01)
+            assert sea.boats[0].thrust == [(300, 0)] * 3 + [(0, 0)]
+            assert sea.boats[1].thrust == []
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    "nonsense", ["{", "[]", '"x"', '{"t": "dance", "seq": 1}', '{"t": "command", "seq": 1}', '{"t": "input"}', "[" * 10_000]
+)
+def test_nonsense_of_a_page_is_answered_or_passed_over(tmp_path: Path, nonsense: str) -> None:
+    async def main() -> None:
+        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+            await page.send_str(nonsense)
+            await page.send_json({"t": "mission", "seq": 2, "boat": 1, "do": "list"})
+            answer = await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 2)
+            assert answer["ok"]
+            assert [m["names"] for m in sea.heard if m["t"] == "missions"] == [[]]
+
+    asyncio.run(main())
+
+
+def test_missions_are_saved_loaded_uploaded_and_compared(tmp_path: Path) -> None:
+    plan = {
+        "name": "two points",
+        "waypoints": [{"latitude_deg": 38.69, "longitude_deg": -9.21}, {"latitude_deg": 38.691, "longitude_deg": -9.21}],
+        "fence": [],
+        "obstacles": [],
+        "home": None,
+    }
+
+    async def main() -> None:
+        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+            await sea.until(page, lambda m: boat_in(m, 1))
+
+            async def do(seq: int, what: str, **more: Any) -> dict[str, Any]:
+                await page.send_json({"t": "mission", "seq": seq, "boat": 1, "do": what, **more})
+                return await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == seq)
+
+            assert (await do(1, "save", mission=plan))["ok"]
+            assert (await do(2, "load", name="two points"))["ok"]
+            assert (await do(3, "upload"))["ok"]
+            shown = await sea.until(page, lambda m: boat_in(m, 1))
+            assert boat_in(shown, 1)["mission"]["state"] == "same"
+            assert "no name" in (await do(4, "load", name="../../etc/passwd"))["reason"]
+            assert not (await do(5, "save", mission=plan | {"waypoints": []}))["ok"]
+            assert not (await do(6, "put", mission={"waypoints": 3}))["ok"]
+
+    asyncio.run(main())
+    assert "38.691" in (tmp_path / "missions" / "two points.toml").read_text()
+
+
+def test_another_sites_page_is_not_let_in(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with opened(tmp_path) as sea:
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await sea.session.ws_connect(sea.url + "ws", headers={"Origin": "http://elsewhere.example"})
+
+    asyncio.run(main())
+
+
+def test_a_port_that_is_taken_has_a_reason(tmp_path: Path) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(("127.0.0.1", 0))
+        address = taken.getsockname()
+        with pytest.raises(ConfigError, match="Address already in use"):
+            asyncio.run(serve(Gateway(SystemClock(), tmp_path), address, ("127.0.0.1", 0), lambda url: None))
