@@ -1,4 +1,4 @@
-"""A boat's computer in an emulator: a PC with a BIOS, GRUB on its disk, a boot partition with two slots, a second disk for /log.
+"""A boat's computer in an emulator: a PC with a BIOS, GRUB on its disk, a boot partition with two slots, another for /log.
 
 The disk is laid out without root: boot loader in its first sectors, the file system after the first MiB.
 """
@@ -45,23 +45,25 @@ def make_disk(disk: Path, boot: Path, options: str, size_mib: int = 128) -> None
 
 
 class Pc:
-    """A running one; `console` is what it said so far on its serial port."""
+    """A running one, seen through its serial port."""
 
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self._process = process
-        self.console = ""
+        self._console = ""
 
-    def wait_for(self, words: str, timeout_s: float) -> None:
-        """Read on until it says these words. Raises AssertionError with what it said instead."""
+    def wait_for(self, words: str, timeout_s: float) -> str:
+        """Read on past these words. Returns what it said before them. Raises AssertionError with that when they do not come."""
         assert self._process.stdout is not None
         deadline_s = time.monotonic() + timeout_s
         with selectors.DefaultSelector() as selector:
             selector.register(self._process.stdout, selectors.EVENT_READ)
-            while words not in self.console:
-                assert selector.select(max(0.0, deadline_s - time.monotonic())), f"no {words!r}:\n{self.console[-4000:]}"
+            while words not in self._console:
+                assert selector.select(max(0.0, deadline_s - time.monotonic())), f"no {words!r}:\n{self._console[-4000:]}"
                 piece = os.read(self._process.stdout.fileno(), 65536)
-                assert piece, f"it ended before {words!r}:\n{self.console[-4000:]}"
-                self.console += piece.decode(errors="replace")
+                assert piece, f"it ended before {words!r}:\n{self._console[-4000:]}"
+                self._console += piece.decode(errors="replace")
+        said, _, self._console = self._console.partition(words)
+        return said
 
     def type(self, line: str) -> None:
         assert self._process.stdin is not None
@@ -72,7 +74,18 @@ class Pc:
 @contextmanager
 def pc(*disks: Path, words: tuple[str, ...] = (), memory_mib: int = 768) -> Iterator[Pc]:
     """Power on; at the end the power is cut."""
-    command = ["qemu-system-x86_64", "-accel", "tcg,thread=multi", "-cpu", "max", "-m", str(memory_mib), "-nographic", "-nic", "none"]
+    command = [
+        "qemu-system-x86_64",
+        "-accel",
+        "tcg,thread=multi",
+        "-cpu",
+        "max",
+        "-m",
+        str(memory_mib),
+        "-nographic",
+        "-nic",
+        "none",
+    ]
     drives = [word for disk in disks for word in ("-drive", f"file={disk},format=raw,if=virtio")]
     process = subprocess.Popen(
         [*command, *drives, *words],
