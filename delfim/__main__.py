@@ -61,6 +61,15 @@ def _run(asked: argparse.Namespace) -> int:
     return run(asked.file, asked.set, service=asked.service, beat_fd=asked.beat_fd)
 
 
+def _password(asked: argparse.Namespace) -> int:
+    import getpass
+
+    from delfim.services.door import hashed
+
+    print(hashed(getpass.getpass("password: ")))
+    return 0
+
+
 def _nodes(asked: argparse.Namespace) -> int:
     from delfim.config import load
     from delfim.simulator.realtime import run_nodes
@@ -121,7 +130,8 @@ def _console(asked: argparse.Namespace) -> int:
         keygen(Path(asked.keygen))
         print(f"delfim: {asked.keygen}: a new key; the boat needs the same file, brought there by hand")
         return 0
-    return run(asked.boats, asked.page, Path(asked.missions), Path(asked.key) if asked.key else None, asked.browser)
+    key, vehicle = (Path(file) if file else None for file in (asked.key, asked.vehicle))
+    return run(asked.boats, asked.page, Path(asked.missions), key, vehicle, asked.browser)
 
 
 def _drive(asked: argparse.Namespace) -> int:
@@ -176,6 +186,8 @@ def _parser() -> argparse.ArgumentParser:
     command("check", _check, "Check a vehicle's file and say what is wrong with it.")
     describe = commands.add_parser("describe", help="List every key of a vehicle's file with default, range and meaning.")
     describe.set_defaults(run=_describe)
+    password = commands.add_parser("password", help="Ask for a password and print what a vehicle's file keeps of it.")
+    password.set_defaults(run=_password)
     nodes = command("nodes", _nodes, "Play the boat's other CAN nodes (navigation, GPS, propellers, batteries) on its bus.")
     nodes.add_argument("--seed", type=int, default=1, help="of noise and weather")
     guest = command("guest", _guest, "Play the guest computer: a zigzag, obeyed in mode grex.")
@@ -224,6 +236,7 @@ def _add_console(commands: Any) -> None:
     console.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="where the page is (%(default)s)")
     console.add_argument("--missions", default="missions", metavar="FOLDER", help="the operator's missions (%(default)s)")
     console.add_argument("--key", metavar="FILE", help="signing key: the boats must have the same")
+    console.add_argument("--vehicle", metavar="FILE", help="the vehicle's file, for dry runs of missions")
     console.add_argument("--keygen", metavar="FILE", help="make a signing key, and end")
     console.add_argument("--no-browser", dest="browser", action="store_false", help="do not open it")
     console.set_defaults(run=_console)
