@@ -50,9 +50,21 @@ def _describe(asked: argparse.Namespace) -> int:
 
 
 def _supervise(asked: argparse.Namespace) -> int:
-    from delfim.suite import supervise
+    from delfim.suite import rescue, supervise
 
-    return supervise(asked.file, asked.set)
+    if not asked.init:
+        return supervise(asked.file, asked.set)
+    try:
+        return supervise(asked.file, asked.set, init=True)
+    except Exception as error:
+        rescue(error)
+        raise
+
+
+def _shutdown(asked: argparse.Namespace) -> int:
+    from delfim.suite import shut_down
+
+    return shut_down(asked.file, asked.set, "reboot" if asked.reboot else "off")
 
 
 def _run(asked: argparse.Namespace) -> int:
@@ -179,7 +191,12 @@ def _parser() -> argparse.ArgumentParser:
         one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key; the value is TOML")
         return one
 
-    command("supervise", _supervise, "Run the whole suite: starts, watches and restarts its processes; the dead-man.")
+    supervise = command(
+        "supervise", _supervise, "Run the whole suite: starts, watches and restarts its processes; the dead-man."
+    )
+    supervise.add_argument("--init", action="store_true", help="as the machine's first process: ends with the machine")
+    shutdown = command("shutdown", _shutdown, "End everything in order, so that the power may be cut (docs/powerd.md).")
+    shutdown.add_argument("--reboot", action="store_true", help="start the computer again afterwards")
     run = command("run", _run, "Run the vehicle and its cooperative services in one process, without a supervisor.")
     run.add_argument("--service", metavar="NAME", help="only this service, in a process of its own")
     run.add_argument("--beat-fd", type=int, default=-1, help=argparse.SUPPRESS)

@@ -35,6 +35,8 @@ Endpoint = Annotated[str, msgspec.Meta(pattern=r"^[^ :]+:[0-9]{1,5}\Z")]  # host
 Listen = Annotated[str, msgspec.Meta(pattern=r"^([^ :]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}\Z")]  # as Endpoint, or [IPv6]:port
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
 LinuxInterface = Annotated[str, msgspec.Meta(pattern=r"^[^ /:]{1,15}\Z")]
+MountPoint = Annotated[str, msgspec.Meta(pattern=r"^(/[^/\x00]+)*\Z")]
+Megabytes = Annotated[int, msgspec.Meta(ge=0, le=1 << 20)]
 Network = Annotated[str, msgspec.Meta(pattern=r"^[0-9A-Fa-f:.]+(/[0-9]{1,3})?\Z")]
 Password = Annotated[  # hashed; in a log it is what no password is
     str,
@@ -439,6 +441,20 @@ class Sshd(Table, frozen=True):
     users: dict[Name, SshUser] = {}
 
 
+class Powerd(Table, frozen=True):
+    """The ordered end: by the shutdown frame, a button, a command, or before the batteries are empty (docs/powerd.md)."""
+
+    partition: MountPoint = "/log"  # unmounted at last, if logs go there; "": none
+    end_s: Seconds = 5.0  # that other users of the partition have to end before they are killed
+    held_s: Seconds = 30.0  # a partition that stays in use for so long is given up: synced, but not unmounted
+    told_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the acknowledge is repeated for so long, then it is dark
+    button: str = ""  # an input device under /dev/input, or a file (a GPIO's value); "" for none
+    button_pressed: str = "1"  # what the file begins with while the button is pressed
+    button_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # it must be held for so long
+    battery_charge: Fraction = 0.05  # either side's batteries at this or less; 0 for never ...
+    battery_s: Seconds = 60.0  # ... for so long, and no propeller told to run meanwhile
+
+
 class Log(Table, frozen=True):
     """Where and how logs are written, and what happens when the disk is full."""
 
@@ -494,6 +510,8 @@ class Service(Table, frozen=True):
 
     enabled: bool = True  # run it
     place: Literal["default", "runtime", "process"] = "default"  # the runtime's loop, a niced process, or as usual
+    memory_max_mb: Megabytes = 0  # of its process and all it starts; beyond, it is started again; 0: no limit
+    cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
 
 
 class Sea(Table, frozen=True):
@@ -545,6 +563,7 @@ class Vehicle(Table, frozen=True):
     httpd: Httpd = Httpd()
     ftpd: Ftpd = Ftpd()
     sshd: Sshd = Sshd()
+    powerd: Powerd = Powerd()
     log: Log = Log()
     logd: Logd = Logd()
     runtime: Runtime = Runtime()

@@ -87,7 +87,13 @@ class Watch(Command, frozen=True):
     """Every state from now on, newest only."""
 
 
-Commands = Alive | Stop | Mode | Manual | Heading | SetSpeed | Goto | Mission | Play | Report | Watch
+class Shutdown(Command, frozen=True):
+    """Stop, and end everything in order, so that the power may be cut; or start the computer again."""
+
+    reboot: bool = False
+
+
+Commands = Alive | Stop | Mode | Manual | Heading | SetSpeed | Goto | Mission | Play | Report | Watch | Shutdown
 _decoder = msgspec.json.Decoder(Commands)
 _encode = msgspec.json.Encoder().encode
 
