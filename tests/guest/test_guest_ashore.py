@@ -1,4 +1,4 @@
-"""The boat's image, booted, as it is met from the shore over a network: page, files, commands, its bus, and its end in order."""
+"""The boat's image, booted, as it is met from the shore: page, files, commands, its bus, and its end in order."""
 
 import asyncio
 import contextlib
@@ -117,7 +117,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
         try:
             booted = Boat(Pc(process), folder, process)
             booted.console.wait_for("ssh://", BOOT_S)
-            booted.ssh(f"setsid -f delfim nodes {FILE} >/run/nodes 2>&1")
+            booted.ssh(f"setsid delfim nodes {FILE} >/run/nodes 2>&1 </dev/null &")
             yield booted
         finally:
             with contextlib.suppress(ProcessLookupError):
@@ -140,7 +140,8 @@ def test_a_command_has_its_streams_and_its_exit_status(boat: Boat) -> None:
 
 
 def test_the_page_is_seen_in_a_browser(boat: Boat) -> None:
-    assert boat.ssh(f"until delfim drive {FILE} heading 150 1.2; do sleep 0.2; done").returncode == 0
+    done = boat.ssh(f"timeout 80 sh -c 'until delfim drive {FILE} heading 150 1.2; do sleep 0.2; done'; cat /run/nodes")
+    assert done.returncode == 0, done.stdout + done.stderr
 
     async def look() -> tuple[str, bytes]:
         async with asyncio.timeout(120), browser(boat.folder / "browser") as page:
