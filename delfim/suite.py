@@ -42,7 +42,7 @@ from delfim.messages import (
     ShutdownStage,
     sysstat_arb,
 )
-from delfim.services import cgroup, powerd, shutdown
+from delfim.services import cgroup, powerd, shutdown, slots
 from delfim.services.runtime import Runtime, Service
 from delfim.services.supervisor import Program, Supervisor
 from delfim.vehicle import record
@@ -130,6 +130,7 @@ async def vehicle(runtime: Runtime) -> None:
     state = State()
     with contextlib.ExitStack() as links:
         state.last_shutdown = _last_shutdown(Path(settings.log.directory), links)
+        state.image = slots.present_notice(settings.runtime.run_directory)
         sources = _sources(settings, state, links)
         status_frames = _opened(links, settings, settings.can.interface, CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
         status_messages = _opened(links, settings, settings.can.interface, CanAddress(*dsor.message_filter(source=Node.GPS)))
@@ -186,6 +187,8 @@ async def _attend(
             commands.publish()
         if ticks % MAINTAIN_EVERY == 0:
             log.poll()
+            if boat.state.image:  # until somebody confirms it
+                boat.state.image = slots.present_notice(settings.runtime.run_directory)
             for each in sockets:
                 each.rebind()
 
