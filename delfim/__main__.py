@@ -121,7 +121,8 @@ def _console(asked: argparse.Namespace) -> int:
         keygen(Path(asked.keygen))
         print(f"delfim: {asked.keygen}: a new key; the boat needs the same file, brought there by hand")
         return 0
-    return run(asked.boats, asked.page, Path(asked.missions), Path(asked.key) if asked.key else None, asked.browser)
+    key, vehicle = (Path(file) if file else None for file in (asked.key, asked.vehicle))
+    return run(asked.boats, asked.page, Path(asked.missions), key, vehicle, asked.browser)
 
 
 def _drive(asked: argparse.Namespace) -> int:
@@ -194,16 +195,6 @@ def _parser() -> argparse.ArgumentParser:
     fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
-    console = commands.add_parser("console", help="All boats on one screen, in the browser.")
-    console.add_argument(
-        "--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="where boats are heard (%(default)s)"
-    )
-    console.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="where the page is (%(default)s)")
-    console.add_argument("--missions", default="missions", metavar="FOLDER", help="the operator's missions (%(default)s)")
-    console.add_argument("--key", metavar="FILE", help="signing key: the boats must have the same")
-    console.add_argument("--keygen", metavar="FILE", help="make a signing key, and end")
-    console.add_argument("--no-browser", dest="browser", action="store_false", help="do not open it")
-    console.set_defaults(run=_console)
     can = commands.add_parser(
         "can", help="See a bus, send, make traffic, statistics, play back a log: dump, send, gen, stat, replay."
     )
@@ -211,9 +202,24 @@ def _parser() -> argparse.ArgumentParser:
         "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
     )
     can.set_defaults(run=_can)
+    _add_console(commands)
     _add_log(commands)
     _add_bench(commands)
     return parser
+
+
+def _add_console(commands: Any) -> None:
+    console = commands.add_parser("console", help="All boats on one screen, in the browser.")
+    console.add_argument(
+        "--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="where boats are heard (%(default)s)"
+    )
+    console.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="where the page is (%(default)s)")
+    console.add_argument("--missions", default="missions", metavar="FOLDER", help="the operator's missions (%(default)s)")
+    console.add_argument("--key", metavar="FILE", help="signing key: the boats must have the same")
+    console.add_argument("--vehicle", metavar="FILE", help="the vehicle's file, for dry runs of missions")
+    console.add_argument("--keygen", metavar="FILE", help="make a signing key, and end")
+    console.add_argument("--no-browser", dest="browser", action="store_false", help="do not open it")
+    console.set_defaults(run=_console)
 
 
 def _add_log(commands: Any) -> None:

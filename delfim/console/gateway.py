@@ -22,6 +22,7 @@ from aiohttp import WSMsgType, web
 
 from delfim import __version__
 from delfim.clock import Clock, SystemClock
+from delfim.console.dryrun import dry_run
 from delfim.console.fleet import Fleet
 from delfim.console.library import Library
 from delfim.console.mavlink import Key
@@ -34,6 +35,8 @@ CHUNK: Final = 500  # points of a track in one message
 BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses what is not the newest
 IPTOS_LOWDELAY: Final = 0x10
 PAGES_MAX: Final = 8
+DRY_RUNS_MAX: Final = 2
+QUEUE_MAX: Final = 1000  # messages to one of them
 MESSAGE_BYTES: Final = 1 << 20
 
 log = logging.getLogger(__name__)
@@ -67,31 +70,37 @@ class Page:
 
     def __init__(self, link: web.WebSocketResponse, request: web.Request) -> None:
         self._link, self._request = link, request
-        self.queue: asyncio.Queue[str] = asyncio.Queue(maxsize=1000)
+        self.queue: asyncio.Queue[str | None] = asyncio.Queue(maxsize=QUEUE_MAX + 1)  # None: the end
         self.steers: set[int] = set()  # boats that this page gives input to
 
     def tell(self, message: dict[str, Any]) -> None:
         transport = self._request.transport
         behind = transport is None or transport.get_write_buffer_size() > BACKLOG_BYTES
-        if self.queue.full() or (behind and message["t"] in ("boats", "progress")):
+        if self.queue.qsize() >= QUEUE_MAX or (behind and message["t"] in ("boats", "progress")):
             return
         self.queue.put_nowait(json.dumps(message))
+
+    def end(self) -> None:
+        self.queue.put_nowait(None)
 
     async def write(self) -> None:
         """Until the connection ends."""
         with suppress(ConnectionError):
-            while True:
-                await self._link.send_str(await self.queue.get())
+            while (text := await self.queue.get()) is not None:
+                await self._link.send_str(text)
 
 
 class Gateway:
     """The pages, and what they may ask."""
 
-    def __init__(self, clock: Clock, missions: Path, key: Key | None = None, token: str = "") -> None:
+    def __init__(
+        self, clock: Clock, missions: Path, key: Key | None = None, token: str = "", vehicle: Path | None = None
+    ) -> None:
         self.udp = Udp(self._receive)
         self.fleet = Fleet(clock, self.udp.send, self.tell, key)
         self.token = token
         self._clock, self._library, self._pages = clock, Library(missions), set[Page]()
+        self._vehicle, self._dry_runs = vehicle, 0
         self._ticks = 0
         self.app = web.Application(middlewares=[self._admit], client_max_size=MESSAGE_BYTES)
         self.app.router.add_get("/", self._index)
@@ -148,17 +157,20 @@ class Gateway:
         self._greet(page)
         self._pages.add(page)
         try:
-            async with asyncio.TaskGroup() as group:
-                writer = group.create_task(page.write())
-                async for message in link:
-                    if message.type is WSMsgType.TEXT:
-                        self._hear(page, message.data)
-                writer.cancel()
+            await asyncio.gather(self._listen(page, link), page.write())
         finally:
             self._pages.discard(page)
             for number in page.steers:
                 self.fleet.release(number, "the page was closed")
         return link
+
+    async def _listen(self, page: Page, link: web.WebSocketResponse) -> None:
+        try:
+            async for message in link:
+                if message.type is WSMsgType.TEXT:
+                    self._hear(page, message.data)
+        finally:
+            page.end()
 
     def _greet(self, page: Page) -> None:
         page.tell(
@@ -227,6 +239,8 @@ class Gateway:
                 fleet.upload(number, answer)
             case "download" | "compare":
                 fleet.download(number, answer)
+            case "dryrun":
+                self._dry_run(page, number, asked, answer)
             case "save":
                 self._library.save(asked["mission"])
                 answer(True, "")
@@ -240,6 +254,26 @@ class Gateway:
                 answer(True, "")
             case other:
                 raise FormatError(f"missions cannot {other!r}")
+
+    def _dry_run(self, page: Page, number: int, asked: dict[str, Any], answer: Callable[[bool, str], None]) -> None:
+        if self._vehicle is None:
+            raise Refused("no dry run without the vehicle's file: delfim console --vehicle FILE")
+        if self._dry_runs >= DRY_RUNS_MAX:
+            raise Refused("dry runs are under way already")
+        boat = self.fleet.boats.get(number)
+        known = boat is not None and boat.values.get("latitude_deg") is not None
+        start = (boat.values["latitude_deg"], boat.values["longitude_deg"]) if boat is not None and known else None
+        self._dry_runs += 1
+
+        def ended(future: "asyncio.Future[dict[str, Any]]") -> None:
+            self._dry_runs -= 1
+            if not future.cancelled():
+                result = future.result()
+                page.tell({"t": "dryrun", "boat": number, "seq": asked.get("seq"), **result})
+                answer(result["well"], "" if result["well"] else result["end"])
+
+        loop = asyncio.get_running_loop()
+        loop.run_in_executor(None, dry_run, self._vehicle, asked["mission"], start).add_done_callback(ended)
 
     def _utc_s(self) -> float:
         return round(self._clock.time_ns() / 1e9, 3)
@@ -283,11 +317,11 @@ async def serve(gateway: Gateway, boats: tuple[str, int], page: tuple[str, int],
         transport.close()
 
 
-def run(boats: str, page: str, missions: Path, key: Path | None, browse: bool) -> int:
+def run(boats: str, page: str, missions: Path, key: Path | None, vehicle: Path | None, browse: bool) -> int:
     """The command."""
     host, port = _address(page)
     token = "" if ip_address(host).is_loopback else secrets.token_urlsafe(12)
-    gateway = Gateway(SystemClock(), missions, Key(key) if key else None, token)
+    gateway = Gateway(SystemClock(), missions, Key(key) if key else None, token, vehicle)
 
     def ready(url: str) -> None:
         print(f"delfim: the console is at {url}; boats are heard on {boats}", flush=True)

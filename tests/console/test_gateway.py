@@ -15,6 +15,8 @@ from delfim.console.gateway import Gateway, serve
 from delfim.errors import ConfigError
 from tests.console.fakeboat import FakeBoat
 
+VEHICLE = Path(__file__).parents[2] / "etc" / "delfimx.toml"
+
 
 class Opened:
     """A console, two boats and one page."""
@@ -35,7 +37,8 @@ class Opened:
 
 @contextlib.asynccontextmanager
 async def opened(tmp_path: Path) -> AsyncIterator[Opened]:
-    gateway, ready = Gateway(SystemClock(), tmp_path / "missions"), asyncio.get_running_loop().create_future()
+    gateway = Gateway(SystemClock(), tmp_path / "missions", vehicle=VEHICLE)
+    ready = asyncio.get_running_loop().create_future()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
@@ -146,6 +149,28 @@ def test_missions_are_saved_loaded_uploaded_and_compared(tmp_path: Path) -> None
 
     asyncio.run(main())
     assert "38.691" in (tmp_path / "missions" / "two points.toml").read_text()
+
+
+def test_a_dry_run_says_how_long_and_how_far(tmp_path: Path) -> None:
+    corners = [(38.6901, -9.2152), (38.6905, -9.2152), (38.6905, -9.2148)]
+    plan = {"name": "dry", "waypoints": [{"latitude_deg": a, "longitude_deg": b} for a, b in corners]}
+
+    async def main() -> None:
+        async with opened(tmp_path) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+            await page.send_json({"t": "mission", "seq": 3, "boat": 1, "do": "dryrun", "mission": plan})
+            answer = await sea.until(page, lambda m: m["t"] == "dryrun")
+            assert (answer["end"], answer["well"], answer["boat"]) == ("mission done", True, 1)
+            assert 60.0 < answer["distance_m"] < 200.0
+            assert 30.0 < answer["time_s"] < 300.0
+            assert len(answer["track"]) > 20
+            await page.send_json(
+                {"t": "mission", "seq": 4, "boat": 1, "do": "dryrun", "mission": {"name": "none", "waypoints": []}}
+            )
+            answer = await sea.until(page, lambda m: m["t"] == "answer" and m["seq"] == 4)
+            assert not answer["ok"]
+            assert answer["reason"]
+
+    asyncio.run(main())
 
 
 def test_another_sites_page_is_not_let_in(tmp_path: Path) -> None:
