@@ -10,8 +10,9 @@ LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt test.txt bu
 
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
 # that people use: a browser, FTP, SSH.
-SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs chromium curl lftp openssh-client
-SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck chromium curl lftp ssh
+SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs chromium curl lftp openssh-client openssl \
+	tnftp wget
+SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck chromium curl lftp ssh openssl tnftp wget
 
 export PYTHONSAFEPATH := 1
 export PATH := $(PATH):/usr/sbin:/sbin

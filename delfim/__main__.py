@@ -61,6 +61,15 @@ def _run(asked: argparse.Namespace) -> int:
     return run(asked.file, asked.set, service=asked.service, beat_fd=asked.beat_fd)
 
 
+def _password(asked: argparse.Namespace) -> int:
+    import getpass
+
+    from delfim.services.door import hashed
+
+    print(hashed(getpass.getpass("password: ")))
+    return 0
+
+
 def _nodes(asked: argparse.Namespace) -> int:
     from delfim.config import load
     from delfim.simulator.realtime import run_nodes
@@ -171,6 +180,8 @@ def _parser() -> argparse.ArgumentParser:
     command("check", _check, "Check a vehicle's file and say what is wrong with it.")
     describe = commands.add_parser("describe", help="List every key of a vehicle's file with default, range and meaning.")
     describe.set_defaults(run=_describe)
+    password = commands.add_parser("password", help="Ask for a password and print what a vehicle's file keeps of it.")
+    password.set_defaults(run=_password)
     nodes = command("nodes", _nodes, "Play the boat's other CAN nodes (navigation, GPS, propellers, batteries) on its bus.")
     nodes.add_argument("--seed", type=int, default=1, help="of noise and weather")
     guest = command("guest", _guest, "Play the guest computer: a zigzag, obeyed in mode grex.")

@@ -36,6 +36,10 @@ Listen = Annotated[str, msgspec.Meta(pattern=r"^([^ :]+|\[[0-9A-Fa-f:.]+\]):[0-9
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
 LinuxInterface = Annotated[str, msgspec.Meta(pattern=r"^[^ /:]{1,15}\Z")]
 Network = Annotated[str, msgspec.Meta(pattern=r"^[0-9A-Fa-f:.]+(/[0-9]{1,3})?\Z")]
+Password = Annotated[  # hashed; in a log it is what no password is
+    str,
+    msgspec.Meta(pattern=r"^scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+\Z", extra={"shown": "scrypt:hidden:hidden"}),
+]
 Identifiers = Annotated[  # one or a range; three digits are a standard identifier, eight an extended one
     str, msgspec.Meta(pattern=r"^([0-7][0-9A-Fa-f]{2}(-[0-7][0-9A-Fa-f]{2})?|[01][0-9A-Fa-f]{7}(-[01][0-9A-Fa-f]{7})?)\Z")
 ]
@@ -392,6 +396,46 @@ class Httpd(Table, frozen=True):
     scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two looks at the computer and its processes
 
 
+class FtpUser(Table, frozen=True):
+    """Who may come in by FTP, by name."""
+
+    password: Password  # from `delfim password`
+    upload: bool = False  # may write in the staging area; everything else is read-only for everybody
+
+
+class Ftpd(Table, frozen=True):
+    """Files over FTP. Without users it is not started."""
+
+    listen: Endpoint = "127.0.0.1:2121"  # address and port; 0.0.0.0 is every interface
+    root: str = "/log"  # what is seen as "/"; no path leads out of it
+    staging: Name = "upload"  # the folder in it where some may write
+    upload_bytes_max: Annotated[int, msgspec.Meta(ge=0)] = 1 << 30  # of one file
+    certificate: str = ""  # PEM with certificate and key: nobody logs in without TLS (RFC 4217); "": all in the clear
+    connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
+    connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
+    users: dict[Name, FtpUser] = {}
+
+
+class SshUser(Table, frozen=True):
+    """Who may come in by SSH, by name."""
+
+    keys: Annotated[tuple[str, ...], msgspec.Meta(min_length=1, max_length=16)]  # public ones, as ssh-keygen writes them
+
+
+class Sshd(Table, frozen=True):
+    """Commands, a shell, SFTP and SCP over SSH. Without users it is not started."""
+
+    listen: Endpoint = "127.0.0.1:2222"  # address and port; 0.0.0.0 is every interface
+    user: str = ""  # of the system, as whom all is done; "": as who started this. Needs a process of its own
+    shell: str = "/bin/sh"  # that runs the commands
+    root: str = "/log"  # what SFTP and SCP see as "/"; no path leads out of it
+    host_key: str = "/log/.keys/ssh_host_ed25519"  # made at the first start, and kept
+    sessions: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # programs at once
+    connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
+    connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
+    users: dict[Name, SshUser] = {}
+
+
 class Log(Table, frozen=True):
     """Where and how logs are written, and what happens when the disk is full."""
 
@@ -456,6 +500,8 @@ class Simulation(Table, frozen=True):
 
     interface: Interface = "canloop:can0"  # the bus of a simulated boat
     httpd: Endpoint = "127.0.0.1:8080"  # where its page is
+    ftpd: Endpoint = "127.0.0.1:2121"  # where its files are
+    sshd: Endpoint = "127.0.0.1:2222"  # where its shell is
     latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] = 38.6907  # where it starts
     longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = -9.2153  # where it starts
     heading_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # how it lies at start
@@ -486,6 +532,8 @@ class Vehicle(Table, frozen=True):
     canip: Canip = Canip()
     timed: Timed = Timed()
     httpd: Httpd = Httpd()
+    ftpd: Ftpd = Ftpd()
+    sshd: Sshd = Sshd()
     log: Log = Log()
     logd: Logd = Logd()
     runtime: Runtime = Runtime()
@@ -500,6 +548,27 @@ T = TypeVar("T", bound=Table)
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
     """The vehicle's file, checked, with "key.key=TOML value" overrides laid over it. Raises ConfigError."""
     return decode(read_toml(path, overrides), Vehicle, str(path))
+
+
+def shown(table: Table) -> dict[str, Any]:
+    """All keys and values for everybody to read, JSON-ready and fit for `decode`; instead of a secret, what its declaration
+    says (`extra={"shown": ...}`)."""
+    fields: dict[str, Any] = _shown(table, type(table))
+    return fields
+
+
+def _shown(value: Any, hint: Any) -> Any:
+    if get_origin(hint) is Annotated:
+        instead = (get_args(hint)[1].extra or {}).get("shown")
+        return _shown(value, get_args(hint)[0]) if instead is None else instead
+    if isinstance(value, Table):
+        hints = get_type_hints(type(value), include_extras=True)
+        return {name: _shown(getattr(value, name), hints[name]) for name in value.__struct_fields__}
+    if isinstance(value, dict):
+        return {key: _shown(each, get_args(hint)[1]) for key, each in value.items()}
+    if isinstance(value, tuple):
+        return [_shown(each, get_args(hint)[0]) for each in value]
+    return value
 
 
 def read_toml(path: str | Path, overrides: Sequence[str] = ()) -> dict[str, Any]:

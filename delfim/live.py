@@ -69,6 +69,11 @@ def _simulated(settings: config.Vehicle, output: Path) -> list[str]:
         f'runtime.run_directory="{place}"',
         'supervisor.hardware_watchdog=""',
         f'httpd.listen="{settings.simulation.httpd}"',
+        f'ftpd.listen="{settings.simulation.ftpd}"',
+        f'ftpd.root="{place}/log"',
+        f'sshd.listen="{settings.simulation.sshd}"',
+        f'sshd.root="{place}/log"',
+        f'sshd.host_key="{place}/ssh_host_ed25519"',
     ]
 
 

@@ -81,7 +81,7 @@ class StateLog:
         self._writer = StateWriter(self._log, schema)
         self.status, self.poll = self._log.status, self._log.poll
         self._noted = False
-        self.event("start", version=__version__, settings=msgspec.to_builtins(settings))
+        self.event("start", version=__version__, settings=config.shown(settings))
 
     def write(self, state: State, now_s: float) -> None:
         self._writer.put(record.values(state, now_s))
@@ -316,6 +316,24 @@ async def httpd(runtime: Runtime) -> None:
     await serve(runtime)
 
 
+async def ftpd(runtime: Runtime) -> None:
+    """Files over FTP, for the users of the vehicle's file."""
+    try:
+        from delfim.services.ftpd import serve
+    except ModuleNotFoundError as error:
+        raise PermanentFailure(f"{error.name} is not installed: pip install 'delfim[services]'") from None
+    await serve(runtime)
+
+
+async def sshd(runtime: Runtime) -> None:
+    """Commands and files over SSH, for the users of the vehicle's file."""
+    try:
+        from delfim.services.sshd import serve
+    except ModuleNotFoundError as error:
+        raise PermanentFailure(f"{error.name} is not installed: pip install 'delfim[services]'") from None
+    await serve(runtime)
+
+
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
     Service("canzlogd", canzlogd),
@@ -324,6 +342,8 @@ SERVICES = (
     Service("timed", timed),
     Service("canip", canip),
     Service("httpd", httpd),
+    Service("ftpd", ftpd, place="process"),
+    Service("sshd", sshd, place="process"),
     Service("vehicle", vehicle),
 )
 
@@ -338,6 +358,8 @@ def services(settings: config.Vehicle) -> list[Service]:
     off = {"canip"} if not settings.canip.enabled else set()
     off |= {"timed"} if settings.timed.mode == "off" else set()
     off |= set() if settings.logd.nodes else {"logd"}
+    off |= set() if settings.ftpd.users else {"ftpd"}  # nobody could come in
+    off |= set() if settings.sshd.users else {"sshd"}
     enabled = [(row, asked[row.name].place) for row in SERVICES if asked[row.name].enabled and row.name not in off]
     return [row if place == "default" else row._replace(place=place) for row, place in enabled]
 

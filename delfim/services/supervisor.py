@@ -51,7 +51,8 @@ class Child:
     beat_s: float | None = None  # last beat
     pause_s: float = 0.0  # before its last start
     restarts: int = 0
-    reason: str = ""  # of its last end, in words
+    reason: str = ""  # of its last end or silence, in words
+    is_silent: bool = False  # beats no more, and is not critical
     verdict: str = ""  # why it was killed by us
     since: float = 0.0  # wall clock, of the last change of state
 
@@ -130,7 +131,7 @@ class Supervisor:
 
     def _start(self, child: Child) -> None:
         program = child.program
-        child.start_s, child.beat_s, child.verdict = time.monotonic(), None, ""
+        child.start_s, child.beat_s, child.verdict, child.is_silent = time.monotonic(), None, "", False
         child.pipe, beat = os.pipe()
         os.set_inheritable(beat, True)
         argv = (*program.argv, "--beat-fd", str(beat))
@@ -201,8 +202,12 @@ class Supervisor:
         return child.start_s + START_S if child.beat_s is None else child.beat_s + self._deadman_s
 
     def _watch_beat(self) -> None:
-        """Kill what is silent. Stop frames follow at once."""
+        """Kill what is critical and silent; stop frames follow at once. Silence of what is not critical is only told."""
         now_s, child = time.monotonic(), self._critical
+        for each in self._children:
+            late = each is not child and each.beat_s is not None and now_s - each.beat_s > self._deadman_s
+            if each.state == "running" and late and not each.is_silent:
+                self._noted(each, "does not answer", is_silent=True)
         if child is None or now_s < self._deadline_s():
             return
         silent_s = now_s - (child.start_s if child.beat_s is None else child.beat_s)
@@ -210,6 +215,11 @@ class Supervisor:
         self._kill(child, verdict)
         self._stop_due_s = now_s
         self._deadman = {"reason": verdict, "time": time.time()}
+
+    def _noted(self, child: Child, reason: str, *, is_silent: bool) -> None:
+        child.reason, child.is_silent = reason, is_silent
+        log.error("%s: %s", child.program.name, reason)
+        self._tell()
 
     def _keep_stopped(self) -> None:
         """Stop frames again and again, until a critical program beats."""
@@ -244,7 +254,10 @@ class Supervisor:
         self._stroke(b"\0")
 
     def _on_beat(self, child: Child) -> None:
-        child.beat_s = time.monotonic()
+        now_s = time.monotonic()
+        if child.is_silent and child.beat_s is not None:
+            self._noted(child, f"did not answer for {now_s - child.beat_s:.1f} s", is_silent=False)
+        child.beat_s = now_s
         if child.program.critical:
             self._stop_due_s = None
 
@@ -288,6 +301,9 @@ class Supervisor:
 
     def _change(self, child: Child, state: Literal["waiting", "running", "stopped", "failed"]) -> None:
         child.state, child.since = state, time.time()
+        self._tell()
+
+    def _tell(self) -> None:
         programs = {
             each.program.name: {
                 "state": each.state,

@@ -156,13 +156,15 @@ def test_a_runtime_that_never_beats_is_killed_after_its_grace(suite: Suite) -> N
     assert suite.state()["programs"]["runtime"]["reason"] == "no beat for 0.5 s: dead-man"
 
 
-def test_other_programs_have_no_deadman(suite: Suite) -> None:
+def test_other_programs_have_no_deadman_but_their_silence_is_told(suite: Suite) -> None:
     suite.program("runtime", critical=True)
-    suite.program("sshd", "stall=busy")
+    suite.program("sshd", "stall=stopped")
     suite.start(deadman_s=DEADMAN_S)
-    until(lambda: suite.events("sshd", "stall"))
-    select.select([], [], [], 2 * DEADMAN_S)
+    until(lambda: suite.state()["programs"].get("sshd", {}).get("reason") == "does not answer")
+    os.kill(suite.state()["programs"]["sshd"]["pid"], signal.SIGCONT)
+    until(lambda: suite.state()["programs"]["sshd"]["reason"].startswith("did not answer for "))
     assert suite.state()["programs"]["sshd"]["restarts"] == 0
+    assert suite.state()["programs"]["runtime"]["reason"] == ""
 
 
 @pytest.mark.parametrize(
