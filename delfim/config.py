@@ -192,9 +192,10 @@ class ConsoleSilent(Trouble, frozen=True):
 
 
 class ManualSilent(Trouble, frozen=True):
-    """No manual command, in manual mode."""
+    """No manual command, in manual mode: first no thrust, then this."""
 
-    after_s: Seconds = 2.0  # age of the last one
+    after_s: Seconds = 5.0  # age of the last one
+    thrust_s: Seconds = 2.0  # age of the last one at which thrust goes to zero
 
 
 class GuestSilent(Trouble, frozen=True):
@@ -322,6 +323,19 @@ class Console(Table, frozen=True):
 
     socket: str = "/run/delfim/command"  # local commands and state, a UNIX socket
     clients: Annotated[int, msgspec.Meta(ge=1, le=100)] = 16  # connections at once
+
+
+class Mavlink(Table, frozen=True):
+    """The console's link: MAVLink 2 over UDP (docs/mavlink.md)."""
+
+    enabled: bool = True  # serve it
+    listen: Listen = "127.0.0.1:14555"  # address and port; port 0: any
+    peers: Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)] = ("127.0.0.1:14550",)  # who is told that the boat exists
+    profile: Literal["lean", "radio", "wifi"] = "wifi"  # how much is sent, until a console asks for another one
+    sign: Literal["remote", "all"] = "remote"  # who must sign: everybody but this computer, or everybody
+    key: str = ""  # file of the key, from `delfim console keygen`; without one no other computer commands
+    autopilot: Literal["generic", "ardurover"] = "generic"  # what programs for other autopilots take the boat for
+    command_age_s: Seconds = 3.0  # a signed command that was on the way for longer is not obeyed
 
 
 class Guest(Table, frozen=True):
@@ -527,6 +541,7 @@ class Vehicle(Table, frozen=True):
     checks: Checks = Checks()
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
+    mavlink: Mavlink = Mavlink()
     guest: Guest = Guest()
     cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()
@@ -607,6 +622,23 @@ def decode(tree: dict[str, object], kind: type[T], file: str) -> T:
         return msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
         raise _explained(error, tree, kind, file) from None
+
+
+CHANGEABLE = ("control.", "failsafe.console_silent.", "failsafe.manual_silent.")  # while the program runs
+
+
+def changed(settings: Vehicle, key: str, value: float | str) -> Vehicle:
+    """The settings with another value at a key that may change. Raises ConfigError."""
+    if not key.startswith(CHANGEABLE):
+        raise ConfigError("the vehicle's file", key, "this does not change while the boat runs", ", ".join(CHANGEABLE))
+    tree = table = msgspec.to_builtins(settings)
+    *tables, last = key.split(".")
+    for name in tables:
+        table = table.get(name) if isinstance(table, dict) else None
+    if not isinstance(table, dict) or not isinstance(table.get(last), float | str):
+        raise ConfigError("the vehicle's file", key, "no such key")
+    table[last] = value
+    return decode(tree, Vehicle, "the vehicle's file")
 
 
 def _explained(error: msgspec.ValidationError, tree: dict[str, object], kind: type[Table], file: str) -> ConfigError:

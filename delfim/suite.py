@@ -45,7 +45,8 @@ from delfim.vehicle import record
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Alive, Commands, Report, Watch
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import LOCAL, Vehicle
+from delfim.vehicle.mavlink.link import MavlinkLink
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.rehearsal import Rehearsal
@@ -156,8 +157,8 @@ async def _attend(
         figures = {name: report() for name, report in runtime.board.items()}
         return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
-    def obeyed(command: Commands) -> str | None:
-        refused = boat.on_command(command)
+    def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
+        refused = boat.on_command(command, operator)
         log.command(command, refused, boat.state)
         return refused
 
@@ -169,6 +170,9 @@ async def _attend(
         links.callback(boat.guest.close)
         with contextlib.suppress(OSError):  # a boat without its guest sails; the state says that none is connected
             links.callback((await _guest_server(boat, settings.guest.listen)).close)
+    if settings.mavlink.enabled:
+        with contextlib.suppress(OSError):  # a boat without this link sails; the reason is logged
+            links.enter_context(MavlinkLink(boat, obeyed, Path(settings.log.directory) / "mavlink-stamps", runtime.board))
     ticks = 0
     while True:
         await asyncio.sleep(WATCHDOG_S)
