@@ -142,8 +142,7 @@ def _console(asked: argparse.Namespace) -> int:
         keygen(Path(asked.keygen))
         print(f"delfim: {asked.keygen}: a new key; the boat needs the same file, brought there by hand")
         return 0
-    key, vehicle = (Path(file) if file else None for file in (asked.key, asked.vehicle))
-    return run(asked.boats, asked.page, Path(asked.missions), key, vehicle, asked.browser)
+    return run(asked)
 
 
 def _drive(asked: argparse.Namespace) -> int:
@@ -248,8 +247,16 @@ def _add_console(commands: Any) -> None:
     console.add_argument(
         "--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="where boats are heard (%(default)s)"
     )
+    console.add_argument(
+        "--radio", action="append", default=[], metavar="DEVICE:BAUD", help="a serial radio, as /dev/ttyUSB0:57600 or COM3:9600"
+    )
     console.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="where the page is (%(default)s)")
     console.add_argument("--missions", default="missions", metavar="FOLDER", help="the operator's missions (%(default)s)")
+    console.add_argument("--charts", default="charts", metavar="FOLDER", help="the operator's charts (%(default)s)")
+    console.add_argument("--sessions", default="sessions", metavar="FOLDER", help="where sessions are recorded (%(default)s)")
+    console.add_argument(
+        "--replay", nargs="+", metavar="PATH", help="no boats: play these sessions (.tlog) and state logs, or folders of them"
+    )
     console.add_argument("--key", metavar="FILE", help="signing key: the boats must have the same")
     console.add_argument("--vehicle", metavar="FILE", help="the vehicle's file, for dry runs of missions")
     console.add_argument("--keygen", metavar="FILE", help="make a signing key, and end")
