@@ -210,7 +210,9 @@ def _add_bench(commands: Any) -> None:
     text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
     bench = commands.add_parser("bench", help=text, description=text)
     bench.set_defaults(run=_bench)
-    bench.add_argument("what", nargs="?", choices=["critical-path", "sim", "log", "watchers", "disk"], help="all of them when none is named")
+    bench.add_argument(
+        "what", nargs="?", choices=["critical-path", "sim", "log", "watchers", "disk"], help="all of them when none is named"
+    )
     bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
     bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")
@@ -218,6 +220,9 @@ def _add_bench(commands: Any) -> None:
     bench.add_argument("--rounds", type=int, help="how often everybody has a turn")
     bench.add_argument("--rates", type=float, nargs="+", metavar="HZ", help="of navigation (5 100 500)")
     bench.add_argument("--bus", metavar="INTERFACE", help="a Linux CAN interface instead of loopback buses")
+    bench.add_argument(
+        "--frames", type=int, default=7700, help="a second on the full bus (%(default)s: 1 Mbit/s, never silent)"
+    )
     bench.add_argument(
         "--wire-us", type=int, default=0, help="between the frames of a message; 130 is a bus of 1 Mbit/s (%(default)s)"
     )

@@ -42,7 +42,6 @@ LABELS: Final = {
     "uvloop": "the same on uvloop",
 }
 RATES_HZ: Final = (5.0, 100.0, 500.0)
-BUS_FRAMES_PER_S: Final = 7700  # a bus of 1 Mbit/s that is never silent
 LONG_CYCLES: Final = 150_645  # as many as the thesis logged at sea
 WARM_PERIODS, WARM_S_MIN = 7, 0.3
 START_S: Final = 20.0  # a competitor must be ready within this time
@@ -215,7 +214,7 @@ class Team:
             self._arguments += ["--set", override]
         self._all = contextlib.ExitStack()
         self._processes: list[subprocess.Popen[bytes]] = []
-        self._loop, self._wire_us = str(programs["loop"]), asked.wire_us
+        self._loop, self._wire_us, self._frames = str(programs["loop"]), asked.wire_us, asked.frames
         self.state: dict[str, Any] = {}  # what it said last of itself
 
     @property
@@ -336,7 +335,7 @@ class Team:
 
     @contextlib.contextmanager
     def _feeding(self, seconds: float, warm_s: float, *, flood: bool) -> Iterator[subprocess.Popen[bytes]]:
-        words = self.rate_hz, warm_s, seconds, BUS_FRAMES_PER_S if flood else 0, self._wire_us
+        words = self.rate_hz, warm_s, seconds, self._frames if flood else 0, self._wire_us
         with _running([self._feeder, self._bus, *map(str, words)], stdout=subprocess.PIPE) as feeder:
             yield feeder
 

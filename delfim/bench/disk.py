@@ -1,5 +1,5 @@
-"""A log partition that fails on command, with the kernel's own means: an ext4 file system in a file, in a mount namespace of its
-own, filled, shut down, aborted or frozen. Needs root and loop devices."""
+"""A log partition that fails on command, with the kernel's own means: an ext4 file system in a file, in a mount namespace of
+its own, filled, shut down, aborted or frozen. Needs root and loop devices."""
 
 import contextlib
 import ctypes
@@ -16,7 +16,9 @@ from delfim.errors import DelfimError
 SIZE: Final = 64 << 20
 PATH: Final = f"{os.environ.get('PATH', '')}:/usr/sbin:/sbin"
 _NEW_MOUNTS: Final = 0x20000  # linux/sched.h: CLONE_NEWNS
-_FREEZE, _THAW, _SHUTDOWN = 0xC0045877, 0xC0045878, 0x8004587D  # linux/fs.h: FIFREEZE, FITHAW; fs/ext4: EXT4_IOC_SHUTDOWN
+_FREEZE: Final = 0xC0045877  # linux/fs.h: FIFREEZE
+_THAW: Final = 0xC0045878  # FITHAW
+_SHUTDOWN: Final = 0x8004587D  # fs/ext4/ext4.h: EXT4_IOC_SHUTDOWN
 _NO_FLUSH: Final = 2
 
 
@@ -24,7 +26,7 @@ class Disk:
     """Mounted at `place` while it is open. Its images lie beside it, and go with it."""
 
     def __init__(self, place: Path) -> None:
-        self._place, self._images, self._frozen = place, 0, False
+        self._place, self._images, self._is_frozen = place, 0, False
         place.mkdir(parents=True)
 
     def __enter__(self) -> Self:
@@ -33,7 +35,7 @@ class Disk:
 
     def __exit__(self, *_: object) -> None:
         self.mend()
-        for _ in range(self._images):
+        for _image in range(self._images):
             _run("umount", "-l", str(self._place))
 
     def mount(self) -> None:
@@ -65,13 +67,13 @@ class Disk:
     def freeze(self) -> None:
         """Whoever writes hangs."""
         self._ask(_FREEZE, 0)
-        self._frozen = True
+        self._is_frozen = True
 
     def mend(self) -> None:
         """As it was, or a new one."""
-        if self._frozen:
+        if self._is_frozen:
             self._ask(_THAW, 0)
-            self._frozen = False
+            self._is_frozen = False
         with contextlib.suppress(OSError):
             (self._place / "ballast").unlink(missing_ok=True)
 

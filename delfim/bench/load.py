@@ -156,8 +156,8 @@ def _got(link: socket.socket, path: str) -> http.client.HTTPResponse:
 
 
 def main() -> int:
-    """A line of ports, the bus and the number of watchers (0: everything else too) starts the clients and is answered with "on", an empty line stops them and is answered with
-    their counts as JSON; the end of the input ends."""
+    """A line of ports, the bus and the number of watchers (0: clients of all kinds) starts them and is answered with "on", an
+    empty line stops them and is answered with their counts as JSON; the end of the input ends."""
     os.nice(10)
     clients: Clients | None = None
     for line in sys.stdin:

@@ -55,9 +55,9 @@ class Onlooker:
 
 
 def paths_us(asked: Sequence[int], answered: Sequence[int], begin_ns: int, end_ns: int) -> list[float]:
-    """The way from each message to its command, us, ascending, for messages of this time. Of several messages before one command
-    the oldest is answered, which is the longest way; the others only by further commands that come before the next message,
-    and otherwise never."""
+    """The way from each message to its command, us, ascending, for messages of this time. Of several messages before one
+    command the oldest is answered, which is the longest way; the others only by further commands that come before the next
+    message, and otherwise never."""
     events = sorted([(t_ns, False) for t_ns in asked] + [(t_ns, True) for t_ns in answered])
     paths, waiting, was_command = [], list[int](), False
     for t_ns, is_command in events:

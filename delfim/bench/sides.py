@@ -2,8 +2,8 @@
 
 This program alone, at 100 Hz on a full bus, in slices that take turns: with a healthy log partition and with each way in which
 one fails; without clients of cantcpd and with eight that watch the bus, one of them asleep. The undisturbed case has two turns
-a round, and how far it is from itself is the noise. Latency is that which the bus sees (delfim.bench.onlooker), because the state log
-is what is tried. What is measured, and how to read it: docs/benchmark.md.
+a round, and how far it is from itself is the noise. Latency is that which the bus sees (delfim.bench.onlooker), because the
+state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
 """
 
 import argparse
@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from delfim.bench import report
-from delfim.bench.critical_path import BUS_FRAMES_PER_S, Slice, Team, build
+from delfim.bench.critical_path import Slice, Team, build
 from delfim.bench.disk import Disk, leave_mounts
 from delfim.bench.load import prepare
 from delfim.bench.onlooker import Onlooker
@@ -35,6 +35,8 @@ LIMITS: Final = dict.fromkeys(report.PERCENTILES, 1.2)  # of the ratio to the un
 SECONDS, QUICK_SECONDS = 12.0, 2.0
 MARGIN: Final = 1 / 12  # of a slice, before the trouble and after it: of 12 s it lasts 10
 KILL_EVERY_S: Final = 1.0
+LOOK_S: Final = 0.25  # between two looks at how the log fares
+SETTLE_S: Final = 2.0  # what a dead writer took along is known by then
 MEND_S: Final = 15.0  # a log that is not written again by then does not come back
 SETTINGS: Final = ("log.free_bytes_min=0",)  # a full disk is met, not avoided
 
@@ -63,7 +65,7 @@ def run_disk(asked: argparse.Namespace) -> int:
         disk = links.enter_context(Disk(place / "delfim" / "log"))
         team = links.enter_context(_team(asked, place))
         look = links.enter_context(Onlooker(team.interface))
-        clients = links.enter_context(_clients())
+        clients = None if asked.quick else links.enter_context(_clients())
         killer = _Killer(team)
         troubles: dict[str, tuple[Trouble, Trouble]] = {
             "writers killed": (killer.start, killer.stop),
@@ -101,12 +103,12 @@ def run_watchers(asked: argparse.Namespace) -> int:
                 its = clients if watchers else None
                 turns["8 clients, one asleep" if watchers else ""].append(_turn(team, look, its, seconds, watchers=watchers))
     rows = _rows(turns, "no client")
-    figures = _watched(turns["8 clients, one asleep"], rows)
+    figures = _watched(turns["8 clients, one asleep"], rows, asked.frames)
     _write(asked, "watchers", rows, **figures)
-    print(_table(rows, ("cpu us/cycle",), lambda row: (row["cpu_us"],)))
+    print(_table(rows, ("of a core",), lambda row: (f"{row['cpu_share']:.1%}",)))
     print(
-        f"  a client costs {figures['core_share_per_client']:.2%} of a core, {figures['cpu_ms_per_1000_frames']:.3f} ms per 1,000"
-        f" frames; frames lost by clients awake: {figures['lost_awake']}, by the one asleep: {figures['lost_asleep']}"
+        f"  a client costs {figures['core_share_per_client']:.2%} of a core, {figures['cpu_ms_per_1000_frames']:.3f} ms for"
+        f" 1,000 frames; frames lost by clients awake: {figures['lost_awake']}, by the one asleep: {figures['lost_asleep']}"
     )
     return int(figures["lost_awake"] > 0)
 
@@ -120,7 +122,7 @@ def _length(asked: argparse.Namespace) -> tuple[float, int]:
 def _team(asked: argparse.Namespace, place: Path) -> Iterator[Team]:
     with tempfile.TemporaryDirectory(prefix="delfim-bench-") as programs:
         asked = argparse.Namespace(**vars(asked) | {"set": [*asked.set, *SETTINGS]})
-        with Team("delfim", RATE_HZ, asked, build(Path(programs)), place / "delfim") as team:
+        with Team("delfim", (asked.rates or [RATE_HZ])[0], asked, build(Path(programs)), place / "delfim") as team:
             yield team
 
 
@@ -134,33 +136,34 @@ def _clients() -> Iterator["subprocess.Popen[bytes]"]:
             clients.terminate()
 
 
-def _turn(
-    team: Team, look: Onlooker, clients: "subprocess.Popen[bytes] | None", seconds: float, *, watchers: int = 0
-) -> Turn:
+def _turn(team: Team, look: Onlooker, clients: "subprocess.Popen[bytes] | None", seconds: float, *, watchers: int = 0) -> Turn:
     part = team.turn(seconds, clients, watchers=watchers, flood=True)
     paths = look.paths_us(part.begin_ns, part.end_ns)
     return Turn(paths, part.due, team.state["log"]["dropped"], 0.0, team.state["log"]["reason"], part, team.state)
 
 
 def _troubled(
-    team: Team, look: Onlooker, clients: "subprocess.Popen[bytes]", seconds: float, begin: Trouble, end: Trouble
+    team: Team, look: Onlooker, clients: "subprocess.Popen[bytes] | None", seconds: float, begin: Trouble, end: Trouble
 ) -> Turn:
     """A turn with trouble in the middle of it, and then time to get over it."""
     dropped = team.state.get("log", {}).get("dropped", 0)
-    failures: list[BaseException] = []
+    failures, reasons = list[BaseException](), list[str]()
 
     def trouble() -> None:
         try:
             time.sleep(team.warm_s + MARGIN * seconds)
+            until_s = time.monotonic() + (1.0 - 2.0 * MARGIN) * seconds
             begin()
-            time.sleep((1.0 - 2.0 * MARGIN) * seconds)
-            reason[0] = _log(team)["reason"]
+            while True:
+                reasons.append(_log(team)["reason"])
+                if time.monotonic() > until_s:
+                    break
+                time.sleep(LOOK_S)
         except BaseException as error:
             failures.append(error)
         finally:
             end()
 
-    reason = [""]
     thread = threading.Thread(target=trouble)
     thread.start()
     try:
@@ -171,12 +174,15 @@ def _troubled(
         raise failures[0]
     ended_s = time.monotonic()
     team.go_on()
-    while not (said := _log(team))["writable"]:
+    while not _log(team)["writable"]:
         if time.monotonic() - ended_s > MEND_S:
-            raise DelfimError(f"the log did not come back within {MEND_S:g} s: {said['reason']}")
+            raise DelfimError(f"the log did not come back within {MEND_S:g} s: {_log(team)['reason']}")
         time.sleep(0.1)
+    mended_s = time.monotonic() - ended_s
+    time.sleep(SETTLE_S)
+    team.state["log"] = said = _log(team)
     team.hold()
-    return turn._replace(dropped=said["dropped"] - dropped, mended_s=time.monotonic() - ended_s, reason=reason[0])
+    return turn._replace(dropped=said["dropped"] - dropped, mended_s=mended_s, reason=max(reasons, key=len))
 
 
 def _log(team: Team) -> dict[str, Any]:
@@ -230,19 +236,22 @@ def _rows(turns: dict[str, list[Turn]], undisturbed: str) -> list[dict[str, Any]
             row[f"{key}_us"] = report.percentile(paths, part, due)
         row |= {"worst_us": paths[-1] if paths else 0.0, "dropped": sum(turn.dropped for turn in its)}
         row |= {"mended_s": max(turn.mended_s for turn in its), "reason": its[0].reason}
-        row["cpu_us"] = round(sum(turn.slice.cpu_ns_per_cycle for turn in its) / len(its) / 1e3, 1)
+        shares = [
+            turn.slice.cpu_ns_per_cycle / 1e9 * turn.slice.due / (turn.slice.end_ns - turn.slice.begin_ns) * 1e9 for turn in its
+        ]
+        row["cpu_share"] = round(sum(shares) / len(shares), 4)
         rows.append(row)
     taken = [turn.slice.others_share + turn.slice.steal_share for its in turns.values() for turn in its]
     return [row | report.compared(row, rows[0], factors, sum(taken) / len(taken), LIMITS) | {"noise": factors} for row in rows]
 
 
-def _watched(turns: list[Turn], rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _watched(turns: list[Turn], rows: list[dict[str, Any]], frames_per_s: int) -> dict[str, Any]:
     """What eight clients cost, and what they lost."""
     lost = [[each.get("dropped", 0) for each in _served(turn).values()] for turn in turns]
-    share = (rows[1]["cpu_us"] - rows[0]["cpu_us"]) * 1e-6 * RATE_HZ / WATCHERS
+    share = (rows[1]["cpu_share"] - rows[0]["cpu_share"]) / WATCHERS
     return {
         "core_share_per_client": round(share, 5),
-        "cpu_ms_per_1000_frames": round(share * 1e3 / BUS_FRAMES_PER_S * 1e3, 4),
+        "cpu_ms_per_1000_frames": round(share * 1e3 / frames_per_s * 1e3, 4),
         "lost_awake": sum(sum(sorted(each)[:-1]) for each in lost),
         "lost_asleep": sum(max(each, default=0) for each in lost),
     }
@@ -261,7 +270,7 @@ def _write(asked: argparse.Namespace, name: str, rows: list[dict[str, Any]], **m
 
 def _table(rows: list[dict[str, Any]], more: tuple[str, ...], cells: Callable[[dict[str, Any]], tuple[object, ...]]) -> str:
     names = ("cycles", "lost", "p50", "p99", "p99.9", "worst", "p50 x", "p99 x", *more)
-    lines = [f"{RATE_HZ:g} Hz, full bus, us{'':16}" + "".join(f"{name:>{_width(name)}}" for name in names)]
+    lines = [f"{'us, on a full bus':35}" + "".join(f"{name:>{_width(name)}}" for name in names)]
     for row in rows:
         figures = [row[f"{key}_us"] for key in (*report.PERCENTILES, "worst")]
         words = [row["cycles"], row["lost"], *("lost" if each is None else f"{each:.0f}" for each in figures)]
@@ -270,7 +279,10 @@ def _table(rows: list[dict[str, Any]], more: tuple[str, ...], cells: Callable[[d
         lines.append(f"{row['case']:35}" + "".join(f"{word:>{_width(name)}}" for word, name in zip(words, names, strict=True)))
     noise = ", ".join(f"{key} x {factor:.2f}" if factor else f"{key} unknown" for key, factor in rows[0]["noise"].items())
     lines.append(f"  noise, {rows[0]['case']} against itself: {noise}")
-    lines += [f"  p99 with {row['case']} <= {LIMITS['p99']:g} x that with {rows[0]['case']}: {row['verdict']['p99']}" for row in rows[1:]]
+    lines += [
+        f"  p99 with {row['case']} <= {LIMITS['p99']:g} x that with {rows[0]['case']}: {row['verdict']['p99']}"
+        for row in rows[1:]
+    ]
     return "\n".join(lines)
 
 
