@@ -331,6 +331,9 @@ class Cantcpd(Table, frozen=True):
     """CAN over TCP, the socketcand protocol. Who may watch and who may transmit; there are no passwords in it."""
 
     listen: Listeners = ("127.0.0.1:29536",)  # addresses and ports
+    slcan: Annotated[
+        tuple[Listen, ...], msgspec.Meta(max_length=8)
+    ] = ()  # addresses and ports where the first bus is spoken in slcan
     buses: tuple[Interface, ...] = ()  # that clients can open, by their name or what follows its last colon; empty: the boat's
     watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
     transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # of these, the networks that may send frames, too
