@@ -172,9 +172,15 @@ def _image(asked: argparse.Namespace) -> int:
 
 
 def _bench(asked: argparse.Namespace) -> int:
-    from delfim.bench import critical_path, liblog, lockstep
+    from delfim.bench import critical_path, liblog, lockstep, sides
 
-    programs = {"critical-path": critical_path.run, "sim": lockstep.run, "log": liblog.run}
+    programs = {
+        "critical-path": critical_path.run,
+        "sim": lockstep.run,
+        "log": liblog.run,
+        "watchers": sides.run_watchers,
+        "disk": sides.run_disk,
+    }
     return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
 
 
@@ -280,7 +286,9 @@ def _add_bench(commands: Any) -> None:
     text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
     bench = commands.add_parser("bench", help=text, description=text)
     bench.set_defaults(run=_bench)
-    bench.add_argument("what", nargs="?", choices=["critical-path", "sim", "log"], help="all of them when none is named")
+    bench.add_argument(
+        "what", nargs="?", choices=["critical-path", "sim", "log", "watchers", "disk"], help="all of them when none is named"
+    )
     bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
     bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")
@@ -288,6 +296,9 @@ def _add_bench(commands: Any) -> None:
     bench.add_argument("--rounds", type=int, help="how often everybody has a turn")
     bench.add_argument("--rates", type=float, nargs="+", metavar="HZ", help="of navigation (5 100 500)")
     bench.add_argument("--bus", metavar="INTERFACE", help="a Linux CAN interface instead of loopback buses")
+    bench.add_argument(
+        "--frames", type=int, default=7700, help="a second on the full bus (%(default)s: 1 Mbit/s, never silent)"
+    )
     bench.add_argument(
         "--wire-us", type=int, default=0, help="between the frames of a message; 130 is a bus of 1 Mbit/s (%(default)s)"
     )

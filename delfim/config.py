@@ -34,6 +34,7 @@ Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=100)]  # corners 
 Endpoint = Annotated[str, msgspec.Meta(pattern=r"^[^ :]+:[0-9]{1,5}\Z")]  # host:port
 Listen = Annotated[str, msgspec.Meta(pattern=r"^([^ :]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}\Z")]  # as Endpoint, or [IPv6]:port
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
+Ports = Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)]
 LinuxInterface = Annotated[str, msgspec.Meta(pattern=r"^[^ /:]{1,15}\Z")]
 MountPoint = Annotated[str, msgspec.Meta(pattern=r"^(/[^/\x00]+)*\Z")]
 Megabytes = Annotated[int, msgspec.Meta(ge=0, le=1 << 20)]
@@ -354,6 +355,7 @@ class Cantcpd(Table, frozen=True):
     """CAN over TCP, the socketcand protocol. Who may watch and who may transmit; there are no passwords in it."""
 
     listen: Listeners = ("127.0.0.1:29536",)  # addresses and ports
+    slcan: Ports = ()  # addresses and ports where the first bus is spoken in slcan
     buses: tuple[Interface, ...] = ()  # that clients can open, by their name or what follows its last colon; empty: the boat's
     watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
     transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # of these, the networks that may send frames, too

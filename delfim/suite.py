@@ -270,9 +270,11 @@ async def cantcpd(runtime: Runtime) -> None:
     with contextlib.ExitStack() as links:
         server = Cantcpd(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes)
         links.callback(server.close)
-        for address in settings.cantcpd.listen:
+        asked = [(address, server.slcan_connection) for address in settings.cantcpd.slcan]
+        asked += [(address, server.connection) for address in settings.cantcpd.listen]
+        for address, connection in asked:
             host, _, number = address.rpartition(":")
-            listening = await loop.create_server(server.connection, host.strip("[]"), int(number))
+            listening = await loop.create_server(connection, host.strip("[]"), int(number))
             links.callback(listening.close)
         port = listening.sockets[0].getsockname()[1]
         runtime.board["cantcpd"] = server.report
