@@ -166,6 +166,12 @@ def _log(asked: argparse.Namespace) -> int:
     return run(asked)
 
 
+def _image(asked: argparse.Namespace) -> int:
+    from delfim.image import run
+
+    return run(asked)
+
+
 def _bench(asked: argparse.Namespace) -> int:
     from delfim.bench import critical_path, liblog, lockstep
 
@@ -227,6 +233,7 @@ def _parser() -> argparse.ArgumentParser:
     can.set_defaults(run=_can)
     _add_console(commands)
     _add_log(commands)
+    _add_image(command("image", _image, "The boat's image: look, install, confirm; two slots, the old one is kept."))
     _add_bench(commands)
     return parser
 
@@ -258,6 +265,11 @@ def _add_log(commands: Any) -> None:
     log = commands.add_parser("log", help=text, description=text)
     log.set_defaults(run=_log)
     log.add_argument("words", nargs=argparse.REMAINDER, metavar="VERB ...", help="ls, cat, info, plot, export, ...")
+
+
+def _add_image(image: argparse.ArgumentParser) -> None:
+    image.add_argument("verb", choices=["status", "verify", "install", "confirm"], help="verify and install name an image")
+    image.add_argument("image", metavar="IMAGE", nargs="?", help="what `make image` packed, as it was uploaded")
 
 
 def _add_bench(commands: Any) -> None:

@@ -47,6 +47,9 @@ Identifiers = Annotated[  # one or a range; three digits are a standard identifi
 ]
 
 
+PublicKey = Annotated[str, msgspec.Meta(pattern=r"^ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?\Z")]
+
+
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A table of the vehicle's file. Unknown keys are refused."""
 
@@ -382,6 +385,25 @@ class Canip(Table, frozen=True):
             raise ValueError("two peers have the same address or the same node")
 
 
+class Slipd(Table, frozen=True):
+    """The radio's serial line as a network interface."""
+
+    device: Annotated[str, msgspec.Meta(pattern=r"^(/dev/[^ ]+)?\Z")] = ""  # the radio's serial port; empty: no radio
+    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 115_200  # of the port
+    radio_bps: Annotated[int, msgspec.Meta(ge=0, le=4_000_000)] = 0  # bit/s, of a radio slower than its port; 0: it is not
+    encapsulation: Literal["slip", "cslip"] = "cslip"  # cslip compresses TCP's headers (RFC 1144); both ends must agree
+    mode: Literal["auto", "kernel", "user"] = "auto"  # the kernel's SLIP, this program's, or the kernel's where it has one
+    interface: Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_.-]{0,14}\Z")] = "radio0"  # its name in mode user
+    address: str = "10.0.0.1"  # of the boat
+    peer: str = "10.0.0.2"  # of the other end
+    mtu: Annotated[int, msgspec.Meta(ge=68, le=1500)] = 296  # the shorter, the sooner an urgent packet has its turn
+    carrier: Annotated[str, msgspec.Meta(pattern=r"^(none|dcd|file:/[^ ]+)\Z")] = "none"  # where it is seen: modem, or a file
+
+    def __post_init__(self) -> None:
+        IPv4Address(self.address)
+        IPv4Address(self.peer)
+
+
 class Timed(Table, frozen=True):
     """The time frame at the start of each second, from this computer's clock."""
 
@@ -494,6 +516,14 @@ class Supervisor(Table, frozen=True):
     hardware_watchdog: str = "/dev/watchdog"  # stroked where it exists; "" for none
 
 
+class Image(Table, frozen=True):
+    """The two slots of the boot partition, and whose images are installed there."""
+
+    signers: tuple[PublicKey, ...] = ()  # public ed25519 keys, as ssh-keygen writes them; without any, nothing can be installed
+    partition: str = ""  # of the slots, mounted only while it is read or written; "" where the directory is always there
+    directory: str = "/boot"  # where it is mounted
+
+
 class Service(Table, frozen=True):
     """A service of the suite, by its name."""
 
@@ -549,6 +579,7 @@ class Vehicle(Table, frozen=True):
     cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()
     timed: Timed = Timed()
+    slipd: Slipd = Slipd()
     httpd: Httpd = Httpd()
     ftpd: Ftpd = Ftpd()
     sshd: Sshd = Sshd()
@@ -557,6 +588,7 @@ class Vehicle(Table, frozen=True):
     logd: Logd = Logd()
     runtime: Runtime = Runtime()
     supervisor: Supervisor = Supervisor()
+    image: Image = Image()
     services: dict[Name, Service] = {}
     simulation: Simulation = Simulation()
 

@@ -21,7 +21,6 @@ from delfim import config
 from delfim.canproxy.socket import ANYTHING, open_can
 from delfim.console.drive import line
 from delfim.console.link import Link
-from delfim.console.view import View
 from delfim.errors import BusError, ConfigError, DelfimError
 from delfim.suite import StateLog
 from delfim.vehicle.mission import Mission, canonical, load_mission
@@ -168,6 +167,8 @@ def _shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Any]:
     else:
         from rich.live import Live
 
+        from delfim.console.view import View
+
         view = View([(w.latitude_deg, w.longitude_deg) for w in mission.waypoint])
         with Live(view.render(), refresh_per_second=5, screen=True) as live:
 
@@ -198,7 +199,11 @@ def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Miss
 
 def _pictures(files: list[Path], mission: Mission, settings: config.Vehicle, output: Path, *, timed: bool = True) -> None:
     """Track of a run, and its latency where time was real, as PNG from the state log."""
-    from delfim.logging import plot
+    try:
+        from delfim.logging import plot
+    except ModuleNotFoundError as error:  # on a boat, in its container
+        print(f"delfim: no pictures without {error.name}: pip install 'delfim[ground]'", file=sys.stderr)
+        return
     from delfim.logging.statelog import columns
 
     data = columns(files)

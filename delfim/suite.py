@@ -42,7 +42,7 @@ from delfim.messages import (
     ShutdownStage,
     sysstat_arb,
 )
-from delfim.services import cgroup, powerd, shutdown
+from delfim.services import cgroup, powerd, shutdown, slots
 from delfim.services.runtime import Runtime, Service
 from delfim.services.supervisor import Program, Supervisor
 from delfim.vehicle import record
@@ -130,6 +130,7 @@ async def vehicle(runtime: Runtime) -> None:
     state = State()
     with contextlib.ExitStack() as links:
         state.last_shutdown = _last_shutdown(Path(settings.log.directory), links)
+        state.image = slots.present_notice(settings.runtime.run_directory)
         sources = _sources(settings, state, links)
         status_frames = _opened(links, settings, settings.can.interface, CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
         status_messages = _opened(links, settings, settings.can.interface, CanAddress(*dsor.message_filter(source=Node.GPS)))
@@ -186,6 +187,8 @@ async def _attend(
             commands.publish()
         if ticks % MAINTAIN_EVERY == 0:
             log.poll()
+            if boat.state.image:  # until somebody confirms it
+                boat.state.image = slots.present_notice(settings.runtime.run_directory)
             for each in sockets:
                 each.rebind()
 
@@ -305,6 +308,13 @@ async def timed(runtime: Runtime) -> None:
         await _published(runtime, "timed", service.report)
 
 
+async def slipd(runtime: Runtime) -> None:
+    """The radio's serial line."""
+    from delfim.services.slipd import serve
+
+    await serve(runtime)
+
+
 async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str, object]]) -> None:
     """Until cancelled: the rest happens in callbacks, and the figures are on the runtime's board."""
     runtime.board[name] = report
@@ -347,6 +357,7 @@ SERVICES = (
     Service("logd", logd),
     Service("cantcpd", cantcpd),
     Service("timed", timed),
+    Service("slipd", slipd),
     Service("canip", canip),
     Service("httpd", httpd),
     Service("ftpd", ftpd, place="process"),
@@ -364,6 +375,7 @@ def services(settings: config.Vehicle) -> list[Service]:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
     off = {"canip"} if not settings.canip.enabled else set()
+    off |= {"slipd"} if not settings.slipd.device else set()
     off |= {"timed"} if settings.timed.mode == "off" else set()
     off |= set() if settings.logd.nodes else {"logd"}
     off |= set() if settings.ftpd.users else {"ftpd"}  # nobody could come in
