@@ -218,6 +218,7 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--seed", type=int, default=1, help="of noise and weather")
     sim.add_argument("--lockstep", action="store_true", help="as fast as the machine can; same seed, same bytes")
     sim.add_argument("--plain", action="store_true", help="one line a second instead of the live view")
+    sim.add_argument("--console", action="store_true", help="with the console, in the browser (docs/console.md)")
     sim.add_argument("--json", action="store_true", help="one JSON object a state")
     sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
     fault = command(
