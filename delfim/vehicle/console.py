@@ -139,9 +139,15 @@ class Watch(Command, frozen=True):
     """Every state from now on, newest only."""
 
 
+class Shutdown(Command, frozen=True):
+    """Stop, and end everything in order, so that the power may be cut; or start the computer again."""
+
+    reboot: bool = False
+
+
 Commands = (
     Alive | Stop | Mode | Manual | Heading | SetSpeed | Goto | Mission | Upload | Play | Leg | Unload | Fence | Rally
-    | Take | Arm | Reset | Set | Report | Watch
+    | Take | Arm | Reset | Set | Report | Watch | Shutdown
 )  # fmt: skip
 _decoder = msgspec.json.Decoder(Commands)
 _encode = msgspec.json.Encoder().encode

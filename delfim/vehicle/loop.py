@@ -305,7 +305,7 @@ class Vehicle:
     def _obey(self, command: console.Commands, now_s: float) -> None:
         setpoint = self.state.setpoint
         match command:
-            case console.Stop():
+            case console.Stop() | console.Shutdown():  # what else a shutdown is, is not the vehicle's
                 self._taken = False
                 self.stop("operator")
             case console.Mode(mode):
