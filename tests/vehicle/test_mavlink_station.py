@@ -530,6 +530,14 @@ def test_a_command_repeated_for_want_of_an_answer_is_answered_and_not_obeyed_twi
     assert sea.log == before
 
 
+@pytest.mark.parametrize("stop", [(176, 1, 4), (400, 0)])
+def test_a_stop_that_is_repeated_stops_again(sea, stop):
+    sea.console.command(*stop)
+    sea.vehicle.on_command(console.Heading(0.0), "console 250")
+    assert sea.console.command(*stop, confirmation=1)[0] == ACCEPTED
+    assert sea.state.mode is Mode.IDLE
+
+
 def test_what_comes_twice_or_late_is_not_obeyed(sea):
     first, second = (sea.console.frame("command_long", 1, 1, 176, 0, 1, number, 0, 0, 0, 0, 0) for number in (3, 4))
     sea.console.deliver(second)

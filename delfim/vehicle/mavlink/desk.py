@@ -29,11 +29,11 @@ def _heartbeat(station: "Station", peer: "Peer", source: "Source", message: Mess
 
 
 def _command(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
-    """COMMAND_LONG, COMMAND_INT: answered always; one that is repeated is not carried out again."""
+    """COMMAND_LONG, COMMAND_INT: answered always; one that is repeated is not carried out again, a stop apart."""
     now_s, order = station.clock.monotonic_s(), commands.order(message)
-    same = repr((source, order.command, order.p)).encode()
-    if order.confirmation and peer.answered and peer.answered[0] == same and now_s - peer.answered[1] < AGAIN_S:
-        station.tell(peer, [peer.answered[2]])
+    same, before = repr((source, order.command, order.p)), peer.answered
+    if order.confirmation and before and before[0] == same and now_s - before[1] < AGAIN_S and not commands.stops(order):
+        station.tell(peer, [before[2]])
         return
     result, reason = _ordered(station, peer, source, order)
     answer = dialect.MAVLink_command_ack_message(order.command, result, 0xFF, 0, *source)

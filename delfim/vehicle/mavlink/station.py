@@ -56,7 +56,7 @@ class Peer:
         self.due_s: dict[int, float] = {}
         self.told: dict[int, object] = {}  # what it knows already, by message
         self.params: deque[str] = deque(maxlen=len(params.NAMES))  # to be told, a few a tick
-        self.answered: tuple[bytes, float, Message] | None = None  # the last command, when, and its answer
+        self.answered: tuple[str, float, Message] | None = None  # the last command, when, and its answer
 
     def interval_s(self, row: Row) -> float:
         return self.asked_s.get(row.id, row.interval_s(self.profile))
