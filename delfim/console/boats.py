@@ -29,7 +29,8 @@ class Boat:
         self.values: dict[str, Any] = {}
         self.reference: dict[str, Any] = {}
         self.reason, self.words = "", Words()
-        self.link = "udp"
+        self.failsafe, self.ready = "", False
+        self.link, self.signed = "udp", False
         self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
         self.rtt_ms: float | None = None
         self.synced_s = -math.inf
@@ -47,7 +48,7 @@ class Boat:
         handler = _HANDLERS.get(message.get_type())
         if handler is not None:
             handler(self, message)
-            self.at_s[message.get_type()] = now_s
+            self.at_s |= dict.fromkeys(_GROUPS.get(message.get_type(), (message.get_type(),)), now_s)
             if message.get_type() in ("GLOBAL_POSITION_INT", "HIGH_LATENCY2"):
                 self._extend(utc_s)
 
@@ -75,17 +76,20 @@ class Boat:
             "name": self.name,
             "colour": self.colour,
             **{key: v.get(key) for key in _PLAIN},
-            "mode": self.mode,
+            "mode": self.mode or None,
             "asked": self.asked,
             "armed": self.armed,
             "owner": self.owner,
+            "ready": self.ready,
             "reason": self.reason,
+            "failsafe": self.failsafe,
             "rpm": [v.get("port_rpm"), v.get("starboard_rpm")],
             "thrust_pct": [v.get("port_pct"), v.get("starboard_pct")],
-            "reference": self.reference,
+            "reference": {key: self.reference.get(key) for key in _REFERENCE},
             "age_s": ages,
             "link": {
                 "kind": self.link,
+                "signed": self.signed,
                 "profile": self.profile,
                 "rtt_ms": self.rtt_ms,
                 "loss_pct": self._loss_pct(),
@@ -158,9 +162,15 @@ _PLAIN: Final = (
 )
 
 
+_REFERENCE: Final = ("heading_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
+_GROUPS: Final = {"HIGH_LATENCY2": ("HIGH_LATENCY2", "GLOBAL_POSITION_INT", "SYS_STATUS")}  # which it says all at once
+
+
 def _heartbeat(boat: Boat, m: Any) -> None:
     boat.mode = NAMES.get(m.custom_mode, f"mode {m.custom_mode}")
     boat.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+    boat.signed = bool(m.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
+    boat.failsafe = (boat.failsafe or boat.reason) if m.system_status == mavlink.MAV_STATE_CRITICAL else ""
 
 
 def _position(boat: Boat, m: Any) -> None:
@@ -194,6 +204,7 @@ def _hud(boat: Boat, m: Any) -> None:
 
 
 def _power(boat: Boat, m: Any) -> None:
+    boat.ready = bool(m.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
     boat.values["battery_v"] = m.voltage_battery / 1000.0 if m.voltage_battery != 65535 else None
     boat.values["battery_pct"] = m.battery_remaining if m.battery_remaining >= 0 else None
 

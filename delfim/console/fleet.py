@@ -27,6 +27,8 @@ REQUEST_CONTROL: Final = 32100  # MAV_CMD_REQUEST_OPERATOR_CONTROL
 PROFILES: Final = ("lean", "radio", "wifi")  # values of the parameter that chooses
 PROFILE: Final = b"LINK_PROFILE"
 REASON_S: Final = 0.5  # a refusal and its reason come apart
+NO_MISSION: Final[dict[str, Any]] = {"name": "", "count": 0, "current": None, "state": "none", "digest": None}
+ENTERS: Final = {"stop": "idle", "heading_to": "heading", "goto_point": "goto"}  # words beside the modes' own
 Address = Any  # of a link; hashable
 Tell = Callable[[dict[str, Any]], None]
 
@@ -169,7 +171,7 @@ class Fleet:
         here, aboard = (self.missions.get(number, {}).get(where) for where in ("here", "aboard"))
         shown = aboard or here
         if shown is None:
-            return {"mission": {"state": "unknown"}, "home": None, "fence": [], "obstacles": []}
+            return {"mission": NO_MISSION | {"state": "unknown"}, "home": None, "fence": [], "obstacles": []}
         same = here is not None and aboard is not None and transfer.digest(here) == transfer.digest(aboard)
         state = "unknown" if aboard is None else "same" if same or here is None else "differs"
         told = {"name": shown["name"], "count": len(shown["waypoints"]), "digest": transfer.digest(shown), "state": state}
@@ -192,8 +194,8 @@ class Fleet:
         if word == "play" and aboard is not None:
             words = words | {"leg": transfer.item_of(aboard, int(words.get("leg") or 0))}
         command, parameters, place = _command(word, words)
-        if word in MODES:
-            boat.asked, boat.asked_s = word, now_s
+        if word in MODES or word in ENTERS:
+            boat.asked, boat.asked_s = ENTERS.get(word, word), now_s
         boat.released = False
         self._requests.begin(number, command, parameters, answer, now_s, place=place, stop=word == "stop")
 
