@@ -43,6 +43,7 @@ check: $(READY) ## style, types and the direction of imports
 pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/delfim sim etc/delfimx.toml --lockstep --output run/pictures
 	cp run/pictures/track.png docs/pictures/
+	$(BIN)/python -m tests.guest.figure_2_9 docs/pictures/figure-2-9.png
 	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures
 
 bench: $(READY) ## measure the contracts of the design on this machine

@@ -142,8 +142,7 @@ def _console(asked: argparse.Namespace) -> int:
         keygen(Path(asked.keygen))
         print(f"delfim: {asked.keygen}: a new key; the boat needs the same file, brought there by hand")
         return 0
-    key, vehicle = (Path(file) if file else None for file in (asked.key, asked.vehicle))
-    return run(asked.boats, asked.page, Path(asked.missions), key, vehicle, asked.browser)
+    return run(asked)
 
 
 def _drive(asked: argparse.Namespace) -> int:
@@ -173,9 +172,15 @@ def _image(asked: argparse.Namespace) -> int:
 
 
 def _bench(asked: argparse.Namespace) -> int:
-    from delfim.bench import critical_path, liblog, lockstep
+    from delfim.bench import critical_path, liblog, lockstep, sides
 
-    programs = {"critical-path": critical_path.run, "sim": lockstep.run, "log": liblog.run}
+    programs = {
+        "critical-path": critical_path.run,
+        "sim": lockstep.run,
+        "log": liblog.run,
+        "watchers": sides.run_watchers,
+        "disk": sides.run_disk,
+    }
     return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
 
 
@@ -248,8 +253,16 @@ def _add_console(commands: Any) -> None:
     console.add_argument(
         "--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="where boats are heard (%(default)s)"
     )
+    console.add_argument(
+        "--radio", action="append", default=[], metavar="DEVICE:BAUD", help="a serial radio, as /dev/ttyUSB0:57600 or COM3:9600"
+    )
     console.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="where the page is (%(default)s)")
     console.add_argument("--missions", default="missions", metavar="FOLDER", help="the operator's missions (%(default)s)")
+    console.add_argument("--charts", default="charts", metavar="FOLDER", help="the operator's charts (%(default)s)")
+    console.add_argument("--sessions", default="sessions", metavar="FOLDER", help="where sessions are recorded (%(default)s)")
+    console.add_argument(
+        "--replay", nargs="+", metavar="PATH", help="no boats: play these sessions (.tlog) and state logs, or folders of them"
+    )
     console.add_argument("--key", metavar="FILE", help="signing key: the boats must have the same")
     console.add_argument("--vehicle", metavar="FILE", help="the vehicle's file, for dry runs of missions")
     console.add_argument("--keygen", metavar="FILE", help="make a signing key, and end")
@@ -273,7 +286,9 @@ def _add_bench(commands: Any) -> None:
     text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
     bench = commands.add_parser("bench", help=text, description=text)
     bench.set_defaults(run=_bench)
-    bench.add_argument("what", nargs="?", choices=["critical-path", "sim", "log"], help="all of them when none is named")
+    bench.add_argument(
+        "what", nargs="?", choices=["critical-path", "sim", "log", "watchers", "disk"], help="all of them when none is named"
+    )
     bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
     bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")
@@ -281,6 +296,9 @@ def _add_bench(commands: Any) -> None:
     bench.add_argument("--rounds", type=int, help="how often everybody has a turn")
     bench.add_argument("--rates", type=float, nargs="+", metavar="HZ", help="of navigation (5 100 500)")
     bench.add_argument("--bus", metavar="INTERFACE", help="a Linux CAN interface instead of loopback buses")
+    bench.add_argument(
+        "--frames", type=int, default=7700, help="a second on the full bus (%(default)s: 1 Mbit/s, never silent)"
+    )
     bench.add_argument(
         "--wire-us", type=int, default=0, help="between the frames of a message; 130 is a bus of 1 Mbit/s (%(default)s)"
     )

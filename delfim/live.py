@@ -142,6 +142,8 @@ def _sail(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission)
                     with contextlib.suppress(DelfimError):  # not fit yet; the view shows why
                         operator.ask("play")
                         playing = True
+                elif state["operator"] != "local":
+                    continue  # a console took over: it ends this
                 elif state["mode"] == "hold" and state["reason"] == "play done":
                     return f"mission done in {now - started:.0f} s"
                 elif state["mode"] == "idle":

@@ -36,6 +36,7 @@ PROPELLER_STARBOARD: Final = standard(0x040)
 PROPELLER_PORT: Final = standard(0x041)
 BATTERIES_STARBOARD: Final = standard(0x042)
 BATTERIES_PORT: Final = standard(0x043)
+RESET: Final = standard(0x0A0)  # a node, or all of them, starts again
 TIME_FRAME: Final = standard(0x0C0)  # DSOR vehicle 0xC0 (thesis 3.2): UTC at the start of each second
 SHUTDOWN: Final = standard(0x0C8)  # to every computer of the boat: end in order, the power will be cut (thesis 3.3)
 SHUTDOWN_ACKNOWLEDGE: Final = standard(0x0C9)  # how far the vehicle's computer is with it
@@ -295,6 +296,22 @@ def unpack_sysstat(node: int, data: bytes) -> SystemStatus:
     except (struct.error, ValueError) as error:
         raise FormatError(f"system status of node {node:#04x}: {error}") from None
     raise FormatError(f"node {node:#04x} has no system status")
+
+
+RESET_WORD: Final = 0x5EED  # so that no stray frame resets a boat
+RESET_COMMAND: Final = struct.Struct("<BxH")
+
+
+def pack_reset(node: int) -> bytes:
+    """`node`: its number; Node.BROADCAST is all of them."""
+    return RESET_COMMAND.pack(node, RESET_WORD)
+
+
+def unpack_reset(data: bytes) -> int:
+    """The node that is meant. Raises FormatError for what is no reset."""
+    if len(data) != RESET_COMMAND.size or RESET_COMMAND.unpack(data)[1] != RESET_WORD:
+        raise FormatError(f"no reset: {data.hex()}")
+    return int(data[0])
 
 
 TIME: Final = struct.Struct("<Q")  # the time frame: UTC, ns since 1970

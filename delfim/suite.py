@@ -49,7 +49,8 @@ from delfim.vehicle import record
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Alive, Commands, Report, Shutdown, Watch
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import LOCAL, Vehicle
+from delfim.vehicle.mavlink.link import MavlinkLink
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.rehearsal import Rehearsal
@@ -162,9 +163,9 @@ async def _attend(
         figures = {name: report() for name, report in runtime.board.items()}
         return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
-    def obeyed(command: Commands) -> str | None:
-        refused = boat.on_command(command)
-        if isinstance(command, Shutdown):
+    def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
+        refused = boat.on_command(command, operator)
+        if isinstance(command, Shutdown) and refused is None:
             powerd.ask(runtime, "reboot" if command.reboot else "off", "command of the console")
         log.command(command, refused, boat.state)
         return refused
@@ -177,6 +178,9 @@ async def _attend(
         links.callback(boat.guest.close)
         with contextlib.suppress(OSError):  # a boat without its guest sails; the state says that none is connected
             links.callback((await _guest_server(boat, settings.guest.listen)).close)
+    if settings.mavlink.enabled:
+        with contextlib.suppress(OSError):  # a boat without this link sails; the reason is logged
+            links.enter_context(MavlinkLink(boat, obeyed, Path(settings.log.directory) / "mavlink-stamps", runtime.board))
     ticks = 0
     while True:
         await asyncio.sleep(WATCHDOG_S)
@@ -266,9 +270,11 @@ async def cantcpd(runtime: Runtime) -> None:
     with contextlib.ExitStack() as links:
         server = Cantcpd(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes)
         links.callback(server.close)
-        for address in settings.cantcpd.listen:
+        asked = [(address, server.slcan_connection) for address in settings.cantcpd.slcan]
+        asked += [(address, server.connection) for address in settings.cantcpd.listen]
+        for address, connection in asked:
             host, _, number = address.rpartition(":")
-            listening = await loop.create_server(server.connection, host.strip("[]"), int(number))
+            listening = await loop.create_server(connection, host.strip("[]"), int(number))
             links.callback(listening.close)
         port = listening.sockets[0].getsockname()[1]
         runtime.board["cantcpd"] = server.report
@@ -306,6 +312,13 @@ async def timed(runtime: Runtime) -> None:
             runtime.reader(fd, handler)
             links.callback(runtime.remove_reader, fd)
         await _published(runtime, "timed", service.report)
+
+
+async def slipd(runtime: Runtime) -> None:
+    """The radio's serial line."""
+    from delfim.services.slipd import serve
+
+    await serve(runtime)
 
 
 async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str, object]]) -> None:
@@ -350,6 +363,7 @@ SERVICES = (
     Service("logd", logd),
     Service("cantcpd", cantcpd),
     Service("timed", timed),
+    Service("slipd", slipd),
     Service("canip", canip),
     Service("httpd", httpd),
     Service("ftpd", ftpd, place="process"),
@@ -367,6 +381,7 @@ def services(settings: config.Vehicle) -> list[Service]:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
     off = {"canip"} if not settings.canip.enabled else set()
+    off |= {"slipd"} if not settings.slipd.device else set()
     off |= {"timed"} if settings.timed.mode == "off" else set()
     off |= set() if settings.logd.nodes else {"logd"}
     off |= set() if settings.ftpd.users else {"ftpd"}  # nobody could come in

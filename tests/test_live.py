@@ -26,6 +26,7 @@ def delfim(*words: str, **options: object) -> subprocess.Popen[str]:
 def sim(tmp_path: Path, *words: str) -> subprocess.Popen[str]:
     bus = f'simulation.interface="canloop:live-{os.getpid()}-{tmp_path.name[-8:]}"'
     ports = ("--set", 'cantcpd.listen=["127.0.0.1:0"]', "--set", 'simulation.httpd="127.0.0.1:0"')
+    ports += ("--set", 'mavlink.listen="127.0.0.1:0"', "--set", "mavlink.peers=[]")
     return delfim("sim", VEHICLE, "--output", str(tmp_path / "out"), "--set", bus, *ports, *words)
 
 

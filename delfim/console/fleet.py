@@ -40,6 +40,7 @@ class Fleet:
     def __init__(self, clock: Clock, transmit: Callable[[Address, bytes], None], tell: Tell, key: Key | None = None) -> None:
         self.boats: dict[int, Boat] = {}
         self.missions: dict[int, dict[str, dict[str, Any]]] = {}  # by boat: "here" and "aboard"
+        self.record: Callable[[bytes], None] = lambda frame: None  # every frame that came well or went
         self._clock, self._transmit, self._tell, self._key = clock, transmit, tell, key
         self._peers: dict[Address, Codec] = {}
         self._routes: dict[int, Address] = {}
@@ -59,6 +60,7 @@ class Fleet:
                 self._peers.pop(next(iter(self._peers)))
             codec = self._peers[address] = Codec(self._key, link_id=len(self._peers) & 0xFF)
         for message in codec.decode(data):
+            self.record(bytes(message.get_msgbuf()))
             self._take(address, message)
 
     def _take(self, address: Address, message: Any) -> None:
@@ -283,7 +285,9 @@ class Fleet:
         address = self._routes.get(number)
         codec = self._peers.get(address)
         if codec is not None:
-            self._transmit(address, codec.encode(message))
+            data = codec.encode(message)
+            self.record(data)
+            self._transmit(address, data)
 
     def _utc_s(self) -> float:
         return round(self._clock.time_ns() / 1e9, 3)

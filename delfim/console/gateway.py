@@ -4,15 +4,17 @@ Boats by UDP, the page and its WebSocket by HTTP on loopback; other devices need
 in docs/console.md. All that decides anything is in `Fleet`; here are sockets and time.
 """
 
+import argparse
 import asyncio
 import hmac
 import json
 import logging
 import secrets
 import socket
+import sys
 import webbrowser
-from collections.abc import Callable
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from functools import partial
 from ipaddress import ip_address
 from pathlib import Path
@@ -22,10 +24,15 @@ from aiohttp import WSMsgType, web
 
 from delfim import __version__
 from delfim.clock import Clock, SystemClock
+from delfim.console.charts import Charts
 from delfim.console.dryrun import dry_run
 from delfim.console.fleet import Fleet
 from delfim.console.library import Library
 from delfim.console.mavlink import Key
+from delfim.console.radio import radio
+from delfim.console.replay import Replay, open_tapes
+from delfim.console.session import Session
+from delfim.console.tape import Tape
 from delfim.errors import ConfigError, DelfimError, FormatError, Refused
 
 PAGE: Final = Path(__file__).with_name("page")
@@ -94,10 +101,31 @@ class Gateway:
     """The pages, and what they may ask."""
 
     def __init__(
-        self, clock: Clock, missions: Path, key: Key | None = None, token: str = "", vehicle: Path | None = None
+        self,
+        clock: Clock,
+        missions: Path,
+        key: Key | None = None,
+        token: str = "",
+        vehicle: Path | None = None,
+        *,
+        charts: Path | None = None,
+        radios: Sequence[str] = (),
+        sessions: Path | None = None,
+        tapes: Sequence[Tape] = (),
     ) -> None:
         self.udp = Udp(self._receive)
-        self.fleet = Fleet(clock, self.udp.send, self.tell, key)
+        self.radios = {each.device: each for each in (radio(words, self._receive) for words in radios)}
+        self.session = Session(sessions, clock) if sessions is not None and not tapes else None
+        self.charts = Charts(charts)
+        self.fleet: Fleet | Replay
+        if tapes:
+            self.fleet = Replay(tapes, clock, self.tell)
+            self.fleet.moved = self._show_tracks_to_all
+        else:
+            self.fleet = Fleet(clock, self._transmit, self.tell, key)
+            if self.session is not None:
+                self.fleet.record = self.session.put
+        self._complaints: dict[str, str] = {}  # what was said of links and files, not to say it again
         self.token = token
         self._clock, self._library, self._pages = clock, Library(missions), set[Page]()
         self._vehicle, self._dry_runs = vehicle, 0
@@ -106,8 +134,17 @@ class Gateway:
         self.app.router.add_get("/", self._index)
         self.app.router.add_get("/ws", self._socket)
         self.app.router.add_get("/api/boats", self._boats)
+        self.charts.routes(self.app)
         if PAGE.is_dir():
             self.app.router.add_static("/page", PAGE)
+
+    def close(self) -> None:
+        """After the last tick."""
+        for each in self.radios.values():
+            each.close()
+        if self.session is not None:
+            self.session.flush()
+        self.charts.close()
 
     def tell(self, message: dict[str, Any]) -> None:
         """To every page."""
@@ -116,14 +153,35 @@ class Gateway:
 
     def tick(self) -> None:
         self.fleet.tick()
+        if self.session is not None:
+            self.session.tick()
+            self._complain("the session is not recorded", self.session.reason)
+        for name, each in self.radios.items():
+            self._complain(name, each.reason)
         self._ticks += 1
         if self._pages and self._ticks % SHOW_TICKS == 0:
             self.tell({"t": "boats", "at_s": self._utc_s(), "boats": self.fleet.snapshot()})
-            for each in self.fleet.progress():
-                self.tell(each)
+            for progress in self.fleet.progress():
+                self.tell(progress)
+
+    def _complain(self, name: str, reason: str) -> None:
+        """Once for each reason."""
+        if reason != self._complaints.get(name, ""):
+            self._complaints[name] = reason
+            self.tell(self._text(f"{name}: {reason or 'all is well again'}"))
+
+    def _text(self, words: str) -> dict[str, Any]:
+        """A warning that is no boat's."""
+        return {"t": "text", "boat": None, "severity": 4, "text": words, "at_s": self._utc_s()}
 
     def _receive(self, address: Any, data: bytes) -> None:
         self.fleet.receive(address, data)
+
+    def _transmit(self, address: Any, data: bytes) -> None:
+        if address[0] == "serial":
+            self.radios[address[1]].send(data)
+        else:
+            self.udp.send(address, data)
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
@@ -173,22 +231,33 @@ class Gateway:
             page.end()
 
     def _greet(self, page: Page) -> None:
+        fleet = self.fleet
         page.tell(
             {
                 "t": "hello",
                 "version": __version__,
                 "me": "console",
-                "backgrounds": [],
-                "boats": self.fleet.snapshot(),
-                "replay": None,
+                "backgrounds": self.charts.backgrounds,
+                "boats": fleet.snapshot(),
+                "replay": {"from_s": fleet.from_s, "to_s": fleet.to_s} if isinstance(fleet, Replay) else None,
             }
         )
+        for fault in (*self.charts.faults, *(f"{name}: {reason}" for name, reason in self._complaints.items() if reason)):
+            page.tell(self._text(fault))
+        self._show_tracks(page)
+        for number, missions in fleet.missions.items():
+            for where, mission in missions.items():
+                page.tell({"t": "mission", "boat": number, "where": where, "mission": mission})
+
+    def _show_tracks_to_all(self) -> None:
+        for page in self._pages:
+            self._show_tracks(page)
+
+    def _show_tracks(self, page: Page) -> None:
         for number, boat in self.fleet.boats.items():
             points = list(boat.track)
-            for at in range(0, len(points), CHUNK):
+            for at in range(0, max(len(points), 1), CHUNK):
                 page.tell({"t": "track", "boat": number, "start": at == 0, "points": points[at : at + CHUNK]})
-            for where, mission in self.fleet.missions.get(number, {}).items():
-                page.tell({"t": "mission", "boat": number, "where": where, "mission": mission})
 
     def _hear(self, page: Page, text: str) -> None:
         """A message of a page. What it gets wrong it is told."""
@@ -222,6 +291,11 @@ class Gateway:
                 fleet.command(int(asked["boat"]), str(asked["command"]), asked, answer)
             case "profile":
                 fleet.command(int(asked["boat"]), "profile", {"profile": str(asked["profile"])}, answer)
+            case "replay":
+                if not isinstance(fleet, Replay):
+                    raise Refused("nothing is being replayed")
+                fleet.steer(asked)
+                answer(True, "")
             case "mission":
                 self._mission(page, int(asked["boat"]), asked, answer)
             case other:
@@ -276,7 +350,8 @@ class Gateway:
         loop.run_in_executor(None, dry_run, self._vehicle, asked["mission"], start).add_done_callback(ended)
 
     def _utc_s(self) -> float:
-        return round(self._clock.time_ns() / 1e9, 3)
+        """The time that pages show."""
+        return round(self.fleet.at_s if isinstance(self.fleet, Replay) else self._clock.time_ns() / 1e9, 3)
 
 
 def _answer(page: Page, sequence: Any, well: bool, reason: str) -> None:
@@ -291,47 +366,70 @@ def _is_own(request: web.Request) -> bool:
         return False
 
 
-async def serve(gateway: Gateway, boats: tuple[str, int], page: tuple[str, int], ready: Callable[[str], None]) -> None:
-    """Until cancelled. Raises ConfigError for an address that cannot be had."""
+async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str, int], ready: Callable[[str], None]) -> None:
+    """Until cancelled; without `boats` no UDP is heard. Raises ConfigError for an address that cannot be had."""
     loop = asyncio.get_running_loop()
-    try:
-        transport, _ = await loop.create_datagram_endpoint(lambda: gateway.udp, local_addr=boats)
-    except OSError as error:
-        raise ConfigError("--boats", f"{boats[0]}:{boats[1]}", str(error.strerror)) from None
     runner = web.AppRunner(gateway.app, access_log=None, shutdown_timeout=1.0)
-    await runner.setup()
-    site = web.TCPSite(runner, *page)
+    transport: asyncio.DatagramTransport | None = None
     try:
-        await site.start()
-    except OSError as error:
-        raise ConfigError("--page", f"{page[0]}:{page[1]}", str(error.strerror)) from None
-    port = runner.addresses[0][1]
-    ready(f"http://{page[0]}:{port}/" + (f"?token={gateway.token}" if gateway.token else ""))
-    try:
+        if boats is not None:
+            with _refused("--boats", boats):
+                transport, _ = await loop.create_datagram_endpoint(lambda: gateway.udp, local_addr=boats)
+        await runner.setup()
+        with _refused("--page", page):
+            await web.TCPSite(runner, *page).start()
+        for each in gateway.radios.values():
+            each.start()
+        port = runner.addresses[0][1]
+        ready(f"http://{page[0]}:{port}/" + (f"?token={gateway.token}" if gateway.token else ""))
         while True:
             await asyncio.sleep(TICK_S)
             gateway.tick()
     finally:
         gateway.fleet.release_all("the console ended")
         await runner.cleanup()
-        transport.close()
+        if transport is not None:
+            transport.close()
+        gateway.close()
 
 
-def run(boats: str, page: str, missions: Path, key: Path | None, vehicle: Path | None, browse: bool) -> int:
+@contextmanager
+def _refused(option: str, address: tuple[str, int]) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        raise ConfigError(option, f"{address[0]}:{address[1]}", str(error.strerror)) from None
+
+
+def run(asked: argparse.Namespace) -> int:
     """The command."""
-    host, port = _address(page)
+    host, port = _address(asked.page)
     token = "" if ip_address(host).is_loopback else secrets.token_urlsafe(12)
-    gateway = Gateway(SystemClock(), missions, Key(key) if key else None, token, vehicle)
+    tapes = open_tapes([Path(each) for each in asked.replay]) if asked.replay else []
+    gateway = Gateway(
+        SystemClock(),
+        Path(asked.missions),
+        Key(Path(asked.key)) if asked.key else None,
+        token,
+        Path(asked.vehicle) if asked.vehicle else None,
+        charts=Path(asked.charts),
+        radios=() if tapes else asked.radio,
+        sessions=Path(asked.sessions),
+        tapes=tapes,
+    )
 
     def ready(url: str) -> None:
-        print(f"delfim: the console is at {url}; boats are heard on {boats}", flush=True)
-        if browse:
+        what = (
+            f"{len(tapes)} recordings are replayed" if tapes else f"boats are heard on {', '.join([asked.boats, *asked.radio])}"
+        )
+        print(f"delfim: the console is at {url}; {what}", flush=True)
+        for complaint in filter(None, [*gateway.charts.faults, *(tape.complaint for tape in tapes)]):
+            print(f"delfim: {complaint}", file=sys.stderr)
+        if asked.browser:
             webbrowser.open(url)
 
-    try:
-        asyncio.run(serve(gateway, _address(boats), (host, port), ready))
-    except KeyboardInterrupt:
-        return 0
+    with suppress(KeyboardInterrupt):
+        asyncio.run(serve(gateway, None if tapes else _address(asked.boats), (host, port), ready))
     return 0
 
 

@@ -6,13 +6,13 @@ says and obeys: docs/mavlink.md.
 
 import os
 import secrets
-import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
 from pymavlink.dialects.v20 import common as mavlink
 
+from delfim.clock import Clock, SystemClock
 from delfim.errors import ConfigError
 
 __all__ = ["COMPONENT", "MODES", "NAMES", "SYSTEM", "Codec", "Key", "keygen", "mavlink"]
@@ -20,8 +20,9 @@ __all__ = ["COMPONENT", "MODES", "NAMES", "SYSTEM", "Codec", "Key", "keygen", "m
 SYSTEM: Final = 250  # of this console; QGroundControl and MAVProxy call themselves 255
 COMPONENT: Final = mavlink.MAV_COMP_ID_MISSIONPLANNER
 KEY_BYTES: Final = 32
-_EPOCH_2015_S: Final = 1_420_070_400
-_STORE_EVERY: Final = 100_000 * 30  # ticks of 10 us: half a minute
+TICK_NS: Final = 10_000
+_EPOCH_NS: Final = 1_420_070_400_000_000_000
+_STORE_EVERY: Final = 100_000 * 30  # ticks: half a minute
 
 MODES: Final = {
     "idle": 4,
@@ -47,14 +48,14 @@ class Codec:
         self._key = key
         if key is not None:
             signing = self._mav.signing
-            signing.secret_key, signing.link_id, signing.timestamp = key.secret, link_id, key.stamp()
+            signing.secret_key, signing.link_id = key.secret, link_id
             signing.sign_outgoing = True
 
     def encode(self, message: Any) -> bytes:
+        if self._key is not None:
+            self._mav.signing.timestamp = self._key.stamp()
         data: bytes = message.pack(self._mav)
         self._mav.seq = (self._mav.seq + 1) & 0xFF  # which only pymavlink's own links count
-        if self._key is not None:
-            self._key.used(self._mav.signing.timestamp)
         return data
 
     def decode(self, data: bytes) -> Iterator[Any]:
@@ -73,38 +74,42 @@ class Codec:
 
 
 class Key:
-    """A signing key in a file of 64 hexadecimal digits, and beside it the time stamp of the last frame that was signed: it may
-    never go back, whatever the clock does. Raises ConfigError."""
+    """A signing key in a file of 64 hexadecimal digits, and the time stamps of the frames that are signed with it.
 
-    def __init__(self, file: Path) -> None:
+    A stamp is the time in ticks of 10 us since 2015, as a boat judges by it how long a command was on its way; so it runs with
+    the clock, by which it begins, but never back or twice: the last is kept in a file beside the key. Raises ConfigError.
+    """
+
+    def __init__(self, file: Path, clock: Clock | None = None) -> None:
         try:
             self.secret = bytes.fromhex(file.read_text().strip())
         except (OSError, ValueError) as error:
             raise ConfigError(str(file), "key", f"{error}; make one with: delfim console --keygen {file}") from None
         if len(self.secret) != KEY_BYTES:
             raise ConfigError(str(file), "key", f"{len(self.secret)} bytes", f"{KEY_BYTES} bytes")
+        self._clock = clock or SystemClock()
         self._stamp_file = file.with_suffix(".stamp")
         try:
-            self._stored = int(self._stamp_file.read_text())
+            self._last = self._stored = int(self._stamp_file.read_text())
         except (OSError, ValueError):
-            self._stored = 0
+            self._last = self._stored = 0
+        self._begin = (self._clock.time_ns() - _EPOCH_NS) // TICK_NS - self._ticks()
 
     def stamp(self) -> int:
-        """Where to begin, in ticks of 10 us since 2015."""
-        begin = max(round((time.time() - _EPOCH_2015_S) * 1e5), self._stored + _STORE_EVERY)
-        self._store(begin)
-        return begin
+        """For the next frame that is sent."""
+        self._last = max(self._last + 1, self._begin + self._ticks())
+        if self._last >= self._stored + _STORE_EVERY:
+            self._store()
+        return self._last
 
-    def used(self, stamp: int) -> None:
-        """A frame was signed with this."""
-        if stamp >= self._stored + _STORE_EVERY:
-            self._store(stamp)
+    def _ticks(self) -> int:
+        return int(self._clock.monotonic_s() * 1e9) // TICK_NS
 
-    def _store(self, stamp: int) -> None:
-        self._stored = stamp
-        whole = self._stamp_file.with_suffix(".new")
-        whole.write_text(str(stamp))
-        os.replace(whole, self._stamp_file)
+    def _store(self) -> None:
+        self._stored = self._last
+        new = self._stamp_file.with_suffix(".new")
+        new.write_text(str(self._stored))
+        os.replace(new, self._stamp_file)
 
 
 def keygen(file: Path) -> None:

@@ -7,6 +7,7 @@ import ctypes
 import json
 import logging
 import os
+import re
 import signal
 import socket
 import threading
@@ -105,10 +106,19 @@ def _links(process: Path) -> Iterator[str]:
 
 
 def mounts(mount: str, proc: Path = Path("/proc")) -> list[str]:
-    """The mount points at this place and below it, the last mounted first."""
-    lines = _read(proc / "self/mountinfo").splitlines()
-    places = [line.split()[4].encode().decode("unicode_escape") for line in lines]
-    return [place for place in reversed(places) if place == mount or place.startswith(mount + "/")]
+    """Where the file system of this mount point is mounted, and what is mounted below it; the last mounted first. Empty
+    where nothing is mounted, or only a part of the root file system: that is not ours to unmount."""
+    rows = [line.split()[2:5] for line in _read(proc / "self/mountinfo").splitlines()]
+    points = [(device, _unescaped(place)) for device, _, place in rows]
+    own = next((device for device, place in reversed(points) if place == mount), None)
+    if own is None or (own, "/") in points:
+        return []
+    return [place for device, place in reversed(points) if device == own or place.startswith(mount + "/")]
+
+
+def _unescaped(place: str) -> str:
+    """The kernel writes spaces and the like as three octal digits."""
+    return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match[1], 8)), place)
 
 
 def devices(mount: str, root: Path = Path("/")) -> list[str]:

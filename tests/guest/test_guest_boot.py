@@ -173,6 +173,17 @@ def test_what_cannot_be_ended_is_named_and_the_disk_is_whole(boat: Boat) -> None
     assert boat.check() == "", "the next boot mends what was not unmounted"
 
 
+def test_a_second_mount_is_unmounted_and_what_only_reads_does_not_matter(boat: Boat) -> None:
+    """A loop device that only reads holds the partition, but not against being made read-only."""
+    with boat.booted() as g:
+        hold = "truncate -s 1M /log/image; losetup -r /dev/loop0 /log/image; mkdir /srv/log; mount --bind /log /srv/log\n"
+        said = dark(g, UP + wait("[ -S /run/delfim/command ]") + CANDUMP + SEEN + hold + order())
+        told = acknowledges(g)
+    assert "/log is in use and was made read-only instead: loop0 uses /log/image" in said
+    assert told[-1] == messages.ShutdownAcknowledge(ShutdownStage.SAFE, 0)
+    assert boat.check() == ""
+
+
 LIMITED = """
 import subprocess, sys
 from delfim.services.cgroup import Limits

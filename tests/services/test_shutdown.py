@@ -63,11 +63,21 @@ def test_a_place_that_is_not_there_has_no_users() -> None:
     assert users("/does/not/exist") == []
 
 
-def test_mounts_below_are_unmounted_first(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("rows", "expected"),
+    [
+        (["8:2 / /log", "8:3 / /logs", "7:0 / /log/a\\040b"], ["/log/a b", "/log"]),
+        (["8:2 / /log", "8:2 / /srv/log"], ["/srv/log", "/log"]),
+        (["8:3 / /logs"], []),
+        (["8:1 /data /log"], []),
+    ],
+    ids=["below", "a second time", "nothing", "a part of the root"],
+)
+def test_what_is_unmounted(tmp_path: Path, rows: list[str], expected: list[str]) -> None:
     (tmp_path / "self").mkdir()
-    rows = ["1 0 8:1 / / rw", "2 1 8:2 / /log rw", "3 1 8:3 / /logs rw", "4 2 7:0 / /log/a\\040b rw"]
-    (tmp_path / "self/mountinfo").write_text("".join(f"{row} - ext2 x rw\n" for row in rows))
-    assert mounts("/log", tmp_path) == ["/log/a b", "/log"]
+    lines = (f"1 0 {row} rw - ext2 x rw\n" for row in ["8:1 / /", *rows])
+    (tmp_path / "self/mountinfo").write_text("".join(lines))
+    assert mounts("/log", tmp_path) == expected
 
 
 def test_what_the_kernel_itself_uses_is_named(tmp_path: Path) -> None:
