@@ -25,8 +25,8 @@ export PATH := $(PATH):/usr/sbin:/sbin
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
 
-run: $(READY) ## sail the whole DelfimX in simulation
-	$(BIN)/delfim sim etc/delfimx.toml $(ARGS)
+run: $(READY) ## sail the whole DelfimX in simulation, with the console in the browser
+	$(BIN)/delfim sim etc/delfimx.toml --console $(ARGS)
 
 test: $(MORE) system ## run all tests, those on a real SocketCAN bus included
 	$(BIN)/pytest $(ARGS)

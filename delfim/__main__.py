@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from delfim import __version__
@@ -196,12 +196,7 @@ def _parser() -> argparse.ArgumentParser:
         one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key; the value is TOML")
         return one
 
-    supervise = command(
-        "supervise", _supervise, "Run the whole suite: starts, watches and restarts its processes; the dead-man."
-    )
-    supervise.add_argument("--init", action="store_true", help="as the machine's first process: ends with the machine")
-    shutdown = command("shutdown", _shutdown, "End everything in order, so that the power may be cut (docs/powerd.md).")
-    shutdown.add_argument("--reboot", action="store_true", help="start the computer again afterwards")
+    _add_supervision(command)
     run = command("run", _run, "Run the vehicle and its cooperative services in one process, without a supervisor.")
     run.add_argument("--service", metavar="NAME", help="only this service, in a process of its own")
     run.add_argument("--beat-fd", type=int, default=-1, help=argparse.SUPPRESS)
@@ -223,6 +218,7 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--seed", type=int, default=1, help="of noise and weather")
     sim.add_argument("--lockstep", action="store_true", help="as fast as the machine can; same seed, same bytes")
     sim.add_argument("--plain", action="store_true", help="one line a second instead of the live view")
+    sim.add_argument("--console", action="store_true", help="with the console, in the browser (docs/console.md)")
     sim.add_argument("--json", action="store_true", help="one JSON object a state")
     sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
     fault = command(
@@ -265,6 +261,14 @@ def _add_console(commands: Any) -> None:
     console.add_argument("--keygen", metavar="FILE", help="make a signing key, and end")
     console.add_argument("--no-browser", dest="browser", action="store_false", help="do not open it")
     console.set_defaults(run=_console)
+
+
+def _add_supervision(command: Callable[[str, object, str], argparse.ArgumentParser]) -> None:
+    text = "Run the whole suite: starts, watches and restarts its processes; the dead-man."
+    supervise = command("supervise", _supervise, text)
+    supervise.add_argument("--init", action="store_true", help="as the machine's first process: ends with the machine")
+    shutdown = command("shutdown", _shutdown, "End everything in order, so that the power may be cut (docs/powerd.md).")
+    shutdown.add_argument("--reboot", action="store_true", help="start the computer again afterwards")
 
 
 def _add_log(commands: Any) -> None:

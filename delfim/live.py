@@ -46,12 +46,23 @@ def simulate(asked: argparse.Namespace) -> int:
     _alone(settings.can.interface)
     arguments = [asked.file, *(word for override in overrides for word in ("--set", override))]
     started = time.time()
-    with _process("nodes", *arguments, "--seed", str(asked.seed)), _process("supervise", *arguments):
+    with contextlib.ExitStack() as running:
+        running.enter_context(_process("nodes", *arguments, "--seed", str(asked.seed)))
+        running.enter_context(_process("supervise", *arguments))
+        if asked.console:
+            running.enter_context(_process("console", *_console(asked.file, output)))
         end = _sail(asked, settings, mission)
     log = Path(settings.log.directory)
     _pictures([file for file in log.glob("*/state/*.state*") if file.stat().st_mtime > started], mission, settings, output)
     print(f"delfim: {end}")
     return _code(end)
+
+
+def _console(file: str, output: Path) -> list[str]:
+    """The console's words: what it keeps lies beside the simulation's own."""
+    place = output.resolve() / "console"
+    folders = [word for name in ("missions", "charts", "sessions") for word in (f"--{name}", str(place / name))]
+    return ["--vehicle", file, *folders]
 
 
 def _code(end: str) -> int:

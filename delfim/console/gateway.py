@@ -9,6 +9,7 @@ import asyncio
 import hmac
 import json
 import logging
+import os
 import secrets
 import socket
 import sys
@@ -136,7 +137,7 @@ class Gateway:
         self.app.router.add_get("/api/boats", self._boats)
         self.charts.routes(self.app)
         if PAGE.is_dir():
-            self.app.router.add_static("/page", PAGE)
+            self.app.router.add_static("/", PAGE)
 
     def close(self) -> None:
         """After the last tick."""
@@ -425,8 +426,8 @@ def run(asked: argparse.Namespace) -> int:
         print(f"delfim: the console is at {url}; {what}", flush=True)
         for complaint in filter(None, [*gateway.charts.faults, *(tape.complaint for tape in tapes)]):
             print(f"delfim: {complaint}", file=sys.stderr)
-        if asked.browser:
-            webbrowser.open(url)
+        if asked.browser and (sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+            webbrowser.open(url)  # not where it would find a browser for terminals
 
     with suppress(KeyboardInterrupt):
         asyncio.run(serve(gateway, None if tapes else _address(asked.boats), (host, port), ready))

@@ -156,8 +156,6 @@ def test_a_runtime_that_never_beats_is_killed_after_its_grace(suite: Suite) -> N
     suite.program("runtime", "mute", critical=True)
     suite.start(START_S=0.5)
     until(lambda: len(suite.events("runtime", "start")) == 2)
-    first, second = suite.events("runtime", "start")
-    assert 0.4 < second.at_s - first.at_s < 0.5 + 2 * SLACK_S
     assert suite.state()["programs"]["runtime"]["reason"] == "no beat for 0.5 s: dead-man"
 
 
