@@ -224,10 +224,7 @@ def _parser() -> argparse.ArgumentParser:
     fault = command(
         "fault", _fault, "Break something of the boat that `delfim nodes` or `delfim sim` plays (docs/scenarios.md)."
     )
-    fault.add_argument("kind", metavar="KIND", help='navigation_silent, thruster_dead, ...; "end" ends all')
-    fault.add_argument("where", metavar="WHERE", nargs="?", default="", help="of a sensor or thruster: gps, port, ...")
-    fault.add_argument("--value", type=float, help="how much, where the kind has such a thing")
-    fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
+    _add_fault(fault)
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
     can = commands.add_parser(
@@ -279,6 +276,13 @@ def _add_log(commands: Any) -> None:
     log = commands.add_parser("log", help=text, description=text)
     log.set_defaults(run=_log)
     log.add_argument("words", nargs=argparse.REMAINDER, metavar="VERB ...", help="ls, cat, info, plot, export, ...")
+
+
+def _add_fault(fault: argparse.ArgumentParser) -> None:
+    fault.add_argument("kind", metavar="KIND", help='navigation_silent, thruster_dead, ...; "end" ends all')
+    fault.add_argument("where", metavar="WHERE", nargs="?", default="", help="of a sensor or thruster: gps, port, ...")
+    fault.add_argument("--value", type=float, help="how much, where the kind has such a thing")
+    fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
 
 
 def _add_image(image: argparse.ArgumentParser) -> None:
