@@ -10,9 +10,9 @@ import hmac
 import json
 import logging
 import secrets
+import signal
 import socket
 import sys
-import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -24,6 +24,7 @@ from aiohttp import WSMsgType, web
 
 from delfim import __version__
 from delfim.clock import Clock, SystemClock
+from delfim.console.browser import show
 from delfim.console.charts import Charts
 from delfim.console.dryrun import dry_run
 from delfim.console.fleet import Fleet
@@ -426,8 +427,9 @@ def run(asked: argparse.Namespace) -> int:
         for complaint in filter(None, [*gateway.charts.faults, *(tape.complaint for tape in tapes)]):
             print(f"delfim: {complaint}", file=sys.stderr)
         if asked.browser:
-            webbrowser.open(url)
+            show(url)
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # in order: zero to what is steered, the session to the disk
     with suppress(KeyboardInterrupt):
         asyncio.run(serve(gateway, None if tapes else _address(asked.boats), (host, port), ready))
     return 0
