@@ -34,7 +34,10 @@ Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=100)]  # corners 
 Endpoint = Annotated[str, msgspec.Meta(pattern=r"^[^ :]+:[0-9]{1,5}\Z")]  # host:port
 Listen = Annotated[str, msgspec.Meta(pattern=r"^([^ :]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}\Z")]  # as Endpoint, or [IPv6]:port
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
+Ports = Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)]
 LinuxInterface = Annotated[str, msgspec.Meta(pattern=r"^[^ /:]{1,15}\Z")]
+MountPoint = Annotated[str, msgspec.Meta(pattern=r"^(/[^/\x00]+)*\Z")]
+Megabytes = Annotated[int, msgspec.Meta(ge=0, le=1 << 20)]
 Network = Annotated[str, msgspec.Meta(pattern=r"^[0-9A-Fa-f:.]+(/[0-9]{1,3})?\Z")]
 Password = Annotated[  # hashed; in a log it is what no password is
     str,
@@ -43,6 +46,9 @@ Password = Annotated[  # hashed; in a log it is what no password is
 Identifiers = Annotated[  # one or a range; three digits are a standard identifier, eight an extended one
     str, msgspec.Meta(pattern=r"^([0-7][0-9A-Fa-f]{2}(-[0-7][0-9A-Fa-f]{2})?|[01][0-9A-Fa-f]{7}(-[01][0-9A-Fa-f]{7})?)\Z")
 ]
+
+
+PublicKey = Annotated[str, msgspec.Meta(pattern=r"^ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?\Z")]
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -333,7 +339,7 @@ class Mavlink(Table, frozen=True):
     peers: Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)] = ("127.0.0.1:14550",)  # who is told that the boat exists
     profile: Literal["lean", "radio", "wifi"] = "wifi"  # how much is sent, until a console asks for another one
     sign: Literal["remote", "all"] = "remote"  # who must sign: everybody but this computer, or everybody
-    key: str = ""  # file of the key, from `delfim console keygen`; without one no other computer commands
+    key: str = ""  # file of the key, from `delfim console --keygen FILE`; without one no other computer commands
     autopilot: Literal["generic", "ardurover"] = "generic"  # what programs for other autopilots take the boat for
     command_age_s: Seconds = 3.0  # a signed command that was on the way for longer is not obeyed
 
@@ -349,6 +355,7 @@ class Cantcpd(Table, frozen=True):
     """CAN over TCP, the socketcand protocol. Who may watch and who may transmit; there are no passwords in it."""
 
     listen: Listeners = ("127.0.0.1:29536",)  # addresses and ports
+    slcan: Ports = ()  # addresses and ports where the first bus is spoken in slcan
     buses: tuple[Interface, ...] = ()  # that clients can open, by their name or what follows its last colon; empty: the boat's
     watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
     transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # of these, the networks that may send frames, too
@@ -394,6 +401,25 @@ class Canip(Table, frozen=True):
             raise ValueError("two peers have the same address or the same node")
 
 
+class Slipd(Table, frozen=True):
+    """The radio's serial line as a network interface."""
+
+    device: Annotated[str, msgspec.Meta(pattern=r"^(/dev/[^ ]+)?\Z")] = ""  # the radio's serial port; empty: no radio
+    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 115_200  # of the port
+    radio_bps: Annotated[int, msgspec.Meta(ge=0, le=4_000_000)] = 0  # bit/s, of a radio slower than its port; 0: it is not
+    encapsulation: Literal["slip", "cslip"] = "cslip"  # cslip compresses TCP's headers (RFC 1144); both ends must agree
+    mode: Literal["auto", "kernel", "user"] = "auto"  # the kernel's SLIP, this program's, or the kernel's where it has one
+    interface: Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_.-]{0,14}\Z")] = "radio0"  # its name in mode user
+    address: str = "10.0.0.1"  # of the boat
+    peer: str = "10.0.0.2"  # of the other end
+    mtu: Annotated[int, msgspec.Meta(ge=68, le=1500)] = 296  # the shorter, the sooner an urgent packet has its turn
+    carrier: Annotated[str, msgspec.Meta(pattern=r"^(none|dcd|file:/[^ ]+)\Z")] = "none"  # where it is seen: modem, or a file
+
+    def __post_init__(self) -> None:
+        IPv4Address(self.address)
+        IPv4Address(self.peer)
+
+
 class Timed(Table, frozen=True):
     """The time frame at the start of each second, from this computer's clock."""
 
@@ -408,6 +434,20 @@ class Httpd(Table, frozen=True):
     connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 32  # at once; the next one is closed
     connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
     scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two looks at the computer and its processes
+
+
+class Powerd(Table, frozen=True):
+    """The ordered end: by the shutdown frame, a button, a command, or before the batteries are empty (docs/powerd.md)."""
+
+    partition: MountPoint = "/log"  # unmounted at last, if logs go there; "": none
+    end_s: Seconds = 5.0  # that other users of the partition have to end before they are killed
+    held_s: Seconds = 30.0  # a partition that stays in use for so long is given up: synced, but not unmounted
+    told_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the acknowledge is repeated for so long, then it is dark
+    button: str = ""  # an input device under /dev/input, or a file (a GPIO's value); "" for none
+    button_pressed: str = "1"  # what the file begins with while the button is pressed
+    button_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # it must be held for so long
+    battery_charge: Fraction = 0.05  # either side's batteries at this or less; 0 for never ...
+    battery_s: Seconds = 60.0  # ... for so long, and no propeller told to run meanwhile
 
 
 class FtpUser(Table, frozen=True):
@@ -492,11 +532,21 @@ class Supervisor(Table, frozen=True):
     hardware_watchdog: str = "/dev/watchdog"  # stroked where it exists; "" for none
 
 
+class Image(Table, frozen=True):
+    """The two slots of the boot partition, and whose images are installed there."""
+
+    signers: tuple[PublicKey, ...] = ()  # public ed25519 keys, as ssh-keygen writes them; without any, nothing can be installed
+    partition: str = ""  # of the slots, mounted only while it is read or written; "" where the directory is always there
+    directory: str = "/boot"  # where it is mounted
+
+
 class Service(Table, frozen=True):
     """A service of the suite, by its name."""
 
     enabled: bool = True  # run it
     place: Literal["default", "runtime", "process"] = "default"  # the runtime's loop, a niced process, or as usual
+    memory_max_mb: Megabytes = 0  # of its process and all it starts; beyond, it is started again; 0: no limit
+    cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
 
 
 class Sea(Table, frozen=True):
@@ -546,13 +596,16 @@ class Vehicle(Table, frozen=True):
     cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()
     timed: Timed = Timed()
+    slipd: Slipd = Slipd()
     httpd: Httpd = Httpd()
     ftpd: Ftpd = Ftpd()
     sshd: Sshd = Sshd()
+    powerd: Powerd = Powerd()
     log: Log = Log()
     logd: Logd = Logd()
     runtime: Runtime = Runtime()
     supervisor: Supervisor = Supervisor()
+    image: Image = Image()
     services: dict[Name, Service] = {}
     simulation: Simulation = Simulation()
 

@@ -72,7 +72,12 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
         # unknown keys
         (BOAT + "lenght_m = 3", "boat.lenght_m", "unknown key", "name, id, length_m, beam_m"),
         (BOAT + "[control.pitch]", "control.pitch", "unknown key", "heading, speed, path, hold, home"),
-        (BOAT + "[services.httpd]\ncolour = 1", "services.httpd.colour", "unknown key", "enabled, place"),
+        (
+            BOAT + "[services.httpd]\ncolour = 1",
+            "services.httpd.colour",
+            "unknown key",
+            "enabled, place, memory_max_mb, cpu_max",
+        ),
         # missing parts
         ("", "boat", "missing", ""),
         ("[boat]\nid = 1", "boat.name", "missing", ""),
@@ -114,7 +119,12 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
         (BOAT + "length_m = 1979-05-27", "boat.length_m", "expected float, got date", "more than 0.0 to 10000.0"),
         (BOAT + '[runtime]\nwindow = "yes"', "runtime.window", "expected bool, got str", "true or false"),
         (BOAT + "[log]\ndirectory = 3", "log.directory", "expected str, got int", "text"),
-        (BOAT + "[services]\nhttpd = 3", "services.httpd", "expected table, got int", "a table of enabled, place"),
+        (
+            BOAT + "[services]\nhttpd = 3",
+            "services.httpd",
+            "expected table, got int",
+            "a table of enabled, place, memory_max_mb, cpu_max",
+        ),
     ],
 )
 def test_refusals(tmp_path: Path, text: str, key: str, reason: str, allowed: str) -> None:

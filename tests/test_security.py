@@ -76,6 +76,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
         + f'[sshd.users.ana]\nkeys = ["{(folder / "friend.pub").read_text().strip()}"]\n'
     )
     settings = [f'simulation.{name}="127.0.0.1:{ports[name]}"' for name in ("httpd", "ftpd", "sshd")]
+    settings += ['mavlink.listen="127.0.0.1:0"', "mavlink.peers=[]"]
     settings += [f'cantcpd.listen=["127.0.0.1:{ports["cantcpd"]}"]', f'guest.listen="127.0.0.1:{ports["guest"]}"']
     settings += [f'simulation.interface="canloop:open-{os.getpid()}"', "failsafe.console_silent.after_s=600.0"]
     words = [word for setting in settings for word in ("--set", setting)]

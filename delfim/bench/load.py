@@ -73,18 +73,23 @@ async def _command(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -
 
 
 class Clients:
-    """All clients of one competitor, each in a thread, until `stop`; `counts` says what they got. `bus` as cantcpd names it."""
+    """All clients of one competitor, each in a thread, until `stop`; `counts` says what they got. `bus` as cantcpd names it.
 
-    def __init__(self, ports: Ports, bus: str) -> None:
+    With `watchers` there are only so many, of the bus, and the last of them falls asleep.
+    """
+
+    def __init__(self, ports: Ports, bus: str, watchers: int = 0) -> None:
         self.counts = {"monitor_bytes": 0, "pages": 0, "download_bytes": 0, "commands": 0}
         self._ended, self._bus = threading.Event(), bus
-        asked = (
+        asked = [
             (self._monitor, ports.cantcpd),
             (self._monitor, ports.cantcpd),
             (self._poll, ports.httpd),
             (self._download, ports.httpd),
             (self._run, ports.commands),
-        )
+        ]
+        if watchers:
+            asked = [(self._monitor, ports.cantcpd)] * (watchers - 1) + [(self._sleep, ports.cantcpd)]
         self._links = [socket.create_connection(("127.0.0.1", port), timeout=10.0) for _, port in asked]
         self._threads = [
             threading.Thread(target=self._until_ended, args=(use, link), daemon=True)
@@ -112,6 +117,10 @@ class Clients:
         link.sendall(f"< open {self._bus} >< rawmode >".encode())
         while data := link.recv(1 << 16):
             self.counts["monitor_bytes"] += len(data)
+
+    def _sleep(self, link: socket.socket) -> None:
+        link.sendall(f"< open {self._bus} >< rawmode >".encode())
+        self._ended.wait()
 
     def _poll(self, link: socket.socket) -> None:
         while not self._ended.wait(1.0 / POLL_HZ):
@@ -147,14 +156,14 @@ def _got(link: socket.socket, path: str) -> http.client.HTTPResponse:
 
 
 def main() -> int:
-    """A line of ports and the bus starts the clients and is answered with "on", an empty line stops them and is answered with
-    their counts as JSON; the end of the input ends."""
+    """A line of ports, the bus and the number of watchers (0: clients of all kinds) starts them and is answered with "on", an
+    empty line stops them and is answered with their counts as JSON; the end of the input ends."""
     os.nice(10)
     clients: Clients | None = None
     for line in sys.stdin:
         if line.strip():
-            *ports, bus = line.split()
-            clients = Clients(Ports(*map(int, ports)), bus)
+            *ports, bus, watchers = line.split()
+            clients = Clients(Ports(*map(int, ports)), bus, int(watchers))
             print("on", flush=True)
         elif clients is not None:
             print(json.dumps(clients.stop()), flush=True)

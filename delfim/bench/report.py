@@ -86,7 +86,11 @@ def histogram(ordered_us: Sequence[float]) -> list[int]:
 def noise(first: Sequence[Cycle], second: Sequence[Cycle]) -> dict[str, float | None]:
     """By which factor the same program differs from itself, in slices that took turns: 1 on a quiet machine. None where one
     of them has no samples."""
-    one, other = paths_us(first), paths_us(second)
+    return noise_of(paths_us(first), paths_us(second))
+
+
+def noise_of(one: Sequence[float], other: Sequence[float]) -> dict[str, float | None]:
+    """The same of lengths, ascending."""
     result: dict[str, float | None] = {}
     for name, part in PERCENTILES.items():
         pair = percentile(one, part) or 0.0, percentile(other, part) or 0.0
@@ -113,9 +117,13 @@ def verdict(ratio: float | None, factor: float | None, limit: float, beyond: flo
 
 
 def compared(
-    row: Mapping[str, Any], reference: Mapping[str, Any], factors: Mapping[str, float | None], taken: float
+    row: Mapping[str, Any],
+    reference: Mapping[str, Any],
+    factors: Mapping[str, float | None],
+    taken: float,
+    limits: Mapping[str, float] = LIMITS,
 ) -> dict[str, Any]:
-    """Ratios of a competitor to C, and the verdict on each. `taken` is what others had of the processors, 0..1."""
+    """Ratios of a row to another, and the verdict on each. `taken` is what others had of the processors, 0..1."""
     ratios: dict[str, float | None] = {}
     verdicts: dict[str, str] = {}
     for name, part in PERCENTILES.items():
@@ -123,7 +131,7 @@ def compared(
         ratios[name] = ratio = round(mine / base, 3) if mine and base else None
         beyond = min(each["cycles"] + each["lost"] for each in (row, reference)) * (1.0 - part)
         quiet = taken <= TAKEN_MAX
-        verdicts[name] = verdict(ratio, factors[name], LIMITS[name], beyond) if quiet else "too noisy to tell"
+        verdicts[name] = verdict(ratio, factors[name], limits[name], beyond) if quiet else "too noisy to tell"
     return {"ratio": ratios, "verdict": verdicts}
 
 

@@ -137,7 +137,7 @@ class Gateway:
         self.app.router.add_get("/api/boats", self._boats)
         self.charts.routes(self.app)
         if PAGE.is_dir():
-            self.app.router.add_static("/page", PAGE)
+            self.app.router.add_static("/", PAGE)
 
     def close(self) -> None:
         """After the last tick."""

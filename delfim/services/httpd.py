@@ -182,12 +182,13 @@ class Board:
             if now_s - self._sections_s < FRESH_S:
                 return self._sections
             view = page.View(await self._asked(), self._settings)
-            now = {**self._sections, "head": page.head(view)}
+            now, due_s = {**self._sections, "head": page.head(view)}, dict[str, float]()
             for section in page.SECTIONS:
                 if now_s >= self._due_s[section.id]:
-                    await asyncio.sleep(0)
+                    await asyncio.sleep(0)  # a visitor may leave here: nothing has changed yet
                     now[section.id] = section.render(view)
-                    self._due_s[section.id] = now_s + section.every_s - 0.1
+                    due_s[section.id] = now_s + section.every_s - 0.1
+            self._due_s |= due_s
             self._sections, self._sections_s = now, now_s
             return now
 

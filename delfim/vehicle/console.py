@@ -13,6 +13,7 @@ from delfim import config
 from delfim.errors import FormatError
 from delfim.geodesy import compass, from_plane
 from delfim.messages import Fault, SystemStatus
+from delfim.vehicle.mission import Mission as MissionTables
 from delfim.vehicle.state import State
 
 Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
@@ -75,6 +76,12 @@ class Mission(Command, frozen=True):
     text: Annotated[str, msgspec.Meta(max_length=1 << 20)]
 
 
+class Upload(Command, frozen=True):
+    """The same as its tables, which a link has at hand: there is no text to be read."""
+
+    mission: MissionTables
+
+
 class Play(Command, frozen=True):
     """Play the mission from a leg on (0: the first waypoint)."""
 
@@ -132,9 +139,15 @@ class Watch(Command, frozen=True):
     """Every state from now on, newest only."""
 
 
+class Shutdown(Command, frozen=True):
+    """Stop, and end everything in order, so that the power may be cut; or start the computer again."""
+
+    reboot: bool = False
+
+
 Commands = (
-    Alive | Stop | Mode | Manual | Heading | SetSpeed | Goto | Mission | Play | Leg | Unload | Fence | Rally
-    | Take | Arm | Reset | Set | Report | Watch
+    Alive | Stop | Mode | Manual | Heading | SetSpeed | Goto | Mission | Upload | Play | Leg | Unload | Fence | Rally
+    | Take | Arm | Reset | Set | Report | Watch | Shutdown
 )  # fmt: skip
 _decoder = msgspec.json.Decoder(Commands)
 _encode = msgspec.json.Encoder().encode

@@ -25,7 +25,7 @@ from delfim.vehicle.control.control import MODES, Settings, admit, control, ente
 from delfim.vehicle.failsafe import Action, Inputs
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.latency import Latency
-from delfim.vehicle.mission import Mission, parse_mission, plan
+from delfim.vehicle.mission import Mission, checked, parse_mission, plan
 from delfim.vehicle.navcan import Fix, Source, preferred
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
@@ -305,7 +305,7 @@ class Vehicle:
     def _obey(self, command: console.Commands, now_s: float) -> None:
         setpoint = self.state.setpoint
         match command:
-            case console.Stop():
+            case console.Stop() | console.Shutdown():  # what else a shutdown is, is not the vehicle's
                 self._taken = False
                 self.stop("operator")
             case console.Mode(mode):
@@ -324,7 +324,9 @@ class Vehicle:
             case console.Goto(latitude_deg, longitude_deg, speed_mps):
                 self._request(Mode.GOTO, setpoint._replace(target=self._target(latitude_deg, longitude_deg, speed_mps)), now_s)
             case console.Mission(text):
-                self._load(text)
+                self._load(parse_mission(text))
+            case console.Upload(mission):
+                self._load(checked(mission))
             case console.Play(leg):
                 self._request(Mode.PLAY, setpoint._replace(leg=leg), now_s)
             case console.Leg(leg):
@@ -358,10 +360,9 @@ class Vehicle:
         north_m, east_m = geodesy.to_plane(self.state.origin, math.radians(latitude_deg), math.radians(longitude_deg))
         return Waypoint(north_m, east_m, self._speed(speed_mps), self.settings.control.path.acceptance_m)
 
-    def _load(self, text: str) -> None:
+    def _load(self, mission: Mission) -> None:
         state = self.state
         self._spare("mission")
-        mission = parse_mission(text, "mission")
         first = mission.waypoint[0]
         origin = state.origin or geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
         planned = plan(mission, origin, self._limits.control)

@@ -161,6 +161,7 @@ class State:
     guest_connected: bool = False
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
     last_shutdown: str = ""  # what was wrong with the end of the run before, in words; empty: nothing, or not known
+    image: str = ""  # what is special about the image that was started, in words; empty: nothing
     cycles: int = 0
     counts: dict[str, int] = field(default_factory=dict)  # what was refused, dropped, repaired, by name
     profile: Profile = field(default_factory=Profile)

@@ -304,11 +304,20 @@ async def _steered(url: str, boat_end: socket.socket, gateway: "subprocess.Popen
 @pytest.mark.parametrize("there", [True, False])
 def test_the_page_gets_a_window_of_its_own_where_there_is_chromium(monkeypatch: pytest.MonkeyPatch, there: bool) -> None:
     started: list[Any] = []
+    monkeypatch.setenv("DISPLAY", ":0")
     monkeypatch.setattr(browser.shutil, "which", lambda name: f"/bin/{name}" if there and name == "chromium" else None)
     monkeypatch.setattr(browser.subprocess, "Popen", lambda words, **more: started.append(words))
     monkeypatch.setattr(browser.webbrowser, "open", lambda url: started.append(url))
     browser.show("http://127.0.0.1:1/")
     assert started == [["/bin/chromium", "--app=http://127.0.0.1:1/"] if there else "http://127.0.0.1:1/"]
+
+
+def test_without_a_screen_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(browser.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(browser.webbrowser, "open", lambda url: pytest.fail("opened"))
+    browser.show("http://127.0.0.1:1/")
 
 
 def test_a_gateway_that_is_ended_in_order_says_zero_and_keeps_the_session(tmp_path: Path) -> None:

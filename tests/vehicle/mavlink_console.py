@@ -2,7 +2,6 @@
 
 from typing import Any
 
-from delfim.clock import Clock
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.station import Station
@@ -75,12 +74,9 @@ def messages(datagrams: list[bytes]) -> list[Any]:
 
 
 def texts(heard: list[Any]) -> str:
-    return " ".join(m.text if isinstance(m.text, str) else m.text.decode() for m in heard if m.get_type() == "STATUSTEXT")
+    """All words, the pieces of long ones joined."""
+    return "".join(("" if m.chunk_seq else " ") + m.text for m in heard if m.get_type() == "STATUSTEXT")
 
 
 def newest(heard: list[Any], name: str) -> Any:
     return [m for m in heard if m.get_type() == name][-1]
-
-
-def signing(key: bytes, clock: Clock) -> Signing:
-    return Signing(key, clock, {})

@@ -103,20 +103,18 @@ class MavlinkLink:
 
 def _bound(listen: str) -> socket.socket:
     host, _, port = listen.rpartition(":")
-    host = host.strip("[]")
+    address = host.strip("[]"), int(port)
+    bound = socket.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM)
     try:
-        (family, kind, _, _, address), *_ = socket.getaddrinfo(
-            host, int(port), type=socket.SOCK_DGRAM, flags=socket.AI_NUMERICHOST
-        )
-        bound = socket.socket(family, kind)
         bound.setblocking(False)
         bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
-        if family == socket.AF_INET:
+        if bound.family == socket.AF_INET:
             bound.setsockopt(socket.IPPROTO_IP, socket.IP_TOS, LOWDELAY)
         else:
             bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_TCLASS, LOWDELAY)
         bound.bind(address)
     except OSError as error:
+        bound.close()
         log.error("mavlink: no console can connect on %s: %s", listen, error.strerror)
         raise
     return bound

@@ -192,12 +192,12 @@ class Missions:
             return console.Fence(plans.zones(items))
         if kind == RALLY:
             return console.Rally(plans.harbours(items))
-        return console.Mission(plans.mission_text(items, "uploaded", self._boat.zones))
+        return console.Upload(plans.mission(items, "uploaded", self._boat.zones))
 
     def _answer(self, line: Line, party: Party, kind: int, refused: str | None, result: int) -> None:
         if refused is not None:
-            line.tell(dialect.MAVLink_mission_ack_message(*party, result, kind))
             line.complain(refused)
+            line.tell(dialect.MAVLink_mission_ack_message(*party, result, kind))
             return
         line.tell(dialect.MAVLink_mission_ack_message(*party, OK, kind))
         for each in KINDS if kind == ALL else (kind,):

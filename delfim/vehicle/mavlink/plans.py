@@ -15,7 +15,7 @@ import msgspec
 from delfim import config
 from delfim.errors import FormatError
 from delfim.vehicle.mavlink.wire import dialect
-from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical
+from delfim.vehicle.mission import Mission, PathPoint, Waypoint
 
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255  # MAV_MISSION_TYPE
 ITEMS: Final = 2000  # of a plan, at most
@@ -47,16 +47,16 @@ class Item(NamedTuple):
     frame: int = int(dialect.MAV_FRAME_GLOBAL_INT)
 
 
-def mission_items(mission: Mission) -> list[Item]:
+def mission_items(tables: Mission) -> list[Item]:
     """Waypoints with a change of speed before those that have another one; then the pieces of the path, where there is one."""
     items: list[Item] = []
     speed_mps = 0.0
-    for waypoint in mission.waypoint:
+    for waypoint in tables.waypoint:
         if waypoint.speed_mps != speed_mps:
             speed_mps = waypoint.speed_mps
             items.append(Item(SPEED, 1.0, speed_mps or USUAL_SPEED, -1.0, frame=int(dialect.MAV_FRAME_MISSION)))
         items.append(Item(WAYPOINT, 0.0, waypoint.acceptance_m, x=_e7(waypoint.latitude_deg), y=_e7(waypoint.longitude_deg)))
-    for piece in mission.path:
+    for piece in tables.path:
         place = _e7(piece.latitude_deg), _e7(piece.longitude_deg)
         items.append(Item(PATH, piece.turn_deg, piece.radius_m, piece.speed_mps, 0.0, *place))
     return items
@@ -78,8 +78,8 @@ def home_item(latitude_rad: float, longitude_rad: float) -> Item:
     return Item(WAYPOINT, x=_e7(math.degrees(latitude_rad)), y=_e7(math.degrees(longitude_rad)))
 
 
-def mission_text(items: Sequence[Item], name: str, zones: config.Zones) -> str:
-    """The mission file's text. Raises FormatError with the number of the item that cannot be understood."""
+def mission(items: Sequence[Item], name: str, zones: config.Zones) -> Mission:
+    """What a mission file would say. Raises FormatError with the number of the item that cannot be understood."""
     waypoints: list[Waypoint] = []
     path: list[PathPoint] = []
     speed_mps = 0.0
@@ -87,22 +87,20 @@ def mission_text(items: Sequence[Item], name: str, zones: config.Zones) -> str:
         if item.command == SPEED:
             speed_mps = _asked_mps(number, item)
             continue
-        latitude_deg, longitude_deg = _place(number, item)
+        if item.command not in (WAYPOINT, PATH):
+            raise FormatError(f"item {number}: command {item.command} is not something this boat does")
+        place = dict(zip(("latitude_deg", "longitude_deg"), _place(number, item), strict=True))
         if item.command == WAYPOINT:
             if item.p1:
                 raise FormatError(f"item {number}: to wait at a waypoint is not something this boat does")
             reach_m = _number(number, item.p2)
-            place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
             waypoints.append(_row(number, Waypoint, **place, speed_mps=speed_mps, acceptance_m=reach_m))
-        elif item.command == PATH:
-            turn_deg, radius_m, piece_mps = (_number(number, value) for value in (item.p1, item.p2, item.p3))
-            place = {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg}
-            path.append(_row(number, PathPoint, **place, speed_mps=piece_mps, turn_deg=turn_deg, radius_m=radius_m))
         else:
-            raise FormatError(f"item {number}: command {item.command} is not something this boat does")
+            turn_deg, radius_m, piece_mps = (_number(number, value) for value in (item.p1, item.p2, item.p3))
+            path.append(_row(number, PathPoint, **place, speed_mps=piece_mps, turn_deg=turn_deg, radius_m=radius_m))
     if not waypoints:
         raise FormatError("a mission without a waypoint")
-    return canonical(Mission(version=1, name=name, waypoint=tuple(waypoints), path=tuple(path), fence=zones))
+    return Mission(version=1, name=name, waypoint=tuple(waypoints), path=tuple(path), fence=zones)
 
 
 def zones(items: Sequence[Item]) -> config.Zones:
