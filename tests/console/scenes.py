@@ -60,14 +60,7 @@ def chart() -> bytes:
     axes.add_patch(pyplot.Polygon(basin, facecolor="#e9f3f4", edgecolor="#8a7d5c", linewidth=1.6))
     for x in range(-560, 620, 62):
         axes.add_patch(pyplot.Rectangle((x, 300 + 9 * math.sin(x)), 40, 32, facecolor="#dccfae", edgecolor="#b5a67f"))
-    for x, y, words in (
-        (-480, -180, "9.2"),
-        (-200, -220, "10.1"),
-        (120, -190, "8.7"),
-        (420, -120, "7.4"),
-        (-380, 40, "4.1"),
-        (330, 70, "3.3"),
-    ):
+    for x, y, words in ((-480, -180, "9.2"), (-200, -220, "10.1"), (120, -190, "8.7"), (420, -120, "7.4"), (-380, 40, "4.1"), (330, 70, "3.3")):
         axes.text(x, y, words, color="#6d93a6", fontsize=9)
     picture = io.BytesIO()
     figure.savefig(picture, format="png")
@@ -108,9 +101,7 @@ class Day:
                 at = place(a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]))
                 to = place(*b)
                 self._put(delfimx, at, heading + weave, SPEED_MPS, 930 + 60 * math.sin(self.along_m / 5))
-                delfimx["reference"] = reference(
-                    latitude_deg=to[0], longitude_deg=to[1], leg=leg + 1, distance_m=length_m - left_m
-                )
+                delfimx["reference"] = reference(latitude_deg=to[0], longitude_deg=to[1], leg=leg + 1, distance_m=length_m - left_m)
                 delfimx["mission"]["current"] = leg + 1
                 break
             left_m -= length_m

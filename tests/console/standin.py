@@ -44,13 +44,7 @@ class Standin:
 
     def __init__(self, boats: list[Message], *, backgrounds: tuple[Message, ...] = (), replay: Message | None = None) -> None:
         self.boats = boats
-        self.hello: Message = {
-            "version": "0",
-            "me": "console-1",
-            "keys": [],
-            "backgrounds": list(backgrounds),
-            "replay": replay,
-        }
+        self.hello: Message = {"version": "0", "me": "console-1", "keys": [], "backgrounds": list(backgrounds), "replay": replay}
         self.charts: dict[str, bytes] = {}
         self.said: list[Message] = []
         self.plans: dict[int, Message] = {}
