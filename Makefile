@@ -12,21 +12,23 @@ LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt test.txt bu
 
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
 # that people use: a browser, FTP, SSH.
-SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs chromium curl lftp openssh-client
-SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck chromium curl lftp ssh
+SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs chromium curl lftp openssh-client openssl \
+	tnftp wget qemu-system-x86 grub-pc-bin grub-common
+SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck chromium curl lftp ssh openssl tnftp wget \
+	qemu-system-x86_64 grub-mkimage
 
 export PYTHONSAFEPATH := 1
 export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/.venv/bin
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test seeds check page pictures bench system guest-shell formats lock clean
+.PHONY: help run test seeds check page pictures bench image system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
 
-run: $(READY) ## sail the whole DelfimX in simulation
-	$(BIN)/delfim sim etc/delfimx.toml $(ARGS)
+run: $(READY) ## sail the whole DelfimX in simulation, with the console in the browser
+	$(BIN)/delfim sim etc/delfimx.toml --console $(ARGS)
 
 test: $(MORE) system ## run all tests, those on a real SocketCAN bus included
 	$(BIN)/pytest $(ARGS)
@@ -48,11 +50,15 @@ page: $(NPM) ## build the console's page from its sources again, as it is shippe
 pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/delfim sim etc/delfimx.toml --lockstep --output run/pictures
 	cp run/pictures/track.png docs/pictures/
+	$(BIN)/python -m tests.guest.figure_2_9 docs/pictures/figure-2-9.png
 	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.scenes docs/pictures
 
 bench: $(READY) ## measure the contracts of the design on this machine
 	$(BIN)/delfim bench $(ARGS)
+
+image: $(READY) ## build the boat's image, kernel and initramfs, into run/image (ARGS="--sign KEY" packs one to upload)
+	$(BIN)/python docker/image.py run/image $(ARGS)
 
 guest-shell: $(READY) system ## a shell in the kernel with CAN that the guest tests use
 	$(BIN)/python tests/guest/harness.py

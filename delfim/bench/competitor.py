@@ -52,7 +52,7 @@ class PlainRuntime(Runtime):
         """There is no window in which it could be done."""
 
     def report(self) -> dict[str, Any]:
-        return {"services": []}
+        return {"services": {}}
 
     async def run(self, services: Sequence[Service]) -> None:
         """All rows until SIGTERM. A row that fails ends the run: a benchmark does not go on without its load."""

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from delfim.bench import report
-from delfim.bench.load import Ports
+from delfim.bench.load import Ports, prepare
 from delfim.bench.report import Cycle
 from delfim.canproxy.canloop import group_of
 from delfim.console.link import Link
@@ -42,10 +42,10 @@ LABELS: Final = {
     "uvloop": "the same on uvloop",
 }
 RATES_HZ: Final = (5.0, 100.0, 500.0)
-BUS_FRAMES_PER_S: Final = 7700  # a bus of 1 Mbit/s that is never silent
 LONG_CYCLES: Final = 150_645  # as many as the thesis logged at sea
 WARM_PERIODS, WARM_S_MIN = 7, 0.3
 START_S: Final = 20.0  # a competitor must be ready within this time
+OVER: Final = "over budget: "
 END_S: Final = 15.0  # and have ended within this one
 GRACE_S: Final = 0.05  # for the last cycle of a slice
 
@@ -77,6 +77,7 @@ class Slice(NamedTuple):
     cpu_ns_per_cycle: float  # of the critical process
     cpu_all_ns_per_cycle: float  # of all its processes
     window_share: float | None  # of the time; None where there is no window
+    over_budget_per_s: dict[str, float]  # by service: callbacks of this program that were longer than they may be
     steal_share: float  # of all processors, taken by other machines
     others_share: float  # of all processors, taken by programs that are no part of the benchmark
     feeder: dict[str, Any]
@@ -84,7 +85,7 @@ class Slice(NamedTuple):
 
 
 def run(asked: argparse.Namespace) -> int:
-    """The command. Returns 0 when everything was measured, whatever came out."""
+    """The command. Returns 0 when everything was measured, however fast it was, and 1 where a service exceeds its budget."""
     plan, output = planned(asked), Path(asked.output)
     output.mkdir(parents=True, exist_ok=True)
     groups = []
@@ -97,7 +98,7 @@ def run(asked: argparse.Namespace) -> int:
     print(report.table(results))
     report.picture(results, output / "critical-path.png")
     print(f"\ndelfim: {output}/critical-path.json, {output}/critical-path.png")
-    return 0
+    return 1 if any(report.over_budget(group) for group in groups) else 0
 
 
 def planned(asked: argparse.Namespace) -> Plan:
@@ -169,6 +170,10 @@ def _group(rate_hz: float, load: str, slices: dict[str, list[Slice]], logs: dict
                 "cpu_us": round(_mean([each.cpu_ns_per_cycle for each in turns]) / 1e3, 1),
                 "cpu_all_us": round(_mean([each.cpu_all_ns_per_cycle for each in turns]) / 1e3, 1),
                 "window_share": round(_mean(shares), 4) if shares else None,
+                "over_budget_per_s": {
+                    name: round(_mean([each.over_budget_per_s[name] for each in turns]), 2)
+                    for name in turns[0].over_budget_per_s
+                },
                 "served": {name: sum(each.served[name] for each in turns) for name in turns[0].served},
             }
         )
@@ -196,17 +201,39 @@ class Team:
 
     def __init__(self, key: str, rate_hz: float, asked: argparse.Namespace, programs: dict[str, Path], place: Path) -> None:
         self.key, self.rate_hz, self._place, self._feeder = key, rate_hz, place, str(programs["feeder"])
-        place.mkdir()
-        self._socket, self._log = place / "command", place / ("c.state" if key == "c" else "log")
-        interface = asked.bus or f"canloop:bench-{os.getpid()}-{key}"
+        place.mkdir(exist_ok=True)
+        self.socket, self._log = place / "command", place / ("c.state" if key == "c" else "log")
+        interface = asked.bus or f"canloop:{key[:3]}-{os.getpid()}"  # no longer than the name of an interface may be
+        self.interface = interface
         self._bus = "{}:{}".format(*group_of(interface.partition(":")[2])) if interface.startswith("canloop:") else interface
-        self._ports = Ports(*_free_ports(len(Ports._fields)))
-        self._arguments = [asked.file, ",".join(map(str, self._ports))]
-        for override in (*asked.set, *_overrides(interface, rate_hz, place)):
+        self.ports = Ports(*_free_ports(len(Ports._fields)))
+        self._arguments = [asked.file, ",".join(map(str, self.ports))]
+        self.name = interface.rpartition(":")[2]  # as cantcpd has it
+        prepare(place / "log")
+        for override in (*asked.set, *_overrides(interface, rate_hz, place, self.ports)):
             self._arguments += ["--set", override]
         self._all = contextlib.ExitStack()
         self._processes: list[subprocess.Popen[bytes]] = []
-        self._loop, self._wire_us = str(programs["loop"]), asked.wire_us
+        self._loop, self._wire_us, self._frames = str(programs["loop"]), asked.wire_us, asked.frames
+        self.state: dict[str, Any] = {}  # what it said last of itself
+
+    @property
+    def warm_s(self) -> float:
+        """Of each slice, not counted."""
+        return max(WARM_S_MIN, WARM_PERIODS / self.rate_hz)
+
+    def writers(self) -> list[int]:
+        """The processes that write its logs."""
+        pids = [pid for process in self._processes for pid in _family(process.pid)]
+        return [pid for pid in pids if b"delfim.logging.writer" in _command_line(pid)]
+
+    def go_on(self) -> None:
+        """Run between two turns."""
+        self._stop(signal.SIGCONT)
+
+    def hold(self) -> None:
+        """Stop again."""
+        self._stop(signal.SIGSTOP)
 
     def __enter__(self) -> "Team":
         try:
@@ -227,7 +254,7 @@ class Team:
             self._launch(*self._competitor(self.key))
         if self.key in ("c", "apart"):
             self._launch(*self._competitor("services"))
-        _until(lambda: socket.create_connection(("127.0.0.1", self._ports.commands), timeout=1.0).close(), "its services")
+        _until(lambda: socket.create_connection(("127.0.0.1", self.ports.commands), timeout=1.0).close(), "its services")
         if self.key != "c":
             self._steer()
 
@@ -239,17 +266,20 @@ class Team:
 
     def _steer(self) -> None:
         """Put the vehicle into heading mode, in which it stays: its watchdog is told to be patient."""
-        with self._feeding(3.0, 0.0, flood=False) as feeder, _until(lambda: Link(self._socket), "its command socket") as link:
+        with self._feeding(3.0, 0.0, flood=False) as feeder, _until(lambda: Link(self.socket), "its command socket") as link:
             _until(lambda: link.ask("heading", heading_deg=90.0, speed_mps=1.5), "heading mode")
             feeder.terminate()
 
-    def turn(self, seconds: float, clients: "subprocess.Popen[bytes] | None") -> Slice:
-        """A slice: run, warm up, measure, stop. `clients` load the services where they are given."""
+    def turn(
+        self, seconds: float, clients: "subprocess.Popen[bytes] | None", *, watchers: int = 0, flood: bool | None = None
+    ) -> Slice:
+        """A slice: run, warm up, measure, stop. `clients` load the services where they are given, all of them or only so many
+        watchers of the bus; the bus is full then, unless `flood` says otherwise."""
         self._stop(signal.SIGCONT)
         if clients is not None:
-            _told(clients, " ".join(map(str, self._ports)))
-        warm_s = max(WARM_S_MIN, WARM_PERIODS / self.rate_hz)
-        with self._feeding(seconds, warm_s, flood=clients is not None) as feeder:
+            _told(clients, " ".join(map(str, (*self.ports, self.name, watchers))))
+        warm_s = self.warm_s
+        with self._feeding(seconds, warm_s, flood=clients is not None if flood is None else flood) as feeder:
             time.sleep(warm_s)
             before = self._meters(clients)
             said = feeder.communicate(timeout=seconds + 10.0)[0]
@@ -273,6 +303,7 @@ class Team:
             spent["cpu"] / cycles,
             spent["all"] / cycles,
             spent["window"] / span_s if self.key in ("delfim", "apart") else None,
+            {name.removeprefix(OVER): count / span_s for name, count in spent.items() if name.startswith(OVER)},
             spent["steal"] / span_s / cpus,
             others_s / span_s / cpus,
             fed,
@@ -282,10 +313,12 @@ class Team:
     def _meters(self, clients: "subprocess.Popen[bytes] | None") -> dict[str, float]:
         """Meters that only go up, of the competitor and the machine: ns of processor time, otherwise seconds."""
         times = [_cpu_ns(pid) for process in self._processes for pid in _family(process.pid)]
-        window_s = 0.0
+        window_s, over = 0.0, dict[str, float]()
         if self.key in ("delfim", "apart"):
-            with Link(self._socket) as link:
-                window_s = link.ask("state")["window"]["spent_s"]
+            with Link(self.socket) as link:
+                state = link.ask("state")
+            window_s, self.state = state["window"]["spent_s"], state
+            over = {OVER + name: service["over_budget"] for name, service in state["services"].items()}
         busy_s, steal_s = _processors_s()
         feeders = resource.getrusage(resource.RUSAGE_CHILDREN)
         ours_ns = sum(times) + time.process_time_ns() + (_cpu_ns(clients.pid) if clients else 0)
@@ -297,11 +330,12 @@ class Team:
             "busy": busy_s,
             "steal": steal_s,
             "ours": ours_ns / 1e9 + feeders.ru_utime + feeders.ru_stime,
+            **over,
         }
 
     @contextlib.contextmanager
     def _feeding(self, seconds: float, warm_s: float, *, flood: bool) -> Iterator[subprocess.Popen[bytes]]:
-        words = self.rate_hz, warm_s, seconds, BUS_FRAMES_PER_S if flood else 0, self._wire_us
+        words = self.rate_hz, warm_s, seconds, self._frames if flood else 0, self._wire_us
         with _running([self._feeder, self._bus, *map(str, words)], stdout=subprocess.PIPE) as feeder:
             yield feeder
 
@@ -329,7 +363,7 @@ class Team:
         return [Cycle(*stamps) for stamps in zip(*(data[f"t{i}"] for i in range(5)), t5, strict=True)]
 
 
-def _overrides(interface: str, rate_hz: float, place: Path) -> list[str]:
+def _overrides(interface: str, rate_hz: float, place: Path, ports: Ports) -> list[str]:
     """What differs from the vehicle's file: bus and places, and the patience to be stopped between two turns."""
     return [
         f'can.interface="{interface}"',
@@ -339,8 +373,10 @@ def _overrides(interface: str, rate_hz: float, place: Path) -> list[str]:
         f'runtime.run_directory="{place}"',
         'supervisor.hardware_watchdog=""',
         'guest.listen="127.0.0.1:0"',
-        'cantcpd.listen=["127.0.0.1:0"]',
-        'httpd.listen="127.0.0.1:0"',
+        'mavlink.listen="127.0.0.1:0"',
+        "mavlink.peers=[]",
+        f'cantcpd.listen=["127.0.0.1:{ports.cantcpd}"]',
+        f'httpd.listen="127.0.0.1:{ports.httpd}"',
         *(f"failsafe.{key}.after_s=3600.0" for key in ("navigation_silent", "navigation_frozen", "console_silent")),
         "sysstat.stale_s=3600.0",
     ]
@@ -410,6 +446,13 @@ def _family(pid: int) -> list[int]:
     except OSError:
         return [pid]
     return [pid, *(one for child in children for one in _family(child))]
+
+
+def _command_line(pid: int) -> bytes:
+    try:
+        return Path(f"/proc/{pid}/cmdline").read_bytes()
+    except OSError:
+        return b""
 
 
 def _cpu_ns(pid: int) -> int:

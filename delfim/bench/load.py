@@ -1,12 +1,13 @@
-"""What loads a runtime in the benchmark: services that do the work of those of the suite, and the clients that use them.
+"""What loads the suite in the benchmark: clients of its services, and one service that stands for sshd.
 
-Two monitors read every frame of the bus, somebody downloads a log, somebody polls the statistics page twenty times a second,
-and somebody runs a program every second. The services are rows like those of `delfim.suite`, so that every competitor hosts
-the same ones; the clients run in a niced process of their own: `python -m delfim.bench.load`.
+Two monitors read every frame of the bus from cantcpd, somebody downloads a log from httpd, somebody polls its page twenty
+times a second, and somebody runs a program every second. The program is run by a row of the benchmark's own, because sshd has a
+process to itself, where it would not be in anybody's way. The clients run in a niced process: `python -m delfim.bench.load`.
 """
 
 import asyncio
 import contextlib
+import http.client
 import json
 import os
 import socket
@@ -14,14 +15,13 @@ import sys
 import threading
 import time
 from collections.abc import Awaitable, Callable
+from pathlib import Path
 from typing import Final, NamedTuple
 
-from delfim.canproxy.socket import ANYTHING, open_can
 from delfim.services.runtime import Runtime, Service
 
-BACKLOG_BYTES: Final = 1 << 16  # a monitor that is further behind misses frames
-FRAMES_A_CALL: Final = 16
-BLOCK: Final = bytes(range(256)) * 64  # 16 KiB of a log
+LOG: Final = "20100101/bench/120000.log"  # what is downloaded, in the log directory
+LOG_BYTES: Final = 1 << 30  # more than a slice takes of it; the file has holes only
 POLL_HZ: Final = 20.0
 DOWNLOAD_BYTES_PER_S: Final = 2e6
 PROGRAM: Final = ("/bin/echo", "done")
@@ -32,28 +32,26 @@ Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]
 class Ports(NamedTuple):
     """Where the services listen, on loopback."""
 
-    monitors: int
-    download: int
-    statistics: int
+    cantcpd: int
+    httpd: int
     commands: int
 
 
+def prepare(directory: Path) -> None:
+    """Put the log that is downloaded into the log directory."""
+    path = directory / LOG
+    path.parent.mkdir(parents=True)
+    with path.open("wb") as file:
+        file.truncate(LOG_BYTES)
+
+
 def rows(ports: Ports) -> list[Service]:
-    """The services, one row each."""
-
-    async def monitors(runtime: Runtime) -> None:
-        await _monitors(runtime, ports.monitors)
-
-    async def download(runtime: Runtime) -> None:
-        await _serve(_download, ports.download)
-
-    async def statistics(runtime: Runtime) -> None:
-        await _serve(lambda reader, writer: _statistics(runtime, reader, writer), ports.statistics)
+    """What is served beside the suite's own services."""
 
     async def commands(runtime: Runtime) -> None:
         await _serve(_command, ports.commands)
 
-    return [Service(start.__name__, start) for start in (monitors, download, statistics, commands)]
+    return [Service("commands", commands)]
 
 
 async def _serve(handler: Handler, port: int) -> None:
@@ -66,51 +64,6 @@ async def _serve(handler: Handler, port: int) -> None:
         await server.serve_forever()
 
 
-async def _monitors(runtime: Runtime, port: int) -> None:
-    """Frames of the bus as text, to whoever is connected."""
-    writers = set[asyncio.StreamWriter]()
-    with open_can(runtime.config.can.interface) as bus:
-        bus.setblocking(False)
-        bus.bind(ANYTHING)
-
-        def on_readable() -> None:
-            lines = list[str]()
-            while len(lines) < FRAMES_A_CALL and (frame := bus.receive()) is not None:
-                seconds, rest_ns = divmod(frame.t_ns, 1_000_000_000)
-                lines.append(f"< frame {frame.identifier:X} {seconds}.{rest_ns // 1000:06d} {frame.data.hex()} >")
-            text = "".join(lines).encode()
-            for writer in writers:
-                if writer.transport.get_write_buffer_size() < BACKLOG_BYTES:
-                    writer.write(text)
-
-        async def attend(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-            writers.add(writer)
-            try:
-                await reader.read()
-            finally:
-                writers.discard(writer)
-
-        runtime.reader(bus.fileno(), on_readable)
-        try:
-            await _serve(attend, port)
-        finally:
-            runtime.remove_reader(bus.fileno())
-
-
-async def _download(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    while True:
-        writer.write(BLOCK)
-        await writer.drain()
-
-
-async def _statistics(runtime: Runtime, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    while True:
-        await reader.readuntil(b"\r\n\r\n")
-        page = json.dumps({"load": os.getloadavg(), "times": os.times(), **runtime.report()}, default=str).encode()
-        writer.write(b"HTTP/1.1 200 OK\r\nContent-Length: %d\r\n\r\n" % len(page) + page)
-        await writer.drain()
-
-
 async def _command(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
     while await reader.readline():
         child = await asyncio.create_subprocess_exec(*PROGRAM, stdout=asyncio.subprocess.PIPE)
@@ -120,18 +73,23 @@ async def _command(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -
 
 
 class Clients:
-    """All clients of one competitor, each in a thread, until `stop`; `counts` says what they got."""
+    """All clients of one competitor, each in a thread, until `stop`; `counts` says what they got. `bus` as cantcpd names it.
 
-    def __init__(self, ports: Ports) -> None:
+    With `watchers` there are only so many, of the bus, and the last of them falls asleep.
+    """
+
+    def __init__(self, ports: Ports, bus: str, watchers: int = 0) -> None:
         self.counts = {"monitor_bytes": 0, "pages": 0, "download_bytes": 0, "commands": 0}
-        self._ended = threading.Event()
-        asked = (
-            (self._monitor, ports.monitors),
-            (self._monitor, ports.monitors),
-            (self._poll, ports.statistics),
-            (self._download, ports.download),
+        self._ended, self._bus = threading.Event(), bus
+        asked = [
+            (self._monitor, ports.cantcpd),
+            (self._monitor, ports.cantcpd),
+            (self._poll, ports.httpd),
+            (self._download, ports.httpd),
             (self._run, ports.commands),
-        )
+        ]
+        if watchers:
+            asked = [(self._monitor, ports.cantcpd)] * (watchers - 1) + [(self._sleep, ports.cantcpd)]
         self._links = [socket.create_connection(("127.0.0.1", port), timeout=10.0) for _, port in asked]
         self._threads = [
             threading.Thread(target=self._until_ended, args=(use, link), daemon=True)
@@ -152,23 +110,26 @@ class Clients:
         return self.counts
 
     def _until_ended(self, use: Callable[[socket.socket], None], link: socket.socket) -> None:
-        with contextlib.suppress(OSError):
+        with contextlib.suppress(OSError, http.client.HTTPException):
             use(link)
 
     def _monitor(self, link: socket.socket) -> None:
+        link.sendall(f"< open {self._bus} >< rawmode >".encode())
         while data := link.recv(1 << 16):
             self.counts["monitor_bytes"] += len(data)
 
+    def _sleep(self, link: socket.socket) -> None:
+        link.sendall(f"< open {self._bus} >< rawmode >".encode())
+        self._ended.wait()
+
     def _poll(self, link: socket.socket) -> None:
         while not self._ended.wait(1.0 / POLL_HZ):
-            link.sendall(b"GET / HTTP/1.1\r\nHost: boat\r\n\r\n")
-            if not link.recv(1 << 16):
-                return
+            _got(link, "/").read()
             self.counts["pages"] += 1
 
     def _download(self, link: socket.socket) -> None:
-        started_s = time.monotonic()
-        while data := link.recv(1 << 16):
+        started_s, file = time.monotonic(), _got(link, f"/logs/{LOG}")
+        while data := file.read(1 << 16):
             self.counts["download_bytes"] += len(data)
             early_s = self.counts["download_bytes"] / DOWNLOAD_BYTES_PER_S - (time.monotonic() - started_s)
             if early_s > 0 and self._ended.wait(early_s):
@@ -184,14 +145,25 @@ class Clients:
                 return
 
 
+def _got(link: socket.socket, path: str) -> http.client.HTTPResponse:
+    """The answer to a GET on a connection that stays open. Raises OSError, HTTPException."""
+    link.sendall(f"GET {path} HTTP/1.1\r\nHost: boat\r\n\r\n".encode())
+    answer = http.client.HTTPResponse(link)
+    answer.begin()
+    if answer.status != http.client.OK:
+        raise http.client.HTTPException(f"{path}: {answer.status}")
+    return answer
+
+
 def main() -> int:
-    """A line of four ports starts the clients and is answered with "on", an empty line stops them and is answered with their
-    counts as JSON; the end of the input ends."""
+    """A line of ports, the bus and the number of watchers (0: clients of all kinds) starts them and is answered with "on", an
+    empty line stops them and is answered with their counts as JSON; the end of the input ends."""
     os.nice(10)
     clients: Clients | None = None
     for line in sys.stdin:
         if line.strip():
-            clients = Clients(Ports(*map(int, line.split())))
+            *ports, bus, watchers = line.split()
+            clients = Clients(Ports(*map(int, ports)), bus, int(watchers))
             print("on", flush=True)
         elif clients is not None:
             print(json.dumps(clients.stop()), flush=True)

@@ -14,6 +14,7 @@ LIMITS: Final = {"p50": 1.25, "p99": 1.0, "p999": 1.0}  # of the ratio to the C 
 STAGES: Final = ("poll", "navigation", "control", "propulsion", "log")
 EDGES_US: Final = tuple(10 ** (k / 20) for k in range(101))  # 1 us .. 0.1 s, twenty bins a decade
 BEYOND_MIN: Final = 5  # a percentile of fewer samples beyond it is an anecdote
+OVER_BUDGET_MAX: Final = 1.0  # callbacks a second of one service; a few are the machine's, which interrupts whom it likes
 TAKEN_MAX: Final = 0.1  # of the processors, by others, while the worst case is still the competitors' own
 COLOURS: Final = {"c": INK, "delfim": "#d1495b", "apart": "#e8b04a", "asyncio": "#2e86ab", "uvloop": "#5b9a68"}
 
@@ -85,7 +86,11 @@ def histogram(ordered_us: Sequence[float]) -> list[int]:
 def noise(first: Sequence[Cycle], second: Sequence[Cycle]) -> dict[str, float | None]:
     """By which factor the same program differs from itself, in slices that took turns: 1 on a quiet machine. None where one
     of them has no samples."""
-    one, other = paths_us(first), paths_us(second)
+    return noise_of(paths_us(first), paths_us(second))
+
+
+def noise_of(one: Sequence[float], other: Sequence[float]) -> dict[str, float | None]:
+    """The same of lengths, ascending."""
     result: dict[str, float | None] = {}
     for name, part in PERCENTILES.items():
         pair = percentile(one, part) or 0.0, percentile(other, part) or 0.0
@@ -112,9 +117,13 @@ def verdict(ratio: float | None, factor: float | None, limit: float, beyond: flo
 
 
 def compared(
-    row: Mapping[str, Any], reference: Mapping[str, Any], factors: Mapping[str, float | None], taken: float
+    row: Mapping[str, Any],
+    reference: Mapping[str, Any],
+    factors: Mapping[str, float | None],
+    taken: float,
+    limits: Mapping[str, float] = LIMITS,
 ) -> dict[str, Any]:
-    """Ratios of a competitor to C, and the verdict on each. `taken` is what others had of the processors, 0..1."""
+    """Ratios of a row to another, and the verdict on each. `taken` is what others had of the processors, 0..1."""
     ratios: dict[str, float | None] = {}
     verdicts: dict[str, str] = {}
     for name, part in PERCENTILES.items():
@@ -122,7 +131,7 @@ def compared(
         ratios[name] = ratio = round(mine / base, 3) if mine and base else None
         beyond = min(each["cycles"] + each["lost"] for each in (row, reference)) * (1.0 - part)
         quiet = taken <= TAKEN_MAX
-        verdicts[name] = verdict(ratio, factors[name], LIMITS[name], beyond) if quiet else "too noisy to tell"
+        verdicts[name] = verdict(ratio, factors[name], limits[name], beyond) if quiet else "too noisy to tell"
     return {"ratio": ratios, "verdict": verdicts}
 
 
@@ -175,7 +184,20 @@ def _remarks(group: Mapping[str, Any]) -> list[str]:
         if row["competitor"] == "delfim":
             said = "; ".join(f"{_name(k)} {v} (<= {LIMITS[k]:.2f} x C)" for k, v in row["verdict"].items())
             lines.append(f"  the contract: {said}")
+            over = ", ".join(f"{name} {per_s:g}" for name, per_s in row["over_budget_per_s"].items() if per_s) or "none"
+            beyond = over_budget(group)
+            failed = f"; more than {OVER_BUDGET_MAX:g}: {', '.join(beyond)} FAILED" if beyond else ""
+            lines.append(f"  callbacks longer than their budget, a second: {over}{failed}")
     return lines
+
+
+def over_budget(group: Mapping[str, Any]) -> list[str]:
+    """The services of this program whose callbacks are too long too often. None where others had too much of the machine to
+    tell."""
+    if group["others_share"] + group["steal_share"] > TAKEN_MAX:
+        return []
+    rows = [row for row in group["rows"] if row["competitor"] == "delfim"]
+    return [name for row in rows for name, per_s in row["over_budget_per_s"].items() if per_s > OVER_BUDGET_MAX]
 
 
 def _name(key: str) -> str:

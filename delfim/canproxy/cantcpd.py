@@ -1,4 +1,5 @@
-"""cantcpd: CAN over TCP, the socketcand protocol (thesis 3.3). Watches the buses for any number of clients, and sends for them.
+"""cantcpd: CAN over TCP, the socketcand protocol and slcan (thesis 3.3). Watches the buses for any number of clients,
+and sends for them.
 
 A bus has one socket for all its clients, open while there are any. A frame becomes text once. Every client has a bounded queue
 of its own: what it does not take in time is lost for it alone, oldest first, and counted. No callback takes longer for a slow
@@ -21,7 +22,7 @@ from math import inf
 from typing import Any, Final, Protocol, cast
 
 from delfim import config
-from delfim.canproxy import socketcand
+from delfim.canproxy import slcan, socketcand
 from delfim.canproxy.bcm import JOBS_MAX, Cycles, Watch
 from delfim.canproxy.beacon import announce
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, open_can
@@ -42,6 +43,8 @@ KEEPALIVE_S: Final = 10
 BEACON_EVERY: Final = 3  # polls
 _LOWDELAY: Final = 0x10  # IPTOS_LOWDELAY
 _TCP_INFO_RTT: Final = 68  # offset of tcpi_rtt, microseconds (linux/tcp.h)
+
+TextOf = Callable[[Frame], bytes]
 
 log = logging.getLogger(__name__)
 
@@ -217,9 +220,12 @@ class Bus:
         self.received += len(told)
         self.received_bytes += sum(len(frame.data) for frame in told)
         if self.raw and told:
-            text = b"".join(map(socketcand.raw_text, told))
+            texts: dict[TextOf, bytes] = {}
             for client in self.raw:
-                client.put(text, len(told))
+                text_of = client.session.text
+                if text_of not in texts:
+                    texts[text_of] = b"".join(map(text_of, told))
+                client.put(texts[text_of], len(told))
         if self.watchers:
             self._tell_watchers(told, now_s)
 
@@ -231,9 +237,12 @@ class Bus:
         told = [frame for frame in everything if not frame.arb & (CAN_RTR | CAN_ERR)]
         self.received += len(told) - len(sent)
         self.received_bytes += sum(len(frame.data) for frame in told if id(frame) not in authors)
-        texts = [(socketcand.raw_text(frame), authors.get(id(frame))) for frame in told] if self.raw else []
+        texts: dict[TextOf, list[tuple[bytes, Client | None]]] = {}
         for client in self.raw:
-            others = [text for text, author in texts if author is not client]
+            text_of = client.session.text
+            if text_of not in texts:
+                texts[text_of] = [(text_of(frame), authors.get(id(frame))) for frame in told]
+            others = [text for text, author in texts[text_of] if author is not client]
             if others:
                 client.put(b"".join(others), len(others))
         for frame in told:
@@ -256,10 +265,10 @@ class Bus:
 class Client(asyncio.BufferedProtocol):
     """One connection: its place in the protocol, its queue and its jobs."""
 
-    def __init__(self, server: "Cantcpd") -> None:
+    def __init__(self, server: "Cantcpd", session: socketcand.Session | slcan.Session) -> None:
         self.name = ""
         self.counts: Counter[str] = Counter()
-        self.session = socketcand.Session(server.buses)
+        self.session = session
         self._server, self._loop = server, asyncio.get_running_loop()
         self._buffer = memoryview(bytearray(INPUT_BYTES))
         self._queue: deque[tuple[bytes, int]] = deque()  # text, and the number of frames in it
@@ -302,16 +311,13 @@ class Client(asyncio.BufferedProtocol):
             peer.setsockopt(socket.IPPROTO_IP, socket.IP_TOS, _LOWDELAY)
         else:
             peer.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_TCLASS, _LOWDELAY)
-        self._transport.write(socketcand.HI)
+        self._transport.write(self.session.greeting)
 
     def connection_lost(self, _: Exception | None) -> None:
         self._todo.clear()
         self._queue.clear()
         self._queued_bytes = 0
-        self._end_jobs()
-        if self._bus:
-            self._bus.leave(self)
-            self._bus = None
+        self._close_bus()
         if self in self._server.clients:
             self._server.clients.remove(self)
             if self.counts or self.session.malformed:
@@ -420,6 +426,8 @@ class Client(asyncio.BufferedProtocol):
                 self._enter(mode)
             case socketcand.Hangup(text):
                 self._hang_up(text)
+            case socketcand.Close():
+                self._close_bus()
             case socketcand.Cycle(arb, data, interval_s):
                 if self._allowed(arb) and not self._cycles.add(arb, data, interval_s, self._loop.time()):
                     self.counts["refused"] += 1
@@ -444,10 +452,16 @@ class Client(asyncio.BufferedProtocol):
             self._server.buses[name].join(self)
         except BusError as error:
             self._server.warn(f"{self.name} asked for {name}: {error}")
-            self._hang_up(socketcand.NO_SUCH_BUS)
+            self._hang_up(self.session.refused)
         else:
             self._bus = self._server.buses[name]
-            self._reply(socketcand.OK)
+            self._reply(self.session.accepted)
+
+    def _close_bus(self) -> None:
+        self._end_jobs()
+        if self._bus:
+            self._bus.leave(self)
+            self._bus = None
 
     def _enter(self, mode: socketcand.Mode) -> None:
         self._end_jobs()
@@ -455,7 +469,7 @@ class Client(asyncio.BufferedProtocol):
             hold_s = max(HOLD_S, 2 * _round_trip_s(self._transport.get_extra_info("socket")))
             self._held = self._loop.call_later(hold_s, self._release)
             self._bus.raw.append(self)
-        self._reply(socketcand.OK)
+        self._reply(self.session.accepted)
 
     def _release(self) -> None:
         self._held = None
@@ -555,7 +569,7 @@ class Client(asyncio.BufferedProtocol):
 
 
 class Cantcpd:
-    """The service: `connection` makes the protocol of one connection, `poll` is called once a second."""
+    """The service: `connection` and `slcan_connection` make the protocol of one connection, `poll` is called once a second."""
 
     def __init__(
         self,
@@ -577,7 +591,11 @@ class Cantcpd:
         self._silent: set[str] = set()  # interfaces on which announcing failed
 
     def connection(self) -> Client:
-        return Client(self)
+        return Client(self, socketcand.Session(self.buses))
+
+    def slcan_connection(self) -> Client:
+        """For the first of the buses: slcan has no word for others."""
+        return Client(self, slcan.Session(next(iter(self.buses))))
 
     def refusal(self, host: str) -> str:
         """Why a connection from there is refused; empty where it is not."""

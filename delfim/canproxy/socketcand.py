@@ -46,6 +46,10 @@ class Enter(NamedTuple):
     mode: Mode
 
 
+class Close(NamedTuple):
+    """The bus, not the connection."""
+
+
 class Transmit(NamedTuple):
     arb: int
     data: bytes
@@ -94,7 +98,7 @@ class Hangup(NamedTuple):
     text: bytes
 
 
-Action = Reply | Open | Enter | Transmit | Cycle | Update | Delete | Subscribe | Unsubscribe | Statistics | Hangup
+Action = Reply | Open | Enter | Close | Transmit | Cycle | Update | Delete | Subscribe | Unsubscribe | Statistics | Hangup
 
 
 @dataclass(slots=True)
@@ -119,8 +123,23 @@ class Splitter:
                 self.malformed += 1
 
 
+def _head(frame: Frame) -> str:
+    """Up to the data, with the blank before it. The stamp is cut to microseconds."""
+    arb, stamp = frame.arb, str(frame.t_ns).zfill(10)
+    identifier = f"{arb >> 3:08X}" if arb & CAN_IDE else f"{arb >> 21:03X}"
+    return f"< frame {identifier} {stamp[:-9]}.{stamp[-9:-3]} "
+
+
+def raw_text(frame: Frame) -> bytes:
+    """A data frame in RAW mode: data without blanks; without data there are two blanks, and clients insist on both."""
+    return f"{_head(frame)}{frame.data.hex().upper()} >".encode()
+
+
 class Session:
     """One connection as the server sees it. `buses` are the names that can be opened."""
+
+    greeting, accepted, refused = HI, OK, NO_SUCH_BUS
+    text = staticmethod(raw_text)
 
     def __init__(self, buses: Collection[str]) -> None:
         self.mode: Mode = "closed"
@@ -273,18 +292,6 @@ def _interval_s(words: list[str]) -> float:
 
 def _content(data: bytes) -> int:
     return int.from_bytes(data.ljust(8, b"\0"), "big")
-
-
-def _head(frame: Frame) -> str:
-    """Up to the data, with the blank before it. The stamp is cut to microseconds."""
-    arb, stamp = frame.arb, str(frame.t_ns).zfill(10)
-    identifier = f"{arb >> 3:08X}" if arb & CAN_IDE else f"{arb >> 21:03X}"
-    return f"< frame {identifier} {stamp[:-9]}.{stamp[-9:-3]} "
-
-
-def raw_text(frame: Frame) -> bytes:
-    """A data frame in RAW mode: data without blanks; without data there are two blanks, and clients insist on both."""
-    return f"{_head(frame)}{frame.data.hex().upper()} >".encode()
 
 
 def bcm_text(frame: Frame) -> bytes:

@@ -313,19 +313,25 @@ class NavigationFirst:
         return now_s
 
     def _rehearse(self, rehearse: Callable[[], None], until_s: float, now_s: float) -> float:
-        """Several times, for each is faster than the one before; none that may not be over in time. Returns the time."""
+        """Several times, for each is faster than the one before; none that may not be over in time, and none when the message
+        is there. Returns when that was last known not to be so: a message that came meanwhile did not come later than it was
+        due, and the next window must not open later for it."""
+        looked_s = now_s
         try:
             for _ in range(REHEARSALS):
                 if now_s + self._rehearsal_s > until_s:
                     self._rehearsal_s *= 0.5  # one that was interrupted is not for ever the measure
                     break
+                if self._poll(0.0, 1):
+                    break
+                looked_s = now_s
                 rehearse()
-                began_s, now_s = now_s, self._clock_s()
-                self._rehearsal_s = 2.0 * (now_s - began_s)
+                now_s = self._clock_s()
+                self._rehearsal_s = 2.0 * (now_s - looked_s)
         except Exception:  # a defect that costs warmth and must cost no more: there are no more rehearsals
             self.rehearse = None
             logging.getLogger(__name__).exception("rehearsal of the critical path")
-        return now_s
+        return looked_s
 
     def _handle(self, fd: int, at_s: float) -> float:
         """Call the handler of a readable socket; `at_s` is when it was seen. Returns the time."""

@@ -10,7 +10,7 @@ import pytest
 from delfim.__main__ import main
 from delfim.bench import critical_path
 from delfim.bench.critical_path import LABELS, LONG_CYCLES, Plan, Slice
-from delfim.bench.report import PERCENTILES, STAGES, Cycle
+from delfim.bench.report import PERCENTILES, STAGES, Cycle, over_budget
 from delfim.errors import DelfimError
 
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
@@ -22,8 +22,9 @@ def asked(**options: object) -> argparse.Namespace:
 
 def test_quick_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["bench", "critical-path", "--quick", "--seconds", "0.25", "--rates", "200"]
-    assert main([*words, "--file", VEHICLE, "--output", str(tmp_path)]) == 0
+    ended = main([*words, "--file", VEHICLE, "--output", str(tmp_path)])
     results = json.loads((tmp_path / "critical-path.json").read_text())
+    assert ended == any(over_budget(group) for group in results["groups"]), "1 where a service exceeds its budget"
     assert [(group["rate_hz"], group["load"]) for group in results["groups"]] == [(200.0, "idle"), (200.0, "full load")]
     for group in results["groups"]:
         competitors = [key for key in results["plan"]["competitors"] if key != "apart" or group["load"] != "idle"]
@@ -38,6 +39,7 @@ def test_quick_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture
             assert 0 < known[0] <= known[-1] <= row["worst_us"]
             assert 0 < row["cpu_us"] <= row["cpu_all_us"]
             assert (row["window_share"] is not None) == (row["competitor"] in ("delfim", "apart"))
+            assert ("canzlogd" in row["over_budget_per_s"]) == (row["competitor"] == "delfim")
             assert set(row["stages_us"]) == set(STAGES)
             assert sum(row["histogram"]) == row["cycles"]
             assert set(row["ratio"]) == set(row["verdict"]) == set(PERCENTILES)
@@ -72,7 +74,7 @@ def test_long_run_is_as_long_as_the_one_of_the_thesis() -> None:
 
 def test_a_slice_takes_its_own_cycles() -> None:
     log = [Cycle(t, t, t, t, t, t) for t in range(0, 1000, 10)]
-    part = Slice(100, 200, 10, 0.0, 0.0, None, 0.0, 0.0, {}, {})
+    part = Slice(100, 200, 10, 0.0, 0.0, None, {}, 0.0, 0.0, {}, {})
     assert [cycle.t0 for cycle in critical_path._within(log, part)] == list(range(100, 200, 10))
 
 

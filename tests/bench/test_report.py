@@ -5,7 +5,7 @@ import math
 import pytest
 
 from delfim.bench import report
-from delfim.bench.report import Cycle
+from delfim.bench.report import Cycle, over_budget
 
 
 def cycles(*paths_us: float) -> list[Cycle]:
@@ -100,3 +100,13 @@ def test_on_a_machine_that_others_use_nothing_is_held_and_nothing_missed() -> No
     for row in (c, fast):
         got = report.compared(row, fast, {"p50": 1.0, "p99": 1.0, "p999": 1.0}, 0.3)
         assert set(got["verdict"].values()) == {"too noisy to tell"}
+
+
+@pytest.mark.parametrize(
+    ("per_s", "others_share", "beyond"), [(0.9, 0.0, []), (1.1, 0.0, ["httpd"]), (1.1, 0.11, [])], ids=["few", "many", "noisy"]
+)
+def test_a_service_with_too_many_long_callbacks_is_named_on_a_quiet_machine(
+    per_s: float, others_share: float, beyond: list[str]
+) -> None:
+    row = {"competitor": "delfim", "over_budget_per_s": {"canzlogd": 0.0, "httpd": per_s}}
+    assert over_budget({"others_share": others_share, "steal_share": 0.0, "rows": [row]}) == beyond

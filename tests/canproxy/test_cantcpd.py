@@ -62,10 +62,12 @@ class Served:
         self.loop.set_exception_handler(lambda _, context: self.defects.append(context))
         self.server = Cantcpd(self._settings, self._buses, Loop(), SystemClock())
         listening = await self.loop.create_server(self.server.connection, "127.0.0.1", 0)
-        self.port = listening.sockets[0].getsockname()[1]
+        serial = await self.loop.create_server(self.server.slcan_connection, "127.0.0.1", 0)
+        self.port, self.slcan_port = (each.sockets[0].getsockname()[1] for each in (listening, serial))
         self._ready.set()
         await self._stop.wait()
         listening.close()
+        serial.close()
         self.server.close()
         await asyncio.sleep(0)
 

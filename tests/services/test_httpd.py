@@ -10,6 +10,7 @@ import socket
 import sys
 from collections.abc import AsyncIterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import aiohttp
@@ -17,9 +18,11 @@ import msgspec
 import pytest
 
 from delfim import config
-from delfim.services import httpd
+from delfim.clock import SystemClock
+from delfim.services import door, httpd
 from delfim.services.httpd import Look
-from delfim.services.web import api
+from delfim.services.runtime import Runtime
+from delfim.services.web import api, page
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 from tests.services.browser import PROGRAM, browser
 
@@ -188,6 +191,24 @@ def test_a_vehicle_that_does_not_answer_is_said_to_be_so(tmp_path, monkeypatch, 
     asyncio.run(main())
 
 
+def test_a_visitor_who_leaves_while_the_page_is_made_costs_the_next_none_of_it(tmp_path):
+    settings = vehicle_file(tmp_path)
+    door = SimpleNamespace(figures=lambda: {"connections": 0, "requests": 0, "refused": 0})
+
+    async def left_after(steps: int) -> set[str]:
+        runtime = Runtime(settings, SystemClock(), alone=True)
+        board = httpd.Board(runtime, Look(settings, runtime.clock.monotonic_s), door)
+        visitor = asyncio.create_task(board.sections())
+        for _ in range(steps):
+            await asyncio.sleep(0)
+        visitor.cancel()
+        await asyncio.gather(visitor, return_exceptions=True)
+        return set(await board.sections())
+
+    for steps in range(len(page.SECTIONS) + 3):
+        assert asyncio.run(left_after(steps)) == {"head", *(section.id for section in page.SECTIONS)}
+
+
 def test_events_bring_all_sections_once_and_then_what_has_changed(tmp_path, monkeypatch):
     monkeypatch.setattr(httpd, "EVERY_S", (0.02, 60.0))
     monkeypatch.setattr(httpd, "FRESH_S", 0.0)
@@ -217,7 +238,7 @@ def test_a_page_that_is_not_read_costs_nothing_and_is_hung_up(tmp_path, monkeypa
     monkeypatch.setattr(httpd, "EVERY_S", (0.005, 60.0))
     monkeypatch.setattr(httpd, "FRESH_S", 0.0)
     monkeypatch.setattr(httpd, "STALL_S", 0.3)
-    monkeypatch.setattr(httpd, "UNSENT_BYTES", 4096)
+    monkeypatch.setattr(door, "UNSENT_BYTES", 4096)
 
     async def main():
         async with site(tmp_path) as boat:

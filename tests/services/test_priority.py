@@ -284,6 +284,25 @@ def test_a_rehearsal_that_would_not_be_over_in_time_is_left_out_and_one_interrup
         assert window() == 5, "each leaves twice its own length to the message"
 
 
+def test_a_message_that_came_during_a_rehearsal_is_not_taken_for_a_later_one() -> None:
+    """Otherwise the next windows would open later, and their messages come during rehearsals, too."""
+    clock, receiver_and_sender = ManualClock(), socket.socketpair()
+    first = NavigationFirst(NavigationWindow(0.0006, 0.2), clock, Account("loop", 1.0))
+    receiver, sender = receiver_and_sender
+    begun_s: list[float] = []
+
+    def rehearse() -> None:
+        begun_s.append(clock.monotonic_s())
+        clock.advance(0.00005)
+        if len(begun_s) == 3:
+            sender.send(b"navigation")
+
+    with closing(first), receiver, sender:
+        first.add(receiver.fileno(), lambda: True, lambda error: None)
+        assert first._rehearse(rehearse, 0.0006, 0.0) == begun_s[2]
+        assert len(begun_s) == 3, "none more when the message is there"
+
+
 def test_a_computer_that_slept_in_a_window_has_windows_again() -> None:
     window = NavigationWindow(0.0006, 0.1)
     for i in range(10):

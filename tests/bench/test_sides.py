@@ -1,0 +1,43 @@
+"""What happens beside the critical path: the benchmark of it runs, and its arithmetic is right. Nothing here judges speed."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from delfim.__main__ import main
+from delfim.bench.onlooker import paths_us
+
+VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
+
+
+@pytest.mark.parametrize(
+    ("asked", "answered", "paths"),
+    [
+        ([0, 10_000, 20_000], [1_000, 12_000, 23_000], [1.0, 2.0, 3.0]),
+        ([0, 10_000, 20_000], [15_000, 21_000], [1.0, 15.0]),  # the second was passed over
+        ([0, 10_000, 20_000], [15_000, 15_500, 21_000], [1.0, 5.5, 15.0]),  # both were late
+        ([0, 10_000], [500, 600, 11_000], [0.5, 1.0]),  # a command that answers nothing
+        ([0], [], []),
+    ],
+)
+def test_each_command_answers_one_message(asked: list[int], answered: list[int], paths: list[float]) -> None:
+    assert paths_us(asked, answered, 0, 100_000) == paths
+
+
+def test_only_messages_of_the_time_count() -> None:
+    assert paths_us([0, 10_000, 20_000], [1_000, 12_000, 23_000], 10_000, 20_000) == [2.0]
+
+
+@pytest.mark.timeout(180)
+def test_watchers_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bench", "watchers", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]
+    ended = main(words)
+    results = json.loads((tmp_path / "watchers.json").read_text())
+    assert [row["case"] for row in results["rows"]] == ["no client", "8 clients, one asleep"]
+    assert [row["cycles"] + row["lost"] for row in results["rows"]] == [200, 100]
+    assert all(0 < row["p50_us"] <= row["worst_us"] for row in results["rows"])
+    assert ended == (results["lost_awake"] > 0)
+    printed = capsys.readouterr().out
+    assert "p99 with 8 clients, one asleep <= 1.2 x that with no client" in printed
+    assert "ms for 1,000 frames" in printed
