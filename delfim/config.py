@@ -339,7 +339,7 @@ class Mavlink(Table, frozen=True):
     peers: Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)] = ("127.0.0.1:14550",)  # who is told that the boat exists
     profile: Literal["lean", "radio", "wifi"] = "wifi"  # how much is sent, until a console asks for another one
     sign: Literal["remote", "all"] = "remote"  # who must sign: everybody but this computer, or everybody
-    key: str = ""  # file of the key, from `delfim console keygen`; without one no other computer commands
+    key: str = ""  # file of the key, from `delfim console --keygen FILE`; without one no other computer commands
     autopilot: Literal["generic", "ardurover"] = "generic"  # what programs for other autopilots take the boat for
     command_age_s: Seconds = 3.0  # a signed command that was on the way for longer is not obeyed
 

@@ -1,6 +1,7 @@
 """MAVSDK, a program that others wrote for other vehicles, against the running one: over UDP, in real time."""
 
 import asyncio
+import contextlib
 import os
 import signal
 import subprocess
@@ -8,7 +9,6 @@ import sys
 from collections.abc import Awaitable, Callable, Iterator
 from pathlib import Path
 
-import pytest
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
@@ -22,7 +22,7 @@ PORT = 20_000 + os.getpid() % 40_000
 PLACES = [(38.6909, -9.2149), (38.6912, -9.2149), (38.6912, -9.2145)]
 
 
-@pytest.fixture
+@contextlib.contextmanager
 def running(tmp_path: Path) -> Iterator[Path]:
     """The boat's nodes and its program, as at sea but for the bus; the path of its command socket."""
     bus = f"canloop:mavsdk-{os.getpid()}-{tmp_path.name[-8:]}"
@@ -40,10 +40,12 @@ def running(tmp_path: Path) -> Iterator[Path]:
     )
     words = [str(ROOT / "etc/delfimx.toml"), *(word for value in values for word in ("--set", value))]
     programs = [subprocess.Popen([sys.executable, "-m", "delfim", name, *words]) for name in ("nodes", "supervise")]
-    yield tmp_path / "command"
-    for program in reversed(programs):
-        program.send_signal(signal.SIGTERM)
-        program.wait(30)
+    try:
+        yield tmp_path / "command"
+    finally:
+        for program in reversed(programs):
+            program.send_signal(signal.SIGTERM)
+            program.wait(30)
 
 
 async def until(what: Callable[[], Awaitable[bool]]) -> None:
@@ -113,6 +115,11 @@ async def sailed(path: Path) -> list[str]:
     return modes
 
 
-def test_connect_watch_upload_download_start_hold_return_disarm(running):
-    modes = asyncio.run(asyncio.wait_for(sailed(running), 110))
+def test_connect_watch_upload_download_start_hold_return_disarm(tmp_path):
+    """And what was sailed so repeats bit by bit from its logs: nothing moved the boat that is not in them."""
+    with running(tmp_path) as path:
+        modes = asyncio.run(asyncio.wait_for(sailed(path), 90))
     assert modes == ["idle", "play", "idle", "home", "idle"]
+    words = [sys.executable, "-m", "delfim", "log", "replay", str(tmp_path / "log")]
+    replayed = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    assert "all the same, bit by bit" in replayed.stdout, replayed

@@ -89,6 +89,8 @@ def sailing(folder: Path, place: str) -> Iterator[Suite]:
         "supervisor.hardware_watchdog": '""',
         "guest.enabled": "false",
         "cantcpd.listen": '["127.0.0.1:0"]',
+        "mavlink.listen": '"127.0.0.1:0"',
+        "mavlink.peers": "[]",
         "httpd.listen": f'"127.0.0.1:{port}"',
         "services.bad.place": f'"{place}"',
         "failsafe.console_silent.after_s": "600.0",

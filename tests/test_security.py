@@ -76,6 +76,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
         + f'[sshd.users.ana]\nkeys = ["{(folder / "friend.pub").read_text().strip()}"]\n'
     )
     settings = [f'simulation.{name}="127.0.0.1:{ports[name]}"' for name in ("httpd", "ftpd", "sshd")]
+    settings += ['mavlink.listen="127.0.0.1:0"', "mavlink.peers=[]"]
     settings += [f'cantcpd.listen=["127.0.0.1:{ports["cantcpd"]}"]', f'guest.listen="127.0.0.1:{ports["guest"]}"']
     settings += [f'simulation.interface="canloop:open-{os.getpid()}"', "failsafe.console_silent.after_s=600.0"]
     words = [word for setting in settings for word in ("--set", setting)]
@@ -133,7 +134,9 @@ def open_to_the_world(pids: set[int]) -> set[tuple[str, str, int]]:
 
 def test_it_listens_where_the_file_says_and_nowhere_else(boat: Boat) -> None:
     found = {each for each in open_to_the_world(family(boat.pid)) if not each[1].startswith("239.")}  # the bus, on loopback
-    assert found == {("tcp", "127.0.0.1", port) for port in boat.ports.values()}
+    host, _, port = boat.state()["mavlink"]["listen"].partition(":")
+    assert found == {("udp", host, int(port)), *(("tcp", "127.0.0.1", port) for port in boat.ports.values())}
+    assert host == "127.0.0.1"
 
 
 def test_slow_visitors_of_all_daemons_leave_the_boat_sailing_and_the_others_served(boat: Boat) -> None:

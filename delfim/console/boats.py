@@ -5,7 +5,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from delfim.console.mavlink import NAMES, mavlink
+from delfim.console.mavlink import NAMES, SYSTEM, mavlink
+from delfim.console.words import Words
 
 COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
 SILENT_S: Final = 3.5
@@ -27,13 +28,15 @@ class Boat:
         self.at_s: dict[str, float] = {}  # when each group of values was heard last
         self.values: dict[str, Any] = {}
         self.reference: dict[str, Any] = {}
-        self.reason = ""
+        self.reason, self.words = "", Words()
+        self.failsafe, self.ready = "", False
+        self.link, self.signed = "udp", False
         self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
         self.rtt_ms: float | None = None
         self.synced_s = -math.inf
         self.released = False
         self.profile = "wifi"
-        self.bytes_per_s = 0.0
+        self._since_s, self._bytes = now_s, 0
         self._seen: dict[int, int] = {}  # by component: the last sequence number
         self._arrivals: deque[tuple[float, int, int]] = deque()  # time, bytes, messages missing before it
         self._missing = 0
@@ -45,7 +48,7 @@ class Boat:
         handler = _HANDLERS.get(message.get_type())
         if handler is not None:
             handler(self, message)
-            self.at_s[message.get_type()] = now_s
+            self.at_s |= dict.fromkeys(_GROUPS.get(message.get_type(), (message.get_type(),)), now_s)
             if message.get_type() in ("GLOBAL_POSITION_INT", "HIGH_LATENCY2"):
                 self._extend(utc_s)
 
@@ -56,6 +59,7 @@ class Boat:
     def snapshot(self, now_s: float) -> dict[str, Any]:
         """Everything for the page."""
         v = self.values
+        self._forget(now_s)
         ages = {"heard": round(now_s - self.heard_s, 2)} | {
             name: self.age_s(kind, now_s)
             for name, kind in (
@@ -72,44 +76,54 @@ class Boat:
             "name": self.name,
             "colour": self.colour,
             **{key: v.get(key) for key in _PLAIN},
-            "mode": self.mode,
+            "mode": self.mode or None,
             "asked": self.asked,
             "armed": self.armed,
             "owner": self.owner,
+            "ready": self.ready,
             "reason": self.reason,
+            "failsafe": self.failsafe,
             "rpm": [v.get("port_rpm"), v.get("starboard_rpm")],
             "thrust_pct": [v.get("port_pct"), v.get("starboard_pct")],
-            "reference": self.reference,
+            "reference": {key: self.reference.get(key) for key in _REFERENCE},
             "age_s": ages,
             "link": {
-                "kind": "udp",
+                "kind": self.link,
+                "signed": self.signed,
                 "profile": self.profile,
                 "rtt_ms": self.rtt_ms,
-                "loss_pct": self._loss_pct(now_s),
-                "bytes_per_s": round(self.bytes_per_s),
+                "loss_pct": self._loss_pct(),
+                "bytes_per_s": round(self._bytes / min(max(now_s - self._since_s, 1.0), LOSS_SPAN_S)),
             },
             "ghost": self._ghost(now_s),
             "released": self.released,
         }
 
     def _count(self, message: Any, now_s: float) -> None:
-        """Sequence numbers and bytes, of the last twenty seconds."""
+        """Sequence numbers and bytes."""
         component, sequence = message.get_srcComponent(), message.get_seq()
-        last = self._seen.get(component)
-        self._seen[component] = sequence
-        gap = (sequence - last - 1) & 0xFF if last is not None else 0
-        missing = gap if gap < 128 else 0  # one that was overtaken is late, not lost
-        arrivals = self._arrivals
-        arrivals.append((now_s, len(message.get_msgbuf()), missing))
+        ahead = (sequence - self._seen.get(component, sequence - 1)) & 0xFF
+        if 0 < ahead < 128:
+            self._seen[component] = sequence
+        missing = ahead - 1 if 0 < ahead < 128 else -1 if ahead else 0  # one that was overtaken had counted as missing
+        size = len(message.get_msgbuf())
+        self._arrivals.append((now_s, size, missing))
+        self._bytes += size
         self._missing += missing
-        while arrivals and arrivals[0][0] < now_s - LOSS_SPAN_S:
-            self._missing -= arrivals.popleft()[2]
-        span_s = max(now_s - arrivals[0][0], 1.0)
-        self.bytes_per_s = sum(size for _, size, _ in arrivals) / span_s if len(arrivals) % 16 == 1 else self.bytes_per_s
+        self._forget(now_s)
 
-    def _loss_pct(self, now_s: float) -> float:
+    def _forget(self, now_s: float) -> None:
+        """What is older than twenty seconds counts no more."""
+        arrivals = self._arrivals
+        while arrivals and arrivals[0][0] < now_s - LOSS_SPAN_S:
+            _, size, missing = arrivals.popleft()
+            self._bytes -= size
+            self._missing -= missing
+
+    def _loss_pct(self) -> float:
+        missing = max(self._missing, 0)
         heard = len(self._arrivals)
-        return round(100.0 * self._missing / (heard + self._missing), 1) if heard else 0.0
+        return round(100.0 * missing / (heard + missing), 1) if heard else 0.0
 
     def _extend(self, utc_s: float) -> None:
         """The past track, a point a second."""
@@ -148,9 +162,15 @@ _PLAIN: Final = (
 )
 
 
+_REFERENCE: Final = ("heading_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
+_GROUPS: Final = {"HIGH_LATENCY2": ("HIGH_LATENCY2", "GLOBAL_POSITION_INT", "SYS_STATUS")}  # which it says all at once
+
+
 def _heartbeat(boat: Boat, m: Any) -> None:
     boat.mode = NAMES.get(m.custom_mode, f"mode {m.custom_mode}")
     boat.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+    boat.signed = bool(m.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
+    boat.failsafe = (boat.failsafe or boat.reason) if m.system_status == mavlink.MAV_STATE_CRITICAL else ""
 
 
 def _position(boat: Boat, m: Any) -> None:
@@ -184,6 +204,7 @@ def _hud(boat: Boat, m: Any) -> None:
 
 
 def _power(boat: Boat, m: Any) -> None:
+    boat.ready = bool(m.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
     boat.values["battery_v"] = m.voltage_battery / 1000.0 if m.voltage_battery != 65535 else None
     boat.values["battery_pct"] = m.battery_remaining if m.battery_remaining >= 0 else None
 
@@ -210,8 +231,14 @@ def _current(boat: Boat, m: Any) -> None:
     boat.reference["leg"] = m.seq
 
 
+def _named(boat: Boat, m: Any) -> None:
+    if m.name == "OWNER":
+        boat.owner = m.value in (0, SYSTEM)
+
+
 def _lean(boat: Boat, m: Any) -> None:
     """HIGH_LATENCY2: everything in one message, for radios on which a byte counts."""
+    boat.owner = m.custom0 & 0xFF in (0, SYSTEM)
     boat.mode = NAMES.get(m.custom_mode, f"mode {m.custom_mode}")
     boat.values |= {
         "latitude_deg": m.latitude / 1e7,
@@ -221,11 +248,9 @@ def _lean(boat: Boat, m: Any) -> None:
         "speed_mps": m.groundspeed / 5.0,
         "speed_pct": m.throttle,
         "battery_pct": m.battery if m.battery >= 0 else None,
+        "port_pct": m.custom1,
+        "starboard_pct": m.custom2,
     }
-
-
-def _text(boat: Boat, m: Any) -> None:
-    boat.reason = m.text
 
 
 _HANDLERS: Final[dict[str, Callable[[Boat, Any], None]]] = {
@@ -241,5 +266,5 @@ _HANDLERS: Final[dict[str, Callable[[Boat, Any], None]]] = {
     "POSITION_TARGET_GLOBAL_INT": _target,
     "MISSION_CURRENT": _current,
     "HIGH_LATENCY2": _lean,
-    "STATUSTEXT": _text,
+    "NAMED_VALUE_INT": _named,
 }

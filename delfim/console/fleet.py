@@ -6,13 +6,13 @@ the boat is told zero once, and then nothing, so that its own time-out counts. A
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from delfim.clock import Clock
 from delfim.console import transfer
 from delfim.console.boats import Boat
 from delfim.console.mavlink import MODES, Codec, Key, mavlink
-from delfim.console.requests import Answer, Requests
+from delfim.console.requests import LIFE_S, REPEAT_S, Answer, Requests
 from delfim.console.transfer import Download, Item, Upload
 from delfim.errors import FormatError, Refused
 
@@ -21,17 +21,25 @@ TIMESYNC_S: Final = 5.0
 INPUT_S: Final = 0.6
 BOATS_MAX: Final = 32
 PEERS_MAX: Final = 64
+AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
 UNUSED: Final = 32767  # of an axis in MANUAL_CONTROL
 REQUEST_CONTROL: Final = 32100  # MAV_CMD_REQUEST_OPERATOR_CONTROL
-_POSITION = mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT
-_FAST = (_POSITION, mavlink.MAVLINK_MSG_ID_ATTITUDE, mavlink.MAVLINK_MSG_ID_RAW_RPM)
-PROFILES: Final[dict[str, dict[int, float]]] = {  # message: interval in us, -1 for never
-    "wifi": {**dict.fromkeys(_FAST, 1e5), mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2: -1.0},
-    "radio": {**dict.fromkeys(_FAST, 1e6), mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2: -1.0},
-    "lean": {**dict.fromkeys(_FAST, -1.0), mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2: 1e6},
-}
+PROFILES: Final = ("lean", "radio", "wifi")  # values of the parameter that chooses
+PROFILE: Final = b"LINK_PROFILE"
+REASON_S: Final = 0.5  # a refusal and its reason come apart
+NO_MISSION: Final[dict[str, Any]] = {"name": "", "count": 0, "current": None, "state": "none", "digest": None}
+ENTERS: Final = {"stop": "idle", "heading_to": "heading", "goto_point": "goto"}  # words beside the modes' own
 Address = Any  # of a link; hashable
 Tell = Callable[[dict[str, Any]], None]
+
+
+class Profile(NamedTuple):
+    """A link profile that was asked for and not yet confirmed."""
+
+    name: str
+    answer: Answer
+    begun_s: float
+    due_s: float
 
 
 class Fleet:
@@ -49,6 +57,8 @@ class Fleet:
         self._transfers: dict[int, Upload | Download] = {}
         self._beat_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
+        self._refused: dict[int, tuple[float, int, int]] = {}  # by boat: until when the reason is waited for, command, result
+        self._profiles: dict[int, Profile] = {}
 
     # What comes from the boats.
 
@@ -58,7 +68,7 @@ class Fleet:
         if codec is None:
             if len(self._peers) >= PEERS_MAX:
                 self._peers.pop(next(iter(self._peers)))
-            codec = self._peers[address] = Codec(self._key, link_id=len(self._peers) & 0xFF)
+            codec = self._peers[address] = Codec(self._key, stream=address_kind(address) == "serial")
         for message in codec.decode(data):
             self.record(bytes(message.get_msgbuf()))
             self._take(address, message)
@@ -73,7 +83,7 @@ class Fleet:
                 return
             boat = self.boats[number] = Boat(number, now_s)
             self._tell({"t": "text", "boat": number, "severity": 6, "text": "found", "at_s": self._utc_s()})
-        self._routes[number] = address
+        self._routes[number], boat.link = address, address_kind(address)
         boat.receive(message, now_s, self._utc_s())
         handler = _HANDLERS.get(message.get_type())
         if handler is not None:
@@ -81,13 +91,39 @@ class Fleet:
 
     def _on_ack(self, boat: Boat, message: Any, now_s: float) -> None:
         said_s, text = self._texts.get(boat.number, (-math.inf, ""))
-        reason = text if now_s - said_s < 1.0 else ""
-        self._requests.acknowledged(boat.number, message.command, message.result, reason)
+        reason = text if now_s - said_s < REASON_S else ""
+        fine = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
+        if fine or reason:
+            self._requests.acknowledged(boat.number, message.command, message.result, reason)
+        else:
+            self._refused[boat.number] = now_s + REASON_S, message.command, message.result
 
     def _on_text(self, boat: Boat, message: Any, now_s: float) -> None:
-        self._texts[boat.number] = now_s, message.text
-        said = {"boat": boat.number, "severity": message.severity, "text": message.text}
-        self._tell({"t": "text", **said, "at_s": self._utc_s()})
+        text = boat.words.hear(message)
+        if text is None:
+            return
+        boat.reason = text
+        self._texts[boat.number] = now_s, text
+        self._tell({"t": "text", "boat": boat.number, "severity": message.severity, "text": text, "at_s": self._utc_s()})
+        if message.severity <= mavlink.MAV_SEVERITY_WARNING:
+            self._give_reason(boat.number, text)
+
+    def _give_reason(self, number: int, text: str) -> None:
+        """Of what the boat refused just now."""
+        if number in self._refused:
+            _, command, result = self._refused.pop(number)
+            self._requests.acknowledged(number, command, result, text)
+
+    def _on_param(self, boat: Boat, message: Any, now_s: float) -> None:
+        chosen = self._profiles.get(boat.number)
+        if message.param_id != PROFILE.decode() or message.param_value not in range(len(PROFILES)):
+            return
+        boat.profile = PROFILES[int(message.param_value)]
+        if chosen is not None:
+            del self._profiles[boat.number]
+            chosen.answer(
+                boat.profile == chosen.name, "" if boat.profile == chosen.name else f"the boat stays with {boat.profile}"
+            )
 
     def _on_sync(self, boat: Boat, message: Any, now_s: float) -> None:
         if message.tc1:
@@ -118,6 +154,11 @@ class Fleet:
             if now_s - heard_s > INPUT_S:
                 self.release(number, "no input from the page")
         self._requests.tick(now_s)
+        for number, (until_s, *_) in list(self._refused.items()):
+            if now_s >= until_s:
+                self._give_reason(number, "")
+        for number in list(self._profiles):
+            self._choose(number, now_s)
         for each in list(self._transfers.values()):
             each.tick(now_s)
 
@@ -130,11 +171,12 @@ class Fleet:
         here, aboard = (self.missions.get(number, {}).get(where) for where in ("here", "aboard"))
         shown = aboard or here
         if shown is None:
-            return {"mission": {"state": "unknown"}, "home": None, "fence": [], "obstacles": []}
+            return {"mission": NO_MISSION | {"state": "unknown"}, "home": None, "fence": [], "obstacles": []}
         same = here is not None and aboard is not None and transfer.digest(here) == transfer.digest(aboard)
         state = "unknown" if aboard is None else "same" if same or here is None else "differs"
         told = {"name": shown["name"], "count": len(shown["waypoints"]), "digest": transfer.digest(shown), "state": state}
-        told["current"] = self.boats[number].reference.get("leg")
+        item = self.boats[number].reference.get("leg")
+        told["current"] = transfer.waypoint_of(shown, item) if item is not None else None
         return {"mission": told, **{key: shown.get(key) for key in ("home", "fence", "obstacles")}}
 
     # What the operator wants.
@@ -148,9 +190,12 @@ class Fleet:
         if word == "profile":
             self._set_profile(boat, words["profile"], answer, now_s)
             return
+        aboard = self.missions.get(number, {}).get("aboard")
+        if word == "play" and aboard is not None:
+            words = words | {"leg": transfer.item_of(aboard, int(words.get("leg") or 0))}
         command, parameters, place = _command(word, words)
-        if word in MODES:
-            boat.asked, boat.asked_s = word, now_s
+        if word in MODES or word in ENTERS:
+            boat.asked, boat.asked_s = ENTERS.get(word, word), now_s
         boat.released = False
         self._requests.begin(number, command, parameters, answer, now_s, place=place, stop=word == "stop")
 
@@ -191,19 +236,21 @@ class Fleet:
         self._begin_transfer(number)
         groups = transfer.items_of(mission)
 
-        def next_kind(kind: int) -> None:
+        def next_kind(place: int) -> None:
+            kind = transfer.ORDER[place]
+
             def ended(reason: str) -> None:
                 self._transfers.pop(number, None)
                 if reason:
                     answer(False, reason)
-                elif kind + 1 < len(groups):
-                    next_kind(kind + 1)
+                elif place + 1 < len(transfer.ORDER):
+                    next_kind(place + 1)
                 else:
                     self.download(number, lambda well, why: answer(*self._compared(number, well, why)))
 
             self._transfers[number] = Upload(number, kind, groups[kind], lambda m: self._send(number, m), ended)
 
-        next_kind(transfer.WAYPOINTS)
+        next_kind(0)
 
     def download(self, number: int, answer: Answer) -> None:
         """The mission that is on board. Raises Refused."""
@@ -231,7 +278,7 @@ class Fleet:
     def progress(self) -> list[dict[str, Any]]:
         """Of the transfers that are under way."""
         return [
-            {"t": "progress", "boat": n, "what": type(each).__name__.lower(), "part": round((each.kind + each.part) / 3, 3)}
+            {"t": "progress", "boat": n, "what": type(each).__name__.lower(), "part": round((_done(each) + each.part) / 3, 3)}
             for n, each in self._transfers.items()
         ]
 
@@ -263,18 +310,22 @@ class Fleet:
     def _set_profile(self, boat: Boat, profile: str, answer: Answer, now_s: float) -> None:
         if profile not in PROFILES:
             raise FormatError(f"no profile {profile!r}: there are {', '.join(PROFILES)}")
-        waiting = len(PROFILES[profile])
+        before = self._profiles.pop(boat.number, None)
+        if before is not None:
+            before.answer(False, "replaced by a newer choice")
+        self._profiles[boat.number] = Profile(profile, answer, now_s, now_s)
+        self._choose(boat.number, now_s)
 
-        def one(well: bool, why: str) -> None:
-            nonlocal waiting
-            waiting -= 1
-            if not waiting:
-                boat.profile = profile
-                answer(well, why)
-
-        for message, interval_us in PROFILES[profile].items():
-            words = float(message), interval_us
-            self._requests.begin(boat.number, mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, words, one, now_s)
+    def _choose(self, number: int, now_s: float) -> None:
+        """Say it, say it again, give it up."""
+        chosen = self._profiles[number]
+        if now_s - chosen.begun_s > LIFE_S:
+            del self._profiles[number]
+            chosen.answer(False, "no answer from the boat")
+        elif now_s >= chosen.due_s:
+            self._profiles[number] = chosen._replace(due_s=now_s + REPEAT_S)
+            value, kind = float(PROFILES.index(chosen.name)), mavlink.MAV_PARAM_TYPE_REAL32
+            self._send(number, mavlink.MAVLink_param_set_message(number, AUTOPILOT, PROFILE, value, kind))
 
     def _thrust(self, number: int, port_pct: float, starboard_pct: float) -> None:
         port, starboard = (max(-100.0, min(100.0, each)) for each in (port_pct, starboard_pct))
@@ -293,6 +344,16 @@ class Fleet:
         return round(self._clock.time_ns() / 1e9, 3)
 
 
+def _done(each: Upload | Download) -> int:
+    """How many types of items are over before this one."""
+    return transfer.ORDER.index(each.kind) if isinstance(each, Upload) else each.kind
+
+
+def address_kind(address: Address) -> str:
+    """Of which kind a link is: what its addresses begin with."""
+    return address[0] if isinstance(address, tuple) else "udp"
+
+
 def _command(word: str, words: dict[str, Any]) -> tuple[int, tuple[float, ...], tuple[int, int] | None]:
     """(MAV_CMD, parameters, place) of a word of the page. Raises FormatError."""
     try:
@@ -300,7 +361,7 @@ def _command(word: str, words: dict[str, Any]) -> tuple[int, tuple[float, ...], 
             case "stop":
                 return mavlink.MAV_CMD_DO_SET_MODE, (1.0, float(MODES["idle"])), None
             case "play":
-                return mavlink.MAV_CMD_MISSION_START, (float(words.get("leg", 0)), 0.0), None
+                return mavlink.MAV_CMD_MISSION_START, (float(words.get("leg") or 0), 0.0), None
             case "heading_to":
                 return mavlink.MAV_CMD_GUIDED_CHANGE_HEADING, (1.0, float(words["heading_deg"]) % 360.0, 0.0), None
             case "goto_point":
@@ -327,6 +388,7 @@ _ASKED: Final = ("MISSION_REQUEST", "MISSION_REQUEST_INT")
 _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
     "COMMAND_ACK": Fleet._on_ack,
     "STATUSTEXT": Fleet._on_text,
+    "PARAM_VALUE": Fleet._on_param,
     "TIMESYNC": Fleet._on_sync,
     **dict.fromkeys((*_ASKED, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"), Fleet._on_mission),
 }

@@ -6,6 +6,7 @@ from typing import Any, Final, NoReturn
 
 from delfim.clock import Clock
 from delfim.console.boats import Boat
+from delfim.console.fleet import NO_MISSION
 from delfim.console.statetape import States
 from delfim.console.tape import Session, Tape
 from delfim.errors import DelfimError, FormatError, Refused
@@ -59,7 +60,7 @@ class Replay:
                 self._tell({"t": "text", **said, "at_s": text.at_s})
 
     def snapshot(self) -> list[dict[str, Any]]:
-        nothing: dict[str, Any] = {"mission": {"state": "none"}, "home": None, "fence": [], "obstacles": []}
+        nothing: dict[str, Any] = {"mission": NO_MISSION, "home": None, "fence": [], "obstacles": []}
         return [boat.snapshot(self.at_s) | nothing for _, boat in sorted(self.boats.items())]
 
     # What only boats that are there can do.

@@ -16,6 +16,8 @@ REPEAT_S: Final = 1.5
 TIMEOUT_S: Final = 60.0
 ITEMS_MAX: Final = 2000
 WAYPOINTS, FENCE, HOME = 0, 1, 2  # MAV_MISSION_TYPE
+ORDER: Final = (FENCE, HOME, WAYPOINTS)  # a mission that a new fence cuts is forgotten aboard: it comes after
+OWN_SPEED: Final = -2.0  # the boat's
 
 
 class Item(NamedTuple):
@@ -49,7 +51,6 @@ def mission_of(name: str, items: Sequence[Sequence[Item]]) -> dict[str, Any]:
             waypoints.append(
                 place | {"speed_mps": speed_mps, "acceptance_m": item.words[1], "hold_s": item.words[0], "turn": None}
             )
-            speed_mps = 0.0
     fence = [(i.x / 1e7, i.y / 1e7) for i in items[FENCE] if i.command == mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION]
     obstacles = [
         {"latitude_deg": i.x / 1e7, "longitude_deg": i.y / 1e7, "radius_m": i.words[0]}
@@ -66,11 +67,30 @@ def digest(mission: dict[str, Any]) -> str:
     return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:12]
 
 
+def item_of(mission: dict[str, Any], waypoint: int) -> int:
+    """The number of a waypoint's item, from 0. Raises FormatError where there is no such waypoint."""
+    places = _places(mission)
+    if not 0 <= waypoint < len(places):
+        raise FormatError(f"no waypoint {waypoint}: the mission has {len(places)}")
+    return places[waypoint]
+
+
+def waypoint_of(mission: dict[str, Any], item: int) -> int:
+    """The waypoint that an item is or belongs to, from 0; a change of speed belongs to the waypoint behind it."""
+    return sum(place < item for place in _places(mission))
+
+
+def _places(mission: dict[str, Any]) -> list[int]:
+    return [n for n, item in enumerate(_waypoints(mission)) if item.command == mavlink.MAV_CMD_NAV_WAYPOINT]
+
+
 def _waypoints(mission: dict[str, Any]) -> list[Item]:
-    items = []
+    items, speed_mps = [], 0.0
     for each in mission["waypoints"]:
-        if each.get("speed_mps"):
-            items.append(Item(mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, float(each["speed_mps"]), -1.0, 0.0)))
+        wanted_mps = float(each.get("speed_mps") or 0.0)
+        if wanted_mps != speed_mps:  # holds from here on
+            speed_mps = wanted_mps
+            items.append(Item(mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, speed_mps or OWN_SPEED, -1.0, 0.0)))
         words = (float(each.get("hold_s") or 0.0), float(each.get("acceptance_m") or 0.0), 0.0, 0.0)
         items.append(Item(mavlink.MAV_CMD_NAV_WAYPOINT, words, *_place(each)))
     return items
@@ -132,6 +152,8 @@ class Upload:
         self._heard_s = now_s
         if message.get_type() == "MISSION_ACK":
             well = message.type == mavlink.MAV_MISSION_ACCEPTED
+            if well and self._asked_for < len(self._items) - 1:
+                return  # it was overtaken: of an upload before this one
             self._ended("" if well else f"refused: {_result(message.type)}")
         elif 0 <= message.seq < len(self._items):
             self._asked_for = message.seq
@@ -175,7 +197,8 @@ class Download:
         self._heard_s = now_s
         kind = message.get_type()
         if kind == "MISSION_ACK":
-            self._ended(f"refused: {_result(message.type)}")
+            if message.type != mavlink.MAV_MISSION_ACCEPTED:  # which is of an upload, and was overtaken
+                self._ended(f"refused: {_result(message.type)}")
         elif kind == "MISSION_COUNT" and self._count < 0:
             if message.count > ITEMS_MAX:
                 self._ended(f"{message.count} items are more than {ITEMS_MAX}")

@@ -22,6 +22,7 @@ class FakeBoat:
         self.number, self.clock, self._say = number, clock, say
         self.mode, self.thrust, self.obeyed = 4, [], []
         self.refuse: str | None = None
+        self.profile = 2
         self.position = [386_900_000 + number * 1000, -92_150_000]
         self.aboard: dict[int, list[Any]] = {0: [], 1: [], 2: []}
         self._incoming: tuple[int, int, list[Any]] | None = None
@@ -73,6 +74,9 @@ class FakeBoat:
             self.thrust.append((m.x, m.r))
         elif kind in ("COMMAND_LONG", "COMMAND_INT"):
             self._command(m)
+        elif kind == "PARAM_SET":
+            self.profile = int(m.param_value)
+            self.say(mavlink.MAVLink_param_value_message(m.param_id.encode(), m.param_value, m.param_type, 1, 0))
         elif kind == "TIMESYNC":
             self.say(mavlink.MAVLink_timesync_message(round(self.clock.monotonic_s() * 1e9) + 1, m.ts1))
         elif kind.startswith("MISSION_"):

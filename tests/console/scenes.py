@@ -3,6 +3,7 @@
 import asyncio
 import base64
 import io
+import itertools
 import math
 import sys
 import tempfile
@@ -33,7 +34,9 @@ def survey() -> Message:
     fence = [list(place(*corner)) for corner in ((-140, -300), (150, -300), (150, 250), (-140, 250))]
     buoy, home = place(-30, 120), place(100, 205)
     return {
-        **{"name": "Survey", "waypoints": waypoints(SURVEY), "fence": fence},
+        "name": "Survey",
+        "waypoints": waypoints(SURVEY),
+        "fence": fence,
         "obstacles": [{"latitude_deg": buoy[0], "longitude_deg": buoy[1], "radius_m": 18}],
         "home": {"latitude_deg": home[0], "longitude_deg": home[1]},
     }
@@ -56,11 +59,19 @@ def chart() -> bytes:
     bank = [212 + 14 * math.sin(x / 210) + 5 * math.sin(x / 33) for x in east]
     axes.fill_between(east, bank, 400, color="#efe6cf")
     axes.plot(east, bank, color="#8a7d5c", linewidth=1.6)
-    basin = [(150, 224), (150, 285), (310, 285), (310, 222), (280, 222), (280, 196), (276, 196), (276, 250), (165, 250)]
-    axes.add_patch(pyplot.Polygon(basin, facecolor="#e9f3f4", edgecolor="#8a7d5c", linewidth=1.6))
-    for x in range(-560, 620, 62):
+    axes.add_patch(pyplot.Rectangle((150, 200), 160, 90, facecolor="#e9f3f4"))
+    for quay in (((150, 221), (150, 290), (310, 290), (310, 211), (215, 200)), ((150, 221), (172, 206))):
+        axes.plot(*zip(*quay, strict=True), color="#8a7d5c", linewidth=1.6)
+    for x in range(-560, 120, 62):
         axes.add_patch(pyplot.Rectangle((x, 300 + 9 * math.sin(x)), 40, 32, facecolor="#dccfae", edgecolor="#b5a67f"))
-    for x, y, words in ((-480, -180, "9.2"), (-200, -220, "10.1"), (120, -190, "8.7"), (420, -120, "7.4"), (-380, 40, "4.1"), (330, 70, "3.3")):
+    for x, y, words in (
+        (-480, -180, "9.2"),
+        (-200, -220, "10.1"),
+        (120, -190, "8.7"),
+        (420, -120, "7.4"),
+        (-380, 40, "4.1"),
+        (330, 70, "3.3"),
+    ):
         axes.text(x, y, words, color="#6d93a6", fontsize=9)
     picture = io.BytesIO()
     figure.savefig(picture, format="png")
@@ -92,7 +103,7 @@ class Day:
     def _step(self, later_s: float) -> None:
         self.along_m += SPEED_MPS * later_s
         left_m, delfimx = self.along_m, self.gateway.boat(2)
-        for leg, (a, b) in enumerate(zip(SURVEY, SURVEY[1:], strict=False)):
+        for leg, (a, b) in enumerate(itertools.pairwise(SURVEY)):
             length_m = math.dist(a, b)
             if left_m <= length_m:
                 part = left_m / length_m
@@ -101,7 +112,9 @@ class Day:
                 at = place(a[0] + part * (b[0] - a[0]), a[1] + part * (b[1] - a[1]))
                 to = place(*b)
                 self._put(delfimx, at, heading + weave, SPEED_MPS, 930 + 60 * math.sin(self.along_m / 5))
-                delfimx["reference"] = reference(latitude_deg=to[0], longitude_deg=to[1], leg=leg + 1, distance_m=length_m - left_m)
+                delfimx["reference"] = reference(
+                    latitude_deg=to[0], longitude_deg=to[1], leg=leg + 1, distance_m=length_m - left_m
+                )
                 delfimx["mission"]["current"] = leg + 1
                 break
             left_m -= length_m
@@ -217,9 +230,11 @@ async def replayed(page: Page, picture: Picture) -> None:
     gateway = at_work()
     gateway.hello["replay"] = {"from_s": gateway.at_s - 300, "to_s": gateway.at_s + 1500}
     async with gateway.serving():
+        day = Day(gateway)
+        await day.sail(0.1)
         await opened(page, gateway)
         await show(page, -150, -300, 180, 260)
-        await Day(gateway).sail(180)
+        await day.sail(180)
         await picture("replay")
 
 
@@ -228,7 +243,10 @@ async def many(page: Page, picture: Picture) -> None:
     async with Standin(boats).serving() as gateway:
         gateway.history = {each["id"]: hour(each) for each in boats}
         await opened(page, gateway)
-        await gateway.frame()
+        for i in range(300):
+            for each in boats:
+                each["rpm"] = [800 + 150 * math.sin(i / 30 + each["id"]), 830 + 150 * math.sin(i / 31 + each["id"])]
+            await gateway.frame()
         await picture("fleet")
 
 
@@ -239,8 +257,15 @@ def fleet(size: int) -> list[Message]:
             i + 1,
             f"Boat {i + 1}",
             colours[i % 10],
-            **{"north_m": 60 * (i % 4) - 90, "east_m": 90 * (i // 4) - 120, "mode": "play", "speed_mps": 1.5, "speed_pct": 50},
-            **{"heading_deg": 36.0 * i, "course_deg": 36.0 * i, "rpm": [800.0 + 20 * i, 830.0 + 20 * i], "armed": True},
+            north_m=60 * (i % 4) - 90,
+            east_m=90 * (i // 4) - 120,
+            mode="play",
+            speed_mps=1.5,
+            speed_pct=50,
+            heading_deg=36.0 * i,
+            course_deg=36.0 * i,
+            rpm=[800.0 + 20 * i, 830.0 + 20 * i],
+            armed=True,
         )
         for i in range(size)
     ]
@@ -260,10 +285,12 @@ def hour(each: Message) -> list[list[float]]:
 
 async def phone(page: Page, picture: Picture) -> None:
     async with at_work().serving() as gateway:
+        day = Day(gateway)
+        await day.sail(0.1)
         await opened(page, gateway, width=390, height=780)
         await page.press("Tab")
-        await show(page, -150, -100, 120, 100)
-        await Day(gateway).sail(120)
+        await show(page, -130, -190, 110, 40)
+        await day.sail(120)
         await picture("phone")
 
 

@@ -22,11 +22,36 @@ def boat(number: int, name: str, colour: str, *, north_m: float = 0.0, east_m: f
     """A boat as the gateway tells it, lying idle north and east of the Doca."""
     latitude_deg, longitude_deg = place(north_m, east_m)
     return {
-        **{"id": number, "name": name, "colour": colour, "latitude_deg": latitude_deg, "longitude_deg": longitude_deg},
-        **{"heading_deg": 40.0, "course_deg": 40.0, "speed_mps": 0.0, "mode": "idle", "asked": None, "armed": False},
-        **{"owner": True, "ready": True, "reason": "", "failsafe": "", "rpm": [0.0, 0.0], "thrust_pct": [0.0, 0.0]},
-        **{"speed_pct": 0, "battery_v": 49.6, "battery_pct": 87, "roll_deg": 0.4, "pitch_deg": -0.2, "satellites": 14},
-        **{"fix": "3D", "reference": None, "home": None, "fence": [], "obstacles": [], "ghost": None, "released": False},
+        "id": number,
+        "name": name,
+        "colour": colour,
+        "latitude_deg": latitude_deg,
+        "longitude_deg": longitude_deg,
+        "heading_deg": 40.0,
+        "course_deg": 40.0,
+        "speed_mps": 0.0,
+        "mode": "idle",
+        "asked": None,
+        "armed": False,
+        "owner": True,
+        "ready": True,
+        "reason": "",
+        "failsafe": "",
+        "rpm": [0.0, 0.0],
+        "thrust_pct": [0.0, 0.0],
+        "speed_pct": 0,
+        "battery_v": 49.6,
+        "battery_pct": 87,
+        "roll_deg": 0.4,
+        "pitch_deg": -0.2,
+        "satellites": 14,
+        "fix": "3D",
+        "reference": None,
+        "home": None,
+        "fence": [],
+        "obstacles": [],
+        "ghost": None,
+        "released": False,
         "age_s": {"heard": 0.1, "position": 0.1, "attitude": 0.1, "rpm": 0.1, "battery": 0.9},
         "link": {"kind": "udp", "profile": "wifi", "rtt_ms": 3.2, "loss_pct": 0.0, "bytes_per_s": 1960, "signed": True},
         "mission": {"name": "", "count": 0, "current": None, "state": "none", "digest": None},
@@ -44,7 +69,13 @@ class Standin:
 
     def __init__(self, boats: list[Message], *, backgrounds: tuple[Message, ...] = (), replay: Message | None = None) -> None:
         self.boats = boats
-        self.hello: Message = {"version": "0", "me": "console-1", "keys": [], "backgrounds": list(backgrounds), "replay": replay}
+        self.hello: Message = {
+            "version": "0",
+            "me": "console-1",
+            "keys": [],
+            "backgrounds": list(backgrounds),
+            "replay": replay,
+        }
         self.charts: dict[str, bytes] = {}
         self.said: list[Message] = []
         self.plans: dict[int, Message] = {}
@@ -87,13 +118,14 @@ class Standin:
 
     async def until(self, wanted: Callable[[Message], bool], timeout_s: float = 20.0) -> Message:
         """The first message since the last `forget` that is as wanted; frames go on meanwhile."""
-        async with asyncio.timeout(timeout_s):
-            while True:
-                for message in self.said:
-                    if wanted(message):
-                        return message
-                await self.frame()
-                await asyncio.sleep(0.02)
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not (found := [message for message in self.said if wanted(message)]):
+                    await self.frame()
+                    await asyncio.sleep(0.02)
+        except TimeoutError:
+            raise AssertionError(f"not heard; heard was {self.said}") from None
+        return found[0]
 
     async def command(self, command: str, number: int | str = 1) -> Message:
         """Wait for a command to this boat."""
@@ -115,13 +147,13 @@ class Standin:
         socket = web.WebSocketResponse()
         await socket.prepare(request)
         await socket.send_json({"t": "hello", **self.hello, "boats": self.boats})
+        self._sockets.add(socket)
         for number, points in self.history.items():
             for first in range(0, len(points), 500):
                 chunk = {"t": "track", "boat": number, "start": first == 0, "points": points[first : first + 500]}
                 await socket.send_json(chunk)
         for number, mission in self.plans.items():
             await socket.send_json({"t": "mission", "boat": number, "where": "here", "mission": mission})
-        self._sockets.add(socket)
         try:
             async for message in socket:
                 if message.type is WSMsgType.TEXT:

@@ -1,6 +1,7 @@
 """The console's truth against boats on good and bad links, on a clock of the test's own."""
 
 import random
+import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
@@ -289,7 +290,7 @@ def test_what_was_recorded_and_is_played_again_changes_nothing(tmp_path: Any) ->
 def test_a_profile_sets_the_rates(sea: Sea) -> None:
     sea.ask(1, "profile", profile="lean")
     sea.run(3.0)
-    assert (511, mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2, 1e6, 0) in sea.boats[1].obeyed
+    assert sea.boats[1].profile == 0
     assert (sea.answers, sea.shown(1)["link"]["profile"]) == ([(True, "")], "lean")
 
 
@@ -297,3 +298,57 @@ def test_tracks_hold_a_point_a_second_and_no_more_than_ten_hours(sea: Sea) -> No
     sea.run(60.0)
     assert 55 <= len(sea.fleet.boats[1].track) <= 65
     assert sea.fleet.boats[1].track.maxlen == 36_000
+
+
+def test_ten_boats_at_ten_hertz_need_no_more_memory_with_time(sea: Sea) -> None:
+    """What an hour leaves behind is bounded by what the console keeps: nothing else grows from one hour to the next."""
+    fleet = Fleet(sea.clock, lambda address, data: None, lambda message: None)
+    position = mavlink.MAVLink_global_position_int_message(0, 386_900_000, -92_150_000, 0, 0, 100, 50, 0, 9000)
+    codecs = [mavlink.MAVLink(None, n, 1) for n in range(1, 11)]
+    for codec in codecs:
+        beat = mavlink.MAVLink_heartbeat_message(11, 0, 1, 4, 4, 3)
+        fleet.receive(("udp", codec.srcSystem), beat.pack(codec))
+    frames = [position.pack(codec) for codec in codecs]
+
+    def sail(seconds: int) -> None:
+        for _ in range(seconds * 10):
+            sea.clock.advance(0.1)
+            for n, frame in enumerate(frames, 1):
+                fleet.receive(("udp", n), frame)
+            fleet.tick()
+
+    sail(60)
+    for boat in fleet.boats.values():  # as after ten hours
+        boat.track.extend((float(n), 38.69, -9.21) for n in range(36_000))
+    tracemalloc.start()
+    try:
+        sail(30)
+        before, _ = tracemalloc.get_traced_memory()
+        sail(60)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(fleet.boats) == 10
+    assert after - before < 100_000, "bytes in a minute of 6,000 messages"
+
+
+def test_boats_are_never_mixed(sea: Sea) -> None:
+    """Words, thrust, missions and releases for one of three by turns: the others hear nothing but heartbeats and time."""
+    sea = Sea(1, 2, 3)
+    sea.run(3.0)
+    turns = random.Random(5)
+    wanted: dict[int, int] = {1: 0, 2: 0, 3: 0}
+    for n in range(60):
+        number = turns.choice((1, 2, 3))
+        match turns.randrange(3):
+            case 0:
+                sea.ask(number, turns.choice(("hold", "idle", "heading")))
+                wanted[number] += 1
+            case 1:
+                sea.fleet.input(number, n, float(number), float(number))
+            case _:
+                sea.fleet.release(number, "test")
+        sea.run(1.2)
+    assert {n: len(boat.obeyed) for n, boat in sea.boats.items()} == wanted
+    for number, boat in sea.boats.items():  # FakeBoat fails for whatever names another boat
+        assert set(boat.thrust) <= {(10 * number, 0), (0, 0)}

@@ -17,8 +17,17 @@ PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil
 START_S = 20.0
 MODIFIERS = {"Alt": 1, "Control": 2, "Meta": 4, "Shift": 8}
 VIRTUAL_KEYS = {
-    **{"Tab": 9, "Enter": 13, "Escape": 27, " ": 32, "ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40},
-    **{"F1": 112, "+": 187, "-": 189},
+    "Tab": 9,
+    "Enter": 13,
+    "Escape": 27,
+    " ": 32,
+    "ArrowLeft": 37,
+    "ArrowUp": 38,
+    "ArrowRight": 39,
+    "ArrowDown": 40,
+    "F1": 112,
+    "+": 187,
+    "-": 189,
 }
 
 

@@ -321,7 +321,7 @@ def test_what_is_told_is_what_is(sea):
     assert [m.index for m in heard if m.get_type() == "RAW_RPM"][:2] == [0, 1]
     servos = newest(heard, "SERVO_OUTPUT_RAW")
     rpm = sea.state.actuation
-    assert (servos.servo1_raw, servos.servo3_raw) == (1500 + round(rpm.port_rpm / 2.4), 1500 + round(rpm.starboard_rpm / 2.4))
+    assert (servos.servo1_raw, servos.servo2_raw) == (1500 + round(rpm.port_rpm / 2.4), 1500 + round(rpm.starboard_rpm / 2.4))
     health = newest(heard, "SYS_STATUS")
     assert health.onboard_control_sensors_health & 0x10000000
     assert (health.voltage_battery, health.battery_remaining) == (48000, 90)
@@ -528,6 +528,14 @@ def test_a_command_repeated_for_want_of_an_answer_is_answered_and_not_obeyed_twi
     sail(sea, 1.0)
     assert sea.console.command(300, 0, confirmation=1)[0] == ACCEPTED
     assert sea.log == before
+
+
+@pytest.mark.parametrize("stop", [(176, 1, 4), (400, 0)])
+def test_a_stop_that_is_repeated_stops_again(sea, stop):
+    sea.console.command(*stop)
+    sea.vehicle.on_command(console.Heading(0.0), "console 250")
+    assert sea.console.command(*stop, confirmation=1)[0] == ACCEPTED
+    assert sea.state.mode is Mode.IDLE
 
 
 def test_what_comes_twice_or_late_is_not_obeyed(sea):

@@ -1,6 +1,8 @@
-// Bundles the page into the folder named on the command line (../page without one): console.js, console.css, index.html, LICENSES.txt.
+// Bundles the page into the folder named on the command line (../page without one): console.js, console.css, index.html,
+// LICENSES.txt, sources.json.
 // The same sources and the same lock file give the same bytes.
 import { build } from "esbuild";
+import { createHash } from "node:crypto";
 import { copyFileSync, mkdirSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
 
@@ -34,3 +36,8 @@ const licences = [...packages].sort().map((name) => {
   return `${name} ${version} (${license})\n\n${text}\n`;
 });
 writeFileSync(join(out, "LICENSES.txt"), licences.join("\n" + "-".repeat(78) + "\n\n"));
+
+// What it was made of, so that a test can tell a bundle from before the last change.
+const sources = ["build.mjs", "package-lock.json", ...readdirSync(join(here, "src")).map((name) => `src/${name}`)].sort();
+const digest = (name) => createHash("sha256").update(readFileSync(join(here, name))).digest("hex");
+writeFileSync(join(out, "sources.json"), JSON.stringify(Object.fromEntries(sources.map((name) => [name, digest(name)])), null, 1) + "\n");

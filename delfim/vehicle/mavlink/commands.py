@@ -50,6 +50,12 @@ def order(message: Message) -> Order:
     return Order(message.command, (*first, message.x / 1e7, message.y / 1e7, message.z), message.target_system, 0)
 
 
+def stops(o: Order) -> bool:
+    """Whether this is a stop, in one way or another: right whenever it comes, and however often."""
+    asked = o.p[1] == Mode.IDLE if o.command == dialect.MAV_CMD_DO_SET_MODE else not o.p[0]
+    return asked and o.command in (dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
+
+
 def mode(base: float, custom: float, sub: float) -> console.Commands:
     """DO_SET_MODE. Raises FormatError for what is not ours; nothing must be changed then."""
     if sub:

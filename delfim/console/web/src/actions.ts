@@ -4,6 +4,7 @@ import type { Answer, Net } from "./net";
 import type { State } from "./state";
 import type { Boat, Command, Mission, MissionDeed, Mode, Place } from "./wire";
 
+const WANTED_MS = 2000; // what was asked for is taken for granted so long, until the boat says its own
 const STOP_AGAIN_MS = 200;
 const STOP_MOST = 150; // 30 s; then the gateway's own repetition and the boat's own failsafe remain
 
@@ -13,7 +14,7 @@ type More = Partial<Place> & { heading_deg?: number; speed_pct?: number; leg?: n
 export class Actions {
   /** Boats that were told to stop and have not confirmed it. */
   readonly stopping = new Set<number>();
-  /** The speed set points that were asked for, until the boat says its own. */
+  private readonly wantedMode = new Map<number, { mode: Mode; at: number }>();
   private readonly wanted_pct = new Map<number, { pct: number; at: number }>();
   private readonly wanted_deg = new Map<number, { deg: number; at: number }>();
 
@@ -34,14 +35,26 @@ export class Actions {
   async mode(boat: Boat, mode: Mode): Promise<void> {
     if (mode === "manual") this.drive.begin(boat.id);
     else this.drive.end(boat.id);
+    this.wantedMode.set(boat.id, { mode, at: performance.now() });
     const more: More = mode === "heading" ? this.presentHeading(boat) : {};
     const answer = await this.command(boat.id, mode, more);
-    if (!answer.ok && mode === "manual") this.drive.end(boat.id);
+    if (answer.ok) return;
+    this.wantedMode.delete(boat.id);
+    if (mode === "manual") this.drive.end(boat.id);
+  }
+
+  /** The mode that the boat was asked for and is not in. */
+  asked(boat: Boat): Mode | null {
+    const wanted = this.wantedMode.get(boat.id);
+    const mine = wanted && performance.now() - wanted.at < WANTED_MS ? wanted.mode : null;
+    const asked = boat.asked ?? mine;
+    return asked === boat.mode ? null : asked;
   }
 
   /** Stop one boat, again and again until it is confirmed. */
   stop(id: number): void {
     this.drive.end(id);
+    this.wantedMode.delete(id);
     this.stopping.add(id);
     this.changed();
     this.repeat(
@@ -52,6 +65,7 @@ export class Actions {
 
   stopAll(): void {
     this.drive.endAll();
+    this.wantedMode.clear();
     const ids = this.state.boats.map((each) => each.id);
     ids.forEach((id) => this.stopping.add(id));
     this.changed();
@@ -94,12 +108,12 @@ export class Actions {
   /** The speed asked for, %, as far as this page knows it. */
   speed_pct(boat: Boat): number {
     const wanted = this.wanted_pct.get(boat.id);
-    return wanted && performance.now() - wanted.at < 2000 ? wanted.pct : Math.round(boat.speed_pct ?? 0);
+    return wanted && performance.now() - wanted.at < WANTED_MS ? wanted.pct : Math.round(boat.speed_pct ?? 0);
   }
 
   heading_deg(boat: Boat): number {
     const wanted = this.wanted_deg.get(boat.id);
-    if (wanted && performance.now() - wanted.at < 2000) return wanted.deg;
+    if (wanted && performance.now() - wanted.at < WANTED_MS) return wanted.deg;
     return Math.round(boat.reference?.heading_deg ?? boat.heading_deg ?? 0);
   }
 
@@ -123,7 +137,7 @@ export class Actions {
   }
 
   private inMode(boat: Boat, mode: Mode): boolean {
-    return (boat.asked ?? boat.mode) === mode || (mode === "manual" && this.drive.hand(boat.id) !== undefined);
+    return (this.asked(boat) ?? boat.mode) === mode || (mode === "manual" && this.drive.hand(boat.id) !== undefined);
   }
 
   private presentHeading(boat: Boat): More {

@@ -7,12 +7,9 @@ import { CARD } from "./keys";
 import type { State } from "./state";
 import type { Place } from "./wire";
 
-const HOLD_MS = 80; // a stop is taken when the finger comes down, and once
-
-/** Always there, the same code as the keys: no menu, no question. */
+/** Always there, the same code as the keys: no menu, no question, and taken when the finger comes down. */
 export class Corner {
   private readonly name: Element;
-  private at = -Infinity;
 
   constructor(
     private readonly stop: HTMLElement,
@@ -25,8 +22,6 @@ export class Corner {
     const press = (button: HTMLElement, act: () => void) =>
       button.addEventListener("pointerdown", (event) => {
         event.preventDefault();
-        if (event.timeStamp - this.at < HOLD_MS) return;
-        this.at = event.timeStamp;
         close();
         act();
       });
@@ -83,6 +78,6 @@ export function dryRunCard(box: HTMLElement, state: State): void {
 export function whereWords(place: Place, state: State): string {
   const boat = state.boat;
   const from = boat && boatPosition(boat);
-  const range = from ? `   ${metres(distance_m(from, place))}  ${bearing(bearing_deg(from, place))}` : "";
+  const range = from ? `     ${metres(distance_m(from, place))}  ${bearing(bearing_deg(from, place))} from ${boat.name}` : "";
   return position(place) + range;
 }

@@ -91,7 +91,7 @@ export class Fleet {
     const place = position(boat);
     const lost = freshness(age_s(this.state, boat)) === "lost";
     this.dress(shown, boat, lost);
-    if (place && !lost) this.append(shown, boat, this.state.at_s - (boat.age_s.position ?? 0), place);
+    if (place && !lost && this.state.at_s) this.append(shown, boat, this.state.at_s - (boat.age_s.position ?? 0), place);
     const here = place && point(place);
     put(shown.symbol, here && new Point(here));
     put(shown.ring, here && boat.id === this.state.selected ? new Point(here) : null);
@@ -149,7 +149,7 @@ export class Fleet {
     shown.ring.setStyle(new Style({ image: new Disc({ radius: 23, stroke: new Stroke({ color: palette.accent, width: 2 }) }), zIndex: 7 }));
     shown.course.setStyle(cased(inked(boat.colour), 1.6));
     shown.reference.setStyle(cased(palette.accent, 1.6, [7, 6]));
-    shown.tail.setStyle(cased(inked(boat.colour, 0.95), 2.4));
+    shown.tail.setStyle(cased(inked(boat.colour, 0.6), 5));
     shown.ghost.setStyle(
       new Style({ fill: new Fill({ color: inked(boat.colour, 0.12) }), stroke: new Stroke({ color: inked(boat.colour), width: 1.5, lineDash: [4, 5] }) }),
     );
@@ -163,7 +163,7 @@ export class Fleet {
     shown.points.push(point(place));
     if (shown.points.length < CHUNK) return;
     const closed = new Feature(new LineString(shown.points));
-    closed.setStyle(cased(inked(boat.colour, 0.75), 1.8));
+    closed.setStyle(cased(inked(boat.colour, 0.5), 4));
     this.closedTracks.addFeature(closed);
     shown.closed.push(closed);
     if (shown.closed.length > CHUNKS_MOST) this.closedTracks.removeFeature(shown.closed.shift()!);
@@ -177,7 +177,7 @@ export class Fleet {
 
   private repaint(): void {
     for (const boat of this.state.boats) {
-      for (const closed of this.shown.get(boat.id)?.closed ?? []) closed.setStyle(cased(inked(boat.colour, 0.75), 1.8));
+      for (const closed of this.shown.get(boat.id)?.closed ?? []) closed.setStyle(cased(inked(boat.colour, 0.5), 4));
     }
     this.aboardKey = "";
     this.draw();
@@ -267,7 +267,7 @@ function symbol(colour: string, hollow: boolean): HTMLCanvasElement {
     hulls.closePath();
   }
   const deck = new Path2D();
-  deck.roundRect(-17, -10, 34, 32, 4);
+  deck.roundRect(-17, -4, 34, 34, 5);
   const stroke = (tint: string, width: number) => {
     [pen.strokeStyle, pen.lineWidth] = [tint, width];
     pen.stroke(deck);

@@ -60,6 +60,7 @@ state.on(["theme"], () => chart.paint());
 state.on(["boats"], () => {
   if (!placed && state.boats.some((boat) => position(boat))) show();
 });
+state.on(["selection"], () => document.querySelector(".chip.selected")?.scrollIntoView({ block: "nearest", inline: "nearest" }));
 setInterval(listen, 500);
 window.addEventListener("resize", pad);
 window.addEventListener("beforeunload", (event) => {
@@ -73,7 +74,7 @@ function heard(message: Heard): void {
       state.hello = message;
       state.backgrounds = message.backgrounds;
       chart.setBackgrounds(message.backgrounds);
-      state.takeBoats(message.boats, state.at_s || Date.now() / 1000);
+      state.takeBoats(message.boats, state.at_s);
       state.tell("hello");
       if (state.selected !== null && !state.replaying) void net.ask({ t: "mission", boat: state.selected, do: "list" });
       return;
@@ -194,7 +195,7 @@ function show(): void {
 
 function pad(): void {
   const narrow = innerWidth < 700;
-  chart.setPadding(narrow ? [90, 30, 130, 30] : [40, 110, 60, element("strips").offsetWidth + 40]);
+  chart.setPadding(narrow ? [90, 30, 130, 30] : [40, 110, 60, element("strips").offsetWidth + 30]);
 }
 
 /** For tests and for the curious: where a place is on the screen, and how many frames the last second had. */
@@ -208,11 +209,13 @@ requestAnimationFrame(frame);
 Object.assign(window, {
   delfim: {
     pixel: (latitude_deg: number, longitude_deg: number) => chart.pixelOf({ latitude_deg, longitude_deg }),
-    fit: (south: number, west: number, north: number, east: number) =>
+    fit: (south: number, west: number, north: number, east: number) => {
       chart.fit([
         { latitude_deg: south, longitude_deg: west },
         { latitude_deg: north, longitude_deg: east },
-      ]),
+      ]);
+      chart.map.renderSync();
+    },
     frames: () => frames.length,
   },
 });

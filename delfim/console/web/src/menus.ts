@@ -13,6 +13,7 @@ import type { Sound } from "./sound";
 import type { State } from "./state";
 import type { Boat, Mission, Place, Waypoint } from "./wire";
 
+const ASIDE: Pixel = [Infinity, 60]; // a form that shapes the plan does not stand on it
 const PROFILES = ["lean", "radio", "wifi"];
 
 export class Menus {
@@ -45,7 +46,7 @@ export class Menus {
       { title: "Heading…", do: () => this.headingForm(boat, at) },
       { title: "Speed…", key: "0 … 8", do: () => this.speedForm(boat, at) },
       "line",
-      { title: "Mission", sub: () => this.mission(boat, at) },
+      { title: "Mission", sub: () => this.mission(boat) },
       { title: "More", sub: () => this.more(boat) },
     ]);
   }
@@ -53,7 +54,7 @@ export class Menus {
   /** The menu of the bare map. */
   map(place: Place, at: Pixel): void {
     const boat = this.state.boat;
-    this.popup.menu(at, { title: position(place) }, [...(boat ? this.here(boat, place, at) : []), ...this.view(place)]);
+    this.popup.menu(at, { title: position(place) }, [...(boat ? this.here(boat, place) : []), ...this.view(place)]);
   }
 
   handle(handle: Handle, at: Pixel): void {
@@ -71,7 +72,7 @@ export class Menus {
   }
 
   /** A form whose numbers are shown on the map at once, and are the plan's after OK. */
-  private shape(boat: Boat, at: Pixel, title: string, fields: Field[], made: (mission: Mission, values: number[]) => Mission): void {
+  private shape(boat: Boat, title: string, fields: Field[], made: (mission: Mission, values: number[]) => Mission): void {
     const before = this.state.plan(boat.id).mission;
     let next = before;
     const live = (values: number[]) => {
@@ -79,7 +80,7 @@ export class Menus {
       this.plans.preview(next);
       return `${next.waypoints.length} waypoints · ${metres(M.length_m(next))}`;
     };
-    this.popup.form(at, title, fields, live, (ok) => {
+    this.popup.form(ASIDE, title, fields, live, (ok) => {
       this.plans.preview(null);
       if (ok) this.edit(boat.id, next);
     });
@@ -128,7 +129,7 @@ export class Menus {
     ];
   }
 
-  private mission(boat: Boat, at: Pixel): Entry[] {
+  private mission(boat: Boat): Entry[] {
     const { mission, undoable } = this.state.plan(boat.id);
     const none = mission.waypoints.length ? undefined : "the plan has no waypoints";
     const others = this.state.boats.filter((each) => each.id !== boat.id);
@@ -142,7 +143,7 @@ export class Menus {
       { title: "Load", sub: () => this.stored(boat) },
       "line",
       { title: "Undo", key: "Ctrl Z", refuse: undoable ? undefined : "nothing to undo", do: this.undo },
-      { title: "All waypoints…", refuse: none, do: () => this.allForm(boat, at) },
+      { title: "All waypoints…", refuse: none, do: () => this.allForm(boat) },
       { title: "Reverse the order", refuse: none, do: () => this.change(boat, (each) => ({ ...each, waypoints: reversed(each.waypoints) })) },
       { title: "Copy to another boat", refuse: others.length ? undefined : "there is no other boat", sub: () => others.map((other) => this.copy(boat, other)) },
       { title: "New mission", note: "empty; undo brings this one back", do: () => this.edit(boat.id, M.empty(newName("Mission", this.state.names))) },
@@ -182,14 +183,14 @@ export class Menus {
     void this.actions.mission(boat.id, "dryrun");
   }
 
-  private allForm(boat: Boat, at: Pixel): void {
+  private allForm(boat: Boat): void {
     const first = this.state.plan(boat.id).mission.waypoints[0]!;
-    this.shape(boat, at, "All waypoints", [speedField(first.speed_mps), acceptanceField(first.acceptance_m)], (mission, [speed, acceptance]) =>
+    this.shape(boat, "All waypoints", [speedField(first.speed_mps), acceptanceField(first.acceptance_m)], (mission, [speed, acceptance]) =>
       M.setAll(mission, { speed_mps: speed!, acceptance_m: acceptance! }),
     );
   }
 
-  private here(boat: Boat, place: Place, at: Pixel): Entry[] {
+  private here(boat: Boat, place: Place): Entry[] {
     const { mission, undoable } = this.state.plan(boat.id);
     const best = M.bestIndex(mission, place);
     const size = mission.waypoints.length;
@@ -201,9 +202,9 @@ export class Menus {
     ];
     if (best < size) entries.push({ title: "Insert waypoint", note: `between ${best} and ${best + 1}`, do: insert(best) });
     entries.push(
-      { title: "Pattern", sub: () => this.patterns(boat, place, at) },
-      { title: "Fence, obstacle, home", sub: () => this.marks(boat, place, at) },
-      { title: "Mission", sub: () => this.mission(boat, at) },
+      { title: "Pattern", sub: () => this.patterns(boat, place) },
+      { title: "Fence, obstacle, home", sub: () => this.marks(boat, place) },
+      { title: "Mission", sub: () => this.mission(boat) },
     );
     if (undoable) entries.push({ title: "Undo", key: "Ctrl Z", do: this.undo });
     return [...entries, "line"];
@@ -254,7 +255,7 @@ export class Menus {
     });
   }
 
-  private patterns(boat: Boat, place: Place, at: Pixel): Entry[] {
+  private patterns(boat: Boat, place: Place): Entry[] {
     const heading = M.mainHeading_deg(this.state.plan(boat.id).mission);
     const from_deg = boat.latitude_deg === null ? 0 : bearing_deg(place, boat as Place);
     const onto = (mission: Mission, fresh: Waypoint[]): Mission => ({ ...mission, waypoints: [...mission.waypoints, ...fresh] });
@@ -266,7 +267,6 @@ export class Menus {
         do: () =>
           this.shape(
             boat,
-            at,
             "Lawn-mower",
             [
               number("Length", 100, 10),
@@ -280,34 +280,34 @@ export class Menus {
       {
         title: "Circle…",
         do: () =>
-          this.shape(boat, at, "Circle", [number("Radius", 40, 5), side], (mission, [radius, turn]) =>
+          this.shape(boat, "Circle", [number("Radius", 40, 5), side], (mission, [radius, turn]) =>
             onto(mission, M.circle(place, radius!, from_deg, turn === 1)),
           ),
       },
       {
         title: "Spiral…",
         do: () =>
-          this.shape(boat, at, "Spiral", [number("Radius", 40, 5), number("Spacing", 10, 2, 1), side], (mission, [radius, spacing, turn]) =>
+          this.shape(boat, "Spiral", [number("Radius", 40, 5), number("Spacing", 10, 2, 1), side], (mission, [radius, spacing, turn]) =>
             onto(mission, M.spiral(place, radius!, spacing!, from_deg, turn === 1)),
           ),
       },
     ];
   }
 
-  private marks(boat: Boat, place: Place, at: Pixel): Entry[] {
+  private marks(boat: Boat, place: Place): Entry[] {
     const { mission } = this.state.plan(boat.id);
     const fence: Item = mission.fence.length
       ? { title: "Fence corner here", do: () => this.change(boat, (each) => M.insertCorner(each, place)) }
       : {
           title: "Fence around here…",
           do: () =>
-            this.shape(boat, at, "Fence", [{ title: "Side", unit: "m", value: 200, step: 10, least: 20, most: 5000 }], (each, [side]) =>
+            this.shape(boat, "Fence", [{ title: "Side", unit: "m", value: 200, step: 10, least: 20, most: 5000 }], (each, [side]) =>
               M.squareFence(each, place, side!),
             ),
         };
     return [
       fence,
-      { title: "Obstacle here…", do: () => this.obstacleForm(boat, mission.obstacles.length, place, 10, at) },
+      { title: "Obstacle here…", do: () => this.obstacleForm(boat, mission.obstacles.length, place, 10) },
       { title: "Home is here", do: () => this.change(boat, (each) => ({ ...each, home: { ...place } })) },
     ];
   }
@@ -324,7 +324,7 @@ export class Menus {
     });
     const note = before ? `${bearing(bearing_deg(before, its))}  ${metres(distance_m(before, its))}` : position(its);
     this.popup.menu(at, { title: `Waypoint ${index + 1}`, colour: boat.colour, note }, [
-      { title: "Speed, acceptance, hold…", note: waypointWords(its), do: () => this.waypointForm(boat, index, at) },
+      { title: "Speed, acceptance, hold…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
       { title: "Leg to it", refuse: before ? undefined : "it is the first", sub: () => this.legs(boat, index) },
       "line",
       { title: "Insert before", refuse: before ? undefined : "it is the first", do: () => this.change(boat, (each) => M.insertWaypoint(each, index, middle(before!, its))) },
@@ -351,10 +351,10 @@ export class Menus {
     ];
   }
 
-  private waypointForm(boat: Boat, index: number, at: Pixel): void {
+  private waypointForm(boat: Boat, index: number): void {
     const its = this.state.plan(boat.id).mission.waypoints[index]!;
     const hold: Field = { title: "Hold", unit: "s", value: its.hold_s, step: 5, least: 0, most: 3600, zero: "no", show: duration };
-    this.shape(boat, at, `Waypoint ${index + 1}`, [speedField(its.speed_mps), acceptanceField(its.acceptance_m), hold], (mission, [speed, acceptance, wait]) =>
+    this.shape(boat, `Waypoint ${index + 1}`, [speedField(its.speed_mps), acceptanceField(its.acceptance_m), hold], (mission, [speed, acceptance, wait]) =>
       M.setWaypoint(mission, index, { speed_mps: speed!, acceptance_m: acceptance!, hold_s: wait! }),
     );
   }
@@ -362,14 +362,14 @@ export class Menus {
   private obstacle(boat: Boat, index: number, at: Pixel): void {
     const its = this.state.plan(boat.id).mission.obstacles[index]!;
     this.popup.menu(at, { title: "Obstacle", note: `radius ${metres(its.radius_m)}` }, [
-      { title: "Radius…", do: () => this.obstacleForm(boat, index, its, its.radius_m, at) },
+      { title: "Radius…", do: () => this.obstacleForm(boat, index, its, its.radius_m) },
       { title: "Delete", do: () => this.change(boat, (each) => M.deleteObstacle(each, index)) },
     ]);
   }
 
-  private obstacleForm(boat: Boat, index: number, place: Place, radius_m: number, at: Pixel): void {
+  private obstacleForm(boat: Boat, index: number, place: Place, radius_m: number): void {
     const field: Field = { title: "Radius", unit: "m", value: radius_m, step: 1, least: 1, most: 1000 };
-    this.shape(boat, at, "Obstacle", [field], (mission, [radius]) =>
+    this.shape(boat, "Obstacle", [field], (mission, [radius]) =>
       M.setObstacle(mission, index, { latitude_deg: place.latitude_deg, longitude_deg: place.longitude_deg, radius_m: radius! }),
     );
   }

@@ -8,10 +8,11 @@ export class Sound {
 
   constructor() {
     const wake = () => {
+      if (!navigator.userActivation?.hasBeenActive) return; // a finger that comes down does not count yet
       this.context ??= new AudioContext();
       void this.context.resume();
     };
-    for (const event of ["pointerdown", "keydown"]) window.addEventListener(event, wake, { capture: true });
+    for (const event of ["pointerdown", "pointerup", "keydown"]) window.addEventListener(event, wake, { capture: true });
   }
 
   toggle(): void {

@@ -8,6 +8,7 @@ export type DryRun = Extract<Heard, { t: "dryrun" }>;
 
 const FRESH_S = 1.5;
 const OLD_S = 3.5;
+const BATTERY_FACTOR = 6; // it is told every few seconds only
 
 export class State {
   boats: Boat[] = [];
@@ -86,8 +87,9 @@ export function age_s(state: State, boat: Boat, group: keyof Boat["age_s"] = "he
 
 export type Freshness = "fresh" | "late" | "lost";
 
-export function freshness(age: number): Freshness {
-  return age <= FRESH_S ? "fresh" : age <= OLD_S ? "late" : "lost";
+export function freshness(age: number, group: keyof Boat["age_s"] = "heard"): Freshness {
+  const its = group === "battery" ? age / BATTERY_FACTOR : age;
+  return its <= FRESH_S ? "fresh" : its <= OLD_S ? "late" : "lost";
 }
 
 export function ageWords(age: number): string {

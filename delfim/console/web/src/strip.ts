@@ -90,14 +90,14 @@ class Chip {
     this.dot.style.background = boat.colour;
     text(this.name, boat.name);
     text(this.age, ageWords(age));
-    this.drawMode(boat);
+    this.drawMode(boat, actions);
     this.drawSpeed(boat, drive, actions);
     text(this.battery, batteryWords(boat));
     this.battery.classList.toggle("bad", boat.battery_pct !== null && boat.battery_pct < 20);
     this.drawTrouble(boat);
     GROUPS.forEach((group, i) => {
       const its = age_s(state, boat, group);
-      attribute(this.groups[i]!, "data-age", freshness(its));
+      attribute(this.groups[i]!, "data-age", freshness(its, group));
       attribute(this.groups[i]!, "title", `${group}: ${ageWords(its)}`);
     });
     this.drawMission(boat, state);
@@ -112,8 +112,8 @@ class Chip {
     this.graphs.forEach((graph) => graph.repaint());
   }
 
-  private drawMode(boat: Boat): void {
-    const waits = boat.asked !== null && boat.asked !== boat.mode ? boat.asked : null;
+  private drawMode(boat: Boat, actions: Actions): void {
+    const waits = actions.asked(boat);
     if (waits !== this.asked) [this.asked, this.askedAt] = [waits, performance.now()];
     const late = waits !== null && performance.now() - this.askedAt > CONFIRM_LATE_MS;
     const shown = waits ?? boat.mode ?? "unknown";
@@ -124,7 +124,9 @@ class Chip {
   private drawSpeed(boat: Boat, drive: Drive, actions: Actions): void {
     const hand = drive.hand(boat.id);
     const speed = boat.speed_mps === null ? "" : `${boat.speed_mps.toFixed(1)} m/s`;
+    const [port, starboard] = boat.thrust_pct.map((each) => (each === null ? "–" : Math.round(each)));
     if (hand) text(this.speed, hand.silent ? "released" : `P ${hand.port_pct}  S ${hand.starboard_pct} %`);
+    else if (boat.mode === "manual") text(this.speed, `P ${port}  S ${starboard} %`);
     else if (boat.mode === "idle" || boat.mode === null) text(this.speed, speed);
     else text(this.speed, `${actions.speed_pct(boat)} % · ${speed}`);
     this.speed.classList.toggle("bad", hand?.silent ?? false);
@@ -207,12 +209,14 @@ class Graph {
 
 function zeroLine(plot: uPlot): void {
   const y = Math.round(plot.valToPos(0, "y", true)) + 0.5;
-  plot.ctx.strokeStyle = palette.line;
+  plot.ctx.save();
+  plot.ctx.strokeStyle = palette.soft;
   plot.ctx.lineWidth = 1;
   plot.ctx.beginPath();
   plot.ctx.moveTo(plot.bbox.left, y);
   plot.ctx.lineTo(plot.bbox.left + plot.bbox.width, y);
   plot.ctx.stroke();
+  plot.ctx.restore();
 }
 
 function batteryWords({ battery_pct, battery_v }: Boat): string {
