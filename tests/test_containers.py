@@ -46,7 +46,7 @@ def test_the_context_holds_what_the_steps_name() -> None:
     assert [name for name in named if not (ROOT / name).is_file() or Path(name).parts[0] not in kept] == []
 
 
-@pytest.mark.timeout(600)
+@pytest.mark.timeout(900)
 def test_the_simulation_sails_in_the_root_file_system(can_guest: Guest) -> None:
     """Where only it is there, as in a container: read-only but for /run, /tmp and /log."""
     if reason := boat_image.missing():

@@ -134,7 +134,9 @@ def open_to_the_world(pids: set[int]) -> set[tuple[str, str, int]]:
 
 def test_it_listens_where_the_file_says_and_nowhere_else(boat: Boat) -> None:
     found = {each for each in open_to_the_world(family(boat.pid)) if not each[1].startswith("239.")}  # the bus, on loopback
-    assert found == {("tcp", "127.0.0.1", port) for port in boat.ports.values()}
+    host, _, port = boat.state()["mavlink"]["listen"].partition(":")
+    assert found == {("udp", host, int(port)), *(("tcp", "127.0.0.1", port) for port in boat.ports.values())}
+    assert host == "127.0.0.1"
 
 
 def test_slow_visitors_of_all_daemons_leave_the_boat_sailing_and_the_others_served(boat: Boat) -> None:

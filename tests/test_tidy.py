@@ -66,7 +66,7 @@ def test_tasks_are_born_in_the_runtime_or_in_a_group_that_sees_their_end() -> No
 
 
 def test_tests_do_not_sleep() -> None:
-    tests = [path for path in PROGRAMS if "tests" in path.parts and not path.name.startswith("guest_")]
+    tests = [path for path in PROGRAMS if "tests" in path.parts and not path.name.startswith(("guest_", "host_"))]
     assert _lines(tests, re.compile(r"\btime\.sleep" r"\(|\bfrom time import .*\bsleep\b")) == []
 
 

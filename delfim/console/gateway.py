@@ -9,11 +9,10 @@ import asyncio
 import hmac
 import json
 import logging
-import os
 import secrets
+import signal
 import socket
 import sys
-import webbrowser
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
@@ -25,6 +24,7 @@ from aiohttp import WSMsgType, web
 
 from delfim import __version__
 from delfim.clock import Clock, SystemClock
+from delfim.console.browser import show
 from delfim.console.charts import Charts
 from delfim.console.dryrun import dry_run
 from delfim.console.fleet import Fleet
@@ -426,9 +426,10 @@ def run(asked: argparse.Namespace) -> int:
         print(f"delfim: the console is at {url}; {what}", flush=True)
         for complaint in filter(None, [*gateway.charts.faults, *(tape.complaint for tape in tapes)]):
             print(f"delfim: {complaint}", file=sys.stderr)
-        if asked.browser and (sys.platform != "linux" or os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-            webbrowser.open(url)  # not where it would find a browser for terminals
+        if asked.browser:
+            show(url)
 
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # in order: zero to what is steered, the session to the disk
     with suppress(KeyboardInterrupt):
         asyncio.run(serve(gateway, None if tapes else _address(asked.boats), (host, port), ready))
     return 0

@@ -31,7 +31,7 @@ NEEDED = [
     "warp",
     "session",
 ]
-NEEDED += ["tape", "statetape", "replay", "words", "georeference", "projection"]
+NEEDED += ["tape", "statetape", "replay", "words", "browser", "georeference", "projection"]
 
 
 def test_the_console_is_imported_without_what_only_linux_has() -> None:

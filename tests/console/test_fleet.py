@@ -300,7 +300,7 @@ def test_tracks_hold_a_point_a_second_and_no_more_than_ten_hours(sea: Sea) -> No
     assert sea.fleet.boats[1].track.maxlen == 36_000
 
 
-def test_ten_boats_at_ten_hertz_for_thirty_hours_need_no_more_memory(sea: Sea) -> None:
+def test_ten_boats_at_ten_hertz_need_no_more_memory_with_time(sea: Sea) -> None:
     """What an hour leaves behind is bounded by what the console keeps: nothing else grows from one hour to the next."""
     fleet = Fleet(sea.clock, lambda address, data: None, lambda message: None)
     position = mavlink.MAVLink_global_position_int_message(0, 386_900_000, -92_150_000, 0, 0, 100, 50, 0, 9000)

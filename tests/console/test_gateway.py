@@ -16,6 +16,7 @@ import pytest
 from PIL import Image
 
 from delfim.clock import SystemClock
+from delfim.console import browser
 from delfim.console.gateway import Gateway, serve
 from delfim.console.replay import open_tapes
 from delfim.errors import ConfigError
@@ -298,3 +299,40 @@ async def _steered(url: str, boat_end: socket.socket, gateway: "subprocess.Popen
         await asyncio.sleep(1.0)
         assert len(boat.thrust) == said
     loop.remove_reader(boat_end)
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_the_page_gets_a_window_of_its_own_where_there_is_chromium(monkeypatch: pytest.MonkeyPatch, there: bool) -> None:
+    started: list[Any] = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(browser.shutil, "which", lambda name: f"/bin/{name}" if there and name == "chromium" else None)
+    monkeypatch.setattr(browser.subprocess, "Popen", lambda words, **more: started.append(words))
+    monkeypatch.setattr(browser.webbrowser, "open", lambda url: started.append(url))
+    browser.show("http://127.0.0.1:1/")
+    assert started == [["/bin/chromium", "--app=http://127.0.0.1:1/"] if there else "http://127.0.0.1:1/"]
+
+
+def test_without_a_screen_nothing_is_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(browser.sys, "platform", "linux")
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr(browser.webbrowser, "open", lambda url: pytest.fail("opened"))
+    browser.show("http://127.0.0.1:1/")
+
+
+def test_a_gateway_that_is_ended_in_order_says_zero_and_keeps_the_session(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with opened(tmp_path, sessions=tmp_path / "sessions") as sea, sea.session.ws_connect(sea.url + "ws") as page:
+            await sea.until(page, lambda m: boat_in(m, 1))
+            await page.send_json({"t": "input", "boat": 1, "n": 0, "port_pct": 30, "starboard_pct": 30})
+            async with asyncio.timeout(20):
+                while not sea.boats[0].thrust:
+                    await asyncio.sleep(0.01)
+            sea.gateway.fleet.release_all("the console ended")
+            async with asyncio.timeout(20):
+                while sea.boats[0].thrust[-1] != (0, 0):
+                    await asyncio.sleep(0.01)
+
+    asyncio.run(main())
+    (tape,) = open_tapes([tmp_path / "sessions"])
+    assert tape.to_s > tape.from_s

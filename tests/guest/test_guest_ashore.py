@@ -22,7 +22,7 @@ from tests.guest import boat_image
 from tests.guest.pc import PATH, Pc
 from tests.services.browser import browser
 
-pytestmark = pytest.mark.timeout(400)
+pytestmark = pytest.mark.timeout(900)  # the first one waits for the image to be built
 BOOT_S = 120.0
 SHORE, BOAT = "10.77.0.1", "10.77.0.2"
 CLONE_NEWNET = 0x40000000

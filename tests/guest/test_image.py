@@ -14,6 +14,7 @@ from delfim.services.slots import Environment
 from tests.guest import boat_image
 from tests.guest.pc import PATH, Pc, make_disk, pc
 
+pytestmark = pytest.mark.timeout(900)  # the first one waits for the image to be built
 BOOT_S = 120.0
 OPTIONS = "console=ttyS0 quiet mitigations=off panic=10"
 SHELL = "rdinit=/bin/sh"  # a shell on the serial port in place of the first program
@@ -51,7 +52,6 @@ def test_nothing_is_aboard_that_is_nobody_s_business(image: Path) -> None:
     assert (image / "initramfs.gz").stat().st_size < 60e6
 
 
-@pytest.mark.timeout(600)
 def test_the_same_sources_give_the_same_bytes(image: Path, tmp_path: Path) -> None:
     """Built again somewhere else, with packages that are at hand already."""
     other = tmp_path / "somewhere" / "else"
@@ -85,7 +85,6 @@ class Shell:
         return self.run(f'delfim image --set \'image.partition="/dev/vda1"\' --set "$SIGNERS" /etc/delfimx.toml {words}')
 
 
-@pytest.mark.timeout(900)
 def test_a_new_image_is_tried_once_rolled_back_and_then_confirmed(image: Path, tmp_path: Path) -> None:
     key = tmp_path / "yard"
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "yard", "-f", key], check=True)

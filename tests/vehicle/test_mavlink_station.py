@@ -321,7 +321,7 @@ def test_what_is_told_is_what_is(sea):
     assert [m.index for m in heard if m.get_type() == "RAW_RPM"][:2] == [0, 1]
     servos = newest(heard, "SERVO_OUTPUT_RAW")
     rpm = sea.state.actuation
-    assert (servos.servo1_raw, servos.servo3_raw) == (1500 + round(rpm.port_rpm / 2.4), 1500 + round(rpm.starboard_rpm / 2.4))
+    assert (servos.servo1_raw, servos.servo2_raw) == (1500 + round(rpm.port_rpm / 2.4), 1500 + round(rpm.starboard_rpm / 2.4))
     health = newest(heard, "SYS_STATUS")
     assert health.onboard_control_sensors_health & 0x10000000
     assert (health.voltage_battery, health.battery_remaining) == (48000, 90)

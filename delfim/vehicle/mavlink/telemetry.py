@@ -103,9 +103,9 @@ def rpm(view: View) -> Iterator[Message]:
 
 
 def thrust(view: View) -> Iterator[Message]:
-    """In force, as pulses that ArduRover's two motors would get: 1000 is full astern, 1500 stop, 2000 full ahead."""
+    """In force, as pulses that two motors would get, port and starboard: 1000 is full astern, 1500 stop, 2000 full ahead."""
     port, starboard = (_STILL + round(_AHEAD * part) for part in _thrust(view))
-    yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, port, 0, starboard, 0, 0, 0, 0, 0)
+    yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, port, starboard, 0, 0, 0, 0, 0, 0)
 
 
 def status(view: View) -> Iterator[Message]:
