@@ -5,26 +5,30 @@ PYTHON ?= python3
 ARGS   ?=
 BIN    := .venv/bin
 READY  := .venv/.ready
+WEB    := delfim/console/web
+NPM    := $(WEB)/node_modules/.package-lock.json
 MORE   := .venv/.formats
 LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt test.txt build.txt)
 
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
 # that people use: a browser, FTP, SSH.
-SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs chromium curl lftp openssh-client
-SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck chromium curl lftp ssh
+SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs chromium curl lftp openssh-client openssl \
+	tnftp wget qemu-system-x86 grub-pc-bin grub-common
+SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck chromium curl lftp ssh openssl tnftp wget \
+	qemu-system-x86_64 grub-mkimage
 
 export PYTHONSAFEPATH := 1
-export PATH := $(PATH):/usr/sbin:/sbin
+export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/.venv/bin
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test seeds check pictures bench system guest-shell formats lock clean
+.PHONY: help run test seeds check page pictures bench image system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
 
-run: $(READY) ## sail the whole DelfimX in simulation
-	$(BIN)/delfim sim etc/delfimx.toml $(ARGS)
+run: $(READY) ## sail the whole DelfimX in simulation, with the console in the browser
+	$(BIN)/delfim sim etc/delfimx.toml --console $(ARGS)
 
 test: $(MORE) system ## run all tests, those on a real SocketCAN bus included
 	$(BIN)/pytest $(ARGS)
@@ -32,19 +36,29 @@ test: $(MORE) system ## run all tests, those on a real SocketCAN bus included
 seeds: $(READY) ## sail 1,000 runs of mixed faults in lock step (ARGS="--seeds 5000" for more)
 	$(BIN)/pytest tests/simulator/test_scenarios.py -k mixed --timeout 3600 --seeds 1000 $(ARGS)
 
-check: $(READY) ## style, types and the direction of imports
+check: $(READY) $(NPM) ## style, types and the direction of imports
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(WEB)/node_modules/.bin/tsc --noEmit --project $(WEB)
+
+page: $(NPM) ## build the console's page from its sources again, as it is shipped
+	$(WEB)/node_modules/.bin/tsc --noEmit --project $(WEB)
+	node $(WEB)/build.mjs
 
 pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/delfim sim etc/delfimx.toml --lockstep --output run/pictures
 	cp run/pictures/track.png docs/pictures/
+	$(BIN)/python -m tests.guest.figure_2_9 docs/pictures/figure-2-9.png
 	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures
+	PYTHONSAFEPATH= $(BIN)/python -m tests.console.scenes docs/pictures
 
 bench: $(READY) ## measure the contracts of the design on this machine
 	$(BIN)/delfim bench $(ARGS)
+
+image: $(READY) ## build the boat's image, kernel and initramfs, into run/image (ARGS="--sign KEY" packs one to upload)
+	$(BIN)/python docker/image.py run/image $(ARGS)
 
 guest-shell: $(READY) system ## a shell in the kernel with CAN that the guest tests use
 	$(BIN)/python tests/guest/harness.py
@@ -68,11 +82,12 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,test) --extra test -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,formats) --extra formats -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,build) requirements/build.in
+	$(call compile,page) requirements/page.in
 compile = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
 	--no-emit-trusted-host --no-emit-find-links $(ARGS) --output-file requirements/$(1).txt
 
 clean: ## remove everything that was made here
-	rm -rf .venv build dist run *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf .venv build dist run $(WEB)/node_modules *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
 $(READY): $(LOCKS) pyproject.toml
@@ -82,6 +97,12 @@ $(READY): $(LOCKS) pyproject.toml
 		{ echo "$(PYTHON) cannot make a virtual environment; on Debian install the package python3-venv" >&2; rm -rf .venv; exit 1; }
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(addprefix -r ,$(LOCKS))
 	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+# The page's tools come with npm: the machine's, or else the one that is on PyPI.
+$(NPM): $(WEB)/package-lock.json $(READY)
+	command -v npm >/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/page.txt
+	cd $(WEB) && npm ci --ignore-scripts --no-audit --no-fund --silent
 	@touch $@
 
 $(MORE): $(READY) requirements/formats.txt

@@ -72,6 +72,8 @@ def daemon(place: str) -> Iterator[tuple[int, int]]:
     settings = [
         f'can.interface="canloop:{BUS}"',
         "can.receive_buffer_bytes=16777216",  # what the machine does beside is no loss of cantcpd's
+        'mavlink.listen="127.0.0.1:0"',
+        "mavlink.peers=[]",
         f'cantcpd.listen=["127.0.0.1:{port}"]',
         f'runtime.run_directory="{place}"',
     ]

@@ -2,7 +2,7 @@
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from delfim import __version__
@@ -50,15 +50,36 @@ def _describe(asked: argparse.Namespace) -> int:
 
 
 def _supervise(asked: argparse.Namespace) -> int:
-    from delfim.suite import supervise
+    from delfim.suite import rescue, supervise
 
-    return supervise(asked.file, asked.set)
+    if not asked.init:
+        return supervise(asked.file, asked.set)
+    try:
+        return supervise(asked.file, asked.set, init=True)
+    except Exception as error:
+        rescue(error)
+        raise
+
+
+def _shutdown(asked: argparse.Namespace) -> int:
+    from delfim.suite import shut_down
+
+    return shut_down(asked.file, asked.set, "reboot" if asked.reboot else "off")
 
 
 def _run(asked: argparse.Namespace) -> int:
     from delfim.suite import run
 
     return run(asked.file, asked.set, service=asked.service, beat_fd=asked.beat_fd)
+
+
+def _password(asked: argparse.Namespace) -> int:
+    import getpass
+
+    from delfim.services.door import hashed
+
+    print(hashed(getpass.getpass("password: ")))
+    return 0
 
 
 def _nodes(asked: argparse.Namespace) -> int:
@@ -111,6 +132,19 @@ def _fault(asked: argparse.Namespace) -> int:
     return 0
 
 
+def _console(asked: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from delfim.console.gateway import run
+    from delfim.console.mavlink import keygen
+
+    if asked.keygen:
+        keygen(Path(asked.keygen))
+        print(f"delfim: {asked.keygen}: a new key; the boat needs the same file, brought there by hand")
+        return 0
+    return run(asked)
+
+
 def _drive(asked: argparse.Namespace) -> int:
     from delfim.config import load
     from delfim.console.drive import run
@@ -127,6 +161,12 @@ def _can(asked: argparse.Namespace) -> int:
 
 def _log(asked: argparse.Namespace) -> int:
     from delfim.logs import run
+
+    return run(asked)
+
+
+def _image(asked: argparse.Namespace) -> int:
+    from delfim.image import run
 
     return run(asked)
 
@@ -156,13 +196,15 @@ def _parser() -> argparse.ArgumentParser:
         one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key; the value is TOML")
         return one
 
-    command("supervise", _supervise, "Run the whole suite: starts, watches and restarts its processes; the dead-man.")
+    _add_supervision(command)
     run = command("run", _run, "Run the vehicle and its cooperative services in one process, without a supervisor.")
     run.add_argument("--service", metavar="NAME", help="only this service, in a process of its own")
     run.add_argument("--beat-fd", type=int, default=-1, help=argparse.SUPPRESS)
     command("check", _check, "Check a vehicle's file and say what is wrong with it.")
     describe = commands.add_parser("describe", help="List every key of a vehicle's file with default, range and meaning.")
     describe.set_defaults(run=_describe)
+    password = commands.add_parser("password", help="Ask for a password and print what a vehicle's file keeps of it.")
+    password.set_defaults(run=_password)
     nodes = command("nodes", _nodes, "Play the boat's other CAN nodes (navigation, GPS, propellers, batteries) on its bus.")
     nodes.add_argument("--seed", type=int, default=1, help="of noise and weather")
     guest = command("guest", _guest, "Play the guest computer: a zigzag, obeyed in mode grex.")
@@ -176,15 +218,13 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--seed", type=int, default=1, help="of noise and weather")
     sim.add_argument("--lockstep", action="store_true", help="as fast as the machine can; same seed, same bytes")
     sim.add_argument("--plain", action="store_true", help="one line a second instead of the live view")
+    sim.add_argument("--console", action="store_true", help="with the console, in the browser (docs/console.md)")
     sim.add_argument("--json", action="store_true", help="one JSON object a state")
     sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
     fault = command(
         "fault", _fault, "Break something of the boat that `delfim nodes` or `delfim sim` plays (docs/scenarios.md)."
     )
-    fault.add_argument("kind", metavar="KIND", help='navigation_silent, thruster_dead, ...; "end" ends all')
-    fault.add_argument("where", metavar="WHERE", nargs="?", default="", help="of a sensor or thruster: gps, port, ...")
-    fault.add_argument("--value", type=float, help="how much, where the kind has such a thing")
-    fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
+    _add_fault(fault)
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
     can = commands.add_parser(
@@ -194,9 +234,41 @@ def _parser() -> argparse.ArgumentParser:
         "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
     )
     can.set_defaults(run=_can)
+    _add_console(commands)
     _add_log(commands)
+    _add_image(command("image", _image, "The boat's image: look, install, confirm; two slots, the old one is kept."))
     _add_bench(commands)
     return parser
+
+
+def _add_console(commands: Any) -> None:
+    console = commands.add_parser("console", help="All boats on one screen, in the browser.")
+    console.add_argument(
+        "--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="where boats are heard (%(default)s)"
+    )
+    console.add_argument(
+        "--radio", action="append", default=[], metavar="DEVICE:BAUD", help="a serial radio, as /dev/ttyUSB0:57600 or COM3:9600"
+    )
+    console.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="where the page is (%(default)s)")
+    console.add_argument("--missions", default="missions", metavar="FOLDER", help="the operator's missions (%(default)s)")
+    console.add_argument("--charts", default="charts", metavar="FOLDER", help="the operator's charts (%(default)s)")
+    console.add_argument("--sessions", default="sessions", metavar="FOLDER", help="where sessions are recorded (%(default)s)")
+    console.add_argument(
+        "--replay", nargs="+", metavar="PATH", help="no boats: play these sessions (.tlog) and state logs, or folders of them"
+    )
+    console.add_argument("--key", metavar="FILE", help="signing key: the boats must have the same")
+    console.add_argument("--vehicle", metavar="FILE", help="the vehicle's file, for dry runs of missions")
+    console.add_argument("--keygen", metavar="FILE", help="make a signing key, and end")
+    console.add_argument("--no-browser", dest="browser", action="store_false", help="do not open it")
+    console.set_defaults(run=_console)
+
+
+def _add_supervision(command: Callable[[str, object, str], argparse.ArgumentParser]) -> None:
+    text = "Run the whole suite: starts, watches and restarts its processes; the dead-man."
+    supervise = command("supervise", _supervise, text)
+    supervise.add_argument("--init", action="store_true", help="as the machine's first process: ends with the machine")
+    shutdown = command("shutdown", _shutdown, "End everything in order, so that the power may be cut (docs/powerd.md).")
+    shutdown.add_argument("--reboot", action="store_true", help="start the computer again afterwards")
 
 
 def _add_log(commands: Any) -> None:
@@ -204,6 +276,18 @@ def _add_log(commands: Any) -> None:
     log = commands.add_parser("log", help=text, description=text)
     log.set_defaults(run=_log)
     log.add_argument("words", nargs=argparse.REMAINDER, metavar="VERB ...", help="ls, cat, info, plot, export, ...")
+
+
+def _add_fault(fault: argparse.ArgumentParser) -> None:
+    fault.add_argument("kind", metavar="KIND", help='navigation_silent, thruster_dead, ...; "end" ends all')
+    fault.add_argument("where", metavar="WHERE", nargs="?", default="", help="of a sensor or thruster: gps, port, ...")
+    fault.add_argument("--value", type=float, help="how much, where the kind has such a thing")
+    fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
+
+
+def _add_image(image: argparse.ArgumentParser) -> None:
+    image.add_argument("verb", choices=["status", "verify", "install", "confirm"], help="verify and install name an image")
+    image.add_argument("image", metavar="IMAGE", nargs="?", help="what `make image` packed, as it was uploaded")
 
 
 def _add_bench(commands: Any) -> None:

@@ -36,10 +36,19 @@ Listen = Annotated[str, msgspec.Meta(pattern=r"^([^ :]+|\[[0-9A-Fa-f:.]+\]):[0-9
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
 Ports = Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)]
 LinuxInterface = Annotated[str, msgspec.Meta(pattern=r"^[^ /:]{1,15}\Z")]
+MountPoint = Annotated[str, msgspec.Meta(pattern=r"^(/[^/\x00]+)*\Z")]
+Megabytes = Annotated[int, msgspec.Meta(ge=0, le=1 << 20)]
 Network = Annotated[str, msgspec.Meta(pattern=r"^[0-9A-Fa-f:.]+(/[0-9]{1,3})?\Z")]
+Password = Annotated[  # hashed; in a log it is what no password is
+    str,
+    msgspec.Meta(pattern=r"^scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+\Z", extra={"shown": "scrypt:hidden:hidden"}),
+]
 Identifiers = Annotated[  # one or a range; three digits are a standard identifier, eight an extended one
     str, msgspec.Meta(pattern=r"^([0-7][0-9A-Fa-f]{2}(-[0-7][0-9A-Fa-f]{2})?|[01][0-9A-Fa-f]{7}(-[01][0-9A-Fa-f]{7})?)\Z")
 ]
+
+
+PublicKey = Annotated[str, msgspec.Meta(pattern=r"^ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?\Z")]
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -189,9 +198,10 @@ class ConsoleSilent(Trouble, frozen=True):
 
 
 class ManualSilent(Trouble, frozen=True):
-    """No manual command, in manual mode."""
+    """No manual command, in manual mode: first no thrust, then this."""
 
-    after_s: Seconds = 2.0  # age of the last one
+    after_s: Seconds = 5.0  # age of the last one
+    thrust_s: Seconds = 2.0  # age of the last one at which thrust goes to zero
 
 
 class GuestSilent(Trouble, frozen=True):
@@ -321,6 +331,19 @@ class Console(Table, frozen=True):
     clients: Annotated[int, msgspec.Meta(ge=1, le=100)] = 16  # connections at once
 
 
+class Mavlink(Table, frozen=True):
+    """The console's link: MAVLink 2 over UDP (docs/mavlink.md)."""
+
+    enabled: bool = True  # serve it
+    listen: Listen = "127.0.0.1:14555"  # address and port; port 0: any
+    peers: Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)] = ("127.0.0.1:14550",)  # who is told that the boat exists
+    profile: Literal["lean", "radio", "wifi"] = "wifi"  # how much is sent, until a console asks for another one
+    sign: Literal["remote", "all"] = "remote"  # who must sign: everybody but this computer, or everybody
+    key: str = ""  # file of the key, from `delfim console --keygen FILE`; without one no other computer commands
+    autopilot: Literal["generic", "ardurover"] = "generic"  # what programs for other autopilots take the boat for
+    command_age_s: Seconds = 3.0  # a signed command that was on the way for longer is not obeyed
+
+
 class Guest(Table, frozen=True):
     """The guest computer's TCP server (GREX in the thesis)."""
 
@@ -378,6 +401,25 @@ class Canip(Table, frozen=True):
             raise ValueError("two peers have the same address or the same node")
 
 
+class Slipd(Table, frozen=True):
+    """The radio's serial line as a network interface."""
+
+    device: Annotated[str, msgspec.Meta(pattern=r"^(/dev/[^ ]+)?\Z")] = ""  # the radio's serial port; empty: no radio
+    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 115_200  # of the port
+    radio_bps: Annotated[int, msgspec.Meta(ge=0, le=4_000_000)] = 0  # bit/s, of a radio slower than its port; 0: it is not
+    encapsulation: Literal["slip", "cslip"] = "cslip"  # cslip compresses TCP's headers (RFC 1144); both ends must agree
+    mode: Literal["auto", "kernel", "user"] = "auto"  # the kernel's SLIP, this program's, or the kernel's where it has one
+    interface: Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_.-]{0,14}\Z")] = "radio0"  # its name in mode user
+    address: str = "10.0.0.1"  # of the boat
+    peer: str = "10.0.0.2"  # of the other end
+    mtu: Annotated[int, msgspec.Meta(ge=68, le=1500)] = 296  # the shorter, the sooner an urgent packet has its turn
+    carrier: Annotated[str, msgspec.Meta(pattern=r"^(none|dcd|file:/[^ ]+)\Z")] = "none"  # where it is seen: modem, or a file
+
+    def __post_init__(self) -> None:
+        IPv4Address(self.address)
+        IPv4Address(self.peer)
+
+
 class Timed(Table, frozen=True):
     """The time frame at the start of each second, from this computer's clock."""
 
@@ -392,6 +434,60 @@ class Httpd(Table, frozen=True):
     connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 32  # at once; the next one is closed
     connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
     scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two looks at the computer and its processes
+
+
+class Powerd(Table, frozen=True):
+    """The ordered end: by the shutdown frame, a button, a command, or before the batteries are empty (docs/powerd.md)."""
+
+    partition: MountPoint = "/log"  # unmounted at last, if logs go there; "": none
+    end_s: Seconds = 5.0  # that other users of the partition have to end before they are killed
+    held_s: Seconds = 30.0  # a partition that stays in use for so long is given up: synced, but not unmounted
+    told_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the acknowledge is repeated for so long, then it is dark
+    button: str = ""  # an input device under /dev/input, or a file (a GPIO's value); "" for none
+    button_pressed: str = "1"  # what the file begins with while the button is pressed
+    button_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # it must be held for so long
+    battery_charge: Fraction = 0.05  # either side's batteries at this or less; 0 for never ...
+    battery_s: Seconds = 60.0  # ... for so long, and no propeller told to run meanwhile
+
+
+class FtpUser(Table, frozen=True):
+    """Who may come in by FTP, by name."""
+
+    password: Password  # from `delfim password`
+    upload: bool = False  # may write in the staging area; everything else is read-only for everybody
+
+
+class Ftpd(Table, frozen=True):
+    """Files over FTP. Without users it is not started."""
+
+    listen: Endpoint = "127.0.0.1:2121"  # address and port; 0.0.0.0 is every interface
+    root: str = "/log"  # what is seen as "/"; no path leads out of it
+    staging: Name = "upload"  # the folder in it where some may write
+    upload_bytes_max: Annotated[int, msgspec.Meta(ge=0)] = 1 << 30  # of one file
+    certificate: str = ""  # PEM with certificate and key: nobody logs in without TLS (RFC 4217); "": all in the clear
+    connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
+    connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
+    users: dict[Name, FtpUser] = {}
+
+
+class SshUser(Table, frozen=True):
+    """Who may come in by SSH, by name."""
+
+    keys: Annotated[tuple[str, ...], msgspec.Meta(min_length=1, max_length=16)]  # public ones, as ssh-keygen writes them
+
+
+class Sshd(Table, frozen=True):
+    """Commands, a shell, SFTP and SCP over SSH. Without users it is not started."""
+
+    listen: Endpoint = "127.0.0.1:2222"  # address and port; 0.0.0.0 is every interface
+    user: str = ""  # of the system, as whom all is done; "": as who started this. Needs a process of its own
+    shell: str = "/bin/sh"  # that runs the commands
+    root: str = "/log"  # what SFTP and SCP see as "/"; no path leads out of it
+    host_key: str = "/log/.keys/ssh_host_ed25519"  # made at the first start, and kept
+    sessions: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # programs at once
+    connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
+    connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
+    users: dict[Name, SshUser] = {}
 
 
 class Log(Table, frozen=True):
@@ -436,11 +532,21 @@ class Supervisor(Table, frozen=True):
     hardware_watchdog: str = "/dev/watchdog"  # stroked where it exists; "" for none
 
 
+class Image(Table, frozen=True):
+    """The two slots of the boot partition, and whose images are installed there."""
+
+    signers: tuple[PublicKey, ...] = ()  # public ed25519 keys, as ssh-keygen writes them; without any, nothing can be installed
+    partition: str = ""  # of the slots, mounted only while it is read or written; "" where the directory is always there
+    directory: str = "/boot"  # where it is mounted
+
+
 class Service(Table, frozen=True):
     """A service of the suite, by its name."""
 
     enabled: bool = True  # run it
     place: Literal["default", "runtime", "process"] = "default"  # the runtime's loop, a niced process, or as usual
+    memory_max_mb: Megabytes = 0  # of its process and all it starts; beyond, it is started again; 0: no limit
+    cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
 
 
 class Sea(Table, frozen=True):
@@ -458,6 +564,8 @@ class Simulation(Table, frozen=True):
 
     interface: Interface = "canloop:can0"  # the bus of a simulated boat
     httpd: Endpoint = "127.0.0.1:8080"  # where its page is
+    ftpd: Endpoint = "127.0.0.1:2121"  # where its files are
+    sshd: Endpoint = "127.0.0.1:2222"  # where its shell is
     latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)] = 38.6907  # where it starts
     longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = -9.2153  # where it starts
     heading_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # how it lies at start
@@ -483,15 +591,21 @@ class Vehicle(Table, frozen=True):
     checks: Checks = Checks()
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
+    mavlink: Mavlink = Mavlink()
     guest: Guest = Guest()
     cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()
     timed: Timed = Timed()
+    slipd: Slipd = Slipd()
     httpd: Httpd = Httpd()
+    ftpd: Ftpd = Ftpd()
+    sshd: Sshd = Sshd()
+    powerd: Powerd = Powerd()
     log: Log = Log()
     logd: Logd = Logd()
     runtime: Runtime = Runtime()
     supervisor: Supervisor = Supervisor()
+    image: Image = Image()
     services: dict[Name, Service] = {}
     simulation: Simulation = Simulation()
 
@@ -502,6 +616,27 @@ T = TypeVar("T", bound=Table)
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
     """The vehicle's file, checked, with "key.key=TOML value" overrides laid over it. Raises ConfigError."""
     return decode(read_toml(path, overrides), Vehicle, str(path))
+
+
+def shown(table: Table) -> dict[str, Any]:
+    """All keys and values for everybody to read, JSON-ready and fit for `decode`; instead of a secret, what its declaration
+    says (`extra={"shown": ...}`)."""
+    fields: dict[str, Any] = _shown(table, type(table))
+    return fields
+
+
+def _shown(value: Any, hint: Any) -> Any:
+    if get_origin(hint) is Annotated:
+        instead = (get_args(hint)[1].extra or {}).get("shown")
+        return _shown(value, get_args(hint)[0]) if instead is None else instead
+    if isinstance(value, Table):
+        hints = get_type_hints(type(value), include_extras=True)
+        return {name: _shown(getattr(value, name), hints[name]) for name in value.__struct_fields__}
+    if isinstance(value, dict):
+        return {key: _shown(each, get_args(hint)[1]) for key, each in value.items()}
+    if isinstance(value, tuple):
+        return [_shown(each, get_args(hint)[0]) for each in value]
+    return value
 
 
 def read_toml(path: str | Path, overrides: Sequence[str] = ()) -> dict[str, Any]:
@@ -540,6 +675,23 @@ def decode(tree: dict[str, object], kind: type[T], file: str) -> T:
         return msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
         raise _explained(error, tree, kind, file) from None
+
+
+CHANGEABLE = ("control.", "failsafe.console_silent.", "failsafe.manual_silent.")  # while the program runs
+
+
+def changed(settings: Vehicle, key: str, value: float | str) -> Vehicle:
+    """The settings with another value at a key that may change. Raises ConfigError."""
+    if not key.startswith(CHANGEABLE):
+        raise ConfigError("the vehicle's file", key, "this does not change while the boat runs", ", ".join(CHANGEABLE))
+    tree = table = msgspec.to_builtins(settings)
+    *tables, last = key.split(".")
+    for name in tables:
+        table = table.get(name) if isinstance(table, dict) else None
+    if not isinstance(table, dict) or not isinstance(table.get(last), float | str):
+        raise ConfigError("the vehicle's file", key, "no such key")
+    table[last] = value
+    return decode(tree, Vehicle, "the vehicle's file")
 
 
 def _explained(error: msgspec.ValidationError, tree: dict[str, object], kind: type[Table], file: str) -> ConfigError:

@@ -21,7 +21,6 @@ from delfim import config
 from delfim.canproxy.socket import ANYTHING, open_can
 from delfim.console.drive import line
 from delfim.console.link import Link
-from delfim.console.view import View
 from delfim.errors import BusError, ConfigError, DelfimError
 from delfim.suite import StateLog
 from delfim.vehicle.mission import Mission, canonical, load_mission
@@ -47,12 +46,23 @@ def simulate(asked: argparse.Namespace) -> int:
     _alone(settings.can.interface)
     arguments = [asked.file, *(word for override in overrides for word in ("--set", override))]
     started = time.time()
-    with _process("nodes", *arguments, "--seed", str(asked.seed)), _process("supervise", *arguments):
+    with contextlib.ExitStack() as running:
+        running.enter_context(_process("nodes", *arguments, "--seed", str(asked.seed)))
+        running.enter_context(_process("supervise", *arguments))
+        if asked.console:
+            running.enter_context(_process("console", *_console(asked.file, output)))
         end = _sail(asked, settings, mission)
     log = Path(settings.log.directory)
     _pictures([file for file in log.glob("*/state/*.state*") if file.stat().st_mtime > started], mission, settings, output)
     print(f"delfim: {end}")
     return _code(end)
+
+
+def _console(file: str, output: Path) -> list[str]:
+    """The console's words: what it keeps lies beside the simulation's own."""
+    place = output.resolve() / "console"
+    folders = [word for name in ("missions", "charts", "sessions") for word in (f"--{name}", str(place / name))]
+    return ["--vehicle", file, *folders]
 
 
 def _code(end: str) -> int:
@@ -69,6 +79,11 @@ def _simulated(settings: config.Vehicle, output: Path) -> list[str]:
         f'runtime.run_directory="{place}"',
         'supervisor.hardware_watchdog=""',
         f'httpd.listen="{settings.simulation.httpd}"',
+        f'ftpd.listen="{settings.simulation.ftpd}"',
+        f'ftpd.root="{place}/log"',
+        f'sshd.listen="{settings.simulation.sshd}"',
+        f'sshd.root="{place}/log"',
+        f'sshd.host_key="{place}/ssh_host_ed25519"',
     ]
 
 
@@ -138,6 +153,8 @@ def _sail(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission)
                     with contextlib.suppress(DelfimError):  # not fit yet; the view shows why
                         operator.ask("play")
                         playing = True
+                elif state["operator"] != "local":
+                    continue  # a console took over: it ends this
                 elif state["mode"] == "hold" and state["reason"] == "play done":
                     return f"mission done in {now - started:.0f} s"
                 elif state["mode"] == "idle":
@@ -162,6 +179,8 @@ def _shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Any]:
         yield plain
     else:
         from rich.live import Live
+
+        from delfim.console.view import View
 
         view = View([(w.latitude_deg, w.longitude_deg) for w in mission.waypoint])
         with Live(view.render(), refresh_per_second=5, screen=True) as live:
@@ -193,7 +212,11 @@ def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Miss
 
 def _pictures(files: list[Path], mission: Mission, settings: config.Vehicle, output: Path, *, timed: bool = True) -> None:
     """Track of a run, and its latency where time was real, as PNG from the state log."""
-    from delfim.logging import plot
+    try:
+        from delfim.logging import plot
+    except ModuleNotFoundError as error:  # on a boat, in its container
+        print(f"delfim: no pictures without {error.name}: pip install 'delfim[ground]'", file=sys.stderr)
+        return
     from delfim.logging.statelog import columns
 
     data = columns(files)

@@ -36,7 +36,10 @@ PROPELLER_STARBOARD: Final = standard(0x040)
 PROPELLER_PORT: Final = standard(0x041)
 BATTERIES_STARBOARD: Final = standard(0x042)
 BATTERIES_PORT: Final = standard(0x043)
+RESET: Final = standard(0x0A0)  # a node, or all of them, starts again
 TIME_FRAME: Final = standard(0x0C0)  # DSOR vehicle 0xC0 (thesis 3.2): UTC at the start of each second
+SHUTDOWN: Final = standard(0x0C8)  # to every computer of the boat: end in order, the power will be cut (thesis 3.3)
+SHUTDOWN_ACKNOWLEDGE: Final = standard(0x0C9)  # how far the vehicle's computer is with it
 
 # Extended format frames outside the segmented protocol: priority 8, kind 2 = 3, source node 7, subject 12 bits.
 SYSSTAT_PRIORITY: Final = 0x80
@@ -295,7 +298,76 @@ def unpack_sysstat(node: int, data: bytes) -> SystemStatus:
     raise FormatError(f"node {node:#04x} has no system status")
 
 
+RESET_WORD: Final = 0x5EED  # so that no stray frame resets a boat
+RESET_COMMAND: Final = struct.Struct("<BxH")
+
+
+def pack_reset(node: int) -> bytes:
+    """`node`: its number; Node.BROADCAST is all of them."""
+    return RESET_COMMAND.pack(node, RESET_WORD)
+
+
+def unpack_reset(data: bytes) -> int:
+    """The node that is meant. Raises FormatError for what is no reset."""
+    if len(data) != RESET_COMMAND.size or RESET_COMMAND.unpack(data)[1] != RESET_WORD:
+        raise FormatError(f"no reset: {data.hex()}")
+    return int(data[0])
+
+
 TIME: Final = struct.Struct("<Q")  # the time frame: UTC, ns since 1970
+
+
+class Shutdown(NamedTuple):
+    """An order to end everything."""
+
+    reboot: bool  # start again afterwards, instead of waiting for the power to be cut
+
+
+SHUTDOWN_ORDER: Final = struct.Struct("<IB")
+SHUTDOWN_KEY: Final = 0x0FF15AFE  # so that no frame of another meaning that strays here ends a voyage
+
+
+def pack_shutdown(s: Shutdown) -> bytes:
+    return SHUTDOWN_ORDER.pack(SHUTDOWN_KEY, s.reboot)
+
+
+def unpack_shutdown(data: bytes) -> Shutdown:
+    """Raises FormatError on a wrong length or key."""
+    if len(data) != SHUTDOWN_ORDER.size:
+        raise FormatError(f"shutdown order of {len(data)} bytes instead of {SHUTDOWN_ORDER.size}")
+    key, flags = SHUTDOWN_ORDER.unpack(data)
+    if key != SHUTDOWN_KEY:
+        raise FormatError(f"shutdown order with key {key:#010x} instead of {SHUTDOWN_KEY:#010x}")
+    return Shutdown(bool(flags & 1))
+
+
+class ShutdownStage(IntEnum):
+    """0 is none of them: a frame of zeros must not say that the power may be cut."""
+
+    BEGUN = 1  # understood; the propellers are stopped first
+    SAFE = 2  # the log partition is unmounted, or read-only: the power may be cut
+    HELD = 3  # everything was synced to it, but it is still in use
+
+
+class ShutdownAcknowledge(NamedTuple):
+    stage: ShutdownStage
+    holders: int  # how many still use the log partition, 255 at most
+
+
+SHUTDOWN_STATUS: Final = struct.Struct("<BB")
+
+
+def pack_shutdown_acknowledge(a: ShutdownAcknowledge) -> bytes:
+    return SHUTDOWN_STATUS.pack(a.stage, min(a.holders, 0xFF))
+
+
+def unpack_shutdown_acknowledge(data: bytes) -> ShutdownAcknowledge:
+    """Raises FormatError on a wrong length or an unknown stage."""
+    try:
+        stage, holders = SHUTDOWN_STATUS.unpack(data)
+        return ShutdownAcknowledge(ShutdownStage(stage), holders)
+    except (struct.error, ValueError) as error:
+        raise FormatError(f"shutdown acknowledge: {error}") from None
 
 
 def _scaled(value: float | None, per_unit: float, unknown: int) -> int:

@@ -6,10 +6,12 @@ SERVICES is the suite, one row a service. To add one: write its coroutine in a f
 import asyncio
 import contextlib
 import importlib
+import json
 import logging
 import os
 import socket
 import sys
+import time
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -37,15 +39,18 @@ from delfim.messages import (
     SYSSTAT_MASK,
     TIME_FRAME,
     Node,
+    ShutdownStage,
     sysstat_arb,
 )
+from delfim.services import cgroup, powerd, shutdown, slots
 from delfim.services.runtime import Runtime, Service
 from delfim.services.supervisor import Program, Supervisor
 from delfim.vehicle import record
 from delfim.vehicle.command import CommandServer
-from delfim.vehicle.console import Alive, Commands, Report, Watch
+from delfim.vehicle.console import Alive, Commands, Report, Shutdown, Watch
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import LOCAL, Vehicle
+from delfim.vehicle.mavlink.link import MavlinkLink
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.rehearsal import Rehearsal
@@ -55,6 +60,7 @@ WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
 MAINTAIN_EVERY = 10
 GATHER_S = 0.005  # that frames wait for others on their way into the black box; the kernel has stamped them already
+SHUTDOWN_LOOK_S = 0.1
 
 
 class StateLog:
@@ -82,7 +88,7 @@ class StateLog:
         self._writer = StateWriter(self._log, schema)
         self.status, self.poll = self._log.status, self._log.poll
         self._noted = False
-        self.event("start", version=__version__, settings=msgspec.to_builtins(settings))
+        self.event("start", version=__version__, settings=config.shown(settings))
 
     def write(self, state: State, now_s: float) -> None:
         self._writer.put(record.values(state, now_s))
@@ -126,6 +132,7 @@ async def vehicle(runtime: Runtime) -> None:
     state = State()
     with contextlib.ExitStack() as links:
         state.last_shutdown = _last_shutdown(Path(settings.log.directory), links)
+        state.image = slots.present_notice(settings.runtime.run_directory)
         sources = _sources(settings, state, links)
         status_frames = _opened(links, settings, settings.can.interface, CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
         status_messages = _opened(links, settings, settings.can.interface, CanAddress(*dsor.message_filter(source=Node.GPS)))
@@ -157,8 +164,10 @@ async def _attend(
         figures = {name: report() for name, report in runtime.board.items()}
         return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
-    def obeyed(command: Commands) -> str | None:
-        refused = boat.on_command(command)
+    def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
+        refused = boat.on_command(command, operator)
+        if isinstance(command, Shutdown) and refused is None:
+            powerd.ask(runtime, "reboot" if command.reboot else "off", "command of the console")
         log.command(command, refused, boat.state)
         return refused
 
@@ -170,6 +179,9 @@ async def _attend(
         links.callback(boat.guest.close)
         with contextlib.suppress(OSError):  # a boat without its guest sails; the state says that none is connected
             links.callback((await _guest_server(boat, settings.guest.listen)).close)
+    if settings.mavlink.enabled:
+        with contextlib.suppress(OSError):  # a boat without this link sails; the reason is logged
+            links.enter_context(MavlinkLink(boat, obeyed, Path(settings.log.directory) / "mavlink-stamps", runtime.board))
     ticks = 0
     while True:
         await asyncio.sleep(WATCHDOG_S)
@@ -180,6 +192,8 @@ async def _attend(
             commands.publish()
         if ticks % MAINTAIN_EVERY == 0:
             log.poll()
+            if boat.state.image:  # until somebody confirms it
+                boat.state.image = slots.present_notice(settings.runtime.run_directory)
             for each in sockets:
                 each.rebind()
 
@@ -304,6 +318,13 @@ async def timed(runtime: Runtime) -> None:
         await _published(runtime, "timed", service.report)
 
 
+async def slipd(runtime: Runtime) -> None:
+    """The radio's serial line."""
+    from delfim.services.slipd import serve
+
+    await serve(runtime)
+
+
 async def _published(runtime: Runtime, name: str, report: Callable[[], dict[str, object]]) -> None:
     """Until cancelled: the rest happens in callbacks, and the figures are on the runtime's board."""
     runtime.board[name] = report
@@ -322,14 +343,36 @@ async def httpd(runtime: Runtime) -> None:
     await serve(runtime)
 
 
+async def ftpd(runtime: Runtime) -> None:
+    """Files over FTP, for the users of the vehicle's file."""
+    try:
+        from delfim.services.ftpd import serve
+    except ModuleNotFoundError as error:
+        raise PermanentFailure(f"{error.name} is not installed: pip install 'delfim[services]'") from None
+    await serve(runtime)
+
+
+async def sshd(runtime: Runtime) -> None:
+    """Commands and files over SSH, for the users of the vehicle's file."""
+    try:
+        from delfim.services.sshd import serve
+    except ModuleNotFoundError as error:
+        raise PermanentFailure(f"{error.name} is not installed: pip install 'delfim[services]'") from None
+    await serve(runtime)
+
+
 # One row a service, in the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
     Service("canzlogd", canzlogd),
     Service("logd", logd),
     Service("cantcpd", cantcpd),
     Service("timed", timed),
+    Service("slipd", slipd),
     Service("canip", canip),
     Service("httpd", httpd),
+    Service("ftpd", ftpd, place="process"),
+    Service("sshd", sshd, place="process"),
+    Service("powerd", powerd.serve),
     Service("vehicle", vehicle),
 )
 
@@ -342,10 +385,17 @@ def services(settings: config.Vehicle) -> list[Service]:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
     off = {"canip"} if not settings.canip.enabled else set()
+    off |= {"slipd"} if not settings.slipd.device else set()
     off |= {"timed"} if settings.timed.mode == "off" else set()
     off |= set() if settings.logd.nodes else {"logd"}
-    enabled = [(row, asked[row.name].place) for row in SERVICES if asked[row.name].enabled and row.name not in off]
-    return [row if place == "default" else row._replace(place=place) for row, place in enabled]
+    off |= set() if settings.ftpd.users else {"ftpd"}  # nobody could come in
+    off |= set() if settings.sshd.users else {"sshd"}
+    enabled = [(row, asked[row.name]) for row in SERVICES if asked[row.name].enabled and row.name not in off]
+    rows = [row if one.place == "default" else row._replace(place=one.place) for row, one in enabled]
+    for row in rows:
+        if row.place == "runtime" and (asked[row.name].memory_max_mb or asked[row.name].cpu_max):
+            raise PermanentFailure(f'services.{row.name}: memory_max_mb and cpu_max need place = "process"')
+    return rows
 
 
 def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: int) -> int:
@@ -361,33 +411,106 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=service is not None).main(wanted)
 
 
-def supervise(file: str, overrides: Sequence[str], program: Sequence[str] = (sys.executable, "-m", "delfim")) -> int:
+def supervise(
+    file: str, overrides: Sequence[str], program: Sequence[str] = (sys.executable, "-m", "delfim"), *, init: bool = False
+) -> int:
     """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
-    `program` is what is started with `run FILE`."""
+    `program` is what is started with `run FILE`. init: as the machine's first process, which ends with the machine."""
     settings = config.load(file, overrides)
     command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
     programs = [Program("runtime", command, settings.runtime.nice, critical=True)]
     programs += [
-        Program(row.name, (*command, "--service", row.name), settings.runtime.service_nice)
+        Program(row.name, (*command, "--service", row.name), settings.runtime.service_nice, limits=_limits(settings, row.name))
         for row in services(settings)
         if row.place == "process"
     ]
     place = Path(settings.runtime.run_directory)
     place.mkdir(parents=True, exist_ok=True)
-    limits = settings.supervisor
-    return Supervisor(
+    limits, stop = settings.supervisor, StopFrames(settings.can.interface)
+    supervisor = Supervisor(
         programs,
-        stop=StopFrames(settings.can.interface),
+        stop=stop,
         deadman_s=limits.deadman_s,
         backoff_s=limits.backoff_s,
         backoff_max_s=limits.backoff_max_s,
         state_file=place / "supervisor.json",
         watchdog=limits.hardware_watchdog,
-    ).run_forever()
+        requests=shutdown.socket_path(place),
+        init=init,
+    )
+    code = supervisor.run_forever()
+    if supervisor.word in ("off", "reboot"):
+        is_safe = _last_act(settings, supervisor.reason, stop)
+        code = 0 if is_safe else 1
+        if init:
+            shutdown.leave(supervisor.word)
+    return code
+
+
+def _limits(settings: config.Vehicle, name: str) -> cgroup.Limits:
+    asked = settings.services.get(name, config.Service())
+    return cgroup.Limits(asked.memory_max_mb << 20, asked.cpu_max)
+
+
+def _last_act(settings: config.Vehicle, reason: str, stop: "StopFrames") -> bool:
+    """After the programs: the log partition unmounted, the bus told. Returns whether the power may be cut."""
+    limits = settings.powerd
+    inside = Path(limits.partition) in (Path(settings.log.directory), *Path(settings.log.directory).parents)
+
+    def tell(is_safe: bool, holders: Sequence[str]) -> None:
+        with contextlib.suppress(OSError, DelfimError):  # a bus that takes nothing is no reason to go on
+            stop()
+            stop.acknowledge(ShutdownStage.SAFE if is_safe else ShutdownStage.HELD, len(holders))
+
+    return shutdown.last_act(
+        reason,
+        limits.partition if inside else "",
+        end_s=limits.end_s,
+        held_s=limits.held_s,
+        told_s=limits.told_s,
+        tell=tell,
+        record=shutdown.record_path(settings.runtime.run_directory),
+    )
+
+
+def shut_down(file: str, overrides: Sequence[str], word: shutdown.Word) -> int:
+    """`delfim shutdown`: has the supervisor end everything, and says what comes of it. Returns 0 when the power may be cut.
+    Raises DelfimError where no supervisor runs."""
+    settings = config.load(file, overrides)
+    place, record = settings.runtime.run_directory, shutdown.record_path(settings.runtime.run_directory)
+    told, asked_s = "", time.time()
+    try:
+        shutdown.request(shutdown.socket_path(place), word, "command")
+        while shutdown.is_listening(shutdown.socket_path(place)):
+            told = _told(record, asked_s, told)
+            time.sleep(SHUTDOWN_LOOK_S)
+    except OSError as error:
+        raise DelfimError(f"no supervisor at {place}: {error.strerror}; is it running?") from None
+    return 0 if _told(record, asked_s, told) == "safe" else 1
+
+
+def _told(record: Path, since: float, last: str) -> str:
+    """The outcome so far, printed when it is new; empty while there is none."""
+    try:
+        found = json.loads(record.read_text())
+        outcome = "safe" if found["stage"] == "safe" else "held: " + "; ".join(found["holders"])
+    except (OSError, ValueError, KeyError):
+        return last
+    if found["time"] < since:
+        return last
+    if outcome != last:
+        print(f"delfim: {'the power may be cut' if outcome == 'safe' else f'not yet safe: {outcome}'}", flush=True)
+    return outcome
+
+
+def rescue(error: Exception) -> None:
+    """The machine's first process must not end: what is wrong is said, and whoever is at its console may mend it."""
+    print(f"delfim: {error}\ndelfim: the boat does not sail; this is a shell", file=sys.stderr)
+    os.execv("/bin/sh", ("/bin/sh",))
 
 
 class StopFrames:
-    """What the dead-man sends: both propellers off. The socket is open before it is needed."""
+    """What the supervisor sends: both propellers off, and how far a shutdown is."""
 
     def __init__(self, interface: str) -> None:
         self._interface = interface
@@ -400,6 +523,11 @@ class StopFrames:
             self._socket.setblocking(False)
         for arb in (PROPELLER_STARBOARD, PROPELLER_PORT):
             self._socket.sendto(PROPELLER_COMMAND.pack(0, 0, 0), CanAddress(arb))
+
+    def acknowledge(self, stage: ShutdownStage, holders: int) -> None:
+        """Raises OSError as above."""
+        if self._socket is not None:
+            powerd.acknowledge(self._socket, stage, holders)
 
 
 def _socket_path(name: str) -> str:

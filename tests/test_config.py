@@ -1,7 +1,10 @@
 """The vehicle's file: what is taken, and what a tired person is told about what is not."""
 
+import re
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Annotated, get_args, get_origin, get_type_hints
 
 import msgspec
 import pytest
@@ -69,7 +72,12 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
         # unknown keys
         (BOAT + "lenght_m = 3", "boat.lenght_m", "unknown key", "name, id, length_m, beam_m"),
         (BOAT + "[control.pitch]", "control.pitch", "unknown key", "heading, speed, path, hold, home"),
-        (BOAT + "[services.httpd]\ncolour = 1", "services.httpd.colour", "unknown key", "enabled, place"),
+        (
+            BOAT + "[services.httpd]\ncolour = 1",
+            "services.httpd.colour",
+            "unknown key",
+            "enabled, place, memory_max_mb, cpu_max",
+        ),
         # missing parts
         ("", "boat", "missing", ""),
         ("[boat]\nid = 1", "boat.name", "missing", ""),
@@ -111,7 +119,12 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
         (BOAT + "length_m = 1979-05-27", "boat.length_m", "expected float, got date", "more than 0.0 to 10000.0"),
         (BOAT + '[runtime]\nwindow = "yes"', "runtime.window", "expected bool, got str", "true or false"),
         (BOAT + "[log]\ndirectory = 3", "log.directory", "expected str, got int", "text"),
-        (BOAT + "[services]\nhttpd = 3", "services.httpd", "expected table, got int", "a table of enabled, place"),
+        (
+            BOAT + "[services]\nhttpd = 3",
+            "services.httpd",
+            "expected table, got int",
+            "a table of enabled, place, memory_max_mb, cpu_max",
+        ),
     ],
 )
 def test_refusals(tmp_path: Path, text: str, key: str, reason: str, allowed: str) -> None:
@@ -216,3 +229,33 @@ def msgspec_hints(kind: type[Table]) -> dict[str, object]:
 def test_the_boats_own_file_is_obeyed() -> None:
     file = Path(__file__).parents[1] / "etc" / "delfimx.toml"
     assert config.load(file).boat.name == tomllib.loads(file.read_text(encoding="utf-8"))["boat"]["name"]
+
+
+def test_what_everybody_may_read_holds_no_secret_and_is_still_a_vehicle(tmp_path: Path) -> None:
+    vehicle = load(
+        tmp_path, f'{BOAT}[ftpd.users.ana]\npassword = "scrypt:c2FsdA==:AAAA"\n[fence]\nkeep_in = [[0,0],[0,1],[1,1]]\n'
+    )
+    shown = config.shown(vehicle)
+    assert shown["ftpd"]["users"] == {"ana": {"password": "scrypt:hidden:hidden", "upload": False}}
+    again = config.decode(shown, Vehicle, "log")
+    assert again.ftpd.users["ana"].password not in vehicle.ftpd.users["ana"].password
+    assert msgspec.structs.replace(again, ftpd=vehicle.ftpd) == vehicle
+
+
+def test_every_key_that_is_named_like_a_secret_is_declared_as_one() -> None:
+    def keys(kind: object, path: str) -> Iterator[tuple[str, object]]:
+        if isinstance(kind, type) and issubclass(kind, Table):
+            for name, hint in get_type_hints(kind, include_extras=True).items():
+                yield f"{path}{name}", hint
+                yield from keys(hint, f"{path}{name}.")
+        for part in get_args(kind):
+            yield from keys(part, path)
+
+    named = {path: hint for path, hint in keys(Vehicle, "") if re.search(r"(password|secret|token|passphrase)$", path)}
+    assert "ftpd.users.password" in named
+    bare = [
+        path
+        for path, hint in named.items()
+        if get_origin(hint) is not Annotated or "shown" not in (get_args(hint)[1].extra or ())
+    ]
+    assert bare == []

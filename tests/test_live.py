@@ -26,6 +26,7 @@ def delfim(*words: str, **options: object) -> subprocess.Popen[str]:
 def sim(tmp_path: Path, *words: str) -> subprocess.Popen[str]:
     bus = f'simulation.interface="canloop:live-{os.getpid()}-{tmp_path.name[-8:]}"'
     ports = ("--set", 'cantcpd.listen=["127.0.0.1:0"]', "--set", 'simulation.httpd="127.0.0.1:0"')
+    ports += ("--set", 'mavlink.listen="127.0.0.1:0"', "--set", "mavlink.peers=[]")
     return delfim("sim", VEHICLE, "--output", str(tmp_path / "out"), "--set", bus, *ports, *words)
 
 
@@ -58,7 +59,13 @@ def test_every_input_has_an_age_and_nothing_was_lost(sailed):
     assert set(state["sysstat"]) == {"gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"}
     assert state["counts"] == {}
     states = {name: service["state"] for name, service in state["services"].items()}
-    assert states == {"canzlogd": "running", "cantcpd": "running", "httpd": "running", "vehicle": "running"}
+    assert states == {
+        "canzlogd": "running",
+        "cantcpd": "running",
+        "httpd": "running",
+        "powerd": "running",
+        "vehicle": "running",
+    }
 
 
 def test_pictures_and_logs_are_left_behind(sailed):
@@ -171,7 +178,7 @@ def test_black_box_and_page_work_in_processes_of_their_own_and_a_guest_steers(tm
     process.communicate(timeout=30)
     assert modes, "grex was entered"
     assert modes[-1]["reference"]["heading_deg"] == pytest.approx(180.0), "course 150, 30 to starboard"
-    assert set(modes[-1]["services"]) == {"cantcpd", "vehicle"}, "the others are not in this process"
+    assert set(modes[-1]["services"]) == {"cantcpd", "powerd", "vehicle"}, "the others are not in this process"
     assert seen["vehicle"]["mode"] == "grex"
     assert set(seen["services"]) >= {"vehicle", "httpd"}
     assert set(seen["computer"]["supervisor"]) == {"runtime", "canzlogd", "httpd"}

@@ -241,7 +241,7 @@ def test_gps_status_round_trip(
 def test_identifiers_are_unique_and_ordered_by_urgency() -> None:
     commands = [messages.PROPELLER_STARBOARD, messages.PROPELLER_PORT, messages.BATTERIES_STARBOARD, messages.BATTERIES_PORT]
     reports = [messages.sysstat_arb(node) for node in sorted(Node) if node not in (Node.VEHICLE, Node.BROADCAST)]
-    ranked = [*commands, messages.TIME_FRAME, *reports]
+    ranked = [*commands, messages.TIME_FRAME, messages.SHUTDOWN, messages.SHUTDOWN_ACKNOWLEDGE, *reports]
     assert ranked == sorted(set(ranked))
 
 
@@ -251,3 +251,20 @@ def test_the_mask_accepts_the_status_of_any_node(a: Node, b: Node) -> None:
     frame = Frame(messages.sysstat_arb(a))
     assert frame.extended
     assert frame.identifier >> 12 & 0x7F == a
+
+
+@given(st.binary(max_size=8))
+def test_no_other_bytes_are_a_shutdown_order(data: bytes) -> None:
+    with pytest.raises(FormatError, match="shutdown order"):
+        messages.unpack_shutdown(data)
+
+
+@pytest.mark.parametrize("data", [b"", b"\x02", b"\x00\x00", b"\x04\x00", b"\x02\x00\x00"])
+def test_no_other_bytes_say_that_the_power_may_be_cut(data: bytes) -> None:
+    with pytest.raises(FormatError, match="shutdown acknowledge"):
+        messages.unpack_shutdown_acknowledge(data)
+
+
+def test_more_holders_than_fit_are_many() -> None:
+    data = messages.pack_shutdown_acknowledge(messages.ShutdownAcknowledge(messages.ShutdownStage.HELD, 1000))
+    assert messages.unpack_shutdown_acknowledge(data).holders == 255

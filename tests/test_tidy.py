@@ -52,15 +52,21 @@ def test_a_function_fits_on_one_screen() -> None:
     assert [each for each in lengths if each[2] > LINES_PER_FUNCTION] == []
 
 
-def test_tasks_are_born_in_the_runtime_only() -> None:
+def test_tasks_are_born_in_the_runtime_or_in_a_group_that_sees_their_end() -> None:
     born = [
-        at for at, node in _nodes(MODULES) if isinstance(node, ast.Attribute) and node.attr in ("create_task", "ensure_future")
+        at
+        for at, node in _nodes(MODULES)
+        if isinstance(node, ast.Attribute)
+        and node.attr in ("create_task", "ensure_future")
+        and ast.unparse(node.value) != "group"
     ]
     assert [at for at in born if not at.startswith("delfim/services/runtime.py:")] == []
+    groups = [node for _, node in _nodes(MODULES) if isinstance(node, ast.withitem) and "group" in ast.unparse(node).split()]
+    assert {ast.unparse(node) for node in groups} == {"asyncio.TaskGroup() as group"}
 
 
 def test_tests_do_not_sleep() -> None:
-    tests = [path for path in PROGRAMS if "tests" in path.parts and not path.name.startswith("guest_")]
+    tests = [path for path in PROGRAMS if "tests" in path.parts and not path.name.startswith(("guest_", "host_"))]
     assert _lines(tests, re.compile(r"\btime\.sleep" r"\(|\bfrom time import .*\bsleep\b")) == []
 
 

@@ -373,6 +373,8 @@ def _overrides(interface: str, rate_hz: float, place: Path, ports: Ports) -> lis
         f'runtime.run_directory="{place}"',
         'supervisor.hardware_watchdog=""',
         'guest.listen="127.0.0.1:0"',
+        'mavlink.listen="127.0.0.1:0"',
+        "mavlink.peers=[]",
         f'cantcpd.listen=["127.0.0.1:{ports.cantcpd}"]',
         f'httpd.listen="127.0.0.1:{ports.httpd}"',
         *(f"failsafe.{key}.after_s=3600.0" for key in ("navigation_silent", "navigation_frozen", "console_silent")),

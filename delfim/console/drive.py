@@ -24,6 +24,8 @@ WORDS: dict[str, tuple[str, tuple[str, ...]]] = {  # verb: (what it does, names 
     "play": ("play the mission, from a leg on", ("leg",)),
     "mission": ("load a mission file", ()),
     "mode": ("enter a mode by name", ()),
+    "shutdown": ("stop and end everything, so that the power may be cut", ()),
+    "reboot": ("stop, and start the computer again", ()),
 }
 
 
@@ -37,6 +39,8 @@ def command(words: list[str]) -> dict[str, Any]:
     verb, *rest = words
     if verb in ("hold", "home", "path", "grex", "idle"):
         return {"command": "mode", "mode": verb}
+    if verb == "reboot":
+        return {"command": "shutdown", "reboot": True}
     if verb not in WORDS:
         raise FormatError(f"no command {verb!r}; there are:\n{usage()}")
     if verb in ("mode", "mission"):

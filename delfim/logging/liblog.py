@@ -25,12 +25,13 @@ import subprocess
 import sys
 import time
 import zlib
-from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, Protocol
 
 from delfim.clock import Clock
 from delfim.logging import guard
+from delfim.logging.reading import in_order as in_order  # reading needs no Linux and is told here too, beside the writing
+from delfim.logging.reading import read_log as read_log
 
 FLUSH_S: Final = 0.6  # with the writer's rhythm and a slow disk's own time a power cut costs less than a second
 MEMBER_S: Final = 10.0  # of log in a gzip member: what is behind a damaged one can be found again
@@ -103,40 +104,9 @@ def open_log(
     return FileLog(settings, clock, deflate=method == "zwrite")
 
 
-def read_log(path: str | Path) -> tuple[bytes, str]:
-    """What a log file holds, deflated or not, and what is wrong with it, in words; empty when nothing is. Raises OSError.
-
-    A file that a power cut left without its end gives everything up to the last flush.
-    """
-    data = Path(path).read_bytes()
-    if data[:2] != b"\x1f\x8b":
-        return data, ""
-    text = bytearray()
-    while data:
-        member = zlib.decompressobj(wbits=31)
-        try:
-            text += member.decompress(data)
-        except zlib.error as error:
-            return bytes(text), f"{path}: damaged after {len(text)} bytes of content: {error}"
-        if not member.eof:
-            return bytes(text), f"{path}: cut after {len(text)} bytes of content"
-        data = member.unused_data
-    return bytes(text), ""
-
-
 def event_line(clock: Clock, event: str, **what: object) -> bytes:
     """A line for a sidecar: what happened, when, and more words about it (JSON-ready)."""
     return json.dumps({"t_ns": clock.time_ns(), "monotonic_s": clock.monotonic_s(), "event": event} | what).encode() + b"\n"
-
-
-def in_order(paths: Iterable[Path]) -> list[Path]:
-    """Log files in the order in which they were made; plain sorting puts hhmmss-1 before hhmmss."""
-
-    def key(path: Path) -> tuple[str, str, int]:
-        time_, _, number = path.name.partition(".")[0].partition("-")
-        return path.parts[-3] if len(path.parts) > 2 else "", time_, int(number) if number.isdecimal() else 0
-
-    return sorted(paths, key=key)
 
 
 class Settings(NamedTuple):

@@ -13,10 +13,13 @@ import math
 import struct
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from delfim.errors import FormatError
-from delfim.logging.liblog import Log, in_order, read_log
+from delfim.logging.reading import in_order, read_log
+
+if TYPE_CHECKING:
+    from delfim.logging.liblog import Log
 
 MAGIC: Final = b"DELFIM STATE 1\n"
 CODES: Final = "?bBhHiIqQfd"
@@ -78,7 +81,7 @@ class Schema:
 class StateWriter:
     """Packs records and puts them. `rejected` counts those that do not fit the schema, `reason` says why the last did not."""
 
-    def __init__(self, log: Log, schema: Schema) -> None:
+    def __init__(self, log: "Log", schema: Schema) -> None:
         self.rejected, self.reason = 0, ""
         self._pack, self._put = schema.struct.pack, log.put
 

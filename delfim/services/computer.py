@@ -57,7 +57,8 @@ class Look:
         supervisor, deadman = programs(_read(self._supervisor), time_ns / 1e9)
         resident = {each.pid: each.memory_bytes for each in processes}
         for name, each in supervisor.items():
-            supervisor[name] = msgspec.structs.replace(each, memory_bytes=resident.get(each.pid, 0))
+            told = service(each, _read(self._supervisor.with_name(f"service-{name}.json")))
+            supervisor[name] = msgspec.structs.replace(told, memory_bytes=resident.get(each.pid, 0))
         return Computer(
             uptime_s=float((_read(self._root / "proc/uptime").split() or ["0"])[0]),
             cpu=self._processors(),
@@ -232,6 +233,20 @@ def programs(state: str, now_s: float) -> tuple[dict[str, Service], str]:
         return found, f"{event['reason']}, {max(now_s - event['time'], 0.0):.0f} s ago" if event else ""
     except (ValueError, KeyError, TypeError, AttributeError):
         return {}, ""
+
+
+def service(process: Service, told: str) -> Service:
+    """What the supervisor knows of a process, and what its service says of itself as long as it is that process."""
+    try:
+        own = msgspec.json.decode(told, type=Service)
+    except msgspec.DecodeError:
+        return process
+    if process.pid not in (own.pid, 0):
+        return process
+    reason = own.reason if own.reason and not process.reason.endswith("answer") else process.reason
+    if process.state != "running":
+        return msgspec.structs.replace(process, reason=reason)
+    return msgspec.structs.replace(own, restarts=process.restarts + own.restarts, reason=reason or process.reason)
 
 
 class _Timex(ctypes.Structure):

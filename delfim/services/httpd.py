@@ -11,9 +11,7 @@ import contextlib
 import json
 import logging
 import os
-import socket
 import sys
-from collections import Counter
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
@@ -26,6 +24,7 @@ from aiohttp import web
 
 from delfim import config
 from delfim.errors import DelfimError, FormatError
+from delfim.services.door import Door, bulk
 from delfim.services.jail import Jail
 from delfim.services.runtime import Runtime
 from delfim.services.web import api, document, files, metrics, page
@@ -38,9 +37,7 @@ IDLE_S: Final = 15.0  # for a request to arrive, and between two of them
 STALL_S: Final = 20.0  # a client that reads nothing for so long is gone
 AGAIN_S: Final = 5.0  # before a look at the computer that failed is tried again
 CHUNK_BYTES: Final = 64 << 10  # of a file
-UNSENT_BYTES: Final = 32 << 10  # in the kernel: what is new must not wait behind what is old
 ANSWER_BYTES: Final = 1 << 20  # of the vehicle or the child, at most
-IPTOS_THROUGHPUT: Final = 0x08  # after the console's packets on the radio (thesis 2.11)
 BACKLOG: Final = 16
 HEADERS: Final = {
     "Cache-Control": "no-store",
@@ -159,7 +156,7 @@ class Look(asyncio.SubprocessProtocol):
 class Board:
     """What all visitors see: asked for and rendered once, whoever looks, and never while nobody does."""
 
-    def __init__(self, runtime: Runtime, look: Look, door: "Door") -> None:
+    def __init__(self, runtime: Runtime, look: Look, door: Door) -> None:
         self._runtime, self._look, self._door = runtime, look, door
         self._settings, self._clock = runtime.config, runtime.clock
         self.feed = Feed(runtime.config.console.socket)
@@ -167,7 +164,12 @@ class Board:
         self._report: Report | None = None
         self._report_s = self._sections_s = -1e9
         self._sections: dict[str, str] = {}
+        self.requests = 0
         self._due_s = dict.fromkeys((section.id for section in page.SECTIONS), -1e9)
+
+    def figures(self) -> dict[str, int]:
+        door = self._door
+        return {"connections": door.inside.total(), "requests": self.requests, "refused": door.refused}
 
     async def report(self) -> Report:
         async with self._lock:
@@ -207,34 +209,10 @@ class Board:
                 services={**(vehicle.services if vehicle else {}), **own},
                 computer=look.computer,
                 computer_age_s=round(now_s - look.at_s, 1) if look.computer else None,
-                server=msgspec.convert(self._door.figures(), Server),
+                server=Server(**self.figures()),
             )
             self._report_s = now_s
         return self._report
-
-
-class Door:
-    """Who is connected, and who was sent away."""
-
-    def __init__(self, limits: config.Httpd) -> None:
-        self._limits = limits
-        self.inside: Counter[str] = Counter()
-        self.refused = self.requests = 0
-
-    def figures(self) -> dict[str, object]:
-        return {"connections": self.inside.total(), "requests": self.requests, "refused": self.refused}
-
-    def enter(self, address: str) -> bool:
-        if self.inside.total() >= self._limits.connections or self.inside[address] >= self._limits.connections_per_address:
-            self.refused += 1
-            return False
-        self.inside[address] += 1
-        return True
-
-    def leave(self, address: str) -> None:
-        self.inside[address] -= 1
-        if not self.inside[address]:
-            del self.inside[address]
 
 
 class Connection(web.RequestHandler):
@@ -266,10 +244,7 @@ class Connection(web.RequestHandler):
             transport.close()
             return
         self._address = address
-        link = transport.get_extra_info("socket")
-        link.setsockopt(socket.IPPROTO_IP, socket.IP_TOS, IPTOS_THROUGHPUT)
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
-        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * STALL_S))
+        bulk(transport.get_extra_info("socket"), STALL_S)
         super().connection_made(transport)
 
     def connection_lost(self, exc: BaseException | None) -> None:
@@ -285,8 +260,8 @@ class Connection(web.RequestHandler):
 class Site:
     """What is answered. One method a place."""
 
-    def __init__(self, settings: config.Vehicle, board: Board, door: Door) -> None:
-        self._settings, self._board, self._door = settings, board, door
+    def __init__(self, settings: config.Vehicle, board: Board) -> None:
+        self._board = board
         self._jail = Jail(settings.log.directory)
         self._workers = ThreadPoolExecutor(2, "httpd")
         self._places: dict[str, Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]] = {
@@ -303,7 +278,7 @@ class Site:
         self._workers.shutdown(wait=False, cancel_futures=True)
 
     async def answer(self, request: web.BaseRequest) -> web.StreamResponse:
-        self._door.requests += 1
+        self._board.requests += 1
         path = unquote(request.rel_url.raw_path)
         if request.method not in ("GET", "HEAD"):
             refusal = _refused(405, "Here is only something to read.", {"Allow": "GET, HEAD"})
@@ -413,10 +388,10 @@ class Site:
 async def serve(runtime: Runtime) -> None:
     """The service."""
     settings, loop = runtime.config, asyncio.get_running_loop()
-    door = Door(settings.httpd)
+    door = Door(settings.httpd.connections, settings.httpd.connections_per_address)
     look = Look(settings, runtime.clock.monotonic_s)
     board = Board(runtime, look, door)
-    site = Site(settings, board, door)
+    site = Site(settings, board)
     server = web.Server(site.answer, handler_cancellation=True)
     async with contextlib.AsyncExitStack() as links:
         links.callback(site.close)
@@ -427,7 +402,7 @@ async def serve(runtime: Runtime) -> None:
         listener = await loop.create_server(lambda: Connection(server, door), host, int(port), backlog=BACKLOG)
         links.callback(listener.close)
         address = "http://{}:{}/".format(*listener.sockets[0].getsockname()[:2])
-        runtime.board["httpd"] = lambda: {"address": address, **door.figures()}
+        runtime.board["httpd"] = lambda: {"address": address, **board.figures()}
         links.callback(runtime.board.pop, "httpd")
         log.warning("httpd: %s", address)
         while True:

@@ -1,6 +1,7 @@
 """A directory that no path leads out of: not by `..`, not by a link, not by one that is put there between look and opening.
 
-httpd, ftpd and sshd open files through it. Everything here blocks on the disk: call it in a worker.
+What begins with a dot is not there: keys may lie beside the logs. httpd, ftpd and sshd open files through it. Everything here
+blocks on the disk: call it in a worker.
 """
 
 import os
@@ -22,13 +23,15 @@ class Jail:
         real = os.path.realpath(os.path.join(self.root, path.lstrip("/")))
         if not self._holds(real):
             raise DelfimError("outside of what may be seen")
+        if "/." in real[len(self.root.rstrip("/")) :]:
+            raise DelfimError("no such file")
         return real
 
     def open(self, path: str, flags: int = os.O_RDONLY, mode: int = 0o644) -> int:
         """A descriptor of a plain file. Raises OSError as os.open does."""
         fd = os.open(self.real(path), flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, mode)
         try:
-            if not self._holds(os.readlink(f"/proc/self/fd/{fd}")):
+            if not self._holds(os.readlink(f"/proc/self/fd/{fd}")):  # between look and opening a link was put there
                 raise DelfimError("outside of what may be seen")
             if not stat.S_ISREG(os.fstat(fd).st_mode):
                 raise DelfimError("not a plain file")

@@ -31,6 +31,7 @@ BEAT_S: Final = 0.1  # the longest time between two beats of a loop that is well
 SETTLE_S: Final = 1.0  # a service is starting for so long; what its callbacks cost counts afterwards
 SWITCH_S: Final = 0.0001  # that a thread may keep the interpreter from the loop; the interpreter's own choice is 5 ms
 STOP_S: Final = 1.0  # that a service has to end after its cancellation
+TELL_S: Final = 1.0  # a process of its own says so often how its service is
 COLLECT_EVERY_S: Final = 0.1  # garbage is looked for so often ...
 COLLECT_QUIET_S: Final = 0.002  # ... and collected when no navigation is due for so long ...
 OVERDUE: Final = 10  # ... or when there is so many times more than the interpreter would have let be
@@ -207,6 +208,9 @@ class Runtime:
             if self._beat_fd >= 0:
                 self._loop.call_soon(self._beat)  # after the first step of every service
             self._tick()
+            if self._place == "process" and self._beat_fd >= 0:
+                place = Path(self.config.runtime.run_directory)
+                self._tell({name: _status_file(place / f"service-{name}.json") for name in self.status})
             await self._stopping.wait()
             stuck = [row.name for row in reversed(services) if not await self._end(row.name)]
             if stuck:  # the group would wait for ever
@@ -303,6 +307,14 @@ class Runtime:
         except OSError:
             self.stop("the supervisor is gone")
 
+    def _tell(self, files: dict[str, int]) -> None:
+        """Say how the services are: the page is in another process. The files were open before one became another user."""
+        self._loop.call_later(TELL_S, self._tell, files)
+        for name, status in self.status.items():
+            if files[name] >= 0:
+                told = status.report(self.clock.monotonic_s()) | self._shown(name)
+                os.ftruncate(files[name], os.pwrite(files[name], json.dumps(told).encode(), 0))
+
     def _tick(self) -> None:
         """Collect garbage as the interpreter would, but in quiet time; where there is none, when it is long overdue."""
         self._loop.call_later(COLLECT_EVERY_S, self._tick)
@@ -345,6 +357,16 @@ def _mlockall() -> None:
     if ctypes.CDLL(None, use_errno=True).mlockall(current | future):
         number = ctypes.get_errno()
         raise OSError(number, os.strerror(number))
+
+
+def _status_file(path: Path) -> int:
+    """A descriptor, -1 where it cannot be had."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        log.warning("%s: %s; going on without it", path, error.strerror)
+        return -1
 
 
 def _last_deadman(path: Path) -> dict[str, object]:

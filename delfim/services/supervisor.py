@@ -4,7 +4,8 @@ It starts the programs, each in a session of its own, and starts again what died
 write end of a pipe. The critical one beats on it; when the beat stops, whatever the reason, the supervisor itself stops the
 propellers, kills the program and starts it again. A program whose pipe breaks knows that the supervisor is gone.
 
-What it does not do: dependencies, logs, commands. It never waits for anything but time and its children.
+It ends on a signal or on a word at its socket (delfim.services.shutdown), the critical program first; what comes then is the
+caller's. What it does not do: dependencies, logs. It never waits for anything but time and its children.
 """
 
 import json
@@ -12,12 +13,16 @@ import logging
 import os
 import select
 import signal
+import socket
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import Final, Literal, NamedTuple
+from typing import Final, Literal, NamedTuple, cast, get_args
+
+from delfim.services.cgroup import Limits
+from delfim.services.shutdown import Word
 
 EXIT_PERMANENT: Final = 100  # of a program: do not start me again
 START_S: Final = 5.0  # a critical program may take so long to its first beat
@@ -26,6 +31,22 @@ TICK_S: Final = 0.5  # the longest wait: the hardware watchdog is stroked so oft
 END_CRITICAL_S: Final = 5.0  # that the critical program has to end in order
 END_S: Final = 2.0  # that another program has
 KILL_S: Final = 1.0  # that the kernel has to end what was killed
+REQUEST_BYTES: Final = 4096
+
+# Which signal ends what: of the machine's first process as busybox' poweroff and reboot, ctrl-alt-del and a UPS send them.
+SIGNALS: Final[dict[int, Word]] = {
+    signal.SIGTERM: "end",
+    signal.SIGINT: "end",
+    signal.SIGHUP: "end",
+    signal.SIGPWR: "off",
+}
+INIT_SIGNALS: Final[dict[int, Word]] = {
+    signal.SIGTERM: "reboot",
+    signal.SIGINT: "reboot",
+    signal.SIGUSR1: "off",
+    signal.SIGUSR2: "off",
+    signal.SIGPWR: "off",
+}
 
 log = logging.getLogger(__name__)
 
@@ -37,6 +58,7 @@ class Program(NamedTuple):
     argv: tuple[str, ...]
     nice: int = 0
     critical: bool = False
+    limits: Limits = Limits()
 
 
 @dataclass(slots=True)
@@ -51,7 +73,8 @@ class Child:
     beat_s: float | None = None  # last beat
     pause_s: float = 0.0  # before its last start
     restarts: int = 0
-    reason: str = ""  # of its last end, in words
+    reason: str = ""  # of its last end or silence, in words
+    is_silent: bool = False  # beats no more, and is not critical
     verdict: str = ""  # why it was killed by us
     since: float = 0.0  # wall clock, of the last change of state
 
@@ -62,6 +85,10 @@ class Supervisor:
     stop: sends frames that stop the propellers; what it raises is logged and does not matter.
     state_file: JSON for the other programs, replaced at each change.
     watchdog: device, "" for none; where it does not exist there is none.
+    requests: UNIX socket for "off REASON" and the like; None for none.
+    init: the first process of a machine. It ends only when it is told to.
+
+    `word` and `reason` say afterwards what ended it; "" where it ended by itself.
     """
 
     def __init__(
@@ -74,6 +101,8 @@ class Supervisor:
         backoff_max_s: float,
         state_file: Path,
         watchdog: str = "",
+        requests: Path | None = None,
+        init: bool = False,
     ) -> None:
         self._children = [Child(program) for program in sorted(programs, key=lambda program: not program.critical)]
         self._critical = next((child for child in self._children if child.program.critical), None)
@@ -83,7 +112,10 @@ class Supervisor:
         self._watchdog = _opened(watchdog)
         self._deadman: dict[str, object] | None = None  # last event
         self._stop_due_s: float | None = None  # when to send stop frames again; None: the critical program is in charge
-        self._signal = ""  # that ends us
+        self._init, self._signals = init, INIT_SIGNALS if init else SIGNALS
+        self._requests = _listening(requests) if requests else None
+        self.word: Word | Literal[""] = ""
+        self.reason = ""
         self._wake = -1  # readable when a signal came
         self._is_ending = False
 
@@ -101,7 +133,7 @@ class Supervisor:
             self._end()
         self._stroke(b"V")  # magic close; an end that was not in order leaves it to the hardware to start again
         failed = any(child.state == "failed" for child in self._children)
-        return EXIT_PERMANENT if failed and not self._signal else 0
+        return EXIT_PERMANENT if failed and not self.word else 0
 
     def _catch_signals(self) -> None:
         wake, woken = os.pipe()
@@ -110,14 +142,26 @@ class Supervisor:
         self._wake = wake
         signal.set_wakeup_fd(woken, warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
-        for number in (signal.SIGTERM, signal.SIGINT, signal.SIGHUP):
-            signal.signal(number, self._on_signal)
+        for number in self._signals:
+            signal.signal(number, lambda number, _: self._asked(self._signals[number], signal.Signals(number).name))
 
-    def _on_signal(self, number: int, _: object) -> None:
-        self._signal = signal.Signals(number).name
+    def _asked(self, word: Word, reason: str) -> None:
+        """The first one counts."""
+        if not self.word:
+            self.word, self.reason = word, reason
+
+    def _on_request(self, text: bytes) -> None:
+        word, _, reason = text.decode(errors="replace").partition(" ")
+        if word in get_args(Word):
+            log.warning("supervisor: %s: %s", word, reason)
+            self._asked(cast(Word, word), reason)
+        else:
+            log.error("supervisor: a request that is none: %r", word[:20])
 
     def _done(self) -> bool:
-        if self._signal or (self._critical and self._critical.state == "stopped"):
+        if self.word or self._init:
+            return bool(self.word)
+        if self._critical and self._critical.state == "stopped":
             return True
         return all(child.state in ("stopped", "failed") for child in self._children)
 
@@ -130,7 +174,7 @@ class Supervisor:
 
     def _start(self, child: Child) -> None:
         program = child.program
-        child.start_s, child.beat_s, child.verdict = time.monotonic(), None, ""
+        child.start_s, child.beat_s, child.verdict, child.is_silent = time.monotonic(), None, "", False
         child.pipe, beat = os.pipe()
         os.set_inheritable(beat, True)
         argv = (*program.argv, "--beat-fd", str(beat))
@@ -141,6 +185,7 @@ class Supervisor:
             return
         finally:
             os.close(beat)
+        program.limits.hold(program.name, child.pid)
         if program.nice:
             try:
                 os.setpriority(os.PRIO_PROCESS, child.pid, program.nice)
@@ -161,7 +206,7 @@ class Supervisor:
                 if child.pid == pid:
                     code = os.waitstatus_to_exitcode(status)
                     reason = f"exit code {code}" if code >= 0 else f"killed by signal {-code} ({signal.strsignal(-code)})"
-                    self._died(child, code, reason)
+                    self._died(child, code, child.program.limits.exceeded(child.program.name) or reason)
 
     def _died(self, child: Child, code: int, reason: str) -> None:
         now_s = time.monotonic()
@@ -169,7 +214,7 @@ class Supervisor:
         child.pid, child.reason = 0, child.verdict or reason
         if child.program.critical:
             self._stop_due_s = now_s
-        if code == 0 or self._is_ending:
+        if self._is_ending or (code == 0 and not (self._init and child.program.critical)):
             self._change(child, "stopped")
         elif code == EXIT_PERMANENT:
             log.error("%s: %s: not to be started again", child.program.name, child.reason)
@@ -201,8 +246,12 @@ class Supervisor:
         return child.start_s + START_S if child.beat_s is None else child.beat_s + self._deadman_s
 
     def _watch_beat(self) -> None:
-        """Kill what is silent. Stop frames follow at once."""
+        """Kill what is critical and silent; stop frames follow at once. Silence of what is not critical is only told."""
         now_s, child = time.monotonic(), self._critical
+        for each in self._children:
+            late = each is not child and each.beat_s is not None and now_s - each.beat_s > self._deadman_s
+            if each.state == "running" and late and not each.is_silent:
+                self._noted(each, "does not answer", is_silent=True)
         if child is None or now_s < self._deadline_s():
             return
         silent_s = now_s - (child.start_s if child.beat_s is None else child.beat_s)
@@ -210,6 +259,11 @@ class Supervisor:
         self._kill(child, verdict)
         self._stop_due_s = now_s
         self._deadman = {"reason": verdict, "time": time.time()}
+
+    def _noted(self, child: Child, reason: str, *, is_silent: bool) -> None:
+        child.reason, child.is_silent = reason, is_silent
+        log.error("%s: %s", child.program.name, reason)
+        self._tell()
 
     def _keep_stopped(self) -> None:
         """Stop frames again and again, until a critical program beats."""
@@ -235,16 +289,22 @@ class Supervisor:
         due_s = [child.start_s for child in self._children if child.state == "waiting"]
         due_s += [now_s + TICK_S, self._deadline_s(), inf if self._stop_due_s is None else self._stop_due_s]
         pipes = {child.pipe: child for child in self._children if child.pipe >= 0}
-        readable, _, _ = select.select([self._wake, *pipes], [], [], max(0.0, min(due_s) - now_s))
+        requests = [self._requests.fileno()] if self._requests else []
+        readable, _, _ = select.select([self._wake, *requests, *pipes], [], [], max(0.0, min(due_s) - now_s))
         for fd in readable:
-            told = os.read(fd, 4096)
-            if fd != self._wake:
+            told = os.read(fd, REQUEST_BYTES)
+            if fd in requests:
+                self._on_request(told)
+            elif fd != self._wake:
                 self._on_beat(pipes[fd]) if told else self._hang_up(pipes[fd])
         self._reap()
         self._stroke(b"\0")
 
     def _on_beat(self, child: Child) -> None:
-        child.beat_s = time.monotonic()
+        now_s = time.monotonic()
+        if child.is_silent and child.beat_s is not None:
+            self._noted(child, f"did not answer for {now_s - child.beat_s:.1f} s", is_silent=False)
+        child.beat_s = now_s
         if child.program.critical:
             self._stop_due_s = None
 
@@ -288,6 +348,9 @@ class Supervisor:
 
     def _change(self, child: Child, state: Literal["waiting", "running", "stopped", "failed"]) -> None:
         child.state, child.since = state, time.time()
+        self._tell()
+
+    def _tell(self) -> None:
         programs = {
             each.program.name: {
                 "state": each.state,
@@ -304,6 +367,19 @@ class Supervisor:
             new.replace(self._state_file)
         except OSError as error:
             log.error("%s: %s", self._state_file, error.strerror)
+
+
+def _listening(path: Path) -> socket.socket | None:
+    """The socket for requests; None where it cannot be had: signals remain."""
+    path.unlink(missing_ok=True)
+    listening = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        listening.bind(str(path))
+        os.chmod(path, 0o660)
+    except OSError as error:
+        log.error("%s: %s; going on without it", path, error.strerror)
+        return None
+    return listening
 
 
 def _opened(watchdog: str) -> int:

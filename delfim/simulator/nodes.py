@@ -4,6 +4,7 @@ Every node is a clocked object without socket or task: `step(now_s, utc_ns)` ret
 `feed(frame, now_s)` is what it hears, `due_s` when it has something to say again. `now_s` is monotonic and never goes back.
 """
 
+import contextlib
 import math
 from collections.abc import Mapping
 from random import Random
@@ -23,6 +24,7 @@ from delfim.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
     PROPELLER_TIMEOUT_S,
+    RESET,
     SYSSTAT_PRIORITY,
     TIME,
     TIME_FRAME,
@@ -40,13 +42,15 @@ from delfim.messages import (
     sysstat_arb,
     unpack_batteries_command,
     unpack_propeller_command,
+    unpack_reset,
 )
 from delfim.simulator.model import Model, Side, hull_of
 
-COMMANDS: Final = tuple(map(CanAddress, (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)))
+COMMANDS: Final = tuple(map(CanAddress, (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT, RESET)))
 """What a socket binds to that serves the nodes."""
 
 PROPELLER_STATUS_S: Final = 0.2
+RESTART_S: Final = 1.0  # of a node, during which it says nothing
 BATTERIES_STATUS_S: Final = 1.0
 POSITION_ERROR_S: Final = 60.0  # correlation time of a satellite receiver's error
 YAW_RATE_NOISE_RADPS: Final = math.radians(0.2)
@@ -57,6 +61,7 @@ FIX, SATELLITES, HDOP = 3, 10, 0.9
 _GOOD: Final = Status.GOOD, Fault(0)
 _BAD: Final = Status.BAD, Fault.HARDWARE
 _SECOND_NS: Final = 1_000_000_000
+_RESETTABLE: Final = Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT, Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT
 _TOLERANCE_S: Final = 1e-6  # sums of tenths are never exact
 
 
@@ -76,6 +81,9 @@ class _Period:
     def __init__(self, period_s: float) -> None:
         self._period_s = period_s
         self.due_s = -math.inf
+
+    def pause(self, now_s: float) -> None:
+        self.due_s = now_s + RESTART_S
 
     def passed(self, now_s: float) -> bool:
         late_s = now_s - self.due_s + _TOLERANCE_S
@@ -192,6 +200,9 @@ class PropellerNode:
         silent_s = self._commanded_s + PROPELLER_TIMEOUT_S
         return min(self._status.due_s, silent_s) if self._drive.run else self._status.due_s
 
+    def restart(self, now_s: float) -> None:
+        self._status.pause(now_s)
+
     def feed(self, frame: Frame, now_s: float) -> None:
         """A command to this side. Malformed ones are counted and change nothing."""
         try:
@@ -237,6 +248,9 @@ class BatteriesNode:
     @property
     def due_s(self) -> float:
         return self._status.due_s
+
+    def restart(self, now_s: float) -> None:
+        self._status.pause(now_s)
 
     def feed(self, frame: Frame, now_s: float) -> None:
         """A command to this side. Malformed ones are counted and change nothing."""
@@ -292,6 +306,17 @@ class Nodes:
         node = self._by_arb.get(frame.arb)
         if node is not None:
             node.feed(frame, now_s)
+        elif frame.arb == RESET:
+            self._restart(frame.data, now_s)
+
+    def _restart(self, data: bytes, now_s: float) -> None:
+        """A propeller or bank of batteries, or all of them, says nothing for as long as it takes to start. What is no reset
+        changes nothing."""
+        with contextlib.suppress(FormatError):
+            number = unpack_reset(data)
+            for node, each in zip(_RESETTABLE, self._by_arb.values(), strict=True):
+                if number in (node, Node.BROADCAST):
+                    each.restart(now_s)
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         """Let the world come to `now_s`; returns the frames that the nodes send then, as they win the bus."""

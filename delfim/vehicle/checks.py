@@ -20,7 +20,7 @@ class Check(NamedTuple):
     reason: str  # in words, for either answer
 
 
-ADVISORY = frozenset({"mission", "link", "last shutdown"})  # told, and in nobody's way
+ADVISORY = frozenset({"mission", "link", "last shutdown", "image"})  # told, and in nobody's way
 
 
 def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: int) -> list[Check]:
@@ -46,6 +46,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         Check("mission", True, f"{plan.name}, {len(plan.waypoints)} waypoints" if plan is not None else "none loaded"),
         Check("link", heard_s < HEARD_S, f"console heard {heard_s:.1f} s ago" if heard_s < 1e8 else "console never heard"),
         Check("last shutdown", not state.last_shutdown, state.last_shutdown or "nothing wrong known"),
+        Check("image", not state.image, state.image or "confirmed, or not from a slot"),
     ]
 
 

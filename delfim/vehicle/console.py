@@ -9,9 +9,11 @@ from typing import Annotated, Any
 
 import msgspec
 
+from delfim import config
 from delfim.errors import FormatError
 from delfim.geodesy import compass, from_plane
 from delfim.messages import Fault, SystemStatus
+from delfim.vehicle.mission import Mission as MissionTables
 from delfim.vehicle.state import State
 
 Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
@@ -54,9 +56,10 @@ class Heading(Command, frozen=True):
 
 
 class SetSpeed(Command, frozen=True, tag="speed"):
-    """Change speed, keep the mode."""
+    """Change speed, keep the mode: it goes before the speeds of mission, path and way home until another mode is asked for.
+    Without a speed, theirs again."""
 
-    speed_mps: Speed
+    speed_mps: Speed | None = None
 
 
 class Goto(Command, frozen=True):
@@ -73,10 +76,59 @@ class Mission(Command, frozen=True):
     text: Annotated[str, msgspec.Meta(max_length=1 << 20)]
 
 
+class Upload(Command, frozen=True):
+    """The same as its tables, which a link has at hand: there is no text to be read."""
+
+    mission: MissionTables
+
+
 class Play(Command, frozen=True):
     """Play the mission from a leg on (0: the first waypoint)."""
 
     leg: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
+
+
+class Leg(Command, frozen=True):
+    """The leg that play begins with; a mission that is being played goes on there."""
+
+    leg: Annotated[int, msgspec.Meta(ge=0, le=100_000)]
+
+
+class Unload(Command, frozen=True):
+    """Forget the mission; its zones stay."""
+
+
+class Fence(Command, frozen=True):
+    """The mission's zones, in place of those before. A mission that crosses them is forgotten."""
+
+    zones: config.Zones
+
+
+class Rally(Command, frozen=True):
+    """Harbours: the way home ends at the first one that it passes."""
+
+    points: Annotated[tuple[config.Position, ...], msgspec.Meta(max_length=100)]
+
+
+class Take(Command, frozen=True):
+    """This console commands from now on, and must be heard."""
+
+
+class Arm(Command, frozen=True):
+    """Whether the boat is fit to leave idle; refused with the reason why not. Stop disarms."""
+
+
+class Reset(Command, frozen=True):
+    """The other nodes start again (thesis 4.3, key R); in idle only. `node`: 127 is all of them."""
+
+    node: Annotated[int, msgspec.Meta(ge=1, le=127)] = 127
+
+
+class Set(Command, frozen=True):
+    """Another value for a key of the vehicle's file, until the program ends."""
+
+    key: Annotated[str, msgspec.Meta(max_length=64)]
+    value: float | Annotated[str, msgspec.Meta(max_length=64)]
 
 
 class Report(Command, frozen=True, tag="state"):
@@ -87,7 +139,16 @@ class Watch(Command, frozen=True):
     """Every state from now on, newest only."""
 
 
-Commands = Alive | Stop | Mode | Manual | Heading | SetSpeed | Goto | Mission | Play | Report | Watch
+class Shutdown(Command, frozen=True):
+    """Stop, and end everything in order, so that the power may be cut; or start the computer again."""
+
+    reboot: bool = False
+
+
+Commands = (
+    Alive | Stop | Mode | Manual | Heading | SetSpeed | Goto | Mission | Upload | Play | Leg | Unload | Fence | Rally
+    | Take | Arm | Reset | Set | Report | Watch | Shutdown
+)  # fmt: skip
 _decoder = msgspec.json.Decoder(Commands)
 _encode = msgspec.json.Encoder().encode
 
@@ -101,6 +162,11 @@ def parse(line: bytes) -> Commands:
         raise FormatError(f"command not understood: {error}") from None
 
 
+def checked(command: Commands) -> Commands:
+    """The command as it will be read back from a log: in range, and finite. Raises FormatError in words."""
+    return parse(_encode(command))
+
+
 def answer(reason: str | None, snapshot: dict[str, Any]) -> bytes:
     """The line that goes back: whether the command was carried out, if not why, and the state as it now is."""
     return _encode({"ok": reason is None, "reason": reason or "", "state": snapshot}) + b"\n"
@@ -112,6 +178,8 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
     return {
         "mode": state.mode.name.lower(),
         "reason": state.reason,
+        "armed": state.armed,
+        "operator": state.operator,
         "cycle": state.cycles,
         "utc_ns": n.utc_ns if n else 0,
         "source": state.source,
@@ -131,6 +199,7 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
             "cross_track_m": _rounded(r.cross_track_m),
             "distance_m": _rounded(r.distance_m),
             "leg": r.leg,
+            "speed_override_mps": state.setpoint.override_mps,
             **_position(state),
         },
         "mission": state.setpoint.plan.name if state.setpoint.plan else None,

@@ -13,17 +13,19 @@ in lock step, is not their business; clock, sockets and log are handed in.
 import math
 from typing import Protocol
 
+import msgspec
+
 from delfim import config, geodesy
 from delfim.canproxy.socket import CanSocket
 from delfim.clock import Clock
-from delfim.errors import DelfimError, Refused
+from delfim.errors import ConfigError, DelfimError, Refused
 from delfim.vehicle import console, failsafe, fence, sysstat
 from delfim.vehicle.checks import Check, checks, refusal
-from delfim.vehicle.control.control import Settings, admit, control, enter
+from delfim.vehicle.control.control import MODES, Settings, admit, control, enter
 from delfim.vehicle.failsafe import Action, Inputs
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.latency import Latency
-from delfim.vehicle.mission import parse_mission, plan
+from delfim.vehicle.mission import Mission, checked, parse_mission, plan
 from delfim.vehicle.navcan import Fix, Source, preferred
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
@@ -32,6 +34,7 @@ from delfim.vehicle.track import Track
 
 REPEAT_S = 0.5  # a propeller that heard nothing for PROPELLER_TIMEOUT_S stops itself, and that would hide the cause
 PUSHED_S = 1.0  # manual commands that come faster are one push
+LOCAL = "local"  # the operator at the local command socket
 
 
 class StateLog(Protocol):
@@ -63,8 +66,10 @@ class Vehicle:
         self._memory = enter(Mode.IDLE, state.motion, state.setpoint, self._limits)
         self._track = Track(settings.control.home)
         self._rules, self._troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
-        self._zones = config.Zones()  # the mission's
-        self.fence = fence.survey(settings.fence, self._zones, state.origin)  # the boat's and the mission's; None: none
+        self.zones = config.Zones()  # the mission's
+        self.mission: Mission | None = None  # as loaded
+        self.rally: tuple[tuple[float, float], ...] = ()  # harbours, degrees
+        self.fence = fence.survey(settings.fence, self.zones, state.origin)  # the boat's and the mission's; None: none
         self._taken = False  # the failsafe changed the mode; a joystick that is still pushed does not take it back
         self._segmented = sysstat.receiver()
         self._controlled_s = clock.monotonic_s()
@@ -96,18 +101,22 @@ class Vehicle:
         """A status socket readable."""
         sysstat.read(socket, self._segmented, self.state, self.clock.monotonic_s())
 
-    def on_command(self, command: console.Commands) -> str | None:
-        """A command of the console: carried out at once, propellers included. Returns why it was refused, or None."""
-        now_s = self.clock.monotonic_s()
+    def on_command(self, command: console.Commands, operator: str = LOCAL) -> str | None:
+        """A command of a console: carried out at once, propellers included. Returns why it was refused, or None. Who commanded
+        last is the operator, and must go on being heard."""
+        now_s, state = self.clock.monotonic_s(), self.state
         if isinstance(command, console.Report | console.Watch):  # onlookers do not keep the boat sailing
             return None
-        self.state.console_s = now_s
+        if isinstance(command, console.Alive) and state.operator not in ("", operator):  # nor do other consoles
+            return None
+        state.console_s = now_s
         try:
             self._obey(command, now_s)
         except DelfimError as refusal:
             return str(refusal)
         if not isinstance(command, console.Alive):
-            self.state.actuation = self.propulsion.send(self._control(now_s), now_s)
+            state.operator = operator
+            state.actuation = self.propulsion.send(self._control(now_s), now_s)
         return None
 
     def on_guest(self, line: bytes) -> None:
@@ -126,6 +135,7 @@ class Vehicle:
             state.notices = notices
         if action > Action.WARN:
             self._fall_back(action, reason, now_s)
+        self._fade(now_s)
         if now_s - state.navigation_s > REPEAT_S:
             again = STOP if state.mode is Mode.IDLE else state.actuation  # no navigation cycle says it
             state.actuation = self.propulsion.send(again, now_s)
@@ -153,13 +163,32 @@ class Vehicle:
         inputs = Inputs(self.log.reason(), self.fence)
         return checks(self._rules, self.state, inputs, self.clock.monotonic_s(), self.clock.time_ns())
 
+    def _fade(self, now_s: float) -> None:
+        """Manual thrust that nobody repeats ends; the mode stays. Coming back, the operator lets go before it turns again."""
+        state, silent_s = self.state, now_s - self.state.manual_s
+        held = state.setpoint.starboard or state.setpoint.port
+        if state.mode is Mode.MANUAL and held and silent_s > self.settings.failsafe.manual_silent.thrust_s:
+            state.setpoint, self._taken = state.setpoint._replace(starboard=0.0, port=0.0), True
+            state.reason = f"no thrust: no manual command for {silent_s:.1f} s"
+            self.log.note(state.reason)
+            state.actuation = self.propulsion.send(STOP, now_s)  # at once; from the next cycle on, none
+
+    def unfit(self) -> str | None:
+        """Why the boat cannot leave idle, in words; None: it can. Manual asks for least: what forbids it forbids everything."""
+        return refusal(self._rules, Mode.MANUAL, self.checks())
+
+    def home(self) -> tuple[float, float] | None:
+        """(latitude_rad, longitude_rad) of the end of the way home; None where no track was driven yet."""
+        track, at = self._way_home(), self.state.origin
+        return geodesy.from_plane(at, *track[0]) if track and at is not None else None
+
     def _fall_back(self, action: Action, reason: str, now_s: float) -> None:
         """Do what the failsafe asks, or the next safer thing that can be done."""
         state = self.state
         if action is Action.DISCONNECT:
             self.propulsion.disconnect(failsafe.unfollowed(self._rules.table.thruster, state, now_s))
             return
-        setpoint = state.setpoint._replace(track=self._track.points())
+        setpoint = state.setpoint._replace(track=self._way_home())
         mode, reason = failsafe.fallback(action, reason, state.motion.has, setpoint)
         if mode is not state.mode:
             state.setpoint, self._taken = setpoint, True
@@ -182,7 +211,7 @@ class Vehicle:
                 return False
             if state.origin is None:
                 state.origin = geodesy.origin(n.latitude_rad, n.longitude_rad)
-                self.fence = fence.survey(self.settings.fence, self._zones, state.origin)
+                self.fence = fence.survey(self.settings.fence, self.zones, state.origin)
             north_m, east_m = geodesy.to_plane(state.origin, n.latitude_rad, n.longitude_rad)
             has = _POSITION
         else:
@@ -250,6 +279,7 @@ class Vehicle:
             self._memory = self._memory._replace(north_m=north_m, east_m=east_m)
         if mode is not state.mode:
             state.mode_s = self.clock.monotonic_s()
+        state.armed = mode is not Mode.IDLE
         state.mode, state.reason, state.reference = mode, reason, Reference()
         self.log.note(f"{mode.name.lower()}: {reason}")
 
@@ -257,7 +287,9 @@ class Vehicle:
         """The one door: the operator asks for a mode with its set points. Raises Refused; nothing has changed then."""
         state = self.state
         if mode is Mode.HOME:
-            setpoint = setpoint._replace(track=self._track.points())
+            setpoint = setpoint._replace(track=self._way_home())
+        if mode is not state.mode:
+            setpoint = setpoint._replace(override_mps=None)
         if mode is not Mode.IDLE:
             reason = refusal(self._rules, mode, self.checks()) or admit(mode, state.motion.has, setpoint)
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
@@ -273,7 +305,7 @@ class Vehicle:
     def _obey(self, command: console.Commands, now_s: float) -> None:
         setpoint = self.state.setpoint
         match command:
-            case console.Stop():
+            case console.Stop() | console.Shutdown():  # what else a shutdown is, is not the vehicle's
                 self._taken = False
                 self.stop("operator")
             case console.Mode(mode):
@@ -282,23 +314,37 @@ class Vehicle:
                     self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
                 self._request(wanted, setpoint, now_s)
             case console.Manual(starboard, port):
-                pushed, self.state.manual_s = now_s - self.state.manual_s < PUSHED_S, now_s
-                if self._taken and pushed:
-                    raise Refused(f"manual refused: {self.state.reason}; let go for {PUSHED_S:g} s or ask for a mode")
-                self.state.setpoint = setpoint = setpoint._replace(starboard=starboard, port=port)
-                if self.state.mode is not Mode.MANUAL:
-                    self._request(Mode.MANUAL, setpoint, now_s)
+                self._push(starboard, port, now_s)
             case console.Heading(heading_deg, speed_mps):
                 asked = setpoint._replace(heading_rad=math.radians(heading_deg % 360.0), speed_mps=self._speed(speed_mps))
                 self._request(Mode.HEADING, asked, now_s)
             case console.SetSpeed(speed_mps):
-                self.state.setpoint = setpoint._replace(speed_mps=self._speed(speed_mps))
+                override_mps = None if speed_mps is None else self._speed(speed_mps)
+                self.state.setpoint = setpoint._replace(speed_mps=self._speed(speed_mps), override_mps=override_mps)
             case console.Goto(latitude_deg, longitude_deg, speed_mps):
                 self._request(Mode.GOTO, setpoint._replace(target=self._target(latitude_deg, longitude_deg, speed_mps)), now_s)
             case console.Mission(text):
-                self._load(text)
+                self._load(parse_mission(text))
+            case console.Upload(mission):
+                self._load(checked(mission))
             case console.Play(leg):
                 self._request(Mode.PLAY, setpoint._replace(leg=leg), now_s)
+            case console.Leg(leg):
+                self._choose(leg, now_s)
+            case console.Unload():
+                self._unload()
+            case console.Fence(zones):
+                self._surround(zones)
+            case console.Rally(points):
+                self.rally = points
+            case console.Arm():
+                self._arm()
+            case console.Reset(node):
+                if self.state.mode is not Mode.IDLE:
+                    raise Refused("reset refused: stop first")
+                self.propulsion.reset(node)
+            case console.Set(key, value):
+                self._set(key, value)
 
     def _speed(self, asked_mps: float | None) -> float:
         """The operator's speed within the boat's; the present one, or cruising speed, where none was named."""
@@ -314,11 +360,9 @@ class Vehicle:
         north_m, east_m = geodesy.to_plane(self.state.origin, math.radians(latitude_deg), math.radians(longitude_deg))
         return Waypoint(north_m, east_m, self._speed(speed_mps), self.settings.control.path.acceptance_m)
 
-    def _load(self, text: str) -> None:
+    def _load(self, mission: Mission) -> None:
         state = self.state
-        if state.mode in (Mode.PLAY, Mode.PATH):
-            raise Refused("mission refused: one is being played; stop or hold first")
-        mission = parse_mission(text, "mission")
+        self._spare("mission")
         first = mission.waypoint[0]
         origin = state.origin or geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
         planned = plan(mission, origin, self._limits.control)
@@ -326,7 +370,72 @@ class Vehicle:
         if around is not None and (why := fence.complaint(around, planned)) is not None:
             raise Refused(f"mission refused: {why}")
         state.origin, state.setpoint = origin, state.setpoint._replace(plan=planned, leg=0)
-        self._zones, self.fence = mission.fence, around
+        self.mission, self.zones, self.fence = mission, mission.fence, around
+
+    def _unload(self) -> None:
+        self._spare("unload")
+        self.mission, self.state.setpoint = None, self.state.setpoint._replace(plan=None, leg=0)
+
+    def _surround(self, zones: config.Zones) -> None:
+        """Other zones of the mission. Without a position there is no plane yet, and no mission in it."""
+        state = self.state
+        self._spare("fence")
+        self.zones, self.fence = zones, fence.survey(self.settings.fence, zones, state.origin)
+        if self.mission is None or state.setpoint.plan is None:
+            return
+        why = fence.complaint(self.fence, state.setpoint.plan) if self.fence is not None else None
+        self.mission = msgspec.structs.replace(self.mission, fence=zones)
+        if why is not None:
+            self._unload()
+            self.log.note(f"the mission is forgotten: {why}")
+
+    def _spare(self, what: str) -> None:
+        """Raises Refused while the mission is under the boat."""
+        if self.state.mode in (Mode.PLAY, Mode.PATH):
+            raise Refused(f"{what} refused: the mission is being played; stop or hold first")
+
+    def _choose(self, leg: int, now_s: float) -> None:
+        setpoint = self.state.setpoint._replace(leg=leg)
+        if (reason := MODES[Mode.PLAY].lacks(setpoint)) is not None:
+            raise Refused(f"leg refused: {reason}")
+        if self.state.mode is Mode.PLAY:
+            self._request(Mode.PLAY, setpoint, now_s)
+        self.state.setpoint = self.state.setpoint._replace(leg=leg)
+
+    def _push(self, starboard: float, port: float, now_s: float) -> None:
+        """Manual thrust. After the failsafe took it away, the operator first lets go: by silence, or by asking for none."""
+        state = self.state
+        pushed, state.manual_s = now_s - state.manual_s < PUSHED_S, now_s
+        if state.mode is Mode.MANUAL and not starboard and not port:
+            self._taken = False
+        if self._taken and (pushed or state.mode is Mode.MANUAL):
+            raise Refused(f"manual refused: {state.reason}; let go for {PUSHED_S:g} s or ask for a mode")
+        state.setpoint = setpoint = state.setpoint._replace(starboard=starboard, port=port)
+        if state.mode is not Mode.MANUAL:
+            self._request(Mode.MANUAL, setpoint, now_s)
+
+    def _arm(self) -> None:
+        if self.state.mode is Mode.IDLE and (reason := self.unfit()) is not None:
+            raise Refused(f"arm refused: {reason}")
+        self.state.armed = True
+
+    def _way_home(self) -> tuple[tuple[float, float], ...]:
+        """The driven track, from the last harbour that it passed."""
+        track, at = self._track.points(), self.state.origin
+        if at is None or not self.rally:
+            return track
+        harbours = [geodesy.to_plane(at, math.radians(place[0]), math.radians(place[1])) for place in self.rally]
+        near_m = self.settings.control.path.acceptance_m
+        passed = [i for i, point in enumerate(track) if any(math.dist(point, harbour) <= near_m for harbour in harbours)]
+        return track[passed[-1] :] if passed else track
+
+    def _set(self, key: str, value: float | str) -> None:
+        """A value of the tables that may change while the boat sails. Raises Refused with what is allowed."""
+        try:
+            self.settings = settings = config.changed(self.settings, key, value)
+        except ConfigError as error:
+            raise Refused(f"set refused: {error.key}: {error.reason}; {error.allowed}") from None
+        self._limits, self._rules = Settings(settings.control, settings.propulsion), failsafe.Rules(settings)
 
 
 _MEASURED = slice(1, 9)  # of a navigation message: position, velocity, attitude

@@ -63,7 +63,7 @@ class Mission(config.Table, frozen=True):
 
 def load_mission(path: str | Path) -> Mission:
     """The mission in a file, checked. Raises ConfigError with file, key and reason."""
-    return _checked(config.decode(config.read_toml(path), Mission, str(path)), str(path))
+    return checked(config.decode(config.read_toml(path), Mission, str(path)), str(path))
 
 
 def parse_mission(text: str, file: str = "mission") -> Mission:
@@ -72,7 +72,7 @@ def parse_mission(text: str, file: str = "mission") -> Mission:
         tree = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(file, "file", f"not TOML: {error}") from None
-    return _checked(config.decode(tree, Mission, file), file)
+    return checked(config.decode(tree, Mission, file), file)
 
 
 def save_mission(mission: Mission, path: str | Path) -> None:
@@ -138,7 +138,8 @@ def plan(mission: Mission, origin: geodesy.Origin, control: config.ControlTable)
     return Plan(mission.name, waypoints, tuple(lines))
 
 
-def _checked(mission: Mission, file: str) -> Mission:
+def checked(mission: Mission, file: str = "mission") -> Mission:
+    """The mission, if its legs and pieces make sense. Raises ConfigError."""
     first = mission.waypoint[0]
     origin = geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
     places = [_plane(origin, row) for row in mission.waypoint]

@@ -5,6 +5,7 @@ The limit is applied in the statement that sends: nothing leaves here that is no
 
 from delfim import config
 from delfim.canproxy.socket import CanSocket
+from delfim.errors import Refused
 from delfim.messages import (
     BATTERIES_COMMAND,
     BATTERIES_PORT,
@@ -12,6 +13,8 @@ from delfim.messages import (
     PROPELLER_COMMAND,
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
+    RESET,
+    pack_reset,
 )
 from delfim.vehicle.control.control import limited
 from delfim.vehicle.safe import STOP
@@ -45,6 +48,11 @@ class Propulsion:
         if unsent:
             self._state.count("propulsion_unsent", unsent)
         return sent
+
+    def reset(self, node: int) -> None:
+        """Ask a node of the bus, or all of them, to start again. Raises Refused where the bus does not take the frame."""
+        if self._send_many(((RESET, pack_reset(node)),)):
+            raise Refused("reset refused: the bus takes no frame")
 
     def disconnect(self, sides: tuple[str, ...]) -> None:
         """Open the batteries' contactors of these sides with the next command, for good: a propeller there does not obey."""

@@ -94,6 +94,7 @@ class Setpoint(NamedTuple):
     guest_heading_rad: float | None = None
     guest_speed_mps: float = 0.0
     track: tuple[tuple[float, float], ...] = ()  # driven so far, oldest first: the way home
+    override_mps: float | None = None  # the operator's speed in place of the plan's, while the mode lasts
 
 
 class Reference(NamedTuple):
@@ -138,6 +139,7 @@ class State:
     mode: Mode = Mode.IDLE
     reason: str = "started"  # why the boat is in this mode, in words
     mode_s: float = -1e9  # monotonic time it entered the mode
+    armed: bool = False  # the boat left idle, or may; propellers turn in no other state
     navigation: Navigation | None = None
     source: str = ""  # where navigation came from
     navigation_s: float = -1e9  # monotonic time it arrived
@@ -151,6 +153,7 @@ class State:
     reference: Reference = field(default_factory=Reference)
     actuation: Actuation = field(default_factory=lambda: Actuation(0.0, 0.0, False))  # as sent
     sysstat: dict[str, tuple[SystemStatus, float]] = field(default_factory=dict)  # by node: last report, its time
+    operator: str = ""  # the console that commands: whose silence is a trouble; empty: none yet
     console_s: float = -1e9  # monotonic time of the last word of the console
     manual_s: float = -1e9
     guest_s: float = -1e9
@@ -158,6 +161,7 @@ class State:
     guest_connected: bool = False
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
     last_shutdown: str = ""  # what was wrong with the end of the run before, in words; empty: nothing, or not known
+    image: str = ""  # what is special about the image that was started, in words; empty: nothing
     cycles: int = 0
     counts: dict[str, int] = field(default_factory=dict)  # what was refused, dropped, repaired, by name
     profile: Profile = field(default_factory=Profile)

@@ -49,7 +49,7 @@ def test_every_short_frame_is_described_and_no_other() -> None:
     constants = [
         v for v in vars(messages).values() if type(v) is int and v and v & 0x1FFFFF == 0
     ]  # a standard identifier alone
-    assert len(constants) == 5
+    assert len(constants) == 7
     reporting = []
     for node in Node:
         try:
@@ -65,6 +65,8 @@ def test_every_short_frame_is_described_and_no_other() -> None:
     ("name", "arb"),
     [
         ("Time", messages.TIME_FRAME),
+        ("Shutdown", messages.SHUTDOWN),
+        ("ShutdownAcknowledge", messages.SHUTDOWN_ACKNOWLEDGE),
         ("PropellerStarboardCommand", messages.PROPELLER_STARBOARD),
         ("PropellerPortCommand", messages.PROPELLER_PORT),
         ("BatteriesStarboardCommand", messages.BATTERIES_STARBOARD),
@@ -99,6 +101,21 @@ def test_batteries_command(side: str, connected: bool, count: int) -> None:
 def test_time(utc_ns: int) -> None:
     assert DBC.get_message_by_name("Time").decode(messages.TIME.pack(utc_ns)) == {"Utc": utc_ns}
     assert DBC.get_message_by_name("Time").encode({"Utc": utc_ns}) == messages.TIME.pack(utc_ns)
+
+
+@given(st.booleans())
+def test_shutdown(reboot: bool) -> None:
+    data = messages.pack_shutdown(messages.Shutdown(reboot))
+    check("Shutdown", data, {"Key": messages.SHUTDOWN_KEY, "Reboot": "reboot" if reboot else "power off"})
+    assert messages.unpack_shutdown(data) == messages.Shutdown(reboot)
+
+
+@given(st.sampled_from(messages.ShutdownStage), counter)
+def test_shutdown_acknowledge(stage: messages.ShutdownStage, holders: int) -> None:
+    acknowledge = messages.ShutdownAcknowledge(stage, holders)
+    data = messages.pack_shutdown_acknowledge(acknowledge)
+    check("ShutdownAcknowledge", data, {"Stage": stage.name.lower(), "Holders": holders})
+    assert messages.unpack_shutdown_acknowledge(data) == acknowledge
 
 
 @given(
@@ -137,5 +154,5 @@ def test_every_physical_signal_has_a_unit_and_every_signal_a_range() -> None:
         for signal in message.signals:
             assert signal.minimum is not None, f"{message.name}.{signal.name}"
             assert signal.maximum is not None, f"{message.name}.{signal.name}"
-            plain = signal.length == 1 or signal.name in ("Status", "Counter")
+            plain = signal.length == 1 or signal.name in ("Status", "Counter", "Key", "Stage", "Holders")
             assert bool(signal.unit) != plain, f"{message.name}.{signal.name}"

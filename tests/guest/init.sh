@@ -32,9 +32,7 @@ ip link set lo up
 export PATH=/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin HOME=/root LANG=C.UTF-8
 cd "$folder" || exit
 
-if [ "$MODE" = shell ]; then
-    setsid -c /bin/bash --rcfile ./profile </dev/tty0 >/dev/tty0 2>&1
-else
+commands() {
     exec </dev/tty0 >/dev/tty0
     stty -echo
     echo "GUEST ready"
@@ -43,5 +41,16 @@ else
         echo $? >"$number.code"
         echo "GUEST done $number"
     done
+    poweroff -f
+}
+
+if [ "$MODE" = shell ]; then
+    setsid -c /bin/bash --rcfile ./profile </dev/tty0 >/dev/tty0 2>&1
+    poweroff -f
+elif [ -n "$BOAT" ]; then # PID 1 is this script of a boat; the commands come from a process beside it
+    printf '#!/bin/sh\n. %s/profile\nexec python -m delfim "$@"\n' "$folder" >/usr/local/bin/delfim
+    chmod +x /usr/local/bin/delfim
+    commands &
+    exec /bin/sh "$BOAT"
 fi
-poweroff -f
+commands

@@ -15,6 +15,20 @@ import aiohttp
 
 PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 START_S = 20.0
+MODIFIERS = {"Alt": 1, "Control": 2, "Meta": 4, "Shift": 8}
+VIRTUAL_KEYS = {
+    "Tab": 9,
+    "Enter": 13,
+    "Escape": 27,
+    " ": 32,
+    "ArrowLeft": 37,
+    "ArrowUp": 38,
+    "ArrowRight": 39,
+    "ArrowDown": 40,
+    "F1": 112,
+    "+": 187,
+    "-": 189,
+}
 
 
 class Page:
@@ -24,6 +38,7 @@ class Page:
         self._socket = socket
         self._numbers = itertools.count(1)
         self.complaints: list[str] = []  # of the page's console: errors, what the policy refused
+        self.requests: list[str] = []  # addresses, once the domain Network is enabled
 
     async def call(self, method: str, **words: Any) -> dict[str, Any]:
         number = next(self._numbers)
@@ -32,6 +47,8 @@ class Page:
             told = json.loads(await self._socket.receive_str())
             if told.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
                 self.complaints.append(json.dumps(told["params"]))
+            if told.get("method") in ("Network.requestWillBeSent", "Network.webSocketCreated"):
+                self.requests.append(told["params"].get("url") or told["params"]["request"]["url"])
             if told.get("id") == number:
                 assert "error" not in told, told
                 return told["result"]
@@ -52,7 +69,7 @@ class Page:
         await self.until("document.readyState === 'complete'")
 
     async def value(self, expression: str) -> Any:
-        answer = await self.call("Runtime.evaluate", expression=expression, returnByValue=True)
+        answer = await self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         return answer["result"].get("value")
 
     async def until(self, expression: str, timeout_s: float = 15.0) -> None:
@@ -60,6 +77,33 @@ class Page:
         async with asyncio.timeout(timeout_s):
             while not await self.value(expression):
                 await asyncio.sleep(0.05)
+
+    async def press(self, key: str, modifiers: tuple[str, ...] = ()) -> None:
+        """A key, as KeyboardEvent.key calls it, down and up again."""
+        words: dict[str, Any] = {"key": key, "code": _code(key), "modifiers": sum(MODIFIERS[each] for each in modifiers)}
+        words["windowsVirtualKeyCode"] = VIRTUAL_KEYS.get(key, ord(key.upper()[0]))
+        await self.call("Input.dispatchKeyEvent", type="rawKeyDown", **words)
+        await self.call("Input.dispatchKeyEvent", type="keyUp", **words)
+
+    async def mouse(self, *points: tuple[float, float]) -> None:
+        """Press the button at the first point, drag along the others, let go at the last."""
+        await self._mouse("mouseMoved", points[0], 0)
+        await self._mouse("mousePressed", points[0], 1)
+        for point in points[1:]:
+            await self._mouse("mouseMoved", point, 1)
+        await self._mouse("mouseReleased", points[-1], 0)
+
+    async def point(self, x: float, y: float) -> None:
+        await self._mouse("mouseMoved", (x, y), 0)
+
+    async def _mouse(self, kind: str, point: tuple[float, float], buttons: int) -> None:
+        words = {"x": point[0], "y": point[1], "buttons": buttons, "clickCount": 0 if kind == "mouseMoved" else 1}
+        button = "none" if kind == "mouseMoved" and not buttons else "left"
+        await self.call("Input.dispatchMouseEvent", type=kind, button=button, **words)
+
+    async def touch(self, kind: str, *points: tuple[float, float]) -> None:
+        """`kind` is Start, Move or End."""
+        await self.call("Input.dispatchTouchEvent", type=f"touch{kind}", touchPoints=[{"x": x, "y": y} for x, y in points])
 
     async def picture(self, height: int | None = None) -> bytes:
         """The whole page, or its top, as PNG."""
@@ -69,8 +113,14 @@ class Page:
         return base64.b64decode(taken["data"])
 
 
+def _code(key: str) -> str:
+    if len(key) > 1:
+        return key
+    return {" ": "Space", "+": "Equal", "-": "Minus"}.get(key) or (f"Digit{key}" if key.isdigit() else f"Key{key.upper()}")
+
+
 @contextlib.asynccontextmanager
-async def browser(folder: Path) -> AsyncIterator[Page]:
+async def browser(folder: Path, *more: str) -> AsyncIterator[Page]:
     """A tab of a fresh browser whose files are in `folder`."""
     assert PROGRAM is not None
     words = (
@@ -84,6 +134,7 @@ async def browser(folder: Path) -> AsyncIterator[Page]:
     child = await asyncio.create_subprocess_exec(
         PROGRAM,
         *words,
+        *more,
         f"--user-data-dir={folder}",
         "about:blank",
         stdout=asyncio.subprocess.DEVNULL,

@@ -36,7 +36,11 @@ def supervise(text: str) -> int:
             raise OSError("bus-off")
 
     programs = [supervisor.Program(name, tuple(argv), nice, critical) for name, argv, nice, critical in told.pop("programs")]
-    return supervisor.Supervisor(programs, stop=stop, state_file=Path(told.pop("state_file")), **told).run_forever()
+    files = {name: Path(told.pop(name)) for name in ("state_file", "requests")}
+    supervising = supervisor.Supervisor(programs, stop=stop, **files, **told)
+    code = supervising.run_forever()
+    print(f"ended by {supervising.word!r}, {supervising.reason!r}", file=sys.stderr)
+    return code
 
 
 def stall(how: str, beat_fd: int) -> None:

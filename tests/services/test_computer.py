@@ -9,7 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.services import computer
-from delfim.services.computer import Look, can_bus, memory, networks, process, processors, program, programs
+from delfim.services.computer import Look, can_bus, memory, networks, process, processors, program, programs, service
+from delfim.services.web.api import Service
 
 DEV = """Inter-|   Receive                                                |  Transmit
  face |bytes    packets errs drop fifo frame compressed multicast|bytes    packets errs drop fifo colls carrier compressed
@@ -141,3 +142,18 @@ def test_the_hottest_zone(tmp_path):
         zone.mkdir(parents=True)
         (zone / "temp").write_text(text)
     assert computer.temperature_c(Path(tmp_path)) == 55.5
+
+
+def test_a_process_is_as_the_supervisor_and_its_service_say():
+    known = Service(state="running", restarts=1, reason="exit code 1", pid=7)
+    own = '{"place": "process", "state": "waiting", "restarts": 2, "reason": "%s", "pid": %d, "figures": {"connections": 3}}'
+    both = service(known, own % ("OSError: full", 7))
+    assert (both.state, both.restarts, both.reason, both.figures) == ("waiting", 3, "OSError: full", {"connections": 3})
+    assert service(known, own % ("", 7)).reason == "exit code 1"
+    assert service(known, own % ("OSError: full", 6)) == known, "of the process before"
+    assert service(known, "{") == known
+    silent = Service(state="running", reason="does not answer", pid=7)
+    assert service(silent, own % ("OSError: full", 7)).reason == "does not answer"
+    ended = Service(state="failed", reason="exit code 100")
+    assert service(ended, own % ("no such user", 7)).reason == "no such user"
+    assert service(ended, own % ("no such user", 7)).state == "failed"

@@ -19,7 +19,7 @@ import pytest
 
 from delfim import config
 from delfim.clock import SystemClock
-from delfim.services import httpd
+from delfim.services import door, httpd
 from delfim.services.httpd import Look
 from delfim.services.runtime import Runtime
 from delfim.services.web import api, page
@@ -238,7 +238,7 @@ def test_a_page_that_is_not_read_costs_nothing_and_is_hung_up(tmp_path, monkeypa
     monkeypatch.setattr(httpd, "EVERY_S", (0.005, 60.0))
     monkeypatch.setattr(httpd, "FRESH_S", 0.0)
     monkeypatch.setattr(httpd, "STALL_S", 0.3)
-    monkeypatch.setattr(httpd, "UNSENT_BYTES", 4096)
+    monkeypatch.setattr(door, "UNSENT_BYTES", 4096)
 
     async def main():
         async with site(tmp_path) as boat:

@@ -19,6 +19,7 @@ from delfim.messages import (
     NAVIGATION_ID,
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
+    RESET,
     TIME,
     TIME_FRAME,
     BatteriesCommand,
@@ -33,6 +34,7 @@ from delfim.messages import (
     SystemStatus,
     pack_batteries_command,
     pack_propeller_command,
+    pack_reset,
     sysstat_arb,
     unpack_navigation,
     unpack_sysstat,
@@ -312,6 +314,20 @@ def test_no_frame_breaks_the_nodes(frames: list[tuple[int, bytes]]) -> None:
             assert len(frame.data) <= 8
     assert math.isfinite(boat.model.north_m)
     assert not boat.receiver.errors
+
+
+@pytest.mark.parametrize(("number", "silent"), [(Node.PROPELLER_PORT, 1), (Node.BROADCAST, 2), (Node.GPS, 0)])
+def test_a_node_that_is_reset_says_nothing_until_it_has_started(number: int, silent: int) -> None:
+    boat = Boat()
+    boat.sail(2.0, 0, 0)
+    boat.said.clear()
+    boat.nodes.feed(Frame(RESET, pack_reset(number)), boat.now_s)
+    boat.nodes.feed(Frame(RESET, b"\x7f\0\0\0"), boat.now_s)
+    boat.sail(0.8, 0, 0)
+    propellers = (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT)
+    assert sum(not boat.status(node) for node in propellers) == silent
+    boat.sail(1.0, 0, 0)
+    assert all(boat.status(node) for node in propellers)
 
 
 def test_commands_are_what_a_socket_of_the_nodes_accepts() -> None:

@@ -34,6 +34,7 @@ def test_a_boat_that_nobody_has_heard_of_says_so_line_by_line(boat):
         "mission": (True, "none loaded"),
         "link": (False, "console never heard"),
         "last shutdown": (True, "nothing wrong known"),
+        "image": (True, "confirmed, or not from a slot"),
     }
 
 

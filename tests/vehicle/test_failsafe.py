@@ -62,7 +62,7 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
         case Trigger.THRUSTER:
             here.sysstat["propeller_port"] = PropellerStatus(Status.GOOD, Fault(0), 1100, 1.0, 20, 0), now_s
         case Trigger.MANUAL_SILENT:
-            here.manual_s = now_s - 2.1
+            here.manual_s = now_s - 5.1
         case Trigger.CONSOLE_SILENT:
             here.console_s = now_s - 10.1
         case Trigger.GUEST_SILENT:

@@ -110,7 +110,12 @@ def test_manual_thrust_fades_without_fresh_commands(boat):
     boat.vehicle.on_command(console.Manual(0.5, 0.5))
     boat.pass_time(1.5)
     assert boat.propellers()[0].rpm == 600
-    for _ in range(3):
+    boat.pass_time(1.0)
+    assert boat.propellers()[0].rpm == 0
+    assert boat.state.mode is Mode.MANUAL, "the thrust first, then the mode"
+    assert boat.state.reason.startswith("no thrust: no manual command")
+    assert "let go" in boat.vehicle.on_command(console.Manual(0.5, 0.5)), "what comes back late does not push on"
+    for _ in range(6):
         boat.vehicle.on_command(console.Alive())
         boat.pass_time(1.0)
     assert boat.state.reason.startswith("no manual command")

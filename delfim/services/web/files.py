@@ -48,7 +48,7 @@ def entries(jail: Jail, path: str) -> tuple[list[Entry], bool]:
     found = []
     with os.scandir(jail.real(path)) as scan:
         for each in scan:
-            if each.is_symlink():
+            if each.is_symlink() or each.name.startswith("."):
                 continue
             status = each.stat(follow_symlinks=False)
             found.append(Entry(each.name, each.is_dir(follow_symlinks=False), status.st_size, status.st_mtime))

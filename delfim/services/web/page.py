@@ -83,7 +83,7 @@ def troubles(view: View) -> Iterable[tuple[str, str, str]]:
             yield "bad", "dead-man", str(vehicle.deadman.get("reason", ""))
     computer = report.computer
     for name, service in [*report.services.items(), *(computer.supervisor if computer else {}).items()]:
-        if service.state in ("waiting", "failed"):
+        if service.state in ("waiting", "failed") or service.reason == "does not answer":
             yield "bad", name, f"{service.state}: {service.reason}"
     if vehicle is not None:
         for name, count in vehicle.counts.items():
@@ -216,7 +216,7 @@ def _service(view: View, name: str, service: Service) -> str:
     if service.restarts:
         told.append(f'<b class="warn">restarted {service.restarts} times</b>')
     if service.reason:
-        told.append(f"last end: {escape(service.reason)}")
+        told.append(f"last event: {escape(service.reason)}")
     told += [f"{escape(_words(key))} {escape(str(value))}" for key, value in service.figures.items()]
     return (
         f'<li><b class="name">{escape(name)}</b> <span class="pill {kind}">{escape(service.state)}</span>'

@@ -24,7 +24,7 @@ def step(
     target = _target(setpoint)
     if target is None:
         return memory, Reference(), STOP
-    memory, reference, actuation, reached = leg(memory, motion, target, True, settings, dt_s)
+    memory, reference, actuation, reached = leg(memory, motion, target, True, settings, dt_s, setpoint.override_mps)
     return memory, reference._replace(done=True) if reached else reference, actuation
 
 

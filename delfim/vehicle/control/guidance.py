@@ -49,12 +49,13 @@ def along(motion: Motion, north_m: float, east_m: float, to_north_m: float, to_e
 
 
 def leg(
-    memory: Memory, motion: Motion, to: Waypoint, last: bool, settings: Settings, dt_s: float
+    memory: Memory, motion: Motion, to: Waypoint, last: bool, settings: Settings, dt_s: float, override_mps: float | None
 ) -> tuple[Memory, Reference, Actuation, bool]:
     """One step along the line from where the leg began to its waypoint; True when the waypoint is reached.
 
     Reached is: within the acceptance radius, or just passed abeam within twice of it, so that a narrow miss is not repeated.
-    A wide miss starts a new line from here. On the last leg the boat slows down so that it can stop.
+    A wide miss starts a new line from here. On the last leg the boat slows down so that it can stop. The operator's
+    speed, where there is one, goes before the waypoint's.
     """
     bearing_rad, cross_m, left_m = along(motion, memory.north_m, memory.east_m, to.north_m, to.east_m)
     distance_m = math.hypot(cross_m, left_m)
@@ -63,7 +64,7 @@ def leg(
         memory = memory._replace(north_m=motion.north_m, east_m=motion.east_m)
         bearing_rad, cross_m, left_m = along(motion, motion.north_m, motion.east_m, to.north_m, to.east_m)
     course, heading_rad = course_to_steer(memory.course, motion, bearing_rad, cross_m, settings.control.path, dt_s)
-    speed_mps = to.speed_mps
+    speed_mps = to.speed_mps if override_mps is None else override_mps
     if last:
         speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * distance_m), CREEP_MPS))
     integrals, actuation = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s)

@@ -27,7 +27,7 @@ def step(
     north_m, east_m = setpoint.track[memory.leg]
     home = settings.control.home
     to = Waypoint(north_m, east_m, home.speed_mps, settings.control.path.acceptance_m)
-    memory, reference, actuation, reached = leg(memory, motion, to, memory.leg == 0, settings, dt_s)
+    memory, reference, actuation, reached = leg(memory, motion, to, memory.leg == 0, settings, dt_s, setpoint.override_mps)
     if not reached:
         return memory, reference, actuation
     if memory.leg == 0:

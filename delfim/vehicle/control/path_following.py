@@ -48,7 +48,7 @@ def step(
     tangent_rad, cross_m, left_m, swept_rad = nearest(piece, motion, memory.swept_rad)
     course, heading_rad = course_to_steer(memory.course, motion, tangent_rad, cross_m, settings.control.path, dt_s)
     last = memory.leg + 1 == len(path)
-    speed_mps = piece.speed_mps
+    speed_mps = piece.speed_mps if setpoint.override_mps is None else setpoint.override_mps
     if last:
         speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * max(left_m, 0.0)), CREEP_MPS))
     turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad) if isinstance(piece, Arc) else 0.0

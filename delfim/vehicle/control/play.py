@@ -33,7 +33,7 @@ def step(
         return memory, Reference(leg=memory.leg, done=True), STOP
     to = waypoints[memory.leg]
     last = memory.leg + 1 == len(waypoints)
-    memory, reference, actuation, reached = leg(memory, motion, to, last, settings, dt_s)
+    memory, reference, actuation, reached = leg(memory, motion, to, last, settings, dt_s, setpoint.override_mps)
     if not reached:
         return memory, reference, actuation
     if last:

@@ -1,0 +1,270 @@
+"""What the console knows of a boat, and how old each part of it is. Messages in, one JSON-ready dictionary out."""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from typing import Any, Final
+
+from delfim.console.mavlink import NAMES, SYSTEM, mavlink
+from delfim.console.words import Words
+
+COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
+SILENT_S: Final = 3.5
+LOSS_SPAN_S: Final = 20.0
+TRACK_MAX: Final = 36_000  # points: ten hours at one a second
+UNKNOWN_HEADING: Final = 65535
+
+
+class Boat:
+    """One boat. `receive` takes whatever it says; nothing in it can harm."""
+
+    def __init__(self, number: int, now_s: float) -> None:
+        self.number, self.name = number, f"boat {number}"
+        self.colour = COLOURS[number % len(COLOURS)]
+        self.heard_s = now_s
+        self.mode, self.armed, self.owner = "", False, True
+        self.asked: str | None = None
+        self.asked_s = -math.inf
+        self.at_s: dict[str, float] = {}  # when each group of values was heard last
+        self.values: dict[str, Any] = {}
+        self.reference: dict[str, Any] = {}
+        self.reason, self.words = "", Words()
+        self.failsafe, self.ready = "", False
+        self.link, self.signed = "udp", False
+        self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
+        self.rtt_ms: float | None = None
+        self.synced_s = -math.inf
+        self.released = False
+        self.profile = "wifi"
+        self._since_s, self._bytes = now_s, 0
+        self._seen: dict[int, int] = {}  # by component: the last sequence number
+        self._arrivals: deque[tuple[float, int, int]] = deque()  # time, bytes, messages missing before it
+        self._missing = 0
+
+    def receive(self, message: Any, now_s: float, utc_s: float) -> None:
+        """A message of this boat's, whatever it is."""
+        self.heard_s = now_s
+        self._count(message, now_s)
+        handler = _HANDLERS.get(message.get_type())
+        if handler is not None:
+            handler(self, message)
+            self.at_s |= dict.fromkeys(_GROUPS.get(message.get_type(), (message.get_type(),)), now_s)
+            if message.get_type() in ("GLOBAL_POSITION_INT", "HIGH_LATENCY2"):
+                self._extend(utc_s)
+
+    def age_s(self, kind: str, now_s: float) -> float | None:
+        """Since a message of this kind; None where there was none."""
+        return None if kind not in self.at_s else round(now_s - self.at_s[kind], 2)
+
+    def snapshot(self, now_s: float) -> dict[str, Any]:
+        """Everything for the page."""
+        v = self.values
+        self._forget(now_s)
+        ages = {"heard": round(now_s - self.heard_s, 2)} | {
+            name: self.age_s(kind, now_s)
+            for name, kind in (
+                ("position", "GLOBAL_POSITION_INT"),
+                ("attitude", "ATTITUDE"),
+                ("rpm", "RAW_RPM"),
+                ("battery", "SYS_STATUS"),
+            )
+        }
+        if self.asked is not None and (self.asked == self.mode or now_s - self.asked_s > 10.0):
+            self.asked = None
+        return {
+            "id": self.number,
+            "name": self.name,
+            "colour": self.colour,
+            **{key: v.get(key) for key in _PLAIN},
+            "mode": self.mode or None,
+            "asked": self.asked,
+            "armed": self.armed,
+            "owner": self.owner,
+            "ready": self.ready,
+            "reason": self.reason,
+            "failsafe": self.failsafe,
+            "rpm": [v.get("port_rpm"), v.get("starboard_rpm")],
+            "thrust_pct": [v.get("port_pct"), v.get("starboard_pct")],
+            "reference": {key: self.reference.get(key) for key in _REFERENCE},
+            "age_s": ages,
+            "link": {
+                "kind": self.link,
+                "signed": self.signed,
+                "profile": self.profile,
+                "rtt_ms": self.rtt_ms,
+                "loss_pct": self._loss_pct(),
+                "bytes_per_s": round(self._bytes / min(max(now_s - self._since_s, 1.0), LOSS_SPAN_S)),
+            },
+            "ghost": self._ghost(now_s),
+            "released": self.released,
+        }
+
+    def _count(self, message: Any, now_s: float) -> None:
+        """Sequence numbers and bytes."""
+        component, sequence = message.get_srcComponent(), message.get_seq()
+        ahead = (sequence - self._seen.get(component, sequence - 1)) & 0xFF
+        if 0 < ahead < 128:
+            self._seen[component] = sequence
+        missing = ahead - 1 if 0 < ahead < 128 else -1 if ahead else 0  # one that was overtaken had counted as missing
+        size = len(message.get_msgbuf())
+        self._arrivals.append((now_s, size, missing))
+        self._bytes += size
+        self._missing += missing
+        self._forget(now_s)
+
+    def _forget(self, now_s: float) -> None:
+        """What is older than twenty seconds counts no more."""
+        arrivals = self._arrivals
+        while arrivals and arrivals[0][0] < now_s - LOSS_SPAN_S:
+            _, size, missing = arrivals.popleft()
+            self._bytes -= size
+            self._missing -= missing
+
+    def _loss_pct(self) -> float:
+        missing = max(self._missing, 0)
+        heard = len(self._arrivals)
+        return round(100.0 * missing / (heard + missing), 1) if heard else 0.0
+
+    def _extend(self, utc_s: float) -> None:
+        """The past track, a point a second."""
+        latitude_deg, longitude_deg = self.values.get("latitude_deg"), self.values.get("longitude_deg")
+        if latitude_deg is not None and longitude_deg is not None and (not self.track or utc_s - self.track[-1][0] >= 1.0):
+            self.track.append((round(utc_s, 1), latitude_deg, longitude_deg))
+
+    def _ghost(self, now_s: float) -> dict[str, float] | None:
+        """Where a silent boat would be on its last course, and how far off that may be."""
+        silent_s, v = now_s - self.heard_s, self.values
+        if silent_s < SILENT_S or v.get("latitude_deg") is None:
+            return None
+        run_m, course = (v.get("speed_mps") or 0.0) * silent_s, math.radians(v.get("course_deg") or 0.0)
+        latitude_deg = v["latitude_deg"] + run_m * math.cos(course) / 111_200.0
+        east_m_per_deg = 111_200.0 * max(math.cos(math.radians(latitude_deg)), 0.01)
+        return {
+            "latitude_deg": latitude_deg,
+            "longitude_deg": v["longitude_deg"] + run_m * math.sin(course) / east_m_per_deg,
+            "radius_m": 5.0 + 0.5 * run_m,
+        }
+
+
+_PLAIN: Final = (
+    "latitude_deg",
+    "longitude_deg",
+    "heading_deg",
+    "course_deg",
+    "speed_mps",
+    "speed_pct",
+    "battery_v",
+    "battery_pct",
+    "roll_deg",
+    "pitch_deg",
+    "satellites",
+    "fix",
+)
+
+
+_REFERENCE: Final = ("heading_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
+_GROUPS: Final = {"HIGH_LATENCY2": ("HIGH_LATENCY2", "GLOBAL_POSITION_INT", "SYS_STATUS")}  # which it says all at once
+
+
+def _heartbeat(boat: Boat, m: Any) -> None:
+    boat.mode = NAMES.get(m.custom_mode, f"mode {m.custom_mode}")
+    boat.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
+    boat.signed = bool(m.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
+    boat.failsafe = (boat.failsafe or boat.reason) if m.system_status == mavlink.MAV_STATE_CRITICAL else ""
+
+
+def _position(boat: Boat, m: Any) -> None:
+    north_mps, east_mps = m.vx / 100.0, m.vy / 100.0
+    known = (m.lat, m.lon) != (0, 0)
+    boat.values |= {
+        "latitude_deg": m.lat / 1e7 if known else None,
+        "longitude_deg": m.lon / 1e7 if known else None,
+        "heading_deg": m.hdg / 100.0 if m.hdg != UNKNOWN_HEADING else None,
+        "course_deg": round(math.degrees(math.atan2(east_mps, north_mps)) % 360.0, 1),
+        "speed_mps": round(math.hypot(north_mps, east_mps), 2),
+    }
+
+
+def _attitude(boat: Boat, m: Any) -> None:
+    boat.values |= {"roll_deg": round(math.degrees(m.roll), 1), "pitch_deg": round(math.degrees(m.pitch), 1)}
+    boat.values["heading_deg"] = round(math.degrees(m.yaw) % 360.0, 1)
+
+
+def _rpm(boat: Boat, m: Any) -> None:
+    if m.index in (0, 1):
+        boat.values["starboard_rpm" if m.index else "port_rpm"] = round(m.frequency)
+
+
+def _servos(boat: Boat, m: Any) -> None:
+    boat.values |= {"port_pct": round((m.servo1_raw - 1500) / 5), "starboard_pct": round((m.servo3_raw - 1500) / 5)}
+
+
+def _hud(boat: Boat, m: Any) -> None:
+    boat.values["speed_pct"] = m.throttle
+
+
+def _power(boat: Boat, m: Any) -> None:
+    boat.ready = bool(m.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
+    boat.values["battery_v"] = m.voltage_battery / 1000.0 if m.voltage_battery != 65535 else None
+    boat.values["battery_pct"] = m.battery_remaining if m.battery_remaining >= 0 else None
+
+
+def _gps(boat: Boat, m: Any) -> None:
+    boat.values |= {"fix": m.fix_type, "satellites": m.satellites_visible if m.satellites_visible != 255 else None}
+
+
+def _navigation(boat: Boat, m: Any) -> None:
+    boat.reference |= {
+        "heading_deg": m.nav_bearing % 360,
+        "distance_m": m.wp_dist,
+        "cross_track_m": round(m.xtrack_error, 2),
+    }
+
+
+def _target(boat: Boat, m: Any) -> None:
+    known = (m.lat_int, m.lon_int) != (0, 0)
+    boat.reference["latitude_deg"] = m.lat_int / 1e7 if known else None
+    boat.reference["longitude_deg"] = m.lon_int / 1e7 if known else None
+
+
+def _current(boat: Boat, m: Any) -> None:
+    boat.reference["leg"] = m.seq
+
+
+def _named(boat: Boat, m: Any) -> None:
+    if m.name == "OWNER":
+        boat.owner = m.value in (0, SYSTEM)
+
+
+def _lean(boat: Boat, m: Any) -> None:
+    """HIGH_LATENCY2: everything in one message, for radios on which a byte counts."""
+    boat.owner = m.custom0 & 0xFF in (0, SYSTEM)
+    boat.mode = NAMES.get(m.custom_mode, f"mode {m.custom_mode}")
+    boat.values |= {
+        "latitude_deg": m.latitude / 1e7,
+        "longitude_deg": m.longitude / 1e7,
+        "heading_deg": m.heading * 2.0,
+        "course_deg": m.heading * 2.0,
+        "speed_mps": m.groundspeed / 5.0,
+        "speed_pct": m.throttle,
+        "battery_pct": m.battery if m.battery >= 0 else None,
+        "port_pct": m.custom1,
+        "starboard_pct": m.custom2,
+    }
+
+
+_HANDLERS: Final[dict[str, Callable[[Boat, Any], None]]] = {
+    "HEARTBEAT": _heartbeat,
+    "GLOBAL_POSITION_INT": _position,
+    "ATTITUDE": _attitude,
+    "RAW_RPM": _rpm,
+    "SERVO_OUTPUT_RAW": _servos,
+    "VFR_HUD": _hud,
+    "SYS_STATUS": _power,
+    "GPS_RAW_INT": _gps,
+    "NAV_CONTROLLER_OUTPUT": _navigation,
+    "POSITION_TARGET_GLOBAL_INT": _target,
+    "MISSION_CURRENT": _current,
+    "HIGH_LATENCY2": _lean,
+    "NAMED_VALUE_INT": _named,
+}

@@ -1,0 +1,144 @@
+"""The operator's own charts: images that know where they lie, and MBTiles, from one folder; served to the page.
+
+An image that lies north up in degrees is served as it is; any other is drawn anew once, by a process of its own
+(`delfim.console.warp`), when a page asks for it first.
+"""
+
+import asyncio
+import sqlite3
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import closing, suppress
+from pathlib import Path
+from typing import Any, Final
+
+from aiohttp import web
+
+from delfim.console.georeference import WORLD_FILES, placed
+from delfim.console.warp import SIDE_MAX
+from delfim.errors import ConfigError
+
+WARP_S: Final = 60.0
+ZOOM_MAX: Final = 24
+WORLD: Final = (-180.0, -85.05, 180.0, 85.05)
+KINDS: Final = ((b"\x89PNG", "image/png"), (b"\xff\xd8", "image/jpeg"), (b"RIFF", "image/webp"))
+_AGE: Final = {"Cache-Control": "max-age=3600"}
+
+
+class Charts:
+    """What lies in the folder when the console starts. `faults` says what was left out, and why."""
+
+    def __init__(self, folder: Path | None) -> None:
+        self.backgrounds: list[dict[str, Any]] = []
+        self.faults: list[str] = []
+        self._images: dict[str, Path] = {}
+        self._drawn: dict[str, Path] = {}
+        self._tiles: dict[str, sqlite3.Connection] = {}
+        self._turn = asyncio.Lock()  # one chart is drawn at a time
+        self._made = tempfile.TemporaryDirectory(prefix="delfim-charts-", ignore_cleanup_errors=True)
+        for file in sorted(folder.iterdir()) if folder is not None and folder.is_dir() else ():
+            self._take(file)
+
+    def close(self) -> None:
+        for tiles in self._tiles.values():
+            tiles.close()
+        self._made.cleanup()
+
+    def routes(self, app: web.Application) -> None:
+        app.router.add_get("/background/{name}", self._background)
+        app.router.add_get("/tiles/{name}/{z:[0-9]+}/{x:[0-9]+}/{y:[0-9]+}", self._tile)
+
+    def _take(self, file: Path) -> None:
+        add: Callable[[Path], dict[str, Any]]
+        if file.suffix.lower() in WORLD_FILES:
+            add = self._add_image
+        elif file.suffix.lower() == ".mbtiles":
+            add = self._add_tiles
+        else:
+            return
+        try:
+            if any(file.stem == other["name"] for other in self.backgrounds):
+                raise ConfigError(str(file), "name", "another chart has the same name")
+            self.backgrounds.append({"name": file.stem, **add(file)})
+        except ConfigError as error:
+            self.faults.append(str(error))
+
+    def _add_image(self, file: Path) -> dict[str, Any]:
+        image = placed(file)
+        shown = image.upright and file.suffix.lower() in (".png", ".jpg", ".jpeg") and max(image.size) <= SIDE_MAX
+        self._images[file.stem] = file
+        if shown:
+            self._drawn[file.stem] = file
+        return {"kind": "image", "extent": image.extent(), "minzoom": None, "maxzoom": None}
+
+    def _add_tiles(self, file: Path) -> dict[str, Any]:
+        try:
+            tiles = sqlite3.connect(f"{file.resolve().as_uri()}?mode=ro&immutable=1", uri=True)
+            try:
+                told = _metadata(tiles)
+            except BaseException:
+                tiles.close()
+                raise
+        except (sqlite3.Error, ValueError) as error:
+            raise ConfigError(str(file), "file", f"no MBTiles: {error}") from None
+        self._tiles[file.stem] = tiles
+        return told
+
+    async def _background(self, request: web.Request) -> web.StreamResponse:
+        name = request.match_info["name"]
+        if name not in self._images:
+            raise web.HTTPNotFound(text="no such chart\n")
+        async with self._turn:
+            if name not in self._drawn:
+                self._drawn[name] = await self._draw(name)
+        return web.FileResponse(self._drawn[name], headers=_AGE)
+
+    async def _draw(self, name: str) -> Path:
+        target = Path(self._made.name) / f"{len(self._drawn)}.png"
+        words = ("-m", "delfim.console.warp", str(self._images[name].resolve()), str(target))
+        child = await asyncio.create_subprocess_exec(sys.executable, *words, stderr=asyncio.subprocess.PIPE)
+        try:
+            async with asyncio.timeout(WARP_S):
+                _, said = await child.communicate()
+        except TimeoutError:
+            raise web.HTTPInternalServerError(text=f"not drawn within {WARP_S:.0f} s\n") from None
+        finally:
+            if child.returncode is None:
+                with suppress(ProcessLookupError):
+                    child.kill()
+                await child.wait()
+        if child.returncode:
+            raise web.HTTPInternalServerError(text=said.decode(errors="replace")[-500:])
+        return target
+
+    async def _tile(self, request: web.Request) -> web.Response:
+        tiles = self._tiles.get(request.match_info["name"])
+        z, x, y = (int(request.match_info[key][:9]) for key in "zxy")
+        if tiles is None or z > ZOOM_MAX:
+            raise web.HTTPNotFound(text="no such tiles\n")
+        asked = z, x, (1 << z) - 1 - y  # in the file rows count from the south
+        sql = "SELECT tile_data FROM tiles WHERE zoom_level = ? AND tile_column = ? AND tile_row = ?"
+        try:
+            with closing(tiles.execute(sql, asked)) as found:
+                row = found.fetchone()
+        except sqlite3.Error as error:
+            raise web.HTTPInternalServerError(text=f"{error}\n") from None
+        if row is None or not isinstance(row[0], bytes):
+            return web.Response(status=204, headers=_AGE)
+        kind = next((words for magic, words in KINDS if row[0].startswith(magic)), "application/octet-stream")
+        return web.Response(body=row[0], content_type=kind, headers=_AGE)
+
+
+def _metadata(tiles: sqlite3.Connection) -> dict[str, Any]:
+    """For the page. Raises ValueError, sqlite3.Error."""
+    told = {str(name): str(value) for name, value in tiles.execute("SELECT name, value FROM metadata")}
+    if told.get("format", "png") not in ("png", "jpg", "jpeg", "webp"):
+        raise ValueError(f"its tiles are {told['format']}, not pictures")
+    low, high = tiles.execute("SELECT min(zoom_level), max(zoom_level) FROM tiles").fetchone()
+    if low is None:
+        raise ValueError("it has no tiles")
+    extent = tuple(float(word) for word in told["bounds"].split(",")) if "bounds" in told else WORLD
+    if len(extent) != 4 or not (-180.0 <= extent[0] < extent[2] <= 180.0 and -90.0 <= extent[1] < extent[3] <= 90.0):
+        raise ValueError(f"its bounds mean nothing: {told['bounds']}")
+    return {"kind": "tiles", "extent": extent, "minzoom": int(low), "maxzoom": int(high)}

@@ -1,0 +1,118 @@
+"""MAVLink 2 as the console speaks it: bytes to messages and back, signed where there is a key. Modes and their numbers.
+
+Frames and signatures are the vehicle's (`delfim.vehicle.mavlink`): both ends judge alike. What a boat says and obeys:
+docs/mavlink.md.
+"""
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from delfim.clock import Clock, SystemClock
+from delfim.errors import ConfigError, FormatError
+from delfim.vehicle.mavlink import wire
+from delfim.vehicle.mavlink.signing import Signing, new_key, read_key, read_stamps, write_stamps
+
+mavlink: Final = wire.dialect
+
+SYSTEM: Final = 250  # of this console; QGroundControl and MAVProxy call themselves 255
+COMPONENT: Final = mavlink.MAV_COMP_ID_MISSIONPLANNER
+STAMPS_S: Final = 10.0  # between two writings of the time stamps
+_HEAD, _LEAST, _SIGNATURE = 3, 12, 13  # bytes: what tells the length of a frame; around the payload; signed
+_SENT: Final = (0, SYSTEM, COMPONENT)  # the stream of what is sent, among the stamps that are kept
+
+MODES: Final = {
+    "idle": 4,
+    "manual": 0,
+    "heading": 3,
+    "hold": 5,
+    "play": 10,
+    "home": 11,
+    "goto": 15,
+    "path": 100,
+    "grex": 101,
+}
+NAMES: Final = {number: name for name, number in MODES.items()}
+
+
+class Key:
+    """A signing key in a file of 64 hexadecimal digits, and beside it the time stamps of what was signed with it, which
+    never go back, not even over a restart. Raises ConfigError.
+    """
+
+    def __init__(self, file: Path, clock: Clock | None = None) -> None:
+        try:
+            self.secret = read_key(file)
+        except ConfigError as error:
+            raise ConfigError(str(file), "key", f"{error.reason}; make one with: delfim console --keygen {file}") from None
+        self._clock = clock or SystemClock()
+        self._file = file.with_suffix(".stamps")
+        self._signing = Signing(self.secret, self._clock, read_stamps(self._file))
+        self._due_s = self._clock.monotonic_s()
+
+    def stamp(self) -> int:
+        """For the next frame that is sent: ticks of 10 us since 2015, as the clock runs."""
+        stamp = self._signing.stamp()
+        self._signing.stamps[_SENT] = stamp
+        if self._clock.monotonic_s() >= self._due_s:
+            self._due_s = self._clock.monotonic_s() + STAMPS_S
+            write_stamps(self._file, self._signing.stamps)
+        return stamp
+
+    def fault(self, frame: bytes) -> str:
+        """What is wrong with the signature of a frame that came; empty: nothing. A frame is well once."""
+        return self._signing.judge(frame).fault
+
+
+class Codec:
+    """One end of one conversation. A `stream` may cut frames anywhere, datagrams hold whole ones. `counts`: the refused."""
+
+    def __init__(self, key: Key | None = None, *, stream: bool = False) -> None:
+        self.counts = {"heard": 0, "refused": 0}
+        self._key, self._stream, self._rest = key, stream, b""
+        secret, stamp = (None, _no_stamp) if key is None else (key.secret, key.stamp)
+        self.encode = wire.Sender(SYSTEM, COMPONENT, secret, stamp).pack
+
+    def decode(self, data: bytes) -> Iterator[Any]:
+        """The messages in these bytes. Whatever else is in them is passed over, byte by byte: no noise hides a whole frame."""
+        rest, at = self._rest + data, 0
+        while (at := rest.find(wire.MARKER, at)) >= 0 and at + _HEAD <= len(rest):
+            end = at + _LEAST + rest[at + 1] + (_SIGNATURE if rest[at + 2] & wire.SIGNED else 0)
+            if end > len(rest):
+                if self._stream and not rest[at + 2] & ~wire.SIGNED:
+                    break
+                at += 1
+                continue
+            frame = rest[at:end]
+            message = self._message(frame)
+            if message is not None:
+                yield message
+            at = end if message is not None or not self._stream else at + 1
+        self._rest = rest[at:] if self._stream and at >= 0 else b""
+
+    def _message(self, frame: bytes) -> Any:
+        """None for what is damaged, not known, or not signed as it must be."""
+        try:
+            message = wire.decode(frame)
+        except FormatError:
+            self.counts["refused"] += 1
+            return None
+        if message is None:
+            return None
+        if self._key is not None and self._key.fault(frame):
+            self.counts["refused"] += 1
+            return None
+        self.counts["heard"] += 1
+        return message
+
+
+def _no_stamp() -> int:
+    return 0
+
+
+def keygen(file: Path) -> None:
+    """A new key, which only its owner can read. Raises ConfigError where the file exists: a key is not lost by mistake."""
+    try:
+        new_key(file)
+    except OSError as error:
+        raise ConfigError(str(file), "key", str(error.strerror)) from None

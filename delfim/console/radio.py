@@ -1,0 +1,86 @@
+"""A serial radio: MAVLink on a stream of bytes, without datagrams. The frames are found in it by the codec, at each 0xFD anew.
+
+A thread waits for bytes, because that is the one way that works on Linux, macOS and Windows; it only reads and hands over. The
+port may go and come back: it is opened again every two seconds.
+"""
+
+import asyncio
+import threading
+from collections.abc import Callable
+from typing import Any, Final
+
+import serial
+
+from delfim.errors import ConfigError
+
+BAUD: Final = 57_600
+BITS_PER_BYTE: Final = 10  # 8N1
+BACKLOG_S: Final = 0.5  # of bytes on their way to the air; what would wait behind them is stale when it leaves
+AGAIN_S: Final = 2.0
+READ_S: Final = 0.2
+READ_BYTES: Final = 4096
+
+
+class Radio:
+    """One port. `reason` says why it is not open, in words; empty while it is. `dropped` counts frames that were not sent."""
+
+    def __init__(self, device: str, baud: int, receive: Callable[[Any, bytes], None]) -> None:
+        self.device, self.reason, self.dropped = device, "not open yet", 0
+        self._baud, self._receive = baud, receive
+        self._port: serial.Serial | None = None
+        self._loop: asyncio.AbstractEventLoop | None = None
+        self._ended = threading.Event()
+        self._thread = threading.Thread(target=self._run, name=f"radio {device}", daemon=True)
+
+    def start(self) -> None:
+        """On the loop that is to be told."""
+        self._loop = asyncio.get_running_loop()
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ended.set()
+        if self._thread.is_alive():
+            self._thread.join(AGAIN_S)
+
+    def send(self, data: bytes) -> None:
+        """Now or never: what does not fit is dropped, and whoever needs an answer says it again."""
+        port = self._port
+        try:
+            if port is None or port.out_waiting * BITS_PER_BYTE > self._baud * BACKLOG_S or (port.write(data) or 0) < len(data):
+                self.dropped += 1
+        except (serial.SerialException, OSError, TypeError):  # pyserial says TypeError of a port that was closed meanwhile
+            self.dropped += 1
+
+    def _run(self) -> None:
+        while not self._ended.is_set():
+            try:
+                with serial.Serial(self.device, self._baud, timeout=READ_S, write_timeout=0) as port:
+                    self._port, self.reason = port, ""
+                    self._read(port)
+            except (serial.SerialException, OSError, ValueError) as error:
+                self.reason = str(error)
+            self._port = None
+            self._ended.wait(AGAIN_S)
+
+    def _read(self, port: serial.Serial) -> None:
+        while not self._ended.is_set():
+            data = port.read(1)
+            if data:
+                self._hand_over(data + port.read(min(port.in_waiting, READ_BYTES)))
+
+    def _hand_over(self, data: bytes) -> None:
+        assert self._loop is not None
+        try:
+            self._loop.call_soon_threadsafe(self._receive, ("serial", self.device), data)
+        except RuntimeError:  # the loop has ended
+            self._ended.set()
+
+
+def radio(words: str, receive: Callable[[Any, bytes], None]) -> Radio:
+    """The radio of `/dev/ttyUSB0:57600`, `COM3:57600` or `/dev/ttyUSB0`. Raises ConfigError."""
+    device, colon, baud = words.rpartition(":")
+    if not colon:
+        device, baud = words, str(BAUD)
+    if not device or not baud.isdecimal() or not 300 <= int(baud) <= 4_000_000:
+        raise ConfigError("--radio", words, "no serial port", "DEVICE or DEVICE:BAUD, as /dev/ttyUSB0:57600 or COM3:9600")
+    return Radio(device, int(baud), receive)

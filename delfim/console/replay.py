@@ -1,0 +1,113 @@
+"""A recorded run instead of boats: it stands where `Fleet` stands, shows what was known at each time, and commands nothing."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, Final, NoReturn
+
+from delfim.clock import Clock
+from delfim.console.boats import Boat
+from delfim.console.fleet import NO_MISSION
+from delfim.console.statetape import States
+from delfim.console.tape import Session, Tape
+from delfim.errors import DelfimError, FormatError, Refused
+from delfim.logging.statelog import read_state
+
+RATE_MAX: Final = 60.0
+
+
+class Replay:
+    """Plays from its beginning at the rate of life. `moved` is called when time jumped: tracks are other ones then."""
+
+    def __init__(self, tapes: Sequence[Tape], clock: Clock, tell: Callable[[dict[str, Any]], None]) -> None:
+        self.from_s, self.to_s = min(tape.from_s for tape in tapes), max(tape.to_s for tape in tapes)
+        self.boats: dict[int, Boat] = {}
+        self.missions: dict[int, dict[str, dict[str, Any]]] = {}
+        self.at_s, self.rate = self.from_s, 1.0
+        self.moved: Callable[[], None] = lambda: None
+        self._tapes, self._clock, self._tell = tapes, clock, tell
+        self._played_s = clock.monotonic_s()
+        self.seek(self.from_s)
+
+    def seek(self, at_s: float) -> None:
+        """Everything as it was known then."""
+        self.at_s = min(max(at_s, self.from_s), self.to_s)
+        self.boats.clear()
+        for tape in self._tapes:
+            tape.seek(self.boats, self.at_s)
+        self.moved()
+
+    def steer(self, words: dict[str, Any]) -> None:
+        """What the page asks of the time line: `at_s`, `rate` (0 stands still). Raises FormatError."""
+        try:
+            at_s = float(words["at_s"]) if words.get("at_s") is not None else None
+            rate = float(words["rate"]) if words.get("rate") is not None else self.rate
+        except (TypeError, ValueError) as error:
+            raise FormatError(f"replay: {error}") from None
+        if not 0.0 <= rate <= RATE_MAX or (at_s is not None and at_s != at_s):
+            raise FormatError(f"replay: a rate is 0 to {RATE_MAX:.0f} and a time is a number")
+        self.rate = rate
+        if at_s is not None:
+            self.seek(at_s)
+
+    def tick(self) -> None:
+        """Due often: plays what has become due."""
+        now_s = self._clock.monotonic_s()
+        from_s, self.at_s = self.at_s, min(self.at_s + (now_s - self._played_s) * self.rate, self.to_s)
+        self._played_s = now_s
+        if self.at_s > from_s:
+            for text in [text for tape in self._tapes for text in tape.play(self.boats, from_s, self.at_s)]:
+                said = {"boat": text.boat, "severity": text.severity, "text": text.text}
+                self._tell({"t": "text", **said, "at_s": text.at_s})
+
+    def snapshot(self) -> list[dict[str, Any]]:
+        nothing: dict[str, Any] = {"mission": NO_MISSION, "home": None, "fence": [], "obstacles": []}
+        return [boat.snapshot(self.at_s) | nothing for _, boat in sorted(self.boats.items())]
+
+    # What only boats that are there can do.
+
+    def progress(self) -> list[dict[str, Any]]:
+        return []
+
+    def receive(self, address: Any, data: bytes) -> None:
+        """Boats that speak now are not part of it."""
+
+    def release(self, number: int, why: str) -> None:
+        """Nothing is steered."""
+
+    def release_all(self, why: str) -> None:
+        """Nothing is steered."""
+
+    def input(self, number: int, count: int, port_pct: float, starboard_pct: float) -> None:
+        """Nothing is steered."""
+
+    def command(self, number: int, word: str, words: dict[str, Any], answer: Any) -> NoReturn:
+        raise Refused("this is a replay: there is no boat to command")
+
+    def put(self, number: int, mission: dict[str, Any]) -> NoReturn:
+        raise Refused("this is a replay: there is no boat to plan for")
+
+    def upload(self, number: int, answer: Any) -> NoReturn:
+        raise Refused("this is a replay: there is no boat to send to")
+
+    def download(self, number: int, answer: Any) -> NoReturn:
+        raise Refused("this is a replay: there is no boat to ask")
+
+
+def open_tapes(paths: Sequence[Path]) -> list[Tape]:
+    """The recordings in files and folders: every .tlog, and the state logs, those of one boat together. Raises DelfimError
+    where there is none, or one means nothing."""
+    files = [file for path in paths for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
+    tapes: list[Tape] = []
+    by_boat: dict[str, list[Path]] = {}
+    try:
+        for file in files:
+            if file.suffix == ".tlog":
+                tapes.append(Session(file))
+            elif file.name.endswith((".state", ".state.gz")):
+                by_boat.setdefault(read_state(file).schema.boat, []).append(file)
+        tapes += [States(group, number) for number, group in enumerate(by_boat.values(), 1)]
+    except OSError as error:
+        raise DelfimError(f"{error.filename}: {error.strerror}") from None
+    if not tapes:
+        raise DelfimError(f"{', '.join(map(str, paths))}: nothing to replay: no .tlog, .state or .state.gz")
+    return tapes

@@ -1,0 +1,71 @@
+"""What was said on all links in a session, as ground stations keep it (.tlog): time in us since 1970, 8 bytes, big-endian, then
+the MAVLink frame. MAVExplorer, Mission Planner, QGroundControl and `delfim console --replay` read it.
+"""
+
+import struct
+import time
+from pathlib import Path
+from typing import Final
+
+from delfim.clock import Clock
+
+STAMP: Final = struct.Struct(">Q")
+FLUSH_S: Final = 1.0
+PENDING_BYTES: Final = 1 << 20  # what comes while the disk is full, and more, is dropped and counted
+
+
+class Session:
+    """The file of this session, begun with the first frame. `reason` says why nothing is written, empty while all is well."""
+
+    def __init__(self, folder: Path, clock: Clock) -> None:
+        self.dropped, self.reason = 0, ""
+        utc = time.gmtime(clock.time_ns() // 1_000_000_000)
+        self._stem, self._clock = folder / time.strftime("%Y%m%d-%H%M%S", utc), clock
+        self.file: Path | None = None
+        self._pending = bytearray()
+        self._due_s = 0.0
+
+    def put(self, frame: bytes) -> None:
+        """A frame that came or went."""
+        if len(self._pending) + len(frame) > PENDING_BYTES:
+            self.dropped += 1
+            return
+        self._pending += STAMP.pack(self._clock.time_ns() // 1000)
+        self._pending += frame
+
+    def tick(self) -> None:
+        """Due often: once a second what was put goes to the disk."""
+        now_s = self._clock.monotonic_s()
+        if now_s >= self._due_s:
+            self._due_s = now_s + FLUSH_S
+            self.flush()
+
+    def flush(self) -> None:
+        if not self._pending:
+            return
+        try:
+            file = self.file or self._create()
+            with file.open("ab", buffering=0) as out:
+                whole = out.tell()
+                if out.write(self._pending) != len(self._pending):
+                    out.truncate(whole)
+                    raise OSError(f"{file}: the disk is full")
+        except OSError as error:
+            self.reason = str(error)
+            return
+        self._pending.clear()
+        self.reason = ""
+
+    def _create(self) -> Path:
+        """A name that nobody has. Raises OSError."""
+        self._stem.parent.mkdir(parents=True, exist_ok=True)
+        number = 0
+        while True:
+            file = self._stem.with_name(f"{self._stem.name}{f'-{number}' if number else ''}.tlog")
+            try:
+                file.open("xb").close()
+            except FileExistsError:
+                number += 1
+                continue
+            self.file = file
+            return file

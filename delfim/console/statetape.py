@@ -1,0 +1,158 @@
+"""The state log of a vehicle as a tape: what the console would have shown of the boat at any time of it."""
+
+import contextlib
+import json
+import math
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from delfim.console.boats import Boat
+from delfim.console.mavlink import NAMES, mavlink
+from delfim.console.tape import Text, Track
+from delfim.errors import FormatError
+from delfim.logging.reading import in_order
+from delfim.logging.statelog import read_state
+
+STATE_S: Final = 0.1  # between records that are shown
+
+
+class Row(NamedTuple):
+    """What a state log shows of a boat at a time."""
+
+    at_s: float
+    mode: int
+    armed: bool
+    values: dict[str, Any]
+    reference: dict[str, Any]
+
+
+class States:
+    """The state logs of one boat. Its number is what their sidecars say, or else `number`. Raises OSError; FormatError where
+    there is no record."""
+
+    def __init__(self, files: Sequence[Path], number: int) -> None:
+        self.name, self.complaint = "", ""
+        self._rows: list[Row] = []
+        self._texts: list[Text] = []
+        self._number = _number(files, number)
+        track: Track = []
+        for file in in_order(files):
+            self._read(file)
+            self._texts += _texts(file, self._number)
+        if not self._rows:
+            raise FormatError(f"{files[0] if files else 'no file'}: no record of a state")
+        for row in self._rows:
+            place = row.values["latitude_deg"], row.values["longitude_deg"]
+            if place[0] is not None and (not track or row.at_s >= track[-1][0] + 1.0):
+                track.append((round(row.at_s, 1), *place))
+        self._times = [row.at_s for row in self._rows]
+        self._texts.sort()
+        self.tracks = {self._number: track}
+        self.from_s, self.to_s = self._times[0], self._times[-1]
+
+    def seek(self, boats: dict[int, Boat], at_s: float) -> None:
+        self.play(boats, -math.inf, at_s)
+
+    def play(self, boats: dict[int, Boat], from_s: float, to_s: float) -> list[Text]:
+        at = bisect_right(self._times, to_s) - 1
+        if at >= 0 and self._rows[at].at_s > from_s:
+            row = self._rows[at]
+            boat = boats.setdefault(self._number, Boat(self._number, row.at_s))
+            boat.name, boat.heard_s, boat.mode, boat.armed = self.name or boat.name, row.at_s, NAMES[row.mode], row.armed
+            boat.values |= row.values
+            boat.reference |= row.reference
+            boat.at_s |= dict.fromkeys(("GLOBAL_POSITION_INT", "ATTITUDE", "RAW_RPM", "SYS_STATUS"), row.at_s)
+            track = self.tracks[self._number]
+            begin, end = (bisect_right(track, (t_s, math.inf, math.inf)) for t_s in (from_s, to_s))
+            boat.track.extend(track[begin:end])
+        low = bisect_right(self._texts, from_s, key=_at)
+        return [] if from_s < self.from_s else self._texts[low : bisect_right(self._texts, to_s, key=_at)]
+
+    def _read(self, file: Path) -> None:
+        schema, records, complaint = read_state(file)
+        self.name, self.complaint = schema.boat or self.name, complaint or self.complaint
+        due_s = self._rows[-1].at_s + STATE_S if self._rows else -math.inf
+        for record in records:
+            told = dict(zip(schema.names, record, strict=True))
+            at_s = told.get("t1", 0) / 1e9
+            if at_s >= due_s - 1e-6 and told.get("mode") in NAMES:
+                due_s = at_s + STATE_S
+                self._rows.append(_row(at_s, told))
+
+
+def _at(text: Text) -> float:
+    return text.at_s
+
+
+def _row(at_s: float, told: dict[str, Any]) -> Row:
+    def known(name: str, digits: int = 2) -> float | None:
+        value = told.get(name, math.nan)
+        return round(value, digits) if math.isfinite(value) else None
+
+    def degrees(name: str, digits: int = 1) -> float | None:
+        value = told.get(name, math.nan)
+        return round(math.degrees(value), digits) if math.isfinite(value) else None
+
+    def compass(value: float | None) -> float | None:
+        return None if value is None else round(value % 360.0, 1)
+
+    def first(*names: str) -> float | None:
+        return next((value for name in names if (value := known(name, 0)) is not None), None)
+
+    north_mps, east_mps = known("north_speed", 3), known("east_speed", 3)
+    moves = north_mps is not None and east_mps is not None
+    charges = [value for name in ("port_charge", "starboard_charge") if (value := known(name, 3)) is not None]
+    volts = [value for name in ("port_voltage", "starboard_voltage") if (value := known(name)) is not None]
+    values = {
+        "latitude_deg": degrees("latitude", 7),
+        "longitude_deg": degrees("longitude", 7),
+        "heading_deg": compass(degrees("heading")),
+        "course_deg": compass(math.degrees(math.atan2(east_mps or 0.0, north_mps or 0.0))) if moves else None,
+        "speed_mps": round(math.hypot(north_mps or 0.0, east_mps or 0.0), 2) if moves else None,
+        "roll_deg": degrees("roll"),
+        "pitch_deg": degrees("pitch"),
+        "port_rpm": first("port_rpm_measured", "port_rpm"),
+        "starboard_rpm": first("starboard_rpm_measured", "starboard_rpm"),
+        "battery_v": min(volts, default=None),
+        "battery_pct": round(100.0 * min(charges)) if charges else None,
+        "satellites": told.get("satellites"),
+        "fix": told.get("fix"),
+    }
+    reference = {
+        "heading_deg": compass(degrees("reference_heading")),
+        "cross_track_m": known("cross_track"),
+        "distance_m": known("distance", 1),
+        "leg": told.get("leg"),
+    }
+    return Row(at_s, told["mode"], bool(told.get("run")), values, reference)
+
+
+def _events(file: Path) -> Iterator[dict[str, Any]]:
+    """What the sidecar of a log tells. A power cut may have spoilt its last line."""
+    sidecar = file.with_name(file.name.partition(".")[0] + ".meta.jsonl")
+    with contextlib.suppress(OSError):
+        for line in sidecar.read_bytes().splitlines():
+            with contextlib.suppress(ValueError):
+                told = json.loads(line)
+                if isinstance(told, dict) and isinstance(told.get("t_ns"), int):
+                    yield told
+
+
+def _number(files: Sequence[Path], number: int) -> int:
+    for told in (told for file in files for told in _events(file)):
+        with contextlib.suppress(KeyError, TypeError, ValueError):
+            return int(told["settings"]["boat"]["id"])
+    return number
+
+
+def _texts(file: Path, number: int) -> list[Text]:
+    notice, info = mavlink.MAV_SEVERITY_WARNING, mavlink.MAV_SEVERITY_INFO
+    result = []
+    for told in _events(file):
+        if told.get("event") == "note":
+            result.append(Text(told["t_ns"] / 1e9, number, notice, str(told.get("value"))))
+        elif told.get("event") == "mode":
+            result.append(Text(told["t_ns"] / 1e9, number, info, f"{told.get('value')}: {told.get('reason')}"))
+    return result

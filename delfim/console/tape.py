@@ -1,0 +1,156 @@
+"""What was recorded, as something that can be played: a session of the console (.tlog), or the state log of a vehicle.
+
+Both are tapes: they know from when to when they reach and where each boat was, and bring boats to what was known at a time.
+"""
+
+import contextlib
+import math
+import struct
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any, Final, NamedTuple, Protocol
+
+from delfim.console.boats import Boat
+from delfim.console.mavlink import COMPONENT, SYSTEM, mavlink
+from delfim.console.session import STAMP
+from delfim.errors import FormatError
+
+BEFORE_S: Final = 30.0  # so far back lies everything that is said from time to time, lean links apart
+_V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
+_SHOWS_PLACE: Final = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2)
+_FIRST_S, _LAST_S = 1e9, 4e9  # 2001 to 2096: stamps that are times
+
+Track = list[tuple[float, float, float]]
+
+
+class Text(NamedTuple):
+    """Something that a boat said in words."""
+
+    at_s: float
+    boat: int
+    severity: int
+    text: str
+
+
+class Tape(Protocol):
+    from_s: float  # since 1970
+    to_s: float
+    tracks: dict[int, Track]  # by boat: (at_s, latitude_deg, longitude_deg), a point a second
+    complaint: str  # what is wrong with the recording, in words; empty when nothing is
+
+    def seek(self, boats: dict[int, Boat], at_s: float) -> None:
+        """Bring boats that know nothing to what was known at that time."""
+
+    def play(self, boats: dict[int, Boat], from_s: float, to_s: float) -> Sequence[Text]:
+        """Bring boats from what was known at one time to what was known at a later one, and what was said between."""
+
+
+class Session:
+    """A .tlog. Raises FormatError where no frame can be read at all, OSError."""
+
+    def __init__(self, file: Path) -> None:
+        self._data = file.read_bytes()
+        self._mav = mavlink.MAVLink(None, SYSTEM, COMPONENT)
+        self._times: list[float] = []  # a row a second: time, and where in the file it begins
+        self._places: list[int] = []
+        self.tracks: dict[int, Track] = {}
+        self.complaint = ""
+        self.from_s = self.to_s = -math.inf
+        at = 0
+        for at_s, start, end in self._frames(0):
+            at = end
+            if self.from_s < 0.0:
+                self.from_s = at_s
+            self.to_s = max(self.to_s, at_s)
+            if not self._times or at_s >= self._times[-1] + 1.0:
+                self._times.append(at_s)
+                self._places.append(start - STAMP.size)
+            self._remember(at_s, start, end)
+        if not self._times:
+            raise FormatError(f"{file}: no session: it begins with something else than a time and a MAVLink frame")
+        if at < len(self._data):
+            self.complaint = f"{file}: damaged after {at} of {len(self._data)} bytes"
+
+    def seek(self, boats: dict[int, Boat], at_s: float) -> None:
+        self.play(boats, at_s - BEFORE_S, at_s)
+        for number, track in self.tracks.items():
+            seen = bisect_right(track, (at_s, math.inf, math.inf))
+            if not seen:
+                continue
+            if number not in boats:  # silent since: what it said last
+                silent: dict[int, Boat] = {}
+                self.play(silent, track[seen - 1][0] - 5.0, track[seen - 1][0] + 1.0)
+                boats |= {each: boat for each, boat in silent.items() if each == number}
+            if number in boats:
+                boats[number].track.clear()
+                boats[number].track.extend(track[:seen])
+
+    def play(self, boats: dict[int, Boat], from_s: float, to_s: float) -> list[Text]:
+        said: list[Text] = []
+        row = max(bisect_right(self._times, from_s) - 1, 0)
+        for at_s, start, end in self._frames(self._places[row]):
+            if at_s > to_s:
+                break
+            if at_s <= from_s or not self._of_boat(start):
+                continue
+            message = self._message(start, end)
+            if message is None:
+                continue
+            number = message.get_srcSystem()
+            if message.get_type() == "STATUSTEXT":
+                said.append(Text(at_s, number, message.severity, message.text))
+            if number not in boats:
+                boats[number] = Boat(number, at_s)
+            boats[number].receive(message, at_s, at_s)
+        return said
+
+    def _remember(self, at_s: float, start: int, end: int) -> None:
+        """A point of the track, once a second."""
+        if not self._of_boat(start) or self._number(start) not in _SHOWS_PLACE:
+            return
+        track = self.tracks.setdefault(self._system(start), [])
+        if track and at_s < track[-1][0] + 1.0:
+            return
+        message = self._message(start, end)
+        if message is None:
+            return
+        boat = Boat(message.get_srcSystem(), at_s)
+        boat.receive(message, at_s, at_s)
+        track.extend(boat.track)
+
+    def _frames(self, at: int) -> Iterator[tuple[float, int, int]]:
+        """(time, start, end) of the frames from a place on, up to the first that is damaged. Time never goes back: a computer's
+        clock may."""
+        data, size, last_s = self._data, len(self._data), -math.inf
+        while at + STAMP.size + 12 <= size:
+            at_s, start = STAMP.unpack_from(data, at)[0] / 1e6, at + STAMP.size
+            magic, length, flags = data[start : start + 3]
+            if magic == _V2:
+                end = start + 12 + length + (13 if flags & _SIGNED else 0)
+            elif magic == _V1:
+                end = start + 8 + length
+            else:
+                return
+            if end > size or not _FIRST_S < at_s < _LAST_S:
+                return
+            last_s = max(last_s, at_s)
+            yield last_s, start, end
+            at = end
+
+    def _system(self, start: int) -> int:
+        return self._data[start + (5 if self._data[start] == _V2 else 3)]
+
+    def _of_boat(self, start: int) -> bool:
+        component = self._data[start + (6 if self._data[start] == _V2 else 4)]
+        return component == mavlink.MAV_COMP_ID_AUTOPILOT1 and self._system(start) not in (0, SYSTEM)
+
+    def _number(self, start: int) -> int:
+        data = self._data
+        return int.from_bytes(data[start + 7 : start + 10], "little") if data[start] == _V2 else data[start + 5]
+
+    def _message(self, start: int, end: int) -> Any:
+        """None for what is damaged or not known."""
+        with contextlib.suppress(mavlink.MAVError, struct.error):
+            return self._mav.decode(bytearray(self._data[start:end]))
+        return None

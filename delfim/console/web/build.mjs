@@ -1,0 +1,43 @@
+// Bundles the page into the folder named on the command line (../page without one): console.js, console.css, index.html,
+// LICENSES.txt, sources.json.
+// The same sources and the same lock file give the same bytes.
+import { build } from "esbuild";
+import { createHash } from "node:crypto";
+import { copyFileSync, mkdirSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
+import { join } from "node:path";
+
+const here = import.meta.dirname;
+const out = process.argv[2] ?? join(here, "..", "page");
+mkdirSync(out, { recursive: true });
+const { metafile } = await build({
+  entryPoints: { console: join(here, "src/main.ts") },
+  outdir: out,
+  absWorkingDir: here,
+  bundle: true,
+  minify: true,
+  format: "esm",
+  target: "es2022",
+  charset: "utf8",
+  legalComments: "none",
+  metafile: true,
+});
+copyFileSync(join(here, "src/index.html"), join(out, "index.html"));
+
+const packages = new Set();
+for (const file of Object.keys(metafile.inputs)) {
+  const found = file.match(/^node_modules\/((?:@[^/]+\/)?[^/]+)\//);
+  if (found) packages.add(found[1]);
+}
+const licences = [...packages].sort().map((name) => {
+  const folder = join(here, "node_modules", name);
+  const { version, license } = JSON.parse(readFileSync(join(folder, "package.json"), "utf8"));
+  const file = readdirSync(folder).find((each) => /^licen[cs]e/i.test(each));
+  const text = file ? readFileSync(join(folder, file), "utf8").trim() : license;
+  return `${name} ${version} (${license})\n\n${text}\n`;
+});
+writeFileSync(join(out, "LICENSES.txt"), licences.join("\n" + "-".repeat(78) + "\n\n"));
+
+// What it was made of, so that a test can tell a bundle from before the last change.
+const sources = ["build.mjs", "package-lock.json", ...readdirSync(join(here, "src")).map((name) => `src/${name}`)].sort();
+const digest = (name) => createHash("sha256").update(readFileSync(join(here, name))).digest("hex");
+writeFileSync(join(out, "sources.json"), JSON.stringify(Object.fromEntries(sources.map((name) => [name, digest(name)])), null, 1) + "\n");

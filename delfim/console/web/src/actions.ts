@@ -1,0 +1,173 @@
+// What an operator does to a boat, whether by key or by menu. Every command names its boat.
+import type { Drive, Thrusters } from "./drive";
+import type { Answer, Net } from "./net";
+import type { State } from "./state";
+import type { Boat, Command, Mission, MissionDeed, Mode, Place } from "./wire";
+
+const WANTED_MS = 2000; // what was asked for is taken for granted so long, until the boat says its own
+const STOP_AGAIN_MS = 200;
+const STOP_MOST = 150; // 30 s; then the gateway's own repetition and the boat's own failsafe remain
+
+export type Say = (boat: number | null, severity: number, text: string) => void;
+type More = Partial<Place> & { heading_deg?: number; speed_pct?: number; leg?: number };
+
+export class Actions {
+  /** Boats that were told to stop and have not confirmed it. */
+  readonly stopping = new Set<number>();
+  private readonly wantedMode = new Map<number, { mode: Mode; at: number }>();
+  private readonly wanted_pct = new Map<number, { pct: number; at: number }>();
+  private readonly wanted_deg = new Map<number, { deg: number; at: number }>();
+
+  constructor(
+    private readonly net: Net,
+    private readonly state: State,
+    private readonly drive: Drive,
+    private readonly say: Say,
+    private readonly changed: () => void,
+  ) {}
+
+  async command(boat: number, command: Command, more: More = {}): Promise<Answer> {
+    const answer = await this.net.ask({ t: "command", boat, command, ...more });
+    if (!answer.ok) this.say(boat, 3, `${command.replace("_", " ")} refused: ${answer.reason || "no reason given"}`);
+    return answer;
+  }
+
+  async mode(boat: Boat, mode: Mode): Promise<void> {
+    if (mode === "manual") this.drive.begin(boat.id);
+    else this.drive.end(boat.id);
+    this.wantedMode.set(boat.id, { mode, at: performance.now() });
+    const more: More = mode === "heading" ? this.presentHeading(boat) : {};
+    const answer = await this.command(boat.id, mode, more);
+    if (answer.ok) return;
+    this.wantedMode.delete(boat.id);
+    if (mode === "manual") this.drive.end(boat.id);
+  }
+
+  /** The mode that the boat was asked for and is not in. */
+  asked(boat: Boat): Mode | null {
+    const wanted = this.wantedMode.get(boat.id);
+    const mine = wanted && performance.now() - wanted.at < WANTED_MS ? wanted.mode : null;
+    const asked = boat.asked ?? mine;
+    return asked === boat.mode ? null : asked;
+  }
+
+  /** Stop one boat, again and again until it is confirmed. */
+  stop(id: number): void {
+    this.drive.end(id);
+    this.wantedMode.delete(id);
+    this.stopping.add(id);
+    this.changed();
+    this.repeat(
+      () => this.net.ask({ t: "command", boat: id, command: "stop" }),
+      () => this.stopped([id]),
+    );
+  }
+
+  stopAll(): void {
+    this.drive.endAll();
+    this.wantedMode.clear();
+    const ids = this.state.boats.map((each) => each.id);
+    ids.forEach((id) => this.stopping.add(id));
+    this.changed();
+    this.repeat(
+      () => this.net.ask({ t: "command", boat: "all", command: "stop" }),
+      () => this.stopped(ids),
+    );
+  }
+
+  /** 0 to 80 %: of the thrust in manual, of the speed in the other modes. */
+  speed(boat: Boat, which: Thrusters, pct: number): void {
+    if (this.byHand(boat)) this.drive.set(boat.id, which, pct);
+    else if (which === "both") this.setSpeed(boat, pct);
+    else this.oneOnly(boat);
+  }
+
+  faster(boat: Boat, which: Thrusters, by: number): void {
+    if (this.byHand(boat)) this.drive.faster(boat.id, which, by);
+    else if (which === "both") this.setSpeed(boat, Math.max(0, Math.min(100, this.speed_pct(boat) + by)));
+    else this.oneOnly(boat);
+  }
+
+  turn(boat: Boat, which: Thrusters, by: number): void {
+    if (this.byHand(boat)) this.drive.turn(boat.id, which, by);
+    else if (which !== "both") this.oneOnly(boat);
+    else if (this.inMode(boat, "heading")) this.headTo(boat, (this.heading_deg(boat) + by + 360) % 360);
+    else this.say(boat.id, 6, "Left and Right steer in manual and in heading mode");
+  }
+
+  headTo(boat: Boat, heading_deg: number): void {
+    this.wanted_deg.set(boat.id, { deg: heading_deg, at: performance.now() });
+    void this.command(boat.id, "heading_to", { heading_deg });
+  }
+
+  setSpeed(boat: Boat, speed_pct: number): void {
+    this.wanted_pct.set(boat.id, { pct: speed_pct, at: performance.now() });
+    void this.command(boat.id, "speed", { speed_pct });
+  }
+
+  /** The speed asked for, %, as far as this page knows it. */
+  speed_pct(boat: Boat): number {
+    const wanted = this.wanted_pct.get(boat.id);
+    return wanted && performance.now() - wanted.at < WANTED_MS ? wanted.pct : Math.round(boat.speed_pct ?? 0);
+  }
+
+  heading_deg(boat: Boat): number {
+    const wanted = this.wanted_deg.get(boat.id);
+    if (wanted && performance.now() - wanted.at < WANTED_MS) return wanted.deg;
+    return Math.round(boat.reference?.heading_deg ?? boat.heading_deg ?? 0);
+  }
+
+  async mission(boat: number, deed: MissionDeed, more: { mission?: Mission; name?: string } = {}): Promise<Answer> {
+    const answer = await this.net.ask({ t: "mission", boat, do: deed, ...more });
+    if (!answer.ok) this.say(boat, 3, `${deed === "put" ? "plan" : deed} refused: ${answer.reason}`);
+    return answer;
+  }
+
+  async profile(boat: number, profile: string): Promise<void> {
+    const answer = await this.net.ask({ t: "profile", boat, profile });
+    if (!answer.ok) this.say(boat, 4, `link profile refused: ${answer.reason}`);
+  }
+
+  replay(to: { at_s?: number; rate?: number }): void {
+    void this.net.ask({ t: "replay", ...to });
+  }
+
+  byHand(boat: Boat): boolean {
+    return this.inMode(boat, "manual");
+  }
+
+  private inMode(boat: Boat, mode: Mode): boolean {
+    return (this.asked(boat) ?? boat.mode) === mode || (mode === "manual" && this.drive.hand(boat.id) !== undefined);
+  }
+
+  private presentHeading(boat: Boat): More {
+    return boat.heading_deg === null ? {} : { heading_deg: Math.round(boat.heading_deg) % 360 };
+  }
+
+  private oneOnly(boat: Boat): void {
+    this.say(boat.id, 6, "Alt and Ctrl choose one thruster in manual mode");
+  }
+
+  private repeat(send: () => Promise<Answer>, done: () => boolean): void {
+    let [left, confirmed] = [STOP_MOST, false];
+    const once = () => {
+      void send().then((answer) => (confirmed ||= answer.ok));
+      this.changed();
+    };
+    once();
+    const timer = setInterval(() => {
+      if (done() || --left <= 0) clearInterval(timer);
+      else if (!confirmed) once();
+    }, STOP_AGAIN_MS);
+  }
+
+  /** Whether these boats say that they are idle; those that do are no longer stopping. */
+  private stopped(ids: number[]): boolean {
+    for (const id of ids) {
+      const boat = this.state.byId(id);
+      if (!boat || (boat.mode === "idle" && (boat.asked === null || boat.asked === "idle"))) this.stopping.delete(id);
+    }
+    this.changed();
+    return !ids.some((id) => this.stopping.has(id));
+  }
+}

@@ -1,0 +1,205 @@
+// The map itself: background, graticule, view, scale, and what a pointer does on it.
+import OlMap from "ol/Map";
+import type MapBrowserEvent from "ol/MapBrowserEvent";
+import View from "ol/View";
+import ScaleLine from "ol/control/ScaleLine";
+import { boundingExtent, buffer, extend, isEmpty, createEmpty } from "ol/extent";
+import type { Extent } from "ol/extent";
+import DragPan from "ol/interaction/DragPan";
+import MouseWheelZoom from "ol/interaction/MouseWheelZoom";
+import PinchZoom from "ol/interaction/PinchZoom";
+import type BaseLayer from "ol/layer/Base";
+import Graticule from "ol/layer/Graticule";
+import ImageLayer from "ol/layer/Image";
+import TileLayer from "ol/layer/Tile";
+import type VectorLayer from "ol/layer/Vector";
+import { fromLonLat, toLonLat, transformExtent } from "ol/proj";
+import ImageStatic from "ol/source/ImageStatic";
+import XYZ from "ol/source/XYZ";
+import { Fill, Stroke, Text } from "ol/style";
+import { palette } from "./palette";
+import type { Background, Place } from "./wire";
+
+const LONG_PRESS_MS = 550;
+const MOVE_PX = 6;
+const MINUTE = 1 / 60;
+const SECOND = 1 / 3600;
+const INTERVALS_DEG = [30, 10, 5, 2, 1, 30 * MINUTE, 10 * MINUTE, 5 * MINUTE, 2 * MINUTE, MINUTE, 30 * SECOND, 12 * SECOND, 6 * SECOND, 3 * SECOND, 1.2 * SECOND, 0.6 * SECOND];
+
+export type Pixel = [number, number];
+
+export const point = (place: Place): number[] => fromLonLat([place.longitude_deg, place.latitude_deg]);
+
+export function placeOf(coordinate: number[]): Place {
+  const [longitude_deg, latitude_deg] = toLonLat(coordinate);
+  return { latitude_deg: latitude_deg!, longitude_deg: longitude_deg! };
+}
+
+export interface Pointing {
+  click(place: Place, pixel: Pixel, touch: boolean): void;
+  press(place: Place, pixel: Pixel): void;
+  hover(place: Place, pixel: Pixel): void;
+}
+
+export class Chart {
+  readonly map: OlMap;
+  private readonly view = new View({ center: fromLonLat([-9.2146, 38.6901]), zoom: 3, maxZoom: 24, enableRotation: false });
+  private charts = new Map<string, BaseLayer>();
+  private graticule: Graticule | null = null;
+  private pressed = false;
+
+  constructor(target: HTMLElement, pointing: Pointing) {
+    this.map = new OlMap({
+      target,
+      view: this.view,
+      controls: [new ScaleLine({ minWidth: 90 })],
+      interactions: [new DragPan(), new MouseWheelZoom({ timeout: 40 }), new PinchZoom()],
+      moveTolerance: MOVE_PX,
+    });
+    const pixel = (event: MapBrowserEvent): Pixel => event.pixel as Pixel;
+    this.map.on("click", (event) => {
+      if (this.pressed) this.pressed = false;
+      else pointing.click(placeOf(event.coordinate), pixel(event), (event.originalEvent as PointerEvent).pointerType === "touch");
+    });
+    this.map.on("pointermove", (event) => !event.dragging && pointing.hover(placeOf(event.coordinate), pixel(event)));
+    this.longPress(target, pointing);
+  }
+
+  paint(): void {
+    if (this.graticule) this.map.removeLayer(this.graticule);
+    const ink = (words: "start" | "end", base: CanvasTextBaseline) =>
+      new Text({
+        font: "500 12px system-ui, sans-serif",
+        fill: new Fill({ color: palette.soft }),
+        stroke: new Stroke({ color: palette.halo, width: 3 }),
+        textAlign: words,
+        textBaseline: base,
+      });
+    this.graticule = new Graticule({
+      zIndex: 1,
+      strokeStyle: new Stroke({ color: palette.line, width: 1 }),
+      showLabels: true,
+      wrapX: false,
+      intervals: INTERVALS_DEG,
+      targetSize: 140,
+      lonLabelFormatter: (deg: number) => degrees(deg, "EW"),
+      latLabelFormatter: (deg: number) => degrees(deg, "NS"),
+      lonLabelPosition: 0.995,
+      latLabelPosition: 0.99,
+      lonLabelStyle: ink("start", "top"),
+      latLabelStyle: ink("end", "bottom"),
+    });
+    this.map.addLayer(this.graticule);
+    for (const layer of this.charts.values()) layer.setOpacity(palette.chart);
+    this.showGraticule();
+  }
+
+  add(layer: VectorLayer, order: number): void {
+    layer.setZIndex(order);
+    this.map.addLayer(layer);
+  }
+
+  setBackgrounds(backgrounds: Background[]): void {
+    for (const layer of this.charts.values()) this.map.removeLayer(layer);
+    this.charts = new Map(backgrounds.map((each) => [each.name, background(each)]));
+    for (const layer of this.charts.values()) this.map.addLayer(layer);
+    this.paint();
+  }
+
+  shown(name: string): boolean {
+    return this.charts.get(name)?.getVisible() ?? false;
+  }
+
+  toggle(name: string): void {
+    this.charts.get(name)?.setVisible(!this.shown(name));
+    this.showGraticule();
+  }
+
+  pixelOf(place: Place): Pixel | null {
+    return this.map.getPixelFromCoordinate(point(place)) as Pixel | null;
+  }
+
+  zoom(by: number): void {
+    this.view.animate({ zoom: (this.view.getZoom() ?? 3) + by, duration: 150 });
+  }
+
+  setPadding(padding: number[]): void {
+    this.view.padding = padding;
+  }
+
+  /** Show all these places, and a margin around them. */
+  fit(places: Place[], duration = 0): void {
+    const extent: Extent = places.length ? boundingExtent(places.map(point)) : this.chartExtent();
+    if (isEmpty(extent)) return;
+    this.view.cancelAnimations();
+    const margin = Math.max(20, 0.08 * Math.max(extent[2]! - extent[0]!, extent[3]! - extent[1]!));
+    this.view.fit(buffer(extent, margin), { duration, maxZoom: 21 });
+  }
+
+  /** Bring a place into the middle when it is not well in sight. */
+  follow(place: Place): void {
+    const pixel = this.pixelOf(place);
+    const [width, height] = this.map.getSize() ?? [0, 0];
+    const inner = pixel && pixel[0] > 0.3 * width! && pixel[0] < 0.85 * width! && pixel[1] > 0.15 * height! && pixel[1] < 0.85 * height!;
+    if (!inner) this.view.animate({ center: point(place), duration: 250 });
+  }
+
+  /** A touch that has become something else: a drag of a handle is no long press. */
+  private longPress(target: HTMLElement, pointing: Pointing): void {
+    let timer = 0;
+    let start: Pixel = [0, 0];
+    const local = (event: PointerEvent): Pixel => this.map.getEventPixel(event) as Pixel;
+    target.addEventListener("pointerdown", (event) => {
+      this.pressed = false;
+      clearTimeout(timer);
+      if (event.pointerType === "mouse" || !event.isPrimary) return;
+      start = local(event);
+      timer = window.setTimeout(() => {
+        this.pressed = true;
+        pointing.press(placeOf(this.map.getCoordinateFromPixel(start)), start);
+      }, LONG_PRESS_MS);
+    });
+    const moved = (event: PointerEvent) => {
+      const now = local(event);
+      if (Math.hypot(now[0] - start[0], now[1] - start[1]) > MOVE_PX) clearTimeout(timer);
+    };
+    window.addEventListener("pointermove", moved, { passive: true });
+    for (const end of ["pointerup", "pointercancel"]) window.addEventListener(end, () => clearTimeout(timer));
+    target.addEventListener("contextmenu", (event) => {
+      event.preventDefault();
+      if (event.pointerType !== "touch") {
+        const at = this.map.getEventPixel(event) as Pixel;
+        pointing.press(placeOf(this.map.getCoordinateFromPixel(at)), at);
+      }
+    });
+  }
+
+  private chartExtent(): Extent {
+    const all = createEmpty();
+    for (const layer of this.charts.values()) if (layer.getVisible()) extend(all, layer.getExtent() ?? createEmpty());
+    return all;
+  }
+
+  private showGraticule(): void {
+    this.graticule?.setVisible(![...this.charts.values()].some((layer) => layer.getVisible()));
+  }
+}
+
+function background(chart: Background): BaseLayer {
+  const extent = transformExtent(chart.extent, "EPSG:4326", "EPSG:3857");
+  const name = encodeURIComponent(chart.name);
+  if (chart.kind === "tiles") {
+    const source = new XYZ({ url: `tiles/${name}/{z}/{x}/{y}`, minZoom: chart.minzoom ?? 0, maxZoom: chart.maxzoom ?? 18, wrapX: false });
+    return new TileLayer({ source, extent, zIndex: 0 });
+  }
+  const source = new ImageStatic({ url: `background/${name}`, imageExtent: chart.extent, projection: "EPSG:4326" });
+  return new ImageLayer({ source, extent, zIndex: 0 });
+}
+
+/** Degrees and decimal minutes, no longer than they need to be. */
+function degrees(deg: number, letters: string): string {
+  const tenths = Math.round(Math.abs(deg) * 6000);
+  const [whole, minutes] = [Math.floor(tenths / 6000), (tenths % 6000) / 100];
+  const words = Number.isInteger(minutes) ? String(minutes).padStart(2, "0") : minutes.toFixed(2).padStart(5, "0");
+  return `${whole}° ${words}′ ${letters[deg < 0 ? 1 : 0]}`;
+}

@@ -1,0 +1,83 @@
+// What floats over the map beside the menus: the stop corner, the key card, the result of a dry run, where the pointer is.
+import type { Actions } from "./actions";
+import { make, text } from "./dom";
+import { position as boatPosition } from "./fleet";
+import { bearing, bearing_deg, distance_m, duration, metres, position } from "./geo";
+import { CARD } from "./keys";
+import type { State } from "./state";
+import type { Place } from "./wire";
+
+/** Always there, the same code as the keys: no menu, no question, and taken when the finger comes down. */
+export class Corner {
+  private readonly name: Element;
+
+  constructor(
+    private readonly stop: HTMLElement,
+    private readonly all: HTMLElement,
+    private readonly state: State,
+    private readonly actions: Actions,
+    close: () => void,
+  ) {
+    this.name = stop.lastElementChild!;
+    const press = (button: HTMLElement, act: () => void) =>
+      button.addEventListener("pointerdown", (event) => {
+        event.preventDefault();
+        close();
+        act();
+      });
+    press(stop, () => state.selected !== null && actions.stop(state.selected));
+    press(all, () => actions.stopAll());
+    state.on(["boats", "selection"], () => this.draw());
+  }
+
+  draw(): void {
+    const { boat } = this.state;
+    text(this.name, boat?.name ?? "");
+    const stopping = boat !== null && this.actions.stopping.has(boat.id);
+    this.stop.dataset["state"] = stopping ? "stopping" : boat?.mode === "idle" ? "idle" : "ready";
+    const others = this.state.boats.filter((each) => each.id !== this.state.selected);
+    this.all.dataset["state"] = others.some((each) => this.actions.stopping.has(each.id)) ? "stopping" : "ready";
+  }
+}
+
+export function card(parent: HTMLElement): { toggle(): void; close(): boolean } {
+  const group = ([title, rows]: (typeof CARD)[number]) =>
+    make(
+      "section",
+      make("h2", title),
+      ...rows.map(([keys, words]) => make("div.key", make("span", ...keys.split(" ").flatMap((key) => [key === "…" ? "…" : make("kbd", key), " "])), make("p", words))),
+    );
+  const box = make("div.card", ...CARD.map(group));
+  box.id = "card";
+  box.hidden = true;
+  box.addEventListener("click", () => (box.hidden = true));
+  parent.append(box);
+  return {
+    toggle: () => void (box.hidden = !box.hidden),
+    close: () => {
+      const was = !box.hidden;
+      box.hidden = true;
+      return was;
+    },
+  };
+}
+
+export function dryRunCard(box: HTMLElement, state: State): void {
+  const draw = () => {
+    const run = state.selected === null ? undefined : state.dryruns.get(state.selected);
+    box.hidden = !run;
+    if (run) box.replaceChildren(make("span", "dry run"), make("b", duration(run.time_s)), make("b", metres(run.distance_m)));
+  };
+  box.addEventListener("click", () => {
+    if (state.selected !== null) state.dryruns.delete(state.selected);
+    state.tell("dryrun");
+  });
+  state.on(["dryrun", "selection"], draw);
+}
+
+export function whereWords(place: Place, state: State): string {
+  const boat = state.boat;
+  const from = boat && boatPosition(boat);
+  const range = from ? `     ${metres(distance_m(from, place))}  ${bearing(bearing_deg(from, place))} from ${boat.name}` : "";
+  return position(place) + range;
+}

@@ -1,0 +1,21 @@
+// Elements in one line.
+
+type Child = Node | string | null | undefined | false;
+type Made<K extends keyof HTMLElementTagNameMap> = HTMLElementTagNameMap[K];
+
+/** `make("div.row", child, "text")` */
+export function make<K extends keyof HTMLElementTagNameMap>(what: K | `${K}.${string}`, ...children: Child[]): Made<K> {
+  const [tag, ...classes] = what.split(".");
+  const element = document.createElement(tag!) as Made<K>;
+  element.className = classes.join(" ");
+  element.append(...children.filter((each): each is Node | string => Boolean(each)));
+  return element;
+}
+
+export function text(element: Element, words: string): void {
+  if (element.textContent !== words) element.textContent = words;
+}
+
+export function attribute(element: Element, name: string, value: string): void {
+  if (element.getAttribute(name) !== value) element.setAttribute(name, value);
+}

@@ -1,0 +1,283 @@
+// The boats on the map: symbol, name, past track, course, reference, ghost when silent, and what is aboard: fence, obstacles, home.
+import Feature from "ol/Feature";
+import { Circle, LineString, Point } from "ol/geom";
+import Polygon, { circular } from "ol/geom/Polygon";
+import VectorLayer from "ol/layer/Vector";
+import VectorSource from "ol/source/Vector";
+import { Circle as Disc, Fill, Icon, Stroke, Style, Text } from "ol/style";
+import type { Chart } from "./chart";
+import { point } from "./chart";
+import { towards } from "./geo";
+import { inked, palette, theme } from "./palette";
+import type { State } from "./state";
+import { age_s, ageWords, freshness } from "./state";
+import type { Boat, Place } from "./wire";
+
+const CHUNK = 500;
+const CHUNKS_MOST = 220; // 30 hours at a point a second
+const EVERY_S = 1;
+const AHEAD_S = 60;
+const RAD = Math.PI / 180;
+
+interface Shown {
+  symbol: Feature<Point>;
+  ring: Feature<Point>;
+  course: Feature<LineString>;
+  reference: Feature<LineString>;
+  ghost: Feature<Polygon>;
+  ghostSymbol: Feature<Point>;
+  tail: Feature<LineString>;
+  points: number[][];
+  closed: Feature<LineString>[];
+  last_s: number;
+  icon: Icon | null;
+  look: string;
+}
+
+export class Fleet {
+  private readonly shown = new Map<number, Shown>();
+  private readonly closedTracks = new VectorSource({ useSpatialIndex: true });
+  private readonly tails = new VectorSource({ useSpatialIndex: false });
+  private readonly live = new VectorSource({ useSpatialIndex: false });
+  private readonly aboard = new VectorSource({ useSpatialIndex: false });
+  private aboardKey = "";
+
+  constructor(
+    chart: Chart,
+    private readonly state: State,
+  ) {
+    const layer = (source: VectorSource) => new VectorLayer({ source, updateWhileAnimating: true, updateWhileInteracting: true });
+    chart.add(layer(this.closedTracks), 2);
+    chart.add(layer(this.tails), 2);
+    chart.add(layer(this.aboard), 3);
+    chart.add(layer(this.live), 6);
+    state.on(["boats", "selection"], () => this.draw());
+    state.on(["theme"], () => this.repaint());
+  }
+
+  /** The boat whose symbol is nearest to this pixel, within reach. */
+  at(chart: Chart, pixel: [number, number], reach_px: number): Boat | null {
+    let [best, least] = [null as Boat | null, reach_px];
+    for (const boat of this.state.boats) {
+      const place = position(boat);
+      const its = place && chart.pixelOf(place);
+      const far = its ? Math.hypot(its[0] - pixel[0], its[1] - pixel[1]) : Infinity;
+      if (far <= least) [best, least] = [boat, far];
+    }
+    return best;
+  }
+
+  history(id: number, start: boolean, points: [number, number, number][]): void {
+    const boat = this.state.byId(id);
+    if (!boat) return;
+    const shown = this.of(boat);
+    if (start) this.forget(shown);
+    for (const [at_s, latitude_deg, longitude_deg] of points) this.append(shown, boat, at_s, { latitude_deg, longitude_deg });
+    this.draw();
+  }
+
+  clearTracks(): void {
+    for (const shown of this.shown.values()) this.forget(shown);
+    this.draw();
+  }
+
+  private draw(): void {
+    for (const boat of this.state.boats) this.drawBoat(boat);
+    this.drawAboard();
+  }
+
+  private drawBoat(boat: Boat): void {
+    const shown = this.of(boat);
+    const place = position(boat);
+    const lost = freshness(age_s(this.state, boat)) === "lost";
+    this.dress(shown, boat, lost);
+    if (place && !lost && this.state.at_s) this.append(shown, boat, this.state.at_s - (boat.age_s.position ?? 0), place);
+    const here = place && point(place);
+    put(shown.symbol, here && new Point(here));
+    put(shown.ring, here && boat.id === this.state.selected ? new Point(here) : null);
+    put(shown.tail, here && shown.points.length ? new LineString([...shown.points, here]) : null);
+    shown.icon?.setRotation((boat.heading_deg ?? boat.course_deg ?? 0) * RAD);
+    const course = !lost && place && boat.course_deg !== null && boat.speed_mps !== null && boat.speed_mps > 0.1;
+    put(shown.course, course ? new LineString([here!, point(towards(place, boat.course_deg!, boat.speed_mps! * AHEAD_S))]) : null);
+    put(shown.reference, !lost && here ? reference(boat, place!, here) : null);
+    const { ghost } = boat;
+    put(shown.ghost, ghost ? (circular([ghost.longitude_deg, ghost.latitude_deg], ghost.radius_m, 48).transform("EPSG:4326", "EPSG:3857") as Polygon) : null);
+    put(shown.ghostSymbol, ghost ? new Point(point(ghost)) : null);
+  }
+
+  private of(boat: Boat): Shown {
+    let shown = this.shown.get(boat.id);
+    if (shown) return shown;
+    shown = {
+      symbol: new Feature<Point>(),
+      ring: new Feature<Point>(),
+      course: new Feature<LineString>(),
+      reference: new Feature<LineString>(),
+      ghost: new Feature<Polygon>(),
+      ghostSymbol: new Feature<Point>(),
+      tail: new Feature<LineString>(),
+      points: [],
+      closed: [],
+      last_s: -Infinity,
+      icon: null,
+      look: "",
+    };
+    this.shown.set(boat.id, shown);
+    const { tail, ghost, ghostSymbol, reference: to, course, ring, symbol } = shown;
+    this.tails.addFeature(tail);
+    this.live.addFeatures([ghost, ghostSymbol, to, course, ring, symbol]);
+    return shown;
+  }
+
+  private dress(shown: Shown, boat: Boat, lost: boolean): void {
+    const age = age_s(this.state, boat);
+    const label = freshness(age) === "fresh" ? boat.name : `${boat.name}  ${ageWords(age)}`;
+    const chosen = boat.id === this.state.selected;
+    const look = [theme, boat.colour, lost, label, chosen].join("|");
+    if (look === shown.look) return;
+    shown.look = look;
+    shown.icon = new Icon({ img: symbol(boat.colour, lost), rotateWithView: true, scale: 0.5 });
+    const words = new Text({
+      text: label,
+      font: `${chosen ? 650 : 500} 14px system-ui, sans-serif`,
+      offsetX: 24,
+      textAlign: "left",
+      fill: new Fill({ color: lost ? palette.danger : palette.ink }),
+      stroke: new Stroke({ color: palette.halo, width: 4 }),
+    });
+    shown.symbol.setStyle(new Style({ image: shown.icon, text: words, zIndex: chosen ? 9 : 8 }));
+    shown.ring.setStyle(new Style({ image: new Disc({ radius: 23, stroke: new Stroke({ color: palette.accent, width: 2 }) }), zIndex: 7 }));
+    shown.course.setStyle(cased(inked(boat.colour), 1.6));
+    shown.reference.setStyle(cased(palette.accent, 1.6, [7, 6]));
+    shown.tail.setStyle(cased(inked(boat.colour, 0.6), 5));
+    shown.ghost.setStyle(
+      new Style({ fill: new Fill({ color: inked(boat.colour, 0.12) }), stroke: new Stroke({ color: inked(boat.colour), width: 1.5, lineDash: [4, 5] }) }),
+    );
+    shown.ghostSymbol.setStyle(new Style({ image: new Icon({ img: symbol(boat.colour, true), rotation: (boat.course_deg ?? 0) * RAD, scale: 0.5, opacity: 0.7 }) }));
+  }
+
+  private append(shown: Shown, boat: Boat, at_s: number, place: Place): void {
+    if (at_s < shown.last_s - 5) this.forget(shown); // a replay went back
+    if (at_s - shown.last_s < EVERY_S) return;
+    shown.last_s = at_s;
+    shown.points.push(point(place));
+    if (shown.points.length < CHUNK) return;
+    const closed = new Feature(new LineString(shown.points));
+    closed.setStyle(cased(inked(boat.colour, 0.5), 4));
+    this.closedTracks.addFeature(closed);
+    shown.closed.push(closed);
+    if (shown.closed.length > CHUNKS_MOST) this.closedTracks.removeFeature(shown.closed.shift()!);
+    shown.points = [shown.points.at(-1)!];
+  }
+
+  private forget(shown: Shown): void {
+    this.closedTracks.removeFeatures(shown.closed);
+    Object.assign(shown, { points: [], closed: [], last_s: -Infinity });
+  }
+
+  private repaint(): void {
+    for (const boat of this.state.boats) {
+      for (const closed of this.shown.get(boat.id)?.closed ?? []) closed.setStyle(cased(inked(boat.colour, 0.5), 4));
+    }
+    this.aboardKey = "";
+    this.draw();
+  }
+
+  /** What the boat itself keeps: redrawn only when it changes. */
+  private drawAboard(): void {
+    const key = JSON.stringify(this.state.boats.map(({ id, fence, obstacles, home }) => [id, fence, obstacles, home]));
+    if (key === this.aboardKey) return;
+    this.aboardKey = key;
+    this.aboard.clear();
+    for (const boat of this.state.boats) this.aboard.addFeatures(keptAboard(boat));
+  }
+}
+
+export function keptAboard(kept: Pick<Boat, "fence" | "obstacles" | "home">, planned = false): Feature[] {
+  const made: Feature[] = [];
+  const dash = planned ? { lineDash: [6, 5] } : {};
+  if (kept.fence.length > 2) {
+    const ring = kept.fence.map(([latitude_deg, longitude_deg]) => point({ latitude_deg, longitude_deg }));
+    const fence = new Feature(new LineString([...ring, ring[0]!]));
+    fence.setStyle(cased(palette.danger, 2, planned ? [10, 6] : undefined));
+    made.push(fence);
+  }
+  for (const { latitude_deg, longitude_deg, radius_m } of kept.obstacles) {
+    const area = new Feature(circular([longitude_deg, latitude_deg], radius_m, 48).transform("EPSG:4326", "EPSG:3857"));
+    area.setStyle(new Style({ fill: new Fill({ color: palette.dangerFill }), stroke: new Stroke({ color: palette.danger, width: 1.8, ...dash }) }));
+    made.push(area);
+  }
+  if (kept.home) {
+    const home = new Feature(new Point(point(kept.home)));
+    home.setStyle(
+      new Style({
+        image: new Disc({ radius: 10, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: palette.soft, width: 2 }) }),
+        text: new Text({ text: "H", font: "700 12px system-ui, sans-serif", fill: new Fill({ color: palette.ink }), offsetY: 1 }),
+      }),
+    );
+    made.push(home);
+  }
+  return made;
+}
+
+/** A line that is seen on any chart: its colour over a halo. */
+export function cased(color: string, width: number, lineDash?: number[]): Style[] {
+  const stroke = (tint: string, wide: number) =>
+    new Style({ stroke: new Stroke({ color: tint, width: wide, lineCap: lineDash ? "butt" : "round", ...(lineDash ? { lineDash } : {}) }) });
+  return [stroke(palette.halo, width + 2.4), stroke(color, width)];
+}
+
+export function position(boat: Boat): Place | null {
+  if (boat.latitude_deg === null || boat.longitude_deg === null) return null;
+  return { latitude_deg: boat.latitude_deg, longitude_deg: boat.longitude_deg };
+}
+
+function reference(boat: Boat, place: Place, here: number[]): LineString | null {
+  const to = boat.reference;
+  if (!to || boat.mode === "idle" || boat.mode === "manual") return null;
+  if (to.latitude_deg !== null && to.longitude_deg !== null) {
+    return new LineString([here, point({ latitude_deg: to.latitude_deg, longitude_deg: to.longitude_deg })]);
+  }
+  if (to.heading_deg === null) return null;
+  return new LineString([here, point(towards(place, to.heading_deg, Math.max(20, (boat.speed_mps ?? 0) * AHEAD_S)))]);
+}
+
+function put<G extends Point | LineString | Polygon | Circle>(feature: Feature<G>, geometry: G | null): void {
+  feature.setGeometry(geometry ?? undefined);
+}
+
+const symbols = new Map<string, HTMLCanvasElement>();
+
+/** A catamaran from above, twice as large as it is shown; hollow when nothing is heard of it. */
+function symbol(colour: string, hollow: boolean): HTMLCanvasElement {
+  const key = `${colour}|${hollow}|${theme}`;
+  const known = symbols.get(key);
+  if (known) return known;
+  const canvas = document.createElement("canvas");
+  [canvas.width, canvas.height] = [60, 84];
+  const pen = canvas.getContext("2d")!;
+  pen.translate(30, 42);
+  pen.lineJoin = "round";
+  const hulls = new Path2D();
+  for (const side of [-1, 1]) {
+    hulls.moveTo(side * 16, -38);
+    hulls.bezierCurveTo(side * 23, -22, side * 23, 14, side * 21, 35);
+    hulls.lineTo(side * 11, 35);
+    hulls.bezierCurveTo(side * 9, 14, side * 9, -22, side * 16, -38);
+    hulls.closePath();
+  }
+  const deck = new Path2D();
+  deck.roundRect(-17, -4, 34, 34, 5);
+  const stroke = (tint: string, width: number) => {
+    [pen.strokeStyle, pen.lineWidth] = [tint, width];
+    pen.stroke(deck);
+    pen.stroke(hulls);
+  };
+  stroke(palette.halo, 11);
+  stroke(hollow ? inked(colour) : theme === "day" ? "#0d2230" : "#02080c", 5.5);
+  pen.fillStyle = hollow ? palette.sea : colour;
+  pen.fill(deck);
+  pen.fill(hulls);
+  symbols.set(key, canvas);
+  return canvas;
+}

@@ -1,0 +1,165 @@
+// The keys of the thesis (section 4.3), and stop. Letters by what they say, digits and arrows by where they are.
+import type { Actions } from "./actions";
+import type { Thrusters } from "./drive";
+import type { State } from "./state";
+import type { Mode } from "./wire";
+
+const ARROW_EVERY_MS = 100;
+
+export const MODES: readonly { key: string; mode: Mode; title: string; says: string }[] = [
+  { key: "I", mode: "idle", title: "Idle", says: "thrusters are powered off" },
+  { key: "M", mode: "manual", title: "Manual", says: "thrusters are set here" },
+  { key: "H", mode: "heading", title: "Heading", says: "follow a heading" },
+  { key: "G", mode: "goto", title: "Go to waypoint 1", says: "in heading mode, and stop there" },
+  { key: "P", mode: "path", title: "Path following", says: "follow the path that connects the waypoints" },
+  { key: "Y", mode: "play", title: "Play mission", says: "each waypoint in turn, in heading mode" },
+  { key: "X", mode: "grex", title: "GREX", says: "do what the guest computer says" },
+];
+
+export const CARD: readonly (readonly [title: string, rows: readonly (readonly [string, string])[]])[] = [
+  [
+    "Stop",
+    [
+      ["Space", "stop this boat"],
+      ["Shift Space", "stop all boats"],
+    ],
+  ],
+  ["Mode", MODES.map(({ key, title, says }) => [key, `${title}: ${says}`])],
+  [
+    "Speed",
+    [
+      ["0 … 8", "0 % … 80 %"],
+      ["9", "nothing, for it is next to 0"],
+      ["↑ ↓", "common speed ± 1 %"],
+      ["→ ←", "turn to starboard, to port"],
+      ["Alt", "with these: the starboard thruster only"],
+      ["Ctrl", "with these: the port thruster only"],
+    ],
+  ],
+  [
+    "Boats",
+    [
+      ["Tab", "next boat; Shift Tab: previous"],
+      ["R", "reset the boat's peripheral microcontrollers"],
+      ["Enter", "the boat's menu"],
+    ],
+  ],
+  [
+    "Screen",
+    [
+      ["+ −", "zoom"],
+      ["Ctrl Z", "undo the last change of the plan"],
+      ["Esc", "close"],
+      ["F1", "this card"],
+    ],
+  ],
+];
+
+export interface Screen {
+  /** A menu that is open takes the arrows, Enter and Esc; true when it took the key. */
+  menuTakes(key: string): boolean;
+  closeMenu(): void;
+  openMenu(): void;
+  toggleCard(): void;
+  follow(): void;
+  zoom(by: number): void;
+  undo(): void;
+  replayTakes(key: string): boolean;
+}
+
+const ARROWS = new Set(["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"]);
+
+export class Keys {
+  private lastArrow = -Infinity;
+
+  constructor(
+    private readonly state: State,
+    private readonly actions: Actions,
+    private readonly screen: Screen,
+  ) {
+    window.addEventListener("keydown", (event) => this.down(event), { capture: true });
+    // A lone Alt opens the browser's menu when it is let go.
+    window.addEventListener("keyup", (event) => event.key === "Alt" && event.preventDefault(), { capture: true });
+  }
+
+  private down(event: KeyboardEvent): void {
+    if (event.isComposing || event.metaKey) return;
+    if (event.key === "F12" || (event.ctrlKey && event.shiftKey && !ARROWS.has(event.code))) return; // the browser's own tools
+    if (this.taken(event)) {
+      event.preventDefault();
+      event.stopPropagation();
+    }
+  }
+
+  private taken(event: KeyboardEvent): boolean {
+    if (this.state.replaying && this.screen.replayTakes(event.code)) return true;
+    if (event.code === "Space") return this.stop(event);
+    if (!event.ctrlKey && !event.altKey && this.screen.menuTakes(event.key)) return true;
+    return this.digit(event) || this.view(event) || this.arrow(event) || this.letter(event);
+  }
+
+  private stop(event: KeyboardEvent): boolean {
+    this.screen.closeMenu();
+    if (event.repeat) return true;
+    if (event.shiftKey) this.actions.stopAll();
+    else if (this.state.boat) this.actions.stop(this.state.boat.id);
+    return true;
+  }
+
+  private view(event: KeyboardEvent): boolean {
+    if (event.key === "Tab" && !event.ctrlKey && !event.altKey) this.next(event.shiftKey ? -1 : 1);
+    else if (event.key === "F1") this.screen.toggleCard();
+    else if (event.key === "Escape") this.screen.closeMenu();
+    else if (event.key === "Enter") this.screen.openMenu();
+    else if (event.key === "+" || event.key === "=") this.screen.zoom(1);
+    else if (event.key === "-") this.screen.zoom(-1);
+    else if (event.ctrlKey && !event.altKey && event.key.toLowerCase() === "z") this.screen.undo();
+    else return false;
+    return true;
+  }
+
+  private next(by: number): void {
+    const { boats, selected } = this.state;
+    if (!boats.length) return;
+    const at = boats.findIndex((each) => each.id === selected);
+    this.screen.closeMenu();
+    this.state.select(boats[(at + by + boats.length) % boats.length]!.id);
+    this.screen.follow();
+  }
+
+  private digit(event: KeyboardEvent): boolean {
+    const digit = event.code.match(/^(?:Digit|Numpad)([0-9])$/)?.[1];
+    if (digit === undefined || (event.code.startsWith("Numpad") && event.key !== digit)) return false;
+    if (digit !== "9" && !event.repeat && this.state.boat) this.actions.speed(this.state.boat, which(event), 10 * Number(digit));
+    return true;
+  }
+
+  private arrow(event: KeyboardEvent): boolean {
+    if (!ARROWS.has(event.code)) return false;
+    const boat = this.state.boat;
+    if (!boat || (event.repeat && event.timeStamp - this.lastArrow < ARROW_EVERY_MS)) return true;
+    this.lastArrow = event.timeStamp;
+    if (event.code === "ArrowUp") this.actions.faster(boat, which(event), 1);
+    else if (event.code === "ArrowDown") this.actions.faster(boat, which(event), -1);
+    else if (event.code === "ArrowRight") this.actions.turn(boat, which(event), 1);
+    else this.actions.turn(boat, which(event), -1);
+    return true;
+  }
+
+  private letter(event: KeyboardEvent): boolean {
+    if (event.ctrlKey || event.altKey || event.key.length !== 1) return event.altKey && event.key.length === 1;
+    const [boat, key] = [this.state.boat, event.key.toUpperCase()];
+    const mode = MODES.find((each) => each.key === key)?.mode;
+    if (!mode && key !== "R") return false;
+    if (!boat || event.repeat) return true;
+    this.screen.closeMenu();
+    if (mode) void this.actions.mode(boat, mode);
+    else void this.actions.command(boat.id, "reset");
+    return true;
+  }
+}
+
+function which(event: KeyboardEvent): Thrusters {
+  if (event.altKey === event.ctrlKey) return "both";
+  return event.altKey ? "starboard" : "port";
+}

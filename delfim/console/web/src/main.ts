@@ -1,0 +1,221 @@
+// The console's page: puts the parts together and hands them what the gateway says.
+import "ol/ol.css";
+import "./style.css";
+import { Actions } from "./actions";
+import type { Pixel } from "./chart";
+import { Chart } from "./chart";
+import { Corner, card, dryRunCard, whereWords } from "./corner";
+import { text } from "./dom";
+import { Drive } from "./drive";
+import { Fleet, position } from "./fleet";
+import { Keys } from "./keys";
+import { Menus } from "./menus";
+import { Messages } from "./messages";
+import { Net } from "./net";
+import { Plans } from "./plans";
+import { Popup } from "./popup";
+import { Replay } from "./replay";
+import { Sound } from "./sound";
+import { State, age_s, ageWords, freshness } from "./state";
+import { Strips } from "./strip";
+import type { Boat, Heard, Mission, Place } from "./wire";
+
+const REACH_PX = 22;
+const REACH_TOUCH_PX = 32;
+
+const element = (id: string): HTMLElement => document.getElementById(id)!;
+
+const state = new State();
+const sound = new Sound();
+const messages = new Messages(element("messages"), state, sound);
+const net = new Net(heard, online);
+const drive = new Drive(net, state, () => strips.draw(false));
+const actions = new Actions(net, state, drive, (boat, severity, words) => messages.say(boat, severity, words), () => corner.draw());
+const popup = new Popup(document.body);
+const keyCard = card(document.body);
+const chart = new Chart(element("map"), { click, press, hover });
+const fleet = new Fleet(chart, state);
+const plans = new Plans(chart, state, (mission) => state.selected !== null && edit(state.selected, mission));
+const menus = new Menus(popup, state, actions, chart, fleet, plans, messages, sound, edit, undo, () => keyCard.toggle());
+const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
+const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close());
+const replay = new Replay(element("replay"), state, actions);
+new Keys(state, actions, {
+  menuTakes: (key) => popup.takes(key) || (key === "Escape" && keyCard.close()),
+  closeMenu: escape,
+  openMenu,
+  toggleCard: () => keyCard.toggle(),
+  follow: () => state.boat && position(state.boat) && chart.follow(position(state.boat)!),
+  zoom: (by) => chart.zoom(by),
+  undo,
+  replayTakes: (code) => replay.takes(code),
+});
+dryRunCard(element("dryrun"), state);
+
+let placed = false;
+const lost = new Set<number>();
+
+chart.paint();
+state.on(["theme"], () => chart.paint());
+state.on(["boats"], () => {
+  if (!placed && state.boats.some((boat) => position(boat))) show();
+});
+state.on(["selection"], () => document.querySelector(".chip.selected")?.scrollIntoView({ block: "nearest", inline: "nearest" }));
+setInterval(listen, 500);
+window.addEventListener("resize", pad);
+window.addEventListener("beforeunload", (event) => {
+  if (state.boats.some((boat) => drive.hand(boat.id) || (boat.armed && boat.owner))) event.preventDefault();
+});
+pad();
+
+function heard(message: Heard): void {
+  switch (message.t) {
+    case "hello":
+      state.hello = message;
+      state.backgrounds = message.backgrounds;
+      chart.setBackgrounds(message.backgrounds);
+      state.takeBoats(message.boats, state.at_s);
+      state.tell("hello");
+      if (state.selected !== null && !state.replaying) void net.ask({ t: "mission", boat: state.selected, do: "list" });
+      return;
+    case "boats":
+      return state.takeBoats(message.boats, message.at_s);
+    case "track":
+      return fleet.history(message.boat, message.start ?? false, message.points);
+    case "text":
+      return messages.say(message.boat, message.severity, message.text);
+    case "mission":
+      return took(message.boat, message.where, message.mission);
+    case "missions":
+      state.names = message.names;
+      return;
+    case "progress":
+      if (message.part >= 1) state.progress.delete(message.boat);
+      else state.progress.set(message.boat, message);
+      return state.tell("progress");
+    case "dryrun":
+      state.dryruns.set(message.boat, message);
+      return state.tell("dryrun");
+    case "answer":
+      return;
+  }
+}
+
+function online(now: boolean): void {
+  state.online = now;
+  element("offline").hidden = now;
+  if (!now) drive.release("offline");
+}
+
+function took(boat: number, where: "here" | "aboard", mission: Mission): void {
+  if (where === "here") state.takeMission(boat, mission);
+  else if (state.fetching.delete(boat)) edit(boat, mission);
+}
+
+function edit(boat: number, mission: Mission): void {
+  state.plan(boat).change(mission);
+  planned(boat);
+}
+
+function undo(): void {
+  if (state.selected === null) return;
+  state.plan(state.selected).undo();
+  planned(state.selected);
+}
+
+/** The gateway keeps the plan: the page may be closed. */
+function planned(boat: number): void {
+  state.dryruns.delete(boat);
+  state.tell("dryrun");
+  state.tell("plan");
+  void actions.mission(boat, "put", { mission: state.plan(boat).mission });
+}
+
+function chosen(boat: Boat, at: Pixel): void {
+  state.select(boat.id);
+  menus.boat(boat, at);
+}
+
+function openMenu(): void {
+  const boat = state.boat;
+  if (!boat) return;
+  const place = position(boat);
+  menus.boat(boat, (place && chart.pixelOf(place)) ?? [innerWidth / 2, innerHeight / 3]);
+}
+
+function escape(): void {
+  popup.close();
+  keyCard.close();
+  plans.measure(null);
+}
+
+function click(place: Place, pixel: Pixel, touch: boolean): void {
+  if (plans.measuring) return plans.measureTo(place, true);
+  if (popup.isOpen) return popup.close();
+  if (!offer(pixel, touch) && !touch) menus.map(place, pixel);
+}
+
+/** A long press, or the other button: the same menus. */
+function press(place: Place, pixel: Pixel): void {
+  popup.close();
+  if (!offer(pixel, true)) menus.map(place, pixel);
+}
+
+function offer(pixel: Pixel, touch: boolean): boolean {
+  const boat = fleet.at(chart, pixel, touch ? REACH_TOUCH_PX : REACH_PX);
+  const handle = boat ? null : plans.at(pixel, touch);
+  if (boat) chosen(boat, pixel);
+  else if (handle) menus.handle(handle, pixel);
+  return boat !== null || handle !== null;
+}
+
+function hover(place: Place, pixel: Pixel): void {
+  if (plans.measuring) plans.measureTo(place, false);
+  text(element("where"), whereWords(place, state));
+  const over = fleet.at(chart, pixel, REACH_PX) ?? plans.at(pixel, false);
+  element("map").style.cursor = plans.measuring ? "crosshair" : over ? "pointer" : "";
+}
+
+/** What has fallen silent is said once; so is its coming back. */
+function listen(): void {
+  if (!net.online) text(element("offline").lastElementChild!, `the last word was ${ageWords(state.frameAge_s)} ago`);
+  for (const boat of state.boats) {
+    const age = age_s(state, boat);
+    if (freshness(age) === "lost" && !lost.has(boat.id)) {
+      lost.add(boat.id);
+      if (Number.isFinite(age)) messages.say(boat.id, 4, "nothing is heard of it");
+    } else if (freshness(age) === "fresh" && lost.delete(boat.id)) messages.say(boat.id, 6, "heard again");
+  }
+}
+
+function show(): void {
+  placed = true;
+  chart.fit(menus.everything());
+}
+
+function pad(): void {
+  const narrow = innerWidth < 700;
+  chart.setPadding(narrow ? [90, 30, 130, 30] : [40, 110, 60, element("strips").offsetWidth + 30]);
+}
+
+/** For tests and for the curious: where a place is on the screen, and how many frames the last second had. */
+const frames: number[] = [];
+function frame(at: number): void {
+  frames.push(at);
+  while (frames[0]! < at - 1000) frames.shift();
+  requestAnimationFrame(frame);
+}
+requestAnimationFrame(frame);
+Object.assign(window, {
+  delfim: {
+    pixel: (latitude_deg: number, longitude_deg: number) => chart.pixelOf({ latitude_deg, longitude_deg }),
+    fit: (south: number, west: number, north: number, east: number) => {
+      chart.fit([
+        { latitude_deg: south, longitude_deg: west },
+        { latitude_deg: north, longitude_deg: east },
+      ]);
+      chart.map.renderSync();
+    },
+    frames: () => frames.length,
+  },
+});

@@ -1,0 +1,411 @@
+// What the pop-up menus offer for a boat, a waypoint, an obstacle, the fence, and the bare map.
+import type { Actions } from "./actions";
+import type { Chart, Pixel } from "./chart";
+import type { Fleet } from "./fleet";
+import { bearing, bearing_deg, distance_m, duration, metres, position } from "./geo";
+import { MODES } from "./keys";
+import type { Messages } from "./messages";
+import * as M from "./mission";
+import { setTheme, theme } from "./palette";
+import type { Handle, Plans } from "./plans";
+import type { Entry, Field, Item, Popup } from "./popup";
+import type { Sound } from "./sound";
+import type { State } from "./state";
+import type { Boat, Mission, Place, Waypoint } from "./wire";
+
+const ASIDE: Pixel = [Infinity, 60]; // a form that shapes the plan does not stand on it
+const PROFILES = ["lean", "radio", "wifi"];
+
+export class Menus {
+  constructor(
+    private readonly popup: Popup,
+    private readonly state: State,
+    private readonly actions: Actions,
+    private readonly chart: Chart,
+    private readonly fleet: Fleet,
+    private readonly plans: Plans,
+    private readonly messages: Messages,
+    private readonly sound: Sound,
+    private readonly edit: (boat: number, mission: Mission) => void,
+    private readonly undo: () => void,
+    private readonly card: () => void,
+  ) {}
+
+  boat(boat: Boat, at: Pixel): void {
+    const modes: Entry[] = MODES.map(({ key, mode, title }) => ({
+      title,
+      key,
+      tick: boat.mode === mode,
+      do: () => void this.actions.mode(boat, mode),
+    }));
+    this.popup.menu(at, { title: boat.name, colour: boat.colour }, [
+      { title: "Stop", key: "Space", do: () => this.actions.stop(boat.id) },
+      "line",
+      ...modes,
+      "line",
+      { title: "Heading…", do: () => this.headingForm(boat, at) },
+      { title: "Speed…", key: "0 … 8", do: () => this.speedForm(boat, at) },
+      "line",
+      { title: "Mission", sub: () => this.mission(boat) },
+      { title: "More", sub: () => this.more(boat) },
+    ]);
+  }
+
+  /** The menu of the bare map. */
+  map(place: Place, at: Pixel): void {
+    const boat = this.state.boat;
+    this.popup.menu(at, { title: position(place) }, [...(boat ? this.here(boat, place) : []), ...this.view(place)]);
+  }
+
+  handle(handle: Handle, at: Pixel): void {
+    const boat = this.state.boat;
+    if (!boat) return;
+    if (handle.kind === "waypoint") this.waypoint(boat, handle.index, at);
+    else if (handle.kind === "obstacle") this.obstacle(boat, handle.index, at);
+    else if (handle.kind === "corner") this.corner(boat, handle.index, at);
+    else if (handle.kind === "home") this.home(boat, at);
+    else this.map(handle.place, at);
+  }
+
+  private change(boat: Boat, change: (mission: Mission) => Mission): void {
+    this.edit(boat.id, change(this.state.plan(boat.id).mission));
+  }
+
+  /** A form whose numbers are shown on the map at once, and are the plan's after OK. */
+  private shape(boat: Boat, title: string, fields: Field[], made: (mission: Mission, values: number[]) => Mission): void {
+    const before = this.state.plan(boat.id).mission;
+    let next = before;
+    const live = (values: number[]) => {
+      next = made(before, values);
+      this.plans.preview(next);
+      return `${next.waypoints.length} waypoints · ${metres(M.length_m(next))}`;
+    };
+    this.popup.form(ASIDE, title, fields, live, (ok) => {
+      this.plans.preview(null);
+      if (ok) this.edit(boat.id, next);
+    });
+  }
+
+  private headingForm(boat: Boat, at: Pixel): void {
+    const field: Field = { title: "Heading", unit: "°", value: this.actions.heading_deg(boat), step: 5, least: 0, most: 360, around: true, show: bearing };
+    let heading = field.value;
+    const live = ([value]: number[]) => {
+      heading = value!;
+      return "";
+    };
+    const done = (ok: boolean) => {
+      if (!ok) return;
+      if (boat.mode === "heading") this.actions.headTo(boat, heading);
+      else void this.actions.command(boat.id, "heading", { heading_deg: heading });
+    };
+    this.popup.form(at, `${boat.name}: heading`, [field], live, done);
+  }
+
+  private speedForm(boat: Boat, at: Pixel): void {
+    const field: Field = { title: "Speed", unit: "%", value: this.actions.speed_pct(boat), step: 5, least: 0, most: 100 };
+    let speed = field.value;
+    const live = ([value]: number[]) => {
+      speed = value!;
+      return "";
+    };
+    this.popup.form(at, `${boat.name}: speed`, [field], live, (ok) => ok && this.actions.speed(boat, "both", speed));
+  }
+
+  private more(boat: Boat): Entry[] {
+    const command = (title: string, name: "arm" | "disarm" | "take" | "hold" | "home", refuse?: string | false): Item => ({
+      title,
+      refuse: refuse || undefined,
+      do: () => void this.actions.command(boat.id, name),
+    });
+    return [
+      { title: "Hold this position", do: () => void this.actions.mode(boat, "hold") },
+      { title: "Go home", refuse: boat.home ? undefined : "no home is known", do: () => void this.actions.mode(boat, "home") },
+      "line",
+      boat.armed ? command("Disarm", "disarm") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
+      { title: "Reset the peripherals", key: "R", do: () => void this.actions.command(boat.id, "reset") },
+      command("Take control", "take", boat.owner && "this console is in control"),
+      "line",
+      ...PROFILES.map((name): Item => ({ title: `Link: ${name}`, tick: boat.link.profile === name, do: () => void this.actions.profile(boat.id, name) })),
+    ];
+  }
+
+  private mission(boat: Boat): Entry[] {
+    const { mission, undoable } = this.state.plan(boat.id);
+    const none = mission.waypoints.length ? undefined : "the plan has no waypoints";
+    const others = this.state.boats.filter((each) => each.id !== boat.id);
+    return [
+      { title: "Send to the boat", note: this.compared(boat), refuse: none, do: () => void this.actions.mission(boat.id, "upload") },
+      { title: "Take the one aboard", do: () => this.fetch(boat) },
+      { title: "Dry run", refuse: none, note: "in the simulator: time and distance", do: () => this.dryRun(boat) },
+      "line",
+      { title: "Save", note: mission.name, refuse: none, do: () => this.save(boat, mission.name) },
+      { title: "Save under a new name", refuse: none, do: () => this.save(boat, newName(mission.name, this.state.names)) },
+      { title: "Load", sub: () => this.stored(boat) },
+      "line",
+      { title: "Undo", key: "Ctrl Z", refuse: undoable ? undefined : "nothing to undo", do: this.undo },
+      { title: "All waypoints…", refuse: none, do: () => this.allForm(boat) },
+      { title: "Reverse the order", refuse: none, do: () => this.change(boat, (each) => ({ ...each, waypoints: reversed(each.waypoints) })) },
+      { title: "Copy to another boat", refuse: others.length ? undefined : "there is no other boat", sub: () => others.map((other) => this.copy(boat, other)) },
+      { title: "New mission", note: "empty; undo brings this one back", do: () => this.edit(boat.id, M.empty(newName("Mission", this.state.names))) },
+    ];
+  }
+
+  private fetch(boat: Boat): void {
+    this.state.fetching.add(boat.id);
+    void this.actions.mission(boat.id, "download").then((answer) => !answer.ok && this.state.fetching.delete(boat.id));
+  }
+
+  private compared(boat: Boat): string {
+    const words = { same: "aboard is the same", differs: "aboard is another one", unknown: "what is aboard is not known", none: "nothing aboard" };
+    return words[boat.mission.state];
+  }
+
+  private copy(from: Boat, to: Boat): Item {
+    return { title: to.name, colour: to.colour, do: () => this.edit(to.id, this.state.plan(from.id).mission) };
+  }
+
+  private stored(boat: Boat): Entry[] {
+    const { names } = this.state;
+    if (!names.length) return [{ title: "No mission is stored", refuse: "save one first" }];
+    return names.map((name) => ({ title: name, do: () => void this.actions.mission(boat.id, "load", { name }) }));
+  }
+
+  private save(boat: Boat, name: string): void {
+    if (name !== this.state.plan(boat.id).mission.name) this.change(boat, (mission) => ({ ...mission, name }));
+    void this.actions.mission(boat.id, "save", { name }).then((answer) => {
+      if (answer.ok) this.messages.say(boat.id, 6, `saved: ${name}`);
+      void this.actions.mission(boat.id, "list");
+    });
+  }
+
+  private dryRun(boat: Boat): void {
+    this.messages.say(boat.id, 6, "dry run begins");
+    void this.actions.mission(boat.id, "dryrun");
+  }
+
+  private allForm(boat: Boat): void {
+    const first = this.state.plan(boat.id).mission.waypoints[0]!;
+    this.shape(boat, "All waypoints", [speedField(first.speed_mps), acceptanceField(first.acceptance_m)], (mission, [speed, acceptance]) =>
+      M.setAll(mission, { speed_mps: speed!, acceptance_m: acceptance! }),
+    );
+  }
+
+  private here(boat: Boat, place: Place): Entry[] {
+    const { mission, undoable } = this.state.plan(boat.id);
+    const best = M.bestIndex(mission, place);
+    const size = mission.waypoints.length;
+    const insert = (index: number) => () => this.change(boat, (each) => M.insertWaypoint(each, index, place));
+    const entries: Entry[] = [
+      { title: `Send ${boat.name} here`, colour: boat.colour, do: () => void this.actions.command(boat.id, "goto_point", { ...place }) },
+      "line",
+      { title: "Add waypoint", note: size ? `as the last, number ${size + 1}` : "the first", do: insert(size) },
+    ];
+    if (best < size) entries.push({ title: "Insert waypoint", note: `between ${best} and ${best + 1}`, do: insert(best) });
+    entries.push(
+      { title: "Pattern", sub: () => this.patterns(boat, place) },
+      { title: "Fence, obstacle, home", sub: () => this.marks(boat, place) },
+      { title: "Mission", sub: () => this.mission(boat) },
+    );
+    if (undoable) entries.push({ title: "Undo", key: "Ctrl Z", do: this.undo });
+    return [...entries, "line"];
+  }
+
+  private view(place: Place): Entry[] {
+    const entries: Entry[] = [
+      { title: "Ruler from here", do: () => this.plans.measure(place) },
+      { title: "Show everything", do: () => this.chart.fit(this.everything(), 250) },
+      { title: "Screen", sub: () => this.screen() },
+      { title: "Keys", key: "F1", do: this.card },
+    ];
+    if (this.plans.measured) entries.splice(1, 0, { title: "Remove the rulers", do: () => this.plans.clearRulers() });
+    return entries;
+  }
+
+  everything(): Place[] {
+    const boats = this.state.boats.flatMap((boat) => (boat.latitude_deg === null ? [] : [boat as Place]));
+    const plans = [...this.state.plans.values()].flatMap(({ mission }) => [...mission.waypoints, ...mission.fence.map(M.cornerPlace)]);
+    return [...boats, ...plans];
+  }
+
+  private screen(): Entry[] {
+    const night = theme === "night";
+    const change = () => {
+      setTheme(night ? "day" : "night");
+      this.state.tell("theme");
+    };
+    const charts = this.state.backgrounds.map(
+      ({ name }): Item => ({ title: `Chart: ${name}`, tick: this.chart.shown(name), do: () => this.chart.toggle(name) }),
+    );
+    return [
+      { title: "Night colours", tick: night, do: change },
+      { title: "Sound", tick: this.sound.on, do: () => this.sound.toggle() },
+      ...charts,
+      "line",
+      { title: "Messages", sub: () => this.said() },
+      { title: "Clear the tracks", do: () => this.fleet.clearTracks() },
+      { title: "Full screen", do: () => void document.documentElement.requestFullscreen() },
+    ];
+  }
+
+  private said(): Entry[] {
+    if (!this.messages.kept.length) return [{ title: "Nothing was said", refuse: "yet" }];
+    return this.messages.kept.slice(0, 12).map(({ boat, text, at }) => {
+      const its = boat === null ? undefined : this.state.byId(boat);
+      return { title: text, note: `${at.toLocaleTimeString("en-GB")} ${its?.name ?? ""}`, ...(its ? { colour: its.colour } : {}) };
+    });
+  }
+
+  private patterns(boat: Boat, place: Place): Entry[] {
+    const heading = M.mainHeading_deg(this.state.plan(boat.id).mission);
+    const from_deg = boat.latitude_deg === null ? 0 : bearing_deg(place, boat as Place);
+    const onto = (mission: Mission, fresh: Waypoint[]): Mission => ({ ...mission, waypoints: [...mission.waypoints, ...fresh] });
+    const number = (title: string, value: number, least: number, step = 5): Field => ({ title, unit: "m", value, step, least, most: 2000 });
+    const side: Field = { title: "Turning to", unit: "", value: 1, step: 1, least: 0, most: 1, zero: "port", show: () => "starboard" };
+    return [
+      {
+        title: "Lawn-mower…",
+        do: () =>
+          this.shape(
+            boat,
+            "Lawn-mower",
+            [
+              number("Length", 100, 10),
+              number("Width", 60, 0),
+              number("Spacing", 15, 2, 1),
+              { title: "Along", unit: "°", value: heading, step: 5, least: 0, most: 360, around: true, show: bearing },
+            ],
+            (mission, [length, width, spacing, along]) => onto(mission, M.lawnMower(place, length!, width!, spacing!, along!)),
+          ),
+      },
+      {
+        title: "Circle…",
+        do: () =>
+          this.shape(boat, "Circle", [number("Radius", 40, 5), side], (mission, [radius, turn]) =>
+            onto(mission, M.circle(place, radius!, from_deg, turn === 1)),
+          ),
+      },
+      {
+        title: "Spiral…",
+        do: () =>
+          this.shape(boat, "Spiral", [number("Radius", 40, 5), number("Spacing", 10, 2, 1), side], (mission, [radius, spacing, turn]) =>
+            onto(mission, M.spiral(place, radius!, spacing!, from_deg, turn === 1)),
+          ),
+      },
+    ];
+  }
+
+  private marks(boat: Boat, place: Place): Entry[] {
+    const { mission } = this.state.plan(boat.id);
+    const fence: Item = mission.fence.length
+      ? { title: "Fence corner here", do: () => this.change(boat, (each) => M.insertCorner(each, place)) }
+      : {
+          title: "Fence around here…",
+          do: () =>
+            this.shape(boat, "Fence", [{ title: "Side", unit: "m", value: 200, step: 10, least: 20, most: 5000 }], (each, [side]) =>
+              M.squareFence(each, place, side!),
+            ),
+        };
+    return [
+      fence,
+      { title: "Obstacle here…", do: () => this.obstacleForm(boat, mission.obstacles.length, place, 10) },
+      { title: "Home is here", do: () => this.change(boat, (each) => ({ ...each, home: { ...place } })) },
+    ];
+  }
+
+  private waypoint(boat: Boat, index: number, at: Pixel): void {
+    const { mission } = this.state.plan(boat.id);
+    const [its, last] = [mission.waypoints[index]!, mission.waypoints.length - 1];
+    const before = mission.waypoints[index - 1];
+    const middle = (a: Place, b: Place): Place => ({ latitude_deg: (a.latitude_deg + b.latitude_deg) / 2, longitude_deg: (a.longitude_deg + b.longitude_deg) / 2 });
+    const shift = (by: -1 | 1, refuse: boolean): Item => ({
+      title: by < 0 ? "Earlier in the order" : "Later in the order",
+      refuse: refuse ? (by < 0 ? "it is the first" : "it is the last") : undefined,
+      do: () => this.change(boat, (each) => M.reorderWaypoint(each, index, by)),
+    });
+    const note = before ? `${bearing(bearing_deg(before, its))}  ${metres(distance_m(before, its))}` : position(its);
+    this.popup.menu(at, { title: `Waypoint ${index + 1}`, colour: boat.colour, note }, [
+      { title: "Speed, acceptance, hold…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
+      { title: "Leg to it", refuse: before ? undefined : "it is the first", sub: () => this.legs(boat, index) },
+      "line",
+      { title: "Insert before", refuse: before ? undefined : "it is the first", do: () => this.change(boat, (each) => M.insertWaypoint(each, index, middle(before!, its))) },
+      {
+        title: "Insert after",
+        refuse: index < last ? undefined : "it is the last",
+        do: () => this.change(boat, (each) => M.insertWaypoint(each, index + 1, middle(its, each.waypoints[index + 1]!))),
+      },
+      shift(-1, index === 0),
+      shift(1, index === last),
+      { title: "Delete", do: () => this.change(boat, (each) => M.deleteWaypoint(each, index)) },
+      "line",
+      { title: "Play from here", do: () => void this.actions.command(boat.id, "play", { leg: index }) },
+      { title: "Go to this point", do: () => void this.actions.command(boat.id, "goto_point", { latitude_deg: its.latitude_deg, longitude_deg: its.longitude_deg }) },
+    ]);
+  }
+
+  private legs(boat: Boat, index: number): Entry[] {
+    const turn = this.state.plan(boat.id).mission.waypoints[index]!.turn;
+    return [
+      { title: "Straight", tick: !turn, do: () => this.change(boat, (each) => M.setWaypoint(each, index, { turn: null })) },
+      { title: "Half circle to starboard", tick: turn?.clockwise === true, do: () => this.change(boat, (each) => M.halfCircle(each, index, true)) },
+      { title: "Half circle to port", tick: turn?.clockwise === false, do: () => this.change(boat, (each) => M.halfCircle(each, index, false)) },
+    ];
+  }
+
+  private waypointForm(boat: Boat, index: number): void {
+    const its = this.state.plan(boat.id).mission.waypoints[index]!;
+    const hold: Field = { title: "Hold", unit: "s", value: its.hold_s, step: 5, least: 0, most: 3600, zero: "no", show: duration };
+    this.shape(boat, `Waypoint ${index + 1}`, [speedField(its.speed_mps), acceptanceField(its.acceptance_m), hold], (mission, [speed, acceptance, wait]) =>
+      M.setWaypoint(mission, index, { speed_mps: speed!, acceptance_m: acceptance!, hold_s: wait! }),
+    );
+  }
+
+  private obstacle(boat: Boat, index: number, at: Pixel): void {
+    const its = this.state.plan(boat.id).mission.obstacles[index]!;
+    this.popup.menu(at, { title: "Obstacle", note: `radius ${metres(its.radius_m)}` }, [
+      { title: "Radius…", do: () => this.obstacleForm(boat, index, its, its.radius_m) },
+      { title: "Delete", do: () => this.change(boat, (each) => M.deleteObstacle(each, index)) },
+    ]);
+  }
+
+  private obstacleForm(boat: Boat, index: number, place: Place, radius_m: number): void {
+    const field: Field = { title: "Radius", unit: "m", value: radius_m, step: 1, least: 1, most: 1000 };
+    this.shape(boat, "Obstacle", [field], (mission, [radius]) =>
+      M.setObstacle(mission, index, { latitude_deg: place.latitude_deg, longitude_deg: place.longitude_deg, radius_m: radius! }),
+    );
+  }
+
+  private corner(boat: Boat, index: number, at: Pixel): void {
+    this.popup.menu(at, { title: `Fence corner ${index + 1}` }, [
+      { title: "Delete the corner", do: () => this.change(boat, (each) => M.deleteCorner(each, index)) },
+      { title: "Delete the fence", do: () => this.change(boat, (each) => ({ ...each, fence: [] })) },
+    ]);
+  }
+
+  private home(boat: Boat, at: Pixel): void {
+    this.popup.menu(at, { title: "Home", colour: boat.colour }, [
+      { title: "Go home", do: () => void this.actions.mode(boat, "home") },
+      { title: "Delete", do: () => this.change(boat, (each) => ({ ...each, home: null })) },
+    ]);
+  }
+}
+
+const speedField = (value: number): Field => ({ title: "Speed", unit: "m/s", value, step: 0.1, least: 0, most: 10, zero: "the boat’s own" });
+const acceptanceField = (value: number): Field => ({ title: "Acceptance", unit: "m", value, step: 0.5, least: 0, most: 100, zero: "the boat’s own" });
+
+function waypointWords({ speed_mps, acceptance_m, hold_s }: Waypoint): string {
+  const words = [speed_mps && `${speed_mps.toFixed(1)} m/s`, acceptance_m && `within ${metres(acceptance_m)}`, hold_s && `hold ${duration(hold_s)}`];
+  return words.filter(Boolean).join(" · ") || "as the boat’s file says";
+}
+
+function reversed(waypoints: Waypoint[]): Waypoint[] {
+  const turns = waypoints.slice(1).map(({ turn }) => turn && { ...turn, clockwise: !turn.clockwise });
+  return waypoints.toReversed().map((each, i) => ({ ...each, turn: i ? turns.at(-i)! : null }));
+}
+
+/** "Survey", "Survey 2", "Survey 3" … */
+function newName(name: string, taken: string[]): string {
+  const stem = name.replace(/ \d+$/, "");
+  let number = 2;
+  while (taken.includes(`${stem} ${number}`)) number++;
+  return taken.includes(stem) || stem === name ? `${stem} ${number}` : stem;
+}

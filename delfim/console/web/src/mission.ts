@@ -1,0 +1,204 @@
+// A plan for each boat: the working copy of its mission, with undo. Patterns are functions from a form to waypoints.
+import { arc, bearing_deg, carried, distance_m, moved, step, towards } from "./geo";
+import type { Mission, Obstacle, Place, Waypoint } from "./wire";
+
+const UNDO_MOST = 200;
+const SPIRAL_STEP_DEG = 20;
+
+export const waypoint = (place: Place): Waypoint => ({
+  latitude_deg: place.latitude_deg,
+  longitude_deg: place.longitude_deg,
+  speed_mps: 0,
+  acceptance_m: 0,
+  hold_s: 0,
+  turn: null,
+});
+
+export const empty = (name: string): Mission => ({ name, waypoints: [], fence: [], obstacles: [], home: null });
+
+/** Whether two missions say the same, however they were written. */
+export function same(a: Mission, b: Mission): boolean {
+  const at = ({ latitude_deg, longitude_deg }: Place) => [latitude_deg.toFixed(8), longitude_deg.toFixed(8)];
+  const words = (mission: Mission) =>
+    JSON.stringify([
+      mission.name,
+      mission.waypoints.map((each) => [at(each), each.speed_mps, each.acceptance_m, each.hold_s, each.turn && [at(each.turn), each.turn.clockwise]]),
+      mission.fence.map((each) => at(cornerPlace(each))),
+      mission.obstacles.map((each) => [at(each), each.radius_m]),
+      mission.home && at(mission.home),
+    ]);
+  return words(a) === words(b);
+}
+
+/** A mission and what it was before each change. */
+export class Plan {
+  private past: Mission[] = [];
+
+  constructor(public mission: Mission) {}
+
+  get undoable(): boolean {
+    return this.past.length > 0;
+  }
+
+  change(next: Mission): void {
+    this.past.push(this.mission);
+    if (this.past.length > UNDO_MOST) this.past.shift();
+    this.mission = next;
+  }
+
+  undo(): void {
+    this.mission = this.past.pop() ?? this.mission;
+  }
+}
+
+export function length_m(mission: Mission): number {
+  return mission.waypoints.slice(1).reduce((sum, _, i) => sum + course_m(mission, i + 1), 0);
+}
+
+function course_m(mission: Mission, index: number): number {
+  const points = leg(mission, index);
+  return points.slice(1).reduce((sum, point, i) => sum + distance_m(points[i]!, point), 0);
+}
+
+/** The points of the leg that ends at this waypoint. */
+export function leg(mission: Mission, index: number): Place[] {
+  const [from, to] = [mission.waypoints[index - 1]!, mission.waypoints[index]!];
+  return to.turn ? arc(from, to.turn, to, to.turn.clockwise) : [from, to];
+}
+
+const replaced = <T>(list: T[], index: number, item: T): T[] => list.map((each, i) => (i === index ? item : each));
+const without = <T>(list: T[], index: number): T[] => list.filter((_, i) => i !== index);
+
+export function insertWaypoint(mission: Mission, index: number, place: Place): Mission {
+  const like = mission.waypoints[Math.min(index, mission.waypoints.length - 1)];
+  const fresh = { ...waypoint(place), speed_mps: like?.speed_mps ?? 0, acceptance_m: like?.acceptance_m ?? 0 };
+  const waypoints = mission.waypoints.toSpliced(index, 0, fresh);
+  return { ...mission, waypoints: waypoints.map((each, i) => (i === index + 1 ? { ...each, turn: null } : each)) };
+}
+
+/** Where in the order a point at this place costs the least detour. */
+export function bestIndex(mission: Mission, place: Place): number {
+  const points = mission.waypoints;
+  let [best, least] = [points.length, points.length ? distance_m(points.at(-1)!, place) : 0];
+  for (let i = 1; i < points.length; i++) {
+    const detour = distance_m(points[i - 1]!, place) + distance_m(place, points[i]!) - distance_m(points[i - 1]!, points[i]!);
+    if (detour < least) [best, least] = [i, detour];
+  }
+  return best;
+}
+
+export function moveWaypoint(mission: Mission, index: number, place: Place): Mission {
+  const before = mission.waypoints;
+  const after = replaced(before, index, { ...before[index]!, latitude_deg: place.latitude_deg, longitude_deg: place.longitude_deg });
+  const turned = after.map((each, i) => {
+    if (!each.turn || i === 0 || (i !== index && i !== index + 1)) return each;
+    return { ...each, turn: { ...carried(each.turn, before[i - 1]!, before[i]!, after[i - 1]!, each), clockwise: each.turn.clockwise } };
+  });
+  return { ...mission, waypoints: turned };
+}
+
+export function deleteWaypoint(mission: Mission, index: number): Mission {
+  const waypoints = without(mission.waypoints, index).map((each, i) => (i === index || i === 0 ? { ...each, turn: null } : each));
+  return { ...mission, waypoints };
+}
+
+/** Exchange a waypoint with its neighbour, -1 or +1 in the order; legs become lines again where they no longer fit. */
+export function reorderWaypoint(mission: Mission, index: number, by: -1 | 1): Mission {
+  const waypoints = [...mission.waypoints];
+  const [first, second] = [Math.min(index, index + by), Math.max(index, index + by)];
+  [waypoints[first], waypoints[second]] = [waypoints[second]!, waypoints[first]!];
+  return { ...mission, waypoints: waypoints.map((each, i) => (i >= first && i <= second + 1 ? { ...each, turn: null } : each)) };
+}
+
+export function setWaypoint(mission: Mission, index: number, changes: Partial<Waypoint>): Mission {
+  return { ...mission, waypoints: replaced(mission.waypoints, index, { ...mission.waypoints[index]!, ...changes }) };
+}
+
+export function setAll(mission: Mission, changes: Partial<Pick<Waypoint, "speed_mps" | "acceptance_m">>): Mission {
+  return { ...mission, waypoints: mission.waypoints.map((each) => ({ ...each, ...changes })) };
+}
+
+/** The leg to this waypoint as half a circle. */
+export function halfCircle(mission: Mission, index: number, clockwise: boolean): Mission {
+  const [from, to] = [mission.waypoints[index - 1]!, mission.waypoints[index]!];
+  const half = step(from, to);
+  const centre = moved(from, { north_m: half.north_m / 2, east_m: half.east_m / 2 });
+  return setWaypoint(mission, index, { turn: { ...centre, clockwise } });
+}
+
+export const setObstacle = (mission: Mission, index: number, to: Obstacle): Mission => ({
+  ...mission,
+  obstacles: index < mission.obstacles.length ? replaced(mission.obstacles, index, to) : [...mission.obstacles, to],
+});
+export const deleteObstacle = (mission: Mission, index: number): Mission => ({ ...mission, obstacles: without(mission.obstacles, index) });
+
+const corner = (place: Place): [number, number] => [place.latitude_deg, place.longitude_deg];
+export const cornerPlace = ([latitude_deg, longitude_deg]: [number, number]): Place => ({ latitude_deg, longitude_deg });
+
+export const moveCorner = (mission: Mission, index: number, place: Place): Mission => ({
+  ...mission,
+  fence: replaced(mission.fence, index, corner(place)),
+});
+export const deleteCorner = (mission: Mission, index: number): Mission => ({
+  ...mission,
+  fence: mission.fence.length > 3 ? without(mission.fence, index) : [],
+});
+
+/** A corner goes between the two neighbours that it makes the least detour for. */
+export function insertCorner(mission: Mission, place: Place, index?: number): Mission {
+  const corners = mission.fence.map(cornerPlace);
+  let [best, least] = [corners.length, Infinity];
+  corners.forEach((each, i) => {
+    const next = corners[(i + 1) % corners.length]!;
+    const detour = distance_m(each, place) + distance_m(place, next) - distance_m(each, next);
+    if (detour < least) [best, least] = [i + 1, detour];
+  });
+  return { ...mission, fence: mission.fence.toSpliced(index ?? best, 0, corner(place)) };
+}
+
+/** A square around a place, to begin a fence with. */
+export const squareFence = (mission: Mission, centre: Place, side_m: number): Mission => ({
+  ...mission,
+  fence: [45, 135, 225, 315].map((deg) => corner(towards(centre, deg, (side_m / 2) * Math.SQRT2))),
+});
+
+/** Parallel tracks over a rectangle whose middle is `centre`; the tracks run along `heading_deg`. */
+export function lawnMower(centre: Place, length: number, width: number, spacing: number, heading_deg: number): Waypoint[] {
+  const tracks = Math.max(1, Math.floor(width / spacing + 1e-9) + 1);
+  const first = (-(tracks - 1) * spacing) / 2;
+  return Array.from({ length: tracks }, (_, i) => {
+    const side = towards(centre, heading_deg + 90, first + i * spacing);
+    const ends = [towards(side, heading_deg, -length / 2), towards(side, heading_deg, length / 2)];
+    return i % 2 ? ends.reverse() : ends;
+  })
+    .flat()
+    .map(waypoint);
+}
+
+/** Once around, as two half circles; it begins and ends on the side of `from`. */
+export function circle(centre: Place, radius: number, from_deg: number, clockwise: boolean): Waypoint[] {
+  const [near, far] = [waypoint(towards(centre, from_deg, radius)), waypoint(towards(centre, from_deg + 180, radius))];
+  const turn = { ...centre, clockwise };
+  return [near, { ...far, turn }, { ...near, turn }];
+}
+
+/** From the middle outwards, `spacing` apart, until `radius` is reached. */
+export function spiral(centre: Place, radius: number, spacing: number, from_deg: number, clockwise: boolean): Waypoint[] {
+  const turn = clockwise ? SPIRAL_STEP_DEG : -SPIRAL_STEP_DEG;
+  const points = [waypoint(centre)];
+  for (let i = 1; (spacing * i * SPIRAL_STEP_DEG) / 360 <= radius; i++) {
+    const out = (spacing * i * SPIRAL_STEP_DEG) / 360;
+    if (out >= spacing / 2) points.push(waypoint(towards(centre, from_deg + i * turn, out)));
+  }
+  return points;
+}
+
+/** The heading of a mission's longest leg, to begin a pattern with. */
+export function mainHeading_deg(mission: Mission): number {
+  let [heading, longest] = [0, 0];
+  mission.waypoints.slice(1).forEach((to, i) => {
+    const from = mission.waypoints[i]!;
+    if (distance_m(from, to) > longest) [heading, longest] = [bearing_deg(from, to), distance_m(from, to)];
+  });
+  return Math.round(heading / 5) * 5;
+}

@@ -1,0 +1,291 @@
+// The plans on the map: waypoints, legs, fence, obstacles, and the handles by which one pointing button moves them.
+import Feature from "ol/Feature";
+import type MapBrowserEvent from "ol/MapBrowserEvent";
+import { LineString, Point } from "ol/geom";
+import PointerInteraction from "ol/interaction/Pointer";
+import VectorLayer from "ol/layer/Vector";
+import VectorSource from "ol/source/Vector";
+import { Circle as Disc, Fill, RegularShape, Stroke, Style, Text } from "ol/style";
+import type { Chart, Pixel } from "./chart";
+import { placeOf, point } from "./chart";
+import { cased, keptAboard } from "./fleet";
+import { bearing, bearing_deg, distance_m, metres } from "./geo";
+import { cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, moveWaypoint, setObstacle } from "./mission";
+import { inked, palette } from "./palette";
+import type { State } from "./state";
+import type { Mission, Place, Waypoint } from "./wire";
+
+const REACH_PX = 14;
+const REACH_TOUCH_PX = 26;
+const LEG_FOR_MIDDLE_PX = 80;
+
+export interface Handle {
+  kind: "waypoint" | "middle" | "corner" | "edge" | "obstacle" | "home";
+  index: number;
+  place: Place;
+}
+
+type Changed = (mission: Mission) => void;
+
+export class Plans {
+  private readonly others = new VectorSource({ useSpatialIndex: false });
+  private readonly mine = new VectorSource({ useSpatialIndex: false });
+  private readonly over = new VectorSource({ useSpatialIndex: false });
+  private draft: Mission | null = null; // while something is dragged or a form is open
+  private rulers: [Place, Place][] = [];
+  private ruler: Place | null = null;
+
+  constructor(
+    private readonly chart: Chart,
+    private readonly state: State,
+    changed: Changed,
+  ) {
+    const layer = (source: VectorSource) => new VectorLayer({ source, updateWhileAnimating: true, updateWhileInteracting: true });
+    chart.add(layer(this.others), 4);
+    chart.add(layer(this.mine), 5);
+    chart.add(layer(this.over), 7);
+    state.on(["plan", "selection", "theme", "hello"], () => this.draw());
+    state.on(["dryrun", "theme"], () => this.drawOver());
+    let current = "";
+    state.on(["boats"], () => {
+      const now = state.boats.map(({ id, mission }) => `${id}:${mission.current}`).join();
+      if (now !== current) this.draw();
+      current = now;
+    });
+    chart.map.on("moveend", () => this.draw());
+    chart.map.addInteraction(new Dragging(this, state, changed));
+  }
+
+  /** Show another mission than the plan for a while, or the plan again. */
+  preview(mission: Mission | null): void {
+    this.draft = mission;
+    this.draw();
+  }
+
+  /** What can be taken hold of at this pixel; real points come before the middles of legs. */
+  at(pixel: Pixel, touch: boolean): Handle | null {
+    let [best, least] = [null as Handle | null, touch ? REACH_TOUCH_PX : REACH_PX];
+    for (const handle of this.handles()) {
+      const its = this.chart.pixelOf(handle.place);
+      const far = its ? Math.hypot(its[0] - pixel[0], its[1] - pixel[1]) : Infinity;
+      const behind = handle.kind === "middle" || handle.kind === "edge" ? 3 : 0;
+      if (far + behind < least) [best, least] = [handle, far + behind];
+    }
+    return best;
+  }
+
+  get measuring(): boolean {
+    return this.ruler !== null;
+  }
+
+  get measured(): boolean {
+    return this.rulers.length > 0;
+  }
+
+  measure(from: Place | null): void {
+    this.ruler = from;
+    this.drawOver();
+  }
+
+  measureTo(place: Place, done: boolean): void {
+    if (!this.ruler) return;
+    if (done) {
+      this.rulers.push([this.ruler, place]);
+      this.ruler = null;
+    }
+    this.drawOver(done ? undefined : place);
+  }
+
+  clearRulers(): void {
+    this.rulers = [];
+    this.measure(null);
+  }
+
+  private mission(): Mission | null {
+    if (this.state.selected === null) return null;
+    return this.draft ?? this.state.plan(this.state.selected).mission;
+  }
+
+  private handles(): Handle[] {
+    const mission = this.mission();
+    if (!mission) return [];
+    const made: Handle[] = mission.waypoints.map((place, index) => ({ kind: "waypoint", index, place }));
+    mission.fence.forEach((each, index) => made.push({ kind: "corner", index, place: cornerPlace(each) }));
+    mission.obstacles.forEach((place, index) => made.push({ kind: "obstacle", index, place }));
+    if (mission.home) made.push({ kind: "home", index: 0, place: mission.home });
+    return [...made, ...this.middles(mission)];
+  }
+
+  private middles(mission: Mission): Handle[] {
+    const made: Handle[] = [];
+    const add = (kind: "middle" | "edge", index: number, a: Place, b: Place) => {
+      const [from, to] = [this.chart.pixelOf(a), this.chart.pixelOf(b)];
+      if (!from || !to || Math.hypot(from[0] - to[0], from[1] - to[1]) < LEG_FOR_MIDDLE_PX) return;
+      const place = { latitude_deg: (a.latitude_deg + b.latitude_deg) / 2, longitude_deg: (a.longitude_deg + b.longitude_deg) / 2 };
+      made.push({ kind, index, place });
+    };
+    mission.waypoints.forEach((to, i) => i && !to.turn && add("middle", i, mission.waypoints[i - 1]!, to));
+    const corners = mission.fence.map(cornerPlace);
+    corners.forEach((each, i) => add("edge", i + 1, each, corners[(i + 1) % corners.length]!));
+    return made;
+  }
+
+  private draw(): void {
+    this.others.clear();
+    for (const [id, plan] of this.state.plans) {
+      const boat = this.state.byId(id);
+      if (boat && id !== this.state.selected) this.others.addFeatures(drawnLegs(plan.mission, inked(boat.colour, 0.6), 1.3));
+    }
+    this.mine.clear();
+    const [mission, boat] = [this.mission(), this.state.boat];
+    if (!mission || !boat) return;
+    this.mine.addFeatures(keptAboard(mission, true));
+    this.mine.addFeatures(drawnLegs(mission, palette.plan, 2.2));
+    const current = boat.mode === "play" || boat.mode === "goto" ? boat.mission.current : null;
+    const size = mission.waypoints.length;
+    const drawn = crowded(this.chart, mission.waypoints);
+    mission.waypoints.forEach((each, i) => {
+      if (drawn[i] || i === current || i === 0 || i === size - 1) this.mine.addFeature(drawnWaypoint(each, i, i === current));
+    });
+    mission.fence.forEach((each) => this.mine.addFeature(drawnCorner(cornerPlace(each), palette.danger, 5.5)));
+    this.middles(mission).forEach(({ kind, place }) => this.mine.addFeature(drawnPlus(place, kind === "edge" ? palette.danger : palette.plan)));
+  }
+
+  private drawOver(to?: Place): void {
+    this.over.clear();
+    for (const [id, run] of this.state.dryruns) {
+      if (id !== this.state.selected || run.track.length < 2) continue;
+      const track = new Feature(new LineString(run.track.map((each) => point(cornerPlace(each)))));
+      track.setStyle(cased(palette.soft, 2, [2, 5]));
+      this.over.addFeature(track);
+    }
+    const pending: [Place, Place][] = this.ruler ? [[this.ruler, to ?? this.ruler]] : [];
+    for (const [from, end] of [...this.rulers, ...pending]) this.over.addFeatures(drawnRuler(from, end));
+  }
+}
+
+/** Drags a handle; a press without a drag is a click, which the menus take. */
+class Dragging extends PointerInteraction {
+  private handle: Handle | null = null;
+  private before: Mission | null = null;
+  private now: Mission | null = null;
+
+  constructor(
+    private readonly plans: Plans,
+    private readonly state: State,
+    private readonly edited: Changed,
+  ) {
+    super();
+  }
+
+  override handleDownEvent(event: MapBrowserEvent): boolean {
+    const pointer = event.originalEvent as PointerEvent;
+    if (pointer.button !== 0 || this.plans.measuring || this.state.selected === null) return false;
+    this.handle = this.plans.at(event.pixel as Pixel, pointer.pointerType === "touch");
+    this.before = this.handle && this.state.plan(this.state.selected).mission;
+    this.now = null;
+    return this.handle !== null;
+  }
+
+  override handleDragEvent(event: MapBrowserEvent): void {
+    if (!this.handle || !this.before) return;
+    this.now = dragged(this.before, this.handle, placeOf(event.coordinate));
+    this.plans.preview(this.now);
+  }
+
+  override handleUpEvent(): boolean {
+    this.plans.preview(null);
+    if (this.now) this.edited(this.now);
+    [this.handle, this.before, this.now] = [null, null, null];
+    return false;
+  }
+}
+
+function dragged(mission: Mission, { kind, index }: Handle, to: Place): Mission {
+  switch (kind) {
+    case "waypoint":
+      return moveWaypoint(mission, index, to);
+    case "middle":
+      return insertWaypoint(mission, index, to);
+    case "corner":
+      return moveCorner(mission, index, to);
+    case "edge":
+      return insertCorner(mission, to, index);
+    case "obstacle":
+      return setObstacle(mission, index, { ...to, radius_m: mission.obstacles[index]!.radius_m });
+    case "home":
+      return { ...mission, home: to };
+  }
+}
+
+function drawnLegs(mission: Mission, colour: string, width: number): Feature[] {
+  return mission.waypoints.slice(1).flatMap((_, i) => {
+    const points = leg(mission, i + 1).map(point);
+    const line = new Feature(new LineString(points));
+    line.setStyle(cased(colour, width));
+    const [a, b] = [points[Math.floor((points.length - 1) / 2)]!, points[Math.floor((points.length - 1) / 2) + 1]!];
+    const arrow = new Feature(new Point([a[0]! + (b[0]! - a[0]!) * 0.62, a[1]! + (b[1]! - a[1]!) * 0.62]));
+    const rotation = Math.atan2(b[0]! - a[0]!, b[1]! - a[1]!);
+    arrow.setStyle(new Style({ image: new RegularShape({ points: 3, radius: 2.6 * width, rotation, scale: [0.75, 1], fill: new Fill({ color: colour }) }) }));
+    return [line, arrow];
+  });
+}
+
+/** Which waypoints have room for their number: a spiral of a hundred is not a hundred discs. */
+function crowded(chart: Chart, waypoints: Waypoint[]): boolean[] {
+  let last: Pixel | null = null;
+  return waypoints.map((each) => {
+    const pixel = chart.pixelOf(each);
+    const room = !last || !pixel || Math.hypot(pixel[0] - last[0], pixel[1] - last[1]) > 20;
+    if (room) last = pixel;
+    return room;
+  });
+}
+
+function drawnWaypoint(place: Place, index: number, current: boolean): Feature {
+  const feature = new Feature(new Point(point(place)));
+  feature.setStyle(
+    new Style({
+      image: new Disc({
+        radius: 12,
+        fill: new Fill({ color: current ? palette.plan : palette.handle }),
+        stroke: new Stroke({ color: palette.plan, width: 2.2 }),
+      }),
+      text: new Text({
+        text: String(index + 1),
+        font: "650 12px system-ui, sans-serif",
+        fill: new Fill({ color: current ? palette.handle : palette.ink }),
+        offsetY: 1,
+      }),
+    }),
+  );
+  return feature;
+}
+
+function drawnCorner(place: Place, colour: string, radius: number): Feature {
+  const feature = new Feature(new Point(point(place)));
+  feature.setStyle(new Style({ image: new Disc({ radius, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: colour, width: 2 }) }) }));
+  return feature;
+}
+
+function drawnPlus(place: Place, colour: string): Feature {
+  const feature = drawnCorner(place, colour, 4);
+  (feature.getStyle() as Style).getImage()!.setOpacity(0.65);
+  return feature;
+}
+
+function drawnRuler(from: Place, to: Place): Feature[] {
+  const line = new Feature(new LineString([point(from), point(to)]));
+  const words = `${metres(distance_m(from, to))}  ${bearing(bearing_deg(from, to))}`;
+  const text = new Text({
+    text: words,
+    font: "600 14px system-ui, sans-serif",
+    fill: new Fill({ color: palette.ink }),
+    stroke: new Stroke({ color: palette.halo, width: 4 }),
+    offsetY: -14,
+  });
+  line.setStyle(cased(palette.ink, 1.6));
+  const end = drawnCorner(to, palette.ink, 4);
+  (end.getStyle() as Style).setText(text);
+  return [line, drawnCorner(from, palette.ink, 4), end];
+}

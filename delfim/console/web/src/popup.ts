@@ -1,0 +1,278 @@
+// Pop-up menus and forms: one pointing button, or arrows, Enter and Esc. Nothing here is typed, so no key of the boats is lost.
+import { make, text } from "./dom";
+
+const MARGIN_PX = 8;
+const AGAIN_MS = 400;
+const AGAIN_EVERY_MS = 60;
+
+export interface Item {
+  title: string;
+  key?: string; // the key that does the same
+  note?: string;
+  colour?: string;
+  tick?: boolean;
+  refuse?: string | false | undefined; // why it cannot be chosen now
+  do?: () => void;
+  sub?: () => Entry[];
+}
+export type Entry = Item | "line";
+
+export interface Field {
+  title: string;
+  unit: string;
+  value: number;
+  step: number;
+  least: number;
+  most: number;
+  around?: boolean; // a compass goes around
+  zero?: string; // what 0 means, if it is a word
+  show?: (value: number) => string;
+}
+
+interface Open {
+  move(by: number): void;
+  change(by: number): void;
+  enter(): void;
+  back(): void;
+}
+
+export class Popup {
+  private open: Open | null = null;
+  private at: [number, number] = [0, 0];
+  private readonly box = make("div.popup");
+
+  constructor(parent: HTMLElement) {
+    this.box.setAttribute("role", "menu");
+    this.box.hidden = true;
+    parent.append(this.box);
+    this.box.addEventListener("contextmenu", (event) => event.preventDefault());
+    window.addEventListener("resize", () => this.close());
+  }
+
+  get isOpen(): boolean {
+    return this.open !== null;
+  }
+
+  close(): void {
+    if (!this.open) return;
+    const open = this.open;
+    this.open = null;
+    this.box.hidden = true;
+    this.box.replaceChildren();
+    if (open instanceof FormView) open.cancelled();
+  }
+
+  /** True when an open menu or form has taken the key. */
+  takes(key: string): boolean {
+    const open = this.open;
+    if (!open) return false;
+    if (key === "ArrowDown" || key === "ArrowUp") open.move(key === "ArrowDown" ? 1 : -1);
+    else if (key === "ArrowRight" || key === "ArrowLeft") open.change(key === "ArrowRight" ? 1 : -1);
+    else if (key === "Enter") open.enter();
+    else if (key === "Escape") open.back();
+    else return false;
+    return true;
+  }
+
+  menu(at: [number, number], heading: { title: string; colour?: string; note?: string }, entries: Entry[]): void {
+    this.close();
+    this.at = at;
+    this.show(heading, entries, []);
+  }
+
+  form(at: [number, number], title: string, fields: Field[], live: (values: number[]) => string, done: (ok: boolean) => void): void {
+    this.close();
+    const view = new FormView(this.box, title, fields, live, (ok) => {
+      this.open = null;
+      this.box.hidden = true;
+      this.box.replaceChildren();
+      done(ok);
+    });
+    this.open = view;
+    this.at = at;
+    this.place();
+  }
+
+  private show(heading: { title: string; colour?: string; note?: string }, entries: Entry[], path: Entry[][]): void {
+    const view = new MenuView(this.box, heading, entries, path.length > 0, {
+      chosen: (item) => {
+        if (item.sub) return this.show({ ...heading, note: item.title }, item.sub(), [...path, entries]);
+        this.close();
+        return item.do?.();
+      },
+      back: () => (path.length ? this.show({ ...heading, note: "" }, path.at(-1)!, path.slice(0, -1)) : this.close()),
+    });
+    this.open = view;
+    this.place();
+  }
+
+  private place(): void {
+    this.box.hidden = false;
+    const { width, height } = this.box.getBoundingClientRect();
+    const clamp = (wanted: number, size: number, room: number) => Math.max(MARGIN_PX, Math.min(wanted, room - size - MARGIN_PX));
+    this.box.style.left = `${clamp(this.at[0] + 6, width, innerWidth)}px`;
+    this.box.style.top = `${clamp(this.at[1] + 6, height, innerHeight)}px`;
+  }
+}
+
+class MenuView implements Open {
+  private readonly rows: { item: Item; row: HTMLElement }[] = [];
+  private focus = -1;
+
+  constructor(
+    box: HTMLElement,
+    heading: { title: string; colour?: string; note?: string },
+    entries: Entry[],
+    nested: boolean,
+    private readonly tell: { chosen: (item: Item) => void; back: () => void },
+  ) {
+    const head = make("header", dot(heading.colour), make("b", heading.title), make("span", heading.note ?? ""));
+    if (nested) {
+      head.prepend(make("span.back", "‹"));
+      head.classList.add("pressable");
+      head.addEventListener("click", () => tell.back());
+    }
+    box.replaceChildren(head, ...entries.map((entry) => (entry === "line" ? make("hr") : this.row(entry))));
+  }
+
+  move(by: number): void {
+    if (!this.rows.length) return;
+    this.focus = this.focus < 0 && by < 0 ? this.rows.length - 1 : (this.focus + by + this.rows.length) % this.rows.length;
+    this.rows.forEach(({ row }, i) => row.classList.toggle("focus", i === this.focus));
+    this.rows[this.focus]!.row.scrollIntoView({ block: "nearest" });
+  }
+
+  change(by: number): void {
+    if (by < 0) this.tell.back();
+    else if (this.rows[this.focus]?.item.sub) this.enter();
+  }
+
+  enter(): void {
+    const item = this.rows[this.focus]?.item;
+    if (item && !item.refuse) this.tell.chosen(item);
+  }
+
+  back(): void {
+    this.tell.back();
+  }
+
+  private row(item: Item): HTMLElement {
+    const row = make(
+      "button.item",
+      make("span.tick", item.tick ? "✓" : ""),
+      dot(item.colour),
+      make("span.title", item.title, item.note ? make("small", item.note) : null, item.refuse ? make("small", item.refuse) : null),
+      item.sub ? make("span.more", "›") : item.key ? make("kbd", item.key) : null,
+    );
+    row.tabIndex = -1;
+    row.setAttribute("role", "menuitem");
+    if (item.refuse) row.setAttribute("aria-disabled", "true");
+    else row.addEventListener("click", () => this.tell.chosen(item));
+    this.rows.push({ item, row });
+    return row;
+  }
+}
+
+class FormView implements Open {
+  private readonly values: number[];
+  private readonly shown: HTMLElement[] = [];
+  private readonly rows: HTMLElement[] = [];
+  private readonly words = make("p.words");
+  private focus = 0;
+
+  constructor(
+    box: HTMLElement,
+    title: string,
+    private readonly fields: Field[],
+    private readonly live: (values: number[]) => string,
+    private readonly done: (ok: boolean) => void,
+  ) {
+    this.values = fields.map((each) => each.value);
+    const button = (words: string, kind: string, ok: boolean) => {
+      const made = make(`button.${kind}`, words);
+      made.tabIndex = -1;
+      made.addEventListener("click", () => done(ok));
+      return made;
+    };
+    box.replaceChildren(
+      make("header", make("b", title)),
+      ...fields.map((_, i) => this.row(i)),
+      this.words,
+      make("div.choice", button("Cancel", "plain", false), button("OK", "main", true)),
+    );
+    this.move(0);
+    this.tell();
+  }
+
+  cancelled(): void {
+    this.done(false);
+  }
+
+  move(by: number): void {
+    this.focus = (this.focus + by + this.rows.length) % this.rows.length;
+    this.rows.forEach((row, i) => row.classList.toggle("focus", i === this.focus));
+  }
+
+  change(by: number): void {
+    this.step(this.focus, by);
+  }
+
+  enter(): void {
+    this.done(true);
+  }
+
+  back(): void {
+    this.done(false);
+  }
+
+  private row(index: number): HTMLElement {
+    const value = make("output");
+    this.shown.push(value);
+    const row = make("div.field", make("span.title", this.fields[index]!.title), this.stepper(index, -1), value, this.stepper(index, 1));
+    this.rows.push(row);
+    return row;
+  }
+
+  /** A button that goes on while it is held, faster and faster. */
+  private stepper(index: number, by: number): HTMLElement {
+    const button = make("button.stepper", by < 0 ? "−" : "+");
+    button.tabIndex = -1;
+    let timer = 0;
+    const stop = () => clearTimeout(timer);
+    button.addEventListener("pointerdown", (event) => {
+      button.setPointerCapture(event.pointerId);
+      let count = 0;
+      const again = () => {
+        this.step(index, by * (++count > 30 ? 10 : 1));
+        timer = window.setTimeout(again, count === 1 ? AGAIN_MS : AGAIN_EVERY_MS);
+      };
+      again();
+    });
+    for (const end of ["pointerup", "pointercancel", "lostpointercapture"]) button.addEventListener(end, stop);
+    return button;
+  }
+
+  private step(index: number, by: number): void {
+    const { step, least, most, around } = this.fields[index]!;
+    const wanted = Math.round((this.values[index]! + by * step) / step) * step;
+    const span = most - least;
+    this.values[index] = around ? ((((wanted - least) % span) + span) % span) + least : Math.max(least, Math.min(most, wanted));
+    this.tell();
+  }
+
+  private tell(): void {
+    this.fields.forEach(({ unit, zero, step, show }, i) => {
+      const value = this.values[i]!;
+      const digits = step < 1 ? 1 : 0;
+      text(this.shown[i]!, value === 0 && zero ? zero : show ? show(value) : `${value.toFixed(digits)} ${unit}`);
+    });
+    text(this.words, this.live(this.values));
+  }
+}
+
+function dot(colour: string | undefined): HTMLElement | null {
+  if (!colour) return null;
+  const made = make("i.dot");
+  made.style.background = colour;
+  return made;
+}

@@ -1,0 +1,91 @@
+// The time line of a recorded run. The gateway plays; this says where and how fast.
+import type { Actions } from "./actions";
+import { make, text } from "./dom";
+import { duration } from "./geo";
+import type { State } from "./state";
+
+const RATES = [1, 2, 5, 10, 30, 60];
+const STEP_S = 10;
+
+export class Replay {
+  private readonly slider = make("input");
+  private readonly clock = make("output");
+  private readonly play = make("button.plain");
+  private readonly faster = make("button.plain");
+  private rate = 1;
+  private paused = false;
+  private held = false;
+
+  constructor(
+    private readonly bar: HTMLElement,
+    private readonly state: State,
+    private readonly actions: Actions,
+  ) {
+    this.slider.type = "range";
+    this.slider.step = "0.1";
+    for (const each of [this.slider, this.play, this.faster]) each.tabIndex = -1;
+    bar.append(this.play, this.slider, this.clock, this.faster);
+    this.play.addEventListener("click", () => this.toggle());
+    this.faster.addEventListener("click", () => this.setRate(RATES[(RATES.indexOf(this.rate) + 1) % RATES.length]!));
+    this.slider.addEventListener("pointerdown", () => (this.held = true));
+    this.slider.addEventListener("input", () => this.tell(Number(this.slider.value)));
+    this.slider.addEventListener("change", () => {
+      this.held = false;
+      this.actions.replay({ at_s: Number(this.slider.value) });
+    });
+    state.on(["hello"], () => this.begin());
+    state.on(["boats"], () => !this.held && this.tell(this.state.at_s));
+  }
+
+  /** In a replay there is nothing to stop or to steer: Space plays and pauses, the arrows go through time. */
+  takes(code: string): boolean {
+    if (code === "Space") this.toggle();
+    else if (code === "ArrowLeft" || code === "ArrowRight") this.seek(this.state.at_s + (code === "ArrowRight" ? STEP_S : -STEP_S));
+    else if (code === "ArrowUp" || code === "ArrowDown") {
+      const next = RATES.indexOf(this.rate) + (code === "ArrowUp" ? 1 : -1);
+      this.setRate(RATES[Math.max(0, Math.min(RATES.length - 1, next))]!);
+    } else return false;
+    return true;
+  }
+
+  private begin(): void {
+    const range = this.state.hello?.replay;
+    this.bar.hidden = !range;
+    document.documentElement.classList.toggle("replaying", Boolean(range));
+    if (!range) return;
+    this.slider.min = String(range.from_s);
+    this.slider.max = String(range.to_s);
+    this.show();
+  }
+
+  private toggle(): void {
+    this.paused = !this.paused;
+    this.actions.replay({ rate: this.paused ? 0 : this.rate });
+    this.show();
+  }
+
+  private setRate(rate: number): void {
+    this.rate = rate;
+    this.paused = false;
+    this.actions.replay({ rate });
+    this.show();
+  }
+
+  private seek(at_s: number): void {
+    const { from_s, to_s } = this.state.hello!.replay!;
+    this.actions.replay({ at_s: Math.max(from_s, Math.min(to_s, at_s)) });
+  }
+
+  private show(): void {
+    text(this.play, this.paused ? "▶" : "❚❚");
+    text(this.faster, `× ${this.rate}`);
+  }
+
+  private tell(at_s: number): void {
+    const range = this.state.hello?.replay;
+    if (!range || !at_s) return;
+    if (!this.held) this.slider.value = String(at_s);
+    const time = new Date(at_s * 1000).toISOString().slice(11, 19);
+    text(this.clock, `${time} · ${duration(at_s - range.from_s)} of ${duration(range.to_s - range.from_s)}`);
+  }
+}

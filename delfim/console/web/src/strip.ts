@@ -1,0 +1,232 @@
+// A narrow strip for each boat: mode, thrust, battery, what is wrong, port and starboard rpm, the age of the data, the link.
+import uPlot from "uplot";
+import "uplot/dist/uPlot.min.css";
+import type { Actions } from "./actions";
+import { attribute, make, text } from "./dom";
+import type { Drive } from "./drive";
+import { palette } from "./palette";
+import type { State } from "./state";
+import { age_s, ageWords, freshness, trouble } from "./state";
+import type { Boat } from "./wire";
+
+const SPAN_S = 60;
+const POINTS_MOST = 700;
+const CONFIRM_LATE_MS = 3000;
+const FULL_AT_MOST = 3; // boats; with more of them only the selected one is shown in full
+
+const MODE_WORDS: Record<string, string> = { goto: "go to", grex: "GREX", play: "mission" };
+const GROUPS: readonly (keyof Boat["age_s"])[] = ["heard", "position", "attitude", "rpm", "battery"];
+
+export class Strips {
+  private readonly chips = new Map<number, Chip>();
+
+  constructor(
+    private readonly parent: HTMLElement,
+    private readonly state: State,
+    private readonly drive: Drive,
+    private readonly actions: Actions,
+    private readonly chosen: (boat: Boat, at: [number, number]) => void,
+  ) {
+    state.on(["boats"], () => this.draw(true));
+    state.on(["selection", "progress", "plan"], () => this.draw(false));
+    state.on(["theme"], () => this.chips.forEach((chip) => chip.repaint()));
+    setInterval(() => this.draw(false), 250); // ages count on when nothing comes
+  }
+
+  draw(fresh: boolean): void {
+    this.parent.classList.toggle("many", this.state.boats.length > FULL_AT_MOST);
+    for (const boat of this.state.boats) {
+      let chip = this.chips.get(boat.id);
+      if (!chip) {
+        chip = new Chip(boat, this.chosen);
+        this.chips.set(boat.id, chip);
+        const next = this.state.boats.find((each) => each.id > boat.id && this.chips.has(each.id));
+        this.parent.insertBefore(chip.root, next ? this.chips.get(next.id)!.root : null);
+      }
+      chip.draw(boat, this.state, this.drive, this.actions, fresh);
+    }
+  }
+}
+
+class Chip {
+  readonly root = make("section.chip");
+  private readonly name = make("b");
+  private readonly dot = make("i.dot");
+  private readonly age = make("span.age");
+  private readonly mode = make("span.mode");
+  private readonly speed = make("span.speed");
+  private readonly battery = make("span.battery");
+  private readonly trouble = make("p.trouble");
+  private readonly link = make("span.link");
+  private readonly mission = make("span.mission");
+  private readonly badge = make("span.badge");
+  private readonly groups = GROUPS.map((name) => make("i", make("span", name)));
+  private readonly graphs: [Graph, Graph] = [new Graph("port"), new Graph("starboard")];
+  private boat: Boat;
+  private askedAt = 0;
+  private asked: string | null = null;
+
+  constructor(boat: Boat, chosen: (boat: Boat, at: [number, number]) => void) {
+    this.boat = boat;
+    this.root.append(
+      make("div.row.head", this.dot, this.name, this.battery, this.age),
+      make("div.row.state", this.mode, this.speed),
+      this.trouble,
+      make("div.row.graphs", this.graphs[0].root, this.graphs[1].root),
+      make("div.row.ages", ...this.groups),
+      make("div.row.small", this.mission, this.badge),
+      make("div.row.small", this.link),
+    );
+    this.root.addEventListener("click", (event) => chosen(this.boat, [event.clientX, event.clientY]));
+    this.root.addEventListener("contextmenu", (event) => event.preventDefault());
+  }
+
+  draw(boat: Boat, state: State, drive: Drive, actions: Actions, fresh: boolean): void {
+    this.boat = boat;
+    const age = age_s(state, boat);
+    attribute(this.root, "data-boat", String(boat.id));
+    attribute(this.root, "data-age", freshness(age));
+    this.root.classList.toggle("selected", boat.id === state.selected);
+    this.dot.style.background = boat.colour;
+    text(this.name, boat.name);
+    text(this.age, ageWords(age));
+    this.drawMode(boat, actions);
+    this.drawSpeed(boat, drive, actions);
+    text(this.battery, batteryWords(boat));
+    this.battery.classList.toggle("bad", boat.battery_pct !== null && boat.battery_pct < 20);
+    this.drawTrouble(boat);
+    GROUPS.forEach((group, i) => {
+      const its = age_s(state, boat, group);
+      attribute(this.groups[i]!, "data-age", freshness(its, group));
+      attribute(this.groups[i]!, "title", `${group}: ${ageWords(its)}`);
+    });
+    this.drawMission(boat, state);
+    text(this.link, linkWords(boat));
+    if (fresh) {
+      const live = freshness(age_s(state, boat, "rpm")) !== "lost";
+      this.graphs.forEach((graph, i) => graph.push(state.at_s, live ? boat.rpm[i as 0 | 1] : null));
+    }
+  }
+
+  repaint(): void {
+    this.graphs.forEach((graph) => graph.repaint());
+  }
+
+  private drawMode(boat: Boat, actions: Actions): void {
+    const waits = actions.asked(boat);
+    if (waits !== this.asked) [this.asked, this.askedAt] = [waits, performance.now()];
+    const late = waits !== null && performance.now() - this.askedAt > CONFIRM_LATE_MS;
+    const shown = waits ?? boat.mode ?? "unknown";
+    text(this.mode, MODE_WORDS[shown] ?? shown);
+    attribute(this.mode, "data-state", late ? "late" : waits ? "asked" : boat.mode === "idle" ? "idle" : "on");
+  }
+
+  private drawSpeed(boat: Boat, drive: Drive, actions: Actions): void {
+    const hand = drive.hand(boat.id);
+    const speed = boat.speed_mps === null ? "" : `${boat.speed_mps.toFixed(1)} m/s`;
+    const [port, starboard] = boat.thrust_pct.map((each) => (each === null ? "–" : Math.round(each)));
+    if (hand) text(this.speed, hand.silent ? "released" : `P ${hand.port_pct}  S ${hand.starboard_pct} %`);
+    else if (boat.mode === "manual") text(this.speed, `P ${port}  S ${starboard} %`);
+    else if (boat.mode === "idle" || boat.mode === null) text(this.speed, speed);
+    else text(this.speed, `${actions.speed_pct(boat)} % · ${speed}`);
+    this.speed.classList.toggle("bad", hand?.silent ?? false);
+  }
+
+  private drawTrouble(boat: Boat): void {
+    const found = trouble(boat);
+    text(this.trouble, found?.words ?? "");
+    this.trouble.hidden = !found;
+    this.trouble.classList.toggle("bad", found?.grave ?? false);
+  }
+
+  private drawMission(boat: Boat, state: State): void {
+    const progress = state.progress.get(boat.id);
+    const { name, count, current, state: compared } = boat.mission;
+    const at = current === null || boat.mode !== "play" ? "" : ` · ${current + 1}/${count}`;
+    text(this.mission, progress ? `${progress.what} ${Math.round(progress.part * 100)} %` : count ? `${name || "mission"}${at || ` · ${count}`}` : "no mission aboard");
+    const planned = state.plans.get(boat.id)?.mission.waypoints.length ?? 0;
+    const words = compared === "differs" ? "differs" : compared === "same" ? "same" : compared === "unknown" && count ? "unread" : planned && !count ? "not sent" : "";
+    text(this.badge, words);
+    attribute(this.badge, "data-state", words.replace(" ", "-"));
+    this.badge.hidden = !words;
+  }
+}
+
+/** One thruster's speed over the last minute; where nothing is known there is a gap. */
+class Graph {
+  readonly root = make("figure.graph");
+  private readonly value = make("figcaption");
+  private readonly plot: uPlot;
+  private readonly times: number[] = [];
+  private readonly values: (number | null)[] = [];
+  private most = 500;
+  private least = -75;
+
+  constructor(private readonly side: "port" | "starboard") {
+    this.root.classList.add(side);
+    const options: uPlot.Options = {
+      width: 100,
+      height: 44,
+      legend: { show: false },
+      cursor: { show: false },
+      padding: [3, 0, 2, 0],
+      scales: { x: { time: false }, y: { range: () => [this.least, this.most] } },
+      axes: [{ show: false }, { show: false }],
+      series: [{}, { width: 1.6, stroke: () => palette[side], fill: () => `${palette[side]}26`, spanGaps: false, points: { show: false } }],
+      hooks: { drawClear: [(plot) => zeroLine(plot)] },
+    };
+    this.plot = new uPlot(options, [[], []], this.root);
+    this.root.append(this.value);
+    new ResizeObserver(([entry]) => {
+      const { width, height } = entry!.contentRect;
+      if (width > 10 && height > 10) this.plot.setSize({ width, height });
+    }).observe(this.root);
+  }
+
+  push(at_s: number, rpm: number | null): void {
+    if (this.times.length && at_s <= this.times.at(-1)!) {
+      if (at_s > this.times.at(-1)! - 1) return;
+      this.times.length = this.values.length = 0; // a replay went back
+    }
+    this.times.push(at_s);
+    this.values.push(rpm);
+    const old = this.times.findIndex((each) => each >= at_s - SPAN_S);
+    const drop = Math.max(old, this.times.length - POINTS_MOST, 0);
+    this.times.splice(0, drop);
+    this.values.splice(0, drop);
+    this.most = Math.max(500, ...this.values.map((each) => 1.45 * (each ?? 0)));
+    this.least = Math.min(-0.15 * this.most, ...this.values.map((each) => 1.1 * (each ?? 0)));
+    text(this.value, `${this.side === "port" ? "P" : "S"} ${rpm === null ? "–" : Math.round(rpm)}`);
+    this.root.classList.toggle("unknown", rpm === null);
+    this.plot.setData([this.times, this.values], false);
+    this.plot.setScale("x", { min: at_s - SPAN_S, max: at_s });
+  }
+
+  repaint(): void {
+    this.plot.redraw();
+  }
+}
+
+function zeroLine(plot: uPlot): void {
+  const y = Math.round(plot.valToPos(0, "y", true)) + 0.5;
+  plot.ctx.save();
+  plot.ctx.strokeStyle = palette.soft;
+  plot.ctx.lineWidth = 1;
+  plot.ctx.beginPath();
+  plot.ctx.moveTo(plot.bbox.left, y);
+  plot.ctx.lineTo(plot.bbox.left + plot.bbox.width, y);
+  plot.ctx.stroke();
+  plot.ctx.restore();
+}
+
+function batteryWords({ battery_pct, battery_v }: Boat): string {
+  if (battery_pct !== null) return `${Math.round(battery_pct)} %`;
+  return battery_v === null ? "" : `${battery_v.toFixed(1)} V`;
+}
+
+function linkWords({ link }: Boat): string {
+  const parts = [`${link.profile || link.kind} ${link.rtt_ms === null ? "" : `${Math.round(link.rtt_ms)} ms`}`];
+  if (link.loss_pct !== null) parts.push(`${link.loss_pct < 9.95 ? link.loss_pct.toFixed(1) : Math.round(link.loss_pct)} % lost`);
+  parts.push(link.signed ? "signed" : "unsigned");
+  return parts.join(" · ");
+}

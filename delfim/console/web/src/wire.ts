@@ -1,0 +1,126 @@
+// What the gateway and the page say to each other. Degrees, metres, metres a second, seconds, thrust in % of the most; port first.
+
+export interface Place {
+  latitude_deg: number;
+  longitude_deg: number;
+}
+
+export interface Waypoint extends Place {
+  speed_mps: number; // 0: as the vehicle's file says
+  acceptance_m: number; // 0: as the vehicle's file says
+  hold_s: number;
+  turn: (Place & { clockwise: boolean }) | null; // centre of the arc that leads to this waypoint
+}
+
+export interface Obstacle extends Place {
+  radius_m: number;
+}
+
+export interface Mission {
+  name: string;
+  waypoints: Waypoint[];
+  fence: [number, number][];
+  obstacles: Obstacle[];
+  home: Place | null;
+}
+
+export type Pair = [number | null, number | null];
+export type Mode = "idle" | "manual" | "heading" | "goto" | "path" | "play" | "grex" | "hold" | "home";
+
+export interface Boat {
+  id: number;
+  name: string;
+  colour: string;
+  latitude_deg: number | null;
+  longitude_deg: number | null;
+  heading_deg: number | null;
+  course_deg: number | null;
+  speed_mps: number | null;
+  mode: Mode | null;
+  asked: Mode | null;
+  armed: boolean;
+  owner: boolean;
+  ready: boolean;
+  reason: string;
+  failsafe: string;
+  rpm: Pair;
+  thrust_pct: Pair;
+  speed_pct: number | null;
+  battery_v: number | null;
+  battery_pct: number | null;
+  roll_deg: number | null;
+  pitch_deg: number | null;
+  satellites: number | null;
+  fix: string | number | null;
+  reference: {
+    heading_deg: number | null;
+    latitude_deg: number | null;
+    longitude_deg: number | null;
+    cross_track_m: number | null;
+    distance_m: number | null;
+    leg: number | null;
+  } | null;
+  age_s: Record<"heard" | "position" | "attitude" | "rpm" | "battery", number | null>;
+  link: {
+    kind: string;
+    profile: string;
+    rtt_ms: number | null;
+    loss_pct: number | null;
+    bytes_per_s: number | null;
+    signed: boolean;
+  };
+  mission: { name: string; count: number; current: number | null; state: "same" | "differs" | "unknown" | "none"; digest: string | null };
+  home: Place | null;
+  fence: [number, number][];
+  obstacles: Obstacle[];
+  ghost: (Place & { radius_m: number }) | null;
+  released: boolean;
+}
+
+export interface Background {
+  name: string;
+  kind: "image" | "tiles";
+  extent: [number, number, number, number];
+  minzoom?: number;
+  maxzoom?: number;
+}
+
+export type Heard =
+  | { t: "hello"; version: string; me: string; backgrounds: Background[]; boats: Boat[]; replay: { from_s: number; to_s: number } | null }
+  | { t: "boats"; at_s: number; boats: Boat[] }
+  | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
+  | { t: "text"; boat: number | null; severity: number; text: string; at_s: number }
+  | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
+  | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }
+  | { t: "missions"; names: string[] }
+  | { t: "progress"; boat: number; what: string; part: number }
+  | { t: "dryrun"; boat: number; time_s: number; distance_m: number; track: [number, number][] };
+
+export type Command =
+  | Mode
+  | "stop"
+  | "reset"
+  | "arm"
+  | "disarm"
+  | "take"
+  | "speed"
+  | "heading_to"
+  | "goto_point";
+
+export type MissionDeed = "put" | "upload" | "download" | "dryrun" | "save" | "load" | "list" | "compare";
+
+export type Said =
+  | ({ t: "command"; boat: number | "all"; command: Command } & Partial<Place> & {
+        heading_deg?: number;
+        speed_pct?: number;
+        speed_mps?: number;
+        leg?: number;
+      })
+  | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
+  | { t: "profile"; boat: number; profile: string }
+  | { t: "replay"; at_s?: number; rate?: number };
+
+// Sent without a number, for nobody waits for an answer.
+export type Streamed =
+  | { t: "input"; boat: number; n: number; port_pct: number; starboard_pct: number }
+  | { t: "release"; boat: number; why: string };

@@ -1,0 +1,61 @@
+"""Memory and processor limits of a program, by the kernel's control groups (cgroup v2). Standard library only.
+
+Where there are none (another kernel, no rights), the program runs without limits, and one line in the log says so.
+"""
+
+import contextlib
+import functools
+import logging
+from pathlib import Path
+from typing import Final, NamedTuple
+
+ROOT: Final = Path("/sys/fs/cgroup")
+OURS: Final = "delfim"  # the group of our groups
+PERIOD_US: Final = 100_000
+
+log = logging.getLogger(__name__)
+
+
+class Limits(NamedTuple):
+    """What a program and all it starts may have together. 0: no limit."""
+
+    memory_bytes: int = 0
+    cpu: float = 0.0  # processors, 0.5 is half of one
+
+    def hold(self, name: str, pid: int, root: Path = ROOT) -> None:
+        """Put a process under these limits. Never raises."""
+        if not (self.memory_bytes or self.cpu):
+            return
+        group = root / OURS / name
+        try:
+            if not (root / "cgroup.controllers").exists():
+                raise FileNotFoundError(2, "no control groups here", str(root))
+            group.mkdir(parents=True, exist_ok=True)
+            for above in (root, root / OURS):
+                (above / "cgroup.subtree_control").write_text("+memory +cpu")
+            (group / "memory.max").write_text(str(self.memory_bytes or "max"))
+            (group / "memory.oom.group").write_text("1")
+            (group / "cpu.max").write_text(f"{round(self.cpu * PERIOD_US) if self.cpu else 'max'} {PERIOD_US}")
+            (group / "cgroup.procs").write_text(str(pid))
+        except OSError as error:
+            _warn_once(f"{error.filename}: {error.strerror}")
+
+    def exceeded(self, name: str, root: Path = ROOT) -> str:
+        """Why the kernel ended the program since it was last asked, in words; empty where it did not."""
+        if not self.memory_bytes:
+            return ""
+        group = root / OURS / name
+        try:
+            events = dict(line.split() for line in (group / "memory.events").read_text().splitlines())
+        except (OSError, ValueError):
+            return ""
+        with contextlib.suppress(OSError):
+            group.rmdir()  # and its counts with it
+        if not int(events.get("oom_kill", 0)):
+            return ""
+        return f"killed by the kernel: it needed more than its {self.memory_bytes >> 20} MB"
+
+
+@functools.cache
+def _warn_once(why: str) -> None:
+    log.warning("memory and processor limits: %s; going on without them", why)

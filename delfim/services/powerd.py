@@ -1,0 +1,207 @@
+"""powerd: hears that the power is to be cut, and has everything ended in order (thesis 3.3).
+
+It listens for the shutdown frame, looks at a button and at the batteries, and hands what it hears to the supervisor, which ends
+the programs, the vehicle first, unmounts the log partition and acknowledges: docs/powerd.md. All it knows comes from the
+bus, so that it does the same in the runtime and in a process of its own.
+"""
+
+import asyncio
+import contextlib
+import logging
+import os
+import struct
+from math import inf
+from typing import Final
+
+from delfim import config
+from delfim.canproxy.socket import CanAddress, CanSocket, open_can
+from delfim.clock import Clock
+from delfim.errors import FormatError
+from delfim.frames import Frame
+from delfim.messages import (
+    PROPELLER_PORT,
+    PROPELLER_STARBOARD,
+    SHUTDOWN,
+    SHUTDOWN_ACKNOWLEDGE,
+    BatteriesStatus,
+    Node,
+    ShutdownAcknowledge,
+    ShutdownStage,
+    pack_shutdown_acknowledge,
+    sysstat_arb,
+    unpack_propeller_command,
+    unpack_shutdown,
+    unpack_sysstat,
+)
+from delfim.services import shutdown
+from delfim.services.runtime import Runtime
+
+LOOK_S: Final = 0.25  # between two looks at button and batteries
+FRAMES_PER_READ: Final = 64
+FRESH_S: Final = 5.0  # a battery that was silent for longer says nothing
+BATTERIES: Final = {
+    sysstat_arb(Node.BATTERIES_STARBOARD): Node.BATTERIES_STARBOARD,
+    sysstat_arb(Node.BATTERIES_PORT): Node.BATTERIES_PORT,
+}
+INPUT_EVENT: Final = struct.Struct("llHHi")  # linux/input.h
+EV_KEY, KEY_POWER = 1, 116
+EVENTS_BYTES: Final = 64 * INPUT_EVENT.size
+
+log = logging.getLogger(__name__)
+
+
+class Button:
+    """A power button: an input device that sends KEY_POWER, or a file whose first characters tell."""
+
+    def __init__(self, path: str, text: str) -> None:
+        self._path, self._text = path, text.encode()
+        self._is_device = path.startswith("/dev/input/")
+        self._fd = -1
+        self.is_pressed = False
+        self.reason = "" if path else "none"  # why it cannot be read, in words
+
+    def pressed(self) -> bool:
+        """Whether it is, now. What cannot be read is not pressed, and is tried again."""
+        if not self._path:
+            return False
+        try:
+            if self._fd < 0:
+                self._fd = os.open(self._path, os.O_RDONLY | os.O_NONBLOCK)
+            self.is_pressed = self._keys() if self._is_device else os.pread(self._fd, 64, 0).startswith(self._text)
+            self.reason = ""
+        except OSError as error:
+            self.close()
+            if not self.reason:
+                log.error("powerd: button %s: %s", self._path, error.strerror)
+            self.reason, self.is_pressed = error.strerror or str(error), False
+        return self.is_pressed
+
+    def _keys(self) -> bool:
+        """What the device's queue says at its end."""
+        state = self.is_pressed
+        with contextlib.suppress(BlockingIOError):
+            while data := os.read(self._fd, EVENTS_BYTES):
+                for _, _, kind, code, value in INPUT_EVENT.iter_unpack(data):
+                    if (kind, code) == (EV_KEY, KEY_POWER):
+                        state = value != 0
+        return state
+
+    def close(self) -> None:
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+
+
+class Powerd:
+    """What was heard so far. `order` and `reason` are set when the power is to be cut."""
+
+    def __init__(self, settings: config.Powerd, clock: Clock) -> None:
+        self._settings, self._clock = settings, clock
+        self.order: shutdown.Word | None = None
+        self.reason = ""
+        self.malformed = 0
+        self.button = Button(settings.button, settings.button_pressed)
+        self._charges: dict[Node, tuple[float, float]] = {}  # charge, and when it was reported
+        self._pressed_s = inf  # when the button was first seen pressed
+        self._driven_s = self._enough_s = clock.monotonic_s()  # when a propeller last was to run, the batteries had enough
+
+    def on_frame(self, frame: Frame) -> None:
+        """A frame of the bus. Malformed ones are counted."""
+        now_s = self._clock.monotonic_s()
+        try:
+            if frame.arb == SHUTDOWN:
+                order = unpack_shutdown(frame.data)
+                self._ask("reboot" if order.reboot else "off", "shutdown frame")
+            elif frame.arb in (PROPELLER_STARBOARD, PROPELLER_PORT):
+                if unpack_propeller_command(frame.data).run:
+                    self._driven_s = now_s
+            elif (node := BATTERIES.get(frame.arb)) is not None:
+                status = unpack_sysstat(node, frame.data)
+                if isinstance(status, BatteriesStatus) and status.charge is not None:
+                    self._charges[node] = status.charge, now_s
+        except FormatError:
+            self.malformed += 1
+
+    def look(self) -> None:
+        """At the button and the batteries; due every LOOK_S."""
+        now_s, settings = self._clock.monotonic_s(), self._settings
+        self._pressed_s = min(self._pressed_s, now_s) if self.button.pressed() else inf
+        if now_s - self._pressed_s >= settings.button_s:
+            self._ask("off", "button")
+        least = self._least(now_s)
+        if least > settings.battery_charge or not settings.battery_charge:
+            self._enough_s = now_s
+        elif now_s - max(self._enough_s, self._driven_s) >= settings.battery_s:
+            self._ask("off", f"batteries at {least:.0%}")
+
+    def _least(self, now_s: float) -> float:
+        """The lower charge of the two sides; infinite where none was reported lately."""
+        return min((charge for charge, at_s in self._charges.values() if now_s - at_s < FRESH_S), default=inf)
+
+    def _ask(self, word: shutdown.Word, reason: str) -> None:
+        if self.order is None:
+            self.order, self.reason = word, reason
+
+    def report(self) -> dict[str, object]:
+        """JSON-ready."""
+        least = self._least(self._clock.monotonic_s())
+        return {
+            "shutdown": self.reason,
+            "button": self.button.reason or ("pressed" if self.button.is_pressed else "not pressed"),
+            "battery_charge": None if least == inf else least,
+            "malformed": self.malformed,
+        }
+
+
+def acknowledge(can: CanSocket, stage: ShutdownStage, holders: int) -> None:
+    """Tell the bus. Raises OSError where it does not take the frame."""
+    can.sendto(pack_shutdown_acknowledge(ShutdownAcknowledge(stage, holders)), CanAddress(SHUTDOWN_ACKNOWLEDGE))
+
+
+async def serve(runtime: Runtime) -> None:
+    """The service."""
+    settings = runtime.config
+    heard = Powerd(settings.powerd, runtime.clock)
+    with contextlib.ExitStack() as links:
+        links.callback(heard.button.close)
+        can = links.enter_context(open_can(settings.can.interface))
+        can.setblocking(False)
+        can.bind(*(CanAddress(arb) for arb in (SHUTDOWN, PROPELLER_STARBOARD, PROPELLER_PORT, *BATTERIES)))
+
+        def on_readable() -> None:
+            for _ in range(FRAMES_PER_READ):
+                frame = can.receive()
+                if frame is None:
+                    break
+                heard.on_frame(frame)
+                if frame.arb == SHUTDOWN and heard.order:
+                    act()
+
+        acted = asyncio.Event()
+
+        def act() -> None:
+            """At each order, so that one that was repeated is acknowledged again."""
+            with contextlib.suppress(OSError):  # a bus that is full or gone: the computer ends all the same
+                acknowledge(can, ShutdownStage.BEGUN, 0)
+            if not acted.is_set():
+                acted.set()
+                ask(runtime, heard.order or "off", heard.reason)
+
+        runtime.reader(can.fileno(), on_readable)
+        links.callback(runtime.remove_reader, can.fileno())
+        runtime.board["powerd"] = heard.report
+        links.callback(runtime.board.pop, "powerd")
+        while True:
+            await asyncio.sleep(LOOK_S)
+            can.rebind()
+            heard.look()
+            if heard.order and not acted.is_set():
+                act()
+
+
+def ask(runtime: Runtime, word: shutdown.Word, reason: str) -> None:
+    """Have everything ended in order. Without a supervisor that is this process: the boat is stopped in any case."""
+    try:
+        shutdown.request(shutdown.socket_path(runtime.config.runtime.run_directory), word, reason)
+    except OSError as error:
+        runtime.stop(f"{reason}; no supervisor to end the rest: {error.strerror}")

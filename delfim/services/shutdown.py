@@ -1,0 +1,248 @@
+"""The last act: whoever still uses the log partition is ended, it is unmounted, and then the power may be cut (thesis 3.3).
+
+Played by the supervisor, after all its programs have ended. Standard library only; Linux only. Why here: docs/powerd.md.
+"""
+
+import ctypes
+import json
+import logging
+import os
+import re
+import signal
+import socket
+import threading
+import time
+from collections.abc import Callable, Iterator, Sequence
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+LOOK_S: Final = 0.05  # between two looks at the users
+KILL_S: Final = 2.0  # that the kernel has to end what was killed
+ATTEMPT_S: Final = 20.0  # for an attempt, beyond what its users may take: a disk that hangs must not hang the rest
+AGAIN_S: Final = 1.0  # between two attempts
+TELL_S: Final = 0.2  # between two frames that say it is safe
+_MS_RDONLY, _MS_REMOUNT = 1, 32  # sys/mount.h
+_POWER_OFF, _RESTART = 0x4321FEDC, 0x01234567  # linux/reboot.h
+
+Word = Literal["end", "off", "reboot"]  # the programs alone; the computer, for the power to be cut; the same and start again
+
+log = logging.getLogger(__name__)
+
+
+class User(NamedTuple):
+    """A process that uses a file system."""
+
+    pid: int
+    name: str
+    path: str  # one of the files that it uses
+
+    def __str__(self) -> str:
+        return f"{self.name} (process {self.pid}) uses {self.path}"
+
+
+# Asking for it.
+
+
+def request(place: str | Path, word: Word, reason: str) -> None:
+    """Ask the supervisor that listens at `place` to end. Returns at once. Raises OSError where there is none."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as asking:
+        asking.connect(str(place))
+        asking.send(f"{word} {reason}".encode())
+
+
+def is_listening(place: str | Path) -> bool:
+    """Whether a supervisor would hear a request."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
+        return asking.connect_ex(str(place)) == 0
+
+
+def socket_path(run_directory: str | Path) -> Path:
+    """Where the supervisor listens."""
+    return Path(run_directory) / "supervisor"
+
+
+def record_path(run_directory: str | Path) -> Path:
+    """What became of the last shutdown, as JSON: reason, time, stage "safe" or "held", holders. A restart of the computer
+    takes it away."""
+    return Path(run_directory) / "shutdown.json"
+
+
+# Who is there.
+
+
+def users(mount: str, proc: Path = Path("/proc")) -> list[User]:
+    """Every process but this one that has a file of this file system open, mapped, or as its place."""
+    try:
+        device = os.stat(mount).st_dev
+    except OSError:
+        return []
+    pids = sorted(int(name) for name in os.listdir(proc) if name.isdecimal() and int(name) != os.getpid())
+    paths = ((pid, _used(proc / str(pid), device)) for pid in pids)
+    return [User(pid, _read(proc / str(pid) / "comm").strip(), path) for pid, path in paths if path]
+
+
+def _used(process: Path, device: int) -> str:
+    """A path of this device that the process uses; empty: it uses none, or is gone."""
+    for link in _links(process):
+        try:
+            if os.stat(link).st_dev == device:
+                return os.readlink(link)
+        except OSError:
+            continue
+    number = f"{os.major(device):02x}:{os.minor(device):02x}"
+    for line in _read(process / "maps").splitlines():
+        field = line.split(maxsplit=5)
+        if len(field) == 6 and field[3] == number:
+            return field[5]
+    return ""
+
+
+def _links(process: Path) -> Iterator[str]:
+    yield from (f"{process}/{name}" for name in ("cwd", "root", "exe"))
+    try:
+        yield from (f"{process}/fd/{name}" for name in os.listdir(process / "fd"))
+    except OSError:
+        return
+
+
+def mounts(mount: str, proc: Path = Path("/proc")) -> list[str]:
+    """Where the file system of this mount point is mounted, and what is mounted below it; the last mounted first. Empty
+    where nothing is mounted, or only a part of the root file system: that is not ours to unmount."""
+    rows = [line.split()[2:5] for line in _read(proc / "self/mountinfo").splitlines()]
+    points = [(device, _unescaped(place)) for device, _, place in rows]
+    own = next((device for device, place in reversed(points) if place == mount), None)
+    if own is None or (own, "/") in points:
+        return []
+    return [place for device, place in reversed(points) if device == own or place.startswith(mount + "/")]
+
+
+def _unescaped(place: str) -> str:
+    """The kernel writes spaces and the like as three octal digits."""
+    return re.sub(r"\\([0-7]{3})", lambda match: chr(int(match[1], 8)), place)
+
+
+def devices(mount: str, root: Path = Path("/")) -> list[str]:
+    """What in the kernel itself uses files below this place: loop devices and swap files."""
+    files = [(path.parts[-3], _read(path).strip()) for path in (root / "sys/block").glob("loop*/loop/backing_file")]
+    files += [("swap", line.split()[0]) for line in _read(root / "proc/swaps").splitlines()[1:] if line]
+    return [f"{name} uses {path}" for name, path in files if path.startswith(mount + "/")]
+
+
+def _read(path: Path) -> str:
+    try:
+        return path.read_text(errors="replace")
+    except OSError:
+        return ""
+
+
+# Ending it.
+
+
+def release(mount: str, end_s: float) -> list[str]:
+    """End the users of a mounted file system, sync it and unmount it, or at least make it read-only. Returns what is in the
+    way; empty: nothing, or nothing was mounted there."""
+    if not mounts(mount):
+        os.sync()
+        return []
+    os.chdir("/")
+    for number, patience_s in ((signal.SIGTERM, end_s), (signal.SIGKILL, KILL_S)):
+        if not _ended(mount, number, patience_s):
+            break
+    os.sync()
+    try:
+        for place in mounts(mount):
+            _libc("umount2", place.encode(), 0)
+        return []
+    except OSError as error:
+        left = [str(user) for user in users(mount)] + devices(mount)
+        why = left or [f"{mount}: {error.strerror}"]
+    try:
+        _libc("mount", None, mount.encode(), None, _MS_REMOUNT | _MS_RDONLY, None)
+    except OSError:
+        return why
+    log.warning("%s is in use and was made read-only instead: %s", mount, "; ".join(why))
+    return []
+
+
+def _ended(mount: str, number: signal.Signals, patience_s: float) -> list[User]:
+    """Send a signal to each user once, also to those that come. Returns who is left after so long."""
+    told: set[int] = set()
+    until_s = time.monotonic() + patience_s
+    while (found := users(mount)) and time.monotonic() < until_s:
+        for user in found:
+            if user.pid not in told and user.pid != 1:  # another init is named, and not ended
+                log.warning("%s: ended with %s", user, number.name)
+                told.add(user.pid)
+                try:
+                    os.kill(user.pid, number)
+                except OSError as error:
+                    log.warning("%s: %s", user, error.strerror)
+        time.sleep(LOOK_S)
+    return found
+
+
+def _libc(name: str, *arguments: object) -> None:
+    """Raises OSError."""
+    if getattr(ctypes.CDLL(None, use_errno=True), name)(*arguments):
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+
+
+def _bounded(mount: str, end_s: float) -> list[str]:
+    """`release`, given up where the disk does not answer. Its thread is left behind then; the computer ends anyway."""
+    found = [f"{mount} does not answer"]
+
+    def attempt() -> None:
+        try:
+            found[:] = release(mount, end_s)
+        except Exception as error:  # whatever it is, the rest goes on
+            found[:] = [f"{mount}: {error}"]
+
+    thread = threading.Thread(target=attempt, daemon=True)
+    thread.start()
+    thread.join(end_s + KILL_S + ATTEMPT_S)
+    return list(found)
+
+
+def last_act(
+    reason: str,
+    mount: str,
+    *,
+    end_s: float,
+    held_s: float,
+    told_s: float,
+    tell: Callable[[bool, Sequence[str]], None],
+    record: Path,
+) -> bool:
+    """Make it safe to cut the power, and tell so. Returns whether it is.
+
+    mount: the log partition's, "" for none. end_s: that its users have after SIGTERM. held_s: after that long in vain it is
+    given up. told_s: the outcome is told for so long. tell: gets the outcome so far and what is in the way; never raises.
+    record: a file for the outcome.
+    """
+    until_s = time.monotonic() + held_s
+    while True:
+        holders = _bounded(mount, end_s) if mount else []
+        stage = "held" if holders else "safe"
+        try:
+            record.write_text(json.dumps({"reason": reason, "time": time.time(), "stage": stage, "holders": holders}))
+        except OSError as error:
+            log.error("%s: %s", record, error.strerror)
+        tell(not holders, holders)
+        if not holders or time.monotonic() > until_s:
+            break
+        log.error("%s cannot be unmounted: %s", mount, "; ".join(holders))
+        time.sleep(AGAIN_S)
+    log.warning("shutdown: %s: %s", reason, f"not safe: {'; '.join(holders)}" if holders else "the power may be cut")
+    until_s = time.monotonic() + told_s
+    while time.monotonic() < until_s:
+        tell(not holders, holders)
+        time.sleep(TELL_S)
+    os.sync()
+    return not holders
+
+
+def leave(word: Word) -> None:
+    """Switch the computer off, or start it again. Raises OSError where that is not permitted."""
+    log.warning("shutdown: %s", word)
+    _libc("reboot", ctypes.c_uint(_RESTART if word == "reboot" else _POWER_OFF))

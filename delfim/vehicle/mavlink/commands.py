@@ -1,0 +1,138 @@
+"""What consoles may ask by COMMAND_LONG and COMMAND_INT: one row a command, a function of a few lines each.
+
+A row turns numbers into the console's words (`delfim/vehicle/console.py`); the vehicle obeys those or says why not. The
+numbers of other autopilots are never guessed at: PX4's code for "hold" is our number for something that moves the boat.
+"""
+
+import math
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from delfim.errors import FormatError
+from delfim.vehicle import console
+from delfim.vehicle.mavlink.wire import Message, dialect
+from delfim.vehicle.state import Mode
+
+ACCEPTED: Final = int(dialect.MAV_RESULT_ACCEPTED)
+LATER: Final = int(dialect.MAV_RESULT_TEMPORARILY_REJECTED)
+DENIED: Final = int(dialect.MAV_RESULT_DENIED)
+UNSUPPORTED: Final = int(dialect.MAV_RESULT_UNSUPPORTED)
+
+PX4: Final[dict[tuple[float, float], console.Commands]] = {  # main mode, sub mode: what MAVSDK says to whom it does not know
+    (4, 3): console.Stop(),  # "hold" must never move the boat
+    (4, 4): console.Mode("play"),
+    (4, 5): console.Mode("home"),
+}
+
+
+class Order(NamedTuple):
+    """A command as it came: seven numbers, the position among them in degrees."""
+
+    command: int
+    p: tuple[float, ...]
+    target_system: int
+    confirmation: int
+
+
+class Terms(NamedTuple):
+    """What it takes to understand an order."""
+
+    leg: Callable[[int], int]  # of an item of the mission; raises FormatError
+    speed_max_mps: float
+
+
+def order(message: Message) -> Order:
+    """Of a COMMAND_LONG or a COMMAND_INT. Raises FormatError where a position of the latter is in a local frame."""
+    first = message.param1, message.param2, message.param3, message.param4
+    if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_LONG:
+        rest = message.param5, message.param6, message.param7
+        return Order(message.command, (*first, *rest), message.target_system, message.confirmation)
+    return Order(message.command, (*first, message.x / 1e7, message.y / 1e7, message.z), message.target_system, 0)
+
+
+def stops(o: Order) -> bool:
+    """Whether this is a stop, in one way or another: right whenever it comes, and however often."""
+    asked = o.p[1] == Mode.IDLE if o.command == dialect.MAV_CMD_DO_SET_MODE else not o.p[0]
+    return asked and o.command in (dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
+
+
+def mode(base: float, custom: float, sub: float) -> console.Commands:
+    """DO_SET_MODE. Raises FormatError for what is not ours; nothing must be changed then."""
+    if sub:
+        if (custom, sub) not in PX4:
+            raise FormatError(f"mode {custom:g}/{sub:g} is another autopilot's")
+        return PX4[custom, sub]
+    if not (math.isfinite(base) and int(base) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
+        raise FormatError("a mode is asked for by its custom number")
+    if custom not in list(Mode):
+        raise FormatError(f"no mode {custom:g}")
+    return console.Stop() if custom == Mode.IDLE else console.Mode(Mode(int(custom)).name.lower())
+
+
+def _mode(o: Order, boat: Terms) -> console.Commands:
+    return mode(*o.p[:3])
+
+
+def _arm(o: Order, boat: Terms) -> console.Commands:
+    if o.p[0] not in (0.0, 1.0):
+        raise FormatError(f"arm or disarm, not {o.p[0]:g}")
+    return console.Arm() if o.p[0] else console.Stop()
+
+
+def _start(o: Order, boat: Terms) -> console.Commands:
+    return console.Play(boat.leg(_whole(o.p[0])))
+
+
+def _current(o: Order, boat: Terms) -> console.Commands:
+    return console.Leg(boat.leg(_whole(o.p[0])))
+
+
+def _home(o: Order, boat: Terms) -> console.Commands:
+    return console.Mode("home")
+
+
+def _heading(o: Order, boat: Terms) -> console.Commands:
+    if o.p[0] not in (0.0, 1.0):
+        raise FormatError("a heading or a course, nothing else")
+    return console.Heading(o.p[1])
+
+
+def _goto(o: Order, boat: Terms) -> console.Commands:
+    return console.Goto(o.p[4], o.p[5], o.p[0] if o.p[0] > 0.0 else None)
+
+
+def _speed(o: Order, boat: Terms) -> console.Commands:
+    """m/s where there are some; otherwise %, of the boat's top speed; -2 is the plan's own."""
+    if o.p[1] == -2.0:
+        return console.SetSpeed(None)
+    if o.p[1] >= 0.0:
+        return console.SetSpeed(o.p[1])
+    if not 0.0 <= o.p[2] <= 100.0:
+        raise FormatError("a speed needs m/s, or 0 to 100 %")
+    return console.SetSpeed(o.p[2] / 100.0 * boat.speed_max_mps)
+
+
+def _reset(o: Order, boat: Terms) -> console.Commands:
+    if o.p[0] or o.p[1] or o.p[2] != 1.0:
+        raise FormatError("only the other nodes start again: 0, 0, 1")
+    return console.Reset(_whole(o.p[3]) or 127)
+
+
+def _whole(value: float) -> int:
+    """Raises FormatError for what is no number of something."""
+    if not 0.0 <= value <= 65535.0 or value != int(value):
+        raise FormatError(f"{value:g} is no number of anything")
+    return int(value)
+
+
+COMMANDS: Final[dict[int, Callable[[Order, Terms], console.Commands]]] = {
+    dialect.MAV_CMD_DO_SET_MODE: _mode,
+    dialect.MAV_CMD_COMPONENT_ARM_DISARM: _arm,
+    dialect.MAV_CMD_MISSION_START: _start,
+    dialect.MAV_CMD_DO_SET_MISSION_CURRENT: _current,
+    dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _home,
+    dialect.MAV_CMD_GUIDED_CHANGE_HEADING: _heading,
+    dialect.MAV_CMD_DO_REPOSITION: _goto,
+    dialect.MAV_CMD_DO_CHANGE_SPEED: _speed,
+    dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reset,
+}

@@ -1,0 +1,321 @@
+"""What consoles say to the vehicle, message by message, and what they get for it: docs/mavlink.md, "To the vehicle"."""
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+from delfim.errors import FormatError
+from delfim.vehicle import console
+from delfim.vehicle.mavlink import commands, params, telemetry
+from delfim.vehicle.mavlink.answers import ANSWERS
+from delfim.vehicle.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
+from delfim.vehicle.mavlink.missions import KINDS
+from delfim.vehicle.mavlink.plans import ALL
+from delfim.vehicle.mavlink.telemetry import NEVER_S
+from delfim.vehicle.mavlink.wire import Message, dialect
+from delfim.vehicle.state import Mode
+
+if TYPE_CHECKING:  # the station finds its handlers here
+    from delfim.vehicle.mavlink.station import Peer, Source, Station
+
+AGAIN_S: Final = 10.0  # a command that is repeated within this time for want of an answer gets the one it had
+GUEST: Final = 191  # component of the guest computer, of this system
+INTERVAL_MIN_S: Final = 0.1
+NAK, UNKNOWN_COMMAND = 129, 7  # of MAVLink FTP
+
+
+def _heartbeat(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    station.alive(source)
+
+
+def _command(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    """COMMAND_LONG, COMMAND_INT: answered always; one that is repeated is not carried out again, a stop apart."""
+    now_s, order = station.clock.monotonic_s(), commands.order(message)
+    same, before = repr((source, order.command, order.p)), peer.answered
+    if order.confirmation and before and before[0] == same and now_s - before[1] < AGAIN_S and not commands.stops(order):
+        station.tell(peer, [before[2]])
+        return
+    result, reason = _ordered(station, peer, source, order)
+    answer = dialect.MAVLink_command_ack_message(order.command, result, 0xFF, 0, *source)
+    peer.answered = same, now_s, answer
+    if reason:  # before the answer, so that whoever hears that knows why
+        station.say(dialect.MAV_SEVERITY_WARNING, reason)
+    station.tell(peer, [answer])
+
+
+def _ordered(station: "Station", peer: "Peer", source: "Source", order: commands.Order) -> tuple[int, str | None]:
+    """(MAV_RESULT, why not)"""
+    own = _REQUESTS.get(order.command)
+    if own is not None:
+        return own(station, peer, source, order), None
+    make = commands.COMMANDS.get(order.command)
+    if make is None:
+        return UNSUPPORTED, None
+    if order.target_system != station.system:
+        return DENIED, "a command must name its vehicle"
+    try:
+        command = make(order, commands.Terms(station.missions.leg, station.boat.settings.control.speed.max_mps))
+    except FormatError as error:
+        return DENIED, str(error)
+    refused = station.ask(source, command)
+    return (ACCEPTED, None) if refused is None else (LATER, refused)
+
+
+def _set_mode(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    """SET_MODE, of old programs: no answer exists but the heartbeat."""
+    if message.target_system == station.system:
+        order = commands.Order(dialect.MAV_CMD_DO_SET_MODE, (message.base_mode, message.custom_mode, 0.0), station.system, 0)
+        _, reason = _ordered(station, peer, source, order)
+        if reason:
+            station.say(dialect.MAV_SEVERITY_WARNING, reason)
+
+
+def _manual(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    """Thrust in manual mode, and nowhere else: a stream that did not end must not change a mode."""
+    if message.target != station.system or station.boat.state.mode is not Mode.MANUAL or source.system != station.owner:
+        station.count("manual_ignored")
+        return
+    ahead, turn = (message.z, message.y) if station.settings.autopilot == "ardurover" else (message.x, message.r)
+    if not (-1000 <= ahead <= 1000 and -1000 <= turn <= 1000):
+        station.count("manual_ignored")
+        return
+    port, starboard = (max(min((ahead + side * turn) / 1000.0, 1.0), -1.0) for side in (1, -1))
+    refused = station.ask(source, console.Manual(starboard, port))
+    if refused:
+        station.count("manual_refused")
+
+
+def _guest(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    """SET_POSITION_TARGET_GLOBAL_INT of the guest computer: a course and a speed, obeyed in GREX mode only."""
+    if source != (station.system, GUEST) or not math.isfinite(message.vx + message.vy):
+        station.count("unknown")
+        return
+    heading_deg = math.degrees(math.atan2(message.vy, message.vx)) % 360.0
+    speed_mps = math.hypot(message.vx, message.vy)
+    station.boat.on_guest(b'{"heading_deg": %.3f, "speed_mps": %.3f}' % (heading_deg, speed_mps))
+
+
+def _set_current(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    """MISSION_SET_CURRENT: the answer is MISSION_CURRENT."""
+    order = commands.Order(dialect.MAV_CMD_DO_SET_MISSION_CURRENT, (float(message.seq),), message.target_system, 0)
+    _, reason = _ordered(station, peer, source, order)
+    station.tell(peer, list(telemetry.current(station.view())))
+    if reason:
+        station.say(dialect.MAV_SEVERITY_WARNING, reason)
+
+
+# Plans.
+
+
+def _listed(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    station.missions.listed(_Line(station, peer, source), source, message)
+
+
+def _requested(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    station.missions.requested(_Line(station, peer, source), source, message)
+
+
+def _counted(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    if _may(station, peer, source, message):
+        station.missions.counted(_Line(station, peer, source), source, message, station.clock.monotonic_s())
+
+
+def _item(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    station.missions.item(_Line(station, peer, source), source, message, station.clock.monotonic_s())
+
+
+def _clear(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    if _may(station, peer, source, message):
+        station.missions.clear(_Line(station, peer, source), source, message)
+
+
+def _old_item(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    """MISSION_ITEM, MISSION_WRITE_PARTIAL_LIST: there is a better way to say it."""
+    station.tell(peer, [dialect.MAVLink_mission_ack_message(*source, dialect.MAV_MISSION_UNSUPPORTED, message.mission_type)])
+
+
+def _may(station: "Station", peer: "Peer", source: "Source", message: Message) -> bool:
+    """Whether this console may change a plan; it is told why not."""
+    reason = station.refusal(source) if message.target_system == station.system else "a plan must name its vehicle"
+    if reason:
+        station.say(dialect.MAV_SEVERITY_WARNING, reason)
+        station.tell(peer, [dialect.MAVLink_mission_ack_message(*source, dialect.MAV_MISSION_DENIED, message.mission_type)])
+    return reason is None
+
+
+# Parameters.
+
+
+def _param_list(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    peer.params.clear()
+    peer.params.extend(params.NAMES)
+
+
+def _param_read(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    index = message.param_index
+    name = params.named(message.param_id) if index < 0 else params.NAMES[index] if index < len(params.NAMES) else ""
+    known = name in params.NAMES
+    missing = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
+    station.tell(peer, [station.param(peer, name) if known else params.error(source, name, index, missing)])
+
+
+def _param_set(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    """The answer is the value that is in force; where that is not the one asked for, a text says why."""
+    name, number = params.named(message.param_id), message.param_value
+    if name not in params.NAMES:
+        station.tell(peer, [params.error(source, name, -1, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST)])
+        return
+    reason: str | None = None
+    if name == params.PROFILE:
+        if number in range(len(telemetry.PROFILES)):
+            peer.profile = telemetry.PROFILES[int(number)]
+            peer.asked_s.clear()
+    elif message.target_system != station.system:
+        reason = "a parameter must name its vehicle"
+    else:
+        try:
+            reason = station.ask(source, params.command(name, number))
+        except FormatError as error:
+            reason = str(error)
+    station.tell(peer, [station.param(peer, name)])
+    if reason:
+        station.tell(peer, [params.error(source, name, -1, dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)])
+        station.say(dialect.MAV_SEVERITY_WARNING, reason)
+
+
+# Questions.
+
+
+def _ftp(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    """FILE_TRANSFER_PROTOCOL: not here; `delfim log fetch` is."""
+    payload = [*message.payload]
+    number = payload[0] + 256 * payload[1] + 1
+    nak = [number & 0xFF, number >> 8 & 0xFF, 0, NAK, 1, payload[3], 0, 0, 0, 0, 0, 0, UNKNOWN_COMMAND]
+    answer = dialect.MAVLink_file_transfer_protocol_message(0, *source, nak + [0] * (len(payload) - len(nak)))
+    station.tell(peer, [answer])
+
+
+def _logs(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    station.tell(peer, [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)])
+
+
+def _ping(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    if message.target_system == 0:
+        station.tell(peer, [dialect.MAVLink_ping_message(message.time_usec, message.seq, *source)])
+
+
+def _request(station: "Station", peer: "Peer", source: "Source", order: commands.Order) -> int:
+    """REQUEST_MESSAGE: once, after the answer."""
+    number, index = (int(value) if math.isfinite(value) else -1 for value in order.p[:2])
+    view = station.view()
+    rows = [row for row in telemetry.ROWS if row.id == number]
+    if number == dialect.MAVLINK_MSG_ID_MISSION_CHECKSUM and index in (*KINDS, ALL):
+        found = [dialect.MAVLink_mission_checksum_message(index, station.missions.checksum(index))]
+    elif number == dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
+        found = [_interval_of(station, peer, index)]
+    elif rows:
+        found = list(rows[0].make(view))
+    elif number in ANSWERS:
+        found = list(ANSWERS[number](view, index))
+    else:
+        return UNSUPPORTED
+    station.tell(peer, found)
+    return ACCEPTED if found else LATER
+
+
+def _interval_of(station: "Station", peer: "Peer", number: int) -> Message:
+    """MESSAGE_INTERVAL: -1 is not sent, 0 not known."""
+    rows = [row for row in telemetry.ROWS if row.id == number]
+    interval_us = round(peer.interval_s(rows[0]) * 1e6) or -1 if rows else 0
+    return dialect.MAVLink_message_interval_message(number & 0xFFFF, interval_us)
+
+
+def _timesync(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    if message.tc1 == 0:
+        station.tell(peer, [dialect.MAVLink_timesync_message(station.clock.time_ns(), message.ts1)])
+
+
+def _take(station: "Station", peer: "Peer", source: "Source", order: commands.Order) -> int:
+    if order.target_system != station.system:
+        return DENIED
+    if order.p[1]:
+        return ACCEPTED if station.ask(source, console.Take()) is None else LATER
+    station.give_up(source)
+    return ACCEPTED
+
+
+def _interval(station: "Station", peer: "Peer", source: "Source", order: commands.Order) -> int:
+    """SET_MESSAGE_INTERVAL: of what this peer gets. 0: as its profile says; below: not at all."""
+    number, interval_us = order.p[:2]
+    if number not in [row.id for row in telemetry.ROWS] or not math.isfinite(interval_us):
+        return UNSUPPORTED
+    if number == dialect.MAVLINK_MSG_ID_HEARTBEAT and not 0.0 <= interval_us <= 1e6:
+        return DENIED
+    if interval_us == 0.0:
+        peer.asked_s.pop(int(number), None)
+    else:
+        peer.asked_s[int(number)] = NEVER_S if interval_us < 0.0 else max(interval_us / 1e6, INTERVAL_MIN_S)
+    peer.due_s.pop(int(number), None)
+    return ACCEPTED
+
+
+def _high_latency(station: "Station", peer: "Peer", source: "Source", order: commands.Order) -> int:
+    if order.p[0] not in (0.0, 1.0):
+        return DENIED
+    peer.profile = "lean" if order.p[0] else "wifi" if station.settings.profile == "lean" else station.settings.profile
+    return ACCEPTED
+
+
+class _Line(NamedTuple):
+    """One console, as the mission protocol sees it."""
+
+    station: "Station"
+    peer: "Peer"
+    source: "Source"
+
+    def tell(self, message: Message) -> None:
+        self.station.tell(self.peer, [message])
+
+    def tell_all(self, message: Message) -> None:
+        self.station.tell_all([message])
+
+    def ask(self, command: console.Commands) -> str | None:
+        return self.station.ask(self.source, command)
+
+    def complain(self, text: str) -> None:
+        self.station.say(dialect.MAV_SEVERITY_WARNING, text)
+
+
+MAV_CMD_REQUEST_OPERATOR_CONTROL: Final = 32100
+
+_Request = Callable[["Station", "Peer", "Source", commands.Order], int]
+_REQUESTS: Final[dict[int, _Request]] = {
+    MAV_CMD_REQUEST_OPERATOR_CONTROL: _take,
+    dialect.MAV_CMD_SET_MESSAGE_INTERVAL: _interval,
+    dialect.MAV_CMD_REQUEST_MESSAGE: _request,
+    dialect.MAV_CMD_CONTROL_HIGH_LATENCY: _high_latency,
+}
+HANDLERS: Final[dict[int, Callable[["Station", "Peer", "Source", Message], None]]] = {
+    dialect.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
+    dialect.MAVLINK_MSG_ID_COMMAND_LONG: _command,
+    dialect.MAVLINK_MSG_ID_COMMAND_INT: _command,
+    dialect.MAVLINK_MSG_ID_SET_MODE: _set_mode,
+    dialect.MAVLINK_MSG_ID_MANUAL_CONTROL: _manual,
+    dialect.MAVLINK_MSG_ID_TIMESYNC: _timesync,
+    dialect.MAVLINK_MSG_ID_PING: _ping,
+    dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: _guest,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _listed,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT: _requested,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST: _requested,
+    dialect.MAVLINK_MSG_ID_MISSION_COUNT: _counted,
+    dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT: _item,
+    dialect.MAVLINK_MSG_ID_MISSION_ITEM: _old_item,
+    dialect.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: _old_item,
+    dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _clear,
+    dialect.MAVLINK_MSG_ID_MISSION_SET_CURRENT: _set_current,
+    dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: _param_list,
+    dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: _param_read,
+    dialect.MAVLINK_MSG_ID_PARAM_SET: _param_set,
+    dialect.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _ftp,
+    dialect.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _logs,
+}

@@ -1,0 +1,120 @@
+"""The station's UDP socket on the vehicle's loop: one datagram a callback, a few frames a callback, low delay asked for.
+
+A defect here must not stop the boat: the callbacks are the loop's own, which logs an exception and goes on. The consoles then
+hear nothing, and their silence is a trouble that the failsafe knows.
+"""
+
+import asyncio
+import contextlib
+import logging
+import socket
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, Self
+
+from delfim.vehicle import console
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.mavlink.signing import Signing, read_key, read_stamps, write_stamps
+from delfim.vehicle.mavlink.station import Address, Station
+from delfim.vehicle.mavlink.wire import DATAGRAM_BYTES
+
+TICK_S: Final = 0.05
+STAMPS_S: Final = 10.0  # between two writings of the time stamps: the most that can be heard again after a crash
+LOWDELAY: Final = 0x10  # IPTOS_LOWDELAY (thesis 2.11)
+BUFFER_BYTES: Final = 1 << 17
+
+log = logging.getLogger(__name__)
+
+
+class MavlinkLink:
+    """The consoles' link while it is entered. Raises OSError where the address cannot be had, ConfigError for a bad key."""
+
+    def __init__(
+        self,
+        boat: Vehicle,
+        obey: Callable[[console.Commands, str], str | None],
+        stamps: Path,
+        board: dict[str, Callable[[], dict[str, object]]],
+    ) -> None:
+        settings = boat.settings.mavlink
+        self._loop, self._board, self._stamps = asyncio.get_running_loop(), board, stamps
+        self._signing = Signing(read_key(settings.key), boat.clock, read_stamps(stamps)) if settings.key else None
+        self._socket = _bound(settings.listen)
+        self.station = Station(boat, obey, self._send, self._signing)
+        self._unsent = 0
+        self._timer: asyncio.TimerHandle | None = None
+        self._written_s = self._loop.time()
+
+    def __enter__(self) -> Self:
+        self._loop.add_reader(self._socket.fileno(), self._readable)
+        self._board["mavlink"] = self.report
+        self._tick()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._timer is not None:
+            self._timer.cancel()
+        del self._board["mavlink"]
+        self._loop.remove_reader(self._socket.fileno())
+        self._socket.close()
+        if self._signing is not None:
+            self._write(self._stamps, self._signing.stamps)
+
+    def report(self) -> dict[str, object]:
+        """JSON-ready."""
+        host, port = self._socket.getsockname()[:2]
+        peers = [f"{peer.address[0]}:{peer.address[1]}" for peer in self.station.peers.values()]
+        return {
+            "listen": f"{host}:{port}",
+            "owner": self.station.owner,
+            "peers": peers,
+            "unsent": self._unsent,
+            "counts": dict(self.station.counts),
+        }
+
+    def _readable(self) -> None:
+        with contextlib.suppress(BlockingIOError, ConnectionError):
+            datagram, address = self._socket.recvfrom(DATAGRAM_BYTES)
+            self.station.receive(datagram, address[:2])
+            self._turn()
+
+    def _turn(self) -> None:
+        if self.station.turn():
+            self._loop.call_soon(self._turn)
+
+    def _tick(self) -> None:
+        self._timer = self._loop.call_later(TICK_S, self._tick)
+        self.station.tick()
+        if self._signing is not None and self._loop.time() - self._written_s > STAMPS_S:
+            self._written_s = self._loop.time()
+            self._loop.run_in_executor(None, self._write, self._stamps, dict(self._signing.stamps))
+
+    def _send(self, datagram: bytes, address: Address) -> None:
+        try:
+            self._socket.sendto(datagram, address)
+        except OSError:  # no route, a full queue: a console that is there asks again
+            self._unsent += 1
+
+    @staticmethod
+    def _write(path: Path, stamps: dict[tuple[int, int, int], int]) -> None:
+        with contextlib.suppress(OSError):  # no disk: the check of the log says so
+            write_stamps(path, stamps)
+
+
+def _bound(listen: str) -> socket.socket:
+    host, _, port = listen.rpartition(":")
+    address = host.strip("[]"), int(port)
+    bound = socket.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM)
+    try:
+        bound.setblocking(False)
+        bound.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, BUFFER_BYTES)
+        if bound.family == socket.AF_INET:
+            bound.setsockopt(socket.IPPROTO_IP, socket.IP_TOS, LOWDELAY)
+        else:
+            bound.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_TCLASS, LOWDELAY)
+        bound.bind(address)
+    except OSError as error:
+        bound.close()
+        log.error("mavlink: no console can connect on %s: %s", listen, error.strerror)
+        raise
+    return bound

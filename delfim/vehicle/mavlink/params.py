@@ -1,0 +1,86 @@
+"""Numbers of the vehicle's file as MAVLink's parameters. Ranges are the file's own; a change lasts until the program ends."""
+
+from typing import Any, Final, NamedTuple
+
+from delfim import config
+from delfim.errors import FormatError
+from delfim.vehicle import console
+from delfim.vehicle.mavlink.wire import Message, dialect
+
+REAL32: Final = int(dialect.MAV_PARAM_TYPE_REAL32)
+
+
+class Param(NamedTuple):
+    name: str  # up to 16 characters
+    key: str  # of the vehicle's file
+    unit: str
+    choices: tuple[str, ...] = ()  # words, by their number
+
+
+# The link's own; then what `config.CHANGEABLE` lets change.
+PROFILE: Final = "LINK_PROFILE"  # of whoever asks: 0 lean, 1 radio, 2 wifi
+PARAMS: Final = (
+    Param("LOSS_TIMEOUT", "failsafe.console_silent.after_s", "s"),
+    Param("LOSS_ACTION", "failsafe.console_silent.action", "", ("warn", "hold", "home", "stop")),
+    Param("MAN_TIMEOUT", "failsafe.manual_silent.after_s", "s"),
+    Param("MAN_THRUST_TIME", "failsafe.manual_silent.thrust_s", "s"),
+    Param("SPEED_MAX", "control.speed.max_mps", "m/s"),
+    Param("SPEED_CRUISE", "control.speed.cruise_mps", "m/s"),
+    Param("SPEED_RAMP", "control.speed.ramp_mps2", "m/s2"),
+    Param("SPEED_P", "control.speed.p_rpm_per_mps", "rpm per m/s"),
+    Param("SPEED_I", "control.speed.i_rpm_per_m", "rpm per m"),
+    Param("SPEED_I_MAX", "control.speed.i_limit_rpm", "rpm"),
+    Param("HEAD_P", "control.heading.p_rpm_per_rad", "rpm per rad"),
+    Param("HEAD_P_MAX", "control.heading.p_limit_rpm", "rpm"),
+    Param("HEAD_D", "control.heading.d_rpm_per_radps", "rpm per rad/s"),
+    Param("HEAD_TURN", "control.heading.turn_rpm_per_radps", "rpm per rad/s"),
+    Param("HEAD_I", "control.heading.i_rpm_per_rad_s", "rpm per rad s"),
+    Param("HEAD_I_MAX", "control.heading.i_limit_rpm", "rpm"),
+    Param("PATH_LOOKAHEAD", "control.path.lookahead_m", "m"),
+    Param("PATH_I", "control.path.integral_gain", "m/s"),
+    Param("PATH_CRAB_TIME", "control.path.crab_s", "s"),
+    Param("WP_RADIUS", "control.path.acceptance_m", "m"),
+    Param("HOLD_RADIUS", "control.hold.radius_m", "m"),
+    Param("HOLD_SPEED", "control.hold.speed_mps", "m/s"),
+    Param("HOME_SPEED", "control.home.speed_mps", "m/s"),
+)
+NAMES: Final = (PROFILE, *(param.name for param in PARAMS))
+BY_NAME: Final = {param.name: param for param in PARAMS}
+
+
+def value(settings: config.Vehicle, param: Param) -> float:
+    """As it is now."""
+    table: Any = settings
+    for part in param.key.split("."):
+        table = getattr(table, part)
+    return float(param.choices.index(table) if param.choices else table)
+
+
+def command(name: str, number: float) -> console.Commands:
+    """The command that changes a parameter. Raises FormatError for a number that means nothing."""
+    param = BY_NAME[name]
+    if not param.choices:
+        return console.Set(param.key, single(number))
+    if number not in range(len(param.choices)):
+        raise FormatError(f"{name} is one of 0 to {len(param.choices) - 1}: {', '.join(param.choices)}")
+    return console.Set(param.key, param.choices[int(number)])
+
+
+def named(text: bytes | str) -> str:
+    """A parameter's name as it came."""
+    return (text if isinstance(text, str) else text.decode("ascii", "replace")).partition("\0")[0]
+
+
+def single(number: float) -> float:
+    """What a single-precision number was meant to be: 0.1, and not 0.10000000149."""
+    return float(f"{number:.7g}")
+
+
+def message(name: str, number: float) -> Message:
+    """PARAM_VALUE"""
+    return dialect.MAVLink_param_value_message(name.encode(), number, REAL32, len(NAMES), NAMES.index(name))
+
+
+def error(to: tuple[int, int], name: str, index: int, code: int) -> Message:
+    """PARAM_ERROR, to whoever asked for what is not there."""
+    return dialect.MAVLink_param_error_message(*to, name.encode("ascii", "replace")[:16], index, code)

@@ -1,0 +1,292 @@
+"""What the vehicle tells its consoles: one row a message, with its interval on each kind of link.
+
+A row that is `fresh` is sent only where something new was measured since the last time: a console sees the age of what it shows
+by when it came. Angles, speeds and lengths leave here in MAVLink's units; what is not known, as its mark for unknown.
+"""
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from typing import Final, Literal, NamedTuple
+
+from delfim.config import Mavlink
+from delfim.geodesy import compass, from_plane, wrap
+from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.vehicle.failsafe import Action, charge
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.mavlink.wire import Message, dialect
+from delfim.vehicle.state import Mode
+from delfim.vehicle.sysstat import NAMES
+
+Profile = Literal["lean", "radio", "wifi"]
+PROFILES: Final[tuple[Profile, ...]] = ("lean", "radio", "wifi")
+COMPONENT: Final = 1
+
+GUIDED: Final = frozenset({Mode.HEADING, Mode.GOTO, Mode.GREX})
+BY_HAND: Final = frozenset({Mode.MANUAL, Mode.IDLE})
+NEVER_S: Final = 0.0  # an interval: not at all
+_U16, _I16, _I8 = 0xFFFF, 0x7FFF, -1
+_AHEAD: Final = 500.0  # of pulses between stop and full, us
+_STILL: Final = 1500
+_SENSORS: Final = (
+    dialect.MAV_SYS_STATUS_SENSOR_GPS | dialect.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
+)
+_PORT: Final = NAMES[Node.PROPELLER_PORT], NAMES[Node.BATTERIES_PORT]
+_STARBOARD: Final = NAMES[Node.PROPELLER_STARBOARD], NAMES[Node.BATTERIES_STARBOARD]
+
+
+class View(NamedTuple):
+    """What a row sees."""
+
+    boat: Vehicle
+    settings: Mavlink
+    owner: int  # system that commands; 0: none
+    item: Callable[[int], int]  # number of the item that a leg of the mission leads to
+    now_s: float
+
+
+class Row(NamedTuple):
+    """A message that comes by itself. Intervals are seconds, NEVER_S for not at all."""
+
+    id: int
+    lean_s: float
+    radio_s: float
+    wifi_s: float
+    make: Callable[[View], Iterable[Message]]
+    fresh: Callable[[View], object] | None = None  # sent where this is another one than the last time
+
+    def interval_s(self, profile: Profile) -> float:
+        return (self.lean_s, self.radio_s, self.wifi_s)[PROFILES.index(profile)]
+
+
+def heartbeat(view: View) -> Message:
+    state = view.boat.state
+    mode, base = state.mode, dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+    base |= dialect.MAV_MODE_FLAG_SAFETY_ARMED if state.armed else 0
+    if mode in BY_HAND:
+        base |= dialect.MAV_MODE_FLAG_MANUAL_INPUT_ENABLED if mode is Mode.MANUAL else 0
+    else:
+        base |= dialect.MAV_MODE_FLAG_GUIDED_ENABLED if mode in GUIDED else dialect.MAV_MODE_FLAG_AUTO_ENABLED
+    acting = any(Action[notice.action.upper()] > Action.WARN for notice in state.notices)
+    doing = dialect.MAV_STATE_ACTIVE if mode is not Mode.IDLE else dialect.MAV_STATE_STANDBY
+    status = dialect.MAV_STATE_CRITICAL if acting else doing
+    return dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_SURFACE_BOAT, autopilot(view), base, mode, status, 3)
+
+
+def autopilot(view: View) -> int:
+    generic = view.settings.autopilot == "generic"
+    return int(dialect.MAV_AUTOPILOT_GENERIC if generic else dialect.MAV_AUTOPILOT_ARDUPILOTMEGA)
+
+
+def position(view: View) -> Iterator[Message]:
+    n, m = view.boat.state.navigation, view.boat.state.motion
+    if n is None or n.latitude_rad is None or n.longitude_rad is None:
+        return
+    heading = _U16 if n.heading_rad is None else round(math.degrees(compass(n.heading_rad)) * 100) % 36000
+    north, east = _clamped(m.north_mps * 100), _clamped(m.east_mps * 100)
+    place = _e7(n.latitude_rad), _e7(n.longitude_rad)
+    yield dialect.MAVLink_global_position_int_message(_boot_ms(view), *place, 0, 0, north, east, 0, heading)
+
+
+def attitude(view: View) -> Iterator[Message]:
+    n = view.boat.state.navigation
+    if n is None or n.heading_rad is None:
+        return
+    angles = n.roll_rad or 0.0, n.pitch_rad or 0.0, wrap(n.heading_rad)
+    yield dialect.MAVLink_attitude_message(_boot_ms(view), *angles, 0.0, 0.0, n.yaw_rate_radps or 0.0)
+
+
+def rpm(view: View) -> Iterator[Message]:
+    for index, (node, _) in enumerate((_PORT, _STARBOARD)):
+        report = view.boat.state.sysstat.get(node)
+        if report is not None and isinstance(report[0], PropellerStatus) and report[0].rpm is not None:
+            yield dialect.MAVLink_raw_rpm_message(index, float(report[0].rpm))
+
+
+def thrust(view: View) -> Iterator[Message]:
+    """In force, as pulses that two motors would get, port and starboard: 1000 is full astern, 1500 stop, 2000 full ahead."""
+    port, starboard = (_STILL + round(_AHEAD * part) for part in _thrust(view))
+    yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, port, starboard, 0, 0, 0, 0, 0, 0)
+
+
+def status(view: View) -> Iterator[Message]:
+    """Health: of navigation, propellers and batteries, and whether the boat would leave idle."""
+    boat = view.boat
+    lines = {line.name: line.ok for line in boat.checks()}
+    health = dialect.MAV_SYS_STATUS_SENSOR_GPS if lines["navigation"] else 0
+    health |= dialect.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS if lines["sensors"] else 0
+    health |= dialect.MAV_SYS_STATUS_SENSOR_BATTERY if lines["battery"] else 0
+    health |= dialect.MAV_SYS_STATUS_PREARM_CHECK if boat.unfit() is None else 0
+    present = _SENSORS | dialect.MAV_SYS_STATUS_PREARM_CHECK
+    least, name = charge(boat.state)
+    worst = _batteries(view, name) if name else None
+    volts = _U16 if worst is None or worst.voltage_v is None else round(worst.voltage_v * 1000)
+    amperes = _I8 if worst is None or worst.current_a is None else round(worst.current_a * 100)
+    left = round(least * 100) if name else _I8
+    yield dialect.MAVLink_sys_status_message(present, present, health, 0, volts, amperes, left, 0, 0, 0, 0, 0, 0)
+
+
+def batteries(view: View) -> Iterator[Message]:
+    for index, (_, node) in enumerate((_PORT, _STARBOARD)):
+        report = _batteries(view, node)
+        if report is None:
+            continue
+        cells = [_U16 if report.voltage_v is None else round(report.voltage_v * 1000), *[_U16] * 9]
+        celsius = _I16 if report.temperature_c is None else report.temperature_c * 100
+        amperes = _I8 if report.current_a is None else round(report.current_a * 100)
+        left = _I8 if report.charge is None else round(report.charge * 100)
+        kind = dialect.MAV_BATTERY_FUNCTION_PROPULSION, dialect.MAV_BATTERY_TYPE_UNKNOWN
+        yield dialect.MAVLink_battery_status_message(index, *kind, celsius, cells, amperes, -1, -1, left)
+
+
+def satellites(view: View) -> Iterator[Message]:
+    n = view.boat.state.navigation
+    if n is None:
+        return
+    fix = {0: 1, 2: 2, 3: 3, 4: 4, 5: 6}.get(n.fix, 1)  # "no fix", not "no GPS"
+    dilution = _U16 if n.hdop is None else round(n.hdop * 100)
+    known = n.latitude_rad is not None and n.longitude_rad is not None
+    place = (_e7(n.latitude_rad or 0.0), _e7(n.longitude_rad or 0.0)) if known else (0, 0)
+    m = view.boat.state.motion
+    speed = round(math.hypot(m.north_mps, m.east_mps) * 100) if "velocity" in m.has else _U16
+    course = round(math.degrees(compass(math.atan2(m.east_mps, m.north_mps))) * 100) % 36000 if speed != _U16 else _U16
+    yield dialect.MAVLink_gps_raw_int_message(
+        n.utc_ns // 1000, fix, *place, 0, dilution, _U16, min(speed, _U16), course, n.satellites
+    )
+
+
+def head_up(view: View) -> Iterator[Message]:
+    state = view.boat.state
+    n, m = state.navigation, state.motion
+    heading = 0 if n is None or n.heading_rad is None else round(math.degrees(compass(n.heading_rad))) % 360
+    ahead = max(round(50.0 * sum(_thrust(view))), 0)
+    yield dialect.MAVLink_vfr_hud_message(0.0, math.hypot(m.north_mps, m.east_mps), heading, ahead, 0.0, 0.0)
+
+
+def steering(view: View) -> Iterator[Message]:
+    """Where control is going; only in modes that go somewhere."""
+    state, r = view.boat.state, view.boat.state.reference
+    if r.heading_rad is None and r.distance_m is None:
+        return
+    heading = round(math.degrees(wrap(r.heading_rad or 0.0)))
+    bearing, at = heading, state.motion
+    if r.north_m is not None and r.east_m is not None:
+        bearing = round(math.degrees(math.atan2(r.east_m - at.east_m, r.north_m - at.north_m)))
+    distance = min(round(r.distance_m or 0.0), _U16)
+    slow = 0.0 if r.speed_mps is None else r.speed_mps - math.hypot(at.north_mps, at.east_mps)
+    yield dialect.MAVLink_nav_controller_output_message(0.0, 0.0, heading, bearing, distance, 0.0, slow, r.cross_track_m or 0.0)
+    if r.north_m is not None and r.east_m is not None and state.origin is not None:
+        there = map(_e7, from_plane(state.origin, r.north_m, r.east_m))
+        speed = r.speed_mps or 0.0
+        yield dialect.MAVLink_position_target_global_int_message(
+            _boot_ms(view), dialect.MAV_FRAME_GLOBAL_INT, _ONLY_PLACE_AND_SPEED, *there, 0.0, speed, 0, 0, 0, 0, 0, 0, 0
+        )
+
+
+_ONLY_PLACE_AND_SPEED: Final = 0x0FF0  # vx is the speed along the way, in m/s
+
+
+def current(view: View) -> Iterator[Message]:
+    """MISSION_CURRENT: the item under way, or the one that play would begin with."""
+    state = view.boat.state
+    plan = state.setpoint.plan
+    if plan is None:
+        yield dialect.MAVLink_mission_current_message(0, 0, dialect.MISSION_STATE_NO_MISSION)
+        return
+    playing = state.mode is Mode.PLAY
+    done = state.mode is Mode.HOLD and state.reason == "play done"
+    leg = state.reference.leg if playing else state.setpoint.leg
+    now = dialect.MISSION_STATE_ACTIVE if playing else dialect.MISSION_STATE_NOT_STARTED
+    doing = dialect.MISSION_STATE_COMPLETE if done else now
+    yield dialect.MAVLink_mission_current_message(view.item(leg), len(plan.waypoints), doing)
+
+
+def owner(view: View) -> Iterator[Message]:
+    yield dialect.MAVLink_named_value_int_message(_boot_ms(view), b"OWNER", view.owner)
+
+
+def override(view: View) -> Iterator[Message]:
+    """The operator's speed in place of the plan's; NaN: none."""
+    speed_mps = view.boat.state.setpoint.override_mps
+    yield dialect.MAVLink_named_value_float_message(_boot_ms(view), b"OVERRIDE", math.nan if speed_mps is None else speed_mps)
+
+
+def all_in_one(view: View) -> Iterator[Message]:
+    """Everything that matters in 42 bytes. custom0: the owner; custom1, custom2: thrust of port and starboard, %."""
+    state = view.boat.state
+    n, m, r = state.navigation, state.motion, state.reference
+    known = n is not None and n.latitude_rad is not None and n.longitude_rad is not None
+    place = (_e7(n.latitude_rad or 0.0), _e7(n.longitude_rad or 0.0)) if n is not None and known else (0, 0)
+    heading = 0 if n is None or n.heading_rad is None else round(math.degrees(compass(n.heading_rad)) / 2) % 180
+    target = 0 if r.heading_rad is None else round(math.degrees(compass(r.heading_rad)) / 2) % 180
+    least, name = charge(state)
+    left = round(least * 100) if name else _I8
+    port, starboard = (round(100 * part) for part in _thrust(view))
+    failures = dialect.HL_FAILURE_FLAG_GPS if view.now_s - state.navigation_s > view.boat.settings.navigation.stale_s else 0
+    failures |= dialect.HL_FAILURE_FLAG_BATTERY if any(notice.name.startswith("battery") for notice in state.notices) else 0
+    failures |= dialect.HL_FAILURE_FLAG_GEOFENCE if any(notice.name == "fence" for notice in state.notices) else 0
+    failures |= dialect.HL_FAILURE_FLAG_ENGINE if any(notice.name == "thruster" for notice in state.notices) else 0
+    owner_id = view.owner - 256 if view.owner > 127 else view.owner
+    speed, wanted = _fifths(math.hypot(m.north_mps, m.east_mps)), _fifths(r.speed_mps or 0.0)
+    far, ahead = min(round((r.distance_m or 0.0) / 10), _U16), max(round((port + starboard) / 2), 0)
+    yield dialect.MAVLink_high_latency2_message(
+        _boot_ms(view), dialect.MAV_TYPE_SURFACE_BOAT, autopilot(view), state.mode, *place, 0, 0, heading, target, far, ahead,
+        0, wanted, speed, 0, 0, 0xFF, 0xFF, 0, 0, left, r.leg & 0xFFFF, failures, owner_id, port, starboard,
+    )  # fmt: skip
+
+
+def _measured(view: View) -> object:
+    return view.boat.state.cycles
+
+
+def _reported(view: View) -> object:
+    return tuple(view.boat.state.sysstat.get(node, (None, 0.0))[1] for node, _ in (_PORT, _STARBOARD))
+
+
+# Intervals in seconds: lean, radio, wifi.
+ROWS: Final = (
+    Row(dialect.MAVLINK_MSG_ID_HEARTBEAT, 1.0, 1.0, 1.0, lambda view: (heartbeat(view),)),
+    Row(dialect.MAVLINK_MSG_ID_HIGH_LATENCY2, 1.0, NEVER_S, NEVER_S, all_in_one),
+    Row(dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, NEVER_S, 1.0, 0.1, position, _measured),
+    Row(dialect.MAVLINK_MSG_ID_ATTITUDE, NEVER_S, 1.0, 0.1, attitude, _measured),
+    Row(dialect.MAVLINK_MSG_ID_RAW_RPM, NEVER_S, 1.0, 0.1, rpm, _reported),
+    Row(dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, NEVER_S, 1.0, 0.2, thrust),
+    Row(dialect.MAVLINK_MSG_ID_SYS_STATUS, NEVER_S, 1.0, 1.0, status),
+    Row(dialect.MAVLINK_MSG_ID_VFR_HUD, NEVER_S, 1.0, 0.5, head_up, _measured),
+    Row(dialect.MAVLINK_MSG_ID_GPS_RAW_INT, NEVER_S, 1.0, 1.0, satellites, _measured),
+    Row(dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT, NEVER_S, 1.0, 0.5, steering),
+    Row(dialect.MAVLINK_MSG_ID_MISSION_CURRENT, NEVER_S, 1.0, 1.0, current),
+    Row(dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT, NEVER_S, 5.0, 1.0, owner),
+    Row(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, NEVER_S, 5.0, 1.0, override),
+    Row(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
+)
+
+
+def _thrust(view: View) -> tuple[float, float]:
+    """In force of port and starboard, as a part of the most: -1..1."""
+    sent, most = view.boat.state.actuation, view.boat.settings.propulsion.rpm_max
+    return (sent.port_rpm / most, sent.starboard_rpm / most) if sent.run else (0.0, 0.0)
+
+
+def _batteries(view: View, name: str) -> BatteriesStatus | None:
+    report = view.boat.state.sysstat.get(name)
+    return report[0] if report is not None and isinstance(report[0], BatteriesStatus) else None
+
+
+def _boot_ms(view: View) -> int:
+    return int(view.now_s * 1e3) & 0xFFFFFFFF
+
+
+def _boot_us(view: View) -> int:
+    return int(view.now_s * 1e6) & 0xFFFFFFFF
+
+
+def _e7(angle_rad: float) -> int:
+    return round(math.degrees(angle_rad) * 1e7)
+
+
+def _clamped(value: float) -> int:
+    return max(min(round(value), _I16), -_I16)
+
+
+def _fifths(speed_mps: float) -> int:
+    return max(min(round(speed_mps * 5), 0xFF), 0)

@@ -1,0 +1,365 @@
+"""Build the boat's root file system, and from it the image that is booted: kernel and initramfs (thesis 2.3 to 2.5).
+
+    python docker/image.py run/image                 all of it; prints how large each part is
+    python docker/image.py run/image --root-only     the root file system alone, which is also the container
+
+Debian packages are named, never addressed: they come from where this machine's own apt gets them. They are unpacked, not
+installed: no maintainer's script runs, no root is needed, and the same packages give the same bytes. Python packages are
+those of requirements/, pinned and hashed. Dates of files are SOURCE_DATE_EPOCH, owners root, order alphabetical. How it is
+used, and what is in it: docs/image.md.
+"""
+
+import argparse
+import gzip
+import hashlib
+import os
+import re
+import shutil
+import stat
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from delfim import __version__
+from delfim.services.slots import PARTS, pack
+
+SOURCES: Final = Path(__file__).parents[1]
+EPOCH_S: Final = int(os.environ.get("SOURCE_DATE_EPOCH", "1767225600"))  # of every file in the image
+PACKAGES: Final = ("busybox", "python3-minimal", "libpython3-stdlib", "e2fsprogs", "iproute2")
+KERNEL: Final = "linux-image-amd64"
+# What those packages depend on for work that is not done on a boat: installing packages, Kerberos, NIS, databases.
+LEFT_OUT: Final = re.compile(
+    r"dpkg|tar|debconf|gcc-.*-base|readline-common|libacl1|libcap2-bin|libdb5.*|libgssapi.*|libk5crypto.*|libkeyutils.*|libkrb5.*|libnsl.*"
+    r"|libpam.*|libsqlite3.*|libtirpc.*|logsave"
+)
+PROGRAMS: Final = {"busybox", "e2fsck", "ip", "mke2fs", "tc", "tune2fs"}  # beside Python; the shell and the rest are Busybox
+PRUNED: Final = (
+    *("usr/share", "usr/lib/*/gconv", "usr/lib/*/perl*", "usr/lib/tmpfiles.d", "usr/lib/systemd", "var", "etc/*"),
+    *(
+        "usr/lib/python3*/" + name
+        for name in ("ensurepip", "idlelib", "lib2to3", "tkinter", "turtledemo", "test", "unittest", "sqlite3")
+    ),
+    *("usr/lib/python3*/" + name for name in ("dbm", "distutils", "pydoc*", "pydoc_data", "sitecustomize.py")),
+    *(
+        "usr/lib/python3*/lib-dynload/" + name
+        for name in ("nis.*", "_dbm.*", "_sqlite3.*", "_test*", "_xxtestfuzz*", "_ctypes_test*")
+    ),
+    *("usr/lib/python3/dist-packages/" + name for name in ("bin", "*.dist-info/RECORD", "*.dist-info/direct_url.json")),
+    *(
+        "usr/lib/python3/dist-packages/" + name
+        for name in ("*.dist-info/INSTALLER", "*.dist-info/REQUESTED", "*.dist-info/licenses")
+    ),
+)
+DIRECTORIES: Final = (
+    "boot",
+    "dev",
+    "etc",
+    "log",
+    "proc",
+    "root",
+    "run",
+    "sys",
+    "tmp",
+    "usr/bin",
+    "usr/sbin",
+    "usr/lib",
+    "usr/lib64",
+)
+FILES: Final = {
+    "etc/passwd": "root:x:0:0:root:/root:/bin/sh\nnobody:x:65534:65534:nobody:/:/bin/false\n",
+    "etc/group": "root:x:0:\nnogroup:x:65534:\n",
+    "etc/shadow": "root:*:0:0:::::\n",  # nobody has a password: who comes in comes by key
+    "etc/hosts": "127.0.0.1 localhost\n::1 localhost\n",
+    "etc/nsswitch.conf": "passwd: files\ngroup: files\nhosts: files dns\n",
+    "usr/bin/delfim": "#!/usr/bin/python3 -P\nimport sys\n\nfrom delfim.__main__ import main\n\nsys.exit(main())\n",
+}
+MODES: Final = {"root": 0o700, "tmp": 0o1777, "etc/shadow": 0o600}  # others by what they are
+
+
+def main() -> int:
+    asked = argparse.ArgumentParser(description="Build the boat's image.")
+    asked.add_argument("output", type=Path)
+    asked.add_argument("--root-only", action="store_true", help="no kernel, no initramfs: what a container runs")
+    asked.add_argument(
+        "--kernel",
+        action="append",
+        metavar="DIRECTORY",
+        help='modules of another kernel; "debian": the stock one (%(default)s)',
+    )
+    asked.add_argument("--sign", type=Path, metavar="KEY", help="also pack what is uploaded to boats; ssh-keygen's ed25519 key")
+    asked.add_argument("--vehicle", type=Path, default=SOURCES / "etc/delfimx.toml", help="the vehicle's file (%(default)s)")
+    words = asked.parse_args()
+    began_s = time.monotonic()
+    output = words.output.resolve()
+    output.mkdir(parents=True, exist_ok=True)
+    parts = build_root(output / "root", output / "cache", words.vehicle)
+    for kernel in [] if words.root_only else words.kernel or ["debian"]:
+        parts |= build_image(output, kernel)
+    if words.sign:
+        pack(output / f"delfim-{__version__}.image", {name: output / name for name in PARTS}, __version__, words.sign)
+    for name, size in parts.items():
+        print(f"{size / 1e6:8.1f} MB  {name}")
+    print(f"{output}: {time.monotonic() - began_s:.0f} s")
+    return 0
+
+
+def build_image(output: Path, kernel: str) -> dict[str, int]:
+    """The initramfs for a kernel; Debian's own is laid beside it. Returns the bytes of its parts."""
+    parts, name = {}, "initramfs.gz"
+    if kernel == "debian":
+        source = unpack_kernel(output / "cache", output / "kernel", output / "vmlinuz")
+        parts[f"vmlinuz ({source.name})"] = (output / "vmlinuz").stat().st_size
+    else:
+        source = Path(kernel)
+        name = f"initramfs-{source.name}.gz"
+    parts[f"modules of {source.name}"] = copy_modules(source, output / "modules")
+    write_initramfs(output / name, output / "root", output / "modules")
+    digest = hashlib.sha256((output / name).read_bytes()).hexdigest()
+    parts[f"{name}, sha256 {digest[:16]}..."] = (output / name).stat().st_size
+    return parts
+
+
+# The root file system.
+
+
+def build_root(root: Path, cache: Path, vehicle: Path) -> dict[str, int]:
+    """Lay it out anew. Returns the bytes of its parts."""
+    shutil.rmtree(root, ignore_errors=True)
+    for name in DIRECTORIES:
+        (root / name).mkdir(parents=True)
+    for name in ("bin", "sbin", "lib", "lib64"):
+        (root / name).symlink_to(f"usr/{name}")
+    packages = fetch(PACKAGES, cache / "debian", LEFT_OUT)
+    for package in packages:
+        extract(package, root)
+    for folder in ("usr/bin", "usr/sbin"):
+        for path in (root / folder).iterdir():
+            if path.name not in PROGRAMS and not re.fullmatch(r"python3[.\d]*", path.name):
+                path.unlink()
+    library = max((root / "usr/lib").glob("python3.*"))
+    site = root / "usr/lib/python3/dist-packages"
+    install_python(site, library.name.removeprefix("python"), cache)
+    for pattern in PRUNED:
+        for path in root.glob(pattern):
+            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+    configure(root, vehicle, packages)
+    compile_python(root, library)
+    complete(root)
+    return {
+        "Python": tree_bytes(library),
+        "Python packages": tree_bytes(site) - tree_bytes(site / "delfim"),
+        "delfim": tree_bytes(site / "delfim"),
+        "libraries and programs of Debian": tree_bytes(root) - tree_bytes(library) - tree_bytes(site),
+        "root file system, unpacked": tree_bytes(root),
+    }
+
+
+def fetch(names: tuple[str, ...], cache: Path, left_out: re.Pattern[str]) -> list[Path]:
+    """These packages and those that they depend on, as files, in the order of their names. apt verifies their signatures."""
+    cache.mkdir(parents=True, exist_ok=True)
+    (cache / "nothing").touch()  # the packages that are installed: none
+    apt = ("apt-get", "-q", "-o", f"Dir::State::Status={cache / 'nothing'}", "-o", "APT::Install-Recommends=false")
+    plan = subprocess.run([*apt, "-s", "install", *names], check=True, capture_output=True, text=True).stdout
+    wanted = sorted(
+        f"{name}={version}" for name, version in re.findall(r"^Inst (\S+) \((\S+)", plan, re.M) if not left_out.fullmatch(name)
+    )
+    files = [cache / each.replace("=", "_").replace(":", "%3a") for each in wanted]
+    present = {path.name.rpartition("_")[0]: path for path in cache.glob("*.deb")}
+    missing = [each for each, file in zip(wanted, files, strict=True) if file.name not in present]
+    if missing:
+        subprocess.run(["apt-get", "-qq", "-o", "APT::Sandbox::User=", "download", *missing], check=True, cwd=cache)
+        present = {path.name.rpartition("_")[0]: path for path in cache.glob("*.deb")}
+    return [present[file.name] for file in files]
+
+
+def extract(package: Path, root: Path, *only: str) -> None:
+    """Its files, into a tree whose /bin, /sbin and /lib are links."""
+    with subprocess.Popen(["dpkg-deb", "--fsys-tarfile", package], stdout=subprocess.PIPE) as archive:
+        words = ["tar", "-x", "--keep-directory-symlink", "--no-same-owner", "--no-same-permissions", "-C", str(root), *only]
+        subprocess.run(words, stdin=archive.stdout, check=True)
+    if archive.returncode:
+        raise SystemExit(f"{package.name} cannot be unpacked")
+
+
+def install_python(site: Path, version: str, cache: Path) -> None:
+    """delfim as a wheel, and what it needs aboard, for the image's Python; every file by its hash."""
+    source, wheels = cache / "source", cache / "wheel"
+    for folder in (source, wheels):
+        shutil.rmtree(folder, ignore_errors=True)
+    shutil.copytree(SOURCES / "delfim", source / "delfim", ignore=shutil.ignore_patterns("__pycache__"))
+    for name in ("pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(SOURCES / name, source)
+    pip = [sys.executable, "-m", "pip", "-qq", "--disable-pip-version-check"]
+    subprocess.run([*pip, "wheel", "--no-deps", "--no-build-isolation", "-w", wheels, source], check=True, env=environment())
+    target = [
+        f"--target={site}",
+        f"--python-version={version}",
+        "--implementation=cp",
+        "--only-binary=:all:",
+        "--no-deps",
+        "--no-compile",
+    ]
+    platforms = [f"--platform=manylinux_2_{minor}_{os.uname().machine}" for minor in (5, 12, 17, 24, 26, 27, 28, 31, 34)]
+    locks = [f"--requirement={SOURCES / 'requirements' / name}" for name in ("boat.txt", "services.txt")]
+    subprocess.run([*pip, "install", *target, *platforms, "--require-hashes", *locks], check=True)
+    subprocess.run([*pip, "install", *target, *wheels.glob("delfim-*.whl")], check=True)
+
+
+def configure(root: Path, vehicle: Path, packages: list[Path]) -> None:
+    """What is the boat's own: the first program, the vehicle's file, Busybox under all its names, what is in here."""
+    for name, text in FILES.items():
+        (root / name).write_text(text)
+    for name, mode in MODES.items():
+        (root / name).chmod(mode)
+    (root / "usr/bin/delfim").chmod(0o755)
+    shutil.copy(SOURCES / "etc/init", root / "init")
+    (root / "init").chmod(0o755)
+    shutil.copy(vehicle, root / "etc/delfimx.toml")
+    shutil.copytree(vehicle.parent / "missions", root / "etc/missions")
+    listing = subprocess.run([root / "usr/bin/busybox", "--list-full"], check=True, capture_output=True, text=True).stdout
+    for name in (Path(line) for line in listing.split()):
+        applet = root / "usr" / name.parent.name / name.name
+        if name.name not in PROGRAMS and name.parent.name in ("bin", "sbin"):
+            applet.symlink_to("/usr/bin/busybox")
+    (root / "etc/packages").write_text("".join(f"{package.stem}\n" for package in packages))
+
+
+def compile_python(root: Path, library: Path) -> None:
+    """Bytecode that names the hash of its source instead of a date, made by the image's own interpreter."""
+    words = ["-m", "compileall", "-q", "-f", "--invalidation-mode", "unchecked-hash", "-s", str(root), "-p", "/"]
+    trees = [str(library), str(root / "usr/lib/python3/dist-packages")]
+    run_inside(root, str(root / "usr/bin/python3"), "-S", *words, *trees, PYTHONHOME=str(root / "usr"))
+
+
+def complete(root: Path) -> None:
+    """No program and no library may miss a library."""
+    objects = [path for path in sorted(root.rglob("*")) if path.is_file() and not path.is_symlink() and is_dynamic(path)]
+    for path in objects:
+        listing = run_inside(root, "--list", str(path))
+        if "not found" in listing:
+            raise SystemExit(f"{path.relative_to(root)} misses a library:\n{listing}")
+
+
+def is_dynamic(path: Path) -> bool:
+    with path.open("rb") as file:
+        return (
+            file.read(4) == b"\x7fELF"
+            and (".so" in path.name or path.parent.name in ("bin", "sbin"))
+            and path.name != "busybox"
+        )
+
+
+def run_inside(root: Path, *words: str, **variables: str) -> str:
+    """Run a program of the image with the image's libraries, on this machine. Returns what it says."""
+    machine = os.uname().machine
+    loader = next((root / "usr").glob("lib*/ld-linux-*"), None) or next((root / "usr/lib").glob("*/ld-linux-*"))
+    path = ["--inhibit-cache", "--library-path", str(root / f"usr/lib/{machine}-linux-gnu")]
+    done = subprocess.run([loader, *path, *words], capture_output=True, text=True, env=environment(**variables))
+    if done.returncode:
+        raise SystemExit(f"{' '.join(words)}: {done.stdout}{done.stderr}")
+    return done.stdout
+
+
+def environment(**variables: str) -> dict[str, str]:
+    return {
+        "PATH": os.environ["PATH"],
+        "PYTHONHASHSEED": "0",
+        "SOURCE_DATE_EPOCH": str(EPOCH_S),
+        "LC_ALL": "C.UTF-8",
+        **variables,
+    }
+
+
+# The kernel.
+
+
+def unpack_kernel(cache: Path, folder: Path, image: Path) -> Path:
+    """Debian's stock kernel, of which nothing is changed. Returns the directory of its modules."""
+    everything_else = re.compile(r"(?!linux-image-\d).*")
+    package = fetch((KERNEL,), cache / "debian", everything_else)[0]
+    if not (folder / package.stem).exists():
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir()
+        extract(package, folder, "./boot", "./lib/modules")
+        (folder / package.stem).touch()
+    shutil.copy(next(folder.glob("boot/vmlinuz-*")), image)
+    return next(folder.glob("lib/modules/*"))
+
+
+def copy_modules(source: Path, modules: Path) -> int:
+    """Those of modules.txt that this kernel has, with those they need, and an index of them. Returns their bytes."""
+    shutil.rmtree(modules, ignore_errors=True)
+    target = modules / "usr/lib/modules" / source.name
+    target.mkdir(parents=True)
+    (modules / "lib").symlink_to("usr/lib")  # where depmod looks
+    paths = {path.name.partition(".")[0].replace("-", "_"): path for path in source.rglob("*.ko*")}
+    lines = (SOURCES / "docker/modules.txt").read_text().splitlines()
+    ahead = [name.replace("-", "_") for line in lines if not line.startswith("#") for name in line.split()]
+    copied = set[str]()
+    while ahead:
+        name = ahead.pop()
+        if name in copied or name not in paths:  # not there: built in, or for another machine
+            continue
+        copied.add(name)
+        place = target / paths[name].relative_to(source)
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(paths[name], place)
+        needed = re.search(rb"\0depends=([^\0]*)\0", b"\0" + place.read_bytes())
+        ahead += [each.replace("-", "_") for each in needed[1].decode().split(",") if each] if needed else []
+    for name in ("modules.order", "modules.builtin", "modules.builtin.modinfo"):
+        if (source / name).exists():
+            shutil.copy(source / name, target)
+    depmod = shutil.which("depmod", path=f"{os.environ['PATH']}:/usr/sbin:/sbin")
+    subprocess.run([str(depmod), "-b", modules, source.name], check=True)
+    for index in target.glob("modules.*"):
+        if index.suffix == ".bin" or index.name in ("modules.order", "modules.builtin.modinfo"):
+            index.unlink()
+    (modules / "lib").unlink()
+    return tree_bytes(modules)
+
+
+# The archive.
+
+
+def write_initramfs(image: Path, *trees: Path) -> None:
+    """The trees in one compressed archive, a later one over the earlier. As `gzip -n -9` of a sorted newc archive."""
+    entries = {str(path.relative_to(tree)): path for tree in trees for path in tree.rglob("*")}
+    with image.open("wb") as file, gzip.GzipFile("", "wb", 9, file, mtime=0) as packed:
+        for number, name in enumerate(sorted(entries), 1):
+            write_entry(packed, number, name, entries[name])
+        packed.write(header(0, "TRAILER!!!", 0, 0, 1))
+
+
+def write_entry(archive: BinaryIO | gzip.GzipFile, number: int, name: str, path: Path) -> None:
+    if path.is_symlink():
+        mode, content = stat.S_IFLNK | 0o777, os.fsencode(os.readlink(path))
+    elif path.is_dir():
+        mode, content = stat.S_IFDIR | MODES.get(name, 0o755), b""
+    else:
+        executable = path.stat().st_mode & stat.S_IXUSR
+        mode, content = stat.S_IFREG | MODES.get(name, 0o755 if executable else 0o644), path.read_bytes()
+    archive.write(header(number, name, mode, len(content), 2 if path.is_dir() else 1))
+    archive.write(content + bytes(-len(content) % 4))
+
+
+def header(number: int, name: str, mode: int, size: int, links: int) -> bytes:
+    """Of the "newc" format (Documentation/driver-api/early-userspace/buffer-format.rst): owner root, date EPOCH_S."""
+    encoded = os.fsencode(name) + b"\0"
+    fields = (number, mode, 0, 0, links, EPOCH_S if mode else 0, size, 0, 0, 0, 0, len(encoded), 0)
+    words = b"070701" + b"".join(b"%08x" % field for field in fields) + encoded
+    return words + bytes(-len(words) % 4)
+
+
+def tree_bytes(tree: Path) -> int:
+    return sum(path.stat().st_size for path in files(tree))
+
+
+def files(tree: Path) -> Iterator[Path]:
+    return (path for path in tree.rglob("*") if path.is_file() and not path.is_symlink())
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,214 @@
+"""A gateway with boats of a few lines, for tests of the page: it serves what is built, and keeps all that the page says."""
+
+import asyncio
+import contextlib
+import math
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any, TypeAlias
+
+from aiohttp import WSMsgType, web
+
+PAGE = Path(__file__).parents[2] / "delfim" / "console" / "page"
+MODES = ("idle", "manual", "heading", "goto", "path", "play", "grex", "hold", "home")
+DOCA = (38.6902, -9.2150)
+M_PER_DEG = 111_111.0
+RPM_MOST = 1500.0
+
+Message: TypeAlias = dict[str, Any]
+
+
+def boat(number: int, name: str, colour: str, *, north_m: float = 0.0, east_m: float = 0.0, **more: Any) -> Message:
+    """A boat as the gateway tells it, lying idle north and east of the Doca."""
+    latitude_deg, longitude_deg = place(north_m, east_m)
+    return {
+        "id": number,
+        "name": name,
+        "colour": colour,
+        "latitude_deg": latitude_deg,
+        "longitude_deg": longitude_deg,
+        "heading_deg": 40.0,
+        "course_deg": 40.0,
+        "speed_mps": 0.0,
+        "mode": "idle",
+        "asked": None,
+        "armed": False,
+        "owner": True,
+        "ready": True,
+        "reason": "",
+        "failsafe": "",
+        "rpm": [0.0, 0.0],
+        "thrust_pct": [0.0, 0.0],
+        "speed_pct": 0,
+        "battery_v": 49.6,
+        "battery_pct": 87,
+        "roll_deg": 0.4,
+        "pitch_deg": -0.2,
+        "satellites": 14,
+        "fix": "3D",
+        "reference": None,
+        "home": None,
+        "fence": [],
+        "obstacles": [],
+        "ghost": None,
+        "released": False,
+        "age_s": {"heard": 0.1, "position": 0.1, "attitude": 0.1, "rpm": 0.1, "battery": 0.9},
+        "link": {"kind": "udp", "profile": "wifi", "rtt_ms": 3.2, "loss_pct": 0.0, "bytes_per_s": 1960, "signed": True},
+        "mission": {"name": "", "count": 0, "current": None, "state": "none", "digest": None},
+        **more,
+    }
+
+
+def place(north_m: float, east_m: float) -> tuple[float, float]:
+    """Latitude and longitude, degrees, of a place beside the Doca."""
+    return DOCA[0] + north_m / M_PER_DEG, DOCA[1] + east_m / (M_PER_DEG * math.cos(math.radians(DOCA[0])))
+
+
+class Standin:
+    """Answers each request with yes, puts boats into the modes they are told, keeps plans and missions."""
+
+    def __init__(self, boats: list[Message], *, backgrounds: tuple[Message, ...] = (), replay: Message | None = None) -> None:
+        self.boats = boats
+        self.hello: Message = {
+            "version": "0",
+            "me": "console-1",
+            "keys": [],
+            "backgrounds": list(backgrounds),
+            "replay": replay,
+        }
+        self.charts: dict[str, bytes] = {}
+        self.said: list[Message] = []
+        self.plans: dict[int, Message] = {}
+        self.stored: dict[str, Message] = {}
+        self.refusals: dict[str, str] = {}  # by command, or by what is to be done to a mission
+        self.obedient = True  # boats enter the mode they are told
+        self.history: dict[int, list[list[float]]] = {}
+        self.at_s = 1_790_000_000.0
+        self._sockets: set[web.WebSocketResponse] = set()
+        self.address = ""
+
+    @contextlib.asynccontextmanager
+    async def serving(self) -> AsyncIterator["Standin"]:
+        app = web.Application()
+        app.add_routes([web.get("/", self._index), web.get("/ws", self._talk), web.get("/background/{name}", self._chart)])
+        app.router.add_static("/", PAGE)
+        runner = web.AppRunner(app, shutdown_timeout=1.0)
+        await runner.setup()
+        try:
+            site = web.TCPSite(runner, "127.0.0.1", 0)
+            await site.start()
+            self.address = f"http://127.0.0.1:{runner.addresses[0][1]}/"
+            yield self
+        finally:
+            await runner.cleanup()
+
+    async def tell(self, message: Message) -> None:
+        for socket in list(self._sockets):
+            with contextlib.suppress(ConnectionError, RuntimeError):
+                await socket.send_json(message)
+
+    async def frame(self, later_s: float = 0.1) -> None:
+        """Tell the boats once, that much later."""
+        self.at_s += later_s
+        await self.tell({"t": "boats", "at_s": self.at_s, "boats": self.boats})
+
+    async def hang_up(self) -> None:
+        for socket in list(self._sockets):
+            await socket.close()
+
+    async def until(self, wanted: Callable[[Message], bool], timeout_s: float = 20.0) -> Message:
+        """The first message since the last `forget` that is as wanted; frames go on meanwhile."""
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not (found := [message for message in self.said if wanted(message)]):
+                    await self.frame()
+                    await asyncio.sleep(0.02)
+        except TimeoutError:
+            raise AssertionError(f"not heard; heard was {self.said}") from None
+        return found[0]
+
+    async def command(self, command: str, number: int | str = 1) -> Message:
+        """Wait for a command to this boat."""
+        return await self.until(lambda m: m["t"] == "command" and m["command"] == command and m["boat"] == number)
+
+    def forget(self) -> None:
+        self.said.clear()
+
+    def boat(self, number: int) -> Message:
+        return next(each for each in self.boats if each["id"] == number)
+
+    async def _index(self, _request: web.Request) -> web.FileResponse:
+        return web.FileResponse(PAGE / "index.html")
+
+    async def _chart(self, request: web.Request) -> web.Response:
+        return web.Response(body=self.charts[request.match_info["name"]], content_type="image/png")
+
+    async def _talk(self, request: web.Request) -> web.WebSocketResponse:
+        socket = web.WebSocketResponse()
+        await socket.prepare(request)
+        await socket.send_json({"t": "hello", **self.hello, "boats": self.boats})
+        self._sockets.add(socket)
+        for number, points in self.history.items():
+            for first in range(0, len(points), 500):
+                chunk = {"t": "track", "boat": number, "start": first == 0, "points": points[first : first + 500]}
+                await socket.send_json(chunk)
+        for number, mission in self.plans.items():
+            await socket.send_json({"t": "mission", "boat": number, "where": "here", "mission": mission})
+        try:
+            async for message in socket:
+                if message.type is WSMsgType.TEXT:
+                    await self._take(socket, message.json())
+        finally:
+            self._sockets.discard(socket)
+        return socket
+
+    async def _take(self, socket: web.WebSocketResponse, message: Message) -> None:
+        self.said.append(message)
+        if "seq" not in message:
+            return
+        what = message.get("command") or message.get("do") or message["t"]
+        reason = self.refusals.get(what, "")
+        if not reason and message["t"] == "command":
+            self._obey(message)
+        if not reason and message["t"] == "mission":
+            await self._mission(socket, message)
+        await socket.send_json({"t": "answer", "seq": message["seq"], "ok": not reason, "reason": reason})
+
+    def _obey(self, message: Message) -> None:
+        command = message["command"]
+        for each in self.boats if message["boat"] == "all" else [self.boat(message["boat"])]:
+            mode = "idle" if command == "stop" else command
+            if mode in MODES:
+                each["asked"] = mode
+                if self.obedient:
+                    each["mode"], each["asked"], each["armed"] = mode, None, mode != "idle"
+            elif command == "speed":
+                each["speed_pct"] = message["speed_pct"]
+            elif command == "heading_to":
+                each["reference"] = reference(heading_deg=message["heading_deg"])
+
+    async def _mission(self, socket: web.WebSocketResponse, message: Message) -> None:
+        number, deed = message["boat"], message["do"]
+        if deed == "put":
+            self.plans[number] = message["mission"]
+        elif deed == "save":
+            self.stored[message["name"]] = self.plans[number]
+        elif deed == "list":
+            await socket.send_json({"t": "missions", "names": sorted(self.stored)})
+        elif deed == "load":
+            self.plans[number] = self.stored[message["name"]]
+            await socket.send_json({"t": "mission", "boat": number, "where": "here", "mission": self.plans[number]})
+        elif deed == "upload":
+            count, name = len(self.plans[number]["waypoints"]), self.plans[number]["name"]
+            self.boat(number)["mission"] = {"name": name, "count": count, "current": 0, "state": "same", "digest": "1"}
+        elif deed == "download":
+            await socket.send_json({"t": "mission", "boat": number, "where": "aboard", "mission": self.stored["aboard"]})
+        elif deed == "dryrun":
+            track = [[each["latitude_deg"], each["longitude_deg"]] for each in self.plans[number]["waypoints"]]
+            await socket.send_json({"t": "dryrun", "boat": number, "time_s": 754.0, "distance_m": 1108.0, "track": track})
+
+
+def reference(**known: float) -> Message:
+    """The set point of the control, unknown but for what is given."""
+    keys = ("heading_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
+    return {key: known.get(key) for key in keys}

@@ -1,0 +1,274 @@
+"""The console against the vehicle itself: its loop, its station, its control; only the sockets between them are left out."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from delfim import config
+from delfim.console import transfer
+from delfim.console.fleet import Fleet
+from delfim.console.mavlink import Key, keygen
+from delfim.vehicle import console
+from delfim.vehicle.mavlink.signing import Signing
+from delfim.vehicle.mavlink.station import Station
+from delfim.vehicle.state import Mode
+from tests.console.fakeboat import Radio
+
+HOME = ("127.0.0.1", 14550)
+AWAY = ("192.168.1.7", 14550)
+PLAN = {
+    "name": "harbour",
+    "waypoints": [
+        {"latitude_deg": 38.6930, "longitude_deg": -9.2150, "speed_mps": 0.0, "acceptance_m": 4.0},
+        {"latitude_deg": 38.6934, "longitude_deg": -9.2150, "speed_mps": 1.25, "acceptance_m": 0.0},
+        {"latitude_deg": 38.6934, "longitude_deg": -9.2144, "speed_mps": 1.25, "acceptance_m": 0.0},
+        {"latitude_deg": 38.6938, "longitude_deg": -9.2144, "speed_mps": 0.0, "acceptance_m": 0.0},
+    ],
+    "fence": [[38.69, -9.22], [38.70, -9.22], [38.70, -9.21], [38.69, -9.21]],
+    "obstacles": [{"latitude_deg": 38.695, "longitude_deg": -9.218, "radius_m": 12.0}],
+    "home": {"latitude_deg": 38.692, "longitude_deg": -9.215},
+}
+
+
+class Afloat:
+    """A boat that is fit, and a console that has found it. Time is the boat's."""
+
+    def __init__(self, boat: Any, key: Key | None = None, secret: bytes | None = None, **radio: Any) -> None:
+        self.boat, self.state, self.answers = boat, boat.state, list[tuple[bool, str]]()
+        vehicle = boat.vehicle
+        away = {"sign": "all", "key": "x"} if secret else {}
+        vehicle.settings = config.Vehicle(boat=config.Boat(name="test", id=1), mavlink=config.Mavlink(**away))  # type: ignore[arg-type]
+        self.radio = Radio(boat.clock, 3, **radio)
+        signing = Signing(secret, boat.clock, {}) if secret else None
+        self.station = Station(vehicle, lambda asked, who: self._obey(asked, who), self._down, signing)
+        self.told: list[dict[str, Any]] = []
+        self.obeyed: list[console.Commands] = []
+        self.fleet = Fleet(boat.clock, self._up, self.told.append, key)
+        boat.ready()
+
+    def _obey(self, asked: console.Commands, who: str) -> str | None:
+        refused: str | None = self.boat.vehicle.on_command(asked, who)
+        if refused is None and not isinstance(asked, console.Alive):
+            self.obeyed.append(asked)
+        return refused
+
+    def _up(self, address: Any, data: bytes) -> None:
+        self.radio.carry(0, data, lambda frame: self._arrive(frame))
+
+    def _arrive(self, data: bytes) -> None:
+        self.station.receive(data, HOME)
+        while self.station.turn():
+            pass
+
+    def _down(self, data: bytes, address: Any) -> None:
+        if address == HOME:
+            self.radio.carry(1, data, lambda frame: self.fleet.receive(("udp", *HOME), frame))
+
+    def run(
+        self, seconds: float, until: Callable[[], object] = lambda: False, each: Callable[[], object] = lambda: None
+    ) -> float:
+        took_s = 0.0
+        while took_s < seconds and not until():
+            took_s += 0.1
+            self.boat.pass_time(0.1)
+            self.boat.navigate()
+            self.boat.report()
+            self.radio.tick()
+            self.station.tick()
+            self.fleet.tick()
+            each()
+            self.radio.tick()
+        return took_s
+
+    def ask(self, word: str, **words: Any) -> tuple[bool, str]:
+        """And wait for the answer."""
+        answers: list[tuple[bool, str]] = []
+        self.fleet.command(1, word, words, lambda well, why: answers.append((well, why)))
+        self.run(30.0, until=lambda: answers)
+        assert answers, f"{word}: no answer"
+        return answers[0]
+
+    def do(self, begin: Callable[[int, Callable[[bool, str], None]], None], limit_s: float = 30.0) -> tuple[bool, str]:
+        answers: list[tuple[bool, str]] = []
+        begin(1, lambda well, why: answers.append((well, why)))
+        self.run(limit_s, until=lambda: answers)
+        assert answers, "no answer"
+        return answers[0]
+
+    @property
+    def shown(self) -> dict[str, Any]:
+        return self.fleet.snapshot()[0]
+
+
+@pytest.fixture
+def sea(boat: Any) -> Afloat:
+    sea = Afloat(boat)
+    sea.run(2.0)
+    return sea
+
+
+def test_what_the_console_shows_is_what_the_vehicle_says(sea: Afloat) -> None:
+    sea.run(2.0)
+    shown = sea.shown
+    assert (shown["mode"], shown["armed"], shown["id"]) == ("idle", False, 1)
+    assert shown["latitude_deg"] == pytest.approx(38.69, abs=0.1)
+    assert shown["thrust_pct"] == [0, 0]
+    assert all(age is not None and age < 2.0 for age in shown["age_s"].values()), shown["age_s"]
+    assert shown["link"]["loss_pct"] == 0.0
+    assert shown["link"]["rtt_ms"] is not None
+    assert sum(codec.counts["refused"] for codec in sea.fleet._peers.values()) == 0
+
+
+@pytest.mark.parametrize(
+    ("word", "words", "mode"),
+    [
+        ("manual", {}, "MANUAL"),
+        ("heading", {}, "HEADING"),
+        ("heading_to", {"heading_deg": 123.0}, "HEADING"),
+        ("hold", {}, "HOLD"),
+        ("goto", {}, "GOTO"),
+        ("goto_point", {"latitude_deg": 38.6935, "longitude_deg": -9.2147}, "GOTO"),
+        ("play", {}, "PLAY"),
+        ("path", {}, "PATH"),
+        ("idle", {}, "IDLE"),
+        ("stop", {}, "IDLE"),
+        ("arm", {}, "IDLE"),
+        ("disarm", {}, "IDLE"),
+        ("reset", {}, "IDLE"),
+        ("take", {}, "IDLE"),
+        ("speed", {"speed_pct": 50}, "IDLE"),
+        ("speed", {"speed_mps": 1.0}, "IDLE"),
+    ],
+)
+def test_every_word_does_at_the_vehicle_what_it_says(sea: Afloat, word: str, words: dict[str, Any], mode: str) -> None:
+    sea.fleet.put(1, PLAN)
+    assert sea.do(sea.fleet.upload) == (True, "")
+    assert sea.ask(word, **words) == (True, "")
+    assert sea.state.mode is Mode[mode]
+    sea.run(1.5)
+    assert sea.shown["mode"] == mode.lower()
+
+
+def test_a_refusal_is_told_in_the_vehicles_words(sea: Afloat) -> None:
+    well, why = sea.ask("play")
+    assert (well, why) == (False, "no item 0 that can be gone to")
+
+
+def test_a_mission_comes_back_as_it_went(sea: Afloat) -> None:
+    sea.fleet.put(1, PLAN)
+    assert sea.do(sea.fleet.upload) == (True, "")
+    back = sea.fleet.missions[1]["aboard"]
+    assert [w["speed_mps"] for w in back["waypoints"]] == [0.0, 1.25, 1.25, 0.0]
+    assert back["waypoints"][0]["acceptance_m"] == 4.0
+    assert transfer.digest(back) == transfer.digest(PLAN)
+    assert (back["fence"][2], back["obstacles"], back["home"]) == ((38.70, -9.21), PLAN["obstacles"], PLAN["home"])
+    assert sea.shown["mission"]["state"] == "same"
+
+
+def test_play_from_a_waypoint_is_that_waypoint_behind_changes_of_speed_too(sea: Afloat) -> None:
+    sea.fleet.put(1, PLAN)
+    sea.do(sea.fleet.upload)
+    assert sea.ask("play", leg=2) == (True, "")
+    assert sea.state.reference.leg == 2
+    sea.run(2.5)
+    assert sea.shown["mission"]["current"] == 2
+
+
+def test_thrust_by_hand_reaches_the_propellers_and_ends_with_the_input(sea: Afloat) -> None:
+    assert sea.ask("manual") == (True, "")
+    counter = iter(range(1000))
+
+    def steer() -> None:
+        sea.fleet.input(1, next(counter), 40.0, 20.0)
+
+    steer()
+    sea.run(3.0, each=steer)
+    assert sea.shown["thrust_pct"] == [40, 20]
+    sea.run(1.5)
+    assert (sea.state.mode, sea.state.actuation.port_rpm) == (Mode.MANUAL, 0.0), "the console said zero"
+    sea.run(6.0)
+    assert sea.state.mode is Mode.IDLE, "and the boat itself gave up waiting"
+
+
+@pytest.mark.parametrize("profile", ["lean", "radio", "wifi"])
+def test_a_profile_is_the_vehicles(sea: Afloat, profile: str) -> None:
+    answers: list[tuple[bool, str]] = []
+    sea.fleet.command(1, "profile", {"profile": profile}, lambda well, why: answers.append((well, why)))
+    sea.run(5.0, until=lambda: answers)
+    assert answers == [(True, "")]
+    sea.run(30.0)
+    assert sea.shown["link"]["profile"] == profile
+    most = {"lean": 110, "radio": 500, "wifi": 2500}[profile]
+    assert 40 < sea.shown["link"]["bytes_per_s"] < most
+    assert sea.shown["latitude_deg"] is not None
+    assert sea.shown["age_s"]["heard"] <= 1.1
+
+
+def test_another_consoles_ownership_is_shown_and_taken(sea: Afloat) -> None:
+    assert sea.ask("hold") == (True, "")
+    assert sea.shown["owner"]
+    sea.station.owner = 255
+    sea.run(2.0)
+    assert not sea.shown["owner"]
+    well, why = sea.ask("heading")
+    assert (well, "255" in why) == (False, True)
+    assert sea.ask("stop") == (True, ""), "anybody may stop"
+    assert sea.ask("take") == (True, "")
+    assert sea.ask("hold") == (True, "")
+    sea.run(2.0)
+    assert sea.shown["owner"]
+
+
+def test_on_a_signed_link_commands_are_obeyed_for_as_long_as_it_lasts(boat: Any, tmp_path: Path) -> None:
+    boat.clock.step(16 * 365 * 86_400.0)  # to a time after 2015, where signatures begin to count
+    keygen(tmp_path / "key")
+    key = Key(tmp_path / "key", boat.clock)
+    sea = Afloat(boat, key=key, secret=key.secret)
+    for minute in range(3):
+        sea.run(60.0)
+        assert sea.ask("hold") == (True, ""), minute
+        assert sea.ask("stop") == (True, ""), minute
+    assert {
+        name: count for name, count in sea.station.counts.items() if name in ("late", "replayed", "forged", "unsigned")
+    } == {}
+    # A console that was started again goes on at once.
+    again = Fleet(boat.clock, sea._up, sea.told.append, Key(tmp_path / "key", boat.clock))
+    sea.fleet = again
+    sea.run(3.0)
+    assert sea.ask("hold") == (True, "")
+
+
+BAD = {"bytes_per_s": 960.0, "loss": 0.3, "duplicates": 0.1, "jitter_s": 0.4, "outages": lambda now_s: now_s % 30.0 < 2.0}
+
+
+def test_over_a_bad_radio_nothing_that_is_stale_is_obeyed(boat: Any) -> None:
+    """Play, and stop a second later, again and again: once the stop is confirmed no older command comes through."""
+    sea = Afloat(boat, **BAD)
+    sea.run(60.0, until=lambda: 1 in sea.fleet.boats)
+    answers: list[tuple[bool, str]] = []
+    sea.fleet.command(1, "profile", {"profile": "lean"}, lambda well, why: answers.append((well, why)))
+    sea.run(30.0, until=lambda: answers)
+    for _ in range(40):
+        sea.fleet.command(1, "heading", {}, lambda well, why: None)
+        sea.run(1.0)
+        stopped: list[bool] = []
+        sea.fleet.command(1, "stop", {}, lambda well, why, stopped=stopped: stopped.append(well))  # type: ignore[misc]
+        sea.run(60.0, until=lambda stopped=stopped: stopped)  # type: ignore[misc]
+        assert stopped == [True]
+        sea.run(8.0, until=lambda: sea.state.mode is not Mode.IDLE)
+        assert sea.state.mode is Mode.IDLE
+
+
+def test_over_a_bad_radio_the_age_that_is_shown_is_the_age(boat: Any) -> None:
+    sea = Afloat(boat, **BAD)
+    arrived: list[float] = []
+    receive = sea.fleet.receive
+    sea.fleet.receive = lambda address, data: (arrived.append(boat.clock.monotonic_s()), receive(address, data))[1]  # type: ignore[method-assign]
+    sea.run(60.0, until=lambda: 1 in sea.fleet.boats)
+
+    def look() -> None:
+        assert sea.shown["age_s"]["heard"] == pytest.approx(boat.clock.monotonic_s() - arrived[-1], abs=0.011)
+
+    sea.run(120.0, each=look)

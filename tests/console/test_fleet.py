@@ -1,0 +1,354 @@
+"""The console's truth against boats on good and bad links, on a clock of the test's own."""
+
+import random
+import tracemalloc
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from delfim.clock import ManualClock
+from delfim.console import transfer
+from delfim.console.fleet import Fleet
+from delfim.console.mavlink import Key, keygen, mavlink
+from delfim.errors import ConfigError, FormatError, Refused
+from tests.console.fakeboat import FakeBoat, Radio
+
+SQUARE = {
+    "name": "square",
+    "waypoints": [
+        {"latitude_deg": 38.69 + n / 1e4, "longitude_deg": -9.21, "speed_mps": 1.0 + n / 10, "acceptance_m": 3.0, "hold_s": 0.0}
+        for n in range(20)
+    ],
+    "fence": [[38.68, -9.22], [38.70, -9.22], [38.70, -9.20]],
+    "obstacles": [{"latitude_deg": 38.69, "longitude_deg": -9.205, "radius_m": 12.0}],
+    "home": {"latitude_deg": 38.695, "longitude_deg": -9.215},
+}
+
+
+class Sea:
+    """Boats, their links, the console, and time."""
+
+    def __init__(self, *numbers: int, secret: bytes | None = None, key: Key | None = None, **radio: Any) -> None:
+        self.clock = ManualClock(100.0)
+        self.told: list[dict[str, Any]] = []
+        self.radios = {n: Radio(self.clock, n, **radio) for n in numbers}
+        self.fleet = Fleet(self.clock, self._transmit, self.told.append, key)
+        self.boats = {
+            n: FakeBoat(
+                n, self.clock, lambda data, n=n: self.radios[n].carry(1, data, lambda d: self.fleet.receive(n, d)), secret
+            )
+            for n in numbers
+        }
+        self.answers: list[tuple[bool, str]] = []
+
+    def _transmit(self, address: int, data: bytes) -> None:
+        self.radios[address].carry(0, data, self.boats[address].hear)
+
+    def run(
+        self, seconds: float, until: Callable[[], object] = lambda: False, each: Callable[[], object] = lambda: None
+    ) -> float:
+        """Until that time has passed or something is so; how long it took."""
+        begun_s = self.clock.monotonic_s()
+        while self.clock.monotonic_s() - begun_s < seconds and not until():
+            self.clock.advance(0.05)
+            each()
+            for number, boat in self.boats.items():
+                boat.tick()
+                self.radios[number].tick()
+            self.fleet.tick()
+        return self.clock.monotonic_s() - begun_s
+
+    def ask(self, number: int, word: str, **words: Any) -> None:
+        self.fleet.command(number, word, words, lambda well, why: self.answers.append((well, why)))
+
+    def shown(self, number: int) -> dict[str, Any]:
+        return next(each for each in self.fleet.snapshot() if each["id"] == number)
+
+
+@pytest.fixture
+def sea() -> Sea:
+    sea = Sea(1, 2)
+    sea.run(3.0)
+    return sea
+
+
+def test_boats_are_found_and_shown_with_the_age_of_each_group(sea: Sea) -> None:
+    one = sea.shown(1)
+    assert (one["mode"], one["armed"], one["heading_deg"], one["rpm"]) == ("idle", False, 90.0, [300, 310])
+    assert one["latitude_deg"] == pytest.approx(38.6901)
+    assert 0 <= one["age_s"]["position"] <= 1.1
+    assert one["age_s"]["attitude"] is None
+    assert one["link"]["rtt_ms"] is not None
+    assert sea.boats[1].heartbeats >= 2
+    sea.boats[1].tick = lambda: None  # type: ignore[method-assign]
+    sea.boats[1].hear = lambda data: None  # type: ignore[method-assign]
+    sea.run(10.0)
+    one, two = sea.shown(1), sea.shown(2)
+    assert one["age_s"]["heard"] > 3.5 > two["age_s"]["heard"]
+    assert one["ghost"]["latitude_deg"] > one["latitude_deg"], "it was under way to the north"
+    assert two["ghost"] is None
+
+
+@pytest.mark.parametrize(
+    ("word", "words", "expected"),
+    [
+        ("idle", {}, (176, 1, 4, 0)),
+        ("manual", {}, (176, 1, 0, 0)),
+        ("heading", {}, (176, 1, 3, 0)),
+        ("goto", {}, (176, 1, 15, 0)),
+        ("path", {}, (176, 1, 100, 0)),
+        ("grex", {}, (176, 1, 101, 0)),
+        ("hold", {}, (176, 1, 5, 0)),
+        ("home", {}, (176, 1, 11, 0)),
+        ("play", {"leg": 3}, (300, 3, 0, 0)),
+        ("heading_to", {"heading_deg": 450.0}, (43002, 1, 90, 0)),
+        ("goto_point", {"latitude_deg": 38.7, "longitude_deg": -9.2}, (192, -1, 1, 0)),
+        ("speed", {"speed_pct": 40}, (178, 1, -1, 40)),
+        ("speed", {"speed_mps": 1.5}, (178, 1, 1.5, -1)),
+        ("arm", {}, (400, 1, 0, 0)),
+        ("disarm", {}, (400, 0, 0, 0)),
+        ("reset", {}, (246, 0, 0, 1)),
+        ("take", {}, (32100, 0, 1, 1)),
+    ],
+)
+def test_each_word_reaches_its_boat_alone_and_is_answered(sea: Sea, word: str, words: dict[str, Any], expected: Any) -> None:
+    sea.ask(1, word, **words)
+    sea.run(1.0)
+    assert sea.boats[1].obeyed == [expected]
+    assert sea.answers == [(True, "")]
+    assert sea.boats[2].obeyed == []
+
+
+def test_a_refusal_comes_with_the_boats_own_reason(sea: Sea) -> None:
+    sea.boats[1].refuse = "heading refused: gps has not reported"
+    sea.ask(1, "heading")
+    assert sea.shown(1)["asked"] == "heading"
+    sea.run(1.0)
+    assert sea.answers == [(False, "heading refused: gps has not reported")]
+
+
+@pytest.mark.parametrize(
+    ("boat", "word", "words"), [(3, "idle", {}), (1, "dance", {}), (1, "heading_to", {}), (1, "profile", {"profile": "fast"})]
+)
+def test_what_cannot_be_asked_is_refused_at_once(sea: Sea, boat: int, word: str, words: dict[str, Any]) -> None:
+    with pytest.raises((Refused, FormatError)):
+        sea.ask(boat, word, **words)
+    sea.run(1.0)
+    assert sea.boats[1].obeyed == []
+
+
+def test_thrust_follows_the_page_and_ends_when_the_page_does(sea: Sea) -> None:
+    sea.ask(1, "manual")
+    for n in range(5):
+        sea.fleet.input(1, n, 40.0, 20.0)
+        sea.run(0.2)
+    sea.fleet.input(1, 2, 100.0, 100.0)  # overtaken
+    sea.run(3.0)
+    assert sea.boats[1].thrust == [(300, 100)] * 5 + [(0, 0)], "zero once, then silence"
+    assert sea.shown(1)["released"]
+    assert any("manual released" in each.get("text", "") for each in sea.told)
+    assert sea.boats[2].thrust == []
+
+
+def test_a_stop_ends_input_and_is_repeated_until_it_arrives() -> None:
+    sea = Sea(1, outages=lambda now_s: 104.0 <= now_s < 109.0)
+    sea.run(3.5)
+    sea.ask(1, "manual")
+    sea.run(0.6)
+    sea.fleet.input(1, 0, 50.0, 50.0)
+    sea.ask(1, "stop")
+    took_s = sea.run(20.0, until=lambda: sea.answers[1:])
+    assert sea.answers[1:] == [(True, "")]
+    assert 4.0 < took_s < 6.0
+    assert sea.boats[1].mode == 4
+
+
+def test_a_command_that_is_too_old_is_not_sent_any_more() -> None:
+    sea = Sea(1, outages=lambda now_s: 104.0 <= now_s < 120.0)
+    sea.run(4.5)
+    sea.ask(1, "play")
+    sea.run(30.0)
+    assert sea.answers == [(False, "no answer from the boat")]
+    assert sea.boats[1].obeyed == []
+
+
+def test_a_mission_goes_up_is_read_back_and_compared(sea: Sea) -> None:
+    sea.fleet.put(1, SQUARE)
+    sea.fleet.upload(1, lambda well, why: sea.answers.append((well, why)))
+    with pytest.raises(Refused, match="on its way"):
+        sea.fleet.download(1, lambda well, why: None)
+    sea.run(20.0, until=lambda: sea.answers)
+    assert sea.answers == [(True, "")]
+    assert sea.shown(1)["mission"]["state"] == "same"
+    assert (sea.shown(1)["mission"]["count"], sea.shown(1)["mission"]["name"]) == (20, "square")
+    assert [len(items) for items in sea.boats[1].aboard.values()] == [40, 4, 1]
+    assert sea.boats[2].aboard == {0: [], 1: [], 2: []}
+    sea.fleet.put(1, SQUARE | {"waypoints": SQUARE["waypoints"][:5]})
+    assert sea.shown(1)["mission"]["state"] == "differs"
+
+
+def test_items_and_missions_are_each_others_inverse() -> None:
+    back = transfer.mission_of("square", transfer.items_of(SQUARE))
+    assert transfer.digest(back) == transfer.digest(SQUARE)
+    assert back["waypoints"][3]["speed_mps"] == pytest.approx(1.3)
+    assert transfer.digest(SQUARE | {"name": "another"}) == transfer.digest(SQUARE)
+
+
+@pytest.mark.parametrize("wrong", [{}, {"waypoints": 3}, {"waypoints": [{"latitude_deg": 95.0, "longitude_deg": 0.0}]}])
+def test_what_is_no_mission_is_refused(wrong: dict[str, Any]) -> None:
+    with pytest.raises(FormatError):
+        transfer.items_of(wrong)
+
+
+BAD = {
+    "bytes_per_s": 960.0,
+    "loss": 0.3,
+    "duplicates": 0.1,
+    "jitter_s": 0.4,
+    "outages": lambda now_s: 10.0 < now_s % 30.0 < 12.0,
+}
+
+
+def test_over_a_bad_radio_stops_arrive_and_missions_go_up() -> None:
+    """9,600 bit/s, 30 % loss, duplicates, overtaking, and 2 s of silence every 30 s."""
+    took_s = []
+    for seed in range(100):
+        sea = Sea(1, **BAD)
+        sea.radios[1]._random.seed(seed)
+        sea.run(8.0 + seed % 7, until=lambda sea=sea: False)
+        if 1 not in sea.fleet.boats:
+            sea.run(30.0, until=lambda sea=sea: 1 in sea.fleet.boats)
+        sea.boats[1].mode = 0
+        sea.ask(1, "stop")
+        took_s.append(sea.run(60.0, until=lambda sea=sea: sea.boats[1].mode == 4))
+    assert sorted(took_s)[98] <= 3.0, sorted(took_s)[-5:]
+    sea.fleet.put(1, SQUARE)
+    answers: list[tuple[bool, str]] = []
+    sea.fleet.upload(1, lambda well, why: answers.append((well, why)))
+    sea.run(600.0, until=lambda: answers)
+    assert answers == [(True, "")]
+    assert 5.0 < sea.shown(1)["link"]["loss_pct"] < 60.0
+
+
+def test_a_hundred_thousand_bytes_of_nonsense_do_no_harm(sea: Sea) -> None:
+    noise = random.Random(7)
+    for _ in range(1000):
+        data = bytearray(noise.randbytes(100))
+        if noise.random() < 0.5:
+            data[0] = 0xFD
+        sea.fleet.receive(1, bytes(data))
+    sea.run(3.0)
+    assert sea.shown(1)["age_s"]["heard"] <= 2.1
+    assert len(sea.fleet.boats) == 2
+
+
+def test_peers_and_boats_are_bounded(sea: Sea) -> None:
+    for n in range(1, 200):
+        boat = FakeBoat(n, sea.clock, lambda data, n=n: sea.fleet.receive(("udp", n), data))
+        boat.tick()
+    assert len(sea.fleet.boats) <= 32
+    assert len(sea.fleet._peers) <= 64
+
+
+def test_signed_links_take_nothing_else(tmp_path: Any) -> None:
+    keygen(tmp_path / "key")
+    assert (tmp_path / "key").stat().st_mode & 0o777 == 0o600
+    with pytest.raises(ConfigError, match="exists"):
+        keygen(tmp_path / "key")
+    key = Key(tmp_path / "key")
+    sea = Sea(1, secret=key.secret, key=key)
+    sea.run(3.0)
+    sea.ask(1, "hold")
+    sea.run(1.0)
+    assert (sea.answers, sea.boats[1].mode) == ([(True, "")], 5)
+    stranger = FakeBoat(1, sea.clock, lambda data: sea.fleet.receive(1, data))
+    stranger.position = [0, 0]
+    stranger.tick()
+    assert sea.shown(1)["latitude_deg"] == pytest.approx(38.6901)
+    assert sea.fleet._peers[1].counts["refused"] >= 1
+    first = Key(tmp_path / "key").stamp()
+    assert Key(tmp_path / "key").stamp() > first, "a stamp never goes back, not even over a restart"
+
+
+def test_what_was_recorded_and_is_played_again_changes_nothing(tmp_path: Any) -> None:
+    keygen(tmp_path / "key")
+    key = Key(tmp_path / "key")
+    sea = Sea(1, secret=key.secret, key=key)
+    recorded: list[bytes] = []
+    hear = sea.boats[1].hear
+    sea.boats[1].hear = lambda data: (recorded.append(data), hear(data))[1]
+    sea.run(3.0)
+    sea.ask(1, "play")
+    sea.run(1.0)
+    obeyed = len(sea.boats[1].obeyed)
+    for data in recorded:
+        hear(data)
+    assert len(sea.boats[1].obeyed) == obeyed == 1
+
+
+def test_a_profile_sets_the_rates(sea: Sea) -> None:
+    sea.ask(1, "profile", profile="lean")
+    sea.run(3.0)
+    assert sea.boats[1].profile == 0
+    assert (sea.answers, sea.shown(1)["link"]["profile"]) == ([(True, "")], "lean")
+
+
+def test_tracks_hold_a_point_a_second_and_no_more_than_ten_hours(sea: Sea) -> None:
+    sea.run(60.0)
+    assert 55 <= len(sea.fleet.boats[1].track) <= 65
+    assert sea.fleet.boats[1].track.maxlen == 36_000
+
+
+def test_ten_boats_at_ten_hertz_need_no_more_memory_with_time(sea: Sea) -> None:
+    """What an hour leaves behind is bounded by what the console keeps: nothing else grows from one hour to the next."""
+    fleet = Fleet(sea.clock, lambda address, data: None, lambda message: None)
+    position = mavlink.MAVLink_global_position_int_message(0, 386_900_000, -92_150_000, 0, 0, 100, 50, 0, 9000)
+    codecs = [mavlink.MAVLink(None, n, 1) for n in range(1, 11)]
+    for codec in codecs:
+        beat = mavlink.MAVLink_heartbeat_message(11, 0, 1, 4, 4, 3)
+        fleet.receive(("udp", codec.srcSystem), beat.pack(codec))
+    frames = [position.pack(codec) for codec in codecs]
+
+    def sail(seconds: int) -> None:
+        for _ in range(seconds * 10):
+            sea.clock.advance(0.1)
+            for n, frame in enumerate(frames, 1):
+                fleet.receive(("udp", n), frame)
+            fleet.tick()
+
+    sail(60)
+    for boat in fleet.boats.values():  # as after ten hours
+        boat.track.extend((float(n), 38.69, -9.21) for n in range(36_000))
+    tracemalloc.start()
+    try:
+        sail(30)
+        before, _ = tracemalloc.get_traced_memory()
+        sail(60)
+        after, _ = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert len(fleet.boats) == 10
+    assert after - before < 100_000, "bytes in a minute of 6,000 messages"
+
+
+def test_boats_are_never_mixed(sea: Sea) -> None:
+    """Words, thrust, missions and releases for one of three by turns: the others hear nothing but heartbeats and time."""
+    sea = Sea(1, 2, 3)
+    sea.run(3.0)
+    turns = random.Random(5)
+    wanted: dict[int, int] = {1: 0, 2: 0, 3: 0}
+    for n in range(60):
+        number = turns.choice((1, 2, 3))
+        match turns.randrange(3):
+            case 0:
+                sea.ask(number, turns.choice(("hold", "idle", "heading")))
+                wanted[number] += 1
+            case 1:
+                sea.fleet.input(number, n, float(number), float(number))
+            case _:
+                sea.fleet.release(number, "test")
+        sea.run(1.2)
+    assert {n: len(boat.obeyed) for n, boat in sea.boats.items()} == wanted
+    for number, boat in sea.boats.items():  # FakeBoat fails for whatever names another boat
+        assert set(boat.thrust) <= {(10 * number, 0), (0, 0)}

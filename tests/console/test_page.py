@@ -1,0 +1,553 @@
+"""The console's page in a real browser against a stand-in gateway: what an operator does, and what the gateway hears of it."""
+
+import asyncio
+import contextlib
+import hashlib
+import json
+import math
+import shutil
+import subprocess
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+
+import pytest
+
+from tests.console.scenes import at_work, choose, fleet, hour, opened, pixel, show, survey, waypoints
+from tests.console.standin import M_PER_DEG, Message, Standin, boat, place
+from tests.services.browser import PROGRAM, Page, browser
+
+ROOT = Path(__file__).parents[2]
+WEB, BUILT = ROOT / "delfim/console/web", ROOT / "delfim/console/page"
+NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+SQUARE = [(-40.0, -60.0), (40.0, -60.0), (40.0, 60.0), (-40.0, 60.0)]
+
+Sail = Callable[[Callable[[Page, Standin], Awaitable[None]]], None]
+
+
+def two() -> list[Message]:
+    return [boat(1, "Delfim", "#f4f6f7", north_m=-90, east_m=-60), boat(2, "DelfimX", "#f2c230", north_m=-90, east_m=60)]
+
+
+@contextlib.asynccontextmanager
+async def sailing(folder: Path, gateway: Standin) -> AsyncIterator[Page]:
+    async with gateway.serving(), browser(folder, NOWHERE) as page:
+        await page.call("Network.enable")
+        await opened(page, gateway)
+        await show(page, -120, -120, 120, 120)
+        yield page
+        assert page.complaints == []
+        assert [
+            each
+            for each in page.requests
+            if not each.startswith(("data:", gateway.address, gateway.address.replace("http", "ws")))
+        ] == []
+
+
+@pytest.fixture
+def sail(tmp_path: Path) -> Sail:
+    """Runs a story with the page open on two idle boats."""
+    assert PROGRAM, "Chromium is missing: make system"
+
+    def run(story: Callable[[Page, Standin], Awaitable[None]]) -> None:
+        async def told() -> None:
+            gateway = Standin(two())
+            async with sailing(tmp_path, gateway) as page:
+                await story(page, gateway)
+
+        asyncio.run(told())
+
+    return run
+
+
+async def shown(page: Page, gateway: Standin, expression: str) -> None:
+    """Wait until an expression is true in the page, while the boats go on being told."""
+    async with asyncio.timeout(20):
+        while not await page.value(expression):
+            await gateway.frame()
+            await asyncio.sleep(0.02)
+
+
+async def settled(page: Page, gateway: Standin) -> None:
+    """Wait until the page has taken all that it was told: messages arrive in their order."""
+    mark = gateway.boat(1)["battery_pct"] = 30 + (gateway.boat(1)["battery_pct"] - 29) % 60
+    await shown(page, gateway, f"{text_of(1, '.battery')} === '{mark} %'")
+
+
+def is_input(port: float, starboard: float, number: int = 1) -> Callable[[Message], bool]:
+    wanted = {"t": "input", "boat": number, "port_pct": port, "starboard_pct": starboard}
+    return lambda m: wanted.items() <= m.items()
+
+
+def text_of(number: int, part: str) -> str:
+    return f"document.querySelector('[data-boat=\"{number}\"] {part}').textContent"
+
+
+def test_each_mode_key_asks_the_selected_boat_for_its_mode(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        for key, command in zip(
+            "imhgpyxr", ("idle", "manual", "heading", "goto", "path", "play", "grex", "reset"), strict=True
+        ):
+            gateway.forget()
+            await page.press(key)
+            asked = await gateway.command(command)
+            assert [m for m in gateway.said if m["t"] == "command"] == [asked]
+            if command == "heading":
+                assert asked["heading_deg"] == 40
+
+    sail(story)
+
+
+def test_tab_changes_the_boat_and_says_nothing(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        gateway.forget()
+        await page.press("Tab")
+        await shown(page, gateway, "document.querySelector('.selected b').textContent === 'DelfimX'")
+        assert gateway.said == []
+        await page.press("y")
+        await gateway.command("play", 2)
+        await page.press("Tab", ("Shift",))
+        await page.press("g")
+        await gateway.command("goto", 1)
+        assert {m["command"] for m in gateway.said if m["boat"] == 2} == {"play"}
+
+    sail(story)
+
+
+def test_digits_set_the_speed_and_nine_does_nothing(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("h")
+        await gateway.command("heading")
+        await gateway.frame()
+        gateway.forget()
+        for digit in "123456789":
+            await page.press(digit)
+        await page.press("0")
+        await gateway.until(lambda m: m.get("speed_pct") == 0)
+        assert [m["speed_pct"] for m in gateway.said] == [10, 20, 30, 40, 50, 60, 70, 80, 0]
+        await page.press("ArrowUp")
+        assert (await gateway.until(lambda m: m.get("speed_pct") == 1))["command"] == "speed"
+        await page.press("ArrowRight")
+        assert (await gateway.command("heading_to"))["heading_deg"] == 41
+
+    sail(story)
+
+
+def test_manual_keys_move_both_thrusters_or_one(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("m")
+        await gateway.until(is_input(0, 0))
+        for key, modifiers, expected in (
+            ("3", (), (30, 30)),
+            ("ArrowUp", (), (31, 31)),
+            ("ArrowDown", (), (30, 30)),
+            ("ArrowRight", (), (31, 29)),
+            ("ArrowLeft", (), (30, 30)),
+            ("ArrowUp", ("Alt",), (30, 31)),
+            ("ArrowUp", ("Control",), (31, 31)),
+            ("ArrowRight", ("Alt",), (31, 30)),
+            ("ArrowRight", ("Control",), (32, 30)),
+            ("5", ("Alt",), (32, 50)),
+            ("4", ("Control",), (40, 50)),
+            ("9", (), (40, 50)),
+            ("0", (), (0, 0)),
+        ):
+            gateway.forget()
+            await page.press(key, modifiers)
+            await gateway.until(is_input(*expected))
+        gateway.forget()
+        for expected in ((-1, -1), (-2, -2)):
+            await page.press("ArrowDown")
+            await gateway.until(is_input(*expected))
+        numbers = [m["n"] for m in gateway.said if m["t"] == "input"]
+        assert numbers == sorted(set(numbers))
+
+    sail(story)
+
+
+def test_a_boat_left_in_manual_keeps_its_own_thrust(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("m")
+        await gateway.until(is_input(0, 0))
+        await page.press("2")
+        await gateway.until(is_input(20, 20))
+        await page.press("Tab")
+        await page.press("7")
+        await gateway.until(lambda m: m.get("speed_pct") == 70 and m["boat"] == 2)
+        gateway.forget()
+        await gateway.until(is_input(20, 20))
+        assert [m for m in gateway.said if m["boat"] == 2] == []
+
+    sail(story)
+
+
+@pytest.mark.parametrize("event", ["blur", "pagehide", "freeze"])
+def test_a_page_that_is_left_releases_and_does_not_resume(sail: Sail, event: str) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("m")
+        await gateway.until(is_input(0, 0))
+        await page.press("6")
+        await gateway.until(is_input(60, 60))
+        target = "document" if event == "freeze" else "window"
+        await page.value(f"{target}.dispatchEvent(new Event('{event}'))")
+        await gateway.until(lambda m: m["t"] == "release" and m["boat"] == 1)
+        gateway.forget()
+        await shown(page, gateway, f"{text_of(1, '.speed')} === 'released'")
+        for _ in range(20):
+            await gateway.frame()
+            await asyncio.sleep(0.02)
+        assert gateway.said == []
+        await page.press("ArrowUp")
+        await gateway.until(is_input(1, 1))
+
+    sail(story)
+
+
+def test_a_hidden_page_sends_no_thrust(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("m")
+        await page.press("4")
+        await gateway.until(is_input(40, 40))
+        await page.value(
+            "Object.defineProperty(document, 'hidden', {value: true}), document.dispatchEvent(new Event('visibilitychange'))"
+        )
+        assert (await gateway.until(lambda m: m["t"] == "release"))["why"] == "hidden"
+
+    sail(story)
+
+
+def test_thrust_that_the_gateway_let_go_waits_for_the_operator(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("m")
+        await page.press("4")
+        await gateway.until(is_input(40, 40))
+        gateway.boat(1)["released"] = True
+        await shown(page, gateway, f"{text_of(1, '.speed')} === 'released'")
+        await page.press("1")
+        await gateway.until(is_input(10, 10))
+
+    sail(story)
+
+
+def test_after_a_lost_gateway_nothing_moves_by_itself(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("m")
+        await page.press("4")
+        await gateway.until(is_input(40, 40))
+        await gateway.hang_up()
+        await page.until("!document.getElementById('offline').hidden")
+        gateway.forget()
+        await shown(page, gateway, "document.getElementById('offline').hidden")
+        await shown(page, gateway, f"{text_of(1, '.speed')} === 'released'")
+        assert [m for m in gateway.said if m["t"] == "input"] == []
+
+    sail(story)
+
+
+def test_space_stops_one_boat_and_repeats_until_it_is_confirmed(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        gateway.refusals["stop"] = "lost on the way"
+        await page.press(" ")
+        await shown(page, gateway, "document.getElementById('stop').dataset.state === 'idle'")
+        gateway.boat(1)["mode"] = "play"
+        await gateway.frame()
+        gateway.forget()
+        await page.press(" ")
+        for _ in range(3):
+            gateway.forget()
+            await gateway.command("stop")
+        assert await page.value("document.getElementById('stop').dataset.state") == "stopping"
+        gateway.refusals.clear()
+        await shown(page, gateway, "document.getElementById('stop').dataset.state === 'idle'")
+        assert {m["boat"] for m in gateway.said} == {1}
+
+    sail(story)
+
+
+def test_shift_space_and_the_corner_stop_all(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press(" ", ("Shift",))
+        await gateway.command("stop", "all")
+        for name, number in (("stop-all", "all"), ("stop", 1)):
+            gateway.forget()
+            box = f"document.getElementById('{name}').getBoundingClientRect()"
+            x, y, width, height = await page.value(f"(r => [r.x + r.width / 2, r.y + r.height / 2, r.width, r.height])({box})")
+            assert min(width, height) >= 64
+            await page.mouse((x, y))
+            await gateway.command("stop", number)
+
+    sail(story)
+
+
+def test_stop_works_in_front_of_an_open_menu(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("Enter")
+        await page.until("document.querySelector('.item') !== null")
+        await page.press(" ")
+        await gateway.command("stop")
+        assert await page.value("document.querySelector('.popup').hidden")
+
+    sail(story)
+
+
+def test_a_menu_is_worked_by_keys_and_shows_the_keys(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("Enter")
+        assert await page.value("[...document.querySelectorAll('.popup kbd')].map(k => k.textContent)") == [
+            *("Space", "I", "M", "H", "G", "P", "Y", "X", "0 … 8")
+        ]
+        for _ in range(9):
+            await page.press("ArrowDown")
+        await page.press("Enter")
+        await page.until("document.querySelector('.field') !== null")
+        for _ in range(4):
+            await page.press("ArrowRight")
+        await page.press("Enter")
+        assert (await gateway.command("heading"))["heading_deg"] == 60
+
+    sail(story)
+
+
+def test_a_mode_that_is_asked_for_is_shown_as_asked_until_the_boat_says_it(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        gateway.obedient = False
+        await page.press("y")
+        await gateway.command("play")
+        state = "document.querySelector('[data-boat=\"1\"] .mode').dataset.state"
+        await shown(page, gateway, f"{state} === 'asked'")
+        await shown(page, gateway, f"{state} === 'late'")
+        gateway.boat(1).update(mode="play", asked=None)
+        await shown(page, gateway, f"{state} === 'on'")
+
+    sail(story)
+
+
+def test_a_refusal_is_said_in_words(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        gateway.refusals["play"] = "no mission aboard"
+        await page.press("y")
+        await shown(
+            page, gateway, "document.getElementById('messages').textContent.includes('play refused: no mission aboard')"
+        )
+
+    sail(story)
+
+
+def test_a_mission_is_drawn_by_the_mouse_saved_loaded_and_sent(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        for corner in SQUARE:
+            await page.mouse(await pixel(page, *corner))
+            await choose(page, "Add waypoint")
+        await planned(gateway, lambda w: len(w) == 4)
+        near(gateway.plans[1], SQUARE)
+        await page.mouse(await pixel(page, *SQUARE[1]), await pixel(page, 60, -30), await pixel(page, 70, -20))
+        await planned(gateway, lambda w: len(w) == 4 and close(w[1], (70, -20)))
+        await page.mouse(await pixel(page, 0, 60), await pixel(page, 10, 90), await pixel(page, 10, 100))  # the middle of a leg
+        await planned(gateway, lambda w: len(w) == 5)
+        near(gateway.plans[1], [SQUARE[0], (70, -20), SQUARE[2], (10, 100), SQUARE[3]])
+        gateway.forget()
+        await page.press("z", ("Control",))
+        await planned(gateway, lambda w: len(w) == 4)
+        await page.press("Enter")
+        await choose(page, "Mission", "Save")
+        await gateway.until(lambda m: m.get("do") == "list")
+        await settled(page, gateway)
+        await page.press("Enter")
+        await choose(page, "Mission", "New mission")
+        await planned(gateway, lambda w: not w)
+        await page.press("Enter")
+        await choose(page, "Mission", "Load", "Mission")
+        await gateway.until(lambda m: m.get("do") == "load")
+        await settled(page, gateway)
+        await page.press("Enter")
+        await choose(page, "Mission", "Send to the boat")
+        await gateway.until(lambda m: m.get("do") == "upload")
+        await shown(page, gateway, f"{text_of(1, '.badge')} === 'same'")
+        near(gateway.plans[1], [SQUARE[0], (70, -20), *SQUARE[2:]])
+
+    sail(story)
+
+
+async def planned(gateway: Standin, wanted: Callable[[list[Message]], bool], number: int = 1) -> Message:
+    """Wait until the gateway was handed a plan with such waypoints."""
+
+    def is_it(message: Message) -> bool:
+        return message.get("do") == "put" and message["boat"] == number and wanted(message["mission"]["waypoints"])
+
+    return (await gateway.until(is_it))["mission"]
+
+
+def near(mission: Message, corners: list[tuple[float, float]]) -> None:
+    assert len(mission["waypoints"]) == len(corners)
+    assert all(close(each, corner) for each, corner in zip(mission["waypoints"], corners, strict=True)), mission["waypoints"]
+
+
+def close(each: Message, corner: tuple[float, float], within_m: float = 2.0) -> bool:
+    """Within two metres: what a pixel is on this screen."""
+    at = place(*corner)
+    east = M_PER_DEG * math.cos(math.radians(at[0]))
+    return math.hypot((each["latitude_deg"] - at[0]) * M_PER_DEG, (each["longitude_deg"] - at[1]) * east) < within_m
+
+
+def test_a_mission_is_drawn_by_touch(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+        for corner in SQUARE[:2]:
+            await page.touch("Start", await pixel(page, *corner))
+            await page.until("!document.querySelector('.popup').hidden")
+            await page.touch("End")
+            await choose(page, "Add waypoint")
+            await page.until("document.querySelector('.popup').hidden")
+        await planned(gateway, lambda w: len(w) == 2)
+        await page.touch("Start", await pixel(page, *SQUARE[1]))
+        for step in range(1, 6):
+            await page.touch("Move", await pixel(page, SQUARE[1][0], SQUARE[1][1] + 10 * step))
+        await page.touch("End")
+        await planned(gateway, lambda w: len(w) == 2 and close(w[1], (40, -10)))
+
+    sail(story)
+
+
+def test_waypoints_are_ordered_deleted_and_given_speeds(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        mission = {**survey(), "name": "Square", "waypoints": waypoints(SQUARE), "fence": [], "obstacles": [], "home": None}
+        await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": mission})
+        await settled(page, gateway)
+        await page.mouse(await pixel(page, *SQUARE[0]))
+        await choose(page, "Later in the order")
+        await planned(gateway, lambda w: close(w[0], SQUARE[1]))
+        await page.mouse(await pixel(page, *SQUARE[3]))
+        await choose(page, "Delete")
+        await planned(gateway, lambda w: len(w) == 3)
+        await page.mouse(await pixel(page, *SQUARE[2]))
+        await choose(page, "Speed, acceptance, hold…")
+        for key in ("ArrowRight",) * 12 + ("ArrowDown",) + ("ArrowRight",) * 4 + ("Enter",):
+            await page.press(key)
+        last = await planned(gateway, lambda w: w[-1]["speed_mps"] > 0)
+        assert (round(last["waypoints"][2]["speed_mps"], 6), last["waypoints"][2]["acceptance_m"]) == (1.2, 2)
+        await page.mouse(await pixel(page, *SQUARE[2]))
+        await choose(page, "Leg to it", "Half circle to port")
+        turn = (await planned(gateway, lambda w: len(w) == 3 and w[2]["turn"] is not None))["waypoints"][2]["turn"]
+        assert close(turn, (0, 0))
+        assert not turn["clockwise"]
+
+    sail(story)
+
+
+@pytest.mark.parametrize(("title", "least"), [("Lawn-mower…", 10), ("Circle…", 3), ("Spiral…", 60)])
+def test_patterns_become_waypoints_around_the_point(sail: Sail, title: str, least: int) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.mouse(await pixel(page, 20, 0))
+        await choose(page, "Pattern", title)
+        await page.until("document.querySelector('.field') !== null")
+        await page.press("Enter")
+        mission = await planned(gateway, lambda w: True)
+        assert len(mission["waypoints"]) >= least
+        assert all(close(each, (20, 0), within_m=75) for each in mission["waypoints"])
+
+    sail(story)
+
+
+def test_plans_do_not_leak_from_boat_to_boat(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.mouse(await pixel(page, *SQUARE[0]))
+        await choose(page, "Add waypoint")
+        await planned(gateway, lambda w: True)
+        await page.press("Tab")
+        await page.mouse(await pixel(page, *SQUARE[2]))
+        await choose(page, "Add waypoint")
+        await planned(gateway, lambda w: True, 2)
+        near(gateway.plans[1], [SQUARE[0]])
+        near(gateway.plans[2], [SQUARE[2]])
+
+    sail(story)
+
+
+def test_what_differs_aboard_is_badged_and_can_be_taken(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        gateway.stored["aboard"] = {**survey(), "name": "Aboard"}
+        gateway.boat(1)["mission"] = {"name": "Aboard", "count": 10, "current": None, "state": "differs", "digest": "2"}
+        await shown(page, gateway, f"{text_of(1, '.badge')} === 'differs'")
+        await page.press("Enter")
+        await choose(page, "Mission", "Take the one aboard")
+        assert (await gateway.until(lambda m: m.get("do") == "put"))["mission"]["name"] == "Aboard"
+
+    sail(story)
+
+
+def test_a_dry_run_says_time_and_distance(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": survey()})
+        await settled(page, gateway)
+        gateway.plans[1] = survey()
+        await page.press("Enter")
+        await choose(page, "Mission", "Dry run")
+        await shown(page, gateway, "document.getElementById('dryrun').textContent === 'dry run12 min 34 s1.11 km'")
+
+    sail(story)
+
+
+def test_a_silent_boat_stays_in_the_list_with_its_age(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        gateway.boat(1)["age_s"] = dict.fromkeys(gateway.boat(1)["age_s"], 42.0)
+        await shown(page, gateway, "document.querySelector('[data-boat=\"1\"]').dataset.age === 'lost'")
+        assert (await page.value(text_of(1, ".age"))).startswith("42")
+        assert await page.value("document.querySelector('.selected').dataset.boat") == "1"
+        await shown(page, gateway, "document.getElementById('messages').textContent.includes('nothing is heard of it')")
+        del gateway.boats[0]
+        await gateway.frame()
+        assert await page.value("document.querySelectorAll('.chip').length") == 2
+
+    sail(story)
+
+
+def test_a_replay_is_moved_by_keys(tmp_path: Path) -> None:
+    async def told() -> None:
+        gateway = at_work()
+        gateway.hello["replay"] = {"from_s": gateway.at_s - 100, "to_s": gateway.at_s + 100}
+        async with sailing(tmp_path, gateway) as page:
+            for key, wanted in (
+                (" ", {"rate": 0}),
+                (" ", {"rate": 1}),
+                ("ArrowUp", {"rate": 2}),
+                ("ArrowRight", {"at_s": gateway.at_s + 10}),
+            ):
+                await gateway.frame(0)
+                await page.press(key)
+                await gateway.until(lambda m, wanted=wanted: m["t"] == "replay" and wanted.items() <= m.items())
+                gateway.forget()
+
+    asyncio.run(told())
+
+
+def test_ten_boats_with_an_hour_of_track_each_are_drawn_thirty_times_a_second(tmp_path: Path) -> None:
+    """Waits for a second with so many frames: when it comes is the machine's other load, that it comes is the page's merit."""
+
+    async def told() -> None:
+        boats = fleet(10)
+        gateway = Standin(boats)
+        gateway.history = {each["id"]: hour(each) for each in boats}
+        async with sailing(tmp_path, gateway) as page:
+            async with asyncio.timeout(60):
+                while await page.value("delfim.frames()") < 30:
+                    for _ in range(10):
+                        for each in boats:
+                            each["latitude_deg"] += 1e-6
+                        await gateway.frame()
+                        await asyncio.sleep(0.1)
+
+    asyncio.run(told())
+
+
+def test_the_page_in_the_wheel_is_that_of_the_sources(tmp_path: Path) -> None:
+    """Rebuilt where Node and the packages are; everywhere, the sources are those that the bundle was made of."""
+    stamped = json.loads((BUILT / "sources.json").read_text())
+    assert stamped == stamp(), "the sources have changed: make page"
+    if (WEB / "node_modules").is_dir() and (node := shutil.which("node")):
+        subprocess.run([node, WEB / "build.mjs", tmp_path], check=True, capture_output=True, timeout=100)
+        for built in BUILT.iterdir():
+            assert (tmp_path / built.name).read_bytes() == built.read_bytes(), f"{built.name}: make page"
+
+
+def stamp() -> dict[str, str]:
+    files = [WEB / "package-lock.json", WEB / "build.mjs", *sorted((WEB / "src").iterdir())]
+    return {str(each.relative_to(WEB)): hashlib.sha256(each.read_bytes()).hexdigest() for each in files}

@@ -1,0 +1,250 @@
+"""Sessions recorded, and recordings played again."""
+
+import errno
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from delfim import config
+from delfim.clock import ManualClock
+from delfim.console.fleet import Fleet
+from delfim.console.mavlink import mavlink
+from delfim.console.replay import Replay, open_tapes
+from delfim.console.session import PENDING_BYTES, Session
+from delfim.console.statetape import States
+from delfim.console.tape import Session as Recording
+from delfim.errors import DelfimError, FormatError, Refused
+from delfim.simulator.lockstep import Lockstep
+from delfim.suite import StateLog
+from tests.console.fakeboat import FakeBoat
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two minutes of two boats that move north; boat 2 falls silent after 40 s, and boat 1 enters play after 60."""
+    clock = ManualClock(100.0)
+    session = Session(tmp_path_factory.mktemp("session"), clock)
+    fleet = Fleet(clock, lambda address, data: None, lambda message: None)
+    fleet.record = session.put
+    boats = [FakeBoat(n, clock, lambda data, n=n: fleet.receive(n, data)) for n in (1, 2)]  # type: ignore[misc]
+    for step in range(1200):
+        clock.advance(0.1)
+        for boat in boats[: 1 if step > 400 else 2]:
+            boat.position[0] = 386_900_000 + boat.number * 1000 + step * 10
+            boat.tick()
+        if step == 600:
+            boats[0].mode = 10
+            boats[0].say(mavlink.MAVLink_statustext_message(6, b"play: operator", 0, 0))
+        fleet.tick()
+        session.tick()
+    session.flush()
+    assert session.file is not None
+    return session.file
+
+
+@pytest.fixture(scope="module")
+def sailed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A minute of the vehicle in the simulator, as its own state log holds it."""
+    log = tmp_path_factory.mktemp("log")
+    settings = config.load(ROOT / "etc/delfimx.toml", [f'log.directory="{log}"', 'log.state_method="write"'])
+    run = Lockstep(settings, 1, lambda clock: StateLog(settings, clock))
+    run.sail((ROOT / "etc/missions/doca.toml").read_text(), 60.0)
+    run.close()
+    return log
+
+
+class Played:
+    def __init__(self, *paths: Path) -> None:
+        self.clock, self.told = ManualClock(), list[dict[str, Any]]()
+        self.replay = Replay(open_tapes(paths), self.clock, self.told.append)
+
+    def run(self, seconds: float) -> None:
+        for _ in range(round(seconds / 0.05)):
+            self.clock.advance(0.05)
+            self.replay.tick()
+
+    def shown(self, number: int) -> dict[str, Any]:
+        return next(boat for boat in self.replay.snapshot() if boat["id"] == number)
+
+
+def test_a_session_is_read_by_everybodys_reader(recorded: Path) -> None:
+    from pymavlink import mavutil
+
+    log = mavutil.mavlink_connection(str(recorded), dialect="common")
+    kinds: dict[str, int] = {}
+    while (message := log.recv_match()) is not None:
+        kinds[f"{message.get_srcSystem()} {message.get_type()}"] = (
+            kinds.get(f"{message.get_srcSystem()} {message.get_type()}", 0) + 1
+        )
+    log.close()
+    assert kinds["1 GLOBAL_POSITION_INT"] == 120
+    assert kinds["250 HEARTBEAT"] > 100, "what the console said is there too"
+    assert "1 BAD_DATA" not in kinds
+
+
+def test_a_session_plays_at_the_rate_of_life_and_at_others(recorded: Path) -> None:
+    played = Played(recorded)
+    begun_s = played.replay.from_s
+    assert played.replay.to_s - begun_s == pytest.approx(120.0, abs=1.5)
+    played.run(30.0)
+    assert played.replay.at_s == pytest.approx(begun_s + 30.0)
+    assert {boat["id"]: boat["mode"] for boat in played.replay.snapshot()} == {1: "idle", 2: "idle"}
+    assert 28 <= len(played.replay.boats[1].track) <= 32
+    played.replay.steer({"rate": 0})
+    played.run(5.0)
+    assert played.replay.at_s == pytest.approx(begun_s + 30.0)
+    played.replay.steer({"rate": 10})
+    played.run(4.0)
+    assert (played.shown(1)["mode"], played.shown(1)["age_s"]["heard"] <= 1.1) == ("play", True)
+    assert [each["text"] for each in played.told] == ["play: operator"]
+    played.run(100.0)
+    assert played.replay.at_s == played.replay.to_s
+
+
+def test_any_time_is_shown_as_it_was(recorded: Path) -> None:
+    """Played up to a time, and jumped to it from the end: the same."""
+    for at_s in (0.0, 25.25, 62.25, 110.25):  # between two messages
+        played, jumped = Played(recorded), Played(recorded)
+        jumped.replay.seek(jumped.replay.to_s)
+        played.run(at_s)
+        jumped.replay.seek(played.replay.at_s)
+        for number in played.replay.boats:
+            one, two = played.shown(number), jumped.shown(number)
+            keys = ("latitude_deg", "mode", "rpm", "battery_v", "heading_deg")
+            assert {key: one[key] for key in keys} == {key: two[key] for key in keys}, (at_s, number)
+            assert one["age_s"]["heard"] == pytest.approx(two["age_s"]["heard"], abs=0.06)
+            assert list(played.replay.boats[number].track) == list(jumped.replay.boats[number].track), (at_s, number)
+
+
+def test_a_boat_that_fell_silent_stays_with_its_age(recorded: Path) -> None:
+    played = Played(recorded)
+    played.replay.seek(played.replay.from_s + 100.0)
+    assert played.shown(2)["age_s"]["heard"] == pytest.approx(60.0, abs=2.0)
+    assert played.shown(2)["ghost"] is not None
+
+
+def test_the_state_log_of_a_vehicle_plays_too(sailed: Path) -> None:
+    played = Played(sailed)
+    played.run(40.0)
+    boat = played.shown(2)
+    assert (boat["name"], boat["mode"], boat["armed"]) == ("DelfimX", "play", True)
+    assert 0.5 < boat["speed_mps"] < 3.0
+    assert all(100 < rpm < 1300 for rpm in boat["rpm"])
+    assert 38 <= len(played.replay.boats[2].track) <= 42
+    assert "play: operator" in [each["text"] for each in played.told]
+    track = list(played.replay.boats[2].track)
+    at_s = played.replay.at_s
+    played.replay.seek(played.replay.from_s)
+    played.replay.seek(at_s)
+    assert list(played.replay.boats[2].track) == track
+
+
+def test_session_and_state_logs_play_together(recorded: Path, sailed: Path) -> None:
+    played = Played(recorded, sailed)
+    played.replay.seek(played.replay.from_s + 30.0)
+    assert played.replay.boats
+    assert played.replay.from_s < played.replay.to_s
+
+
+def test_a_replay_commands_nothing(recorded: Path) -> None:
+    replay = Played(recorded).replay
+    for ask in (
+        lambda: replay.command(1, "stop", {}, None),
+        lambda: replay.put(1, {}),
+        lambda: replay.upload(1, None),
+        lambda: replay.download(1, None),
+    ):
+        with pytest.raises(Refused, match="replay"):
+            ask()
+    replay.input(1, 1, 100.0, 100.0)
+    assert replay.progress() == []
+
+
+@pytest.mark.parametrize(
+    "words", [{"rate": -1}, {"rate": 1e9}, {"rate": "x"}, {"at_s": "x"}, {"at_s": float("nan")}, {"rate": []}]
+)
+def test_a_time_line_that_means_nothing_is_refused(recorded: Path, words: dict[str, Any]) -> None:
+    played = Played(recorded)
+    with pytest.raises(FormatError):
+        played.replay.steer(words)
+    assert played.replay.rate == 1.0
+
+
+@given(at=st.integers(0, 2000), noise=st.binary(min_size=1, max_size=64))
+def test_a_damaged_session_is_read_as_far_as_it_goes(recorded: Path, at: int, noise: bytes) -> None:
+    data = recorded.read_bytes()
+    file = recorded.with_name("damaged.tlog")
+    file.write_bytes(data[:at] + noise + data[at + len(noise) : 3000])
+    try:
+        recording = Recording(file)
+    except FormatError:
+        return
+    boats: dict[int, Any] = {}
+    recording.seek(boats, recording.to_s)
+    assert all(boat.snapshot(recording.to_s) for boat in boats.values())
+
+
+def test_a_session_cut_short_says_so(recorded: Path) -> None:
+    file = recorded.with_name("cut.tlog")
+    file.write_bytes(recorded.read_bytes()[:-5])
+    assert "damaged after" in Recording(file).complaint
+    assert Recording(recorded).complaint == ""
+
+
+@pytest.mark.parametrize("data", [b"", b"x" * 100, b"\0" * 100])
+def test_what_is_no_recording_is_refused(tmp_path: Path, data: bytes) -> None:
+    (tmp_path / "a.tlog").write_bytes(data)
+    (tmp_path / "b.state").write_bytes(data)
+    for path in (tmp_path / "a.tlog", tmp_path / "b.state", tmp_path / "none.tlog"):
+        with pytest.raises(DelfimError):
+            open_tapes([path])
+    shutil.rmtree(tmp_path)
+    tmp_path.mkdir()
+    with pytest.raises(DelfimError, match="nothing to replay"):
+        open_tapes([tmp_path])
+
+
+def test_a_state_log_without_records_is_refused(sailed: Path, tmp_path: Path) -> None:
+    log = next(sailed.rglob("*.state"))
+    (tmp_path / "a.state").write_bytes(log.read_bytes()[:4096])
+    with pytest.raises(DelfimError):
+        States([tmp_path / "a.state"], 1)
+
+
+def test_sessions_of_one_second_have_names_of_their_own(tmp_path: Path) -> None:
+    clock = ManualClock()
+    files = []
+    for _ in range(3):
+        session = Session(tmp_path, clock)
+        session.put(b"frame")
+        session.flush()
+        files.append(session.file)
+    assert [file.name for file in files if file] == ["20100101-000000.tlog", "20100101-000000-1.tlog", "20100101-000000-2.tlog"]
+
+
+def test_a_full_disk_costs_frames_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = ManualClock()
+    session = Session(tmp_path, clock)
+
+    def full(self: Path, *_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device", str(self))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, "open", full)
+        for _ in range(PENDING_BYTES // 500):
+            session.put(b"\xfd" * 1000)
+            session.tick()
+        assert "No space left" in session.reason
+        assert session.dropped > 0
+        assert len(session._pending) <= PENDING_BYTES
+    clock.advance(2.0)
+    session.tick()
+    assert session.reason == ""
+    assert session.file is not None
+    assert session.file.stat().st_size > PENDING_BYTES // 2

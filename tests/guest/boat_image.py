@@ -1,0 +1,44 @@
+"""The boat's image for the tests: built once under run/, and again when something that goes into it has changed."""
+
+import hashlib
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+from tests.guest.harness import PATH, ROOT
+
+FOLDER = ROOT / "run" / "image"
+KERNELS = Path("/usr/lib/uml/modules")  # of User-Mode Linux
+BUILD_S = 900.0
+SOURCES = ("delfim", "docker", "etc", "requirements", "pyproject.toml", "README.md")
+
+
+def missing() -> str | None:
+    """Why no image can be built and booted on this machine, or None."""
+    programs = ("apt-get", "dpkg-deb", "depmod", "linux.uml", "qemu-system-x86_64", "grub-mkimage", "mke2fs")
+    absent = [program for program in programs if not shutil.which(program, path=PATH)]
+    return f"no image without {', '.join(absent)} (make system installs them on Debian)" if absent else None
+
+
+def build() -> Path:
+    """The folder with vmlinuz, initramfs.gz for it and initramfs-guest.gz for User-Mode Linux. Takes a minute."""
+    mark, inputs = FOLDER / "inputs", _inputs()
+    if not mark.exists() or mark.read_text() != inputs:
+        mark.unlink(missing_ok=True)
+        kernel = next(KERNELS.iterdir())
+        words = [sys.executable, ROOT / "docker" / "image.py", FOLDER, "--kernel", "debian", "--kernel", kernel]
+        done = subprocess.run(words, capture_output=True, text=True, timeout=BUILD_S, cwd=ROOT)
+        assert done.returncode == 0, done.stdout + done.stderr
+        (FOLDER / f"initramfs-{kernel.name}.gz").replace(FOLDER / "initramfs-guest.gz")
+        mark.write_text(inputs)
+    return FOLDER
+
+
+def _inputs() -> str:
+    listing = ["git", "ls-files", "-coz", "--exclude-standard", *SOURCES]
+    names = subprocess.run(listing, cwd=ROOT, capture_output=True, check=True, text=True).stdout.split("\0")
+    digest = hashlib.sha256()
+    for path in sorted(ROOT / name for name in names if name and (ROOT / name).is_file()):
+        digest.update(f"{path.relative_to(ROOT)} {path.stat().st_size}\n".encode() + path.read_bytes())
+    return digest.hexdigest()

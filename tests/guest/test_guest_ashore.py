@@ -1,0 +1,193 @@
+"""The boat's image, booted, as it is met from the shore: page, files, commands, its bus, and its end in order."""
+
+import asyncio
+import contextlib
+import ctypes
+import ftplib
+import io
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import can
+import pytest
+
+from delfim.messages import ShutdownStage
+from delfim.services.door import hashed
+from tests.guest import boat_image
+from tests.guest.pc import PATH, Pc
+from tests.services.browser import browser
+
+pytestmark = pytest.mark.timeout(900)  # the first one waits for the image to be built
+BOOT_S = 120.0
+SHORE, BOAT = "10.77.0.1", "10.77.0.2"
+CLONE_NEWNET = 0x40000000
+FILE = "/log/boat.toml"
+
+
+class Boat(NamedTuple):
+    console: Pc
+    folder: Path
+    process: subprocess.Popen[bytes]
+
+    def ssh(self, command: str, **words: object) -> "subprocess.CompletedProcess[str]":
+        return subprocess.run(self.ssh_words(command), capture_output=True, text=True, timeout=90, check=False, **words)  # type: ignore[call-overload]
+
+    def ssh_words(self, command: str) -> list[str]:
+        options = [
+            f"UserKnownHostsFile={self.folder}/known",
+            "StrictHostKeyChecking=accept-new",
+            "IdentitiesOnly=yes",
+            "LogLevel=ERROR",
+        ]
+        words = [word for option in options for word in ("-o", option)]
+        return ["ssh", "-F", "none", "-i", f"{self.folder}/key", *words, f"ana@{BOAT}", command]
+
+
+@contextlib.contextmanager
+def network() -> Iterator[None]:
+    """This thread in a network of its own, with one end of a wire to the guest in it: tap0."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    with open("/proc/thread-self/ns/net") as ours:
+        if libc.unshare(CLONE_NEWNET):
+            pytest.skip(f"a network of its own needs root: {os.strerror(ctypes.get_errno())}")
+        try:
+            for words in ("link set lo up", "tuntap add tap0 mode tap", f"address add {SHORE}/24 dev tap0", "link set tap0 up"):
+                subprocess.run(["ip", *words.split()], check=True, env={"PATH": PATH})
+            yield
+        finally:
+            assert libc.setns(ours.fileno(), CLONE_NEWNET) == 0
+
+
+def log_partition(folder: Path) -> Path:
+    """An ext2 disk with the vehicle's file and a host key for sshd, so that nothing but the image itself is in the image."""
+    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "ana", "-f", folder / "key"], check=True)
+    text = (boat_image.ROOT / "etc" / "delfimx.toml").read_text()
+    for old, new in {'"can0"': '"vcan0"', "required = true": "required = true\nfree_bytes_min = 1_000_000"}.items():
+        assert old in text
+        text = text.replace(old, new)
+    text += f"""
+[httpd]
+listen = "{BOAT}:80"
+[cantcpd]
+listen = ["{BOAT}:29536"]
+watch = ["10.77.0.0/24"]
+transmit = ["10.77.0.0/24"]
+[ftpd]
+listen = "{BOAT}:21"
+[ftpd.users.ana]
+password = "{hashed("sea")}"
+upload = true
+[sshd]
+listen = "{BOAT}:22"
+[sshd.users.ana]
+keys = ["{(folder / "key.pub").read_text().strip()}"]
+"""
+    (folder / "log").mkdir()
+    (folder / "log" / "boat.toml").write_text(text)
+    disk = folder / "log.img"
+    disk.touch()
+    os.truncate(disk, 64 << 20)
+    subprocess.run(["mke2fs", "-q", "-t", "ext2", "-d", folder / "log", disk], check=True, env={"PATH": PATH})
+    return disk
+
+
+@pytest.fixture(scope="module")
+def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
+    if reason := boat_image.missing():
+        pytest.skip(reason)
+    image = boat_image.build()
+    folder = tmp_path_factory.mktemp("ashore")
+    words = [f"initrd={image}/initramfs-guest.gz", f"ubd0={log_partition(folder)}", "vec0:transport=tap,ifname=tap0,depth=128"]
+    init = [f"VEHICLE={FILE}", "MODULES=vcan,can-raw", "LOG=/dev/ubda", "CAN=vcan0", "NET=vec0", f"ADDRESS={BOAT}/24"]
+    console = ["con=null", "con0=fd:0,fd:1", "quiet", "selinux=0", f"uml_dir={folder}"]
+    with network():
+        process = subprocess.Popen(
+            [str(shutil.which("linux.uml", path=PATH)), "mem=768M", *words, *init, *console],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+            env={"PATH": PATH, "HOME": str(folder), "TMPDIR": str(folder)},
+        )
+        try:
+            booted = Boat(Pc(process), folder, process)
+            booted.console.wait_for("ssh://", BOOT_S)
+            booted.ssh(f"setsid delfim nodes {FILE} >/run/nodes 2>&1 </dev/null &")
+            yield booted
+        finally:
+            with contextlib.suppress(ProcessLookupError):
+                os.killpg(process.pid, 9)
+            process.communicate()
+
+
+def test_a_command_has_its_streams_and_its_exit_status(boat: Boat) -> None:
+    done = boat.ssh("cat; echo wrong >&2; exit 7", input="right\n")
+    assert (done.returncode, done.stdout, done.stderr) == (7, "right\n", "wrong\n")
+    words = boat.ssh_words("while read line; do echo heard $line; done")
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as talk:
+        assert talk.stdin is not None
+        assert talk.stdout is not None
+        for word in ("one", "two"):  # each is answered before the next is said
+            talk.stdin.write(f"{word}\n")
+            assert talk.stdout.readline() == f"heard {word}\n"
+        talk.stdin.close()
+    assert talk.returncode == 0
+
+
+def test_the_page_is_seen_in_a_browser(boat: Boat) -> None:
+    done = boat.ssh(f"timeout 80 sh -c 'until delfim drive {FILE} heading 150 1.2; do sleep 0.2; done'; cat /run/nodes")
+    assert done.returncode == 0, done.stdout + done.stderr
+
+    async def look() -> tuple[str, bytes]:
+        async with asyncio.timeout(120), browser(boat.folder / "browser") as page:
+            await page.open(f"http://{BOAT}/", width=390, height=844)
+            await page.until("document.body.innerText.toLowerCase().includes('heading')", timeout_s=60)
+            return str(await page.value("document.body.innerText")), await page.picture()
+
+    text, picture = asyncio.run(look())
+    (boat.folder / "page.png").write_bytes(picture)
+    assert "DelfimX" in text
+
+
+def test_logs_come_and_files_go_over_ftp(boat: Boat) -> None:
+    with ftplib.FTP(BOAT, timeout=60) as ftp:
+        ftp.login("ana", "sea")
+        day = next(name for name, facts in ftp.mlsd() if facts["type"] == "dir" and name.isdecimal())
+        name = next(name for name, _ in ftp.mlsd(f"{day}/vcan0") if name.endswith(".log.gz"))
+        held = io.BytesIO()
+        ftp.retrbinary(f"RETR {day}/vcan0/{name}", held.write)
+        assert held.getvalue()[:2] == b"\x1f\x8b"
+        ftp.storbinary("STOR upload/new.image", io.BytesIO(b"no image"))
+        assert ftp.size("upload/new.image") == 8
+
+
+def test_an_image_is_not_installed_under_way(boat: Boat) -> None:
+    done = boat.ssh(f"delfim image {FILE} install /log/upload/new.image")
+    assert (done.returncode, done.stderr) == (1, "delfim: image install refused: the boat is under way, in mode heading\n")
+    assert boat.ssh(f"delfim drive {FILE} idle").returncode == 0
+
+
+def test_its_bus_is_a_bus_of_python_can_and_the_shutdown_frame_ends_it(boat: Boat) -> None:
+    """Acknowledged, switched off, and the log partition clean."""
+    with can.Bus(interface="socketcand", channel="vcan0", host=BOAT, port=29536) as bus:
+        deadline_s = time.monotonic() + 60
+        seen = set[int]()
+        while len(seen) < 3:
+            assert time.monotonic() < deadline_s, seen
+            if (message := bus.recv(1.0)) is not None:
+                seen.add(message.arbitration_id)
+        bus.send(can.Message(arbitration_id=0x0C8, data=bytes.fromhex("FE5AF10F00"), is_extended_id=False))
+        while message is None or message.arbitration_id != 0x0C9:
+            assert time.monotonic() < deadline_s
+            message = bus.recv(1.0)
+        assert message.data[0] == ShutdownStage.BEGUN
+    assert boat.process.wait(60) == 0
+    check = ["e2fsck", "-n", "-f", str(boat.folder / "log.img")]
+    done = subprocess.run(check, capture_output=True, text=True, env={"PATH": PATH}, check=False)
+    assert done.returncode == 0, done.stdout
+    assert "not cleanly" not in done.stdout + done.stderr

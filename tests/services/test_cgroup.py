@@ -1,0 +1,75 @@
+"""Limits as files of a control group; that the kernel keeps them is tried in tests/guest/test_guest_boot.py."""
+
+import logging
+from pathlib import Path
+
+import pytest
+
+from delfim.services import cgroup
+from delfim.services.cgroup import Limits
+
+
+@pytest.fixture
+def root(tmp_path: Path) -> Path:
+    """The kernel's folder."""
+    cgroup._warn_once.cache_clear()
+    (tmp_path / "cgroup.controllers").write_text("cpu memory\n")
+    return tmp_path
+
+
+def test_limits_are_written_and_the_process_with_them(root: Path) -> None:
+    Limits(64 << 20, 0.5).hold("sshd", 123, root)
+    group = root / "delfim/sshd"
+    found = {path.name: path.read_text() for path in group.iterdir()}
+    assert found == {
+        "memory.max": "67108864",
+        "memory.oom.group": "1",
+        "cpu.max": "50000 100000",
+        "cgroup.procs": "123",
+    }
+    assert (root / "cgroup.subtree_control").read_text() == "+memory +cpu"
+    assert (root / "delfim/cgroup.subtree_control").read_text() == "+memory +cpu"
+
+
+@pytest.mark.parametrize(
+    ("limits", "memory", "cpu"), [(Limits(1 << 20), "1048576", "max 100000"), (Limits(0, 2), "max", "200000 100000")]
+)
+def test_the_other_is_without_limit(root: Path, limits: Limits, memory: str, cpu: str) -> None:
+    limits.hold("sshd", 1, root)
+    assert (root / "delfim/sshd/memory.max").read_text() == memory
+    assert (root / "delfim/sshd/cpu.max").read_text() == cpu
+
+
+def test_no_limits_no_group(root: Path) -> None:
+    Limits().hold("sshd", 1, root)
+    assert not (root / "delfim").exists()
+
+
+def test_where_there_are_no_control_groups_one_line_says_so(root: Path, caplog: pytest.LogCaptureFixture) -> None:
+    (root / "cgroup.controllers").unlink()
+    with caplog.at_level(logging.WARNING):
+        Limits(1 << 20).hold("sshd", 1, root)
+        Limits(1 << 20).hold("ftpd", 2, root)
+    assert [record.message for record in caplog.records] == [
+        f"memory and processor limits: {root}: no control groups here; going on without them"
+    ]
+
+
+@pytest.mark.parametrize(
+    ("events", "reason"),
+    [
+        ("low 0\noom 1\noom_kill 1\n", "killed by the kernel: it needed more than its 64 MB"),
+        ("low 0\noom 0\noom_kill 0\n", ""),
+        ("nonsense\n", ""),
+    ],
+)
+def test_why_it_was_killed(root: Path, events: str, reason: str) -> None:
+    limits = Limits(64 << 20)
+    limits.hold("sshd", 1, root)
+    (root / "delfim/sshd/memory.events").write_text(events)
+    assert limits.exceeded("sshd", root) == reason
+
+
+def test_without_a_group_nothing_is_known(root: Path) -> None:
+    assert Limits(64 << 20).exceeded("sshd", root) == ""
+    assert Limits().exceeded("sshd", root) == ""

@@ -1,0 +1,91 @@
+"""No path leads out: named, linked, or put there while one looks."""
+
+import os
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from delfim.errors import DelfimError
+from delfim.services.jail import Jail
+
+
+@pytest.fixture
+def jail(tmp_path):
+    (tmp_path / "root/folder").mkdir(parents=True)
+    (tmp_path / "root/folder/file").write_text("inside")
+    (tmp_path / "root/.keys").mkdir()
+    (tmp_path / "root/.keys/key").write_text("private")
+    (tmp_path / "rooted").write_text("a sibling whose name begins alike")
+    (tmp_path / "secret").write_text("outside")
+    (tmp_path / "root/inward").symlink_to(tmp_path / "root/folder")
+    (tmp_path / "root/outward").symlink_to(tmp_path)
+    (tmp_path / "root/sibling").symlink_to(tmp_path / "rooted")
+    return Jail(tmp_path / "root")
+
+
+@pytest.mark.parametrize("path", ["folder/file", "/folder/file", "//folder//file", "folder/../folder/./file", "inward/file"])
+def test_what_is_inside_is_found(jail, path):
+    fd = jail.open(path)
+    assert os.read(fd, 100) == b"inside"
+    os.close(fd)
+    assert jail.shown(jail.real(path)) == "/folder/file"
+
+
+@pytest.mark.parametrize(
+    "path",
+    [
+        "../secret",
+        "/../secret",
+        "folder/../../secret",
+        "outward/secret",
+        "sibling",
+        "../rooted",
+        "outward",
+        "x\0y",
+        ".keys/key",
+        "folder/../.keys/key",
+    ],
+)
+def test_what_is_outside_is_not(jail, path):
+    with pytest.raises(DelfimError):
+        jail.open(path)
+
+
+@given(st.text(alphabet="./ab\0", max_size=30))
+def test_whatever_the_path_the_real_one_is_inside(path):
+    jail = Jail("/usr/lib")
+    try:
+        real = jail.real(path)
+    except DelfimError:
+        return
+    assert real == "/usr/lib" or real.startswith("/usr/lib/")
+
+
+@pytest.mark.parametrize("path", ["folder", "pipe"])
+def test_only_plain_files_are_opened(jail, tmp_path, path):
+    os.mkfifo(tmp_path / "root/pipe")
+    with pytest.raises(DelfimError, match="not a plain file"):
+        jail.open(path)
+
+
+def test_a_link_put_there_after_the_look_is_noticed(jail, tmp_path, monkeypatch):
+    """The folder becomes a link to the outside between the look and the opening."""
+    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere/file").write_text("outside")
+    real = jail.real
+
+    def slow(path):
+        found = real(path)
+        (tmp_path / "root/folder").rename(tmp_path / "root/away")
+        (tmp_path / "root/folder").symlink_to(tmp_path / "elsewhere")
+        return found
+
+    monkeypatch.setattr(jail, "real", slow)
+    with pytest.raises(DelfimError, match="outside"):
+        jail.open("folder/file")
+
+
+def test_the_root_is_shown_as_such(jail):
+    assert jail.shown(jail.root) == "/"
+    assert jail.real("/") == jail.root

@@ -1,0 +1,428 @@
+"""sshd with the OpenSSH client that people have, and with those that nobody wants."""
+
+import asyncio
+import contextlib
+import os
+import pwd
+import shutil
+import stat
+import sys
+import time
+from collections.abc import AsyncIterator, Callable
+from pathlib import Path
+from typing import Any
+
+import asyncssh
+import pytest
+
+from delfim import config
+from delfim.errors import PermanentFailure
+from delfim.services import door, sshd
+from tests.services.boat import served, vehicle_file
+
+pytestmark = [
+    pytest.mark.timeout(60),
+    pytest.mark.skipif(not shutil.which("ssh") or not shutil.which("sftp"), reason="needs the OpenSSH client"),
+]
+CONTENT = bytes(range(256)) * 4000
+
+
+class Boat:
+    def __init__(self, port: int, place: Path) -> None:
+        self.port, self.place, self.root = port, place, place / "log"
+        (place / "known_hosts").write_text("")
+
+    def options(self, key: str = "key") -> tuple[str, ...]:
+        settings = {
+            "IdentityFile": str(self.place / key), "IdentitiesOnly": "yes", "StrictHostKeyChecking": "accept-new",
+            "UserKnownHostsFile": str(self.place / "known_hosts"), "BatchMode": "yes", "LogLevel": "ERROR",
+        }  # fmt: skip
+        return ("-F", "none", *(word for name, value in settings.items() for word in ("-o", f"{name}={value}")))
+
+    async def start(self, program: str, *words: str, **options: Any) -> asyncio.subprocess.Process:
+        pipe = asyncio.subprocess.PIPE
+        return await asyncio.create_subprocess_exec(
+            program, *words, stdin=pipe, stdout=pipe, stderr=pipe, cwd=self.place, **options
+        )
+
+    async def ssh(self, *words: str, stdin: bytes = b"", key: str = "key", user: str = "ana") -> tuple[int, bytes, bytes]:
+        child = await self.start("ssh", *self.options(key), "-p", str(self.port), f"{user}@127.0.0.1", *words)
+        async with asyncio.timeout(30):
+            out, err = await child.communicate(stdin)
+        assert child.returncode is not None
+        return child.returncode, out, err
+
+    async def batch(self, *commands: str) -> tuple[int, str]:
+        """SFTP commands."""
+        words = ("-q", *self.options(), "-P", str(self.port), "-b", "-", "ana@127.0.0.1")
+        child = await self.start("sftp", *words)
+        async with asyncio.timeout(30):
+            out, err = await child.communicate("\n".join(commands).encode() + b"\n")
+        assert child.returncode is not None
+        return child.returncode, (out + err).decode()
+
+
+@pytest.fixture(scope="module")
+def keys() -> dict[str, asyncssh.SSHKey]:
+    return {name: asyncssh.generate_private_key("ssh-ed25519") for name in ("key", "stranger")}
+
+
+@contextlib.asynccontextmanager
+async def boat(place: Path, keys: dict[str, asyncssh.SSHKey], **limits: Any) -> AsyncIterator[Boat]:
+    for name, key in keys.items():
+        key.write_private_key(place / name)
+        (place / name).chmod(0o600)
+    public = keys["key"].export_public_key().decode()
+    table = {"listen": "127.0.0.1:0", "root": str(place / "log"), "host_key": str(place / "log/.keys/host")} | limits
+    settings = vehicle_file(place, sshd=config.Sshd(users={"ana": config.SshUser(keys=(public,))}, **table))
+    async with served(settings, sshd.serve, "sshd") as runtime:
+        yield Boat(int(str(runtime.board["sshd"]()["address"]).rpartition(":")[2]), place)
+
+
+def run(place: Path, keys: dict[str, asyncssh.SSHKey], test: Callable[[Boat], Any], **limits: Any) -> None:
+    async def main() -> None:
+        async with boat(place, keys, **limits) as there:
+            await test(there)
+
+    asyncio.run(main())
+
+
+def test_a_program_runs_with_its_input_output_errors_and_exit_status(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        assert await there.ssh("cat; echo wrong >&2; exit 7", stdin=CONTENT) == (7, CONTENT, b"wrong\n")
+        assert (await there.ssh("kill -9 $$"))[0] == 255
+        assert (await there.ssh("no-such-program"))[0] == 127
+        assert (await there.ssh("id", "-un"))[1].decode().strip() == pwd.getpwuid(os.getuid()).pw_name
+        assert (await there.ssh("pwd"))[1].decode().strip() == pwd.getpwuid(os.getuid()).pw_dir
+
+    run(tmp_path, keys, test)
+
+
+def test_whatever_is_run_the_log_has_a_line_for_it(tmp_path, keys, caplog):
+    async def test(there: Boat) -> None:
+        assert (await there.ssh("true\nsshd: eve from 127.0.0.1 logged in"))[0] != 255
+        await there.batch('put known_hosts "two\\nlines"')
+
+    run(tmp_path, keys, test)
+    assert "runs 'true\\nsshd: eve from" in caplog.text
+    assert not [record for record in caplog.records if "\n" in record.getMessage()]
+
+
+def test_output_comes_while_the_program_runs(tmp_path, keys):
+    """And input goes in while it runs: a conversation, in real time."""
+
+    async def test(there: Boat) -> None:
+        words = "while read x; do echo got $x; done; echo over"
+        child = await there.start("ssh", *there.options(), "-p", str(there.port), "ana@127.0.0.1", words)
+        assert child.stdin is not None
+        assert child.stdout is not None
+        async with asyncio.timeout(10):
+            for number in range(3):
+                child.stdin.write(b"%d\n" % number)
+                assert await child.stdout.readline() == b"got %d\n" % number
+            child.stdin.close()
+            assert await child.stdout.read() == b"over\n"
+            assert await child.wait() == 0
+        await child.communicate()
+
+    run(tmp_path, keys, test)
+
+
+def test_much_output_to_a_slow_reader_is_whole(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        code, out, _ = await there.ssh(f"{sys.executable} -c 'import sys; sys.stdout.buffer.write(bytes(20_000_000))'")
+        assert (code, len(out)) == (0, 20_000_000)
+
+    run(tmp_path, keys, test)
+
+
+def test_a_shell_on_a_terminal(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        child = await there.start("ssh", "-tt", *there.options(), "-p", str(there.port), "ana@127.0.0.1", env={"TERM": "vt100"})
+        words = b"echo $TERM; tty; stty size; ps -o tty= -p $$; exit 3\n"
+        async with asyncio.timeout(20):
+            out, _ = await child.communicate(words)
+        assert child.returncode == 3
+        assert b"vt100" in out
+        assert b"/dev/pts/" in out
+
+    run(tmp_path, keys, test)
+
+
+def test_a_terminal_can_interrupt_and_changes_its_size(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        options: Any = {"known_hosts": None, "client_keys": [keys["key"]], "username": "ana"}
+        async with asyncssh.connect("127.0.0.1", there.port, **options) as link:
+            shell = await link.create_process(term_type="xterm", term_size=(80, 24), encoding=None)
+            async with asyncio.timeout(20):
+                shell.stdin.write(b"PS1='say> '; stty -echo; echo rea''dy\n")
+                await shell.stdout.readuntil(b"ready\r\nsay> ")
+                shell.stdin.write(b"stty size\n")
+                await shell.stdout.readuntil(b"24 80\r\nsay> ")
+                shell.change_terminal_size(100, 40)
+                shell.stdin.write(b"stty size\n")
+                await shell.stdout.readuntil(b"40 100\r\nsay> ")
+                shell.stdin.write(b"sh -c 'echo begun; exec sleep 60'\n")
+                await shell.stdout.readuntil(b"begun\r\n")
+                shell.stdin.write(b"\x03")
+                await shell.stdout.readuntil(b"say> ")
+                shell.stdin.write(b"exit 4\n")
+                assert (await shell.wait()).exit_status == 4
+
+    run(tmp_path, keys, test)
+
+
+def test_programs_end_when_their_client_goes_away(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        mark = tmp_path / "pid"
+        words = f"trap '' HUP; echo $$ > {mark}; while true; do sleep 0.1; done"
+        child = await there.start("ssh", *there.options(), "-p", str(there.port), "ana@127.0.0.1", words)
+        async with asyncio.timeout(10):
+            while not mark.exists() or not mark.read_text().strip():
+                await asyncio.sleep(0.02)
+            child.kill()
+            await child.communicate()
+            pid = int(mark.read_text())
+            with contextlib.suppress(ProcessLookupError):
+                while True:
+                    os.kill(pid, 0)
+                    await asyncio.sleep(0.05)
+
+    run(tmp_path, keys, test)
+
+
+def test_sftp(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        (there.root / "20260101").mkdir()
+        (there.root / "20260101/x.log").write_bytes(CONTENT)
+        (tmp_path / "new").write_bytes(CONTENT[::-1])
+        commands = (
+            "ls -la",
+            "cd 20260101",
+            "get x.log got",
+            "put new",
+            "rename new named",
+            "mkdir sub",
+            "rmdir sub",
+            "ls",
+            "df",
+        )
+        code, told = await there.batch(*commands)
+        assert code == 0, told
+        assert "x.log" in told
+        assert (tmp_path / "got").read_bytes() == CONTENT
+        assert (there.root / "20260101/named").read_bytes() == CONTENT[::-1]
+        (tmp_path / "got").write_bytes(CONTENT[:1000])
+        code, told = await there.batch("reget 20260101/x.log got", "rm 20260101/named", "chmod 600 20260101/x.log")
+        assert code == 0, told
+        assert (tmp_path / "got").read_bytes() == CONTENT
+        assert not (there.root / "20260101/named").exists()
+
+    run(tmp_path, keys, test)
+
+
+def test_an_upload_leaves_the_logs_their_room(tmp_path, keys, monkeypatch):
+    monkeypatch.setattr(sshd, "free_bytes", lambda directory: -1)
+
+    async def test(there: Boat) -> None:
+        (tmp_path / "new").write_bytes(CONTENT)
+        code, told = await there.batch("put new")
+        assert code != 0
+        assert "disk is full" in told or "Failure" in told or "space" in told
+        assert (there.root / "new").stat().st_size == 0
+
+    run(tmp_path, keys, test)
+
+
+@pytest.mark.parametrize("legacy", [(), ("-O",)], ids=["over SFTP", "the old protocol"])
+def test_scp(tmp_path, keys, legacy):
+    async def test(there: Boat) -> None:
+        (there.root / "x.log").write_bytes(CONTENT)
+        words = ("-q", *legacy, *there.options(), "-P", str(there.port))
+        for source, target in (("ana@127.0.0.1:/x.log", "got"), ("got", "ana@127.0.0.1:/back.log")):
+            child = await there.start("scp", *words, source, target)
+            _, told = await child.communicate()
+            assert child.returncode == 0, told
+        assert (there.root / "back.log").read_bytes() == CONTENT
+        child = await there.start("scp", *words, "got", "ana@127.0.0.1:/../../escaped")
+        await child.communicate()
+        assert not (tmp_path / "escaped").exists()
+        assert not (tmp_path.parent / "escaped").exists()
+
+    run(tmp_path, keys, test)
+
+
+@pytest.mark.parametrize(
+    "path", ["../secret", "/../secret", "link", "folder/secret", "20260101/../../secret", "pipe", ".keys/host"]
+)
+def test_no_path_leads_out(tmp_path, keys, path):
+    async def test(there: Boat) -> None:
+        (tmp_path / "secret").write_text("secret")
+        (there.root / "link").symlink_to(tmp_path / "secret")
+        (there.root / "folder").symlink_to(tmp_path)
+        os.mkfifo(there.root / "pipe")
+        code, told = await there.batch(
+            f"-get {path} got", f"-put known_hosts {path}", f"-rm {path}", f"-chmod 777 {path}", "ls -a"
+        )
+        assert code == 0, told
+        assert not (tmp_path / "got").exists() or b"secret" not in (tmp_path / "got").read_bytes()
+        assert (tmp_path / "secret").read_text() == "secret"
+        assert stat.S_IMODE((tmp_path / "secret").stat().st_mode) != 0o777
+        listed = told.splitlines()[-6:]
+        assert not {"link", "folder", ".keys"} & {name for line in listed for name in line.split()}
+        code, told = await there.batch("ln -s /etc/passwd here")
+        assert code != 0
+
+    run(tmp_path, keys, test)
+
+
+def test_only_the_keys_of_the_file_open_and_others_are_slowed_and_logged(tmp_path, keys, monkeypatch, caplog):
+    monkeypatch.setattr(door, "PAUSE_S", 0.4)
+
+    async def test(there: Boat) -> None:
+        assert (await there.ssh("true"))[0] == 0
+        code, _, told = await there.ssh("true", key="stranger")
+        assert code == 255
+        assert b"publickey" in told
+        assert b"password" not in told
+        began_s = time.monotonic()
+        assert (await there.ssh("true", user="nobody"))[0] == 255
+        assert time.monotonic() - began_s > 0.3, "after one wrong key the next visit waits"
+        began_s = time.monotonic()
+        assert (await there.ssh("echo in"))[1] == b"in\n"
+        assert time.monotonic() - began_s > 0.3
+
+    run(tmp_path, keys, test)
+    assert f"wrong key {keys['stranger'].get_fingerprint()} for 'ana' from 127.0.0.1" in caplog.text
+    assert "wrong key" in caplog.text.partition("'nobody'")[0]
+    assert "ana from 127.0.0.1 logged in" in caplog.text
+    assert "ana from 127.0.0.1 runs 'echo in'" in caplog.text
+    assert "PRIVATE" not in caplog.text
+
+
+def test_the_host_key_is_made_once_kept_and_nobody_elses_business(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        assert (await there.ssh("true"))[0] == 0
+
+    run(tmp_path, keys, test)
+    file = tmp_path / "log/.keys/host"
+    first = file.read_bytes()
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert stat.S_IMODE(file.parent.stat().st_mode) == 0o700
+    assert asyncssh.read_private_key(file).algorithm == b"ssh-ed25519"
+    run(tmp_path, keys, test)
+    assert file.read_bytes() == first
+    file.write_text("torn")
+    with pytest.raises(PermanentFailure, match="host_key"):
+        run(tmp_path, keys, test)
+
+
+def test_nothing_is_forwarded(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        options: Any = {"known_hosts": None, "client_keys": [keys["key"]], "username": "ana"}
+        async with asyncssh.connect("127.0.0.1", there.port, **options) as link:
+            with pytest.raises(asyncssh.ChannelOpenError):
+                await link.open_connection("127.0.0.1", there.port)
+            with pytest.raises(asyncssh.ChannelListenError):
+                await link.forward_remote_port("127.0.0.1", 0, "127.0.0.1", there.port)
+
+    run(tmp_path, keys, test)
+
+
+def test_key_exchanges_that_cost_the_loop_are_not_offered(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        for kex, code in (("curve25519-sha256", 0), ("diffie-hellman-group18-sha512", 255)):
+            words = ("-o", f"KexAlgorithms={kex}", *there.options(), "-p", str(there.port), "ana@127.0.0.1", "true")
+            child = await there.start("ssh", *words)
+            await child.communicate()
+            assert child.returncode == code, kex
+
+    run(tmp_path, keys, test)
+
+
+def test_connections_and_programs_are_limited(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        held = [await asyncio.open_connection("127.0.0.1", there.port, local_addr=("127.0.0.2", 0)) for _ in range(3)]
+        async with asyncio.timeout(10):
+            hellos = [await reader.readline() for reader, _ in held[:2]]
+            assert all(hello.startswith(b"SSH-2.0-Delfim") for hello in hellos)
+            with contextlib.suppress(ConnectionError):
+                await held[2][0].read()
+        options: Any = {"known_hosts": None, "client_keys": [keys["key"]], "username": "ana"}
+        async with asyncssh.connect("127.0.0.1", there.port, **options) as link:
+            running = [await link.create_process("cat") for _ in range(2)]
+            refused = await link.run("true")
+            assert refused.exit_status == 1
+            assert "too many programs" in str(refused.stderr)
+            for each in running:
+                each.stdin.write_eof()
+                await each.wait()
+            assert (await link.run("true")).exit_status == 0
+        for _, writer in held:
+            writer.transport.abort()
+        await asyncio.sleep(0)
+
+    run(tmp_path, keys, test, connections=4, connections_per_address=2, sessions=2)
+
+
+def test_who_does_not_log_in_is_hung_up_while_others_work(tmp_path, keys, monkeypatch):
+    """Slow-loris."""
+    monkeypatch.setattr(sshd, "LOGIN_S", 0.5)
+
+    async def test(there: Boat) -> None:
+        reader, writer = await asyncio.open_connection("127.0.0.1", there.port)
+        began_s = time.monotonic()
+        writer.write(b"SSH-2.0-slow")
+        async with asyncio.timeout(10):
+            with contextlib.suppress(ConnectionError):
+                while await reader.read(1000):
+                    pass
+        assert time.monotonic() - began_s > 0.3
+        writer.transport.abort()
+        await asyncio.sleep(0)
+
+    run(tmp_path, keys, test)
+
+
+def test_it_answers_where_the_file_says_and_nowhere_else(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        with pytest.raises(ConnectionRefusedError):
+            await asyncio.open_connection("127.0.0.2", there.port)
+
+    run(tmp_path, keys, test)
+
+
+@pytest.mark.parametrize("limits", [{"user": "no-such-user"}], ids=["user"])
+def test_what_cannot_be_done_is_said_and_not_tried_again(tmp_path, keys, limits):
+    async def test(there: Boat) -> None:
+        raise AssertionError("it must not start")
+
+    with pytest.raises(PermanentFailure, match="no such user"):
+        run(tmp_path, keys, test, **limits)
+
+
+def test_a_public_key_that_is_none_is_refused():
+    with pytest.raises(PermanentFailure, match=r"sshd\.users\.ana\.keys"):
+        sshd._public("ana", ("ssh-ed25519 nonsense",))
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+def test_commands_are_those_of_the_configured_user(tmp_path, keys):
+    """In a process of its own, for there is no way back."""
+    program = f"""
+import os, sys
+sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+from delfim.services.sshd import _become
+_become("nobody")
+assert os.getuid() == os.geteuid() != 0 and 0 not in os.getgroups()
+try:
+    os.setuid(0)
+except PermissionError:
+    print("confined")
+"""
+
+    async def main() -> bytes:
+        child = await asyncio.create_subprocess_exec(sys.executable, "-c", program, stdout=asyncio.subprocess.PIPE)
+        return (await child.communicate())[0]
+
+    assert asyncio.run(main()) == b"confined\n"

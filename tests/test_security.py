@@ -1,0 +1,210 @@
+"""The whole suite as a stranger meets it: where it listens, what holds it up, what it lets out. The daemons' own tests say the
+rest: paths, limits, wrong passwords and keys."""
+
+import contextlib
+import gzip
+import json
+import os
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from delfim.console.link import Link
+from delfim.errors import DelfimError
+from delfim.services.door import hashed
+
+pytestmark = [
+    pytest.mark.timeout(120),
+    pytest.mark.skipif(not shutil.which("curl") or not shutil.which("ssh"), reason="needs curl and ssh"),
+]
+ROOT = Path(__file__).parents[1]
+PASSWORD, MISTAKE = "open-sesame", "close-sesame"
+KEPT = hashed(PASSWORD)
+SERVICES = ("httpd", "ftpd", "sshd", "cantcpd", "guest")
+
+
+class Boat(NamedTuple):
+    """Under way in simulation, with everything on."""
+
+    folder: Path
+    ports: dict[str, int]
+    pid: int
+
+    def state(self) -> dict:
+        with Link(self.folder / "out/command") as link:
+            return link.ask("state")
+
+    def page(self, path: str) -> bytes:
+        with urllib.request.urlopen(f"http://127.0.0.1:{self.ports['httpd']}{path}", timeout=10) as answer:
+            return bytes(answer.read())
+
+    def curl(self, password: str) -> subprocess.CompletedProcess[str]:
+        words = ("curl", "-sS", "--max-time", "20", "-u", f"ana:{password}", f"ftp://127.0.0.1:{self.ports['ftpd']}/")
+        return subprocess.run(words, capture_output=True, text=True, timeout=30)
+
+    def ssh(self, key: str) -> subprocess.CompletedProcess[str]:
+        options = ("-o", "BatchMode=yes", "-o", "StrictHostKeyChecking=no", "-o", "UserKnownHostsFile=/dev/null")
+        words = ("ssh", "-F", "none", *options, "-o", "IdentitiesOnly=yes", "-i", str(self.folder / key))
+        return subprocess.run(
+            (*words, "-p", str(self.ports["sshd"]), "ana@127.0.0.1", "echo aboard"), capture_output=True, text=True, timeout=30
+        )
+
+
+@pytest.fixture(scope="module")
+def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
+    folder = tmp_path_factory.mktemp("boat")
+    shutil.copytree(ROOT / "etc/missions", folder / "missions")
+    for key in ("friend", "stranger"):
+        subprocess.run(("ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", folder / key), check=True)
+    with contextlib.ExitStack() as held:
+        free = [held.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in SERVICES]
+        ports = {name: each.getsockname()[1] for name, each in zip(SERVICES, free, strict=True)}
+    file = folder / "boat.toml"
+    file.write_text(
+        (ROOT / "etc/delfimx.toml").read_text()
+        + f'[ftpd.users.ana]\npassword = "{KEPT}"\nupload = true\n'
+        + f'[sshd.users.ana]\nkeys = ["{(folder / "friend.pub").read_text().strip()}"]\n'
+    )
+    settings = [f'simulation.{name}="127.0.0.1:{ports[name]}"' for name in ("httpd", "ftpd", "sshd")]
+    settings += ['mavlink.listen="127.0.0.1:0"', "mavlink.peers=[]"]
+    settings += [f'cantcpd.listen=["127.0.0.1:{ports["cantcpd"]}"]', f'guest.listen="127.0.0.1:{ports["guest"]}"']
+    settings += [f'simulation.interface="canloop:open-{os.getpid()}"', "failsafe.console_silent.after_s=600.0"]
+    words = [word for setting in settings for word in ("--set", setting)]
+    with (folder / "said").open("w") as said:
+        program = [sys.executable, "-m", "delfim", "sim", str(file), "--output", str(folder / "out"), "--for", "300", *words]
+        process = subprocess.Popen(program, stdout=said, stderr=said)
+        boat = Boat(folder, ports, process.pid)
+        try:
+            deadline_s = time.monotonic() + 40
+            while not all(f"{name}: " in (folder / "said").read_text() for name in ("ftpd", "sshd")) or not sails(boat):
+                assert time.monotonic() < deadline_s, (folder / "said").read_text()
+                select.select([], [], [], 0.1)
+            yield boat
+        finally:
+            process.send_signal(signal.SIGTERM)
+            process.wait(40)
+
+
+def sails(boat: Boat) -> bool:
+    with contextlib.suppress(DelfimError):
+        return bool(boat.state()["mode"] == "play")
+    return False
+
+
+def family(pid: int) -> set[int]:
+    """A process and all below it."""
+    parents = {}
+    for place in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            parents[int(place.name)] = int((place / "stat").read_text().rpartition(")")[2].split()[1])
+    found = {pid}
+    while more := {child for child, parent in parents.items() if parent in found} - found:
+        found |= more
+    return found
+
+
+def open_to_the_world(pids: set[int]) -> set[tuple[str, str, int]]:
+    """(protocol, address, port) of all that these processes listen on, as the kernel sees it."""
+    inodes = set()
+    for pid in pids:
+        for link in Path(f"/proc/{pid}/fd").glob("*"):
+            with contextlib.suppress(OSError):
+                inodes.add(os.readlink(link).removeprefix("socket:[").rstrip("]"))
+    found = set()
+    for protocol, listening in (("tcp", "0A"), ("tcp6", "0A"), ("udp", "07"), ("udp6", "07")):
+        for line in Path(f"/proc/net/{protocol}").read_text().splitlines()[1:]:
+            _, local, _, state, *rest = line.split()
+            if state == listening and rest[5] in inodes:
+                address, _, port = local.partition(":")
+                found.add(
+                    (protocol, socket.inet_ntoa(bytes.fromhex(address)[::-1]) if len(address) == 8 else address, int(port, 16))
+                )
+    return found
+
+
+def test_it_listens_where_the_file_says_and_nowhere_else(boat: Boat) -> None:
+    found = {each for each in open_to_the_world(family(boat.pid)) if not each[1].startswith("239.")}  # the bus, on loopback
+    host, _, port = boat.state()["mavlink"]["listen"].partition(":")
+    assert found == {("udp", host, int(port)), *(("tcp", "127.0.0.1", port) for port in boat.ports.values())}
+    assert host == "127.0.0.1"
+
+
+def test_slow_visitors_of_all_daemons_leave_the_boat_sailing_and_the_others_served(boat: Boat) -> None:
+    """Slow-loris: more connections than one address may have, a byte now and then on each."""
+    began = boat.state()["cycle"]
+    with contextlib.ExitStack() as held:
+        slow = []
+        for name in ("httpd", "ftpd", "sshd"):
+            for _ in range(20):
+                link = socket.create_connection(("127.0.0.1", boat.ports[name]), 10, ("127.0.0.2", 0))
+                slow.append(held.enter_context(link))
+        until_s = time.monotonic() + 3.0
+        while time.monotonic() < until_s:
+            for link in slow:
+                with contextlib.suppress(OSError):
+                    link.send(b"G")
+            select.select([], [], [], 0.2)
+        assert b"DelfimX" in boat.page("/")
+        assert boat.curl(PASSWORD).returncode == 0
+        assert boat.ssh("friend").stdout == "aboard\n"
+        state = boat.state()
+    assert state["mode"] == "play"
+    assert state["cycle"] - began > 10
+    assert state["deadman"] == {}
+
+
+def test_no_secret_is_in_a_log_on_a_page_or_in_a_list_of_processes(boat: Boat) -> None:
+    assert boat.curl(PASSWORD).returncode == 0
+    assert boat.curl(MISTAKE).returncode == 67
+    assert boat.ssh("stranger").returncode == 255
+    assert boat.ssh("friend").returncode == 0
+    pages = b"".join(map(boat.page, ("/", "/checks", "/metrics", "/api/state", "/api/schema", "/logs/")))
+    processes = b"".join(Path(f"/proc/{pid}/cmdline").read_bytes() for pid in family(boat.pid))
+    host_key = boat.folder / "out/ssh_host_ed25519"
+    secret_lines = host_key.read_bytes().splitlines()[1:-1] + (boat.folder / "friend").read_bytes().splitlines()[1:-1]
+    files = [path for path in (boat.folder / "out").rglob("*") if path.is_file() and path != host_key]
+    logged = b"".join(_content(path) for path in files) + (boat.folder / "said").read_bytes()
+    assert b"wrong password for 'ana' from 127.0.0.1" in logged
+    assert b"wrong key SHA256:" in logged
+    assert b'"event":"start"' in logged.replace(b": ", b":"), "the vehicle's file is in the log"
+    for secret in (PASSWORD.encode(), MISTAKE.encode(), KEPT.encode(), KEPT.rpartition(":")[2].encode(), *secret_lines):
+        assert secret not in pages
+        assert secret not in processes
+        assert secret not in logged
+
+
+def _content(path: Path) -> bytes:
+    """Of a log that is being written, what can be read."""
+    if path.suffix != ".gz":
+        return path.read_bytes()
+    parts = []
+    with contextlib.suppress(EOFError, OSError), gzip.open(path) as file:
+        while part := file.read(1 << 16):
+            parts.append(part)
+    return b"".join(parts)
+
+
+def test_the_page_shows_who_is_at_the_doors(boat: Boat) -> None:
+    assert boat.curl(PASSWORD).returncode == 0
+    deadline_s = time.monotonic() + 30
+    while True:
+        programs = json.loads(boat.page("/api/state"))["computer"]["supervisor"]
+        if programs.get("ftpd", {}).get("figures", {}).get("address") and programs["sshd"]["figures"].get("commands"):
+            break
+        assert time.monotonic() < deadline_s, programs
+        select.select([], [], [], 0.2)
+    for name in ("ftpd", "sshd"):
+        assert programs[name]["state"] == "running"
+        assert os.getpriority(os.PRIO_PROCESS, programs[name]["pid"]) > os.getpriority(
+            os.PRIO_PROCESS, programs["runtime"]["pid"]
+        )

@@ -1,0 +1,329 @@
+"""Missions as items and back, and the protocol that carries them, over a link that loses, doubles and reorders."""
+
+import math
+import struct
+from random import Random
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from delfim import config
+from delfim.errors import FormatError
+from delfim.vehicle import console
+from delfim.vehicle.mavlink import plans
+from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
+from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical
+from delfim.vehicle.state import Mode
+from tests.vehicle.mavlink_console import Console, messages, newest, texts
+from tests.vehicle.test_mavlink_station import afloat, sail
+
+OK, INVALID, DENIED, UNSUPPORTED = 0, 5, 14, 3
+
+
+@pytest.fixture
+def sea(boat):
+    return afloat(boat)
+
+
+def zigzag(count: int, speed_mps: float = 0.0) -> Mission:
+    """North in steps of 20 m, off where the boat lies."""
+    places = ((386_926_000 + 1_800 * n, -92_150_000 + 2_000 * (n % 2)) for n in range(count))
+    return Mission(
+        version=1,
+        name="zigzag",
+        waypoint=tuple(Waypoint(latitude_deg=x / 1e7, longitude_deg=y / 1e7, speed_mps=speed_mps) for x, y in places),
+    )
+
+
+def fields(number: int, item: Item, kind: int) -> tuple[object, ...]:
+    return (1, 1, number, item.frame, item.command, 0, 1, item.p1, item.p2, item.p3, item.p4, item.x, item.y, item.z, kind)
+
+
+def upload(console_: Console, items: list[Item], kind: int = MISSION) -> list:
+    """Over a link that loses nothing; all that came back."""
+    heard = console_.say("mission_count", 1, 1, len(items), kind)
+    for number, item in enumerate(items):
+        assert newest(heard, "MISSION_REQUEST_INT").seq == number
+        heard += console_.say("mission_item_int", *fields(number, item, kind))
+    return heard
+
+
+def download(console_: Console, kind: int = MISSION) -> list[Item]:
+    count = newest(console_.say("mission_request_list", 1, 1, kind), "MISSION_COUNT").count
+    answers = [newest(console_.say("mission_request_int", 1, 1, n, kind), "MISSION_ITEM_INT") for n in range(count)]
+    return [Item(m.command, m.param1, m.param2, m.param3, m.param4, m.x, m.y, m.z, m.frame) for m in answers]
+
+
+# Items.
+
+degrees_e7 = st.integers(-889_999_999, 889_999_999).filter(lambda value: value != 0)
+places = st.tuples(degrees_e7, degrees_e7)
+milli = st.integers(0, 10_000).map(lambda value: value / 1000.0)
+waypoints = st.builds(
+    lambda place, speed, reach: Waypoint(
+        latitude_deg=place[0] / 1e7, longitude_deg=place[1] / 1e7, speed_mps=speed, acceptance_m=reach
+    ),
+    places,
+    milli,
+    milli,
+)
+pieces = st.builds(
+    lambda place, turn: PathPoint(latitude_deg=place[0] / 1e7, longitude_deg=place[1] / 1e7, turn_deg=turn, radius_m=10.0),
+    places,
+    st.integers(-360_000, 360_000).map(lambda value: value / 1000.0),
+)
+
+
+@given(st.lists(waypoints, min_size=1, max_size=20), st.lists(pieces, max_size=5))
+def test_a_mission_comes_back_as_it_was_sent(points, path):
+    mission = Mission(version=1, name="any", waypoint=tuple(points), path=tuple(path))
+    items = [single(item) for item in plans.mission_items(mission)]
+    back = plans.mission(items, "any", config.Zones())
+    assert back == mission
+    assert plans.checksum(items) == plans.checksum(plans.mission_items(back))
+
+
+def single(item: Item) -> Item:
+    """As it travels: in single precision."""
+    return item._replace(
+        **{name: struct.unpack("<f", struct.pack("<f", getattr(item, name)))[0] for name in ("p1", "p2", "p3")}
+    )
+
+
+def test_a_fence_and_harbours_come_back_as_they_were_sent():
+    ring = ((38.69, -9.22), (38.69, -9.21), (38.70, -9.21))
+    zones = config.Zones(
+        keep_in=ring,
+        keep_out=(config.KeepOut(polygon=ring), config.KeepOut(centre=((38.695, -9.215),), radius_m=12.5)),
+    )
+    assert plans.zones(plans.fence_items(zones)) == zones
+    assert plans.harbours(plans.rally_items(ring)) == ring
+
+
+def test_the_checksum_is_that_of_mavlink_ftp():
+    """Of no bytes it is 0; of one item it was computed once by hand, bit by bit."""
+    assert plans.checksum([]) == 0
+    data = plans._CHECKED.pack(5, 16, 1, 0.0, 3.0, 0.0, 0.0, 386_909_000, -92_149_000, 0.0)
+    crc = 0
+    for byte in data:
+        crc ^= byte
+        for _ in range(8):
+            crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
+    assert plans.checksum([Item(16, 0.0, 3.0, x=386_909_000, y=-92_149_000)]) == crc
+
+
+@pytest.mark.parametrize(
+    ("item", "reason"),
+    [
+        (Item(177, 1.0), "item 1: command 177 is not something this boat does"),
+        (Item(22, x=1, y=1), "item 1: command 22"),
+        (Item(16, 5.0, x=386_930_000, y=-92_150_000), "item 1: to wait at a waypoint"),
+        (Item(16, 0.0, math.nan, x=386_930_000, y=-92_150_000), "item 1: nan is no number"),
+        (Item(16, 0.0, -1.0, x=386_930_000, y=-92_150_000), "item 1: "),
+        (Item(16, x=386_930_000, y=-92_150_000, frame=1), "item 1: frame 1 has no latitude"),
+        (Item(16), "item 1: no such place"),
+        (Item(16, x=2_000_000_000, y=0), "item 1: no such place"),
+        (Item(178, 1.0, math.inf), "item 1: inf is no number"),
+    ],
+)
+def test_what_a_boat_cannot_do_is_refused_by_its_number(sea, item, reason):
+    first = Item(16, x=386_926_000, y=-92_150_000)
+    heard = upload(sea.console, [first, item])
+    assert newest(heard, "MISSION_ACK").type == INVALID
+    assert reason in texts(heard)
+    assert sea.vehicle.mission is None
+
+
+@pytest.mark.parametrize(
+    "items",
+    [
+        [Item(5001, 3.0, x=1, y=1)] * 2,
+        [Item(5001, 4.0, x=n, y=n * n) for n in range(1, 4)],
+        [Item(5001, math.nan, x=1, y=1)] * 3,
+        [Item(5002, 3.0, x=1, y=1)] * 3,
+        [Item(5004, 0.0, x=1, y=1)],
+        [Item(5003, 10.0, x=1, y=1)],
+        [Item(5001, 3.0, x=n, y=n % 2 + 1) for n in range(1, 7)],
+    ],
+)
+def test_zones_that_make_no_sense(items):
+    with pytest.raises(FormatError, match="item "):
+        plans.zones(items)
+
+
+# The protocol.
+
+
+def test_up_down_and_the_checksum_is_everybodys(sea):
+    mission = zigzag(20, speed_mps=1.2)
+    heard = upload(sea.console, plans.mission_items(mission))
+    assert newest(heard, "MISSION_ACK").type == OK
+    assert newest(heard, "MISSION_CHECKSUM").checksum == plans.checksum(plans.mission_items(mission))
+    assert [single(item) for item in plans.mission_items(mission)] == download(sea.console)
+    assert sea.vehicle.mission.waypoint == mission.waypoint
+    assert isinstance(sea.log[-1], console.Upload), "through the one door"
+    assert newest(sea.console.say("command_long", 1, 1, 512, 0, 53, 0, 0, 0, 0, 0, 0), "MISSION_CHECKSUM").mission_type == 0
+
+
+def test_a_boats_own_mission_file_is_told_item_by_item(sea):
+    mission = zigzag(3)
+    sea.vehicle.on_command(console.Mission(canonical(mission)))
+    assert download(sea.console) == plans.mission_items(mission)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_twenty_points_get_through_a_bad_link(sea, seed):
+    """30 % of the datagrams lost, some doubled, some late, both ways; the console does what the protocol says."""
+    random, mission = Random(seed), zigzag(20)
+    items = plans.mission_items(mission)
+    sender, way, ack, begun = sea.console, [], None, False
+    sent = len(sea.radio.sent)
+    for tick in range(3000):
+        sea.boat.clock.advance(0.1)
+        if not begun and tick % 10 == 0:
+            way.append((tick + random.randrange(5), sender.frame("mission_count", 1, 1, len(items), MISSION)))
+        arrived, way = [each for each in way if each[0] <= tick], [each for each in way if each[0] > tick]
+        for _, datagram in arrived:
+            for _ in range(random.choice((0, 1, 1, 2))):
+                sender.deliver(datagram)
+        sea.station.tick()
+        heard = messages([data for data, _ in sea.radio.sent[sent:] if random.random() > 0.3])
+        sent = len(sea.radio.sent)
+        for message in heard:
+            if message.get_type() == "MISSION_REQUEST_INT":
+                begun = True
+                frame = sender.frame("mission_item_int", *fields(message.seq, items[message.seq], MISSION))
+                way.append((tick + random.randrange(5), frame))
+            elif message.get_type() == "MISSION_ACK":
+                ack = message.type
+        if ack is not None:
+            break
+    assert ack in (OK, None), "the acknowledgement may be the one that is lost"
+    assert sea.vehicle.mission.waypoint == mission.waypoint
+
+
+def test_a_lost_acknowledgement_is_given_again(sea):
+    items = plans.mission_items(zigzag(2))
+    upload(sea.console, items)
+    again = sea.console.say("mission_item_int", *fields(1, items[1], MISSION))
+    assert newest(again, "MISSION_ACK").type == OK
+    assert len(sea.log) == 1
+
+
+def test_an_upload_that_stops_is_given_up_and_changes_nothing(sea):
+    upload(sea.console, plans.mission_items(zigzag(3)))
+    sea.console.say("mission_count", 1, 1, 5, MISSION)
+    heard = sail(sea, 21.0)
+    assert sum(m.get_type() == "MISSION_REQUEST_INT" for m in heard) >= 10, "it asks again"
+    sea.console.beat()
+    assert len(sea.vehicle.mission.waypoint) == 3
+
+
+def test_a_new_upload_takes_the_place_of_the_one_before(sea):
+    sea.console.say("mission_count", 1, 1, 5, MISSION)
+    assert newest(upload(sea.console, plans.mission_items(zigzag(2))), "MISSION_ACK").type == OK
+    assert len(sea.vehicle.mission.waypoint) == 2
+
+
+def test_while_it_is_played_a_mission_is_not_changed(sea):
+    upload(sea.console, plans.mission_items(zigzag(3)))
+    sea.console.command(300)
+    heard = upload(sea.console, plans.mission_items(zigzag(2)))
+    assert newest(heard, "MISSION_ACK").type == DENIED
+    assert "being played" in texts(heard)
+    heard = sea.console.say("mission_clear_all", 1, 1, 255)
+    assert newest(heard, "MISSION_ACK").type == DENIED
+    assert len(sea.vehicle.mission.waypoint) == 3
+
+
+def test_clearing(sea):
+    upload(sea.console, plans.mission_items(zigzag(3)))
+    upload(sea.console, plans.rally_items([(38.69, -9.2)]), RALLY)
+    assert newest(sea.console.say("mission_clear_all", 1, 1, 255), "MISSION_ACK").type == OK
+    assert sea.vehicle.mission is None
+    assert sea.vehicle.rally == ()
+    assert download(sea.console) == []
+    upload(sea.console, plans.mission_items(zigzag(3)))
+    assert newest(upload(sea.console, []), "MISSION_ACK").type == OK, "a mission of no items is none"
+    assert sea.vehicle.mission is None
+
+
+@pytest.mark.parametrize("target", [0, 2])
+def test_an_upload_that_names_no_vehicle_changes_nothing(sea, target):
+    sea.console.say("mission_count", target, 1, 3, MISSION)
+    sea.console.say("mission_clear_all", target, 1, 255)
+    assert sea.log == []
+
+
+def test_an_onlooker_downloads_and_does_not_upload(sea):
+    upload(sea.console, plans.mission_items(zigzag(3)))
+    other = Console(sea.station, sea.radio, system=251, address=("127.0.0.1", 14551))
+    assert len(download(other)) == 3
+    heard = other.say("mission_count", 1, 1, 2, MISSION)
+    assert newest(heard, "MISSION_ACK").type == DENIED
+
+
+@pytest.mark.parametrize(("name", "more"), [("mission_item", (0,) * 12), ("mission_write_partial_list", (0, 1, 0))])
+def test_older_ways_are_answered(sea, name, more):
+    assert newest(sea.console.say(name, 1, 1, *more), "MISSION_ACK").type == UNSUPPORTED
+
+
+def test_unknown_types_and_numbers_are_answered(sea):
+    assert newest(sea.console.say("mission_request_list", 1, 1, 7), "MISSION_ACK").type == UNSUPPORTED
+    assert newest(sea.console.say("mission_request_int", 1, 1, 99, 0), "MISSION_ACK").type == 13
+    assert newest(sea.console.say("mission_count", 1, 1, 5000, 0), "MISSION_ACK").type == 4
+
+
+def test_a_home_item_comes_first_where_that_is_the_custom(boat):
+    sea = afloat(boat, autopilot="ardurover")
+    sail(sea, 0.5)
+    items = plans.mission_items(zigzag(3))
+    assert newest(upload(sea.console, [Item(16, x=1, y=1), *items]), "MISSION_ACK").type == OK
+    assert len(sea.vehicle.mission.waypoint) == 3
+    assert download(sea.console)[0].x == pytest.approx(386_925_000, abs=2)
+    assert download(sea.console)[1:] == items
+    sea.console.command(300, 2)
+    sail(sea, 0.2)
+    assert sea.state.reference.leg == 1
+
+
+# Fence and harbours.
+
+NEAR = ((38.6920, -9.2156), (38.6920, -9.2144), (38.6930, -9.2144), (38.6930, -9.2156))
+
+
+def test_a_fence_keeps_the_boat_in(sea):
+    assert newest(upload(sea.console, plans.fence_items(config.Zones(keep_in=NEAR)), FENCE), "MISSION_ACK").type == OK
+    assert download(sea.console, FENCE) == plans.fence_items(config.Zones(keep_in=NEAR))
+    heard = upload(sea.console, plans.mission_items(zigzag(20)))
+    assert newest(heard, "MISSION_ACK").type == DENIED
+    assert "keep-in zone" in texts(heard)
+    assert sea.console.command(192, -1, 0, 0, 0, 38.70, -9.215)[0] == 1
+
+
+def test_a_mission_that_a_new_fence_crosses_is_forgotten(sea):
+    upload(sea.console, plans.mission_items(zigzag(20)))
+    upload(sea.console, plans.fence_items(config.Zones(keep_in=NEAR)), FENCE)
+    assert sea.vehicle.mission is None
+    assert any("forgotten" in note for note in sea.boat.log.notes)
+
+
+def test_a_mission_keeps_the_fence_that_came_before_it(sea):
+    wide = ((38.68, -9.23), (38.68, -9.20), (38.71, -9.20), (38.71, -9.23))
+    upload(sea.console, plans.fence_items(config.Zones(keep_in=wide)), FENCE)
+    upload(sea.console, plans.mission_items(zigzag(3)))
+    assert sea.vehicle.zones.keep_in == wide
+    assert sea.log[-1].mission.fence.keep_in == wide
+
+
+def test_the_way_home_ends_at_the_last_harbour_that_was_passed(sea):
+    for n in range(60):
+        sea.boat.clock.advance(0.2)
+        sea.boat.navigate(latitude_rad=math.radians(38.6925) + n * 1.0 / 6.37e6)
+    upload(sea.console, plans.rally_items([(38.6925 + math.degrees(20 / 6.37e6), -9.215)]), RALLY)
+    sea.boat.report()
+    assert sea.console.mode(11)[0] == 0
+    assert sea.state.mode is Mode.HOME
+    north_m = sea.state.setpoint.track[0][0]
+    assert 15.0 <= north_m <= 25.0

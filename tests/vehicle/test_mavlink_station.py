@@ -1,0 +1,548 @@
+"""The mapping table of docs/mavlink.md, row by row: what a console says and what the vehicle does and answers."""
+
+import math
+from types import SimpleNamespace
+
+import pytest
+
+from delfim import config, messages
+from delfim.vehicle import console
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.mavlink.station import Station
+from delfim.vehicle.mavlink.wire import dialect
+from delfim.vehicle.state import Mode
+from tests.vehicle.mavlink_console import Console, Radio, newest, texts
+
+ACCEPTED, LATER, DENIED, UNSUPPORTED = 0, 1, 2, 3
+MISSION = """
+version = 1
+name = "test"
+waypoint = [
+  { latitude_deg = 38.6930, longitude_deg = -9.2150 },
+  { latitude_deg = 38.6934, longitude_deg = -9.2150, speed_mps = 1.0 },
+  { latitude_deg = 38.6934, longitude_deg = -9.2144 },
+]
+"""
+
+
+def afloat(boat, **options: object) -> SimpleNamespace:
+    """A boat that is fit, its station, and a console that it has heard."""
+    vehicle: Vehicle = boat.vehicle
+    vehicle.settings = config.Vehicle(boat=config.Boat(name="test", id=1), mavlink=config.Mavlink(**options))
+    log: list[console.Commands] = []
+
+    def obey(command: console.Commands, operator: str) -> str | None:
+        log.append(command)
+        return vehicle.on_command(command, operator)
+
+    radio = Radio()
+    station = Station(vehicle, obey, radio, None)
+    here = SimpleNamespace(boat=boat, vehicle=vehicle, state=boat.state, station=station, radio=radio, log=log)
+    here.console = Console(station, radio)
+    boat.ready()
+    here.console.beat()
+    return here
+
+
+@pytest.fixture
+def sea(boat):
+    return afloat(boat)
+
+
+def sail(sea, seconds: float) -> list:
+    """Time passes with navigation, watchdog and the station's ticks; what the console heard."""
+    before = len(sea.radio.sent)
+    for _ in range(round(seconds * 10)):
+        sea.boat.pass_time(0.1)
+        sea.boat.navigate()
+        sea.boat.report()
+        sea.station.tick()
+    return sea.console.listen(before)
+
+
+# Modes.
+
+
+@pytest.mark.parametrize(
+    ("number", "mode"),
+    [(0, "MANUAL"), (3, "HEADING"), (5, "HOLD"), (10, "PLAY"), (15, "GOTO"), (100, "PATH"), (4, "IDLE")],
+)
+def test_a_mode_is_entered_by_its_number_and_seen_within_a_tick(sea, number, mode):
+    sea.vehicle.on_command(console.Mission(MISSION))
+    assert sea.console.mode(number)[0] == ACCEPTED
+    assert sea.state.mode is Mode[mode]
+    heard = sail(sea, 0.1)
+    beat = newest(heard, "HEARTBEAT")
+    assert (beat.type, beat.autopilot, beat.custom_mode) == (11, 0, number)
+    assert bool(beat.base_mode & 128) is (mode != "IDLE"), "armed"
+
+
+def test_grex_is_entered_when_its_guest_speaks(sea):
+    assert sea.console.mode(101)[0] == LATER
+    guest = Console(sea.station, sea.radio, system=1, address=("127.0.0.1", 4001))
+    guest.party = (1, 191)
+    guest.sender = type(guest.sender)(1, 191, None, lambda: 0)
+    guest.say("set_position_target_global_int", 0, 1, 1, 6, 0, 0, 0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert sea.console.mode(101)[0] == ACCEPTED
+    assert sea.state.setpoint.guest_heading_rad == pytest.approx(math.pi / 2)
+    assert sea.state.setpoint.guest_speed_mps == pytest.approx(1.5)
+
+
+@pytest.mark.parametrize(("number", "sub"), [(4, 1), (4, 2), (4, 6), (6, 1), (1, 1), (10, 4), (101, 3)])
+def test_another_autopilots_modes_move_nothing(sea, number, sub):
+    assert sea.console.mode(number, sub)[0] == DENIED
+    assert sea.state.mode is Mode.IDLE
+    assert sea.log == []
+
+
+@pytest.mark.parametrize("number", [1, 2, 6, 12, 16, 102, -1, 3.5, math.nan, math.inf])
+def test_no_such_mode(sea, number):
+    assert sea.console.mode(number)[0] == DENIED
+    assert sea.state.mode is Mode.IDLE
+
+
+def test_mavsdks_hold_stops_and_never_moves_the_boat(sea):
+    sea.console.mode(3)
+    assert sea.console.mode(4, 3)[0] == ACCEPTED
+    assert sea.state.mode is Mode.IDLE
+    assert sea.console.mode(4, 3)[0] == ACCEPTED
+    assert sea.state.mode is Mode.IDLE
+
+
+@pytest.mark.parametrize("number", [176, 400, 300, 43002, 192, 178, 246, 20, 224])
+@pytest.mark.parametrize("target", [0, 2])
+def test_what_names_no_vehicle_or_another_one_moves_nothing(sea, number, target):
+    before = len(sea.radio.sent)
+    sea.console.say("command_long", target, 1, number, 0, 1.0, 0, 0, 0, 0, 0, 0)
+    assert sea.log == []
+    acks = [m for m in sea.console.listen(before) if m.get_type() == "COMMAND_ACK"]
+    assert [m.result for m in acks] == ([DENIED] if target == 0 else []), "one for another vehicle is not even answered"
+
+
+@pytest.mark.parametrize("ask", [(176, 1, 11), (20,)])
+def test_home_is_a_mode_and_a_command(sea, ask):
+    assert sea.console.command(*ask)[0] == ACCEPTED
+    assert sea.state.mode is Mode.HOME
+
+
+def test_the_old_way_to_set_a_mode(sea):
+    sea.console.say("set_mode", 1, 1, 0)
+    assert sea.state.mode is Mode.MANUAL
+    sea.console.say("set_mode", 0, 1, 3)
+    assert sea.state.mode is Mode.MANUAL
+
+
+def test_a_refusal_carries_the_boats_reason(sea):
+    result, words = sea.console.mode(10)
+    assert result == LATER
+    assert "no mission loaded" in words
+
+
+# Motion.
+
+
+def test_manual_thrust_port_and_starboard(sea):
+    sea.console.mode(0)
+    sea.console.say("manual_control", 1, 200, 0, 0, 300, 0)
+    assert (sea.state.setpoint.port, sea.state.setpoint.starboard) == pytest.approx((0.5, -0.1))
+    sea.console.say("manual_control", 1, 1000, 0, 0, 1000, 0)
+    assert (sea.state.setpoint.port, sea.state.setpoint.starboard) == (1.0, 0.0)
+
+
+@pytest.mark.parametrize("x", [32767, -32768, 1001])
+def test_an_axis_that_is_not_there_is_no_thrust(sea, x):
+    sea.console.mode(0)
+    sea.console.say("manual_control", 1, x, 0, 0, 0, 0)
+    assert (sea.state.setpoint.port, sea.state.setpoint.starboard) == (0.0, 0.0)
+    assert sea.station.counts["manual_ignored"] == 1
+
+
+@pytest.mark.parametrize("target", [0, 2])
+def test_manual_thrust_that_names_no_vehicle_is_none(sea, target):
+    sea.console.mode(0)
+    sea.console.say("manual_control", target, 500, 0, 0, 0, 0)
+    assert sea.state.setpoint.port == 0.0
+
+
+def test_a_stream_of_thrust_changes_no_mode(sea):
+    sea.console.mode(3)
+    sea.console.say("manual_control", 1, 500, 0, 0, 0, 0)
+    assert sea.state.mode is Mode.HEADING
+    sea.console.mode(4)
+    sea.console.say("manual_control", 1, 500, 0, 0, 0, 0)
+    assert sea.state.mode is Mode.IDLE
+
+
+def test_the_ardurover_profile_takes_the_other_axes(boat):
+    sea = afloat(boat, autopilot="ardurover")
+    sea.console.mode(0)
+    sea.console.say("manual_control", 1, 0, 300, 200, 0, 0)
+    assert (sea.state.setpoint.port, sea.state.setpoint.starboard) == pytest.approx((0.5, -0.1))
+    assert newest(sail(sea, 1.1), "HEARTBEAT").autopilot == 3
+
+
+def test_guided_heading_and_position(sea):
+    assert sea.console.command(43002, 1, 123.0)[0] == ACCEPTED
+    assert sea.state.mode is Mode.HEADING
+    assert math.degrees(sea.state.setpoint.heading_rad) == pytest.approx(123.0)
+    sea.console.say("command_int", 1, 1, 6, 192, 0, 0, -1.0, 0.0, 0.0, math.nan, 386_930_000, -92_150_000, 0.0)
+    assert sea.state.mode is Mode.GOTO
+    assert sea.state.setpoint.target is not None
+    assert sea.console.command(43002, 1, math.nan)[0] == LATER
+
+
+@pytest.mark.parametrize(("percent", "mps"), [(0, 0.0), (10, 0.22), (80, 1.76), (100, 2.2)])
+def test_the_speed_keys_go_before_the_plans_speed(sea, percent, mps):
+    sea.vehicle.on_command(console.Mission(MISSION))
+    sea.console.command(300)
+    sail(sea, 0.2)
+    assert sea.state.reference.speed_mps == 1.5, "the boat's own"
+    assert sea.console.command(178, 1, -1, percent)[0] == ACCEPTED
+    heard = sail(sea, 1.0)
+    assert sea.state.reference.speed_mps == pytest.approx(mps)
+    assert newest(heard, "NAMED_VALUE_FLOAT").value == pytest.approx(mps)
+    assert sea.console.command(178, 1, -2)[0] == ACCEPTED
+    sail(sea, 0.2)
+    assert sea.state.reference.speed_mps == 1.5
+
+
+def test_another_mode_is_begun_at_its_own_speed(sea):
+    sea.vehicle.on_command(console.Mission(MISSION))
+    sea.console.command(300)
+    sea.console.command(178, 1, 0.4)
+    sea.console.mode(4)
+    sea.console.command(300)
+    sail(sea, 0.2)
+    assert sea.state.reference.speed_mps == 1.5
+
+
+def test_play_from_an_item_and_the_current_one(sea):
+    sea.vehicle.on_command(console.Mission(MISSION))
+    assert newest(sea.console.say("mission_set_current", 1, 1, 2), "MISSION_CURRENT").seq == 2
+    assert sea.console.mode(10)[0] == ACCEPTED
+    sail(sea, 0.2)
+    assert sea.state.reference.leg == 1, "items: waypoint, speed, waypoint, speed, waypoint"
+    assert sea.console.command(300, 0)[0] == ACCEPTED
+    sail(sea, 0.2)
+    assert sea.state.reference.leg == 0
+    assert sea.console.command(224, 4)[0] == ACCEPTED
+    sail(sea, 0.2)
+    assert sea.state.reference.leg == 2
+    assert sea.console.command(300, 9)[0] == DENIED
+
+
+def test_arm_says_why_not_and_disarm_stops(boat):
+    boat.clock.advance(10.0)
+    vehicle = boat.vehicle
+    station = Station(vehicle, vehicle.on_command, radio := Radio(), None)
+    here = Console(station, radio)
+    here.beat()
+    assert "no navigation" in here.command(400, 1)[1]
+    boat.ready()
+    assert here.command(400, 1)[0] == ACCEPTED
+    assert boat.state.armed
+    here.mode(3)
+    assert here.command(400, 0)[0] == ACCEPTED
+    assert boat.state.mode is Mode.IDLE
+    assert not boat.state.armed
+
+
+def test_reset_reaches_the_bus_in_idle_only(sea):
+    sea.console.mode(3)
+    assert sea.console.command(246, 0, 0, 1)[0] == LATER
+    sea.console.mode(4)
+    sea.boat.heard()
+    assert sea.console.command(246, 0, 0, 1)[0] == ACCEPTED
+    assert sea.console.command(246, 0, 0, 1, 16)[0] == ACCEPTED
+    resets = [messages.unpack_reset(frame.data) for frame in sea.boat.heard() if frame.arb == messages.RESET]
+    assert resets == [127, 16]
+    assert sea.console.command(246, 1)[0] == DENIED, "this computer does not restart on request"
+
+
+# Questions.
+
+
+@pytest.mark.parametrize("number", [0, 1, 2500, 31010, 65535])
+def test_unknown_requests_are_answered(sea, number):
+    assert sea.console.command(number) == (UNSUPPORTED, "")
+    assert sea.console.command(number, target=0) == (UNSUPPORTED, "")
+
+
+@pytest.mark.parametrize(
+    ("number", "name"),
+    [
+        (148, "AUTOPILOT_VERSION"),
+        (436, "CURRENT_MODE"),
+        (242, "HOME_POSITION"),
+        (33, "GLOBAL_POSITION_INT"),
+        (2, "SYSTEM_TIME"),
+    ],
+)
+def test_a_message_by_request(sea, number, name):
+    answers = sea.console.say("command_long", 1, 1, 512, 0, number, 0, 0, 0, 0, 0, 0)
+    assert {m.get_type() for m in answers} == {name, "COMMAND_ACK"}
+    assert newest(answers, "COMMAND_ACK").result == ACCEPTED
+
+
+def test_all_modes_by_request(sea):
+    answers = sea.console.say("command_long", 1, 1, 512, 0, 435, 0, 0, 0, 0, 0, 0)
+    modes = {m.custom_mode: m.mode_name for m in answers if m.get_type() == "AVAILABLE_MODES"}
+    assert set(modes) == set(Mode)
+
+
+def test_a_message_that_does_not_exist_here(sea):
+    assert sea.console.command(512, 395)[0] == UNSUPPORTED
+    assert sea.console.command(512, math.nan)[0] == UNSUPPORTED
+
+
+def test_time_is_answered_with_time(sea):
+    answer = newest(sea.console.say("timesync", 0, 12345), "TIMESYNC")
+    assert (answer.ts1, answer.tc1) == (12345, sea.boat.clock.time_ns())
+
+
+def test_ping_ftp_and_logs_are_answered(sea):
+    assert newest(sea.console.say("ping", 1, 7, 0, 0), "PING").seq == 7
+    payload = newest(
+        sea.console.say("file_transfer_protocol", 0, 1, 1, [1, 0, 0, 4] + [0] * 247), "FILE_TRANSFER_PROTOCOL"
+    ).payload
+    assert (payload[3], payload[12]) == (129, 7)
+    assert newest(sea.console.say("log_request_list", 1, 1, 0, 0xFFFF), "LOG_ENTRY").num_logs == 0
+
+
+# Telemetry.
+
+
+def test_what_is_told_is_what_is(sea):
+    sea.console.command(43002, 1, 90.0)
+    heard = sail(sea, 5.0)
+    at = newest(heard, "GLOBAL_POSITION_INT")
+    assert (at.lat, at.lon, at.hdg) == (386_925_000, -92_150_000, 0)
+    assert newest(heard, "ATTITUDE").yaw == 0.0
+    assert [m.index for m in heard if m.get_type() == "RAW_RPM"][:2] == [0, 1]
+    servos = newest(heard, "SERVO_OUTPUT_RAW")
+    rpm = sea.state.actuation
+    assert (servos.servo1_raw, servos.servo2_raw) == (1500 + round(rpm.port_rpm / 2.4), 1500 + round(rpm.starboard_rpm / 2.4))
+    health = newest(heard, "SYS_STATUS")
+    assert health.onboard_control_sensors_health & 0x10000000
+    assert (health.voltage_battery, health.battery_remaining) == (48000, 90)
+    assert {m.id: m.battery_remaining for m in heard if m.get_type() == "BATTERY_STATUS"} == {0: 90, 1: 90}
+    satellites = newest(heard, "GPS_RAW_INT")
+    assert (satellites.fix_type, satellites.satellites_visible, satellites.eph) == (3, 9, 90)
+    assert newest(heard, "NAV_CONTROLLER_OUTPUT").nav_bearing == 90
+    assert newest(heard, "NAMED_VALUE_INT").value == 250
+    assert newest(heard, "MISSION_CURRENT").mission_state == dialect.MISSION_STATE_NO_MISSION
+
+
+@pytest.mark.parametrize(
+    ("profile", "positions", "beats", "most_bytes_per_s"),
+    [("lean", 0, 10, 80), ("radio", 10, 10, 480), ("wifi", 100, 10, 2600)],
+)
+def test_rates_by_profile(boat, profile, positions, beats, most_bytes_per_s):
+    sea = afloat(boat, profile=profile)
+    sea.console.command(43002, 1, 90.0)
+    sail(sea, 5.0)
+    before = len(sea.radio.sent)
+    heard = [m for _ in range(10) for m in [sea.console.beat(), sail(sea, 1.0)][1]]
+    sent = sum(len(data) for data, _ in sea.radio.sent[before:]) / 10
+    count = {name: sum(m.get_type() == name for m in heard) for name in ("GLOBAL_POSITION_INT", "HEARTBEAT", "HIGH_LATENCY2")}
+    assert count["GLOBAL_POSITION_INT"] == pytest.approx(positions, abs=1)
+    assert count["HEARTBEAT"] == pytest.approx(beats, abs=1)
+    assert count["HIGH_LATENCY2"] == pytest.approx(10 if profile == "lean" else 0, abs=1)
+    assert sent <= most_bytes_per_s
+
+
+def test_lean_says_all_in_one(boat):
+    sea = afloat(boat, profile="lean")
+    sea.console.command(43002, 1, 90.0)
+    one = newest(sail(sea, 2.0), "HIGH_LATENCY2")
+    assert (one.latitude, one.longitude, one.custom_mode, one.target_heading) == (386_925_000, -92_150_000, 3, 45)
+    assert (one.battery, one.custom0 & 0xFF) == (90, 250)
+    sent = sea.state.actuation
+    assert (one.custom1, one.custom2) == pytest.approx((sent.port_rpm / 12, sent.starboard_rpm / 12), abs=8)
+
+
+def test_old_measurements_are_not_sent_again(sea):
+    sail(sea, 1.0)
+    before = len(sea.radio.sent)
+    for _ in range(20):
+        sea.boat.clock.advance(0.1)
+        sea.station.tick()
+    heard = sea.console.listen(before)
+    assert not [m for m in heard if m.get_type() in ("GLOBAL_POSITION_INT", "ATTITUDE", "RAW_RPM")]
+    assert [m for m in heard if m.get_type() == "HEARTBEAT"]
+
+
+def test_a_console_asks_for_a_rate_and_for_a_profile(sea):
+    assert sea.console.command(511, 33, 1e6)[0] == ACCEPTED
+    assert sum(m.get_type() == "GLOBAL_POSITION_INT" for m in sail(sea, 5.0)) in (5, 6)
+    assert sea.console.command(511, 33, -1)[0] == ACCEPTED
+    assert not [m for m in sail(sea, 2.0) if m.get_type() == "GLOBAL_POSITION_INT"]
+    assert sea.console.command(511, 33, 0)[0] == ACCEPTED
+    assert sea.console.command(511, 99, 1e6)[0] == UNSUPPORTED
+    assert sea.console.command(511, 0, -1)[0] == DENIED, "the heartbeat is never slower"
+    assert sea.console.command(2600, 1)[0] == ACCEPTED
+    assert {m.get_type() for m in sail(sea, 2.1)} == {"HEARTBEAT", "HIGH_LATENCY2"}
+    sea.console.say("param_set", 1, 1, b"LINK_PROFILE", 1.0, 9)
+    assert "HIGH_LATENCY2" not in {m.get_type() for m in sail(sea, 2.1)}
+
+
+def test_reasons_come_in_plain_words_and_long_ones_in_pieces(sea):
+    sea.console.mode(3)
+    sea.boat.report(messages.Status.BAD, messages.Fault.OVERHEATED)
+    sea.boat.vehicle.on_watchdog()
+    before = len(sea.radio.sent)
+    sea.station.tick()
+    assert "idle: propeller starboard bad: overheated" in texts(sea.console.listen(before))
+    sea.station.say(4, "x" * 120)
+    pieces = [m for m in sea.console.listen(before) if m.get_type() == "STATUSTEXT" and m.id]
+    assert [(len(m.text), m.chunk_seq) for m in pieces] == [(50, 0), (50, 1), (20, 2)]
+
+
+# Parameters.
+
+
+def test_all_parameters_in_order_and_none_twice(sea):
+    sea.console.say("param_request_list", 1, 1)
+    values = [m for m in sail(sea, 2.0) if m.get_type() == "PARAM_VALUE"]
+    assert [m.param_index for m in values] == list(range(values[0].param_count))
+    assert {m.param_id: m.param_value for m in values}["SPEED_MAX"] == pytest.approx(2.2)
+
+
+def test_a_parameter_is_changed_within_its_range_and_logged(sea):
+    answers = sea.console.say("param_set", 1, 1, b"SPEED_MAX", 1.8, 9)
+    assert newest(answers, "PARAM_VALUE").param_value == pytest.approx(1.8)
+    assert sea.vehicle.settings.control.speed.max_mps == 1.8
+    assert sea.log == [console.Set("control.speed.max_mps", 1.8)]
+    answers = sea.console.say("param_set", 1, 1, b"SPEED_MAX", -3.0, 9)
+    assert newest(answers, "PARAM_VALUE").param_value == pytest.approx(1.8)
+    assert "more than 0.0 to 30.0" in texts(answers)
+    answers = sea.console.say("param_set", 1, 1, b"LOSS_ACTION", 3.0, 9)
+    assert sea.vehicle.settings.failsafe.console_silent.action == "stop"
+    assert newest(sea.console.say("param_request_read", 1, 1, b"LOSS_ACTION", -1), "PARAM_VALUE").param_value == 3.0
+    assert "0 to 3" in texts(sea.console.say("param_set", 1, 1, b"LOSS_ACTION", 7.0, 9))
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_number_is_no_parameter(sea, value):
+    sea.console.say("param_set", 1, 1, b"LOSS_TIMEOUT", value, 9)
+    assert sea.vehicle.settings.failsafe.console_silent.after_s == 10.0
+
+
+def test_a_parameter_that_does_not_exist(sea):
+    assert newest(sea.console.say("param_request_read", 1, 1, b"NONSENSE", -1), "PARAM_ERROR").error == 1
+    assert newest(sea.console.say("param_request_read", 1, 1, b"", 999), "PARAM_ERROR").error == 1
+    assert newest(sea.console.say("param_set", 1, 1, b"NONSENSE", 1.0, 9), "PARAM_ERROR").error == 1
+
+
+# Who commands.
+
+
+def test_one_commands_and_others_take_over_by_saying_so(sea):
+    other = Console(sea.station, sea.radio, system=251, address=("127.0.0.1", 14551))
+    other.beat()
+    assert sea.console.mode(3)[0] == ACCEPTED
+    result, words = other.mode(5)
+    assert (result, sea.state.mode) == (LATER, Mode.HEADING)
+    assert "console 250 commands; take over first" in words
+    other.say("manual_control", 1, 500, 0, 0, 0, 0)
+    assert other.command(32100, 0, 1)[0] == ACCEPTED
+    assert other.mode(5)[0] == ACCEPTED
+    assert sea.console.mode(3)[0] == LATER
+    assert newest(sail(sea, 0.2), "NAMED_VALUE_INT").value == 251
+
+
+def test_anybody_stops_the_boat(sea):
+    other = Console(sea.station, sea.radio, system=251, address=("127.0.0.1", 14551))
+    sea.console.mode(3)
+    assert other.mode(4)[0] == ACCEPTED
+    assert sea.state.mode is Mode.IDLE
+    assert sea.station.owner == 250
+
+
+def test_a_console_gives_up_and_the_next_one_commands(sea):
+    other = Console(sea.station, sea.radio, system=251, address=("127.0.0.1", 14551))
+    sea.console.mode(3)
+    assert sea.console.command(32100, 0, 0)[0] == ACCEPTED
+    assert other.mode(4)[0] == ACCEPTED
+    assert other.mode(3)[0] == ACCEPTED
+
+
+def test_onlookers_do_not_keep_the_boat_sailing(sea):
+    """The silence of whoever commands is a trouble, however much others talk."""
+    other = Console(sea.station, sea.radio, system=251, address=("127.0.0.1", 14551))
+    sea.console.command(43002, 1, 0.0)
+    for _ in range(9):
+        other.beat()
+        sea.vehicle.on_command(console.Alive())
+        sail(sea, 1.0)
+    assert sea.state.mode is Mode.HEADING
+    for _ in range(2):
+        other.beat()
+        sea.vehicle.on_command(console.Alive())
+        sail(sea, 1.0)
+    assert sea.state.mode is Mode.HOLD
+    assert sea.state.reason.startswith("console silent")
+
+
+def test_whoever_commands_keeps_the_boat_sailing_by_its_heartbeat(sea):
+    sea.console.command(43002, 1, 0.0)
+    for _ in range(15):
+        sea.console.beat()
+        sail(sea, 1.0)
+    assert sea.state.mode is Mode.HEADING
+
+
+# The dead-man of manual thrust.
+
+
+def test_thrust_ends_then_the_mode_and_coming_back_moves_nothing(sea):
+    sea.console.mode(0)
+    for _ in range(10):
+        sea.console.say("manual_control", 1, 500, 0, 0, 0, 0)
+        sail(sea, 0.2)
+    assert sea.state.actuation.port_rpm > 500
+    heard = sail(sea, 2.1)
+    assert sea.state.mode is Mode.MANUAL
+    assert sea.state.actuation.port_rpm == sea.state.actuation.starboard_rpm == 0.0
+    assert "no thrust: no manual command" in texts(heard)
+    for _ in range(5):
+        sea.console.say("manual_control", 1, 500, 0, 0, 0, 0)
+        sail(sea, 0.2)
+    assert sea.state.actuation.port_rpm == 0.0, "the operator lets go first"
+    sea.console.say("manual_control", 1, 0, 0, 0, 0, 0)
+    sea.console.say("manual_control", 1, 500, 0, 0, 0, 0)
+    sail(sea, 1.0)
+    assert sea.state.actuation.port_rpm > 500
+    sea.console.beat()
+    sail(sea, 5.2)
+    assert sea.state.mode is Mode.IDLE
+
+
+# Once is once.
+
+
+def test_a_command_repeated_for_want_of_an_answer_is_answered_and_not_obeyed_twice(sea):
+    sea.vehicle.on_command(console.Mission(MISSION))
+    assert sea.console.command(300, 0)[0] == ACCEPTED
+    before = list(sea.log)
+    sail(sea, 1.0)
+    assert sea.console.command(300, 0, confirmation=1)[0] == ACCEPTED
+    assert sea.log == before
+
+
+@pytest.mark.parametrize("stop", [(176, 1, 4), (400, 0)])
+def test_a_stop_that_is_repeated_stops_again(sea, stop):
+    sea.console.command(*stop)
+    sea.vehicle.on_command(console.Heading(0.0), "console 250")
+    assert sea.console.command(*stop, confirmation=1)[0] == ACCEPTED
+    assert sea.state.mode is Mode.IDLE
+
+
+def test_what_comes_twice_or_late_is_not_obeyed(sea):
+    first, second = (sea.console.frame("command_long", 1, 1, 176, 0, 1, number, 0, 0, 0, 0, 0) for number in (3, 4))
+    sea.console.deliver(second)
+    sea.console.deliver(second)
+    sea.console.deliver(first)
+    assert sea.log == [console.Stop()]
+    assert sea.station.counts["late"] == 2
+    assert sea.state.mode is Mode.IDLE
