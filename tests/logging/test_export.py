@@ -66,7 +66,7 @@ def test_gpx_has_the_track_and_the_changes_of_mode(day, tmp_path):
     assert points[0].find("g:time", names).text.endswith("Z")
     told = [each.find("g:name", names).text for each in root.findall("g:wpt", names)]
     assert "play: operator" in told
-    assert "idle: no manual command for 2.0 s" in told
+    assert "idle: no manual command for 5.0 s" in told
 
 
 def test_a_gap_without_positions_breaks_the_track(day, tmp_path):
