@@ -119,9 +119,8 @@ async def drawn(page: Page, boat: Boat) -> None:
     """A triangle around the selected boat, drawn by mouse and sent."""
     state = boat.state()
     latitude_deg, longitude_deg = state["latitude_deg"], state["longitude_deg"]
-    await page.value(
-        f"delfim.fit({latitude_deg - 90 * NORTH_M}, {longitude_deg - 0.001}, {latitude_deg + 90 * NORTH_M}, {longitude_deg + 0.001})"
-    )
+    south, north = latitude_deg - 90 * NORTH_M, latitude_deg + 90 * NORTH_M
+    await page.value(f"delfim.fit({south}, {longitude_deg - 0.001}, {north}, {longitude_deg + 0.001})")
     for north_m, east_deg in ((60, 0.0), (60, 0.0008), (-60, 0.0008)):
         await page.mouse(await page.value(f"delfim.pixel({latitude_deg + north_m * NORTH_M}, {longitude_deg + east_deg})"))
         await choose(page, "Add waypoint")
