@@ -27,7 +27,7 @@ from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, bus_state, o
 from delfim.canproxy.timed import SecondTimer, Timekeeper, TimeService
 from delfim.clock import Clock, SystemClock
 from delfim.errors import DelfimError, PermanentFailure
-from delfim.logging.canzlogd import BlackBox
+from delfim.logging.canzlogd import FRAMES_A_CALL, BlackBox
 from delfim.logging.liblog import event_line, open_log
 from delfim.logging.logd import LogMessages
 from delfim.logging.statelog import Schema, StateWriter
@@ -59,6 +59,7 @@ from delfim.vehicle.state import Mode, State
 WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
 MAINTAIN_EVERY = 10
+GATHER_S = 0.005  # that frames wait for others on their way into the black box; the kernel has stamped them already
 SHUTDOWN_LOOK_S = 0.1
 
 
@@ -229,7 +230,10 @@ async def canzlogd(runtime: Runtime) -> None:
     """The black box: every frame of every bus."""
     settings = runtime.config
     with contextlib.ExitStack() as links:
-        sockets = [links.enter_context(open_can(name, error_frames=True)) for name in _interfaces(settings)]
+        room = settings.can.receive_buffer_bytes
+        names = _interfaces(settings)
+        opened = (open_can(name, receive_buffer_bytes=room, error_frames=True, batch=FRAMES_A_CALL) for name in names)
+        sockets = [links.enter_context(each) for each in opened]
         box = BlackBox(sockets, settings.log, runtime.clock, bus_state)
         links.callback(box.close)
         runtime.board["canzlogd"] = box.figures
@@ -237,7 +241,7 @@ async def canzlogd(runtime: Runtime) -> None:
         for each in sockets:
             each.bind(ANYTHING)
             each.setblocking(False)
-            runtime.reader(each.fileno(), partial(box.on_readable, each))
+            runtime.reader(each.fileno(), partial(box.on_readable, each), GATHER_S)
             links.callback(runtime.remove_reader, each.fileno())
         while True:
             await asyncio.sleep(1.0)

@@ -39,7 +39,7 @@ class PlainRuntime(Runtime):
     def navigation(self, fd: int, handler: Callable[[], bool]) -> None:
         asyncio.get_running_loop().add_reader(fd, handler)
 
-    def reader(self, fd: int, handler: Callable[[], object]) -> None:
+    def reader(self, fd: int, handler: Callable[[], object], pause_s: float = 0.0) -> None:
         asyncio.get_running_loop().add_reader(fd, handler)
 
     def remove_navigation(self, fd: int) -> None:

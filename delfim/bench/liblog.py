@@ -182,7 +182,11 @@ class Wire:
 
     def __init__(self) -> None:
         self.name, self.dropped, self.queue = "can0", 0, deque[Frame]()
-        self.receive: Callable[[], Frame | None] = lambda: self.queue.popleft() if self.queue else None
+
+    def receive_many(self) -> list[Frame]:
+        frames = list(self.queue)
+        self.queue.clear()
+        return frames
 
     def rebind(self) -> bool:
         return True

@@ -38,9 +38,11 @@ _COUNTED_MAX = 4096  # arbitration fields whose numbering is remembered
 _LOOPBACK = socket.inet_aton("127.0.0.1")
 _SO_ATTACH_FILTER, _IP_MULTICAST_ALL = 26, 49  # asm-generic/socket.h, linux/in.h
 _UDP_HEADER_BYTES = 8
+_LINGER_S = 1.0
 
 _new = tuple.__new__  # a third of the time of Frame(...)
-_ports_of_this_process: set[int] = set()
+_ports_of_this_process: set[int] = set()  # those of closed sockets too, for a while
+_closed_ports: dict[int, float] = {}  # and when that was, s: frames that came by them may still be queued
 
 
 def stable_index(name: str) -> int:
@@ -95,6 +97,7 @@ class CanLoop:
         seed: int | None = None,
         verbose: bool = False,
         kernel_filter: bool = sys.platform == "linux",
+        batch: int = BATCH,
     ) -> None:
         self.name, self.dropped, self.ifindex = f"canloop:{name}", 0, stable_index(name)
         self._error_frames, self._droprate, self._random, self._verbose = error_frames, droprate, Random(seed), verbose
@@ -107,6 +110,7 @@ class CanLoop:
         self._output = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._recvmsg = self._input.recvmsg
         self._taken: mmsg.Messages | None = None
+        self._batch = batch
         self._given: mmsg.Messages | None = None
         self._nothing: mmsg.Messages | None = None
         self._kernel_filter = kernel_filter
@@ -123,7 +127,9 @@ class CanLoop:
         self._output.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_TTL, 0)  # never leaves this computer
         self._output.connect(self._group)
         self._port = self._output.getsockname()[1]
+        _forget_ports(time.monotonic() - _LINGER_S)
         _ports_of_this_process.add(self._port)
+        _closed_ports.pop(self._port, None)
         self._input.setblocking(False)
         self._input.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if sys.platform == "linux":
@@ -135,7 +141,7 @@ class CanLoop:
         self.filter(())
         self._input.bind(self._group)
         if mmsg.AVAILABLE and self._kernel_filter:
-            self._taken = mmsg.Messages(self._input, BATCH, _DATAGRAM.size, _SENDER.size, _STAMP.size)
+            self._taken = mmsg.Messages(self._input, self._batch, _DATAGRAM.size, _SENDER.size, _STAMP.size)
             self._given = mmsg.Messages(self._output, BATCH, _DATAGRAM.size)
             self._nothing = mmsg.Messages(self._output, BATCH, 0)
 
@@ -146,7 +152,8 @@ class CanLoop:
         self._taken = self._given = self._nothing = None  # their descriptors may soon be somebody else's
         self._input.close()
         self._output.close()
-        _ports_of_this_process.discard(getattr(self, "_port", 0))
+        if port := getattr(self, "_port", 0):
+            _closed_ports[port] = time.monotonic()
 
     def rebind(self) -> bool:
         return True  # the loopback interface keeps its memberships, whatever happens to it
@@ -275,6 +282,12 @@ class CanLoop:
         return self._error_frames if arb & CAN_ERR else any(accepts(address, arb) for address in self._addresses)
 
 
+def _forget_ports(closed_before_s: float) -> None:
+    for port in [port for port, closed_s in _closed_ports.items() if closed_s < closed_before_s]:
+        _ports_of_this_process.discard(port)
+        del _closed_ports[port]
+
+
 def _candump(name: str, arb: int, data: bytes) -> str:
     number = f"{identifier(arb):08X}" if arb & CAN_IDE else f"{identifier(arb):03X}"
     return f"({time.time():.6f}) {name} {number}#" + (f"R{len(data)}" if arb & CAN_RTR else data.hex().upper())
@@ -288,6 +301,7 @@ def open_canloop(
     verbose: bool = False,
     receive_buffer_bytes: int = 1 << 20,
     error_frames: bool = False,
+    batch: int = BATCH,
 ) -> CanSocket:
     """A socket on the bus `name`, with the options of the thesis' driver (5.3.5): `droprate` 0..1 from `seed`, `verbose`."""
-    return CanSocket(CanLoop(name, receive_buffer_bytes, error_frames, droprate, seed, verbose))
+    return CanSocket(CanLoop(name, receive_buffer_bytes, error_frames, droprate, seed, verbose, batch=batch))

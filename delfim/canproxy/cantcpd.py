@@ -107,7 +107,7 @@ class Bus:
     def join(self, client: "Client") -> None:
         """Raises BusError where the bus cannot be opened."""
         if self._can is None:
-            can = open_can(self.interface, receive_buffer_bytes=self._receive_buffer_bytes)
+            can = open_can(self.interface, receive_buffer_bytes=self._receive_buffer_bytes, batch=FRAMES_A_CALL)
             try:
                 can.bind(ANYTHING)
             except BusError:
@@ -194,7 +194,7 @@ class Bus:
             self._tell(frames, loop.time())
         if self._can is None:  # its last client was closed just now
             return
-        if len(frames) == FRAMES_A_CALL:
+        if len(frames) >= FRAMES_A_CALL:
             self._later = loop.call_soon(self._look)
         elif frames:
             self._later = loop.call_later(GATHER_S, self._look)
@@ -203,14 +203,13 @@ class Bus:
             self._readers.reader(self._can.fileno(), self._wake)
 
     def _receive(self) -> list[Frame]:
-        """Up to FRAMES_A_CALL frames of all kinds."""
+        """About FRAMES_A_CALL frames of all kinds."""
         frames: list[Frame] = []
         if self._can is None:
             return frames
-        receive = self._can.receive
         try:
-            while len(frames) < FRAMES_A_CALL and (frame := receive()) is not None:
-                frames.append(frame)
+            while len(frames) < FRAMES_A_CALL and (more := self._can.receive_many()):
+                frames += more
         except BusError as error:
             self._failed(error)
         return frames

@@ -95,7 +95,7 @@ class CanSocket:
     carries the kernel's receive time, the interface and whether it was sent here. Raises BusError."""
 
     receive_many: Callable[[], list[Frame]]
-    """The hot path for messages of several frames: up to BATCH of those that are queued, at once. Raises BusError."""
+    """The hot path for messages of several frames: up to a batch of those that are queued, at once. Raises BusError."""
 
     send_many: Callable[[Sequence[tuple[int, bytes]]], int]
     """The hot path for up to BATCH frames (arbitration field, data): queues them in their order without waiting, each
@@ -234,7 +234,9 @@ class CanSocket:
                     raise TimeoutError(f"{self.name}: the transmit queue stayed full") from None
 
 
-def open_can(interface: str, *, receive_buffer_bytes: int = 1 << 20, error_frames: bool = False) -> CanSocket:
+def open_can(
+    interface: str, *, receive_buffer_bytes: int = 1 << 20, error_frames: bool = False, batch: int = BATCH
+) -> CanSocket:
     """Open a socket on one of these interfaces; raises BusError.
 
     "can0"                                      a Linux interface, "any" for all of them
@@ -244,13 +246,14 @@ def open_can(interface: str, *, receive_buffer_bytes: int = 1 << 20, error_frame
 
     `receive_buffer_bytes` bounds the queue of received frames (a frame takes about 800 bytes of it), as far as the system lets
     it. `error_frames` lets the frames through by which a controller reports its own state; see `bus_state`.
+    `batch` is how many frames `receive_many` takes by one call to the kernel, where it can.
     """
     kind, _, name = interface.partition(":")
     # A transport is imported when it is chosen: python-can alone takes a quarter of a second.
     if kind == "canloop":
         from delfim.canproxy.canloop import open_canloop
 
-        return open_canloop(name, receive_buffer_bytes=receive_buffer_bytes, error_frames=error_frames)
+        return open_canloop(name, receive_buffer_bytes=receive_buffer_bytes, error_frames=error_frames, batch=batch)
     if kind == "python-can":
         from delfim.canproxy.adapter import PythonCan
 
@@ -261,7 +264,7 @@ def open_can(interface: str, *, receive_buffer_bytes: int = 1 << 20, error_frame
         return CanSocket(Remote(name, receive_buffer_bytes))
     from delfim.canproxy.socketcan import SocketCan
 
-    return CanSocket(SocketCan(interface, receive_buffer_bytes, error_frames))
+    return CanSocket(SocketCan(interface, receive_buffer_bytes, error_frames, batch))
 
 
 class BusState(NamedTuple):

@@ -68,7 +68,7 @@ class SocketCan:
 
     outlets: Callable[[], Sequence[int]] | None
 
-    def __init__(self, name: str, receive_buffer_bytes: int, error_frames: bool) -> None:
+    def __init__(self, name: str, receive_buffer_bytes: int, error_frames: bool, batch: int = BATCH) -> None:
         self.name, self.dropped, self.ifindex = name, 0, 0
         self.outlets = self._up_interfaces if name == "any" else None
         self._bound_name = "" if name == "any" else name
@@ -91,7 +91,7 @@ class SocketCan:
             failure = self._failure(error)
             self._socket.close()
             raise failure from None
-        self._taken: mmsg.Messages | None = mmsg.Messages(self._socket, BATCH, CAN_FRAME.size, _INTERFACE.size, _CONTROL.size)
+        self._taken: mmsg.Messages | None = mmsg.Messages(self._socket, batch, CAN_FRAME.size, _INTERFACE.size, _CONTROL.size)
         self._given: mmsg.Messages | None = mmsg.Messages(self._socket, BATCH, CAN_FRAME.size)
         self._nothing: mmsg.Messages | None = mmsg.Messages(self._socket, BATCH, CAN_FRAME.size - 1)
 

@@ -101,8 +101,8 @@ def _waypoints(mission: dict[str, Any]) -> list[Item]:
         words = (float(each.get("hold_s") or 0.0), float(each.get("acceptance_m") or 0.0), 0.0, 0.0)
         items.append(Item(mavlink.MAV_CMD_NAV_WAYPOINT, words, *_place(each)))
     for piece in mission.get("path") or []:
-        words = (*(float(piece.get(key) or 0.0) for key in PIECE), 0.0)
-        items.append(Item(mavlink.MAV_CMD_WAYPOINT_USER_1, words, *_place(piece)))
+        one, two, three = (float(piece.get(key) or 0.0) for key in PIECE)
+        items.append(Item(mavlink.MAV_CMD_WAYPOINT_USER_1, (one, two, three, 0.0), *_place(piece)))
     return items
 
 

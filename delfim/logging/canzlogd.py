@@ -16,6 +16,7 @@ from delfim.logging.candump import format_line
 from delfim.logging.liblog import LogStatus, event_line, open_log
 
 FRAMES_A_CALL: Final = 64  # a fraction of a millisecond; the loop calls again while frames are queued
+LAST_CALLS: Final = 100
 STEP_S: Final = 0.5  # a wall clock that differs by more from where it should be has stepped
 
 
@@ -23,8 +24,8 @@ class Socket(Protocol):
     """What is needed of a CAN socket; delfim.canproxy.socket.CanSocket is one."""
 
     name: str
-    receive: Callable[[], Frame | None]  # raises BusError
 
+    def receive_many(self) -> list[Frame]: ...  # raises BusError
     @property
     def dropped(self) -> int: ...
     def rebind(self) -> bool: ...
@@ -88,20 +89,22 @@ class BlackBox:
         self._clock, self._bus_state = clock, bus_state
         self._offset_s = self._wall_offset_s()
 
-    def on_readable(self, socket: Socket) -> None:
-        """Log up to FRAMES_A_CALL frames that are queued."""
+    def on_readable(self, socket: Socket) -> int:
+        """Log about FRAMES_A_CALL of the frames that are queued. Returns how many."""
         bus = self._buses[id(socket)]
-        receive, device = socket.receive, bus.device
+        receive_many, device = socket.receive_many, bus.device
         lines: list[str] = []
         try:
-            while len(lines) < FRAMES_A_CALL and (frame := receive()) is not None:
-                lines.append(format_line(frame, device))
-                if frame.arb & CAN_ERR and (state := self._bus_state(frame)):
-                    bus.state = state.state
+            while len(lines) < FRAMES_A_CALL and (frames := receive_many()):
+                for frame in frames:
+                    lines.append(format_line(frame, device))
+                    if frame.arb & CAN_ERR and (state := self._bus_state(frame)):
+                        bus.state = state.state
         except BusError as error:
             bus.error = str(error)
         if lines and not bus.log.put("".join(lines).encode()):
             bus.lost += len(lines)
+        return len(lines)
 
     def poll(self) -> None:
         """Call about once a second: keeps the logs going, takes up buses that failed, writes the sidecars."""
@@ -138,6 +141,9 @@ class BlackBox:
 
     def close(self) -> None:
         for bus in self._buses.values():
+            for _ in range(LAST_CALLS):  # the last frames of a boat that stops are among those that are still queued
+                if self.on_readable(bus.socket) < FRAMES_A_CALL:
+                    break
             bus.note("end")
             bus.log.close()
 

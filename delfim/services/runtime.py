@@ -98,6 +98,7 @@ class Runtime:
         self._beat_fd = beat_fd
         self._beat_s = min(BEAT_S, settings.supervisor.deadman_s / 4)
         self._tasks: dict[str, asyncio.Task[None]] = {}
+        self._pauses: dict[int, asyncio.TimerHandle] = {}  # of readers
         self._stop_reason = ""
         self._stopping = asyncio.Event()
         self._collections, self._collection_longest_s = 0, 0.0
@@ -122,8 +123,9 @@ class Runtime:
     def remove_navigation(self, fd: int) -> None:
         self._loop.remove_navigation(fd)
 
-    def reader(self, fd: int, handler: Callable[[], object]) -> None:
-        """Call `handler` in its turn whenever `fd` is readable. Time and failure as in `navigation`."""
+    def reader(self, fd: int, handler: Callable[[], object], pause_s: float = 0.0) -> None:
+        """Call `handler` in its turn whenever `fd` is readable, at most once each `pause_s`: waking up for every frame of a
+        busy bus costs more than the frames. Time and failure as in `navigation`."""
         failed = self._failed()
 
         def guarded() -> None:
@@ -132,10 +134,20 @@ class Runtime:
             except Exception as error:  # a defect of the service: it is restarted, the loop goes on
                 self._loop.remove_reader(fd)
                 failed(error)
+            else:
+                if pause_s:
+                    self._loop.remove_reader(fd)
+                    self._pauses[fd] = self._loop.call_later(pause_s, watch)
 
-        self._loop.add_reader(fd, guarded)
+        def watch() -> None:
+            self._pauses.pop(fd, None)
+            self._loop.add_reader(fd, guarded)
+
+        watch()
 
     def remove_reader(self, fd: int) -> None:
+        if pause := self._pauses.pop(fd, None):
+            pause.cancel()
         self._loop.remove_reader(fd)
 
     def report(self) -> dict[str, object]:

@@ -52,6 +52,15 @@ def test_two_processes_on_one_bus(bus: str) -> None:
     assert frame.ifindex == stable_index(bus)
 
 
+def test_frames_of_a_socket_that_was_closed_meanwhile_are_still_ours(bus: str) -> None:
+    with open_can(f"canloop:{bus}") as here:
+        here.bind(ANYTHING)
+        here.settimeout(20.0)
+        with open_can(f"canloop:{bus}") as gone:
+            gone.sendto(b"last", CanAddress(standard(1)))
+        assert here.recvmsg().sent_here
+
+
 def test_two_buses_do_not_hear_each_other(bus: str) -> None:
     with open_canloop(bus) as one, open_canloop(f"{bus}-2") as two, open_canloop(f"{bus}-2") as three:
         for each in (one, two, three):

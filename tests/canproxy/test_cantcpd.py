@@ -685,15 +685,15 @@ def test_a_bus_that_fails_and_comes_back(served: Served, bus: CanSocket, name: s
     with raw(served, name) as peer:
         one = served.server.buses[name]
         assert one._can is not None
-        receive = one._can.receive
+        receive_many = one._can.receive_many
 
-        def down() -> Frame | None:
+        def down() -> list[Frame]:
             raise BusError("can0 is down")
 
-        monkeypatch.setattr(one._can, "receive", down)
+        monkeypatch.setattr(one._can, "receive_many", down)
         bus.sendto(b"", CanAddress(standard(1)))
         served.wait_for(lambda: one.failure == "can0 is down")
-        monkeypatch.setattr(one._can, "receive", receive)
+        monkeypatch.setattr(one._can, "receive_many", receive_many)
         served.call(lambda: served.server.poll(0))
         assert one.failure == ""
         bus.sendto(b"\1", CanAddress(standard(1)))

@@ -33,7 +33,7 @@ def test_a_client_on_another_computer_sees_every_frame_of_cangen(tmp_path: Path)
     """python-can's client on the host, the kernel's bus in the guest, a cable between them in a namespace of its own."""
     if reason := missing():
         pytest.skip(reason)
-    command = ["unshare", "--map-root-user", "--net", sys.executable, "tests/guest/host_cantcpd.py", str(tmp_path)]
+    command = ["unshare", "--map-root-user", "--net", sys.executable, "tests/guest/guest_cantcpd_host.py", str(tmp_path)]
     environment = {**os.environ, "PATH": PATH}
     result = subprocess.run(command, cwd=ROOT, env=environment, capture_output=True, text=True, timeout=200)
     assert result.returncode == 0, result.stdout + result.stderr

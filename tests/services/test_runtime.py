@@ -244,6 +244,25 @@ def test_readers_and_navigation_are_called_until_they_are_removed() -> None:
     assert calls == ["navigation", "other"]
 
 
+def test_a_reader_with_a_pause_is_not_called_more_often_and_not_after_its_removal() -> None:
+    calls_s: list[float] = []
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+
+    async def service(runtime: Runtime) -> None:
+        theirs.send(b"never read")
+        runtime.reader(ours.fileno(), lambda: calls_s.append(time.monotonic()), 0.01)
+        while len(calls_s) < 5:
+            await asyncio.sleep(0.001)
+        runtime.remove_reader(ours.fileno())
+        await asyncio.sleep(0.03)
+
+    ran(Service("service", service))
+    for end in (ours, theirs):
+        end.close()
+    assert len(calls_s) == 5
+    assert min(later_s - earlier_s for earlier_s, later_s in pairwise(calls_s)) >= 0.009
+
+
 def test_every_callback_is_charged_to_its_service_from_when_it_has_settled(monkeypatch: pytest.MonkeyPatch) -> None:
     """The connections that a server of a service accepts are the service's, too. What starting costs does not count."""
     monkeypatch.setattr(module, "SETTLE_S", 0.02)

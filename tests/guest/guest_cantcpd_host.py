@@ -1,6 +1,6 @@
 """On the host, in a network namespace of its own: a guest on a cable (tap), cantcpd in it, and python-can's client out here.
 
-unshare --map-root-user --net python tests/guest/host_cantcpd.py FOLDER        prints what both sides saw as one JSON object
+unshare --map-root-user --net python tests/guest/guest_cantcpd_host.py FOLDER     prints what both sides saw as a JSON object
 """
 
 import contextlib
