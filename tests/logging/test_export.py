@@ -66,7 +66,7 @@ def test_gpx_has_the_track_and_the_changes_of_mode(day, tmp_path):
     assert points[0].find("g:time", names).text.endswith("Z")
     told = [each.find("g:name", names).text for each in root.findall("g:wpt", names)]
     assert "play: operator" in told
-    assert "idle: no manual command for 2.0 s" in told
+    assert "idle: no manual command for 5.0 s" in told
 
 
 def test_a_gap_without_positions_breaks_the_track(day, tmp_path):
@@ -144,6 +144,21 @@ def test_the_black_box_in_formats_of_others(tmp_path, form):
     assert since == pytest.approx([(frame.t_ns - FRAMES[0][1].t_ns) / 1e9 for _, frame in FRAMES], abs=2e-4)
     if form != "log":
         assert len({message.channel for message in read}) == 2
+
+
+@pytest.mark.parametrize("form", ["asc", "blf", "mf4"])
+def test_error_frames_are_error_frames_in_the_formats_of_others(tmp_path, form):
+    if form == "mf4":
+        pytest.importorskip("asammdf", reason=FORMATS_MISSING)
+    told = bytes((0, 4, 0, 0, 0, 0, 0, 0))
+    error = Frame(4 << 3 | CAN_IDE | CAN_ERR, told, 1_262_304_000_050_000_000)
+    file = tmp_path / f"out.{form}"
+    assert canexport.write([FRAMES[0], ("can0", error), FRAMES[1]], file, form) == 3
+    with can.LogReader(file) as reader:
+        read = sorted(reader, key=lambda message: message.timestamp)
+    assert [message.is_error_frame for message in read] == [False, True, False]
+    if form != "asc":  # which says when there was one, and no more
+        assert (read[1].arbitration_id, bytes(read[1].data)) == (4, told)
 
 
 def test_plain_candump_is_what_was_logged_error_frames_included(tmp_path):
