@@ -75,7 +75,7 @@ def test_info_sums_up(log):
     assert told["ends"] == {"lockstep": "clean", "state": "clean"}
     text = log("info")
     assert "play refused: no navigation yet" in text
-    assert "mode: idle no manual command for 2.0 s" in text
+    assert "mode: idle no manual command for 5.0 s" in text
 
 
 @pytest.mark.parametrize(("form", "begins"), [("png", b"\x89PNG"), ("svg", b"<?xml")])

@@ -129,7 +129,7 @@ def test_lines_come_back_as_they_were_written(day):
 
 def test_a_guest_at_the_helm_is_repeated(tmp_path):
     """Its words lie in the records of the cycles that obeyed them; its silence makes a failsafe, at the same cycle as then."""
-    day = Day(tmp_path)
+    day = Day(tmp_path, "failsafe.guest_silent.after_s=5.15")  # not between two looks of which but one is recorded
     day.sail(5.0)
     day.sailing.guest_says(b'{"heading_deg": 12.3456789, "speed_mps": 0.7}')
     assert day.command(console.Mode("grex")) is None
