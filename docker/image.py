@@ -36,23 +36,30 @@ LEFT_OUT: Final = re.compile(
     r"|libpam.*|libsqlite3.*|libtirpc.*|logsave"
 )
 PROGRAMS: Final = {"busybox", "e2fsck", "ip", "mke2fs", "tc", "tune2fs"}  # beside Python; the shell and the rest are Busybox
-PRUNED: Final = (
-    *("usr/share", "usr/lib/*/gconv", "usr/lib/*/perl*", "usr/lib/tmpfiles.d", "usr/lib/systemd", "var", "etc/*"),
-    *(
-        "usr/lib/python3*/" + name
-        for name in ("ensurepip", "idlelib", "lib2to3", "tkinter", "turtledemo", "test", "unittest", "sqlite3")
-    ),
-    *("usr/lib/python3*/" + name for name in ("dbm", "distutils", "pydoc*", "pydoc_data", "sitecustomize.py")),
-    *(
-        "usr/lib/python3*/lib-dynload/" + name
-        for name in ("nis.*", "_dbm.*", "_sqlite3.*", "_test*", "_xxtestfuzz*", "_ctypes_test*")
-    ),
-    *("usr/lib/python3/dist-packages/" + name for name in ("bin", "*.dist-info/RECORD", "*.dist-info/direct_url.json")),
-    *(
-        "usr/lib/python3/dist-packages/" + name
-        for name in ("*.dist-info/INSTALLER", "*.dist-info/REQUESTED", "*.dist-info/licenses")
-    ),
-)
+PRUNED: Final = {  # in these, what no boat needs
+    ".": ("usr/share", "usr/lib/*/gconv", "usr/lib/*/perl*", "usr/lib/tmpfiles.d", "usr/lib/systemd", "var", "etc/*"),
+    "usr/lib/python3*": [
+        "ensurepip",
+        "idlelib",
+        "lib2to3",
+        "tkinter",
+        "turtledemo",
+        "test",
+        "unittest",
+        "sqlite3",
+        "dbm",
+        "distutils",
+        "pydoc*",
+    ],
+    "usr/lib/python3*/lib-dynload": ("nis.*", "_dbm.*", "_sqlite3.*", "_test*", "_xxtestfuzz*", "_ctypes_test*"),
+    "usr/lib/python3/dist-packages": ("bin", "lxml*", "delfim/bench", "delfim/console/page"),
+    "usr/lib/python3/dist-packages/*.dist-info": ("RECORD", "direct_url.json", "INSTALLER", "REQUESTED", "licenses"),
+}
+KEPT: Final = {  # and nothing else in these: of MAVLink the messages that are spoken, not the generator of all
+    "usr/lib/python3/dist-packages/pymavlink": {"__init__.py", "dialects"},
+    "usr/lib/python3/dist-packages/pymavlink/dialects": {"__init__.py", "v20"},
+    "usr/lib/python3/dist-packages/pymavlink/dialects/v20": {"__init__.py", "common.py", "development.py"},
+}
 DIRECTORIES: Final = (
     "boot",
     "dev",
@@ -142,9 +149,10 @@ def build_root(root: Path, cache: Path, vehicle: Path) -> dict[str, int]:
     library = max((root / "usr/lib").glob("python3.*"))
     site = root / "usr/lib/python3/dist-packages"
     install_python(site, library.name.removeprefix("python"), cache)
-    for pattern in PRUNED:
-        for path in root.glob(pattern):
-            shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink()
+    pruned = [path for folder, names in PRUNED.items() for name in names for path in root.glob(f"{folder}/{name}")]
+    pruned += [path for folder, names in KEPT.items() for path in (root / folder).iterdir() if path.name not in names]
+    for path in pruned:
+        shutil.rmtree(path) if path.is_dir() and not path.is_symlink() else path.unlink(missing_ok=True)
     configure(root, vehicle, packages)
     compile_python(root, library)
     complete(root)

@@ -18,6 +18,7 @@ ITEMS_MAX: Final = 2000
 WAYPOINTS, FENCE, HOME = 0, 1, 2  # MAV_MISSION_TYPE
 ORDER: Final = (FENCE, HOME, WAYPOINTS)  # a mission that a new fence cuts is forgotten aboard: it comes after
 OWN_SPEED: Final = -2.0  # the boat's
+PIECE: Final = ("turn_deg", "radius_m", "speed_mps")  # what an item says of a piece of the path
 
 
 class Item(NamedTuple):
@@ -51,6 +52,11 @@ def mission_of(name: str, items: Sequence[Sequence[Item]]) -> dict[str, Any]:
             waypoints.append(
                 place | {"speed_mps": speed_mps, "acceptance_m": item.words[1], "hold_s": item.words[0], "turn": None}
             )
+    path = [
+        {"latitude_deg": i.x / 1e7, "longitude_deg": i.y / 1e7} | dict(zip(PIECE, i.words, strict=False))
+        for i in items[WAYPOINTS]
+        if i.command == mavlink.MAV_CMD_WAYPOINT_USER_1
+    ]
     fence = [(i.x / 1e7, i.y / 1e7) for i in items[FENCE] if i.command == mavlink.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION]
     obstacles = [
         {"latitude_deg": i.x / 1e7, "longitude_deg": i.y / 1e7, "radius_m": i.words[0]}
@@ -58,7 +64,8 @@ def mission_of(name: str, items: Sequence[Sequence[Item]]) -> dict[str, Any]:
         if i.command == mavlink.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION
     ]
     home = [{"latitude_deg": i.x / 1e7, "longitude_deg": i.y / 1e7} for i in items[HOME]]
-    return {"name": name, "waypoints": waypoints, "fence": fence, "obstacles": obstacles, "home": home[0] if home else None}
+    zones = {"fence": fence, "obstacles": obstacles, "home": home[0] if home else None}
+    return {"name": name, "waypoints": waypoints, "path": path} | zones
 
 
 def digest(mission: dict[str, Any]) -> str:
@@ -93,6 +100,9 @@ def _waypoints(mission: dict[str, Any]) -> list[Item]:
             items.append(Item(mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, speed_mps or OWN_SPEED, -1.0, 0.0)))
         words = (float(each.get("hold_s") or 0.0), float(each.get("acceptance_m") or 0.0), 0.0, 0.0)
         items.append(Item(mavlink.MAV_CMD_NAV_WAYPOINT, words, *_place(each)))
+    for piece in mission.get("path") or []:
+        one, two, three = (float(piece.get(key) or 0.0) for key in PIECE)
+        items.append(Item(mavlink.MAV_CMD_WAYPOINT_USER_1, (one, two, three, 0.0), *_place(piece)))
     return items
 
 

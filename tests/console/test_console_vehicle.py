@@ -167,6 +167,19 @@ def test_a_mission_comes_back_as_it_went(sea: Afloat) -> None:
     assert sea.shown["mission"]["state"] == "same"
 
 
+def test_a_path_with_an_arc_goes_along_with_the_waypoints(sea: Afloat) -> None:
+    begin, middle, end = (
+        {"latitude_deg": latitude_deg, "longitude_deg": -9.2150} for latitude_deg in (38.6930, 38.6932, 38.6934)
+    )
+    half = middle | {"turn_deg": 180.0, "radius_m": 22.2, "speed_mps": 1.5}
+    sea.fleet.put(1, PLAN | {"path": [begin, half, end | {"latitude_deg": 38.6938}]})
+    assert sea.do(sea.fleet.upload) == (True, "")
+    back = sea.fleet.missions[1]["aboard"]
+    assert back["path"][1] == pytest.approx(half, rel=1e-6)
+    assert len(back["waypoints"]) == 4
+    assert sea.shown["mission"]["state"] == "same"
+
+
 def test_play_from_a_waypoint_is_that_waypoint_behind_changes_of_speed_too(sea: Afloat) -> None:
     sea.fleet.put(1, PLAN)
     sea.do(sea.fleet.upload)

@@ -419,16 +419,17 @@ def test_waypoints_are_ordered_deleted_and_given_speeds(sail: Sail) -> None:
         await choose(page, "Delete")
         await planned(gateway, lambda w: len(w) == 3)
         await page.mouse(await pixel(page, *SQUARE[2]))
-        await choose(page, "Speed, acceptance, hold…")
+        await choose(page, "Speed, acceptance…")
         for key in ("ArrowRight",) * 12 + ("ArrowDown",) + ("ArrowRight",) * 4 + ("Enter",):
             await page.press(key)
         last = await planned(gateway, lambda w: w[-1]["speed_mps"] > 0)
         assert (round(last["waypoints"][2]["speed_mps"], 6), last["waypoints"][2]["acceptance_m"]) == (1.2, 2)
         await page.mouse(await pixel(page, *SQUARE[2]))
         await choose(page, "Leg to it", "Half circle to port")
-        turn = (await planned(gateway, lambda w: len(w) == 3 and w[2]["turn"] is not None))["waypoints"][2]["turn"]
-        assert close(turn, (0, 0))
-        assert not turn["clockwise"]
+        turned = await planned(gateway, lambda w: len(w) == 3 and w[2]["turn"] is not None)
+        arc = turned["path"][2]
+        assert (close(arc, (0, 0)), round(arc["turn_deg"]), round(arc["radius_m"])) == (True, -180, 72)
+        assert not turned["waypoints"][2]["turn"]["clockwise"]
 
     sail(story)
 

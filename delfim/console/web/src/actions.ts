@@ -1,8 +1,9 @@
 // What an operator does to a boat, whether by key or by menu. Every command names its boat.
 import type { Drive, Thrusters } from "./drive";
+import { spoken } from "./mission";
 import type { Answer, Net } from "./net";
 import type { State } from "./state";
-import type { Boat, Command, Mission, MissionDeed, Mode, Place } from "./wire";
+import type { Boat, Command, MissionDeed, Mode, Place } from "./wire";
 
 const WANTED_MS = 2000; // what was asked for is taken for granted so long, until the boat says its own
 const STOP_AGAIN_MS = 200;
@@ -24,7 +25,9 @@ export class Actions {
     private readonly drive: Drive,
     private readonly say: Say,
     private readonly changed: () => void,
-  ) {}
+  ) {
+    state.on(["boats"], () => this.confirm());
+  }
 
   async command(boat: number, command: Command, more: More = {}): Promise<Answer> {
     const answer = await this.net.ask({ t: "command", boat, command, ...more });
@@ -33,6 +36,7 @@ export class Actions {
   }
 
   async mode(boat: Boat, mode: Mode): Promise<void> {
+    if (mode !== "idle") this.stopping.delete(boat.id); // a new wish
     if (mode === "manual") this.drive.begin(boat.id);
     else this.drive.end(boat.id);
     this.wantedMode.set(boat.id, { mode, at: performance.now() });
@@ -51,27 +55,17 @@ export class Actions {
     return asked === boat.mode ? null : asked;
   }
 
-  /** Stop one boat, again and again until it is confirmed. */
+  /** Stop one boat. The gateway repeats it until the boat answers; what is not taken is asked again until the boat is idle. */
   stop(id: number): void {
     this.drive.end(id);
-    this.wantedMode.delete(id);
-    this.stopping.add(id);
-    this.changed();
-    this.repeat(
-      () => this.net.ask({ t: "command", boat: id, command: "stop" }),
-      () => this.stopped([id]),
-    );
+    void this.halt([id], id);
   }
 
   stopAll(): void {
     this.drive.endAll();
-    this.wantedMode.clear();
-    const ids = this.state.boats.map((each) => each.id);
-    ids.forEach((id) => this.stopping.add(id));
-    this.changed();
-    this.repeat(
-      () => this.net.ask({ t: "command", boat: "all", command: "stop" }),
-      () => this.stopped(ids),
+    void this.halt(
+      this.state.boats.map((each) => each.id),
+      "all",
     );
   }
 
@@ -117,7 +111,10 @@ export class Actions {
     return Math.round(boat.reference?.heading_deg ?? boat.heading_deg ?? 0);
   }
 
-  async mission(boat: number, deed: MissionDeed, more: { mission?: Mission; name?: string } = {}): Promise<Answer> {
+  /** What is to be done with the plan of a boat; the plan goes along with what needs it. */
+  async mission(boat: number, deed: MissionDeed, name?: string): Promise<Answer> {
+    const carries = deed !== "list" && deed !== "load" && deed !== "download";
+    const more = { ...(carries ? { mission: spoken(this.state.plan(boat).mission) } : {}), ...(name === undefined ? {} : { name }) };
     const answer = await this.net.ask({ t: "mission", boat, do: deed, ...more });
     if (!answer.ok) this.say(boat, 3, `${deed === "put" ? "plan" : deed} refused: ${answer.reason}`);
     return answer;
@@ -148,26 +145,21 @@ export class Actions {
     this.say(boat.id, 6, "Alt and Ctrl choose one thruster in manual mode");
   }
 
-  private repeat(send: () => Promise<Answer>, done: () => boolean): void {
-    let [left, confirmed] = [STOP_MOST, false];
-    const once = () => {
-      void send().then((answer) => (confirmed ||= answer.ok));
-      this.changed();
-    };
-    once();
-    const timer = setInterval(() => {
-      if (done() || --left <= 0) clearInterval(timer);
-      else if (!confirmed) once();
-    }, STOP_AGAIN_MS);
-  }
-
-  /** Whether these boats say that they are idle; those that do are no longer stopping. */
-  private stopped(ids: number[]): boolean {
+  private async halt(ids: number[], boat: number | "all"): Promise<void> {
     for (const id of ids) {
-      const boat = this.state.byId(id);
-      if (!boat || (boat.mode === "idle" && (boat.asked === null || boat.asked === "idle"))) this.stopping.delete(id);
+      this.wantedMode.delete(id);
+      this.stopping.add(id);
     }
     this.changed();
-    return !ids.some((id) => this.stopping.has(id));
+    for (let left = STOP_MOST; left > 0 && ids.some((id) => this.stopping.has(id)); left--) {
+      if ((await this.net.ask({ t: "command", boat, command: "stop" })).ok) return;
+      await new Promise((resolve) => setTimeout(resolve, STOP_AGAIN_MS));
+    }
+  }
+
+  /** Boats that say that they are idle are no longer stopping. */
+  private confirm(): void {
+    for (const id of this.stopping) if (this.state.byId(id)?.mode === "idle") this.stopping.delete(id);
+    this.changed();
   }
 }

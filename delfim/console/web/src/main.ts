@@ -11,6 +11,7 @@ import { Fleet, position } from "./fleet";
 import { Keys } from "./keys";
 import { Menus } from "./menus";
 import { Messages } from "./messages";
+import { understood } from "./mission";
 import { Net } from "./net";
 import { Plans } from "./plans";
 import { Popup } from "./popup";
@@ -85,7 +86,7 @@ function heard(message: Heard): void {
     case "text":
       return messages.say(message.boat, message.severity, message.text);
     case "mission":
-      return took(message.boat, message.where, message.mission);
+      return took(message.boat, message.where, understood(message.mission));
     case "missions":
       state.names = message.names;
       return;
@@ -128,7 +129,7 @@ function planned(boat: number): void {
   state.dryruns.delete(boat);
   state.tell("dryrun");
   state.tell("plan");
-  void actions.mission(boat, "put", { mission: state.plan(boat).mission });
+  void actions.mission(boat, "put");
 }
 
 function chosen(boat: Boat, at: Pixel): void {

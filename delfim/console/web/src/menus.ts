@@ -167,12 +167,12 @@ export class Menus {
   private stored(boat: Boat): Entry[] {
     const { names } = this.state;
     if (!names.length) return [{ title: "No mission is stored", refuse: "save one first" }];
-    return names.map((name) => ({ title: name, do: () => void this.actions.mission(boat.id, "load", { name }) }));
+    return names.map((name) => ({ title: name, do: () => void this.actions.mission(boat.id, "load", name) }));
   }
 
   private save(boat: Boat, name: string): void {
     if (name !== this.state.plan(boat.id).mission.name) this.change(boat, (mission) => ({ ...mission, name }));
-    void this.actions.mission(boat.id, "save", { name }).then((answer) => {
+    void this.actions.mission(boat.id, "save", name).then((answer) => {
       if (answer.ok) this.messages.say(boat.id, 6, `saved: ${name}`);
       void this.actions.mission(boat.id, "list");
     });
@@ -324,8 +324,8 @@ export class Menus {
     });
     const note = before ? `${bearing(bearing_deg(before, its))}  ${metres(distance_m(before, its))}` : position(its);
     this.popup.menu(at, { title: `Waypoint ${index + 1}`, colour: boat.colour, note }, [
-      { title: "Speed, acceptance, hold…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
-      { title: "Leg to it", refuse: before ? undefined : "it is the first", sub: () => this.legs(boat, index) },
+      { title: "Speed, acceptance…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
+      { title: "Leg to it", refuse: before ? undefined : "it is the first", note: "as path following sails it", sub: () => this.legs(boat, index) },
       "line",
       { title: "Insert before", refuse: before ? undefined : "it is the first", do: () => this.change(boat, (each) => M.insertWaypoint(each, index, middle(before!, its))) },
       {
@@ -353,9 +353,8 @@ export class Menus {
 
   private waypointForm(boat: Boat, index: number): void {
     const its = this.state.plan(boat.id).mission.waypoints[index]!;
-    const hold: Field = { title: "Hold", unit: "s", value: its.hold_s, step: 5, least: 0, most: 3600, zero: "no", show: duration };
-    this.shape(boat, `Waypoint ${index + 1}`, [speedField(its.speed_mps), acceptanceField(its.acceptance_m), hold], (mission, [speed, acceptance, wait]) =>
-      M.setWaypoint(mission, index, { speed_mps: speed!, acceptance_m: acceptance!, hold_s: wait! }),
+    this.shape(boat, `Waypoint ${index + 1}`, [speedField(its.speed_mps), acceptanceField(its.acceptance_m)], (mission, [speed, acceptance]) =>
+      M.setWaypoint(mission, index, { speed_mps: speed!, acceptance_m: acceptance! }),
     );
   }
 

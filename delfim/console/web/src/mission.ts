@@ -1,9 +1,11 @@
 // A plan for each boat: the working copy of its mission, with undo. Patterns are functions from a form to waypoints.
 import { arc, bearing_deg, carried, distance_m, moved, step, towards } from "./geo";
-import type { Mission, Obstacle, Place, Waypoint } from "./wire";
+import type { Mission, Obstacle, PathPoint, Place, Waypoint } from "./wire";
 
 const UNDO_MOST = 200;
 const SPIRAL_STEP_DEG = 20;
+const ARC_DEG = 5;
+const JOINT_M = 1;
 
 export const waypoint = (place: Place): Waypoint => ({
   latitude_deg: place.latitude_deg,
@@ -26,6 +28,7 @@ export function same(a: Mission, b: Mission): boolean {
       mission.fence.map((each) => at(cornerPlace(each))),
       mission.obstacles.map((each) => [at(each), each.radius_m]),
       mission.home && at(mission.home),
+      mission.path ?? [],
     ]);
   return words(a) === words(b);
 }
@@ -64,6 +67,50 @@ function course_m(mission: Mission, index: number): number {
 export function leg(mission: Mission, index: number): Place[] {
   const [from, to] = [mission.waypoints[index - 1]!, mission.waypoints[index]!];
   return to.turn ? arc(from, to.turn, to, to.turn.clockwise) : [from, to];
+}
+
+/** A mission as the boat takes it: legs that turn become a path (docs/missions.md), which the boat follows in that mode. */
+export function spoken(mission: Mission): Mission {
+  const points = mission.waypoints;
+  if (!points.some(({ turn }) => turn)) return mission;
+  const pieces = points.map((to, i): PathPoint => {
+    const at = { latitude_deg: to.latitude_deg, longitude_deg: to.longitude_deg, speed_mps: to.speed_mps };
+    if (!to.turn || i === 0) return { ...at, turn_deg: 0, radius_m: 0 };
+    const [from, { clockwise, ...centre }] = [points[i - 1]!, to.turn];
+    const right = (bearing_deg(centre, to) - bearing_deg(centre, from) + 360) % 360;
+    return { ...at, ...centre, turn_deg: clockwise ? right : right - 360, radius_m: distance_m(centre, from) };
+  });
+  return { ...mission, path: pieces };
+}
+
+/** The inverse: a path that leads through the waypoints is their legs; any other one stays a path of its own. */
+export function understood(mission: Mission): Mission {
+  const { path: pieces = [], waypoints } = mission;
+  if (pieces.length !== waypoints.length || !pieces.some(({ turn_deg }) => turn_deg)) return mission;
+  const ends = pieces.map((_, i) => path({ ...mission, path: pieces.slice(0, i + 1) }).at(-1)!);
+  if (ends.some((end, i) => distance_m(end, waypoints[i]!) > JOINT_M)) return mission;
+  const turned = waypoints.map((each, i) => {
+    const { turn_deg, latitude_deg, longitude_deg } = pieces[i]!;
+    return { ...each, turn: turn_deg ? { latitude_deg, longitude_deg, clockwise: turn_deg > 0 } : null };
+  });
+  return { ...mission, waypoints: turned, path: [] };
+}
+
+/** The points of the mission's own path, if it has one. */
+export function path(mission: Mission): Place[] {
+  const [begin, ...pieces] = mission.path ?? [];
+  if (!begin) return [];
+  const points: Place[] = [begin];
+  for (const piece of pieces) {
+    const from = points.at(-1)!;
+    if (!piece.turn_deg) points.push(piece);
+    else {
+      const [first, radius_m] = [bearing_deg(piece, from), distance_m(piece, from)];
+      const count = Math.ceil(Math.abs(piece.turn_deg) / ARC_DEG);
+      for (let i = 1; i <= count; i++) points.push(towards(piece, first + (piece.turn_deg * i) / count, radius_m));
+    }
+  }
+  return points;
 }
 
 const replaced = <T>(list: T[], index: number, item: T): T[] => list.map((each, i) => (i === index ? item : each));

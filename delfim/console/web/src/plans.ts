@@ -10,7 +10,7 @@ import type { Chart, Pixel } from "./chart";
 import { placeOf, point } from "./chart";
 import { cased, keptAboard } from "./fleet";
 import { bearing, bearing_deg, distance_m, metres } from "./geo";
-import { cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, moveWaypoint, setObstacle } from "./mission";
+import { cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, moveWaypoint, path as pathOf, setObstacle } from "./mission";
 import { inked, palette } from "./palette";
 import type { State } from "./state";
 import type { Mission, Place, Waypoint } from "./wire";
@@ -140,6 +140,8 @@ export class Plans {
     const [mission, boat] = [this.mission(), this.state.boat];
     if (!mission || !boat) return;
     this.mine.addFeatures(keptAboard(mission, true));
+    const path = pathOf(mission).map(point);
+    if (path.length > 1) this.mine.addFeature(styled(new LineString(path), cased(palette.plan, 1.6, [9, 5])));
     this.mine.addFeatures(drawnLegs(mission, palette.plan, 2.2));
     const current = boat.mode === "play" || boat.mode === "goto" ? boat.mission.current : null;
     const size = mission.waypoints.length;
@@ -155,9 +157,8 @@ export class Plans {
     this.over.clear();
     for (const [id, run] of this.state.dryruns) {
       if (id !== this.state.selected || run.track.length < 2) continue;
-      const track = new Feature(new LineString(run.track.map((each) => point(cornerPlace(each)))));
-      track.setStyle(cased(palette.soft, 2, [2, 5]));
-      this.over.addFeature(track);
+      const track = new LineString(run.track.map((each) => point(cornerPlace(each))));
+      this.over.addFeature(styled(track, cased(palette.soft, 2, [2, 5])));
     }
     const pending: [Place, Place][] = this.ruler ? [[this.ruler, to ?? this.ruler]] : [];
     for (const [from, end] of [...this.rulers, ...pending]) this.over.addFeatures(drawnRuler(from, end));
@@ -218,11 +219,16 @@ function dragged(mission: Mission, { kind, index }: Handle, to: Place): Mission 
   }
 }
 
+function styled(geometry: LineString | Point, style: Style | Style[]): Feature {
+  const feature = new Feature(geometry);
+  feature.setStyle(style);
+  return feature;
+}
+
 function drawnLegs(mission: Mission, colour: string, width: number): Feature[] {
   return mission.waypoints.slice(1).flatMap((_, i) => {
     const points = leg(mission, i + 1).map(point);
-    const line = new Feature(new LineString(points));
-    line.setStyle(cased(colour, width));
+    const line = styled(new LineString(points), cased(colour, width));
     const [a, b] = [points[Math.floor((points.length - 1) / 2)]!, points[Math.floor((points.length - 1) / 2) + 1]!];
     const arrow = new Feature(new Point([a[0]! + (b[0]! - a[0]!) * 0.62, a[1]! + (b[1]! - a[1]!) * 0.62]));
     const rotation = Math.atan2(b[0]! - a[0]!, b[1]! - a[1]!);

@@ -97,7 +97,7 @@ class Chip {
     this.drawTrouble(boat);
     GROUPS.forEach((group, i) => {
       const its = age_s(state, boat, group);
-      attribute(this.groups[i]!, "data-age", freshness(its, group));
+      attribute(this.groups[i]!, "data-age", boat.age_s[group] === null ? "none" : freshness(its, group));
       attribute(this.groups[i]!, "title", `${group}: ${ageWords(its)}`);
     });
     this.drawMission(boat, state);

@@ -16,12 +16,20 @@ export interface Obstacle extends Place {
   radius_m: number;
 }
 
+/** A piece of the path (docs/missions.md): its beginning, the end of a line, or the centre of an arc. */
+export interface PathPoint extends Place {
+  turn_deg?: number; // positive to starboard
+  radius_m?: number;
+  speed_mps?: number;
+}
+
 export interface Mission {
   name: string;
   waypoints: Waypoint[];
   fence: [number, number][];
   obstacles: Obstacle[];
   home: Place | null;
+  path?: PathPoint[]; // of its own, beside the waypoints
 }
 
 export type Pair = [number | null, number | null];
