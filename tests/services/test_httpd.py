@@ -8,6 +8,7 @@ import re
 import shutil
 import socket
 import sys
+from collections import Counter
 from collections.abc import AsyncIterator
 from pathlib import Path
 from types import SimpleNamespace
@@ -193,7 +194,7 @@ def test_a_vehicle_that_does_not_answer_is_said_to_be_so(tmp_path, monkeypatch, 
 
 def test_a_visitor_who_leaves_while_the_page_is_made_costs_the_next_none_of_it(tmp_path):
     settings = vehicle_file(tmp_path)
-    door = SimpleNamespace(figures=lambda: {"connections": 0, "requests": 0, "refused": 0})
+    door = SimpleNamespace(inside=Counter[str](), refused=0)
 
     async def left_after(steps: int) -> set[str]:
         runtime = Runtime(settings, SystemClock(), alone=True)
