@@ -48,7 +48,8 @@ def run(asked: argparse.Namespace) -> int:
     seconds = asked.seconds or (QUICK_SECONDS if asked.quick else SECONDS)
     with tempfile.TemporaryDirectory(dir=output) as place:
         times = {name: figure_us(way, Path(place) / f"{i}", writes) for i, (name, way) in enumerate(WAYS.items())}
-        times |= {f"liblog {method}": put_us(Path(place), method, seconds) for method in get_args(Method)}
+        times["os.write, paced"] = bare_us(Path(place) / "bare", seconds)
+        times |= {f"liblog {method}, paced": put_us(Path(place), method, seconds) for method in get_args(Method)}
         box = black_box(Path(place), seconds)
     told = {name: {part: round(_part(each, share), 2) for part, share in PARTS.items()} for name, each in times.items()}
     (output / "log.json").write_text(json.dumps({"writes": writes, "us": told, "black_box": box}, indent=1) + "\n")
@@ -161,19 +162,32 @@ def figure_us(way: Callable[[Path], Any], path: Path, writes: int) -> list[float
 
 def put_us(directory: Path, method: Method, seconds: float) -> list[float]:
     """The time of each put of liblog, paced, sorted, us."""
-    clock, chance = SystemClock(), random.Random(1)
-    log = open_log(directory, method, ".log", method, clock, file_bytes=1_000_000, file_s=600.0)
+    log = open_log(directory, method, ".log", method, SystemClock(), file_bytes=1_000_000, file_s=600.0)
+    times = paced_us(log.put, log.poll, seconds)
+    log.close()
+    assert log.status().records == len(times), log.status()
+    return times
+
+
+def bare_us(path: Path, seconds: float) -> list[float]:
+    """The same with nothing but the system call: what the kernel takes by itself."""
+    with _file(path) as write:
+        return paced_us(write, lambda: None, seconds)
+
+
+def paced_us(write: Write, poll: Callable[[], None], seconds: float) -> list[float]:
+    """The time of each of RECORDS_PER_S writes a second, sorted, us; polled once a second, as the vehicle does."""
+    chance = random.Random(1)
     times, due_s = [], time.monotonic()
-    for _ in range(round(seconds * RECORDS_PER_S)):
+    for number in range(round(seconds * RECORDS_PER_S)):
         record = _record(chance)
         due_s += 1 / RECORDS_PER_S
         time.sleep(max(0.0, due_s - time.monotonic()))
         start_ns = time.perf_counter_ns()
-        log.put(record)
+        write(record)
         times.append((time.perf_counter_ns() - start_ns) / 1e3)
-        log.poll()
-    log.close()
-    assert log.status().records == len(times), log.status()
+        if number % RECORDS_PER_S == 0:
+            poll()
     return sorted(times)
 
 
