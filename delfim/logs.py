@@ -206,6 +206,10 @@ def _fetch(asked: argparse.Namespace) -> int:
     from delfim.logging.fetch import fetch
 
     folder = Path(asked.directory)
+    if any(word and word.startswith("+") for word in (asked.from_, asked.to)):
+        raise DelfimError(
+            "a time since the beginning of a run means nothing before the run is here: write 09:30, today, or a date"
+        )
     span = tree.span(asked.from_, asked.to, time.time_ns())
     for summary in (True, False)[: 1 if asked.summary else 2]:
         outcome, seconds = fetch(asked.url, folder, asked.id, span, summary=summary)

@@ -128,3 +128,5 @@ def test_mistakes_are_one_line(log, capsys, tmp_path, place):
         assert reason in err
         assert err.count("\n") == 1
     assert main(["log", "ls", str(tmp_path / "no")]) == 2
+    assert main(["log", "fetch", "--from", "+90", "ftp://boat/log", str(tmp_path)]) == 2
+    assert "means nothing before the run is here" in capsys.readouterr().err
