@@ -15,7 +15,7 @@ import threading
 import time
 from pathlib import Path
 
-from tests.guest.wire import Wire
+from tests.guest.guest_wire import Wire
 
 FOLDER = Path(os.environ["FOLDER"])
 BYTES_PER_S = 10_000

@@ -13,13 +13,13 @@ from typing import Any
 import pytest
 
 from delfim.services.door import hashed
+from tests.guest.guest_wire import Wire
 from tests.guest.harness import ROOT, Guest, guest
-from tests.guest.wire import Wire
 
 BOAT, SHORE, MTU = "10.0.0.1", "10.0.0.2", 296
 BYTES_PER_S = 10_000  # 100 kbit/s, 8N1
 LINE = "/dev/radio"
-LOG = random.Random(1).randbytes(60_000)
+LOG = random.Random(1).randbytes(40_000)
 INFINITE = float("inf")
 ENDED = """if [ -e /run/slipd ]; then
     kill -TERM "$(cat /run/slipd)"
@@ -39,7 +39,7 @@ def sailed(tmp_path: Path, encapsulation: str, mode: str, seconds: float) -> dic
 @pytest.mark.timeout(240)
 @pytest.mark.parametrize(("encapsulation", "mode"), [("cslip", "kernel"), ("slip", "user")])
 def test_the_line_comes_up_favours_the_console_and_comes_back(tmp_path: Path, encapsulation: str, mode: str) -> None:
-    report = sailed(tmp_path, encapsulation, mode, 4.0)
+    report = sailed(tmp_path, encapsulation, mode, 3.0)
     assert report["interface"].startswith("sl" if mode == "kernel" else "radio")
     medians = report["medians"]
     assert medians["idle_ms"] < medians["lowdelay_ms"] < medians["loaded_ms"], "an urgent packet overtakes a download"
@@ -103,7 +103,7 @@ def radio(tmp_path: Path) -> Iterator[Radio]:
         guest(tmp_path, modules=("slip", "tun"), kernel_args=names[1:]) as shore,
     ):
         for end in (boat, shore):
-            end.run(f"python -m tests.guest.wire {LINE} {BYTES_PER_S} </dev/null >/run/wire 2>&1 &")
+            end.run(f"python -m tests.guest.guest_wire {LINE} {BYTES_PER_S} </dev/null >/run/wire 2>&1 &")
         boat.run(f"python -m delfim run {file} --service ftpd </dev/null >/run/ftpd 2>&1 &")
         wire = Wire(boat_end, shore_end, (INFINITE, INFINITE))
         yield Radio(boat, shore, wire)
@@ -125,6 +125,6 @@ def test_two_computers_on_one_line_with_and_without_compressed_headers_and_with_
     radio.wire.noise = 1e-4
     radio.download()
     radio.wire.noise = 3e-2  # nothing comes through
-    radio.shore.run(f"busybox ping -c 30 -i 0.1 -w 4 {BOAT}")
+    radio.shore.run(f"busybox ping -c 30 -i 0.1 -w 2 {BOAT}")
     radio.wire.noise = 0.0
     assert radio.reached(20.0) < 5.0

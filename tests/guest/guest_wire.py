@@ -1,7 +1,7 @@
 """A serial line: bytes between two terminals, at the speed of the line, or damaged, or not at all.
 
-In a guest: python tests/guest/wire.py LINK BYTES_PER_S makes a terminal with the name LINK whose other end is the guest's own
-serial port; what leaves is paced here, what comes was paced by who sent it. (The kernel's SLIP straight on that port stalls
+In a guest: python -m tests.guest.guest_wire LINK BYTES_PER_S makes a terminal with the name LINK whose other end is the guest's
+own serial port; what leaves is paced here, what comes was paced by who sent it. (The kernel's SLIP straight on that port stalls
 under load, for a fault of the emulated port.)
 """
 
