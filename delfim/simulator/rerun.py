@@ -82,6 +82,21 @@ class Due(NamedTuple):
     what: Any = None
 
 
+class Asked(NamedTuple):
+    """The guest's reference; not a number where it never gave one."""
+
+    heading_rad: float
+    speed_mps: float
+
+
+class Word(NamedTuple):
+    """Somebody was heard."""
+
+    at_s: float  # monotonic
+    key: str  # of the state: "console_s", "guest_s"
+    asked: Asked | None  # None: it was the console
+
+
 class Recalled:
     """The clock of the recorded run."""
 
@@ -203,16 +218,23 @@ class Rerun:
 
     def _navigate(self, due: Due) -> None:
         """The cycle of a record. The last frame may have got its stamp in the black box after the vehicle had read it."""
-        record = due.what
-        self.state.setpoint = self.state.setpoint._replace(
-            guest_heading_rad=None if record["guest_heading"] != record["guest_heading"] else float(record["guest_heading"]),
-            guest_speed_mps=float(record["guest_speed"]),
-        )
+        self._ask(due.what)
         while not any(self.vehicle.on_navigation(source) for source in self.sources):
             if not self._inputs or self._inputs[0][1].t_ns > due.t_ns + LATER_NS:
                 break
             self._deliver(*self._inputs.popleft())
             self._at(due.t_ns, due.at_s)
+
+    def hear(self, word: Word) -> None:
+        """The console or the guest said something."""
+        setattr(self.state, word.key, word.at_s)
+        if word.asked:
+            self._ask(word.asked)
+
+    def _ask(self, asked: Asked) -> None:
+        """What the guest asks for from now on; not a number where it never did."""
+        heading = None if asked.heading_rad != asked.heading_rad else asked.heading_rad
+        self.state.setpoint = self.state.setpoint._replace(guest_heading_rad=heading, guest_speed_mps=asked.speed_mps)
 
     def _command(self, due: Due) -> None:
         event = due.what
@@ -265,23 +287,33 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None) -> Result:
         raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
     run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"])
     due = sorted([*_cycles(columns), *_commands(told), *_looks(columns, told)], key=lambda each: each.t_ns)
-    words = sorted(
-        (float(at_s), key) for key in ("console_s", "guest_s") for at_s in set(columns[key].tolist()) if at_s > NEVER_S
-    )
-    spoken = deque(words)
+    spoken = deque(sorted(_words_of(columns), key=lambda word: word.at_s))
     for each in due:
-        while spoken and spoken[0][0] <= each.at_s:
-            at_s, key = spoken.popleft()
-            setattr(run.state, key, at_s)
+        while spoken and spoken[0].at_s <= each.at_s:
+            run.hear(spoken.popleft())
         run.step(each)
     run.finish(any(event["event"] == "end" for event in told))
     return Result(run.state.cycles, run.frames, run.differences, run.refusals)
 
 
 def _cycles(columns: Any) -> Iterator[Due]:
-    keys = ("guest_heading", "guest_speed")
-    for i, (t1, at_s) in enumerate(zip(columns["t1"].tolist(), columns["monotonic_s"].tolist(), strict=True)):
-        yield Due(t1, "navigation", at_s, {key: columns[key][i] for key in keys})
+    times = zip(columns["t1"].tolist(), columns["monotonic_s"].tolist(), _asked(columns), strict=True)
+    for t1, at_s, asked in times:
+        yield Due(t1, "navigation", at_s, asked)
+
+
+def _asked(columns: Any) -> Iterator[Asked]:
+    return map(Asked, columns["guest_heading"].tolist(), columns["guest_speed"].tolist())
+
+
+def _words_of(columns: Any) -> Iterator[Word]:
+    """Each time at which somebody spoke, with what the guest had asked for by the cycle that followed."""
+    for key in ("console_s", "guest_s"):
+        before_s = NEVER_S
+        for at_s, asked in zip(columns[key].tolist(), _asked(columns), strict=True):
+            if at_s > before_s:
+                yield Word(at_s, key, asked if key == "guest_s" else None)
+            before_s = at_s
 
 
 def _commands(told: Iterable[dict[str, Any]]) -> Iterator[Due]:

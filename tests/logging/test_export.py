@@ -146,6 +146,21 @@ def test_the_black_box_in_formats_of_others(tmp_path, form):
         assert len({message.channel for message in read}) == 2
 
 
+@pytest.mark.parametrize("form", ["asc", "blf", "mf4"])
+def test_error_frames_are_error_frames_in_the_formats_of_others(tmp_path, form):
+    if form == "mf4":
+        pytest.importorskip("asammdf", reason=FORMATS_MISSING)
+    told = bytes((0, 4, 0, 0, 0, 0, 0, 0))
+    error = Frame(4 << 3 | CAN_IDE | CAN_ERR, told, 1_262_304_000_050_000_000)
+    file = tmp_path / f"out.{form}"
+    assert canexport.write([FRAMES[0], ("can0", error), FRAMES[1]], file, form) == 3
+    with can.LogReader(file) as reader:
+        read = sorted(reader, key=lambda message: message.timestamp)
+    assert [message.is_error_frame for message in read] == [False, True, False]
+    if form != "asc":  # which says when there was one, and no more
+        assert (read[1].arbitration_id, bytes(read[1].data)) == (4, told)
+
+
 def test_plain_candump_is_what_was_logged_error_frames_included(tmp_path):
     error = Frame(4 << 3 | CAN_IDE | CAN_ERR, bytes(8), 1_262_304_002_000_000_000)
     canexport.write([*FRAMES, ("can0", error)], tmp_path / "out.log", "log")
