@@ -11,11 +11,11 @@ MORE   := .venv/.formats
 LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt test.txt build.txt)
 
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
-# that people use: a browser, FTP, SSH.
+# that people use: a browser, FTP, SSH, Octave.
 SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs chromium curl lftp openssh-client openssl \
-	tnftp wget qemu-system-x86 grub-pc-bin grub-common
+	tnftp wget qemu-system-x86 grub-pc-bin grub-common octave octave-instrument-control
 SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck chromium curl lftp ssh openssl tnftp wget \
-	qemu-system-x86_64 grub-mkimage
+	qemu-system-x86_64 grub-mkimage octave-cli
 
 export PYTHONSAFEPATH := 1
 export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/.venv/bin
