@@ -60,7 +60,7 @@ def run(asked: argparse.Namespace) -> int:
                 samples[process].append(sample)
         visitors.end()
         restarts = {process: each["restarts"] for process, each in boat.programs().items()}
-    rows = [_row(process, its) | {"restarts": restarts.get(process, 0)} for process, its in samples.items()]
+    rows = [{"process": process, "restarts": restarts.get(process, 0), **grown(its)} for process, its in samples.items()]
     Path(asked.output).mkdir(parents=True, exist_ok=True)
     results = {"minutes": asked.minutes, "rows": rows, "visits": visitors.visits, "failures": visitors.failures}
     (Path(asked.output) / "soak.json").write_text(json.dumps(results, indent=1) + "\n")
@@ -225,11 +225,12 @@ class Visitors:
         subprocess.run(command, check=True, input=said.encode(), capture_output=True, timeout=TIMEOUT_S)
 
 
-def _row(process: str, samples: list[Sample]) -> dict[str, Any]:
-    """The second third of the time and the last one: memory in the middle, and the least that was open and under way."""
+def grown(samples: list[Sample]) -> dict[str, Any]:
+    """In the second third of the time and in the last one: memory in the middle, the least that was open and under way; and
+    what of that has grown."""
     third = len(samples) // 3
     then, now = samples[third : 2 * third], samples[2 * third :]
-    row: dict[str, Any] = {"process": process, "grown": []}
+    row: dict[str, Any] = {"grown": []}
     fields = ("memory_bytes", statistics.median, GROWN_BYTES), ("descriptors", min, GROWN), ("tasks", min, GROWN)
     for field, of, limit in fields:
         before, after = (int(of(getattr(each, field) for each in part)) for part in (then, now))
