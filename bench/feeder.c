@@ -48,9 +48,10 @@ static void say_message(int priority, int source, uint32_t id, const void *data,
 }
 
 static void say_navigation(long number) {
+    long along = number % 2000; /* a boat that goes north, slowly, and back: it never jumps */
     struct navigation n = {
         .utc_ns = (uint64_t)now_ns(CLOCK_REALTIME),
-        .latitude = 386925000 + (int32_t)(number % 1000), /* a boat that goes north, slowly, and starts again */
+        .latitude = 386925000 + (int32_t)(along < 1000 ? along : 2000 - along),
         .longitude = -92150000,
         .north = 1000,
         .heading = (uint16_t)(15000 + number % 2000),

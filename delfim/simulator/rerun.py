@@ -22,7 +22,7 @@ from delfim.logging import tree
 from delfim.logging.canzlogd import device
 from delfim.logging.summary import utc
 from delfim.logging.table import frames, table
-from delfim.logging.tree import LogFile
+from delfim.logging.tree import ALWAYS, LogFile, Span
 from delfim.messages import (
     BATTERIES_PORT,
     BATTERIES_STARBOARD,
@@ -63,7 +63,7 @@ class Result(NamedTuple):
 
     @property
     def exact(self) -> bool:
-        return self.frames > 0 and not self.differences and not self.refusals
+        return not self.differences and not self.refusals
 
     def text(self) -> str:
         lines = [f"{self.cycles} cycles repeated, {self.frames} propulsion frames compared: "]
@@ -80,6 +80,21 @@ class Due(NamedTuple):
     kind: str  # "command", "navigation", "watchdog", "guess"
     at_s: float  # monotonic
     what: Any = None
+
+
+class Asked(NamedTuple):
+    """The guest's reference; not a number where it never gave one."""
+
+    heading_rad: float
+    speed_mps: float
+
+
+class Word(NamedTuple):
+    """Somebody was heard."""
+
+    at_s: float  # monotonic
+    key: str  # of the state: "console_s", "guest_s"
+    asked: Asked | None  # None: it was the console
 
 
 class Recalled:
@@ -115,9 +130,9 @@ class NoLog:
 
 
 class Rerun:
-    """The loop, its inputs on buses without time, and what it sends."""
+    """The loop, its inputs on buses without time, and what it sends. What it sends in `span` is compared."""
 
-    def __init__(self, settings: config.Vehicle, recorded: Iterable[tuple[str, Frame]], start_s: float) -> None:
+    def __init__(self, settings: config.Vehicle, recorded: Iterable[tuple[str, Frame]], start_s: float, span: Span) -> None:
         self.clock, self.log, self.state = Recalled(), NoLog(), State()
         self.clock.now_s = start_s
         self._interface = device(settings.can.interface)
@@ -136,7 +151,7 @@ class Rerun:
         self._inputs = deque[tuple[str, Frame]]()
         self.recorded = deque[tuple[int, Group]]()
         self._split(recorded)
-        self.differences, self.refusals, self.frames = list[Difference](), list[str](), 0
+        self._span, self.differences, self.refusals, self.frames = span, list[Difference](), list[str](), 0
 
     def _source(self, name: str, settings: config.Vehicle) -> Source:
         if name == "dsor":
@@ -199,27 +214,34 @@ class Rerun:
         self.vehicle.on_watchdog()
         if not self._compare(t_ns):
             self.recorded.popleft()
-            self.differences.append(Difference(t_ns, group, ()))
+            self._judge(t_ns, group, ())
 
     def _navigate(self, due: Due) -> None:
         """The cycle of a record. The last frame may have got its stamp in the black box after the vehicle had read it."""
-        record = due.what
-        self.state.setpoint = self.state.setpoint._replace(
-            guest_heading_rad=None if record["guest_heading"] != record["guest_heading"] else float(record["guest_heading"]),
-            guest_speed_mps=float(record["guest_speed"]),
-        )
+        self._ask(due.what)
         while not any(self.vehicle.on_navigation(source) for source in self.sources):
             if not self._inputs or self._inputs[0][1].t_ns > due.t_ns + LATER_NS:
                 break
             self._deliver(*self._inputs.popleft())
             self._at(due.t_ns, due.at_s)
 
+    def hear(self, word: Word) -> None:
+        """The console or the guest said something."""
+        setattr(self.state, word.key, word.at_s)
+        if word.asked:
+            self._ask(word.asked)
+
+    def _ask(self, asked: Asked) -> None:
+        """What the guest asks for from now on; not a number where it never did."""
+        heading = None if asked.heading_rad != asked.heading_rad else asked.heading_rad
+        self.state.setpoint = self.state.setpoint._replace(guest_heading_rad=heading, guest_speed_mps=asked.speed_mps)
+
     def _command(self, due: Due) -> None:
         event = due.what
         self.log.why = event["refused"]
         refused = self.vehicle.on_command(console.parse(msgspec.json.encode(event["value"]))) or ""
         self.log.why = ""
-        if bool(refused) != bool(event["refused"]):
+        if bool(refused) != bool(event["refused"]) and self._span.has(due.t_ns):
             name = event["value"]["command"]
             then, now = (f"refused ({words})" if words else "obeyed" for words in (event["refused"], refused))
             self.refusals.append(f"{_time(due.t_ns)}  {name}: {then} then, {now} now")
@@ -236,10 +258,14 @@ class Rerun:
                 self.recorded.popleft()
             else:
                 then = ()
-            self.frames += len(then)
-            if then != group:
-                self.differences.append(Difference(t_ns, then, group))
+            self._judge(t_ns, then, group)
         return bool(groups)
+
+    def _judge(self, t_ns: int, then: Group, now: Group) -> None:
+        if self._span.has(t_ns):
+            self.frames += len(then)
+            if then != now:
+                self.differences.append(Difference(t_ns, then, now))
 
     def finish(self, ended: bool) -> None:
         """What was sent after the last record; where the program ended in order, its last word was a stop."""
@@ -251,8 +277,9 @@ class Rerun:
             self._compare(self.recorded[0][0])
 
 
-def rerun(files: Sequence[LogFile], vehicle_file: str | None) -> Result:
-    """Repeat a run. Raises DelfimError where the logs do not hold what it takes."""
+def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAYS) -> Result:
+    """Repeat a run, all of it, and compare what came of it in this time. Raises DelfimError where the logs do not hold what it
+    takes, or nothing that could be compared."""
     state_files = [file for file in files if file.id == "state"]
     told = [event for event in tree.events(state_files) if "at_s" in event or event["event"] in ("start", "end")]
     starts = [event for event in told if event["event"] == "start"]
@@ -263,25 +290,37 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None) -> Result:
     boxes = [file for file in files if file.suffix.startswith(".log")]
     if device(settings.can.interface) not in {file.id for file in boxes}:
         raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
-    run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"])
+    run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"], span)
     due = sorted([*_cycles(columns), *_commands(told), *_looks(columns, told)], key=lambda each: each.t_ns)
-    words = sorted(
-        (float(at_s), key) for key in ("console_s", "guest_s") for at_s in set(columns[key].tolist()) if at_s > NEVER_S
-    )
-    spoken = deque(words)
+    spoken = deque(sorted(_words_of(columns), key=lambda word: word.at_s))
     for each in due:
-        while spoken and spoken[0][0] <= each.at_s:
-            at_s, key = spoken.popleft()
-            setattr(run.state, key, at_s)
+        while spoken and spoken[0].at_s <= each.at_s:
+            run.hear(spoken.popleft())
         run.step(each)
     run.finish(any(event["event"] == "end" for event in told))
+    if not (run.frames or run.differences):
+        raise DelfimError("the boat commanded nothing in this time")
     return Result(run.state.cycles, run.frames, run.differences, run.refusals)
 
 
 def _cycles(columns: Any) -> Iterator[Due]:
-    keys = ("guest_heading", "guest_speed")
-    for i, (t1, at_s) in enumerate(zip(columns["t1"].tolist(), columns["monotonic_s"].tolist(), strict=True)):
-        yield Due(t1, "navigation", at_s, {key: columns[key][i] for key in keys})
+    times = zip(columns["t1"].tolist(), columns["monotonic_s"].tolist(), _asked(columns), strict=True)
+    for t1, at_s, asked in times:
+        yield Due(t1, "navigation", at_s, asked)
+
+
+def _asked(columns: Any) -> Iterator[Asked]:
+    return map(Asked, columns["guest_heading"].tolist(), columns["guest_speed"].tolist())
+
+
+def _words_of(columns: Any) -> Iterator[Word]:
+    """Each time at which somebody spoke, with what the guest had asked for by the cycle that followed."""
+    for key in ("console_s", "guest_s"):
+        before_s = NEVER_S
+        for at_s, asked in zip(columns[key].tolist(), _asked(columns), strict=True):
+            if at_s > before_s:
+                yield Word(at_s, key, asked if key == "guest_s" else None)
+            before_s = at_s
 
 
 def _commands(told: Iterable[dict[str, Any]]) -> Iterator[Due]:

@@ -59,9 +59,9 @@ def chart() -> bytes:
     bank = [212 + 14 * math.sin(x / 210) + 5 * math.sin(x / 33) for x in east]
     axes.fill_between(east, bank, 400, color="#efe6cf")
     axes.plot(east, bank, color="#8a7d5c", linewidth=1.6)
-    axes.add_patch(pyplot.Rectangle((150, 200), 160, 90, facecolor="#e9f3f4"))
+    axes.add_patch(pyplot.Rectangle((150, 200), 160, 90, facecolor="#e9f3f4", zorder=3))
     for quay in (((150, 221), (150, 290), (310, 290), (310, 211), (215, 200)), ((150, 221), (172, 206))):
-        axes.plot(*zip(*quay, strict=True), color="#8a7d5c", linewidth=1.6)
+        axes.plot(*zip(*quay, strict=True), color="#8a7d5c", linewidth=1.6, zorder=4)
     for x in range(-560, 120, 62):
         axes.add_patch(pyplot.Rectangle((x, 300 + 9 * math.sin(x)), 40, 32, facecolor="#dccfae", edgecolor="#b5a67f"))
     for x, y, words in (

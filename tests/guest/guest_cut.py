@@ -9,10 +9,11 @@ from pathlib import Path
 
 from delfim.console.link import Link
 from delfim.errors import DelfimError
+from delfim.messages import Node
 
 LOG = Path("/mnt/log")
 FOLDER = os.environ["FOLDER"]
-FRAMES_PER_S = sys.argv[1]
+FRAMES_PER_S, DEVICE, FILE_BYTES = sys.argv[1:]
 HEART = """
 import os, sys, time
 fd = os.open(sys.argv[1] + "/alive", os.O_WRONLY | os.O_CREAT)
@@ -21,12 +22,27 @@ while True:
     os.fsync(fd)  # on the host now
     time.sleep(0.02)
 """
+TALKER = """
+import time
+from delfim.canproxy.dsor import BROADCAST, Message, segments
+from delfim.canproxy.socket import open_can
+from delfim.messages import LOG_ID, Node
+with open_can("vcan0") as bus:
+    number = 0
+    while True:
+        text = f"fix {number}, as long as a line of a legacy node is".encode()
+        for frame in segments(Message(192, Node.GPS, BROADCAST, LOG_ID, text), number):
+            bus.sendmsg(frame)
+        number += 1
+        time.sleep(0.05)
+"""
 SETTINGS = {
     "can.interface": '"vcan0"',
     "console.socket": '"/run/delfim/command"',
     "log.directory": f'"{LOG}"',
     "log.free_bytes_min": "1_000_000",
-    "log.file_bytes": "200_000",
+    "log.file_bytes": FILE_BYTES,
+    "logd.nodes": f"[{Node.GPS:d}]",
     "navigation.rate_hz": "20.0",
     "runtime.run_directory": '"/run/delfim"',
     "supervisor.hardware_watchdog": '""',
@@ -62,17 +78,20 @@ def heading() -> bool:
 
 
 def growing() -> bool:
-    """Whether this boot's logs of both kinds are on the disk."""
+    """Whether this boot's logs of all kinds are on the disk."""
     begun = os.stat(f"{FOLDER}/begun").st_mtime
-    new = [path for path in LOG.glob("*/*/*.gz") if path.stat().st_mtime > begun and path.stat().st_size > 2000]
-    return {path.parent.name for path in new} >= {"state", "vcan0"}
+    new = [path for path in LOG.glob("*/*/*.gz") if path.stat().st_mtime > begun and path.stat().st_size > 500]
+    return {path.parent.name for path in new} >= {"state", "vcan0", "gps"}
 
 
 def main() -> None:
+    for name, centiseconds in (("writeback", 500), ("expire", 3000)):  # as everywhere but in a guest: the kernel is in no hurry
+        Path(f"/proc/sys/vm/dirty_{name}_centisecs").write_text(str(centiseconds))
     LOG.mkdir()
-    subprocess.run(["mount", "-t", "ext2", "/dev/ubda", LOG], check=True)
+    subprocess.run(["mount", "-t", "ext2", DEVICE, LOG], check=True)
     Path(f"{FOLDER}/begun").touch()
     start(sys.executable, "-c", HEART, FOLDER)
+    start(sys.executable, "-c", TALKER)
     delfim("nodes")
     delfim("supervise")
     until(heading, "the boat never became fit")

@@ -1,17 +1,30 @@
 """A recorded run through the real loop once more: the same frames, bit by bit, or told where not."""
 
+import gzip
 import json
 import re
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
 
+from delfim.canproxy.nmea2000 import Nmea2000Source
+from delfim.canproxy.socket import ANYTHING, CanAddress
 from delfim.errors import DelfimError
-from delfim.logging.candump import format_line
-from delfim.logging.liblog import read_log
-from delfim.logging.table import frames
+from delfim.frames import Frame
+from delfim.logging import canzlogd
+from delfim.logging.candump import format_line, parse_line
+from delfim.logging.canzlogd import BlackBox
+from delfim.logging.liblog import open_log, read_log
+from delfim.logging.table import frames, table
+from delfim.simulator.bus import LockstepBus
 from delfim.simulator.rerun import rerun
 from delfim.vehicle import console
+from delfim.vehicle.grex import Guest
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.navcan import Nmea2000Navigation
+from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.state import State
 from tests.logging.sailing import Day, logged, sailed
 
 
@@ -112,3 +125,97 @@ def test_lines_come_back_as_they_were_written(day):
     box = [file for file in logged(day) if file.id != "state"]
     again = "".join(format_line(frame, name) for name, frame in frames(box))
     assert again == "".join(read_log(file.path)[0].decode() for file in box)
+
+
+def test_a_guest_at_the_helm_is_repeated(tmp_path):
+    """Its words lie in the records of the cycles that obeyed them; its silence makes a failsafe, at the same cycle as then."""
+    day = Day(tmp_path, "failsafe.guest_silent.after_s=5.15")  # not between two looks of which but one is recorded
+    day.sail(5.0)
+    day.sailing.guest_says(b'{"heading_deg": 12.3456789, "speed_mps": 0.7}')
+    assert day.command(console.Mode("grex")) is None
+    day.sail(1.0)
+    for second in range(20):
+        day.clock.advance(0.0003)
+        day.sailing.guest_says(b'{"heading_deg": %d.25, "speed_mps": 1.1}' % (second * 17 % 360))
+        day.sail(1.0)
+    day.sail(20.0)  # it has gone silent
+    day.end()
+    columns, _ = table([file for file in logged(tmp_path) if file.id == "state"])
+    assert len({value for value in columns["guest_heading"].tolist() if value == value}) >= 20
+    result = rerun(logged(tmp_path), None)
+    assert result.exact, result.text()
+
+
+RECORDING = Path(__file__).parents[1] / "data/nmea2000/raymarine-p70.candump.log.gz"
+
+
+class Sensors:
+    """A boat without simulation: its navigation is a recording of a real boat's NMEA 2000 bus, at its own times."""
+
+    def __init__(self, place: Path) -> None:
+        overrides = ['navigation.sources=["nmea2000"]', "sysstat.required=[]", 'nmea2000.interface="canloop:n2k"']
+        self.day = Day(place, *overrides)
+        settings, self.clock, self.log = self.day.settings, self.day.clock, self.day.log
+        self.state = State()
+        self.bus, wire = LockstepBus(self.clock, "n2k"), LockstepBus(self.clock, "lockstep")
+        self.nodes, box = self.bus.socket("nodes"), self.bus.socket("box")
+        own, propulsion = wire.socket("box"), wire.socket()
+        for each in (box, own):
+            each.bind(ANYTHING)
+        decoder, sensors = Nmea2000Source(settings.nmea2000, settings.navigation.stale_s), self.bus.socket()
+        sensors.bind(*(CanAddress(arb, mask) for arb, mask in decoder.filters))
+        self.source = Nmea2000Navigation(sensors, decoder, self.state)
+        guest, outlet = Guest(self.state, self.clock), Propulsion(propulsion, settings.propulsion, self.state)
+        self.boat = Vehicle(settings, self.clock, self.state, (self.source,), outlet, guest, self.log)
+        with pytest.MonkeyPatch.context() as patch:  # files of the clock of the recording need no child
+            patch.setattr(canzlogd, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))
+            self.box, self.ends = BlackBox([box, own], settings.log, self.clock), (box, own)
+
+    def sail(self, frames: list[Frame]) -> None:
+        watched_s = self.clock.monotonic_s()
+        for before, frame in pairwise(frames):
+            self.nodes.sendto(frame.data, CanAddress(frame.arb))
+            self.clock.advance(0.00005)
+            while self.boat.on_navigation(self.source):
+                pass
+            self.clock.advance(max(0.0, (frame.t_ns - before.t_ns) / 1e9 - 0.00005))
+            if self.clock.monotonic_s() - watched_s > 0.1:
+                watched_s = self.clock.monotonic_s()
+                self.boat.on_watchdog()
+                self.log.watch(self.state)
+                self.clock.advance(0.00005)
+            self.boxed()
+
+    def command(self, command: console.Commands) -> None:
+        refused = self.boat.on_command(command)
+        self.log.command(command, refused, self.state)
+        assert refused is None
+        self.clock.advance(0.001)
+        self.boxed()
+
+    def boxed(self) -> None:
+        for end in self.ends:
+            self.box.on_readable(end)
+
+    def end(self) -> None:
+        self.boat.stop("shutdown")
+        self.boxed()
+        self.log.close()
+        self.box.close()
+
+
+def test_a_boat_with_nmea_2000_sensors_is_repeated(tmp_path):
+    rows = gzip.decompress(RECORDING.read_bytes()).decode().splitlines()
+    frames = [parse_line(row)[1] for row in rows if row.startswith("(")][:8000]
+    boat = Sensors(tmp_path)
+    boat.sail(frames[:2000])
+    boat.command(console.Heading(90.0, 1.0))
+    boat.sail(frames[2000:5000])
+    boat.command(console.Heading(271.5, 0.4))
+    boat.sail(frames[5000:])
+    boat.end()
+    its = [file for file in logged(tmp_path) if file.id in ("state", "n2k", "lockstep")]
+    result = rerun(its, None)
+    assert result.exact, result.text()
+    assert result.cycles > 100
+    assert result.frames > 400

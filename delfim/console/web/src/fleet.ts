@@ -47,9 +47,9 @@ export class Fleet {
     private readonly state: State,
   ) {
     const layer = (source: VectorSource) => new VectorLayer({ source, updateWhileAnimating: true, updateWhileInteracting: true });
-    chart.add(layer(this.closedTracks), 2);
-    chart.add(layer(this.tails), 2);
-    chart.add(layer(this.aboard), 3);
+    chart.add(layer(this.closedTracks), 4);
+    chart.add(layer(this.tails), 4);
+    chart.add(layer(this.aboard), 2);
     chart.add(layer(this.live), 6);
     state.on(["boats", "selection"], () => this.draw());
     state.on(["theme"], () => this.repaint());
@@ -149,7 +149,7 @@ export class Fleet {
     shown.ring.setStyle(new Style({ image: new Disc({ radius: 23, stroke: new Stroke({ color: palette.accent, width: 2 }) }), zIndex: 7 }));
     shown.course.setStyle(cased(inked(boat.colour), 1.6));
     shown.reference.setStyle(cased(palette.accent, 1.6, [7, 6]));
-    shown.tail.setStyle(cased(inked(boat.colour, 0.6), 5));
+    shown.tail.setStyle(track(boat));
     shown.ghost.setStyle(
       new Style({ fill: new Fill({ color: inked(boat.colour, 0.12) }), stroke: new Stroke({ color: inked(boat.colour), width: 1.5, lineDash: [4, 5] }) }),
     );
@@ -163,7 +163,7 @@ export class Fleet {
     shown.points.push(point(place));
     if (shown.points.length < CHUNK) return;
     const closed = new Feature(new LineString(shown.points));
-    closed.setStyle(cased(inked(boat.colour, 0.5), 4));
+    closed.setStyle(track(boat));
     this.closedTracks.addFeature(closed);
     shown.closed.push(closed);
     if (shown.closed.length > CHUNKS_MOST) this.closedTracks.removeFeature(shown.closed.shift()!);
@@ -177,7 +177,7 @@ export class Fleet {
 
   private repaint(): void {
     for (const boat of this.state.boats) {
-      for (const closed of this.shown.get(boat.id)?.closed ?? []) closed.setStyle(cased(inked(boat.colour, 0.5), 4));
+      for (const closed of this.shown.get(boat.id)?.closed ?? []) closed.setStyle(track(boat));
     }
     this.aboardKey = "";
     this.draw();
@@ -218,6 +218,10 @@ export function keptAboard(kept: Pick<Boat, "fence" | "obstacles" | "home">, pla
     made.push(home);
   }
   return made;
+}
+
+function track(boat: Boat): Style {
+  return new Style({ stroke: new Stroke({ color: inked(boat.colour, 0.6), width: 4.5 }) });
 }
 
 /** A line that is seen on any chart: its colour over a halo. */

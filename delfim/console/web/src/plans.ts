@@ -29,7 +29,8 @@ type Changed = (mission: Mission) => void;
 
 export class Plans {
   private readonly others = new VectorSource({ useSpatialIndex: false });
-  private readonly mine = new VectorSource({ useSpatialIndex: false });
+  private readonly legs = new VectorSource({ useSpatialIndex: false });
+  private readonly marks = new VectorSource({ useSpatialIndex: false });
   private readonly over = new VectorSource({ useSpatialIndex: false });
   private draft: Mission | null = null; // while something is dragged or a form is open
   private rulers: [Place, Place][] = [];
@@ -41,8 +42,9 @@ export class Plans {
     changed: Changed,
   ) {
     const layer = (source: VectorSource) => new VectorLayer({ source, updateWhileAnimating: true, updateWhileInteracting: true });
-    chart.add(layer(this.others), 4);
-    chart.add(layer(this.mine), 5);
+    chart.add(layer(this.others), 3);
+    chart.add(layer(this.legs), 3);
+    chart.add(layer(this.marks), 5);
     chart.add(layer(this.over), 7);
     state.on(["plan", "selection", "theme", "hello"], () => this.draw());
     state.on(["dryrun", "theme"], () => this.drawOver());
@@ -136,21 +138,22 @@ export class Plans {
       const boat = this.state.byId(id);
       if (boat && id !== this.state.selected) this.others.addFeatures(drawnLegs(plan.mission, inked(boat.colour, 0.6), 1.3));
     }
-    this.mine.clear();
+    this.legs.clear();
+    this.marks.clear();
     const [mission, boat] = [this.mission(), this.state.boat];
     if (!mission || !boat) return;
-    this.mine.addFeatures(keptAboard(mission, true));
+    this.legs.addFeatures(keptAboard(mission, true));
     const path = pathOf(mission).map(point);
-    if (path.length > 1) this.mine.addFeature(styled(new LineString(path), cased(palette.plan, 1.6, [9, 5])));
-    this.mine.addFeatures(drawnLegs(mission, palette.plan, 2.2));
+    if (path.length > 1) this.legs.addFeature(styled(new LineString(path), cased(palette.plan, 1.6, [9, 5])));
+    this.legs.addFeatures(drawnLegs(mission, palette.plan, 2.2));
     const current = boat.mode === "play" || boat.mode === "goto" ? boat.mission.current : null;
     const size = mission.waypoints.length;
     const drawn = crowded(this.chart, mission.waypoints);
     mission.waypoints.forEach((each, i) => {
-      if (drawn[i] || i === current || i === 0 || i === size - 1) this.mine.addFeature(drawnWaypoint(each, i, i === current));
+      if (drawn[i] || i === current || i === 0 || i === size - 1) this.marks.addFeature(drawnWaypoint(each, i, i === current));
     });
-    mission.fence.forEach((each) => this.mine.addFeature(drawnCorner(cornerPlace(each), palette.danger, 5.5)));
-    this.middles(mission).forEach(({ kind, place }) => this.mine.addFeature(drawnPlus(place, kind === "edge" ? palette.danger : palette.plan)));
+    mission.fence.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.danger, 5.5)));
+    this.middles(mission).forEach(({ kind, place }) => this.marks.addFeature(drawnPlus(place, kind === "edge" ? palette.danger : palette.plan)));
   }
 
   private drawOver(to?: Place): void {
