@@ -189,15 +189,18 @@ def _image(asked: argparse.Namespace) -> int:
 
 
 def _bench(asked: argparse.Namespace) -> int:
-    from delfim.bench import critical_path, liblog, lockstep, sides
+    from delfim.bench import critical_path, liblog, lockstep, sides, soak
 
     programs = {
         "critical-path": critical_path.run,
         "sim": lockstep.run,
         "log": liblog.run,
         "watchers": sides.run_watchers,
+        "downloads": sides.run_downloads,
         "disk": sides.run_disk,
     }
+    if asked.what == "soak":
+        return soak.run(asked)
     return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
 
 
@@ -321,9 +324,8 @@ def _add_bench(commands: Any) -> None:
     text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
     bench = commands.add_parser("bench", help=text, description=text)
     bench.set_defaults(run=_bench)
-    bench.add_argument(
-        "what", nargs="?", choices=["critical-path", "sim", "log", "watchers", "disk"], help="all of them when none is named"
-    )
+    programs = ["critical-path", "sim", "log", "watchers", "downloads", "disk"]
+    bench.add_argument("what", nargs="?", choices=[*programs, "soak"], help="without a name all but soak")
     bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")
     bench.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="for JSON and pictures (%(default)s)")
@@ -338,6 +340,7 @@ def _add_bench(commands: Any) -> None:
         "--wire-us", type=int, default=0, help="between the frames of a message; 130 is a bus of 1 Mbit/s (%(default)s)"
     )
     bench.add_argument("--quick", action="store_true", help="about a minute: whether it works, not how fast it is")
+    bench.add_argument("--minutes", type=float, default=60.0, help="of soak (%(default)g)")
     bench.add_argument("--long", action="store_true", help="150,645 cycles at 100 Hz under load, against C")
 
 

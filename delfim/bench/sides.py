@@ -1,7 +1,8 @@
-"""`delfim bench disk` and `delfim bench watchers`: does the critical path feel what happens beside it?
+"""`delfim bench disk`, `watchers` and `downloads`: does the critical path feel what happens beside it?
 
 This program alone, at 100 Hz on a full bus, in slices that take turns: with a healthy log partition and with each way in which
-one fails; without clients of cantcpd and with eight that watch the bus, one of them asleep. The undisturbed case has two turns
+one fails; without clients of cantcpd and with eight that watch the bus, one of them asleep; without downloads and while
+somebody fetches a log by FTP or SFTP. The undisturbed case has two turns
 a round, and how far it is from itself is the noise. Latency is that which the bus sees (delfim.bench.onlooker), because the
 state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
 """
@@ -24,6 +25,7 @@ from typing import Any, Final, NamedTuple
 from delfim.bench import report
 from delfim.bench.critical_path import Slice, Team, build
 from delfim.bench.disk import Disk, leave_mounts
+from delfim.bench.downloads import Downloads
 from delfim.bench.load import prepare
 from delfim.bench.onlooker import Onlooker
 from delfim.console.link import Link
@@ -111,6 +113,34 @@ def run_watchers(asked: argparse.Namespace) -> int:
         f" 1,000 frames; frames lost by clients awake: {figures['lost_awake']}, by the one asleep: {figures['lost_asleep']}"
     )
     return int(figures["lost_awake"] > 0)
+
+
+def run_downloads(asked: argparse.Namespace) -> int:
+    """The command. Returns 0 when everything was measured. Raises DelfimError where a client is missing."""
+    seconds, rounds = _length(asked)
+    turns = defaultdict[str, list[Turn]](list)
+    rates = defaultdict[str, list[float]](list)
+    with contextlib.ExitStack() as links:
+        place = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="delfim-bench-")))
+        (place / "delfim").mkdir()
+        team = links.enter_context(_team(asked, place))
+        look = links.enter_context(Onlooker(team.interface))
+        downloads = links.enter_context(Downloads(asked.set, asked.file, place / "delfim" / "log", place))
+        for number in range(rounds):
+            for how in ("", *(("FTP", "SFTP") if number % 2 else ("SFTP", "FTP")), ""):
+                _say(f"{how or 'no'} download, round {number + 1} of {rounds}")
+                began_s = time.monotonic()
+                with downloads.fetching(how) if how else contextlib.nullcontext([0]) as fetched:
+                    turns[f"download by {how}" if how else ""].append(_turn(team, look, None, seconds))
+                    took_s = time.monotonic() - began_s
+                rates[how].append(fetched[0] / took_s / 1e6)
+    rows = _rows(turns, "no download")
+    for row in rows:
+        its = rates[row["case"].removeprefix("download by ") if row["case"] != "no download" else ""]
+        row["megabytes_per_s"] = round(sum(its) / len(its), 1)
+    _write(asked, "downloads", rows)
+    print(_table(rows, ("MB/s",), lambda row: (f"{row['megabytes_per_s']:.1f}",)))
+    return 0
 
 
 def _length(asked: argparse.Namespace) -> tuple[float, int]:

@@ -160,6 +160,7 @@ class Runtime:
                 "longest_callback_s": round(self._account.longest_s, 6),
                 "collections": self._collections,
                 "longest_collection_s": round(self._collection_longest_s, 6),
+                "tasks": len(asyncio.all_tasks(self._loop)),
             },
             "deadman": self._deadman,
         }
@@ -311,7 +312,7 @@ class Runtime:
         self._loop.call_later(TELL_S, self._tell, files)
         for name, status in self.status.items():
             if files[name] >= 0:
-                told = status.report(self.clock.monotonic_s()) | self._shown(name)
+                told = status.report(self.clock.monotonic_s()) | self._shown(name) | {"tasks": len(asyncio.all_tasks())}
                 os.ftruncate(files[name], os.pwrite(files[name], json.dumps(told).encode(), 0))
 
     def _tick(self) -> None:

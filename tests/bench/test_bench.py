@@ -106,6 +106,6 @@ def test_a_program_that_does_not_compile_says_why(tmp_path: Path, monkeypatch: p
 
 
 def test_ports_are_free() -> None:
-    for port in critical_path._free_ports(4):
+    for port in critical_path.free_ports(4):
         with socket.socket() as one:
             one.bind(("127.0.0.1", port))

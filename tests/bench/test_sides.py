@@ -41,3 +41,12 @@ def test_watchers_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixt
     printed = capsys.readouterr().out
     assert "p99 with 8 clients, one asleep <= 1.2 x that with no client" in printed
     assert "ms for 1,000 frames" in printed
+
+
+@pytest.mark.timeout(180)
+def test_downloads_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "downloads", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]) == 0
+    rows = json.loads((tmp_path / "downloads.json").read_text())["rows"]
+    assert sorted(row["case"] for row in rows) == ["download by FTP", "download by SFTP", "no download"]
+    assert all((row["megabytes_per_s"] > 0.1) == (row["case"] != "no download") for row in rows)
+    assert "p99 with download by FTP <= 1.2 x that with no download" in capsys.readouterr().out
