@@ -179,6 +179,7 @@ def _bench(asked: argparse.Namespace) -> int:
         "sim": lockstep.run,
         "log": liblog.run,
         "watchers": sides.run_watchers,
+        "datagrams": sides.run_datagrams,
         "disk": sides.run_disk,
     }
     return max(programs[name](asked) for name in ([asked.what] if asked.what else programs))
@@ -295,7 +296,10 @@ def _add_bench(commands: Any) -> None:
     bench = commands.add_parser("bench", help=text, description=text)
     bench.set_defaults(run=_bench)
     bench.add_argument(
-        "what", nargs="?", choices=["critical-path", "sim", "log", "watchers", "disk"], help="all of them when none is named"
+        "what",
+        nargs="?",
+        choices=["critical-path", "sim", "log", "watchers", "datagrams", "disk"],
+        help="all of them when none is named",
     )
     bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")

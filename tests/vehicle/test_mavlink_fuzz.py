@@ -10,6 +10,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from delfim import config
+from delfim.bench.fuzz import framed
 from delfim.errors import FormatError
 from delfim.vehicle.console import Stop, Take
 from delfim.vehicle.mavlink import wire
@@ -36,13 +37,6 @@ def test_any_datagram_is_cut_or_refused(datagram):
 def test_any_frame_is_decoded_or_a_format_error(frame):
     with contextlib.suppress(FormatError):
         wire.decode(frame)
-
-
-def framed(number: int, payload: bytes, sequence: int, system: int, component: int) -> bytes:
-    """A frame with the right checksum, whatever is in it."""
-    header = bytes([len(payload), 0, 0, sequence, system, component]) + number.to_bytes(3, "little")
-    crc = dialect.x25crc(header + payload + bytes([dialect.mavlink_map[number].crc_extra])).crc
-    return b"\xfd" + header + payload + crc.to_bytes(2, "little")
 
 
 @ONCE
