@@ -1,6 +1,7 @@
 """The command line: `delfim COMMAND ...`. Errors that a person can mend are one line on standard error and exit code 2."""
 
 import argparse
+import contextlib
 import sys
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -9,10 +10,16 @@ from delfim import __version__
 from delfim.errors import DelfimError, PermanentFailure, Refused
 
 EXIT_REFUSED, EXIT_WRONG, EXIT_PERMANENT = 1, 2, 100  # 100 tells the supervisor: do not start me again
+SIMULATED = "run/sim"  # where `delfim sim` keeps its logs and sockets
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    asked = _parser().parse_args(arguments)
+    parser = _parser()
+    asked, more = parser.parse_known_args(arguments)
+    if more and "words" not in asked:
+        parser.error(f"unrecognized arguments: {' '.join(more)}")
+    if more:  # argparse finds the words of a command behind its options only where no option stands before them
+        asked.words += more
     try:
         code: int = asked.run(asked)
         return code
@@ -28,6 +35,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return EXIT_PERMANENT
     except DelfimError as error:
         print(f"delfim: {error}", file=sys.stderr)
+        return EXIT_WRONG
+    except OSError as error:  # no permission, no such folder, a full disk
+        place = "" if error.filename is None else f"{error.filename}: "
+        print(f"delfim: {place}{error.strerror or error}", file=sys.stderr)
         return EXIT_WRONG
 
 
@@ -127,7 +138,7 @@ def _fault(asked: argparse.Namespace) -> int:
     from delfim.config import load
     from delfim.simulator.realtime import socket_path, tell
 
-    place = socket_path(load(asked.file, asked.set))
+    place = socket_path(load(asked.file, _there(asked)))
     print(f"delfim: {tell(place, asked.kind, asked.where, asked.value, asked.for_s)}")
     return 0
 
@@ -149,8 +160,14 @@ def _drive(asked: argparse.Namespace) -> int:
     from delfim.config import load
     from delfim.console.drive import run
 
-    run(load(asked.file, asked.set).console.socket, asked.words)
+    run(load(asked.file, _there(asked)).console.socket, asked.words)
     return 0
+
+
+def _there(asked: argparse.Namespace) -> list[str]:
+    """The overrides with which a running boat is found: those of `delfim sim`, where that is meant, and the operator's."""
+    simulated = [f'console.socket="{SIMULATED}/command"', f'runtime.run_directory="{SIMULATED}"'] if asked.sim else []
+    return [*simulated, *asked.set]
 
 
 def _can(asked: argparse.Namespace) -> int:
@@ -202,9 +219,11 @@ def _parser() -> argparse.ArgumentParser:
     run.add_argument("--service", metavar="NAME", help="only this service, in a process of its own")
     run.add_argument("--beat-fd", type=int, default=-1, help=argparse.SUPPRESS)
     command("check", _check, "Check a vehicle's file and say what is wrong with it.")
-    describe = commands.add_parser("describe", help="List every key of a vehicle's file with default, range and meaning.")
+    text = "List every key of a vehicle's file with default, range and meaning."
+    describe = commands.add_parser("describe", help=text, description=text)
     describe.set_defaults(run=_describe)
-    password = commands.add_parser("password", help="Ask for a password and print what a vehicle's file keeps of it.")
+    text = "Ask for a password and print what a vehicle's file keeps of it."
+    password = commands.add_parser("password", help=text, description=text)
     password.set_defaults(run=_password)
     nodes = command("nodes", _nodes, "Play the boat's other CAN nodes (navigation, GPS, propellers, batteries) on its bus.")
     nodes.add_argument("--seed", type=int, default=1, help="of noise and weather")
@@ -214,26 +233,26 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--mission", metavar="FILE", help="instead of the vehicle file's simulation.mission")
     sim.add_argument("--scenario", metavar="FILE", help='sail this scenario in lock step; "mixed": faults drawn from the seed')
     sim.add_argument(
-        "--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time; otherwise with the mission"
+        "--for", type=_seconds, dest="for_s", metavar="SECONDS", help="end after this time; otherwise with the mission"
     )
     sim.add_argument("--seed", type=int, default=1, help="of noise and weather")
     sim.add_argument("--lockstep", action="store_true", help="as fast as the machine can; same seed, same bytes")
     sim.add_argument("--plain", action="store_true", help="one line a second instead of the live view")
     sim.add_argument("--console", action="store_true", help="with the console, in the browser (docs/console.md)")
     sim.add_argument("--json", action="store_true", help="one JSON object a state")
-    sim.add_argument("--output", default="run/sim", metavar="DIRECTORY", help="logs and pictures (%(default)s)")
+    sim.add_argument("--output", default=SIMULATED, metavar="DIRECTORY", help="logs and pictures (%(default)s)")
     fault = command(
         "fault", _fault, "Break something of the boat that `delfim nodes` or `delfim sim` plays (docs/scenarios.md)."
     )
     _add_fault(fault)
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
+    for one in (fault, drive):
+        one.add_argument("--sim", action="store_true", help=f"the boat of `delfim sim`, in {SIMULATED}")
     can = commands.add_parser(
-        "can", help="See a bus, send, make traffic, statistics, play back a log: dump, send, gen, stat, replay."
+        "can", add_help=False, help="See a bus, send, make traffic, statistics, play back a log: dump, send, gen, stat, replay."
     )
-    can.add_argument(
-        "words", nargs=argparse.REMAINDER, metavar="TOOL", help="dump | send | gen | stat | replay, then -h for more"
-    )
+    can.add_argument("words", nargs=argparse.REMAINDER)
     can.set_defaults(run=_can)
     _add_console(commands)
     _add_log(commands)
@@ -242,8 +261,16 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
+def _seconds(text: str) -> float:
+    with contextlib.suppress(ValueError):
+        if 0.0 < float(text) < float("inf"):
+            return float(text)
+    raise argparse.ArgumentTypeError(f"{text} is no number of seconds above 0")
+
+
 def _add_console(commands: Any) -> None:
-    console = commands.add_parser("console", help="All boats on one screen, in the browser.")
+    text = "All boats on one screen, in the browser."
+    console = commands.add_parser("console", help=text, description=text)
     console.add_argument(
         "--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="where boats are heard (%(default)s)"
     )
@@ -274,16 +301,16 @@ def _add_supervision(command: Callable[[str, object, str], argparse.ArgumentPars
 
 def _add_log(commands: Any) -> None:
     text = "Look at logs, convert, repeat, mend and fetch them: delfim log VERB --help."
-    log = commands.add_parser("log", help=text, description=text)
+    log = commands.add_parser("log", add_help=False, help=text)
     log.set_defaults(run=_log)
-    log.add_argument("words", nargs=argparse.REMAINDER, metavar="VERB ...", help="ls, cat, info, plot, export, ...")
+    log.add_argument("words", nargs=argparse.REMAINDER)
 
 
 def _add_fault(fault: argparse.ArgumentParser) -> None:
     fault.add_argument("kind", metavar="KIND", help='navigation_silent, thruster_dead, ...; "end" ends all')
     fault.add_argument("where", metavar="WHERE", nargs="?", default="", help="of a sensor or thruster: gps, port, ...")
     fault.add_argument("--value", type=float, help="how much, where the kind has such a thing")
-    fault.add_argument("--for", type=float, dest="for_s", metavar="SECONDS", help="end after this time")
+    fault.add_argument("--for", type=_seconds, dest="for_s", metavar="SECONDS", help="end after this time")
 
 
 def _add_image(image: argparse.ArgumentParser) -> None:

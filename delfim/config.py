@@ -16,14 +16,27 @@ import msgspec
 from delfim.errors import ConfigError
 from delfim.geodesy import polygon_fault
 
-Name = Annotated[str, msgspec.Meta(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,31}\Z")]
+
+def text(pattern: str, words: str, **extra: str) -> msgspec.Meta:
+    """Text that matches the pattern; the words tell a person what may be written."""
+    return msgspec.Meta(pattern=rf"^{pattern}\Z", description=words, extra=extra or None)
+
+
+_PORT = "([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"  # 0 to 65535
+Name = Annotated[str, text("[A-Za-z][A-Za-z0-9_-]{0,31}", "a letter, then up to 31 letters, digits, _ or -")]
 Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 Metres = Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)]
 Speed = Annotated[float, msgspec.Meta(gt=0.0, le=30.0)]  # m/s
 Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1e4)]
 Nice = Annotated[int, msgspec.Meta(ge=-20, le=19)]
-Interface = Annotated[str, msgspec.Meta(pattern=r"^([a-z][a-z0-9_.-]{0,14}|canloop:[A-Za-z0-9_.-]{1,32}|python-can:[^ ]+)\Z")]
+Interface = Annotated[
+    str,
+    text(
+        "([a-z][a-z0-9_.-]{0,14}|canloop:[A-Za-z0-9_.-]{1,32}|python-can:[^ ]+)",
+        "a Linux interface as can0, canloop:NAME, or python-can:INTERFACE:CHANNEL[@BITRATE]",
+    ),
+]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
 Sources = Annotated[tuple[Literal["dsor", "nmea2000"], ...], msgspec.Meta(min_length=1, max_length=2)]
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
@@ -31,24 +44,28 @@ ActionName = Literal["warn", "hold", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "home", "stop"]
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=100)]  # corners of a polygon, degrees north and east
-Endpoint = Annotated[str, msgspec.Meta(pattern=r"^[^ :]+:[0-9]{1,5}\Z")]  # host:port
-Listen = Annotated[str, msgspec.Meta(pattern=r"^([^ :]+|\[[0-9A-Fa-f:.]+\]):[0-9]{1,5}\Z")]  # as Endpoint, or [IPv6]:port
+Endpoint = Annotated[str, text(rf"[^ :]+:{_PORT}", "ADDRESS:PORT, port 0 to 65535")]
+Listen = Annotated[str, text(rf"([^ :]+|\[[0-9A-Fa-f:.]+\]):{_PORT}", "ADDRESS:PORT or [IPv6]:PORT, port 0 to 65535")]
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
 Ports = Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)]
-LinuxInterface = Annotated[str, msgspec.Meta(pattern=r"^[^ /:]{1,15}\Z")]
-MountPoint = Annotated[str, msgspec.Meta(pattern=r"^(/[^/\x00]+)*\Z")]
+LinuxInterface = Annotated[str, text("[^ /:]{1,15}", "a Linux interface")]
+MountPoint = Annotated[str, text(r"(/[^/\x00]+)*", "an absolute path, or empty")]
 Megabytes = Annotated[int, msgspec.Meta(ge=0, le=1 << 20)]
-Network = Annotated[str, msgspec.Meta(pattern=r"^[0-9A-Fa-f:.]+(/[0-9]{1,3})?\Z")]
+Network = Annotated[str, text("[0-9A-Fa-f:.]+(/[0-9]{1,3})?", "an IP address, or ADDRESS/BITS")]
 Password = Annotated[  # hashed; in a log it is what no password is
     str,
-    msgspec.Meta(pattern=r"^scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+\Z", extra={"shown": "scrypt:hidden:hidden"}),
+    text("scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+", "what `delfim password` prints", shown="scrypt:hidden:hidden"),
 ]
 Identifiers = Annotated[  # one or a range; three digits are a standard identifier, eight an extended one
-    str, msgspec.Meta(pattern=r"^([0-7][0-9A-Fa-f]{2}(-[0-7][0-9A-Fa-f]{2})?|[01][0-9A-Fa-f]{7}(-[01][0-9A-Fa-f]{7})?)\Z")
+    str,
+    text(
+        "([0-7][0-9A-Fa-f]{2}(-[0-7][0-9A-Fa-f]{2})?|[01][0-9A-Fa-f]{7}(-[01][0-9A-Fa-f]{7})?)",
+        "three or eight hexadecimal digits, or two such with - between them",
+    ),
 ]
-
-
-PublicKey = Annotated[str, msgspec.Meta(pattern=r"^ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?\Z")]
+PublicKey = Annotated[str, text(r"ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?", "ssh-ed25519 KEY, as in a .pub file")]
+Carrier = Annotated[str, text("(none|dcd|file:/[^ ]+)", "none, dcd, or file:/PATH")]
+DeviceName = Annotated[str, text("[a-z][a-z0-9_.-]{0,14}", "a small letter, then up to 14 small letters, digits, _, . or -")]
 
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -276,7 +293,7 @@ class Failsafe(Table, frozen=True):
 class KeepOut(Table, frozen=True):
     """Where the boat must not be: the inside of a polygon, or of a circle."""
 
-    name: Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]{0,64}\Z")] = ""  # for people
+    name: Annotated[str, text(r"[^\x00-\x1f\x7f]{0,64}", "up to 64 characters")] = ""  # for people
     polygon: Ring = ()  # corners, [latitude_deg, longitude_deg]; or
     centre: Annotated[tuple[Position, ...], msgspec.Meta(max_length=1)] = ()  # [[latitude_deg, longitude_deg]] of a circle ...
     radius_m: Annotated[float, msgspec.Meta(ge=0.0, le=20_000.0)] = 0.0  # ... and its radius
@@ -359,7 +376,7 @@ class Cantcpd(Table, frozen=True):
     buses: tuple[Interface, ...] = ()  # that clients can open, by their name or what follows its last colon; empty: the boat's
     watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
     transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # of these, the networks that may send frames, too
-    barred: tuple[Identifiers, ...] = ("040-043",)  # no client sends these: the commands to propellers and batteries
+    barred: tuple[Identifiers, ...] = ("040-043", "0A0", "0C8")  # no client sends these: commands to actuators, reset, shutdown
     clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once
     queue_bytes: Annotated[int, msgspec.Meta(ge=8192, le=16 << 20)] = 1 << 18  # of one client; beyond, its oldest frames go
     stall_s: Seconds = 30.0  # a client that takes nothing and says nothing for so long is closed
@@ -384,7 +401,7 @@ class Canip(Table, frozen=True):
     """IP over CAN: a TUN device that carries UDP datagrams to nodes of the bus and back."""
 
     enabled: bool = False  # run it; needs CAP_NET_ADMIN
-    device: Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_.-]{0,14}\Z")] = "canip0"  # the device's name
+    device: DeviceName = "canip0"  # the device's name
     address: str = "192.168.1.2/24"  # of the device, IPv4 with the network's length; empty: whoever else sets it
     mtu: Annotated[int, msgspec.Meta(ge=576, le=65_535)] = 65_535  # larger datagrams come as fragments, which are dropped
     node: DsorNode = 0  # of this computer
@@ -404,16 +421,16 @@ class Canip(Table, frozen=True):
 class Slipd(Table, frozen=True):
     """The radio's serial line as a network interface."""
 
-    device: Annotated[str, msgspec.Meta(pattern=r"^(/dev/[^ ]+)?\Z")] = ""  # the radio's serial port; empty: no radio
+    device: Annotated[str, text("(/dev/[^ ]+)?", "/dev/NAME, or empty")] = ""  # the radio's serial port; empty: no radio
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 115_200  # of the port
     radio_bps: Annotated[int, msgspec.Meta(ge=0, le=4_000_000)] = 0  # bit/s, of a radio slower than its port; 0: it is not
     encapsulation: Literal["slip", "cslip"] = "cslip"  # cslip compresses TCP's headers (RFC 1144); both ends must agree
     mode: Literal["auto", "kernel", "user"] = "auto"  # the kernel's SLIP, this program's, or the kernel's where it has one
-    interface: Annotated[str, msgspec.Meta(pattern=r"^[a-z][a-z0-9_.-]{0,14}\Z")] = "radio0"  # its name in mode user
+    interface: DeviceName = "radio0"  # its name in mode user
     address: str = "10.0.0.1"  # of the boat
     peer: str = "10.0.0.2"  # of the other end
     mtu: Annotated[int, msgspec.Meta(ge=68, le=1500)] = 296  # the shorter, the sooner an urgent packet has its turn
-    carrier: Annotated[str, msgspec.Meta(pattern=r"^(none|dcd|file:/[^ ]+)\Z")] = "none"  # where it is seen: modem, or a file
+    carrier: Carrier = "none"  # where it is seen: modem, or a file
 
     def __post_init__(self) -> None:
         IPv4Address(self.address)
@@ -573,7 +590,7 @@ class Simulation(Table, frozen=True):
     position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position
     heading_noise_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.5  # standard deviation of the heading
     speed_noise_mps: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.03  # standard deviation of the speed
-    external: Annotated[str, msgspec.Meta(pattern=r"^([^ :]+:[0-9]{1,5})?\Z")] = ""  # host:port for a model in another program
+    external: Annotated[str, text(rf"([^ :]+:{_PORT})?", "ADDRESS:PORT, or empty")] = ""  # of a model in another program
     sea: Sea = Sea()
 
 
@@ -707,7 +724,7 @@ def _explained(error: msgspec.ValidationError, tree: dict[str, object], kind: ty
         return ConfigError(file, f"{path}.{unknown[1]}".lstrip("."), "unknown key", keys)
     if missing := re.search(r"missing required field `(.+)`", text):
         return ConfigError(file, f"{path}.{missing[1]}".lstrip("."), "missing")
-    reason = text.replace("`", "").replace("object", "table")
+    reason = re.sub("str matching regex .*", "other text", text.replace("`", "").replace("object", "table"))
     return ConfigError(file, path, reason[:1].lower() + reason[1:], allowed(_hint(kind, path)))
 
 
@@ -750,8 +767,8 @@ def allowed(hint: Any) -> str:
             return f"a table of {', '.join(field.encode_name for field in msgspec.structs.fields(hint))}"
         return {bool: "true or false", str: "text"}.get(hint, getattr(hint, "__name__", str(hint)))
     meta = get_args(hint)[1]
-    if meta.pattern:
-        return f"text matching {meta.pattern}"
+    if meta.description:
+        return str(meta.description)
     if meta.max_length is not None:
         return f"{meta.min_length or 0} to {meta.max_length} of {allowed(get_args(get_args(hint)[0])[0])}"
     low = f"{meta.ge}" if meta.ge is not None else f"more than {meta.gt}" if meta.gt is not None else ""

@@ -138,15 +138,37 @@ def test_lockstep_sails_the_whole_mission_and_repeats_itself_byte_for_byte(tmp_p
         (("check", VEHICLE, "--set", "nonsense"), "not KEY=VALUE"),
         (("drive", "--set", "console.socket='/no/such/socket'", VEHICLE, "stop"), "is it running"),
         (("run", VEHICLE, "--set", "services.nonsense.enabled=true"), "there is no such service"),
+        (("drive", VEHICLE, "--set", "console.socket='/no/such/socket'", "heading", "90", "1.5"), "is it running"),
+        (("drive", VEHICLE, "--sim", "state"), "no vehicle at run/sim/command"),
+        (("fault", VEHICLE, "--sim", "end"), "no nodes at run/sim/nodes"),
+        (("sim", VEHICLE, "--output", "/proc/1/nobody"), "/proc/1/nobody: No such file"),
+        (("supervise", VEHICLE, "--set", "runtime.run_directory='/proc/1/nobody'"), "/proc/1/nobody: No such file"),
+        (("console", "--no-browser", "--page", "127.0.0.1:65536"), "no address"),
     ],
 )
-def test_mistakes_are_one_line_on_standard_error(words, reason):
-    process = delfim(*words)
+def test_mistakes_are_one_line_on_standard_error(tmp_path, words, reason):
+    process = delfim(*words, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)})
     out, err = process.communicate(timeout=30)
     assert process.returncode in (2, 100)
     assert reason in err
     assert err.count("\n") == 1
     assert not out
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (("log", "--help"), "replay"),
+        (("can", "--help"), "candump"),
+        (("sim", VEHICLE, "--for", "-3"), "--for: -3 is no number of seconds above 0"),
+        (("check", VEHICLE, "--fast"), "unrecognized arguments: --fast"),
+    ],
+)
+def test_the_command_line_explains_itself(words, told):
+    process = delfim(*words)
+    out, err = process.communicate(timeout=30)
+    assert told in out + err
+    assert "Traceback" not in err
 
 
 def test_black_box_and_page_work_in_processes_of_their_own_and_a_guest_steers(tmp_path):

@@ -439,6 +439,8 @@ def _address(text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     try:
         ip_address(host)
+        if not 0 <= int(port) < 1 << 16:
+            raise ValueError
         return host, int(port)
     except ValueError:
         raise ConfigError("command line", text, "no address", "ADDRESS:PORT") from None

@@ -28,7 +28,7 @@ JOINT_M = 1.0  # an arc's stated radius and the distance from its beginning to i
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 MissionSpeed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
-Title = Annotated[str, msgspec.Meta(pattern=r"^[^\x00-\x1f\x7f]{1,64}\Z")]
+Title = Annotated[str, config.text(r"[^\x00-\x1f\x7f]{1,64}", "1 to 64 characters")]
 
 
 class Waypoint(config.Table, frozen=True):

@@ -49,7 +49,7 @@ ARC = "[[path]]\nlatitude_deg = 38.69\nlongitude_deg = -9.2145\nturn_deg = 90\nr
         (ONE.replace("38.69", "95.0"), "waypoint[0].latitude_deg", "-89.0 to 89.0"),
         (ONE.replace("38.69", '"north"'), "waypoint[0].latitude_deg", "float"),
         (ONE.replace("-9.215", "nan"), "waypoint[0].longitude_deg", "-180.0 to 180.0"),
-        (ONE.replace('"test"', '""'), "name", "text matching"),
+        (ONE.replace('"test"', '""'), "name", "1 to 64 characters"),
         (ONE + SECOND.replace("38.691", "38.690001"), "waypoint[1]", "0.11 m from the one before"),
         (ONE + SECOND.replace("38.691", "38.9"), "waypoint[1]", "0.5 to 20000.0 m"),
         (ONE + BEGIN, "path", "single point"),
