@@ -196,6 +196,7 @@ def _bench(asked: argparse.Namespace) -> int:
         "sim": lockstep.run,
         "log": liblog.run,
         "watchers": sides.run_watchers,
+        "datagrams": sides.run_datagrams,
         "downloads": sides.run_downloads,
         "disk": sides.run_disk,
     }
@@ -324,7 +325,7 @@ def _add_bench(commands: Any) -> None:
     text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
     bench = commands.add_parser("bench", help=text, description=text)
     bench.set_defaults(run=_bench)
-    programs = ["critical-path", "sim", "log", "watchers", "downloads", "disk"]
+    programs = ["critical-path", "sim", "log", "watchers", "datagrams", "downloads", "disk"]
     bench.add_argument("what", nargs="?", choices=[*programs, "soak"], help="without a name all but soak")
     bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")

@@ -363,6 +363,14 @@ class Team:
         return [Cycle(*stamps) for stamps in zip(*(data[f"t{i}"] for i in range(5)), t5, strict=True)]
 
 
+_PATIENT: Final = (
+    "navigation_silent",
+    "navigation_frozen",
+    "console_silent",
+    "thruster",
+)  # the feeder's propellers stand still
+
+
 def _overrides(interface: str, rate_hz: float, place: Path, ports: Ports) -> list[str]:
     """What differs from the vehicle's file: bus and places, and the patience to be stopped between two turns."""
     return [
@@ -373,11 +381,11 @@ def _overrides(interface: str, rate_hz: float, place: Path, ports: Ports) -> lis
         f'runtime.run_directory="{place}"',
         'supervisor.hardware_watchdog=""',
         'guest.listen="127.0.0.1:0"',
-        'mavlink.listen="127.0.0.1:0"',
+        f'mavlink.listen="127.0.0.1:{ports.mavlink}"',
         "mavlink.peers=[]",
         f'cantcpd.listen=["127.0.0.1:{ports.cantcpd}"]',
         f'httpd.listen="127.0.0.1:{ports.httpd}"',
-        *(f"failsafe.{key}.after_s=3600.0" for key in ("navigation_silent", "navigation_frozen", "console_silent")),
+        *(f"failsafe.{key}.after_s=3600.0" for key in _PATIENT),
         "sysstat.stale_s=3600.0",
     ]
 
