@@ -136,10 +136,9 @@ def _scenario(asked: argparse.Namespace) -> int:
 
 def _fault(asked: argparse.Namespace) -> int:
     from delfim.config import load
-    from delfim.simulator.realtime import socket_path, tell
+    from delfim.simulator.bycommand import tell
 
-    place = socket_path(load(asked.file, _there(asked)))
-    print(f"delfim: {tell(place, asked.kind, asked.where, asked.value, asked.for_s)}")
+    print(f"delfim: {tell(load(asked.file, _there(asked)), asked.kind, asked.where, asked.value, asked.for_s)}")
     return 0
 
 
@@ -240,9 +239,7 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--console", action="store_true", help="with the console, in the browser (docs/console.md)")
     sim.add_argument("--json", action="store_true", help="one JSON object a state")
     sim.add_argument("--output", default=SIMULATED, metavar="DIRECTORY", help="logs and pictures (%(default)s)")
-    fault = command(
-        "fault", _fault, "Break something of the boat that `delfim nodes` or `delfim sim` plays (docs/scenarios.md)."
-    )
+    fault = command("fault", _fault, "Break something of a simulated boat, as `delfim sim` sails it (docs/scenarios.md).")
     _add_fault(fault)
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")

@@ -577,8 +577,9 @@ class Sea(Table, frozen=True):
 
 
 class Simulation(Table, frozen=True):
-    """What only `delfim sim` and `delfim nodes` read."""
+    """What only a boat on a desk reads: `delfim sim`, `delfim nodes`."""
 
+    faults: bool = False  # `delfim fault` may break the boat's own log and links; true in `delfim sim`, never at sea
     interface: Interface = "canloop:can0"  # the bus of a simulated boat
     httpd: Endpoint = "127.0.0.1:8080"  # where its page is
     ftpd: Endpoint = "127.0.0.1:2121"  # where its files are
