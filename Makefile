@@ -11,11 +11,11 @@ MORE   := .venv/.formats
 LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt test.txt build.txt)
 
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
-# that people use: a browser, FTP, SSH.
-SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static e2fsprogs chromium curl lftp openssh-client openssl \
-	tnftp wget qemu-system-x86 grub-pc-bin grub-common
-SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox e2fsck chromium curl lftp ssh openssl tnftp wget \
-	qemu-system-x86_64 grub-mkimage
+# that people use: a browser, FTP, SSH, Octave.
+SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static dmsetup e2fsprogs chromium curl lftp openssh-client openssl \
+	tnftp wget qemu-system-x86 grub-pc-bin grub-common octave octave-instrument-control
+SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox dmsetup e2fsck chromium curl lftp ssh openssl tnftp wget \
+	qemu-system-x86_64 grub-mkimage octave-cli
 
 export PYTHONSAFEPATH := 1
 export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/.venv/bin
@@ -73,7 +73,7 @@ system: ## install the Debian packages of the guest tests where that is possible
 	else why="installing them needs root and apt-get"; fi; \
 	echo "make system: without$$missing some tests do not run ($$why; Debian packages: $(SYSTEM_PACKAGES))" >&2
 
-formats: $(MORE) ## install the packages for Parquet and MF4, 300 MB; the tests need them
+formats: $(MORE) ## install the packages for Parquet and MF4, 300 MB, and MAVProxy; the tests need them
 
 lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgrade takes the newest)
 	$(call compile,boat) pyproject.toml
@@ -105,6 +105,6 @@ $(NPM): $(WEB)/package-lock.json $(READY)
 	cd $(WEB) && npm ci --ignore-scripts --no-audit --no-fund --silent
 	@touch $@
 
-$(MORE): $(READY) requirements/formats.txt
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/formats.txt
+$(MORE): $(READY) requirements/formats.txt requirements/mavproxy.txt
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(patsubst %,-r %,$(filter %.txt,$^))
 	@touch $@

@@ -376,7 +376,7 @@ class Cantcpd(Table, frozen=True):
     buses: tuple[Interface, ...] = ()  # that clients can open, by their name or what follows its last colon; empty: the boat's
     watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
     transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # of these, the networks that may send frames, too
-    barred: tuple[Identifiers, ...] = ("040-043",)  # no client sends these: the commands to propellers and batteries
+    barred: tuple[Identifiers, ...] = ("040-043", "0A0", "0C8")  # no client sends these: commands to actuators, reset, shutdown
     clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once
     queue_bytes: Annotated[int, msgspec.Meta(ge=8192, le=16 << 20)] = 1 << 18  # of one client; beyond, its oldest frames go
     stall_s: Seconds = 30.0  # a client that takes nothing and says nothing for so long is closed

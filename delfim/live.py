@@ -22,8 +22,8 @@ from delfim.canproxy.socket import ANYTHING, open_can
 from delfim.console.drive import line
 from delfim.console.link import Link
 from delfim.errors import BusError, ConfigError, DelfimError, Refused
-from delfim.suite import StateLog
 from delfim.vehicle.mission import Mission, canonical, load_mission
+from delfim.wiring import StateLog
 
 START_S = 10.0  # the suite must answer within this time
 END_S = 10.0  # and have ended within this time

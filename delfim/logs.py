@@ -178,7 +178,8 @@ def _replay(asked: argparse.Namespace) -> int:
         return 0
     from delfim.simulator.rerun import rerun
 
-    result = rerun(_selection(asked).files, asked.vehicle)
+    chosen = _selection(asked)
+    result = rerun(sorted(file for run in chosen.runs for file in run.files), asked.vehicle, chosen.span)
     print(result.text())
     return 0 if result.exact else 1
 
@@ -205,6 +206,10 @@ def _fetch(asked: argparse.Namespace) -> int:
     from delfim.logging.fetch import fetch
 
     folder = Path(asked.directory)
+    if any(word and word.startswith("+") for word in (asked.from_, asked.to)):
+        raise DelfimError(
+            "a time since the beginning of a run means nothing before the run is here: write 09:30, today, or a date"
+        )
     span = tree.span(asked.from_, asked.to, time.time_ns())
     for summary in (True, False)[: 1 if asked.summary else 2]:
         outcome, seconds = fetch(asked.url, folder, asked.id, span, summary=summary)
@@ -311,7 +316,8 @@ def _parser() -> argparse.ArgumentParser:
     export = reader("export", _export, "Write a run in another format: state as the first six, the black box as the others.")
     export.add_argument("format", choices=["csv", "parquet", "gpx", "kml", "mcap", "mat", "log", "asc", "blf", "mf4"])
     export.add_argument("--output", metavar="FILE", help="(named after the run)")
-    replay = reader("replay", _replay, "Through the vehicle's loop, comparing its commands bit by bit; or onto a bus (--bus).")
+    words = "Through the vehicle's loop, the whole run, comparing its commands bit by bit in this time; or onto a bus (--bus)."
+    replay = reader("replay", _replay, words)
     replay.add_argument("--vehicle", metavar="FILE", help="the vehicle's file instead of the settings in the log")
     replay.add_argument("--bus", metavar="INTERFACE", help="send the black box onto this bus, as vcan0 or canloop:can0")
     replay.add_argument("--speed", type=float, default=1.0, help="times real time; 0: as fast as the bus takes it (1)")

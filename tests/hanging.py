@@ -11,7 +11,7 @@ from pathlib import Path
 
 from delfim import suite
 from delfim.__main__ import main
-from delfim.services.runtime import Runtime, Service
+from delfim.services.runtime import Runtime
 
 HANG = Path(sys.argv.pop(1))
 
@@ -39,7 +39,7 @@ async def sleeper(runtime: Runtime) -> None:
     hang()
 
 
-suite.SERVICES = (Service("sleeper", sleeper), *suite.SERVICES)
+suite.SERVICES = (suite.Service("sleeper", "__main__:sleeper"), *suite.SERVICES)
 if sys.argv[1] == "supervise":
     file, *rest = sys.argv[2:]
     sys.exit(suite.supervise(file, rest[1::2], (sys.executable, __file__, str(HANG))))

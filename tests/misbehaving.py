@@ -10,7 +10,7 @@ from pathlib import Path
 
 from delfim import suite
 from delfim.__main__ import main
-from delfim.services.runtime import Runtime, Service
+from delfim.services.runtime import Runtime
 
 HOW = Path(sys.argv.pop(1))
 LEAK_BYTES = 1 << 20  # a second
@@ -44,7 +44,7 @@ async def bad(runtime: Runtime) -> None:
                 await asyncio.sleep(0)
 
 
-suite.SERVICES = (Service("bad", bad), *suite.SERVICES)
+suite.SERVICES = (suite.Service("bad", "__main__:bad"), *suite.SERVICES)
 if sys.argv[1] == "supervise":
     file, *rest = sys.argv[2:]
     sys.exit(suite.supervise(file, rest[1::2], (sys.executable, __file__, str(HOW))))

@@ -93,8 +93,13 @@ def test_export_is_named_after_the_run(log, tmp_path):
     assert (tmp_path / "box.asc").read_text().startswith("date ")
 
 
-def test_replay_says_that_it_is_bit_exact(log):
-    assert re.match(r"\d+ cycles repeated, \d+ propulsion frames compared: all the same, bit by bit\n", log("replay"))
+def test_replay_says_that_it_is_bit_exact(log, place, capsys):
+    said = re.compile(r"(\d+) cycles repeated, (\d+) propulsion frames compared: all the same, bit by bit\n")
+    cycles, every = map(int, said.fullmatch(log("replay")).groups())
+    repeated, some = map(int, said.fullmatch(log("replay", "--from", "+20", "--to", "+30")).groups())
+    assert repeated == cycles, "the loop remembers"
+    assert 150 < some < every / 4
+    assert main(["log", "replay", "--from", "+60000", str(place)]) == 2
 
 
 def test_repair_finds_what_is_cut_and_leaves_the_original(log, place, tmp_path):
@@ -123,3 +128,5 @@ def test_mistakes_are_one_line(log, capsys, tmp_path, place):
         assert reason in err
         assert err.count("\n") == 1
     assert main(["log", "ls", str(tmp_path / "no")]) == 2
+    assert main(["log", "fetch", "--from", "+90", "ftp://boat/log", str(tmp_path)]) == 2
+    assert "means nothing before the run is here" in capsys.readouterr().err

@@ -1,12 +1,10 @@
 """MAVSDK, a program that others wrote for other vehicles, against the running one: over UDP, in real time."""
 
 import asyncio
-import contextlib
 import os
-import signal
 import subprocess
 import sys
-from collections.abc import Awaitable, Callable, Iterator
+from collections.abc import Awaitable, Callable
 from pathlib import Path
 
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
@@ -16,36 +14,10 @@ from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.mission_raw import MissionItem
 
 from delfim.console.link import Link
+from tests.afloat import running
 
-ROOT = Path(__file__).parents[1]
 PORT = 20_000 + os.getpid() % 40_000
 PLACES = [(38.6909, -9.2149), (38.6912, -9.2149), (38.6912, -9.2145)]
-
-
-@contextlib.contextmanager
-def running(tmp_path: Path) -> Iterator[Path]:
-    """The boat's nodes and its program, as at sea but for the bus; the path of its command socket."""
-    bus = f"canloop:mavsdk-{os.getpid()}-{tmp_path.name[-8:]}"
-    values = (
-        f'can.interface="{bus}"',
-        f'console.socket="{tmp_path}/command"',
-        f'log.directory="{tmp_path}/log"',
-        f'runtime.run_directory="{tmp_path}"',
-        'supervisor.hardware_watchdog=""',
-        'httpd.listen="127.0.0.1:0"',
-        'cantcpd.listen=["127.0.0.1:0"]',
-        'guest.listen="127.0.0.1:0"',
-        'mavlink.listen="127.0.0.1:0"',
-        f'mavlink.peers=["127.0.0.1:{PORT}"]',
-    )
-    words = [str(ROOT / "etc/delfimx.toml"), *(word for value in values for word in ("--set", value))]
-    programs = [subprocess.Popen([sys.executable, "-m", "delfim", name, *words]) for name in ("nodes", "supervise")]
-    try:
-        yield tmp_path / "command"
-    finally:
-        for program in reversed(programs):
-            program.send_signal(signal.SIGTERM)
-            program.wait(30)
 
 
 async def until(what: Callable[[], Awaitable[bool]]) -> None:
@@ -117,7 +89,7 @@ async def sailed(path: Path) -> list[str]:
 
 def test_connect_watch_upload_download_start_hold_return_disarm(tmp_path):
     """And what was sailed so repeats bit by bit from its logs: nothing moved the boat that is not in them."""
-    with running(tmp_path) as path:
+    with running(tmp_path, PORT) as path:
         modes = asyncio.run(asyncio.wait_for(sailed(path), 90))
     assert modes == ["idle", "play", "idle", "home", "idle"]
     words = [sys.executable, "-m", "delfim", "log", "replay", str(tmp_path / "log")]

@@ -2,10 +2,11 @@
 
 The figure's ways of getting rid of a record, one write after the other: a pipe, a UNIX socket, a file, a UDP socket, a buffered
 file, deflate, and a file with O_SYNC. Ours come paced, as in a control loop: back to back everything is in the caches and
-nothing shows. Last, the black box at the rate of a full bus.
+nothing shows. Last, the black box at the rate of a full bus, and how long it takes to list the logs of a year.
 """
 
 import argparse
+import calendar
 import contextlib
 import json
 import os
@@ -33,7 +34,7 @@ WRITES, QUICK_WRITES = 100_000, 2_000
 RECORD_BYTES, RECORDS_PER_S = 250, 500
 FRAMES_PER_S, BATCHES_PER_S = 7_700, 500
 SECONDS, QUICK_SECONDS = 10.0, 2.0
-CONTRACT_US: Final = 10.0  # of `write` and `zpipe` at p99
+DAYS, FILES_A_DAY = 209, 24  # at sea, in a year; files of each log: 10,032 of them
 PARTS: Final = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "worst": 1.0}
 DRAIN: Final = "import socket, sys; s = socket.socket(fileno=int(sys.argv[1]))\nwhile s.recv(65536): pass"
 
@@ -48,18 +49,23 @@ def run(asked: argparse.Namespace) -> int:
     seconds = asked.seconds or (QUICK_SECONDS if asked.quick else SECONDS)
     with tempfile.TemporaryDirectory(dir=output) as place:
         times = {name: figure_us(way, Path(place) / f"{i}", writes) for i, (name, way) in enumerate(WAYS.items())}
-        times |= {f"liblog {method}": put_us(Path(place), method, seconds) for method in get_args(Method)}
+        times["os.write, paced"] = bare_us(Path(place) / "bare", seconds)
+        times |= {f"liblog {method}, paced": put_us(Path(place), method, seconds) for method in get_args(Method)}
         box = black_box(Path(place), seconds)
+        files, listing_s = year(Path(place) / "year"), listed_s(Path(place) / "year")
     told = {name: {part: round(_part(each, share), 2) for part, share in PARTS.items()} for name, each in times.items()}
-    (output / "log.json").write_text(json.dumps({"writes": writes, "us": told, "black_box": box}, indent=1) + "\n")
+    (output / "log.json").write_text(
+        json.dumps({"writes": writes, "us": told, "black_box": box, "ls_s": listing_s}, indent=1) + "\n"
+    )
     picture(times, output / "log.png")
     print(f"{'one record of 250 bytes, us':28}" + "".join(f"{part:>10}" for part in PARTS))
     for name, figures in told.items():
         print(f"{name:28}" + "".join(f"{figure:10.1f}" for figure in figures.values()))
     print(
         f"black box, {FRAMES_PER_S} frames a second for {seconds:.0f} s: {box['caller']:.1%} of a core in the runtime,"
-        f" {box['writer']:.1%} in its child, {box['blocks_lost']} blocks lost; {output}/log.png"
+        f" {box['writer']:.1%} in its child, {box['blocks_lost']} blocks lost"
     )
+    print(f"delfim log ls of a year, {files} files with their sidecars: {listing_s:.2f} s; {output}/log.png")
     return 0
 
 
@@ -161,19 +167,32 @@ def figure_us(way: Callable[[Path], Any], path: Path, writes: int) -> list[float
 
 def put_us(directory: Path, method: Method, seconds: float) -> list[float]:
     """The time of each put of liblog, paced, sorted, us."""
-    clock, chance = SystemClock(), random.Random(1)
-    log = open_log(directory, method, ".log", method, clock, file_bytes=1_000_000, file_s=600.0)
+    log = open_log(directory, method, ".log", method, SystemClock(), file_bytes=1_000_000, file_s=600.0)
+    times = paced_us(log.put, log.poll, seconds)
+    log.close()
+    assert log.status().records == len(times), log.status()
+    return times
+
+
+def bare_us(path: Path, seconds: float) -> list[float]:
+    """The same with nothing but the system call: what the kernel takes by itself."""
+    with _file(path) as write:
+        return paced_us(write, lambda: None, seconds)
+
+
+def paced_us(write: Write, poll: Callable[[], None], seconds: float) -> list[float]:
+    """The time of each of RECORDS_PER_S writes a second, sorted, us; polled once a second, as the vehicle does."""
+    chance = random.Random(1)
     times, due_s = [], time.monotonic()
-    for _ in range(round(seconds * RECORDS_PER_S)):
+    for number in range(round(seconds * RECORDS_PER_S)):
         record = _record(chance)
         due_s += 1 / RECORDS_PER_S
         time.sleep(max(0.0, due_s - time.monotonic()))
         start_ns = time.perf_counter_ns()
-        log.put(record)
+        write(record)
         times.append((time.perf_counter_ns() - start_ns) / 1e3)
-        log.poll()
-    log.close()
-    assert log.status().records == len(times), log.status()
+        if number % RECORDS_PER_S == 0:
+            poll()
     return sorted(times)
 
 
@@ -217,6 +236,31 @@ def black_box(directory: Path, seconds: float) -> dict[str, float]:
     child = resource.getrusage(resource.RUSAGE_CHILDREN)
     writer_s = child.ru_utime + child.ru_stime - before.ru_utime - before.ru_stime
     return {"caller": used_s / seconds, "writer": writer_s / seconds, "frames": frames, "blocks_lost": lost}
+
+
+def year(place: Path) -> int:
+    """A tree of logs as a year leaves them: four hours a day, state and black box, a file every ten minutes, sidecars beside
+    all of them. Returns how many files, sidecars not counted."""
+    for day in range(DAYS):
+        for id_, suffix in (("state", ".state.gz"), ("can0", ".log.gz")):
+            begin_s = calendar.timegm((2025, 1, 1, 8, 0, 0)) + 86_400 * day
+            folder = place / time.strftime("%Y%m%d", time.gmtime(begin_s)) / id_
+            folder.mkdir(parents=True)
+            for number in range(FILES_A_DAY):
+                stem = folder / time.strftime("%H%M%S", time.gmtime(begin_s + 600 * number))
+                end_s = begin_s + 600 * (number + 1)
+                event = {0: "start", FILES_A_DAY - 1: "end"}.get(number, "mode")
+                stem.with_suffix(".meta.jsonl").write_text(f'{{"t_ns": {end_s}000000000, "event": "{event}"}}\n')
+                stem.with_suffix(suffix).touch()
+                os.utime(stem.with_suffix(suffix), (end_s, end_s))
+    return 2 * DAYS * FILES_A_DAY
+
+
+def listed_s(place: Path) -> float:
+    """How long `delfim log ls` takes, s, the start of the program included."""
+    begin_s = time.monotonic()
+    subprocess.run([sys.executable, "-m", "delfim", "log", "ls", str(place)], check=True, stdout=subprocess.DEVNULL)
+    return time.monotonic() - begin_s
 
 
 def picture(times: dict[str, list[float]], file: Path) -> None:

@@ -13,8 +13,8 @@ from typing import Final
 from delfim import config
 from delfim.errors import ConfigError, DelfimError
 from delfim.simulator.lockstep import Lockstep
-from delfim.suite import StateLog
 from delfim.vehicle.mission import canonical, load_mission
+from delfim.wiring import StateLog
 
 REPETITIONS, QUICK_REPETITIONS = 7, 2
 SAILED_S: Final = 7200.0  # the longest voyage

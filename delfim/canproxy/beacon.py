@@ -4,8 +4,8 @@ import fcntl
 import socket
 import struct
 from collections.abc import Sequence
+from html import escape
 from typing import Final
-from xml.sax.saxutils import quoteattr
 
 PORT: Final = 42000
 DATAGRAM_BYTES: Final = 1024  # python-can reads no more
@@ -15,12 +15,10 @@ _IFF_BROADCAST, _IFF_LOOPBACK, _IFF_POINTOPOINT = 0x2, 0x8, 0x10  # linux/if.h
 
 def datagram(host: str, address: str, port: int, buses: Sequence[str]) -> bytes:
     """The announcement. `address` is dotted: clients do not resolve names. Buses that do not fit are left out."""
-    head = (
-        f'<CANBeacon name={quoteattr(host)} type="SocketCAN" description="Delfim cantcpd">\n<URL>can://{address}:{port}</URL>'
-    )
+    head = f'<CANBeacon name="{escape(host)}" type="SocketCAN" description="Delfim cantcpd">\n<URL>can://{address}:{port}</URL>'
     text, tail = head, "</CANBeacon>"
     for bus in buses:
-        longer = f"{text}<Bus name={quoteattr(bus)}/>"
+        longer = f'{text}<Bus name="{escape(bus)}"/>'
         if len((longer + tail).encode()) > DATAGRAM_BYTES:
             break
         text = longer

@@ -144,8 +144,8 @@ def ack_filter(node: int) -> tuple[int, int]:
 
 
 def segments(message: Message, number: int) -> list[Frame]:
-    """All frames of a message in order, header first: how a broadcast message is sent. `number` counts a node's messages; 5
-    bits of it travel. Raises FormatError where a field does not fit."""
+    """All frames of a message in order, header first: how a broadcast message is sent. `number` counts the messages of
+    a stream; 5 bits of it travel. Raises FormatError where a field does not fit."""
     return list(iter_segments(message, number))
 
 
@@ -398,10 +398,10 @@ class _Transfer:
         "whole",
     )
 
-    def __init__(self, message: Message, number: int) -> None:
+    def __init__(self, message: Message) -> None:
         self.arb = dsor_arb(message.priority, Kind.HEADER, message.source, message.destination, 0)
         self.header, self.stream = _encoded(message)
-        self.message, self.number = message, number & 31
+        self.message, self.number = message, 0
         self.count = -(-len(self.stream) // 8)
         self.segment = -1
         self.restarts = self.retransmits = 0
@@ -435,7 +435,7 @@ class Sender:
         self.outcomes: deque[Outcome] = deque(maxlen=queue_max)
         self._node, self._timeout_s, self._retransmit_max, self._queue_max = node, timeout_s, retransmit_max, queue_max
         self._streams: dict[int, deque[_Transfer]] = {}  # by stream of the acknowledgements; the first is under way
-        self._number = 0
+        self._numbers: dict[int, int] = {}  # of the last message of each stream, which has all numbers to itself
 
     @property
     def next_due_s(self) -> float:
@@ -447,17 +447,15 @@ class Sender:
         FormatError for a message that does not fit or of another node."""
         if message.source != self._node:
             raise FormatError(f"node {self._node:#04x} does not send messages of node {message.source:#04x}")
+        stream = message.priority << _PRIORITY | message.destination << _SOURCE | self._node << _DESTINATION
         if message.destination == BROADCAST:
-            self._number += 1
-            return segments(message, self._number)
+            return segments(message, self._next_number(stream))
         if sum(map(len, self._streams.values())) >= self._queue_max:
             raise Refused(f"{self._queue_max} messages are waiting already")
-        self._number += 1
-        transfer = _Transfer(message, self._number)
-        stream = message.priority << _PRIORITY | message.destination << _SOURCE | self._node << _DESTINATION
+        transfer = _Transfer(message)
         queue = self._streams.setdefault(stream, deque())
         queue.append(transfer)
-        return [self._send(transfer, -1, now_s)] if len(queue) == 1 else []
+        return [self._begin(stream, transfer, now_s)] if len(queue) == 1 else []
 
     def feed(self, frame: Frame, now_s: float) -> list[Frame]:
         """What is to be sent after an acknowledgement. Never raises; other frames are passed over."""
@@ -478,8 +476,7 @@ class Sender:
         if kind == Ack.COMPLETE and segment == transfer.count and transfer.whole:
             return self._end(transfer, "", now_s)
         if kind == Ack.COMPLETE and waiting_header and not transfer.whole:  # the number is one of before this node was started
-            self._number += 16
-            transfer.number = self._number & 31
+            self._numbers[frame.arb & _STREAM] = transfer.number = transfer.number + 16 & 31
             return self._restart(transfer, now_s)
         if kind == Ack.REFUSED and not waiting_header:
             return self._restart(transfer, now_s)
@@ -498,6 +495,14 @@ class Sender:
                 node = transfer.message.destination
                 frames += self._end(transfer, f"node {node:#04x} did not acknowledge {what}", now_s)
         return frames
+
+    def _next_number(self, stream: int) -> int:
+        self._numbers[stream] = number = self._numbers.get(stream, 0) + 1 & 31
+        return number
+
+    def _begin(self, stream: int, transfer: _Transfer, now_s: float) -> Frame:
+        transfer.number = self._next_number(stream)
+        return self._send(transfer, -1, now_s)
 
     def _send(self, transfer: _Transfer, segment: int, now_s: float) -> Frame:
         transfer.segment, transfer.retransmits, transfer.due_s = segment, 0, now_s + self._timeout_s
@@ -518,6 +523,6 @@ class Sender:
         queue = self._streams[stream]
         queue.popleft()
         if queue:
-            return [self._send(queue[0], -1, now_s)]
+            return [self._begin(stream, queue[0], now_s)]
         del self._streams[stream]
         return []

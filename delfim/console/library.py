@@ -18,7 +18,7 @@ def shown(mission: Mission) -> dict[str, Any]:
     zones = [each for each in mission.fence.keep_out if each.centre]
     return {
         "name": mission.name,
-        "waypoints": [msgspec.to_builtins(each) | {"hold_s": 0.0, "turn": None} for each in mission.waypoint],
+        "waypoints": [msgspec.to_builtins(each) | {"turn": None} for each in mission.waypoint],
         "path": msgspec.to_builtins(mission.path),
         "fence": [list(corner) for corner in mission.fence.keep_in],
         "obstacles": [
@@ -30,7 +30,7 @@ def shown(mission: Mission) -> dict[str, Any]:
 
 def written(plan: dict[str, Any]) -> Mission:
     """The inverse. Raises Refused with the reason."""
-    keys = ("latitude_deg", "longitude_deg", "speed_mps", "acceptance_m")
+    keys = ("latitude_deg", "longitude_deg", "speed_mps", "acceptance_m", "hold_s")
     circles = [
         {"centre": [[each["latitude_deg"], each["longitude_deg"]]], "radius_m": each["radius_m"]}
         for each in plan.get("obstacles") or []

@@ -34,6 +34,7 @@ from delfim.logging.reading import in_order as in_order  # reading needs no Linu
 from delfim.logging.reading import read_log as read_log
 
 FLUSH_S: Final = 0.6  # with the writer's rhythm and a slow disk's own time a power cut costs less than a second
+UNPOLLED_S: Final = 1.0  # so late a `put` does what a `poll` should have done: who has a critical path polls beside it
 MEMBER_S: Final = 10.0  # of log in a gzip member: what is behind a damaged one can be found again
 PENDING_BYTES: Final = 1 << 18  # deflated and not yet written
 SAME_SECOND: Final = 1000  # files of one name and second
@@ -137,24 +138,24 @@ class FileLog:
         self._member_s = self._end_s = 0.0  # when it was opened; when the file is too old
         self._pending, self._waiting = bytearray(), 0  # bytes for the file; records since the last flush
         self._size = self._kept = 0  # of the file, in whole records: bytes, records
-        self._bytes = self._records = self._dropped = 0
+        self._bytes = self._records = self._dropped = 0  # of the files before it: bytes, records; of all
         self._due_s = -math.inf
         self._open(clock.monotonic_s())
 
     def put(self, record: bytes) -> bool:
         now_s = self._clock.monotonic_s()
-        if now_s >= self._due_s:
+        if now_s >= self._due_s + (UNPOLLED_S if self._fd >= 0 else 0.0):
             self._attend(now_s)
         if self._fd < 0 and not self._reason:
             self._open(now_s)
         if self._fd < 0:
             self._dropped += 1
             return False
+        if not self._deflate:
+            return self._written(record, now_s)
         self._waiting += 1
-        self._pending += self._deflated(record, now_s) if self._deflate else record
-        if self._deflate and len(self._pending) < PENDING_BYTES:
-            return True
-        return self._flush(now_s)
+        self._pending += self._deflated(record, now_s)
+        return len(self._pending) < PENDING_BYTES or self._flush(now_s)
 
     def note(self, line: bytes) -> bool:
         if self._fd < 0 and not self._reason:
@@ -176,7 +177,8 @@ class FileLog:
         return True
 
     def status(self) -> LogStatus:
-        return LogStatus(not self._reason, self._reason, self._file(), self._bytes, self._records, self._dropped)
+        written, records = self._bytes + self._size, self._records + self._kept
+        return LogStatus(not self._reason, self._reason, self._file(), written, records, self._dropped)
 
     def poll(self) -> None:
         now_s = self._clock.monotonic_s()
@@ -236,7 +238,7 @@ class FileLog:
                 self._fd = os.open(stem + self._suffix, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
             except FileExistsError:
                 continue
-            self._stem, self._size, self._kept = stem, 0, 0
+            self._stem = stem
             break
         else:
             raise OSError(errno.EEXIST, "all names of this second are taken", name)
@@ -249,6 +251,20 @@ class FileLog:
             self._stream, self._member_s = zlib.compressobj(wbits=31), now_s
         deflated: bytes = self._stream.compress(data)
         return deflated
+
+    def _written(self, record: bytes, now_s: float) -> bool:
+        """A plain record to the file: nothing but its system call, for a caller who waits."""
+        try:
+            _write_all(self._fd, record)
+        except OSError as error:
+            self._dropped += 1
+            self._fail(error)
+            return False
+        self._size += len(record)
+        self._kept += 1
+        if self._size >= self._settings.file_bytes:
+            self._end(now_s)
+        return True
 
     def _flush(self, now_s: float, *, finish: bool = False) -> bool:
         """Everything put so far to the file, which then ends with a whole record."""
@@ -267,9 +283,7 @@ class FileLog:
             self._fail(error)
             return False
         self._size += len(self._pending)
-        self._bytes += len(self._pending)
         self._kept += self._waiting
-        self._records += self._waiting
         self._waiting = 0
         self._pending.clear()
         if self._kept and self._size >= self._settings.file_bytes:
@@ -325,6 +339,9 @@ class FileLog:
                 with contextlib.suppress(OSError):
                     os.close(fd)
         self._fd = self._day_fd = -1
+        self._bytes += self._size
+        self._records += self._kept
+        self._size = self._kept = 0
 
 
 class PipeLog:

@@ -119,6 +119,7 @@ def latency(columns: Columns, title: str, file: Path) -> None:
         above.set_title(f"{title}\nnot measured: the clock stood still, as in lock step")
     bars = below.bar(STAGES, stages_us(arrays), color=WATER)
     below.bar_label(bars, fmt="%.1f", padding=2)
+    below.margins(y=0.12)
     below.set(ylabel="mean, µs", title="stages of the critical path, and the log after it")
     _save(figure, file)
 

@@ -7,7 +7,7 @@ its own, up to its last whole record, and so does what lies behind the damage. T
 import contextlib
 import os
 import zlib
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError
@@ -174,9 +174,3 @@ def _write(path: str, data: bytes, like: os.stat_result) -> None:
         os.fsync(folder)
     finally:
         os.close(folder)
-
-
-def repair_all(files: Iterable[LogFile], *, in_place: bool = False) -> Iterator[Repair]:
-    """Every file in turn."""
-    for file in files:
-        yield from repair(file, in_place=in_place)

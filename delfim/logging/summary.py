@@ -178,6 +178,7 @@ def _events(events: Iterable[dict[str, Any]]) -> list[str]:
 def _path(path: dict[str, Any]) -> str:
     if not path:
         return "not measured"
-    figures = ", ".join(f"{name} {path[f'{name}_us']:.0f}" for name in ("p50", "p99", "p999", "worst"))
+    named = {"p50": "p50", "p99": "p99", "p99.9": "p999", "worst": "worst"}
+    figures = ", ".join(f"{name} {path[f'{key}_us']:.0f}" for name, key in named.items())
     share = path["within_100_us"]
     return f"{figures} us; {share if math.isfinite(share) else 0:.2%} within 100 us"

@@ -14,7 +14,7 @@ from math import inf
 from typing import Final
 
 from delfim import config
-from delfim.canproxy.socket import CanAddress, CanSocket, open_can
+from delfim.canproxy.socket import CanAddress, open_can
 from delfim.clock import Clock
 from delfim.errors import FormatError
 from delfim.frames import Frame
@@ -153,11 +153,6 @@ class Powerd:
         }
 
 
-def acknowledge(can: CanSocket, stage: ShutdownStage, holders: int) -> None:
-    """Tell the bus. Raises OSError where it does not take the frame."""
-    can.sendto(pack_shutdown_acknowledge(ShutdownAcknowledge(stage, holders)), CanAddress(SHUTDOWN_ACKNOWLEDGE))
-
-
 async def serve(runtime: Runtime) -> None:
     """The service."""
     settings = runtime.config
@@ -177,12 +172,12 @@ async def serve(runtime: Runtime) -> None:
                 if frame.arb == SHUTDOWN and heard.order:
                     act()
 
-        acted = asyncio.Event()
+        acted, begun = asyncio.Event(), pack_shutdown_acknowledge(ShutdownAcknowledge(ShutdownStage.BEGUN, 0))
 
         def act() -> None:
             """At each order, so that one that was repeated is acknowledged again."""
             with contextlib.suppress(OSError):  # a bus that is full or gone: the computer ends all the same
-                acknowledge(can, ShutdownStage.BEGUN, 0)
+                can.sendto(begun, CanAddress(SHUTDOWN_ACKNOWLEDGE))
             if not acted.is_set():
                 acted.set()
                 ask(runtime, heard.order or "off", heard.reason)

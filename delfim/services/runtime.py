@@ -1,8 +1,8 @@
 """The runtime: one process, one loop, navigation first; the vehicle and the services as cooperative tasks of it.
 
-A service is a row of a table (`Service`) and a coroutine function that runs until it is cancelled. Returning is finishing,
+A service is a name and a coroutine function that runs until it is cancelled. Returning is finishing,
 raising is being started again after a pause, raising PermanentFailure is staying down; the reason is kept and shown.
-Services start in the order of the table and are stopped one after the other in reverse order.
+Services start in the order given and are stopped one after the other in reverse order.
 
 How to add a service, and what the figures of `report` mean: docs/runtime.md.
 """
@@ -42,11 +42,10 @@ log = logging.getLogger(__name__)
 
 
 class Service(NamedTuple):
-    """One row of the table of services."""
+    """What is to run."""
 
     name: str
     start: Callable[["Runtime"], Awaitable[None]]  # runs until cancelled
-    place: Literal["runtime", "process"] = "runtime"
     budget_s: float | None = None  # of one callback; None: the vehicle's file says it
 
 

@@ -39,6 +39,7 @@ _SIOCGIFNAME, _SIOCSIFENCAP = 0x8910, 0x8926
 _SIOCGIFFLAGS, _SIOCSIFFLAGS, _SIOCSIFADDR, _SIOCSIFDSTADDR, _SIOCSIFMTU = 0x8913, 0x8914, 0x8916, 0x8918, 0x8922
 _IFF_UP = 1
 _DEFAULT_QDISC: Final = Path("/proc/sys/net/core/default_qdisc")
+_TCP_TIMESTAMPS: Final = Path("/proc/sys/net/ipv4/tcp_timestamps")
 
 log = logging.getLogger(__name__)
 
@@ -328,6 +329,9 @@ async def serve(runtime: Runtime) -> None:
                     raise
         return TunLine(port, settings, runtime, loop)
 
+    if settings.encapsulation == "cslip":
+        with contextlib.suppress(OSError):  # a header whose options change is not compressed (RFC 1144, 3.2.3)
+            _TCP_TIMESTAMPS.write_text("0")
     radio = Radio(settings, runtime.clock, open_line)
     runtime.board["slipd"] = radio.report
     try:

@@ -26,6 +26,7 @@ from delfim.services.shutdown import Word
 
 EXIT_PERMANENT: Final = 100  # of a program: do not start me again
 START_S: Final = 20.0  # a critical program may take so long to its first beat: a slow board reads it from a slow card
+HEAD_START_S: Final = 5.0  # the others wait so long for its first beat: until then it has the processor to itself
 STOP_EVERY_S: Final = 0.1  # between two stop frames while nothing beats
 TICK_S: Final = 0.5  # the longest wait: the hardware watchdog is stroked so often
 END_CRITICAL_S: Final = 5.0  # that the critical program has to end in order
@@ -169,8 +170,15 @@ class Supervisor:
 
     def _start_due(self) -> None:
         for child in self._children:
-            if child.state == "waiting" and child.start_s <= time.monotonic():
+            if child.state == "waiting" and self._due_s(child) <= time.monotonic():
                 self._start(child)
+
+    def _due_s(self, child: Child) -> float:
+        """When it is to be started: while the critical program comes up, the others wait."""
+        first = self._critical
+        if first is None or child is first or first.state != "running" or first.beat_s is not None:
+            return child.start_s
+        return max(child.start_s, first.start_s + HEAD_START_S)
 
     def _start(self, child: Child) -> None:
         program = child.program
@@ -286,7 +294,7 @@ class Supervisor:
     def _wait(self) -> None:
         """For a beat, a death, a signal, or what is due next."""
         now_s = time.monotonic()
-        due_s = [child.start_s for child in self._children if child.state == "waiting"]
+        due_s = [self._due_s(child) for child in self._children if child.state == "waiting"]
         due_s += [now_s + TICK_S, self._deadline_s(), inf if self._stop_due_s is None else self._stop_due_s]
         pipes = {child.pipe: child for child in self._children if child.pipe >= 0}
         requests = [self._requests.fileno()] if self._requests else []

@@ -22,7 +22,7 @@ from delfim.logging import tree
 from delfim.logging.canzlogd import device
 from delfim.logging.summary import utc
 from delfim.logging.table import frames, table
-from delfim.logging.tree import LogFile
+from delfim.logging.tree import ALWAYS, LogFile, Span
 from delfim.messages import (
     BATTERIES_PORT,
     BATTERIES_STARBOARD,
@@ -63,7 +63,7 @@ class Result(NamedTuple):
 
     @property
     def exact(self) -> bool:
-        return self.frames > 0 and not self.differences and not self.refusals
+        return not self.differences and not self.refusals
 
     def text(self) -> str:
         lines = [f"{self.cycles} cycles repeated, {self.frames} propulsion frames compared: "]
@@ -130,9 +130,9 @@ class NoLog:
 
 
 class Rerun:
-    """The loop, its inputs on buses without time, and what it sends."""
+    """The loop, its inputs on buses without time, and what it sends. What it sends in `span` is compared."""
 
-    def __init__(self, settings: config.Vehicle, recorded: Iterable[tuple[str, Frame]], start_s: float) -> None:
+    def __init__(self, settings: config.Vehicle, recorded: Iterable[tuple[str, Frame]], start_s: float, span: Span) -> None:
         self.clock, self.log, self.state = Recalled(), NoLog(), State()
         self.clock.now_s = start_s
         self._interface = device(settings.can.interface)
@@ -151,7 +151,7 @@ class Rerun:
         self._inputs = deque[tuple[str, Frame]]()
         self.recorded = deque[tuple[int, Group]]()
         self._split(recorded)
-        self.differences, self.refusals, self.frames = list[Difference](), list[str](), 0
+        self._span, self.differences, self.refusals, self.frames = span, list[Difference](), list[str](), 0
 
     def _source(self, name: str, settings: config.Vehicle) -> Source:
         if name == "dsor":
@@ -214,7 +214,7 @@ class Rerun:
         self.vehicle.on_watchdog()
         if not self._compare(t_ns):
             self.recorded.popleft()
-            self.differences.append(Difference(t_ns, group, ()))
+            self._judge(t_ns, group, ())
 
     def _navigate(self, due: Due) -> None:
         """The cycle of a record. The last frame may have got its stamp in the black box after the vehicle had read it."""
@@ -241,7 +241,7 @@ class Rerun:
         self.log.why = event["refused"]
         refused = self.vehicle.on_command(console.parse(msgspec.json.encode(event["value"]))) or ""
         self.log.why = ""
-        if bool(refused) != bool(event["refused"]):
+        if bool(refused) != bool(event["refused"]) and self._span.has(due.t_ns):
             name = event["value"]["command"]
             then, now = (f"refused ({words})" if words else "obeyed" for words in (event["refused"], refused))
             self.refusals.append(f"{_time(due.t_ns)}  {name}: {then} then, {now} now")
@@ -258,10 +258,14 @@ class Rerun:
                 self.recorded.popleft()
             else:
                 then = ()
-            self.frames += len(then)
-            if then != group:
-                self.differences.append(Difference(t_ns, then, group))
+            self._judge(t_ns, then, group)
         return bool(groups)
+
+    def _judge(self, t_ns: int, then: Group, now: Group) -> None:
+        if self._span.has(t_ns):
+            self.frames += len(then)
+            if then != now:
+                self.differences.append(Difference(t_ns, then, now))
 
     def finish(self, ended: bool) -> None:
         """What was sent after the last record; where the program ended in order, its last word was a stop."""
@@ -273,8 +277,9 @@ class Rerun:
             self._compare(self.recorded[0][0])
 
 
-def rerun(files: Sequence[LogFile], vehicle_file: str | None) -> Result:
-    """Repeat a run. Raises DelfimError where the logs do not hold what it takes."""
+def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAYS) -> Result:
+    """Repeat a run, all of it, and compare what came of it in this time. Raises DelfimError where the logs do not hold what it
+    takes, or nothing that could be compared."""
     state_files = [file for file in files if file.id == "state"]
     told = [event for event in tree.events(state_files) if "at_s" in event or event["event"] in ("start", "end")]
     starts = [event for event in told if event["event"] == "start"]
@@ -285,7 +290,7 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None) -> Result:
     boxes = [file for file in files if file.suffix.startswith(".log")]
     if device(settings.can.interface) not in {file.id for file in boxes}:
         raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
-    run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"])
+    run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"], span)
     due = sorted([*_cycles(columns), *_commands(told), *_looks(columns, told)], key=lambda each: each.t_ns)
     spoken = deque(sorted(_words_of(columns), key=lambda word: word.at_s))
     for each in due:
@@ -293,6 +298,8 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None) -> Result:
             run.hear(spoken.popleft())
         run.step(each)
     run.finish(any(event["event"] == "end" for event in told))
+    if not (run.frames or run.differences):
+        raise DelfimError("the boat commanded nothing in this time")
     return Result(run.state.cycles, run.frames, run.differences, run.refusals)
 
 

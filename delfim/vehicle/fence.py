@@ -192,11 +192,16 @@ def crossing(fence: Fence, mode: Mode, motion: Motion, setpoint: Setpoint) -> st
     return None
 
 
-def complaint(fence: Fence, plan: Plan) -> str | None:
-    """What the fence has against a mission, in words: a leg or path nearer than `mission_margin_m`, or a corner where the boat,
-    whichever way it points while it turns, has less than the stopping distance and `margin_m` ahead.
+def complaint(fence: Fence, plan: Plan, radius_m: float) -> str | None:
+    """What the fence has against a mission, in words: a leg or path nearer than `mission_margin_m`; a corner where the boat,
+    whichever way it points while it turns, has less than the stopping distance and `margin_m` ahead; or a place to wait at
+    without room to drift about within `radius_m`.
     """
     limits = fence.limits
+    for number, to in enumerate(plan.waypoints, 1):
+        for zone in fence.zones if to.hold_s else ():
+            if clearance_m(zone, to.north_m, to.east_m) < radius_m + limits.margin_m:
+                return f"no room to wait at waypoint {number}: {zone.name} is nearer than {radius_m + limits.margin_m:g} m"
     for ways in _ways(plan):
         for number, (text, a, b, speed_mps) in enumerate(ways):
             onwards = ways[number + 1] if number + 1 < len(ways) else ways[number]

@@ -367,7 +367,8 @@ class Vehicle:
         origin = state.origin or geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
         planned = plan(mission, origin, self._limits.control)
         around = fence.survey(self.settings.fence, mission.fence, origin)
-        if around is not None and (why := fence.complaint(around, planned)) is not None:
+        radius_m = self._limits.control.hold.radius_m
+        if around is not None and (why := fence.complaint(around, planned, radius_m)) is not None:
             raise Refused(f"mission refused: {why}")
         state.origin, state.setpoint = origin, state.setpoint._replace(plan=planned, leg=0)
         self.mission, self.zones, self.fence = mission, mission.fence, around
@@ -383,7 +384,8 @@ class Vehicle:
         self.zones, self.fence = zones, fence.survey(self.settings.fence, zones, state.origin)
         if self.mission is None or state.setpoint.plan is None:
             return
-        why = fence.complaint(self.fence, state.setpoint.plan) if self.fence is not None else None
+        radius_m = self._limits.control.hold.radius_m
+        why = fence.complaint(self.fence, state.setpoint.plan, radius_m) if self.fence is not None else None
         self.mission = msgspec.structs.replace(self.mission, fence=zones)
         if why is not None:
             self._unload()

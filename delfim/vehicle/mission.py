@@ -22,6 +22,7 @@ from delfim.vehicle.state import Waypoint as PlanWaypoint
 
 LEG_MIN_M, LEG_MAX_M = 0.5, 20_000.0
 RADIUS_MIN_M, RADIUS_MAX_M = 2.0, 5_000.0
+HOLD_MAX_S = 86_400.0  # at a waypoint
 JOINT_M = 1.0  # an arc's stated radius and the distance from its beginning to its centre agree within this
 
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
@@ -31,12 +32,13 @@ Title = Annotated[str, config.text(r"[^\x00-\x1f\x7f]{1,64}", "1 to 64 character
 
 
 class Waypoint(config.Table, frozen=True):
-    """A place to go to. 0 for speed and acceptance radius: as the vehicle's file says."""
+    """A place to go to, and to stay at for a while. 0 for speed and acceptance radius: as the vehicle's file says."""
 
     latitude_deg: Latitude
     longitude_deg: Longitude
     speed_mps: MissionSpeed = 0.0  # on the way to it
     acceptance_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0
+    hold_s: Annotated[float, msgspec.Meta(ge=0.0, le=HOLD_MAX_S)] = 0.0
 
 
 class PathPoint(config.Table, frozen=True):
@@ -125,7 +127,10 @@ def plan(mission: Mission, origin: geodesy.Origin, control: config.ControlTable)
             raise ConfigError(mission.name, key, f"{far_m / 1000.0:.1f} km from the boat", f"up to {LEG_MAX_M / 1000.0:.0f} km")
     waypoints = tuple(
         PlanWaypoint(
-            *_plane(origin, row), row.speed_mps or control.speed.cruise_mps, row.acceptance_m or control.path.acceptance_m
+            *_plane(origin, row),
+            row.speed_mps or control.speed.cruise_mps,
+            row.acceptance_m or control.path.acceptance_m,
+            row.hold_s,
         )
         for row in mission.waypoint
     )

@@ -52,6 +52,7 @@ class Waypoint(NamedTuple):
     east_m: float
     speed_mps: float
     acceptance_m: float
+    hold_s: float = 0.0  # how long the boat stays there, once it is reached
 
 
 class Arc(NamedTuple):

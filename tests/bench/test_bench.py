@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from delfim.__main__ import main
-from delfim.bench import critical_path
+from delfim.bench import critical_path, liblog
 from delfim.bench.critical_path import LABELS, LONG_CYCLES, Plan, Slice
 from delfim.bench.report import PERCENTILES, STAGES, Cycle, over_budget
 from delfim.errors import DelfimError
@@ -57,6 +57,20 @@ def test_lock_step_bench(tmp_path: Path) -> None:
     results = json.loads((tmp_path / "sim.json").read_text())
     assert results["repetitions"] == 2
     assert 1 < results["times_real_time"]["min"] <= results["times_real_time"]["median"] <= results["times_real_time"]["max"]
+
+
+def test_bench_of_log_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(liblog, "QUICK_WRITES", 100)
+    monkeypatch.setattr(liblog, "DAYS", 2)
+    assert main(["bench", "log", "--quick", "--seconds", "0.2", "--file", VEHICLE, "--output", str(tmp_path)]) == 0
+    results = json.loads((tmp_path / "log.json").read_text())
+    ours = [f"liblog {method}, paced" for method in ("write", "zwrite", "zpipe")]
+    assert list(results["us"]) == [*liblog.WAYS, "os.write, paced", *ours]
+    assert all(0 < each["p50"] <= each["worst"] for each in results["us"].values())
+    assert results["black_box"]["blocks_lost"] == 0
+    assert results["ls_s"] > 0
+    assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
+    assert "96 files" in capsys.readouterr().out
 
 
 def test_every_round_lets_c_begin_and_end() -> None:

@@ -31,6 +31,7 @@ from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, open_can
 from delfim.clock import SystemClock
 from delfim.errors import BusError
 from delfim.frames import CAN_RTR, Frame, extended, standard
+from delfim.messages import BATTERIES_PORT, BATTERIES_STARBOARD, PROPELLER_PORT, PROPELLER_STARBOARD, RESET, SHUTDOWN
 
 T = TypeVar("T")
 ROOT = Path(__file__).parents[2]
@@ -562,11 +563,12 @@ def test_access_by_network_and_identifier() -> None:
     assert not access.is_barred(extended(0x40 << 18))
 
 
-def test_by_default_only_this_computer_transmits_and_nobody_commands_propellers() -> None:
+def test_by_default_only_this_computer_transmits_and_nobody_commands_the_boat() -> None:
     access = Access(config.Cantcpd())
     assert access.may_transmit("127.0.0.1")
     assert not access.may_transmit("192.168.1.5")
-    assert all(access.is_barred(standard(identifier)) for identifier in range(0x40, 0x44))
+    actuators = PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT
+    assert [arb for arb in map(standard, range(0x800)) if access.is_barred(arb)] == [*actuators, RESET, SHUTDOWN]
 
 
 def test_who_may_not_watch_is_not_greeted(name: str) -> None:

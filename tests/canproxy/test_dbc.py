@@ -154,5 +154,5 @@ def test_every_physical_signal_has_a_unit_and_every_signal_a_range() -> None:
         for signal in message.signals:
             assert signal.minimum is not None, f"{message.name}.{signal.name}"
             assert signal.maximum is not None, f"{message.name}.{signal.name}"
-            plain = signal.length == 1 or signal.name in ("Status", "Counter", "Key", "Node", "Stage", "Holders")
+            plain = signal.length == 1 or signal.name in ("Status", "Counter", "Key", "Node", "Word", "Stage", "Holders")
             assert bool(signal.unit) != plain, f"{message.name}.{signal.name}"

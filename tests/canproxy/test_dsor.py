@@ -568,6 +568,23 @@ def test_numbers_that_come_round_between_two_messages_lose_neither(others: int) 
     assert list(sender.outcomes) == [Outcome(message) for message in sent]
 
 
+def test_a_late_acknowledgement_does_not_end_the_message_of_31_others_later() -> None:
+    """Numbers are of 5 bits. A node that counted all of its messages together gave the next one of a stream the number of the
+    last one again after 31 others: it took the late copy of an acknowledgement for that of a message that was lost."""
+    sender, receiver = Sender(Node.GPS), Receiver(Node.VEHICLE)
+    message = TO_VEHICLE._replace(data=b"")
+    assert exchange(sender, receiver, sender.start(message, 0.0)) == [message]
+    late = ack(message, Ack.COMPLETE, 1, 1)
+    for priority in range(31):
+        sender.start(message._replace(priority=priority + 1), 0.0)
+    sender.outcomes.clear()
+    (header,) = sender.start(message, 0.0)
+    number = dsor_fields(header.arb).sequence
+    assert sender.feed(ack(message, Ack.HEADER, number, 0), 0.0)  # its only segment, which is lost
+    assert sender.feed(late, 0.0) == []
+    assert not sender.outcomes
+
+
 def test_a_message_half_sent_before_switching_off_is_not_mixed_with_the_next() -> None:
     receiver = Receiver(Node.VEHICLE)
     feed(receiver, segments(TO_VEHICLE._replace(data=b"before the restart"), 1)[:2])

@@ -19,7 +19,7 @@ from delfim.console.statetape import States
 from delfim.console.tape import Session as Recording
 from delfim.errors import DelfimError, FormatError, Refused
 from delfim.simulator.lockstep import Lockstep
-from delfim.suite import StateLog
+from delfim.wiring import StateLog
 from tests.console.fakeboat import FakeBoat
 
 ROOT = Path(__file__).parents[2]

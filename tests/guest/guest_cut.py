@@ -13,7 +13,7 @@ from delfim.messages import Node
 
 LOG = Path("/mnt/log")
 FOLDER = os.environ["FOLDER"]
-FRAMES_PER_S = sys.argv[1]
+FRAMES_PER_S, DEVICE, FILE_BYTES = sys.argv[1:]
 HEART = """
 import os, sys, time
 fd = os.open(sys.argv[1] + "/alive", os.O_WRONLY | os.O_CREAT)
@@ -41,7 +41,7 @@ SETTINGS = {
     "console.socket": '"/run/delfim/command"',
     "log.directory": f'"{LOG}"',
     "log.free_bytes_min": "1_000_000",
-    "log.file_bytes": "200_000",
+    "log.file_bytes": FILE_BYTES,
     "logd.nodes": f"[{Node.GPS:d}]",
     "navigation.rate_hz": "20.0",
     "runtime.run_directory": '"/run/delfim"',
@@ -85,8 +85,10 @@ def growing() -> bool:
 
 
 def main() -> None:
+    for name, centiseconds in (("writeback", 500), ("expire", 3000)):  # as everywhere but in a guest: the kernel is in no hurry
+        Path(f"/proc/sys/vm/dirty_{name}_centisecs").write_text(str(centiseconds))
     LOG.mkdir()
-    subprocess.run(["mount", "-t", "ext2", "/dev/ubda", LOG], check=True)
+    subprocess.run(["mount", "-t", "ext2", DEVICE, LOG], check=True)
     Path(f"{FOLDER}/begun").touch()
     start(sys.executable, "-c", HEART, FOLDER)
     start(sys.executable, "-c", TALKER)

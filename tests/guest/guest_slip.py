@@ -7,7 +7,6 @@ the two terminals carries 10,000 bytes a second each way (100 kbit/s, 8N1); it c
 import json
 import os
 import pty
-import select
 import socket
 import statistics
 import subprocess
@@ -16,36 +15,14 @@ import threading
 import time
 from pathlib import Path
 
+from tests.guest.guest_wire import Wire
+
 FOLDER = Path(os.environ["FOLDER"])
 BYTES_PER_S = 10_000
 BOAT, SHORE = "10.0.0.1", "10.0.0.2"
 MTU = 296
 LOWDELAY = 0x10
 ECHO, BULK = 7000, 7001
-
-
-class Wire:
-    """Carries bytes between two terminals at the speed of the line."""
-
-    def __init__(self, one: int, other: int) -> None:
-        self.is_cut = False
-        for source, target in ((one, other), (other, one)):
-            threading.Thread(target=self._carry, args=(source, target), daemon=True).start()
-
-    def _carry(self, source: int, target: int) -> None:
-        free_s = time.monotonic()
-        while True:
-            select.select([source], [], [])
-            try:
-                data = os.read(source, 100)
-            except OSError:  # nobody has the other side open
-                time.sleep(0.05)
-                continue
-            now_s = time.monotonic()  # a late wake-up is made up for, an idle line is not
-            free_s = (free_s if now_s - free_s < 0.03 else now_s) + len(data) / BYTES_PER_S
-            time.sleep(max(free_s - time.monotonic(), 0.0))
-            if not self.is_cut:
-                os.write(target, data)
 
 
 def sh(command: str) -> str:
@@ -151,7 +128,7 @@ def reached(limit_s: float) -> float:
 def main(encapsulation: str, mode: str, seconds: float) -> None:
     sh("ip netns add shore && ip -n shore link set lo up")
     (boat, boat_tty), (ashore, ashore_tty) = pty.openpty(), pty.openpty()
-    wire = Wire(boat, ashore)
+    wire = Wire(boat, ashore, (BYTES_PER_S, BYTES_PER_S))
     names = os.ttyname(boat_tty), os.ttyname(ashore_tty)
     children = [
         slipd(names[0], encapsulation, mode, BOAT, SHORE, ""),

@@ -12,8 +12,8 @@ from delfim.logging.canzlogd import BlackBox
 from delfim.logging.liblog import open_log
 from delfim.logging.tree import LogFile, files
 from delfim.simulator.lockstep import Lockstep
-from delfim.suite import StateLog
 from delfim.vehicle import console
+from delfim.wiring import StateLog
 
 ROOT = Path(__file__).parents[2]
 MISSION = (ROOT / "etc/missions/doca.toml").read_text()

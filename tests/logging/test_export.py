@@ -2,7 +2,8 @@
 
 import csv
 import json
-import struct
+import shutil
+import subprocess
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -100,22 +101,13 @@ def test_mcap_opens_with_its_own_reader(day, tmp_path):
 
 
 def test_mat_holds_every_column_as_doubles(day, tmp_path):
-    """Read as the format is specified (MAT version 4): header of five integers, name, numbers in the order of columns."""
+    scipy = pytest.importorskip("scipy.io", reason=FORMATS_MISSING)
     columns, schema, _ = day
-    data, at, matrices = written(day, tmp_path, "mat").read_bytes(), 0, {}
-    while at < len(data):
-        kind, rows, count, imaginary, length = struct.unpack_from("<5i", data, at)
-        name = data[at + 20 : at + 20 + length - 1].decode()
-        at += 20 + length
-        assert imaginary == 0
-        assert data[at - 1] == 0
-        wide = 1 if kind == 51 else 8
-        matrices[name] = data[at : at + rows * count * wide]
-        at += rows * count * wide
-    assert matrices["start"].startswith(b"2010-01-01T00:00:00")
-    assert set(matrices) == {"boat", "start", "start_ns", *schema.names}
-    np.testing.assert_array_equal(np.frombuffer(matrices["heading"]), columns["heading"].astype(float))
-    assert np.frombuffer(matrices["t1"])[-1] == pytest.approx((columns["t1"][-1] - columns["t1"][0]) / 1e9, abs=1e-9)
+    read = scipy.loadmat(str(written(day, tmp_path, "mat")))
+    assert read["start"][0].startswith("2010-01-01T00:00:00")
+    assert set(read) == {"boat", "start", "start_ns", *schema.names}
+    np.testing.assert_array_equal(read["heading"][:, 0], columns["heading"].astype(float))
+    assert read["t1"][-1, 0] == pytest.approx((columns["t1"][-1] - columns["t1"][0]) / 1e9, abs=1e-9)
 
 
 FRAMES = [
@@ -159,6 +151,18 @@ def test_error_frames_are_error_frames_in_the_formats_of_others(tmp_path, form):
     assert [message.is_error_frame for message in read] == [False, True, False]
     if form != "asc":  # which says when there was one, and no more
         assert (read[1].arbitration_id, bytes(read[1].data)) == (4, told)
+
+
+def test_asc_is_read_by_can_utils(tmp_path):
+    if not shutil.which("asc2log"):
+        pytest.skip("asc2log of can-utils is missing (make system installs it on Debian)")
+    file = tmp_path / "out.asc"
+    canexport.write(iter(FRAMES), file, "asc")
+    told = subprocess.run(
+        ["asc2log", "-I", str(file)], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, check=True
+    )
+    words = [line.split()[2].removesuffix("#R3").removesuffix("#R") for line in told.stdout.splitlines()]
+    assert words == ["123#1122", "18EF2A10#0000000000000000", "7FF", "001#"]
 
 
 def test_plain_candump_is_what_was_logged_error_frames_included(tmp_path):

@@ -60,6 +60,7 @@ def test_a_file_ends_past_its_size(tmp_path, file_log, clock, deflate):
     for number in range(40):
         log.put(record(number, size=50))
         clock.advance(1.0)
+        log.poll()
     log.close()
     sizes = [path.stat().st_size for path in files(tmp_path / "log")]
     assert len(sizes) > 5

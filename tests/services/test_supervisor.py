@@ -212,6 +212,23 @@ def test_what_must_not_be_started_again_is_not(suite: Suite) -> None:
     assert suite.state()["programs"]["runtime"]["state"] == "running"
 
 
+def test_the_critical_program_comes_up_alone(suite: Suite) -> None:
+    suite.program("sshd")
+    suite.program("runtime", critical=True)
+    suite.start()
+    until(lambda: suite.events("sshd", "start"))
+    assert suite.events("runtime", "beat")[0].at_s < suite.events("sshd", "start")[0].at_s
+
+
+def test_the_others_do_not_wait_for_ever_for_its_first_beat(suite: Suite) -> None:
+    suite.program("sshd")
+    suite.program("runtime", "mute", critical=True)
+    suite.start(HEAD_START_S=0.2)
+    until(lambda: suite.events("sshd", "start"))
+    assert suite.events("sshd", "start")[0].at_s - suite.events("runtime", "start")[0].at_s < 5.0
+    assert suite.state()["programs"]["runtime"]["restarts"] == 0
+
+
 def test_nothing_left_to_run_is_the_end(suite: Suite) -> None:
     suite.program("runtime", f"exit={EXIT_PERMANENT}", critical=True)
     suite.start()

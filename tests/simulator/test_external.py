@@ -4,6 +4,7 @@ import json
 import math
 import os
 import re
+import shutil
 import signal
 import socket
 import subprocess
@@ -19,7 +20,8 @@ from delfim.simulator.model import Hull
 from delfim.simulator.nodes import NavigationNode, Noise
 
 ROOT = Path(__file__).parents[2]
-EXAMPLE = re.findall(r"```python\n(.*?)```", (ROOT / "docs/external-model.md").read_text(), re.DOTALL)[0]
+EXAMPLES = dict(re.findall(r"```(python|octave)\n(.*?)```", (ROOT / "docs/external-model.md").read_text(), re.DOTALL))
+PROGRAMS = {"python": [sys.executable, "-c"], "octave": ["octave-cli", "--no-init-file", "--eval"]}
 STILL = {"north_m": 0.0, "east_m": 0.0, "heading_rad": 0.0, "north_mps": 0.0, "east_mps": 0.0}
 
 
@@ -75,13 +77,17 @@ def test_an_address_that_is_taken_is_told(pair):
         ExternalModel(Hull(), ManualClock(), taken, 0.67, -0.16)
 
 
+@pytest.mark.parametrize(
+    "language",
+    ["python", pytest.param("octave", marks=pytest.mark.skipif(not shutil.which("octave-cli"), reason="needs GNU Octave"))],
+)
 @pytest.mark.timeout(60)
-def test_the_example_of_the_documentation_sails_the_whole_suite(tmp_path):
+def test_the_example_of_the_documentation_sails_the_whole_suite(language, tmp_path):
     port = 40_000 + os.getpid() % 20_000
-    example = subprocess.Popen([sys.executable, "-c", EXAMPLE.replace("4800", str(port))])
+    example = subprocess.Popen([*PROGRAMS[language], EXAMPLES[language].replace("4800", str(port))])
     settings = {
         "simulation.external": f'"127.0.0.1:{port}"',
-        "simulation.interface": f'"canloop:external-{os.getpid()}"',
+        "simulation.interface": f'"canloop:{language}-{os.getpid()}"',
         "guest.enabled": "false",
     }
     words = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
@@ -90,6 +96,7 @@ def test_the_example_of_the_documentation_sails_the_whole_suite(tmp_path):
     example.send_signal(signal.SIGKILL)
     example.wait()
     states = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    assert len(EXAMPLES[language].splitlines()) <= 30
     assert done.returncode == 0, done.stderr
     assert states[-1]["mode"] == "play"
     assert states[-1]["speed_mps"] > 0.3, "the other program moves the boat"

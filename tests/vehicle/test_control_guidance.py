@@ -140,6 +140,25 @@ def test_the_speed_of_each_waypoint_is_kept() -> None:
 
 
 @pytest.mark.parametrize("seed", range(4))
+def test_a_waypoint_is_stayed_at_for_as_long_as_told(seed: int) -> None:
+    """Near the point, in a current of any direction; then the boat goes on, and at the end waits again before it is done."""
+    places = (Waypoint(60.0, 0.0, 1.5, 3.0, 120.0), Waypoint(60.0, 80.0, 1.5, 3.0, 20.0))
+    samples = []
+    for x in Boat(seed, current(seed, 4, 0.3)).sail(Mode.PLAY, Setpoint(plan=Plan("", places, ())), 600.0):
+        samples.append(x)
+        if x.reference.done:
+            break
+    for leg, to in enumerate(places):
+        stayed = [
+            x for x in samples if x.leg == leg and x.reference.speed_mps is not None and x.reference.cross_track_m is None
+        ]
+        assert len(stayed) * DT_S == pytest.approx(to.hold_s, abs=2.0 * DT_S)
+        radius_m = SETTINGS.control.hold.radius_m + 3.0
+        assert max(math.hypot(x.truth.north_m - to.north_m, x.truth.east_m - to.east_m) for x in stayed) < radius_m
+    assert samples[-1].reference.done
+
+
+@pytest.mark.parametrize("seed", range(4))
 def test_goto_arrives_slowly_and_is_done(seed: int) -> None:
     target = Waypoint(-40.0, 70.0, 2.0, 5.0)
     samples = []

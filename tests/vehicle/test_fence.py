@@ -178,23 +178,30 @@ def to(north_m: float, east_m: float, speed_mps: float = 1.5) -> Waypoint:
     ],
 )
 def test_missions_are_held_against_the_fence(waypoints, reason):
-    assert fence.complaint(Fence((SQUARE, WALL), LIMITS), Plan("", tuple(waypoints), ())) == reason
+    assert fence.complaint(Fence((SQUARE, WALL), LIMITS), Plan("", tuple(waypoints), ()), 5.0) == reason
+
+
+def test_a_place_to_stay_at_needs_room_to_drift():
+    waits = to(0, 43)._replace(hold_s=10.0)
+    reason = "no room to wait at waypoint 2: square is nearer than 8 m"
+    assert fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (to(0, 0), waits), ()), 5.0) == reason
+    assert fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (to(0, 0), waits), ()), 4.0) is None
 
 
 def test_paths_and_their_arcs_too():
     line = Line(-20.0, -30.0, -20.0, 0.0, 1.5)
     inside = Arc(0.0, 0.0, 20.0, math.pi, -math.pi / 2, 1.5)
     around = Fence((SQUARE,), LIMITS)
-    assert fence.complaint(around, Plan("", (), (line, inside))) is None
+    assert fence.complaint(around, Plan("", (), (line, inside)), 5.0) is None
     bulging = Arc(-20.0, 20.0, 28.0, -math.pi / 2, -math.pi, 1.5)
-    assert (fence.complaint(around, Plan("", (), (line, bulging))) or "").startswith("piece 2 of the path leads")
+    assert (fence.complaint(around, Plan("", (), (line, bulging)), 5.0) or "").startswith("piece 2 of the path leads")
 
 
 def test_a_turn_that_points_at_the_fence_needs_room_too():
     """Legs along the fence, and between them half a turn towards it."""
     there, back = [to(-30, 43), to(0, 43)], to(-30, 43.9)
-    assert "without room to stop" in (fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (*there, back), ())) or "")
-    assert fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (to(-30, 36), to(0, 36), to(-30, 34)), ())) is None
+    assert "without room to stop" in (fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (*there, back), ()), 5.0) or "")
+    assert fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (to(-30, 36), to(0, 36), to(-30, 34)), ()), 5.0) is None
 
 
 def test_the_way_to_where_a_mode_begins_is_held_against_it():

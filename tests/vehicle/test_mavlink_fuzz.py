@@ -5,13 +5,17 @@ import contextlib
 import socket
 from random import Random
 
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from delfim import config
 from delfim.errors import FormatError
+from delfim.vehicle.console import Stop, Take
 from delfim.vehicle.mavlink import wire
+from delfim.vehicle.mavlink.commands import COMMANDS
 from delfim.vehicle.mavlink.link import MavlinkLink
+from delfim.vehicle.mavlink.params import NAMES
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.station import FRAMES, PEERS, PENDING, Station
 from delfim.vehicle.mavlink.wire import dialect
@@ -52,6 +56,52 @@ def test_any_message_with_anything_in_it_leaves_the_loop_unharmed(boat, contents
             pass
     station.tick()
     assert boat.navigate() in (True, False)
+
+
+STRANGERS = st.tuples(st.integers(2, 249) | st.integers(251, 255), st.integers(1, 255))  # who does not command
+ANYTHING = st.tuples(st.sampled_from(sorted(dialect.mavlink_map)), st.binary(min_size=1, max_size=255))
+NUMBERS = st.floats(width=32) | st.sampled_from([0.0, 1.0, *map(float, Mode)])
+ORDERS = st.builds(
+    lambda command, p: dialect.MAVLink_command_long_message(1, 1, command, 0, *p),
+    st.sampled_from([*COMMANDS, *range(3)]),
+    st.tuples(*[NUMBERS] * 7),
+)
+AXES = st.integers(-1000, 1000)
+THRUSTS = st.builds(lambda axes: dialect.MAVLink_manual_control_message(1, *axes, 0), st.tuples(*[AXES] * 4))
+VALUES = st.builds(
+    lambda name, value: dialect.MAVLink_param_set_message(1, 1, name.encode(), value, 9), st.sampled_from(NAMES), NUMBERS
+)
+
+
+@ONCE
+@pytest.mark.parametrize("mode", [Mode.MANUAL, Mode.HEADING, Mode.IDLE])
+@given(st.lists(st.tuples(STRANGERS, ANYTHING | ORDERS | THRUSTS | VALUES), min_size=1, max_size=20))
+def test_whatever_anybody_else_says_moves_nothing(make_boat, mode, said):
+    """Beside a boat that hears its own console alone: what the propellers are told is the same in each cycle. Anybody may stop
+    the boat or take over, and neither goes on from there."""
+    disturbed, alone = (afloat(make_boat()) for _ in range(2))
+    for sea in (disturbed, alone):
+        sea.console.mode(mode)
+        sea.console.command(32100, 0, 1)
+    senders = {party: wire.Sender(*party, None, lambda: 0) for party, _ in said}
+    for sequence, (party, message) in enumerate(said):
+        frame = framed(*message, sequence, *party) if isinstance(message, tuple) else senders[party].pack(message)
+        before = len(disturbed.log)
+        disturbed.station.receive(frame, ("127.0.0.1", 20_000 + party[0]))
+        while disturbed.station.turn():
+            pass
+        obeyed = disturbed.log[before:]
+        assert all(isinstance(command, Stop | Take) for command in obeyed)
+        if obeyed:
+            return
+        for sea in (disturbed, alone):
+            sea.console.say("manual_control", 1, 500, 0, 0, 100, 0)
+            sail(sea, 0.1)
+        assert disturbed.state.actuation == alone.state.actuation
+        assert (disturbed.state.mode, disturbed.station.owner) == (alone.state.mode, alone.station.owner)
+        assert disturbed.vehicle.settings == alone.vehicle.settings
+        assert disturbed.vehicle.mission is None
+    assert alone.state.actuation.run is (mode is not Mode.IDLE)
 
 
 def test_a_hundred_thousand_frames_with_anything_in_them(boat):

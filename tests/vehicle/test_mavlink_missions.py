@@ -61,10 +61,11 @@ degrees_e7 = st.integers(-889_999_999, 889_999_999).filter(lambda value: value !
 places = st.tuples(degrees_e7, degrees_e7)
 milli = st.integers(0, 10_000).map(lambda value: value / 1000.0)
 waypoints = st.builds(
-    lambda place, speed, reach: Waypoint(
-        latitude_deg=place[0] / 1e7, longitude_deg=place[1] / 1e7, speed_mps=speed, acceptance_m=reach
+    lambda place, speed, reach, hold: Waypoint(
+        latitude_deg=place[0] / 1e7, longitude_deg=place[1] / 1e7, speed_mps=speed, acceptance_m=reach, hold_s=hold
     ),
     places,
+    milli,
     milli,
     milli,
 )
@@ -114,25 +115,62 @@ def test_the_checksum_is_that_of_mavlink_ftp():
 
 
 @pytest.mark.parametrize(
-    ("item", "reason"),
+    ("item", "result", "reason"),
     [
-        (Item(177, 1.0), "item 1: command 177 is not something this boat does"),
-        (Item(22, x=1, y=1), "item 1: command 22"),
-        (Item(16, 5.0, x=386_930_000, y=-92_150_000), "item 1: to wait at a waypoint"),
-        (Item(16, 0.0, math.nan, x=386_930_000, y=-92_150_000), "item 1: nan is no number"),
-        (Item(16, 0.0, -1.0, x=386_930_000, y=-92_150_000), "item 1: "),
-        (Item(16, x=386_930_000, y=-92_150_000, frame=1), "item 1: frame 1 has no latitude"),
-        (Item(16), "item 1: no such place"),
-        (Item(16, x=2_000_000_000, y=0), "item 1: no such place"),
-        (Item(178, 1.0, math.inf), "item 1: inf is no number"),
+        (Item(177, 1.0), UNSUPPORTED, "item 1: DO_JUMP (177) is not something this boat does"),
+        (Item(22, x=1, y=1), UNSUPPORTED, "item 1: NAV_TAKEOFF (22)"),
+        (Item(17, x=386_930_000, y=-92_150_000), UNSUPPORTED, "item 1: NAV_LOITER_UNLIM (17)"),
+        (Item(18, 3.0, x=386_930_000, y=-92_150_000), UNSUPPORTED, "item 1: NAV_LOITER_TURNS (18)"),
+        (Item(93, -1.0, 12.0), UNSUPPORTED, "item 1: to wait for a time of day"),
+        (Item(60_000), UNSUPPORTED, "item 1: command 60000"),
+        (Item(93, math.nan), INVALID, "item 1: nan is no number"),
+        (Item(93, 1e6), INVALID, "item 1: "),
+        (Item(16, -5.0, x=386_930_000, y=-92_150_000), INVALID, "item 1: "),
+        (Item(16, 1e6, x=386_930_000, y=-92_150_000), INVALID, "item 1: "),
+        (Item(19, math.inf, x=386_930_000, y=-92_150_000), INVALID, "item 1: inf is no number"),
+        (Item(16, 0.0, math.nan, x=386_930_000, y=-92_150_000), INVALID, "item 1: nan is no number"),
+        (Item(16, 0.0, -1.0, x=386_930_000, y=-92_150_000), INVALID, "item 1: "),
+        (Item(16, x=386_930_000, y=-92_150_000, frame=1), INVALID, "item 1: frame 1 has no latitude"),
+        (Item(16), INVALID, "item 1: no such place"),
+        (Item(16, x=2_000_000_000, y=0), INVALID, "item 1: no such place"),
+        (Item(178, 1.0, math.inf), INVALID, "item 1: inf is no number"),
     ],
 )
-def test_what_a_boat_cannot_do_is_refused_by_its_number(sea, item, reason):
+def test_what_a_boat_cannot_do_is_refused_by_its_number(sea, item, result, reason):
     first = Item(16, x=386_926_000, y=-92_150_000)
     heard = upload(sea.console, [first, item])
-    assert newest(heard, "MISSION_ACK").type == INVALID
+    assert newest(heard, "MISSION_ACK").type == result
     assert reason in texts(heard)
     assert sea.vehicle.mission is None
+
+
+def test_a_refused_item_has_the_number_that_the_console_gave_it(boat):
+    sea = afloat(boat, autopilot="ardurover")
+    heard = upload(sea.console, [Item(16, x=1, y=1), Item(16, x=386_926_000, y=-92_150_000), Item(177, 1.0)])
+    assert "item 2: DO_JUMP" in texts(heard)
+
+
+def test_a_stay_is_said_in_three_ways_and_told_back_in_one(sea):
+    place, other = {"x": 386_926_000, "y": -92_150_000}, {"x": 386_928_000, "y": -92_150_000}
+    assert newest(upload(sea.console, [Item(93, 5.0)]), "MISSION_ACK").type == INVALID, "a delay of nothing"
+    heard = upload(sea.console, [Item(16, 10.0, **place), Item(93, 5.0), Item(93, 2.5), Item(19, 30.0, **other)])
+    assert newest(heard, "MISSION_ACK").type == OK
+    assert download(sea.console) == [Item(16, 17.5, **place), Item(16, 30.0, **other)]
+
+
+def test_the_boat_stays_that_long_and_then_goes_on(sea):
+    """The first waypoint is where the boat lies."""
+    here = {"x": 386_925_000, "y": -92_150_000}
+    upload(sea.console, [Item(16, 20.0, 5.0, **here), Item(16, x=386_935_000, y=-92_150_000)])
+    sea.console.command(300)
+    for _ in range(19):
+        sea.console.beat()
+        sail(sea, 1.0)
+    assert (sea.state.mode, sea.state.reference.leg, sea.state.actuation.starboard_rpm) == (Mode.PLAY, 0, 0.0)
+    heard = sail(sea, 3.0)
+    assert (sea.state.mode, sea.state.reference.leg) == (Mode.PLAY, 1)
+    assert sea.state.actuation.starboard_rpm > 0.0
+    assert newest(heard, "MISSION_ITEM_REACHED").seq == 0
 
 
 @pytest.mark.parametrize(

@@ -303,9 +303,9 @@ def test_time_is_answered_with_time(sea):
 def test_ping_ftp_and_logs_are_answered(sea):
     assert newest(sea.console.say("ping", 1, 7, 0, 0), "PING").seq == 7
     payload = newest(
-        sea.console.say("file_transfer_protocol", 0, 1, 1, [1, 0, 0, 4] + [0] * 247), "FILE_TRANSFER_PROTOCOL"
+        sea.console.say("file_transfer_protocol", 0, 1, 1, [1, 0, 9, 4] + [0] * 247), "FILE_TRANSFER_PROTOCOL"
     ).payload
-    assert (payload[3], payload[12]) == (129, 7)
+    assert (payload[0], payload[2], payload[3], payload[12]) == (2, 9, 129, 7), "number, session, refused, for what"
     assert newest(sea.console.say("log_request_list", 1, 1, 0, 0xFFFF), "LOG_ENTRY").num_logs == 0
 
 
@@ -324,6 +324,11 @@ def test_what_is_told_is_what_is(sea):
     assert (servos.servo1_raw, servos.servo2_raw) == (1500 + round(rpm.port_rpm / 2.4), 1500 + round(rpm.starboard_rpm / 2.4))
     health = newest(heard, "SYS_STATUS")
     assert health.onboard_control_sensors_health & 0x10000000
+    geofence = dialect.MAV_SYS_STATUS_GEOFENCE  # there is none, and it is not near
+    assert (health.onboard_control_sensors_health & geofence, health.onboard_control_sensors_present & geofence) == (
+        geofence,
+        0,
+    )
     assert (health.voltage_battery, health.battery_remaining) == (48000, 90)
     assert {m.id: m.battery_remaining for m in heard if m.get_type() == "BATTERY_STATUS"} == {0: 90, 1: 90}
     satellites = newest(heard, "GPS_RAW_INT")

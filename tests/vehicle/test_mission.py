@@ -45,6 +45,7 @@ ARC = "[[path]]\nlatitude_deg = 38.69\nlongitude_deg = -9.2145\nturn_deg = 90\nr
         (ONE + "speed_mps = 99\n", "waypoint[0].speed_mps", "0.0 to 30.0"),
         (ONE + "speed_mps = nan\n", "waypoint[0].speed_mps", "0.0 to 30.0"),
         (ONE + "acceptance_m = -1\n", "waypoint[0].acceptance_m", "0.0 to 1000.0"),
+        (ONE + "hold_s = 1e6\n", "waypoint[0].hold_s", "0.0 to 86400.0"),
         (ONE.replace("38.69", "95.0"), "waypoint[0].latitude_deg", "-89.0 to 89.0"),
         (ONE.replace("38.69", '"north"'), "waypoint[0].latitude_deg", "float"),
         (ONE.replace("-9.215", "nan"), "waypoint[0].longitude_deg", "-180.0 to 180.0"),
@@ -76,7 +77,7 @@ def test_a_missing_file_is_said(tmp_path: Path) -> None:
 def test_the_least_mission() -> None:
     mission = parse_mission(ONE)
     planned = plan(mission, START, ControlTable())
-    assert [w[2:] for w in planned.waypoints] == [(1.5, 5.0)]  # cruising speed, the boat's own acceptance radius
+    assert [w[2:] for w in planned.waypoints] == [(1.5, 5.0, 0.0)]  # cruising speed, the boat's own acceptance radius
     assert planned.path == ()
 
 
@@ -111,6 +112,7 @@ def waypoints() -> st.SearchStrategy[Waypoint]:
         longitude_deg=st.floats(-9.1, -9.0),
         speed_mps=st.floats(0.0, 30.0),
         acceptance_m=st.floats(0.0, 1000.0),
+        hold_s=st.floats(0.0, 86_400.0),
     )
 
 

@@ -37,3 +37,4 @@ class Memory(NamedTuple):
     leg: int = 0
     swept_rad: float = 0.0  # of the present arc
     driving: int = 0  # hold: 0 rests, 1 comes back ahead, -1 astern
+    left_s: float = 0.0  # play: of the time at the waypoint of the present leg, once it is reached

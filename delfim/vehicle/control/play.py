@@ -1,5 +1,9 @@
-"""Play: the mission's waypoints in order, along the lines between them, from any leg on. Then the boat holds."""
+"""Play: the mission's waypoints in order, along the lines between them, from any leg on. Then the boat holds.
 
+Where the mission says so the boat stays at a waypoint for a while before it goes on, as in hold mode.
+"""
+
+from delfim.vehicle.control import hold
 from delfim.vehicle.control.autopilot import entered
 from delfim.vehicle.control.guidance import leg
 from delfim.vehicle.control.memory import Memory, Settings
@@ -7,7 +11,7 @@ from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
 
 NEEDS = frozenset({"position", "heading", "velocity"})
-SENTENCE = "Goes to each waypoint of the mission in turn, then holds."
+SENTENCE = "Goes to each waypoint of the mission in turn, stays there where told, then holds."
 
 
 def lacks(setpoint: Setpoint) -> str | None:
@@ -33,9 +37,17 @@ def step(
         return memory, Reference(leg=memory.leg, done=True), STOP
     to = waypoints[memory.leg]
     last = memory.leg + 1 == len(waypoints)
-    memory, reference, actuation, reached = leg(memory, motion, to, last, settings, dt_s, setpoint.override_mps)
-    if not reached:
-        return memory, reference, actuation
+    if memory.left_s > 0.0:
+        memory, reference, actuation = hold.step(memory, motion, setpoint, settings, dt_s)
+        reference, left_s = reference._replace(leg=memory.leg), memory.left_s - dt_s
+    else:
+        stops = last or to.hold_s > 0.0
+        memory, reference, actuation, reached = leg(memory, motion, to, stops, settings, dt_s, setpoint.override_mps)
+        if not reached:
+            return memory, reference, actuation
+        memory, left_s = memory._replace(north_m=to.north_m, east_m=to.east_m), to.hold_s
+    if left_s > 0.0:
+        return memory._replace(left_s=left_s), reference, actuation
     if last:
         return memory, reference._replace(done=True), actuation
-    return memory._replace(north_m=to.north_m, east_m=to.east_m, leg=memory.leg + 1), reference, actuation
+    return memory._replace(leg=memory.leg + 1, driving=0, left_s=0.0), reference, actuation

@@ -190,7 +190,7 @@ def _ftp(station: "Station", peer: "Peer", source: "Source", message: Message) -
     """FILE_TRANSFER_PROTOCOL: not here; `delfim log fetch` is."""
     payload = [*message.payload]
     number = payload[0] + 256 * payload[1] + 1
-    nak = [number & 0xFF, number >> 8 & 0xFF, 0, NAK, 1, payload[3], 0, 0, 0, 0, 0, 0, UNKNOWN_COMMAND]
+    nak = [number & 0xFF, number >> 8 & 0xFF, payload[2], NAK, 1, payload[3], 0, 0, 0, 0, 0, 0, UNKNOWN_COMMAND]
     answer = dialect.MAVLink_file_transfer_protocol_message(0, *source, nak + [0] * (len(payload) - len(nak)))
     station.tell(peer, [answer])
 

@@ -178,21 +178,21 @@ class Missions:
             command = self._command(kind, items)
             refused, result = line.ask(command), DENIED
         except FormatError as error:
-            refused, result = str(error), INVALID
+            refused, result = str(error), UNSUPPORTED if isinstance(error, plans.Unsupported) else INVALID
         self._done = Done(party, kind, len(items) - 1, OK if refused is None else result)
         self._answer(line, party, kind, refused, result)
 
     def _command(self, kind: int, items: list[Item]) -> console.Commands:
         """Raises FormatError."""
-        if kind == MISSION and self._home_first:
-            items = items[1:]
+        first = int(kind == MISSION and self._home_first)
+        items = items[first:]
         if not items:
             return _CLEAR[kind]
         if kind == FENCE:
             return console.Fence(plans.zones(items))
         if kind == RALLY:
             return console.Rally(plans.harbours(items))
-        return console.Upload(plans.mission(items, "uploaded", self._boat.zones))
+        return console.Upload(plans.mission(items, "uploaded", self._boat.zones, first))
 
     def _answer(self, line: Line, party: Party, kind: int, refused: str | None, result: int) -> None:
         if refused is not None:

@@ -20,6 +20,8 @@ from delfim.vehicle.mission import Mission, PathPoint, Waypoint
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255  # MAV_MISSION_TYPE
 ITEMS: Final = 2000  # of a plan, at most
 WAYPOINT: Final = int(dialect.MAV_CMD_NAV_WAYPOINT)
+WAIT: Final = int(dialect.MAV_CMD_NAV_LOITER_TIME)  # a waypoint to wait at, in other words
+DELAY: Final = int(dialect.MAV_CMD_NAV_DELAY)  # wait where the boat is
 SPEED: Final = int(dialect.MAV_CMD_DO_CHANGE_SPEED)
 PATH: Final = int(dialect.MAV_CMD_WAYPOINT_USER_1)  # a piece of the path: turn_deg, radius_m, speed_mps
 KEEP_IN: Final = int(dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION)
@@ -31,6 +33,10 @@ USUAL_SPEED: Final = -2.0  # of SPEED: the vehicle's own
 _CHECKED: Final = struct.Struct("<BHB4fiif")
 
 T = TypeVar("T", bound=config.Table)
+
+
+class Unsupported(FormatError):
+    """An item for something that this boat does not do."""
 
 
 class Item(NamedTuple):
@@ -55,7 +61,8 @@ def mission_items(tables: Mission) -> list[Item]:
         if waypoint.speed_mps != speed_mps:
             speed_mps = waypoint.speed_mps
             items.append(Item(SPEED, 1.0, speed_mps or USUAL_SPEED, -1.0, frame=int(dialect.MAV_FRAME_MISSION)))
-        items.append(Item(WAYPOINT, 0.0, waypoint.acceptance_m, x=_e7(waypoint.latitude_deg), y=_e7(waypoint.longitude_deg)))
+        place = _e7(waypoint.latitude_deg), _e7(waypoint.longitude_deg)
+        items.append(Item(WAYPOINT, waypoint.hold_s, waypoint.acceptance_m, 0.0, 0.0, *place))
     for piece in tables.path:
         place = _e7(piece.latitude_deg), _e7(piece.longitude_deg)
         items.append(Item(PATH, piece.turn_deg, piece.radius_m, piece.speed_mps, 0.0, *place))
@@ -78,26 +85,25 @@ def home_item(latitude_rad: float, longitude_rad: float) -> Item:
     return Item(WAYPOINT, x=_e7(math.degrees(latitude_rad)), y=_e7(math.degrees(longitude_rad)))
 
 
-def mission(items: Sequence[Item], name: str, zones: config.Zones) -> Mission:
-    """What a mission file would say. Raises FormatError with the number of the item that cannot be understood."""
+def mission(items: Sequence[Item], name: str, zones: config.Zones, first: int = 0) -> Mission:
+    """What a mission file would say; `first` is the number of the first item. Raises FormatError with the number of the item
+    that makes no sense, Unsupported where it makes sense and is nothing for this boat."""
     waypoints: list[Waypoint] = []
     path: list[PathPoint] = []
     speed_mps = 0.0
-    for number, item in enumerate(items):
+    for number, item in enumerate(items, first):
         if item.command == SPEED:
             speed_mps = _asked_mps(number, item)
-            continue
-        if item.command not in (WAYPOINT, PATH):
-            raise FormatError(f"item {number}: command {item.command} is not something this boat does")
-        place = dict(zip(("latitude_deg", "longitude_deg"), _place(number, item), strict=True))
-        if item.command == WAYPOINT:
-            if item.p1:
-                raise FormatError(f"item {number}: to wait at a waypoint is not something this boat does")
-            reach_m = _number(number, item.p2)
-            waypoints.append(_row(number, Waypoint, **place, speed_mps=speed_mps, acceptance_m=reach_m))
+        elif item.command in (WAYPOINT, WAIT):
+            waypoints.append(_waypoint(number, item, speed_mps))
+        elif item.command == DELAY:
+            if not waypoints:
+                raise FormatError(f"item {number}: a delay before the first waypoint")
+            waypoints[-1] = _delayed(number, item, waypoints[-1])
+        elif item.command == PATH:
+            path.append(_piece(number, item))
         else:
-            turn_deg, radius_m, piece_mps = (_number(number, value) for value in (item.p1, item.p2, item.p3))
-            path.append(_row(number, PathPoint, **place, speed_mps=piece_mps, turn_deg=turn_deg, radius_m=radius_m))
+            raise Unsupported(f"item {number}: {_name(item.command)} is not something this boat does")
     if not waypoints:
         raise FormatError("a mission without a waypoint")
     return Mission(version=1, name=name, waypoint=tuple(waypoints), path=tuple(path), fence=zones)
@@ -116,7 +122,7 @@ def zones(items: Sequence[Item]) -> config.Zones:
                 at += 1
                 continue
             if item.command not in (KEEP_IN, KEEP_OUT):
-                raise FormatError(f"item {at}: command {item.command} is no zone that this boat knows")
+                raise Unsupported(f"item {at}: {_name(item.command)} is no zone that this boat knows")
             corners = _polygon(items, at)
             if item.command == KEEP_OUT:
                 keep_out.append(config.KeepOut(polygon=corners))
@@ -136,7 +142,7 @@ def harbours(items: Sequence[Item]) -> tuple[tuple[float, float], ...]:
     """Raises FormatError with the number of the item that cannot be understood."""
     for number, item in enumerate(items):
         if item.command != HARBOUR:
-            raise FormatError(f"item {number}: command {item.command} is no rally point")
+            raise Unsupported(f"item {number}: {_name(item.command)} is no rally point")
     return tuple(_place(number, item) for number, item in enumerate(items))
 
 
@@ -169,6 +175,31 @@ def _polygon(items: Sequence[Item], at: int) -> tuple[tuple[float, float], ...]:
     return tuple(_place(number, item) for number, item in enumerate(corners, at))
 
 
+def _waypoint(number: int, item: Item, speed_mps: float) -> Waypoint:
+    hold_s, reach_m = _number(number, item.p1), _number(number, item.p2) if item.command == WAYPOINT else 0.0
+    place = _fields(number, item)
+    return _row(number, Waypoint, **place, speed_mps=speed_mps, acceptance_m=reach_m, hold_s=hold_s)
+
+
+def _delayed(number: int, item: Item, waypoint: Waypoint) -> Waypoint:
+    """The waypoint with a delay behind it."""
+    if item.p1 < 0.0:
+        raise Unsupported(f"item {number}: to wait for a time of day is not something this boat does")
+    fields = msgspec.structs.asdict(waypoint)
+    return _row(number, Waypoint, **fields | {"hold_s": round(waypoint.hold_s + _number(number, item.p1), 3)})
+
+
+def _piece(number: int, item: Item) -> PathPoint:
+    turn_deg, radius_m, speed_mps = (_number(number, value) for value in (item.p1, item.p2, item.p3))
+    return _row(number, PathPoint, **_fields(number, item), speed_mps=speed_mps, turn_deg=turn_deg, radius_m=radius_m)
+
+
+def _name(command: int) -> str:
+    """As the protocol's documents name it."""
+    known = dialect.enums["MAV_CMD"].get(command)
+    return f"{known.name.removeprefix('MAV_CMD_')} ({command})" if known else f"command {command}"
+
+
 def _asked_mps(number: int, item: Item) -> float:
     if item.p2 == USUAL_SPEED or item.p2 == 0.0:
         return 0.0
@@ -188,6 +219,10 @@ def _place(number: int, item: Item) -> tuple[float, float]:
     if not (abs(item.x) <= 890_000_000 and abs(item.y) <= 1_800_000_000) or (item.x == 0 and item.y == 0):
         raise FormatError(f"item {number}: no such place")
     return item.x / 1e7, item.y / 1e7
+
+
+def _fields(number: int, item: Item) -> dict[str, float]:
+    return dict(zip(("latitude_deg", "longitude_deg"), _place(number, item), strict=True))
 
 
 def _row(number: int, kind: type[T], **fields: float) -> T:

@@ -116,7 +116,10 @@ def status(view: View) -> Iterator[Message]:
     health |= dialect.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS if lines["sensors"] else 0
     health |= dialect.MAV_SYS_STATUS_SENSOR_BATTERY if lines["battery"] else 0
     health |= dialect.MAV_SYS_STATUS_PREARM_CHECK if boat.unfit() is None else 0
+    near = any(notice.name == "fence" for notice in boat.state.notices)
+    health |= 0 if near else dialect.MAV_SYS_STATUS_GEOFENCE  # without a fence, too: MAVProxy takes anything else for a breach
     present = _SENSORS | dialect.MAV_SYS_STATUS_PREARM_CHECK
+    present |= dialect.MAV_SYS_STATUS_GEOFENCE if boat.fence is not None else 0
     least, name = charge(boat.state)
     worst = _batteries(view, name) if name else None
     volts = _U16 if worst is None or worst.voltage_v is None else round(worst.voltage_v * 1000)

@@ -1,0 +1,39 @@
+"""The boat's nodes and its program as processes, for consoles that others wrote."""
+
+import contextlib
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+@contextlib.contextmanager
+def running(tmp_path: Path, port: int, *more: str) -> Iterator[Path]:
+    """The boat's nodes and its program, as at sea but for the bus, speaking to a console on this port; the path of its command
+    socket. `more`: values of the vehicle's file."""
+    bus = f"canloop:afloat-{os.getpid()}-{tmp_path.name[-8:]}"
+    values = (
+        f'can.interface="{bus}"',
+        f'console.socket="{tmp_path}/command"',
+        f'log.directory="{tmp_path}/log"',
+        f'runtime.run_directory="{tmp_path}"',
+        'supervisor.hardware_watchdog=""',
+        'httpd.listen="127.0.0.1:0"',
+        'cantcpd.listen=["127.0.0.1:0"]',
+        'guest.listen="127.0.0.1:0"',
+        'mavlink.listen="127.0.0.1:0"',
+        f'mavlink.peers=["127.0.0.1:{port}"]',
+        *more,
+    )
+    words = [str(ROOT / "etc/delfimx.toml"), *(word for value in values for word in ("--set", value))]
+    programs = [subprocess.Popen([sys.executable, "-m", "delfim", name, *words]) for name in ("nodes", "supervise")]
+    try:
+        yield tmp_path / "command"
+    finally:
+        for program in reversed(programs):
+            program.send_signal(signal.SIGTERM)
+            program.wait(30)
