@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from delfim import __version__
-from delfim.errors import DelfimError, PermanentFailure, Refused
+from delfim.errors import DelfimError, PermanentFailure, Refused, in_words
 
 EXIT_REFUSED, EXIT_WRONG, EXIT_PERMANENT = 1, 2, 100  # 100 tells the supervisor: do not start me again
 SIMULATED = "run/sim"  # where `delfim sim` keeps its logs and sockets
@@ -33,12 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PermanentFailure as failure:
         print(f"delfim: {failure}", file=sys.stderr)
         return EXIT_PERMANENT
-    except DelfimError as error:
-        print(f"delfim: {error}", file=sys.stderr)
-        return EXIT_WRONG
-    except OSError as error:  # no permission, no such folder, a full disk
-        place = "" if error.filename is None else f"{error.filename}: "
-        print(f"delfim: {place}{error.strerror or error}", file=sys.stderr)
+    except (DelfimError, OSError) as error:  # the latter: no permission, no such folder, a full disk
+        print(f"delfim: {in_words(error)}", file=sys.stderr)
         return EXIT_WRONG
 
 

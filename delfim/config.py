@@ -684,7 +684,7 @@ def _override(tree: dict[str, Any], override: str) -> None:
             tree = tree.setdefault(table, {})
         tree[last] = tomllib.loads(f"value = {value}")["value"]
     except (ValueError, AttributeError, TypeError) as error:
-        raise ConfigError("--set", override, f"not KEY=VALUE with a TOML value: {error}") from None
+        raise ConfigError("--set", override, f"not KEY=VALUE with a TOML value, text in quotes: {error}") from None
 
 
 def decode(tree: dict[str, object], kind: type[T], file: str) -> T:
