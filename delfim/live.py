@@ -189,7 +189,7 @@ def _shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Any]:
 
             def lively(state: dict[str, Any]) -> None:
                 view.feed(state)
-                live.update(view.render())
+                live.update(view.render(*live.console.size))
 
             yield lively
             live.stop()
