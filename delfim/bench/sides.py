@@ -2,9 +2,9 @@
 
 This program alone, at 100 Hz on a full bus, in slices that take turns: with a healthy log partition and with each way in which
 one fails; without clients of cantcpd and with eight that watch the bus, one of them asleep; with nobody on the consoles' link
-and with 3,500 fuzzed datagrams a second; without downloads and while somebody fetches a log by FTP or SFTP. The undisturbed case has two turns
-a round, and how far it is from itself is the noise. Latency is that which the bus sees (delfim.bench.onlooker), because the
-state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
+and with 3,500 fuzzed datagrams a second; without downloads and while somebody fetches a log by FTP or SFTP. The undisturbed
+case has two turns a round, and how far it is from itself is the noise. Latency is that which the bus sees
+(delfim.bench.onlooker), because the state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
 """
 
 import argparse
