@@ -333,9 +333,10 @@ def copy_modules(source: Path, modules: Path) -> int:
 
 
 def write_initramfs(image: Path, *trees: Path) -> None:
-    """The trees in one compressed archive, a later one over the earlier. As `gzip -n -9` of a sorted newc archive."""
+    """The trees in one compressed archive, a later one over the earlier. As `gzip -n` of a sorted newc archive:
+    `-9` takes five times as long and saves 0.7 %."""
     entries = {str(path.relative_to(tree)): path for tree in trees for path in tree.rglob("*")}
-    with image.open("wb") as file, gzip.GzipFile("", "wb", 9, file, mtime=0) as packed:
+    with image.open("wb") as file, gzip.GzipFile("", "wb", 6, file, mtime=0) as packed:
         for number, name in enumerate(sorted(entries), 1):
             write_entry(packed, number, name, entries[name])
         packed.write(header(0, "TRAILER!!!", 0, 0, 1))

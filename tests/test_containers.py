@@ -1,17 +1,22 @@
 """The container's recipe, as far as it can be held without an engine: its steps, its files, what it runs."""
 
+import argparse
 import json
 import re
 import shlex
 import subprocess
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pytest
 
+from delfim import config
+from delfim.__main__ import _parser
 from tests.guest import boat_image
 from tests.guest.harness import ROOT, Guest
 
-DOCKERFILE = ROOT / "docker" / "Dockerfile"
+DOCKERFILE, COMPOSE = ROOT / "docker" / "Dockerfile", ROOT / "docker" / "compose.yaml"
 PORTS = {"simulation.httpd": 'simulation.httpd="127.0.0.1:0"', "cantcpd.listen": 'cantcpd.listen=["127.0.0.1:0"]'}
 KNOWN = {"FROM", "RUN", "WORKDIR", "COPY", "ENV", "VOLUME", "STOPSIGNAL", "ENTRYPOINT", "CMD"}
 
@@ -44,6 +49,35 @@ def test_the_context_holds_what_the_steps_name() -> None:
     named = re.findall(r"(?:requirements|docker)/[\w.]+", " ".join(rest for _, rest in instructions()))
     assert named
     assert [name for name in named if not (ROOT / name).is_file() or Path(name).parts[0] not in kept] == []
+
+
+def composed() -> dict[str, Any]:
+    services: dict[str, Any] = msgspec.yaml.decode(COMPOSE.read_bytes())["services"]
+    return services
+
+
+def parsed(words: list[str]) -> argparse.Namespace:
+    """Raises SystemExit for what is no command of ours."""
+    return _parser().parse_args([{"/etc/vehicle.toml": "/etc/delfimx.toml"}.get(word, word) for word in words])
+
+
+def test_what_is_run_are_commands_of_ours() -> None:
+    root = dict(instructions())
+    for words in (json.loads(root["CMD"]), *(service["command"] for service in composed().values())):
+        asked = parsed(words)
+        config.load(ROOT / asked.file.lstrip("/"), asked.set)
+
+
+def test_the_services_are_built_from_the_dockerfile_and_need_no_device_of_the_computer() -> None:
+    """A device that is not there keeps a container from starting."""
+    for service in composed().values():
+        assert (COMPOSE.parent / service["build"]["context"] / service["build"]["dockerfile"]).resolve() == DOCKERFILE
+        assert service["read_only"]
+        assert service["cap_drop"] == ["ALL"]
+        assert "devices" not in service
+    volumes = msgspec.yaml.decode(COMPOSE.read_bytes())["volumes"]
+    sources = [each.partition(":")[0] for service in composed().values() for each in service["volumes"]]
+    assert [source for source in sources if not source.startswith("/") and source not in volumes] == []
 
 
 @pytest.mark.timeout(900)

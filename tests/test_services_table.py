@@ -1,12 +1,15 @@
 """The table of services, and which rows of it a vehicle's file runs."""
 
+import asyncio
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 from delfim import config
 from delfim.errors import PermanentFailure
-from delfim.suite import services
+from delfim.suite import SERVICES, Service, services
 
 VEHICLE = Path(__file__).parents[1] / "etc" / "delfimx.toml"
 
@@ -31,3 +34,24 @@ def test_some_services_run_only_where_their_own_table_asks_for_them(service: str
 def test_a_name_that_is_no_service_is_refused() -> None:
     with pytest.raises(PermanentFailure, match=r"services\.nonsense: there is no such service"):
         names('services.nonsense.place="process"')
+
+
+def test_each_row_names_a_coroutine_that_there_is() -> None:
+    for row in SERVICES:
+        module, _, name = row.entry.partition(":")
+        start = row.loaded().start
+        assert (start.__module__, start.__name__) == (module, name)
+
+
+def test_a_service_whose_package_is_missing_says_so_and_is_not_started_again() -> None:
+    service = Service("radar", "no_such_package.radar:serve").loaded()
+    with pytest.raises(PermanentFailure, match="no_such_package is not installed"):
+        asyncio.run(service.start(None))  # type: ignore[arg-type]
+
+
+def test_the_supervisor_loads_none_of_the_services() -> None:
+    """What it loads at sea it loads before the first actuation."""
+    look = "import sys, delfim.suite; print(*sys.modules)"
+    loaded = set(subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout.split())
+    assert "delfim.services.supervisor" in loaded
+    assert loaded & {"asyncio", "aiohttp", "pymavlink", "delfim.wiring", "delfim.vehicle", "delfim.services.runtime"} == set()

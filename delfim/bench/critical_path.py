@@ -206,7 +206,7 @@ class Team:
         interface = asked.bus or f"canloop:{key[:3]}-{os.getpid()}"  # no longer than the name of an interface may be
         self.interface = interface
         self._bus = "{}:{}".format(*group_of(interface.partition(":")[2])) if interface.startswith("canloop:") else interface
-        self.ports = Ports(*_free_ports(len(Ports._fields)))
+        self.ports = Ports(*free_ports(len(Ports._fields)))
         self._arguments = [asked.file, ",".join(map(str, self.ports))]
         self.name = interface.rpartition(":")[2]  # as cantcpd has it
         prepare(place / "log")
@@ -225,7 +225,7 @@ class Team:
     def writers(self) -> list[int]:
         """The processes that write its logs."""
         pids = [pid for process in self._processes for pid in family(process.pid)]
-        return [pid for pid in pids if b"delfim.logging.writer" in _command_line(pid)]
+        return [pid for pid in pids if b"delfim.logging.writer" in command_line(pid)]
 
     def go_on(self) -> None:
         """Run between two turns."""
@@ -254,7 +254,7 @@ class Team:
             self._launch(*self._competitor(self.key))
         if self.key in ("c", "apart"):
             self._launch(*self._competitor("services"))
-        _until(lambda: socket.create_connection(("127.0.0.1", self.ports.commands), timeout=1.0).close(), "its services")
+        until(lambda: socket.create_connection(("127.0.0.1", self.ports.commands), timeout=1.0).close(), "its services")
         if self.key != "c":
             self._steer()
 
@@ -262,12 +262,12 @@ class Team:
         return [sys.executable, "-m", "delfim.bench.competitor", kind, *self._arguments]
 
     def _launch(self, *command: str) -> None:
-        self._processes.append(self._all.enter_context(_running(list(command), stdout=subprocess.DEVNULL)))
+        self._processes.append(self._all.enter_context(running(list(command), stdout=subprocess.DEVNULL)))
 
     def _steer(self) -> None:
         """Put the vehicle into heading mode, in which it stays: its watchdog is told to be patient."""
-        with self._feeding(3.0, 0.0, flood=False) as feeder, _until(lambda: Link(self.socket), "its command socket") as link:
-            _until(lambda: link.ask("heading", heading_deg=90.0, speed_mps=1.5), "heading mode")
+        with self._feeding(3.0, 0.0, flood=False) as feeder, until(lambda: Link(self.socket), "its command socket") as link:
+            until(lambda: link.ask("heading", heading_deg=90.0, speed_mps=1.5), "heading mode")
             feeder.terminate()
 
     def turn(
@@ -336,7 +336,7 @@ class Team:
     @contextlib.contextmanager
     def _feeding(self, seconds: float, warm_s: float, *, flood: bool) -> Iterator[subprocess.Popen[bytes]]:
         words = self.rate_hz, warm_s, seconds, self._frames if flood else 0, self._wire_us
-        with _running([self._feeder, self._bus, *map(str, words)], stdout=subprocess.PIPE) as feeder:
+        with running([self._feeder, self._bus, *map(str, words)], stdout=subprocess.PIPE) as feeder:
             yield feeder
 
     def _stop(self, number: signal.Signals) -> None:
@@ -363,6 +363,14 @@ class Team:
         return [Cycle(*stamps) for stamps in zip(*(data[f"t{i}"] for i in range(5)), t5, strict=True)]
 
 
+_PATIENT: Final = (
+    "navigation_silent",
+    "navigation_frozen",
+    "console_silent",
+    "thruster",
+)  # the feeder's propellers stand still
+
+
 def _overrides(interface: str, rate_hz: float, place: Path, ports: Ports) -> list[str]:
     """What differs from the vehicle's file: bus and places, and the patience to be stopped between two turns."""
     return [
@@ -373,17 +381,17 @@ def _overrides(interface: str, rate_hz: float, place: Path, ports: Ports) -> lis
         f'runtime.run_directory="{place}"',
         'supervisor.hardware_watchdog=""',
         'guest.listen="127.0.0.1:0"',
-        'mavlink.listen="127.0.0.1:0"',
+        f'mavlink.listen="127.0.0.1:{ports.mavlink}"',
         "mavlink.peers=[]",
         f'cantcpd.listen=["127.0.0.1:{ports.cantcpd}"]',
         f'httpd.listen="127.0.0.1:{ports.httpd}"',
-        *(f"failsafe.{key}.after_s=3600.0" for key in ("navigation_silent", "navigation_frozen", "console_silent")),
+        *(f"failsafe.{key}.after_s=3600.0" for key in _PATIENT),
         "sysstat.stale_s=3600.0",
     ]
 
 
 @contextlib.contextmanager
-def _running(command: Sequence[str], **pipes: Any) -> Iterator[subprocess.Popen[bytes]]:
+def running(command: Sequence[str], **pipes: Any) -> Iterator[subprocess.Popen[bytes]]:
     """A child, ended however this ends."""
     child = subprocess.Popen(command, **pipes)
     try:
@@ -402,7 +410,7 @@ def _running(command: Sequence[str], **pipes: Any) -> Iterator[subprocess.Popen[
 
 
 def _process(*arguments: str, **pipes: Any) -> contextlib.AbstractContextManager[subprocess.Popen[bytes]]:
-    return _running([sys.executable, *arguments], **pipes)
+    return running([sys.executable, *arguments], **pipes)
 
 
 def _told(child: subprocess.Popen[bytes], line: str) -> bytes:
@@ -417,7 +425,7 @@ def _told(child: subprocess.Popen[bytes], line: str) -> bytes:
     return answer
 
 
-def _until(attempt: Any, what: str) -> Any:
+def until(attempt: Any, what: str) -> Any:
     """What `attempt` returns as soon as it does not fail. Raises DelfimError when it still does after START_S."""
     until_s = time.monotonic() + START_S
     while True:
@@ -429,7 +437,7 @@ def _until(attempt: Any, what: str) -> Any:
             time.sleep(0.02)
 
 
-def _free_ports(count: int) -> list[int]:
+def free_ports(count: int) -> list[int]:
     with contextlib.ExitStack() as links:
         sockets = [links.enter_context(socket.socket()) for _ in range(count)]
         for each in sockets:
@@ -448,7 +456,7 @@ def family(pid: int) -> list[int]:
     return [pid, *(one for child in children for one in family(child))]
 
 
-def _command_line(pid: int) -> bytes:
+def command_line(pid: int) -> bytes:
     try:
         return Path(f"/proc/{pid}/cmdline").read_bytes()
     except OSError:

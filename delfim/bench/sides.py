@@ -1,9 +1,10 @@
-"""`delfim bench disk` and `delfim bench watchers`: does the critical path feel what happens beside it?
+"""`delfim bench disk`, `watchers`, `datagrams` and `downloads`: does the critical path feel what happens beside it?
 
 This program alone, at 100 Hz on a full bus, in slices that take turns: with a healthy log partition and with each way in which
-one fails; without clients of cantcpd and with eight that watch the bus, one of them asleep. The undisturbed case has two turns
-a round, and how far it is from itself is the noise. Latency is that which the bus sees (delfim.bench.onlooker), because the
-state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
+one fails; without clients of cantcpd and with eight that watch the bus, one of them asleep; with nobody on the consoles' link
+and with 3,500 fuzzed datagrams a second; without downloads and while somebody fetches a log by FTP or SFTP. The undisturbed
+case has two turns a round, and how far it is from itself is the noise. Latency is that which the bus sees
+(delfim.bench.onlooker), because the state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
 """
 
 import argparse
@@ -24,6 +25,7 @@ from typing import Any, Final, NamedTuple
 from delfim.bench import report
 from delfim.bench.critical_path import Slice, Team, build
 from delfim.bench.disk import Disk, leave_mounts
+from delfim.bench.downloads import Downloads
 from delfim.bench.load import prepare
 from delfim.bench.onlooker import Onlooker
 from delfim.console.link import Link
@@ -113,6 +115,59 @@ def run_watchers(asked: argparse.Namespace) -> int:
     return int(figures["lost_awake"] > 0)
 
 
+def run_downloads(asked: argparse.Namespace) -> int:
+    """The command. Returns 0 when everything was measured. Raises DelfimError where a client is missing."""
+    seconds, rounds = _length(asked)
+    turns = defaultdict[str, list[Turn]](list)
+    rates = defaultdict[str, list[float]](list)
+    with contextlib.ExitStack() as links:
+        place = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="delfim-bench-")))
+        (place / "delfim").mkdir()
+        team = links.enter_context(_team(asked, place))
+        look = links.enter_context(Onlooker(team.interface))
+        downloads = links.enter_context(Downloads(asked.set, asked.file, place / "delfim" / "log", place))
+        for number in range(rounds):
+            for how in ("", *(("FTP", "SFTP") if number % 2 else ("SFTP", "FTP")), ""):
+                _say(f"{how or 'no'} download, round {number + 1} of {rounds}")
+                began_s = time.monotonic()
+                with downloads.fetching(how) if how else contextlib.nullcontext([0]) as fetched:
+                    turns[f"download by {how}" if how else ""].append(_turn(team, look, None, seconds))
+                    took_s = time.monotonic() - began_s
+                rates[how].append(fetched[0] / took_s / 1e6)
+    rows = _rows(turns, "no download")
+    for row in rows:
+        its = rates[row["case"].removeprefix("download by ") if row["case"] != "no download" else ""]
+        row["megabytes_per_s"] = round(sum(its) / len(its), 1)
+    _write(asked, "downloads", rows)
+    print(_table(rows, ("MB/s",), lambda row: (f"{row['megabytes_per_s']:.1f}",)))
+    return 0
+
+
+def run_datagrams(asked: argparse.Namespace) -> int:
+    """The command. Returns 0 when everything was measured, 1 where the datagrams moved the boat."""
+    seconds, rounds = _length(asked)
+    turns = defaultdict[str, list[Turn]](list)
+    with contextlib.ExitStack() as links:
+        place = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="delfim-bench-")))
+        (place / "delfim").mkdir()
+        team = links.enter_context(_team(asked, place))
+        look = links.enter_context(Onlooker(team.interface))
+        sender = links.enter_context(_clients("delfim.bench.fuzz"))
+        for number in range(rounds):
+            for its in (None, sender, None):
+                _say(f"{'fuzzed' if its else 'no'} datagrams, round {number + 1} of {rounds}")
+                turns["fuzzed datagrams" if its else ""].append(_turn(team, look, its, seconds))
+    rows = _rows(turns, "no datagrams")
+    sent = sum(turn.slice.served["datagrams"] for turn in turns["fuzzed datagrams"])
+    mode, reason = team.state["mode"], team.state["reason"]
+    counts: dict[str, int] = team.state["mavlink"]["counts"]
+    _write(asked, "datagrams", rows, datagrams=sent, counts=counts, mode=mode)
+    print(_table(rows, ("of a core",), lambda row: (f"{row['cpu_share']:.1%}",)))
+    words = ", ".join(f"{name} {count}" for name, count in counts.items())
+    print(f"  {sent} datagrams; frames refused: {words}; the boat's mode after them: {mode} ({reason})")
+    return int(mode != "heading")
+
+
 def _length(asked: argparse.Namespace) -> tuple[float, int]:
     """Seconds of a slice, and rounds."""
     return asked.seconds or (QUICK_SECONDS if asked.quick else SECONDS), asked.rounds or (1 if asked.quick else 3)
@@ -127,8 +182,8 @@ def _team(asked: argparse.Namespace, place: Path) -> Iterator[Team]:
 
 
 @contextlib.contextmanager
-def _clients() -> Iterator["subprocess.Popen[bytes]"]:
-    command = [sys.executable, "-m", "delfim.bench.load"]
+def _clients(module: str = "delfim.bench.load") -> Iterator["subprocess.Popen[bytes]"]:
+    command = [sys.executable, "-m", module]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as clients:
         try:
             yield clients

@@ -23,7 +23,7 @@ from typing import Final, Literal, NamedTuple
 
 from delfim import config
 from delfim.clock import Clock
-from delfim.errors import DelfimError, PermanentFailure
+from delfim.errors import DelfimError, PermanentFailure, in_words
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop, NavigationWindow
 from delfim.services.supervisor import EXIT_PERMANENT
 
@@ -160,6 +160,7 @@ class Runtime:
                 "longest_callback_s": round(self._account.longest_s, 6),
                 "collections": self._collections,
                 "longest_collection_s": round(self._collection_longest_s, 6),
+                "tasks": len(asyncio.all_tasks(self._loop)),
             },
             "deadman": self._deadman,
         }
@@ -256,7 +257,7 @@ class Runtime:
             settled.cancel()
         if not isinstance(error, DelfimError | OSError):
             log.error("%s: a defect", row.name, exc_info=error)
-        reason = str(error) if isinstance(error, DelfimError) else f"{type(error).__name__}: {error}"
+        reason = in_words(error)
         if isinstance(error, PermanentFailure):
             log.error("%s: %s; not started again", row.name, reason)
             self._change(status, "failed", reason)
@@ -311,7 +312,7 @@ class Runtime:
         self._loop.call_later(TELL_S, self._tell, files)
         for name, status in self.status.items():
             if files[name] >= 0:
-                told = status.report(self.clock.monotonic_s()) | self._shown(name)
+                told = status.report(self.clock.monotonic_s()) | self._shown(name) | {"tasks": len(asyncio.all_tasks())}
                 os.ftruncate(files[name], os.pwrite(files[name], json.dumps(told).encode(), 0))
 
     def _tick(self) -> None:

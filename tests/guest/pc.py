@@ -50,6 +50,7 @@ class Pc:
     def __init__(self, process: subprocess.Popen[bytes]) -> None:
         self._process = process
         self._console = ""
+        self.said = ""  # all that was read
 
     def wait_for(self, words: str, timeout_s: float) -> str:
         """Read on past these words. Returns what it said before them. Raises AssertionError with that when they do not come."""
@@ -61,7 +62,8 @@ class Pc:
                 assert selector.select(max(0.0, deadline_s - time.monotonic())), f"no {words!r}:\n{self._console[-4000:]}"
                 piece = os.read(self._process.stdout.fileno(), 65536)
                 assert piece, f"it ended before {words!r}:\n{self._console[-4000:]}"
-                self._console += piece.decode(errors="replace")
+                self._console += (text := piece.decode(errors="replace"))
+                self.said += text
         said, _, self._console = self._console.partition(words)
         return said
 

@@ -4,11 +4,14 @@ import asyncio
 import contextlib
 import ctypes
 import ftplib
+import gzip
 import io
 import os
+import shlex
 import shutil
 import subprocess
 import time
+import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 from typing import NamedTuple
@@ -16,7 +19,7 @@ from typing import NamedTuple
 import can
 import pytest
 
-from delfim.messages import ShutdownStage
+from delfim.messages import ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
 from delfim.services.door import hashed
 from tests.guest import boat_image
 from tests.guest.pc import PATH, Pc
@@ -27,6 +30,20 @@ BOOT_S = 120.0
 SHORE, BOAT = "10.77.0.1", "10.77.0.2"
 CLONE_NEWNET = 0x40000000
 FILE = "/log/boat.toml"
+PASSWORD, MISTAKE = "by-the-light-of-the-sea", "by-the-light-of-the-moon"
+KEPT = hashed(PASSWORD)
+HOST_KEY = "/log/.keys/ssh_host_ed25519"
+# Aboard: which lines of standard input are in what is logged. Two files in /log are no logs.
+SEARCH = """
+import contextlib, gzip, pathlib, sys
+logged = bytearray()
+for path in pathlib.Path("/log").rglob("*"):
+    if path.is_file() and str(path) not in sys.argv:
+        with contextlib.suppress(EOFError, OSError), (gzip.open if path.suffix == ".gz" else open)(path, "rb") as file:
+            while part := file.read1(65536):
+                logged += part
+print(*(line for line in sys.stdin.read().split() if line.encode() in logged))
+"""
 
 
 class Boat(NamedTuple):
@@ -77,10 +94,11 @@ listen = "{BOAT}:80"
 listen = ["{BOAT}:29536"]
 watch = ["10.77.0.0/24"]
 transmit = ["10.77.0.0/24"]
+barred = ["040-043", "0A0"]
 [ftpd]
 listen = "{BOAT}:21"
 [ftpd.users.ana]
-password = "{hashed("sea")}"
+password = "{KEPT}"
 upload = true
 [sshd]
 listen = "{BOAT}:22"
@@ -156,7 +174,7 @@ def test_the_page_is_seen_in_a_browser(boat: Boat) -> None:
 
 def test_logs_come_and_files_go_over_ftp(boat: Boat) -> None:
     with ftplib.FTP(BOAT, timeout=60) as ftp:
-        ftp.login("ana", "sea")
+        ftp.login("ana", PASSWORD)
         day = next(name for name, facts in ftp.mlsd() if facts["type"] == "dir" and name.isdecimal())
         name = next(name for name, _ in ftp.mlsd(f"{day}/vcan0") if name.endswith(".log.gz"))
         held = io.BytesIO()
@@ -166,6 +184,31 @@ def test_logs_come_and_files_go_over_ftp(boat: Boat) -> None:
         assert ftp.size("upload/new.image") == 8
 
 
+def test_no_secret_is_in_the_image_in_a_log_or_on_a_page(boat: Boat) -> None:
+    with ftplib.FTP(BOAT, timeout=60) as ftp, pytest.raises(ftplib.error_perm):
+        ftp.login("ana", MISTAKE)
+    boat.ssh("echo that is all >/dev/console")
+    boat.console.wait_for("that is all", 60)
+    assert "wrong password for 'ana'" in boat.console.said
+    keys = boat.ssh(f"cat {HOST_KEY}").stdout + (boat.folder / "key").read_text()
+    secrets = [PASSWORD, MISTAKE, KEPT, KEPT.rpartition(":")[2], *(line for line in keys.splitlines() if "-----" not in line)]
+    assert len(secrets) > 10
+    image = gzip.decompress((boat_image.FOLDER / "initramfs-guest.gz").read_bytes())
+    pages = b"".join(map(page, ("/", "/checks", "/metrics", "/api/state", "/api/schema", "/logs/")))
+    for secret in secrets:
+        assert secret not in boat.console.said
+        assert secret.encode() not in pages
+        assert secret.encode() not in image
+    search = f"python3 -c {shlex.quote(SEARCH)} {FILE} {HOST_KEY}"
+    found = boat.ssh(search, input="\n".join(["DelfimX", *secrets])).stdout.split()
+    assert found == ["DelfimX"], "what is logged names the boat"
+
+
+def page(path: str) -> bytes:
+    with urllib.request.urlopen(f"http://{BOAT}{path}", timeout=60) as answer:
+        return bytes(answer.read())
+
+
 def test_an_image_is_not_installed_under_way(boat: Boat) -> None:
     done = boat.ssh(f"delfim image {FILE} install /log/upload/new.image")
     assert (done.returncode, done.stderr) == (1, "delfim: image install refused: the boat is under way, in mode heading\n")
@@ -173,7 +216,10 @@ def test_an_image_is_not_installed_under_way(boat: Boat) -> None:
 
 
 def test_its_bus_is_a_bus_of_python_can_and_the_shutdown_frame_ends_it(boat: Boat) -> None:
-    """Acknowledged, switched off, and the log partition clean."""
+    """Acknowledged, when it begins and when it is safe, switched off, and the log partition clean. A program that stays in
+    the guest to the end tells on its console what is on the bus: cantcpd ends in between."""
+    boat.ssh("cd /; setsid delfim can dump -L vcan0,040:7FE,0C9:7FF >/dev/console 2>&1 </dev/null &")
+    boat.console.wait_for(" 040#", 60)  # it listens
     with can.Bus(interface="socketcand", channel="vcan0", host=BOAT, port=29536) as bus:
         deadline_s = time.monotonic() + 60
         seen = set[int]()
@@ -182,12 +228,14 @@ def test_its_bus_is_a_bus_of_python_can_and_the_shutdown_frame_ends_it(boat: Boa
             if (message := bus.recv(1.0)) is not None:
                 seen.add(message.arbitration_id)
         bus.send(can.Message(arbitration_id=0x0C8, data=bytes.fromhex("FE5AF10F00"), is_extended_id=False))
-        while message is None or message.arbitration_id != 0x0C9:
-            assert time.monotonic() < deadline_s
-            message = bus.recv(1.0)
-        assert message.data[0] == ShutdownStage.BEGUN
+        boat.console.wait_for(acknowledged(ShutdownStage.BEGUN), 60)
+    boat.console.wait_for(acknowledged(ShutdownStage.SAFE), 60)
     assert boat.process.wait(60) == 0
     check = ["e2fsck", "-n", "-f", str(boat.folder / "log.img")]
     done = subprocess.run(check, capture_output=True, text=True, env={"PATH": PATH}, check=False)
     assert done.returncode == 0, done.stdout
     assert "not cleanly" not in done.stdout + done.stderr
+
+
+def acknowledged(stage: ShutdownStage) -> str:
+    return f" 0C9#{pack_shutdown_acknowledge(ShutdownAcknowledge(stage, 0)).hex().upper()}"

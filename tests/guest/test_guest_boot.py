@@ -129,9 +129,7 @@ def test_from_init_to_the_first_actuation(boat: Boat) -> None:
     began = "import time; up, init = (float(open(f).read().split()[0]) for f in ('/proc/uptime', '/run/init'))"
     with boat.booted() as g:
         result = g.run(
-            wait(
-                'read -r state 2>/dev/null </sys/class/net/vcan0/operstate && [ "$state" = unknown ]'
-            )  # up, and no process for it
+            wait('read -r state 2>/dev/null </sys/class/net/vcan0/operstate && [ "$state" = unknown ]')
             + f"canplayer -I {play} >/dev/null 2>&1 &\n"
             + "candump -L -n 1 vcan0,040:7FE\n"
             + f'python -c "{began}; print(time.time() - up + init)"',
