@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 from typing import Any
 
 from delfim import __version__
-from delfim.errors import DelfimError, PermanentFailure, Refused
+from delfim.errors import DelfimError, PermanentFailure, Refused, in_words
 
 EXIT_REFUSED, EXIT_WRONG, EXIT_PERMANENT = 1, 2, 100  # 100 tells the supervisor: do not start me again
 SIMULATED = "run/sim"  # where `delfim sim` keeps its logs and sockets
@@ -33,12 +33,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except PermanentFailure as failure:
         print(f"delfim: {failure}", file=sys.stderr)
         return EXIT_PERMANENT
-    except DelfimError as error:
-        print(f"delfim: {error}", file=sys.stderr)
-        return EXIT_WRONG
-    except OSError as error:  # no permission, no such folder, a full disk
-        place = "" if error.filename is None else f"{error.filename}: "
-        print(f"delfim: {place}{error.strerror or error}", file=sys.stderr)
+    except (DelfimError, OSError) as error:  # the latter: no permission, no such folder, a full disk
+        print(f"delfim: {in_words(error)}", file=sys.stderr)
         return EXIT_WRONG
 
 
@@ -136,10 +132,9 @@ def _scenario(asked: argparse.Namespace) -> int:
 
 def _fault(asked: argparse.Namespace) -> int:
     from delfim.config import load
-    from delfim.simulator.realtime import socket_path, tell
+    from delfim.simulator.bycommand import tell
 
-    place = socket_path(load(asked.file, _there(asked)))
-    print(f"delfim: {tell(place, asked.kind, asked.where, asked.value, asked.for_s)}")
+    print(f"delfim: {tell(load(asked.file, _there(asked)), asked.kind, asked.where, asked.value, asked.for_s)}")
     return 0
 
 
@@ -196,6 +191,7 @@ def _bench(asked: argparse.Namespace) -> int:
         "sim": lockstep.run,
         "log": liblog.run,
         "watchers": sides.run_watchers,
+        "datagrams": sides.run_datagrams,
         "downloads": sides.run_downloads,
         "disk": sides.run_disk,
     }
@@ -243,9 +239,7 @@ def _parser() -> argparse.ArgumentParser:
     sim.add_argument("--console", action="store_true", help="with the console, in the browser (docs/console.md)")
     sim.add_argument("--json", action="store_true", help="one JSON object a state")
     sim.add_argument("--output", default=SIMULATED, metavar="DIRECTORY", help="logs and pictures (%(default)s)")
-    fault = command(
-        "fault", _fault, "Break something of the boat that `delfim nodes` or `delfim sim` plays (docs/scenarios.md)."
-    )
+    fault = command("fault", _fault, "Break something of a simulated boat, as `delfim sim` sails it (docs/scenarios.md).")
     _add_fault(fault)
     drive = command("drive", _drive, "Drive the boat from the command line: one command, or a prompt when none is given.")
     drive.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
@@ -324,7 +318,7 @@ def _add_bench(commands: Any) -> None:
     text = "Measure the contracts of the design on this machine (from a checkout of the sources)."
     bench = commands.add_parser("bench", help=text, description=text)
     bench.set_defaults(run=_bench)
-    programs = ["critical-path", "sim", "log", "watchers", "downloads", "disk"]
+    programs = ["critical-path", "sim", "log", "watchers", "datagrams", "downloads", "disk"]
     bench.add_argument("what", nargs="?", choices=[*programs, "soak"], help="without a name all but soak")
     bench.add_argument("--file", default="etc/delfimx.toml", help="the vehicle's file (%(default)s)")
     bench.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help="override a key of it")

@@ -577,8 +577,9 @@ class Sea(Table, frozen=True):
 
 
 class Simulation(Table, frozen=True):
-    """What only `delfim sim` and `delfim nodes` read."""
+    """What only a boat on a desk reads: `delfim sim`, `delfim nodes`."""
 
+    faults: bool = False  # `delfim fault` may break the boat's own log and links; true in `delfim sim`, never at sea
     interface: Interface = "canloop:can0"  # the bus of a simulated boat
     httpd: Endpoint = "127.0.0.1:8080"  # where its page is
     ftpd: Endpoint = "127.0.0.1:2121"  # where its files are
@@ -683,7 +684,7 @@ def _override(tree: dict[str, Any], override: str) -> None:
             tree = tree.setdefault(table, {})
         tree[last] = tomllib.loads(f"value = {value}")["value"]
     except (ValueError, AttributeError, TypeError) as error:
-        raise ConfigError("--set", override, f"not KEY=VALUE with a TOML value: {error}") from None
+        raise ConfigError("--set", override, f"not KEY=VALUE with a TOML value, text in quotes: {error}") from None
 
 
 def decode(tree: dict[str, object], kind: type[T], file: str) -> T:

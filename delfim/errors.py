@@ -27,3 +27,12 @@ class Refused(DelfimError):
 
 class PermanentFailure(DelfimError):
     """A service that must not be started again: trying harder cannot help (missing device file, wrong settings)."""
+
+
+def in_words(error: BaseException) -> str:
+    """What went wrong, for people: ours as it is, the system's without its number, and of a defect its kind, too."""
+    if isinstance(error, DelfimError):
+        return str(error)
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
+    return f"{type(error).__name__}: {error}".removesuffix(": ")

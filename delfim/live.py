@@ -21,7 +21,7 @@ from delfim import config
 from delfim.canproxy.socket import ANYTHING, open_can
 from delfim.console.drive import line
 from delfim.console.link import Link
-from delfim.errors import BusError, ConfigError, DelfimError
+from delfim.errors import BusError, ConfigError, DelfimError, Refused
 from delfim.vehicle.mission import Mission, canonical, load_mission
 from delfim.wiring import StateLog
 
@@ -77,6 +77,7 @@ def _simulated(settings: config.Vehicle, output: Path) -> list[str]:
         f'console.socket="{place}/command"',
         f'log.directory="{place}/log"',
         f'runtime.run_directory="{place}"',
+        "simulation.faults=true",
         'supervisor.hardware_watchdog=""',
         f'httpd.listen="{settings.simulation.httpd}"',
         f'ftpd.listen="{settings.simulation.ftpd}"',
@@ -147,7 +148,8 @@ def _sail(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission)
                 if asked.for_s is not None and now - started > asked.for_s:
                     return f"time: {asked.for_s:.0f} s sailed, mode {state['mode']}"
                 if now - alive > 1.0:
-                    operator.ask("alive")
+                    with contextlib.suppress(Refused):  # not heard: a fault by command
+                        operator.ask("alive")
                     alive = now
                 if not playing:
                     with contextlib.suppress(DelfimError):  # not fit yet; the view shows why
@@ -187,7 +189,7 @@ def _shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Any]:
 
             def lively(state: dict[str, Any]) -> None:
                 view.feed(state)
-                live.update(view.render())
+                live.update(view.render(*live.console.size))
 
             yield lively
             live.stop()

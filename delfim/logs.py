@@ -74,10 +74,11 @@ def _ls(asked: argparse.Namespace) -> int:
             told = {"run": row.name, "id": row.id, "files": len(row.files), "bytes": row.size, "end": row.end}
             print(json.dumps(told | {"duration_s": round((row.end_ns - row.begin_ns) / 1e9, 1)}))
         return 0
-    print(f"{'RUN (UTC)':17}{'ID':12}{'FILES':>6}{'DURATION':>10}{'SIZE':>10}  END")
+    wide = max([10, *(len(row.id) for row in rows)]) + 2
+    print(f"{'RUN (UTC)':17}{'ID':{wide}}{'FILES':>6}{'DURATION':>10}{'SIZE':>10}  END")
     for row in rows:
         lasted = _duration((row.end_ns - row.begin_ns) / 1e9)
-        print(f"{row.name:17}{row.id:12}{len(row.files):6}{lasted:>10}{_size(row.size):>10}  {row.end}")
+        print(f"{row.name:17}{row.id:{wide}}{len(row.files):6}{lasted:>10}{_size(row.size):>10}  {row.end}")
     return 0
 
 

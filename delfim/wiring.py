@@ -10,6 +10,7 @@ import socket
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 
@@ -39,6 +40,9 @@ from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.rehearsal import Rehearsal
 from delfim.vehicle.state import Mode, State
+
+if TYPE_CHECKING:
+    from delfim.simulator.bycommand import Aboard
 
 WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
@@ -123,7 +127,9 @@ async def vehicle(runtime: Runtime) -> None:
         links.callback(log.close)
         outlet = _opened(links, settings, settings.can.interface)
         propulsion = Propulsion(outlet, settings.propulsion, state)
-        boat = Vehicle(settings, clock, state, sources, propulsion, Guest(state, clock), log)
+        broken = _breakable(runtime, links)
+        guest, record_to = (broken.guest(state), broken.log(log)) if broken else (Guest(state, clock), log)
+        boat = Vehicle(settings, clock, state, sources, propulsion, guest, record_to)
         links.callback(boat.stop, "shutdown")  # first of all that is undone
         for source in sources:
             runtime.navigation(source.socket.fileno(), partial(boat.on_navigation, source))
@@ -134,11 +140,16 @@ async def vehicle(runtime: Runtime) -> None:
             runtime.reader(status.fileno(), partial(boat.on_sysstat, status))
             links.callback(runtime.remove_reader, status.fileno())
         sockets = [source.socket for source in sources] + [status_frames, status_messages]
-        await _attend(runtime, boat, log, sockets, links)
+        await _attend(runtime, boat, log, sockets, links, broken)
 
 
 async def _attend(
-    runtime: Runtime, boat: Vehicle, log: StateLog, sockets: list[CanSocket], links: contextlib.ExitStack
+    runtime: Runtime,
+    boat: Vehicle,
+    log: StateLog,
+    sockets: list[CanSocket],
+    links: contextlib.ExitStack,
+    broken: "Aboard | None",
 ) -> None:
     """Console and guest served, the watchdog stroked, until the service is cancelled."""
     settings, loop = runtime.config, asyncio.get_running_loop()
@@ -148,7 +159,7 @@ async def _attend(
         return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
     def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
-        refused = boat.on_command(command, operator)
+        refused = (broken.deaf if broken else None) or boat.on_command(command, operator)
         if isinstance(command, Shutdown) and refused is None:
             powerd.ask(runtime, "reboot" if command.reboot else "off", "command of the console")
         log.command(command, refused, boat.state)
@@ -179,6 +190,15 @@ async def _attend(
                 boat.state.image = slots.present_notice(settings.runtime.run_directory)
             for each in sockets:
                 each.rebind()
+
+
+def _breakable(runtime: Runtime, links: contextlib.ExitStack) -> "Aboard | None":
+    """What `delfim fault` can break in this program. None at sea: nothing of it is loaded there."""
+    if not runtime.config.simulation.faults:
+        return None
+    from delfim.simulator.bycommand import Aboard
+
+    return links.enter_context(Aboard(runtime.config, runtime.clock))
 
 
 def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:

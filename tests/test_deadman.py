@@ -6,6 +6,7 @@ a busy machine; the figures are printed (`pytest -rP`).
 
 import json
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -20,7 +21,9 @@ from delfim import messages
 from delfim.canproxy.socket import CanAddress, CanSocket, open_can
 from delfim.console.link import Link
 from delfim.errors import DelfimError
+from delfim.messages import Fault, Node, PropellerStatus
 
+COASTS_S = 5.0  # a propeller without current, until it reports no revolutions
 ROOT = Path(__file__).parents[1]
 VEHICLE = str(ROOT / "etc/delfimx.toml")
 
@@ -29,6 +32,7 @@ class Suite(NamedTuple):
     folder: Path
     bus: CanSocket
     hang: Path
+    supervisor: subprocess.Popen[bytes]
 
     def runtime_pid(self) -> int:
         return int(json.loads((self.folder / "supervisor.json").read_text())["programs"]["runtime"]["pid"])
@@ -70,7 +74,7 @@ def suite(tmp_path: Path) -> Iterator[Suite]:
     with open_can(bus) as socket:
         socket.bind(CanAddress(messages.PROPELLER_STARBOARD))
         socket.settimeout(10)
-        boat = Suite(tmp_path, socket, hang)
+        boat = Suite(tmp_path, socket, hang, supervisor)
         boat.asked("manual", starboard=0.5, port=0.5)
         while not messages.unpack_propeller_command(socket.recvmsg().data).run:
             pass
@@ -94,8 +98,37 @@ def test_a_runtime_that_hangs_loses_the_propellers_and_comes_back(suite, how):
     assert silence_s < 1.2 + 1.0
     assert back_s < 3.0 + 3.0
     assert state["mode"] == "idle"
+    assert how == "SIGKILL" or "beat stopped for" in state["deadman"]["reason"], "an operator sees why"
     told = json.loads((suite.folder / "supervisor.json").read_text())
     assert told["programs"]["runtime"]["restarts"] == 1
     expected = "killed by signal 9" if how == "SIGKILL" else "dead-man"
     assert expected in told["programs"]["runtime"]["reason"]
     assert suite.runtime_pid() != pid
+
+
+@pytest.mark.timeout(90)
+def test_with_nobody_left_to_stop_them_the_propellers_stop_by_themselves(suite):
+    """The runtime is frozen, and who would have noticed is dead: what is left is the time-out of the propulsion nodes."""
+    pid = suite.runtime_pid()
+    suite.bus.bind(CanAddress(messages.sysstat_arb(Node.PROPELLER_STARBOARD)))
+    runtime = os.pidfd_open(pid)
+    try:
+        os.kill(pid, signal.SIGSTOP)
+        suite.supervisor.kill()
+        began = time.monotonic()
+        while not (report := propeller_report(suite.bus)).faults & Fault.NO_COMMAND or report.rpm:
+            pass
+        stopped_s = time.monotonic() - began
+        print(f"stopped by themselves after {stopped_s:.2f} s")
+        assert stopped_s < messages.PROPELLER_TIMEOUT_S + COASTS_S + 3.0
+    finally:
+        os.kill(pid, signal.SIGCONT)  # now it learns that it is alone, and ends
+        assert select.select([runtime], [], [], 20)[0]
+        os.close(runtime)
+
+
+def propeller_report(bus: CanSocket) -> PropellerStatus:
+    """The next one."""
+    report = messages.unpack_sysstat(Node.PROPELLER_STARBOARD, bus.recvmsg().data)
+    assert isinstance(report, PropellerStatus)
+    return report

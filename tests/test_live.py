@@ -3,6 +3,7 @@
 import gzip
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -107,6 +108,47 @@ def test_a_killed_simulation_leaves_nothing_behind(tmp_path):
         Link(socket)
 
 
+def test_what_surrounds_the_loop_breaks_by_command_and_is_whole_again(tmp_path):
+    quick = ("log.after_s=0.2", "console_silent.after_s=5.0", "clear_s=0.1")
+    process = sim(tmp_path, "--json", *(word for one in quick for word in ("--set", f"failsafe.{one}")))
+    place = ("--set", f"runtime.run_directory='{tmp_path}/out'", "--set", f"console.socket='{tmp_path}/out/command'")
+    assert process.stdout is not None
+    states = (json.loads(line) for line in process.stdout if line.startswith("{"))
+
+    def until(condition):
+        return next(state for state in states if condition(state))
+
+    def told(state):
+        return {notice["name"]: notice["reason"] for notice in state["notices"]}
+
+    def break_(*words):
+        out, _ = ended(delfim("fault", VEHICLE, *place, *words))
+        assert out.startswith(f"delfim: {words[0]}") or words[0] == "end"
+
+    def check(state, name):
+        return next(line for line in state["checks"] if line["name"] == name)
+
+    try:
+        until(lambda state: state["mode"] == "play")
+        for kind in ("disk_full", "guest_lost", "clock_stepped"):
+            break_(kind)
+        full = until(lambda state: told(state).get("log") and not check(state, "clock")["ok"])
+        assert told(full)["log"] == "log not written: no space left on device"
+        assert re.search(r"(59|60)\.\d s off", check(full, "clock")["reason"])
+        assert full["mode"] == "play", "the table says: go on"
+        break_("console_lost")
+        lost = until(lambda state: state["mode"] != "play")
+        assert "console silent for " in lost["reason"]
+        stop = delfim("drive", VEHICLE, *place, "stop")
+        assert "not heard: console_lost" in stop.communicate(timeout=30)[1]
+        break_("end")
+        whole = until(lambda state: not state["notices"] and check(state, "clock")["ok"])
+        assert whole["mode"] == lost["mode"], "nothing is resumed by itself"
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=30)
+
+
 def test_two_simulations_on_one_bus_are_refused(tmp_path):
     first = sim(tmp_path, "--json")
     assert first.stdout is not None
@@ -140,9 +182,9 @@ def test_lockstep_sails_the_whole_mission_and_repeats_itself_byte_for_byte(tmp_p
         (("run", VEHICLE, "--set", "services.nonsense.enabled=true"), "there is no such service"),
         (("drive", VEHICLE, "--set", "console.socket='/no/such/socket'", "heading", "90", "1.5"), "is it running"),
         (("drive", VEHICLE, "--sim", "state"), "no vehicle at run/sim/command"),
-        (("fault", VEHICLE, "--sim", "end"), "no nodes at run/sim/nodes"),
-        (("sim", VEHICLE, "--output", "/proc/1/nobody"), "/proc/1/nobody: No such file"),
-        (("supervise", VEHICLE, "--set", "runtime.run_directory='/proc/1/nobody'"), "/proc/1/nobody: No such file"),
+        (("fault", VEHICLE, "--sim", "end"), "nobody to break at run/sim/nodes"),
+        (("sim", VEHICLE, "--output", f"{VEHICLE}/nobody"), "nobody: Not a directory"),
+        (("supervise", VEHICLE, "--set", f"runtime.run_directory='{VEHICLE}/nobody'"), "nobody: Not a directory"),
         (("console", "--no-browser", "--page", "127.0.0.1:65536"), "no address"),
     ],
 )

@@ -13,7 +13,7 @@ from pathlib import Path
 from delfim.console.link import Link
 from tests.afloat import running
 
-PORT = 21_000 + os.getpid() % 40_000
+PORT = 21_000 + os.getpid() % 10_000  # below those that the kernel gives away
 PATIENCE_S = 30.0
 MISSION = """QGC WPL 110
 0\t1\t0\t16\t0\t0\t0\t0\t38.6907\t-9.2153\t0\t1

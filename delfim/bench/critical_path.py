@@ -312,7 +312,7 @@ class Team:
 
     def _meters(self, clients: "subprocess.Popen[bytes] | None") -> dict[str, float]:
         """Meters that only go up, of the competitor and the machine: ns of processor time, otherwise seconds."""
-        times = [_cpu_ns(pid) for process in self._processes for pid in family(process.pid)]
+        times = [cpu_ns(pid) for process in self._processes for pid in family(process.pid)]
         window_s, over = 0.0, dict[str, float]()
         if self.key in ("delfim", "apart"):
             with Link(self.socket) as link:
@@ -321,7 +321,7 @@ class Team:
             over = {OVER + name: service["over_budget"] for name, service in state["services"].items()}
         busy_s, steal_s = _processors_s()
         feeders = resource.getrusage(resource.RUSAGE_CHILDREN)
-        ours_ns = sum(times) + time.process_time_ns() + (_cpu_ns(clients.pid) if clients else 0)
+        ours_ns = sum(times) + time.process_time_ns() + (cpu_ns(clients.pid) if clients else 0)
         return {
             "time": time.monotonic(),
             "cpu": times[0],
@@ -363,6 +363,14 @@ class Team:
         return [Cycle(*stamps) for stamps in zip(*(data[f"t{i}"] for i in range(5)), t5, strict=True)]
 
 
+_PATIENT: Final = (
+    "navigation_silent",
+    "navigation_frozen",
+    "console_silent",
+    "thruster",
+)  # the feeder's propellers stand still
+
+
 def _overrides(interface: str, rate_hz: float, place: Path, ports: Ports) -> list[str]:
     """What differs from the vehicle's file: bus and places, and the patience to be stopped between two turns."""
     return [
@@ -373,11 +381,11 @@ def _overrides(interface: str, rate_hz: float, place: Path, ports: Ports) -> lis
         f'runtime.run_directory="{place}"',
         'supervisor.hardware_watchdog=""',
         'guest.listen="127.0.0.1:0"',
-        'mavlink.listen="127.0.0.1:0"',
+        f'mavlink.listen="127.0.0.1:{ports.mavlink}"',
         "mavlink.peers=[]",
         f'cantcpd.listen=["127.0.0.1:{ports.cantcpd}"]',
         f'httpd.listen="127.0.0.1:{ports.httpd}"',
-        *(f"failsafe.{key}.after_s=3600.0" for key in ("navigation_silent", "navigation_frozen", "console_silent")),
+        *(f"failsafe.{key}.after_s=3600.0" for key in _PATIENT),
         "sysstat.stale_s=3600.0",
     ]
 
@@ -455,7 +463,7 @@ def command_line(pid: int) -> bytes:
         return b""
 
 
-def _cpu_ns(pid: int) -> int:
+def cpu_ns(pid: int) -> int:
     """Processor time of a process, its ended threads included: the CPU-time clock of clock_getcpuclockid(3)."""
     try:
         return time.clock_gettime_ns(~pid << 3 | 2)

@@ -11,28 +11,27 @@ import contextlib
 import json
 import os
 import random
-import resource
 import socket
 import subprocess
 import sys
 import tempfile
 import time
 import zlib
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, get_args
 
+from delfim.bench.critical_path import cpu_ns, family
+from delfim.canproxy.socket import BATCH, open_can
 from delfim.clock import SystemClock
-from delfim.config import Log
-from delfim.frames import Frame, extended
-from delfim.logging.canzlogd import BlackBox
-from delfim.logging.liblog import Method, open_log
+from delfim.errors import DelfimError
+from delfim.frames import extended
+from delfim.logging.liblog import Method, open_log, read_log
 from delfim.logging.plot import INK, LINE, SEA
 
 WRITES, QUICK_WRITES = 100_000, 2_000
 RECORD_BYTES, RECORDS_PER_S = 250, 500
-FRAMES_PER_S, BATCHES_PER_S = 7_700, 500
+FRAMES_PER_S = 7_700
 SECONDS, QUICK_SECONDS = 10.0, 2.0
 DAYS, FILES_A_DAY = 209, 24  # at sea, in a year; files of each log: 10,032 of them
 PARTS: Final = {"p50": 0.5, "p99": 0.99, "p99.9": 0.999, "worst": 1.0}
@@ -51,7 +50,7 @@ def run(asked: argparse.Namespace) -> int:
         times = {name: figure_us(way, Path(place) / f"{i}", writes) for i, (name, way) in enumerate(WAYS.items())}
         times["os.write, paced"] = bare_us(Path(place) / "bare", seconds)
         times |= {f"liblog {method}, paced": put_us(Path(place), method, seconds) for method in get_args(Method)}
-        box = black_box(Path(place), seconds)
+        box = black_box(asked.file, Path(place) / "box", seconds)
         files, listing_s = year(Path(place) / "year"), listed_s(Path(place) / "year")
     told = {name: {part: round(_part(each, share), 2) for part, share in PARTS.items()} for name, each in times.items()}
     (output / "log.json").write_text(
@@ -62,8 +61,8 @@ def run(asked: argparse.Namespace) -> int:
     for name, figures in told.items():
         print(f"{name:28}" + "".join(f"{figure:10.1f}" for figure in figures.values()))
     print(
-        f"black box, {FRAMES_PER_S} frames a second for {seconds:.0f} s: {box['caller']:.1%} of a core in the runtime,"
-        f" {box['writer']:.1%} in its child, {box['blocks_lost']} blocks lost"
+        f"canzlogd, {FRAMES_PER_S} frames a second for {seconds:.0f} s: {box['service']:.1%} of a core and"
+        f" {box['writer']:.1%} in its child; of {box['frames']} frames {box['missing']} are missing"
     )
     print(f"delfim log ls of a year, {files} files with their sidecars: {listing_s:.2f} s; {output}/log.png")
     return 0
@@ -196,46 +195,49 @@ def paced_us(write: Write, poll: Callable[[], None], seconds: float) -> list[flo
     return sorted(times)
 
 
-class Wire:
-    """A socket with frames in its queue."""
+def black_box(file: str, place: Path, seconds: float) -> dict[str, float]:
+    """canzlogd in a process of its own on a full loopback bus: the shares of a core that it and its child took, frames sent and
+    frames missing in its log."""
+    bus = f"canloop:log-{os.getpid()}"
+    told = {"can.interface": bus, "log.directory": str(place / "log"), "runtime.run_directory": str(place)}
+    words = [word for key, value in told.items() for word in ("--set", f'{key}="{value}"')]
+    words += ["--set", "log.free_bytes_min=0", "--set", f"can.receive_buffer_bytes={64 << 20}"]
+    with subprocess.Popen([sys.executable, "-m", "delfim", "run", file, "--service", "canzlogd", *words]) as box:
+        try:
+            attempted(lambda: next(place.glob("log/*/*/*.meta.jsonl"), None), "no black box")
+            pids = family(box.pid)
+            before_s = [cpu_ns(pid) / 1e9 for pid in pids]
+            sent = flooded(bus, seconds)
+            time.sleep(1.0)
+            used_s = [cpu_ns(pid) / 1e9 - before for pid, before in zip(pids, before_s, strict=True)]
+        finally:
+            box.terminate()
+    logged = sum(read_log(path)[0].count(b"\n") for path in place.glob("log/*/*/*.log.gz"))
+    return {"service": used_s[0] / seconds, "writer": sum(used_s[1:]) / seconds, "frames": sent, "missing": sent - logged}
 
-    def __init__(self) -> None:
-        self.name, self.dropped, self.queue = "can0", 0, deque[Frame]()
 
-    def receive_many(self) -> list[Frame]:
-        frames = list(self.queue)
-        self.queue.clear()
-        return frames
-
-    def rebind(self) -> bool:
-        return True
+def attempted(attempt: Callable[[], object], trouble: str) -> None:
+    """Wait until it gives something. Raises DelfimError."""
+    until_s = time.monotonic() + 20.0
+    while not attempt():
+        if time.monotonic() > until_s:
+            raise DelfimError(trouble)
+        time.sleep(0.05)
 
 
-def black_box(directory: Path, seconds: float) -> dict[str, float]:
-    """Shares of a core that caller and writer took, frames, blocks lost."""
-    clock, chance, wire = SystemClock(), random.Random(1), Wire()
+def flooded(bus: str, seconds: float) -> int:
+    """Frames on the bus at the rate of a full one, a few at a time. Returns how many."""
+    chance, sent = random.Random(1), 0
     arbs = [extended(chance.getrandbits(29)) for _ in range(40)]
-    box = BlackBox([wire], Log(directory=str(directory), free_bytes_min=0), clock)
-    frames, due_s, used_s = 0, time.monotonic(), 0.0
-    for _ in range(round(seconds * BATCHES_PER_S)):
-        due_s += 1 / BATCHES_PER_S
-        time.sleep(max(0.0, due_s - time.monotonic()))
-        for _ in range(round(FRAMES_PER_S / BATCHES_PER_S)):
-            data = bytes(chance.choice((0, 0, 1, 255, chance.getrandbits(8))) for _ in range(8))
-            wire.queue.append(Frame(chance.choice(arbs), data, clock.time_ns()))
-            frames += 1
-        start_s = time.process_time()
-        box.on_readable(wire)
-        used_s += time.process_time() - start_s
-    start_s = time.process_time()
-    box.poll()
-    used_s += time.process_time() - start_s
-    lost = box.status()["can0"].dropped
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    box.close()
-    child = resource.getrusage(resource.RUSAGE_CHILDREN)
-    writer_s = child.ru_utime + child.ru_stime - before.ru_utime - before.ru_stime
-    return {"caller": used_s / seconds, "writer": writer_s / seconds, "frames": frames, "blocks_lost": lost}
+    messages = [(arb, bytes(chance.choice((0, 0, 1, 255, chance.getrandbits(8))) for _ in range(8))) for arb in arbs * 40]
+    begin_s = time.monotonic()
+    with open_can(bus) as can:
+        while (elapsed_s := time.monotonic() - begin_s) < seconds:
+            for _ in range(round((elapsed_s * FRAMES_PER_S - sent) / BATCH)):
+                at = sent % (len(messages) - BATCH)
+                sent += BATCH - can.send_many(messages[at : at + BATCH])
+            time.sleep(0.002)
+    return sent
 
 
 def year(place: Path) -> int:

@@ -35,6 +35,7 @@ class Ports(NamedTuple):
     cantcpd: int
     httpd: int
     commands: int
+    mavlink: int
 
 
 def prepare(directory: Path) -> None:

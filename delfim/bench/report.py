@@ -11,6 +11,7 @@ from delfim.logging.plot import INK, LINE, SEA
 
 PERCENTILES: Final = {"p50": 0.5, "p99": 0.99, "p999": 0.999}
 LIMITS: Final = {"p50": 1.25, "p99": 1.0, "p999": 1.0}  # of the ratio to the C program: the contract of the design
+WITHIN, WITHIN_BY_C = 0.998, 0.995  # share of cycles within 100 us, and that of the C program from which on it is asked
 STAGES: Final = ("poll", "navigation", "control", "propulsion", "log")
 EDGES_US: Final = tuple(10 ** (k / 20) for k in range(101))  # 1 us .. 0.1 s, twenty bins a decade
 BEYOND_MIN: Final = 5  # a percentile of fewer samples beyond it is an anecdote
@@ -180,15 +181,27 @@ def _remarks(group: Mapping[str, Any]) -> list[str]:
         f"{group['others_share']:.0%} of the processors taken by other programs, {group['steal_share']:.1%} by other machines"
     )
     lines = [f"  noise, C against C: {factors}; {taken}; navigation up to {group['late_us_max']:.0f} us late"]
+    others = group["others_share"] + group["steal_share"]
+    reference = next(row for row in group["rows"] if row["competitor"] == "c")
     for row in group["rows"]:
         if row["competitor"] == "delfim":
             said = "; ".join(f"{_name(k)} {v} (<= {LIMITS[k]:.2f} x C)" for k, v in row["verdict"].items())
             lines.append(f"  the contract: {said}")
+            lines.append(f"  within 100 us: {within(row, reference, others)}")
             over = ", ".join(f"{name} {per_s:g}" for name, per_s in row["over_budget_per_s"].items() if per_s) or "none"
             beyond = over_budget(group)
             failed = f"; more than {OVER_BUDGET_MAX:g}: {', '.join(beyond)} FAILED" if beyond else ""
             lines.append(f"  callbacks longer than their budget, a second: {over}{failed}")
     return lines
+
+
+def within(row: Mapping[str, Any], reference: Mapping[str, Any], taken: float) -> str:
+    """The verdict on the share of cycles within 100 us, which is asked only where C shows that the machine allows it."""
+    mine, base = row["within_100_us"], reference["within_100_us"]
+    if base < WITHIN_BY_C:
+        return f"not asked, for C has {base:.2%} (>= {WITHIN:.1%} where C has {WITHIN_BY_C:.1%})"
+    said = "held" if mine >= WITHIN else "missed" if taken <= TAKEN_MAX else "too noisy to tell"
+    return f"{said}, {mine:.2%} (>= {WITHIN:.1%} where C has {WITHIN_BY_C:.1%})"
 
 
 def over_budget(group: Mapping[str, Any]) -> list[str]:

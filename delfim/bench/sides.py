@@ -1,10 +1,10 @@
-"""`delfim bench disk`, `watchers` and `downloads`: does the critical path feel what happens beside it?
+"""`delfim bench disk`, `watchers`, `datagrams` and `downloads`: does the critical path feel what happens beside it?
 
 This program alone, at 100 Hz on a full bus, in slices that take turns: with a healthy log partition and with each way in which
-one fails; without clients of cantcpd and with eight that watch the bus, one of them asleep; without downloads and while
-somebody fetches a log by FTP or SFTP. The undisturbed case has two turns
-a round, and how far it is from itself is the noise. Latency is that which the bus sees (delfim.bench.onlooker), because the
-state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
+one fails; without clients of cantcpd and with eight that watch the bus, one of them asleep; with nobody on the consoles' link
+and with 3,500 fuzzed datagrams a second; without downloads and while somebody fetches a log by FTP or SFTP. The undisturbed
+case has two turns a round, and how far it is from itself is the noise. Latency is that which the bus sees
+(delfim.bench.onlooker), because the state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
 """
 
 import argparse
@@ -143,6 +143,31 @@ def run_downloads(asked: argparse.Namespace) -> int:
     return 0
 
 
+def run_datagrams(asked: argparse.Namespace) -> int:
+    """The command. Returns 0 when everything was measured, 1 where the datagrams moved the boat."""
+    seconds, rounds = _length(asked)
+    turns = defaultdict[str, list[Turn]](list)
+    with contextlib.ExitStack() as links:
+        place = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="delfim-bench-")))
+        (place / "delfim").mkdir()
+        team = links.enter_context(_team(asked, place))
+        look = links.enter_context(Onlooker(team.interface))
+        sender = links.enter_context(_clients("delfim.bench.fuzz"))
+        for number in range(rounds):
+            for its in (None, sender, None):
+                _say(f"{'fuzzed' if its else 'no'} datagrams, round {number + 1} of {rounds}")
+                turns["fuzzed datagrams" if its else ""].append(_turn(team, look, its, seconds))
+    rows = _rows(turns, "no datagrams")
+    sent = sum(turn.slice.served["datagrams"] for turn in turns["fuzzed datagrams"])
+    mode, reason = team.state["mode"], team.state["reason"]
+    counts: dict[str, int] = team.state["mavlink"]["counts"]
+    _write(asked, "datagrams", rows, datagrams=sent, counts=counts, mode=mode)
+    print(_table(rows, ("of a core",), lambda row: (f"{row['cpu_share']:.1%}",)))
+    words = ", ".join(f"{name} {count}" for name, count in counts.items())
+    print(f"  {sent} datagrams; frames refused: {words}; the boat's mode after them: {mode} ({reason})")
+    return int(mode != "heading")
+
+
 def _length(asked: argparse.Namespace) -> tuple[float, int]:
     """Seconds of a slice, and rounds."""
     return asked.seconds or (QUICK_SECONDS if asked.quick else SECONDS), asked.rounds or (1 if asked.quick else 3)
@@ -157,8 +182,8 @@ def _team(asked: argparse.Namespace, place: Path) -> Iterator[Team]:
 
 
 @contextlib.contextmanager
-def _clients() -> Iterator["subprocess.Popen[bytes]"]:
-    command = [sys.executable, "-m", "delfim.bench.load"]
+def _clients(module: str = "delfim.bench.load") -> Iterator["subprocess.Popen[bytes]"]:
+    command = [sys.executable, "-m", module]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as clients:
         try:
             yield clients

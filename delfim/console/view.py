@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from itertools import zip_longest
 from typing import Any
 
 from rich.columns import Columns
@@ -10,7 +11,10 @@ from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
 
-WIDTH, HEIGHT = 56, 20  # of the chart, characters; each holds 2 x 4 dots
+WIDTH, HEIGHT = 56, 20  # of the chart at most, characters; each holds 2 x 4 dots
+HEIGHT_MIN = 6  # a chart that is lower shows nothing
+BESIDE = 128  # a screen so wide has the chart beside the panels, a narrower one below them, as high as there is room
+TEXT_ROWS = 24  # of the panels, while a warning or two are there
 POINTS_MAX = 5000
 _DOTS = ((0x01, 0x08), (0x02, 0x10), (0x04, 0x20), (0x40, 0x80))  # Unicode braille, row by column
 _ARROWS = "↑↗→↘↓↙←↖"
@@ -29,34 +33,39 @@ class View:
         if state["latitude_deg"] is not None:
             self.track.append((state["latitude_deg"], state["longitude_deg"]))
 
-    def render(self) -> RenderableType:
+    def render(self, width: int = BESIDE, height: int = 40) -> RenderableType:
+        """For a screen of so many columns and rows. Warnings come first: what does not fit is cut off at the end."""
         if self.state is None:
             return Panel("waiting for the vehicle", title="delfim")
-        chart = Text("\n".join(self.chart()), style="cyan")
-        return Columns([Panel(chart, title=self.title()), Group(*self.panels(self.state))])
+        panels = self.panels(self.state)
+        rows = HEIGHT if width >= BESIDE else min(HEIGHT, height - TEXT_ROWS - 2)
+        if rows < HEIGHT_MIN:
+            return Group(*panels)
+        chart = Panel(Text("\n".join(self.chart(rows)), style="cyan"), expand=False)
+        return Columns([chart, Group(*panels)]) if width >= BESIDE else Group(*panels, chart)
 
     def title(self) -> str:
         state = self.state
         assert state is not None
         return f"{state.get('boat', 'boat')}  {state['mode']}  leg {state['reference']['leg'] + 1}/{state['legs']}"
 
-    def chart(self) -> list[str]:
+    def chart(self, height: int = HEIGHT) -> list[str]:
         """Rows of text: the track in dots, waypoints as numbers, the boat as an arrow, north up, metres alike both ways."""
         points = [*self.track, *self.waypoints]
         if not points:
-            return [" " * WIDTH] * HEIGHT
+            return [" " * WIDTH] * height
         south, north = min(p[0] for p in points), max(p[0] for p in points)
         west, east = min(p[1] for p in points), max(p[1] for p in points)
         shrink = math.cos(math.radians((south + north) / 2))
-        span = max((north - south) / (HEIGHT * 4 - 8), (east - west) * shrink / (WIDTH * 2 - 4), 1e-6)
+        span = max((north - south) / (height * 4 - 8), (east - west) * shrink / (WIDTH * 2 - 4), 1e-6)
         middle = (south + north) / 2, (west + east) / 2
 
         def dot(p: tuple[float, float]) -> tuple[int, int]:
             x = WIDTH + (p[1] - middle[1]) * shrink / span
-            y = HEIGHT * 2 - (p[0] - middle[0]) / span
-            return min(max(int(x), 0), WIDTH * 2 - 1), min(max(int(y), 0), HEIGHT * 4 - 1)
+            y = height * 2 - (p[0] - middle[0]) / span
+            return min(max(int(x), 0), WIDTH * 2 - 1), min(max(int(y), 0), height * 4 - 1)
 
-        cells = [[0] * WIDTH for _ in range(HEIGHT)]
+        cells = [[0] * WIDTH for _ in range(height)]
         for x, y in map(dot, self.track):
             cells[y // 4][x // 2] |= _DOTS[y % 4][x % 2]
         rows = [[chr(0x2800 + cell) if cell else " " for cell in row] for row in cells]
@@ -71,11 +80,14 @@ class View:
         return ["".join(row) for row in rows]
 
     def panels(self, state: dict[str, Any]) -> list[RenderableType]:
+        ages = [(name, _age(age)) for name, age in state["age_s"].items()]
+        half = (len(ages) + 1) // 2
+        pairs = [(*one, *other) for one, other in zip_longest(ages[:half], ages[half:], fillvalue=("", ""))]
         return [
+            _rows(self.title(), warnings(state) or [("", Text("no warnings", style="green"))]),
             _rows("motion", _motion(state)),
             _rows("critical path", _critical_path(state)),
-            _rows("inputs", [(name, _age(age)) for name, age in state["age_s"].items()]),
-            _rows("warnings", warnings(state) or [("", Text("none", style="green"))]),
+            _rows("inputs", pairs),
         ]
 
 
@@ -130,9 +142,10 @@ def _critical_path(state: dict[str, Any]) -> list[tuple[str, str | Text]]:
 def _rows(title: str, rows: list[Any]) -> Panel:
     table = Table.grid(padding=(0, 1))
     table.add_column(style="dim", min_width=14)
-    table.add_column(min_width=34)
-    for name, value in rows:
-        table.add_row(name, value)
+    table.add_column(min_width=12)
+    table.add_column(style="dim")
+    for row in rows:
+        table.add_row(*row)
     return Panel(table, title=title, title_align="left")
 
 

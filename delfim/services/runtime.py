@@ -23,7 +23,7 @@ from typing import Final, Literal, NamedTuple
 
 from delfim import config
 from delfim.clock import Clock
-from delfim.errors import DelfimError, PermanentFailure
+from delfim.errors import DelfimError, PermanentFailure, in_words
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop, NavigationWindow
 from delfim.services.supervisor import EXIT_PERMANENT
 
@@ -257,7 +257,7 @@ class Runtime:
             settled.cancel()
         if not isinstance(error, DelfimError | OSError):
             log.error("%s: a defect", row.name, exc_info=error)
-        reason = str(error) if isinstance(error, DelfimError) else f"{type(error).__name__}: {error}"
+        reason = in_words(error)
         if isinstance(error, PermanentFailure):
             log.error("%s: %s; not started again", row.name, reason)
             self._change(status, "failed", reason)

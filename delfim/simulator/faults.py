@@ -10,10 +10,12 @@ from collections.abc import Iterable
 from random import Random
 from typing import Final, Literal, NamedTuple, get_args
 
+from delfim.clock import Clock
 from delfim.errors import FormatError
 from delfim.frames import Frame
 from delfim.simulator.model import Drive
 from delfim.simulator.nodes import Nodes
+from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import StateLog
 from delfim.vehicle.state import State
 
@@ -39,7 +41,9 @@ Kind = Literal[
     "clock_stepped",
 ]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
-AROUND: Final = frozenset({"console_lost", "guest_lost", "disk_full", "disk_slow", "clock_stepped"})  # not of the nodes
+ABOARD: Final = frozenset(
+    {"console_lost", "guest_lost", "disk_full", "disk_slow"}
+)  # not of the nodes: in the boat's own program
 SIDES: Final = ("starboard", "port")
 SENSORS: Final = ("gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port")
 WHERE: Final = {
@@ -83,27 +87,12 @@ def fault(kind: str, where: str = "", value: float | None = None, for_s: float |
     return Fault(kind, where, default if value is None else value, math.inf if for_s is None else for_s)
 
 
-class Faults:
-    """Nodes that break when they are told to."""
+class Broken:
+    """What is broken now, and until when."""
 
-    def __init__(self, nodes: Nodes, seed: int) -> None:
-        self.nodes, self.model = nodes, nodes.model
+    def __init__(self) -> None:
         self.on: dict[str, float] = {}  # kinds that are there now, with their value
-        self._random = Random(f"faults {seed}")
         self.faults: dict[tuple[str, str], float] = {}  # kind and place of each that is there, and when it ends
-        self._late: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # when due: to the bus ...
-        self._late_heard: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # ... and from it
-
-    @property
-    def busy(self) -> bool:
-        """Whether anything is not as the nodes would have it."""
-        return bool(self.faults or self._late or self._late_heard)
-
-    @property
-    def due_s(self) -> float:
-        """When `step` has something to do again."""
-        late = [queue[0][0] for queue in (self._late, self._late_heard) if queue]
-        return min(self.nodes.due_s, *self.faults.values(), *late, math.inf)
 
     def begin(self, broken: Fault, now_s: float) -> None:
         """It breaks now; the same fault at the same place replaces the one before."""
@@ -118,12 +107,41 @@ class Faults:
             if not any(other == kind for other, _ in self.faults):
                 del self.on[kind]
 
+    def expire(self, now_s: float) -> None:
+        """End those whose time is over."""
+        for key in [key for key, end_s in self.faults.items() if now_s >= end_s]:
+            self.end(*key)
+
+    def _set(self, kind: str, where: str, value: float, on: bool) -> None:
+        """What a fault changes where it begins and ends."""
+
+
+class Faults(Broken):
+    """Nodes that break when they are told to."""
+
+    def __init__(self, nodes: Nodes, seed: int) -> None:
+        super().__init__()
+        self.nodes, self.model = nodes, nodes.model
+        self._random = Random(f"faults {seed}")
+        self._late: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # when due: to the bus ...
+        self._late_heard: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # ... and from it
+
+    @property
+    def busy(self) -> bool:
+        """Whether anything is not as the nodes would have it."""
+        return bool(self.faults or self._late or self._late_heard)
+
+    @property
+    def due_s(self) -> float:
+        """When `step` has something to do again."""
+        late = [queue[0][0] for queue in (self._late, self._late_heard) if queue]
+        return min(self.nodes.due_s, *self.faults.values(), *late, math.inf)
+
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         """As of the nodes."""
         if not self.busy:
             return self.nodes.step(now_s, utc_ns)
-        for key in [key for key, end_s in self.faults.items() if now_s >= end_s]:
-            self.end(*key)
+        self.expire(now_s)
         while self._late_heard and self._late_heard[0][0] <= now_s:
             self.nodes.feed(self._late_heard.popleft()[1], now_s)
         frames = self._disturbed(self.nodes.step(now_s, utc_ns), self._late, now_s)
@@ -181,10 +199,22 @@ class Faults:
         return self.model.starboard if side == "starboard" else self.model.port
 
 
+class FaultyGuest(Guest):
+    """The link to a guest computer that may be lost (`guest_lost`): what it says does not arrive."""
+
+    def __init__(self, state: State, clock: Clock, faults: Broken) -> None:
+        super().__init__(state, clock)
+        self._faults = faults
+
+    def reference(self, line: bytes) -> None:
+        if "guest_lost" not in self._faults.on:
+            super().reference(line)
+
+
 class FaultyLog:
     """A state log on a disk that can be full (`disk_full`) or so slow that its writer hangs (`disk_slow`)."""
 
-    def __init__(self, log: StateLog, faults: Faults) -> None:
+    def __init__(self, log: StateLog, faults: Broken) -> None:
         self._log, self._faults = log, faults
         self._began_s, self._hung_s = math.inf, 0.0
         self.dropped = 0

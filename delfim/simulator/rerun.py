@@ -175,6 +175,11 @@ class Rerun:
             group.append((frame.arb, frame.data))
             self.recorded[-1] = self.recorded[-1][0], tuple(group)
 
+    def cut(self, last_ns: int) -> None:
+        """The power went, and the last cycle logged was then: what one log still has and the other has not is not compared."""
+        whole_ns = [t_ns for t_ns, group in self.recorded if len(group) == len(COMMANDS)]
+        self._span = self._span._replace(to_ns=min(self._span.to_ns, last_ns, *whole_ns[-1:]))
+
     def feed(self, until_ns: int) -> None:
         """The frames that had arrived by then."""
         while self._inputs and self._inputs[0][1].t_ns <= until_ns:
@@ -292,12 +297,15 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
         raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
     run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"], span)
     due = sorted([*_cycles(columns), *_commands(told), *_looks(columns, told)], key=lambda each: each.t_ns)
+    ended = any(event["event"] == "end" for event in told)
+    if not ended:
+        run.cut(int(columns["t1"][-1]))
     spoken = deque(sorted(_words_of(columns), key=lambda word: word.at_s))
     for each in due:
         while spoken and spoken[0].at_s <= each.at_s:
             run.hear(spoken.popleft())
         run.step(each)
-    run.finish(any(event["event"] == "end" for event in told))
+    run.finish(ended)
     if not (run.frames or run.differences):
         raise DelfimError("the boat commanded nothing in this time")
     return Result(run.state.cycles, run.frames, run.differences, run.refusals)

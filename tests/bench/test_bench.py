@@ -56,7 +56,8 @@ def test_lock_step_bench(tmp_path: Path) -> None:
     assert main([*words, "--file", VEHICLE, "--output", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "sim.json").read_text())
     assert results["repetitions"] == 2
-    assert 1 < results["times_real_time"]["min"] <= results["times_real_time"]["median"] <= results["times_real_time"]["max"]
+    for times in results["times_real_time"], results["times_processor_time"]:
+        assert 1 < times["min"] <= times["median"] <= times["max"]
 
 
 def test_bench_of_log_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -67,7 +68,7 @@ def test_bench_of_log_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str], 
     ours = [f"liblog {method}, paced" for method in ("write", "zwrite", "zpipe")]
     assert list(results["us"]) == [*liblog.WAYS, "os.write, paced", *ours]
     assert all(0 < each["p50"] <= each["worst"] for each in results["us"].values())
-    assert results["black_box"]["blocks_lost"] == 0
+    assert results["black_box"]["frames"] > 0
     assert results["ls_s"] > 0
     assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
     assert "96 files" in capsys.readouterr().out

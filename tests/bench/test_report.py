@@ -5,7 +5,7 @@ import math
 import pytest
 
 from delfim.bench import report
-from delfim.bench.report import Cycle, over_budget
+from delfim.bench.report import Cycle, over_budget, within
 
 
 def cycles(*paths_us: float) -> list[Cycle]:
@@ -100,6 +100,21 @@ def test_on_a_machine_that_others_use_nothing_is_held_and_nothing_missed() -> No
     for row in (c, fast):
         got = report.compared(row, fast, {"p50": 1.0, "p99": 1.0, "p999": 1.0}, 0.3)
         assert set(got["verdict"].values()) == {"too noisy to tell"}
+
+
+@pytest.mark.parametrize(
+    ("mine", "by_c", "taken", "said"),
+    [
+        (0.999, 0.996, 0.0, "held, 99.90%"),
+        (0.997, 0.996, 0.0, "missed, 99.70%"),
+        (0.997, 0.996, 0.3, "too noisy to tell, 99.70%"),
+        (0.9, 0.994, 0.0, "not asked, for C has 99.40%"),
+    ],
+)
+def test_the_share_within_100_us_is_asked_where_c_shows_that_the_machine_allows_it(
+    mine: float, by_c: float, taken: float, said: str
+) -> None:
+    assert within({"within_100_us": mine}, {"within_100_us": by_c}, taken).startswith(said)
 
 
 @pytest.mark.parametrize(

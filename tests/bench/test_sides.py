@@ -50,3 +50,16 @@ def test_downloads_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFix
     assert sorted(row["case"] for row in rows) == ["download by FTP", "download by SFTP", "no download"]
     assert all((row["megabytes_per_s"] > 0.1) == (row["case"] != "no download") for row in rows)
     assert "p99 with download by FTP <= 1.2 x that with no download" in capsys.readouterr().out
+
+
+@pytest.mark.timeout(180)
+def test_datagrams_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["bench", "datagrams", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]
+    ended = main(words)
+    results = json.loads((tmp_path / "datagrams.json").read_text())
+    assert [row["case"] for row in results["rows"]] == ["no datagrams", "fuzzed datagrams"]
+    assert [row["cycles"] + row["lost"] for row in results["rows"]] == [200, 100]
+    assert results["datagrams"] > 0
+    assert results["counts"]["malformed"] > 0
+    assert ended == (results["mode"] != "heading")
+    assert "p99 with fuzzed datagrams <= 1.2 x that with no datagrams" in capsys.readouterr().out

@@ -219,6 +219,17 @@ def test_a_client_hears_the_others(served: Served, bus: CanSocket, name: str) ->
         assert one.frame() == ("123", "22")
 
 
+def test_each_connection_has_a_bus_of_its_own(name: str) -> None:
+    names = [name, f"{name}b"]
+    with Served([f"canloop:{each}" for each in names]) as served, contextlib.ExitStack() as links:
+        peers = [links.enter_context(raw(served, each)) for each in names]
+        buses = [links.enter_context(open_canloop(each)) for each in names]
+        for number, bus in enumerate(buses):
+            bus.sendto(bytes([number]), CanAddress(standard(1)))
+        assert [peer.frame()[1] for peer in peers] == ["00", "01"]
+        assert all(peer.silent() for peer in peers)
+
+
 def test_modes_and_errors(served: Served, name: str) -> None:
     with Peer(served, f"< open {name} >") as peer:
         peer.say("< isotpmode >")
@@ -352,8 +363,8 @@ def test_a_connection_has_its_socket_options(served: Served, name: str) -> None:
 # Real clients.
 
 
-def python_can(served: Served, name: str) -> can.BusABC:
-    return can.Bus(interface="socketcand", host="127.0.0.1", port=served.port, channel=name)
+def python_can(served: Served, name: str, **options: Any) -> can.BusABC:
+    return can.Bus(interface="socketcand", host="127.0.0.1", port=served.port, channel=name, **options)
 
 
 def test_python_can_on_a_busy_bus(served: Served, bus: CanSocket, name: str) -> None:
@@ -380,9 +391,10 @@ def test_python_can_on_a_busy_bus(served: Served, bus: CanSocket, name: str) -> 
         busy.join()
 
 
-def test_python_can_both_directions_and_notifier(served: Served, bus: CanSocket, name: str) -> None:
+@pytest.mark.parametrize("tcp_tune", [False, True])
+def test_python_can_both_directions_and_notifier(served: Served, bus: CanSocket, name: str, tcp_tune: bool) -> None:
     heard: list[can.Message] = []
-    with python_can(served, name) as client:
+    with python_can(served, name, tcp_tune=tcp_tune) as client:
         both = threading.Event()
 
         def listen(message: can.Message) -> None:
@@ -483,6 +495,8 @@ def test_kayak(served: Served, bus: CanSocket, name: str) -> None:
         assert jobs.frame() == ("123", "01 02 ")
         jobs.say("< send 321 1 01 >")
         assert bus.recv(8) == b"\1"
+        jobs.say("< add 0 1000 322 1 02 >")
+        assert [bus.recv(8), bus.recv(8)] == [b"\2", b"\2"]
 
 
 def test_socketcandcl_and_those_who_do_not_wait(served: Served, bus: CanSocket, name: str) -> None:

@@ -3,7 +3,10 @@
 import asyncio
 import errno
 import socket
+import subprocess
+import sys
 import threading
+import tracemalloc
 from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -524,3 +527,54 @@ def test_two_processes_on_a_bad_bus(messages: int, bytes_max: int, rates: Rates)
     with open_can("canloop:testdsor-1") as quiet:
         quiet.bind(ANYTHING)
         assert quiet.receive() is None
+
+
+HEADERS = """
+import itertools
+from delfim.canproxy.dsor import Message, iter_segments
+from delfim.canproxy.socket import open_can
+
+data = bytes(9), bytes(65_535)
+with open_can("canloop:headers") as can:
+    for i in itertools.count():
+        can.sendmsg(next(iter_segments(Message(i & 0xFF, 2 + (i >> 8) % 100, 1, i, data[i % 2]), i)))
+"""
+
+
+def test_a_process_that_sends_headers_without_end_and_no_bodies_fills_nothing() -> None:
+    """Of 25,600 streams, to a socket in this process; then a message of a third party comes through all the same."""
+    with (
+        open_dsor("canloop:headers", 1) as node,
+        open_dsor("canloop:headers", 120) as other,
+        subprocess.Popen([sys.executable, "-c", HEADERS]) as flood,
+    ):
+        node.bind(CanSegm(0, 1, ANY_ID))
+        other.settimeout(20.0)
+        kept = node._end._receiver
+
+        def heard(headers: int) -> None:
+            until, seen = kept.errors["crowded out"] + headers, 0
+            while kept.errors["crowded out"] < until:
+                assert flood.poll() is None
+                node.step()
+                seen = max(seen, len(kept._open))
+                assert len(kept._open) <= 16
+                assert len(kept._last) <= 128
+            assert seen == 16
+
+        try:
+            tracemalloc.start()
+            heard(3000)
+            before, _ = tracemalloc.get_traced_memory()
+            heard(6000)
+            after, _ = tracemalloc.get_traced_memory()
+            tracemalloc.stop()
+        finally:
+            flood.kill()
+        assert after - before < 100_000, "6,000 headers that are kept would take more than a megabyte"
+        node.settimeout(20.0)
+        thread = threading.Thread(target=lambda: other.sendto(b"through", CanSegm(0, 1, 7)))
+        thread.start()
+        while node.recvmsg().source != 120:
+            pass
+        thread.join()

@@ -9,6 +9,7 @@ import pytest
 from delfim import config
 from delfim.console import transfer
 from delfim.console.fleet import Fleet
+from delfim.console.library import Library
 from delfim.console.mavlink import Key, keygen
 from delfim.vehicle import console
 from delfim.vehicle.mavlink.signing import Signing
@@ -21,7 +22,7 @@ AWAY = ("192.168.1.7", 14550)
 PLAN = {
     "name": "harbour",
     "waypoints": [
-        {"latitude_deg": 38.6930, "longitude_deg": -9.2150, "speed_mps": 0.0, "acceptance_m": 4.0},
+        {"latitude_deg": 38.6930, "longitude_deg": -9.2150, "speed_mps": 0.0, "acceptance_m": 4.0, "hold_s": 30.0},
         {"latitude_deg": 38.6934, "longitude_deg": -9.2150, "speed_mps": 1.25, "acceptance_m": 0.0},
         {"latitude_deg": 38.6934, "longitude_deg": -9.2144, "speed_mps": 1.25, "acceptance_m": 0.0},
         {"latitude_deg": 38.6938, "longitude_deg": -9.2144, "speed_mps": 0.0, "acceptance_m": 0.0},
@@ -161,10 +162,18 @@ def test_a_mission_comes_back_as_it_went(sea: Afloat) -> None:
     assert sea.do(sea.fleet.upload) == (True, "")
     back = sea.fleet.missions[1]["aboard"]
     assert [w["speed_mps"] for w in back["waypoints"]] == [0.0, 1.25, 1.25, 0.0]
-    assert back["waypoints"][0]["acceptance_m"] == 4.0
+    assert (back["waypoints"][0]["acceptance_m"], back["waypoints"][0]["hold_s"]) == (4.0, 30.0)
     assert transfer.digest(back) == transfer.digest(PLAN)
     assert (back["fence"][2], back["obstacles"], back["home"]) == ((38.70, -9.21), PLAN["obstacles"], PLAN["home"])
     assert sea.shown["mission"]["state"] == "same"
+
+
+def test_what_is_saved_is_what_is_loaded(tmp_path: Path) -> None:
+    library = Library(tmp_path)
+    library.save(PLAN)
+    keys = ("latitude_deg", "longitude_deg", "speed_mps", "acceptance_m", "hold_s")
+    loaded = [{key: each[key] for key in keys} for each in library.load("harbour")["waypoints"]]
+    assert loaded == [{"hold_s": 0.0, **each} for each in PLAN["waypoints"]]  # type: ignore[dict-item]
 
 
 def test_a_path_with_an_arc_goes_along_with_the_waypoints(sea: Afloat) -> None:

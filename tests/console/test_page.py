@@ -419,11 +419,12 @@ def test_waypoints_are_ordered_deleted_and_given_speeds(sail: Sail) -> None:
         await choose(page, "Delete")
         await planned(gateway, lambda w: len(w) == 3)
         await page.mouse(await pixel(page, *SQUARE[2]))
-        await choose(page, "Speed, acceptance…")
-        for key in ("ArrowRight",) * 12 + ("ArrowDown",) + ("ArrowRight",) * 4 + ("Enter",):
+        await choose(page, "Speed, acceptance, stay…")
+        for key in (*["ArrowRight"] * 12, "ArrowDown", *["ArrowRight"] * 4, "ArrowDown", *["ArrowRight"] * 2, "Enter"):
             await page.press(key)
         last = await planned(gateway, lambda w: w[-1]["speed_mps"] > 0)
-        assert (round(last["waypoints"][2]["speed_mps"], 6), last["waypoints"][2]["acceptance_m"]) == (1.2, 2)
+        words = [round(last["waypoints"][2][key], 6) for key in ("speed_mps", "acceptance_m", "hold_s")]
+        assert words == [1.2, 2, 20]
         await page.mouse(await pixel(page, *SQUARE[2]))
         await choose(page, "Leg to it", "Half circle to port")
         turned = await planned(gateway, lambda w: len(w) == 3 and w[2]["turn"] is not None)

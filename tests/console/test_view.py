@@ -22,18 +22,29 @@ def state(boat):
     return json.loads(console.answer(None, boat.vehicle.snapshot(more)))["state"]
 
 
-def shown(view: View) -> str:
-    screen = Console(file=io.StringIO(), width=130, height=40)
-    screen.print(view.render())
+def shown(view: View, width: int = 130, height: int = 40) -> str:
+    screen = Console(file=io.StringIO(), width=width, height=height)
+    screen.print(view.render(width, height))
     return screen.file.getvalue()
 
 
-def test_everything_that_matters_is_on_the_screen(state):
+@pytest.mark.parametrize(("width", "height", "chart"), [(80, 24, False), (80, 40, True), (110, 50, True), (130, 24, True)])
+def test_everything_that_matters_is_on_the_screen(state, width, height, chart):
     view = View(SQUARE)
     view.feed(state)
-    text = shown(view)
-    for words in ("test  heading", "38.692500", "wanted 90.0", "p50  p99  worst", "propeller_port", "none", "within 100"):
+    text = shown(view, width, height)
+    for words in (
+        "test  heading",
+        "38.692500",
+        "wanted 90.0",
+        "p50  p99  worst",
+        "propeller_port",
+        "no warnings",
+        "within 100",
+    ):
         assert words in text
+    assert any(arrow in text for arrow in "↑↗→↘↓↙←↖") is chart
+    assert text.count("\n") <= height
 
 
 def test_before_the_first_state_it_waits():

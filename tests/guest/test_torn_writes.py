@@ -14,11 +14,11 @@ import pytest
 
 from delfim.logging.repair import repair
 from delfim.logging.tree import files
-from tests.guest.harness import guest, missing
+from tests.guest.harness import PATH, guest, missing
 from tests.guest.test_power_cut import LOST_S, last_s, opens, tool
 
 SIZE, LOG_SIZE = 32 << 20, 1 << 30
-CRASHES = 12
+CRASHES_A_CUT = 4  # --cuts is 3 where nothing else is said
 STILL_S = 0.2  # between two marks: the machine stood still, and all logs with it
 MAGIC, SECTOR = 0x6A736677736872, 512  # drivers/md/dm-log-writes.c
 FLUSH, DISCARD, MARK = 1, 4, 8
@@ -71,13 +71,13 @@ def crashed(image: bytearray, epoch: list[Entry], chance: random.Random) -> byte
     return result
 
 
-def crashes(base: Path, log: Path, chance: random.Random) -> Iterator[tuple[bytearray, float, float]]:
+def crashes(base: Path, log: Path, count: int, chance: random.Random) -> Iterator[tuple[bytearray, float, float]]:
     """Crashed disks, the time of each crash, and how long the machine itself had stood still in the seconds before it."""
     every = list(entries(log))
     marks = [(number, float(entry.data)) for number, entry in enumerate(every) if entry.flags & MARK]
     flushes = [number for number, entry in enumerate(every) if entry.flags & FLUSH and not entry.flags & MARK]
     ends = [(begin, end) for begin, end in pairwise(flushes) if sum(number < end for number, _ in marks) > 20]
-    chosen = sorted(chance.choices(ends, k=CRASHES))
+    chosen = sorted(chance.choices(ends, k=count))
     image, done = bytearray(base.read_bytes()), 0
     for begin, end in chosen:
         for entry in every[done : begin + 1]:
@@ -91,9 +91,11 @@ def crashes(base: Path, log: Path, chance: random.Random) -> Iterator[tuple[byte
 
 
 @pytest.mark.timeout(300)
-def test_torn_and_reordered_writes_cost_a_second_and_no_human(tmp_path: Path) -> None:
+def test_torn_and_reordered_writes_cost_a_second_and_no_human(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     if reason := missing():
         pytest.skip(reason)
+    if not shutil.which("dmsetup", path=PATH):
+        pytest.skip("dmsetup is missing (make system installs it on Debian)")
     disk, base, log = (tmp_path / name for name in ("disk", "base", "log"))
     for path, size in ((disk, SIZE), (log, LOG_SIZE)):
         path.touch()
@@ -104,8 +106,8 @@ def test_torn_and_reordered_writes_cost_a_second_and_no_human(tmp_path: Path) ->
     with guest(tmp_path, memory_mib=384, kernel_args=(f"ubd0={disk}", f"ubd1={log}")) as boat:
         result = boat.run(RECORD, timeout_s=150.0)
         assert result.code == 0, result.output
-    lost, by_force = [], 0
-    for number, (image, at_s, still_s) in enumerate(crashes(base, log, random.Random(1))):
+    lost, by_force, count = [], 0, CRASHES_A_CUT * request.config.getoption("--cuts")
+    for number, (image, at_s, still_s) in enumerate(crashes(base, log, count, random.Random(1))):
         crash = tmp_path / f"crash{number}"
         crash.write_bytes(image)
         by_force += mended(crash)

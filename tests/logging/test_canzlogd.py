@@ -2,6 +2,8 @@
 
 import gzip
 import json
+import shutil
+import subprocess
 from collections import deque
 from types import SimpleNamespace
 
@@ -11,7 +13,7 @@ import pytest
 from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state, open_can
 from delfim.config import Log
 from delfim.errors import BusError
-from delfim.frames import CAN_ERR, CAN_IDE, Frame, standard
+from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
 from delfim.logging import canzlogd
 from delfim.logging.candump import format_line, parse_line
 from delfim.logging.canzlogd import FRAMES_A_CALL, BlackBox
@@ -183,6 +185,22 @@ def test_recorded_traffic_through_the_whole_black_box(tmp_path, clock, recording
         assert read == [(each.identifier, each.data) for each in frames]
         (sidecar,) = tmp_path.glob(f"*/{wire.name}/*.meta.jsonl")
         assert [json.loads(line)["event"] for line in sidecar.read_text().splitlines()] == ["start", "end"]
+
+
+def test_can_utils_read_what_zcat_unpacks(tmp_path, clock):
+    if not shutil.which("log2asc"):
+        pytest.skip("log2asc of can-utils is missing (make system installs it on Debian)")
+    wire = Wire("can0")
+    box = BlackBox([wire], Log(directory=str(tmp_path), free_bytes_min=0), clock)
+    sent = frame(2)._replace(arb=extended(0x18EF2A10), sent_here=True)
+    wire.queue.extend([frame(1), sent, Frame(standard(0x7FF, remote=True), b"", sent.t_ns), warning(4)])
+    box.on_readable(wire)
+    box.close()
+    (path,) = tmp_path.glob("*/can0/*.log.gz")
+    text = subprocess.run(["zcat", path], capture_output=True, check=True).stdout
+    told = subprocess.run(["log2asc", "can0"], input=text, capture_output=True, check=True).stdout.decode()
+    words = [line.split()[2:5] for line in told.splitlines() if line.startswith("   ")]
+    assert words == [["100", "Rx", "d"], ["18EF2A10x", "Tx", "d"], ["7FF", "Rx", "r"], ["ErrorFrame"]]
 
 
 def test_a_can_socket_is_such_a_socket(tmp_path, box, wire, clock):

@@ -36,6 +36,25 @@ def test_a_plain_record_is_in_the_file_at_once(tmp_path, file_log):
     assert content(tmp_path / "log") == b"one\n"
 
 
+def test_a_plain_record_costs_one_system_call_where_somebody_polls(tmp_path, file_log, clock, monkeypatch):
+    log, calls = file_log(), []
+
+    class Counting:
+        def __getattr__(self, name: str) -> Any:
+            calls.append(name)
+            return getattr(os, name)
+
+    monkeypatch.setattr(liblog, "os", Counting())
+    for number in range(500):
+        calls.clear()
+        assert log.put(record(number))
+        assert calls == ["write"]
+        clock.advance(0.01)
+        if number % 100 == 99:
+            log.poll()
+    assert "fstat" in calls, "whether the file is still there, and the disk's room"
+
+
 def test_deflated_records_are_in_the_file_within_a_second(tmp_path, file_log, clock):
     log = file_log(deflate=True)
     for number in range(3):

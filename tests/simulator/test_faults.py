@@ -16,8 +16,8 @@ from delfim.clock import ManualClock
 from delfim.errors import DelfimError, FormatError, Refused
 from delfim.frames import Frame
 from delfim.messages import Navigation, Node, Status
-from delfim.simulator import realtime
-from delfim.simulator.faults import AROUND, KINDS, VALUES, WHERE, Faults, FaultyLog, fault
+from delfim.simulator import bycommand
+from delfim.simulator.faults import ABOARD, KINDS, VALUES, WHERE, Faults, FaultyGuest, FaultyLog, fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.scenario import Silence
@@ -255,11 +255,22 @@ def test_a_full_disk_says_so_at_once_and_a_hanging_one_after_a_while(world):
     assert faulty.dropped == 9
 
 
+def test_a_lost_guest_is_not_heard_and_comes_back(world):
+    state = State()
+    guest = FaultyGuest(state, ManualClock(5.0), world.faults)
+    world.begin("guest_lost")
+    guest.data_received(b'{"heading_deg": 1}\n')
+    assert state.guest_s < 0
+    world.faults.end("guest_lost")
+    guest.data_received(b'{"heading_deg": 1}\n')
+    assert state.guest_s == 5.0
+
+
 def test_in_lock_step_everything_around_breaks_too():
     run = Lockstep(SETTINGS, 1, Silence)
     list(run.cycles(5.0))
     assert run.command(console.Heading(0.0, 1.0)) is None
-    for kind in sorted(AROUND):
+    for kind in sorted({*ABOARD, "clock_stepped"}):
         run.breaks(fault(kind))
     run.guest_says(b'{"heading_deg": 1}')
     list(run.cycles(8.0))
@@ -284,18 +295,20 @@ def test_running_nodes_break_by_command(tmp_path: Path):
     vehicle = Path(__file__).parents[2] / "etc/delfimx.toml"
     overrides = [f'can.interface="canloop:{tmp_path.name[-20:]}"', f'runtime.run_directory="{tmp_path}"']
     words = [word for override in overrides for word in ("--set", override)]
-    place = realtime.socket_path(config.load(vehicle, overrides))
-    with pytest.raises(DelfimError, match="are they running"):
-        realtime.tell(place, "bus_off")
+    boat = config.load(vehicle, overrides)
+    place = bycommand.place(boat, bycommand.NODES)
+    with pytest.raises(DelfimError, match="does a simulation run"):
+        bycommand.tell(boat, "bus_off")
     nodes = subprocess.Popen([sys.executable, "-m", "delfim", "nodes", str(vehicle), *words])
     try:
         until(lambda: Path(place).exists())
-        assert realtime.tell(place, "thruster_dead", "port", None, 4.0) == "thruster_dead port for 4 s"
-        assert realtime.tell(place, "frames_late", "", 0.1) == "frames_late until it is ended"
+        assert bycommand.tell(boat, "thruster_dead", "port", None, 4.0) == "thruster_dead port for 4 s"
+        assert bycommand.tell(boat, "frames_late", "", 0.1) == "frames_late until it is ended"
+        assert bycommand.tell(boat, "clock_stepped") == "clock_stepped until it is ended"
         with pytest.raises(Refused, match="needs one of"):
-            realtime.tell(place, "thruster_dead")
-        with pytest.raises(Refused, match="it exists in scenarios"):
-            realtime.tell(place, "disk_full")
+            bycommand.tell(boat, "thruster_dead")
+        with pytest.raises(DelfimError, match="does a simulation run"):
+            bycommand.tell(boat, "disk_full")
         for nonsense in (
             b"",
             b"\xff",
@@ -303,10 +316,11 @@ def test_running_nodes_break_by_command(tmp_path: Path):
             b"{}",
             b'{"kind": 3}',
             b'{"kind": "bus_off", "colour": 1}',
+            b'{"kind": "disk_full"}',
             json.dumps("x").encode(),
         ):
             assert not answered(place, nonsense)["ok"]
-        assert realtime.tell(place, "end").startswith("all faults are over")
+        assert bycommand.tell(boat, "end").startswith("all faults are over")
         asked = subprocess.run(
             [sys.executable, "-m", "delfim", "fault", "--for", "2", *words, str(vehicle), "sensor_bad", "gps"],
             capture_output=True,
@@ -343,4 +357,4 @@ def answered(place: str, data: bytes) -> dict[str, object]:
 def test_every_kind_has_its_documentation():
     page = (Path(__file__).parents[2] / "docs/scenarios.md").read_text()
     assert [kind for kind in KINDS if f"`{kind}`" not in page] == []
-    assert set(VALUES) | set(WHERE) | AROUND <= set(KINDS)
+    assert set(VALUES) | set(WHERE) | ABOARD <= set(KINDS)

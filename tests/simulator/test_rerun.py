@@ -101,6 +101,20 @@ def test_a_command_missing_in_the_black_box_is_told_and_the_rest_compared(day, t
     assert [each.recorded for each in result.differences] == [()]
 
 
+@pytest.mark.parametrize(
+    ("log", "kept"), [("lockstep/000000.log", 0.8), ("lockstep/000000.log", 0.8002), ("state/000000.state", 0.8)]
+)
+def test_after_a_power_cut_what_both_logs_have_is_the_same(day, tmp_path, log, kept):
+    folder = copied(day, tmp_path)
+    content = (folder / log).read_bytes()
+    (folder / log).write_bytes(content[: round(kept * len(content))])
+    sidecar = folder / "state/000000.meta.jsonl"
+    sidecar.write_text("".join(line for line in sidecar.read_text().splitlines(keepends=True) if '"end"' not in line))
+    result = rerun(logged(tmp_path), None)
+    assert result.exact, result.text()
+    assert 0.7 < result.frames / rerun(logged(day), None).frames < 0.85
+
+
 def test_silence_of_navigation_and_what_the_watchdog_did_are_repeated(tmp_path):
     day = sailed(tmp_path)
     assert day.command(console.Heading(10.0, 1.0)) is None

@@ -9,6 +9,7 @@ import pytest
 from delfim import config
 from delfim.errors import ConfigError
 from delfim.simulator import campaign, scenario
+from delfim.simulator.faults import KINDS
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.failsafe import Trigger
 
@@ -44,6 +45,10 @@ def test_the_scenario_ends_as_it_must(file, seed):
 def test_there_are_scenarios_for_every_trouble_of_the_table():
     told = {event.name for file in SCENARIOS for event in scenario.run_file(file, VEHICLE, 1).events if event.kind == "notice"}
     assert told == {trigger.name.lower() for trigger in Trigger} - {"control"}
+
+
+def test_there_are_scenarios_for_every_fault():
+    assert {each.kind for file in SCENARIOS for each in scenario.load_scenario(file).fault} == set(KINDS)
 
 
 @pytest.mark.parametrize(

@@ -106,8 +106,8 @@ def test_navigation_that_makes_no_sense_stops_and_leaves_no_trace(mode: Mode, fi
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf, 1e308, -1e308])
 def test_a_set_point_that_makes_no_sense_stops_or_changes_nothing(mode: Mode, value: float) -> None:
     pieces = (Arc(*[value] * 6), Line(*[value] * 5))
-    plan = Plan("mad", (Waypoint(*[value] * 4),), pieces)
-    mad = Setpoint(value, value, value, value, Waypoint(*[value] * 4), plan, 0, value, value, ((value, value),) * 2)
+    plan = Plan("mad", (Waypoint(*[value] * 5),), pieces)
+    mad = Setpoint(value, value, value, value, Waypoint(*[value] * 5), plan, 0, value, value, ((value, value),) * 2)
     memory = enter(mode, KNOWN, mad, SETTINGS)
     after, reference, actuation = control(mode, memory, KNOWN, mad, SETTINGS, DT_S)
     assert math.isfinite(actuation.starboard_rpm + actuation.port_rpm)

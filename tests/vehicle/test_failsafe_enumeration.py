@@ -1,5 +1,5 @@
-"""What reaches the propellers, for every mode, thrust before, age and value of navigation, and trouble: always finite, within
-value and rate, and zero when it must be.
+"""What reaches the propellers, for every mode, armed or not, thrust before, age and value of navigation, and trouble: always
+finite, within value and rate, and zero when it must be.
 
 The vehicle is whole; navigation is handed to it as no bus could carry it (NaN, infinities), and every frame that it sends is
 taken apart again.
@@ -17,7 +17,8 @@ from delfim.clock import ManualClock
 from delfim.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
 from delfim.simulator.bus import LockstepBus
 from delfim.simulator.scenario import Silence
-from delfim.vehicle import console
+from delfim.vehicle import console, fence
+from delfim.vehicle.failsafe import TURNING_RPM
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.navcan import Fix
@@ -31,6 +32,7 @@ SETTINGS = config.Vehicle(
     boat=config.Boat(name="test"),
     failsafe=config.Failsafe(
         pause_s=0.3,
+        navigation_frozen=config.NavigationFrozen(after_s=0.5),
         console_silent=config.ConsoleSilent(after_s=0.5),
         manual_silent=config.ManualSilent(after_s=0.5),
         guest_silent=config.GuestSilent(after_s=0.5),
@@ -65,7 +67,8 @@ VALUES = {
     "no velocity": Value({"north_mps": None, "east_mps": None}, "velocity"),
 }
 AGES_S = (0.0, 0.8, 1.2, 1.6)  # of the last navigation message at the end
-TROUBLES = ("none", "sensor", "console", "manual", "guest", "battery", "thruster", "log")
+TROUBLES = ("none", "jumping", "frozen", "sensor", "console", "manual", "guest", "battery", "thruster", "fence", "log")
+AHEAD = config.Zones(keep_out=(config.KeepOut(centre=((math.degrees(0.675) + 1e-4, math.degrees(-0.16)),), radius_m=10.0),))
 NEEDS = {
     Mode.HEADING: {"heading"},
     Mode.GREX: {"heading"},
@@ -79,10 +82,15 @@ class Sensors:
     name, heard_s = "test", 0.0
 
     def __init__(self, socket: CanSocket) -> None:
-        self.socket, self.says = socket, HERE
+        self.socket, self.says, self.frozen, self.jump_rad = socket, HERE, False, 0.0
 
     def read(self, now_s: float) -> Fix:
-        self.says = self.says._replace(counter=self.says.counter + 1, roll_rad=0.01 * (self.says.counter % 2))
+        said = self.says
+        self.says = said._replace(
+            counter=said.counter + 1, roll_rad=said.roll_rad if self.frozen else 0.01 * (said.counter % 2)
+        )
+        if self.jump_rad and said.latitude_rad is not None:
+            return Fix(self.says._replace(latitude_rad=said.latitude_rad + self.jump_rad), 0, now_s)
         return Fix(self.says, 0, now_s)
 
     def rehearse(self, last: Navigation) -> None: ...
@@ -98,7 +106,7 @@ class Log(Silence):
 class Boat:
     """A vehicle in a mode, its propellers at some thrust already, and the list of all it sends."""
 
-    def __init__(self, mode: Mode, rpm: float) -> None:
+    def __init__(self, mode: Mode, rpm: float, *, armed: bool = True) -> None:
         self.clock = ManualClock()
         bus = LockstepBus(self.clock)
         self.world = bus.socket("world")
@@ -114,7 +122,9 @@ class Boat:
         )
         state.console_s = state.manual_s = state.guest_s = 0.0
         self.vehicle._enter(mode, "test")
+        state.armed = armed
         propulsion._sent = state.actuation = state.actuation._replace(starboard_rpm=rpm, port_rpm=-rpm, run=rpm != 0.0)
+        self.told: set[str] = set()
         self.sent: list[tuple[float, float, float]] = []
         self.hear(0.0)
         self.sent = [(0.0, rpm, -rpm)]
@@ -137,6 +147,9 @@ class Boat:
         """SECONDS of cycles, watchdogs and words, without navigation for the last `age_s`."""
         ticks = round(SECONDS * 10)
         self.log.why = "disk full" if trouble == "log" else ""
+        self.source.frozen, self.source.jump_rad = trouble == "frozen", 1e-3 if trouble == "jumping" else 0.0
+        if trouble == "fence":
+            self.vehicle.fence = fence.survey(SETTINGS.fence, AHEAD, self.state.origin)
         for tick in range(1, ticks + 1):
             self.clock.advance(0.1)
             now_s = self.clock.monotonic_s()
@@ -148,6 +161,7 @@ class Boat:
             if tick % 2 == 0 and tick <= ticks - round(age_s * 10):
                 self.vehicle.on_navigation(self.source)
             self.vehicle.on_watchdog()
+            self.told |= {notice.name for notice in self.state.notices}
             self.hear(now_s)
 
     def hear(self, now_s: float) -> None:
@@ -164,8 +178,13 @@ class Boat:
 def must_be_zero(mode: Mode, age_s: float, value: Value, trouble: str) -> bool:
     """By the rules of docs/failsafe.md, in the words of this test."""
     lacks = value.missing in NEEDS.get(mode, set())
-    held = {"console": mode not in (Mode.MANUAL, Mode.HOME), "guest": mode is Mode.GREX}.get(trouble, False)
+    held = {
+        "console": mode not in (Mode.MANUAL, Mode.HOME),
+        "guest": mode is Mode.GREX,
+        "fence": mode is not Mode.MANUAL or value.missing != "position",
+    }.get(trouble, False)
     stops = {
+        "jumping": value.missing != "position",
         "sensor": True,
         "manual": mode is Mode.MANUAL,
         "console": mode is Mode.MANUAL,
@@ -178,13 +197,16 @@ def must_be_zero(mode: Mode, age_s: float, value: Value, trouble: str) -> bool:
 CASES = [(age_s, name) for age_s, name in product(AGES_S, VALUES) if age_s == 0.0 or name == "good"]
 
 
-@pytest.mark.parametrize("mode", Mode, ids=lambda mode: mode.name)
+MODES = [pytest.param(Mode.IDLE, False, id="IDLE, disarmed"), *(pytest.param(mode, True, id=mode.name) for mode in Mode)]
+
+
+@pytest.mark.parametrize(("mode", "armed"), MODES)
 @pytest.mark.parametrize("rpm", [0.0, 900.0], ids=["at rest", "under way"])
-def test_the_propellers_get_what_they_may_get(mode, rpm):
+def test_the_propellers_get_what_they_may_get(mode, armed, rpm):
     limits = SETTINGS.propulsion
     for (age_s, name), trouble in product(CASES, TROUBLES):
         case = f"navigation {name}, {age_s} s old, trouble {trouble}"
-        boat = Boat(mode, rpm)
+        boat = Boat(mode, rpm, armed=armed)
         boat.source.says = boat.source.says._replace(**VALUES[name].change)
         boat.pass_time(age_s, trouble)
         for (before_s, *before), (after_s, *after) in pairwise(boat.sent):
@@ -196,8 +218,32 @@ def test_the_propellers_get_what_they_may_get(mode, rpm):
             assert boat.sent[-1][1:] == (0, 0), case
             if mode is not Mode.IDLE and age_s > 1.0:
                 assert boat.state.mode is Mode.IDLE, case
+        if trouble == "frozen":
+            assert max(map(abs, boat.sent[-1][1:])) <= TURNING_RPM, f"{case}: propellers turn"
+        assert boat.state.armed or boat.state.mode is Mode.IDLE, case
         if boat.state.mode is not mode:
             assert boat.state.reason != "test", f"{case}: a reason is stated"
+
+
+@pytest.mark.parametrize(
+    ("trouble", "mode", "name"),
+    [
+        ("jumping", Mode.HEADING, "navigation_jumping"),
+        ("frozen", Mode.HEADING, "navigation_frozen"),
+        ("sensor", Mode.HEADING, "sensor_bad"),
+        ("console", Mode.HEADING, "console_silent"),
+        ("manual", Mode.MANUAL, "manual_silent"),
+        ("guest", Mode.GREX, "guest_silent"),
+        ("battery", Mode.HEADING, "battery_critical"),
+        ("thruster", Mode.HEADING, "thruster"),
+        ("fence", Mode.HEADING, "fence"),
+        ("log", Mode.HEADING, "log"),
+    ],
+)
+def test_each_trouble_is_the_one_that_is_meant(trouble, mode, name):
+    boat = Boat(mode, 900.0)
+    boat.pass_time(0.0, trouble)
+    assert name in boat.told
 
 
 def test_the_test_can_fail():

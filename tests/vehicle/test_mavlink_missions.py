@@ -302,7 +302,10 @@ def test_an_onlooker_downloads_and_does_not_upload(sea):
     assert newest(heard, "MISSION_ACK").type == DENIED
 
 
-@pytest.mark.parametrize(("name", "more"), [("mission_item", (0,) * 12), ("mission_write_partial_list", (0, 1, 0))])
+@pytest.mark.parametrize(
+    ("name", "more"),
+    [("mission_item", (0,) * 12), ("mission_write_partial_list", (0, 1, 0)), ("mission_request_partial_list", (0, 1, 0))],
+)
 def test_older_ways_are_answered(sea, name, more):
     assert newest(sea.console.say(name, 1, 1, *more), "MISSION_ACK").type == UNSUPPORTED
 

@@ -307,6 +307,8 @@ def test_ping_ftp_and_logs_are_answered(sea):
     ).payload
     assert (payload[0], payload[2], payload[3], payload[12]) == (2, 9, 129, 7), "number, session, refused, for what"
     assert newest(sea.console.say("log_request_list", 1, 1, 0, 0xFFFF), "LOG_ENTRY").num_logs == 0
+    data = newest(sea.console.say("log_request_data", 1, 1, 3, 90, 90), "LOG_DATA")
+    assert (data.id, data.ofs, data.count) == (3, 90, 0)
 
 
 # Telemetry.

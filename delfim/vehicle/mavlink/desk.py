@@ -130,7 +130,7 @@ def _clear(station: "Station", peer: "Peer", source: "Source", message: Message)
 
 
 def _old_item(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
-    """MISSION_ITEM, MISSION_WRITE_PARTIAL_LIST: there is a better way to say it."""
+    """MISSION_ITEM, MISSION_WRITE_PARTIAL_LIST, MISSION_REQUEST_PARTIAL_LIST: there is a better way to say it."""
     station.tell(peer, [dialect.MAVLink_mission_ack_message(*source, dialect.MAV_MISSION_UNSUPPORTED, message.mission_type)])
 
 
@@ -197,6 +197,11 @@ def _ftp(station: "Station", peer: "Peer", source: "Source", message: Message) -
 
 def _logs(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
     station.tell(peer, [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)])
+
+
+def _log(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+    """LOG_REQUEST_DATA: of a log that is not here."""
+    station.tell(peer, [dialect.MAVLink_log_data_message(message.id, message.ofs, 0, [0] * 90)])
 
 
 def _ping(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
@@ -311,6 +316,7 @@ HANDLERS: Final[dict[int, Callable[["Station", "Peer", "Source", Message], None]
     dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT: _item,
     dialect.MAVLINK_MSG_ID_MISSION_ITEM: _old_item,
     dialect.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: _old_item,
+    dialect.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST: _old_item,
     dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _clear,
     dialect.MAVLINK_MSG_ID_MISSION_SET_CURRENT: _set_current,
     dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: _param_list,
@@ -318,4 +324,5 @@ HANDLERS: Final[dict[int, Callable[["Station", "Peer", "Source", Message], None]
     dialect.MAVLINK_MSG_ID_PARAM_SET: _param_set,
     dialect.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _ftp,
     dialect.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _logs,
+    dialect.MAVLINK_MSG_ID_LOG_REQUEST_DATA: _log,
 }

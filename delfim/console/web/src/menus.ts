@@ -324,7 +324,7 @@ export class Menus {
     });
     const note = before ? `${bearing(bearing_deg(before, its))}  ${metres(distance_m(before, its))}` : position(its);
     this.popup.menu(at, { title: `Waypoint ${index + 1}`, colour: boat.colour, note }, [
-      { title: "Speed, acceptance…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
+      { title: "Speed, acceptance, stay…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
       { title: "Leg to it", refuse: before ? undefined : "it is the first", note: "as path following sails it", sub: () => this.legs(boat, index) },
       "line",
       { title: "Insert before", refuse: before ? undefined : "it is the first", do: () => this.change(boat, (each) => M.insertWaypoint(each, index, middle(before!, its))) },
@@ -353,8 +353,9 @@ export class Menus {
 
   private waypointForm(boat: Boat, index: number): void {
     const its = this.state.plan(boat.id).mission.waypoints[index]!;
-    this.shape(boat, `Waypoint ${index + 1}`, [speedField(its.speed_mps), acceptanceField(its.acceptance_m)], (mission, [speed, acceptance]) =>
-      M.setWaypoint(mission, index, { speed_mps: speed!, acceptance_m: acceptance! }),
+    const fields = [speedField(its.speed_mps), acceptanceField(its.acceptance_m), stayField(its.hold_s)];
+    this.shape(boat, `Waypoint ${index + 1}`, fields, (mission, [speed, acceptance, stay]) =>
+      M.setWaypoint(mission, index, { speed_mps: speed!, acceptance_m: acceptance!, hold_s: stay! }),
     );
   }
 
@@ -390,9 +391,10 @@ export class Menus {
 
 const speedField = (value: number): Field => ({ title: "Speed", unit: "m/s", value, step: 0.1, least: 0, most: 10, zero: "the boat’s own" });
 const acceptanceField = (value: number): Field => ({ title: "Acceptance", unit: "m", value, step: 0.5, least: 0, most: 100, zero: "the boat’s own" });
+const stayField = (value: number): Field => ({ title: "Stay", unit: "s", value, step: 10, least: 0, most: 86400, zero: "go on at once" });
 
 function waypointWords({ speed_mps, acceptance_m, hold_s }: Waypoint): string {
-  const words = [speed_mps && `${speed_mps.toFixed(1)} m/s`, acceptance_m && `within ${metres(acceptance_m)}`, hold_s && `hold ${duration(hold_s)}`];
+  const words = [speed_mps && `${speed_mps.toFixed(1)} m/s`, acceptance_m && `within ${metres(acceptance_m)}`, hold_s && `stay ${duration(hold_s)}`];
   return words.filter(Boolean).join(" · ") || "as the boat’s file says";
 }
 

@@ -1,0 +1,137 @@
+"""Faults by command, `delfim fault`: a datagram of JSON over a local socket, answered with a line of words.
+
+Two programs listen in the run directory: that of the nodes, and, where the vehicle's file says `simulation.faults`, the boat's
+own, for what breaks around its loop: the log, the guest, the operator's words.
+"""
+
+import asyncio
+import contextlib
+import json
+import os
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final, Self
+
+from delfim import config
+from delfim.clock import Clock
+from delfim.errors import DelfimError, FormatError, Refused
+from delfim.simulator.faults import ABOARD, Broken, FaultyGuest, FaultyLog, fault
+from delfim.vehicle.loop import StateLog
+from delfim.vehicle.state import State
+
+ANSWER_S: Final = 2.0
+WORDS_BYTES: Final = 1024  # of a request to break something
+TICK_S: Final = 0.1
+BOAT, NODES = "faults", "nodes"  # who listens: the names of their sockets
+
+
+def place(settings: config.Vehicle, name: str) -> str:
+    """The path of a socket."""
+    return str(Path(settings.runtime.run_directory) / name)
+
+
+def tell(settings: config.Vehicle, kind: str, where: str = "", value: float | None = None, for_s: float | None = None) -> str:
+    """Ask a running simulation to break; what it says. Raises Refused with its reason, DelfimError where nobody listens."""
+    words = json.dumps({"kind": kind, "where": where, "value": value, "for_s": for_s}).encode()
+    if kind == "end":
+        with contextlib.suppress(DelfimError):  # the nodes alone, on a bus with something else
+            _told(place(settings, BOAT), words)
+    return _told(place(settings, BOAT if kind in ABOARD else NODES), words)
+
+
+def _told(path: str, words: bytes) -> str:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
+        asking.bind("")  # an address of the kernel's choice, so that the answer finds back
+        asking.settimeout(ANSWER_S)
+        try:
+            asking.sendto(words, path)
+            answer = json.loads(asking.recv(WORDS_BYTES))
+        except OSError as error:
+            raise DelfimError(f"nobody to break at {path}: {error.strerror or error}; does a simulation run?") from None
+    if not answer["ok"]:
+        raise Refused(answer["text"])
+    return str(answer["text"])
+
+
+@contextlib.contextmanager
+def listening(path: str) -> Iterator[socket.socket]:
+    """The socket for requests."""
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK) as requests:
+        Path(path).unlink(missing_ok=True)
+        requests.bind(path)
+        os.chmod(path, 0o660)
+        try:
+            yield requests
+        finally:
+            Path(path).unlink(missing_ok=True)
+
+
+def obey(requests: socket.socket, broken: Broken, name: str, clock: Clock) -> None:
+    """All requests that wait. Nothing that comes in raises."""
+    while True:
+        try:
+            data, sender = requests.recvfrom(WORDS_BYTES)
+        except BlockingIOError:
+            return
+        try:
+            answer = {"ok": True, "text": _break(broken, name, data, clock.monotonic_s())}
+        except FormatError as error:
+            answer = {"ok": False, "text": str(error)}
+        with contextlib.suppress(OSError):  # gone, or does not read
+            requests.sendto(json.dumps(answer).encode(), sender)
+
+
+def _break(broken: Broken, name: str, data: bytes, now_s: float) -> str:
+    try:
+        words: dict[str, Any] = json.loads(data)
+        kind = words.pop("kind")
+        if kind == "end":
+            for present in list(broken.faults):
+                broken.end(*present)
+            return "all faults are over; charge that was lost stays lost"
+        asked = fault(kind, **words)
+    except (TypeError, AttributeError, KeyError, ValueError) as error:
+        raise FormatError(str(error)) from None
+    if (asked.kind in ABOARD) is not (name == BOAT):
+        raise FormatError(f"{asked.kind} is nothing of the {name}")
+    broken.begin(asked, now_s)
+    lasts = "until it is ended" if asked.for_s == float("inf") else f"for {asked.for_s:g} s"
+    return f"{asked.kind} {asked.where}".rstrip() + f" {lasts}"
+
+
+class Aboard(Broken):
+    """What breaks in the boat's own program. Used where the program runs on a desk, within a running event loop."""
+
+    def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
+        super().__init__()
+        self._path, self._clock = place(settings, BOAT), clock
+        self._links = contextlib.ExitStack()
+
+    def __enter__(self) -> Self:
+        loop = self._loop = asyncio.get_running_loop()
+        requests = self._links.enter_context(listening(self._path))
+        loop.add_reader(requests.fileno(), obey, requests, self, BOAT, self._clock)
+        self._links.callback(loop.remove_reader, requests.fileno())
+        self._tick()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._timer.cancel()
+        self._links.close()
+
+    def _tick(self) -> None:
+        self.expire(self._clock.monotonic_s())
+        self._timer = self._loop.call_later(TICK_S, self._tick)
+
+    def log(self, log: StateLog) -> StateLog:
+        return FaultyLog(log, self)
+
+    def guest(self, state: State) -> FaultyGuest:
+        return FaultyGuest(state, self._clock, self)
+
+    @property
+    def deaf(self) -> str | None:
+        """Why the operator is not heard; None: he is."""
+        return "not heard: console_lost" if "console_lost" in self.on else None
