@@ -42,6 +42,20 @@ class Profile(NamedTuple):
     due_s: float
 
 
+def planned(boat: Boat, missions: dict[str, dict[str, Any]]) -> dict[str, Any]:
+    """What the page shows of the missions of a boat: the one that is "here", and the one that was read from "aboard"."""
+    here, aboard = missions.get("here"), missions.get("aboard")
+    shown = aboard or here
+    if shown is None:
+        return {"mission": NO_MISSION | {"state": "unknown"}, "home": None, "fence": [], "obstacles": []}
+    same = here is not None and aboard is not None and transfer.digest(here) == transfer.digest(aboard)
+    state = "unknown" if aboard is None else "same" if same or here is None else "differs"
+    told = {"name": shown["name"], "count": len(shown["waypoints"]), "digest": transfer.digest(shown), "state": state}
+    item = boat.reference.get("leg")
+    told["current"] = transfer.waypoint_of(shown, item) if item is not None else None
+    return {"mission": told, **{key: shown.get(key) for key in ("home", "fence", "obstacles")}}
+
+
 class Fleet:
     """`transmit` puts bytes on the way to an address; `tell` speaks to the pages."""
 
@@ -165,19 +179,9 @@ class Fleet:
     def snapshot(self) -> list[dict[str, Any]]:
         """All boats for the page, in order of their numbers."""
         now_s = self._clock.monotonic_s()
-        return [boat.snapshot(now_s) | self._planned(number) for number, boat in sorted(self.boats.items())]
-
-    def _planned(self, number: int) -> dict[str, Any]:
-        here, aboard = (self.missions.get(number, {}).get(where) for where in ("here", "aboard"))
-        shown = aboard or here
-        if shown is None:
-            return {"mission": NO_MISSION | {"state": "unknown"}, "home": None, "fence": [], "obstacles": []}
-        same = here is not None and aboard is not None and transfer.digest(here) == transfer.digest(aboard)
-        state = "unknown" if aboard is None else "same" if same or here is None else "differs"
-        told = {"name": shown["name"], "count": len(shown["waypoints"]), "digest": transfer.digest(shown), "state": state}
-        item = self.boats[number].reference.get("leg")
-        told["current"] = transfer.waypoint_of(shown, item) if item is not None else None
-        return {"mission": told, **{key: shown.get(key) for key in ("home", "fence", "obstacles")}}
+        return [
+            boat.snapshot(now_s) | planned(boat, self.missions.get(number, {})) for number, boat in sorted(self.boats.items())
+        ]
 
     # What the operator wants.
 

@@ -1,14 +1,16 @@
 """A recorded run instead of boats: it stands where `Fleet` stands, shows what was known at each time, and commands nothing."""
 
+from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Final, NoReturn
 
 from delfim.clock import Clock
 from delfim.console.boats import Boat
-from delfim.console.fleet import NO_MISSION
+from delfim.console.fleet import planned
 from delfim.console.statetape import States
 from delfim.console.tape import Session, Tape
+from delfim.console.transfer import mission_of
 from delfim.errors import DelfimError, FormatError, Refused
 from delfim.logging.statelog import read_state
 
@@ -34,6 +36,7 @@ class Replay:
         self.boats.clear()
         for tape in self._tapes:
             tape.seek(self.boats, self.at_s)
+        self._show_missions()
         self.moved()
 
     def steer(self, words: dict[str, Any]) -> None:
@@ -55,13 +58,28 @@ class Replay:
         from_s, self.at_s = self.at_s, min(self.at_s + (now_s - self._played_s) * self.rate, self.to_s)
         self._played_s = now_s
         if self.at_s > from_s:
+            self._show_missions()
             for text in [text for tape in self._tapes for text in tape.play(self.boats, from_s, self.at_s)]:
                 said = {"boat": text.boat, "severity": text.severity, "text": text.text}
                 self._tell({"t": "text", **said, "at_s": text.at_s})
 
     def snapshot(self) -> list[dict[str, Any]]:
-        nothing: dict[str, Any] = {"mission": NO_MISSION, "home": None, "fence": [], "obstacles": []}
-        return [boat.snapshot(self.at_s) | nothing for _, boat in sorted(self.boats.items())]
+        return [
+            boat.snapshot(self.at_s) | planned(boat, self.missions.get(number, {}))
+            for number, boat in sorted(self.boats.items())
+        ]
+
+    def _show_missions(self) -> None:
+        """What was aboard at this time, which pages draw as the plan; they are told of what changed."""
+        for number, missions in [each for tape in self._tapes for each in tape.missions.items()]:
+            known = bisect_right(missions, self.at_s, key=lambda each: each[0])
+            before = self.missions.pop(number, {}).get("aboard")
+            aboard = missions[known - 1][1] if known else None
+            if aboard is not None:
+                self.missions[number] = {"here": aboard, "aboard": aboard}
+            if aboard is not before:
+                shown = aboard or mission_of("", [[], [], []])
+                self._tell({"t": "mission", "boat": number, "where": "here", "mission": shown})
 
     # What only boats that are there can do.
 

@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 
 from delfim.console.boats import Boat
 from delfim.console.mavlink import NAMES, mavlink
-from delfim.console.tape import Text, Track
+from delfim.console.tape import Missions, Text, Track
 from delfim.errors import FormatError
 from delfim.logging.reading import in_order
 from delfim.logging.statelog import read_state
@@ -50,6 +50,7 @@ class States:
         self._times = [row.at_s for row in self._rows]
         self._texts.sort()
         self.tracks = {self._number: track}
+        self.missions: dict[int, Missions] = {}  # a state log holds none
         self.from_s, self.to_s = self._times[0], self._times[-1]
 
     def seek(self, boats: dict[int, Boat], at_s: float) -> None:

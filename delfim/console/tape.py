@@ -14,14 +14,17 @@ from typing import Any, Final, NamedTuple, Protocol
 from delfim.console.boats import Boat
 from delfim.console.mavlink import COMPONENT, SYSTEM, mavlink
 from delfim.console.session import STAMP
+from delfim.console.transfer import FENCE, HOME, WAYPOINTS, Item, mission_of
 from delfim.errors import FormatError
 
 BEFORE_S: Final = 30.0  # so far back lies everything that is said from time to time, lean links apart
 _V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
 _SHOWS_PLACE: Final = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2)
+_MISSION: Final = (mavlink.MAVLINK_MSG_ID_MISSION_COUNT, mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT)
 _FIRST_S, _LAST_S = 1e9, 4e9  # 2001 to 2096: stamps that are times
 
 Track = list[tuple[float, float, float]]
+Missions = list[tuple[float, dict[str, Any]]]  # when it was known, in order of time
 
 
 class Text(NamedTuple):
@@ -37,6 +40,7 @@ class Tape(Protocol):
     from_s: float  # since 1970
     to_s: float
     tracks: dict[int, Track]  # by boat: (at_s, latitude_deg, longitude_deg), a point a second
+    missions: dict[int, Missions]  # by boat: what was read from aboard
     complaint: str  # what is wrong with the recording, in words; empty when nothing is
 
     def seek(self, boats: dict[int, Boat], at_s: float) -> None:
@@ -55,6 +59,8 @@ class Session:
         self._times: list[float] = []  # a row a second: time, and where in the file it begins
         self._places: list[int] = []
         self.tracks: dict[int, Track] = {}
+        self.missions: dict[int, Missions] = {}
+        self._read: dict[tuple[int, int], tuple[int, list[Item]]] = {}  # by boat and type: how many, and those so far
         self.complaint = ""
         self.from_s = self.to_s = -math.inf
         at = 0
@@ -107,7 +113,11 @@ class Session:
 
     def _remember(self, at_s: float, start: int, end: int) -> None:
         """A point of the track, once a second."""
-        if not self._of_boat(start) or self._number(start) not in _SHOWS_PLACE:
+        if not self._of_boat(start):
+            return
+        if self._number(start) in _MISSION:
+            self._remember_mission(at_s, self._message(start, end))
+        if self._number(start) not in _SHOWS_PLACE:
             return
         track = self.tracks.setdefault(self._system(start), [])
         if track and at_s < track[-1][0] + 1.0:
@@ -118,6 +128,23 @@ class Session:
         boat = Boat(message.get_srcSystem(), at_s)
         boat.receive(message, at_s, at_s)
         track.extend(boat.track)
+
+    def _remember_mission(self, at_s: float, message: Any) -> None:
+        """What a boat says when it is asked for its mission: of each type a count, and as many items in their order."""
+        if message is None:
+            return
+        number, kind = message.get_srcSystem(), message.mission_type
+        if message.get_type() == "MISSION_COUNT":
+            self._read[number, kind] = message.count, []
+        count, items = self._read.get((number, kind), (0, []))
+        if message.get_type() == "MISSION_ITEM_INT" and message.seq == len(items) < count:
+            m = message
+            items.append(Item(m.command, (m.param1, m.param2, m.param3, m.param4), m.x, m.y, m.z))
+        elif message.get_type() == "MISSION_ITEM_INT":
+            return
+        groups = [self._read.get((number, each), (-1, [])) for each in (WAYPOINTS, FENCE, HOME)]
+        if all(len(group) == wanted for wanted, group in groups):
+            self.missions.setdefault(number, []).append((at_s, mission_of("aboard", [group for _, group in groups])))
 
     def _frames(self, at: int) -> Iterator[tuple[float, int, int]]:
         """(time, start, end) of the frames from a place on, up to the first that is damaged. Time never goes back: a computer's

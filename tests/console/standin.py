@@ -147,13 +147,13 @@ class Standin:
         socket = web.WebSocketResponse()
         await socket.prepare(request)
         await socket.send_json({"t": "hello", **self.hello, "boats": self.boats})
-        self._sockets.add(socket)
         for number, points in self.history.items():
             for first in range(0, len(points), 500):
                 chunk = {"t": "track", "boat": number, "start": first == 0, "points": points[first : first + 500]}
                 await socket.send_json(chunk)
         for number, mission in self.plans.items():
             await socket.send_json({"t": "mission", "boat": number, "where": "here", "mission": mission})
+        self._sockets.add(socket)  # as of the gateway: no frame comes between a track's pieces
         try:
             async for message in socket:
                 if message.type is WSMsgType.TEXT:

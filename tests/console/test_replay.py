@@ -73,6 +73,39 @@ class Played:
         return next(boat for boat in self.replay.snapshot() if boat["id"] == number)
 
 
+def test_a_mission_is_shown_from_when_it_was_read_and_at_its_waypoint(tmp_path: Path) -> None:
+    """A change of speed before each waypoint: item 3 is the second waypoint."""
+    clock = ManualClock(100.0)
+    session = Session(tmp_path, clock)
+    boats: list[FakeBoat] = []
+    fleet = Fleet(clock, lambda address, data: boats[0].hear(data), lambda message: None)
+    fleet.record = session.put
+    boats.append(FakeBoat(1, clock, lambda data: fleet.receive(1, data)))
+    waypoints = [
+        {"latitude_deg": 38.69, "longitude_deg": -9.21 + n / 1e3, "speed_mps": 1.0 + n, "acceptance_m": 3.0, "hold_s": 0.0}
+        for n in range(3)
+    ]
+    for step in range(300):
+        clock.advance(0.1)
+        boats[0].tick()
+        if step == 100:
+            fleet.put(1, {"name": "line", "waypoints": waypoints})
+            fleet.upload(1, lambda well, why: None)
+        if step == 250:
+            boats[0].say(mavlink.MAVLink_mission_current_message(3))
+        fleet.tick()
+        session.tick()
+    session.flush()
+    assert session.file is not None
+    played = Played(session.file)
+    assert (played.shown(1)["mission"]["state"], played.shown(1)["mission"]["count"]) == ("unknown", 0)
+    played.run(29.0)
+    assert (played.shown(1)["mission"]["count"], played.shown(1)["mission"]["current"]) == (3, 1)
+    played.replay.seek(played.replay.from_s)
+    assert played.shown(1)["mission"]["count"] == 0
+    assert [len(told["mission"]["waypoints"]) for told in played.told if told["t"] == "mission"] == [3, 0], "drawn, and no more"
+
+
 def test_a_session_is_read_by_everybodys_reader(recorded: Path) -> None:
     from pymavlink import mavutil
 

@@ -143,7 +143,7 @@ class Chip {
     const progress = state.progress.get(boat.id);
     const { name, count, current, state: compared } = boat.mission;
     const at = current === null || boat.mode !== "play" ? "" : ` · ${current + 1}/${count}`;
-    text(this.mission, progress ? `${progress.what} ${Math.round(progress.part * 100)} %` : count ? `${name || "mission"}${at || ` · ${count}`}` : "no mission aboard");
+    text(this.mission, progress ? `${progress.what} ${Math.round(progress.part * 100)} %` : count ? `${name || "mission"}${at || ` · ${count}`}` : compared === "unknown" ? "mission not read" : "no mission aboard");
     const planned = state.plans.get(boat.id)?.mission.waypoints.length ?? 0;
     const words = compared === "differs" ? "differs" : compared === "same" ? "same" : compared === "unknown" && count ? "unread" : planned && !count ? "not sent" : "";
     text(this.badge, words);
