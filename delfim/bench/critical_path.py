@@ -315,7 +315,7 @@ class Team:
         times = [cpu_ns(pid) for process in self._processes for pid in family(process.pid)]
         window_s, over = 0.0, dict[str, float]()
         if self.key in ("delfim", "apart"):
-            with Link(self.socket) as link:
+            with Link(self.socket, START_S) as link:
                 state = link.ask("state")
             window_s, self.state = state["window"]["spent_s"], state
             over = {OVER + name: service["over_budget"] for name, service in state["services"].items()}

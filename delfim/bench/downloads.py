@@ -19,6 +19,7 @@ from delfim.errors import DelfimError
 from delfim.services.door import hashed
 
 BYTES_PER_S: Final = 12_500_000  # 100 Mbit/s
+BEGUN_BYTES: Final = 1 << 16
 ASHORE: Final = ("nice", "-n", "19")  # the client's work is another computer's
 
 
@@ -59,6 +60,7 @@ class Downloads:
         fetched = list[int]()
         words = self._curl() if how == "FTP" else self._sftp()
         with running([*ASHORE, *words], stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as client:
+            until(lambda: _begun(client.pid), f"a download by {how}")
             yield fetched
             if client.poll() is not None:
                 raise DelfimError(f"the download by {how} ended with {client.returncode}; what it said stands above")
@@ -73,6 +75,12 @@ class Downloads:
         words = [word for option in options for word in ("-o", option)]
         words += ["-i", str(self._key), "-l", str(BYTES_PER_S * 8 // 1000)]
         return ["sftp", "-F", "none", "-q", *words, f"sftp://bench@127.0.0.1:{self._ports['sshd']}/{LOG}", "/dev/null"]
+
+
+def _begun(pid: int) -> None:
+    """Raises DelfimError as long as next to nothing came."""
+    if _written_bytes(pid) < BEGUN_BYTES:
+        raise DelfimError("nothing came yet")
 
 
 def _written_bytes(pid: int) -> int:

@@ -39,6 +39,7 @@ MARGIN: Final = 1 / 12  # of a slice, before the trouble and after it: of 12 s i
 KILL_EVERY_S: Final = 1.0
 LOOK_S: Final = 0.25  # between two looks at how the log fares
 SETTLE_S: Final = 2.0  # what a dead writer took along is known by then
+ANSWER_S: Final = 20.0  # a machine with a lot to do answers late, and is asked all the same
 MEND_S: Final = 15.0  # a log that is not written again by then does not come back
 SETTINGS: Final = ("log.free_bytes_min=0",)  # a full disk is met, not avoided
 
@@ -241,7 +242,7 @@ def _troubled(
 
 
 def _log(team: Team) -> dict[str, Any]:
-    with Link(team.socket) as link:
+    with Link(team.socket, ANSWER_S) as link:
         said: dict[str, Any] = link.ask("state")["log"]
     return said
 
