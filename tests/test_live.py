@@ -227,7 +227,7 @@ def test_black_box_and_page_work_in_processes_of_their_own_and_a_guest_steers(tm
         if not line.startswith("{"):
             continue
         state = json.loads(line)
-        if not modes and state["guest_connected"] and state["mode"] == "play":
+        if not modes and state["age_s"]["guest"] is not None and state["mode"] == "play":
             with Link(tmp_path / "out/command") as operator:
                 operator.ask("mode", mode="grex")
         if state["mode"] == "grex":

@@ -202,9 +202,10 @@ def black_box(file: str, place: Path, seconds: float) -> dict[str, float]:
     told = {"can.interface": bus, "log.directory": str(place / "log"), "runtime.run_directory": str(place)}
     words = [word for key, value in told.items() for word in ("--set", f'{key}="{value}"')]
     words += ["--set", "log.free_bytes_min=0", "--set", f"can.receive_buffer_bytes={64 << 20}"]
-    with subprocess.Popen([sys.executable, "-m", "delfim", "run", file, "--service", "canzlogd", *words]) as box:
+    command = [sys.executable, "-m", "delfim", "run", file, "--service", "canzlogd", *words]
+    with subprocess.Popen(command, stderr=subprocess.DEVNULL) as box:
         try:
-            attempted(lambda: next(place.glob("log/*/*/*.meta.jsonl"), None), "no black box")
+            awaited(lambda: next(place.glob("log/*/*/*.meta.jsonl"), None), f"{' '.join(command)} does not log; it says why")
             pids = family(box.pid)
             before_s = [cpu_ns(pid) / 1e9 for pid in pids]
             sent = flooded(bus, seconds)
@@ -216,10 +217,10 @@ def black_box(file: str, place: Path, seconds: float) -> dict[str, float]:
     return {"service": used_s[0] / seconds, "writer": sum(used_s[1:]) / seconds, "frames": sent, "missing": sent - logged}
 
 
-def attempted(attempt: Callable[[], object], trouble: str) -> None:
-    """Wait until it gives something. Raises DelfimError."""
+def awaited(sign: Callable[[], object], trouble: str) -> None:
+    """Wait until there is a sign. Raises DelfimError."""
     until_s = time.monotonic() + 20.0
-    while not attempt():
+    while not sign():
         if time.monotonic() > until_s:
             raise DelfimError(trouble)
         time.sleep(0.05)

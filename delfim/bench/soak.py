@@ -202,7 +202,7 @@ class Visitors:
             link.ask("alive")
 
     def _ftp(self) -> None:
-        with ftplib.FTP(timeout=TIMEOUT_S) as ftp:
+        with contextlib.closing(ftplib.FTP(timeout=TIMEOUT_S)) as ftp:
             ftp.connect("127.0.0.1", self._boat.ports["ftpd"])
             ftp.login("bench", self._boat.password)
             place = "/"

@@ -160,7 +160,7 @@ class Runtime:
                 "longest_callback_s": round(self._account.longest_s, 6),
                 "collections": self._collections,
                 "longest_collection_s": round(self._collection_longest_s, 6),
-                "tasks": len(asyncio.all_tasks(self._loop)),
+                "tasks": len(asyncio.all_tasks(self._loop)) if self._tasks else 0,
             },
             "deadman": self._deadman,
         }

@@ -84,7 +84,9 @@ def log_partition(folder: Path) -> Path:
     """An ext2 disk with the vehicle's file and a host key for sshd, so that nothing but the image itself is in the image."""
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "ana", "-f", folder / "key"], check=True)
     text = (boat_image.ROOT / "etc" / "delfimx.toml").read_text()
-    for old, new in {'"can0"': '"vcan0"', "required = true": "required = true\nfree_bytes_min = 1_000_000"}.items():
+    changes = {'"can0"': '"vcan0"', "required = true": "required = true\nfree_bytes_min = 1_000_000"}
+    changes |= {"after_s = 10.0": "after_s = 600.0"}  # of a silent console, on a busy machine
+    for old, new in changes.items():
         assert old in text
         text = text.replace(old, new)
     text += f"""

@@ -123,7 +123,6 @@ def recorded(boat: Boat, seconds: float) -> Path:
 
 def test_from_init_to_the_first_actuation(boat: Boat) -> None:
     """The contract is 5 s; it is held to it with room for a busy machine. The figure is printed (pytest -rP)."""
-    boat.says('\n[services.httpd]\nplace = "process"\n')
     compileall.compile_dir(ROOT / "delfim", quiet=1)  # as on the image; the guest keeps nothing
     play = recorded(boat, 60.0)
     began = "import time; up, init = (float(open(f).read().split()[0]) for f in ('/proc/uptime', '/run/init'))"
