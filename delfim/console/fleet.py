@@ -19,6 +19,7 @@ from delfim.errors import FormatError, Refused
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
 INPUT_S: Final = 0.6
+DEAF_S: Final = 1.0  # after a sleep, to inputs: so long a page has to see that it was released
 BOATS_MAX: Final = 32
 PEERS_MAX: Final = 64
 AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -68,6 +69,7 @@ class Fleet:
         self._routes: dict[int, Address] = {}
         self._requests = Requests(self._send)
         self._inputs: dict[int, tuple[int, float]] = {}  # by boat in manual: number and time of the last input
+        self._ticked_s, self._deaf_until_s = clock.monotonic_s(), -math.inf
         self._transfers: dict[int, Upload | Download] = {}
         self._beat_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
@@ -155,6 +157,12 @@ class Fleet:
     def tick(self) -> None:
         """Due ten times a second or more."""
         now_s = self._clock.monotonic_s()
+        if (
+            now_s - self._ticked_s > INPUT_S
+        ):  # this computer slept: what pages said meanwhile is old, and they are to learn of it
+            self._deaf_until_s = now_s + DEAF_S
+            self.release_all("the console slept")
+        self._ticked_s = now_s
         if now_s - self._beat_s >= HEARTBEAT_S:
             self._beat_s = now_s
             for number in self._routes:
@@ -207,9 +215,12 @@ class Fleet:
         """Thrust of a boat in manual, now. An input that was overtaken is ignored."""
         boat = self._boat(number)
         last, _ = self._inputs.get(number, (-1, 0.0))
+        now_s = self._clock.monotonic_s()
+        if now_s - self._ticked_s > INPUT_S or now_s < self._deaf_until_s:
+            return
         if count <= last or not (math.isfinite(port_pct) and math.isfinite(starboard_pct)):
             return
-        self._inputs[number] = count, self._clock.monotonic_s()
+        self._inputs[number] = count, now_s
         boat.released = False
         self._thrust(number, port_pct, starboard_pct)
 

@@ -151,6 +151,25 @@ def test_thrust_follows_the_page_and_ends_when_the_page_does(sea: Sea) -> None:
     assert sea.boats[2].thrust == []
 
 
+def test_after_the_computer_slept_what_the_page_said_meanwhile_moves_nothing(sea: Sea) -> None:
+    sea.run(3.0)
+    sea.fleet.input(1, 1, 40.0, 40.0)
+    sea.run(0.2)
+    sea.clock.advance(20.0)
+    said = len(sea.boats[1].thrust)
+    sea.fleet.input(1, 2, 40.0, 40.0)  # read before time is noticed
+    sea.fleet.tick()
+    for count in range(3, 8):
+        sea.fleet.input(1, count, 40.0, 40.0)
+    sea.run(0.5)
+    assert set(sea.boats[1].thrust[said:]) == {(0, 0)}
+    assert sea.shown(1)["released"]
+    sea.run(1.0)
+    sea.fleet.input(1, 8, 40.0, 40.0)
+    sea.run(0.2)
+    assert sea.boats[1].thrust[-1] != (0, 0), "the operator took it again"
+
+
 def test_a_stop_ends_input_and_is_repeated_until_it_arrives() -> None:
     sea = Sea(1, outages=lambda now_s: 104.0 <= now_s < 109.0)
     sea.run(3.5)

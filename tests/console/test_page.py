@@ -215,6 +215,23 @@ def test_a_hidden_page_sends_no_thrust(sail: Sail) -> None:
     sail(story)
 
 
+def test_a_page_that_slept_releases_and_waits_for_the_operator(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("m")
+        await page.press("4")
+        await gateway.until(is_input(40, 40))
+        await page.value("(() => { const end = Date.now() + 1500; while (Date.now() < end); })()")
+        assert (await gateway.until(lambda m: m["t"] == "release"))["why"] == "asleep"
+        for _ in range(20):
+            await gateway.frame()
+            await asyncio.sleep(0.02)
+        assert gateway.said[-1]["t"] == "release"
+        await page.press("1")
+        await gateway.until(is_input(10, 10))
+
+    sail(story)
+
+
 def test_thrust_that_the_gateway_let_go_waits_for_the_operator(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         await page.press("m")

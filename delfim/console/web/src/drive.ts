@@ -4,6 +4,7 @@ import type { Net } from "./net";
 import type { State } from "./state";
 
 const STREAM_MS = 200;
+const ASLEEP_MS = 1000; // without a beat of its own timer the page, or the laptop, slept
 const MOST_PCT = 100;
 const CONFIRM_MS = 3000; // a boat that is not in manual so long after it was asked is not driven
 
@@ -22,6 +23,7 @@ const limited = (pct: number): number => Math.max(-MOST_PCT, Math.min(MOST_PCT, 
 
 export class Drive {
   private readonly hands = new Map<number, Hand>();
+  private streamed = Date.now();
 
   constructor(
     private readonly net: Net,
@@ -111,6 +113,9 @@ export class Drive {
   }
 
   private stream(): void {
+    const slept_ms = Date.now() - this.streamed;
+    this.streamed = Date.now();
+    if (slept_ms > ASLEEP_MS) this.release("asleep");
     for (const [id, hand] of this.hands) if (!hand.silent) this.send(id, hand);
   }
 
