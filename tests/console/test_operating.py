@@ -11,6 +11,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+from delfim import config
 from delfim.clock import SystemClock
 from delfim.console.gateway import Gateway, serve
 from delfim.console.link import Link
@@ -20,6 +21,22 @@ from tests.services.browser import Page, browser
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
 NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 NORTH_M = 1 / 111_111
+RPM_MAX = config.load(VEHICLE).propulsion.rpm_max
+THRUST: tuple[tuple[str, tuple[str, ...], int, int], ...] = (  # thesis 4.3: key, held with it, port, starboard, percent
+    ("3", (), 30, 30),
+    ("ArrowUp", (), 31, 31),
+    ("9", (), 31, 31),  # nothing, which the next one shows
+    ("ArrowDown", (), 30, 30),
+    ("ArrowRight", (), 31, 29),
+    ("ArrowLeft", (), 30, 30),
+    ("ArrowUp", ("Alt",), 30, 31),
+    ("ArrowUp", ("Control",), 31, 31),
+    ("5", ("Alt",), 31, 50),
+    ("4", ("Control",), 40, 50),
+    ("0", (), 0, 0),
+    ("ArrowDown", (), -1, -1),
+    ("2", ("Control",), 20, -1),
+)
 SAIL_S = 60.0
 
 
@@ -145,6 +162,16 @@ def test_an_operator_sails_one_of_two_boats_by_mouse_and_keys(tmp_path: Path) ->
     asyncio.run(story())
 
 
+def turning(port: int, starboard: int) -> Callable[[dict[str, Any]], bool]:
+    """Whether the vehicle commands the propellers to give this, percent."""
+
+    def is_so(state: dict[str, Any]) -> bool:
+        asked = (state["port_rpm"], port), (state["starboard_rpm"], starboard)
+        return all(abs(rpm / RPM_MAX - percent / 100) < 0.004 for rpm, percent in asked)
+
+    return is_so
+
+
 async def by_keys(page: Page, boat: Boat) -> None:
     await drawn(page, boat)
     for key, mode in (("h", "heading"), ("g", "goto"), ("p", "path"), ("y", "play"), ("i", "idle")):
@@ -154,11 +181,9 @@ async def by_keys(page: Page, boat: Boat) -> None:
     await page.until("document.getElementById('messages').textContent.includes('grex refused: ')", SAIL_S)
     assert "reset refused" not in await page.value("document.getElementById('messages').textContent")
     await pressed(page, boat, "m", "manual")
-    await page.press("3")
-    await boat.until(lambda state: state["port_rpm"] > 50 and state["starboard_rpm"] > 50)
-    await page.press("0", ("Alt",))
-    await boat.until(lambda state: state["port_rpm"] > 50 and abs(state["starboard_rpm"]) < 50)
-    await page.press("9")
+    for key, modifiers, port, starboard in THRUST:
+        await page.press(key, modifiers)
+        await boat.until(turning(port, starboard))
     await page.press(" ")
     await boat.until(lambda state: state["mode"] == "idle" and abs(state["port_rpm"]) < 50)
     await shown_mode(page, 2, "idle")
