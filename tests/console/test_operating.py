@@ -187,6 +187,25 @@ async def by_keys(page: Page, boat: Boat) -> None:
     await page.press(" ")
     await boat.until(lambda state: state["mode"] == "idle" and abs(state["port_rpm"]) < 50)
     await shown_mode(page, 2, "idle")
+    await asleep_and_awake(page, boat)
+
+
+async def asleep_and_awake(page: Page, boat: Boat) -> None:
+    """Nothing turns while the laptop sleeps, nor when it wakes up, until the operator acts."""
     await pressed(page, boat, "m", "manual")
     await page.press("4")
-    await boat.until(lambda state: state["port_rpm"] > 50)
+    await boat.until(turning(40, 40))
+    page.sleep()
+    try:
+        cycle = (await boat.until(turning(0, 0)))["cycle"]
+        await boat.until(lambda state: state["cycle"] > cycle + 5)
+    finally:
+        page.wake()
+    await page.value("document.title")
+    woken = boat.state()
+    assert turning(0, 0)(woken)
+    await boat.until(lambda state: not turning(0, 0)(state) or state["cycle"] > woken["cycle"] + 10)
+    assert turning(0, 0)(boat.state())
+    await pressed(page, boat, "m", "manual")
+    await page.press("4")
+    await boat.until(turning(40, 40))

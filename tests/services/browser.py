@@ -5,6 +5,7 @@ import base64
 import contextlib
 import itertools
 import json
+import os
 import shutil
 import signal
 from collections.abc import AsyncIterator
@@ -34,8 +35,8 @@ VIRTUAL_KEYS = {
 class Page:
     """One tab."""
 
-    def __init__(self, socket: aiohttp.ClientWebSocketResponse) -> None:
-        self._socket = socket
+    def __init__(self, socket: aiohttp.ClientWebSocketResponse, group: int) -> None:
+        self._socket, self._group = socket, group
         self._numbers = itertools.count(1)
         self.complaints: list[str] = []  # of the page's console: errors, what the policy refused
         self.requests: list[str] = []  # addresses, once the domain Network is enabled
@@ -52,6 +53,13 @@ class Page:
             if told.get("id") == number:
                 assert "error" not in told, told
                 return told["result"]
+
+    def sleep(self) -> None:
+        """All of the browser stands still, as on a laptop that was closed."""
+        os.killpg(self._group, signal.SIGSTOP)
+
+    def wake(self) -> None:
+        os.killpg(self._group, signal.SIGCONT)
 
     async def open(
         self, url: str, *, width: int, height: int, scale: float = 2.0, dark: bool = False, script: bool = True
@@ -147,7 +155,7 @@ async def browser(folder: Path, *more: str) -> AsyncIterator[Page]:
             async with session.get(f"http://127.0.0.1:{port}/json") as answer:
                 tab = next(each for each in await answer.json() if each["type"] == "page")
             async with session.ws_connect(tab["webSocketDebuggerUrl"], max_msg_size=0) as socket:
-                yield Page(socket)
+                yield Page(socket, child.pid)
     finally:
         with contextlib.suppress(ProcessLookupError):
             child.send_signal(signal.SIGTERM)
