@@ -1,7 +1,7 @@
 """recvmmsg(2) and sendmmsg(2), which Python does not have: many datagrams by one system call.
 
 For the critical loop and for those who read whole buses. A call from Python to the kernel costs as much as what the kernel
-does in it; six frames by one call take 5 us where six calls take 11 (docs/decisions/0005-warm-and-in-one-call.md). The calls
+does in it; six frames by one call take 5 us where six calls take 11 (docs/decisions/0002-warm-and-in-one-call.md). The calls
 are made without letting go of the interpreter's lock: they never wait, and who lets go may get it back milliseconds later.
 """
 

@@ -1,6 +1,6 @@
 """The critical path gone through without effect, shortly before navigation is due.
 
-Between two cycles a processor forgets much of what the path needs (docs/decisions/0005-warm-and-in-one-call.md). So the vehicle
+Between two cycles a processor forgets much of what the path needs (docs/decisions/0002-warm-and-in-one-call.md). So the vehicle
 has a twin: the same classes, the same code, state of its own, and links that lead nowhere. When a window opens the twin is
 shown what the vehicle heard last, and does what the vehicle would.
 """
