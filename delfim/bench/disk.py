@@ -49,12 +49,14 @@ class Disk:
         self._images += 1
 
     def fill(self) -> None:
-        """ENOSPC for whoever writes."""
-        with (self._place / "ballast").open("wb", buffering=0) as file:
+        """ENOSPC for whoever writes. At once: the room is taken, and nothing written."""
+        with (self._place / "ballast").open("wb") as file:
+            size = 0
             for block in (1 << 20, 1 << 12):
                 with contextlib.suppress(OSError):
                     while True:
-                        file.write(bytes(block))
+                        os.posix_fallocate(file.fileno(), size, block)
+                        size += block
 
     def fail(self) -> None:
         """EIO for whoever reads or writes, as from a disk that was torn out."""

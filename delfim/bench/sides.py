@@ -208,8 +208,8 @@ def _troubled(
     def trouble() -> None:
         try:
             time.sleep(team.warm_s + MARGIN * seconds)
+            until_s = time.monotonic() + (1.0 - 2.0 * MARGIN) * seconds  # who answers stops with the turn
             begin()
-            until_s = time.monotonic() + (1.0 - 2.0 * MARGIN) * seconds
             while True:
                 reasons.append(_log(team)["reason"])
                 if time.monotonic() > until_s:
