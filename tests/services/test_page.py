@@ -79,6 +79,13 @@ def test_without_vehicle_and_computer_the_page_says_so():
     assert "not looked at yet" in found["computer"]
 
 
+def test_the_figures_of_a_service_are_words():
+    shown = {"frames_lost": 0, "buses": {"can<0>": {"received": 7, "failure": ""}}, "clients": {}}
+    vehicle = msgspec.structs.replace(VEHICLE, services={"cantcpd": api.Service(state="running", figures=shown)})
+    text = "".join(rendered(report(vehicle))["services"].itertext())
+    assert "frames lost 0 · buses (can<0> (received 7, failure none)) · clients none" in text
+
+
 @pytest.mark.parametrize(
     ("changes", "colour"),
     [

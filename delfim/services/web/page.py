@@ -217,7 +217,7 @@ def _service(view: View, name: str, service: Service) -> str:
         told.append(f'<b class="warn">restarted {service.restarts} times</b>')
     if service.reason:
         told.append(f"last event: {escape(service.reason)}")
-    told += [f"{escape(_words(key))} {escape(str(value))}" for key, value in service.figures.items()]
+    told += [f"{escape(_words(key))} {escape(_told(value))}" for key, value in service.figures.items()]
     return (
         f'<li><b class="name">{escape(name)}</b> <span class="pill {kind}">{escape(service.state)}</span>'
         f'<span class="small">{" · ".join(told)}</span></li>'
@@ -389,6 +389,13 @@ def size(count: float) -> str:
 
 def rate(bps: float) -> str:
     return f"{bps / 1e6:.1f} Mbit/s" if bps >= 1e6 else f"{bps / 1e3:.1f} kbit/s" if bps >= 1e3 else f"{bps:.0f} bit/s"
+
+
+def _told(figure: object) -> str:
+    """A service's own figure, as people write it: what is within another one in brackets."""
+    if isinstance(figure, dict) and figure:
+        return f"({', '.join(f'{name} {_told(each)}'.replace('_', ' ') for name, each in figure.items())})"
+    return str(figure) if figure or figure == 0 else "none"
 
 
 def _words(name: str) -> str:
