@@ -1,57 +1,53 @@
 """The critical path as the bus sees it: from a navigation message to the propulsion command that answers it, by the kernel's
 stamps of both. It needs no log, so it can be used where logs are what is tried."""
 
-import contextlib
-import threading
 from collections.abc import Sequence
 from typing import Final, Self
 
 from delfim.canproxy import dsor
 from delfim.canproxy.socket import CanAddress, open_can
+from delfim.errors import DelfimError
 from delfim.messages import BATTERIES_PORT, BATTERIES_STARBOARD, PROPELLER_PORT, PROPELLER_STARBOARD, Node
 
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
-BUFFER_BYTES: Final = 16 << 20  # the machine may keep the onlooker from looking for seconds
+BUFFER_BYTES: Final = 64 << 20  # a minute and a half at 100 Hz
 MESSAGE_NS: Final = 1_000_000  # frames of navigation that are so close belong to one message
-WAIT_S: Final = 0.2
+BATCH: Final = 256
 
 
 class Onlooker:
-    """Listens to a bus, in a thread, from `__enter__` to `__exit__`."""
+    """Listens to a bus from `__enter__` to `__exit__`. Nobody runs for it meanwhile: whoever is woken by each frame is in the
+    way of what is measured. The kernel stamps the frames and keeps them until somebody asks."""
 
     def __init__(self, interface: str) -> None:
-        self._can = open_can(interface, receive_buffer_bytes=BUFFER_BYTES)
+        self._can = open_can(interface, receive_buffer_bytes=BUFFER_BYTES, batch=BATCH)
         self._can.bind(CanAddress(*dsor.message_filter(source=Node.NAVIGATION)), *(CanAddress(arb) for arb in COMMANDS))
-        self._can.settimeout(WAIT_S)
-        self._asked: list[int] = []  # ns, the last frame of each navigation message
-        self._answered: list[int] = []  # ns, the fourth frame of each command
-        self._ended = threading.Event()
-        self._thread = threading.Thread(target=self._listen, daemon=True)
+        self._dropped = 0
 
     def __enter__(self) -> Self:
-        self._thread.start()
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._ended.set()
-        self._thread.join()
         self._can.close()
 
-    def _listen(self) -> None:
-        while not self._ended.is_set():
-            with contextlib.suppress(TimeoutError):
-                frame = self._can.recvmsg()
-                if frame.arb not in COMMANDS:
-                    if self._asked and frame.t_ns - self._asked[-1] < MESSAGE_NS:
-                        self._asked[-1] = frame.t_ns
-                    else:
-                        self._asked.append(frame.t_ns)
-                elif frame.arb == COMMANDS[-1]:
-                    self._answered.append(frame.t_ns)
-
     def paths_us(self, begin_ns: int, end_ns: int) -> list[float]:
-        """Lengths of the critical paths that began in this time (wall clock), ascending."""
-        return paths_us(self._asked, self._answered, begin_ns, end_ns)
+        """Lengths of the critical paths that began in this time (wall clock), ascending. What is asked for later must have come
+        later. Raises DelfimError where it was too much to keep."""
+        asked: list[int] = []  # ns, the last frame of each navigation message
+        answered: list[int] = []  # ns, the fourth frame of each command
+        while frames := self._can.receive_many():
+            for frame in frames:
+                if frame.arb == COMMANDS[-1]:
+                    answered.append(frame.t_ns)
+                elif frame.arb not in COMMANDS:
+                    if asked and frame.t_ns - asked[-1] < MESSAGE_NS:
+                        asked[-1] = frame.t_ns
+                    else:
+                        asked.append(frame.t_ns)
+        dropped, self._dropped = self._can.dropped - self._dropped, self._can.dropped
+        if dropped:
+            raise DelfimError(f"{dropped} frames were lost to the measurement: ask for shorter slices (--seconds)")
+        return paths_us(asked, answered, begin_ns, end_ns)
 
 
 def paths_us(asked: Sequence[int], answered: Sequence[int], begin_ns: int, end_ns: int) -> list[float]:

@@ -1,12 +1,19 @@
 """What happens beside the critical path: the benchmark of it runs, and its arithmetic is right. Nothing here judges speed."""
 
 import json
+import os
+import time
 from pathlib import Path
 
 import pytest
 
 from delfim.__main__ import main
-from delfim.bench.onlooker import paths_us
+from delfim.bench import onlooker
+from delfim.bench.onlooker import Onlooker, paths_us
+from delfim.canproxy.dsor import Message, segments
+from delfim.canproxy.socket import CanSocket, open_can
+from delfim.errors import DelfimError
+from delfim.messages import BATTERIES_COMMAND, NAVIGATION_ID, NAVIGATION_PRIORITY, Node
 
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
 
@@ -27,6 +34,35 @@ def test_each_command_answers_one_message(asked: list[int], answered: list[int],
 
 def test_only_messages_of_the_time_count() -> None:
     assert paths_us([0, 10_000, 20_000], [1_000, 12_000, 23_000], 10_000, 20_000) == [2.0]
+
+
+def navigation(bus: CanSocket, number: int) -> None:
+    message = Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, bytes(32))
+    bus.send_many([(frame.arb, frame.data) for frame in segments(message, number)])
+
+
+def test_the_onlooker_needs_not_look_while_it_happens() -> None:
+    name, begin_ns = f"canloop:onlooker-{os.getpid()}", time.time_ns()
+    with open_can(name) as bus, Onlooker(name) as look:
+        navigation(bus, 0)
+        bus.send_many([(arb, BATTERIES_COMMAND.pack(1, 0)) for arb in onlooker.COMMANDS])
+        [path_us] = look.paths_us(begin_ns, time.time_ns())
+        assert 0 <= path_us < 1e6
+        assert look.paths_us(begin_ns, time.time_ns()) == [], "nothing is told twice"
+
+
+def test_the_onlooker_says_when_it_could_not_keep_everything(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(onlooker, "BUFFER_BYTES", 1 << 12)
+    name, begin_ns = f"canloop:full-{os.getpid()}", time.time_ns()
+    with open_can(name) as bus, Onlooker(name) as look:
+        navigation(bus, 0)
+        look.paths_us(begin_ns, time.time_ns())
+        for number in range(1, 100):
+            navigation(bus, number)
+        look.paths_us(begin_ns, time.time_ns())
+        navigation(bus, 100)  # whose numbers tell what is missing
+        with pytest.raises(DelfimError, match="frames were lost to the measurement"):
+            look.paths_us(begin_ns, time.time_ns())
 
 
 @pytest.mark.timeout(180)
