@@ -191,6 +191,7 @@ def test_missions_by_touch_and_by_mouse_are_kept_sent_and_sailed_to_their_ends(s
         await pressed(page, one, "y", "play")
         for leg in (1, 2):
             await page.until(f"document.querySelector('.selected .mission').textContent === 'Mission 2 · {leg}/2'", 60)
+        await page.until("document.getElementById('messages').textContent.includes('hold: play done')", 60)
         for boat, end, done in zip((one, two), ends, ("play done", "path done"), strict=True):
             await boat.until(lambda state: state["mode"] == "hold")
             await shown_mode(page, boat.number, "hold")
@@ -278,7 +279,8 @@ async def loaded(page: Page, name: str) -> None:
 
 
 async def sent(page: Page) -> None:
-    """To the selected boat, and read back."""
+    """To the selected boat, which has another one or none, and read back."""
+    await page.until("document.querySelector('.selected .badge').textContent !== 'same'")
     await mission(page, "Send to the boat")
     await page.until("document.querySelector('.selected .badge').textContent === 'same'", 60)
 
