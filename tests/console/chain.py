@@ -145,7 +145,7 @@ class Radio:
 
     def __init__(self, console: tuple[str, int]) -> None:
         self.said: list[bytes] = []  # datagrams of the gateway
-        self.acknowledged = 0  # commands, by the boat
+        self.unanswered = False  # the gateway's last command, by the boat
         self.through = True
         self._console, self._boat = console, ("", 0)
         self._held: list[bytes] = []
@@ -173,18 +173,21 @@ class Radio:
         """The messages of the gateway from that datagram on."""
         return [message for data in self.said[since:] for message in _messages(data)]
 
-    def commands(self, since: int) -> int:
-        """How many it said from that datagram on."""
-        return [m.get_type() for m in self.spoken(since)].count("COMMAND_LONG")
+    def obeyed(self, since: int) -> bool:
+        """Whether it commanded something from that datagram on, and was answered."""
+        return not self.unanswered and any(_has(data, "COMMAND_LONG") for data in self.said[since:])
 
     def _from_boat(self, data: bytes, address: tuple[str, int]) -> None:
         self._boat = address
-        self.acknowledged += [m.get_type() for m in _messages(data)].count("COMMAND_ACK")
+        if _has(data, "COMMAND_ACK"):
+            self.unanswered = False
         if self.through:
             self._consoles_end.sendto(data, self._console)
 
     def _from_console(self, data: bytes, _: tuple[str, int]) -> None:
         self.said.append(data)
+        if _has(data, "COMMAND_LONG"):
+            self.unanswered = True
         if self.through:
             self._boats_end.sendto(data, self._boat)
         else:
@@ -193,6 +196,10 @@ class Radio:
 
 def _messages(datagram: bytes) -> list[Any]:
     return [wire.decode(frame) for frame in wire.frames(datagram)[0]]
+
+
+def _has(datagram: bytes, kind: str) -> bool:
+    return any(message.get_type() == kind for message in _messages(datagram))
 
 
 class _End(asyncio.DatagramProtocol):
@@ -278,11 +285,11 @@ class Sea:
         """All boats were stopped and have said so, this one is selected; the page, and the boat."""
         page, boat = self.page, self.boats[number - 1]
         await page.press("Escape")
-        before = [(len(radio.said), radio.acknowledged) for radio in self.radios]
+        before = [len(radio.said) for radio in self.radios]
         await page.press(" ", ("Shift",))
-        for each, radio, (said, acknowledged) in zip(self.boats, self.radios, before, strict=True):
+        for each, radio, since in zip(self.boats, self.radios, before, strict=True):
             async with asyncio.timeout(PATIENCE_S):
-                while not 0 < radio.commands(said) <= radio.acknowledged - acknowledged:
+                while not radio.obeyed(since):
                     await asyncio.sleep(0.02)
             await each.until(lambda state: state["mode"] == "idle" and turning(0, 0)(state))
             await page.until(f"document.querySelector('[data-boat=\"{each.number}\"] .mode').dataset.state === 'idle'")
