@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.console.scenes import at_work, choose, fleet, hour, opened, pixel, show, survey, waypoints
+from tests.console.scenes import at_work, caught_up, choose, fleet, hour, opened, pixel, show, survey, waypoints
 from tests.console.standin import M_PER_DEG, Message, Standin, boat, place
 from tests.services.browser import PROGRAM, Page, browser
 
@@ -258,6 +258,27 @@ def test_after_a_lost_gateway_nothing_moves_by_itself(sail: Sail) -> None:
         assert [m for m in gateway.said if m["t"] == "input"] == []
 
     sail(story)
+
+
+def test_the_track_is_whole_again_after_the_link_to_the_gateway_was_lost(tmp_path: Path) -> None:
+    async def told() -> None:
+        gateway = Standin(two())
+        gateway.history = {1: hour(gateway.boats[0])}
+        async with sailing(tmp_path, gateway) as page:
+            assert await page.value("delfim.points(1)") >= 3600
+            *_, last = gateway.history[1]
+            gateway.history[1] += [[last[0] + 1 + n, *last[1:]] for n in range(60)]
+            gateway.at_s += 60.0
+            await gateway.hang_up()
+            while gateway.sockets:
+                await asyncio.sleep(0.01)
+            while not gateway.sockets:
+                await asyncio.sleep(0.01)
+            await gateway.frame()
+            await caught_up(page, gateway)
+            assert await page.value("delfim.points(1)") >= 3660
+
+    asyncio.run(told())
 
 
 def test_space_stops_one_boat_and_repeats_until_it_is_confirmed(sail: Sail) -> None:

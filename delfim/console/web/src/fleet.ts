@@ -65,6 +65,7 @@ export class Fleet {
     chart.add(layer(this.tails), 4);
     chart.add(layer(this.aboard), 2);
     chart.add(layer(this.live), 6);
+    state.on(["boats"], () => this.extend());
     state.on(["boats", "selection"], () => this.draw());
     state.on(["theme"], () => this.repaint());
   }
@@ -90,9 +91,25 @@ export class Fleet {
     this.draw();
   }
 
+  /** How many points of a boat's track are kept. */
+  points(id: number): number {
+    const shown = this.shown.get(id);
+    return shown ? shown.closed.length * (CHUNK - 1) + shown.points.length : 0;
+  }
+
   clearTracks(): void {
     for (const shown of this.shown.values()) this.forget(shown);
     this.draw();
+  }
+
+  /** By where the boats are now, and by nothing else: what is drawn for another reason, as after a reconnection, is older than the
+   * tracks that the gateway told. */
+  private extend(): void {
+    const { boats, at_s } = this.state;
+    for (const boat of boats) {
+      const place = position(boat);
+      if (place && at_s && freshness(age_s(this.state, boat)) !== "lost") this.append(this.of(boat), boat, at_s - (boat.age_s.position ?? 0), place);
+    }
   }
 
   private draw(): void {
@@ -132,7 +149,6 @@ export class Fleet {
     const place = position(boat);
     const lost = freshness(age_s(this.state, boat)) === "lost";
     this.dress(shown, boat, lost);
-    if (place && !lost && this.state.at_s) this.append(shown, boat, this.state.at_s - (boat.age_s.position ?? 0), place);
     const here = place && point(place);
     put(shown.symbol, here && new Point(here));
     put(shown.ring, here && boat.id === this.state.selected ? new Point(here) : null);

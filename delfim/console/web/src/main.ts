@@ -198,7 +198,7 @@ function pad(): void {
   chart.setPadding(innerWidth <= 700 ? [offsetHeight + 20, 30, 130, 30] : [40, 110, 60, offsetWidth + 30]);
 }
 
-/** For tests and for the curious: where a place is on the screen, how late it is, how often the map was drawn in the last second. */
+/** For tests and for the curious. `frames`: how often the map was drawn in the last second. */
 const drawn: number[] = [];
 const ofLastSecond = (): number => {
   while (drawn.length && drawn[0]! < performance.now() - 1000) drawn.shift();
@@ -216,6 +216,7 @@ Object.assign(window, {
       chart.map.renderSync();
     },
     at_s: () => state.at_s,
+    points: (boat: number) => fleet.points(boat),
     frames: ofLastSecond,
   },
 });
