@@ -445,6 +445,37 @@ def test_a_mission_is_drawn_by_touch(sail: Sail) -> None:
     sail(story)
 
 
+def test_the_finger_that_opened_a_menu_chooses_nothing_when_it_is_lifted(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
+        corner = 1300.0, 500.0  # the menu has no room beside the finger
+        await page.touch("Start", corner)
+        await page.until("!document.querySelector('.popup').hidden")
+        assert await page.value(f"document.elementFromPoint({corner[0]}, {corner[1]}).closest('.item') !== null")
+        heading = await page.value("document.querySelector('.popup header').textContent")
+        await page.touch("End")
+        await settled(page, gateway)
+        assert await page.value("document.querySelector('.popup header').textContent") == heading
+        assert [m for m in gateway.said if m["t"] == "command"] == []
+
+    sail(story)
+
+
+def test_the_second_click_of_two_in_a_row_chooses_nothing(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.value(
+            "document.querySelector('.chip').click();"
+            "const item = document.querySelectorAll('.item')[2];"
+            "item.dispatchEvent(new PointerEvent('pointerdown', { bubbles: true }));"
+            "item.dispatchEvent(new MouseEvent('click', { bubbles: true, detail: 2 }))"
+        )
+        await settled(page, gateway)
+        assert await page.value("!document.querySelector('.popup').hidden")
+        assert [m for m in gateway.said if m["t"] == "command"] == []
+
+    sail(story)
+
+
 def test_waypoints_are_ordered_deleted_and_given_speeds(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         mission = {**survey(), "name": "Square", "waypoints": waypoints(SQUARE), "fence": [], "obstacles": [], "home": None}

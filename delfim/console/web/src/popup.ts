@@ -4,6 +4,7 @@ import { make, text } from "./dom";
 const MARGIN_PX = 8;
 const AGAIN_MS = 400;
 const AGAIN_EVERY_MS = 60;
+const MEANT_MS = 300; // the second click of two in a row came too soon for what it hits to have been read
 
 export interface Item {
   title: string;
@@ -40,6 +41,8 @@ export class Popup {
   private open: Open | null = null;
   private at: [number, number] = [0, 0];
   private readonly box = make("div.popup");
+  private shownAt = 0;
+  private meant = false; // the pointer came down on what is shown, and not before it was
 
   constructor(parent: HTMLElement) {
     this.box.setAttribute("role", "menu");
@@ -47,6 +50,9 @@ export class Popup {
     parent.append(this.box);
     this.box.addEventListener("contextmenu", (event) => event.preventDefault());
     window.addEventListener("resize", () => this.close());
+    this.box.addEventListener("pointerdown", () => (this.meant = performance.now() - this.shownAt > MEANT_MS), { capture: true });
+    // A finger that opened the menu by a long press is on it when it is lifted. Clicks of no pointer have no detail.
+    this.box.addEventListener("click", (event) => event.detail && !this.meant && event.stopPropagation(), { capture: true });
   }
 
   get isOpen(): boolean {
@@ -108,6 +114,7 @@ export class Popup {
 
   private place(): void {
     this.box.hidden = false;
+    [this.shownAt, this.meant] = [performance.now(), false];
     const { width, height } = this.box.getBoundingClientRect();
     const clamp = (wanted: number, size: number, room: number) => Math.max(MARGIN_PX, Math.min(wanted, room - size - MARGIN_PX));
     this.box.style.left = `${clamp(this.at[0] + 6, width, innerWidth)}px`;
