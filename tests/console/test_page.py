@@ -448,7 +448,7 @@ def test_a_mission_is_drawn_by_touch(sail: Sail) -> None:
 def test_the_finger_that_opened_a_menu_chooses_nothing_when_it_is_lifted(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=2)
-        corner = 1300.0, 500.0  # the menu has no room beside the finger
+        corner = 1100.0, 700.0  # the menu has no room beside the finger
         await page.touch("Start", corner)
         await page.until("!document.querySelector('.popup').hidden")
         assert await page.value(f"document.elementFromPoint({corner[0]}, {corner[1]}).closest('.item') !== null")
@@ -582,6 +582,31 @@ def test_on_a_phone_every_boat_is_in_sight_and_nothing_is_cut_off(tmp_path: Path
             boxes = await page.value(f"{all_boxes}.map(({{ left, right, bottom }}) => [left, right, bottom])")
             assert len(boxes) == 20
             assert all(left >= 0 and right <= 390 and bottom <= 780 * 0.38 for left, right, bottom in boxes)
+
+    asyncio.run(told())
+
+
+def test_nothing_covers_the_stop_corner_even_on_a_phone(tmp_path: Path) -> None:
+    async def told() -> None:
+        gateway = Standin(two())
+        async with gateway.serving(), browser(tmp_path) as page:
+            await opened(page, gateway, width=390, height=780)
+            boxes = await page.value(
+                "['stop', 'stop-all'].map(id => document.getElementById(id).getBoundingClientRect())"
+                ".map(({ x, y, width, height }) => [x + width / 2, y + height / 2])"
+            )
+            for what in ("map", "boat", "card"):
+                if what == "map":
+                    await page.mouse((300.0, 640.0))
+                else:
+                    await page.press("F1" if what == "card" else "Enter")
+                await page.until("document.querySelector('.popup:not([hidden]), .card:not([hidden])') !== null")
+                for at in boxes:
+                    assert await page.value(f"document.elementFromPoint(...{at}).closest('#corner') !== null"), what
+                    assert await page.value(f"document.elementsFromPoint(...{at}).every(e => !e.closest('.popup, .card'))"), (
+                        what
+                    )
+                await page.press("Escape")
 
     asyncio.run(told())
 

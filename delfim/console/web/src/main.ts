@@ -32,7 +32,7 @@ const messages = new Messages(element("messages"), state, sound);
 const net = new Net(heard, online);
 const drive = new Drive(net, state, () => strips.draw(false));
 const actions = new Actions(net, state, drive, (boat, severity, words) => messages.say(boat, severity, words), () => corner.draw());
-const popup = new Popup(document.body);
+const popup = new Popup(document.body, element("corner"));
 const keyCard = card(document.body);
 const chart = new Chart(element("map"), { click, press, hover });
 const fleet = new Fleet(chart, state);
