@@ -51,7 +51,7 @@ GRACE_S: Final = 0.05  # for the last cycle of a slice
 
 
 class Plan(NamedTuple):
-    """What is measured. Every round of a rate and a load has a slice for each competitor and two for C."""
+    """What is measured. Every round of a rate and a load has a slice for each competitor and, among several, two for C."""
 
     rates_hz: tuple[float, ...]
     loads: tuple[str, ...]
@@ -60,8 +60,10 @@ class Plan(NamedTuple):
     rounds: int
 
     def turns(self, load: str, number: int) -> list[str]:
-        """The order of a round: back and forth, C at both ends."""
+        """The order of a round: back and forth, C at both ends; two take turns."""
         others = [key for key in self.competitors if key != "c" and not (key == "apart" and load == "idle")]
+        if len(others) == 1:
+            return [*others, "c"] if number % 2 else ["c", *others]
         return ["c", *(others if number % 2 else reversed(others)), "c"]
 
     def slices(self) -> int:
@@ -103,11 +105,12 @@ def run(asked: argparse.Namespace) -> int:
 
 def planned(asked: argparse.Namespace) -> Plan:
     """The plan that the options ask for."""
+    if asked.long:
+        rates_hz, seconds = tuple(asked.rates or (100.0,)), asked.seconds or 60.0
+        rounds = asked.rounds or -int(-LONG_CYCLES // (min(rates_hz) * seconds))
+        return Plan(rates_hz, ("full load",), ("c", "delfim"), seconds, rounds)
     competitors = tuple(LABELS) if _has_uvloop() else tuple(key for key in LABELS if key != "uvloop")
     rates_hz = tuple(asked.rates or RATES_HZ)
-    if asked.long:
-        seconds = asked.seconds or 60.0
-        return Plan((100.0,), ("full load",), ("c", "delfim"), seconds, -int(-LONG_CYCLES // (100.0 * seconds)))
     seconds, rounds = asked.seconds or (1.0 if asked.quick else 5.0), asked.rounds or (1 if asked.quick else 4)
     return Plan(rates_hz, ("idle", "full load"), competitors, seconds, rounds)
 

@@ -85,6 +85,12 @@ def test_long_run_is_as_long_as_the_one_of_the_thesis() -> None:
     plan = critical_path.planned(asked(long=True))
     assert plan.rates_hz == (100.0,)
     assert LONG_CYCLES <= plan.rounds * plan.seconds * 100 < LONG_CYCLES + 6000
+    assert [plan.turns("full load", number) for number in range(2)] == [["c", "delfim"], ["delfim", "c"]]
+
+
+def test_a_long_run_at_another_rate_is_as_long_as_asked() -> None:
+    plan = critical_path.planned(asked(long=True, rates=[5.0], rounds=4))
+    assert plan == Plan((5.0,), ("full load",), ("c", "delfim"), 60.0, 4)
 
 
 def test_a_slice_takes_its_own_cycles() -> None:
