@@ -164,6 +164,19 @@ def test_manual_keys_move_both_thrusters_or_one(sail: Sail) -> None:
     sail(story)
 
 
+def test_thrust_is_set_from_the_menu_too(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("m")
+        await gateway.until(is_input(0, 0))
+        await page.value("document.querySelector('.chip').click()")
+        await choose(page, "Thrust…")
+        for key in ("ArrowRight", "ArrowRight", "ArrowDown", "ArrowLeft", "Enter"):
+            await page.press(key)
+        await gateway.until(is_input(10, -5))
+
+    sail(story)
+
+
 def test_a_boat_left_in_manual_keeps_its_own_thrust(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         await page.press("m")

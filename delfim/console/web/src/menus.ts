@@ -44,7 +44,9 @@ export class Menus {
       ...modes,
       "line",
       { title: "Heading…", do: () => this.headingForm(boat, at) },
-      { title: "Speed…", key: "0 … 8", do: () => this.speedForm(boat, at) },
+      this.actions.byHand(boat)
+        ? { title: "Thrust…", key: "0 … 8", do: () => this.thrustForm(boat, at) }
+        : { title: "Speed…", key: "0 … 8", do: () => this.speedForm(boat, at) },
       "line",
       { title: "Mission", sub: () => this.mission(boat) },
       { title: "More", sub: () => this.more(boat) },
@@ -109,6 +111,18 @@ export class Menus {
       return "";
     };
     this.popup.form(at, `${boat.name}: speed`, [field], live, (ok) => ok && this.actions.speed(boat, "both", speed));
+  }
+
+  /** Driving by hand without keys. */
+  private thrustForm(boat: Boat, at: Pixel): void {
+    const field = (title: string, value: number): Field => ({ title, unit: "%", value, step: 5, least: -100, most: 100 });
+    let thrust = this.actions.thrust_pct(boat);
+    const live = ([port, starboard]: number[]) => {
+      thrust = [port!, starboard!];
+      return "";
+    };
+    const done = (ok: boolean) => ok && this.actions.byHand(boat) && this.actions.setThrust(boat, ...thrust);
+    this.popup.form(at, `${boat.name}: thrust`, [field("Port", thrust[0]), field("Starboard", thrust[1])], live, done);
   }
 
   private more(boat: Boat): Entry[] {
