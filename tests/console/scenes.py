@@ -189,9 +189,11 @@ async def work(page: Page, picture: Picture) -> None:
         await page.mouse(await pixel(page, *SURVEY[2]))
         for _ in range(2):
             await page.press("ArrowDown")
+        await gateway.frame(0.0)
         await picture("waypoint")
         await page.press("Escape")
         await page.press("F1")
+        await gateway.frame(0.0)
         await picture("keys")
         await page.press("F1")
         await silent(page, gateway, day, picture)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.console.scenes import at_work, caught_up, choose, fleet, hour, opened, pixel, show, survey, waypoints
+from tests.console.scenes import SURVEY, at_work, caught_up, choose, fleet, hour, opened, pixel, show, survey, waypoints
 from tests.console.standin import M_PER_DEG, Message, Standin, boat, place
 from tests.services.browser import PROGRAM, Page, browser
 
@@ -624,13 +624,26 @@ def test_nothing_covers_the_stop_corner_even_on_a_phone(tmp_path: Path) -> None:
     asyncio.run(told())
 
 
-def test_in_a_replay_there_is_no_stop_where_nothing_can_be_stopped(tmp_path: Path) -> None:
+def test_in_a_replay_nothing_is_offered_that_cannot_be_done(tmp_path: Path) -> None:
     async def told() -> None:
         gateway = at_work()
         gateway.hello["replay"] = {"from_s": gateway.at_s - 100, "to_s": gateway.at_s + 100}
         async with sailing(tmp_path, gateway) as page:
             assert await page.value("document.getElementById('stop').getClientRects().length") == 0
             assert await page.value("document.getElementById('replay').getClientRects().length") == 1
+            for key in "imhgpyxr5":
+                await page.press(key)
+            await page.value("document.querySelector('.chip').click()")
+            await page.until("document.querySelector('.item') !== null")
+            assert await page.value("document.querySelector('.item .title').textContent") == "Ruler from here"
+            await page.press("Escape")
+            await page.mouse(await pixel(page, *SURVEY[3]))
+            await page.until("document.querySelector('.item') !== null")
+            assert await page.value("document.querySelector('.item .title').textContent") == "Ruler from here"
+            await page.press("Escape")
+            await page.press(" ")
+            await gateway.until(lambda m: m["t"] == "replay")
+            assert {m["t"] for m in gateway.said} == {"replay"}
 
     asyncio.run(told())
 

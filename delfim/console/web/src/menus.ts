@@ -32,6 +32,7 @@ export class Menus {
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
+    if (this.state.replaying) return this.popup.menu(at, { title: boat.name, colour: boat.colour }, this.view(boat.latitude_deg === null ? null : (boat as Place)));
     const modes: Entry[] = MODES.map(({ key, mode, title }) => ({
       title,
       key,
@@ -55,7 +56,7 @@ export class Menus {
 
   /** The menu of the bare map. */
   map(place: Place, at: Pixel): void {
-    const boat = this.state.boat;
+    const boat = this.state.replaying ? null : this.state.boat;
     this.popup.menu(at, { title: position(place) }, [...(boat ? this.here(boat, place) : []), ...this.view(place)]);
   }
 
@@ -224,9 +225,9 @@ export class Menus {
     return [...entries, "line"];
   }
 
-  private view(place: Place): Entry[] {
+  private view(place: Place | null): Entry[] {
     const entries: Entry[] = [
-      { title: "Ruler from here", do: () => this.plans.measure(place) },
+      { title: "Ruler from here", refuse: place ? undefined : "its position is not known", do: () => this.plans.measure(place) },
       { title: "Show everything", do: () => this.chart.fit(this.everything(), 250) },
       { title: "Screen", sub: () => this.screen() },
       { title: "Keys", key: "F1", do: this.card },
