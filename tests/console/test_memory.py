@@ -22,7 +22,7 @@ HOUR_S = 3600
 
 
 class Day:
-    """Ten boats that speak twice a minute, are steered by hand and commanded, and say something new each time. Ten minutes
+    """Ten boats that speak once a minute, are steered by hand and commanded, and say something new each time. Ten minutes
     bring each another address, an hour another mission. That they do not speak ten times a second leaves no less behind: tracks
     have a point a second at most, and are full from the beginning, as after ten hours; all else is what was said last.
     """
@@ -42,10 +42,10 @@ class Day:
         for _ in range(count):
             for number in self.gateway.fleet.boats:
                 self.gateway.fleet.put(number, survey() | {"name": f"from {self.clock.monotonic_s():.0f} s on"})
-            for second in range(0, HOUR_S, 30):
+            for second in range(0, HOUR_S, 60):
                 self._port += 10 if second % 600 == 0 else 0
                 self._speak(second)
-                for _ in range(60):
+                for _ in range(120):
                     self.clock.advance(0.5)
                     self.gateway.tick()
 

@@ -676,7 +676,7 @@ def test_ten_boats_with_an_hour_of_track_each_are_drawn_thirty_times_a_second_wh
         gateway = Standin(boats)
         gateway.history = {each["id"]: hour(each) for each in boats}
         async with sailing(tmp_path, gateway) as page:
-            drawn = [await second_of_moving(page, gateway, how) for _ in range(3)]
+            drawn = [await second_of_moving(page, gateway, how) for _ in range(2)]
             async with asyncio.timeout(60):
                 while max(drawn) < 30:
                     drawn.append(await second_of_moving(page, gateway, how))
