@@ -39,6 +39,8 @@ SLACK_S = 1.5  # what a busy machine may add to it
 WATCHED = 8  # cycles: longer than the page, the gateway and the boat need to do something that they should not
 PRESSES = 50
 ACK_S = 1.0  # key to acknowledge; the contract says 50 ms, of a machine that has nothing else to do
+READ_MS = 350  # a menu takes no tap before
+ITEM = "[...document.querySelectorAll('.item')].find(i => i.querySelector('.title').firstChild.data === '{}')"
 WITHIN_M = 12.0  # of the last waypoint: its acceptance radius, and that of holding, and the way to stop
 
 pytestmark = pytest.mark.timeout(300)  # the boats sail in real time
@@ -252,10 +254,10 @@ async def by_touch(page: Page, boat: Boat) -> tuple[float, float]:
 
 
 async def tapped(page: Page, title: str) -> None:
-    """Tap on an item of the open menu."""
-    await tap(
-        page, f"[...document.querySelectorAll('.item')].find(i => i.querySelector('.title').firstChild.data === {title!r})"
-    )
+    """Tap on an item of the open menu, once it was there long enough to be read."""
+    await page.until(f"Boolean({ITEM.format(title)})")
+    await page.value(f"new Promise(done => setTimeout(done, {READ_MS}))")
+    await tap(page, ITEM.format(title))
 
 
 async def tap(page: Page, element: str) -> None:
