@@ -20,6 +20,21 @@ class SystemClock:
     time_ns = staticmethod(time.time_ns)
 
 
+class WakefulClock:
+    """Of a computer that may be put to sleep, as a laptop is: `monotonic_s` goes on meanwhile. `time.monotonic` stands still on
+    Linux and macOS: what was said before the sleep would be as if said just now. CLOCK_BOOTTIME counts it on Linux,
+    CLOCK_MONOTONIC on macOS, and `time.monotonic` on Windows.
+    """
+
+    time_ns = staticmethod(time.time_ns)
+
+    def monotonic_s(self) -> float:
+        return time.monotonic() if _BOOT is None else time.clock_gettime(_BOOT)
+
+
+_BOOT: int | None = getattr(time, "CLOCK_BOOTTIME", getattr(time, "CLOCK_MONOTONIC", None))
+
+
 class ManualClock:
     """A clock that stands still until it is told to advance: tests and lock-step simulation."""
 

@@ -94,12 +94,7 @@ def run_watchers(asked: argparse.Namespace) -> int:
     """The command. Returns 0 when everything was measured, 1 where a client that is awake lost frames."""
     seconds, rounds = _length(asked)
     turns = defaultdict[str, list[Turn]](list)
-    with contextlib.ExitStack() as links:
-        place = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="delfim-bench-")))
-        (place / "delfim").mkdir()
-        team = links.enter_context(_team(asked, place))
-        look = links.enter_context(Onlooker(team.interface))
-        clients = links.enter_context(_clients())
+    with _afloat(asked) as (_, team, look), _clients() as clients:
         for number in range(rounds):
             for watchers in (0, WATCHERS, 0):
                 _say(f"{watchers} clients, round {number + 1} of {rounds}")
@@ -121,12 +116,10 @@ def run_downloads(asked: argparse.Namespace) -> int:
     seconds, rounds = _length(asked)
     turns = defaultdict[str, list[Turn]](list)
     rates = defaultdict[str, list[float]](list)
-    with contextlib.ExitStack() as links:
-        place = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="delfim-bench-")))
-        (place / "delfim").mkdir()
-        team = links.enter_context(_team(asked, place))
-        look = links.enter_context(Onlooker(team.interface))
-        downloads = links.enter_context(Downloads(asked.set, asked.file, place / "delfim" / "log", place))
+    with (
+        _afloat(asked) as (place, team, look),
+        Downloads(asked.set, asked.file, place / "delfim" / "log", place) as downloads,
+    ):
         for number in range(rounds):
             for how in ("", *(("FTP", "SFTP") if number % 2 else ("SFTP", "FTP")), ""):
                 _say(f"{how or 'no'} download, round {number + 1} of {rounds}")
@@ -148,12 +141,7 @@ def run_datagrams(asked: argparse.Namespace) -> int:
     """The command. Returns 0 when everything was measured, 1 where the datagrams moved the boat."""
     seconds, rounds = _length(asked)
     turns = defaultdict[str, list[Turn]](list)
-    with contextlib.ExitStack() as links:
-        place = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="delfim-bench-")))
-        (place / "delfim").mkdir()
-        team = links.enter_context(_team(asked, place))
-        look = links.enter_context(Onlooker(team.interface))
-        sender = links.enter_context(_clients("delfim.bench.fuzz"))
+    with _afloat(asked) as (_, team, look), _clients("delfim.bench.fuzz") as sender:
         for number in range(rounds):
             for its in (None, sender, None):
                 _say(f"{'fuzzed' if its else 'no'} datagrams, round {number + 1} of {rounds}")
@@ -172,6 +160,16 @@ def run_datagrams(asked: argparse.Namespace) -> int:
 def _length(asked: argparse.Namespace) -> tuple[float, int]:
     """Seconds of a slice, and rounds."""
     return asked.seconds or (QUICK_SECONDS if asked.quick else SECONDS), asked.rounds or (1 if asked.quick else 3)
+
+
+@contextlib.contextmanager
+def _afloat(asked: argparse.Namespace) -> Iterator[tuple[Path, Team, Onlooker]]:
+    """A place, this program in it, and who looks on."""
+    with tempfile.TemporaryDirectory(prefix="delfim-bench-") as name:
+        place = Path(name)
+        (place / "delfim").mkdir()
+        with _team(asked, place) as team, Onlooker(team.interface) as look:
+            yield place, team, look
 
 
 @contextlib.contextmanager

@@ -1,7 +1,8 @@
 """All boats, and everything that is said to them: the truth of the console. No socket and no clock in here.
 
 The dead-man chain (docs/console.md): the page's input is passed on as it comes and never repeated; when none came for INPUT_S
-the boat is told zero once, and then nothing, so that its own time-out counts. A boat or page that comes back moves nothing.
+the boat is told zero once, and then nothing, so that its own time-out counts. A boat or page that comes back moves nothing,
+and neither does a console that slept: what pages said before or meanwhile is refused, but for stop.
 """
 
 import math
@@ -19,7 +20,7 @@ from delfim.errors import FormatError, Refused
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
 INPUT_S: Final = 0.6
-DEAF_S: Final = 1.0  # after a sleep, to inputs: so long a page has to see that it was released
+DEAF_S: Final = 1.0  # after a sleep, to what pages say: so long a page has to see that it was released
 BOATS_MAX: Final = 32
 PEERS_MAX: Final = 64
 AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -69,7 +70,7 @@ class Fleet:
         self._routes: dict[int, Address] = {}
         self._requests = Requests(self._send)
         self._inputs: dict[int, tuple[int, float]] = {}  # by boat in manual: number and time of the last input
-        self._ticked_s, self._deaf_until_s = clock.monotonic_s(), -math.inf
+        self._ticked_s, self._deaf_until_s, self._slept_s = clock.monotonic_s(), -math.inf, 0.0
         self._transfers: dict[int, Upload | Download] = {}
         self._beat_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
@@ -157,10 +158,8 @@ class Fleet:
     def tick(self) -> None:
         """Due ten times a second or more."""
         now_s = self._clock.monotonic_s()
-        if (
-            now_s - self._ticked_s > INPUT_S
-        ):  # this computer slept: what pages said meanwhile is old, and they are to learn of it
-            self._deaf_until_s = now_s + DEAF_S
+        if now_s - self._ticked_s > INPUT_S:  # what pages said meanwhile is old, and they are to learn of it
+            self._slept_s, self._deaf_until_s = now_s - self._ticked_s, now_s + DEAF_S
             self.release_all("the console slept")
         self._ticked_s = now_s
         if now_s - self._beat_s >= HEARTBEAT_S:
@@ -197,6 +196,8 @@ class Fleet:
         """A word of the page. Raises Refused for what cannot be asked; otherwise `answer` is called once, when the boat has
         answered or has not."""
         boat, now_s = self._boat(number), self._clock.monotonic_s()
+        if self._asleep_s(now_s) > LIFE_S and ENTERS.get(word, word) != "idle":
+            raise Refused("the console slept: say it again")
         if word != "manual":
             self._inputs.pop(number, None)
         if word == "profile":
@@ -216,13 +217,17 @@ class Fleet:
         boat = self._boat(number)
         last, _ = self._inputs.get(number, (-1, 0.0))
         now_s = self._clock.monotonic_s()
-        if now_s - self._ticked_s > INPUT_S or now_s < self._deaf_until_s:
+        if self._asleep_s(now_s) > INPUT_S:
             return
         if count <= last or not (math.isfinite(port_pct) and math.isfinite(starboard_pct)):
             return
         self._inputs[number] = count, now_s
         boat.released = False
         self._thrust(number, port_pct, starboard_pct)
+
+    def _asleep_s(self, now_s: float) -> float:
+        """How long this computer slept, if it does or did just now: so old may be what is heard from a page."""
+        return self._slept_s if now_s < self._deaf_until_s else now_s - self._ticked_s
 
     def release(self, number: int, why: str) -> None:
         """Nobody steers this boat any more: zero once, then silence."""

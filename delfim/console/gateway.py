@@ -23,7 +23,7 @@ from typing import Any, Final, cast
 from aiohttp import WSMsgType, web
 
 from delfim import __version__
-from delfim.clock import Clock, SystemClock
+from delfim.clock import Clock, WakefulClock
 from delfim.console.browser import show
 from delfim.console.charts import Charts
 from delfim.console.dryrun import dry_run
@@ -408,7 +408,7 @@ def run(asked: argparse.Namespace) -> int:
     token = "" if ip_address(host).is_loopback else secrets.token_urlsafe(12)
     tapes = open_tapes([Path(each) for each in asked.replay]) if asked.replay else []
     gateway = Gateway(
-        SystemClock(),
+        WakefulClock(),
         Path(asked.missions),
         Key(Path(asked.key)) if asked.key else None,
         token,

@@ -149,8 +149,15 @@ Picture: TypeAlias = Callable[[str], Awaitable[None]]
 async def opened(page: Page, gateway: Standin, *, width: int = SIZE[0], height: int = SIZE[1], dark: bool = False) -> None:
     await page.open(gateway.address, width=width, height=height, scale=1.0, dark=dark)
     await page.until("window.delfim !== undefined")
+    while not gateway.sockets:
+        await asyncio.sleep(0.01)
     await gateway.frame()
-    await page.until("document.querySelectorAll('.chip').length > 0")
+    await caught_up(page, gateway)
+
+
+async def caught_up(page: Page, gateway: Standin) -> None:
+    """Wait until the page has taken the last frame, and with it all that was told before."""
+    await page.until(f"delfim.at_s() >= {gateway.at_s}", timeout_s=60.0)
 
 
 async def show(page: Page, south_m: float, west_m: float, north_m: float, east_m: float) -> None:
@@ -173,6 +180,7 @@ async def work(page: Page, picture: Picture) -> None:
         await page.press("Tab")
         await show(page, -150, -300, 180, 260)
         await day.sail(230)
+        await caught_up(page, gateway)
         await picture("day")
         await page.press("Enter")
         await page.press("ArrowDown")
@@ -181,9 +189,11 @@ async def work(page: Page, picture: Picture) -> None:
         await page.mouse(await pixel(page, *SURVEY[2]))
         for _ in range(2):
             await page.press("ArrowDown")
+        await gateway.frame(0.0)
         await picture("waypoint")
         await page.press("Escape")
         await page.press("F1")
+        await gateway.frame(0.0)
         await picture("keys")
         await page.press("F1")
         await silent(page, gateway, day, picture)
@@ -235,6 +245,7 @@ async def replayed(page: Page, picture: Picture) -> None:
         await opened(page, gateway)
         await show(page, -150, -300, 180, 260)
         await day.sail(180)
+        await caught_up(page, gateway)
         await picture("replay")
 
 
@@ -247,6 +258,7 @@ async def many(page: Page, picture: Picture) -> None:
             for each in boats:
                 each["rpm"] = [800 + 150 * math.sin(i / 30 + each["id"]), 830 + 150 * math.sin(i / 31 + each["id"])]
             await gateway.frame()
+        await caught_up(page, gateway)
         await picture("fleet")
 
 
@@ -291,6 +303,7 @@ async def phone(page: Page, picture: Picture) -> None:
         await page.press("Tab")
         await show(page, -130, -190, 110, 40)
         await day.sail(120)
+        await caught_up(page, gateway)
         await picture("phone")
 
 

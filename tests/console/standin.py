@@ -84,7 +84,7 @@ class Standin:
         self.obedient = True  # boats enter the mode they are told
         self.history: dict[int, list[list[float]]] = {}
         self.at_s = 1_790_000_000.0
-        self._sockets: set[web.WebSocketResponse] = set()
+        self.sockets: set[web.WebSocketResponse] = set()
         self.address = ""
 
     @contextlib.asynccontextmanager
@@ -103,7 +103,7 @@ class Standin:
             await runner.cleanup()
 
     async def tell(self, message: Message) -> None:
-        for socket in list(self._sockets):
+        for socket in list(self.sockets):
             with contextlib.suppress(ConnectionError, RuntimeError):
                 await socket.send_json(message)
 
@@ -113,7 +113,7 @@ class Standin:
         await self.tell({"t": "boats", "at_s": self.at_s, "boats": self.boats})
 
     async def hang_up(self) -> None:
-        for socket in list(self._sockets):
+        for socket in list(self.sockets):
             await socket.close()
 
     async def until(self, wanted: Callable[[Message], bool], timeout_s: float = 20.0) -> Message:
@@ -153,13 +153,13 @@ class Standin:
                 await socket.send_json(chunk)
         for number, mission in self.plans.items():
             await socket.send_json({"t": "mission", "boat": number, "where": "here", "mission": mission})
-        self._sockets.add(socket)  # as of the gateway: no frame comes between a track's pieces
+        self.sockets.add(socket)  # as of the gateway: no frame comes between a track's pieces
         try:
             async for message in socket:
                 if message.type is WSMsgType.TEXT:
                     await self._take(socket, message.json())
         finally:
-            self._sockets.discard(socket)
+            self.sockets.discard(socket)
         return socket
 
     async def _take(self, socket: web.WebSocketResponse, message: Message) -> None:

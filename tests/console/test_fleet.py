@@ -1,7 +1,6 @@
 """The console's truth against boats on good and bad links, on a clock of the test's own."""
 
 import random
-import tracemalloc
 from collections.abc import Callable
 from typing import Any
 
@@ -10,7 +9,7 @@ import pytest
 from delfim.clock import ManualClock
 from delfim.console import transfer
 from delfim.console.fleet import Fleet
-from delfim.console.mavlink import Key, keygen, mavlink
+from delfim.console.mavlink import Key, keygen
 from delfim.errors import ConfigError, FormatError, Refused
 from tests.console.fakeboat import FakeBoat, Radio
 
@@ -317,38 +316,6 @@ def test_tracks_hold_a_point_a_second_and_no_more_than_ten_hours(sea: Sea) -> No
     sea.run(60.0)
     assert 55 <= len(sea.fleet.boats[1].track) <= 65
     assert sea.fleet.boats[1].track.maxlen == 36_000
-
-
-def test_ten_boats_at_ten_hertz_need_no_more_memory_with_time(sea: Sea) -> None:
-    """What an hour leaves behind is bounded by what the console keeps: nothing else grows from one hour to the next."""
-    fleet = Fleet(sea.clock, lambda address, data: None, lambda message: None)
-    position = mavlink.MAVLink_global_position_int_message(0, 386_900_000, -92_150_000, 0, 0, 100, 50, 0, 9000)
-    codecs = [mavlink.MAVLink(None, n, 1) for n in range(1, 11)]
-    for codec in codecs:
-        beat = mavlink.MAVLink_heartbeat_message(11, 0, 1, 4, 4, 3)
-        fleet.receive(("udp", codec.srcSystem), beat.pack(codec))
-    frames = [position.pack(codec) for codec in codecs]
-
-    def sail(seconds: int) -> None:
-        for _ in range(seconds * 10):
-            sea.clock.advance(0.1)
-            for n, frame in enumerate(frames, 1):
-                fleet.receive(("udp", n), frame)
-            fleet.tick()
-
-    sail(60)
-    for boat in fleet.boats.values():  # as after ten hours
-        boat.track.extend((float(n), 38.69, -9.21) for n in range(36_000))
-    tracemalloc.start()
-    try:
-        sail(30)
-        before, _ = tracemalloc.get_traced_memory()
-        sail(60)
-        after, _ = tracemalloc.get_traced_memory()
-    finally:
-        tracemalloc.stop()
-    assert len(fleet.boats) == 10
-    assert after - before < 100_000, "bytes in a minute of 6,000 messages"
 
 
 def test_boats_are_never_mixed(sea: Sea) -> None:

@@ -7,6 +7,7 @@ import re
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import aiohttp
 import pytest
 from PIL import Image
 
-from delfim.clock import SystemClock
+from delfim.clock import Clock, ManualClock, SystemClock, WakefulClock
 from delfim.console import browser
 from delfim.console.gateway import Gateway, serve
 from delfim.console.replay import open_tapes
@@ -45,8 +46,8 @@ class Opened:
 
 
 @contextlib.asynccontextmanager
-async def opened(tmp_path: Path, **more: Any) -> AsyncIterator[Opened]:
-    gateway = Gateway(SystemClock(), tmp_path / "missions", vehicle=VEHICLE, **more)
+async def opened(tmp_path: Path, clock: Clock | None = None, **more: Any) -> AsyncIterator[Opened]:
+    gateway = Gateway(clock or SystemClock(), tmp_path / "missions", vehicle=VEHICLE, **more)
     ready = asyncio.get_running_loop().create_future()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -299,6 +300,52 @@ async def _steered(url: str, boat_end: socket.socket, gateway: "subprocess.Popen
         await asyncio.sleep(1.0)
         assert len(boat.thrust) == said
     loop.remove_reader(boat_end)
+
+
+def test_a_gateway_that_slept_sends_nothing_old_when_it_wakes(tmp_path: Path) -> None:
+    """What the page said before the laptop slept, and what it goes on saying, is heard after it woke up."""
+    clock = ManualClock(100.0)
+
+    async def main() -> None:
+        async with opened(tmp_path, clock) as sea, sea.session.ws_connect(sea.url + "ws") as page:
+            boat = sea.boats[0]
+
+            async def steer(count: int) -> None:
+                await page.send_json({"t": "input", "boat": 1, "n": count, "port_pct": 30, "starboard_pct": 30})
+
+            async def ask(command: str) -> dict[str, Any]:
+                await page.send_json({"t": "command", "seq": 1, "boat": 1, "command": command})
+                return await sea.until(page, lambda m: m["t"] == "answer")
+
+            await sea.until(page, lambda m: boat_in(m, 1))
+            await ask("manual")
+            await steer(0)
+            async with asyncio.timeout(20):
+                while not boat.thrust:
+                    await asyncio.sleep(0.01)
+            clock.advance(8.0)
+            for count in range(1, 6):
+                await steer(count)
+            assert (await ask("play"))["reason"] == "the console slept: say it again"
+            await sea.until(page, lambda m: boat_in(m, 1).get("released"))
+            assert (await ask("stop"))["ok"]
+            assert boat.thrust == [(300, 0), (0, 0)]
+            assert [command for command, *_ in boat.obeyed] == [176, 176], "manual before, and stop"
+            for _ in range(3):
+                clock.advance(0.5)
+                now_s = clock.time_ns() / 1e9
+                await sea.until(page, lambda m, now_s=now_s: m["t"] == "boats" and m["at_s"] >= round(now_s, 3))
+            assert (await ask("manual"))["ok"], "the operator took it again"
+
+    asyncio.run(main())
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="CLOCK_BOOTTIME is Linux's")
+def test_the_consoles_clock_counts_the_time_asleep() -> None:
+    """As CLOCK_BOOTTIME does, and not CLOCK_MONOTONIC."""
+    before_s = time.clock_gettime(time.CLOCK_BOOTTIME)
+    now_s = WakefulClock().monotonic_s()
+    assert before_s <= now_s <= time.clock_gettime(time.CLOCK_BOOTTIME)
 
 
 @pytest.mark.parametrize("there", [True, False])

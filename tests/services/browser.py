@@ -95,16 +95,17 @@ class Page:
 
     async def mouse(self, *points: tuple[float, float]) -> None:
         """Press the button at the first point, drag along the others, let go at the last."""
-        await self._mouse("mouseMoved", points[0], 0)
-        await self._mouse("mousePressed", points[0], 1)
+        await self.pointer("mouseMoved", points[0], 0)
+        await self.pointer("mousePressed", points[0], 1)
         for point in points[1:]:
-            await self._mouse("mouseMoved", point, 1)
-        await self._mouse("mouseReleased", points[-1], 0)
+            await self.pointer("mouseMoved", point, 1)
+        await self.pointer("mouseReleased", points[-1], 0)
 
     async def point(self, x: float, y: float) -> None:
-        await self._mouse("mouseMoved", (x, y), 0)
+        await self.pointer("mouseMoved", (x, y), 0)
 
-    async def _mouse(self, kind: str, point: tuple[float, float], buttons: int) -> None:
+    async def pointer(self, kind: str, point: tuple[float, float], buttons: int) -> None:
+        """`kind` is mouseMoved, mousePressed or mouseReleased."""
         words = {"x": point[0], "y": point[1], "buttons": buttons, "clickCount": 0 if kind == "mouseMoved" else 1}
         button = "none" if kind == "mouseMoved" and not buttons else "left"
         await self.call("Input.dispatchMouseEvent", type=kind, button=button, **words)

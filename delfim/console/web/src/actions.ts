@@ -129,6 +129,16 @@ export class Actions {
     void this.net.ask({ t: "replay", ...to });
   }
 
+  /** What is set by hand, port and starboard, %. */
+  thrust_pct(boat: Boat): [number, number] {
+    const hand = this.drive.hand(boat.id);
+    return hand ? [hand.port_pct, hand.starboard_pct] : [0, 0];
+  }
+
+  setThrust(boat: Boat, port_pct: number, starboard_pct: number): void {
+    this.drive.setBoth(boat.id, port_pct, starboard_pct);
+  }
+
   byHand(boat: Boat): boolean {
     return this.inMode(boat, "manual");
   }

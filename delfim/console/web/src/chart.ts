@@ -12,7 +12,6 @@ import type BaseLayer from "ol/layer/Base";
 import Graticule from "ol/layer/Graticule";
 import ImageLayer from "ol/layer/Image";
 import TileLayer from "ol/layer/Tile";
-import type VectorLayer from "ol/layer/Vector";
 import { fromLonLat, toLonLat, transformExtent } from "ol/proj";
 import ImageStatic from "ol/source/ImageStatic";
 import XYZ from "ol/source/XYZ";
@@ -94,7 +93,7 @@ export class Chart {
     this.showGraticule();
   }
 
-  add(layer: VectorLayer, order: number): void {
+  add(layer: BaseLayer, order: number): void {
     layer.setZIndex(order);
     this.map.addLayer(layer);
   }

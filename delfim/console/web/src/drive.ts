@@ -66,6 +66,12 @@ export class Drive {
     this.send(id, hand);
   }
 
+  setBoth(id: number, port_pct: number, starboard_pct: number): void {
+    const hand = this.taken(id);
+    [hand.port_pct, hand.starboard_pct] = [limited(port_pct), limited(starboard_pct)];
+    this.send(id, hand);
+  }
+
   /** More of the common speed, %. */
   faster(id: number, which: Thrusters, by: number): void {
     const hand = this.taken(id);

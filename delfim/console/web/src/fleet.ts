@@ -3,9 +3,10 @@ import Feature from "ol/Feature";
 import { Circle, LineString, Point } from "ol/geom";
 import Polygon, { circular } from "ol/geom/Polygon";
 import VectorLayer from "ol/layer/Vector";
+import VectorImageLayer from "ol/layer/VectorImage";
 import VectorSource from "ol/source/Vector";
 import { Circle as Disc, Fill, Icon, Stroke, Style, Text } from "ol/style";
-import type { Chart } from "./chart";
+import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
 import { towards } from "./geo";
 import { inked, palette, theme } from "./palette";
@@ -14,10 +15,21 @@ import { age_s, ageWords, freshness } from "./state";
 import type { Boat, Place } from "./wire";
 
 const CHUNK = 500;
-const CHUNKS_MOST = 220; // 30 hours at a point a second
+const CHUNKS_MOST = 72; // ten hours at a point a second: what the gateway keeps
 const EVERY_S = 1;
 const AHEAD_S = 60;
 const RAD = Math.PI / 180;
+const LETTER_PX = 8;
+const LINE_PX = 18;
+const MARK_PX = 12; // what a waypoint's disc reaches
+
+/** Where a name may stand beside its boat. */
+const SIDES = [
+  { x: 24, y: 0, align: "left", from: 0 },
+  { x: -24, y: 0, align: "right", from: 1 },
+  { x: 0, y: 36, align: "center", from: 0.5 },
+  { x: 0, y: -36, align: "center", from: 0.5 },
+] as const;
 
 interface Shown {
   symbol: Feature<Point>;
@@ -31,6 +43,8 @@ interface Shown {
   closed: Feature<LineString>[];
   last_s: number;
   icon: Icon | null;
+  name: Text | null;
+  side: (typeof SIDES)[number];
   look: string;
 }
 
@@ -43,24 +57,25 @@ export class Fleet {
   private aboardKey = "";
 
   constructor(
-    chart: Chart,
+    private readonly chart: Chart,
     private readonly state: State,
   ) {
     const layer = (source: VectorSource) => new VectorLayer({ source, updateWhileAnimating: true, updateWhileInteracting: true });
-    chart.add(layer(this.closedTracks), 4);
+    chart.add(new VectorImageLayer({ source: this.closedTracks, imageRatio: 2 }), 4); // one picture, moved and scaled while the view moves
     chart.add(layer(this.tails), 4);
     chart.add(layer(this.aboard), 2);
     chart.add(layer(this.live), 6);
+    state.on(["boats"], () => this.extend());
     state.on(["boats", "selection"], () => this.draw());
     state.on(["theme"], () => this.repaint());
   }
 
   /** The boat whose symbol is nearest to this pixel, within reach. */
-  at(chart: Chart, pixel: [number, number], reach_px: number): Boat | null {
+  at(pixel: Pixel, reach_px: number): Boat | null {
     let [best, least] = [null as Boat | null, reach_px];
     for (const boat of this.state.boats) {
       const place = position(boat);
-      const its = place && chart.pixelOf(place);
+      const its = place && this.chart.pixelOf(place);
       const far = its ? Math.hypot(its[0] - pixel[0], its[1] - pixel[1]) : Infinity;
       if (far <= least) [best, least] = [boat, far];
     }
@@ -76,14 +91,57 @@ export class Fleet {
     this.draw();
   }
 
+  /** How many points of a boat's track are kept. */
+  points(id: number): number {
+    const shown = this.shown.get(id);
+    return shown ? shown.closed.length * (CHUNK - 1) + shown.points.length : 0;
+  }
+
   clearTracks(): void {
     for (const shown of this.shown.values()) this.forget(shown);
     this.draw();
   }
 
+  /** By where the boats are now, and by nothing else: what is drawn for another reason, as after a reconnection, is older than the
+   * tracks that the gateway told. */
+  private extend(): void {
+    const { boats, at_s } = this.state;
+    for (const boat of boats) {
+      const place = position(boat);
+      if (place && at_s && freshness(age_s(this.state, boat)) !== "lost") this.append(this.of(boat), boat, at_s - (boat.age_s.position ?? 0), place);
+    }
+  }
+
   private draw(): void {
-    for (const boat of this.state.boats) this.drawBoat(boat);
+    const marks = this.marks();
+    for (const boat of this.state.boats) {
+      this.drawBoat(boat);
+      this.placeName(this.of(boat), boat, marks);
+    }
     this.drawAboard();
+  }
+
+  /** What a name must not hide: the numbers of the waypoints, and boats. */
+  private marks(): Pixel[] {
+    const { boats, selected } = this.state;
+    const waypoints = selected === null ? [] : this.state.plan(selected).mission.waypoints;
+    return [...waypoints, ...boats.flatMap((boat) => position(boat) ?? [])].flatMap((place) => {
+      const pixel = this.chart.pixelOf(place);
+      return pixel ? [pixel] : [];
+    });
+  }
+
+  /** A name stays where it is until something is there, so that it does not hop about. */
+  private placeName(shown: Shown, boat: Boat, marks: Pixel[]): void {
+    const place = position(boat);
+    const its = place && this.chart.pixelOf(place);
+    const width = LETTER_PX * (shown.name?.getText()?.length ?? 0);
+    const free = ({ x, y, from }: Shown["side"]) =>
+      its && !marks.some(([i, j]) => Math.abs(j - its[1] - y) < LINE_PX / 2 + MARK_PX && Math.abs(i - its[0] - x - (0.5 - from) * width) < width / 2 + MARK_PX);
+    shown.side = [shown.side, ...SIDES].find(free) ?? shown.side;
+    shown.name?.setOffsetX(shown.side.x);
+    shown.name?.setOffsetY(shown.side.y);
+    shown.name?.setTextAlign(shown.side.align);
   }
 
   private drawBoat(boat: Boat): void {
@@ -91,7 +149,6 @@ export class Fleet {
     const place = position(boat);
     const lost = freshness(age_s(this.state, boat)) === "lost";
     this.dress(shown, boat, lost);
-    if (place && !lost && this.state.at_s) this.append(shown, boat, this.state.at_s - (boat.age_s.position ?? 0), place);
     const here = place && point(place);
     put(shown.symbol, here && new Point(here));
     put(shown.ring, here && boat.id === this.state.selected ? new Point(here) : null);
@@ -120,12 +177,14 @@ export class Fleet {
       closed: [],
       last_s: -Infinity,
       icon: null,
+      name: null,
+      side: SIDES[0],
       look: "",
     };
     this.shown.set(boat.id, shown);
     const { tail, ghost, ghostSymbol, reference: to, course, ring, symbol } = shown;
-    this.tails.addFeature(tail);
-    this.live.addFeatures([ghost, ghostSymbol, to, course, ring, symbol]);
+    this.tails.addFeatures([tail, to, course]);
+    this.live.addFeatures([ghost, ghostSymbol, ring, symbol]);
     return shown;
   }
 
@@ -137,15 +196,13 @@ export class Fleet {
     if (look === shown.look) return;
     shown.look = look;
     shown.icon = new Icon({ img: symbol(boat.colour, lost), rotateWithView: true, scale: 0.5 });
-    const words = new Text({
+    shown.name = new Text({
       text: label,
       font: `${chosen ? 650 : 500} 14px system-ui, sans-serif`,
-      offsetX: 24,
-      textAlign: "left",
       fill: new Fill({ color: lost ? palette.danger : palette.ink }),
       stroke: new Stroke({ color: palette.halo, width: 4 }),
     });
-    shown.symbol.setStyle(new Style({ image: shown.icon, text: words, zIndex: chosen ? 9 : 8 }));
+    shown.symbol.setStyle(new Style({ image: shown.icon, text: shown.name, zIndex: chosen ? 9 : 8 }));
     shown.ring.setStyle(new Style({ image: new Disc({ radius: 23, stroke: new Stroke({ color: palette.accent, width: 2 }) }), zIndex: 7 }));
     shown.course.setStyle(cased(inked(boat.colour), 1.6));
     shown.reference.setStyle(cased(palette.accent, 1.6, [7, 6]));

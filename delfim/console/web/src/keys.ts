@@ -92,9 +92,10 @@ export class Keys {
   }
 
   private taken(event: KeyboardEvent): boolean {
-    if (this.state.replaying && this.screen.replayTakes(event.code)) return true;
-    if (event.code === "Space") return this.stop(event);
+    const { replaying } = this.state;
+    if (event.code === "Space" && !replaying) return this.stop(event);
     if (!event.ctrlKey && !event.altKey && this.screen.menuTakes(event.key)) return true;
+    if (replaying) return this.screen.replayTakes(event.code) || this.view(event);
     return this.digit(event) || this.view(event) || this.arrow(event) || this.letter(event);
   }
 

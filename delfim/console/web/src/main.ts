@@ -32,7 +32,7 @@ const messages = new Messages(element("messages"), state, sound);
 const net = new Net(heard, online);
 const drive = new Drive(net, state, () => strips.draw(false));
 const actions = new Actions(net, state, drive, (boat, severity, words) => messages.say(boat, severity, words), () => corner.draw());
-const popup = new Popup(document.body);
+const popup = new Popup(document.body, element("corner"));
 const keyCard = card(document.body);
 const chart = new Chart(element("map"), { click, press, hover });
 const fleet = new Fleet(chart, state);
@@ -63,11 +63,10 @@ state.on(["boats"], () => {
 });
 state.on(["selection"], () => document.querySelector(".chip.selected")?.scrollIntoView({ block: "nearest", inline: "nearest" }));
 setInterval(listen, 500);
-window.addEventListener("resize", pad);
+new ResizeObserver(pad).observe(element("strips"));
 window.addEventListener("beforeunload", (event) => {
   if (state.boats.some((boat) => drive.hand(boat.id) || (boat.armed && boat.owner))) event.preventDefault();
 });
-pad();
 
 function heard(message: Heard): void {
   switch (message.t) {
@@ -163,7 +162,7 @@ function press(place: Place, pixel: Pixel): void {
 }
 
 function offer(pixel: Pixel, touch: boolean): boolean {
-  const boat = fleet.at(chart, pixel, touch ? REACH_TOUCH_PX : REACH_PX);
+  const boat = fleet.at(pixel, touch ? REACH_TOUCH_PX : REACH_PX);
   const handle = boat ? null : plans.at(pixel, touch);
   if (boat) chosen(boat, pixel);
   else if (handle) menus.handle(handle, pixel);
@@ -173,7 +172,7 @@ function offer(pixel: Pixel, touch: boolean): boolean {
 function hover(place: Place, pixel: Pixel): void {
   if (plans.measuring) plans.measureTo(place, false);
   text(element("where"), whereWords(place, state));
-  const over = fleet.at(chart, pixel, REACH_PX) ?? plans.at(pixel, false);
+  const over = fleet.at(pixel, REACH_PX) ?? plans.at(pixel, false);
   element("map").style.cursor = plans.measuring ? "crosshair" : over ? "pointer" : "";
 }
 
@@ -195,18 +194,17 @@ function show(): void {
 }
 
 function pad(): void {
-  const narrow = innerWidth < 700;
-  chart.setPadding(narrow ? [90, 30, 130, 30] : [40, 110, 60, element("strips").offsetWidth + 30]);
+  const { offsetWidth, offsetHeight } = element("strips");
+  chart.setPadding(innerWidth <= 700 ? [offsetHeight + 20, 30, 130, 30] : [40, 110, 60, offsetWidth + 30]);
 }
 
-/** For tests and for the curious: where a place is on the screen, and how many frames the last second had. */
-const frames: number[] = [];
-function frame(at: number): void {
-  frames.push(at);
-  while (frames[0]! < at - 1000) frames.shift();
-  requestAnimationFrame(frame);
-}
-requestAnimationFrame(frame);
+/** For tests and for the curious. `frames`: how often the map was drawn in the last second. */
+const drawn: number[] = [];
+const ofLastSecond = (): number => {
+  while (drawn.length && drawn[0]! < performance.now() - 1000) drawn.shift();
+  return drawn.length;
+};
+chart.map.on("postrender", ({ frameState }) => frameState && drawn.push(performance.now()) && ofLastSecond());
 Object.assign(window, {
   delfim: {
     pixel: (latitude_deg: number, longitude_deg: number) => chart.pixelOf({ latitude_deg, longitude_deg }),
@@ -217,6 +215,8 @@ Object.assign(window, {
       ]);
       chart.map.renderSync();
     },
-    frames: () => frames.length,
+    at_s: () => state.at_s,
+    points: (boat: number) => fleet.points(boat),
+    frames: ofLastSecond,
   },
 });

@@ -32,6 +32,7 @@ export class Menus {
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
+    if (this.state.replaying) return this.popup.menu(at, { title: boat.name, colour: boat.colour }, this.view(boat.latitude_deg === null ? null : (boat as Place)));
     const modes: Entry[] = MODES.map(({ key, mode, title }) => ({
       title,
       key,
@@ -44,7 +45,9 @@ export class Menus {
       ...modes,
       "line",
       { title: "Heading…", do: () => this.headingForm(boat, at) },
-      { title: "Speed…", key: "0 … 8", do: () => this.speedForm(boat, at) },
+      this.actions.byHand(boat)
+        ? { title: "Thrust…", key: "0 … 8", do: () => this.thrustForm(boat, at) }
+        : { title: "Speed…", key: "0 … 8", do: () => this.speedForm(boat, at) },
       "line",
       { title: "Mission", sub: () => this.mission(boat) },
       { title: "More", sub: () => this.more(boat) },
@@ -53,7 +56,7 @@ export class Menus {
 
   /** The menu of the bare map. */
   map(place: Place, at: Pixel): void {
-    const boat = this.state.boat;
+    const boat = this.state.replaying ? null : this.state.boat;
     this.popup.menu(at, { title: position(place) }, [...(boat ? this.here(boat, place) : []), ...this.view(place)]);
   }
 
@@ -109,6 +112,18 @@ export class Menus {
       return "";
     };
     this.popup.form(at, `${boat.name}: speed`, [field], live, (ok) => ok && this.actions.speed(boat, "both", speed));
+  }
+
+  /** Driving by hand without keys. */
+  private thrustForm(boat: Boat, at: Pixel): void {
+    const field = (title: string, value: number): Field => ({ title, unit: "%", value, step: 5, least: -100, most: 100 });
+    let thrust = this.actions.thrust_pct(boat);
+    const live = ([port, starboard]: number[]) => {
+      thrust = [port!, starboard!];
+      return "";
+    };
+    const done = (ok: boolean) => ok && this.actions.byHand(boat) && this.actions.setThrust(boat, ...thrust);
+    this.popup.form(at, `${boat.name}: thrust`, [field("Port", thrust[0]), field("Starboard", thrust[1])], live, done);
   }
 
   private more(boat: Boat): Entry[] {
@@ -210,9 +225,9 @@ export class Menus {
     return [...entries, "line"];
   }
 
-  private view(place: Place): Entry[] {
+  private view(place: Place | null): Entry[] {
     const entries: Entry[] = [
-      { title: "Ruler from here", do: () => this.plans.measure(place) },
+      { title: "Ruler from here", refuse: place ? undefined : "its position is not known", do: () => this.plans.measure(place) },
       { title: "Show everything", do: () => this.chart.fit(this.everything(), 250) },
       { title: "Screen", sub: () => this.screen() },
       { title: "Keys", key: "F1", do: this.card },

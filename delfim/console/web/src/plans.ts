@@ -66,6 +66,7 @@ export class Plans {
 
   /** What can be taken hold of at this pixel; real points come before the middles of legs. */
   at(pixel: Pixel, touch: boolean): Handle | null {
+    if (this.state.replaying) return null;
     let [best, least] = [null as Handle | null, touch ? REACH_TOUCH_PX : REACH_PX];
     for (const handle of this.handles()) {
       const its = this.chart.pixelOf(handle.place);

@@ -4,6 +4,7 @@ import { make, text } from "./dom";
 const MARGIN_PX = 8;
 const AGAIN_MS = 400;
 const AGAIN_EVERY_MS = 60;
+const MEANT_MS = 300; // the second click of two in a row came too soon for what it hits to have been read
 
 export interface Item {
   title: string;
@@ -40,13 +41,21 @@ export class Popup {
   private open: Open | null = null;
   private at: [number, number] = [0, 0];
   private readonly box = make("div.popup");
+  private shownAt = 0;
+  private meant = false; // the pointer came down on what is shown, and not before it was
 
-  constructor(parent: HTMLElement) {
+  constructor(
+    parent: HTMLElement,
+    private readonly stop: HTMLElement,
+  ) {
     this.box.setAttribute("role", "menu");
     this.box.hidden = true;
     parent.append(this.box);
     this.box.addEventListener("contextmenu", (event) => event.preventDefault());
     window.addEventListener("resize", () => this.close());
+    this.box.addEventListener("pointerdown", () => (this.meant = performance.now() - this.shownAt > MEANT_MS), { capture: true });
+    // A finger that opened the menu by a long press is on it when it is lifted. Clicks of no pointer have no detail.
+    this.box.addEventListener("click", (event) => event.detail && !this.meant && event.stopPropagation(), { capture: true });
   }
 
   get isOpen(): boolean {
@@ -106,12 +115,24 @@ export class Popup {
     this.place();
   }
 
+  /** Beside the pointer, within the window, and never on the stop corner. */
   private place(): void {
     this.box.hidden = false;
+    this.box.style.maxHeight = "";
+    [this.shownAt, this.meant] = [performance.now(), false];
     const { width, height } = this.box.getBoundingClientRect();
+    const stop = this.stop.getBoundingClientRect();
     const clamp = (wanted: number, size: number, room: number) => Math.max(MARGIN_PX, Math.min(wanted, room - size - MARGIN_PX));
-    this.box.style.left = `${clamp(this.at[0] + 6, width, innerWidth)}px`;
-    this.box.style.top = `${clamp(this.at[1] + 6, height, innerHeight)}px`;
+    let [left, top] = [clamp(this.at[0] + 6, width, innerWidth), clamp(this.at[1] + 6, height, innerHeight)];
+    if (stop.width && left + width + MARGIN_PX > stop.left && top + height + MARGIN_PX > stop.top) {
+      if (width + 2 * MARGIN_PX <= stop.left) left = clamp(left, width, stop.left);
+      else {
+        top = clamp(top, height, stop.top);
+        this.box.style.maxHeight = `${stop.top - 2 * MARGIN_PX}px`;
+      }
+    }
+    this.box.style.left = `${left}px`;
+    this.box.style.top = `${top}px`;
   }
 }
 
