@@ -154,7 +154,7 @@ class Runtime:
     def load(self, module: str) -> asyncio.Future[ModuleType]:
         """A large library, read beside the loop while the boat comes up: it costs the path some milliseconds, once. Its objects
         stay for good, so that no collection looks at them. Raises ImportError."""
-        loading = self._loop.run_in_executor(None, importlib.import_module, module)
+        loading = asyncio.get_running_loop().run_in_executor(None, importlib.import_module, module)
         if not gc.isenabled():
             loading.add_done_callback(lambda _: gc.freeze())
         return loading
