@@ -13,9 +13,9 @@ LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt test.txt bu
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
 # that people use: a browser, FTP, SSH, Octave.
 SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static dmsetup e2fsprogs chromium curl lftp openssh-client openssl \
-	tnftp wget qemu-system-x86 grub-pc-bin grub-common octave octave-instrument-control
+	tnftp wget qemu-system-x86 grub-pc-bin grub-common octave octave-instrument-control podman crun
 SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox dmsetup e2fsck chromium curl lftp ssh openssl tnftp wget \
-	qemu-system-x86_64 grub-mkimage octave-cli
+	qemu-system-x86_64 grub-mkimage octave-cli podman
 
 export PYTHONSAFEPATH := 1
 export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/.venv/bin

@@ -2,6 +2,7 @@
 
 SERVICES is the suite, one row a service. To add one: write its coroutine in a file of its own, add a row, add a test. A row
 names its coroutine, and only the process that runs it loads it, before its loop turns: the supervisor needs none of them.
+What is large and can wait is loaded `late`, while the loop carries the boat already.
 """
 
 import contextlib
@@ -42,6 +43,7 @@ class Service(NamedTuple):
     entry: str  # module:coroutine
     place: Literal["runtime", "process"] = "runtime"
     budget_s: float | None = None  # of one callback; None: the vehicle's file says it
+    late: bool = False  # loaded beside the vehicle that sails already
 
     def loaded(self) -> "runtime.Service":
         """What the runtime runs. Where a package is missing, a service that says so: the others go on without it."""
@@ -58,6 +60,17 @@ class Service(NamedTuple):
 
         return runtime.Service(self.name, start, self.budget_s)
 
+    def loading(self) -> "runtime.Service":
+        """The same, for a loop that is not to wait: it is loaded when it starts."""
+        from delfim.services import runtime
+
+        async def start(running: runtime.Runtime) -> None:
+            with contextlib.suppress(ModuleNotFoundError):  # the next line says so
+                await running.load(self.entry.partition(":")[0])
+            await self.loaded().start(running)
+
+        return runtime.Service(self.name, start, self.budget_s)
+
 
 # In the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
@@ -67,7 +80,7 @@ SERVICES = (
     Service("timed", "delfim.wiring:timed"),
     Service("slipd", "delfim.services.slipd:serve"),
     Service("canip", "delfim.wiring:canip"),
-    Service("httpd", "delfim.services.httpd:serve"),
+    Service("httpd", "delfim.services.httpd:serve", late=True),
     Service("ftpd", "delfim.services.ftpd:serve", place="process"),
     Service("sshd", "delfim.services.sshd:serve", place="process"),
     Service("powerd", "delfim.services.powerd:serve"),
@@ -106,8 +119,9 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     wanted = [row for row in rows if row.name == service] if service else [row for row in rows if row.place == "runtime"]
     if not wanted:
         raise PermanentFailure(f"{file}: no service {service!r} is enabled")
-    loaded = [row.loaded() for row in wanted]  # now, for a cooperative service has no time to load a library
-    return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=service is not None).main(loaded)
+    alone = service is not None
+    loaded = [row.loading() if row.late and not alone else row.loaded() for row in wanted]  # the loop has no time to do it
+    return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=alone).main(loaded)
 
 
 def supervise(

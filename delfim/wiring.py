@@ -35,7 +35,6 @@ from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Alive, Commands, Report, Shutdown, Watch
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import LOCAL, Vehicle
-from delfim.vehicle.mavlink.link import MavlinkLink
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.rehearsal import Rehearsal
@@ -173,15 +172,17 @@ async def _attend(
         links.callback(boat.guest.close)
         with contextlib.suppress(OSError):  # a boat without its guest sails; the state says that none is connected
             links.callback((await _guest_server(boat, settings.guest.listen)).close)
-    if settings.mavlink.enabled:
-        with contextlib.suppress(OSError):  # a boat without this link sails; the reason is logged
-            links.enter_context(MavlinkLink(boat, obeyed, Path(settings.log.directory) / "mavlink-stamps", runtime.board))
+    mavlink = runtime.load("delfim.vehicle.mavlink.link") if settings.mavlink.enabled else None
     ticks = 0
     while True:
         await asyncio.sleep(WATCHDOG_S)
         ticks += 1
         boat.on_watchdog()
         log.watch(boat.state)
+        if mavlink and mavlink.done():
+            link, mavlink = mavlink.result().MavlinkLink, None
+            with contextlib.suppress(OSError):  # a boat without this link sails; the reason is logged
+                links.enter_context(link(boat, obeyed, Path(settings.log.directory) / "mavlink-stamps", runtime.board))
         if ticks % PUBLISH_EVERY == 0:
             commands.publish()
         if ticks % MAINTAIN_EVERY == 0:

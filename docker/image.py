@@ -38,6 +38,7 @@ LEFT_OUT: Final = re.compile(
 PROGRAMS: Final = {"busybox", "e2fsck", "ip", "mke2fs", "tc", "tune2fs"}  # beside Python; the shell and the rest are Busybox
 PRUNED: Final = {  # in these, what no boat needs
     ".": ("usr/share", "usr/lib/*/gconv", "usr/lib/*/perl*", "usr/lib/tmpfiles.d", "usr/lib/systemd", "var", "etc/*"),
+    "usr/lib/*/tc": ("q_atm.so",),  # wants libatm
     "usr/lib/python3*": [
         "ensurepip",
         "idlelib",
@@ -53,6 +54,7 @@ PRUNED: Final = {  # in these, what no boat needs
     ],
     "usr/lib/python3*/lib-dynload": ("nis.*", "_dbm.*", "_sqlite3.*", "_test*", "_xxtestfuzz*", "_ctypes_test*"),
     "usr/lib/python3/dist-packages": ("bin", "lxml*", "delfim/bench", "delfim/console/page"),
+    "usr/lib/python3/dist-packages/frozenlist": ("_frozenlist.*",),  # wants libstdc++; it is there in Python, too
     "usr/lib/python3/dist-packages/*.dist-info": ("RECORD", "direct_url.json", "INSTALLER", "REQUESTED", "licenses"),
 }
 KEPT: Final = {  # and nothing else in these: of MAVLink the messages that are spoken, not the generator of all
@@ -243,12 +245,13 @@ def compile_python(root: Path, library: Path) -> None:
 
 
 def complete(root: Path) -> None:
-    """No program and no library may miss a library."""
+    """No program and no library may miss a library, nor find it only because this machine has it."""
     objects = [path for path in sorted(root.rglob("*")) if path.is_file() and not path.is_symlink() and is_dynamic(path)]
     for path in objects:
         listing = run_inside(root, "--list", str(path))
-        if "not found" in listing:
-            raise SystemExit(f"{path.relative_to(root)} misses a library:\n{listing}")
+        found = re.findall(r"(?:=> |^\t)(/.*) \(0x", listing, re.M)
+        if strange := [each for each in found if not each.startswith(f"{root}/") and "/ld-linux-" not in each]:
+            raise SystemExit(f"{path.relative_to(root)} misses {', '.join(strange)}")
 
 
 def is_dynamic(path: Path) -> bool:

@@ -1,23 +1,26 @@
-"""The container's recipe, as far as it can be held without an engine: its steps, its files, what it runs."""
+"""The container: the recipe's steps and files, and what the compose file runs, run by an engine."""
 
 import argparse
 import json
 import re
 import shlex
+import shutil
 import subprocess
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import msgspec
 import pytest
 
-from delfim import config
+from delfim import config, messages
 from delfim.__main__ import _parser
+from delfim.logging.candump import parse_line
 from tests.guest import boat_image
-from tests.guest.harness import ROOT, Guest
+from tests.guest.harness import PATH, ROOT, Guest, guest
 
 DOCKERFILE, COMPOSE = ROOT / "docker" / "Dockerfile", ROOT / "docker" / "compose.yaml"
-PORTS = {"simulation.httpd": 'simulation.httpd="127.0.0.1:0"', "cantcpd.listen": 'cantcpd.listen=["127.0.0.1:0"]'}
+PODMAN = "podman --storage-driver=vfs --cgroup-manager=cgroupfs --events-backend=none"  # what works wherever it is run
 KNOWN = {"FROM", "RUN", "WORKDIR", "COPY", "ENV", "VOLUME", "STOPSIGNAL", "ENTRYPOINT", "CMD"}
 
 
@@ -80,15 +83,67 @@ def test_the_services_are_built_from_the_dockerfile_and_need_no_device_of_the_co
     assert [source for source in sources if not source.startswith("/") and source not in volumes] == []
 
 
-@pytest.mark.timeout(900)
-def test_the_simulation_sails_in_the_root_file_system(can_guest: Guest) -> None:
-    """Where only it is there, as in a container: read-only but for /run, /tmp and /log."""
+def podman(name: str, more: str = "") -> str:
+    """Shell: what the compose file says of a service, for an engine, in the network of the guest; `more` are words for delfim.
+    The root file system is that of the recipe's last stage; its environment and its first word are the recipe's."""
+    service, steps = composed()[name], instructions()
+    shared = [volume if volume.startswith("/") else f"/srv/{volume}" for volume in service["volumes"]]
+    words = [*PODMAN.split(), "run", "--cgroups=disabled", "--network=host"]
+    words += [f"--name={name}", "--read-only", *(f"--tmpfs={place}" for place in service["tmpfs"])]
+    words += [f"--volume={volume}" for volume in shared]
+    for option in ("cap_drop", "cap_add"):
+        words += [f"--{option.replace('_', '-')}={each}" for each in service.get(option, [])]
+    words += [f"--security-opt={each.removesuffix(':true')}" for each in service.get("security_opt", [])]
+    words += [f"--env={each}" for word, rest in steps if word == "ENV" for each in rest.split()]
+    words += ["--rootfs", str(boat_image.build() / "root"), *json.loads(dict(steps)["ENTRYPOINT"]), *service["command"]]
+    return f"{shlex.join(words)} {more}"
+
+
+@pytest.fixture(scope="module")
+def engine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guest]:
+    """A computer with a CAN bus and a container engine."""
     if reason := boat_image.missing():
         pytest.skip(reason)
-    root = boat_image.build() / "root"
-    mounts = [f"mount -t tmpfs none {root}/{name}" for name in ("run", "tmp", "log")] + [f"mount -t proc none {root}/proc"]
-    words = ["sim", "/etc/delfimx.toml", "--plain", "--for", "3", "--output", "/log"]
-    ports = [word for name in ("simulation.httpd", "cantcpd.listen") for word in ("--set", PORTS[name])]
-    sail = shlex.join(["chroot", str(root), "/usr/bin/env", "-i", "PATH=/usr/sbin:/usr/bin", "delfim", *words, *ports])
-    result = can_guest.run(f"unshare -m sh -ec {shlex.quote('; '.join([*mounts, f'exec {sail}']))}", timeout_s=90.0)
+    if not shutil.which("podman", path=PATH):
+        pytest.skip("no container without podman (make system installs it on Debian)")
+    with guest(tmp_path_factory.mktemp("engine"), memory_mib=640) as computer:
+        computer.run("mount -t cgroup2 none /sys/fs/cgroup; mkdir -p /log /srv/simulated-log; mount -t tmpfs none /log")
+        yield computer
+
+
+@pytest.mark.timeout(900)
+def test_the_simulation_sails_in_its_container(engine: Guest) -> None:
+    result = engine.run(podman("simulation", "--for 3"), timeout_s=120.0)
     assert result.code == 0, result.output
+    assert "delfim: time" in result.output
+
+
+@pytest.mark.timeout(900)
+def test_a_vehicle_sails_in_its_container_and_stops_in_order(engine: Guest) -> None:
+    """As its owner's computer runs it: told to steer from beside it, looked at from outside, ended as `docker stop` does."""
+    text = (ROOT / "etc/delfimx.toml").read_text().replace('interface = "can0"', 'interface = "vcan0"')
+    (engine.folder / "boat.toml").write_text(text)
+    look = "import urllib.request as r; print(r.urlopen('http://127.0.0.1:8080/metrics').read().decode())"
+    again = "do kill -0 $vehicle; sleep 0.2; done 2>/dev/null"
+    lines = [
+        "set -e",
+        "cp $FOLDER/boat.toml /etc/delfimx.toml",
+        "python -m delfim nodes /etc/delfimx.toml >/dev/null 2>&1 & nodes=$!",
+        f"{podman('vehicle')} >$FOLDER/vehicle 2>&1 & vehicle=$!",
+        f"until {PODMAN} exec vehicle delfim drive /etc/vehicle.toml heading 150 1.2; {again}",
+        f"until python -c {shlex.quote(look)}; {again}",
+        "candump -L vcan0,040:7FE >$FOLDER/thrust & thrust=$!",
+        "until grep -q ' 040#' $FOLDER/thrust; do sleep 0.1; done",
+        f"{PODMAN} stop -t 30 vehicle",
+        "wait $vehicle",
+        "kill $thrust $nodes",
+        "ls /log/*/state/*.state.gz",
+    ]
+    result = engine.run("\n".join(lines), timeout_s=120.0)
+    said = (engine.folder / "vehicle").read_text()
+    assert result.code == 0, result.output + said
+    assert "delfim_up 1" in result.output
+    assert "runtime: stopping: SIGTERM" in said
+    frames = [parse_line(line)[1] for line in (engine.folder / "thrust").read_text().splitlines()]
+    assert any(messages.unpack_propeller_command(frame.data).run for frame in frames)
+    assert not messages.unpack_propeller_command(frames[-1].data).run

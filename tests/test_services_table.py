@@ -1,6 +1,5 @@
 """The table of services, and which rows of it a vehicle's file runs."""
 
-import asyncio
 import subprocess
 import sys
 from pathlib import Path
@@ -8,7 +7,9 @@ from pathlib import Path
 import pytest
 
 from delfim import config
+from delfim.clock import SystemClock
 from delfim.errors import PermanentFailure
+from delfim.services.runtime import Runtime
 from delfim.suite import SERVICES, Service, services
 
 VEHICLE = Path(__file__).parents[1] / "etc" / "delfimx.toml"
@@ -43,10 +44,13 @@ def test_each_row_names_a_coroutine_that_there_is() -> None:
         assert (start.__module__, start.__name__) == (module, name)
 
 
-def test_a_service_whose_package_is_missing_says_so_and_is_not_started_again() -> None:
-    service = Service("radar", "no_such_package.radar:serve").loaded()
-    with pytest.raises(PermanentFailure, match="no_such_package is not installed"):
-        asyncio.run(service.start(None))  # type: ignore[arg-type]
+@pytest.mark.parametrize("late", [False, True])
+def test_a_service_whose_package_is_missing_says_so_and_is_not_started_again(late: bool) -> None:
+    row = Service("radar", "no_such_package.radar:serve")
+    runtime = Runtime(config.load(VEHICLE), SystemClock(), alone=True)
+    runtime.main([row.loading() if late else row.loaded()])
+    assert runtime.status["radar"].state == "failed"
+    assert "no_such_package is not installed" in runtime.status["radar"].reason
 
 
 def test_the_supervisor_loads_none_of_the_services() -> None:
@@ -55,3 +59,11 @@ def test_the_supervisor_loads_none_of_the_services() -> None:
     loaded = set(subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout.split())
     assert "delfim.services.supervisor" in loaded
     assert loaded & {"asyncio", "aiohttp", "pymavlink", "delfim.wiring", "delfim.vehicle", "delfim.services.runtime"} == set()
+
+
+def test_what_is_large_does_not_keep_the_vehicle_from_its_first_command() -> None:
+    look = f"import sys; from delfim import config, suite; rows = suite.services(config.load({str(VEHICLE)!r}))\n"
+    look += "[row.loading() if row.late else row.loaded() for row in rows if row.place == 'runtime']; print(*sys.modules)"
+    loaded = set(subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout.split())
+    assert "delfim.vehicle.loop" in loaded
+    assert loaded & {"aiohttp", "pymavlink"} == set()

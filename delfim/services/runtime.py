@@ -10,6 +10,7 @@ How to add a service, and what the figures of `report` mean: docs/runtime.md.
 import asyncio
 import ctypes
 import gc
+import importlib
 import json
 import logging
 import os
@@ -19,6 +20,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from contextvars import copy_context
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 from typing import Final, Literal, NamedTuple
 
 from delfim import config
@@ -148,6 +150,14 @@ class Runtime:
         if pause := self._pauses.pop(fd, None):
             pause.cancel()
         self._loop.remove_reader(fd)
+
+    def load(self, module: str) -> asyncio.Future[ModuleType]:
+        """A large library, read beside the loop while the boat comes up: it costs the path some milliseconds, once. Its objects
+        stay for good, so that no collection looks at them. Raises ImportError."""
+        loading = asyncio.get_running_loop().run_in_executor(None, importlib.import_module, module)
+        if not gc.isenabled():
+            loading.add_done_callback(lambda _: gc.freeze())
+        return loading
 
     def report(self) -> dict[str, object]:
         """JSON-ready: every service, the navigation window, the loop's own callbacks, the dead-man's last event."""

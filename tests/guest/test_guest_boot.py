@@ -46,8 +46,8 @@ class Boat:
         self.file.write_text(self.file.read_text() + more)
 
     @contextmanager
-    def booted(self) -> Iterator[Guest]:
-        words = [f"BOAT={ROOT}/etc/init", f"VEHICLE={self.file}", "MODULES=vcan,can-raw,loop", "LOG=/dev/ubda", "CAN=vcan0"]
+    def booted(self, log: str = "/dev/ubda") -> Iterator[Guest]:
+        words = [f"BOAT={ROOT}/etc/init", f"VEHICLE={self.file}", "MODULES=vcan,can-raw,loop", f"LOG={log}", "CAN=vcan0"]
         with guest(self.folder, modules=(), memory_mib=384, kernel_args=(f"ubd0={self.disk}", *words)) as g:
             yield g
 
@@ -215,6 +215,13 @@ def test_a_boat_without_its_disk_boots_and_says_why_it_stays(boat: Boat) -> None
         )
         assert "no log, no start: " in result.output
         dark(g, order())
+
+
+def test_a_disk_that_comes_late_is_waited_for(boat: Boat) -> None:
+    """Memory cards and what is on USB are found after their modules are loaded."""
+    with boat.booted("/dev/late") as g:
+        found = wait("[ -e /run/init ]") + "sleep 1; ln -s ubda /dev/late\n" + UP + "grep ' /log ' /proc/mounts"
+        assert "/dev/ubda /log ext2" in g.run(found, timeout_s=FOREVER_S).output.replace("/dev/late", "/dev/ubda")
 
 
 def test_a_vehicle_file_that_is_wrong_leaves_a_shell_and_no_panic(boat: Boat) -> None:
