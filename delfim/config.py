@@ -218,7 +218,7 @@ class ManualSilent(Trouble, frozen=True):
     """No manual command, in manual mode: first no thrust, then this."""
 
     after_s: Seconds = 5.0  # age of the last one
-    thrust_s: Seconds = 2.0  # age of the last one at which thrust goes to zero
+    thrust_s: Seconds = 1.8  # age of the last one at which thrust goes to zero, at the next look of the watchdog: within 2 s
 
 
 class GuestSilent(Trouble, frozen=True):

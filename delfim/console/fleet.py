@@ -262,6 +262,7 @@ class Fleet:
             def ended(reason: str) -> None:
                 self._transfers.pop(number, None)
                 if reason:
+                    self._over(number, "upload")
                     answer(False, reason)
                 elif place + 1 < len(transfer.ORDER):
                     next_kind(place + 1)
@@ -282,12 +283,14 @@ class Fleet:
                 done = self._transfers.pop(number)
                 assert isinstance(done, Download)
                 if reason:
+                    self._over(number, "download")
                     answer(False, reason)
                     return
                 groups.append(done.items)
                 if kind + 1 < 3:
                     next_kind(kind + 1)
                 else:
+                    self._over(number, "download")
                     self._aboard(number, transfer.mission_of("aboard", groups))
                     answer(True, "")
 
@@ -306,6 +309,10 @@ class Fleet:
         self._boat(number)
         if number in self._transfers:
             raise Refused("a mission is on its way already")
+
+    def _over(self, number: int, what: str) -> None:
+        """Nothing is under way any more, well or not."""
+        self._tell({"t": "progress", "boat": number, "what": what, "part": 1.0})
 
     def _aboard(self, number: int, mission: dict[str, Any]) -> None:
         known = self.missions.setdefault(number, {})

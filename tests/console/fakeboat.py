@@ -1,6 +1,6 @@
 """A boat for tests of the console: it speaks MAVLink as docs/mavlink.md says, obeys modes, thrust and missions, and remembers.
 
-It stands in for a vehicle where the link between the two is what is tested; the whole vehicle is met in test_console_sails.py.
+It stands in for a vehicle where the link between the two is what is tested; the whole vehicle is met in test_operating.py.
 """
 
 import time

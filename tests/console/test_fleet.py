@@ -206,6 +206,19 @@ def test_a_mission_goes_up_is_read_back_and_compared(sea: Sea) -> None:
     assert sea.shown(1)["mission"]["state"] == "differs"
 
 
+@pytest.mark.parametrize("deed", ["upload", "download"])
+@pytest.mark.parametrize("silent", [False, True])
+def test_a_transfer_that_is_over_says_so_well_or_not(deed: str, silent: bool) -> None:
+    sea = Sea(1, outages=lambda now_s: silent and now_s > 104.0)
+    sea.run(4.5)
+    sea.fleet.put(1, SQUARE)
+    getattr(sea.fleet, deed)(1, lambda well, why: sea.answers.append((well, why)))
+    sea.run(2 * transfer.TIMEOUT_S, until=lambda: sea.answers)
+    assert sea.answers[0][0] is not silent
+    assert sea.fleet.progress() == []
+    assert [each["part"] for each in sea.told if each["t"] == "progress"] == [1.0]
+
+
 def test_items_and_missions_are_each_others_inverse() -> None:
     back = transfer.mission_of("square", transfer.items_of(SQUARE))
     assert transfer.digest(back) == transfer.digest(SQUARE)

@@ -36,11 +36,13 @@ async def sailing(folder: Path, gateway: Standin) -> AsyncIterator[Page]:
         await show(page, -120, -120, 120, 120)
         yield page
         assert page.complaints == []
-        assert [
-            each
-            for each in page.requests
-            if not each.startswith(("data:", gateway.address, gateway.address.replace("http", "ws")))
-        ] == []
+        assert foreign(page, gateway) == []
+
+
+def foreign(page: Page, gateway: Standin) -> list[str]:
+    """What the page asked others for."""
+    own = "data:", gateway.address, gateway.address.replace("http", "ws")
+    return [each for each in page.requests if not each.startswith(own)]
 
 
 @pytest.fixture
@@ -681,6 +683,24 @@ def test_ten_boats_with_an_hour_of_track_each_are_drawn_thirty_times_a_second_wh
                 while max(drawn) < 30:
                     drawn.append(await second_of_moving(page, gateway, how))
             print(f"{how}: {max(drawn)} drawings of the map in a second")
+
+    asyncio.run(told())
+
+
+def test_a_page_that_asked_elsewhere_or_missed_something_would_be_noticed(tmp_path: Path) -> None:
+    """What the other tests of the page look for at their ends does come."""
+
+    async def told() -> None:
+        async with Standin(two()).serving() as gateway, browser(tmp_path, NOWHERE) as page:
+            await page.call("Network.enable")
+            await opened(page, gateway)
+            assert (page.complaints, foreign(page, gateway)) == ([], [])
+            for number, address in enumerate(("http://198.51.100.7/chart.png", "missing.png"), 1):
+                await page.value(f"new Promise(done => Object.assign(new Image(), {{onerror: done, src: {address!r}}}))")
+                async with asyncio.timeout(20):
+                    while len(page.complaints) < number:
+                        await page.value("document.title")
+            assert foreign(page, gateway) == ["http://198.51.100.7/chart.png"]
 
     asyncio.run(told())
 

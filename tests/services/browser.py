@@ -38,6 +38,7 @@ class Page:
     def __init__(self, socket: aiohttp.ClientWebSocketResponse, group: int) -> None:
         self._socket, self._group = socket, group
         self._numbers = itertools.count(1)
+        self._front = ""  # the tab that hides this one
         self.complaints: list[str] = []  # of the page's console: errors, what the policy refused
         self.requests: list[str] = []  # addresses, once the domain Network is enabled
 
@@ -50,6 +51,9 @@ class Page:
                 self.complaints.append(json.dumps(told["params"]))
             if told.get("method") in ("Network.requestWillBeSent", "Network.webSocketCreated"):
                 self.requests.append(told["params"].get("url") or told["params"]["request"]["url"])
+            if told.get("method") == "Page.javascriptDialogOpening":  # leave the page? Yes.
+                answer = {"method": "Page.handleJavaScriptDialog", "params": {"accept": True}}
+                await self._socket.send_json({"id": next(self._numbers), **answer})
             if told.get("id") == number:
                 assert "error" not in told, told
                 return told["result"]
@@ -60,6 +64,21 @@ class Page:
 
     def wake(self) -> None:
         os.killpg(self._group, signal.SIGCONT)
+
+    def kill(self) -> None:
+        """All of the browser is gone, without a word."""
+        os.killpg(self._group, signal.SIGKILL)
+
+    async def hide(self) -> None:
+        """Another tab comes to the front."""
+        self._front = (await self.call("Target.createTarget", url="about:blank"))["targetId"]
+        await self.until("document.hidden")
+
+    async def show(self) -> None:
+        """The other tab is closed."""
+        await self.call("Page.bringToFront")
+        await self.call("Target.closeTarget", targetId=self._front)
+        await self.until("!document.hidden")
 
     async def open(
         self, url: str, *, width: int, height: int, scale: float = 2.0, dark: bool = False, script: bool = True
@@ -82,9 +101,12 @@ class Page:
 
     async def until(self, expression: str, timeout_s: float = 15.0) -> None:
         """Wait until an expression is true in the page."""
-        async with asyncio.timeout(timeout_s):
-            while not await self.value(expression):
-                await asyncio.sleep(0.05)
+        try:
+            async with asyncio.timeout(timeout_s):
+                while not await self.value(expression):
+                    await asyncio.sleep(0.05)
+        except TimeoutError:
+            raise AssertionError(f"it never was so: {expression}") from None
 
     async def press(self, key: str, modifiers: tuple[str, ...] = ()) -> None:
         """A key, as KeyboardEvent.key calls it, down and up again."""

@@ -1,0 +1,333 @@
+"""The whole chain: a real browser, the page, the gateway as a process, a radio link to each boat, and boats that run their own
+programs. What a boat did is read from its own logs, by its own clock.
+"""
+
+import asyncio
+import contextlib
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple, cast
+
+from delfim import config, messages
+from delfim.console.link import Link
+from delfim.logging.candump import parse_line
+from delfim.logging.reading import in_order, read_log
+from delfim.vehicle.mavlink import wire
+from tests.services.browser import Page, browser
+
+ROOT = Path(__file__).parents[2]
+VEHICLE = ROOT / "etc/delfimx.toml"
+NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+RPM_MAX = config.load(VEHICLE).propulsion.rpm_max
+PATIENCE_S = 60.0
+BERTHS = ((38.6907, -9.2153), (38.6907, -9.2165))  # a hundred metres apart
+
+
+class Turning(NamedTuple):
+    """A command to a propeller on the bus."""
+
+    t_ns: int
+    arb: int
+    rpm: float  # 0 where it is switched off
+
+
+class Boat:
+    """One of the boats, asked over its own command socket, and its logs."""
+
+    def __init__(self, place: Path, number: int) -> None:
+        self.place, self.number = place, number
+
+    def state(self) -> dict[str, Any]:
+        with Link(self.place / "command") as link:
+            return link.ask("state")
+
+    async def until(self, is_so: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+        state: dict[str, Any] = {}
+        try:
+            async with asyncio.timeout(PATIENCE_S):
+                while True:
+                    with contextlib.suppress(OSError):
+                        state = await asyncio.to_thread(self.state)
+                    if state and is_so(state):
+                        return state
+                    await asyncio.sleep(0.05)
+        except TimeoutError:
+            raise AssertionError(f"it never was so; at last: {state}") from None
+
+    async def sails_on(self, cycles: int) -> dict[str, Any]:
+        """So many cycles of its navigation, five a second."""
+        cycle = (await asyncio.to_thread(self.state))["cycle"]
+        return await self.until(lambda state: state["cycle"] >= cycle + cycles)
+
+    def pushes(self) -> list[tuple[int, bool]]:
+        """The manual commands that it obeyed: when, ns since 1970, and whether they asked for thrust."""
+        found = []
+        for event in self._events():
+            if event["event"] == "command" and event["value"]["command"] == "manual" and not event["refused"]:
+                taken_ns = event["t_ns"] - round((event["monotonic_s"] - event["at_s"]) * 1e9)
+                found.append((taken_ns, bool(event["value"]["port"] or event["value"]["starboard"])))
+        return found
+
+    def _events(self) -> Iterator[dict[str, Any]]:
+        for file in in_order((self.place / "log").glob("*/state/*.meta.jsonl")):
+            for line in file.read_text().splitlines(keepends=True):
+                if line.endswith("\n"):
+                    yield json.loads(line)
+
+    async def turnings(self, until_ns: int) -> list[Turning]:
+        """What its black box has of the propellers, as soon as that reaches to this time."""
+        async with asyncio.timeout(PATIENCE_S):
+            while not (found := self._turnings()) or found[-1].t_ns < until_ns:
+                await asyncio.sleep(0.2)
+        return found
+
+    def _turnings(self) -> list[Turning]:
+        found = []
+        for file in in_order((self.place / "log").glob("*/*/*.log*")):
+            for line in read_log(file)[0].decode().splitlines(keepends=True):
+                if line.endswith("\n"):
+                    frame = parse_line(line)[1]
+                    if frame.arb in (messages.PROPELLER_PORT, messages.PROPELLER_STARBOARD):
+                        told = messages.unpack_propeller_command(frame.data)
+                        found.append(Turning(frame.t_ns, frame.arb, told.rpm if told.run else 0))
+        return found
+
+
+def turning(port: int, starboard: int) -> Callable[[dict[str, Any]], bool]:
+    """Whether the vehicle commands the propellers to give this, percent."""
+
+    def is_so(state: dict[str, Any]) -> bool:
+        asked = (state["port_rpm"], port), (state["starboard_rpm"], starboard)
+        return all(abs(rpm / RPM_MAX - percent / 100) < 0.004 for rpm, percent in asked)
+
+    return is_so
+
+
+@contextlib.contextmanager
+def afloat(place: Path, number: int, port: int) -> Iterator[Boat]:
+    """A boat's nodes and its program, as at sea but for the bus."""
+    place.mkdir()
+    latitude_deg, longitude_deg = BERTHS[number - 1]
+    values = (
+        f'boat.name="boat{number}"',
+        f"boat.id={number}",
+        f'can.interface="canloop:operating-{os.getpid()}-{place.parent.name[-8:]}-{number}"',
+        f'console.socket="{place}/command"',
+        f'log.directory="{place}/log"',
+        f'runtime.run_directory="{place}"',
+        'supervisor.hardware_watchdog=""',
+        'httpd.listen="127.0.0.1:0"',
+        'cantcpd.listen=["127.0.0.1:0"]',
+        'guest.listen="127.0.0.1:0"',
+        'mavlink.listen="127.0.0.1:0"',
+        f'mavlink.peers=["127.0.0.1:{port}"]',
+        f"simulation.latitude_deg={latitude_deg}",
+        f"simulation.longitude_deg={longitude_deg}",
+    )
+    words = [str(VEHICLE), *(word for value in values for word in ("--set", value))]
+    programs = [subprocess.Popen([sys.executable, "-m", "delfim", name, *words]) for name in ("nodes", "supervise")]
+    try:
+        yield Boat(place, number)
+    finally:
+        for program in reversed(programs):
+            program.send_signal(signal.SIGTERM)
+            program.wait(30)
+
+
+class Radio:
+    """The link between the gateway and a boat: UDP both ways, until it is cut. What comes meanwhile is held back."""
+
+    def __init__(self, console: tuple[str, int]) -> None:
+        self.said: list[bytes] = []  # datagrams of the gateway
+        self.unanswered = False  # the gateway's last command, by the boat
+        self.through = True
+        self._console, self._boat = console, ("", 0)
+        self._held: list[bytes] = []
+
+    async def open(self) -> int:
+        """The port that the boat speaks to."""
+        self._boats_end, self._consoles_end = await _socket(self._from_boat), await _socket(self._from_console)
+        return int(self._boats_end.get_extra_info("sockname")[1])
+
+    def close(self) -> None:
+        self._boats_end.close()
+        self._consoles_end.close()
+
+    def cut(self) -> None:
+        self.through = False
+
+    def mend(self) -> None:
+        """First of all comes what was on its way, late as it is."""
+        self.through = True
+        for data in self._held:
+            self._boats_end.sendto(data, self._boat)
+        self._held.clear()
+
+    def spoken(self, since: int) -> list[Any]:
+        """The messages of the gateway from that datagram on."""
+        return [message for data in self.said[since:] for message in _messages(data)]
+
+    def obeyed(self, since: int) -> bool:
+        """Whether it commanded something from that datagram on, and was answered."""
+        return not self.unanswered and any(_has(data, "COMMAND_LONG") for data in self.said[since:])
+
+    def _from_boat(self, data: bytes, address: tuple[str, int]) -> None:
+        self._boat = address
+        if _has(data, "COMMAND_ACK"):
+            self.unanswered = False
+        if self.through:
+            self._consoles_end.sendto(data, self._console)
+
+    def _from_console(self, data: bytes, _: tuple[str, int]) -> None:
+        self.said.append(data)
+        if _has(data, "COMMAND_LONG"):
+            self.unanswered = True
+        if self.through:
+            self._boats_end.sendto(data, self._boat)
+        else:
+            self._held.append(data)
+
+
+def _messages(datagram: bytes) -> list[Any]:
+    return [wire.decode(frame) for frame in wire.frames(datagram)[0]]
+
+
+def _has(datagram: bytes, kind: str) -> bool:
+    return any(message.get_type() == kind for message in _messages(datagram))
+
+
+class _End(asyncio.DatagramProtocol):
+    def __init__(self, heard: Callable[[bytes, tuple[str, int]], None]) -> None:
+        self._heard = heard
+
+    def datagram_received(self, data: bytes, address: Any) -> None:
+        self._heard(data, address)
+
+
+async def _socket(heard: Callable[[bytes, tuple[str, int]], None]) -> asyncio.DatagramTransport:
+    loop = asyncio.get_running_loop()
+    return (await loop.create_datagram_endpoint(lambda: _End(heard), local_addr=("127.0.0.1", 0)))[0]
+
+
+class Gateway:
+    """`delfim console`, which finds its boats and its page again on the same ports when it is started anew."""
+
+    def __init__(self, folder: Path) -> None:
+        self.boats = ("127.0.0.1", _unused(socket.SOCK_DGRAM))
+        self._page = _unused(socket.SOCK_STREAM)
+        self._folder = folder
+        self._program: subprocess.Popen[str] | None = None
+
+    def start(self) -> str:
+        """Where the page is, once it is there. Blocks meanwhile."""
+        words = [f"--boats=127.0.0.1:{self.boats[1]}", f"--page=127.0.0.1:{self._page}", "--no-browser", f"--vehicle={VEHICLE}"]
+        words += [f"--{each}={self._folder}/{each}" for each in ("missions", "charts", "sessions")]
+        command = [sys.executable, "-u", "-m", "delfim", "console", *words]
+        self._program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        line = cast(Any, self._program.stdout).readline()
+        assert "the console is at " in line
+        return str(line.split("the console is at ")[1].split(";")[0])
+
+    def end(self, how: signal.Signals) -> None:
+        assert self._program is not None
+        self._program.send_signal(how)
+        self._program.wait(30)
+        cast(Any, self._program.stdout).close()
+
+
+def _unused(kind: socket.SocketKind) -> int:
+    """A port that nobody has, below those that the kernel gives away."""
+    for port in range(11_000 + os.getpid() % 10_000, 32_000):
+        with socket.socket(socket.AF_INET, kind) as probe, contextlib.suppress(OSError):
+            probe.bind(("127.0.0.1", port))
+            return port
+    raise AssertionError("there is no port")
+
+
+class Sea:
+    """Two boats, and an operator at the page."""
+
+    def __init__(self, folder: Path, gateway: Gateway, url: str, boats: list[Boat], radios: list[Radio]) -> None:
+        self.folder, self.gateway, self.url, self.boats, self.radios = folder, gateway, url, boats, radios
+        self._tabs = contextlib.AsyncExitStack()
+        self._browsers = 0
+        self.page: Page
+
+    async def browse(self) -> None:
+        """A browser of its own, with the page open."""
+        self._browsers += 1
+        self.page = await self._tabs.enter_async_context(browser(self.folder / f"browser{self._browsers}", NOWHERE))
+        await self.page.call("Network.enable")
+        await self.load()
+
+    async def load(self) -> None:
+        """The page, anew."""
+        await self.page.open(self.url, width=1280, height=800, scale=1.0)
+        await self.page.call("Page.bringToFront")  # an operator who has not clicked yet has the focus elsewhere
+        await self.found()
+
+    async def found(self) -> None:
+        await self.page.until("document.querySelectorAll('.chip').length === 2", PATIENCE_S)
+        for number, boat in enumerate(self.boats, 1):
+            await boat.until(lambda state: state["age_s"]["navigation"] is not None and state["age_s"]["navigation"] < 1)
+            await self.page.until(f"document.querySelector('[data-boat=\"{number}\"] .trouble').hidden", PATIENCE_S)
+
+    async def close(self) -> None:
+        await self._tabs.aclose()
+
+    async def at_rest(self, number: int) -> tuple[Page, Boat]:
+        """All boats were stopped and have said so, this one is selected; the page, and the boat."""
+        page, boat = self.page, self.boats[number - 1]
+        await page.press("Escape")
+        before = [len(radio.said) for radio in self.radios]
+        await page.press(" ", ("Shift",))
+        for each, radio, since in zip(self.boats, self.radios, before, strict=True):
+            async with asyncio.timeout(PATIENCE_S):
+                while not radio.obeyed(since):
+                    await asyncio.sleep(0.02)
+            await each.until(lambda state: state["mode"] == "idle" and turning(0, 0)(state))
+            await page.until(f"document.querySelector('[data-boat=\"{each.number}\"] .mode').dataset.state === 'idle'")
+        await select(page, number)
+        return page, boat
+
+    def nothing_amiss(self) -> None:
+        """Nothing was missing on the page, and it asked nobody but the gateway."""
+        assert self.page.complaints == []
+        own = "data:", "about:", self.url, self.url.replace("http", "ws")
+        assert [each for each in self.page.requests if not each.startswith(own)] == []
+
+
+async def select(page: Page, number: int) -> None:
+    if await page.value("document.querySelector('.selected').dataset.boat") != str(number):
+        await page.press("Tab")
+    await page.until(f"document.querySelector('.selected').dataset.boat === '{number}'")
+
+
+async def shown_mode(page: Page, number: int, words: str) -> None:
+    await page.until(f"document.querySelector('[data-boat=\"{number}\"] .mode').textContent === '{words}'", PATIENCE_S)
+
+
+@contextlib.asynccontextmanager
+async def operating(folder: Path) -> AsyncIterator[Sea]:
+    gateway = Gateway(folder)
+    radios = [Radio(gateway.boats) for _ in BERTHS]
+    ports = [await radio.open() for radio in radios]
+    try:
+        url = await asyncio.to_thread(gateway.start)
+        with afloat(folder / "1", 1, ports[0]) as first, afloat(folder / "2", 2, ports[1]) as second:
+            sea = Sea(folder, gateway, url, [first, second], radios)
+            try:
+                await sea.browse()
+                yield sea
+            finally:
+                await sea.close()
+    finally:
+        gateway.end(signal.SIGTERM)
+        for radio in radios:
+            radio.close()
