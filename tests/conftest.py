@@ -1,6 +1,7 @@
 """Fixtures for all tests, and the rule that continuous integration skips nothing."""
 
 import os
+import signal
 from collections.abc import Generator, Iterator
 
 import hypothesis
@@ -11,6 +12,9 @@ from tests.guest.harness import Guest, guest, missing
 # The same examples in every run, and no stopwatch: a busy machine is no failure.
 hypothesis.settings.register_profile("delfim", deadline=None, derandomize=True)
 hypothesis.settings.load_profile("delfim")
+
+# A shell's job in the background ignores Ctrl-C, and so would all programs that are started here and ended by it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:

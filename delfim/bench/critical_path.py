@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from delfim.bench import report
-from delfim.bench.load import Ports, prepare
+from delfim.bench.load import ELSEWHERE, Ports, prepare
 from delfim.bench.report import Cycle
 from delfim.canproxy.canloop import group_of
 from delfim.console.link import Link
@@ -339,7 +339,7 @@ class Team:
     @contextlib.contextmanager
     def _feeding(self, seconds: float, warm_s: float, *, flood: bool) -> Iterator[subprocess.Popen[bytes]]:
         words = self.rate_hz, warm_s, seconds, self._frames if flood else 0, self._wire_us
-        with running([self._feeder, self._bus, *map(str, words)], stdout=subprocess.PIPE) as feeder:
+        with running([*ELSEWHERE, self._feeder, self._bus, *map(str, words)], stdout=subprocess.PIPE) as feeder:
             yield feeder
 
     def _stop(self, number: signal.Signals) -> None:
@@ -413,7 +413,7 @@ def running(command: Sequence[str], **pipes: Any) -> Iterator[subprocess.Popen[b
 
 
 def _process(*arguments: str, **pipes: Any) -> contextlib.AbstractContextManager[subprocess.Popen[bytes]]:
-    return running([sys.executable, *arguments], **pipes)
+    return running([*ELSEWHERE, sys.executable, *arguments], **pipes)
 
 
 def _told(child: subprocess.Popen[bytes], line: str) -> bytes:

@@ -14,13 +14,13 @@ from typing import Final
 
 from delfim import config
 from delfim.bench.critical_path import free_ports, running, until
-from delfim.bench.load import LOG
+from delfim.bench.load import ELSEWHERE, LOG
 from delfim.errors import DelfimError
 from delfim.services.door import hashed
 
 BYTES_PER_S: Final = 12_500_000  # 100 Mbit/s
 BEGUN_BYTES: Final = 1 << 16
-ASHORE: Final = ("nice", "-n", "19")  # the client's work is another computer's
+ASHORE: Final = (*ELSEWHERE, "nice", "-n", "19")  # the client's work is another computer's
 
 
 class Downloads:

@@ -2,7 +2,8 @@
 
 Two monitors read every frame of the bus from cantcpd, somebody downloads a log from httpd, somebody polls its page twenty
 times a second, and somebody runs a program every second. The program is run by a row of the benchmark's own, because sshd has a
-process to itself, where it would not be in anybody's way. The clients run in a niced process: `python -m delfim.bench.load`.
+process to itself, where it would not be in anybody's way. The clients run in a niced process, and on one processor, as all that
+other computers do: `python -m delfim.bench.load`.
 """
 
 import asyncio
@@ -25,6 +26,7 @@ LOG_BYTES: Final = 1 << 30  # more than a slice takes of it; the file has holes 
 POLL_HZ: Final = 20.0
 DOWNLOAD_BYTES_PER_S: Final = 2e6
 PROGRAM: Final = ("/bin/echo", "done")
+ELSEWHERE: Final = ("taskset", "-c", str(max(os.sched_getaffinity(0))))  # other computers' work is not scattered over this one
 
 Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 

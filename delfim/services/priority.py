@@ -34,6 +34,7 @@ RATE_CHANGE: Final = 0.25  # of the period, by which the last four intervals all
 IRREGULAR: Final = 0.125  # of the period: a source that scatters more is not periodic
 REHEARSALS: Final = 8  # in a window, at most
 HOLD_MAX_S: Final = 0.01  # the longest time that the loop is ever held
+EPOLL_TICK_S: Final = 0.001
 
 
 class Rhythm:
@@ -219,10 +220,9 @@ class NavigationSelector(selectors.EpollSelector):
         first = self._first
         now_s = first.rest()
         if timeout is None or timeout > 0.0:
-            until_s = first.window.opens_s - now_s
-            if until_s < (inf if timeout is None else timeout):
-                # epoll_wait counts milliseconds, select microseconds
-                select.select([self.fileno()], [], [], max(until_s, 0.0))
+            until_s, asked_s = first.window.opens_s - now_s, inf if timeout is None else timeout
+            if until_s < asked_s + EPOLL_TICK_S:  # epoll_wait, which rounds up to ms, would sleep into it
+                select.select([self.fileno()], [], [], max(min(until_s, asked_s), 0.0))
                 timeout = 0.0
         events = super().select(timeout)
         first.resume()

@@ -2,6 +2,8 @@
 
 import asyncio
 import random
+import select
+import selectors
 import socket
 import time
 from collections import Counter
@@ -12,7 +14,15 @@ from math import inf
 import pytest
 
 from delfim.clock import Clock, ManualClock, SystemClock
-from delfim.services.priority import ACCOUNT, REHEARSALS, Account, NavigationFirst, NavigationLoop, NavigationWindow
+from delfim.services.priority import (
+    ACCOUNT,
+    REHEARSALS,
+    Account,
+    NavigationFirst,
+    NavigationLoop,
+    NavigationSelector,
+    NavigationWindow,
+)
 
 
 class Navigation:
@@ -213,6 +223,29 @@ def test_no_callback_runs_when_the_frame_comes_inside_its_window(navigation: Nav
     assert window.hits >= 94
     assert window.misses == window.late == 0
     assert running_at_arrival[5:99] == running_at_opening[:94]
+
+
+@pytest.mark.parametrize(
+    ("timer_s", "selected_s", "polled_s"),
+    [
+        (None, 0.0045, 0.0),  # no timer: until the window opens
+        (0.0100, 0.0045, 0.0),
+        (0.0042, 0.0042, 0.0),  # epoll_wait would make 5 ms of it, and be late for the window
+        (0.0020, None, 0.0020),  # is over in time, whatever it makes of it
+    ],
+)
+def test_no_timer_lets_the_loop_sleep_into_its_window(
+    monkeypatch: pytest.MonkeyPatch, timer_s: float | None, selected_s: float | None, polled_s: float
+) -> None:
+    window, selected, polled = NavigationWindow(0.0006, 0.1), list[float](), list[float | None]()
+    selector = NavigationSelector(NavigationFirst(window, ManualClock(), Account("loop", 1.0)))
+    monkeypatch.setattr(select, "select", lambda _r, _w, _x, timeout: selected.append(timeout))
+    monkeypatch.setattr(selectors.EpollSelector, "select", lambda _, timeout: polled.append(timeout) or [])
+    window.opens_s = ManualClock().monotonic_s() + 0.0045
+    with closing(selector):
+        assert selector.select(timer_s) == []
+    assert selected == pytest.approx([] if selected_s is None else [selected_s])
+    assert polled == [polled_s]
 
 
 def test_the_loop_wakes_for_a_window_and_holds_it_for_its_bound() -> None:
