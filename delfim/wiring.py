@@ -164,6 +164,7 @@ async def _attend(
         log.command(command, refused, boat.state)
         return refused
 
+    mavlink = runtime.load("delfim.vehicle.mavlink.link") if settings.mavlink.enabled else None
     commands = CommandServer(obeyed, lambda: boat.snapshot(more()), settings.console.clients)
     links.callback(commands.close)
     links.callback((await loop.create_unix_server(commands.connection, _socket_path(settings.console.socket))).close)
@@ -172,7 +173,6 @@ async def _attend(
         links.callback(boat.guest.close)
         with contextlib.suppress(OSError):  # a boat without its guest sails; the state says that none is connected
             links.callback((await _guest_server(boat, settings.guest.listen)).close)
-    mavlink = runtime.load("delfim.vehicle.mavlink.link") if settings.mavlink.enabled else None
     ticks = 0
     while True:
         await asyncio.sleep(WATCHDOG_S)

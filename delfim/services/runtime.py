@@ -98,6 +98,7 @@ class Runtime:
         self._place = "process" if alone else "runtime"
         self._beat_fd = beat_fd
         self._beat_s = min(BEAT_S, settings.supervisor.deadman_s / 4)
+        self._loads, self._is_up = 0, False  # libraries that are being read; whether it has ever beaten
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._pauses: dict[int, asyncio.TimerHandle] = {}  # of readers
         self._stop_reason = ""
@@ -153,11 +154,17 @@ class Runtime:
 
     def load(self, module: str) -> asyncio.Future[ModuleType]:
         """A large library, read beside the loop while the boat comes up: it costs the path some milliseconds, once. Its objects
-        stay for good, so that no collection looks at them. Raises ImportError."""
+        stay for good, so that no collection looks at them. What a service asks for in its first step is read before the first
+        beat: a slow computer may take its time for it. Raises ImportError."""
         loading = asyncio.get_running_loop().run_in_executor(None, importlib.import_module, module)
-        if not gc.isenabled():
-            loading.add_done_callback(lambda _: gc.freeze())
+        loading.add_done_callback(self._loaded)
+        self._loads += 1
         return loading
+
+    def _loaded(self, _: object) -> None:
+        self._loads -= 1
+        if not gc.isenabled():
+            gc.freeze()
 
     def report(self) -> dict[str, object]:
         """JSON-ready: every service, the navigation window, the loop's own callbacks, the dead-man's last event."""
@@ -308,8 +315,11 @@ class Runtime:
     # What the loop itself does.
 
     def _beat(self) -> None:
-        """Tell the supervisor that the loop turns."""
+        """Tell the supervisor that the loop turns. Before the first time it is patient, and that is when libraries are read."""
         self._loop.call_later(self._beat_s, self._beat)
+        if self._loads and not self._is_up:
+            return
+        self._is_up = True
         try:
             os.write(self._beat_fd, b".")
         except BlockingIOError:

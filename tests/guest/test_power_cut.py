@@ -20,7 +20,6 @@ from delfim.logging.statelog import read_state
 from delfim.logging.tree import LogFile, files
 from tests.guest.harness import PATH, guest, missing
 
-FRAMES_PER_S = 7700
 LOST_S = 1.0
 SIZE = 64 << 20
 
@@ -46,8 +45,9 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
 
 
 @pytest.mark.timeout(180)
-def test_a_power_cut_costs_a_second_and_no_human(disk, tmp_path, cut):
-    ended_s = power_cut(disk, tmp_path, random.Random(cut).uniform(0.0, 3.0))
+def test_a_power_cut_costs_a_second_and_no_human(disk, tmp_path, cut, request):
+    frames_per_s = request.config.getoption("--frames-per-s")
+    ended_s = power_cut(disk, tmp_path, frames_per_s, random.Random(cut).uniform(0.0, 3.0))
     check = tool("e2fsck", "-f", "-p", str(disk))
     assert check.returncode in (0, 1), f"a human is asked for: {check.stdout}"
     place = tmp_path / "log"
@@ -69,10 +69,10 @@ def test_a_power_cut_costs_a_second_and_no_human(disk, tmp_path, cut):
     shutil.rmtree(place)
 
 
-def power_cut(disk: Path, folder: Path, after_s: float) -> float:
+def power_cut(disk: Path, folder: Path, frames_per_s: int, after_s: float) -> float:
     """Boot, sail, log, and die after so long. Returns the guest's last sign of life: a busy host may have stopped it before."""
     with guest(folder, memory_mib=384, kernel_args=(f"ubd0={disk}",)) as boat:
-        result = boat.run(f"python tests/guest/guest_cut.py {FRAMES_PER_S} /dev/ubda 200_000", timeout_s=90.0)
+        result = boat.run(f"python tests/guest/guest_cut.py {frames_per_s} /dev/ubda 200_000", timeout_s=90.0)
         assert result.code == 0, result.output
         select.select([], [], [], after_s)
     return float((boat.folder / "alive").read_text())

@@ -316,6 +316,30 @@ def test_it_beats_at_least_every_tenth_of_a_second_and_says_when_nobody_listens(
     assert (code, runtime.status["listening"].reason) == (0, "the supervisor is gone")
 
 
+def test_the_first_beat_comes_when_the_libraries_of_the_start_are_read(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a slow computer reading them keeps the loop from turning for longer than a dead-man waits."""
+    os.mkfifo(tmp_path / "gate")
+    (tmp_path / "library_of_this_test.py").write_text(f"open({str(tmp_path / 'gate')!r}).close()")
+    monkeypatch.syspath_prepend(tmp_path)
+    reader, writer = os.pipe()
+    beats: list[int] = []
+
+    async def reading(runtime: Runtime) -> None:
+        library = runtime.load("library_of_this_test")
+        await asyncio.sleep(3 * module.BEAT_S)
+        beats.append(len(select.select([reader], [], [], 0)[0]))
+        (tmp_path / "gate").write_text("")
+        await library
+        while not select.select([reader], [], [], 0)[0]:
+            await asyncio.sleep(0.01)
+        runtime.stop("test over")
+
+    _, code = ran(Service("reading", reading), beat_fd=writer)
+    os.close(reader)
+    os.close(writer)
+    assert (beats, code) == ([0], 0)
+
+
 def test_a_full_pipe_does_not_disturb() -> None:
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
