@@ -529,7 +529,6 @@ class Runtime(Table, frozen=True):
     """Real-time settings. What the process is not allowed to set costs one warning."""
 
     nice: Nice = 0  # of the runtime
-    service_nice: Nice = 10  # of services in processes of their own
     fifo_priority: Annotated[int, msgspec.Meta(ge=0, le=99)] = 0  # 0: the ordinary scheduler
     cpus: tuple[Annotated[int, msgspec.Meta(ge=0, le=1023)], ...] = ()  # empty: all
     mlockall: bool = False  # keep the runtime in memory
@@ -561,7 +560,7 @@ class Service(Table, frozen=True):
     """A service of the suite, by its name."""
 
     enabled: bool = True  # run it
-    place: Literal["default", "runtime", "process"] = "default"  # the runtime's loop, a niced process, or as usual
+    place: Literal["default", "runtime", "process"] = "default"  # the runtime's loop, an idle process, or as usual
     memory_max_mb: Megabytes = 0  # of its process and all it starts; beyond, it is started again; 0: no limit
     cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
 

@@ -131,9 +131,9 @@ def supervise(
     `program` is what is started with `run FILE`. init: as the machine's first process, which ends with the machine."""
     settings = config.load(file, overrides)
     command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
-    programs = [Program("runtime", command, settings.runtime.nice, critical=True)]
+    programs = [Program("runtime", command, critical=True)]
     programs += [
-        Program(row.name, (*command, "--service", row.name), settings.runtime.service_nice, limits=_limits(settings, row.name))
+        Program(row.name, (*command, "--service", row.name), limits=_limits(settings, row.name))
         for row in services(settings)
         if row.place == "process"
     ]

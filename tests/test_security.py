@@ -205,6 +205,5 @@ def test_the_page_shows_who_is_at_the_doors(boat: Boat) -> None:
         select.select([], [], [], 0.2)
     for name in ("ftpd", "sshd"):
         assert programs[name]["state"] == "running"
-        assert os.getpriority(os.PRIO_PROCESS, programs[name]["pid"]) > os.getpriority(
-            os.PRIO_PROCESS, programs["runtime"]["pid"]
-        )
+        assert os.sched_getscheduler(programs[name]["pid"]) == os.SCHED_IDLE
+    assert os.sched_getscheduler(programs["runtime"]["pid"]) == os.SCHED_OTHER

@@ -33,8 +33,7 @@ class PlainRuntime(Runtime):
     """What a service sees of the runtime, on whatever loop runs: each reader is just a reader."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
-        self.config, self.clock = settings, clock
-        self.status, self.board = {}, {}
+        super().__init__(settings, clock, alone=True)
 
     def navigation(self, fd: int, handler: Callable[[], bool]) -> None:
         asyncio.get_running_loop().add_reader(fd, handler)

@@ -1,4 +1,4 @@
-"""Bulk downloads beside the critical path: ftpd and sshd as the supervisor runs them, in processes of their own and niced, and
+"""Bulk downloads beside the critical path: ftpd and sshd as the supervisor runs them, in processes of their own and idle, and
 somebody ashore who fetches a log from them, again and again, at the speed of a good radio."""
 
 import contextlib
@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from delfim import config
 from delfim.bench.critical_path import free_ports, running, until
 from delfim.bench.load import ELSEWHERE, LOG
 from delfim.errors import DelfimError
@@ -20,7 +19,8 @@ from delfim.services.door import hashed
 
 BYTES_PER_S: Final = 12_500_000  # 100 Mbit/s
 BEGUN_BYTES: Final = 1 << 16
-ASHORE: Final = (*ELSEWHERE, "nice", "-n", "19")  # the client's work is another computer's
+IDLE: Final = ("chrt", "--idle", "0")
+ASHORE: Final = (*ELSEWHERE, *IDLE)  # the client's work is another computer's
 
 
 class Downloads:
@@ -31,7 +31,7 @@ class Downloads:
         absent = [program for program in ("curl", "sftp", "ssh-keygen") if not shutil.which(program)]
         if absent:
             raise DelfimError(f"bulk downloads need {', '.join(absent)}")
-        self._nice, self._file, self._logs, self._place = config.load(file, asked).runtime.service_nice, file, logs, place
+        self._file, self._logs, self._place = file, logs, place
         self._asked, self._password, self._key = asked, secrets.token_hex(8), place / "key"
         self._ports = dict(zip(("ftpd", "sshd"), free_ports(2), strict=True))
         self._all = contextlib.ExitStack()
@@ -46,7 +46,7 @@ class Downloads:
             settings = [*self._asked, users[name], f'{name}.listen="127.0.0.1:{port}"', f'{name}.root="{self._logs}"']
             settings += [f'sshd.host_key="{self._place}/host_key"', f'runtime.run_directory="{self._place}"']
             words = [word for each in settings for word in ("--set", each)]
-            command = ["nice", "-n", str(self._nice), sys.executable, "-m", "delfim", "run", self._file, "--service", name]
+            command = [*IDLE, sys.executable, "-m", "delfim", "run", self._file, "--service", name]
             self._all.enter_context(running([*command, *words], stderr=subprocess.DEVNULL))
             until(lambda port=port: socket.create_connection(("127.0.0.1", port), timeout=1.0).close(), name)
         return self

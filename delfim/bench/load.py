@@ -2,7 +2,7 @@
 
 Two monitors read every frame of the bus from cantcpd, somebody downloads a log from httpd, somebody polls its page twenty
 times a second, and somebody runs a program every second. The program is run by a row of the benchmark's own, because sshd has a
-process to itself, where it would not be in anybody's way. The clients run in a niced process, and on one processor, as all that
+process to itself, where it would not be in anybody's way. The clients run in an idle process, and on one processor, as all that
 other computers do: `python -m delfim.bench.load`.
 """
 
@@ -161,7 +161,7 @@ def _got(link: socket.socket, path: str) -> http.client.HTTPResponse:
 def main() -> int:
     """A line of ports, the bus and the number of watchers (0: clients of all kinds) starts them and is answered with "on", an
     empty line stops them and is answered with their counts as JSON; the end of the input ends."""
-    os.nice(10)
+    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     clients: Clients | None = None
     for line in sys.stdin:
         if line.strip():

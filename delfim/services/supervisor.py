@@ -53,11 +53,11 @@ log = logging.getLogger(__name__)
 
 
 class Program(NamedTuple):
-    """One program. The critical one has the dead-man; there is at most one."""
+    """One program. The critical one has the dead-man; there is at most one. The others run on processors that nobody else wants
+    (SCHED_IDLE): being niced does not make the kernel take a processor from them at once when the critical one wakes."""
 
     name: str
     argv: tuple[str, ...]
-    nice: int = 0
     critical: bool = False
     limits: Limits = Limits()
 
@@ -194,11 +194,11 @@ class Supervisor:
         finally:
             os.close(beat)
         program.limits.hold(program.name, child.pid)
-        if program.nice:
+        if not program.critical:
             try:
-                os.setpriority(os.PRIO_PROCESS, child.pid, program.nice)
+                os.sched_setscheduler(child.pid, os.SCHED_IDLE, os.sched_param(0))
             except OSError as error:
-                log.warning("%s: nice %d: %s; going on without it", program.name, program.nice, error.strerror)
+                log.warning("%s: SCHED_IDLE: %s; going on without it", program.name, error.strerror)
         self._change(child, "running")
 
     def _reap(self) -> None:

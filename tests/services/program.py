@@ -35,7 +35,7 @@ def supervise(text: str) -> int:
         if broken:
             raise OSError("bus-off")
 
-    programs = [supervisor.Program(name, tuple(argv), nice, critical) for name, argv, nice, critical in told.pop("programs")]
+    programs = [supervisor.Program(name, tuple(argv), critical) for name, argv, critical in told.pop("programs")]
     files = {name: Path(told.pop(name)) for name in ("state_file", "requests")}
     supervising = supervisor.Supervisor(programs, stop=stop, **files, **told)
     code = supervising.run_forever()

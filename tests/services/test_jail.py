@@ -1,5 +1,7 @@
 """No path leads out: named, linked, or put there while one looks."""
 
+import ctypes
+import mmap
 import os
 
 import pytest
@@ -84,6 +86,29 @@ def test_a_link_put_there_after_the_look_is_noticed(jail, tmp_path, monkeypatch)
     monkeypatch.setattr(jail, "real", slow)
     with pytest.raises(DelfimError, match="outside"):
         jail.open("folder/file")
+
+
+def test_a_file_is_not_read_ahead(jail, tmp_path):
+    """A kernel that reads megabytes ahead within one call may give the processor to nobody meanwhile."""
+    (tmp_path / "root/large").write_bytes(bytes(4 << 20))
+    fd = jail.open("large", os.O_RDWR)
+    os.fsync(fd)  # only what is on the disk can be forgotten
+    os.posix_fadvise(fd, 0, 0, os.POSIX_FADV_DONTNEED)
+    before = resident_pages(fd, 4 << 20)
+    os.pread(fd, mmap.PAGESIZE, 1 << 20)
+    after = resident_pages(fd, 4 << 20)
+    os.close(fd)
+    assert after - before <= 1
+
+
+def resident_pages(fd, size):
+    """How much of a file is in memory (mincore(2))."""
+    with mmap.mmap(fd, size) as place:
+        pages = (ctypes.c_ubyte * (size // mmap.PAGESIZE))()
+        at = ctypes.c_ubyte.from_buffer(place)
+        assert ctypes.CDLL(None).mincore(ctypes.byref(at), ctypes.c_size_t(size), pages) == 0
+        del at
+    return sum(page & 1 for page in pages)
 
 
 def test_the_root_is_shown_as_such(jail):

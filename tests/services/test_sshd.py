@@ -329,6 +329,15 @@ def test_nothing_is_forwarded(tmp_path, keys):
     run(tmp_path, keys, test)
 
 
+def test_clients_are_told_to_read_files_in_small_blocks(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        options: Any = {"known_hosts": None, "client_keys": [keys["key"]], "username": "ana"}
+        async with asyncssh.connect("127.0.0.1", there.port, **options) as link, link.start_sftp_client() as files:
+            assert files.limits.max_read_len == sshd.READ_BYTES
+
+    run(tmp_path, keys, test)
+
+
 def test_key_exchanges_that_cost_the_loop_are_not_offered(tmp_path, keys):
     async def test(there: Boat) -> None:
         for kex, code in (("curve25519-sha256", 0), ("diffie-hellman-group18-sha512", 255)):

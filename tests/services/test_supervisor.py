@@ -37,13 +37,13 @@ class Suite:
         self.record, self.state_file = place / "record", place / "state.json"
         self.watchdog, self.requests = place / "watchdog", place / "supervisor"
         self.is_namespace = False  # then nothing survives it, and its process ids are its own
-        self._rows: list[tuple[str, list[str], int, bool]] = []
+        self._rows: list[tuple[str, list[str], bool]] = []
 
-    def program(self, name: str, *behaviour: str, critical: bool = False, nice: int = 0) -> None:
-        self._rows.append((name, [*PROGRAM, name, str(self.record), *behaviour], nice, critical))
+    def program(self, name: str, *behaviour: str, critical: bool = False) -> None:
+        self._rows.append((name, [*PROGRAM, name, str(self.record), *behaviour], critical))
 
     def command(self, name: str, *argv: str) -> None:
-        self._rows.append((name, list(argv), 0, False))
+        self._rows.append((name, list(argv), False))
 
     def start(
         self,
@@ -290,13 +290,15 @@ def test_a_runtime_without_supervisor_learns_of_it(suite: Suite) -> None:
     until(lambda: len(suite.events(word="abandoned")) == 2, 1.0)
 
 
-def test_programs_have_their_nice_value_and_a_session_of_their_own(suite: Suite) -> None:
-    suite.program("sshd", nice=7)
+def test_programs_are_idle_but_the_critical_one_and_have_a_session_of_their_own(suite: Suite) -> None:
+    suite.program("runtime", critical=True)
+    suite.program("sshd")
     suite.start()
-    until(lambda: suite.events("sshd", "beat"))
-    pid = suite.state()["programs"]["sshd"]["pid"]
-    assert os.getpriority(os.PRIO_PROCESS, pid) == 7
-    assert os.getsid(pid) == pid
+    until(lambda: len(suite.events(word="beat")) == 2)
+    for name, policy in (("runtime", os.SCHED_OTHER), ("sshd", os.SCHED_IDLE)):
+        pid = suite.state()["programs"][name]["pid"]
+        assert os.sched_getscheduler(pid) == policy
+        assert os.getsid(pid) == pid
 
 
 @pytest.mark.parametrize(("word", "reason"), [("off", "button"), ("reboot", "command of somebody"), ("end", "")])
