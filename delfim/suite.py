@@ -139,6 +139,7 @@ def supervise(
     ]
     place = Path(settings.runtime.run_directory)
     place.mkdir(parents=True, exist_ok=True)
+    _above(settings.runtime.fifo_priority)
     limits, stop = settings.supervisor, StopFrames(settings.can.interface)
     supervisor = Supervisor(
         programs,
@@ -158,6 +159,13 @@ def supervise(
         if init:
             shutdown.leave(supervisor.word)
     return code
+
+
+def _above(fifo_priority: int) -> None:
+    """A runtime that loops for ever in real time must not keep the processor from who would end it."""
+    if fifo_priority:
+        with contextlib.suppress(OSError):  # not permitted: the runtime is not either, and says so
+            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(fifo_priority + 1))
 
 
 def _limits(settings: config.Vehicle, name: str) -> cgroup.Limits:

@@ -32,7 +32,7 @@ from delfim.services import powerd, slots
 from delfim.services.runtime import Runtime
 from delfim.vehicle import record
 from delfim.vehicle.command import CommandServer
-from delfim.vehicle.console import Alive, Commands, Report, Shutdown, Watch
+from delfim.vehicle.console import Alive, Commands, Report, Shutdown, Stop, Watch
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import LOCAL, Vehicle
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
@@ -158,7 +158,9 @@ async def _attend(
         return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
     def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
-        refused = (broken.deaf if broken else None) or boat.on_command(command, operator)
+        is_early = runtime.is_starting() and not isinstance(command, Alive | Report | Shutdown | Stop | Watch)
+        early = "the computer is still starting, and nobody watches over it yet: a moment" if is_early else None
+        refused = early or (broken.deaf if broken else None) or boat.on_command(command, operator)
         if isinstance(command, Shutdown) and refused is None:
             powerd.ask(runtime, "reboot" if command.reboot else "off", "command of the console")
         log.command(command, refused, boat.state)

@@ -56,8 +56,9 @@ class Suite(NamedTuple):
 
 
 @pytest.fixture
-def suite(tmp_path: Path) -> Iterator[Suite]:
-    """A supervised boat under way."""
+def suite(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Suite]:
+    """A supervised boat under way; its parameter, where it has one, is what the supervisor is started with."""
+    prefix, *more = getattr(request, "param", [[]])
     bus = f"canloop:deadman-{os.getpid()}-{tmp_path.name[-10:]}"
     settings = {
         "can.interface": f'"{bus}"',
@@ -70,7 +71,8 @@ def suite(tmp_path: Path) -> Iterator[Suite]:
     words = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
     hang = tmp_path / "hang"
     nodes = subprocess.Popen([sys.executable, "-m", "delfim", "nodes", VEHICLE, *words])
-    supervisor = subprocess.Popen([sys.executable, str(ROOT / "tests/hanging.py"), str(hang), "supervise", VEHICLE, *words])
+    command = [*prefix, sys.executable, str(ROOT / "tests/hanging.py"), str(hang), "supervise", VEHICLE, *words, *more]
+    supervisor = subprocess.Popen(command)
     with open_can(bus) as socket:
         socket.bind(CanAddress(messages.PROPELLER_STARBOARD))
         socket.settimeout(10)
@@ -104,6 +106,24 @@ def test_a_runtime_that_hangs_loses_the_propellers_and_comes_back(suite, how):
     expected = "killed by signal 9" if how == "SIGKILL" else "dead-man"
     assert expected in told["programs"]["runtime"]["reason"]
     assert suite.runtime_pid() != pid
+
+
+@pytest.mark.timeout(90)
+@pytest.mark.parametrize(
+    "suite", [[("taskset", "-c", str(min(os.sched_getaffinity(0)))), "--set", "runtime.fifo_priority=10"]], indirect=True
+)
+def test_a_runtime_that_hangs_in_real_time_does_not_keep_the_processor_from_its_supervisor(suite):
+    pid = suite.runtime_pid()
+    policies = [(os.sched_getscheduler(each), os.sched_getparam(each).sched_priority) for each in (pid, suite.supervisor.pid)]
+    if os.geteuid() == 0:
+        assert policies == [(os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 10), (os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, 11)]
+    suite.hang.write_text("python")
+    began = time.monotonic()
+    os.kill(pid, signal.SIGUSR1)
+    silence_s = suite.stopped(began)
+    print(f"stopped after {silence_s:.2f} s")
+    assert silence_s < 1.2 + 1.0
+    assert "beat stopped for" in suite.asked("state")["deadman"]["reason"]
 
 
 @pytest.mark.timeout(90)

@@ -161,6 +161,10 @@ class Runtime:
         self._loads += 1
         return loading
 
+    def is_starting(self) -> bool:
+        """Whether there is a dead-man and it waits for the first beat, patiently: nothing may turn a propeller yet."""
+        return self._beat_fd >= 0 and not self._is_up
+
     def _loaded(self, _: object) -> None:
         self._loads -= 1
         if not gc.isenabled():

@@ -328,16 +328,18 @@ def test_the_first_beat_comes_when_the_libraries_of_the_start_are_read(tmp_path:
         library = runtime.load("library_of_this_test")
         await asyncio.sleep(3 * module.BEAT_S)
         beats.append(len(select.select([reader], [], [], 0)[0]))
+        assert runtime.is_starting()
         (tmp_path / "gate").write_text("")
         await library
         while not select.select([reader], [], [], 0)[0]:
             await asyncio.sleep(0.01)
+        beats.append(runtime.is_starting())
         runtime.stop("test over")
 
     _, code = ran(Service("reading", reading), beat_fd=writer)
     os.close(reader)
     os.close(writer)
-    assert (beats, code) == ([0], 0)
+    assert (beats, code) == ([0, False], 0)
 
 
 def test_a_full_pipe_does_not_disturb() -> None:
