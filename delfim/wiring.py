@@ -30,9 +30,9 @@ from delfim.logging.statelog import Schema, StateWriter
 from delfim.messages import LOG_ID, SYSSTAT_MASK, TIME_FRAME, Node, sysstat_arb
 from delfim.services import powerd, slots
 from delfim.services.runtime import Runtime
-from delfim.vehicle import record
+from delfim.vehicle import console, record
 from delfim.vehicle.command import CommandServer
-from delfim.vehicle.console import Alive, Commands, Report, Shutdown, Stop, Watch
+from delfim.vehicle.console import Alive, Commands, Report, Shutdown, Watch
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import LOCAL, Vehicle
 from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
@@ -47,6 +47,7 @@ WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
 MAINTAIN_EVERY = 10
 GATHER_S = 0.005  # that frames wait for others on their way into the black box; the kernel has stamped them already
+MOVES = console.Mode | console.Manual | console.Heading | console.Goto | console.Play | console.Leg
 
 
 class StateLog:
@@ -158,7 +159,7 @@ async def _attend(
         return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
     def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
-        is_early = runtime.is_starting() and not isinstance(command, Alive | Report | Shutdown | Stop | Watch)
+        is_early = runtime.is_starting() and isinstance(command, MOVES)
         early = "the computer is still starting, and nobody watches over it yet: a moment" if is_early else None
         refused = early or (broken.deaf if broken else None) or boat.on_command(command, operator)
         if isinstance(command, Shutdown) and refused is None:
