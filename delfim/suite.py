@@ -28,7 +28,7 @@ from delfim.messages import (
     pack_shutdown_acknowledge,
 )
 from delfim.services import cgroup, shutdown
-from delfim.services.supervisor import Program, Supervisor
+from delfim.services.supervisor import Program, Supervisor, real_time
 
 if TYPE_CHECKING:
     from delfim.services import runtime
@@ -165,7 +165,7 @@ def _above(fifo_priority: int) -> None:
     """A runtime that loops for ever in real time must not keep the processor from who would end it."""
     if fifo_priority:
         with contextlib.suppress(OSError):  # not permitted: the runtime is not either, and says so
-            os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(fifo_priority + 1))
+            real_time(fifo_priority + 1)
 
 
 def _limits(settings: config.Vehicle, name: str) -> cgroup.Limits:

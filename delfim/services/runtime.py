@@ -27,7 +27,7 @@ from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure, in_words
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop, NavigationWindow
-from delfim.services.supervisor import EXIT_PERMANENT
+from delfim.services.supervisor import EXIT_PERMANENT, real_time
 
 BEAT_S: Final = 0.1  # the longest time between two beats of a loop that is well
 SETTLE_S: Final = 1.0  # a service is starting for so long; what its callbacks cost counts afterwards
@@ -361,7 +361,7 @@ def _privileges(settings: config.Runtime) -> None:
         (f"nice = {settings.nice}", settings.nice != 0, lambda: os.setpriority(os.PRIO_PROCESS, 0, settings.nice)),
         (f"cpus = {list(settings.cpus)}", bool(settings.cpus), lambda: os.sched_setaffinity(0, settings.cpus)),
         ("mlockall", settings.mlockall, _mlockall),
-        (f"fifo_priority = {settings.fifo_priority}", settings.fifo_priority > 0, lambda: _fifo(settings.fifo_priority)),
+        (f"fifo_priority = {settings.fifo_priority}", settings.fifo_priority > 0, lambda: real_time(settings.fifo_priority)),
     ]
     for name, wanted, do in asked:
         if wanted:
@@ -369,11 +369,6 @@ def _privileges(settings: config.Runtime) -> None:
                 do()
             except OSError as error:
                 log.warning("runtime.%s: %s; going on without it", name, error.strerror)
-
-
-def _fifo(priority: int) -> None:
-    """Children and threads start with the ordinary scheduler."""
-    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
 
 
 def _mlockall() -> None:

@@ -377,6 +377,11 @@ class Supervisor:
             log.error("%s: %s", self._state_file, error.strerror)
 
 
+def real_time(priority: int) -> None:
+    """For this process; children and threads start with the ordinary scheduler. Raises OSError."""
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
+
+
 def _listening(path: Path) -> socket.socket | None:
     """The socket for requests; None where it cannot be had: signals remain."""
     path.unlink(missing_ok=True)
