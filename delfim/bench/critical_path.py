@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from delfim.bench import report
-from delfim.bench.load import ELSEWHERE, Ports, prepare
+from delfim.bench.load import ASHORE, ELSEWHERE, Ports, prepare
 from delfim.bench.report import Cycle
 from delfim.canproxy.canloop import group_of
 from delfim.console.link import Link
@@ -413,7 +413,7 @@ def running(command: Sequence[str], **pipes: Any) -> Iterator[subprocess.Popen[b
 
 
 def _process(*arguments: str, **pipes: Any) -> contextlib.AbstractContextManager[subprocess.Popen[bytes]]:
-    return running([*ELSEWHERE, sys.executable, *arguments], **pipes)
+    return running([*ASHORE, sys.executable, *arguments], **pipes)
 
 
 def _told(child: subprocess.Popen[bytes], line: str) -> bytes:

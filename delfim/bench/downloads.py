@@ -13,14 +13,12 @@ from pathlib import Path
 from typing import Final
 
 from delfim.bench.critical_path import free_ports, running, until
-from delfim.bench.load import ELSEWHERE, LOG
+from delfim.bench.load import ASHORE, IDLE, LOG
 from delfim.errors import DelfimError
 from delfim.services.door import hashed
 
 BYTES_PER_S: Final = 12_500_000  # 100 Mbit/s
 BEGUN_BYTES: Final = 1 << 16
-IDLE: Final = ("chrt", "--idle", "0")
-ASHORE: Final = (*ELSEWHERE, *IDLE)  # the client's work is another computer's
 
 
 class Downloads:

@@ -6,7 +6,6 @@ questions, which have to be answered. The same seed sends the same.
 
 import contextlib
 import json
-import os
 import select
 import socket
 import sys
@@ -49,7 +48,6 @@ def framed(kind: int, payload: bytes, sequence: int, system: int = SYSTEM, compo
 def main() -> int:
     """A line of ports (delfim.bench.load) starts and is answered with "on", an empty line stops and is answered with the number
     of datagrams as JSON; the end of the input ends."""
-    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     random, number = Random(1), 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
         while line := sys.stdin.readline():

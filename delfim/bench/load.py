@@ -27,6 +27,8 @@ POLL_HZ: Final = 20.0
 DOWNLOAD_BYTES_PER_S: Final = 2e6
 PROGRAM: Final = ("/bin/echo", "done")
 ELSEWHERE: Final = ("taskset", "-c", str(max(os.sched_getaffinity(0))))  # other computers' work is not scattered over this one
+IDLE: Final = ("chrt", "--idle", "0")
+ASHORE: Final = (*ELSEWHERE, *IDLE)  # a client's work is another computer's, and has time
 
 Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
@@ -161,7 +163,6 @@ def _got(link: socket.socket, path: str) -> http.client.HTTPResponse:
 def main() -> int:
     """A line of ports, the bus and the number of watchers (0: clients of all kinds) starts them and is answered with "on", an
     empty line stops them and is answered with their counts as JSON; the end of the input ends."""
-    os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
     clients: Clients | None = None
     for line in sys.stdin:
         if line.strip():

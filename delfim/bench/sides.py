@@ -26,7 +26,7 @@ from delfim.bench import report
 from delfim.bench.critical_path import Slice, Team, build
 from delfim.bench.disk import Disk, leave_mounts
 from delfim.bench.downloads import Downloads
-from delfim.bench.load import ELSEWHERE, prepare
+from delfim.bench.load import ASHORE, prepare
 from delfim.bench.onlooker import Onlooker
 from delfim.console.link import Link
 from delfim.errors import DelfimError
@@ -182,7 +182,7 @@ def _team(asked: argparse.Namespace, place: Path) -> Iterator[Team]:
 
 @contextlib.contextmanager
 def _clients(module: str = "delfim.bench.load") -> Iterator["subprocess.Popen[bytes]"]:
-    command = [*ELSEWHERE, sys.executable, "-m", module]
+    command = [*ASHORE, sys.executable, "-m", module]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as clients:
         try:
             yield clients
