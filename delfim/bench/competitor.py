@@ -23,6 +23,7 @@ from typing import Any, Final
 from delfim import config, suite
 from delfim.bench.load import Ports, rows
 from delfim.clock import Clock, SystemClock
+from delfim.services.priority import Rehearsal
 from delfim.services.runtime import Runtime, Service
 
 KINDS: Final = ("delfim", "apart", "services", "asyncio", "uvloop")
@@ -47,7 +48,7 @@ class PlainRuntime(Runtime):
     def remove_reader(self, fd: int) -> None:
         asyncio.get_running_loop().remove_reader(fd)
 
-    def rehearsal(self, rehearse: Callable[[], None] | None) -> None:
+    def rehearsal(self, rehearsal: Rehearsal | None) -> None:
         """There is no window in which it could be done."""
 
     def report(self) -> dict[str, Any]:

@@ -22,7 +22,7 @@ from contextvars import Context, ContextVar, copy_context
 from dataclasses import dataclass
 from itertools import accumulate, pairwise
 from math import inf
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from delfim.clock import Clock
 
@@ -32,7 +32,6 @@ MISSES_MAX: Final = 3  # windows in a row without their message; then there are 
 FORGET_PERIODS: Final = 4.0  # a source silent for so long starts anew
 RATE_CHANGE: Final = 0.25  # of the period, by which the last four intervals all have to differ
 IRREGULAR: Final = 0.125  # of the period: a source that scatters more is not periodic
-REHEARSALS: Final = 8  # in a window, at most
 HOLD_MAX_S: Final = 0.01  # the longest time that the loop is ever held
 EPOLL_TICK_S: Final = 0.001
 
@@ -208,6 +207,13 @@ class Account:
 ACCOUNT: Final[ContextVar[Account]] = ContextVar("ACCOUNT")
 
 
+class Rehearsal(Protocol):
+    """The critical path without effect. It must not raise."""
+
+    def whole(self) -> None: ...  # when a window opens, where it is over before the message is due
+    def part(self) -> None: ...  # between two looks of a window that waits: a message waits for it, so it takes microseconds
+
+
 class NavigationSelector(selectors.EpollSelector):
     """Sleeps as the loop's selector does, but wakes in time for the window, and serves navigation before it returns."""
 
@@ -245,7 +251,7 @@ class NavigationFirst:
         self._own = self._payer = account
         self._since_s = self._clock_s()
         self._is_fresh = False  # navigation was looked at, and nothing ran since
-        self.rehearse: Callable[[], None] | None = None  # warms the caches at the opening of a window
+        self.rehearsal: Rehearsal | None = None
         self._rehearsal_s = 0.0  # what is left to the message when another one begins
 
     def fileno(self) -> int:
@@ -301,37 +307,37 @@ class NavigationFirst:
         window = self.window
         if now_s >= window.opens_s:
             opened_s, until_s = now_s, window.open(now_s)
-            if self.rehearse is not None:
-                now_s = self._rehearse(self.rehearse, min(window.due_s, until_s), now_s)
+            now_s = self._rehearse(min(window.due_s, until_s), now_s)
             awaited = window.awaited
             while window.is_open and now_s < until_s:  # the handler looks itself: so all of its way stays warm
                 now_s = self._handle(awaited, now_s)
                 if window.is_open:
                     for fd, _ in self._poll(0.0, 4):
                         now_s = self._handle(fd, now_s)
+                if window.is_open and self.rehearsal is not None:
+                    self._practise(self.rehearsal.part)
             window.close(opened_s, now_s)
         return now_s
 
-    def _rehearse(self, rehearse: Callable[[], None], until_s: float, now_s: float) -> float:
-        """Several times, for each is faster than the one before; none that may not be over in time, and none when the message
-        is there. Returns when that was last known not to be so: a message that came meanwhile did not come later than it was
-        due, and the next window must not open later for it."""
-        looked_s = now_s
+    def _rehearse(self, until_s: float, now_s: float) -> float:
+        """The whole way once, unless it may not be over in time or the message is there. Returns when that was last known not
+        to be so: a message that came meanwhile did not come later than it was due, and the next window must not open later
+        for it."""
+        if self.rehearsal is None or self._poll(0.0, 1):
+            return now_s
+        if now_s + self._rehearsal_s > until_s:
+            self._rehearsal_s *= 0.5  # one that was interrupted is not for ever the measure
+            return now_s
+        self._practise(self.rehearsal.whole)
+        self._rehearsal_s = 2.0 * (self._clock_s() - now_s)
+        return now_s
+
+    def _practise(self, step: Callable[[], None]) -> None:
         try:
-            for _ in range(REHEARSALS):
-                if now_s + self._rehearsal_s > until_s:
-                    self._rehearsal_s *= 0.5  # one that was interrupted is not for ever the measure
-                    break
-                if self._poll(0.0, 1):
-                    break
-                looked_s = now_s
-                rehearse()
-                now_s = self._clock_s()
-                self._rehearsal_s = 2.0 * (now_s - looked_s)
+            step()
         except Exception:  # a defect that costs warmth and must cost no more: there are no more rehearsals
-            self.rehearse = None
+            self.rehearsal = None
             logging.getLogger(__name__).exception("rehearsal of the critical path")
-        return looked_s
 
     def _handle(self, fd: int, at_s: float) -> float:
         """Call the handler of a readable socket; `at_s` is when it was seen. Returns the time."""
@@ -382,9 +388,9 @@ class NavigationLoop(asyncio.SelectorEventLoop):
         a descriptor that epoll cannot watch."""
         self._first.add(fd, handler, failed)
 
-    def set_rehearsal(self, rehearse: Callable[[], None] | None) -> None:
-        """Called when a window opens, before the loop polls; it must not raise, and take a small part of the guard."""
-        self._first.rehearse = rehearse
+    def set_rehearsal(self, rehearsal: Rehearsal | None) -> None:
+        """What keeps the caches warm for navigation."""
+        self._first.rehearsal = rehearsal
 
     def remove_navigation(self, fd: int) -> None:
         """Nothing happens where `fd` was not added."""

@@ -26,7 +26,7 @@ from typing import Final, Literal, NamedTuple
 from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure, in_words
-from delfim.services.priority import ACCOUNT, Account, NavigationLoop, NavigationWindow
+from delfim.services.priority import ACCOUNT, Account, NavigationLoop, NavigationWindow, Rehearsal
 from delfim.services.supervisor import EXIT_PERMANENT, real_time
 
 BEAT_S: Final = 0.1  # the longest time between two beats of a loop that is well
@@ -118,9 +118,9 @@ class Runtime:
         a navigation message. Its time is the calling service's, and so is the failure when it raises."""
         self._loop.add_navigation(fd, handler, self._failed())
 
-    def rehearsal(self, rehearse: Callable[[], None] | None) -> None:
-        """What to do at the opening of each window: the critical path without effect, so that its caches are warm."""
-        self._loop.set_rehearsal(rehearse)
+    def rehearsal(self, rehearsal: Rehearsal | None) -> None:
+        """What keeps the caches warm for navigation: the critical path without effect."""
+        self._loop.set_rehearsal(rehearsal)
 
     def remove_navigation(self, fd: int) -> None:
         self._loop.remove_navigation(fd)

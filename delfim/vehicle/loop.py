@@ -82,10 +82,10 @@ class Vehicle:
         t1 = time_ns()
         now_s = self.clock.monotonic_s()
         fix = source.read(now_s)
-        if fix is None or not self._take(source, fix):
+        if fix is None or not self.take(source, fix):
             return False
         t2 = time_ns()
-        wanted = self._control(now_s)
+        wanted = self.wanted(now_s)
         t3 = time_ns()
         state.actuation = self.propulsion.send(wanted, now_s)
         t4 = time_ns()
@@ -116,7 +116,7 @@ class Vehicle:
             return str(refusal)
         if not isinstance(command, console.Alive):
             state.operator = operator
-            state.actuation = self.propulsion.send(self._control(now_s), now_s)
+            state.actuation = self.propulsion.send(self.wanted(now_s), now_s)
         return None
 
     def on_guest(self, line: bytes) -> None:
@@ -193,9 +193,9 @@ class Vehicle:
         if mode is not state.mode:
             state.setpoint, self._taken = setpoint, True
             self._enter(mode, reason)
-            state.actuation = self.propulsion.send(self._control(now_s), now_s)
+            state.actuation = self.propulsion.send(self.wanted(now_s), now_s)
 
-    def _take(self, source: Source, fix: Fix) -> bool:
+    def take(self, source: Source, fix: Fix) -> bool:
         """A fix into the state; False when it is not used: a better source speaks, or no boat moves that fast."""
         state, limits = self.state, self.settings.navigation
         if not preferred(source, self.sources, fix.received_s, limits.stale_s):
@@ -249,7 +249,8 @@ class Vehicle:
         state.jumped_s, state.jumped_m = now_s, moved_m
         return True
 
-    def _control(self, now_s: float) -> Actuation:
+    def wanted(self, now_s: float) -> Actuation:
+        """What control asks of the propellers now."""
         state = self.state
         dt_s = min(now_s - self._controlled_s, 1.0)
         self._controlled_s = now_s

@@ -16,7 +16,6 @@ import pytest
 from delfim.clock import Clock, ManualClock, SystemClock
 from delfim.services.priority import (
     ACCOUNT,
-    REHEARSALS,
     Account,
     NavigationFirst,
     NavigationLoop,
@@ -270,70 +269,94 @@ def test_the_loop_wakes_for_a_window_and_holds_it_for_its_bound() -> None:
     assert 3 * 0.002 < window.spent_s < 3 * 0.004 + 0.005  # opened before the message was due
 
 
-@pytest.mark.parametrize("raises", [False, True])
-def test_the_path_is_rehearsed_when_a_window_opens_and_never_again_once_that_raised(
-    navigation: Navigation, raises: bool
-) -> None:
-    window, rehearsals = NavigationWindow(0.0006, 0.2), list[bool]()
+class Practice:
+    """A rehearsal that notes what is asked of it."""
 
-    def rehearse() -> None:
-        rehearsals.append(window.is_open)
-        if raises:
+    def __init__(self, step: Callable[[], None]) -> None:
+        self._step, self.steps = step, list[str]()
+
+    def whole(self) -> None:
+        self.steps.append("whole")
+        self._step()
+
+    def part(self) -> None:
+        self.steps.append("part")
+        self._step()
+
+
+@pytest.mark.parametrize("raises", ["", "whole", "part"])
+def test_the_path_is_rehearsed_in_windows_alone_and_never_again_once_that_raised(navigation: Navigation, raises: str) -> None:
+    window, is_open = NavigationWindow(0.0006, 0.2), set[bool]()
+
+    def step() -> None:
+        is_open.add(window.is_open)
+        if rehearsal.steps[-1] == raises:
             raise ValueError("defect")
+
+    rehearsal = Practice(step)
 
     async def main() -> None:
         loop = asyncio.get_running_loop()
         assert isinstance(loop, NavigationLoop)
-        loop.set_rehearsal(rehearse)
+        loop.set_rehearsal(rehearsal)
         first(navigation.handle, navigation.receiver.fileno())
         await asyncio.wait_for(flood(lambda kind: None, lambda: len(navigation.others) >= 50), 20)
 
     with loop_with(window, Scripted(navigation)) as runner:
         runner.run(main())
-    assert set(rehearsals) == {True}
-    assert len(rehearsals) == 1 if raises else window.hits <= len(rehearsals) <= REHEARSALS * (window.hits + window.misses + 1)
+    assert is_open == {True}
+    if raises:
+        assert (rehearsal.steps.count(raises), rehearsal.steps[-1]) == (1, raises)
+    else:
+        assert 0 < rehearsal.steps.count("whole") <= window.hits + window.misses + window.late + 1
+        assert rehearsal.steps.count("part") > window.hits
 
 
 def test_a_rehearsal_that_would_not_be_over_in_time_is_left_out_and_one_interruption_is_forgotten() -> None:
     clock = ManualClock()
     first = NavigationFirst(NavigationWindow(0.0006, 0.2), clock, Account("loop", 1.0))
     lengths_s = [0.00015, 0.5, *[0.00009] * 100]
-    begun_s: list[float] = []
-
-    def rehearse() -> None:
-        begun_s.append(clock.monotonic_s())
-        clock.advance(lengths_s[len(begun_s) - 1])
+    first.rehearsal = rehearsal = Practice(lambda: clock.advance(lengths_s[len(rehearsal.steps) - 1]))
 
     def window() -> int:
         """Rehearsals in a window of which the message is due 0.6 ms after it opened."""
-        count, now_s = len(begun_s), clock.monotonic_s()
-        first._rehearse(rehearse, now_s + 0.0006, now_s)
-        return len(begun_s) - count
+        count, now_s = len(rehearsal.steps), clock.monotonic_s()
+        first._rehearse(now_s + 0.0006, now_s)
+        return len(rehearsal.steps) - count
 
     with closing(first):
-        assert window() == 2, "the second one was interrupted for half a second"
+        assert window() == 1
+        assert window() == 1, "interrupted for half a second"
         assert window() == 0, "so none was begun"
         assert any(window() for _ in range(20))
-        assert window() == 5, "each leaves twice its own length to the message"
+        assert window() == 1
 
 
-def test_a_message_that_came_during_a_rehearsal_is_not_taken_for_a_later_one() -> None:
+@pytest.mark.parametrize("step", [1, 4])
+def test_a_message_that_came_during_a_rehearsal_is_not_taken_for_a_later_one(
+    monkeypatch: pytest.MonkeyPatch, navigation: Navigation, step: int
+) -> None:
     """Otherwise the next windows would open later, and their messages come during rehearsals, too."""
-    clock, receiver_and_sender = ManualClock(), socket.socketpair()
-    first = NavigationFirst(NavigationWindow(0.0006, 0.2), clock, Account("loop", 1.0))
-    receiver, sender = receiver_and_sender
-    begun_s: list[float] = []
+    clock, window, fd = ManualClock(), NavigationWindow(0.0006, 0.2), navigation.receiver.fileno()
+    first = NavigationFirst(window, clock, Account("loop", 1.0))
+    for i in range(10):
+        window.arrived(fd, 0.01 * i)
+    arrived, arrived_s, begun_s = window.arrived, list[float](), list[float]()
+    monkeypatch.setattr(window, "arrived", lambda source, at_s: (arrived_s.append(at_s), arrived(source, at_s)))
 
-    def rehearse() -> None:
+    def practise() -> None:
         begun_s.append(clock.monotonic_s())
         clock.advance(0.00005)
-        if len(begun_s) == 3:
-            sender.send(b"navigation")
+        if len(begun_s) == step:
+            navigation.send()
 
-    with closing(first), receiver, sender:
-        first.add(receiver.fileno(), lambda: True, lambda error: None)
-        assert first._rehearse(rehearse, 0.0006, 0.0) == begun_s[2]
-        assert len(begun_s) == 3, "none more when the message is there"
+    with closing(first):
+        first.add(fd, navigation.handle, print)
+        first.rehearsal = Practice(practise)
+        clock.advance(0.0995)
+        first.resume()
+    assert arrived_s == [begun_s[step - 1]]
+    assert len(begun_s) == step, "none more when the message is there"
 
 
 def test_a_computer_that_slept_in_a_window_has_windows_again() -> None:

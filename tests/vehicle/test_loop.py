@@ -204,15 +204,18 @@ def test_the_better_source_wins_while_it_speaks(boat):
 
 def test_a_rehearsal_goes_the_whole_way_sends_nothing_and_changes_nothing(boat):
     rehearsal = Rehearsal(boat.vehicle, boat.outlet)
-    rehearsal()
+    rehearsal.whole()
+    rehearsal.part()
     boat.ready()
     boat.vehicle.on_command(console.Heading(90.0, 1.0))
     boat.pass_time(1.0)
     boat.heard()
     before = copy.deepcopy((boat.vehicle._memory, boat.vehicle.propulsion._sent, boat.state))
     for _ in range(3):
-        rehearsal()
+        rehearsal.whole()
+    for _ in range(8):
+        rehearsal.part()
     assert boat.heard() == []
     assert (boat.vehicle._memory, boat.vehicle.propulsion._sent, boat.state) == before
     twin = rehearsal._twin
-    assert (twin.state.cycles, twin.state.mode, twin.state.actuation.run) == (3, Mode.HEADING, True)
+    assert (twin.state.cycles, twin.state.mode, twin.state.actuation.run) == (3 + 2, Mode.HEADING, True)
