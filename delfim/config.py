@@ -529,7 +529,7 @@ class Runtime(Table, frozen=True):
     """Real-time settings. What the process is not allowed to set costs one warning."""
 
     nice: Nice = 0  # of the runtime
-    fifo_priority: Annotated[int, msgspec.Meta(ge=0, le=98)] = 0  # the supervisor one above; 0: the ordinary scheduler
+    fifo_priority: Annotated[int, msgspec.Meta(ge=0, le=98)] = 10  # the supervisor one above; 0: the ordinary scheduler
     cpus: tuple[Annotated[int, msgspec.Meta(ge=0, le=1023)], ...] = ()  # empty: all
     mlockall: bool = False  # keep the runtime in memory
     window: bool = True  # navigation window: spin shortly before navigation is due

@@ -77,6 +77,7 @@ def _simulated(settings: config.Vehicle, output: Path) -> list[str]:
         f'console.socket="{place}/command"',
         f'log.directory="{place}/log"',
         f'runtime.run_directory="{place}"',
+        "runtime.fifo_priority=0",
         "simulation.faults=true",
         'supervisor.hardware_watchdog=""',
         f'httpd.listen="{settings.simulation.httpd}"',
