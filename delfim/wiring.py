@@ -30,7 +30,7 @@ from delfim.logging.statelog import Schema, StateWriter
 from delfim.messages import LOG_ID, SYSSTAT_MASK, TIME_FRAME, Node, sysstat_arb
 from delfim.services import powerd, slots
 from delfim.services.runtime import Runtime
-from delfim.vehicle import console, record
+from delfim.vehicle import record
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Alive, Commands, Report, Shutdown, Watch
 from delfim.vehicle.grex import Guest
@@ -47,7 +47,6 @@ WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
 MAINTAIN_EVERY = 10
 GATHER_S = 0.005  # that frames wait for others on their way into the black box; the kernel has stamped them already
-MOVES = console.Mode | console.Manual | console.Heading | console.Goto | console.Play | console.Leg
 
 
 class StateLog:
@@ -116,7 +115,7 @@ class StateLog:
 async def vehicle(runtime: Runtime) -> None:
     """The critical program as a service: opens its links, hands them to the loop, and stops the boat when it ends."""
     settings, clock = runtime.config, runtime.clock
-    state = State()
+    state = State(is_starting=runtime.is_starting())
     with contextlib.ExitStack() as links:
         state.last_shutdown = _last_shutdown(Path(settings.log.directory), links)
         state.image = slots.present_notice(settings.runtime.run_directory)
@@ -159,9 +158,7 @@ async def _attend(
         return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
 
     def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
-        is_early = runtime.is_starting() and isinstance(command, MOVES)
-        early = "the computer is still starting, and nobody watches over it yet: a moment" if is_early else None
-        refused = early or (broken.deaf if broken else None) or boat.on_command(command, operator)
+        refused = (broken.deaf if broken else None) or boat.on_command(command, operator)
         if isinstance(command, Shutdown) and refused is None:
             powerd.ask(runtime, "reboot" if command.reboot else "off", "command of the console")
         log.command(command, refused, boat.state)
@@ -180,6 +177,7 @@ async def _attend(
     while True:
         await asyncio.sleep(WATCHDOG_S)
         ticks += 1
+        boat.state.is_starting = runtime.is_starting()
         boat.on_watchdog()
         log.watch(boat.state)
         if mavlink and mavlink.done():

@@ -36,7 +36,9 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
     level = f"{batteries.replace('_', ' ')} at {least:.0%}" if batteries else "no charge reported"
     plan = state.setpoint.plan
     heard_s = now_s - state.console_s
+    starting = "the computer is still starting, and nobody watches over it yet: a moment"
     return [
+        Check("computer", not state.is_starting, starting if state.is_starting else "started"),
         Check("navigation", not silent, silent or f"{state.source}, {age_s:.1f} s old"),
         Check("sensors", bad is None, bad or f"{len(rules.settings.sysstat.required)} nodes report good"),
         _clock(rules, state, age_s, time_ns),

@@ -161,6 +161,7 @@ class State:
     watchdog_s: float = -1e9  # when the watchdog looked last
     guest_connected: bool = False
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
+    is_starting: bool = False  # the computer: nobody would notice if this program hung
     last_shutdown: str = ""  # what was wrong with the end of the run before, in words; empty: nothing, or not known
     image: str = ""  # what is special about the image that was started, in words; empty: nothing
     cycles: int = 0

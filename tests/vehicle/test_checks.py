@@ -25,6 +25,7 @@ def charge(boat, part: float) -> None:
 
 def test_a_boat_that_nobody_has_heard_of_says_so_line_by_line(boat):
     assert lines(boat) == {
+        "computer": (True, "started"),
         "navigation": (False, "no navigation yet"),
         "sensors": (False, "gps has not reported"),
         "clock": (True, "navigation tells no time to compare with"),
@@ -62,6 +63,17 @@ def test_a_clock_that_was_never_set_is_no_clock(boat):
     boat.ready()
     boat.clock.step(-40 * 365 * 86_400.0)
     assert lines(boat)["clock"] == (False, "the computer's clock was never set")
+
+
+def test_a_computer_that_nobody_watches_over_yet_turns_nothing(boat):
+    boat.ready()
+    boat.state.is_starting = True
+    reason = "the computer is still starting, and nobody watches over it yet: a moment"
+    assert lines(boat)["computer"] == (False, reason)
+    for command in (console.Manual(0.5, 0.5), console.Heading(0.0), console.Mode("hold"), console.Goto(38.69, -9.21)):
+        assert boat.vehicle.on_command(command).endswith(f" refused: {reason}")
+    boat.state.is_starting = False
+    assert boat.vehicle.on_command(console.Heading(0.0)) is None
 
 
 def test_a_last_charge_is_for_the_way_home_and_for_the_hand(boat):

@@ -1,0 +1,61 @@
+"""While the runtime comes up nobody watches over it: the vehicle says so, and stays in idle."""
+
+import asyncio
+import os
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from delfim import config
+from delfim.clock import SystemClock
+from delfim.console.link import Link
+from delfim.errors import DelfimError
+from delfim.services.runtime import Runtime, Service
+from delfim.wiring import vehicle
+
+
+async def until(link: Link, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
+    """The vehicle's state once it is so."""
+    while not is_so(state := await asyncio.to_thread(link.ask, "state")):
+        await asyncio.sleep(0.01)
+    return state
+
+
+@pytest.mark.timeout(30)
+def test_the_vehicle_says_that_the_computer_is_starting_until_it_is_watched_over(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    os.mkfifo(tmp_path / "gate")
+    (tmp_path / "slow_library_of_this_test.py").write_text(f"open({str(tmp_path / 'gate')!r}).close()")
+    monkeypatch.syspath_prepend(tmp_path)
+    reader, writer = os.pipe()
+    said: list[dict[str, Any]] = []
+    settings = config.Vehicle(
+        boat=config.Boat(name="Test"),
+        can=config.Can(interface=f"canloop:{tmp_path.name[:24]}"),
+        console=config.Console(socket=str(tmp_path / "command")),
+        log=config.Log(directory=str(tmp_path / "log"), free_bytes_min=0),
+        runtime=config.Runtime(run_directory=str(tmp_path)),
+    )
+
+    async def reading(runtime: Runtime) -> None:
+        library = runtime.load("slow_library_of_this_test")
+        while not (tmp_path / "command").exists():
+            await asyncio.sleep(0.01)
+        with Link(tmp_path / "command") as link:
+            said.append((await until(link, lambda state: True))["checks"][0])
+            with pytest.raises(DelfimError, match="heading refused: the computer is still starting"):
+                await asyncio.to_thread(link.ask, "heading", heading_deg=0.0)
+            (tmp_path / "gate").write_text("")
+            await library
+            said.append((await until(link, lambda state: state["checks"][0]["ok"]))["checks"][0])
+        runtime.stop("test over")
+
+    services = [Service("vehicle", vehicle), Service("reading", reading)]
+    assert Runtime(settings, SystemClock(), beat_fd=writer, alone=True).main(services) == 0
+    os.close(reader)
+    os.close(writer)
+    assert [line["name"] for line in said] == ["computer", "computer"]
+    assert [line["ok"] for line in said] == [False, True]
