@@ -1,10 +1,11 @@
-"""What three habits of the critical path are worth: each of them broken in turn, against the program as it is.
+"""What four habits of the critical path are worth: each of them broken in turn, against the program as it is.
 
     python bench/habits.py [--rate HZ] [--seconds S] [--rounds N] [--load]
 
 garbage   the interpreter collects garbage whenever it likes, not in the quiet time between two cycles
 log       the record of the last cycle is written before the propellers are commanded, not after
 names     what is called for each frame is looked up in its object each time, not bound once
+practice  while a window waits it only looks, and practises no part of the path
 
 Turns are interleaved on one machine; the program as it is has two a round, and its halves against each other are the noise.
 """
@@ -21,9 +22,10 @@ from pathlib import Path
 from delfim.bench import competitor, critical_path, report
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.navcan import DsorNavigation, Fix
+from delfim.vehicle.rehearsal import Rehearsal
 from delfim.vehicle.state import Actuation
 
-AS_IT_IS, HABITS = "delfim", ("garbage", "log", "names")
+AS_IT_IS, HABITS = "delfim", ("garbage", "log", "names", "practice")
 PERCENTILES = ("p50", "p99", "p999")
 
 
@@ -41,6 +43,8 @@ def broken(habit: str) -> None:
         Vehicle._control = log_and_control
     elif habit == "names":
         DsorNavigation.read = read_by_name
+    elif habit == "practice":
+        Rehearsal.part = lambda rehearsal: None
 
 
 def read_by_name(navigation: DsorNavigation, now_s: float) -> Fix | None:
@@ -81,7 +85,7 @@ def measure(asked: argparse.Namespace) -> dict[str, list[list[float]]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description="What three habits of the critical path are worth.")
+    parser = argparse.ArgumentParser(description="What four habits of the critical path are worth.")
     parser.add_argument("--rate", type=float, default=100.0)
     parser.add_argument("--seconds", type=float, default=8.0)
     parser.add_argument("--rounds", type=int, default=4)
