@@ -226,8 +226,7 @@ class Runtime:
                 context.run(ACCOUNT.set, self.status[row.name].account)
                 self._tasks[row.name] = group.create_task(self._serve(row), name=row.name, context=context)
                 self._tasks[row.name].add_done_callback(self._ended)
-            if self._beat_fd >= 0:
-                self._loop.call_soon(self._beat)  # after the first step of every service
+            self._loop.call_soon(self._beat)  # after the first step of every service
             self._tick()
             if self._place == "process" and self._beat_fd >= 0:
                 place = Path(self.config.runtime.run_directory)
@@ -318,12 +317,22 @@ class Runtime:
 
     # What the loop itself does.
 
+    def _be_real_time(self) -> None:
+        """Not earlier: on a slow computer with one processor the threads that read the libraries would never get it."""
+        priority = self.config.runtime.fifo_priority
+        if priority and self._place == "runtime":
+            _asked(f"fifo_priority = {priority}", lambda: real_time(priority))
+
     def _beat(self) -> None:
         """Tell the supervisor that the loop turns. Before the first time it is patient, and that is when libraries are read."""
         self._loop.call_later(self._beat_s, self._beat)
-        if self._loads and not self._is_up:
+        if not self._is_up:
+            if self._loads:
+                return
+            self._is_up = True
+            self._be_real_time()
+        if self._beat_fd < 0:
             return
-        self._is_up = True
         try:
             os.write(self._beat_fd, b".")
         except BlockingIOError:
@@ -356,19 +365,21 @@ class Runtime:
 
 
 def _privileges(settings: config.Runtime) -> None:
-    """The real-time settings of the vehicle's file. What is not permitted costs a warning and is done without."""
-    asked: list[tuple[str, bool, Callable[[], object]]] = [
-        (f"nice = {settings.nice}", settings.nice != 0, lambda: os.setpriority(os.PRIO_PROCESS, 0, settings.nice)),
-        (f"cpus = {list(settings.cpus)}", bool(settings.cpus), lambda: os.sched_setaffinity(0, settings.cpus)),
-        ("mlockall", settings.mlockall, _mlockall),
-        (f"fifo_priority = {settings.fifo_priority}", settings.fifo_priority > 0, lambda: real_time(settings.fifo_priority)),
-    ]
-    for name, wanted, do in asked:
-        if wanted:
-            try:
-                do()
-            except OSError as error:
-                log.warning("runtime.%s: %s; going on without it", name, error.strerror)
+    """The settings of the vehicle's file that hold from the start."""
+    if settings.nice:
+        _asked(f"nice = {settings.nice}", lambda: os.setpriority(os.PRIO_PROCESS, 0, settings.nice))
+    if settings.cpus:
+        _asked(f"cpus = {list(settings.cpus)}", lambda: os.sched_setaffinity(0, settings.cpus))
+    if settings.mlockall:
+        _asked("mlockall", _mlockall)
+
+
+def _asked(name: str, do: Callable[[], object]) -> None:
+    """What is not permitted costs a warning and is done without."""
+    try:
+        do()
+    except OSError as error:
+        log.warning("runtime.%s: %s; going on without it", name, error.strerror)
 
 
 def _mlockall() -> None:

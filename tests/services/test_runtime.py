@@ -342,6 +342,33 @@ def test_the_first_beat_comes_when_the_libraries_of_the_start_are_read(tmp_path:
     assert (beats, code) == ([0, False], 0)
 
 
+IN_REAL_TIME = """
+said = []
+module.real_time = said.append
+sys.path.insert(0, sys.argv[1])
+gate = Path(sys.argv[1]) / "gate"
+async def reading(runtime):
+    library = runtime.load("library_of_this_test")
+    await asyncio.sleep(3 * module.BEAT_S)
+    print(said)
+    gate.write_text("")
+    await library
+    while not said:
+        await asyncio.sleep(0.01)
+    print(said)
+    runtime.stop("test over")
+sys.exit(Runtime(SETTINGS, SystemClock()).main([Service("reading", reading)]))
+"""
+
+
+def test_it_is_in_real_time_when_the_libraries_of_the_start_are_read(tmp_path: Path) -> None:
+    """On one slow processor the threads that read them would never get it."""
+    os.mkfifo(tmp_path / "gate")
+    (tmp_path / "library_of_this_test.py").write_text(f"open({str(tmp_path / 'gate')!r}).close()")
+    end = in_a_process(IN_REAL_TIME, str(tmp_path))
+    assert (end.returncode, end.stdout) == (0, "[]\n[10]\n"), end.stderr
+
+
 def test_a_full_pipe_does_not_disturb() -> None:
     reader, writer = os.pipe()
     os.set_blocking(writer, False)
