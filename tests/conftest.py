@@ -19,7 +19,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--cuts", type=int, default=3, help="how often the power fails in tests/guest/test_power_cut.py (3)")
-    parser.addoption("--frames-per-s", type=int, default=1000, help="on the bus in test_power_cut.py (%(default)s)")
+    parser.addoption("--frames-per-s", type=int, default=2000, help="on the bus in test_power_cut.py (%(default)s)")
     parser.addoption("--minutes", type=float, default=0.1, help="of the black box on a full bus, in a guest (%(default)s)")
     parser.addoption("--seeds", type=int, default=100, help="runs of mixed faults in lock step (%(default)s)")
 

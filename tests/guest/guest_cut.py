@@ -44,6 +44,7 @@ SETTINGS = {
     "log.file_bytes": FILE_BYTES,
     "logd.nodes": f"[{Node.GPS:d}]",
     "navigation.rate_hz": "20.0",
+    "runtime.fifo_priority": "0",  # the whole bus is computed on the one slow processor, too: writers would hardly get it
     "runtime.run_directory": '"/run/delfim"',
     "supervisor.hardware_watchdog": '""',
 }

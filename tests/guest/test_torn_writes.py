@@ -25,7 +25,7 @@ FLUSH, DISCARD, MARK = 1, 4, 8
 RECORD = """
 modprobe dm-log-writes && mkdir -p /dev/mapper && { [ -e /dev/mapper/control ] || mknod /dev/mapper/control c 10 236; } &&
 dmsetup create disk --noudevsync --table "0 $(blockdev --getsz /dev/ubda) log-writes /dev/ubda /dev/ubdb" && dmsetup mknodes &&
-python tests/guest/guest_cut.py 1000 /dev/mapper/disk 10_000 && python tests/guest/guest_mark.py disk 4
+python tests/guest/guest_cut.py 2000 /dev/mapper/disk 10_000 && python tests/guest/guest_mark.py disk 4
 """
 
 
