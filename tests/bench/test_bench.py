@@ -3,6 +3,8 @@
 import argparse
 import json
 import socket
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -72,6 +74,12 @@ def test_bench_of_log_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str], 
     assert results["ls_s"] > 0
     assert (tmp_path / "log.png").read_bytes().startswith(b"\x89PNG")
     assert "96 files" in capsys.readouterr().out
+
+
+def test_every_habit_can_be_broken() -> None:
+    """In a process of its own, which it spoils: what it breaks has the names that it knows."""
+    program = "import sys; sys.path.insert(0, sys.argv[1]); import habits; [habits.broken(habit) for habit in habits.HABITS]"
+    subprocess.run([sys.executable, "-c", program, str(critical_path.SOURCES)], check=True, timeout=60)
 
 
 def test_every_round_lets_c_begin_and_end() -> None:
