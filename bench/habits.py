@@ -68,7 +68,7 @@ def measure(asked: argparse.Namespace) -> dict[str, list[list[float]]]:
     with contextlib.ExitStack() as links:
         place = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="delfim-bench-")))
         programs, teams = critical_path.build(place), {}
-        settings = argparse.Namespace(file="etc/delfimx.toml", set=[critical_path.ORDINARY], bus=None, frames=7700, wire_us=0)
+        settings = argparse.Namespace(file="etc/delfimx.toml", set=[], bus=None, frames=7700, wire_us=0)
         for key in (AS_IT_IS, *HABITS):
             teams[key] = links.enter_context(Team(key, asked.rate, settings, programs, place / key))
         slices = defaultdict(list)

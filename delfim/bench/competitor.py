@@ -25,7 +25,6 @@ from delfim.bench.load import Ports, rows
 from delfim.clock import Clock, SystemClock
 from delfim.services.priority import Rehearsal
 from delfim.services.runtime import Runtime, Service
-from delfim.services.supervisor import real_time
 
 KINDS: Final = ("delfim", "apart", "services", "asyncio", "uvloop")
 SERVICES_NICE: Final = 10
@@ -91,8 +90,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return Runtime(settings, SystemClock()).main(services)
     if asked.kind == "services":
         os.nice(SERVICES_NICE)
-    elif settings.runtime.fifo_priority:
-        real_time(settings.runtime.fifo_priority)
     with asyncio.Runner(loop_factory=lambda: new_loop(asked.kind)) as runner:
         runner.run(PlainRuntime(settings, SystemClock()).run(services))
     return 0

@@ -25,7 +25,6 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from delfim import config
 from delfim.bench import report
 from delfim.bench.load import ASHORE, ELSEWHERE, Ports, prepare
 from delfim.bench.report import Cycle
@@ -37,14 +36,17 @@ from delfim.logging.statelog import columns
 SOURCES: Final = Path(__file__).parents[2] / "bench"
 LABELS: Final = {
     "c": "C poll loop, services apart",
+    "realtime": "the same in real time",
     "delfim": "Delfim",
+    "ordinary": "Delfim, not in real time",
     "apart": "Delfim, services apart",
     "asyncio": "the same on plain asyncio",
     "uvloop": "the same on uvloop",
 }
+OURS: Final = ("delfim", "ordinary", "apart")  # that have a window
 RATES_HZ: Final = (5.0, 100.0, 500.0)
 LONG_CYCLES: Final = 150_645  # as many as the thesis logged at sea
-ORDINARY: Final = "runtime.fifo_priority=0"  # nobody has more than the thesis' program, unless it is asked for: then all have
+REAL_TIME: Final = ("chrt", "--fifo", "10")  # as the vehicle's file has it where it says nothing else
 WARM_PERIODS, WARM_S_MIN = 7, 0.3
 START_S: Final = 20.0  # a competitor must be ready within this time
 OVER: Final = "over budget: "
@@ -91,7 +93,6 @@ class Slice(NamedTuple):
 def run(asked: argparse.Namespace) -> int:
     """The command. Returns 0 when everything was measured, however fast it was, and 1 where a service exceeds its budget."""
     plan, output = planned(asked), Path(asked.output)
-    asked = argparse.Namespace(**vars(asked) | {"set": [ORDINARY, *asked.set]})
     output.mkdir(parents=True, exist_ok=True)
     groups = []
     with tempfile.TemporaryDirectory(prefix="delfim-bench-") as place, _Progress(plan) as progress:
@@ -112,7 +113,8 @@ def planned(asked: argparse.Namespace) -> Plan:
         rates_hz, seconds = tuple(asked.rates or (100.0,)), asked.seconds or 60.0
         rounds = asked.rounds or -int(-LONG_CYCLES // (min(rates_hz) * seconds))
         return Plan(rates_hz, ("full load",), ("c", "delfim"), seconds, rounds)
-    competitors = tuple(LABELS) if _has_uvloop() else tuple(key for key in LABELS if key != "uvloop")
+    missing = {key for key, has in (("uvloop", _has_uvloop), ("realtime", _may_real_time)) if not has()}
+    competitors = tuple(key for key in LABELS if key not in missing)
     rates_hz = tuple(asked.rates or RATES_HZ)
     seconds, rounds = asked.seconds or (1.0 if asked.quick else 5.0), asked.rounds or (1 if asked.quick else 4)
     return Plan(rates_hz, ("idle", "full load"), competitors, seconds, rounds)
@@ -208,16 +210,17 @@ class Team:
     def __init__(self, key: str, rate_hz: float, asked: argparse.Namespace, programs: dict[str, Path], place: Path) -> None:
         self.key, self.rate_hz, self._place, self._feeder = key, rate_hz, place, str(programs["feeder"])
         place.mkdir(exist_ok=True)
-        self.socket, self._log = place / "command", place / ("c.state" if key == "c" else "log")
+        self._is_c = key in ("c", "realtime")
+        self.socket, self._log = place / "command", place / ("c.state" if self._is_c else "log")
         interface = asked.bus or f"canloop:{key[:3]}-{os.getpid()}"  # no longer than the name of an interface may be
         self.interface = interface
         self._bus = "{}:{}".format(*group_of(interface.partition(":")[2])) if interface.startswith("canloop:") else interface
         self.ports = Ports(*free_ports(len(Ports._fields)))
         overrides = [*asked.set, *_overrides(interface, rate_hz, place, self.ports)]
+        if key == "ordinary":
+            overrides.append("runtime.fifo_priority=0")
         self._arguments = [asked.file, ",".join(map(str, self.ports))]
         self._arguments += [word for one in overrides for word in ("--set", one)]
-        priority = config.load(asked.file, overrides).runtime.fifo_priority
-        self._real_time = ("chrt", "--fifo", str(priority)) if priority else ()  # C has the scheduler that the others have
         self.name = interface.rpartition(":")[2]  # as cantcpd has it
         prepare(place / "log")
         self._all = contextlib.ExitStack()
@@ -256,14 +259,14 @@ class Team:
         self.end()
 
     def _start(self) -> None:
-        if self.key == "c":
-            self._launch(*self._real_time, self._loop, self._bus, str(self._log))
+        if self._is_c:
+            self._launch(*(REAL_TIME if self.key == "realtime" else ()), self._loop, self._bus, str(self._log))
         else:
-            self._launch(*self._competitor(self.key))
-        if self.key in ("c", "apart"):
+            self._launch(*self._competitor("delfim" if self.key == "ordinary" else self.key))
+        if self._is_c or self.key == "apart":
             self._launch(*self._competitor("services"))
         until(lambda: socket.create_connection(("127.0.0.1", self.ports.commands), timeout=1.0).close(), "its services")
-        if self.key != "c":
+        if not self._is_c:
             self._steer()
 
     def _competitor(self, kind: str) -> list[str]:
@@ -310,7 +313,7 @@ class Team:
             fed["messages"] - round(warm_s * self.rate_hz),
             spent["cpu"] / cycles,
             spent["all"] / cycles,
-            spent["window"] / span_s if self.key in ("delfim", "apart") else None,
+            spent["window"] / span_s if self.key in OURS else None,
             {name.removeprefix(OVER): count / span_s for name, count in spent.items() if name.startswith(OVER)},
             spent["steal"] / span_s / cpus,
             others_s / span_s / cpus,
@@ -322,7 +325,7 @@ class Team:
         """Meters that only go up, of the competitor and the machine: ns of processor time, otherwise seconds."""
         times = [cpu_ns(pid) for process in self._processes for pid in family(process.pid)]
         window_s, over = 0.0, dict[str, float]()
-        if self.key in ("delfim", "apart"):
+        if self.key in OURS:
             with Link(self.socket, START_S) as link:
                 state = link.ask("state")
             window_s, self.state = state["window"]["spent_s"], state
@@ -363,7 +366,7 @@ class Team:
 
     def cycles(self) -> list[Cycle]:
         """All cycles that the log holds."""
-        files = [self._log] if self.key == "c" else list(self._log.glob("*/state/*.state*"))
+        files = [self._log] if self._is_c else list(self._log.glob("*/state/*.state*"))
         data = columns(files)
         if not data:
             raise DelfimError(f"{LABELS[self.key]} left no log")
@@ -488,6 +491,10 @@ def _processors_s() -> tuple[float, float]:
 
 def _mean(values: Sequence[float]) -> float:
     return sum(values) / len(values) if values else 0.0
+
+
+def _may_real_time() -> bool:
+    return subprocess.run([*REAL_TIME, "true"], capture_output=True).returncode == 0
 
 
 def _has_uvloop() -> bool:

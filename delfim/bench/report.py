@@ -17,7 +17,15 @@ EDGES_US: Final = tuple(10 ** (k / 20) for k in range(101))  # 1 us .. 0.1 s, tw
 BEYOND_MIN: Final = 5  # a percentile of fewer samples beyond it is an anecdote
 OVER_BUDGET_MAX: Final = 1.0  # callbacks a second of one service; a few are the machine's, which interrupts whom it likes
 TAKEN_MAX: Final = 0.1  # of the processors, by others, while the worst case is still the competitors' own
-COLOURS: Final = {"c": INK, "delfim": "#d1495b", "apart": "#e8b04a", "asyncio": "#2e86ab", "uvloop": "#5b9a68"}
+COLOURS: Final = {
+    "c": INK,
+    "realtime": "#8a8f98",
+    "delfim": "#d1495b",
+    "ordinary": "#9b5de5",
+    "apart": "#e8b04a",
+    "asyncio": "#2e86ab",
+    "uvloop": "#5b9a68",
+}
 
 
 class Cycle(NamedTuple):

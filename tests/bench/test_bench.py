@@ -40,8 +40,8 @@ def test_quick_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture
             known = [row[f"{name}_us"] for name in PERCENTILES if row[f"{name}_us"] is not None]
             assert 0 < known[0] <= known[-1] <= row["worst_us"]
             assert 0 < row["cpu_us"] <= row["cpu_all_us"]
-            assert (row["window_share"] is not None) == (row["competitor"] in ("delfim", "apart"))
-            assert ("canzlogd" in row["over_budget_per_s"]) == (row["competitor"] == "delfim")
+            assert (row["window_share"] is not None) == (row["competitor"] in critical_path.OURS)
+            assert ("canzlogd" in row["over_budget_per_s"]) == (row["competitor"] in ("delfim", "ordinary"))
             assert set(row["stages_us"]) == set(STAGES)
             assert sum(row["histogram"]) == row["cycles"]
             assert set(row["ratio"]) == set(row["verdict"]) == set(PERCENTILES)
@@ -84,9 +84,9 @@ def test_every_habit_can_be_broken() -> None:
 
 def test_every_round_lets_c_begin_and_end() -> None:
     plan = Plan((100.0,), ("idle", "full load"), tuple(LABELS), 1.0, 2)
-    assert plan.turns("idle", 0) == ["c", "uvloop", "asyncio", "delfim", "c"]
-    assert plan.turns("full load", 1) == ["c", "delfim", "apart", "asyncio", "uvloop", "c"]
-    assert plan.slices() == 2 * (5 + 6)
+    assert plan.turns("idle", 0) == ["c", "uvloop", "asyncio", "ordinary", "delfim", "realtime", "c"]
+    assert plan.turns("full load", 1) == ["c", "realtime", "delfim", "ordinary", "apart", "asyncio", "uvloop", "c"]
+    assert plan.slices() == 2 * (7 + 8)
 
 
 def test_long_run_is_as_long_as_the_one_of_the_thesis() -> None:
