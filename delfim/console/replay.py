@@ -112,8 +112,10 @@ class Replay:
 
 
 def open_tapes(paths: Sequence[Path]) -> list[Tape]:
-    """The recordings in files and folders: every .tlog, and the state logs, those of one boat together. Raises DelfimError
-    where there is none, or one means nothing."""
+    """The recordings in files and folders: every .tlog, and the state logs, those of one boat together. A state log that had
+    just begun when the power was cut has no header, and is left out. Raises DelfimError where nothing is to be replayed, or a
+    session means nothing."""
+    reason = "nothing to replay: no .tlog, .state or .state.gz"
     files = [file for path in paths for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
     tapes: list[Tape] = []
     by_boat: dict[str, list[Path]] = {}
@@ -122,10 +124,13 @@ def open_tapes(paths: Sequence[Path]) -> list[Tape]:
             if file.suffix == ".tlog":
                 tapes.append(Session(file))
             elif file.name.endswith((".state", ".state.gz")):
-                by_boat.setdefault(read_state(file).schema.boat, []).append(file)
+                try:
+                    by_boat.setdefault(read_state(file).schema.boat, []).append(file)
+                except FormatError as error:
+                    reason = str(error)
         tapes += [States(group, number) for number, group in enumerate(by_boat.values(), 1)]
     except OSError as error:
         raise DelfimError(f"{error.filename}: {error.strerror}") from None
     if not tapes:
-        raise DelfimError(f"{', '.join(map(str, paths))}: nothing to replay: no .tlog, .state or .state.gz")
+        raise DelfimError(f"{', '.join(map(str, paths))}: {reason}")
     return tapes

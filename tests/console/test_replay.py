@@ -243,6 +243,14 @@ def test_what_is_no_recording_is_refused(tmp_path: Path, data: bytes) -> None:
         open_tapes([tmp_path])
 
 
+def test_a_state_log_that_had_just_begun_when_the_power_was_cut_spoils_no_others(sailed: Path, tmp_path: Path) -> None:
+    (tmp_path / "b-repaired.state").touch()
+    with pytest.raises(DelfimError, match="not a state log"):
+        open_tapes([tmp_path])
+    shutil.copy(next(sailed.rglob("*.state")), tmp_path / "a.state")
+    assert len(open_tapes([tmp_path])) == 1
+
+
 def test_a_state_log_without_records_is_refused(sailed: Path, tmp_path: Path) -> None:
     log = next(sailed.rglob("*.state"))
     (tmp_path / "a.state").write_bytes(log.read_bytes()[:4096])
