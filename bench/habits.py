@@ -34,13 +34,13 @@ def broken(habit: str) -> None:
     if habit == "garbage":
         gc.freeze = gc.disable = lambda: None
     elif habit == "log":
-        control = Vehicle.wanted
+        control = Vehicle._control
 
         def log_and_control(boat: Vehicle, now_s: float) -> Actuation:
             boat.log.write(boat.state, now_s)
             return control(boat, now_s)
 
-        Vehicle.wanted = log_and_control
+        Vehicle._control = log_and_control
     elif habit == "names":
         DsorNavigation.read = read_by_name
     elif habit == "practice":

@@ -57,8 +57,8 @@ class Suite(NamedTuple):
 
 @pytest.fixture
 def suite(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Suite]:
-    """A supervised boat under way; its parameter, where it has one, is what the supervisor is started with."""
-    prefix, *more = getattr(request, "param", [[]])
+    """A supervised boat under way; its parameter, where it has one, is what the supervisor is started by."""
+    prefix = getattr(request, "param", ())
     bus = f"canloop:deadman-{os.getpid()}-{tmp_path.name[-10:]}"
     settings = {
         "can.interface": f'"{bus}"',
@@ -71,7 +71,7 @@ def suite(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Suite]:
     words = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
     hang = tmp_path / "hang"
     nodes = subprocess.Popen([sys.executable, "-m", "delfim", "nodes", VEHICLE, *words])
-    command = [*prefix, sys.executable, str(ROOT / "tests/hanging.py"), str(hang), "supervise", VEHICLE, *words, *more]
+    command = [*prefix, sys.executable, str(ROOT / "tests/hanging.py"), str(hang), "supervise", VEHICLE, *words]
     supervisor = subprocess.Popen(command)
     with open_can(bus) as socket:
         socket.bind(CanAddress(messages.PROPELLER_STARBOARD))
@@ -109,7 +109,7 @@ def test_a_runtime_that_hangs_loses_the_propellers_and_comes_back(suite, how):
 
 
 @pytest.mark.timeout(90)
-@pytest.mark.parametrize("suite", [[("taskset", "-c", str(min(os.sched_getaffinity(0))))]], indirect=True)
+@pytest.mark.parametrize("suite", [("taskset", "-c", str(min(os.sched_getaffinity(0))))], indirect=True)
 def test_a_runtime_that_hangs_in_real_time_does_not_keep_the_processor_from_its_supervisor(suite):
     pid = suite.runtime_pid()
     policies = [(os.sched_getscheduler(each), os.sched_getparam(each).sched_priority) for each in (pid, suite.supervisor.pid)]

@@ -85,7 +85,7 @@ class Vehicle:
         if fix is None or not self.take(source, fix):
             return False
         t2 = time_ns()
-        wanted = self.wanted(now_s)
+        wanted = self._control(now_s)
         t3 = time_ns()
         state.actuation = self.propulsion.send(wanted, now_s)
         t4 = time_ns()
@@ -116,7 +116,7 @@ class Vehicle:
             return str(refusal)
         if not isinstance(command, console.Alive):
             state.operator = operator
-            state.actuation = self.propulsion.send(self.wanted(now_s), now_s)
+            self.steer(now_s)
         return None
 
     def on_guest(self, line: bytes) -> None:
@@ -146,6 +146,10 @@ class Vehicle:
         """Idle and propellers off, now. The reason is shown and logged."""
         self._enter(Mode.IDLE, reason)
         self.state.actuation = self.propulsion.send(STOP, self.clock.monotonic_s())
+
+    def steer(self, now_s: float) -> None:
+        """A step of the mode, and what it asks for to the propellers."""
+        self.state.actuation = self.propulsion.send(self._control(now_s), now_s)
 
     def follow(self, other: "Vehicle") -> None:
         """Be in the mode that another vehicle is in, with its set points and its memory."""
@@ -193,7 +197,7 @@ class Vehicle:
         if mode is not state.mode:
             state.setpoint, self._taken = setpoint, True
             self._enter(mode, reason)
-            state.actuation = self.propulsion.send(self.wanted(now_s), now_s)
+            self.steer(now_s)
 
     def take(self, source: Source, fix: Fix) -> bool:
         """A fix into the state; False when it is not used: a better source speaks, or no boat moves that fast."""
@@ -249,8 +253,7 @@ class Vehicle:
         state.jumped_s, state.jumped_m = now_s, moved_m
         return True
 
-    def wanted(self, now_s: float) -> Actuation:
-        """What control asks of the propellers now."""
+    def _control(self, now_s: float) -> Actuation:
         state = self.state
         dt_s = min(now_s - self._controlled_s, 1.0)
         self._controlled_s = now_s

@@ -30,8 +30,8 @@ class Rehearsal:
         self._boat, self._outlet, self._stage = boat, outlet, _Stage()
         stage = cast(CanSocket, self._stage)
         self._source = DsorNavigation(stage, state)
-        self._propulsion = Propulsion(stage, settings.propulsion, state)
-        self._twin = Vehicle(settings, clock, state, (self._source,), self._propulsion, Guest(state, clock), _NoLog())
+        propulsion = Propulsion(stage, settings.propulsion, state)
+        self._twin = Vehicle(settings, clock, state, (self._source,), propulsion, Guest(state, clock), _NoLog())
         self._numbers, self._messages = count(), cycle(list[list[Frame]]([[]]))
         self._parts = cycle((self._hear, self._command, outlet.rehearse))
 
@@ -57,8 +57,7 @@ class Rehearsal:
             self._twin.take(self._source, fix)
 
     def _command(self) -> None:
-        now_s = self._twin.clock.monotonic_s()
-        self._propulsion.send(self._twin.wanted(now_s), now_s)
+        self._twin.steer(self._twin.clock.monotonic_s())
 
 
 def _frames(navigation: Navigation) -> list[Frame]:
