@@ -25,7 +25,7 @@ from delfim.services.cgroup import Limits
 from delfim.services.shutdown import Word
 
 EXIT_PERMANENT: Final = 100  # of a program: do not start me again
-START_S: Final = 20.0  # a critical program may take so long to its first beat: a slow board reads it from a slow card
+START_S: Final = 60.0  # a critical program may take so long to its first beat: a slow board reads it from a slow card
 HEAD_START_S: Final = 5.0  # the others wait so long for its first beat: until then it has the processor to itself
 STOP_EVERY_S: Final = 0.1  # between two stop frames while nothing beats
 TICK_S: Final = 0.5  # the longest wait: the hardware watchdog is stroked so often
