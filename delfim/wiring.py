@@ -153,9 +153,14 @@ async def _attend(
     """Console and guest served, the watchdog stroked, until the service is cancelled."""
     settings, loop = runtime.config, asyncio.get_running_loop()
 
-    def more() -> dict[str, object]:
-        figures = {name: report() for name, report in runtime.board.items()}
-        return {"boat": settings.boat.name, "log": log.status()._asdict(), **figures, **runtime.report()}
+    figures = dict[str, object]()
+
+    def measure() -> None:  # once a second: an answer that did it would be a long callback
+        figures.update({name: report() for name, report in runtime.board.items() if name not in runtime.status})
+        figures.update(runtime.report())
+
+    def snapshot() -> dict[str, object]:
+        return boat.snapshot({"boat": settings.boat.name, "log": log.status()._asdict(), **figures})
 
     def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
         refused = (broken.deaf if broken else None) or boat.on_command(command, operator)
@@ -165,7 +170,7 @@ async def _attend(
         return refused
 
     mavlink = runtime.load("delfim.vehicle.mavlink.link") if settings.mavlink.enabled else None
-    commands = CommandServer(obeyed, lambda: boat.snapshot(more()), settings.console.clients)
+    commands = CommandServer(obeyed, snapshot, settings.console.clients)
     links.callback(commands.close)
     links.callback((await loop.create_unix_server(commands.connection, _socket_path(settings.console.socket))).close)
     os.chmod(settings.console.socket, 0o660)
@@ -173,6 +178,7 @@ async def _attend(
         links.callback(boat.guest.close)
         with contextlib.suppress(OSError):  # a boat without its guest sails; the state says that none is connected
             links.callback((await _guest_server(boat, settings.guest.listen)).close)
+    measure()
     ticks = 0
     while True:
         await asyncio.sleep(WATCHDOG_S)
@@ -185,8 +191,11 @@ async def _attend(
             with contextlib.suppress(OSError):  # a boat without this link sails; the reason is logged
                 links.enter_context(link(boat, obeyed, Path(settings.log.directory) / "mavlink-stamps", runtime.board))
         if ticks % PUBLISH_EVERY == 0:
+            await asyncio.sleep(0)  # navigation has its turn between two parts of a tick
             commands.publish()
         if ticks % MAINTAIN_EVERY == 0:
+            await asyncio.sleep(0)
+            measure()
             log.poll()
             if boat.state.image:  # until somebody confirms it
                 boat.state.image = slots.present_notice(settings.runtime.run_directory)

@@ -306,6 +306,7 @@ class Team:
         fed = json.loads(said)
         span_s = after["time"] - before["time"]
         cycles, spent = span_s * self.rate_hz, {name: after[name] - before[name] for name in after}
+        told_s = spent["told"] or span_s
         cpus = os.cpu_count() or 1
         others_s = max(spent["busy"] - spent["ours"], 0.0)
         return Slice(
@@ -314,8 +315,8 @@ class Team:
             fed["messages"] - round(warm_s * self.rate_hz),
             spent["cpu"] / cycles,
             spent["all"] / cycles,
-            spent["window"] / span_s if self.key in OURS else None,
-            {name.removeprefix(OVER): count / span_s for name, count in spent.items() if name.startswith(OVER)},
+            spent["window"] / told_s if self.key in OURS else None,
+            {name.removeprefix(OVER): count / told_s for name, count in spent.items() if name.startswith(OVER)},
             spent["steal"] / span_s / cpus,
             others_s / span_s / cpus,
             fed,
@@ -325,11 +326,11 @@ class Team:
     def _meters(self, clients: "subprocess.Popen[bytes] | None") -> dict[str, float]:
         """Meters that only go up, of the competitor and the machine: ns of processor time, otherwise seconds."""
         times = [cpu_ns(pid) for process in self._processes for pid in family(process.pid)]
-        window_s, over = 0.0, dict[str, float]()
+        window_s, told_s, over = 0.0, 0.0, dict[str, float]()
         if self.key in OURS:
             with Link(self.socket, START_S) as link:
                 state = link.ask("state")
-            window_s, self.state = state["window"]["spent_s"], state
+            window_s, told_s, self.state = state["window"]["spent_s"], state["figures_s"], state
             over = {OVER + name: service["over_budget"] for name, service in state["services"].items()}
         busy_s, steal_s = _processors_s()
         feeders = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -339,6 +340,7 @@ class Team:
             "cpu": times[0],
             "all": sum(times),
             "window": window_s,
+            "told": told_s,
             "busy": busy_s,
             "steal": steal_s,
             "ours": ours_ns / 1e9 + feeders.ru_utime + feeders.ru_stime,

@@ -253,6 +253,7 @@ class NavigationFirst:
         self._is_fresh = False  # navigation was looked at, and nothing ran since
         self.rehearsal: Rehearsal | None = None
         self._rehearsal_s = 0.0  # what is left to the message when another one begins
+        self._practised_s = self._since_s  # when the last practice was over, which is the window's time and no service's
 
     def fileno(self) -> int:
         """Readable while a navigation socket is."""
@@ -329,7 +330,7 @@ class NavigationFirst:
             self._rehearsal_s *= 0.5  # one that was interrupted is not for ever the measure
             return now_s
         self._practise(self.rehearsal.whole)
-        self._rehearsal_s = 2.0 * (self._clock_s() - now_s)
+        self._rehearsal_s = 2.0 * (self._practised_s - now_s)
         return now_s
 
     def _practise(self, step: Callable[[], None]) -> None:
@@ -338,6 +339,7 @@ class NavigationFirst:
         except Exception:  # a defect that costs warmth and must cost no more: there are no more rehearsals
             self.rehearsal = None
             logging.getLogger(__name__).exception("rehearsal of the critical path")
+        self._practised_s = self._clock_s()
 
     def _handle(self, fd: int, at_s: float) -> float:
         """Call the handler of a readable socket; `at_s` is when it was seen. Returns the time."""
@@ -351,7 +353,7 @@ class NavigationFirst:
             self.remove(fd)
             failed(error)
         now_s = self._clock_s()
-        account.charge(now_s - at_s)
+        account.charge(now_s - max(at_s, self._practised_s))
         return now_s
 
 

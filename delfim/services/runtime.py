@@ -171,9 +171,11 @@ class Runtime:
             gc.freeze()
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: every service, the navigation window, the loop's own callbacks, the dead-man's last event."""
+        """JSON-ready: every service, the navigation window, the loop's own callbacks, the dead-man's last event, and the time
+        since boot that all this is of."""
         now_s = self.clock.monotonic_s()
         return {
+            "figures_s": round(now_s, 3),
             "services": {name: status.report(now_s) | self._shown(name) for name, status in self.status.items()},
             "window": self.window.report(),
             "loop": {

@@ -1,7 +1,8 @@
 """Profiling (thesis 2.12, 3.5): the histogram of figure 3-10 and the stage means of figure 3-11, kept while sailing."""
 
 from bisect import bisect_left
-from itertools import accumulate, pairwise
+from itertools import accumulate
+from operator import sub
 
 from delfim.vehicle.state import Profile
 
@@ -9,6 +10,7 @@ from delfim.vehicle.state import Profile
 EDGES_US = [*range(1, 501), *accumulate([1.05] * 205, lambda edge, ratio: edge * ratio, initial=525.0)]
 # The bars that are shown: ten a decade from 10 us on, the last one open.
 _BARS = [*(bisect_left(EDGES_US, 10.0 * 10.0 ** (k / 10)) for k in range(60)), len(EDGES_US) - 1]
+_BARS_US = [round(float(EDGES_US[last]), 1) for last in _BARS]
 STAGES = ("poll", "navigation", "control", "propulsion", "log")
 
 
@@ -40,29 +42,29 @@ class Latency:
 
     def percentile_us(self, part: float) -> float:
         """The path that `part` (0..1) of all cycles did not exceed, to the histogram's resolution; 0 before the first."""
-        index = bisect_left(list(accumulate(self.counts)), part * self.n)
-        return min(float(EDGES_US[index]), self.worst_us) if index < len(EDGES_US) else self.worst_us
+        return self._percentile_us(part, list(accumulate(self.counts)))
 
     def within(self, limit_us: float) -> float:
         """Share of cycles that took at most this long, 0..1."""
         return sum(self.counts[: bisect_left(EDGES_US, limit_us) + 1]) / self.n if self.n else 0.0
 
-    def histogram(self) -> list[tuple[float, int]]:
-        """Upper edge in us and cycles of each bar of figure 3-10 that is not empty; the first one starts at 0."""
-        totals = list(accumulate(self.counts))
-        bars = zip(_BARS, pairwise([0, *(totals[last] for last in _BARS)]), strict=True)
-        return [(round(float(EDGES_US[last]), 1), upto - before) for last, (before, upto) in bars if upto > before]
-
     def summary(self) -> dict[str, object]:
-        """JSON-ready: count, percentiles in us, share within 100 us, stage means in us, histogram."""
+        """JSON-ready: count, percentiles in us, share within 100 us, stage means in us, and of each bar of figure 3-10 that is
+        not empty the upper edge in us and the cycles; the first one starts at 0."""
         means = [sum_ns / 1e3 / self.n if self.n else 0.0 for sum_ns in self._sums_ns]
+        totals = list(accumulate(self.counts))  # once: consoles ask five times a second
+        upto = [totals[last] for last in _BARS]
         return {
             "n": self.n,
-            "p50_us": round(self.percentile_us(0.5), 1),
-            "p99_us": round(self.percentile_us(0.99), 1),
-            "p999_us": round(self.percentile_us(0.999), 1),
+            "p50_us": round(self._percentile_us(0.5, totals), 1),
+            "p99_us": round(self._percentile_us(0.99, totals), 1),
+            "p999_us": round(self._percentile_us(0.999, totals), 1),
             "worst_us": round(self.worst_us, 1),
             "within_100_us": round(self.within(100.0), 5),
             "stages_us": {name: round(mean, 2) for name, mean in zip(STAGES, means, strict=True)},
-            "histogram": self.histogram(),
+            "histogram": [bar for bar in zip(_BARS_US, map(sub, upto, [0, *upto]), strict=False) if bar[1]],
         }
+
+    def _percentile_us(self, part: float, totals: list[int]) -> float:
+        index = bisect_left(totals, part * self.n)
+        return min(float(EDGES_US[index]), self.worst_us) if index < len(EDGES_US) else self.worst_us

@@ -336,9 +336,10 @@ def test_a_rehearsal_that_would_not_be_over_in_time_is_left_out_and_one_interrup
 def test_a_message_that_came_during_a_rehearsal_is_not_taken_for_a_later_one(
     monkeypatch: pytest.MonkeyPatch, navigation: Navigation, step: int
 ) -> None:
-    """Otherwise the next windows would open later, and their messages come during rehearsals, too."""
+    """Otherwise the next windows would open later, and their messages come during rehearsals, too. Nor is it the service's time."""
     clock, window, fd = ManualClock(), NavigationWindow(0.0006, 0.2), navigation.receiver.fileno()
-    first = NavigationFirst(window, clock, Account("loop", 1.0))
+    account = Account("vehicle", 1.0)
+    first = NavigationFirst(window, clock, account)
     for i in range(10):
         window.arrived(fd, 0.01 * i)
     arrived, arrived_s, begun_s = window.arrived, list[float](), list[float]()
@@ -357,6 +358,7 @@ def test_a_message_that_came_during_a_rehearsal_is_not_taken_for_a_later_one(
         first.resume()
     assert arrived_s == [begun_s[step - 1]]
     assert len(begun_s) == step, "none more when the message is there"
+    assert account.busy_s == 0.0
 
 
 def test_a_computer_that_slept_in_a_window_has_windows_again() -> None:
