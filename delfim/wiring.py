@@ -133,8 +133,9 @@ async def vehicle(runtime: Runtime) -> None:
         for source in sources:
             runtime.navigation(source.socket.fileno(), partial(boat.on_navigation, source))
             links.callback(runtime.remove_navigation, source.socket.fileno())
-        runtime.rehearsal(Rehearsal(boat, outlet))
-        links.callback(runtime.rehearsal, None)
+        if (mirror := outlet.mirror()) is not None:
+            runtime.rehearsal(Rehearsal(boat, outlet, mirror))
+            links.callback(runtime.rehearsal, None)
         for status in (status_frames, status_messages):
             runtime.reader(status.fileno(), partial(boat.on_sysstat, status))
             links.callback(runtime.remove_reader, status.fileno())

@@ -33,6 +33,7 @@ from delfim.canproxy.canloop import group_of
 from delfim.console.link import Link
 from delfim.errors import DelfimError, Refused
 from delfim.logging.statelog import columns
+from delfim.services.priority import ARRIVALS
 
 SOURCES: Final = Path(__file__).parents[2] / "bench"
 LABELS: Final = {
@@ -48,7 +49,7 @@ OURS: Final = ("delfim", "ordinary", "apart")  # that have a window
 RATES_HZ: Final = (5.0, 100.0, 500.0)
 LONG_CYCLES: Final = 150_645  # as many as the thesis logged at sea
 REAL_TIME: Final = ("chrt", "--fifo", str(config.Runtime().fifo_priority))  # as this program where its file says nothing
-WARM_PERIODS, WARM_S_MIN = 7, 0.3
+WARM_PERIODS, WARM_S_MIN = ARRIVALS + 1, 0.3  # until the source of the turn before is forgotten
 START_S: Final = 20.0  # a competitor must be ready within this time
 OVER: Final = "over budget: "
 END_S: Final = 15.0  # and have ended within this one

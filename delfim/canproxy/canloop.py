@@ -22,6 +22,7 @@ import time
 import zlib
 from array import array
 from collections.abc import Callable, Sequence
+from copy import copy
 from random import Random
 
 from delfim.canproxy import mmsg
@@ -263,6 +264,16 @@ class CanLoop:
         """Empty datagrams: they go all the way to the sockets of the bus, and every filter refuses them."""
         if self._nothing is not None:
             self._nothing.send(REHEARSED)
+
+    def mirror(self) -> "CanLoop | None":
+        """Never sends: it has no socket."""
+        if self._taken is None or self._droprate or self._verbose:
+            return None
+        mirror = copy(self)
+        mirror._taken = mirror._given = mmsg.Mirror(self._input, BATCH, _DATAGRAM.size, _SENDER.size, _STAMP.size)
+        mirror._sent, mirror._seen = {}, {}
+        del mirror._input, mirror._output
+        return mirror
 
     def _missed(self, key: int, expected: int | None, count: int) -> None:
         """Count a gap in the numbering. A numbering never seen, or one that went back, begins anew."""

@@ -60,6 +60,7 @@ class Many(Protocol):
 
     def receive_many(self) -> list[Frame]: ...
     def send_many(self, messages: Sequence[tuple[int, bytes]]) -> int: ...
+    def mirror(self) -> "Many | None": ...
 
 
 def receive_each(receive: Callable[[], Frame | None]) -> list[Frame]:
@@ -117,6 +118,12 @@ class CanSocket:
         else:
             self.receive_many = partial(receive_each, transport.receive)
             self.send_many = partial(send_each, self._send_now)
+
+    def mirror(self) -> Many | None:
+        """For rehearsals: the same code on buffers of its own, which receives what it sends and never reaches the bus. None
+        where the transport takes and gives one frame at a time."""
+        transport = self._transport
+        return transport.mirror() if isinstance(transport, Many) and transport.outlets is None else None
 
     @property
     def dropped(self) -> int:

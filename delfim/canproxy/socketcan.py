@@ -10,6 +10,7 @@ import socket
 import struct
 import sys
 from collections.abc import Callable, Sequence
+from copy import copy
 from typing import Final
 
 from delfim.canproxy import mmsg
@@ -168,6 +169,13 @@ class SocketCan:
         """The kernel looks the interface up and refuses 15 bytes, for a frame has 16."""
         if self._nothing is not None:
             self._nothing.send(REHEARSED)
+
+    def mirror(self) -> "SocketCan":
+        """Never sends: it has no socket."""
+        mirror = copy(self)
+        mirror._taken = mirror._given = mmsg.Mirror(self._socket, BATCH, CAN_FRAME.size, _INTERFACE.size, _CONTROL.size)
+        del mirror._socket
+        return mirror
 
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         indices = {address.ifindex for address in addresses} or {0}

@@ -333,6 +333,29 @@ def test_a_rehearsal_is_heard_by_nobody(opened: Callable[..., CanSocket]) -> Non
     assert receiver.dropped == 0
 
 
+def test_a_mirror_receives_what_it_sends_as_the_bus_would_and_nobody_hears_it(opened: Callable[..., CanSocket]) -> None:
+    sender, receiver = opened(), opened()
+    receiver.bind(ANYTHING)
+    frames = [(standard(1), b""), (extended(0x1ABCDEF1), b"12345678"), (standard(0x7FF), b"123")]
+    mirror = sender.mirror()
+    if mirror is None:  # no system calls for many
+        assert not sender._transport._kernel_filter
+        return
+    for _ in range(2):
+        assert mirror.send_many(frames) == 0
+        assert [(frame.arb, frame.data) for frame in mirror.receive_many()] == frames
+        assert mirror.receive_many() == []
+    assert sender.send_many(frames) == 0
+    assert [(frame.arb, frame.data) for frame in receiver.receive_many()] == frames, "once, and none was missed"
+    assert receiver.dropped == 0
+
+
+def test_a_socket_that_takes_one_frame_at_a_time_has_no_mirror() -> None:
+    assert CanSocket(FullBus(full=0)).mirror() is None
+    with CanSocket(CanLoop(f"m{os.getpid()}", droprate=0.5, seed=1)) as lossy:
+        assert lossy.mirror() is None
+
+
 def test_a_closed_socket_neither_takes_nor_gives_many(opened: Callable[..., CanSocket]) -> None:
     """Its descriptor may be somebody else's by then."""
     closed = opened()

@@ -336,7 +336,7 @@ def test_a_rehearsal_that_would_not_be_over_in_time_is_left_out_and_one_interrup
 def test_a_message_that_came_during_a_rehearsal_is_not_taken_for_a_later_one(
     monkeypatch: pytest.MonkeyPatch, navigation: Navigation, step: int
 ) -> None:
-    """Otherwise the next windows would open later, and their messages come during rehearsals, too. Nor is it the service's time."""
+    """Else the next windows would open later, and their messages come during rehearsals, too. And no service pays for it."""
     clock, window, fd = ManualClock(), NavigationWindow(0.0006, 0.2), navigation.receiver.fileno()
     account = Account("vehicle", 1.0)
     first = NavigationFirst(window, clock, account)

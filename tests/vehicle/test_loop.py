@@ -203,7 +203,7 @@ def test_the_better_source_wins_while_it_speaks(boat):
 
 
 def test_a_rehearsal_goes_the_whole_way_sends_nothing_and_changes_nothing(boat):
-    rehearsal = Rehearsal(boat.vehicle, boat.outlet)
+    rehearsal = Rehearsal(boat.vehicle, boat.outlet, boat.outlet.mirror())
     rehearsal.whole()
     rehearsal.part()
     boat.ready()
