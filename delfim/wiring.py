@@ -45,6 +45,7 @@ if TYPE_CHECKING:
 
 WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
+MEASURE_EVERY = 5
 MAINTAIN_EVERY = 10
 GATHER_S = 0.005  # that frames wait for others on their way into the black box; the kernel has stamped them already
 
@@ -156,7 +157,7 @@ async def _attend(
 
     figures = dict[str, object]()
 
-    def measure() -> None:  # once a second: an answer that did it would be a long callback
+    def measure() -> None:  # not for each answer, which would be a long callback
         figures.update({name: report() for name, report in runtime.board.items() if name not in runtime.status})
         figures.update(runtime.report())
 
@@ -194,9 +195,10 @@ async def _attend(
         if ticks % PUBLISH_EVERY == 0:
             await asyncio.sleep(0)  # navigation has its turn between two parts of a tick
             commands.publish()
-        if ticks % MAINTAIN_EVERY == 0:
+        if ticks % MEASURE_EVERY == 1:
             await asyncio.sleep(0)
             measure()
+        if ticks % MAINTAIN_EVERY == 0:
             log.poll()
             if boat.state.image:  # until somebody confirms it
                 boat.state.image = slots.present_notice(settings.runtime.run_directory)
