@@ -40,9 +40,11 @@ class Latency:
         sums[3] += p.t4 - p.t3
         sums[4] += p.t5 - p.t4
 
-    def percentile_us(self, part: float) -> float:
-        """The path that `part` (0..1) of all cycles did not exceed, to the histogram's resolution; 0 before the first."""
-        return self._percentile_us(part, list(accumulate(self.counts)))
+    def percentile_us(self, part: float, totals: list[int] | None = None) -> float:
+        """The path that `part` (0..1) of all cycles did not exceed, to the histogram's resolution; 0 before the first.
+        `totals` are the counts added up, where that is done already."""
+        index = bisect_left(totals or list(accumulate(self.counts)), part * self.n)
+        return min(float(EDGES_US[index]), self.worst_us) if index < len(EDGES_US) else self.worst_us
 
     def within(self, limit_us: float) -> float:
         """Share of cycles that took at most this long, 0..1."""
@@ -56,15 +58,11 @@ class Latency:
         upto = [totals[last] for last in _BARS]
         return {
             "n": self.n,
-            "p50_us": round(self._percentile_us(0.5, totals), 1),
-            "p99_us": round(self._percentile_us(0.99, totals), 1),
-            "p999_us": round(self._percentile_us(0.999, totals), 1),
+            "p50_us": round(self.percentile_us(0.5, totals), 1),
+            "p99_us": round(self.percentile_us(0.99, totals), 1),
+            "p999_us": round(self.percentile_us(0.999, totals), 1),
             "worst_us": round(self.worst_us, 1),
             "within_100_us": round(self.within(100.0), 5),
             "stages_us": {name: round(mean, 2) for name, mean in zip(STAGES, means, strict=True)},
             "histogram": [bar for bar in zip(_BARS_US, map(sub, upto, [0, *upto]), strict=False) if bar[1]],
         }
-
-    def _percentile_us(self, part: float, totals: list[int]) -> float:
-        index = bisect_left(totals, part * self.n)
-        return min(float(EDGES_US[index]), self.worst_us) if index < len(EDGES_US) else self.worst_us
