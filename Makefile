@@ -3,12 +3,16 @@
 
 PYTHON ?= python3
 ARGS   ?=
-BIN    := .venv/bin
-READY  := .venv/.ready
+WORKERS ?= 2
+BESIDE := -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+BOAT   := $(VENV)/.boat
+READY  := $(VENV)/.ready
 WEB    := delfim/console/web
 NPM    := $(WEB)/node_modules/.package-lock.json
-MORE   := .venv/.formats
-LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt test.txt build.txt)
+MORE   := $(VENV)/.formats
+LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt build.txt)
 
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
 # that people use: a browser, FTP, SSH, Octave.
@@ -18,20 +22,23 @@ SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox dmsetup e2fsck chromium
 	qemu-system-x86_64 grub-mkimage octave-cli podman
 
 export PYTHONSAFEPATH := 1
-export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/.venv/bin
+export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/$(BIN)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test seeds check page pictures bench image system guest-shell formats lock clean
+.PHONY: help run test fast seeds check page pictures bench image system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
 
-run: $(READY) ## sail the whole DelfimX in simulation, with the console in the browser
+run: $(BOAT) ## sail the whole DelfimX in simulation, with the console in the browser
 	$(BIN)/delfim sim etc/delfimx.toml --console $(ARGS)
 
-test: $(MORE) system ## run all tests, those on a real SocketCAN bus included
-	$(BIN)/pytest $(ARGS)
+test: $(MORE) system ## run all tests, those on a real SocketCAN bus included, so many side by side (WORKERS=2)
+	$(BIN)/pytest $(BESIDE) $(ARGS)
+
+fast: $(MORE) ## run the tests that need no guest, with ARGS="..." and WORKERS as for test
+	$(BIN)/pytest $(BESIDE) --ignore tests/guest --ignore tests/test_containers.py --ignore tests/bench $(ARGS)
 
 seeds: $(READY) ## sail 1,000 runs of mixed faults in lock step (ARGS="--seeds 5000" for more)
 	$(BIN)/pytest tests/simulator/test_scenarios.py -k mixed --timeout 3600 --seeds 1000 $(ARGS)
@@ -53,6 +60,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/python -m tests.guest.figure_2_9 docs/pictures/figure-2-9.png
 	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.scenes docs/pictures
+	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_first_voyage docs/pictures
 
 bench: $(READY) ## measure the contracts of the design on this machine
 	$(BIN)/delfim bench $(ARGS)
@@ -87,16 +95,23 @@ compile = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-ex
 	--no-emit-trusted-host --no-emit-find-links $(ARGS) --output-file requirements/$(1).txt
 
 clean: ## remove everything that was made here
-	rm -rf .venv build dist run $(WEB)/node_modules *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
+	rm -rf .venv .venv-newest build dist run $(WEB)/node_modules *.egg-info .mypy_cache .ruff_cache .pytest_cache .import_linter_cache .hypothesis
 	find . -name __pycache__ -prune -exec rm -rf {} +
 
-$(READY): $(LOCKS) pyproject.toml
+# All that a boat, its simulation and the console need; what tests, types and style need comes on top of it.
+$(BOAT): $(LOCKS) pyproject.toml
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
 		{ echo "Delfim needs Python 3.11 or newer, and $(PYTHON) is $$($(PYTHON) -V 2>&1). Say: make PYTHON=/path/to/python3.11" >&2; exit 1; }
-	@test -x $(BIN)/python || $(PYTHON) -m venv .venv || \
-		{ echo "$(PYTHON) cannot make a virtual environment; on Debian install the package python3-venv" >&2; rm -rf .venv; exit 1; }
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(addprefix -r ,$(LOCKS))
-	PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@test -x $(BIN)/python || $(PYTHON) -m venv $(VENV) || \
+		{ echo "$(PYTHON) cannot make a virtual environment; on Debian install the package python3-venv" >&2; rm -rf $(VENV); exit 1; }
+	@echo "make: installing the packages of Delfim into $(VENV), once; this takes about a minute"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(addprefix -r ,$(LOCKS))
+	@PYTHONWARNINGS=ignore $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --no-build-isolation --editable .
+	@touch $@
+
+$(READY): $(BOAT) requirements/test.txt
+	@echo "make: installing the packages of tests and checks into $(VENV), once"
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/test.txt
 	@touch $@
 
 # The page's tools come with npm: the machine's, or else the one that is on PyPI.

@@ -28,6 +28,7 @@ BUS = f"bench{os.getpid() % 100000}"
 BURSTS_PER_S = 1000
 SETTLE_S = 2.0
 ROOT = Path(__file__).parents[1]
+COMMAND = [sys.executable, "-m", "delfim"]
 FORK = get_context("fork")  # the children are on the same bus
 
 
@@ -77,7 +78,7 @@ def daemon(place: str) -> Iterator[tuple[int, int]]:
         f'cantcpd.listen=["127.0.0.1:{port}"]',
         f'runtime.run_directory="{place}"',
     ]
-    command = [sys.executable, "-m", "delfim", "run", str(ROOT / "etc/delfimx.toml"), "--service", "cantcpd"]
+    command = [*COMMAND, "run", str(ROOT / "etc/delfimx.toml"), "--service", "cantcpd"]
     process = subprocess.Popen([*command, *(word for setting in settings for word in ("--set", setting))])
     try:
         while True:

@@ -21,8 +21,8 @@ from typing import Any, NamedTuple
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from delfim.canproxy.canloop import open_canloop
-from delfim.canproxy.dsor import Message, Outcome
-from delfim.canproxy.dsorsocket import DsorTransport
+from delfim.canproxy.dsor.protocol import Message, Outcome
+from delfim.canproxy.dsor.sockets import DsorTransport
 from delfim.canproxy.socket import ANYTHING, CanSocket
 from delfim.frames import Frame
 

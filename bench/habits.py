@@ -20,9 +20,10 @@ from itertools import chain
 from pathlib import Path
 
 from delfim.bench import competitor, critical_path, report
-from delfim.vehicle.loop import Vehicle
-from delfim.vehicle.navcan import DsorNavigation, Fix
+from delfim.vehicle.helm import Helm
+from delfim.vehicle.navigation import Fix
 from delfim.vehicle.rehearsal import Rehearsal
+from delfim.vehicle.sources.dsor import DsorNavigation
 from delfim.vehicle.state import Actuation
 
 AS_IT_IS, HABITS = "delfim", ("garbage", "log", "names", "practice")
@@ -34,13 +35,13 @@ def broken(habit: str) -> None:
     if habit == "garbage":
         gc.freeze = gc.disable = lambda: None
     elif habit == "log":
-        control = Vehicle._control
+        control = Helm.control
 
-        def log_and_control(boat: Vehicle, now_s: float) -> Actuation:
-            boat.log.write(boat.state, now_s)
-            return control(boat, now_s)
+        def log_and_control(helm: Helm, now_s: float) -> Actuation:
+            helm._log.write(helm.state, now_s)
+            return control(helm, now_s)
 
-        Vehicle._control = log_and_control
+        Helm.control = log_and_control
     elif habit == "names":
         DsorNavigation.read = read_by_name
     elif habit == "practice":
@@ -49,7 +50,7 @@ def broken(habit: str) -> None:
 
 def read_by_name(navigation: DsorNavigation, now_s: float) -> Fix | None:
     fix = None
-    for frame in navigation.socket.receive_many():
+    for frame in navigation._socket.receive_many():
         message = navigation._receiver.feed(frame, now_s)
         if message is not None:
             fix = navigation._fix(message, now_s) or fix

@@ -5,16 +5,31 @@ are no environment variables and no second list of options.
 """
 
 import re
-import tomllib
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from ipaddress import IPv4Address, IPv4Interface, ip_network
 from pathlib import Path
-from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from types import NoneType, UnionType
+from typing import (
+    TYPE_CHECKING,
+    Annotated,
+    Any,
+    Literal,
+    NamedTuple,
+    TypeVar,
+    Union,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import msgspec
 
-from delfim.errors import ConfigError
+from delfim.errors import ConfigError, FormatError, did_you_mean
 from delfim.geodesy import polygon_fault
+from delfim.modes import Mode
+from delfim.outside import parse_toml, read_text
+from delfim.slices import Sliced, Work
 
 
 def text(pattern: str, words: str, **extra: str) -> msgspec.Meta:
@@ -43,7 +58,8 @@ DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 ActionName = Literal["warn", "hold", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "home", "stop"]
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
-Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=100)]  # corners of a polygon, degrees north and east
+CORNERS, ZONES = 100, 100  # of a polygon, and to keep out of, at most
+Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
 Endpoint = Annotated[str, text(rf"[^ :]+:{_PORT}", "ADDRESS:PORT, port 0 to 65535")]
 Listen = Annotated[str, text(rf"([^ :]+|\[[0-9A-Fa-f:.]+\]):{_PORT}", "ADDRESS:PORT or [IPv6]:PORT, port 0 to 65535")]
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
@@ -156,7 +172,7 @@ class HomeTable(Table, frozen=True):
     """The way back along the driven track."""
 
     spacing_m: Metres = 5.0  # between remembered points of the driven track
-    points: Annotated[int, msgspec.Meta(ge=2, le=100_000)] = 2000  # remembered; beyond, the spacing doubles
+    points: Annotated[int, msgspec.Meta(ge=2, le=1500)] = 1500  # remembered; beyond, the spacing doubles
     speed_mps: Speed = 1.5  # on the way home
 
 
@@ -168,19 +184,25 @@ class ControlTable(Table, frozen=True):
     home: HomeTable = HomeTable()
 
 
-class Trouble(Table, frozen=True):
+if TYPE_CHECKING:
+
+    class _EachMode(Table, frozen=True): ...
+else:  # one key for each mode in which something can be stopped
+    _EachMode = msgspec.defstruct(
+        "_EachMode",
+        [(mode.name.lower(), ModeAction, "same") for mode in Mode if mode is not Mode.IDLE],
+        bases=(Table,),
+        frozen=True,
+        forbid_unknown_fields=True,
+        kw_only=True,
+    )
+
+
+class Trouble(_EachMode, frozen=True):
     """What is done about a trouble: `action`, or what a mode's own key says instead of it."""
 
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 0.0  # it must last this long
     action: ActionName = "stop"  # in every mode that says nothing else
-    manual: ModeAction = "same"  # in manual mode; "same": as `action`
-    heading: ModeAction = "same"  # in heading mode
-    goto: ModeAction = "same"  # in goto mode
-    play: ModeAction = "same"  # in play mode
-    path: ModeAction = "same"  # in path mode
-    grex: ModeAction = "same"  # in GREX mode
-    hold: ModeAction = "same"  # while holding
-    home: ModeAction = "same"  # on the way home
 
 
 class NavigationSilent(Trouble, frozen=True):
@@ -303,8 +325,6 @@ class KeepOut(Table, frozen=True):
             raise ValueError("either a polygon or a centre with a radius")
         if bool(self.centre) != bool(self.radius_m):
             raise ValueError("a circle needs its centre and its radius")
-        if self.polygon and (wrong := polygon_fault(self.polygon)):
-            raise ValueError(wrong)
 
 
 class Zones(Table, frozen=True):
@@ -312,11 +332,7 @@ class Zones(Table, frozen=True):
 
     version: Literal[1] = 1  # of this description
     keep_in: Ring = ()  # corners, [latitude_deg, longitude_deg], of the polygon that the boat does not leave; none: no such
-    keep_out: Annotated[tuple[KeepOut, ...], msgspec.Meta(max_length=100)] = ()  # zones that the boat does not enter
-
-    def __post_init__(self) -> None:
-        if self.keep_in and (wrong := polygon_fault(self.keep_in)):
-            raise ValueError(f"keep_in: {wrong}")
+    keep_out: Annotated[tuple[KeepOut, ...], msgspec.Meta(max_length=ZONES)] = ()  # zones that the boat does not enter
 
 
 class Fence(Zones, frozen=True):
@@ -355,8 +371,7 @@ class Mavlink(Table, frozen=True):
     listen: Listen = "127.0.0.1:14555"  # address and port; port 0: any
     peers: Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)] = ("127.0.0.1:14550",)  # who is told that the boat exists
     profile: Literal["lean", "radio", "wifi"] = "wifi"  # how much is sent, until a console asks for another one
-    sign: Literal["remote", "all"] = "remote"  # who must sign: everybody but this computer, or everybody
-    key: str = ""  # file of the key, from `delfim console --keygen FILE`; without one no other computer commands
+    key: str = ""  # file of the key, from `delfim console --keygen FILE`: who has it is heard; without one, this computer alone
     autopilot: Literal["generic", "ardurover"] = "generic"  # what programs for other autopilots take the boat for
     command_age_s: Seconds = 3.0  # a signed command that was on the way for longer is not obeyed
 
@@ -377,9 +392,10 @@ class Cantcpd(Table, frozen=True):
     watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
     transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # of these, the networks that may send frames, too
     barred: tuple[Identifiers, ...] = ("040-043", "0A0", "0C8")  # no client sends these: commands to actuators, reset, shutdown
-    clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once
+    clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once; the oldest without a bus gives way
+    clients_per_address: Annotated[int, msgspec.Meta(ge=1, le=64)] = 8  # likewise, of these
     queue_bytes: Annotated[int, msgspec.Meta(ge=8192, le=16 << 20)] = 1 << 18  # of one client; beyond, its oldest frames go
-    stall_s: Seconds = 30.0  # a client that takes nothing and says nothing for so long is closed
+    stall_s: Seconds = 30.0  # a client that takes and says nothing for so long, or has opened no bus by then, is closed
     beacon: tuple[LinuxInterface, ...] = ()  # LANs on which the buses are announced (UDP port 42000); never a radio link
 
     def __post_init__(self) -> None:
@@ -451,6 +467,7 @@ class Httpd(Table, frozen=True):
     connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 32  # at once; the next one is closed
     connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
     scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two looks at the computer and its processes
+    console: str = ""  # where the operator's console is, for a link to it, such as "http://127.0.0.1:8765/"; "" for none
 
 
 class Powerd(Table, frozen=True):
@@ -471,7 +488,7 @@ class FtpUser(Table, frozen=True):
     """Who may come in by FTP, by name."""
 
     password: Password  # from `delfim password`
-    upload: bool = False  # may write in the staging area; everything else is read-only for everybody
+    upload: bool = False  # may write in `log.upload_folder`; everything else is read-only for everybody
 
 
 class Ftpd(Table, frozen=True):
@@ -479,8 +496,6 @@ class Ftpd(Table, frozen=True):
 
     listen: Endpoint = "127.0.0.1:2121"  # address and port; 0.0.0.0 is every interface
     root: str = "/log"  # what is seen as "/"; no path leads out of it
-    staging: Name = "upload"  # the folder in it where some may write
-    upload_bytes_max: Annotated[int, msgspec.Meta(ge=0)] = 1 << 30  # of one file
     certificate: str = ""  # PEM with certificate and key: nobody logs in without TLS (RFC 4217); "": all in the clear
     connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
     connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
@@ -498,6 +513,7 @@ class Sshd(Table, frozen=True):
 
     listen: Endpoint = "127.0.0.1:2222"  # address and port; 0.0.0.0 is every interface
     user: str = ""  # of the system, as whom all is done; "": as who started this. Needs a process of its own
+    can: bool = False  # may that user open CAN sockets, and so command the propellers past cantcpd
     shell: str = "/bin/sh"  # that runs the commands
     root: str = "/log"  # what SFTP and SCP see as "/"; no path leads out of it
     host_key: str = "/log/.keys/ssh_host_ed25519"  # made at the first start, and kept
@@ -511,10 +527,13 @@ class Log(Table, frozen=True):
     """Where and how logs are written, and what happens when the disk is full."""
 
     directory: str = "/log"  # where logs go
-    file_bytes: Annotated[int, msgspec.Meta(ge=4096, le=1 << 30)] = 1_000_000  # a new file past this size
+    file_bytes: Annotated[int, msgspec.Meta(ge=4096, le=1 << 24)] = 1_000_000  # a new file past this size
     file_s: Seconds = 600.0  # a new file past this age
     free_bytes_min: Annotated[int, msgspec.Meta(ge=0)] = 64 << 20  # the guard keeps this much free
     when_full: Literal["delete-oldest", "stop"] = "delete-oldest"  # what the guard does
+    upload_folder: Name = "upload"  # the folder, in the root of ftpd and of sshd, where clients may write
+    upload_bytes_max: Annotated[int, msgspec.Meta(ge=0)] = 256 << 20  # of all uploads, and at most a quarter of the disk
+    upload_names_max: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 1000  # files and folders of all uploads
     state_method: Literal["write", "zwrite", "zpipe"] = "zpipe"  # plain, deflated here, by a niced child
     required: bool = True  # no log, no start
 
@@ -626,13 +645,41 @@ class Vehicle(Table, frozen=True):
     services: dict[Name, Service] = {}
     simulation: Simulation = Simulation()
 
+    @property
+    def buses(self) -> tuple[str, ...]:
+        """All interfaces of the boat."""
+        nmea2000 = {self.nmea2000.interface} if "nmea2000" in self.navigation.sources else set()
+        return tuple(sorted({self.can.interface} | nmea2000))
+
 
 T = TypeVar("T", bound=Table)
+SHOWN = 60  # characters at most of a value that is refused
 
 
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
     """The vehicle's file, checked, with "key.key=TOML value" overrides laid over it. Raises ConfigError."""
-    return decode(read_toml(path, overrides), Vehicle, str(path))
+    settings = decode(read_toml(path, overrides), Vehicle, str(path))
+    Sliced(polygons(settings.fence, str(path))).finish()
+    return settings
+
+
+def polygons(zones: Zones, file: str) -> Work[None]:
+    """Looks at all polygons of a file's fence. Raises ConfigError for the first one that nobody can have meant."""
+    rings = [
+        ("fence.keep_in", zones.keep_in),
+        *((f"fence.keep_out[{i}]", zone.polygon) for i, zone in enumerate(zones.keep_out)),
+    ]
+    for key, ring in rings:
+        if ring and (wrong := (yield from polygon_fault(ring))) is not None:
+            raise ConfigError(file, key, wrong)
+
+
+def mission_place(file: str, vehicle: Vehicle) -> Path:
+    """Where the mission of a simulation lies: beside the vehicle's file. Raises ConfigError where there is none."""
+    place = Path(file).parent / vehicle.simulation.mission
+    if not place.is_file():
+        raise ConfigError(file, "simulation.mission", f"there is no file {place}; it is looked for beside the vehicle's file")
+    return place
 
 
 def shown(table: Table) -> dict[str, Any]:
@@ -661,13 +708,11 @@ def read_toml(path: str | Path, overrides: Sequence[str] = ()) -> dict[str, Any]
     unreadable or no TOML.
     """
     try:
-        tree = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        tree = parse_toml(read_text(path))
     except OSError as error:
         raise ConfigError(str(path), "file", error.strerror or str(error)) from None
-    except UnicodeDecodeError as error:
-        raise ConfigError(str(path), "file", f"not UTF-8: {error.reason} at byte {error.start}") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(str(path), "file", f"not TOML: {error}") from None
+    except FormatError as error:
+        raise ConfigError(str(path), "file", str(error)) from None
     for override in overrides:
         _override(tree, override)
     return tree
@@ -681,17 +726,27 @@ def _override(tree: dict[str, Any], override: str) -> None:
         *tables, last = key.strip().split(".")
         for table in tables:
             tree = tree.setdefault(table, {})
-        tree[last] = tomllib.loads(f"value = {value}")["value"]
+        tree[last] = _value(value.strip())
     except (ValueError, AttributeError, TypeError) as error:
-        raise ConfigError("--set", override, f"not KEY=VALUE with a TOML value, text in quotes: {error}") from None
+        raise ConfigError("--set", override, f"not KEY=VALUE with a TOML value: {error}") from None
+
+
+def _value(text: str) -> Any:
+    """A TOML value; text needs no quotes, which a shell would take away."""
+    try:
+        return parse_toml(f"value = {text}")["value"]
+    except FormatError:
+        if not text or text[0] in "\"'[{":
+            raise
+        return text
 
 
 def decode(tree: dict[str, object], kind: type[T], file: str) -> T:
-    """A table from parsed TOML. Raises ConfigError."""
+    """A table from parsed TOML. Raises ConfigError, the first of its `complaints`."""
     try:
         return msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
-        raise _explained(error, tree, kind, file) from None
+        raise next(complaints(tree, kind, file), ConfigError(file, "file", str(error))) from None
 
 
 CHANGEABLE = ("control.", "failsafe.console_silent.", "failsafe.manual_silent.")  # while the program runs
@@ -701,58 +756,105 @@ def changed(settings: Vehicle, key: str, value: float | str) -> Vehicle:
     """The settings with another value at a key that may change. Raises ConfigError."""
     if not key.startswith(CHANGEABLE):
         raise ConfigError("the vehicle's file", key, "this does not change while the boat runs", ", ".join(CHANGEABLE))
-    tree = table = msgspec.to_builtins(settings)
-    *tables, last = key.split(".")
-    for name in tables:
-        table = table.get(name) if isinstance(table, dict) else None
-    if not isinstance(table, dict) or not isinstance(table.get(last), float | str):
+    *names, last = key.split(".")
+    tables: list[Table] = [settings]
+    for name in names:
+        if not isinstance(inner := getattr(tables[-1], name, None), Table):
+            raise ConfigError("the vehicle's file", key, "no such key")
+        tables.append(inner)
+    if not isinstance(getattr(tables[-1], last, None), float | str):
         raise ConfigError("the vehicle's file", key, "no such key")
-    table[last] = value
-    return decode(tree, Vehicle, "the vehicle's file")
+    table = tables.pop()
+    try:  # this table, and not the whole file, which may hold a long fence
+        table = decode(msgspec.structs.asdict(table) | {last: value}, type(table), "the vehicle's file")
+    except ConfigError as error:
+        raise ConfigError(error.file, key, error.reason, error.allowed) from None
+    outer: Table = table
+    for name in reversed(names):
+        outer = msgspec.structs.replace(tables.pop(), **{name: outer})
+    return cast(Vehicle, outer)
 
 
-def _explained(error: msgspec.ValidationError, tree: dict[str, object], kind: type[Table], file: str) -> ConfigError:
-    """msgspec's "Expected `float` <= 1.0 - at `$.a.b[0]`" as key, reason and allowed range."""
-    text, _, where = str(error).partition(" - at ")
-    path = where.rpartition("$")[2].strip("`.")
-    if where.startswith("`key` in"):
-        return ConfigError(file, path, "no name for a table", allowed(Name))
-    if "[...]" in path:
-        path = _named(tree, kind, path)
-    if unknown := re.search(r"unknown field `(.+)`", text):
-        keys = ", ".join(field.encode_name for field in msgspec.structs.fields(_hint(kind, path)))
-        return ConfigError(file, f"{path}.{unknown[1]}".lstrip("."), "unknown key", keys)
-    if missing := re.search(r"missing required field `(.+)`", text):
-        return ConfigError(file, f"{path}.{missing[1]}".lstrip("."), "missing")
-    reason = re.sub("str matching regex .*", "other text", text.replace("`", "").replace("object", "table"))
-    return ConfigError(file, path, reason[:1].lower() + reason[1:], allowed(_hint(kind, path)))
+def complaints(tree: object, kind: type[Table], file: str) -> Iterator[ConfigError]:
+    """Everything that is wrong with a table from parsed TOML."""
+    return (ConfigError(file, wrong.key.lstrip("."), wrong.reason, wrong.allowed) for wrong in _wrong(tree, kind, ""))
 
 
-def _named(tree: Any, kind: type[Table], path: str) -> str:
-    """msgspec says `services[...]` for every key of a table of tables; the key is the first one whose table is refused."""
-    table, _, rest = path.partition("[...]")
-    for part in table.split("."):
-        tree = tree[part]
-    for key, value in tree.items():
-        try:
-            msgspec.convert(value, _hint(kind, f"{table}.{key}"))
-        except msgspec.ValidationError:
-            return f"{table}.{key}{rest}"
-    return path
+class Wrong(NamedTuple):
+    key: str
+    reason: str
+    allowed: str = ""
 
 
-def _hint(kind: Any, path: str) -> Any:
-    """The annotation found at a path: `services.httpd.place`, `runtime.cpus[0]`."""
-    for part in re.findall(r"[\w-]+", path):
-        while get_origin(kind) is Annotated:
-            kind = get_args(kind)[0]
-        if get_origin(kind) is dict:
-            kind = get_args(kind)[1]
-        elif get_origin(kind) is tuple:
-            kind = get_args(kind)[0]
+def _wrong(value: Any, hint: Any, key: str) -> Iterator[Wrong]:
+    """What is wrong with a value: with its parts, or else with the whole. msgspec stops at the first mistake."""
+    refused, parts = _refused(value, hint, key), list[Wrong]()
+    if refused is None:
+        return
+    kind = _bare(hint)
+    if isinstance(value, dict) and isinstance(kind, type) and issubclass(kind, Table):
+        parts = list(_wrong_in_table(value, kind, key))
+    elif isinstance(value, dict) and get_origin(kind) is dict:
+        name, each = get_args(kind)
+        parts = [Wrong(f"{key}.{word}", "no name for a table", allowed(name)) for word in value if _refused(word, name, key)]
+        parts += [wrong for word, one in value.items() for wrong in _wrong(one, each, f"{key}.{word}")]
+    elif isinstance(value, list) and get_origin(kind) is tuple:
+        hints = get_args(kind)
+        hints = hints[:1] * len(value) if hints[-1] is ... else hints
+        pairs = enumerate(zip(value, hints, strict=False))
+        parts = [wrong for i, (one, each) in pairs for wrong in _wrong(one, each, f"{key}[{i}]")]
+    yield from parts or [refused]
+
+
+def _wrong_in_table(value: dict[str, Any], kind: type[Table], key: str) -> Iterator[Wrong]:
+    hints = get_type_hints(kind, include_extras=True)
+    for word, one in value.items():
+        if word in hints:
+            yield from _wrong(one, hints[word], f"{key}.{word}")
         else:
-            kind = get_type_hints(kind, include_extras=True)[part]
-    return kind
+            near = did_you_mean(word, hints)
+            yield Wrong(f"{key}.{word}", f"unknown key{near}", "" if near else ", ".join(hints))
+    for field in msgspec.structs.fields(kind):
+        if field.required and field.name not in value:
+            yield Wrong(f"{key}.{field.name}", "missing")
+
+
+def _bare(hint: Any) -> Any:
+    """A type without its range, and without the None of what may be missing."""
+    while get_origin(hint) is Annotated:
+        hint = get_args(hint)[0]
+    if isinstance(hint, UnionType) or get_origin(hint) is Union:
+        return _bare(next(part for part in get_args(hint) if part is not NoneType))
+    return hint
+
+
+def _refused(value: object, hint: Any, key: str) -> Wrong | None:
+    """Why a value as a whole is refused, in words; None where it is not."""
+    try:
+        msgspec.convert(value, hint)
+    except msgspec.ValidationError as error:
+        text = str(error).partition(" - at ")[0]
+        if kinds := re.fullmatch(r"Expected `(.*)`, got `(.*)`", text):
+            wanted, got = (_KINDS.get(kind, kind) for kind in kinds.groups())
+            told = "this" if isinstance(value, list | dict) else _told(value)
+            return Wrong(key, f"{told} is {got}, not {wanted}", allowed(hint))
+        if re.match("Expected|Invalid|Integer|Number|Object", text):
+            return Wrong(key, f"{_told(value)} is not allowed", allowed(hint))
+        return Wrong(key, text)  # the words of a table that looks at itself
+    return None
+
+
+_KINDS = {"bool": "true or false", "int": "a whole number", "float": "a number", "str": "text", "array": "a list"}
+_KINDS |= {"object": "a table", "date": "a date", "datetime": "a date", "time": "a time of day", "null": "nothing"}
+
+
+def _told(value: object) -> str:
+    """A value as its file has it, not more than a line."""
+    if isinstance(value, list | dict):
+        kind = "list" if isinstance(value, list) else "table"
+        return f"a {kind} of {len(value)}" if value else f"an empty {kind}"
+    text = str(value).lower() if isinstance(value, bool) else f'"{value}"' if isinstance(value, str) else str(value)
+    return text if len(text) <= SHOWN else f"{text[: SHOWN // 2]} ... {text[-SHOWN // 4 :]}"
 
 
 def allowed(hint: Any) -> str:
@@ -762,13 +864,19 @@ def allowed(hint: Any) -> str:
     if get_origin(hint) is tuple:
         parts = get_args(hint)
         return f"any number of {allowed(parts[0])}" if parts[-1] is ... else f"[{', '.join(map(allowed, parts))}]"
+    if isinstance(hint, UnionType) or get_origin(hint) is Union:
+        return " or ".join(allowed(part) for part in get_args(hint) if part is not NoneType)
     if get_origin(hint) is not Annotated:
         if isinstance(hint, type) and issubclass(hint, Table):
             return f"a table of {', '.join(field.encode_name for field in msgspec.structs.fields(hint))}"
-        return {bool: "true or false", str: "text"}.get(hint, getattr(hint, "__name__", str(hint)))
+        return {bool: "true or false", str: "text", float: "a number", int: "a whole number"}.get(
+            hint, getattr(hint, "__name__", str(hint))
+        )
     meta = get_args(hint)[1]
     if meta.description:
         return str(meta.description)
+    if meta.max_length is not None and get_args(hint)[0] is str:
+        return f"text of up to {meta.max_length} characters"
     if meta.max_length is not None:
         return f"{meta.min_length or 0} to {meta.max_length} of {allowed(get_args(get_args(hint)[0])[0])}"
     low = f"{meta.ge}" if meta.ge is not None else f"more than {meta.gt}" if meta.gt is not None else ""

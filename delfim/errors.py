@@ -1,8 +1,18 @@
 """The five exceptions of Delfim. Foreign ones become one of these where they enter; loops do not catch, supervisors do."""
 
+from collections.abc import Iterable
+from typing import Final
+
+LINE_MAX: Final = 600  # characters; the longest message of ours has half of that
+_TAIL: Final = 200  # characters of them behind what is left out: reasons are at the end
+
 
 class DelfimError(Exception):
-    """What a person can read and act on; the command line prints it without a traceback."""
+    """What a person can read and act on; the command line prints it without a traceback. Its text is one line, whatever the
+    words from outside hold that it repeats."""
+
+    def __str__(self) -> str:
+        return one_line(super().__str__())
 
 
 class ConfigError(DelfimError):
@@ -29,10 +39,27 @@ class PermanentFailure(DelfimError):
     """A service that must not be started again: trying harder cannot help (missing device file, wrong settings)."""
 
 
+def one_line(text: str) -> str:
+    """A text that a terminal, a log or a page can be given: nothing that does not print, and of a long one both ends."""
+    if len(text) > LINE_MAX:
+        text = f"{text[: LINE_MAX - _TAIL]} ... {text[-_TAIL:]}"
+    if text.isprintable():
+        return text
+    return "".join(each if each.isprintable() else " " if each == "\n" else f"\\x{ord(each):02x}" for each in text)
+
+
 def in_words(error: BaseException) -> str:
     """What went wrong, for people: ours as it is, the system's without its number, and of a defect its kind, too."""
     if isinstance(error, DelfimError):
         return str(error)
     if isinstance(error, OSError) and error.strerror:
-        return error.strerror if error.filename is None else f"{error.filename}: {error.strerror}"
-    return f"{type(error).__name__}: {error}".removesuffix(": ")
+        return one_line(error.strerror if error.filename is None else f"{error.filename}: {error.strerror}")
+    return one_line(f"{type(error).__name__}: {error}".removesuffix(": "))
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """ "; did you mean this?" where something known looks like the word, otherwise nothing."""
+    from difflib import get_close_matches  # for mistakes alone
+
+    near = get_close_matches(word, list(known), 1)
+    return f"; did you mean {near[0]}?" if near else ""

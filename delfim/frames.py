@@ -92,13 +92,3 @@ def to_can_frame(arb: int, data: bytes) -> bytes:
     if len(data) > 8:
         raise FormatError(f"{len(data)} bytes of data do not fit a CAN frame of 8")
     return CAN_FRAME.pack(to_can_id(arb), len(data), data)
-
-
-def from_can_frame(raw: bytes, t_ns: int = 0, ifindex: int = 0, sent_here: bool = False) -> Frame:
-    """The frame in 16 bytes of `struct can_frame`. Raises FormatError where they are none."""
-    if len(raw) != 16:
-        raise FormatError(f"{len(raw)} bytes are not a CAN frame of 16")
-    can_id, length, data = CAN_FRAME.unpack(raw)
-    if length > 8:
-        raise FormatError(f"a CAN frame does not have {length} bytes of data")
-    return Frame(from_can_id(can_id), data[:length], t_ns, ifindex, sent_here)

@@ -5,8 +5,7 @@ to 55 degrees of latitude, the error of a distance stays below 0.1 %, which a bo
 """
 
 import math
-from collections.abc import Sequence
-from itertools import combinations
+from collections.abc import Generator, Sequence
 from typing import NamedTuple
 
 _A = 6378137.0  # WGS 84 semi-major axis, m
@@ -53,18 +52,19 @@ def compass(angle_rad: float) -> float:
     return angle_rad % TAU % TAU  # twice, because -1e-20 % TAU is TAU
 
 
-def polygon_fault(corners: Sequence[tuple[float, float]]) -> str | None:
-    """Why corners, in any unit, enclose no area that a person can have meant, in words; None where they do."""
+def polygon_fault(corners: Sequence[tuple[float, float]]) -> Generator[int, None, str | None]:
+    """Why corners, in any unit, enclose no area that a person can have meant, in words; None where they do. Work in slices
+    (delfim/slices.py): sides are compared with each other."""
     if len(corners) < 3:
         return f"a polygon of {len(corners)} corners: it needs three"
     if len(set(corners)) < len(corners):
         return "the polygon has the same corner twice"
     sides = list(zip(corners, [*corners[1:], corners[0]], strict=True))
-    for (i, (a, b)), (j, (c, d)) in combinations(enumerate(sides), 2):
-        if j == i + 1 or (i == 0 and j == len(sides) - 1):
-            continue  # neighbours share a corner
-        if segments_meet(a, b, c, d):
-            return f"the polygon crosses itself: the side from corner {i + 1} meets the one from corner {j + 1}"
+    for i, (a, b) in enumerate(sides):
+        for j in range(i + 2, len(sides) - (i == 0)):  # neighbours share a corner
+            if segments_meet(a, b, *sides[j]):
+                return f"the polygon crosses itself: the side from corner {i + 1} meets the one from corner {j + 1}"
+        yield len(sides) - i
     if not any(_side(corners[0], corners[1], corner) for corner in corners[2:]):
         return "the polygon's corners lie on one line"
     return None

@@ -95,7 +95,7 @@ class Navigation(NamedTuple):
     yaw_rate_radps: float | None
     roll_rad: float | None
     pitch_rad: float | None
-    fix: int  # 0 none, 2 two-dimensional, 3 three-dimensional, 4 differential, 5 RTK
+    fix: int  # 0 none, 2 two-dimensional, 3 three-dimensional, 4 differential, 5 RTK, 6 RTK float
     satellites: int
     hdop: float | None
     counter: int  # 0..255, one up each message

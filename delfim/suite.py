@@ -6,18 +6,19 @@ What is large and can wait is loaded `late`, while the loop carries the boat alr
 """
 
 import contextlib
+import faulthandler
 import importlib
-import json
 import os
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from delfim import config
-from delfim.canproxy.socket import CanAddress, CanSocket, open_can
-from delfim.errors import DelfimError, PermanentFailure
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.errors import DelfimError, FormatError, PermanentFailure
 from delfim.messages import (
     PROPELLER_COMMAND,
     PROPELLER_PORT,
@@ -27,8 +28,9 @@ from delfim.messages import (
     ShutdownStage,
     pack_shutdown_acknowledge,
 )
+from delfim.outside import parse_json, read_file
 from delfim.services import cgroup, shutdown
-from delfim.services.supervisor import Program, Supervisor, real_time
+from delfim.services.supervisor import STACKS_SIGNAL, Program, Supervisor, real_time
 
 if TYPE_CHECKING:
     from delfim.services import runtime
@@ -44,6 +46,8 @@ class Service(NamedTuple):
     place: Literal["runtime", "process"] = "runtime"
     budget_s: float | None = None  # of one callback; None: the vehicle's file says it
     late: bool = False  # loaded beside the vehicle that sails already
+    uvloop: bool = True  # in a process of its own, where it is installed
+    when: Callable[[config.Vehicle], object] = lambda settings: True  # whether the vehicle's file has work for it
 
     def loaded(self) -> "runtime.Service":
         """What the runtime runs. Where a package is missing, a service that says so: the others go on without it."""
@@ -74,17 +78,17 @@ class Service(NamedTuple):
 
 # In the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
-    Service("canzlogd", "delfim.wiring:canzlogd"),
-    Service("logd", "delfim.wiring:logd"),
-    Service("cantcpd", "delfim.wiring:cantcpd"),
-    Service("timed", "delfim.wiring:timed"),
-    Service("slipd", "delfim.services.slipd:serve"),
-    Service("canip", "delfim.wiring:canip"),
+    Service("canzlogd", "delfim.services.canzlogd:serve"),
+    Service("logd", "delfim.services.logd:serve", when=lambda settings: settings.logd.nodes),
+    Service("cantcpd", "delfim.services.cantcpd:serve"),
+    Service("timed", "delfim.services.timed:serve", when=lambda settings: settings.timed.mode != "off"),
+    Service("slipd", "delfim.services.slipd:serve", when=lambda settings: settings.slipd.device),
+    Service("canip", "delfim.services.canip:serve", when=lambda settings: settings.canip.enabled),
     Service("httpd", "delfim.services.httpd:serve", late=True),
-    Service("ftpd", "delfim.services.ftpd:serve", place="process"),
-    Service("sshd", "delfim.services.sshd:serve", place="process"),
+    Service("ftpd", "delfim.services.ftpd:serve", place="process", when=lambda settings: settings.ftpd.users),
+    Service("sshd", "delfim.services.sshd:serve", place="process", when=lambda settings: settings.sshd.users, uvloop=False),
     Service("powerd", "delfim.services.powerd:serve"),
-    Service("vehicle", "delfim.wiring:vehicle"),
+    Service("vehicle", "delfim.services.vehicle:serve"),
 )
 
 
@@ -95,15 +99,11 @@ def services(settings: config.Vehicle) -> list[Service]:
         if name not in known:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
-    off = {"canip"} if not settings.canip.enabled else set()
-    off |= {"slipd"} if not settings.slipd.device else set()
-    off |= {"timed"} if settings.timed.mode == "off" else set()
-    off |= set() if settings.logd.nodes else {"logd"}
-    off |= set() if settings.ftpd.users else {"ftpd"}  # nobody could come in
-    off |= set() if settings.sshd.users else {"sshd"}
-    enabled = [(row, asked[row.name]) for row in SERVICES if asked[row.name].enabled and row.name not in off]
+    enabled = [(row, asked[row.name]) for row in SERVICES if asked[row.name].enabled and row.when(settings)]
     rows = [row if one.place == "default" else row._replace(place=one.place) for row, one in enabled]
     for row in rows:
+        if row.name == "vehicle" and row.place == "process":
+            raise PermanentFailure("services.vehicle: the vehicle runs in the runtime, which the dead-man watches")
         if row.place == "runtime" and (asked[row.name].memory_max_mb or asked[row.name].cpu_max):
             raise PermanentFailure(f'services.{row.name}: memory_max_mb and cpu_max need place = "process"')
     return rows
@@ -111,7 +111,12 @@ def services(settings: config.Vehicle) -> list[Service]:
 
 def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: int) -> int:
     """`delfim run`: the vehicle and its cooperative services in this process; or one service alone."""
+    if beat_fd >= 0:  # before anything that may take long; chained, so that it dies where it stood and commands nothing more
+        faulthandler.register(STACKS_SIGNAL, beat_fd, chain=True)
+    import asyncio
+
     from delfim.clock import SystemClock
+    from delfim.eventloop import new_event_loop
     from delfim.services.runtime import Runtime
 
     settings = config.load(file, overrides)
@@ -121,7 +126,8 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
         raise PermanentFailure(f"{file}: no service {service!r} is enabled")
     alone = service is not None
     loaded = [row.loading() if row.late and not alone else row.loaded() for row in wanted]  # the loop has no time to do it
-    return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=alone).main(loaded)
+    new_loop = (new_event_loop if wanted[0].uvloop else asyncio.new_event_loop) if alone else None
+    return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=alone, new_loop=new_loop).main(loaded)
 
 
 def supervise(
@@ -199,7 +205,7 @@ def shut_down(file: str, overrides: Sequence[str], word: shutdown.Word) -> int:
     Raises DelfimError where no supervisor runs."""
     settings = config.load(file, overrides)
     place, record = settings.runtime.run_directory, shutdown.record_path(settings.runtime.run_directory)
-    told, asked_s = "", time.time()
+    told, asked_s = "", time.monotonic()
     try:
         shutdown.request(shutdown.socket_path(place), word, "command")
         while shutdown.is_listening(shutdown.socket_path(place)):
@@ -210,14 +216,15 @@ def shut_down(file: str, overrides: Sequence[str], word: shutdown.Word) -> int:
     return 0 if _told(record, asked_s, told) == "safe" else 1
 
 
-def _told(record: Path, since: float, last: str) -> str:
+def _told(record: Path, since_s: float, last: str) -> str:
     """The outcome so far, printed when it is new; empty while there is none."""
     try:
-        found = json.loads(record.read_text())
+        found = parse_json(read_file(record))
         outcome = "safe" if found["stage"] == "safe" else "held: " + "; ".join(found["holders"])
-    except (OSError, ValueError, KeyError):
+        is_old = found["at_s"] < since_s
+    except (OSError, FormatError, KeyError, TypeError):
         return last
-    if found["time"] < since:
+    if is_old:
         return last
     if outcome != last:
         print(f"delfim: {'the power may be cut' if outcome == 'safe' else f'not yet safe: {outcome}'}", flush=True)

@@ -1,7 +1,11 @@
 """Fixtures for all tests, and the rule that continuous integration skips nothing."""
 
+import ctypes
+import fcntl
 import os
 import signal
+import socket
+import struct
 from collections.abc import Generator, Iterator
 
 import hypothesis
@@ -17,11 +21,50 @@ hypothesis.settings.load_profile("delfim")
 signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+CLONE_NEWNET, SIOCSIFFLAGS, IFF_UP = 0x40000000, 0x8914, 1  # linux/sched.h, linux/sockios.h, linux/if.h
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """A worker of several has a network of its own, where that is permitted: its ports and its buses are its own."""
+    if hasattr(config, "workerinput") and ctypes.CDLL(None).unshare(CLONE_NEWNET) == 0:
+        with socket.socket() as any_socket:
+            fcntl.ioctl(any_socket, SIOCSIFFLAGS, struct.pack("16sh22x", b"lo", IFF_UP))
+
+
 def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--cuts", type=int, default=3, help="how often the power fails in tests/guest/test_power_cut.py (3)")
     parser.addoption("--frames-per-s", type=int, default=2000, help="on the bus in test_power_cut.py (%(default)s)")
     parser.addoption("--minutes", type=float, default=0.1, help="of the black box on a full bus, in a guest (%(default)s)")
+    parser.addoption("--mutations", type=int, default=40, help="of each kind of file, in test_mutated_files.py (%(default)s)")
     parser.addoption("--seeds", type=int, default=100, help="runs of mixed faults in lock step (%(default)s)")
+
+
+# These begin first, so that nobody waits for one of them in the end.
+LONGEST = (
+    "test_image",
+    "test_guest_slip",
+    "test_guest_boot",
+    "test_operating",
+    "test_page",
+    "test_guest_disk",
+    "test_scenarios",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Those that take longest first, then the guests, which mostly wait, then the rest."""
+
+    def turn(item: pytest.Item) -> int:
+        return LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST) + ("guest" not in item.path.parts)
+
+    items.sort(key=turn)
+
+
+@pytest.fixture
+def mutations(request: pytest.FixtureRequest) -> int:
+    """Of the sample of each reader of files."""
+    count: int = request.config.getoption("--mutations")
+    return count
 
 
 @pytest.fixture

@@ -1,6 +1,5 @@
 """The container: the recipe's steps and files, and what the compose file runs, run by an engine."""
 
-import argparse
 import json
 import re
 import shlex
@@ -14,7 +13,7 @@ import msgspec
 import pytest
 
 from delfim import config, messages
-from delfim.__main__ import _parser
+from delfim.__main__ import parsed
 from delfim.logging.candump import parse_line
 from tests.guest import boat_image
 from tests.guest.harness import PATH, ROOT, Guest, guest
@@ -59,15 +58,10 @@ def composed() -> dict[str, Any]:
     return services
 
 
-def parsed(words: list[str]) -> argparse.Namespace:
-    """Raises SystemExit for what is no command of ours."""
-    return _parser().parse_args([{"/etc/vehicle.toml": "/etc/delfimx.toml"}.get(word, word) for word in words])
-
-
 def test_what_is_run_are_commands_of_ours() -> None:
     root = dict(instructions())
     for words in (json.loads(root["CMD"]), *(service["command"] for service in composed().values())):
-        asked = parsed(words)
+        _, asked = parsed([{"/etc/vehicle.toml": "/etc/delfimx.toml"}.get(word, word) for word in words])
         config.load(ROOT / asked.file.lstrip("/"), asked.set)
 
 

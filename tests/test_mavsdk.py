@@ -7,10 +7,15 @@ import sys
 from collections.abc import Awaitable, Callable
 from pathlib import Path
 
+import pytest
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
+from mavsdk.asyncio.plugins.mission import MissionAsync
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
+from mavsdk.plugins.action import ActionError
+from mavsdk.plugins.mission import MissionItem as PlanItem
+from mavsdk.plugins.mission import MissionPlan
 from mavsdk.plugins.mission_raw import MissionItem
 
 from delfim.console.link import Link
@@ -85,6 +90,42 @@ async def sailed(path: Path) -> list[str]:
         await mission.clear_mission()
         assert await mission.download_mission() == []
     return modes
+
+
+async def planned(path: Path, home: bool) -> None:
+    """A mission by the high-level interface, there and back; then a take-off, which is nothing for a boat. `home`: item 0 is
+    that to an ArduRover, and to this interface a place like others."""
+    async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as sdk:
+        await sdk.add_any_connection(f"udpin://127.0.0.1:{PORT}")
+        system = await sdk.first_autopilot(timeout_s=60.0)
+        assert system is not None
+        mission, action = MissionAsync(system), ActionAsync(system)
+
+        async def fit() -> bool:
+            with Link(path) as link:
+                lines = link.ask("state")["checks"]
+                return all(line["ok"] for line in lines if line["name"] in ("navigation", "sensors", "log"))
+
+        await until(fit)
+        kind = {"relative_altitude_m": 0.0, "speed_m_s": 1.2, "is_fly_through": True, "acceptance_radius_m": 3.0}
+        places = [PlanItem(*place, **kind) for place in [*PLACES[:1] * home, *PLACES]]
+        await mission.upload_mission(MissionPlan(places))
+        aboard = (await mission.download_mission()).mission_items[int(home) :]
+        assert [(round(each.latitude_deg, 7), round(each.longitude_deg, 7)) for each in aboard] == PLACES
+        assert [each.acceptance_radius_m for each in aboard] == [3.0] * 3
+        with pytest.raises(ActionError, match=r"COMMAND_DENIED|UNSUPPORTED"):
+            await action.takeoff()
+        await asyncio.sleep(1.0)
+        with Link(path) as link:
+            state = link.ask("state")
+        assert state["mode"] in ("idle", "goto")
+        assert (state["port_rpm"], state["starboard_rpm"]) == (0, 0)
+
+
+@pytest.mark.parametrize("autopilot", ["generic", "ardurover"])
+def test_a_mission_of_the_high_level_interface_comes_back_and_a_take_off_moves_nothing(tmp_path, autopilot):
+    with running(tmp_path, PORT, f'mavlink.autopilot="{autopilot}"') as path:
+        asyncio.run(asyncio.wait_for(planned(path, autopilot == "ardurover"), 90))
 
 
 def test_connect_watch_upload_download_start_hold_return_disarm(tmp_path):

@@ -13,7 +13,7 @@ import subprocess
 import sys
 import time
 import urllib.request
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import NamedTuple
 
@@ -192,6 +192,50 @@ def _content(path: Path) -> bytes:
         while part := file.read(1 << 16):
             parts.append(part)
     return b"".join(parts)
+
+
+def programs(boat: Boat) -> dict:
+    return dict(json.loads((boat.folder / "out/supervisor.json").read_text())["programs"])
+
+
+def until(condition: Callable[[], object], within_s: float = 60.0) -> None:
+    deadline_s = time.monotonic() + within_s
+    while not condition():
+        assert time.monotonic() < deadline_s, "it did not happen"
+        select.select([], [], [], 0.1)
+
+
+def test_daemons_that_run_out_of_memory_come_back_and_the_boat_sails_on(boat: Boat) -> None:
+    """The kernel ends who has more than its group may have, by SIGKILL, in the middle of whatever it does."""
+    before, began = programs(boat), boat.state()["cycle"]
+    with contextlib.ExitStack() as held:
+        for name in ("ftpd", "sshd"):
+            for _ in range(4):
+                held.enter_context(socket.create_connection(("127.0.0.1", boat.ports[name]), 10))
+            os.kill(before[name]["pid"], signal.SIGKILL)
+        until(lambda: all(programs(boat)[name]["restarts"] > before[name]["restarts"] for name in ("ftpd", "sshd")))
+    until(lambda: boat.curl(PASSWORD).returncode == 0)
+    until(lambda: boat.ssh("friend").stdout == "aboard\n")
+    for name in ("ftpd", "sshd"):
+        assert programs(boat)[name]["reason"] == "killed by signal 9 (Killed)"
+    state = boat.state()
+    assert (state["mode"], state["deadman"]) == ("play", {})
+    assert state["cycle"] > began
+    assert programs(boat)["runtime"]["pid"] == before["runtime"]["pid"]
+
+
+def test_a_supervisor_that_is_stopped_holds_nobody_up(boat: Boat) -> None:
+    began, before = boat.state()["cycle"], programs(boat)["runtime"]
+    supervisor = json.loads((boat.folder / "out/supervisor.json").read_text())["pid"]
+    os.kill(supervisor, signal.SIGSTOP)
+    try:
+        until(lambda: boat.state()["cycle"] > began + 10)
+    finally:
+        os.kill(supervisor, signal.SIGCONT)
+    until(lambda: boat.state()["cycle"] > began + 20)
+    state, after = boat.state(), programs(boat)["runtime"]
+    assert (state["mode"], state["deadman"]) == ("play", {})
+    assert (after["pid"], after["restarts"]) == (before["pid"], before["restarts"])
 
 
 def test_the_page_shows_who_is_at_the_doors(boat: Boat) -> None:

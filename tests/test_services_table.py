@@ -37,6 +37,11 @@ def test_a_name_that_is_no_service_is_refused() -> None:
         names('services.nonsense.place="process"')
 
 
+def test_the_vehicle_stays_where_the_dead_man_watches() -> None:
+    with pytest.raises(PermanentFailure, match="the vehicle runs in the runtime, which the dead-man watches"):
+        names('services.vehicle.place="process"')
+
+
 def test_each_row_names_a_coroutine_that_there_is() -> None:
     for row in SERVICES:
         module, _, name = row.entry.partition(":")
@@ -58,7 +63,7 @@ def test_the_supervisor_loads_none_of_the_services() -> None:
     look = "import sys, delfim.suite; print(*sys.modules)"
     loaded = set(subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout.split())
     assert "delfim.services.supervisor" in loaded
-    assert loaded & {"asyncio", "aiohttp", "pymavlink", "delfim.wiring", "delfim.vehicle", "delfim.services.runtime"} == set()
+    assert loaded & {"asyncio", "aiohttp", "pymavlink", "delfim.vehicle", "delfim.services.runtime"} == set()
 
 
 def test_what_is_large_does_not_keep_the_vehicle_from_its_first_command() -> None:

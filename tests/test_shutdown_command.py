@@ -14,7 +14,8 @@ from typing import NamedTuple
 import pytest
 
 from delfim import messages
-from delfim.canproxy.socket import CanAddress, CanSocket, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.console.link import Link
 from delfim.errors import DelfimError
 from delfim.messages import PropellerCommand, ShutdownStage

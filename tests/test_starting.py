@@ -13,7 +13,7 @@ from delfim.clock import SystemClock
 from delfim.console.link import Link
 from delfim.errors import DelfimError
 from delfim.services.runtime import Runtime, Service
-from delfim.wiring import vehicle
+from delfim.services.vehicle import serve
 
 
 async def until(link: Link, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
@@ -53,7 +53,7 @@ def test_the_vehicle_says_that_the_computer_is_starting_until_it_is_watched_over
             said.append((await until(link, lambda state: state["checks"][0]["ok"]))["checks"][0])
         runtime.stop("test over")
 
-    services = [Service("vehicle", vehicle), Service("reading", reading)]
+    services = [Service("vehicle", serve), Service("reading", reading)]
     assert Runtime(settings, SystemClock(), beat_fd=writer, alone=True).main(services) == 0
     os.close(reader)
     os.close(writer)

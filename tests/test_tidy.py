@@ -11,6 +11,8 @@ from pathlib import Path
 
 import pytest
 
+from delfim.vehicle.state import State
+
 ROOT = Path(__file__).parents[1]
 MODULES = sorted((ROOT / "delfim").rglob("*.py"))
 PROGRAMS = [*MODULES, *sorted(path for folder in ("tests", "bench", "docker", "etc") for path in (ROOT / folder).rglob("*.py"))]
@@ -66,12 +68,71 @@ def test_tasks_are_born_in_the_runtime_or_in_a_group_that_sees_their_end() -> No
 
 
 def test_tests_do_not_sleep() -> None:
-    tests = [path for path in PROGRAMS if "tests" in path.parts and not path.name.startswith(("guest_", "host_"))]
+    tests = [
+        path for path in PROGRAMS if "tests" in path.relative_to(ROOT).parts and not path.name.startswith(("guest_", "host_"))
+    ]
     assert _lines(tests, re.compile(r"\btime\.sleep" r"\(|\bfrom time import .*\bsleep\b")) == []
 
 
+CLOCKS = {"monotonic", "perf_counter", "process_time", "thread_time", "time"}
+
+
+def _lasted(node: ast.AST, durations: set[str]) -> bool:
+    """Whether this is how long something took: a difference with a reading of a clock, or a name for one."""
+    for part in ast.walk(node):
+        if isinstance(part, ast.BinOp) and isinstance(part.op, ast.Sub):
+            calls = [each.func for each in ast.walk(part) if isinstance(each, ast.Call)]
+            if any(isinstance(func, ast.Attribute) and func.attr in CLOCKS for func in calls):
+                return True
+        if isinstance(part, ast.Name) and part.id in durations:
+            return True
+    return False
+
+
+def _stopwatches(function: ast.AST) -> Iterator[int]:
+    """Lines that assert that something took less than a figure. A bound of patience has a name; lower bounds hold anywhere."""
+    assigned = [node for node in ast.walk(function) if isinstance(node, ast.Assign) and _lasted(node.value, set())]
+    durations = {
+        name.id for node in assigned for target in node.targets for name in ast.walk(target) if isinstance(name, ast.Name)
+    }
+    for check in (node for node in ast.walk(function) if isinstance(node, ast.Assert)):
+        for comparison in (node for node in ast.walk(check.test) if isinstance(node, ast.Compare)):
+            sides = [comparison.left, *comparison.comparators]
+            for less, operator, more in zip(sides, comparison.ops, sides[1:], strict=False):
+                if isinstance(operator, ast.Gt | ast.GtE):
+                    less, more = more, less
+                if _lasted(less, durations) and not isinstance(more, ast.Name):
+                    yield check.lineno
+
+
+def test_tests_do_not_assert_how_long_something_took() -> None:
+    """A busy machine is no failure: hand in a clock, wait for the event, or make it a row of the benchmark."""
+    tests = [path for path in PROGRAMS if path.is_relative_to(ROOT / "tests")]
+    found = {f"{path.relative_to(ROOT)}:{line}" for path in tests for line in _stopwatches(ast.parse(path.read_text()))}
+    assert found == set()
+
+
+@pytest.mark.parametrize(
+    ("text", "count"),
+    [
+        ("began_s = time.monotonic()\nassert time.monotonic() - began_s < 1.2", 1),
+        ("took_s = loop.time() - began_s\nassert 0.1 < took_s <= LIMIT_S + 0.5", 1),
+        ("assert 2.0 > time.perf_counter() - began_s", 1),
+        ("assert time.monotonic() < deadline_s", 0),
+        ("assert time.monotonic() - began_s < PATIENCE_S", 0),
+        ("assert time.monotonic() - began_s >= 0.3", 0),
+        ("took_s = clock.monotonic_s() - began_s\nassert took_s < 1.2", 0),
+    ],
+)
+def test_what_asserts_how_long_something_took(text: str, count: int) -> None:
+    assert len(list(_stopwatches(ast.parse(text)))) == count
+
+
 def test_the_vehicle_does_not_know_that_it_is_simulated() -> None:
-    assert _lines([path for path in MODULES if "vehicle" in path.parts], re.compile("simulat", re.IGNORECASE)) == []
+    assert (
+        _lines([path for path in MODULES if "vehicle" in path.relative_to(ROOT).parts], re.compile("simulat", re.IGNORECASE))
+        == []
+    )
 
 
 @pytest.mark.parametrize("words", [UNFINISHED, REGISTRIES, OUR_MACHINES], ids=["unfinished work", "registries", "our machines"])
@@ -104,3 +165,25 @@ def test_every_document_is_reachable_from_the_readme() -> None:
             ahead += [(page.parent / link).resolve() for link in links]
     documents = [path for path in _files() if path.is_relative_to(ROOT / "docs")]
     assert [str(path.relative_to(ROOT)) for path in documents if path not in reached] == []
+
+
+def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
+    """By the loop and what it calls; a replay puts in what was recorded. To count what was refused is no change."""
+    called = ("loop", "helm", "planning", "navigation", "sysstat")
+    loop = {*(f"vehicle/{name}.py" for name in called), "simulator/rerun.py"}
+    changed = [
+        at
+        for at, node in _nodes([path for path in MODULES if str(path.relative_to(ROOT / "delfim")) not in loop])
+        if isinstance(node, (ast.Assign, ast.AugAssign, ast.AnnAssign))
+        for target in (node.targets if isinstance(node, ast.Assign) else [node.target])
+        for each in ast.walk(target)
+        if isinstance(each, ast.Attribute)
+        and each.attr in State.__slots__
+        and isinstance(each.value, (ast.Name, ast.Attribute))
+        and (each.value.id if isinstance(each.value, ast.Name) else each.value.attr) in ("state", "_state")
+    ]
+    assert changed == []
+
+
+def test_the_loop_is_one_page() -> None:
+    assert len((ROOT / "delfim/vehicle/loop.py").read_text().splitlines()) <= 200

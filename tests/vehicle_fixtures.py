@@ -10,15 +10,13 @@ from itertools import count
 import pytest
 
 from delfim import config, messages
-from delfim.canproxy import dsor
-from delfim.canproxy.socket import ANYTHING, CanAddress, open_can
+from delfim.canproxy.dsor.protocol import Message, segments
+from delfim.canproxy.opening import open_bound
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.clock import ManualClock
 from delfim.frames import Frame
 from delfim.messages import BatteriesStatus, Fault, Navigation, Node, PropellerCommand, PropellerStatus, Status
-from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import Vehicle
-from delfim.vehicle.navcan import DsorNavigation
-from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.build import build
 from delfim.vehicle.state import State
 
 WELL = Fault(0)
@@ -53,25 +51,15 @@ class Boat:
         name = f"canloop:test-{os.getpid()}-{next(_names)}"
         self.clock = ManualClock(monotonic_s=1000.0)
         self.state, self.log = State(), Records()
-        self.sockets = [open_can(name) for _ in range(5)]
-        self.nodes, self._navigation, self.status, self.messages, self.outlet = self.sockets
-        for socket in self.sockets:
-            socket.setblocking(False)
-        self._navigation.bind(CanAddress(*dsor.message_filter(source=Node.NAVIGATION)))
-        self.status.bind(CanAddress(messages.sysstat_arb(Node.VEHICLE), messages.SYSSTAT_MASK))
-        self.messages.bind(CanAddress(*dsor.message_filter(source=Node.GPS)))
-        self.nodes.bind(ANYTHING)
-        self.source = DsorNavigation(self._navigation, self.state)
-        self.guest = Guest(self.state, self.clock)
-        self.vehicle = Vehicle(
-            settings,
-            self.clock,
-            self.state,
-            (self.source,),
-            Propulsion(self.outlet, settings.propulsion, self.state),
-            self.guest,
-            self.log,
-        )
+        self.sockets = [open_bound(settings.can, name, (ANYTHING,))]
+
+        def open_bus(_: str, filters: tuple[CanAddress, ...]) -> CanSocket:
+            self.sockets.append(open_bound(settings.can, name, filters))
+            return self.sockets[-1]
+
+        self.nodes = self.sockets[0]
+        self.vehicle, (self.status, self.messages), self.outlet = build(settings, self.clock, self.state, open_bus, self.log)
+        self.guest, (self.source,) = self.vehicle.guest, self.vehicle.sources
         self._number = 0
 
     def navigate(self, **changes: object) -> bool:
@@ -85,8 +73,8 @@ class Boat:
         return self.vehicle.on_navigation(self.source)
 
     def send(self, data: bytes, source: Node, identifier: int) -> None:
-        message = dsor.Message(messages.NAVIGATION_PRIORITY, source, Node.BROADCAST, identifier, data)
-        for frame in dsor.segments(message, self._number):
+        message = Message(messages.NAVIGATION_PRIORITY, source, Node.BROADCAST, identifier, data)
+        for frame in segments(message, self._number):
             self.nodes.sendmsg(frame)
 
     def report(self, status: Status = Status.GOOD, faults: Fault = WELL, silent: tuple[str, ...] = ()) -> None:

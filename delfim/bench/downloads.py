@@ -31,7 +31,7 @@ class Downloads:
             raise DelfimError(f"bulk downloads need {', '.join(absent)}")
         self._file, self._logs, self._place = file, logs, place
         self._asked, self._password, self._key = asked, secrets.token_hex(8), place / "key"
-        self._ports = dict(zip(("ftpd", "sshd"), free_ports(2), strict=True))
+        self.ports = dict(zip(("ftpd", "sshd"), free_ports(2), strict=True))
         self._all = contextlib.ExitStack()
 
     def __enter__(self) -> "Downloads":
@@ -40,7 +40,7 @@ class Downloads:
             "ftpd": f"ftpd.users.bench.password={json.dumps(hashed(self._password))}",
             "sshd": f"sshd.users.bench.keys={json.dumps([self._key.with_suffix('.pub').read_text().strip()])}",
         }
-        for name, port in self._ports.items():
+        for name, port in self.ports.items():
             settings = [*self._asked, users[name], f'{name}.listen="127.0.0.1:{port}"', f'{name}.root="{self._logs}"']
             settings += [f'sshd.host_key="{self._place}/host_key"', f'runtime.run_directory="{self._place}"']
             words = [word for each in settings for word in ("--set", each)]
@@ -65,14 +65,14 @@ class Downloads:
             fetched.append(_written_bytes(client.pid))
 
     def _curl(self) -> list[str]:
-        url = f"ftp://127.0.0.1:{self._ports['ftpd']}/{LOG}"
+        url = f"ftp://127.0.0.1:{self.ports['ftpd']}/{LOG}"
         return ["curl", "-sS", "--limit-rate", str(BYTES_PER_S), "-u", f"bench:{self._password}", "-o", "/dev/null", url]
 
     def _sftp(self) -> list[str]:
         options = ["StrictHostKeyChecking=no", "UserKnownHostsFile=/dev/null", "IdentitiesOnly=yes", "LogLevel=ERROR"]
         words = [word for option in options for word in ("-o", option)]
         words += ["-i", str(self._key), "-l", str(BYTES_PER_S * 8 // 1000)]
-        return ["sftp", "-F", "none", "-q", *words, f"sftp://bench@127.0.0.1:{self._ports['sshd']}/{LOG}", "/dev/null"]
+        return ["sftp", "-F", "none", "-q", *words, f"sftp://bench@127.0.0.1:{self.ports['sshd']}/{LOG}", "/dev/null"]
 
 
 def _begun(pid: int) -> None:

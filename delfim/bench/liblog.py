@@ -22,7 +22,8 @@ from pathlib import Path
 from typing import Any, Final, get_args
 
 from delfim.bench.critical_path import cpu_ns, family
-from delfim.canproxy.socket import BATCH, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import BATCH
 from delfim.clock import SystemClock
 from delfim.errors import DelfimError
 from delfim.frames import extended

@@ -13,8 +13,8 @@ from typing import Final
 from delfim import config
 from delfim.errors import ConfigError, DelfimError
 from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.mission import canonical, load_mission
-from delfim.wiring import StateLog
 
 REPETITIONS, QUICK_REPETITIONS = 7, 2
 SAILED_S: Final = 7200.0  # the longest voyage
@@ -51,7 +51,7 @@ def _speeds(asked: argparse.Namespace, mission: str, turn: int, count: int) -> t
     with tempfile.TemporaryDirectory(prefix="delfim-bench-") as place:
         settings = config.load(asked.file, [*asked.set, f'log.directory="{place}"', 'log.state_method="write"'])
         began_s, worked_s = time.monotonic(), time.process_time()
-        voyage = Lockstep(settings, turn + 1, lambda clock: StateLog(settings, clock))
+        voyage = Lockstep(settings, turn + 1, lambda clock: Logbook(settings, clock))
         end = voyage.sail(mission, asked.seconds or SAILED_S)
         voyage.close()
         speed = voyage.elapsed_s / (time.monotonic() - began_s)

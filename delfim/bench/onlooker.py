@@ -4,8 +4,9 @@ stamps of both. It needs no log, so it can be used where logs are what is tried.
 from collections.abc import Sequence
 from typing import Final, Self
 
-from delfim.canproxy import dsor
-from delfim.canproxy.socket import CanAddress, open_can
+from delfim.canproxy.dsor.protocol import message_filter
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanAddress
 from delfim.errors import DelfimError
 from delfim.messages import BATTERIES_PORT, BATTERIES_STARBOARD, PROPELLER_PORT, PROPELLER_STARBOARD, Node
 
@@ -21,7 +22,7 @@ class Onlooker:
 
     def __init__(self, interface: str) -> None:
         self._can = open_can(interface, receive_buffer_bytes=BUFFER_BYTES, batch=BATCH)
-        self._can.bind(CanAddress(*dsor.message_filter(source=Node.NAVIGATION)), *(CanAddress(arb) for arb in COMMANDS))
+        self._can.bind(CanAddress(*message_filter(source=Node.NAVIGATION)), *(CanAddress(arb) for arb in COMMANDS))
         self._dropped = 0
 
     def __enter__(self) -> Self:

@@ -1,8 +1,9 @@
-"""`delfim bench disk`, `watchers`, `datagrams` and `downloads`: does the critical path feel what happens beside it?
+"""`delfim bench disk`, `watchers`, `datagrams`, `floods` and `downloads`: does the critical path feel what happens beside it?
 
 This program alone, at 100 Hz on a full bus, in slices that take turns: with a healthy log partition and with each way in which
 one fails; without clients of cantcpd and with eight that watch the bus, one of them asleep; with nobody on the consoles' link
-and with 3,500 fuzzed datagrams a second; without downloads and while somebody fetches a log by FTP or SFTP. The undisturbed
+and with 3,500 fuzzed datagrams a second; with doors that somebody floods; without downloads and while somebody fetches a log
+by FTP or SFTP. The undisturbed
 case has two turns a round, and how far it is from itself is the noise. Latency is that which the bus sees
 (delfim.bench.onlooker), because the state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
 """
@@ -17,7 +18,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections import defaultdict
+from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -26,10 +27,12 @@ from delfim.bench import report
 from delfim.bench.critical_path import Slice, Team, build
 from delfim.bench.disk import Disk, leave_mounts
 from delfim.bench.downloads import Downloads
+from delfim.bench.floods import KINDS
 from delfim.bench.load import ASHORE, prepare
 from delfim.bench.onlooker import Onlooker
 from delfim.console.link import Link
 from delfim.errors import DelfimError
+from delfim.vehicle.mavlink.signing import new_key
 
 RATE_HZ: Final = 100.0
 WATCHERS: Final = 8
@@ -157,6 +160,32 @@ def run_datagrams(asked: argparse.Namespace) -> int:
     return int(mode != "heading")
 
 
+def run_floods(asked: argparse.Namespace) -> int:
+    """The command. Returns 0 when everything was measured, 1 where a flood moved the boat."""
+    seconds, rounds = _length(asked)
+    turns = defaultdict[str, list[Turn]](list)
+    sent: Counter[str] = Counter()
+    with contextlib.ExitStack() as links:
+        key = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="delfim-bench-"))) / "key"
+        new_key(key)  # or there would be nothing to forge
+        asked = argparse.Namespace(**vars(asked) | {"set": [*asked.set, f'mavlink.key="{key}"']})
+        place, team, look = links.enter_context(_afloat(asked))
+        doors = links.enter_context(Downloads(asked.set, asked.file, place / "delfim" / "log", place))
+        senders = {kind: links.enter_context(_clients("delfim.bench.floods", kind, str(doors.ports["ftpd"]))) for kind in KINDS}
+        for number in range(rounds):
+            order = list(KINDS)
+            for kind in ("", *(order if number % 2 else reversed(order)), ""):
+                _say(f"{kind or 'no flood'}, round {number + 1} of {rounds}")
+                turns[kind].append(_turn(team, look, senders.get(kind), seconds))
+                sent[kind] += turns[kind][-1].slice.served.get("sent", 0)
+        mode, reason = team.state["mode"], team.state["reason"]
+    rows = [row | {"sent": sent[row["case"]]} for row in _rows(turns, "no flood")]
+    _write(asked, "floods", rows, mode=mode)
+    print(_table(rows, ("sent", "of a core"), lambda row: (row["sent"], f"{row['cpu_share']:.1%}")))
+    print(f"  the boat's mode after them: {mode} ({reason})")
+    return int(mode != "heading")
+
+
 def _length(asked: argparse.Namespace) -> tuple[float, int]:
     """Seconds of a slice, and rounds."""
     return asked.seconds or (QUICK_SECONDS if asked.quick else SECONDS), asked.rounds or (1 if asked.quick else 3)
@@ -181,8 +210,8 @@ def _team(asked: argparse.Namespace, place: Path) -> Iterator[Team]:
 
 
 @contextlib.contextmanager
-def _clients(module: str = "delfim.bench.load") -> Iterator["subprocess.Popen[bytes]"]:
-    command = [*ASHORE, sys.executable, "-m", module]
+def _clients(module: str = "delfim.bench.load", *words: str) -> Iterator["subprocess.Popen[bytes]"]:
+    command = [*ASHORE, sys.executable, "-m", module, *words]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as clients:
         try:
             yield clients

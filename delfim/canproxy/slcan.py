@@ -36,6 +36,7 @@ class Session:
     """One connection as the server sees it. `bus` is the name of the one that it is for."""
 
     greeting, accepted, refused = b"", b"", REFUSED  # `O` is answered as every command
+    opens_late = True  # a bridge to a serial port connects before a program opens the port
     text = staticmethod(raw_text)
 
     def __init__(self, bus: str) -> None:

@@ -1,7 +1,7 @@
 """CAN sockets as chapter 5.2 of the thesis proposes them: one class over Linux SocketCAN, canloop, python-can or TCP.
 
-`open_can` opens one by the name of its interface; `bind` sets the acceptance filters, `connect` the arbitration field of
-`send`; `receive` is the way in for the critical loop. What a transport cannot do is said in its own file. CAN FD is not spoken.
+`opening.open_can` opens one by the name of its interface; `bind` sets the acceptance filters, `connect` the arbitration field
+of `send`; `receive` is the way in for the critical loop. Each transport's file says what it cannot do. CAN FD is not spoken.
 """
 
 import errno
@@ -239,39 +239,6 @@ class CanSocket:
             except BlockingIOError:
                 if time.monotonic() >= deadline_s:
                     raise TimeoutError(f"{self.name}: the transmit queue stayed full") from None
-
-
-def open_can(
-    interface: str, *, receive_buffer_bytes: int = 1 << 20, error_frames: bool = False, batch: int = BATCH
-) -> CanSocket:
-    """Open a socket on one of these interfaces; raises BusError.
-
-    "can0"                                      a Linux interface, "any" for all of them
-    "canloop:NAME"                              a bus without hardware, inside this computer
-    "python-can:INTERFACE:CHANNEL[@BITRATE]"    an adapter that python-can knows
-    "socketcand:HOST:PORT:BUS"                  a bus behind cantcpd, or another socketcand server
-
-    `receive_buffer_bytes` bounds the queue of received frames (a frame takes about 800 bytes of it), as far as the system lets
-    it. `error_frames` lets the frames through by which a controller reports its own state; see `bus_state`.
-    `batch` is how many frames `receive_many` takes by one call to the kernel, where it can.
-    """
-    kind, _, name = interface.partition(":")
-    # A transport is imported when it is chosen: python-can alone takes a quarter of a second.
-    if kind == "canloop":
-        from delfim.canproxy.canloop import open_canloop
-
-        return open_canloop(name, receive_buffer_bytes=receive_buffer_bytes, error_frames=error_frames, batch=batch)
-    if kind == "python-can":
-        from delfim.canproxy.adapter import PythonCan
-
-        return CanSocket(PythonCan(name, receive_buffer_bytes, error_frames))
-    if kind == "socketcand":
-        from delfim.canproxy.remote import Remote
-
-        return CanSocket(Remote(name, receive_buffer_bytes))
-    from delfim.canproxy.socketcan import SocketCan
-
-    return CanSocket(SocketCan(interface, receive_buffer_bytes, error_frames, batch))
 
 
 class BusState(NamedTuple):

@@ -139,6 +139,7 @@ class Session:
     """One connection as the server sees it. `buses` are the names that can be opened."""
 
     greeting, accepted, refused = HI, OK, NO_SUCH_BUS
+    opens_late = False  # clients open a bus as soon as they are greeted
     text = staticmethod(raw_text)
 
     def __init__(self, buses: Collection[str]) -> None:

@@ -5,12 +5,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from delfim.console.mavlink import NAMES, SYSTEM, mavlink
+from delfim.console.mavlink import NAMES, mavlink
 from delfim.console.words import Words
+from delfim.vehicle.mavlink.params import BOAT_NAME
 
 COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
 SILENT_S: Final = 3.5
 LOSS_SPAN_S: Final = 20.0
+CHECKSUM_S: Final = 6.0  # so long a boat has to tell the checksum of its plans before they are read
+NAME_MAX: Final = 32
 TRACK_MAX: Final = 36_000  # points: ten hours at one a second
 UNKNOWN_HEADING: Final = 65535
 
@@ -22,13 +25,18 @@ class Boat:
         self.number, self.name = number, f"boat {number}"
         self.colour = COLOURS[number % len(COLOURS)]
         self.heard_s = now_s
-        self.mode, self.armed, self.owner = "", False, True
+        self.mode, self.armed = "", False
+        self.commander = 0  # number of the console that commands; 0: none
+        self.used = False  # the operator did something with it
+        self.twins: list[str] = []  # addresses of all boats that have this number, where it is more than one
         self.asked: str | None = None
         self.asked_s = -math.inf
         self.at_s: dict[str, float] = {}  # when each group of values was heard last
         self.values: dict[str, Any] = {}
         self.reference: dict[str, Any] = {}
-        self.reason, self.words = "", Words()
+        self.reason, self.words = "", Words()  # what it said last
+        self.reason_s = -math.inf  # when
+        self.target_is_new = False  # it came after the last word about steering
         self.failsafe, self.ready = "", False
         self.link, self.signed = "udp", False
         self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
@@ -36,6 +44,10 @@ class Boat:
         self.synced_s = -math.inf
         self.released = False
         self.profile = "wifi"
+        self.name_asks = 0  # how often its name was asked for
+        self.checksum: int | None = None  # of the plans aboard, as the boat tells it
+        self.read: int | None = None  # the same, when they were read
+        self.read_due_s = now_s + CHECKSUM_S
         self._since_s, self._bytes = now_s, 0
         self._seen: dict[int, int] = {}  # by component: the last sequence number
         self._arrivals: deque[tuple[float, int, int]] = deque()  # time, bytes, messages missing before it
@@ -51,6 +63,10 @@ class Boat:
             self.at_s |= dict.fromkeys(_GROUPS.get(message.get_type(), (message.get_type(),)), now_s)
             if message.get_type() in ("GLOBAL_POSITION_INT", "HIGH_LATENCY2"):
                 self._extend(utc_s)
+
+    @property
+    def is_unnamed(self) -> bool:
+        return self.name == f"boat {self.number}"
 
     def age_s(self, kind: str, now_s: float) -> float | None:
         """Since a message of this kind; None where there was none."""
@@ -79,9 +95,12 @@ class Boat:
             "mode": self.mode or None,
             "asked": self.asked,
             "armed": self.armed,
-            "owner": self.owner,
+            "owner": True,
+            "commander": self.commander,
+            "twins": self.twins,
             "ready": self.ready,
             "reason": self.reason,
+            "reason_age_s": round(now_s - self.reason_s, 1) if self.reason else None,
             "failsafe": self.failsafe,
             "rpm": [v.get("port_rpm"), v.get("starboard_rpm")],
             "thrust_pct": [v.get("port_pct"), v.get("starboard_pct")],
@@ -163,11 +182,20 @@ _PLAIN: Final = (
 
 
 _REFERENCE: Final = ("heading_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
+_NOWHERE: Final = dict.fromkeys(_REFERENCE[:-1])  # the leg is kept
 _GROUPS: Final = {"HIGH_LATENCY2": ("HIGH_LATENCY2", "GLOBAL_POSITION_INT", "SYS_STATUS")}  # which it says all at once
 
 
+def _enter(boat: Boat, number: int) -> None:
+    """What the mode before steered for is not what this one steers for."""
+    mode = NAMES.get(number, f"mode {number}")
+    if mode != boat.mode:
+        boat.reference |= _NOWHERE
+        boat.mode = mode
+
+
 def _heartbeat(boat: Boat, m: Any) -> None:
-    boat.mode = NAMES.get(m.custom_mode, f"mode {m.custom_mode}")
+    _enter(boat, m.custom_mode)
     boat.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
     boat.signed = bool(m.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
     boat.failsafe = (boat.failsafe or boat.reason) if m.system_status == mavlink.MAV_STATE_CRITICAL else ""
@@ -186,13 +214,17 @@ def _position(boat: Boat, m: Any) -> None:
 
 
 def _attitude(boat: Boat, m: Any) -> None:
-    boat.values |= {"roll_deg": round(math.degrees(m.roll), 1), "pitch_deg": round(math.degrees(m.pitch), 1)}
-    boat.values["heading_deg"] = round(math.degrees(m.yaw) % 360.0, 1)
+    boat.values |= {"roll_deg": _degrees(m.roll), "pitch_deg": _degrees(m.pitch), "heading_deg": _degrees(m.yaw % math.tau)}
+
+
+def _degrees(angle_rad: float) -> float | None:
+    return round(math.degrees(angle_rad), 1) if math.isfinite(angle_rad) else None
 
 
 def _rpm(boat: Boat, m: Any) -> None:
     if m.index in (0, 1):
-        boat.values["starboard_rpm" if m.index else "port_rpm"] = round(m.frequency)
+        known = math.isfinite(m.frequency)
+        boat.values["starboard_rpm" if m.index else "port_rpm"] = round(m.frequency) if known else None
 
 
 def _servos(boat: Boat, m: Any) -> None:
@@ -214,15 +246,19 @@ def _gps(boat: Boat, m: Any) -> None:
 
 
 def _navigation(boat: Boat, m: Any) -> None:
-    boat.reference |= {
-        "heading_deg": m.nav_bearing % 360,
-        "distance_m": m.wp_dist,
-        "cross_track_m": round(m.xtrack_error, 2),
-    }
+    """The place follows in a message of its own. When none came since the last time, the boat keeps a heading only."""
+    if not boat.target_is_new:
+        boat.reference |= _NOWHERE
+    boat.target_is_new = False
+    boat.reference["heading_deg"] = m.nav_bearing % 360
+    if boat.reference.get("latitude_deg") is not None:
+        cross_m = round(m.xtrack_error, 2) if math.isfinite(m.xtrack_error) else None
+        boat.reference |= {"distance_m": m.wp_dist, "cross_track_m": cross_m}
 
 
 def _target(boat: Boat, m: Any) -> None:
     known = (m.lat_int, m.lon_int) != (0, 0)
+    boat.target_is_new = known
     boat.reference["latitude_deg"] = m.lat_int / 1e7 if known else None
     boat.reference["longitude_deg"] = m.lon_int / 1e7 if known else None
 
@@ -233,13 +269,30 @@ def _current(boat: Boat, m: Any) -> None:
 
 def _named(boat: Boat, m: Any) -> None:
     if m.name == "OWNER":
-        boat.owner = m.value in (0, SYSTEM)
+        boat.commander = m.value
+
+
+def name_in(m: Any) -> str:
+    """The boat's name in a PARAM_EXT_VALUE; empty where it tells something else."""
+    return "".join(filter(str.isprintable, m.param_value)).strip()[:NAME_MAX] if m.param_id == BOAT_NAME else ""
+
+
+def _name(boat: Boat, m: Any) -> None:
+    boat.name = name_in(m) or boat.name
+
+
+def _checksum(boat: Boat, m: Any) -> None:
+    if m.mission_type == mavlink.MAV_MISSION_TYPE_ALL:
+        boat.read_due_s = boat.read_due_s if m.checksum == boat.checksum else -math.inf
+        boat.checksum = m.checksum
 
 
 def _lean(boat: Boat, m: Any) -> None:
     """HIGH_LATENCY2: everything in one message, for radios on which a byte counts."""
-    boat.owner = m.custom0 & 0xFF in (0, SYSTEM)
-    boat.mode = NAMES.get(m.custom_mode, f"mode {m.custom_mode}")
+    boat.commander = m.custom0 & 0xFF
+    _enter(boat, m.custom_mode)
+    boat.reference["heading_deg"] = m.target_heading * 2.0
+    boat.reference["distance_m"] = m.target_distance * 10.0 or None
     boat.values |= {
         "latitude_deg": m.latitude / 1e7,
         "longitude_deg": m.longitude / 1e7,
@@ -267,4 +320,6 @@ _HANDLERS: Final[dict[str, Callable[[Boat, Any], None]]] = {
     "MISSION_CURRENT": _current,
     "HIGH_LATENCY2": _lean,
     "NAMED_VALUE_INT": _named,
+    "PARAM_EXT_VALUE": _name,
+    "MISSION_CHECKSUM": _checksum,
 }

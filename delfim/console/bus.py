@@ -13,25 +13,21 @@ import sys
 import time
 import zlib
 from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, NamedTuple, TextIO
 
-from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state
 from delfim.console import busstat
 from delfim.console.candump import Filter, Stamps, decoder, long_text, parse_filter, parse_frame
 from delfim.errors import ConfigError, FormatError
 from delfim.frames import CAN_ERR, Frame, extended, standard
 from delfim.logging.candump import format_line, parse_line
 
+LINE_MAX: Final = 200  # characters; a frame has half of them
 DRAIN: Final = 64  # frames of one bus before the next one has its turn
 BUS: Final = "can0 | canloop:NAME | python-can:INTERFACE:CHANNEL | socketcand:HOST:PORT:BUS"
-
-
-def main(words: Sequence[str]) -> int:
-    """Raises DelfimError in words."""
-    asked = _parser().parse_args(words)
-    code: int = asked.run(asked)
-    return code
 
 
 class Source(NamedTuple):
@@ -221,7 +217,7 @@ def logged(file: str) -> Iterator[tuple[str, Frame]]:
     unfinished ends where it can be read no further. Raises FormatError where the file cannot be read at all."""
     try:
         with gzip.open(file, "rt") if Path(file).suffix == ".gz" else open(file) as lines:
-            for line in lines:
+            for line in iter(partial(lines.readline, LINE_MAX), ""):
                 if line.startswith("("):
                     with contextlib.suppress(FormatError):
                         yield parse_line(line)
@@ -231,8 +227,8 @@ def logged(file: str) -> Iterator[tuple[str, Frame]]:
         raise FormatError(f"{file}: {error.strerror}") from None
 
 
-def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="delfim can", description="Tools for CAN buses, after can-utils.")
+def options(parser: argparse.ArgumentParser) -> None:
+    """The tools, each with its function as `run`."""
     tools = parser.add_subparsers(title="tools", required=True, metavar="TOOL")
     one = tools.add_parser("dump", help="print frames (candump)", description="Print frames, as candump does.")
     one.set_defaults(run=dump)
@@ -252,7 +248,6 @@ def _parser() -> argparse.ArgumentParser:
     one.add_argument("frame", nargs="+", metavar="FRAME", help="123#DEADBEEF, 12345678#11.22 (extended), 123#R4 (remote)")
     _add_traffic(tools)
     busstat.add_parser(tools, BUS)
-    return parser
 
 
 def _add_traffic(tools: "argparse._SubParsersAction[argparse.ArgumentParser]") -> None:

@@ -21,6 +21,9 @@ from delfim.errors import ConfigError
 
 WARP_S: Final = 60.0
 ZOOM_MAX: Final = 24
+TILE_BYTES: Final = 8 << 20
+TAKING_STEPS: Final = 100_000_000  # of SQLite for a look at all tiles: ten million of them without an index
+TILE_STEPS: Final = 10_000_000  # of SQLite for one tile; a file's "tiles" may be a view that never ends
 WORLD: Final = (-180.0, -85.05, 180.0, 85.05)
 KINDS: Final = ((b"\x89PNG", "image/png"), (b"\xff\xd8", "image/jpeg"), (b"RIFF", "image/webp"))
 _AGE: Final = {"Cache-Control": "max-age=3600"}
@@ -80,7 +83,7 @@ class Charts:
             except BaseException:
                 tiles.close()
                 raise
-        except (sqlite3.Error, ValueError) as error:
+        except (sqlite3.Error, ValueError, OverflowError) as error:
             raise ConfigError(str(file), "file", f"no MBTiles: {error}") from None
         self._tiles[file.stem] = tiles
         return told
@@ -131,8 +134,11 @@ class Charts:
 
 
 def _metadata(tiles: sqlite3.Connection) -> dict[str, Any]:
-    """For the page. Raises ValueError, sqlite3.Error."""
-    told = {str(name): str(value) for name, value in tiles.execute("SELECT name, value FROM metadata")}
+    """For the page; from here on its answers are bounded in size and work. Raises ValueError, OverflowError, sqlite3.Error."""
+    tiles.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, TILE_BYTES)
+    tiles.set_progress_handler(lambda: 1, TAKING_STEPS)
+    rows = tiles.execute("SELECT name, substr(value, 1, 1000) FROM metadata LIMIT 1000")
+    told = {str(name): str(value) for name, value in rows}
     if told.get("format", "png") not in ("png", "jpg", "jpeg", "webp"):
         raise ValueError(f"its tiles are {told['format']}, not pictures")
     low, high = tiles.execute("SELECT min(zoom_level), max(zoom_level) FROM tiles").fetchone()
@@ -141,4 +147,5 @@ def _metadata(tiles: sqlite3.Connection) -> dict[str, Any]:
     extent = tuple(float(word) for word in told["bounds"].split(",")) if "bounds" in told else WORLD
     if len(extent) != 4 or not (-180.0 <= extent[0] < extent[2] <= 180.0 and -90.0 <= extent[1] < extent[3] <= 90.0):
         raise ValueError(f"its bounds mean nothing: {told['bounds']}")
+    tiles.set_progress_handler(lambda: 1, TILE_STEPS)
     return {"kind": "tiles", "extent": extent, "minzoom": int(low), "maxzoom": int(high)}

@@ -3,6 +3,7 @@
 The meaning is the comment beside the key in `delfim/config.py`, so that there is one list and it cannot go stale.
 """
 
+import contextlib
 import inspect
 import re
 from typing import Any, get_args, get_origin, get_type_hints
@@ -10,6 +11,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 import msgspec
 
 from delfim import config
+from delfim.modes import Mode
 
 
 def describe() -> str:
@@ -18,8 +20,10 @@ def describe() -> str:
         "# The vehicle's file",
         "",
         "One TOML file describes a boat. Keys that are not here are refused, and so are values outside their range: the",
-        "message names file, key, reason and what is allowed. `delfim check FILE` tells without starting anything. This",
-        "page is written by `delfim describe`.",
+        "message names file, key, reason and what is allowed. `delfim check FILE` tells all of it at once without",
+        "starting anything, and warns of what the file names and this computer does not have. A command takes",
+        "`--set KEY=VALUE` instead of the file's value; text needs no quotes there. This page is written by",
+        "`delfim describe`.",
     ]
     for name, table in _tables("", config.Vehicle):
         page += ["", f"## `[{name}]`", "", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
@@ -56,10 +60,11 @@ def _sentence(table: type) -> str:
 
 
 def _comments(table: type) -> dict[str, str]:
-    """Of the class and of those that it extends; the nearest one counts."""
-    found: dict[str, str] = {}
+    """Of the class and of those that it extends; the nearest one counts. The keys of the modes are not written one by one."""
+    found = {mode.name.lower(): f'in {mode.name.lower()} mode; "same": as `action`' for mode in Mode}
     for each in reversed([kind for kind in table.__mro__ if issubclass(kind, config.Table)]):
-        found.update(re.findall(r"^    (\w+): .*?  # (.+)$", inspect.getsource(each), re.MULTILINE))
+        with contextlib.suppress(OSError):  # made by a function: there are no lines
+            found.update(re.findall(r"^    (\w+): .*?  # (.+)$", inspect.getsource(each), re.MULTILINE))
     return {name: comment.replace("|", "\\|") for name, comment in found.items()}
 
 

@@ -4,62 +4,101 @@ A prompt tells the vehicle each second that somebody is there; a single command 
 commands stops when the console's time-out ends. That is the dead-man and it is meant.
 """
 
-import select
+import contextlib
+import math
 import shlex
 import sys
-from typing import Any, TextIO
+import threading
+from collections.abc import Iterator
+from typing import Any, NamedTuple, TextIO
 
 from delfim.console.link import Link
-from delfim.errors import DelfimError, FormatError
+from delfim.errors import DelfimError, FormatError, Refused, in_words
+from delfim.modes import Mode
+from delfim.outside import read_text
 
 ALIVE_S = 1.0
-WORDS: dict[str, tuple[str, tuple[str, ...]]] = {  # verb: (what it does, names of its numbers in order)
-    "state": ("show the state", ()),
-    "checks": ("what is in order for the start, and what is not", ()),
-    "stop": ("idle, propellers off", ()),
-    "manual": ("thrust of each propeller, -1..1", ("starboard", "port")),
-    "heading": ("hold a true heading", ("heading_deg", "speed_mps")),
-    "speed": ("change speed", ("speed_mps",)),
-    "goto": ("go to a position, or to the first waypoint", ("latitude_deg", "longitude_deg", "speed_mps")),
-    "play": ("play the mission, from a leg on", ("leg",)),
-    "mission": ("load a mission file", ()),
-    "mode": ("enter a mode by name", ()),
-    "shutdown": ("stop and end everything, so that the power may be cut", ()),
-    "reboot": ("stop, and start the computer again", ()),
+PROMPT = "delfim> "
+
+
+class Word(NamedTuple):
+    """A command: what it does, what must be said with it, and what may be (two words in one: both or neither)."""
+
+    does: str
+    needs: tuple[str, ...] = ()
+    may: tuple[str, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return (*self.needs, *" ".join(self.may).split())
+
+    def shape(self, verb: str) -> str:
+        return " ".join([verb, *self.needs, *(f"[{name}]" for name in self.may)])
+
+
+WORDS: dict[str, Word] = {
+    "state": Word("show the state"),
+    "checks": Word("what is in order for the start, and what is not"),
+    "stop": Word("idle, propellers off"),
+    "manual": Word("thrust of each propeller, -1 to 1", ("starboard", "port")),
+    "heading": Word("hold a true heading", ("heading_deg",), ("speed_mps",)),
+    "speed": Word("change the speed; without one, the plan's own again", (), ("speed_mps",)),
+    "goto": Word("go to a position; without one, to the first waypoint", (), ("latitude_deg longitude_deg", "speed_mps")),
+    "play": Word("play the mission, from a leg on; the first is 1", (), ("leg",)),
+    "mission": Word("load a mission file", ("file",)),
+    "mode": Word("enter a mode by name", ("name",)),
+    "shutdown": Word("stop and end everything, so that the power may be cut"),
+    "reboot": Word("stop, and start the computer again"),
+    "help": Word("these lines; with a command, its own", (), ("command",)),
 }
+ENTERED = tuple(mode.name.lower() for mode in Mode if mode.name.lower() not in WORDS)  # by their names alone
 
 
-def usage() -> str:
-    rows = (f"  {verb:8} {' '.join(f'[{name}]' for name in names):40} {what}" for verb, (what, names) in WORDS.items())
-    return "\n".join(rows) + "\n  hold, home, path, grex, idle             enter that mode"
+def usage(verb: str = "") -> str:
+    """All commands, or one."""
+    rows = (f"  {word.shape(each):50} {word.does}" for each, word in WORDS.items() if not verb or each == verb)
+    modes = f"  {', '.join(ENTERED):50} enter that mode"
+    return "\n".join([*rows, modes] if not verb or verb in ENTERED else rows)
 
 
 def command(words: list[str]) -> dict[str, Any]:
     """The command for a line of words: "heading 90 1.5". Raises FormatError in words."""
     verb, *rest = words
-    if verb in ("hold", "home", "path", "grex", "idle"):
+    if verb in ENTERED and not rest:
         return {"command": "mode", "mode": verb}
-    if verb == "reboot":
-        return {"command": "shutdown", "reboot": True}
-    if verb not in WORDS:
-        raise FormatError(f"no command {verb!r}; there are:\n{usage()}")
-    if verb in ("mode", "mission"):
-        if len(rest) != 1:
-            raise FormatError(f"{verb} needs one word")
-        return {"command": verb, **({"mode": rest[0]} if verb == "mode" else {"text": _file(rest[0])})}
-    names = WORDS[verb][1]
-    if len(rest) > len(names):
-        raise FormatError(f"{verb} takes at most {len(names)} numbers: {' '.join(names)}")
-    try:
-        numbers = [int(word) if name == "leg" else float(word) for name, word in zip(names, rest, strict=False)]
-    except ValueError:
-        raise FormatError(f"{verb} takes numbers: {' '.join(names)}") from None
-    return {"command": verb, **dict(zip(names, numbers, strict=False))}
+    word = Word("enter that mode") if verb in ENTERED else WORDS.get(verb)
+    if word is None:
+        raise FormatError(f"no command {verb!r}; there are {', '.join([*WORDS, *ENTERED])}")
+    missing = word.names[len(rest)] if len(rest) < len(word.needs) or (verb == "goto" and len(rest) == 1) else ""
+    if missing or len(rest) > len(word.names):
+        wrong = f"{missing} is missing" if missing else f"{rest[len(word.names)]!r} is too much"
+        raise FormatError(f"{wrong}: {word.shape(verb)}")
+    said = dict(zip(word.names, rest, strict=False))
+    match verb:
+        case "reboot":
+            return {"command": "shutdown", "reboot": True}
+        case "mission":
+            return {"command": verb, "text": _file(said["file"])}
+        case "mode":
+            return {"command": verb, "mode": said["name"]}
+    return {"command": verb} | {name: _number(name, text, word.shape(verb)) for name, text in said.items()}
+
+
+def _number(name: str, text: str, where: str) -> float | int:
+    """Raises FormatError. Legs are counted from 1, as on the page; the vehicle counts them from 0."""
+    with contextlib.suppress(ValueError):
+        if name == "leg" and int(text) >= 1:
+            return int(text) - 1
+        if name != "leg" and math.isfinite(float(text)):
+            return float(text)
+    raise FormatError(f"{name} must be {'a whole number from 1 on' if name == 'leg' else 'a number'}, not {text!r}: {where}")
 
 
 def line(state: dict[str, Any]) -> str:
     """A state on one line, for people."""
     reference = state["reference"]
+
+    leg = f"{reference['leg'] + 1}/{state['legs']}" if state["legs"] else "-"
 
     def show(value: float | None, form: str) -> str:
         return "-" if value is None else format(value, form)
@@ -67,7 +106,7 @@ def line(state: dict[str, Any]) -> str:
     return (
         f"{state['mode']:7} {show(state['latitude_deg'], '.6f')} {show(state['longitude_deg'], '.6f')} "
         f"heading {show(state['heading_deg'], '5.1f')} speed {show(state['speed_mps'], '.2f')} m/s "
-        f"rpm {state['port_rpm']}/{state['starboard_rpm']} leg {reference['leg']} "
+        f"rpm {state['port_rpm']}/{state['starboard_rpm']} leg {leg} "
         f"to go {show(reference['distance_m'], '.0f')} m  {state['reason']}"
     )
 
@@ -80,36 +119,59 @@ def checks(state: dict[str, Any]) -> list[str]:
 
 def once(link: Link, words: list[str], out: TextIO) -> None:
     """One command, its state printed. Raises Refused."""
-    asked = command(words)
-    if words[0] == "checks":
+    asked = command(words[:1] if words[0] == "help" else words)
+    if words[0] == "help":
+        print(usage(*words[1:2]), file=out)
+    elif words[0] == "checks":
         print(*checks(link.ask("state")), sep="\n", file=out)
-        return
-    print(line(link.ask(asked.pop("command"), **asked)), file=out)
+    else:
+        print(line(link.ask(asked.pop("command"), **asked)), file=out)
 
 
-def prompt(link: Link, source: TextIO, out: TextIO) -> None:
-    """Commands from `source` until it ends; the vehicle hears from us each second meanwhile."""
+def prompt(link: Link, texts: Iterator[str], out: TextIO) -> None:
+    """Commands until there are no more."""
     print(usage(), file=out)
-    while True:
-        if not select.select([source], [], [], ALIVE_S)[0]:
-            link.ask("alive")
-            continue
-        text = source.readline()
-        if not text or text.strip() in ("quit", "exit"):
+    for text in texts:
+        if text.strip() in ("quit", "exit"):
             return
         try:
             if words := shlex.split(text):
                 once(link, words, out)
-        except DelfimError as error:
+        except (DelfimError, ValueError) as error:  # ValueError: a quotation mark without its other one
             print(error, file=out)
+
+
+def _typed() -> Iterator[str]:
+    """Lines of a terminal, with what was typed before (arrow keys) and the end of a word (Tab)."""
+    import readline  # which not every Python has, and nobody else needs
+
+    every = sorted((*WORDS, *ENTERED, "quit"))
+
+    def ending(text: str, state: int) -> str | None:
+        found = [f"{word} " for word in every if word.startswith(text)] if readline.get_begidx() == 0 else []
+        return found[state] if state < len(found) else None
+
+    readline.set_completer(ending)
+    readline.parse_and_bind("tab: complete")
+    with contextlib.suppress(EOFError):
+        while True:
+            yield input(PROMPT)
+    print()
+
+
+def _alive(socket: str, ended: threading.Event) -> None:
+    """Tell the vehicle that somebody is there, until that ends; by itself, because the prompt waits for the keyboard."""
+    with contextlib.suppress(DelfimError), Link(socket) as link:
+        while not ended.wait(ALIVE_S):
+            with contextlib.suppress(Refused):
+                link.ask("alive")
 
 
 def _file(path: str) -> str:
     try:
-        with open(path, encoding="utf-8") as file:
-            return file.read()
+        return read_text(path)
     except OSError as error:
-        raise FormatError(f"{path}: {error.strerror}") from None
+        raise FormatError(in_words(error)) from None
 
 
 def run(socket: str, words: list[str]) -> None:
@@ -117,5 +179,12 @@ def run(socket: str, words: list[str]) -> None:
     with Link(socket) as link:
         if words:
             once(link, words, sys.stdout)
-        else:
-            prompt(link, sys.stdin, sys.stdout)
+            return
+        ended = threading.Event()
+        there = threading.Thread(target=_alive, args=(socket, ended))
+        there.start()
+        try:
+            prompt(link, _typed() if sys.stdin.isatty() else sys.stdin, sys.stdout)
+        finally:
+            ended.set()
+            there.join()

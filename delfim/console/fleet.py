@@ -11,27 +11,31 @@ from typing import Any, Final, NamedTuple
 
 from delfim.clock import Clock
 from delfim.console import transfer
-from delfim.console.boats import Boat
-from delfim.console.mavlink import MODES, Codec, Key, mavlink
+from delfim.console.boats import SILENT_S, Boat
+from delfim.console.mavlink import SYSTEM, Codec, Key, mavlink
+from delfim.console.orders import ORDERS, order
 from delfim.console.requests import LIFE_S, REPEAT_S, Answer, Requests
 from delfim.console.transfer import Download, Item, Upload
+from delfim.console.ways import Address, Ways, in_words
 from delfim.errors import FormatError, Refused
+from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN
 
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
+READ_AGAIN_S: Final = 10.0  # plans that could not be read
+NAME_ASKS: Final = 12  # a minute
 INPUT_S: Final = 0.6
 DEAF_S: Final = 1.0  # after a sleep, to what pages say: so long a page has to see that it was released
 BOATS_MAX: Final = 32
 PEERS_MAX: Final = 64
+COMPLAIN_S: Final = 60.0
 AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
 UNUSED: Final = 32767  # of an axis in MANUAL_CONTROL
-REQUEST_CONTROL: Final = 32100  # MAV_CMD_REQUEST_OPERATOR_CONTROL
 PROFILES: Final = ("lean", "radio", "wifi")  # values of the parameter that chooses
 PROFILE: Final = b"LINK_PROFILE"
 REASON_S: Final = 0.5  # a refusal and its reason come apart
 NO_MISSION: Final[dict[str, Any]] = {"name": "", "count": 0, "current": None, "state": "none", "digest": None}
-ENTERS: Final = {"stop": "idle", "heading_to": "heading", "goto_point": "goto"}  # words beside the modes' own
-Address = Any  # of a link; hashable
+NO_ZONES: Final[dict[str, Any]] = {"home": None, "fence": [], "obstacles": []}
 Tell = Callable[[dict[str, Any]], None]
 
 
@@ -49,30 +53,34 @@ def planned(boat: Boat, missions: dict[str, dict[str, Any]]) -> dict[str, Any]:
     here, aboard = missions.get("here"), missions.get("aboard")
     shown = aboard or here
     if shown is None:
-        return {"mission": NO_MISSION | {"state": "unknown"}, "home": None, "fence": [], "obstacles": []}
-    same = here is not None and aboard is not None and transfer.digest(here) == transfer.digest(aboard)
+        return {"mission": NO_MISSION | {"state": "unknown"}, **NO_ZONES}
+    same = here is not None and aboard is not None and here["digest"] == aboard["digest"]
     state = "unknown" if aboard is None else "same" if same or here is None else "differs"
-    told = {"name": shown["name"], "count": len(shown["waypoints"]), "digest": transfer.digest(shown), "state": state}
+    told = {"name": shown["name"], "count": len(shown["waypoints"]), "digest": shown["digest"], "state": state}
     item = boat.reference.get("leg")
     told["current"] = transfer.waypoint_of(shown, item) if item is not None else None
-    return {"mission": told, **{key: shown.get(key) for key in ("home", "fence", "obstacles")}}
+    return {"mission": told, **{key: (aboard or NO_ZONES).get(key) for key in NO_ZONES}}  # the boat keeps no zone of the plan
 
 
 class Fleet:
     """`transmit` puts bytes on the way to an address; `tell` speaks to the pages."""
 
-    def __init__(self, clock: Clock, transmit: Callable[[Address, bytes], None], tell: Tell, key: Key | None = None) -> None:
+    def __init__(
+        self, clock: Clock, transmit: Callable[[Address, bytes], None], tell: Tell, key: Key | None = None, me: int = SYSTEM
+    ) -> None:
+        self.me = me  # the number of this console
         self.boats: dict[int, Boat] = {}
         self.missions: dict[int, dict[str, dict[str, Any]]] = {}  # by boat: "here" and "aboard"
         self.record: Callable[[bytes], None] = lambda frame: None  # every frame that came well or went
         self._clock, self._transmit, self._tell, self._key = clock, transmit, tell, key
         self._peers: dict[Address, Codec] = {}
-        self._routes: dict[int, Address] = {}
-        self._requests = Requests(self._send)
+        self._ways = Ways()
+        self._requests = Requests(self._send, self._send_all)
         self._inputs: dict[int, tuple[int, float]] = {}  # by boat in manual: number and time of the last input
         self._ticked_s, self._deaf_until_s, self._slept_s = clock.monotonic_s(), -math.inf, 0.0
         self._transfers: dict[int, Upload | Download] = {}
-        self._beat_s = -math.inf
+        self._reading = set[int]()  # boats whose plans are read though nobody asked
+        self._beat_s = self._complained_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
         self._refused: dict[int, tuple[float, int, int]] = {}  # by boat: until when the reason is waited for, command, result
         self._profiles: dict[int, Profile] = {}
@@ -81,47 +89,88 @@ class Fleet:
 
     def receive(self, address: Address, data: bytes) -> None:
         """Bytes of a link, as they come."""
-        codec = self._peers.get(address)
+        codec = self._peers.pop(address, None)
         if codec is None:
             if len(self._peers) >= PEERS_MAX:
-                self._peers.pop(next(iter(self._peers)))
-            codec = self._peers[address] = Codec(self._key, stream=address_kind(address) == "serial")
+                kept = set(self._ways.routes.values())
+                del self._peers[next((each for each in self._peers if each not in kept), next(iter(self._peers)))]
+            codec = Codec(self._key, stream=address_kind(address) == "serial", me=self.me)
+        self._peers[address] = codec  # behind all others: the one that was silent for longest gives way
         for message in codec.decode(data):
             self.record(bytes(message.get_msgbuf()))
             self._take(address, message)
 
     def _take(self, address: Address, message: Any) -> None:
         number, now_s = message.get_srcSystem(), self._clock.monotonic_s()
-        if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1 or not number:
+        if number == self.me:
+            self._complain(number, address, now_s)
+        if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1 or number in (0, self.me):
             return
-        boat = self.boats.get(number)
-        if boat is None:
-            if message.get_type() not in ("HEARTBEAT", "HIGH_LATENCY2") or len(self.boats) >= BOATS_MAX:
+        if number not in self.boats:
+            if message.get_type() not in ("HEARTBEAT", "HIGH_LATENCY2") or not self._has_room(now_s):
                 return
-            boat = self.boats[number] = Boat(number, now_s)
-            self._tell({"t": "text", "boat": number, "severity": 6, "text": "found", "at_s": self._utc_s()})
-        self._routes[number], boat.link = address, address_kind(address)
+            self.boats[number] = Boat(number, now_s)
+            self._say(number, 6, "found")
+        boat = self.boats[number]
+        if not self._ways.hear(number, address, message, now_s):
+            return
+        boat.link = address_kind(address)
         boat.receive(message, now_s, self._utc_s())
         handler = _HANDLERS.get(message.get_type())
         if handler is not None:
             handler(self, boat, message, now_s)
+
+    def _has_room(self, now_s: float) -> bool:
+        """For one boat more. One that is silent, that nobody vouches for and that the operator never used gives way to it."""
+        if len(self.boats) < BOATS_MAX:
+            return True
+        silent = [boat for boat in self.boats.values() if not (boat.used or boat.signed) and now_s - boat.heard_s > SILENT_S]
+        if not silent:
+            return False
+        number = min(silent, key=lambda boat: boat.heard_s).number
+        del self.boats[number]
+        self._ways.forget(number)
+        for each in (self.missions, self._transfers, self._texts, self._refused, self._profiles):
+            each.pop(number, None)
+        self._reading.discard(number)
+        return True
+
+    def _complain(self, number: int, address: Address, now_s: float) -> None:
+        """Another console calls itself by our number, and a boat may take one for the other."""
+        if now_s - self._complained_s > COMPLAIN_S:
+            self._complained_s = now_s
+            where = in_words(address)
+            words = (
+                f"{where} has the number of this console, {number}: start one of them with another (delfim console --number)"
+            )
+            self._tell({"t": "text", "boat": None, "severity": 2, "text": words, "at_s": self._utc_s()})
+
+    def _say(self, number: int, severity: int, text: str) -> None:
+        """To the pages, of a boat."""
+        self._tell({"t": "text", "boat": number, "severity": severity, "text": text, "at_s": self._utc_s()})
 
     def _on_ack(self, boat: Boat, message: Any, now_s: float) -> None:
         said_s, text = self._texts.get(boat.number, (-math.inf, ""))
         reason = text if now_s - said_s < REASON_S else ""
         fine = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
         if fine or reason:
-            self._requests.acknowledged(boat.number, message.command, message.result, reason)
+            self._requests.acknowledged(boat.number, message.command, message.result, reason, message.get_seq())
         else:
             self._refused[boat.number] = now_s + REASON_S, message.command, message.result
+
+    def _on_heartbeat(self, boat: Boat, message: Any, now_s: float) -> None:
+        if self._ways.are_idle(boat.number, now_s):
+            self._requests.idle(boat.number, message.get_seq())
 
     def _on_text(self, boat: Boat, message: Any, now_s: float) -> None:
         text = boat.words.hear(message)
         if text is None:
             return
-        boat.reason = text
+        boat.reason, boat.reason_s = text, now_s
+        if boat.failsafe.partition(" for ")[0] == text.partition(" for ")[0]:  # the same trouble, as long as it is now
+            boat.failsafe = text
         self._texts[boat.number] = now_s, text
-        self._tell({"t": "text", "boat": boat.number, "severity": message.severity, "text": text, "at_s": self._utc_s()})
+        self._say(boat.number, message.severity, text)
         if message.severity <= mavlink.MAV_SEVERITY_WARNING:
             self._give_reason(boat.number, text)
 
@@ -129,7 +178,7 @@ class Fleet:
         """Of what the boat refused just now."""
         if number in self._refused:
             _, command, result = self._refused.pop(number)
-            self._requests.acknowledged(number, command, result, text)
+            self._requests.acknowledged(number, command, result, text, 0)
 
     def _on_param(self, boat: Boat, message: Any, now_s: float) -> None:
         chosen = self._profiles.get(boat.number)
@@ -164,13 +213,18 @@ class Fleet:
         self._ticked_s = now_s
         if now_s - self._beat_s >= HEARTBEAT_S:
             self._beat_s = now_s
-            for number in self._routes:
+            for number in self.boats:
                 words = mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, 0, 0, mavlink.MAV_STATE_ACTIVE
                 self._send(number, mavlink.MAVLink_heartbeat_message(*words, 3))
         for boat in self.boats.values():
             if now_s - boat.synced_s >= TIMESYNC_S:
                 boat.synced_s = now_s
                 self._send(boat.number, mavlink.MAVLink_timesync_message(0, round(now_s * 1e9)))
+                self._ask_name(boat)
+            self._read(boat, now_s)
+            self._look_for_twins(boat, now_s)
+        for number, address in self._ways.to_ask(now_s):
+            self._put(address, mavlink.MAVLink_param_ext_request_read_message(number, AUTOPILOT, BOAT_RUN.encode(), -1))
         for number, (_, heard_s) in list(self._inputs.items()):
             if now_s - heard_s > INPUT_S:
                 self.release(number, "no input from the page")
@@ -183,11 +237,35 @@ class Fleet:
         for each in list(self._transfers.values()):
             each.tick(now_s)
 
+    def _look_for_twins(self, boat: Boat, now_s: float) -> None:
+        twins = [in_words(each) for each in self._ways.twins(boat.number, now_s)]
+        if twins and sorted(twins) != sorted(boat.twins):
+            words = f"{len(twins)} boats have the number {boat.number}: {' and '.join(twins)}; STOP goes to all of them"
+            self._say(boat.number, 1, words)
+        boat.twins = twins
+
+    def _ask_name(self, boat: Boat) -> None:
+        """Until it is known, but not for ever of a boat that knows no names."""
+        if boat.is_unnamed and boat.name_asks < NAME_ASKS:
+            boat.name_asks += 1
+            asked = mavlink.MAVLink_param_ext_request_read_message(boat.number, AUTOPILOT, BOAT_NAME.encode(), -1)
+            self._send(boat.number, asked)
+
+    def _read(self, boat: Boat, now_s: float) -> None:
+        """The plans aboard, where others are known or none, so that pages can draw what is sailed."""
+        known = "aboard" in self.missions.get(boat.number, {}) and boat.read == boat.checksum
+        if known or boat.number in self._transfers or now_s < boat.read_due_s or now_s - boat.heard_s > SILENT_S:
+            return
+        boat.read_due_s = now_s + READ_AGAIN_S
+        self.download(boat.number, lambda well, why: self._reading.discard(boat.number))
+        self._reading.add(boat.number)
+
     def snapshot(self) -> list[dict[str, Any]]:
         """All boats for the page, in order of their numbers."""
         now_s = self._clock.monotonic_s()
         return [
-            boat.snapshot(now_s) | planned(boat, self.missions.get(number, {})) for number, boat in sorted(self.boats.items())
+            boat.snapshot(now_s) | {"owner": boat.commander in (0, self.me)} | planned(boat, self.missions.get(number, {}))
+            for number, boat in sorted(self.boats.items())
         ]
 
     # What the operator wants.
@@ -195,26 +273,32 @@ class Fleet:
     def command(self, number: int, word: str, words: dict[str, Any], answer: Answer) -> None:
         """A word of the page. Raises Refused for what cannot be asked; otherwise `answer` is called once, when the boat has
         answered or has not."""
-        boat, now_s = self._boat(number), self._clock.monotonic_s()
-        if self._asleep_s(now_s) > LIFE_S and ENTERS.get(word, word) != "idle":
+        boat, now_s = self._use(number), self._clock.monotonic_s()
+        row = ORDERS.get(word)
+        stop = row is not None and row.mode == "idle"
+        if self._asleep_s(now_s) > LIFE_S and not stop:
             raise Refused("the console slept: say it again")
-        if word != "manual":
-            self._inputs.pop(number, None)
         if word == "profile":
             self._set_profile(boat, words["profile"], answer, now_s)
             return
-        aboard = self.missions.get(number, {}).get("aboard")
-        if word == "play" and aboard is not None:
-            words = words | {"leg": transfer.item_of(aboard, int(words.get("leg") or 0))}
-        command, parameters, place = _command(word, words)
-        if word in MODES or word in ENTERS:
-            boat.asked, boat.asked_s = ENTERS.get(word, word), now_s
+        asked = order(word, words)
+        if word == "play":
+            asked = asked._replace(numbers=(float(self._item(number, int(asked.numbers[0]))), 0.0))
+        if word != "manual":
+            self._inputs.pop(number, None)
+        if row is not None and row.mode:
+            boat.asked, boat.asked_s = row.mode, now_s
         boat.released = False
-        self._requests.begin(number, command, parameters, answer, now_s, place=place, stop=word == "stop")
+        self._requests.begin(number, asked, answer, now_s, stop=stop)
+
+    def _item(self, number: int, waypoint: int) -> int:
+        """To play from a waypoint on is to play from its item on, where the mission aboard is known. Raises FormatError."""
+        aboard = self.missions.get(number, {}).get("aboard")
+        return waypoint if aboard is None or not aboard["waypoints"] else transfer.item_of(aboard, waypoint)
 
     def input(self, number: int, count: int, port_pct: float, starboard_pct: float) -> None:
         """Thrust of a boat in manual, now. An input that was overtaken is ignored."""
-        boat = self._boat(number)
+        boat = self._use(number)
         last, _ = self._inputs.get(number, (-1, 0.0))
         now_s = self._clock.monotonic_s()
         if self._asleep_s(now_s) > INPUT_S:
@@ -236,7 +320,7 @@ class Fleet:
         self._thrust(number, 0.0, 0.0)
         if number in self.boats:
             self.boats[number].released = True
-            self._tell({"t": "text", "boat": number, "severity": 4, "text": f"manual released: {why}", "at_s": self._utc_s()})
+            self._say(number, 4, f"manual released: {why}")
 
     def release_all(self, why: str) -> None:
         for number in list(self._inputs):
@@ -244,9 +328,9 @@ class Fleet:
 
     def put(self, number: int, mission: dict[str, Any]) -> None:
         """The plan on the screen for a boat. Raises FormatError, Refused."""
-        transfer.items_of(mission)
-        self._boat(number)
-        self.missions.setdefault(number, {})["here"] = mission
+        kept = transfer.with_digest(mission)
+        self._use(number)
+        self.missions.setdefault(number, {})["here"] = kept
 
     def upload(self, number: int, answer: Answer) -> None:
         """The plan on the screen to the boat, and back again to compare. Raises Refused."""
@@ -307,8 +391,9 @@ class Fleet:
 
     def _begin_transfer(self, number: int) -> None:
         self._boat(number)
-        if number in self._transfers:
+        if number in self._transfers and number not in self._reading:
             raise Refused("a mission is on its way already")
+        self._reading.discard(number)  # which nobody asked for: it begins again when this one is over
 
     def _over(self, number: int, what: str) -> None:
         """Nothing is under way any more, well or not."""
@@ -317,17 +402,24 @@ class Fleet:
     def _aboard(self, number: int, mission: dict[str, Any]) -> None:
         known = self.missions.setdefault(number, {})
         here = known.get("here")
-        if here is not None and transfer.digest(here) == transfer.digest(mission):
+        if here is not None and here["digest"] == mission["digest"]:
             mission["name"] = here["name"]
         known["aboard"] = mission
+        self.boats[number].read = self.boats[number].checksum
         self._tell({"t": "mission", "boat": number, "where": "aboard", "mission": mission})
 
     def _compared(self, number: int, well: bool, why: str) -> tuple[bool, str]:
         if not well:
             return False, f"sent, but not read back: {why}"
         known = self.missions[number]
-        same = transfer.digest(known["here"]) == transfer.digest(known["aboard"])
+        same = known["here"]["digest"] == known["aboard"]["digest"]
         return same, "" if same else "what the boat has differs from what was sent"
+
+    def _use(self, number: int) -> Boat:
+        """The operator does something with it. Raises Refused."""
+        boat = self._boat(number)
+        boat.used = True
+        return boat
 
     def _boat(self, number: int) -> Boat:
         if number not in self.boats:
@@ -360,7 +452,15 @@ class Fleet:
         self._send(number, mavlink.MAVLink_manual_control_message(number, x, UNUSED, UNUSED, r, 0))
 
     def _send(self, number: int, message: Any) -> None:
-        address = self._routes.get(number)
+        if number in self._ways.routes:
+            self._put(self._ways.routes[number], message)
+
+    def _send_all(self, number: int, message: Any) -> None:
+        """Also to whoever else speaks by this number."""
+        for address in self._ways.to_stop(number, self._clock.monotonic_s()):
+            self._put(address, message)
+
+    def _put(self, address: Address, message: Any) -> None:
         codec = self._peers.get(address)
         if codec is not None:
             data = codec.encode(message)
@@ -381,38 +481,9 @@ def address_kind(address: Address) -> str:
     return address[0] if isinstance(address, tuple) else "udp"
 
 
-def _command(word: str, words: dict[str, Any]) -> tuple[int, tuple[float, ...], tuple[int, int] | None]:
-    """(MAV_CMD, parameters, place) of a word of the page. Raises FormatError."""
-    try:
-        match word:
-            case "stop":
-                return mavlink.MAV_CMD_DO_SET_MODE, (1.0, float(MODES["idle"])), None
-            case "play":
-                return mavlink.MAV_CMD_MISSION_START, (float(words.get("leg") or 0), 0.0), None
-            case "heading_to":
-                return mavlink.MAV_CMD_GUIDED_CHANGE_HEADING, (1.0, float(words["heading_deg"]) % 360.0, 0.0), None
-            case "goto_point":
-                place = round(float(words["latitude_deg"]) * 1e7), round(float(words["longitude_deg"]) * 1e7)
-                return mavlink.MAV_CMD_DO_REPOSITION, (float(words.get("speed_mps", -1.0)), 1.0), place
-            case "speed" if "speed_mps" in words:
-                return mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, float(words["speed_mps"]), -1.0), None
-            case "speed":
-                return mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, -1.0, float(words["speed_pct"])), None
-            case "arm" | "disarm":
-                return mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (float(word == "arm"),), None
-            case "reset":
-                return mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (0.0, 0.0, 1.0, float(words.get("component", 0))), None
-            case "take":
-                return REQUEST_CONTROL, (float(words.get("console", 0)), 1.0, 1.0), None
-            case _ if word in MODES:
-                return mavlink.MAV_CMD_DO_SET_MODE, (1.0, float(MODES[word])), None
-    except (KeyError, TypeError, ValueError, OverflowError) as error:
-        raise FormatError(f"{word}: {error}") from None
-    raise FormatError(f"no command {word!r}")
-
-
 _ASKED: Final = ("MISSION_REQUEST", "MISSION_REQUEST_INT")
 _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
+    "HEARTBEAT": Fleet._on_heartbeat,
     "COMMAND_ACK": Fleet._on_ack,
     "STATUSTEXT": Fleet._on_text,
     "PARAM_VALUE": Fleet._on_param,

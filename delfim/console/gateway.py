@@ -6,9 +6,13 @@ in docs/console.md. All that decides anything is in `Fleet`; here are sockets an
 
 import argparse
 import asyncio
+import errno
+import hashlib
 import hmac
 import json
 import logging
+import os
+import re
 import secrets
 import signal
 import socket
@@ -16,14 +20,16 @@ import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from functools import partial
-from ipaddress import ip_address
+from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
 from typing import Any, Final, cast
 
+import msgspec
 from aiohttp import WSMsgType, web
 
 from delfim import __version__
 from delfim.clock import Clock, WakefulClock
+from delfim.console import said
 from delfim.console.browser import show
 from delfim.console.charts import Charts
 from delfim.console.dryrun import dry_run
@@ -35,6 +41,8 @@ from delfim.console.replay import Replay, open_tapes
 from delfim.console.session import Session
 from delfim.console.tape import Tape
 from delfim.errors import ConfigError, DelfimError, FormatError, Refused
+from delfim.eventloop import new_event_loop
+from delfim.outside import read_text
 
 PAGE: Final = Path(__file__).with_name("page")
 TICK_S: Final = 0.05
@@ -46,8 +54,17 @@ PAGES_MAX: Final = 8
 DRY_RUNS_MAX: Final = 2
 QUEUE_MAX: Final = 1000  # messages to one of them
 MESSAGE_BYTES: Final = 1 << 20
+TOKEN_BYTES: Final = 12
+NUMBERS: Final = range(200, 255)  # of consoles; QGroundControl and MAVProxy have 255
+_TOKEN: Final = re.compile(r"[\w-]{16}", re.ASCII)
+LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 
 log = logging.getLogger(__name__)
+
+
+def encoded(message: Any) -> str:
+    """JSON, in which a number that is not finite is null: a browser takes nothing else."""
+    return msgspec.json.encode(message).decode()
 
 
 class Udp(asyncio.DatagramProtocol):
@@ -86,7 +103,7 @@ class Page:
         behind = transport is None or transport.get_write_buffer_size() > BACKLOG_BYTES
         if self.queue.qsize() >= QUEUE_MAX or (behind and message["t"] in ("boats", "progress")):
             return
-        self.queue.put_nowait(json.dumps(message))
+        self.queue.put_nowait(encoded(message))
 
     def end(self) -> None:
         self.queue.put_nowait(None)
@@ -113,21 +130,24 @@ class Gateway:
         radios: Sequence[str] = (),
         sessions: Path | None = None,
         tapes: Sequence[Tape] = (),
+        number: int | None = None,
     ) -> None:
         self.udp = Udp(self._receive)
         self.radios = {each.device: each for each in (radio(words, self._receive) for words in radios)}
         self.session = Session(sessions, clock) if sessions is not None and not tapes else None
         self.charts = Charts(charts)
+        self.token = token or secrets.token_urlsafe(TOKEN_BYTES)
+        self.me = number or own_number(self.token)
         self.fleet: Fleet | Replay
         if tapes:
             self.fleet = Replay(tapes, clock, self.tell)
             self.fleet.moved = self._show_tracks_to_all
         else:
-            self.fleet = Fleet(clock, self._transmit, self.tell, key)
+            self.fleet = Fleet(clock, self._transmit, self.tell, key, self.me)
             if self.session is not None:
                 self.fleet.record = self.session.put
         self._complaints: dict[str, str] = {}  # what was said of links and files, not to say it again
-        self.token = token
+        self.heard_on: list[str] = [*self.radios]  # where boats are, in words
         self._clock, self._library, self._pages = clock, Library(missions), set[Page]()
         self._vehicle, self._dry_runs = vehicle, 0
         self._ticks = 0
@@ -186,17 +206,21 @@ class Gateway:
 
     @web.middleware
     async def _admit(self, request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
-        """This computer, and who knows the token. A page of another site may not speak for its visitor."""
-        origin = request.headers.get("Origin")
-        if origin is not None and origin.partition("://")[2] != request.host:
+        """Who knows the token, which is in the address that the console prints, and then in a cookie. A page of another site
+        may not speak for its visitor. On this computer only its own names count: of another its owner may say that it is here.
+        """
+        host, (own, port) = request.headers.get("Host", ""), _end(request)
+        if own.is_loopback and host.lower() not in {f"{name}:{port}" for name in (_bracketed(own), *LOOPBACK)}:
+            raise web.HTTPForbidden(text=f"this console is at http://{_bracketed(own)}:{port}/\n")
+        if request.headers.get("Origin", f"http://{host}") != f"http://{host}" or not host:
             raise web.HTTPForbidden(text="another site's page\n")
-        if not _is_own(request):
-            given = request.query.get("token") or request.cookies.get("token") or ""
-            if not self.token or not hmac.compare_digest(given, self.token):
-                raise web.HTTPForbidden(text="this console is for its own computer; others open it with ?token=...\n")
+        cookie = f"delfim-{port}"  # a browser keeps cookies by host, and several consoles may be on one
+        given = request.query.get("token") or request.cookies.get(cookie) or ""
+        if not hmac.compare_digest(given.encode(), self.token.encode()):
+            raise web.HTTPForbidden(text="this console opens by the address that it printed when it started: ...?token=...\n")
         response: web.StreamResponse = await handler(request)
-        if self.token and "token" in request.query and not response.prepared:
-            response.set_cookie("token", self.token, httponly=True, samesite="Strict")
+        if "token" in request.query and not response.prepared:
+            response.set_cookie(cookie, self.token, httponly=True, samesite="Lax")  # the boat's page has a link to here
         return response
 
     async def _index(self, request: web.Request) -> web.StreamResponse:
@@ -205,7 +229,7 @@ class Gateway:
         return web.FileResponse(PAGE / "index.html", headers={"Cache-Control": "no-cache"})
 
     async def _boats(self, request: web.Request) -> web.Response:
-        return web.json_response(self.fleet.snapshot())
+        return web.json_response(self.fleet.snapshot(), dumps=encoded)
 
     async def _socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._pages) >= PAGES_MAX:
@@ -237,15 +261,20 @@ class Gateway:
             {
                 "t": "hello",
                 "version": __version__,
-                "me": "console",
+                "me": self.me,
                 "backgrounds": self.charts.backgrounds,
                 "boats": fleet.snapshot(),
-                "replay": {"from_s": fleet.from_s, "to_s": fleet.to_s} if isinstance(fleet, Replay) else None,
+                "heard_on": self.heard_on,
+                "replay": _time_line(fleet) if isinstance(fleet, Replay) else None,
             }
         )
         for fault in (*self.charts.faults, *(f"{name}: {reason}" for name, reason in self._complaints.items() if reason)):
             page.tell(self._text(fault))
         self._show_tracks(page)
+        if isinstance(fleet, Replay):
+            for number, track in fleet.tracks().items():
+                for points in _chunks(track):
+                    page.tell({"t": "whole_track", "boat": number, "points": points})
         for number, missions in fleet.missions.items():
             for where, mission in missions.items():
                 page.tell({"t": "mission", "boat": number, "where": where, "mission": mission})
@@ -256,81 +285,100 @@ class Gateway:
 
     def _show_tracks(self, page: Page) -> None:
         for number, boat in self.fleet.boats.items():
-            points = list(boat.track)
-            for at in range(0, max(len(points), 1), CHUNK):
-                page.tell({"t": "track", "boat": number, "start": at == 0, "points": points[at : at + CHUNK]})
+            for at, points in enumerate(_chunks(list(boat.track))):
+                page.tell({"t": "track", "boat": number, "start": at == 0, "points": points})
 
     def _hear(self, page: Page, text: str) -> None:
         """A message of a page. What it gets wrong it is told."""
         sequence: Any = None
         try:
-            asked = json.loads(text)
-            sequence = asked.get("seq")
-            self._ask(page, asked, partial(_answer, page, sequence))
+            asked = json.loads(text)  # which knows infinity: the number of the message is found all the same
+            sequence = asked.get("seq") if isinstance(asked, dict) else None
+            self._ask(page, msgspec.convert(asked, said.Message), asked, partial(_answer, page, sequence))
         except DelfimError as error:
             _answer(page, sequence, False, str(error))
-        except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
-            _answer(page, sequence, False, f"not understood: {type(error).__name__}: {error}")
+        except (msgspec.MsgspecError, ValueError, TypeError, KeyError, RecursionError) as error:
+            _answer(page, sequence, False, f"not understood: {error}")
 
-    def _ask(self, page: Page, asked: dict[str, Any], answer: Callable[[bool, str], None]) -> None:
+    def _ask(self, page: Page, asked: said.Message, words: dict[str, Any], answer: Callable[[bool, str], None]) -> None:
         fleet = self.fleet
-        match asked["t"]:
-            case "input":
-                page.steers.add(int(asked["boat"]))
-                fleet.input(int(asked["boat"]), int(asked["n"]), float(asked["port_pct"]), float(asked["starboard_pct"]))
-            case "release":
-                fleet.release(int(asked["boat"]), str(asked.get("why", ""))[:80])
-            case "command" if asked["boat"] == "all":
-                if asked["command"] != "stop":
+        match asked:
+            case said.Input(boat=number):
+                fleet.input(number, asked.n, asked.port_pct, asked.starboard_pct)
+                page.steers.add(number)
+            case said.Release(boat=number, why=why):
+                fleet.release(number, why[:80])
+            case said.Command(boat="all"):
+                if asked.command != "stop":
                     raise Refused("only stop is for all boats")
-                fleet.release_all("stop")
-                for number in list(fleet.boats):
-                    fleet.command(number, "stop", {}, answer)
-            case "command":
-                if asked["command"] == "stop":
-                    fleet.release(int(asked["boat"]), "stop")
-                fleet.command(int(asked["boat"]), str(asked["command"]), asked, answer)
-            case "profile":
-                fleet.command(int(asked["boat"]), "profile", {"profile": str(asked["profile"])}, answer)
-            case "replay":
+                self._stop_all(answer)
+            case said.Command(boat=int(number)):
+                if asked.command == "stop":
+                    fleet.release(number, "stop")
+                numbers = {name: value for name, value in words.items() if name not in said.NO_NUMBERS}
+                fleet.command(number, asked.command, numbers, answer)
+            case said.Profile(boat=number, profile=profile):
+                fleet.command(number, "profile", {"profile": profile}, answer)
+            case said.Replay():
                 if not isinstance(fleet, Replay):
                     raise Refused("nothing is being replayed")
-                fleet.steer(asked)
+                fleet.steer(asked.at_s, asked.rate)
                 answer(True, "")
-            case "mission":
-                self._mission(page, int(asked["boat"]), asked, answer)
-            case other:
-                raise FormatError(f"no message {other!r}")
+            case said.Mission():
+                self._mission(page, asked, words.get("mission"), answer)
 
-    def _mission(self, page: Page, number: int, asked: dict[str, Any], answer: Callable[[bool, str], None]) -> None:
+    def _stop_all(self, answer: Callable[[bool, str], None]) -> None:
+        """Answered when every boat has answered, or one has not."""
         fleet = self.fleet
-        match asked["do"]:
+        fleet.release_all("stop")
+        waiting = set(fleet.boats)
+
+        def stopped(number: int, well: bool, why: str) -> None:
+            waiting.discard(number)
+            if not well:
+                answer(False, f"{fleet.boats[number].name}: {why}")
+            elif not waiting:
+                answer(True, "")
+
+        for number in sorted(waiting):
+            fleet.command(number, "stop", {}, partial(stopped, number))
+        if not fleet.boats:
+            answer(False, "no boat is heard")
+
+    def _mission(
+        self, page: Page, asked: said.Mission, plan: dict[str, Any] | None, answer: Callable[[bool, str], None]
+    ) -> None:
+        fleet, number = self.fleet, asked.boat
+        if plan is None and asked.do in ("put", "dryrun", "save"):
+            raise FormatError(f"{asked.do} needs a mission")
+        match asked.do:
             case "put":
-                fleet.put(number, asked["mission"])
+                fleet.put(number, plan or {})
                 answer(True, "")
             case "upload":
-                if "mission" in asked:
-                    fleet.put(number, asked["mission"])
+                if plan is not None:
+                    fleet.put(number, plan)
                 fleet.upload(number, answer)
             case "download" | "compare":
                 fleet.download(number, answer)
             case "dryrun":
-                self._dry_run(page, number, asked, answer)
+                self._dry_run(page, number, plan or {}, asked.seq, answer)
             case "save":
-                self._library.save(asked["mission"])
+                self._library.save(plan or {})
                 answer(True, "")
             case "load":
-                mission = self._library.load(str(asked["name"]))
-                fleet.put(number, mission)
+                mission = self._library.load(asked.name)
+                if number:  # a plan may be made before a boat is heard
+                    fleet.put(number, mission)
                 page.tell({"t": "mission", "boat": number, "where": "here", "mission": mission})
                 answer(True, "")
             case "list":
                 page.tell({"t": "missions", "names": self._library.names()})
                 answer(True, "")
-            case other:
-                raise FormatError(f"missions cannot {other!r}")
 
-    def _dry_run(self, page: Page, number: int, asked: dict[str, Any], answer: Callable[[bool, str], None]) -> None:
+    def _dry_run(
+        self, page: Page, number: int, plan: dict[str, Any], sequence: int | None, answer: Callable[[bool, str], None]
+    ) -> None:
         if self._vehicle is None:
             raise Refused("no dry run without the vehicle's file: delfim console --vehicle FILE")
         if self._dry_runs >= DRY_RUNS_MAX:
@@ -344,11 +392,11 @@ class Gateway:
             self._dry_runs -= 1
             if not future.cancelled():
                 result = future.result()
-                page.tell({"t": "dryrun", "boat": number, "seq": asked.get("seq"), **result})
+                page.tell({"t": "dryrun", "boat": number, "seq": sequence, **result})
                 answer(result["well"], "" if result["well"] else result["end"])
 
         loop = asyncio.get_running_loop()
-        loop.run_in_executor(None, dry_run, self._vehicle, asked["mission"], start).add_done_callback(ended)
+        loop.run_in_executor(None, dry_run, self._vehicle, plan, start).add_done_callback(ended)
 
     def _utc_s(self) -> float:
         """The time that pages show."""
@@ -360,11 +408,26 @@ def _answer(page: Page, sequence: Any, well: bool, reason: str) -> None:
         page.tell({"t": "answer", "seq": sequence, "ok": well, "reason": reason})
 
 
-def _is_own(request: web.Request) -> bool:
-    try:
-        return ip_address(request.remote or "").is_loopback
-    except ValueError:
-        return False
+def _time_line(replay: Replay) -> dict[str, Any]:
+    return {"from_s": replay.from_s, "to_s": replay.to_s, "events": replay.events()}
+
+
+def _chunks(points: list[tuple[float, float, float]]) -> Iterator[list[tuple[float, float, float]]]:
+    """Of a track; one at least."""
+    for at in range(0, max(len(points), 1), CHUNK):
+        yield points[at : at + CHUNK]
+
+
+def _end(request: web.Request) -> tuple[IPv4Address | IPv6Address, int]:
+    """Our end of the connection."""
+    if request.transport is None:
+        raise web.HTTPForbidden(text="the connection is gone\n")
+    host, port = request.transport.get_extra_info("sockname")[:2]
+    return ip_address(host.partition("%")[0]), port
+
+
+def _bracketed(address: IPv4Address | IPv6Address) -> str:
+    return f"[{address}]" if address.version == 6 else str(address)
 
 
 async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str, int], ready: Callable[[str], None]) -> None:
@@ -376,13 +439,14 @@ async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str
         if boats is not None:
             with _refused("--boats", boats):
                 transport, _ = await loop.create_datagram_endpoint(lambda: gateway.udp, local_addr=boats)
+            gateway.heard_on.insert(0, f"{boats[0]}:{boats[1]}")
         await runner.setup()
         with _refused("--page", page):
             await web.TCPSite(runner, *page).start()
         for each in gateway.radios.values():
             each.start()
         port = runner.addresses[0][1]
-        ready(f"http://{page[0]}:{port}/" + (f"?token={gateway.token}" if gateway.token else ""))
+        ready(f"http://{_bracketed(ip_address(page[0]))}:{port}/?token={gateway.token}")
         while True:
             await asyncio.sleep(TICK_S)
             gateway.tick()
@@ -399,43 +463,74 @@ def _refused(option: str, address: tuple[str, int]) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ConfigError(option, f"{address[0]}:{address[1]}", str(error.strerror)) from None
+        taken = error.errno == errno.EADDRINUSE
+        reason = (
+            f"another program has it, perhaps another console; choose with {option} ADDRESS:PORT" if taken else error.strerror
+        )
+        raise ConfigError(option, f"{address[0]}:{address[1]}", str(reason)) from None
+
+
+def own_number(token: str) -> int:
+    """Of this console, by which boats know it from others: drawn with its token, and kept with it."""
+    return NUMBERS[hashlib.sha256(token.encode()).digest()[0] % len(NUMBERS)]
+
+
+def kept_token(file: Path) -> str:
+    """What lets a browser in, the same at each start: a page that is open finds its console again. Where no file can be, it is
+    the token of this run."""
+    with suppress(OSError, FormatError):
+        if _TOKEN.fullmatch(token := read_text(file).strip()):
+            return token
+    token = secrets.token_urlsafe(TOKEN_BYTES)
+    with suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with open(file, "w", encoding="ascii", opener=partial(os.open, mode=0o600)) as out:
+            out.write(f"{token}\n")
+    return token
 
 
 def run(asked: argparse.Namespace) -> int:
     """The command."""
-    host, port = _address(asked.page)
-    token = "" if ip_address(host).is_loopback else secrets.token_urlsafe(12)
+    host, port = _address("--page", asked.page)
     tapes = open_tapes([Path(each) for each in asked.replay]) if asked.replay else []
     gateway = Gateway(
         WakefulClock(),
         Path(asked.missions),
         Key(Path(asked.key)) if asked.key else None,
-        token,
+        kept_token(Path(asked.token).expanduser()),
         Path(asked.vehicle) if asked.vehicle else None,
         charts=Path(asked.charts),
         radios=() if tapes else asked.radio,
         sessions=Path(asked.sessions),
         tapes=tapes,
+        number=asked.number,
     )
 
     def ready(url: str) -> None:
         what = (
             f"{len(tapes)} recordings are replayed" if tapes else f"boats are heard on {', '.join([asked.boats, *asked.radio])}"
         )
-        print(f"delfim: the console is at {url}; {what}", flush=True)
+        print(f"delfim: the console is at {url}; {what}; it is console {gateway.me}", flush=True)
         for complaint in filter(None, [*gateway.charts.faults, *(tape.complaint for tape in tapes)]):
             print(f"delfim: {complaint}", file=sys.stderr)
         if asked.browser:
             show(url)
 
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # in order: zero to what is steered, the session to the disk
-    with suppress(KeyboardInterrupt):
-        asyncio.run(serve(gateway, None if tapes else _address(asked.boats), (host, port), ready))
+    async def until_ended() -> None:
+        """In order: zero to what is steered, the session to the disk."""
+        serving = asyncio.current_task()
+        assert serving is not None
+        with suppress(NotImplementedError):  # on Windows Ctrl-C is raised instead
+            for number in (signal.SIGINT, signal.SIGTERM):
+                asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
+        await serve(gateway, None if tapes else _address("--boats", asked.boats), (host, port), ready)
+
+    with suppress(KeyboardInterrupt, asyncio.CancelledError), asyncio.Runner(loop_factory=new_event_loop) as runner:
+        runner.run(until_ended())
     return 0
 
 
-def _address(text: str) -> tuple[str, int]:
+def _address(option: str, text: str) -> tuple[str, int]:
     host, _, port = text.rpartition(":")
     try:
         ip_address(host)
@@ -443,4 +538,4 @@ def _address(text: str) -> tuple[str, int]:
             raise ValueError
         return host, int(port)
     except ValueError:
-        raise ConfigError("command line", text, "no address", "ADDRESS:PORT") from None
+        raise ConfigError(option, text, "no address", "ADDRESS:PORT") from None

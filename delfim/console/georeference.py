@@ -18,6 +18,7 @@ from delfim import config
 from delfim.console.projection import GEOGRAPHIC, plane
 from delfim.errors import ConfigError, DelfimError
 from delfim.geodesy import origin
+from delfim.outside import read_text
 
 WORLD_FILES: Final = {".png": ".pgw", ".jpg": ".jgw", ".jpeg": ".jgw", ".tif": ".tfw", ".tiff": ".tfw"}
 MISPLACED: Final = 0.05  # of the points' spread: a control point farther from where the others put it is a slip of the hand
@@ -135,7 +136,7 @@ def _beside(image: Path) -> Beside:
 def _world(file: Path) -> Matrix:
     """Its six numbers are a, d, b, e and the centre of the upper left pixel."""
     try:
-        a, d, b, e, x, y = (float(word.replace(",", ".")) for word in file.read_text("ascii").split())
+        a, d, b, e, x, y = (float(word.replace(",", ".")) for word in read_text(file).split())
     except (OSError, ValueError) as error:
         raise ConfigError(str(file), "file", f"no world file: {error}", "six numbers") from None
     return a, b, x - (a + b) / 2.0, d, e, y - (d + e) / 2.0

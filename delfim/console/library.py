@@ -10,7 +10,8 @@ import msgspec
 from delfim.errors import DelfimError, Refused
 from delfim.vehicle.mission import Mission, canonical, load_mission, parse_mission
 
-_NAME = re.compile(r"\w[\w .-]{0,59}")
+_NAME = re.compile(r"\w([\w .-]{0,58}[\w-])?")
+_DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # to Windows, in every folder
 
 
 def shown(mission: Mission) -> dict[str, Any]:
@@ -76,6 +77,6 @@ class Library:
             raise Refused(f"{file}: {error.strerror}") from None
 
     def _file(self, name: str) -> Path:
-        if not _NAME.fullmatch(name):
-            raise Refused(f"{name!r} is no name for a mission: letters, digits, spaces, dots and dashes")
+        if not _NAME.fullmatch(name) or _DEVICE.fullmatch(name):
+            raise Refused(f"{name!r:.70} is no name for a mission: up to 60 letters, digits, spaces, dots and dashes")
         return self._folder / f"{name}.toml"

@@ -8,6 +8,9 @@ from pathlib import Path
 from typing import Any, Self
 
 from delfim.errors import DelfimError, FormatError, Refused
+from delfim.vehicle.console import PART
+
+MISSION_S = 60.0  # that the vehicle may look at a mission
 
 
 class Link:
@@ -25,6 +28,14 @@ class Link:
 
     def ask(self, command: str, **words: object) -> dict[str, Any]:
         """Send a command; the state that came back. Raises Refused with the vehicle's reason."""
+        if command == "mission" and isinstance(text := words.get("text"), str):
+            self._socket.settimeout(MISSION_S)
+            for at in range(0, len(text) or 1, PART):
+                state = self._asked(command, text=text[at : at + PART], at=at, more=at + PART < len(text))
+            return state
+        return self._asked(command, **words)
+
+    def _asked(self, command: str, **words: object) -> dict[str, Any]:
         with contextlib.suppress(OSError):  # closed at the other end: what it said before closing says why
             self._socket.sendall(json.dumps({"command": command, **words}).encode() + b"\n")
         reply = self._reply()

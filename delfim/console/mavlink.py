@@ -15,11 +15,15 @@ from delfim.vehicle.mavlink.signing import Signing, new_key, read_key, read_stam
 
 mavlink: Final = wire.dialect
 
-SYSTEM: Final = 250  # of this console; QGroundControl and MAVProxy call themselves 255
+SYSTEM: Final = 250  # of a console that has no other number; QGroundControl and MAVProxy call themselves 255
 COMPONENT: Final = mavlink.MAV_COMP_ID_MISSIONPLANNER
 STAMPS_S: Final = 10.0  # between two writings of the time stamps
 _HEAD, _LEAST, _SIGNATURE = 3, 12, 13  # bytes: what tells the length of a frame; around the payload; signed
-_SENT: Final = (0, SYSTEM, COMPONENT)  # the stream of what is sent, among the stamps that are kept
+_SENT: Final = (
+    0,
+    SYSTEM,
+    COMPONENT,
+)  # whatever the number of this console is: the stream of what is sent, among the stamps that are kept
 
 MODES: Final = {
     "idle": 4,
@@ -67,11 +71,11 @@ class Key:
 class Codec:
     """One end of one conversation. A `stream` may cut frames anywhere, datagrams hold whole ones. `counts`: the refused."""
 
-    def __init__(self, key: Key | None = None, *, stream: bool = False) -> None:
+    def __init__(self, key: Key | None = None, *, stream: bool = False, me: int = SYSTEM) -> None:
         self.counts = {"heard": 0, "refused": 0}
         self._key, self._stream, self._rest = key, stream, b""
         secret, stamp = (None, _no_stamp) if key is None else (key.secret, key.stamp)
-        self.encode = wire.Sender(SYSTEM, COMPONENT, secret, stamp).pack
+        self.encode = wire.Sender(me, COMPONENT, secret, stamp).pack
 
     def decode(self, data: bytes) -> Iterator[Any]:
         """The messages in these bytes. Whatever else is in them is passed over, byte by byte: no noise hides a whole frame."""

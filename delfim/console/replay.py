@@ -1,5 +1,6 @@
 """A recorded run instead of boats: it stands where `Fleet` stands, shows what was known at each time, and commands nothing."""
 
+import math
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -9,12 +10,14 @@ from delfim.clock import Clock
 from delfim.console.boats import Boat
 from delfim.console.fleet import planned
 from delfim.console.statetape import States
-from delfim.console.tape import Session, Tape
+from delfim.console.tape import Session, Tape, Track
 from delfim.console.transfer import mission_of
-from delfim.errors import DelfimError, FormatError, Refused
+from delfim.errors import DelfimError, FormatError, Refused, in_words
 from delfim.logging.statelog import read_state
 
 RATE_MAX: Final = 60.0
+EVENTS_MAX: Final = 300  # marks on the time line
+TRACK_MAX: Final = 4000  # points of a whole track
 
 
 class Replay:
@@ -39,14 +42,10 @@ class Replay:
         self._show_missions()
         self.moved()
 
-    def steer(self, words: dict[str, Any]) -> None:
-        """What the page asks of the time line: `at_s`, `rate` (0 stands still). Raises FormatError."""
-        try:
-            at_s = float(words["at_s"]) if words.get("at_s") is not None else None
-            rate = float(words["rate"]) if words.get("rate") is not None else self.rate
-        except (TypeError, ValueError) as error:
-            raise FormatError(f"replay: {error}") from None
-        if not 0.0 <= rate <= RATE_MAX or (at_s is not None and at_s != at_s):
+    def steer(self, at_s: float | None, rate: float | None) -> None:
+        """What the page asks of the time line; a rate of 0 stands still. Raises FormatError."""
+        rate = self.rate if rate is None else rate
+        if not 0.0 <= rate <= RATE_MAX or (at_s is not None and not math.isfinite(at_s)):
             raise FormatError(f"replay: a rate is 0 to {RATE_MAX:.0f} and a time is a number")
         self.rate = rate
         if at_s is not None:
@@ -80,6 +79,19 @@ class Replay:
             if aboard is not before:
                 shown = aboard or mission_of("", [[], [], []])
                 self._tell({"t": "mission", "boat": number, "where": "here", "mission": shown})
+
+    def events(self) -> list[dict[str, Any]]:
+        """For marks on the time line: what was said, the gravest of it where it is too much, in order of time."""
+        texts = sorted((text for tape in self._tapes for text in tape.texts), key=lambda text: text.severity)
+        return [text._asdict() for text in sorted(texts[:EVENTS_MAX])]
+
+    def tracks(self) -> dict[int, Track]:
+        """By boat, from the first recording to the last, at most TRACK_MAX points of each."""
+        whole: dict[int, Track] = {}
+        for tape in self._tapes:
+            for number, track in tape.tracks.items():
+                whole[number] = sorted([*whole.get(number, ()), *track])
+        return {number: track[:: len(track) // TRACK_MAX + 1] for number, track in whole.items()}
 
     # What only boats that are there can do.
 
@@ -130,7 +142,7 @@ def open_tapes(paths: Sequence[Path]) -> list[Tape]:
                     reason = str(error)
         tapes += [States(group, number) for number, group in enumerate(by_boat.values(), 1)]
     except OSError as error:
-        raise DelfimError(f"{error.filename}: {error.strerror}") from None
+        raise DelfimError(in_words(error)) from None
     if not tapes:
         raise DelfimError(f"{', '.join(map(str, paths))}: {reason}")
     return tapes

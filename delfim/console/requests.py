@@ -1,6 +1,7 @@
 """What was asked of a boat and not yet answered: repeated until it answers, or until it is too old to be meant any more.
 
-A stop is repeated five times a second for as long as it takes (a minute at most): it is right whenever it arrives.
+A stop is repeated five times a second for as long as it takes (a minute at most): it is right whenever it arrives. It is over
+when the boat has answered and then says that it is idle: the answer alone may be that of a mode that was asked for before.
 """
 
 from collections.abc import Callable
@@ -8,6 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from delfim.console.mavlink import mavlink
+from delfim.console.orders import Order
 
 REPEAT_S: Final = 1.0
 LIFE_S: Final = 4.0  # a command that arrives later than this is not what the operator means any more
@@ -28,21 +30,20 @@ class Request:
     """One command on its way."""
 
     boat: int
-    command: int  # MAV_CMD
-    words: tuple[float, ...]
-    place: tuple[int, int] | None  # latitude and longitude, 1e-7 degrees: too fine for the floats of `words`
+    order: Order
     answer: Answer
     begun_s: float
     is_stop: bool = False
+    answered: int | None = None  # number of the frame by which a boat took a stop
     due_s: float = 0.0
     sent: int = 0
 
 
 class Requests:
-    """All of them. `send` puts a message on the way to a boat."""
+    """All of them. `send` puts a message on the way to a boat, `send_all` to whoever speaks by its number."""
 
-    def __init__(self, send: Callable[[int, Any], None]) -> None:
-        self._send = send
+    def __init__(self, send: Callable[[int, Any], None], send_all: Callable[[int, Any], None]) -> None:
+        self._send, self._send_all = send, send_all
         self._waiting: list[Request] = []
 
     def __len__(self) -> int:
@@ -51,58 +52,59 @@ class Requests:
     def begin(
         self,
         boat: int,
-        command: int,
-        words: tuple[float, ...],
+        order: Order,
         answer: Answer,
         now_s: float,
         *,
-        place: tuple[int, int] | None = None,
         stop: bool = False,
     ) -> None:
         """A newer command of the same kind to the same boat replaces the older one. A stop replaces all of them."""
-        for old in [each for each in self._waiting if each.boat == boat and (stop or _same(each, command, words))]:
+        for old in [each for each in self._waiting if each.boat == boat and (stop or each.order.command == order.command)]:
             self._end(old, False, "replaced by a newer command")
-        request = Request(boat, command, words, place, answer, now_s, stop)
+        request = Request(boat, order, answer, now_s, stop)
         self._waiting.append(request)
         self._repeat(request, now_s)
 
-    def acknowledged(self, boat: int, command: int, result: int, reason: str) -> None:
-        """The boat answered. `reason` is what it said last, in words."""
-        for request in [each for each in self._waiting if each.boat == boat and each.command == command]:
+    def acknowledged(self, boat: int, command: int, result: int, reason: str, frame: int) -> None:
+        """The boat answered by the frame of this number. `reason` is what it said last, in words."""
+        for request in [each for each in self._waiting if each.boat == boat and each.order.command == command]:
             if result == mavlink.MAV_RESULT_IN_PROGRESS:
                 continue
-            if result == mavlink.MAV_RESULT_ACCEPTED:
+            if result == mavlink.MAV_RESULT_ACCEPTED and request.is_stop:
+                request.answered = frame
+            elif result == mavlink.MAV_RESULT_ACCEPTED:
                 self._end(request, True, "")
             else:
                 self._end(request, False, reason or RESULTS.get(result, f"result {result}"))
+
+    def idle(self, boat: int, frame: int) -> None:
+        """The boat said by the frame of this number that it is idle."""
+        for request in [each for each in self._waiting if each.boat == boat and each.answered is not None]:
+            if (frame - (request.answered or 0)) & 0xFF < 128:
+                self._end(request, True, "")
 
     def tick(self, now_s: float) -> None:
         """Due often: repeats what was not answered, and gives up what is too old."""
         for request in list(self._waiting):
             if now_s - request.begun_s > (STOP_LIFE_S if request.is_stop else LIFE_S):
-                self._end(request, False, "no answer from the boat")
+                said = "no answer from the boat" if request.answered is None else "the boat does not say that it is idle"
+                self._end(request, False, said)
             elif now_s >= request.due_s:
                 self._repeat(request, now_s)
 
     def _repeat(self, request: Request, now_s: float) -> None:
-        to, words = (request.boat, mavlink.MAV_COMP_ID_AUTOPILOT1), request.words
-        if request.place is not None:
-            four = (*words, *(0.0,) * (4 - len(words)))
+        to, order = (request.boat, mavlink.MAV_COMP_ID_AUTOPILOT1), request.order
+        numbers = (*order.numbers, *(0.0,) * (7 - len(order.numbers)))
+        if order.place is not None:
             frame = mavlink.MAV_FRAME_GLOBAL_INT
-            message = mavlink.MAVLink_command_int_message(*to, frame, request.command, 0, 0, *four, *request.place, 0.0)
+            message = mavlink.MAVLink_command_int_message(*to, frame, order.command, 0, 0, *numbers[:4], *order.place, 0.0)
         else:
             before = min(request.sent, 255)  # "confirmation": how often it was sent before
-            seven = (*words, *(0.0,) * (7 - len(words)))
-            message = mavlink.MAVLink_command_long_message(*to, request.command, before, *seven)
-        self._send(request.boat, message)
+            message = mavlink.MAVLink_command_long_message(*to, order.command, before, *numbers)
+        (self._send_all if request.is_stop else self._send)(request.boat, message)
         request.sent += 1
         request.due_s = now_s + (STOP_REPEAT_S if request.is_stop else REPEAT_S)
 
     def _end(self, request: Request, well: bool, reason: str) -> None:
         self._waiting.remove(request)
         request.answer(well, reason)
-
-
-def _same(request: Request, command: int, words: tuple[float, ...]) -> bool:
-    """Message intervals are asked for one by one."""
-    return request.command == command and (command != mavlink.MAV_CMD_SET_MESSAGE_INTERVAL or request.words[0] == words[0])

@@ -1,7 +1,6 @@
 """The state log of a vehicle as a tape: what the console would have shown of the boat at any time of it."""
 
 import contextlib
-import json
 import math
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
@@ -10,9 +9,9 @@ from typing import Any, Final, NamedTuple
 
 from delfim.console.boats import Boat
 from delfim.console.mavlink import NAMES, mavlink
-from delfim.console.tape import Missions, Text, Track
+from delfim.console.tape import LAST_S, Missions, Text, Track, between
 from delfim.errors import FormatError
-from delfim.logging.reading import in_order
+from delfim.logging.reading import in_order, read_events
 from delfim.logging.statelog import read_state
 
 STATE_S: Final = 0.1  # between records that are shown
@@ -35,12 +34,12 @@ class States:
     def __init__(self, files: Sequence[Path], number: int) -> None:
         self.name, self.complaint = "", ""
         self._rows: list[Row] = []
-        self._texts: list[Text] = []
+        self.texts: list[Text] = []
         self._number = _number(files, number)
         track: Track = []
         for file in in_order(files):
             self._read(file)
-            self._texts += _texts(file, self._number)
+            self.texts += _texts(file, self._number)
         if not self._rows:
             raise FormatError(f"{files[0] if files else 'no file'}: no record of a state")
         for row in self._rows:
@@ -48,7 +47,7 @@ class States:
             if place[0] is not None and (not track or row.at_s >= track[-1][0] + 1.0):
                 track.append((round(row.at_s, 1), *place))
         self._times = [row.at_s for row in self._rows]
-        self._texts.sort()
+        self.texts.sort()
         self.tracks = {self._number: track}
         self.missions: dict[int, Missions] = {}  # a state log holds none
         self.from_s, self.to_s = self._times[0], self._times[-1]
@@ -56,7 +55,7 @@ class States:
     def seek(self, boats: dict[int, Boat], at_s: float) -> None:
         self.play(boats, -math.inf, at_s)
 
-    def play(self, boats: dict[int, Boat], from_s: float, to_s: float) -> list[Text]:
+    def play(self, boats: dict[int, Boat], from_s: float, to_s: float) -> Sequence[Text]:
         at = bisect_right(self._times, to_s) - 1
         if at >= 0 and self._rows[at].at_s > from_s:
             row = self._rows[at]
@@ -68,8 +67,7 @@ class States:
             track = self.tracks[self._number]
             begin, end = (bisect_right(track, (t_s, math.inf, math.inf)) for t_s in (from_s, to_s))
             boat.track.extend(track[begin:end])
-        low = bisect_right(self._texts, from_s, key=_at)
-        return [] if from_s < self.from_s else self._texts[low : bisect_right(self._texts, to_s, key=_at)]
+        return () if from_s < self.from_s else between(self.texts, from_s, to_s)
 
     def _read(self, file: Path) -> None:
         schema, records, complaint = read_state(file)
@@ -78,13 +76,9 @@ class States:
         for record in records:
             told = dict(zip(schema.names, record, strict=True))
             at_s = told.get("t1", 0) / 1e9
-            if at_s >= due_s - 1e-6 and told.get("mode") in NAMES:
+            if due_s - 1e-6 <= at_s < LAST_S and told.get("mode") in NAMES:
                 due_s = at_s + STATE_S
                 self._rows.append(_row(at_s, told))
-
-
-def _at(text: Text) -> float:
-    return text.at_s
 
 
 def _row(at_s: float, told: dict[str, Any]) -> Row:
@@ -118,27 +112,23 @@ def _row(at_s: float, told: dict[str, Any]) -> Row:
         "starboard_rpm": first("starboard_rpm_measured", "starboard_rpm"),
         "battery_v": min(volts, default=None),
         "battery_pct": round(100.0 * min(charges)) if charges else None,
-        "satellites": told.get("satellites"),
-        "fix": told.get("fix"),
+        "satellites": known("satellites"),
+        "fix": known("fix"),
     }
     reference = {
         "heading_deg": compass(degrees("reference_heading")),
         "cross_track_m": known("cross_track"),
         "distance_m": known("distance", 1),
-        "leg": told.get("leg"),
+        "leg": known("leg"),
     }
     return Row(at_s, told["mode"], bool(told.get("run")), values, reference)
 
 
 def _events(file: Path) -> Iterator[dict[str, Any]]:
-    """What the sidecar of a log tells. A power cut may have spoilt its last line."""
+    """What the sidecar of a log tells, where it has one."""
     sidecar = file.with_name(file.name.partition(".")[0] + ".meta.jsonl")
     with contextlib.suppress(OSError):
-        for line in sidecar.read_bytes().splitlines():
-            with contextlib.suppress(ValueError):
-                told = json.loads(line)
-                if isinstance(told, dict) and isinstance(told.get("t_ns"), int):
-                    yield told
+        yield from read_events(sidecar)
 
 
 def _number(files: Sequence[Path], number: int) -> int:

@@ -11,17 +11,20 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
-from delfim.console.boats import Boat
+from delfim.console.boats import Boat, name_in
 from delfim.console.mavlink import COMPONENT, SYSTEM, mavlink
 from delfim.console.session import STAMP
-from delfim.console.transfer import FENCE, HOME, WAYPOINTS, Item, mission_of
+from delfim.console.transfer import FENCE, HOME, WAYPOINTS, Item, item_in, mission_of
+from delfim.console.words import Words
 from delfim.errors import FormatError
+from delfim.outside import read_file
 
+SESSION_BYTES: Final = 1 << 30  # of a session that is replayed: a boat's day has a tenth of that
 BEFORE_S: Final = 30.0  # so far back lies everything that is said from time to time, lean links apart
 _V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
 _SHOWS_PLACE: Final = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2)
 _MISSION: Final = (mavlink.MAVLINK_MSG_ID_MISSION_COUNT, mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT)
-_FIRST_S, _LAST_S = 1e9, 4e9  # 2001 to 2096: stamps that are times
+_FIRST_S, LAST_S = 1e9, 4e9  # 2001 to 2096: stamps that are times
 
 Track = list[tuple[float, float, float]]
 Missions = list[tuple[float, dict[str, Any]]]  # when it was known, in order of time
@@ -36,11 +39,21 @@ class Text(NamedTuple):
     text: str
 
 
+def between(texts: Sequence[Text], from_s: float, to_s: float) -> Sequence[Text]:
+    """What was said after one time and until another."""
+    return texts[bisect_right(texts, from_s, key=_at) : bisect_right(texts, to_s, key=_at)]
+
+
+def _at(text: Text) -> float:
+    return text.at_s
+
+
 class Tape(Protocol):
     from_s: float  # since 1970
     to_s: float
     tracks: dict[int, Track]  # by boat: (at_s, latitude_deg, longitude_deg), a point a second
     missions: dict[int, Missions]  # by boat: what was read from aboard
+    texts: list[Text]  # what was said, in order of time
     complaint: str  # what is wrong with the recording, in words; empty when nothing is
 
     def seek(self, boats: dict[int, Boat], at_s: float) -> None:
@@ -54,13 +67,16 @@ class Session:
     """A .tlog. Raises FormatError where no frame can be read at all, OSError."""
 
     def __init__(self, file: Path) -> None:
-        self._data = file.read_bytes()
+        self._data = read_file(file, SESSION_BYTES)
         self._mav = mavlink.MAVLink(None, SYSTEM, COMPONENT)
         self._times: list[float] = []  # a row a second: time, and where in the file it begins
         self._places: list[int] = []
         self.tracks: dict[int, Track] = {}
         self.missions: dict[int, Missions] = {}
+        self.texts: list[Text] = []
         self._read: dict[tuple[int, int], tuple[int, list[Item]]] = {}  # by boat and type: how many, and those so far
+        self._words: dict[int, Words] = {}  # by boat
+        self._names: dict[int, str] = {}  # by boat; told once, when it was found
         self.complaint = ""
         self.from_s = self.to_s = -math.inf
         at = 0
@@ -92,8 +108,7 @@ class Session:
                 boats[number].track.clear()
                 boats[number].track.extend(track[:seen])
 
-    def play(self, boats: dict[int, Boat], from_s: float, to_s: float) -> list[Text]:
-        said: list[Text] = []
+    def play(self, boats: dict[int, Boat], from_s: float, to_s: float) -> Sequence[Text]:
         row = max(bisect_right(self._times, from_s) - 1, 0)
         for at_s, start, end in self._frames(self._places[row]):
             if at_s > to_s:
@@ -104,17 +119,22 @@ class Session:
             if message is None:
                 continue
             number = message.get_srcSystem()
-            if message.get_type() == "STATUSTEXT":
-                said.append(Text(at_s, number, message.severity, message.text))
             if number not in boats:
                 boats[number] = Boat(number, at_s)
+                boats[number].name = self._names.get(number, boats[number].name)
             boats[number].receive(message, at_s, at_s)
-        return said
+        return between(self.texts, from_s, to_s)
 
     def _remember(self, at_s: float, start: int, end: int) -> None:
-        """A point of the track, once a second."""
+        """A point of the track, once a second; names, missions, and what was said."""
         if not self._of_boat(start):
             return
+        if self._number(start) == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
+            self._remember_text(at_s, self._message(start, end))
+        if self._number(start) == mavlink.MAVLINK_MSG_ID_PARAM_EXT_VALUE:
+            message = self._message(start, end)
+            if message is not None and (name := name_in(message)):
+                self._names[message.get_srcSystem()] = name
         if self._number(start) in _MISSION:
             self._remember_mission(at_s, self._message(start, end))
         if self._number(start) not in _SHOWS_PLACE:
@@ -129,6 +149,14 @@ class Session:
         boat.receive(message, at_s, at_s)
         track.extend(boat.track)
 
+    def _remember_text(self, at_s: float, message: Any) -> None:
+        if message is None:
+            return
+        number = message.get_srcSystem()
+        text = self._words.setdefault(number, Words()).hear(message)
+        if text is not None:
+            self.texts.append(Text(at_s, number, message.severity, text))
+
     def _remember_mission(self, at_s: float, message: Any) -> None:
         """What a boat says when it is asked for its mission: of each type a count, and as many items in their order."""
         if message is None:
@@ -136,10 +164,11 @@ class Session:
         number, kind = message.get_srcSystem(), message.mission_type
         if message.get_type() == "MISSION_COUNT":
             self._read[number, kind] = message.count, []
+            if kind == WAYPOINTS:  # first of all: fence and home of the reading before belong to that
+                self._read[number, FENCE] = self._read[number, HOME] = -1, []
         count, items = self._read.get((number, kind), (0, []))
         if message.get_type() == "MISSION_ITEM_INT" and message.seq == len(items) < count:
-            m = message
-            items.append(Item(m.command, (m.param1, m.param2, m.param3, m.param4), m.x, m.y, m.z))
+            items.append(item_in(message))
         elif message.get_type() == "MISSION_ITEM_INT":
             return
         groups = [self._read.get((number, each), (-1, [])) for each in (WAYPOINTS, FENCE, HOME)]
@@ -159,7 +188,7 @@ class Session:
                 end = start + 8 + length
             else:
                 return
-            if end > size or not _FIRST_S < at_s < _LAST_S:
+            if end > size or not _FIRST_S < at_s < LAST_S:
                 return
             last_s = max(last_s, at_s)
             yield last_s, start, end

@@ -6,6 +6,7 @@ arrives twice or out of order does any harm.
 
 import hashlib
 import json
+import math
 from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
@@ -29,6 +30,12 @@ class Item(NamedTuple):
     x: int = 0
     y: int = 0
     z: float = 0.0
+
+
+def item_in(m: Any) -> Item:
+    """Of a MISSION_ITEM_INT. A number that is not finite stands for "as usual", which is 0 here."""
+    one, two, three, four, z = (each if math.isfinite(each) else 0.0 for each in (m.param1, m.param2, m.param3, m.param4, m.z))
+    return Item(m.command, (one, two, three, four), m.x, m.y, z)
 
 
 def items_of(mission: dict[str, Any]) -> list[list[Item]]:
@@ -65,7 +72,12 @@ def mission_of(name: str, items: Sequence[Sequence[Item]]) -> dict[str, Any]:
     ]
     home = [{"latitude_deg": i.x / 1e7, "longitude_deg": i.y / 1e7} for i in items[HOME]]
     zones = {"fence": fence, "obstacles": obstacles, "home": home[0] if home else None}
-    return {"name": name, "waypoints": waypoints, "path": path} | zones
+    return with_digest({"name": name, "waypoints": waypoints, "path": path} | zones)
+
+
+def with_digest(mission: dict[str, Any]) -> dict[str, Any]:
+    """A mission that is kept: it is compared often, and a long one takes 30 ms."""
+    return mission | {"digest": digest(mission)}
 
 
 def digest(mission: dict[str, Any]) -> str:
@@ -216,8 +228,7 @@ class Download:
             self._count = message.count
             self._go_on(now_s)
         elif kind == "MISSION_ITEM_INT" and message.seq == len(self.items) < self._count:
-            m = message
-            self.items.append(Item(m.command, (m.param1, m.param2, m.param3, m.param4), m.x, m.y, m.z))
+            self.items.append(item_in(message))
             self.part = len(self.items) / self._count
             self._go_on(now_s)
 

@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.columns import Columns
 from rich.console import Group, RenderableType
+from rich.constrain import Constrain
 from rich.panel import Panel
 from rich.table import Table
 from rich.text import Text
@@ -27,9 +28,11 @@ class View:
         self.waypoints = waypoints
         self.track: deque[tuple[float, float]] = deque(maxlen=POINTS_MAX)
         self.state: dict[str, Any] | None = None
+        self.words = ""
 
-    def feed(self, state: dict[str, Any]) -> None:
-        self.state = state
+    def feed(self, state: dict[str, Any], words: str = "") -> None:
+        """A state, and the words above it."""
+        self.state, self.words = state, words
         if state["latitude_deg"] is not None:
             self.track.append((state["latitude_deg"], state["longitude_deg"]))
 
@@ -37,12 +40,15 @@ class View:
         """For a screen of so many columns and rows. Warnings come first: what does not fit is cut off at the end."""
         if self.state is None:
             return Panel("waiting for the vehicle", title="delfim")
-        panels = self.panels(self.state)
-        rows = HEIGHT if width >= BESIDE else min(HEIGHT, height - TEXT_ROWS - 2)
+        words, panels = Text(self.words, style="bold"), self.panels(self.state)
+        if width >= BESIDE:
+            chart = Panel(Text("\n".join(self.chart()), style="cyan"), expand=False)
+            return Columns([Group(chart, Constrain(words, WIDTH + 4)), Group(*panels)])
+        words.truncate(width, overflow="ellipsis")
+        rows = min(HEIGHT, height - TEXT_ROWS - 2)
         if rows < HEIGHT_MIN:
-            return Group(*panels)
-        chart = Panel(Text("\n".join(self.chart(rows)), style="cyan"), expand=False)
-        return Columns([chart, Group(*panels)]) if width >= BESIDE else Group(*panels, chart)
+            return Group(words, *panels)
+        return Group(words, *panels, Panel(Text("\n".join(self.chart(rows)), style="cyan"), expand=False))
 
     def title(self) -> str:
         state = self.state

@@ -15,7 +15,7 @@ from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, from_can_i
 
 _ERROR: Final = 1 << 29  # CAN_ERR_FLAG
 _LINE: Final = re.compile(
-    r"\(([0-9]{1,10})\.([0-9]{6}(?:[0-9]{3})?)\)\s+(\S+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
+    r"\(([0-9]{1,10})\.([0-9]{6}(?:[0-9]{3})?)\)\s+([!-~]+)\s+([0-9A-Fa-f]{3}|[0-9A-Fa-f]{8})"
     r"#(?:[Rr]([0-8]?)|((?:[0-9A-Fa-f]{2}){0,8}))(?:_[0-9A-Fa-f])?(?:\s+([RT]))?\s*"
 )
 

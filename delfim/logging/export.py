@@ -1,6 +1,6 @@
 """State logs in the formats of others: CSV, Parquet, GPX, KML, MCAP (Foxglove, Lichtblick) and MAT (Octave, MATLAB, scipy).
 
-Numbers stay in SI units and radians, as they were logged, except where the format itself has degrees.
+Numbers stay in SI units and radians, as they were logged, except in CSV and where the format itself has degrees.
 """
 
 import csv
@@ -12,11 +12,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from xml.sax.saxutils import escape
 
-from delfim.errors import DelfimError
 from delfim.logging.statelog import Schema
 from delfim.logging.table import TIME, units
+from delfim.modes import Mode
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from delfim.logging.table import Table
 
 GAP_NS: Final = 10_000_000_000  # without positions: the track is broken here
@@ -25,20 +27,38 @@ Events = Iterable[Mapping[str, Any]]  # of the sidecars
 
 
 def to_csv(columns: "Table", schema: Schema, events: Events, file: Path) -> None:
-    """A line a record, names in the first; the first column is the time in UTC."""
-    lists = [column.tolist() for column in columns.values()]
+    """For people and spreadsheets: a line a record, names with units in the first, degrees, modes by name; what is not known is
+    empty. The first column is the time in UTC."""
+    its = units(schema)
+    heads = [f"{name} [{_DEGREES.get(its.get(name, ''), its[name])}]" if its.get(name) else name for name in columns]
+    lists = [_readable(name, its.get(name, ""), column) for name, column in columns.items()]
     with file.open("w", newline="") as text:
         writer = csv.writer(text)
-        writer.writerow(["utc", *columns])
+        writer.writerow(["utc", *heads])
         for t_ns, *values in zip(columns[TIME].tolist(), *lists, strict=True):
             writer.writerow([_iso(t_ns), *values])
 
 
+_DEGREES: Final = {"rad": "deg", "rad/s": "deg/s"}
+
+
+def _readable(name: str, unit: str, column: "NDArray[Any]") -> list[Any]:
+    import numpy as np
+
+    values = (np.degrees(column.astype(float)).round(9) if unit in _DEGREES else column).tolist()
+    if name == "mode":
+        names = {int(mode): mode.name.lower() for mode in Mode}
+        return [names.get(value, value) for value in values]
+    return ["" if isinstance(value, float) and math.isnan(value) else value for value in values]
+
+
 def to_parquet(columns: "Table", schema: Schema, events: Events, file: Path) -> None:
     """A column a field, its unit and description in the field's metadata. Needs pyarrow."""
-    arrow, parquet = needed("pyarrow"), needed("pyarrow.parquet")
+    import pyarrow as arrow
+    from pyarrow import parquet
+
     told = {name: {"unit": unit, "description": words} for name, _, unit, words in schema.rows}
-    arrays = [arrow.array(column) for column in columns.values()]
+    arrays = [arrow.array(column, from_pandas=True) for column in columns.values()]  # what is not known is null, not NaN
     fields = [arrow.field(name, array.type, metadata=told.get(name)) for name, array in zip(columns, arrays, strict=True)]
     stamps = arrow.array(columns[TIME]).cast(arrow.timestamp("ns", tz="UTC"))
     table = arrow.Table.from_arrays([stamps, *arrays], schema=arrow.schema([arrow.field("utc", stamps.type), *fields]))
@@ -83,8 +103,10 @@ def to_kml(columns: "Table", schema: Schema, events: Events, file: Path) -> None
 
 def to_mcap(columns: "Table", schema: Schema, events: Events, file: Path) -> None:
     """MCAP with JSON messages: /state with every field, /location as foxglove.LocationFix for maps, /log as foxglove.Log."""
+    from mcap.writer import Writer
+
     with file.open("wb") as stream:
-        writer = needed("mcap.writer").Writer(stream)
+        writer = Writer(stream)
         writer.start(profile="", library="delfim")
         channels = {}
         for topic, (name, properties) in _mcap_schemas(schema).items():
@@ -103,7 +125,7 @@ def to_mcap(columns: "Table", schema: Schema, events: Events, file: Path) -> Non
         for t_ns, *values in zip(columns[TIME].tolist(), *lists, strict=True):
             known = {n: v for n, v in zip(names, values, strict=True) if not isinstance(v, float) or math.isfinite(v)}
             add("/state", t_ns, known)  # JSON has no NaN
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def to_mat(columns: "Table", schema: Schema, events: Events, file: Path) -> None:
@@ -133,17 +155,6 @@ FORMATS: Final[dict[str, Callable[["Table", Schema, Events, Path], None]]] = {
     "mcap": to_mcap,
     "mat": to_mat,
 }
-
-
-def needed(name: str) -> Any:
-    """A module of an optional package. Raises DelfimError that says what to install."""
-    import importlib
-
-    try:
-        return importlib.import_module(name)
-    except ImportError:
-        package = name.partition(".")[0]
-        raise DelfimError(f"this format needs the package {package}: pip install 'delfim[formats]'") from None
 
 
 def _positions(columns: "Table") -> Iterator[tuple[int, float, float]]:

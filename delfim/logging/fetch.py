@@ -23,6 +23,7 @@ from urllib.parse import SplitResult, unquote, urlsplit
 from delfim.errors import DelfimError
 from delfim.logging import tree
 from delfim.logging.progress import progress
+from delfim.logging.reading import raw
 from delfim.logging.repair import pieces
 from delfim.logging.tree import Span
 
@@ -178,7 +179,7 @@ def _condition(file: Path) -> str:
     """ "damaged", "cut", or "" for whole: of a gzip file; others carry no checksum."""
     if not file.name.removesuffix(".part").endswith(".gz"):
         return ""
-    return min((piece.trouble.partition(" ")[0] for piece in pieces(file.read_bytes())), key=_ORDER.index, default="")
+    return min((piece.trouble.partition(" ")[0] for piece in pieces(raw(file))), key=_ORDER.index, default="")
 
 
 _ORDER: Final = ("damaged", "cut", "")  # worst first
@@ -246,10 +247,8 @@ class Sftp:
     """With the keys, agent and known hosts of this user, or the URL's password."""
 
     def __init__(self, url: SplitResult, password: str) -> None:
-        try:
-            import asyncssh
-        except ImportError:
-            raise DelfimError("sftp:// needs the package asyncssh: pip install 'delfim[ground]'") from None
+        import asyncssh
+
         self._ssh, self._root = asyncssh, unquote(url.path) or "/"
         self._runner = asyncio.Runner()
         try:

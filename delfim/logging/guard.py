@@ -1,5 +1,8 @@
 """The free-space guard: whole days of logs are deleted, oldest first, until enough of the disk is free.
 
+Uploads have room of their own: what they may still take counts as taken already. So which days go, and when, depends on the
+logs alone, and no upload costs a log.
+
 Never deleted: the days that the caller names, a day with a file named KEEP in it, a day in which a log is being written. Who
 writes in a day holds a shared lock (flock) on its directory, and the kernel gives it back however the writer ends.
 """
@@ -13,6 +16,8 @@ from collections.abc import Collection
 from typing import Final
 
 KEEP: Final = "KEEP"
+UPLOAD_SHARE: Final = 0.25  # of a disk, at most
+NAMES_MAX: Final = 10_000  # that are counted in a folder
 _DAY: Final = re.compile(r"[0-9]{8}")
 
 
@@ -20,6 +25,34 @@ def free_bytes(directory: str) -> int:
     """What an unprivileged program may still write on the disk of this directory. Raises OSError."""
     disk = os.statvfs(directory)
     return disk.f_bavail * disk.f_frsize
+
+
+def upload_room(folder: str, bytes_max: int) -> int:
+    """Bytes that uploads may still take; 0 where there is no folder for them. Raises OSError."""
+    try:
+        disk = os.statvfs(folder)
+    except FileNotFoundError:
+        return 0
+    share = int(disk.f_blocks * disk.f_frsize * UPLOAD_SHARE)
+    return max(min(bytes_max, share) - used(folder)[0], 0)
+
+
+def used(folder: str) -> tuple[int, int]:
+    """Bytes and names of a folder with all that is in it. Counts NAMES_MAX names at most. Raises OSError."""
+    size = count = 0
+    folders = [folder]
+    while folders:
+        with contextlib.suppress(FileNotFoundError), os.scandir(folders.pop()) as scan:
+            for entry in scan:
+                if count == NAMES_MAX:
+                    return size, count
+                with contextlib.suppress(FileNotFoundError):
+                    status = entry.stat(follow_symlinks=False)
+                    size += max(status.st_blocks * 512, status.st_size)  # some give a file its blocks later
+                    count += 1
+                    if entry.is_dir(follow_symlinks=False):
+                        folders.append(entry.path)
+    return size, count
 
 
 def make_room(directory: str, free_bytes_min: int, spared: Collection[str]) -> None:

@@ -91,15 +91,20 @@ def open_log(
     file_s: float,
     free_bytes_min: int = 0,
     when_full: WhenFull = "delete-oldest",
+    upload_folder: str = "",
+    upload_bytes_max: int = 0,
     nice: int = 10,
 ) -> Log:
     """Open a log; where that fails the log's status says why, and it tries on.
 
     `header` starts every file. A file ends past `file_bytes` on disk or `file_s`. The guard keeps `free_bytes_min` of the disk
-    free by deleting the oldest days, or stops the log (`when_full`); see delfim.logging.guard. With "zpipe" the child lives by
-    the computer's own clock, and `clock` only tells how long it has been silent.
+    free by deleting the oldest days, or stops the log (`when_full`), and leaves uploads their own room; see
+    delfim.logging.guard. With "zpipe" the child lives by the computer's own clock, and `clock` only tells how long it has been
+    silent.
     """
-    settings = Settings(str(directory), id, suffix, header, file_bytes, file_s, free_bytes_min, when_full)
+    settings = Settings(
+        str(directory), id, suffix, header, file_bytes, file_s, free_bytes_min, when_full, upload_folder, upload_bytes_max
+    )
     if method == "zpipe":
         return PipeLog(settings, clock, nice)
     return FileLog(settings, clock, deflate=method == "zwrite")
@@ -121,6 +126,8 @@ class Settings(NamedTuple):
     file_s: float
     free_bytes_min: int
     when_full: WhenFull
+    upload_folder: str = ""  # in `directory`
+    upload_bytes_max: int = 0
 
 
 class FileLog:
@@ -303,16 +310,22 @@ class FileLog:
     def _make_room(self) -> None:
         """Raises OSError when less is free than must be."""
         directory, free_bytes_min = self._settings.directory, self._settings.free_bytes_min
-        if guard.free_bytes(directory) >= free_bytes_min:
-            return
         words = f"less than {free_bytes_min} bytes are free"
         if self._settings.when_full == "delete-oldest":
-            today = time.strftime("%Y%m%d", time.gmtime(self._clock.time_ns() // 1_000_000_000))
-            guard.make_room(directory, free_bytes_min, {today, self._day})
-            if guard.free_bytes(directory) >= free_bytes_min:
-                return
             words += ", and no day of logs may be deleted"
-        raise OSError(errno.ENOSPC, words, directory)
+            wanted = free_bytes_min + self._upload_room()
+            if guard.free_bytes(directory) < wanted:
+                today = time.strftime("%Y%m%d", time.gmtime(self._clock.time_ns() // 1_000_000_000))
+                guard.make_room(directory, wanted, {today, self._day})
+        if guard.free_bytes(directory) < free_bytes_min:
+            raise OSError(errno.ENOSPC, words, directory)
+
+    def _upload_room(self) -> int:
+        """Bytes that uploads may still take. They are only counted when the disk is so full that it matters."""
+        settings = self._settings
+        if guard.free_bytes(settings.directory) >= settings.free_bytes_min + settings.upload_bytes_max:
+            return 0
+        return guard.upload_room(os.path.join(settings.directory, settings.upload_folder), settings.upload_bytes_max)
 
     def _end(self, now_s: float) -> None:
         """End the file; the next record opens another."""

@@ -4,7 +4,6 @@ A file keeps, byte by byte, every gzip member that is whole. What can be read of
 its own, up to its last whole record, and so does what lies behind the damage. The original stays, unless told otherwise.
 """
 
-import contextlib
 import os
 import zlib
 from collections.abc import Callable, Iterator
@@ -12,11 +11,11 @@ from typing import Final, NamedTuple
 
 from delfim.errors import FormatError
 from delfim.logging.candump import parse_line
+from delfim.logging.reading import member, raw
 from delfim.logging.statelog import Schema
 from delfim.logging.tree import LogFile
 
 MEMBER: Final = b"\x1f\x8b\x08" + bytes(5)  # how a member of ours begins: no name, no time
-STEP: Final = 512  # bytes of a damaged member that are tried at a time
 
 
 class Repair(NamedTuple):
@@ -40,8 +39,7 @@ def repair(file: LogFile, *, in_place: bool = False) -> list[Repair]:
     for path in (file.path, file.sidecar):
         if not path:
             continue
-        with open(path, "rb") as original:
-            data = original.read()
+        data = raw(path)
         whole, complaint = mended(data, ".jsonl" if path == file.sidecar else file.suffix)
         target = ""
         if complaint:
@@ -75,41 +73,16 @@ def pieces(data: bytes) -> Iterator[Piece]:
     """All of a gzip file, in order. Whole members are verified by their checksums."""
     at = 0
     while at < len(data):
-        size = _whole(data, at)
-        if size:
-            raw = data[at : at + size]
-            yield Piece(raw, zlib.decompress(raw, wbits=31), "")
+        content, end, how = member(data, at)
+        if not how:
+            yield Piece(data[at:end], content, "")
         else:
             following = data.find(MEMBER, at + 1)
-            raw = data[at:following] if following >= 0 else data[at:]
-            size = len(raw)
-            content, how = _readable(raw)
-            how = "damaged" if following >= 0 else how
-            yield Piece(raw, content, f"{how} after {len(content)} bytes of the member at {at}")
-        at += size
-
-
-def _whole(data: bytes, at: int) -> int:
-    """Size of the whole gzip member that begins here; 0 where there is none."""
-    stream = zlib.decompressobj(wbits=31)
-    with contextlib.suppress(zlib.error):
-        stream.decompress(memoryview(data)[at:])
-    return len(data) - at - len(stream.unused_data) if stream.eof else 0
-
-
-def _readable(raw: bytes) -> tuple[bytes, str]:
-    """What a member gives before it ends or makes no sense, and which of the two: in large steps, then byte by byte."""
-    stream, content, step, at = zlib.decompressobj(wbits=31), bytearray(), STEP, 0
-    while at < len(raw):
-        before = stream.copy()
-        try:
-            content += stream.decompress(raw[at : at + step])
-            at += step
-        except zlib.error:
-            if step == 1:
-                return bytes(content), "damaged"
-            stream, step = before, 1
-    return bytes(content), "cut"
+            end, how = (following, "damaged") if following >= 0 else (len(data), how)
+            if end < len(data):  # what reads on beyond the next one's head is not its content
+                content, _, _ = member(data[at:end], 0)
+            yield Piece(data[at:end], content, f"{how} after {len(content)} bytes of the member at {at}")
+        at = end
 
 
 def _records(suffix: str) -> Callable[[bytes], bytes]:

@@ -72,7 +72,7 @@ class Schema:
             schema = cls(rows, boat=str(told["boat"]), started_ns=int(told["started_ns"]))
             fits = told["record_bytes"] == schema.struct.size and told["byte_order"] == "little"
         except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
-            raise FormatError(f"the header of this state log means nothing: {error!r}") from None
+            raise FormatError(f"the header of this state log means nothing: {type(error).__name__}") from None
         if not fits:
             raise FormatError("the header of this state log contradicts itself")
         return schema, end

@@ -1,7 +1,7 @@
 """The quick summary of a run: how far, how fast, in which modes, what went wrong, and how long the critical path took."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
@@ -81,13 +81,14 @@ def latency(columns: "Table") -> dict[str, Any]:
     }
 
 
-def critical_path_us(columns: "Table") -> "NDArray[Any]":
+def critical_path_us(columns: "Mapping[str, NDArray[Any]]") -> "NDArray[Any]":
     """t0 to t4 of every cycle, us. Cycles during which the wall clock was stepped, and those of no length, are left out."""
     t0, t4 = columns["t0"], columns["t4"]
-    return (t4 - t0)[(t0 > 0) & (t4 > t0)] / 1e3
+    path_us: NDArray[Any] = (t4 - t0)[(t0 > 0) & (t4 > t0)] / 1e3
+    return path_us
 
 
-def stages_us(columns: "Table") -> list[float]:
+def stages_us(columns: "Mapping[str, NDArray[Any]]") -> list[float]:
     """Means of the stages of figure 3-11, us."""
     t = [columns[f"t{i}"] for i in range(5)]
     spans = [(t[i], t[i + 1]) for i in range(4)] + [(t[4][:-1], columns["previous_t5"][1:])]

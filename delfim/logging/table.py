@@ -6,6 +6,7 @@ one has, floating-point columns hold NaN and integers become floating-point.
 
 import heapq
 import logging
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, Any, Final
 
@@ -14,16 +15,21 @@ from delfim.frames import Frame
 from delfim.logging.candump import parse_line
 from delfim.logging.liblog import read_log
 from delfim.logging.statelog import Schema
-from delfim.logging.tree import ALWAYS, LogFile, Span
+from delfim.logging.tree import ALWAYS, LogFile, Span, is_running
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    Table = dict[str, NDArray[Any]]
-
 TIME: Final = "t1"  # the column of a record's time: navigation readable, wall clock, ns
 
 logger = logging.getLogger(__name__)
+
+
+class Table(dict[str, "NDArray[Any]"]):
+    """Columns by the names of their fields. Whoever needs one that no file has is told in words."""
+
+    def __missing__(self, name: str) -> "NDArray[Any]":
+        raise FormatError(f"these state logs have no field {name}")
 
 
 def table(files: Iterable[LogFile], span: Span = ALWAYS) -> "tuple[Table, Schema]":
@@ -45,7 +51,7 @@ def table(files: Iterable[LogFile], span: Span = ALWAYS) -> "tuple[Table, Schema
     if newest is None or not sum(map(len, parts)):
         raise DelfimError("no state was logged in this time")
     names = dict.fromkeys(name for part in parts for name in part.dtype.names or ())
-    return {name: np.concatenate([_column(part, name) for part in parts]) for name in names}, newest
+    return Table((name, np.concatenate([_column(part, name) for part in parts])) for name in names), newest
 
 
 def units(schema: Schema) -> Mapping[str, str]:
@@ -80,8 +86,7 @@ def _part(file: LogFile) -> "tuple[Schema, NDArray[Any]] | None":
     except FormatError as error:
         logger.warning("left out: %s: %s", file.path, error)
         return None
-    if complaint:
-        logger.warning("%s (delfim log repair mends it)", complaint)
+    _complain(file, complaint)
     whole = (len(content) - start) // schema.struct.size
     kind = np.dtype([(name, "<" + code) for name, code, _, _ in schema.rows])
     return schema, np.frombuffer(content, kind, whole, start)
@@ -106,8 +111,12 @@ def _frames(files: Iterable[LogFile], span: Span) -> Iterator[tuple[str, Frame]]
         logger.warning("%d lines of the black box are no frames and were left out", wrong)
 
 
+def _complain(file: LogFile, complaint: str) -> None:
+    if complaint and not is_running(file, time.time_ns()):  # what is being written has no end yet
+        logger.warning("%s (delfim log repair mends it)", complaint)
+
+
 def _text(file: LogFile) -> list[str]:
     content, complaint = read_log(file.path)
-    if complaint:
-        logger.warning("%s (delfim log repair mends it)", complaint)
+    _complain(file, complaint)
     return content.decode("ascii", "replace").splitlines(keepends=True)

@@ -6,7 +6,7 @@ for logs that have none, and it ended in order when its last sidecar says `end`.
 
 import calendar
 import contextlib
-import json
+import glob
 import os
 import re
 import time
@@ -16,8 +16,11 @@ from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple
 
 from delfim.errors import DelfimError, FormatError
+from delfim.logging.reading import read_events
+from delfim.outside import parse_json
 
-PLACES: Final = ("/log", "run/sim/log")  # where logs are looked for when nothing is named
+PLACES: Final = ("/log", "run/sim*/log")  # where logs are looked for when nothing is named
+DEPTH: Final = 2  # folders below the one that is named in which a tree may lie
 PAUSE_S: Final = 60  # between the files of one run
 LATE_S: Final = 2  # a file may hold records so much older or younger than its name and its time say
 RUNNING_S: Final = 5  # a log is written at least this often
@@ -91,6 +94,12 @@ def files(paths: Iterable[str | Path]) -> list[LogFile]:
     return sorted(set(found))
 
 
+def readable(name: str) -> str:
+    """A name of a file for people: bytes that are no UTF-8 as \\xff, and nothing that steers a terminal."""
+    text = os.fsencode(name).decode("utf-8", "backslashreplace")
+    return "".join(letter if letter.isprintable() else repr(letter)[1:-1] for letter in text)
+
+
 def runs(files: Iterable[LogFile], now_ns: int) -> list[Run]:
     """The runs that these files make up, in order."""
     by_id: dict[str, list[LogFile]] = {}
@@ -136,24 +145,19 @@ def events(files: Iterable[LogFile], span: Span = ALWAYS) -> Iterator[dict[str, 
     for file in sorted(files):
         if not file.sidecar:
             continue
-        for line in Path(file.sidecar).read_bytes().splitlines():
-            try:
-                told = json.loads(line)
-                if span.has(int(told["t_ns"])):
-                    yield {"id": file.id} | told
-            except (ValueError, TypeError, KeyError):  # the power went in the middle of it
-                continue
+        yield from ({"id": file.id} | told for told in read_events(file.sidecar) if span.has(told["t_ns"]))
 
 
 def span(begin: str | None, end: str | None, zero_ns: int) -> Span:
     """The range between two times as people write them. Raises FormatError."""
-    result = Span(0 if begin is None else instant(begin, zero_ns), ALWAYS.to_ns if end is None else instant(end, zero_ns))
+    from_ns = 0 if begin is None else instant(begin, zero_ns, "--from")
+    result = Span(from_ns, ALWAYS.to_ns if end is None else instant(end, zero_ns, "--to"))
     if result.to_ns < result.from_ns:
         raise FormatError(f"--to {end} is before --from {begin}")
     return result
 
 
-def instant(text: str, zero_ns: int) -> int:
+def instant(text: str, zero_ns: int, option: str = "time") -> int:
     """ns since 1970 of "2010-01-01T09:30:00", "20100101-093000", "09:30" or "09:30:05.5" (UTC, of the day of `zero_ns`), or
     "+90" (seconds after `zero_ns`). Raises FormatError."""
     try:
@@ -167,14 +171,18 @@ def instant(text: str, zero_ns: int) -> int:
         since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - datetime(1970, 1, 1, tzinfo=UTC)
         return since // timedelta(microseconds=1) * 1000
     except (ValueError, OverflowError):
-        raise FormatError(f"{text!r} is no time: write 2010-01-01T09:30:00 or 09:30:00 (UTC), or +90 (seconds)") from None
+        raise FormatError(
+            f"{option} {text!r} is no time: write 2010-01-01T09:30:00 or 09:30:00 (UTC), or +90 (seconds)"
+        ) from None
 
 
 def default_place() -> str:
-    """The tree that is meant when none is named. Raises DelfimError."""
-    for place in PLACES:
-        if os.path.isdir(place):
-            return place
+    """The tree that is meant when none is named: the boat's, or else the newest of a simulation. Raises DelfimError."""
+    for pattern in PLACES:
+        ends_ns = {place: [file.end_ns for file in _walk(place)] for place in glob.glob(pattern) if os.access(place, os.R_OK)}
+        held = {place: max(ends) for place, ends in ends_ns.items() if ends}
+        if held:
+            return max(held, key=held.__getitem__)
     raise DelfimError(f"no logs in {' or '.join(PLACES)}: name their directory")
 
 
@@ -189,7 +197,7 @@ def begins(day: str, name: str) -> int:
     return moment * _SECOND
 
 
-def _walk(place: str) -> Iterator[LogFile]:
+def _walk(place: str, depth: int = DEPTH) -> Iterator[LogFile]:
     if _DAY.fullmatch(os.path.basename(os.path.dirname(place))):
         yield from _folder(place)
     elif _DAY.fullmatch(os.path.basename(place)):
@@ -197,9 +205,13 @@ def _walk(place: str) -> Iterator[LogFile]:
             if id_.is_dir():
                 yield from _folder(id_.path)
     else:
-        for day in os.scandir(place):
-            if _DAY.fullmatch(day.name) and day.is_dir():
-                yield from _walk(day.path)
+        folders = [each for each in os.scandir(place) if each.is_dir()]
+        for day in (each for each in folders if _DAY.fullmatch(each.name)):
+            yield from _walk(day.path)
+        if depth and not any(_DAY.fullmatch(each.name) for each in folders):
+            for below in folders:
+                with contextlib.suppress(PermissionError):
+                    yield from _walk(below.path, depth - 1)
 
 
 def _folder(folder: str, only: str = "") -> Iterator[LogFile]:
@@ -223,7 +235,7 @@ def _folder(folder: str, only: str = "") -> Iterator[LogFile]:
         yield LogFile(
             begin_ns,
             int(number or 0),
-            id_,
+            readable(id_),
             suffix,
             f"{folder}/{name}",
             status.st_size,
@@ -248,11 +260,16 @@ def _end(last: LogFile, now_ns: int) -> tuple[End, int]:
         with open(last.sidecar, "rb") as sidecar:
             sidecar.seek(-min(200, os.fstat(sidecar.fileno()).st_size), os.SEEK_END)
             line = sidecar.read().rstrip(b"\n").rpartition(b"\n")[2]
-        with contextlib.suppress(ValueError, TypeError, KeyError):
-            told = json.loads(line)
+        with contextlib.suppress(FormatError, ValueError, TypeError, KeyError, OverflowError):
+            told = parse_json(line)
             if told["event"] == "end":
                 return "clean", int(told["t_ns"])
-    return "running" if now_ns - last.end_ns < RUNNING_S * _SECOND else "cut", last.end_ns
+    return "running" if is_running(last, now_ns) else "cut", last.end_ns
+
+
+def is_running(file: LogFile, now_ns: int) -> bool:
+    """Whether it was written just now. After a step of the clock it may seem to be of tomorrow."""
+    return abs(now_ns - file.end_ns) < RUNNING_S * _SECOND
 
 
 def _meet(one: Run, other: Run) -> bool:

@@ -22,6 +22,8 @@ from typing import Any, Final
 
 import msgspec
 
+from delfim.errors import FormatError
+from delfim.outside import parse_json
 from delfim.services.web.api import Bus, Computer, Disk, Memory, Network, Process, Service, Time
 
 PROCESSES: Final = 15  # shown
@@ -54,7 +56,7 @@ class Look:
         elapsed_s = max(now_s - self._at_s, 1e-3)
         self._at_s = now_s
         processes = self._processes(elapsed_s)
-        supervisor, deadman = programs(_read(self._supervisor), time_ns / 1e9)
+        supervisor, deadman = programs(_read(self._supervisor), now_s)
         resident = {each.pid: each.memory_bytes for each in processes}
         for name, each in supervisor.items():
             told = service(each, _read(self._supervisor.with_name(f"service-{name}.json")))
@@ -216,22 +218,23 @@ def can_bus(link: dict[str, Any]) -> tuple[str, Bus, int]:
 
 
 def programs(state: str, now_s: float) -> tuple[dict[str, Service], str]:
-    """The supervisor's processes, and its dead-man's last event in words, from its state file; `now_s` since 1970."""
+    """The supervisor's processes, and its dead-man's last event in words, from its state file; `now_s` is
+    monotonic, as its times are."""
     try:
-        tree = json.loads(state)
+        tree = parse_json(state)
         found = {
             name: Service(
                 state=each["state"],
                 restarts=each["restarts"],
                 reason=each["reason"],
                 pid=each["pid"],
-                for_s=round(max(now_s - each["since"], 0.0), 1),
+                for_s=round(max(now_s - each["since_s"], 0.0), 1),
             )
             for name, each in tree["programs"].items()
         }
         event = tree["deadman"]
-        return found, f"{event['reason']}, {max(now_s - event['time'], 0.0):.0f} s ago" if event else ""
-    except (ValueError, KeyError, TypeError, AttributeError):
+        return found, f"{event['reason']}, {max(now_s - event['at_s'], 0.0):.0f} s ago" if event else ""
+    except (FormatError, KeyError, TypeError, AttributeError):
         return {}, ""
 
 

@@ -12,7 +12,6 @@ import fcntl
 import fnmatch
 import logging
 import os
-import shutil
 import ssl
 import stat
 from collections.abc import AsyncIterator, Awaitable, Callable
@@ -27,10 +26,10 @@ import aioftp
 from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure
-from delfim.logging.guard import free_bytes
 from delfim.services.door import Door, Patience, bulk, hashed, matches
 from delfim.services.jail import Jail
 from delfim.services.runtime import Runtime
+from delfim.services.uploads import NoRoom, Uploads
 
 DATA_S: Final = 30.0  # for the client to open a data connection; a radio is slow
 IDLE_S: Final = 300.0  # without a word from somebody who is logged in
@@ -41,7 +40,6 @@ WRONG_MAX: Final = 3  # passwords of one connection
 BLOCK_BYTES: Final = 64 << 10
 LINE_BYTES: Final = 4096
 ENTRIES_MAX: Final = 20_000  # of a directory
-ROOM_EVERY_BYTES: Final = 1 << 20  # the disk is looked at so often while something is written
 PART: Final = ".part"
 BEFORE_LOGIN: Final = ("user", "pass", "quit", "auth", "feat", "help", "noop", "opts", "pbsz", "prot", "clnt", "syst")
 FEATURES: Final = ("EPSV", "MDTM", "MLST type*;size*;modify*;", "PASV", "REST STREAM", "SIZE", "TVFS", "UTF8")
@@ -80,7 +78,7 @@ class FtpServer(aioftp.Server):
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
         table = settings.ftpd
-        self._table, self._clock, self._free_bytes_min = table, clock, settings.log.free_bytes_min
+        self._table, self._clock = table, clock
         self._workers = ThreadPoolExecutor(2, "ftpd")
         self._users = Users(table.users, self._work)
         super().__init__(
@@ -92,7 +90,7 @@ class FtpServer(aioftp.Server):
         )
         self._tls = _tls(table.certificate)
         self._jail = Jail(table.root)
-        self._staging = os.path.join(self._jail.root, table.staging)
+        self._uploads = Uploads(table.root, settings.log)
         self.door, self.patience = Door(table.connections, table.connections_per_address), Patience()
         self.sent_bytes = self.received_bytes = 0
         self._is_closing = False
@@ -117,7 +115,7 @@ class FtpServer(aioftp.Server):
 
     async def open(self) -> str:
         """Listen. Returns the address. Raises OSError."""
-        await self._work(lambda: os.makedirs(self._staging, exist_ok=True))
+        await self._work(self._uploads.prepare)
         host, _, port = self._table.listen.rpartition(":")
         await self.start(host, int(port), limit=LINE_BYTES, backlog=16)
         return "ftp://{}:{}/".format(*self.server.sockets[0].getsockname()[:2])
@@ -223,7 +221,8 @@ class FtpServer(aioftp.Server):
             except _Answered:
                 return True
             except (DelfimError, OSError) as error:
-                connection.response("550", getattr(error, "strerror", None) or str(error) or "it broke off")
+                code = "452" if isinstance(error, NoRoom) else "550"
+                connection.response(code, getattr(error, "strerror", None) or str(error) or "it broke off")
                 return True
             finally:
                 connection.idle.set()
@@ -392,39 +391,40 @@ class FtpServer(aioftp.Server):
 
     async def stor(self, connection: Any, rest: Any, mode: str = "wb") -> bool:
         """Into a file beside, and under its name when all of it is on the disk. What breaks off stays beside, to be resumed."""
-        real, offset = self._writable(connection, rest), self._offset(connection)
-        fd, at = await self._work(_part, self._jail, real, offset, mode == "ab")
+        path, offset = self._writable(connection, rest), self._offset(connection)
+        fd, at = await self._work(_part, self._uploads, path, offset, mode == "ab")
         began = at
         try:
             async with self._data(connection) as stream:
                 while block := await stream.read(BLOCK_BYTES):
-                    await self._work(self._write, fd, block, at)
+                    await self._work(self._uploads.write, fd, block, at)
                     at += len(block)
                 if connection.aborted:  # which looks like the end
                     raise ConnectionAbortedError
-                await self._work(_whole, fd, real)
+                await self._work(os.fsync, fd)
+                await self._work(self._uploads.rename, path + PART, path)
         finally:
             os.close(fd)
             self.received_bytes += at - began
-            log.warning("ftpd: %s wrote %r, %d bytes", connection.user.login, self._jail.shown(real), at - began)
+            log.warning("ftpd: %s wrote %r, %d bytes", connection.user.login, path, at - began)
         return True
 
     async def dele(self, connection: Any, rest: Any) -> bool:
-        return await self._changed(connection, os.unlink, self._writable(connection, rest))
+        return await self._changed(connection, self._uploads.remove, self._writable(connection, rest))
 
     async def mkd(self, connection: Any, rest: Any) -> bool:
-        real = self._writable(connection, rest)
-        await self._work(os.mkdir, real)
-        connection.response("257", f'"{self._jail.shown(real)}"')
+        path = self._writable(connection, rest)
+        await self._work(self._uploads.make_folder, path)
+        connection.response("257", f'"{path}"')
         return True
 
     async def rmd(self, connection: Any, rest: Any) -> bool:
-        return await self._changed(connection, os.rmdir, self._writable(connection, rest))
+        return await self._changed(connection, self._uploads.remove_folder, self._writable(connection, rest))
 
     async def rnfr(self, connection: Any, rest: Any) -> bool:
-        real = self._writable(connection, rest)
-        await self._work(os.lstat, real)
-        connection.rename_from = real
+        path = self._writable(connection, rest)
+        await self._work(self._uploads.apply, path, os.fstat)
+        connection.rename_from = path
         connection.response("350", "to what?")
         return True
 
@@ -434,7 +434,7 @@ class FtpServer(aioftp.Server):
             return True
         source = connection.rename_from
         del connection.rename_from
-        return await self._changed(connection, os.rename, source, self._writable(connection, rest))
+        return await self._changed(connection, self._uploads.rename, source, self._writable(connection, rest))
 
     async def abor(self, connection: Any, rest: Any) -> bool:
         """End the transfer that is under way; its own answer comes first."""
@@ -450,9 +450,7 @@ class FtpServer(aioftp.Server):
 
     async def _changed(self, connection: Any, do: Callable[..., None], *paths: str) -> bool:
         await self._work(do, *paths)
-        log.warning(
-            "ftpd: %s: %s %s", connection.user.login, do.__name__, " ".join(repr(self._jail.shown(path)) for path in paths)
-        )
+        log.warning("ftpd: %s: %s %s", connection.user.login, do.__name__, " ".join(map(repr, paths)))
         connection.response("250", "ok")
         return True
 
@@ -500,7 +498,7 @@ class FtpServer(aioftp.Server):
                 await stream.writer.wait_closed()
             connection.response("226", "that was all")
         except (DelfimError, OSError) as error:
-            full = isinstance(error, DelfimError)
+            full = isinstance(error, NoRoom)
             connection.response("452" if full else "426", str(error) if full else "it broke off")
             raise _Answered from None
         finally:
@@ -517,13 +515,10 @@ class FtpServer(aioftp.Server):
         return self._jail.real(self._path(connection, rest))
 
     def _writable(self, connection: Any, rest: str) -> str:
-        """A path in the staging area, for those who may. Raises DelfimError."""
-        real = self._real(connection, rest)
+        """What the client means, from the root, for those who may write. Raises DelfimError."""
         if not self._users.may_upload(connection.user):
             raise DelfimError("you may not write")
-        if not real.startswith(self._staging + "/"):
-            raise DelfimError(f"writing is only possible in /{self._table.staging}")
-        return real
+        return self._path(connection, rest)
 
     def _offset(self, connection: Any) -> int:
         """What REST said, once."""
@@ -541,7 +536,7 @@ class FtpServer(aioftp.Server):
         try:
             return os.stat(real)
         except FileNotFoundError:
-            if real.startswith(self._staging + "/"):
+            if real.startswith(self._uploads.folder + "/"):
                 return os.stat(real + PART)
             raise
 
@@ -564,16 +559,6 @@ class FtpServer(aioftp.Server):
         date = f"{MONTHS[at.month - 1]} {at.day:2} {when}"
         return f"{stat.filemode(status.st_mode)} {status.st_nlink:3} boat boat {status.st_size:12} {date} {name}"
 
-    def _write(self, fd: int, block: bytes, at: int) -> None:
-        """Raises DelfimError where there is no room for it."""
-        if at + len(block) > self._table.upload_bytes_max:
-            raise DelfimError("too long")
-        if at // ROOM_EVERY_BYTES != (at + len(block)) // ROOM_EVERY_BYTES and free_bytes(self._staging) < self._free_bytes_min:
-            raise DelfimError("the disk is full")
-        while block:
-            written = os.pwrite(fd, block, at)
-            block, at = block[written:], at + written
-
 
 class _Answered(DelfimError):
     """The client was told."""
@@ -592,38 +577,27 @@ async def serve(runtime: Runtime) -> None:
         await server.close()
 
 
-def _part(jail: Jail, real: str, offset: int, append: bool) -> tuple[int, int]:
+def _part(uploads: Uploads, path: str, offset: int, append: bool) -> tuple[int, int]:
     """The part of an upload, open and locked, and where to go on writing. What is there under the name stays until all of the
     new is. Raises DelfimError, OSError."""
-    part = real + PART
-    if (append or offset) and not os.path.exists(part) and os.path.exists(real):
-        shutil.copyfile(real, part)
-    fd = jail.open(jail.shown(part), os.O_RDWR | os.O_CREAT)
+    fd = uploads.open(path + PART, os.O_RDWR | os.O_CREAT)
     try:
-        status = os.fstat(fd)
-        if offset > status.st_size:
-            raise DelfimError(f"there are only {status.st_size} bytes of it")
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             raise DelfimError("somebody else is writing it") from None
-        at = status.st_size if append else offset
+        if (append or offset) and not os.fstat(fd).st_size:
+            with contextlib.suppress(FileNotFoundError):
+                uploads.copy(path, fd)
+        size = os.fstat(fd).st_size
+        if offset > size:
+            raise DelfimError(f"there are only {size} bytes of it")
+        at = size if append else offset
         os.ftruncate(fd, at)
     except BaseException:
         os.close(fd)
         raise
     return fd, at
-
-
-def _whole(fd: int, real: str) -> None:
-    """All of an upload is here: onto the disk with it, and under its name."""
-    os.fsync(fd)
-    os.rename(real + PART, real)
-    folder = os.open(os.path.dirname(real), os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
 
 
 def _without_options(rest: str) -> str:

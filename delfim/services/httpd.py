@@ -11,11 +11,13 @@ import contextlib
 import json
 import logging
 import os
+import re
 import sys
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from html import escape
+from ipaddress import ip_address
 from typing import Any, Final, TypeVar, cast
 from urllib.parse import quote, unquote
 
@@ -24,6 +26,7 @@ from aiohttp import web
 
 from delfim import config
 from delfim.errors import DelfimError, FormatError
+from delfim.logging.tree import readable
 from delfim.services.door import Door, bulk
 from delfim.services.jail import Jail
 from delfim.services.runtime import Runtime
@@ -36,6 +39,7 @@ EVERY_S: Final = (1.0, 60.0)  # between two events of a page
 IDLE_S: Final = 15.0  # for a request to arrive, and between two of them
 STALL_S: Final = 20.0  # a client that reads nothing for so long is gone
 AGAIN_S: Final = 5.0  # before a look at the computer that failed is tried again
+WAY_MAX: Final = 160  # points: their line takes 60 µs to write
 CHUNK_BYTES: Final = 64 << 10  # of a file
 ANSWER_BYTES: Final = 1 << 20  # of the vehicle or the child, at most
 BACKLOG: Final = 16
@@ -47,6 +51,8 @@ HEADERS: Final = {
     "X-Content-Type-Options": "nosniff",
 }
 
+_PORT: Final = re.compile(r":\d+$")
+_LOCAL: Final = re.compile(r"[a-z0-9_-]+(\.(local|lan|internal|home\.arpa))?")
 log = logging.getLogger(__name__)
 T = TypeVar("T")
 
@@ -153,6 +159,26 @@ class Look(asyncio.SubprocessProtocol):
         self._ended.set()
 
 
+class Way:
+    """Where the boat was while somebody looked: at most WAY_MAX points. When they are full, every second one goes, and the next
+    ones come half as often."""
+
+    def __init__(self) -> None:
+        self.points: list[tuple[float, float]] = []
+        self._every, self._seen = 1, 0
+
+    def add(self, vehicle: State) -> None:
+        if vehicle.latitude_deg is None or vehicle.longitude_deg is None:
+            return
+        self._seen += 1
+        if self._seen % self._every:
+            return
+        self.points.append((vehicle.latitude_deg, vehicle.longitude_deg))
+        if len(self.points) >= WAY_MAX:
+            del self.points[1::2]
+            self._every *= 2
+
+
 class Board:
     """What all visitors see: asked for and rendered once, whoever looks, and never while nobody does."""
 
@@ -165,6 +191,7 @@ class Board:
         self._report_s = self._sections_s = -1e9
         self._sections: dict[str, str] = {}
         self.requests = 0
+        self._way = Way()
         self._due_s = dict.fromkeys((section.id for section in page.SECTIONS), -1e9)
 
     def figures(self) -> dict[str, int]:
@@ -181,7 +208,7 @@ class Board:
             now_s = self._clock.monotonic_s()
             if now_s - self._sections_s < FRESH_S:
                 return self._sections
-            view = page.View(await self._asked(), self._settings)
+            view = page.View(await self._asked(), self._settings, self._way.points)
             now, due_s = {**self._sections, "head": page.head(view)}, dict[str, float]()
             for section in page.SECTIONS:
                 if now_s >= self._due_s[section.id]:
@@ -198,6 +225,7 @@ class Board:
             vehicle, reason = None, ""
             try:
                 vehicle = await self.feed.ask()
+                self._way.add(vehicle)
             except DelfimError as error:
                 reason = str(error)
             own = msgspec.convert(self._runtime.report()["services"], dict[str, Service])
@@ -261,7 +289,7 @@ class Site:
     """What is answered. One method a place."""
 
     def __init__(self, settings: config.Vehicle, board: Board) -> None:
-        self._board = board
+        self._board, self._console = board, settings.httpd.console
         self._jail = Jail(settings.log.directory)
         self._workers = ThreadPoolExecutor(2, "httpd")
         self._places: dict[str, Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]] = {
@@ -279,7 +307,9 @@ class Site:
 
     async def answer(self, request: web.BaseRequest) -> web.StreamResponse:
         self._board.requests += 1
-        path = unquote(request.rel_url.raw_path)
+        if not _is_ours(request.headers.get("Host", "")):
+            return _refused(403, "Open this page by the boat's address.")
+        path = unquote(request.rel_url.raw_path, errors="surrogateescape")
         if request.method not in ("GET", "HEAD"):
             refusal = _refused(405, "Here is only something to read.", {"Allow": "GET, HEAD"})
             refusal.force_close()  # and what was to be uploaded is not read
@@ -296,7 +326,7 @@ class Site:
         return _refused(404, "There is nothing here.")
 
     async def _boat(self, request: web.BaseRequest) -> web.StreamResponse:
-        return _html(document.live(await self._board.sections(), _every_s(request)))
+        return _html(document.live(await self._board.sections(), _every_s(request), self._console))
 
     async def _events(self, request: web.BaseRequest) -> web.StreamResponse:
         """Server-sent events: the sections that have changed. A client that is behind misses some; there is no queue."""
@@ -343,7 +373,7 @@ class Site:
             found, is_all = await self._work(files.entries, self._jail, path)
             return _html(_listing(path, found, is_all))
         if await self._work(files.is_directory, self._jail, path):
-            return web.Response(status=308, headers={**HEADERS, "Location": quote(f"/logs{path}/")})
+            return web.Response(status=308, headers={**HEADERS, "Location": quote(os.fsencode(f"/logs{path}/"))})
         file = await self._work(files.opened, self._jail, path)
         try:
             return await self._send(request, file, path)
@@ -361,7 +391,7 @@ class Site:
         start, stop = part or (0, file.bytes)
         response = web.StreamResponse(status=206 if part else 200, headers=HEADERS)
         response.headers["Content-Type"] = "application/octet-stream"
-        response.headers["Content-Disposition"] = f"attachment; filename*=UTF-8''{quote(path.rpartition('/')[2])}"
+        response.headers["Content-Disposition"] = f"attachment; filename*=UTF-8''{quote(readable(path.rpartition('/')[2]))}"
         response.headers["Accept-Ranges"], response.headers["ETag"] = "bytes", file.tag
         if part:
             response.headers["Content-Range"] = f"bytes {start}-{stop - 1}/{file.bytes}"
@@ -417,6 +447,16 @@ def _hang_up(server: web.Server) -> None:
             connection.transport.abort()  # its handler is cancelled
 
 
+def _is_ours(host: str) -> bool:
+    """Whether this can be the boat's name: an address, or a name of a local network. Of a name of the Internet somebody else
+    may say that it points here, and a page of his would read the boat."""
+    name = host.rpartition(":")[0] if _PORT.search(host) else host
+    try:
+        return bool(ip_address(name.strip("[]")))
+    except ValueError:
+        return bool(_LOCAL.fullmatch(name.lower()))
+
+
 def _every_s(request: web.BaseRequest) -> float:
     """/?every=10: for a thin radio."""
     try:
@@ -459,12 +499,24 @@ def _checks_page(report: Report) -> str:
 
 
 def _listing(path: str, found: list[files.Entry], is_all: bool) -> str:
-    rows = ['<tr><th><a href="../">..</a></th><td></td><td></td></tr>'] if path != "/" else []
+    rows = []
     for each in found:
         slash = "/" if each.is_directory else ""
         at = datetime.fromtimestamp(each.mtime_s, UTC)
         length = "" if each.is_directory else page.size(each.bytes)
-        link = f'<a href="{quote("./" + each.name, safe="./")}{slash}">{escape(each.name)}{slash}</a>'
-        rows.append(f"<tr><th>{link}</th><td>{length}</td><td>{at:%Y-%m-%d %H:%M:%S}</td></tr>")
+        link = f'<a href="{quote(os.fsencode("./" + each.name), safe="./")}{slash}">{escape(readable(each.name))}{slash}</a>'
+        what = escape(files.meaning(path, each))
+        rows.append(f'<tr><th>{link}</th><td class="what">{what}</td><td>{length}</td><td>{at:%Y-%m-%d %H:%M:%S}</td></tr>')
+    head = '<thead><tr><th>name</th><td class="what">what it is</td><td>size</td><td>last written, UTC</td></tr></thead>'
     more = "" if is_all else f'<p class="small">The first {files.ENTRIES_MAX}; the rest over FTP or SFTP.</p>'
-    return document.plain(f"Logs {path}", document.table(rows or ["<tr><td>empty</td></tr>"]) + more)
+    table = document.table([head, *rows]) if rows else '<p class="none">empty</p>'
+    return document.plain(f"Logs {readable(path)}", f'<p class="trail">{_trail(path)}</p>{table}{more}')
+
+
+def _trail(path: str) -> str:
+    """The way back up, each step a link."""
+    steps = [step for step in path.split("/") if step]
+    links = [
+        f'<a href="{"../" * (len(steps) - n) or "./"}">{escape(readable(step))}</a>' for n, step in enumerate(["Logs", *steps])
+    ]
+    return " › ".join(links)

@@ -1,11 +1,16 @@
 """A directory that no path leads out of: not by `..`, not by a link, not by one that is put there between look and opening.
 
+A file is opened, made and removed by its name in a folder that is open already: a path that is walked twice may lead elsewhere
+the second time, and this process may have more rights than whoever puts links there.
+
 What begins with a dot is not there: keys may lie beside the logs. httpd, ftpd and sshd open files through it. Everything here
 blocks on the disk: call it in a worker.
 """
 
+import contextlib
 import os
 import stat
+from collections.abc import Iterator
 
 from delfim.errors import DelfimError
 
@@ -29,10 +34,9 @@ class Jail:
 
     def open(self, path: str, flags: int = os.O_RDONLY, mode: int = 0o644) -> int:
         """A descriptor of a plain file. Raises OSError as os.open does."""
-        fd = os.open(self.real(path), flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, mode)
+        with self.at(path) as (folder, name):
+            fd = os.open(name, flags | os.O_CLOEXEC | os.O_NOFOLLOW | os.O_NONBLOCK, mode, dir_fd=folder)
         try:
-            if not self._holds(os.readlink(f"/proc/self/fd/{fd}")):  # between look and opening a link was put there
-                raise DelfimError("outside of what may be seen")
             if not stat.S_ISREG(os.fstat(fd).st_mode):
                 raise DelfimError("not a plain file")
             os.posix_fadvise(fd, 0, 0, os.POSIX_FADV_RANDOM)  # reading megabytes ahead, a kernel gives its processor to nobody
@@ -40,6 +44,20 @@ class Jail:
             os.close(fd)
             raise
         return fd
+
+    @contextlib.contextmanager
+    def at(self, path: str) -> Iterator[tuple[int, str]]:
+        """The folder of a path, open, and the name in it. Raises OSError."""
+        folder, name = os.path.split(self.real(path))
+        if not self._holds(folder):
+            raise DelfimError("not a plain file")  # the root itself
+        fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        try:
+            if not self._holds(os.readlink(f"/proc/self/fd/{fd}")):  # between look and opening a link was put there
+                raise DelfimError("outside of what may be seen")
+            yield fd, name
+        finally:
+            os.close(fd)
 
     def shown(self, real: str) -> str:
         """A real path as clients see it."""

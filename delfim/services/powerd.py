@@ -14,7 +14,8 @@ from math import inf
 from typing import Final
 
 from delfim import config
-from delfim.canproxy.socket import CanAddress, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanAddress
 from delfim.clock import Clock
 from delfim.errors import FormatError
 from delfim.frames import Frame

@@ -16,7 +16,9 @@ import logging
 import os
 import signal
 import sys
-from collections.abc import Awaitable, Callable, Sequence
+import time
+from collections.abc import Awaitable, Callable, Iterator, Sequence
+from contextlib import contextmanager
 from contextvars import copy_context
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +27,8 @@ from typing import Final, Literal, NamedTuple
 
 from delfim import config
 from delfim.clock import Clock
-from delfim.errors import DelfimError, PermanentFailure, in_words
+from delfim.errors import DelfimError, FormatError, PermanentFailure, in_words
+from delfim.outside import parse_json, read_file
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop, NavigationWindow, Rehearsal
 from delfim.services.supervisor import EXIT_PERMANENT, real_time
 
@@ -86,9 +89,19 @@ class Runtime:
     beat_fd: pipe to the supervisor, -1 for none; a byte goes into it every BEAT_S while the loop turns, and when its other
     end is gone the runtime stops in order: a boat without dead-man must not sail.
     alone: this process carries one service outside the runtime; it has no windows and no real-time settings.
+    new_loop: makes a loop that knows nothing of navigation, for a process alone. It keeps no accounts of callbacks: there
+    they wait for nobody but each other. None: a loop that serves navigation first.
     """
 
-    def __init__(self, settings: config.Vehicle, clock: Clock, *, beat_fd: int = -1, alone: bool = False) -> None:
+    def __init__(
+        self,
+        settings: config.Vehicle,
+        clock: Clock,
+        *,
+        beat_fd: int = -1,
+        alone: bool = False,
+        new_loop: Callable[[], asyncio.AbstractEventLoop] | None = None,
+    ) -> None:
         self.config, self.clock = settings, clock
         self.status: dict[str, ServiceStatus] = {}
         self.board: dict[str, Callable[[], dict[str, object]]] = {}  # JSON-ready figures of services, by their names
@@ -99,6 +112,9 @@ class Runtime:
         self._beat_fd = beat_fd
         self._beat_s = min(BEAT_S, settings.supervisor.deadman_s / 4)
         self._loads, self._is_up = 0, False  # libraries that are being read; whether it has ever beaten
+        self._loop: asyncio.AbstractEventLoop
+        self._first: NavigationLoop  # the same loop, where it serves navigation first
+        self._plain_loop = new_loop
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._pauses: dict[int, asyncio.TimerHandle] = {}  # of readers
         self._stop_reason = ""
@@ -116,14 +132,14 @@ class Runtime:
     def navigation(self, fd: int, handler: Callable[[], bool]) -> None:
         """Call `handler` strictly first whenever `fd` is readable. It drains the socket and returns True where that completed
         a navigation message. Its time is the calling service's, and so is the failure when it raises."""
-        self._loop.add_navigation(fd, handler, self._failed())
+        self._first.add_navigation(fd, handler, self._failed())
 
     def rehearsal(self, rehearsal: Rehearsal | None) -> None:
         """What keeps the caches warm for navigation: the critical path without effect."""
-        self._loop.set_rehearsal(rehearsal)
+        self._first.set_rehearsal(rehearsal)
 
     def remove_navigation(self, fd: int) -> None:
-        self._loop.remove_navigation(fd)
+        self._first.remove_navigation(fd)
 
     def reader(self, fd: int, handler: Callable[[], object], pause_s: float = 0.0) -> None:
         """Call `handler` in its turn whenever `fd` is readable, at most once each `pause_s`: waking up for every frame of a
@@ -151,6 +167,24 @@ class Runtime:
         if pause := self._pauses.pop(fd, None):
             pause.cancel()
         self._loop.remove_reader(fd)
+
+    @contextmanager
+    def reading(self, fd: int, handler: Callable[[], object], pause_s: float = 0.0) -> Iterator[None]:
+        """As `reader`, until the end of the block."""
+        self.reader(fd, handler, pause_s)
+        try:
+            yield
+        finally:
+            self.remove_reader(fd)
+
+    @contextmanager
+    def publishing(self, name: str, report: Callable[[], dict[str, object]]) -> Iterator[None]:
+        """A service's figures, JSON-ready, are on the board until the end of the block."""
+        self.board[name] = report
+        try:
+            yield
+        finally:
+            del self.board[name]
 
     def load(self, module: str) -> asyncio.Future[ModuleType]:
         """A large library, read beside the loop while the boat comes up: it costs the path some milliseconds, once. Its objects
@@ -240,8 +274,11 @@ class Runtime:
                 logging.shutdown()
                 os._exit(1)
 
-    def _new_loop(self) -> NavigationLoop:
-        self._loop = NavigationLoop(self.window, self.clock, self._account)
+    def _new_loop(self) -> asyncio.AbstractEventLoop:
+        if self._plain_loop is not None:
+            self._loop = self._plain_loop()
+        else:
+            self._loop = self._first = NavigationLoop(self.window, self.clock, self._account)
         return self._loop
 
     async def _serve(self, row: Service) -> None:
@@ -348,6 +385,7 @@ class Runtime:
         for name, status in self.status.items():
             if files[name] >= 0:
                 told = status.report(self.clock.monotonic_s()) | self._shown(name) | {"tasks": len(asyncio.all_tasks())}
+                told["busy_s"] = round(time.process_time(), 3)
                 os.ftruncate(files[name], os.pwrite(files[name], json.dumps(told).encode(), 0))
 
     def _tick(self) -> None:
@@ -404,7 +442,7 @@ def _status_file(path: Path) -> int:
 def _last_deadman(path: Path) -> dict[str, object]:
     """The supervisor's last dead-man event; empty where there was none."""
     try:
-        event: dict[str, object] = json.loads(path.read_text())["deadman"] or {}
-    except (OSError, ValueError, KeyError):
+        event = parse_json(read_file(path))["deadman"]
+    except (OSError, FormatError, KeyError, TypeError):
         return {}
-    return event
+    return event if isinstance(event, dict) else {}

@@ -62,8 +62,8 @@ def socket_path(run_directory: str | Path) -> Path:
 
 
 def record_path(run_directory: str | Path) -> Path:
-    """What became of the last shutdown, as JSON: reason, time, stage "safe" or "held", holders. A restart of the computer
-    takes it away."""
+    """What became of the last shutdown, as JSON: reason, at_s (since boot), stage "safe" or "held", holders. A restart of the
+    computer takes it away."""
     return Path(run_directory) / "shutdown.json"
 
 
@@ -225,7 +225,7 @@ def last_act(
         holders = _bounded(mount, end_s) if mount else []
         stage = "held" if holders else "safe"
         try:
-            record.write_text(json.dumps({"reason": reason, "time": time.time(), "stage": stage, "holders": holders}))
+            record.write_text(json.dumps({"reason": reason, "at_s": time.monotonic(), "stage": stage, "holders": holders}))
         except OSError as error:
             log.error("%s: %s", record, error.strerror)
         tell(not holders, holders)

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from delfim import config
-from delfim.canproxy.canip import open_tun
+from delfim.canproxy.canudp import open_tun
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure
 from delfim.services.runtime import Runtime

@@ -26,6 +26,7 @@ import msgspec
 
 from delfim import config
 from delfim.errors import FormatError, Refused
+from delfim.outside import UNREADABLE, read_file
 
 FORMAT: Final = 1
 NAMESPACE: Final = "delfim-image"  # of the signature: one made for anything else is worth nothing here
@@ -78,7 +79,7 @@ def parse_manifest(text: bytes) -> Manifest:
     """Raises FormatError."""
     try:
         manifest = msgspec.json.decode(text, type=Manifest)
-    except msgspec.DecodeError as error:  # also of what is no UTF-8
+    except UNREADABLE as error:
         raise FormatError(f"{MANIFEST}: {error}") from None
     if set(manifest.files) != set(PARTS):
         raise FormatError(f"{MANIFEST}: it must name {' and '.join(PARTS)}, and nothing else")
@@ -173,55 +174,68 @@ def verify(bundle: Path, signers: tuple[str, ...], into: Path | None = None) -> 
 
     Raises FormatError for what is no image, Refused where signature or digest are wrong, OSError.
     """
-    try:
-        with tarfile.open(bundle, "r:") as archive:
-            return _verified(archive, signers, into)
-    except (tarfile.TarError, EOFError, UnicodeError) as error:
-        raise FormatError(f"{bundle.name}: no image: {error}") from None
+    with bundle.open("rb") as file:
+        try:
+            members = _members(file)
+        except (tarfile.TarError, UnicodeError) as error:
+            raise FormatError(f"{bundle.name}: no image: {error}") from None
+        manifest, signature = (_paper(file, name, *members[name]) for name in (MANIFEST, SIGNATURE))
+        image = Image(manifest, signature, signers)
+        for name in PARTS:
+            offset, size = members[name]
+            if size != image.manifest.files[name].bytes:
+                raise Refused(f"{name}: not as long as its manifest says: the upload is not whole")
+            file.seek(offset)
+            if _copied(file, size, into / name if into else None) != image.manifest.files[name].sha256:
+                raise Refused(f"{name}: its digest is not that of its manifest")
+        return image
 
 
-def _verified(archive: tarfile.TarFile, signers: tuple[str, ...], into: Path | None) -> Image:
-    image = Image(_paper(archive, MANIFEST), _paper(archive, SIGNATURE), signers)
-    for name in PARTS:
-        part = image.manifest.files[name]
-        if _member(archive, name).size != part.bytes:
-            raise Refused(f"{name}: not as long as its manifest says: the upload is not whole")
-        digest = hashlib.sha256()
-        with contextlib.ExitStack() as files:
-            source = files.enter_context(_opened(archive, name))
-            target = files.enter_context((into / name).open("wb")) if into else None
-            while block := source.read(BLOCK_BYTES):
-                digest.update(block)
-                if target:
-                    target.write(block)
-            if target:
-                target.flush()
-                os.fsync(target.fileno())
-        if digest.hexdigest() != part.sha256:
-            raise Refused(f"{name}: its digest is not that of its manifest")
-    return image
+def _members(file: IO[bytes]) -> dict[str, tuple[int, int]]:
+    """Offset and size of each. They fill the whole file: nothing travels with an image that nobody has signed.
+
+    Raises FormatError, tarfile.TarError, UnicodeError.
+    """
+    found, at = dict[str, tuple[int, int]](), 0
+    for name in MEMBERS:
+        file.seek(at)
+        header = tarfile.TarInfo.frombuf(file.read(tarfile.BLOCKSIZE), "utf-8", "strict")
+        if header.name != name or not header.isreg() or header.size < 0:
+            raise FormatError(f"no image: {name} is not where it should be")
+        found[name] = at + tarfile.BLOCKSIZE, header.size
+        padding = -header.size % tarfile.BLOCKSIZE
+        at += tarfile.BLOCKSIZE + header.size + padding
+        file.seek(at - padding)
+        if any(file.read(padding)):
+            raise FormatError(f"no image: there is something behind {name}")
+    file.seek(at)
+    rest = file.read(tarfile.RECORDSIZE + 1)
+    if len(rest) > tarfile.RECORDSIZE or any(rest):
+        raise FormatError(f"no image: it must hold {', '.join(MEMBERS)}, in this order, and nothing else")
+    return found
 
 
-def _member(archive: tarfile.TarFile, name: str) -> tarfile.TarInfo:
-    try:
-        member = archive.getmember(name)
-    except KeyError:
-        raise FormatError(f"no image: it has no {name}") from None
-    if not member.isreg():
-        raise FormatError(f"no image: {name} is no file")
-    return member
-
-
-def _opened(archive: tarfile.TarFile, name: str) -> IO[bytes]:
-    file = archive.extractfile(_member(archive, name))
-    assert file is not None
-    return file
-
-
-def _paper(archive: tarfile.TarFile, name: str) -> bytes:
-    if _member(archive, name).size > PAPER_BYTES:
+def _paper(file: IO[bytes], name: str, offset: int, size: int) -> bytes:
+    if size > PAPER_BYTES:
         raise FormatError(f"no image: {name} has more than {PAPER_BYTES} bytes")
-    return _opened(archive, name).read()
+    file.seek(offset)
+    return file.read(size)
+
+
+def _copied(source: IO[bytes], size: int, path: Path | None) -> str:
+    """Read so much, and write it into a file where one is named. Returns the digest."""
+    digest = hashlib.sha256()
+    with contextlib.ExitStack() as files:
+        target = files.enter_context(path.open("wb")) if path else None
+        while size and (block := source.read(min(BLOCK_BYTES, size))):
+            size -= len(block)
+            digest.update(block)
+            if target:
+                target.write(block)
+        if target:
+            target.flush()
+            os.fsync(target.fileno())
+    return digest.hexdigest()
 
 
 def _digest(path: Path) -> str:
@@ -267,14 +281,14 @@ class Slots:
     def environment(self) -> Environment:
         """Raises Refused where there is none, FormatError where it is damaged."""
         try:
-            return parse_environment(self._environment.read_bytes())
+            return parse_environment(read_file(self._environment, PAPER_BYTES))
         except FileNotFoundError:
             raise Refused(f"{self._environment} is not there: this computer has no slots (docs/image.md)") from None
 
     def manifest(self, slot: str) -> Manifest | None:
         """Of what is in a slot, None where nothing whole is. Raises FormatError."""
         try:
-            return parse_manifest((self._directory / slot / MANIFEST).read_bytes())
+            return parse_manifest(read_file(self._directory / slot / MANIFEST, PAPER_BYTES))
         except FileNotFoundError:
             return None
 

@@ -10,14 +10,19 @@ import asyncio
 import contextlib
 import errno
 import fcntl
+import functools
+import io
 import logging
 import os
 import pwd
+import re
 import signal
 import struct
+import sys
 import termios
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any, Final
 
 import asyncssh
@@ -25,21 +30,26 @@ import asyncssh
 from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure
-from delfim.logging.guard import free_bytes
 from delfim.services.door import Door, Patience, bulk
 from delfim.services.jail import Jail
+from delfim.services.nocan import forbid_can
 from delfim.services.runtime import Runtime
+from delfim.services.uploads import NoRoom, Uploads
 
 KEX: Final = ("mlkem768x25519-sha256", "curve25519-sha256", "curve25519-sha256@libssh.org", "ecdh-sha2-nistp256")
 LOGIN_S: Final = 30.0  # from the connection to the login
 STALL_S: Final = 60.0  # a client that reads nothing for so long is gone
 ALIVE_S: Final = 15.0  # a client is asked whether it is there ...
 ALIVE_MAX: Final = 4  # ... and is not when it did not answer so often
-HANG_UP_S: Final = 2.0  # that a program has to end when its client went away
+HANG_UP_S: Final = 2.0  # that programs have to end when their client went away or the first of them has ended
+LEAVE_S: Final = 2.0  # before SIGHUP: `setsid program &` on a slow computer has not left the session when its shell ends
+LOOK_S: Final = 0.02  # between two looks whether they have
 BLOCK_BYTES: Final = 64 << 10
 READ_BYTES: Final = 32 << 10  # of a file, at once: more drives the vehicle out of the processor's cache
 WRONG_MAX: Final = 6  # keys of one connection
-PATH: Final = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+SFTP_VERSION: Final = 3
+SIGNALS: Final = signal.Signals.__members__  # by name
+PATH: Final = f"/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin:{Path(sys.executable).parent}"  # delfim, too
 # The first terminal that the leader of a session opens becomes that session's.
 ON_TERMINAL: Final = ("/bin/sh", "-c", 'exec <"$0" >"$0" 2>&1; exec "$@"')
 
@@ -54,7 +64,7 @@ class Daemon:
         table = settings.sshd
         self.table, self.clock_s = table, clock.monotonic_s
         self.keys = {name: _public(name, user.keys) for name, user in table.users.items()}
-        self.jail, self.free_bytes_min = Jail(table.root), settings.log.free_bytes_min
+        self.jail, self.uploads = Jail(table.root), Uploads(table.root, settings.log)
         self.workers = ThreadPoolExecutor(2, "sshd")
         self.door, self.patience = Door(table.connections, table.connections_per_address), Patience()
         self.sessions = self.commands = 0
@@ -74,6 +84,7 @@ class Daemon:
         """Raises OSError, PermanentFailure."""
         loop, table = asyncio.get_running_loop(), self.table
         host_key = await loop.run_in_executor(self.workers, _host_key, table.host_key)
+        await loop.run_in_executor(self.workers, self.uploads.prepare)
         host, _, port = table.listen.rpartition(":")
         acceptor = await asyncssh.create_server(
             self._visitor,
@@ -81,9 +92,6 @@ class Daemon:
             int(port),
             backlog=16,
             server_host_keys=[host_key],
-            process_factory=self.run,
-            sftp_factory=lambda channel: Files(channel, self.jail, self.workers, self.free_bytes_min),
-            allow_scp=True,
             kex_algs=KEX,
             encoding=None,
             line_editor=False,
@@ -100,7 +108,7 @@ class Daemon:
         )
         try:
             if table.user:
-                _become(table.user)
+                _become(table.user, self.uploads.folder, can=table.can)
         except PermanentFailure:
             acceptor.close()
             raise
@@ -114,12 +122,16 @@ class Daemon:
         for visitor in list(self._visitors):
             visitor.hang_up()
         for child in self._children:
-            _signal(child, signal.SIGKILL)
+            _end(child.pid, signal.SIGKILL)
         await asyncio.gather(*(child.wait() for child in self._children))
         self.workers.shutdown(wait=False, cancel_futures=True)
 
+    def session(self) -> "Process":
+        return Process(self.run, lambda channel: Files(channel, self.jail, self.uploads, self.workers), SFTP_VERSION, True)
+
     async def run(self, process: "asyncssh.SSHServerProcess[bytes]") -> None:
         """A program, or the shell, from its start to its exit status."""
+        assert isinstance(process, Process)
         visitor = process.channel.get_connection().get_owner()
         name = (
             "a shell" if process.command is None else repr(process.command)
@@ -145,7 +157,7 @@ class Daemon:
         finally:
             self.sessions -= 1
 
-    def _words(self, process: "asyncssh.SSHServerProcess[bytes]") -> tuple[tuple[str, ...], dict[str, str], str]:
+    def _words(self, process: "Process") -> tuple[tuple[str, ...], dict[str, str], str]:
         """(program and arguments, environment, directory)."""
         account = pwd.getpwuid(os.getuid())
         words = (self.table.shell, "-l") if process.command is None else (self.table.shell, "-c", process.command)
@@ -154,7 +166,7 @@ class Daemon:
         home = account.pw_dir if os.path.isdir(account.pw_dir) else "/"
         return words, {"PATH": PATH, "LANG": "C.UTF-8", **names, **more}, home
 
-    async def _on_pipes(self, process: "asyncssh.SSHServerProcess[bytes]") -> int:
+    async def _on_pipes(self, process: "Process") -> int:
         words, names, home = self._words(process)
         with contextlib.ExitStack() as ours, contextlib.ExitStack() as theirs:
             feed, stdin = _pipe(ours, theirs, reads=False)
@@ -166,13 +178,14 @@ class Daemon:
             theirs.close()
             return await self._attended(process, child, feed, {out: process.stdout, err: process.stderr}, theirs)
 
-    async def _on_terminal(self, process: "asyncssh.SSHServerProcess[bytes]") -> int:
+    async def _on_terminal(self, process: "Process") -> int:
         words, names, home = self._words(process)
         with contextlib.ExitStack() as ours, contextlib.ExitStack() as theirs:
             fd, slave = os.openpty()
             terminal = ours.enter_context(_Pipe(fd))
             theirs.callback(os.close, slave)  # when the program has ended: a terminal that nobody has open is over
-            _resize(fd, process.term_size)
+            _resize(terminal, process.term_size)
+            process.on_resize = functools.partial(_resize, terminal)
             null = asyncio.subprocess.DEVNULL
             child = await asyncio.create_subprocess_exec(
                 *ON_TERMINAL, os.ttyname(slave), *words,
@@ -182,7 +195,7 @@ class Daemon:
 
     async def _attended(
         self,
-        process: "asyncssh.SSHServerProcess[bytes]",
+        process: "Process",
         child: asyncio.subprocess.Process,
         stdin: "_Pipe",
         sinks: "dict[_Pipe, asyncssh.SSHWriter[bytes]]",
@@ -191,6 +204,7 @@ class Daemon:
         """What the client says goes in and what the program says comes out, until the program has ended and all of it is sent,
         or the client has gone. Returns the exit status, or the negative number of the signal that ended the program."""
         self._children.add(child)
+        process.on_signal = functools.partial(_signal, child)
         try:
             async with asyncio.TaskGroup() as group:
                 gone = group.create_task(process.channel.wait_closed())
@@ -199,13 +213,11 @@ class Daemon:
                 await asyncio.wait((gone, over), return_when=asyncio.FIRST_COMPLETED)
                 for task in (gone, feeding, over):
                     task.cancel()
-            if child.returncode is None:
-                _signal(child, signal.SIGHUP)
-                with contextlib.suppress(TimeoutError):
-                    async with asyncio.timeout(HANG_UP_S):
-                        await child.wait()
+            await _empty(child.pid, LEAVE_S)
+            _end(child.pid, signal.SIGHUP)
+            await _empty(child.pid, HANG_UP_S)
         finally:
-            _signal(child, signal.SIGKILL)
+            _end(child.pid, signal.SIGKILL)
             self._children.discard(child)
         return await child.wait()
 
@@ -285,10 +297,8 @@ async def _pour(pipe: _Pipe, sink: "asyncssh.SSHWriter[bytes]") -> None:
             await sink.drain()
 
 
-async def _feed(
-    process: "asyncssh.SSHServerProcess[bytes]", child: asyncio.subprocess.Process, pipe: _Pipe, *, is_terminal: bool
-) -> None:
-    """Bytes, signals, and the size of the client's window. What the program does not want to read is thrown away."""
+async def _feed(process: "Process", child: asyncio.subprocess.Process, pipe: _Pipe, *, is_terminal: bool) -> None:
+    """What the client says. What the program does not want to read is thrown away."""
     while True:
         try:
             data = await process.stdin.read(BLOCK_BYTES)
@@ -296,13 +306,6 @@ async def _feed(
                 break
             if pipe.fd >= 0:
                 await pipe.write(data)
-        except asyncssh.TerminalSizeChanged as changed:
-            if is_terminal:
-                _resize(pipe.fd, changed.term_size)
-        except asyncssh.SignalReceived as told:
-            _signal(child, signal.Signals.__members__.get(f"SIG{told.signal}", signal.SIGTERM))
-        except asyncssh.BreakReceived:
-            _signal(child, signal.SIGINT)
         except asyncssh.Error:
             break
         except OSError:
@@ -311,6 +314,24 @@ async def _feed(
             pipe.close()
     if not is_terminal:
         pipe.close()
+
+
+class Process(asyncssh.SSHServerProcess[bytes]):
+    """A session. The window's size and signals are heeded at once: asyncssh would keep each until what was typed before it is
+    read, however many they are."""
+
+    on_resize: Callable[[tuple[int, int, int, int]], None] = staticmethod(lambda size: None)
+    on_signal: Callable[[int], None] = staticmethod(lambda number: None)
+
+    def terminal_size_changed(self, width: int, height: int, pixwidth: int, pixheight: int) -> None:
+        self.on_resize((width, height, pixwidth, pixheight))
+
+    def signal_received(self, signal: str) -> None:
+        self.on_signal(SIGNALS.get(f"SIG{signal}", SIGNALS["SIGTERM"]))
+
+    def break_received(self, msec: int) -> bool:
+        self.on_signal(SIGNALS["SIGINT"])
+        return True
 
 
 class Visitor(asyncssh.SSHServer):
@@ -347,6 +368,9 @@ class Visitor(asyncssh.SSHServer):
         if self._connection is not None:
             self._connection.abort()
 
+    def session_requested(self) -> "Process":
+        return self._daemon.session()
+
     async def begin_auth(self, username: str) -> bool:
         self._name = username[:64]
         await asyncio.sleep(self._daemon.patience.pause_s(self._address, self._daemon.clock_s()))
@@ -370,25 +394,49 @@ class Visitor(asyncssh.SSHServer):
         log.warning("sshd: %s logged in", self)
 
 
-def _in_worker(name: str, *, changes: bool = False) -> Any:
-    """asyncssh's own method, which blocks, in a worker. What changes something is logged."""
+def _in_worker(name: str) -> Any:
+    """asyncssh's own method, which blocks, in a worker."""
     do = getattr(asyncssh.SFTPServer, name)
 
     async def method(files: "Files", *arguments: Any) -> Any:
-        done = await files.work(do, files, *arguments)
-        if changes:
-            files.note(name, *arguments)
-        return done
+        return await files.work(do, files, *arguments)
 
     return method
+
+
+@contextlib.contextmanager
+def _told() -> Iterator[None]:
+    """A refusal as SFTP can say it: an OSError."""
+    try:
+        yield
+    except DelfimError as error:
+        raise OSError(errno.ENOSPC if isinstance(error, NoRoom) else errno.EACCES, str(error)) from None
+
+
+def _apply(fd: int, attrs: asyncssh.SFTPAttrs) -> None:
+    """Size, rights and times of a file. Raises OSError."""
+    if attrs.uid is not None or attrs.gid is not None:
+        raise PermissionError(errno.EACCES, "files stay their owner's")
+    if attrs.size is not None:
+        os.truncate(f"/proc/self/fd/{fd}", attrs.size)
+    if attrs.permissions is not None:
+        os.fchmod(fd, attrs.permissions & 0o777)
+    if attrs.mtime is not None:
+        os.utime(fd, (attrs.mtime if attrs.atime is None else attrs.atime, attrs.mtime))
+
+
+class _File(io.FileIO):
+    """An open file. Once a write has failed all fail: clients send many at once and overlook a failure between successes."""
+
+    failure = ""
 
 
 class Files(asyncssh.SFTPServer):
     """SFTP and SCP inside of the jail. Every call is a worker's; no link can be made, and those that lead out are not there."""
 
-    def __init__(self, channel: Any, jail: Jail, workers: ThreadPoolExecutor, free_bytes_min: int) -> None:
+    def __init__(self, channel: Any, jail: Jail, uploads: Uploads, workers: ThreadPoolExecutor) -> None:
         super().__init__(channel, chroot=os.fsencode(jail.root))
-        self._jail, self._workers, self._free_bytes_min = jail, workers, free_bytes_min
+        self._jail, self._uploads, self._workers = jail, uploads, workers
         self._visitor = str(channel.get_connection().get_owner())
 
     def note(self, did: str, *what: object) -> None:
@@ -403,10 +451,8 @@ class Files(asyncssh.SFTPServer):
 
     def map_path(self, path: bytes) -> bytes:
         """In a worker. Raises OSError."""
-        try:
+        with _told():
             return os.fsencode(self._jail.real(_normal(path)))
-        except DelfimError as error:
-            raise PermissionError(errno.EACCES, str(error)) from None
 
     def _opened(self, path: bytes, pflags: int, attrs: asyncssh.SFTPAttrs) -> object:
         reads, writes = pflags & asyncssh.FXF_READ, pflags & (asyncssh.FXF_WRITE | asyncssh.FXF_APPEND)
@@ -418,18 +464,18 @@ class Files(asyncssh.SFTPServer):
         ):
             flags |= flag if pflags & asked else 0
         mode = 0o600 | (0o644 if attrs.permissions is None else attrs.permissions) & 0o777  # no set-user-id
-        try:
-            fd = self._jail.open(_normal(path), flags, mode)
-        except DelfimError as error:
-            raise PermissionError(errno.EACCES, str(error)) from None
+        with _told():
+            fd = (self._uploads if flags != os.O_RDONLY else self._jail).open(_normal(path), flags, mode)
         if pflags & asyncssh.FXF_TRUNC:
             os.ftruncate(fd, 0)
-        return os.fdopen(fd, "r+b" if reads and writes else "wb" if writes else "rb", buffering=0)
+        return _File(fd, "r+b" if reads and writes else "wb" if writes else "rb")
 
     def _closed(self, file: Any) -> None:
         if file.writable():
             os.fsync(file.fileno())
         file.close()
+        if file.failure:
+            raise OSError(errno.ENOSPC, file.failure)
 
     def _named(self, path: bytes) -> list[asyncssh.SFTPName]:
         found = []
@@ -456,16 +502,39 @@ class Files(asyncssh.SFTPServer):
         return found
 
     async def write(self, file_obj: Any, offset: int, data: bytes) -> int:
-        return int(await self.work(self._written, file_obj.fileno(), data, offset))
+        with _told():
+            if file_obj.failure:
+                raise NoRoom(file_obj.failure)
+            try:
+                await self.work(self._uploads.write, file_obj.fileno(), data, offset)
+            except NoRoom as error:
+                file_obj.failure = str(error)
+                raise
+        return len(data)
 
-    def _written(self, fd: int, data: bytes, offset: int) -> int:
-        """Raises OSError where the logs need the room."""
-        if free_bytes(self._jail.root) < self._free_bytes_min:
-            raise OSError(errno.ENOSPC, "the disk is full")
-        written = 0
-        while written < len(data):
-            written += os.pwrite(fd, data[written:], offset + written)
-        return written
+    async def _change(self, did: str, do: Callable[..., None], *paths: bytes) -> None:
+        """In the folder of uploads. Raises OSError."""
+        with _told():
+            await self.work(do, *map(_normal, paths))
+        self.note(did, *paths)
+
+    async def remove(self, path: bytes) -> None:
+        await self._change("remove", self._uploads.remove, path)
+
+    async def mkdir(self, path: bytes, attrs: asyncssh.SFTPAttrs) -> None:
+        await self._change("mkdir", self._uploads.make_folder, path)
+
+    async def rmdir(self, path: bytes) -> None:
+        await self._change("rmdir", self._uploads.remove_folder, path)
+
+    async def posix_rename(self, oldpath: bytes, newpath: bytes) -> None:
+        await self._change("rename", self._uploads.rename, oldpath, newpath)
+
+    async def rename(self, oldpath: bytes, newpath: bytes) -> None:
+        """As `posix_rename`, but nothing is replaced."""
+        if await self.work(lambda: os.path.lexists(self.map_path(newpath))):
+            raise asyncssh.SFTPFileAlreadyExists("there is such a file")
+        await self.posix_rename(oldpath, newpath)
 
     def symlink(self, oldpath: bytes, newpath: bytes) -> None:
         raise PermissionError(errno.EACCES, "no links here")
@@ -477,10 +546,17 @@ class Files(asyncssh.SFTPServer):
         raise PermissionError(errno.EACCES, "no links here")
 
     stat, lstat, fstat, realpath = _in_worker("stat"), _in_worker("lstat"), _in_worker("fstat"), _in_worker("realpath")
-    statvfs, fstatvfs, fsync, fsetstat = (_in_worker(name) for name in ("statvfs", "fstatvfs", "fsync", "fsetstat"))
-    setstat, lsetstat = _in_worker("setstat", changes=True), _in_worker("lsetstat", changes=True)
-    remove, mkdir, rmdir = (_in_worker(name, changes=True) for name in ("remove", "mkdir", "rmdir"))
-    rename, posix_rename = _in_worker("rename", changes=True), _in_worker("posix_rename", changes=True)
+
+    async def setstat(self, path: bytes, attrs: asyncssh.SFTPAttrs) -> None:
+        await self._change("setstat", lambda name: self._uploads.apply(name, lambda fd: _apply(fd, attrs)), path)
+
+    async def fsetstat(self, file_obj: Any, attrs: asyncssh.SFTPAttrs) -> None:
+        if not file_obj.writable():
+            raise PermissionError(errno.EACCES, "opened for reading")
+        await self.work(_apply, file_obj.fileno(), attrs)
+
+    lsetstat = setstat
+    statvfs, fstatvfs, fsync = _in_worker("statvfs"), _in_worker("fstatvfs"), _in_worker("fsync")
 
 
 async def serve(runtime: Runtime) -> None:
@@ -521,7 +597,7 @@ def _host_key(path: str) -> asyncssh.SSHKey:
         return asyncssh.read_private_key(path)
     except FileNotFoundError:
         pass
-    except asyncssh.KeyImportError as error:
+    except (asyncssh.KeyImportError, ValueError, re.error) as error:  # it makes patterns of what it reads
         raise PermanentFailure(f"sshd.host_key: {path}: {error}") from None
     key = asyncssh.generate_private_key("ssh-ed25519")
     os.makedirs(os.path.dirname(path), mode=0o700, exist_ok=True)
@@ -535,11 +611,16 @@ def _host_key(path: str) -> asyncssh.SSHKey:
     return key
 
 
-def _become(name: str) -> None:
-    """Raises PermanentFailure where there is no such user or this one may not."""
+def _become(name: str, folder: str, *, can: bool) -> None:
+    """And give this user the folder of uploads, but CAN sockets only where the vehicle's file says so. Raises PermanentFailure
+    where there is no such user or this one may not."""
     try:
         account = pwd.getpwnam(name)
         if account.pw_uid != os.getuid():
+            with contextlib.suppress(FileNotFoundError):
+                os.chown(folder, account.pw_uid, account.pw_gid, follow_symlinks=False)
+            if not can:
+                _without_can()
             os.initgroups(name, account.pw_gid)
             os.setgid(account.pw_gid)
             os.setuid(account.pw_uid)
@@ -547,14 +628,48 @@ def _become(name: str) -> None:
         raise PermanentFailure(f"sshd.user: {name}: there is no such user, or this one cannot become it") from None
 
 
-def _resize(fd: int, size: tuple[int, int, int, int]) -> None:
+def _without_can() -> None:
+    try:
+        forbid_can()
+    except OSError as error:
+        log.warning("sshd: whoever has a shell can send on the CAN buses: %s", error.strerror)
+
+
+def _resize(terminal: _Pipe, size: tuple[int, int, int, int]) -> None:
     """`size` as SSH has it: columns, rows, width, height."""
     columns, rows, width, height = (min(each, 0xFFFF) for each in size)
-    fcntl.ioctl(fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, width, height))
+    if terminal.fd >= 0:
+        fcntl.ioctl(terminal.fd, termios.TIOCSWINSZ, struct.pack("HHHH", rows, columns, width, height))
 
 
 def _signal(child: asyncio.subprocess.Process, number: int) -> None:
-    """To the whole session of a program, while it runs."""
+    """To a program and what it runs in the foreground."""
     if child.returncode is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child.pid, number)
+
+
+def _end(session: int, number: int) -> None:
+    """To all of a session, in the background too, and when the program that began it has ended."""
+    for pid in _session(session):
+        with contextlib.suppress(ProcessLookupError, PermissionError):  # one that has become another user is not ours to end
+            os.kill(pid, number)
+
+
+async def _empty(session: int, within_s: float) -> None:
+    """Until nobody lives in a session any more, at most so long."""
+    for _ in range(round(within_s / LOOK_S)):
+        if not _session(session):
+            return
+        await asyncio.sleep(LOOK_S)
+
+
+def _session(session: int) -> list[int]:
+    """Processes that live in a session."""
+    found = []
+    for name in os.listdir("/proc"):
+        with contextlib.suppress(OSError, ValueError):  # gone meanwhile, or no process
+            state, _, _, sid, *_ = Path("/proc", str(int(name)), "stat").read_text().rpartition(")")[2].split()
+            if int(sid) == session and state != "Z":
+                found.append(int(name))
+    return found

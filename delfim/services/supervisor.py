@@ -2,7 +2,8 @@
 
 It starts the programs, each in a session of its own, and starts again what died. Every program is told `--beat-fd N`, the
 write end of a pipe. The critical one beats on it; when the beat stops, whatever the reason, the supervisor itself stops the
-propellers, kills the program and starts it again. A program whose pipe breaks knows that the supervisor is gone.
+propellers, has the program write into the pipe where its threads stand and die of it, kills it STACKS_S later if it did not,
+and starts it again. A program whose pipe breaks knows that the supervisor is gone.
 
 It ends on a signal or on a word at its socket (delfim.services.shutdown), the critical program first; what comes then is the
 caller's. What it does not do: dependencies, logs. It never waits for anything but time and its children.
@@ -11,11 +12,13 @@ caller's. What it does not do: dependencies, logs. It never waits for anything b
 import json
 import logging
 import os
+import re
 import select
 import signal
 import socket
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from math import inf
 from pathlib import Path
@@ -28,7 +31,11 @@ EXIT_PERMANENT: Final = 100  # of a program: do not start me again
 START_S: Final = 60.0  # a critical program may take so long to its first beat: a slow board reads it from a slow card
 HEAD_START_S: Final = 5.0  # the others wait so long for its first beat: until then it has the processor to itself
 STOP_EVERY_S: Final = 0.1  # between two stop frames while nothing beats
-TICK_S: Final = 0.5  # the longest wait: the hardware watchdog is stroked so often
+STACKS_S: Final = 0.1  # that a silent program has to write where its threads stand, while stop frames are sent already
+STACKS_SIGNAL: Final = signal.SIGUSR2  # asks for that
+STACKS_BYTES: Final = 65536  # a pipe holds no more
+FRAMES: Final = 3  # of the main thread's stack, in the reason
+TICK_S: Final = 0.1  # the longest wait: the hardware watchdog is stroked so often, and who wakes later has been kept from it
 END_CRITICAL_S: Final = 5.0  # that the critical program has to end in order
 END_S: Final = 2.0  # that another program has
 KILL_S: Final = 1.0  # that the kernel has to end what was killed
@@ -71,13 +78,14 @@ class Child:
     pid: int = 0  # 0 while it does not run
     pipe: int = -1  # read end
     start_s: float = 0.0  # when it was started, or will be
-    beat_s: float | None = None  # last beat
+    beat_s: float | None = None  # last beat, and later by all the time in which the computer did not let us run since
     pause_s: float = 0.0  # before its last start
     restarts: int = 0
     reason: str = ""  # of its last end or silence, in words
     is_silent: bool = False  # beats no more, and is not critical
-    verdict: str = ""  # why it was killed by us
-    since: float = 0.0  # wall clock, of the last change of state
+    verdict: str = ""  # why it is or was killed by us
+    kill_s: float = inf  # when it is killed, silent as it is
+    since_s: float = 0.0  # monotonic, of the last change of state
 
 
 class Supervisor:
@@ -119,6 +127,7 @@ class Supervisor:
         self.reason = ""
         self._wake = -1  # readable when a signal came
         self._is_ending = False
+        self._turn_s = time.monotonic()  # when the last wait was over
 
     def run_forever(self) -> int:
         """Returns when a signal says so, the critical program ended in order, or nothing is left that could be started.
@@ -182,12 +191,16 @@ class Supervisor:
 
     def _start(self, child: Child) -> None:
         program = child.program
-        child.start_s, child.beat_s, child.verdict, child.is_silent = time.monotonic(), None, "", False
+        child.start_s, child.beat_s, child.is_silent = time.monotonic(), None, False
+        child.verdict, child.kill_s = "", inf
         child.pipe, beat = os.pipe()
+        os.set_blocking(child.pipe, False)
         os.set_inheritable(beat, True)
         argv = (*program.argv, "--beat-fd", str(beat))
         try:
-            child.pid = os.posix_spawnp(argv[0], argv, os.environ, setsid=True, setsigmask=(), setsigdef=(signal.SIGPIPE,))
+            child.pid = os.posix_spawnp(
+                argv[0], argv, os.environ, setsid=True, setsigmask=(), setsigdef=(signal.SIGPIPE, STACKS_SIGNAL)
+            )
         except OSError as error:
             self._died(child, 1, f"cannot be started: {error.strerror}")
             return
@@ -218,11 +231,14 @@ class Supervisor:
 
     def _died(self, child: Child, code: int, reason: str) -> None:
         now_s = time.monotonic()
+        if child.kill_s < inf:
+            self._finish(child, reason)
         self._hang_up(child)
         child.pid, child.reason = 0, child.verdict or reason
         if child.program.critical:
             self._stop_due_s = now_s
-        if self._is_ending or (code == 0 and not (self._init and child.program.critical)):
+        in_order = code == 0 and not child.verdict and not (self._init and child.program.critical)
+        if self._is_ending or in_order:
             self._change(child, "stopped")
         elif code == EXIT_PERMANENT:
             log.error("%s: %s: not to be started again", child.program.name, child.reason)
@@ -247,14 +263,17 @@ class Supervisor:
     # The dead-man.
 
     def _deadline_s(self) -> float:
-        """When the critical program has been silent for too long."""
+        """When the critical program has been silent for too long, and after that, when it is killed."""
         child = self._critical
-        if child is None or child.state != "running" or child.verdict:
+        if child is None or child.state != "running":
             return inf
+        if child.verdict:
+            return child.kill_s
         return child.start_s + START_S if child.beat_s is None else child.beat_s + self._deadman_s
 
     def _watch_beat(self) -> None:
-        """Kill what is critical and silent; stop frames follow at once. Silence of what is not critical is only told."""
+        """What is critical and silent is stopped at once, asked where it stands, and killed. Silence of what is not critical is
+        only told."""
         now_s, child = time.monotonic(), self._critical
         for each in self._children:
             late = each is not child and each.beat_s is not None and now_s - each.beat_s > self._deadman_s
@@ -262,11 +281,24 @@ class Supervisor:
                 self._noted(each, "does not answer", is_silent=True)
         if child is None or now_s < self._deadline_s():
             return
+        if child.verdict:
+            self._finish(child, _process_state(child.pid))
+            return
         silent_s = now_s - (child.start_s if child.beat_s is None else child.beat_s)
-        verdict = f"{'no beat' if child.beat_s is None else 'beat stopped'} for {silent_s:.1f} s: dead-man"
-        self._kill(child, verdict)
-        self._stop_due_s = now_s
-        self._deadman = {"reason": verdict, "time": time.time()}
+        child.verdict = f"{'no beat' if child.beat_s is None else 'beat stopped'} for {silent_s:.1f} s: dead-man"
+        self._stop_due_s, child.kill_s = now_s, now_s + STACKS_S
+        os.kill(child.pid, STACKS_SIGNAL)
+
+    def _finish(self, child: Child, otherwise: str) -> None:
+        """Kill what did not die of the question, and all its group; tell where it stood, or how it was. All stacks go into the
+        log."""
+        child.kill_s = inf
+        with suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)
+        stacks = _read(child.pipe).decode(errors="replace").lstrip(".")
+        child.verdict += f"; {stood(stacks) or f'it did not say where it stood: {otherwise}'}"
+        self._deadman = {"reason": child.verdict, "at_s": time.monotonic()}
+        log.critical("%s: %s\n%s", child.program.name, child.verdict, stacks)
 
     def _noted(self, child: Child, reason: str, *, is_silent: bool) -> None:
         child.reason, child.is_silent = reason, is_silent
@@ -296,9 +328,11 @@ class Supervisor:
         now_s = time.monotonic()
         due_s = [self._due_s(child) for child in self._children if child.state == "waiting"]
         due_s += [now_s + TICK_S, self._deadline_s(), inf if self._stop_due_s is None else self._stop_due_s]
-        pipes = {child.pipe: child for child in self._children if child.pipe >= 0}
+        pipes = {child.pipe: child for child in self._children if child.pipe >= 0 and not child.verdict}
         requests = [self._requests.fileno()] if self._requests else []
-        readable, _, _ = select.select([self._wake, *requests, *pipes], [], [], max(0.0, min(due_s) - now_s))
+        wait_s = max(0.0, min(due_s) - now_s)
+        readable, _, _ = select.select([self._wake, *requests, *pipes], [], [], wait_s)
+        self._excuse(wait_s)
         for fd in readable:
             told = os.read(fd, REQUEST_BYTES)
             if fd in requests:
@@ -307,6 +341,15 @@ class Supervisor:
                 self._on_beat(pipes[fd]) if told else self._hang_up(pipes[fd])
         self._reap()
         self._stroke(b"\0")
+
+    def _excuse(self, wait_s: float) -> None:
+        """A turn that took longer than its wait: the computer stood still, or gave the processor to others. Who could not beat
+        then is not silent; what we could not hear is not known."""
+        now_s = time.monotonic()
+        lost_s, self._turn_s = max(0.0, now_s - self._turn_s - wait_s), now_s
+        for child in self._children:
+            if child.beat_s is not None:
+                child.beat_s = min(child.beat_s + lost_s, now_s)
 
     def _on_beat(self, child: Child) -> None:
         now_s = time.monotonic()
@@ -355,7 +398,7 @@ class Supervisor:
     # What others see.
 
     def _change(self, child: Child, state: Literal["waiting", "running", "stopped", "failed"]) -> None:
-        child.state, child.since = state, time.time()
+        child.state, child.since_s = state, time.monotonic()
         self._tell()
 
     def _tell(self) -> None:
@@ -365,7 +408,7 @@ class Supervisor:
                 "pid": each.pid,
                 "restarts": each.restarts,
                 "reason": each.reason,
-                "since": each.since,
+                "since_s": each.since_s,
             }
             for each in self._children
         }
@@ -375,6 +418,29 @@ class Supervisor:
             new.replace(self._state_file)
         except OSError as error:
             log.error("%s: %s", self._state_file, error.strerror)
+
+
+def _read(pipe: int) -> bytes:
+    """What is in it; nothing where there is none."""
+    try:
+        return os.read(pipe, STACKS_BYTES) if pipe >= 0 else b""
+    except BlockingIOError:
+        return b""
+
+
+def stood(stacks: str) -> str:
+    """The innermost calls of the main thread, in words, from what faulthandler wrote of all threads; empty where it did not."""
+    _, _, last = stacks.rpartition("hread 0x")
+    calls = re.findall(r'File "[^"]*?((?:[^"/]+/)?[^"/]+)", line (\d+) in (\S+)', last)[:FRAMES]
+    return "it stood in " + ", called by ".join(f"{name} ({file}:{line})" for file, line, name in calls) if calls else ""
+
+
+def _process_state(pid: int) -> str:
+    """As the kernel says it, such as "T (stopped)"."""
+    try:
+        return next(line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("State:"))[7:]
+    except (OSError, StopIteration):
+        return "unknown"
 
 
 def real_time(priority: int) -> None:

@@ -37,6 +37,13 @@ class LockstepBus:
         socket.setblocking(False)
         return socket
 
+    def bound(self, *filters: CanAddress) -> CanSocket:
+        """A socket that receives what the filters accept: none, nothing."""
+        socket = self.socket()
+        if filters:
+            socket.bind(*filters)
+        return socket
+
     def deliver(self, sender: "_End", arb: int, data: bytes) -> None:
         route = self._routes.get(arb)
         if route is None:

@@ -16,9 +16,9 @@ from typing import Any, Final, Self
 from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError, FormatError, Refused
+from delfim.outside import parse_json
 from delfim.simulator.faults import ABOARD, Broken, FaultyGuest, FaultyLog, fault
-from delfim.vehicle.loop import StateLog
-from delfim.vehicle.state import State
+from delfim.vehicle.state import State, StateLog
 
 ANSWER_S: Final = 2.0
 WORDS_BYTES: Final = 1024  # of a request to break something
@@ -85,7 +85,7 @@ def obey(requests: socket.socket, broken: Broken, name: str, clock: Clock) -> No
 
 def _break(broken: Broken, name: str, data: bytes, now_s: float) -> str:
     try:
-        words: dict[str, Any] = json.loads(data)
+        words: dict[str, Any] = parse_json(data)
         kind = words.pop("kind")
         if kind == "end":
             for present in list(broken.faults):
@@ -128,8 +128,8 @@ class Aboard(Broken):
     def log(self, log: StateLog) -> StateLog:
         return FaultyLog(log, self)
 
-    def guest(self, state: State) -> FaultyGuest:
-        return FaultyGuest(state, self._clock, self)
+    def guest(self, state: State, clock: Clock) -> FaultyGuest:
+        return FaultyGuest(state, clock, self)
 
     @property
     def deaf(self) -> str | None:

@@ -15,6 +15,7 @@ from delfim.clock import Clock
 from delfim.config import Sea
 from delfim.errors import DelfimError
 from delfim.geodesy import origin
+from delfim.outside import UNREADABLE
 from delfim.simulator.model import Hull, Model
 
 SILENT_S = 1.0  # a model that says nothing for so long is as sensors that say nothing
@@ -78,7 +79,7 @@ class ExternalModel(Model):
                 return
             try:
                 self._take(_decode(data))
-            except msgspec.DecodeError:
+            except UNREADABLE:
                 self.malformed += 1
                 continue
             rpm = {"time_s": self.time_s, "starboard_rpm": self.starboard_rpm, "port_rpm": self.port_rpm}

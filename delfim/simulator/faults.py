@@ -16,8 +16,7 @@ from delfim.frames import Frame
 from delfim.simulator.model import Drive
 from delfim.simulator.nodes import Nodes
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import StateLog
-from delfim.vehicle.state import State
+from delfim.vehicle.state import State, StateLog
 
 Kind = Literal[
     "navigation_silent",
@@ -206,9 +205,9 @@ class FaultyGuest(Guest):
         super().__init__(state, clock)
         self._faults = faults
 
-    def reference(self, line: bytes) -> None:
+    def hear(self, line: bytes) -> None:
         if "guest_lost" not in self._faults.on:
-            super().reference(line)
+            super().hear(line)
 
 
 class FaultyLog:

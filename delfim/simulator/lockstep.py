@@ -8,19 +8,14 @@ from collections.abc import Callable, Iterator
 from typing import Final
 
 from delfim import config
-from delfim.canproxy import dsor
-from delfim.canproxy.socket import CanAddress
 from delfim.clock import ManualClock
-from delfim.messages import SYSSTAT_MASK, Node, sysstat_arb
+from delfim.modes import Mode
 from delfim.simulator.bus import LockstepBus
 from delfim.simulator.faults import Fault, Faults, FaultyLog
 from delfim.simulator.nodes import COMMANDS, nodes_of
 from delfim.vehicle import console
-from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import StateLog, Vehicle
-from delfim.vehicle.navcan import DsorNavigation
-from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.state import Mode, State
+from delfim.vehicle.build import build
+from delfim.vehicle.state import State, StateLog
 
 CONSOLE_S: Final = 1.0  # the operator's console speaks this often
 WATCHDOG_S: Final = 0.1
@@ -39,28 +34,18 @@ class Lockstep:
         self.nodes = nodes_of(settings, seed)
         self.faults = Faults(self.nodes, seed)
         self.state = State()
-        navigation, self._status, self._messages = (bus.socket() for _ in range(3))
-        navigation.bind(CanAddress(*dsor.message_filter(source=Node.NAVIGATION)))
-        self._status.bind(CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))
-        self._messages.bind(CanAddress(*dsor.message_filter(source=Node.GPS)))
-        self._source = DsorNavigation(navigation, self.state)
-        self.guest = Guest(self.state, self.clock)
         self.log = make_log(self.clock)
-        self.vehicle = Vehicle(
-            settings,
-            self.clock,
-            self.state,
-            (self._source,),
-            Propulsion(bus.socket(), settings.propulsion, self.state),
-            self.guest,
-            FaultyLog(self.log, self.faults),
+        record_to = FaultyLog(self.log, self.faults)
+        self.vehicle, self._status, _ = build(
+            settings, self.clock, self.state, lambda _, filters: bus.bound(*filters), record_to
         )
+        self.guest = self.vehicle.guest
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
 
     def close(self) -> None:
         """End the log."""
-        self.vehicle.stop("end of the run")
+        self.vehicle.helm.stop("end of the run")
         self.vehicle.log.close()
 
     @property
@@ -92,9 +77,10 @@ class Lockstep:
         for frame in frames:
             world.sendmsg(frame)
         for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is served again
-            vehicle.on_navigation(self._source)
-        vehicle.on_sysstat(self._status)
-        vehicle.on_sysstat(self._messages)
+            for source in vehicle.sources:
+                vehicle.on_navigation(source)
+        for status in self._status:
+            vehicle.on_sysstat(status)
         if now_s >= self._console_s and "console_lost" not in faults.on:
             self._console_s = now_s + CONSOLE_S
             vehicle.on_command(_ALIVE)

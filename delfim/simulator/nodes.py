@@ -11,7 +11,7 @@ from random import Random
 from typing import Final, NamedTuple
 
 from delfim import config
-from delfim.canproxy.dsor import Message, segments
+from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.socket import CanAddress
 from delfim.errors import FormatError
 from delfim.frames import Frame

@@ -4,7 +4,8 @@ import time
 from collections.abc import Callable, Iterable
 from typing import Final
 
-from delfim.canproxy.socket import CanAddress, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanAddress
 from delfim.frames import Frame
 
 RETRY_S: Final = 0.001  # after the interface's queue was full

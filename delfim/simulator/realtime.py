@@ -11,7 +11,8 @@ import signal
 from types import FrameType
 
 from delfim import config
-from delfim.canproxy.socket import CanSocket, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanSocket
 from delfim.clock import SystemClock
 from delfim.errors import BusError
 from delfim.simulator.bycommand import NODES, listening, obey, place

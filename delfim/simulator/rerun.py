@@ -8,18 +8,20 @@ because the loop remembers: integrators, ramps, the driven track. Not recorded i
 
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
 import msgspec
 
 from delfim import config
-from delfim.canproxy import dsor
-from delfim.canproxy.nmea2000 import Nmea2000Source
-from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
+from delfim.canproxy.dsor.protocol import message_filter
+from delfim.canproxy.nmea2000.pgns import GNSS_POSITION, POSITION_RAPID
+from delfim.canproxy.socket import CanAddress, CanSocket, accepts
 from delfim.errors import DelfimError
 from delfim.frames import Frame
 from delfim.logging import tree
-from delfim.logging.canzlogd import device
+from delfim.logging.blackbox import device
+from delfim.logging.reading import MOMENT_MAX_S
 from delfim.logging.summary import utc
 from delfim.logging.table import frames, table
 from delfim.logging.tree import ALWAYS, LogFile, Span
@@ -28,16 +30,12 @@ from delfim.messages import (
     BATTERIES_STARBOARD,
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
-    SYSSTAT_MASK,
     Node,
-    sysstat_arb,
 )
 from delfim.simulator.bus import LockstepBus
 from delfim.vehicle import console
-from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import REPEAT_S, Vehicle
-from delfim.vehicle.navcan import DsorNavigation, Nmea2000Navigation, Source
-from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.build import build
+from delfim.vehicle.loop import REPEAT_S
 from delfim.vehicle.state import State
 
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
@@ -45,6 +43,8 @@ TICK_S: Final = 0.1  # of the watchdog; looks of which the time is not recorded 
 LATER_NS: Final = 50_000_000  # the black box may have its stamp of a frame so much later than the vehicle
 SHOWN: Final = 10  # differences
 NEVER_S: Final = -1e8
+MOMENTS: Final = ("monotonic_s", "watchdog_s", "console_s", "guest_s")  # columns
+SILENT_MAX_S: Final = 3.0 * 3600.0  # without a record, in all
 
 Group = tuple[tuple[int, bytes], ...]  # the frames of one command of the propellers
 
@@ -132,7 +132,10 @@ class NoLog:
 class Rerun:
     """The loop, its inputs on buses without time, and what it sends. What it sends in `span` is compared."""
 
-    def __init__(self, settings: config.Vehicle, recorded: Iterable[tuple[str, Frame]], start_s: float, span: Span) -> None:
+    def __init__(
+        self, settings: config.Vehicle, recorded: Iterable[tuple[str, Frame]], start_s: float, first_ns: int, span: Span
+    ) -> None:
+        """`start_s` is the monotonic time of the start, `first_ns` the kernel's stamp of the first message that was used."""
         self.clock, self.log, self.state = Recalled(), NoLog(), State()
         self.clock.now_s = start_s
         self._interface = device(settings.can.interface)
@@ -141,33 +144,23 @@ class Rerun:
         self._world = {name: bus.socket("nodes") for name, bus in self._buses.items()}
         self._heard = self._buses[self._interface].socket("onlooker")
         self._heard.bind(*(CanAddress(arb) for arb in COMMANDS))
-        bus = self._buses[self._interface]
-        self._status = [_bound(bus, CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK))]
-        self._status.append(_bound(bus, CanAddress(*dsor.message_filter(source=Node.GPS))))
-        self.sources = tuple(self._source(name, settings) for name in settings.navigation.sources)
-        propulsion = Propulsion(bus.socket(), settings.propulsion, self.state)
-        guest = Guest(self.state, self.clock)
-        self.vehicle = Vehicle(settings, self.clock, self.state, self.sources, propulsion, guest, self.log)
+        self.vehicle, self._status, _ = build(settings, self.clock, self.state, self._open, self.log)
+        self._heard_ns = first_ns - round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
         self._inputs = deque[tuple[str, Frame]]()
         self.recorded = deque[tuple[int, Group]]()
         self._split(recorded)
         self._span, self.differences, self.refusals, self.frames = span, list[Difference](), list[str](), 0
 
-    def _source(self, name: str, settings: config.Vehicle) -> Source:
-        if name == "dsor":
-            node = CanAddress(*dsor.message_filter(source=Node.NAVIGATION))
-            return DsorNavigation(_bound(self._buses[self._interface], node), self.state)
-        decoder = Nmea2000Source(settings.nmea2000, settings.navigation.stale_s)
-        bus = self._buses[device(settings.nmea2000.interface)]
-        filters = (CanAddress(arb, mask) for arb, mask in decoder.filters)
-        return Nmea2000Navigation(_bound(bus, *filters), decoder, self.state)
+    def _open(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
+        return self._buses[device(interface)].bound(*filters)
 
     def _split(self, recorded: Iterable[tuple[str, Frame]]) -> None:
         """What the vehicle sent into groups, everything else is its input."""
         group: list[tuple[int, bytes]] = []
         for name, frame in recorded:
             if name != self._interface or frame.arb not in COMMANDS:
-                self._inputs.append((name, frame))
+                if frame.t_ns >= self._heard_ns or not _is_position(frame):
+                    self._inputs.append((name, frame))
                 continue
             if not group or frame.data[-1:] != group[-1][1][-1:]:  # the counter
                 group = []
@@ -224,7 +217,7 @@ class Rerun:
     def _navigate(self, due: Due) -> None:
         """The cycle of a record. The last frame may have got its stamp in the black box after the vehicle had read it."""
         self._ask(due.what)
-        while not any(self.vehicle.on_navigation(source) for source in self.sources):
+        while not any(self.vehicle.on_navigation(source) for source in self.vehicle.sources):
             if not self._inputs or self._inputs[0][1].t_ns > due.t_ns + LATER_NS:
                 break
             self._deliver(*self._inputs.popleft())
@@ -278,7 +271,7 @@ class Rerun:
             self._unexplained()
         if self.recorded:
             self._at(self.recorded[0][0], self.clock.now_s)
-            self.vehicle.stop("shutdown")
+            self.vehicle.helm.stop("shutdown")
             self._compare(self.recorded[0][0])
 
 
@@ -286,16 +279,20 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     """Repeat a run, all of it, and compare what came of it in this time. Raises DelfimError where the logs do not hold what it
     takes, or nothing that could be compared."""
     state_files = [file for file in files if file.id == "state"]
-    told = [event for event in tree.events(state_files) if "at_s" in event or event["event"] in ("start", "end")]
+    told = [event for event in tree.events(state_files) if "monotonic_s" in event]
+    told = [event for event in told if "at_s" in event or event["event"] in ("start", "end")]
     starts = [event for event in told if event["event"] == "start"]
     if len(starts) != 1:
         raise DelfimError(f"a run is repeated from its start to its end, and these logs hold {len(starts)} starts")
-    settings = config.load(vehicle_file) if vehicle_file else config.decode(starts[0]["settings"], config.Vehicle, "the log")
+    recorded = starts[0].get("settings", {})
+    settings = config.load(vehicle_file) if vehicle_file else config.decode(recorded, config.Vehicle, "the log")
     columns, _ = table(state_files)
+    if not all(bool((abs(columns[name]) < MOMENT_MAX_S).all()) for name in MOMENTS):
+        raise DelfimError("this state log is damaged: it has times that are none")
     boxes = [file for file in files if file.suffix.startswith(".log")]
     if device(settings.can.interface) not in {file.id for file in boxes}:
         raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
-    run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"], span)
+    run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"], int(columns["t0"][0]), span)
     due = sorted([*_cycles(columns), *_commands(told), *_looks(columns, told)], key=lambda each: each.t_ns)
     ended = any(event["event"] == "end" for event in told)
     if not ended:
@@ -309,6 +306,12 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     if not (run.frames or run.differences):
         raise DelfimError("the boat commanded nothing in this time")
     return Result(run.state.cycles, run.frames, run.differences, run.refusals)
+
+
+def _is_position(frame: Frame) -> bool:
+    """Whether a frame is of a message that sets off a cycle: of the navigation node, or a position of NMEA 2000."""
+    node = CanAddress(*message_filter(source=Node.NAVIGATION))
+    return accepts(node, frame.arb) or frame.arb >> 11 & 0x3FFFF in (POSITION_RAPID, GNSS_POSITION)
 
 
 def _cycles(columns: Any) -> Iterator[Due]:
@@ -343,6 +346,9 @@ def _looks(columns: Any, told: Iterable[dict[str, Any]]) -> Iterator[Due]:
     for t1, now_s, at_s in zip(*(columns[key].tolist() for key in ("t1", "monotonic_s", "watchdog_s")), strict=True):
         known.setdefault(at_s, t1 - round((now_s - at_s) * 1e9))
     times = sorted(at_s for at_s in known if at_s > NEVER_S)
+    silent_s = sum(gap_s for a, b in pairwise(times) if (gap_s := b - a) > 10.0 * TICK_S)
+    if silent_s > SILENT_MAX_S:
+        raise DelfimError(f"nothing is known of {silent_s / 3600.0:.3g} hours of this run: it is not repeated")
     for i, at_s in enumerate(times):
         yield Due(known[at_s], "watchdog", at_s)
         between = round((times[i + 1] - at_s) / TICK_S) if i + 1 < len(times) else 0
@@ -359,12 +365,6 @@ def _wall_ns(event: dict[str, Any]) -> int:
 def _ahead(then: Group, now: Group) -> bool:
     """Whether the recorded command is a later one than this: the one in between is missing in the black box."""
     return bool(then) and 0 < then[0][1][-1] - now[0][1][-1] & 0xFF < 0x80
-
-
-def _bound(bus: LockstepBus, *filters: CanAddress) -> CanSocket:
-    socket = bus.socket()
-    socket.bind(*filters or (ANYTHING,))
-    return socket
 
 
 def _words(group: Group) -> str:

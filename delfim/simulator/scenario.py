@@ -6,7 +6,6 @@ format by example.
 
 import json
 import math
-import tomllib
 from collections import deque
 from collections.abc import Callable
 from pathlib import Path
@@ -16,12 +15,13 @@ import msgspec
 
 from delfim import config
 from delfim.clock import ManualClock
-from delfim.errors import ConfigError, FormatError
+from delfim.errors import ConfigError, FormatError, in_words
+from delfim.modes import Mode
+from delfim.outside import parse_toml, read_text
 from delfim.simulator.faults import Fault, fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console, fence
-from delfim.vehicle.loop import StateLog
-from delfim.vehicle.state import Mode, State
+from delfim.vehicle.state import State, StateLog
 
 RETRY_S: Final = 1.0  # an operator who was refused asks again so often ...
 PATIENCE_S: Final = 15.0  # ... and gives up after so long
@@ -34,7 +34,8 @@ BLIND_S: Final = 0.5  # beyond its limit, for the watchdog to come round
 NOISE_M: Final = 1.5  # between where the boat is and where it can know itself to be
 DECEIVED_M: Final = 3.0  # a boat that is told to be farther off than this cannot keep a fence
 
-Time = Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)]
+DAY_S: Final = 86_400.0
+Time = Annotated[float, msgspec.Meta(ge=0.0, le=DAY_S)]
 
 
 class FaultAt(config.Table, frozen=True):
@@ -140,9 +141,11 @@ class Order(NamedTuple):
         """From a table of a scenario. Raises FormatError."""
         rest = {**words}
         at_s, refused, held_s = rest.pop("at_s", None), rest.pop("refused", ""), rest.pop("held_s", 0.0)
-        if not isinstance(at_s, float | int) or not isinstance(held_s, float | int) or not isinstance(refused, str):
-            raise FormatError("a command needs at_s, a number; held_s is a number and refused is text")
-        return cls(float(at_s), console.parse(json.dumps(rest).encode()), refused, float(held_s))
+        is_timed = all(isinstance(each, float | int) and 0.0 <= each <= DAY_S for each in (at_s, held_s))
+        if not is_timed or not isinstance(refused, str):
+            raise FormatError("a command needs at_s, seconds up to a day; held_s, too, is seconds, and refused is text")
+        command = json.dumps(rest, default=str).encode()  # no command holds a date
+        return cls(float(at_s), console.parse(command), refused, float(held_s))
 
 
 class Watch:
@@ -166,7 +169,7 @@ class Watch:
         if not idle and now_s - state.navigation_s > limits.failsafe.navigation_silent.after_s + BLIND_S:
             self._fail(f"sailing blind in mode {state.mode.name.lower()}")
         self._adrift(idle, now_s)
-        if (around := run.vehicle.fence) is not None:
+        if (around := run.vehicle.helm.plans.fence) is not None:
             self._fenced(around, state, idle)
 
     def _adrift(self, idle: bool, now_s: float) -> None:
@@ -383,15 +386,20 @@ class Silence:
 def run_file(path: str | Path, vehicle: str | Path, seed: int, overrides: tuple[str, ...] = ()) -> Result:
     """A scenario file, sailed. Raises ConfigError."""
     scenario = load_scenario(path)
-    mission = ""
-    if scenario.mission:
-        place = Path(path).parent / scenario.mission
-        try:
-            mission = place.read_text(encoding="utf-8")
-            tomllib.loads(mission)
-        except (OSError, ValueError) as error:
-            raise ConfigError(str(place), "file", str(error)) from None
-    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, mission)
+    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, mission_of(scenario, path))
+
+
+def mission_of(scenario: Scenario, path: str | Path) -> str:
+    """The text of the mission beside a scenario file, empty where it names none. Raises ConfigError."""
+    if not scenario.mission:
+        return ""
+    place = Path(path).parent / scenario.mission
+    try:
+        mission = read_text(place)
+        parse_toml(mission)
+    except (OSError, FormatError) as error:
+        raise ConfigError(str(place), "file", in_words(error)) from None
+    return mission
 
 
 def report(result: Result) -> list[str]:

@@ -5,10 +5,11 @@ The one door asks the same lines: what the page shows in order, the door does no
 
 from typing import NamedTuple
 
+from delfim.modes import Mode
 from delfim.vehicle import sysstat
 from delfim.vehicle.failsafe import Action, Inputs, Rules, Trigger, charge
 from delfim.vehicle.fence import outside
-from delfim.vehicle.state import Mode, State
+from delfim.vehicle.state import State
 
 EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
 HEARD_S = 5.0  # a console that was silent for longer is no link
@@ -20,7 +21,9 @@ class Check(NamedTuple):
     reason: str  # in words, for either answer
 
 
-ADVISORY = frozenset({"mission", "link", "last shutdown", "image"})  # told, and in nobody's way
+ADVISORY = frozenset(
+    {"clock", "mission", "link", "last shutdown", "image"}
+)  # told, and in nobody's way: no mode needs the time
 
 
 def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: int) -> list[Check]:
@@ -36,9 +39,10 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
     level = f"{batteries.replace('_', ' ')} at {least:.0%}" if batteries else "no charge reported"
     plan = state.setpoint.plan
     heard_s = now_s - state.console_s
-    starting = "the computer is still starting, and nobody watches over it yet: a moment"
+    heard = f"console heard {heard_s:.1f} s ago" if heard_s < 1e8 else "console never heard"
+    starting = "the program is still starting and the dead-man does not watch it yet; wait a few seconds"
     return [
-        Check("computer", not state.is_starting, starting if state.is_starting else "started"),
+        Check("computer", not state.computer.is_starting, starting if state.computer.is_starting else "started"),
         Check("navigation", not silent, silent or f"{state.source}, {age_s:.1f} s old"),
         Check("sensors", bad is None, bad or f"{len(rules.settings.sysstat.required)} nodes report good"),
         _clock(rules, state, age_s, time_ns),
@@ -46,9 +50,9 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         Check("battery", not critical, level),
         _fence(state, inputs),
         Check("mission", True, f"{plan.name}, {len(plan.waypoints)} waypoints" if plan is not None else "none loaded"),
-        Check("link", heard_s < HEARD_S, f"console heard {heard_s:.1f} s ago" if heard_s < 1e8 else "console never heard"),
-        Check("last shutdown", not state.last_shutdown, state.last_shutdown or "nothing wrong known"),
-        Check("image", not state.image, state.image or "confirmed, or not from a slot"),
+        Check("link", heard_s < HEARD_S and not state.namesakes, state.namesakes or heard),
+        Check("last shutdown", not state.computer.last_shutdown, state.computer.last_shutdown or "nothing wrong known"),
+        Check("image", not state.computer.image, state.computer.image or "confirmed, or not from a slot"),
     ]
 
 
@@ -87,5 +91,7 @@ def _fence(state: State, inputs: Inputs) -> Check:
         return Check("fence", True, "none")
     if "position" not in state.motion.has:
         return Check("fence", False, "no position: the fence cannot be watched")
+    if not fence.is_laid:
+        return Check("fence", False, "its zones are being laid into the plane: a moment")
     away = outside(fence, state.motion.north_m, state.motion.east_m)
     return Check("fence", away is None, away or f"{len(fence.zones)} zones, the boat is where it may be")

@@ -10,21 +10,27 @@ from typing import Any, cast
 
 from delfim.errors import FormatError
 from delfim.vehicle import console
+from delfim.vehicle.loop import LOCAL
+from delfim.vehicle.reviews import Reviews
 
-LINE_BYTES = 1 << 21  # a mission file fits
+LINE_BYTES = 1 << 17  # a part of a mission's text fits, however it is escaped
+STOPS = (b'"stop"', b'"shutdown"')  # words that end the review of a plan, however much waits behind it
 BACKLOG_BYTES = 1 << 16
 
 
 class CommandServer:
-    """All connections of the local command socket. `obey` carries out a command and returns why not, or None."""
+    """All connections of the local command socket. `obey` carries out a command and returns why not, or None; `reviews`
+    does the same with a plan once it was looked at."""
 
     def __init__(
         self,
         obey: Callable[[console.Commands], str | None],
+        reviews: Reviews,
         snapshot: Callable[[], dict[str, Any]],
         clients_max: int,
     ) -> None:
-        self.obey, self.snapshot, self.clients_max = obey, snapshot, clients_max
+        self.obey, self.reviews, self.snapshot = obey, reviews, snapshot
+        self.clients_max = clients_max
         self.clients: set[Connection] = set()
 
     def connection(self) -> "Connection":
@@ -47,7 +53,9 @@ class Connection(asyncio.Protocol):
     def __init__(self, server: CommandServer) -> None:
         self._server = server
         self._transport: asyncio.Transport | None = None
-        self._buffer = b""
+        self._loop = asyncio.get_running_loop()
+        self._buffer = bytearray()
+        self._is_due = self._under_review = False  # the next line; a plan of this connection
         self.watching = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
@@ -62,21 +70,46 @@ class Connection(asyncio.Protocol):
         self._server.clients.discard(self)
 
     def data_received(self, data: bytes) -> None:
-        *lines, self._buffer = (self._buffer + data).split(b"\n")
-        for line in lines:
-            self._line(line)
-        if len(self._buffer) > LINE_BYTES or self.behind():
-            self.abort()
+        began = max(len(self._buffer) - len(STOPS[-1]), 0)
+        self._buffer += data
+        if self._under_review and any(self._buffer.find(word, began) >= 0 for word in STOPS):
+            self._server.reviews.cancel("a stop came behind it")
+        elif not self._is_due and not self._under_review:
+            self._line()
+        if self._transport is not None and len(self._buffer) > LINE_BYTES:
+            self._transport.pause_reading()
 
-    def _line(self, line: bytes) -> None:
-        server = self._server
+    def _line(self) -> None:
+        """Carry out one line; more of them, after whatever else is due."""
+        self._is_due = False
+        end = self._buffer.find(b"\n")
+        if end > LINE_BYTES or (end < 0 and len(self._buffer) > LINE_BYTES) or self.behind():
+            self.abort()
+            return
+        if end < 0:
+            return
+        line = bytes(self._buffer[:end])
+        del self._buffer[: end + 1]
         try:
             command = console.parse(line)
-            self.watching = self.watching or isinstance(command, console.Watch)
-            reason = server.obey(command)
         except FormatError as error:
-            reason = str(error)
-        self.write(console.answer(reason, server.snapshot()))
+            self._answer(str(error))
+            return
+        self.watching = self.watching or isinstance(command, console.Watch)
+        if isinstance(command, console.Plan) and not (isinstance(command, console.Mission) and command.more):
+            self._under_review = True
+            self._server.reviews.begin(LOCAL, command, self._answer)
+        else:
+            self._answer(self._server.obey(command))
+
+    def _answer(self, reason: str | None) -> None:
+        self._under_review = False
+        self.write(console.answer(reason, self._server.snapshot()))
+        if self._transport is not None and len(self._buffer) <= LINE_BYTES:
+            self._transport.resume_reading()
+        if not self._is_due:
+            self._is_due = True
+            self._loop.call_soon(self._line)
 
     def behind(self) -> bool:
         """Whether the other side does not read what it is sent."""

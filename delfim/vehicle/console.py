@@ -5,7 +5,8 @@ words and their ranges; `command.py` carries them over a local socket, and a rad
 """
 
 import math
-from typing import Annotated, Any
+from collections.abc import Sequence
+from typing import Annotated, Any, get_args
 
 import msgspec
 
@@ -13,6 +14,8 @@ from delfim import config
 from delfim.errors import FormatError
 from delfim.geodesy import compass, from_plane
 from delfim.messages import Fault, SystemStatus
+from delfim.outside import UNREADABLE
+from delfim.slices import Work
 from delfim.vehicle.mission import Mission as MissionTables
 from delfim.vehicle.state import State
 
@@ -21,6 +24,10 @@ Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 Speed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
 Thrust = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+
+
+ZONE, ROW = 10, 1  # comparisons, in time, that one of them takes to be written
+PART, TEXT = 1 << 14, 1 << 20  # characters of a mission's text: of a part of it, and of all
 
 
 class Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="command", tag=str.lower):
@@ -36,7 +43,7 @@ class Stop(Command, frozen=True):
 
 
 class Mode(Command, frozen=True):
-    """Enter a mode with the set points as they are."""
+    """Enter a mode with the set points as they are; manual without thrust, goto without a point: the boat waits for one."""
 
     mode: str
 
@@ -69,11 +76,18 @@ class Goto(Command, frozen=True):
     longitude_deg: Longitude | None = None
     speed_mps: Speed | None = None
 
+    def __post_init__(self) -> None:
+        if (self.latitude_deg is None) != (self.longitude_deg is None):  # half a position is none, and not the first waypoint
+            raise FormatError("goto needs a latitude and a longitude, or neither")
+
 
 class Mission(Command, frozen=True):
-    """Load a mission, given as the text of its file. The mode stays; nothing is played until told."""
+    """Load a mission, given as the text of its file. The mode stays; nothing is played until told. A long text comes in parts
+    one after the other: `at` is where in the text the part belongs, and `more` that it is not the last one."""
 
-    text: Annotated[str, msgspec.Meta(max_length=1 << 20)]
+    text: Annotated[str, msgspec.Meta(max_length=PART)]
+    at: Annotated[int, msgspec.Meta(ge=0, le=TEXT)] = 0
+    more: bool = False
 
 
 class Upload(Command, frozen=True):
@@ -149,8 +163,32 @@ Commands = (
     Alive | Stop | Mode | Manual | Heading | SetSpeed | Goto | Mission | Upload | Play | Leg | Unload | Fence | Rally
     | Take | Arm | Reset | Set | Report | Watch | Shutdown
 )  # fmt: skip
+KINDS: dict[str, type[Command]] = {str(kind.__struct_config__.tag): kind for kind in get_args(Commands)}  # by their words
+Plan = Mission | Upload | Fence  # what has to be looked at for longer than a callback may take
 _decoder = msgspec.json.Decoder(Commands)
 _encode = msgspec.json.Encoder().encode
+
+
+def written(command: Plan) -> Work[bytes]:
+    """A plan as one line of JSON, which is long."""
+    yield 0
+    if isinstance(command, Mission):
+        return _encode(command)
+    mission = command.mission if isinstance(command, Upload) else None
+    zones = command.zones if isinstance(command, Fence) else mission.fence if mission else config.Zones()
+    fence = msgspec.structs.asdict(zones) | {"keep_out": (yield from _pieces(zones.keep_out, ZONE))}
+    if mission is None:
+        return _encode({"command": "fence", "zones": fence})
+    rows = {"waypoint": (yield from _pieces(mission.waypoint, ROW)), "path": (yield from _pieces(mission.path, ROW))}
+    return _encode({"command": "upload", "mission": msgspec.structs.asdict(mission) | rows | {"fence": fence}})
+
+
+def _pieces(rows: Sequence[object], each: int) -> Work[list[msgspec.Raw]]:
+    pieces = []
+    for row in rows:
+        yield each
+        pieces.append(msgspec.Raw(_encode(row)))
+    return pieces
 
 
 def parse(line: bytes) -> Commands:
@@ -158,13 +196,43 @@ def parse(line: bytes) -> Commands:
     try:
         command: Commands = _decoder.decode(line)
         return command
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise FormatError(f"command not understood: {error}") from None
+    except UNREADABLE as error:
+        text = str(error)
+    try:
+        tree = msgspec.json.decode(line)
+    except UNREADABLE:
+        raise FormatError("command not understood: it is no JSON") from None
+    raise FormatError(f"command not understood: {_why(tree, text)}")
 
 
 def checked(command: Commands) -> Commands:
     """The command as it will be read back from a log: in range, and finite. Raises FormatError in words."""
-    return parse(_encode(command))
+    tree = msgspec.to_builtins(command)
+    try:
+        again: Commands = msgspec.convert(tree, Commands)
+        return again
+    except msgspec.ValidationError as error:
+        raise FormatError(_why(tree, str(error))) from None
+
+
+def _why(tree: Any, text: str) -> str:
+    """Why this is no command, in words for the operator; `text` is the library's, of which only our own sentences are kept."""
+    word = tree.get("command") if isinstance(tree, dict) else None
+    kind = KINDS.get(word) if isinstance(word, str) else None
+    if kind is None:
+        return f"there is no command {word[:40]!r}" if isinstance(word, str) else "it names no command"
+    fields = {field.name: field for field in msgspec.structs.fields(kind)}
+    for name in tree.keys() - fields.keys() - {"command"}:
+        return f"{word} has no {name[:40]!r}"
+    for name, field in fields.items():
+        if name not in tree and field.required:
+            return f"{word} needs {name}"
+        try:
+            msgspec.convert(tree.get(name), field.type)
+        except msgspec.ValidationError:
+            if name in tree:
+                return f"{name} must be {config.allowed(field.type)}"
+    return text
 
 
 def answer(reason: str | None, snapshot: dict[str, Any]) -> bytes:

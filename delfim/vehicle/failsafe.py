@@ -13,10 +13,11 @@ from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.modes import Mode
 from delfim.vehicle import sysstat
 from delfim.vehicle.control.control import admit
 from delfim.vehicle.fence import Fence, ahead, outside
-from delfim.vehicle.state import Mode, Notice, Setpoint, State
+from delfim.vehicle.state import Notice, Setpoint, State
 
 
 class Action(IntEnum):

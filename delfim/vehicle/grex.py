@@ -6,14 +6,17 @@ connection replaces the one before, because a guest that restarted must not wait
 
 import asyncio
 import math
+from collections.abc import Callable
 from typing import cast
 
 import msgspec
 
 from delfim.clock import Clock
+from delfim.outside import UNREADABLE
 from delfim.vehicle.state import State
 
 LINE_BYTES = 1024  # longer input is no reference
+LINES_A_CALL = 8  # the newest of what came at once; the guest asks twice a second
 BACKLOG_BYTES = 16384  # a guest that does not read loses the newest, not the vehicle
 
 
@@ -29,12 +32,14 @@ _encode = msgspec.json.Encoder().encode
 
 
 class Guest(asyncio.Protocol):
-    """The link to the guest. `send` after each critical path; references arrive as they come."""
+    """The link to the guest. `send` after each critical path; `on_line` is called with what it says."""
 
     def __init__(self, state: State, clock: Clock) -> None:
         self._state, self._clock = state, clock
         self._transport: asyncio.Transport | None = None
         self._buffer = b""
+        self.on_line: Callable[[bytes], None] = lambda line: None  # where lines go: the loop's fifth input
+        self.is_connected = False
 
     def send(self) -> None:
         """Navigation and mode to the guest, if one is there and reads."""
@@ -63,36 +68,37 @@ class Guest(asyncio.Protocol):
         if self._transport is not None:
             self._transport.abort()
         self._transport, self._buffer = cast(asyncio.Transport, transport), b""  # uvloop's are none by descent
-        self._state.guest_connected = True
+        self.is_connected = True
 
     def connection_lost(self, exc: Exception | None) -> None:
         if self._transport is not None and self._transport.is_closing():
             self._transport = None
-            self._state.guest_connected = False
+            self.is_connected = False
 
     def data_received(self, data: bytes) -> None:
-        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        *lines, self._buffer = (self._buffer + data).rsplit(b"\n", LINES_A_CALL)
+        if len(lines) == LINES_A_CALL and b"\n" in lines[0]:
+            self._state.count("guest_hasty")
+            lines[0] = lines[0].rpartition(b"\n")[2]
         if len(self._buffer) > LINE_BYTES:
             self._buffer = b""
             self._state.count("guest_malformed")
         for line in lines:
-            self.reference(line)
+            self.hear(line)
 
-    def reference(self, line: bytes) -> None:
-        """One line of the guest. Malformed or not finite ones are counted and change nothing."""
-        try:
-            asked = _decode(line)
-        except msgspec.DecodeError:
-            self._state.count("guest_malformed")
-            return
-        if not (math.isfinite(asked.heading_deg) and math.isfinite(asked.speed_mps)):
-            self._state.count("guest_malformed")
-            return
-        self._state.guest_s = self._clock.monotonic_s()
-        self._state.setpoint = self._state.setpoint._replace(
-            guest_heading_rad=math.radians(asked.heading_deg % 360.0), guest_speed_mps=max(asked.speed_mps, 0.0)
-        )
+    def hear(self, line: bytes) -> None:
+        """A line came in."""
+        self.on_line(line)
 
     def close(self) -> None:
         if self._transport is not None:
             self._transport.close()
+
+
+def reference(line: bytes) -> HeadingReference | None:
+    """What a line asks for; None for one that is malformed or not finite."""
+    try:
+        asked = _decode(line if len(line) <= LINE_BYTES else b"")
+    except UNREADABLE:
+        return None
+    return asked if math.isfinite(asked.heading_deg) and math.isfinite(asked.speed_mps) else None

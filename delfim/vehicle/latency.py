@@ -15,9 +15,12 @@ STAGES = ("poll", "navigation", "control", "propulsion", "log")
 
 
 class Latency:
-    """Distribution of t0 to t4, the critical path. Adding costs a microsecond and is done after the path ends."""
+    """Distribution of t0 to t4, the critical path. Adding costs a microsecond and is done after the path ends.
 
-    def __init__(self) -> None:
+    The first `skipped` cycles do not count: a program that has just come up would be the worst case of the whole run."""
+
+    def __init__(self, skipped: int = 0) -> None:
+        self._skipped = skipped
         self.counts = [0] * (len(EDGES_US) + 1)
         self.n = 0
         self.worst_us = 0.0
@@ -27,6 +30,9 @@ class Latency:
         """One cycle. A path of negative length (the wall clock was stepped in between) is not counted."""
         path_ns = p.t4 - p.t0
         if path_ns < 0 or p.t0 == 0:
+            return
+        if self._skipped:
+            self._skipped -= 1
             return
         path_us = path_ns / 1e3
         self.n += 1

@@ -4,11 +4,11 @@ A mission says where; how fast and how near is the boat's matter unless the miss
 so that an upload can be read back and compared.
 """
 
+import contextlib
 import hashlib
 import itertools
 import json
 import math
-import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated, Literal
@@ -16,13 +16,18 @@ from typing import Annotated, Literal
 import msgspec
 
 from delfim import config, geodesy
-from delfim.errors import ConfigError
+from delfim.errors import ConfigError, FormatError
+from delfim.outside import parse_toml
+from delfim.slices import Sliced, Work
 from delfim.vehicle.state import Arc, Line, Plan
 from delfim.vehicle.state import Waypoint as PlanWaypoint
 
 LEG_MIN_M, LEG_MAX_M = 0.5, 20_000.0
+FAR_MAX_M = LEG_MAX_M  # a mission's places from the boat, and the point that any mode goes to first
 RADIUS_MIN_M, RADIUS_MAX_M = 2.0, 5_000.0
 HOLD_MAX_S = 86_400.0  # at a waypoint
+ROW = 4  # comparisons, in time, of a waypoint or a piece of the path
+ROWS = 1000  # waypoints, and pieces of the path, at most
 JOINT_M = 1.0  # an arc's stated radius and the distance from its beginning to its centre agree within this
 
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
@@ -58,23 +63,38 @@ class Mission(config.Table, frozen=True):
 
     version: Literal[1]
     name: Title
-    waypoint: Annotated[tuple[Waypoint, ...], msgspec.Meta(min_length=1, max_length=1000)]
-    path: Annotated[tuple[PathPoint, ...], msgspec.Meta(max_length=1000)] = ()
+    waypoint: Annotated[tuple[Waypoint, ...], msgspec.Meta(min_length=1, max_length=ROWS)]
+    path: Annotated[tuple[PathPoint, ...], msgspec.Meta(max_length=ROWS)] = ()
     fence: config.Zones = config.Zones()
 
 
 def load_mission(path: str | Path) -> Mission:
     """The mission in a file, checked. Raises ConfigError with file, key and reason."""
-    return checked(config.decode(config.read_toml(path), Mission, str(path)), str(path))
+    return _checked(config.decode(config.read_toml(path), Mission, str(path)), str(path))
 
 
 def parse_mission(text: str, file: str = "mission") -> Mission:
     """The mission in a file's text, checked; `file` names it in a refusal. Raises ConfigError."""
+    return _checked(read_mission(text, file), file)
+
+
+def read_mission(text: str, file: str = "mission") -> Mission:
+    """The mission in a file's text; what `fault` looks at is not looked at yet. Raises ConfigError."""
     try:
-        tree = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(file, "file", f"not TOML: {error}") from None
-    return checked(config.decode(tree, Mission, file), file)
+        tree = parse_toml(text)
+    except FormatError as error:
+        raise ConfigError(file, "file", str(error)) from None
+    with contextlib.suppress(msgspec.ValidationError):  # the whole tree has the better words for it
+        for key, kind in (("waypoint", Waypoint), ("path", PathPoint)):
+            rows = tree.get(key)
+            if isinstance(rows, list) and len(rows) <= ROWS:  # row by row, for another thread waits for each
+                tree[key] = [msgspec.convert(row, kind) for row in rows]
+    return config.decode(tree, Mission, file)
+
+
+def _checked(mission: Mission, file: str) -> Mission:
+    Sliced(checked(mission, file)).finish()
+    return mission
 
 
 def save_mission(mission: Mission, path: str | Path) -> None:
@@ -115,53 +135,59 @@ def digest(mission: Mission) -> str:
     return hashlib.sha256(canonical(mission).encode()).hexdigest()[:16]
 
 
-def plan(mission: Mission, origin: geodesy.Origin, control: config.ControlTable) -> Plan:
+def plan(mission: Mission, origin: geodesy.Origin, control: config.ControlTable) -> Work[Plan]:
     """The mission in the local plane, speeds and radii filled in. A mission without a path gets the one that connects its
     waypoints (thesis chapter 4, key P). Raises ConfigError where this boat, here, cannot do it.
     """
     for key, row in _rows(mission):
+        yield ROW
         if row.speed_mps > control.speed.max_mps:
             raise ConfigError(mission.name, f"{key}.speed_mps", "faster than this boat goes", f"up to {control.speed.max_mps}")
         far_m = math.hypot(*_plane(origin, row))
-        if far_m > LEG_MAX_M:
-            raise ConfigError(mission.name, key, f"{far_m / 1000.0:.1f} km from the boat", f"up to {LEG_MAX_M / 1000.0:.0f} km")
-    waypoints = tuple(
-        PlanWaypoint(
-            *_plane(origin, row),
-            row.speed_mps or control.speed.cruise_mps,
-            row.acceptance_m or control.path.acceptance_m,
-            row.hold_s,
-        )
-        for row in mission.waypoint
-    )
+        if far_m > FAR_MAX_M:
+            raise ConfigError(mission.name, key, f"{far_m / 1000.0:.1f} km from the boat", f"up to {FAR_MAX_M / 1000.0:.0f} km")
+    waypoints: list[PlanWaypoint] = []
+    for stop in mission.waypoint:
+        yield ROW
+        speed_mps, reach_m = stop.speed_mps or control.speed.cruise_mps, stop.acceptance_m or control.path.acceptance_m
+        waypoints.append(PlanWaypoint(*_plane(origin, stop), speed_mps, reach_m, stop.hold_s))
+    path: list[Line | Arc] = []
     if mission.path:
-        return Plan(mission.name, waypoints, tuple(_pieces(mission.path, origin, control.speed.cruise_mps)))
-    lines = (
-        Line(start.north_m, start.east_m, end.north_m, end.east_m, end.speed_mps)
-        for start, end in itertools.pairwise(waypoints)
-    )
-    return Plan(mission.name, waypoints, tuple(lines))
+        pieces: Iterator[Line | Arc] = _pieces(mission.path, origin, control.speed.cruise_mps)
+    else:
+        pieces = (
+            Line(start.north_m, start.east_m, end.north_m, end.east_m, end.speed_mps)
+            for start, end in itertools.pairwise(waypoints)
+        )
+    for piece in pieces:
+        yield ROW
+        path.append(piece)
+    return Plan(mission.name, tuple(waypoints), tuple(path))
 
 
-def checked(mission: Mission, file: str = "mission") -> Mission:
-    """The mission, if its legs and pieces make sense. Raises ConfigError."""
+def checked(mission: Mission, file: str = "mission") -> Work[None]:
+    """Whether the mission's legs, pieces and zones make sense. Raises ConfigError."""
     first = mission.waypoint[0]
     origin = geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
-    places = [_plane(origin, row) for row in mission.waypoint]
-    for index in range(1, len(places)):
-        _check_length(file, f"waypoint[{index}]", math.dist(places[index - 1], places[index]))
+    before = _plane(origin, first)
+    for index, row in enumerate(mission.waypoint[1:], 1):
+        yield ROW
+        place = _plane(origin, row)
+        _check_length(file, f"waypoint[{index}]", math.dist(before, place))
+        before = place
     if mission.path:
-        _check_path(mission.path, origin, file)
-    return mission
+        yield from _check_path(mission.path, origin, file)
+    yield from config.polygons(mission.fence, file)
 
 
-def _check_path(path: tuple[PathPoint, ...], origin: geodesy.Origin, file: str) -> None:
+def _check_path(path: tuple[PathPoint, ...], origin: geodesy.Origin, file: str) -> Work[None]:
     """Pieces of sensible length, arcs that begin where the piece before them ends."""
     if len(path) == 1:
         raise ConfigError(file, "path", "a single point: a path begins there and needs a line or an arc more")
     if path[0].turn_deg:
         raise ConfigError(file, "path[0].turn_deg", "an arc cannot be the first: the first point says where the path begins")
     for index, (row, piece) in enumerate(zip(path[1:], _pieces(path, origin, 1.0), strict=True), 1):
+        yield ROW
         key = f"path[{index}]"
         if isinstance(piece, Line):
             if row.radius_m:

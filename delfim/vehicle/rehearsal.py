@@ -9,13 +9,13 @@ again: waiting alone would let them get cold.
 from itertools import count, cycle
 from typing import cast
 
-from delfim.canproxy.dsor import Message, segments
+import msgspec
+
+from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.socket import CanSocket, Many
 from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
-from delfim.vehicle.grex import Guest
+from delfim.vehicle.build import build
 from delfim.vehicle.loop import Vehicle
-from delfim.vehicle.navcan import DsorNavigation
-from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.state import State
 
 
@@ -24,12 +24,12 @@ class Rehearsal:
 
     def __init__(self, boat: Vehicle, outlet: CanSocket, mirror: Many) -> None:
         """`outlet` is the socket by which the propulsion is commanded, `mirror` that of a socket like it."""
-        state, clock, settings = State(), boat.clock, boat.settings
+        state, clock, settings = State(), boat.clock, boat.helm.settings
         self._boat, self._outlet, self._tell = boat, outlet, mirror.send_many
         link = cast(CanSocket, mirror)
-        self._source = DsorNavigation(link, state)
-        propulsion = Propulsion(link, settings.propulsion, state)
-        self._twin = Vehicle(settings, clock, state, (self._source,), propulsion, Guest(state, clock), _NoLog())
+        dsor = msgspec.structs.replace(settings, navigation=msgspec.structs.replace(settings.navigation, sources=("dsor",)))
+        self._twin = build(dsor, clock, state, lambda _, filters: link, _NoLog()).vehicle
+        (self._source,) = self._twin.sources
         self._numbers, self._messages = count(), cycle([list[tuple[int, bytes]]()])
         self._parts = cycle((self._hear, self._command, outlet.rehearse))
 
@@ -55,7 +55,7 @@ class Rehearsal:
             self._twin.take(self._source, fix)
 
     def _command(self) -> None:
-        self._twin.steer(self._twin.clock.monotonic_s())
+        self._twin.helm.steer(self._twin.clock.monotonic_s())
 
 
 def _frames(navigation: Navigation) -> list[tuple[int, bytes]]:

@@ -1,26 +1,11 @@
 """The words of the vehicle: modes, what control sees, what it is asked for, what it answers. SI units, no behaviour."""
 
 from dataclasses import dataclass, field
-from enum import IntEnum
-from typing import NamedTuple
+from typing import NamedTuple, Protocol
 
-from delfim.errors import FormatError
 from delfim.geodesy import Origin
 from delfim.messages import Navigation, SystemStatus
-
-
-class Mode(IntEnum):
-    """Numbers are those of the console's link (ArduRover's where it has the mode)."""
-
-    MANUAL = 0
-    HEADING = 3
-    IDLE = 4
-    HOLD = 5
-    PLAY = 10
-    HOME = 11
-    GOTO = 15
-    PATH = 100
-    GREX = 101
+from delfim.modes import Mode
 
 
 class Actuation(NamedTuple):
@@ -133,6 +118,14 @@ class Profile(NamedTuple):
     t5: int = 0  # guest and log served
 
 
+class Computer(NamedTuple):
+    """What the checks need to know of the computer."""
+
+    is_starting: bool = False  # nobody would notice if this program hung
+    last_shutdown: str = ""  # what was wrong with the end of the run before, in words; empty: nothing, or not known
+    image: str = ""  # what is special about the image that was started, in words; empty: nothing
+
+
 @dataclass(slots=True)
 class State:
     """Everything the vehicle knows now. One object, changed by the loop alone, read by console and log."""
@@ -156,14 +149,13 @@ class State:
     sysstat: dict[str, tuple[SystemStatus, float]] = field(default_factory=dict)  # by node: last report, its time
     operator: str = ""  # the console that commands: whose silence is a trouble; empty: none yet
     console_s: float = -1e9  # monotonic time of the last word of the console
+    namesakes: str = ""  # that two consoles have one number, in words; empty: they do not
     manual_s: float = -1e9
     guest_s: float = -1e9
     watchdog_s: float = -1e9  # when the watchdog looked last
     guest_connected: bool = False
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
-    is_starting: bool = False  # the computer: nobody would notice if this program hung
-    last_shutdown: str = ""  # what was wrong with the end of the run before, in words; empty: nothing, or not known
-    image: str = ""  # what is special about the image that was started, in words; empty: nothing
+    computer: Computer = field(default_factory=Computer)  # that this program runs on
     cycles: int = 0
     counts: dict[str, int] = field(default_factory=dict)  # what was refused, dropped, repaired, by name
     profile: Profile = field(default_factory=Profile)
@@ -173,9 +165,10 @@ class State:
         self.counts[name] = self.counts.get(name, 0) + by
 
 
-def mode_named(text: str) -> Mode:
-    """Raises FormatError for a mode that does not exist, naming those that do."""
-    try:
-        return Mode[text.upper()]
-    except KeyError:
-        raise FormatError(f"no mode {text!r}: there are {', '.join(m.name.lower() for m in Mode)}") from None
+class StateLog(Protocol):
+    """Where a cycle's record goes."""
+
+    def write(self, state: State, now_s: float) -> None: ...
+    def note(self, text: str) -> None: ...  # an event, in words
+    def reason(self) -> str: ...  # why nothing is being written, in words; empty while all is well
+    def close(self) -> None: ...

@@ -1,6 +1,6 @@
 """System status of the other nodes (sysstat.c in the thesis): extended frames and segmented messages, one function."""
 
-from delfim.canproxy.dsor import Receiver
+from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import CanSocket
 from delfim.config import Sysstat
 from delfim.errors import BusError, FormatError

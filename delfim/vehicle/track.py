@@ -4,34 +4,67 @@ import math
 
 from delfim import config
 
+Point = tuple[float, float]  # north_m, east_m
+SWEPT = 32  # squares of forgotten points that one call clears
+BACK = 16  # older points that one look for a harbour is at
+
 
 class Track:
-    """Points of the driven track, `spacing_m` apart, oldest first.
+    """Points of the driven track, `spacing_m` apart, oldest first, and where on it the way home ends.
 
     Loops are cut: where the boat comes back to within half a spacing of an older point, what lies between is forgotten. What
     remains was driven, and driving home along it shortens it. (Half a spacing is not more than a beam: no wall fits between.)
-    When there are `points` of them, every second one is dropped and the spacing doubles. `add` takes constant time but for that
-    rare thinning.
+    When there are `points` of them, every second one is dropped and the spacing doubles. What a call costs does not grow with
+    the track but for that rare thinning, which the vehicle's file bounds by `points`.
     """
 
     def __init__(self, home: config.HomeTable) -> None:
         self._spacing_m, self._cut_m, self._most = home.spacing_m, home.spacing_m / 2.0, home.points
-        self._points: list[tuple[float, float]] = []
-        self._cells: dict[tuple[int, int], int] = {}  # newest point in each square of side _cut_m
+        self._points: list[Point] = []
+        self._cells: dict[tuple[int, int], int] = {}  # newest point in each square of side _cut_m; some are forgotten ones
+        self._forgotten: list[Point] = []
+        self._harbours, self._near_m = tuple[Point, ...](), 0.0
+        self._end, self._unseen = 0, 0  # where the way home ends; points, the oldest, that were not held against the harbours
 
     def add(self, north_m: float, east_m: float) -> None:
         """The boat is here now; metres in the local plane."""
         self._cut(north_m, east_m)
+        self._sweep()
         if self._points and math.dist(self._points[-1], (north_m, east_m)) < self._spacing_m:
             return
         if len(self._points) >= self._most:
             self._thin()
         self._cells[self._cell(north_m, east_m)] = len(self._points)
         self._points.append((north_m, east_m))
+        if self._passes(self._points[-1]):
+            self._end, self._unseen = len(self._points) - 1, 0
 
-    def points(self) -> tuple[tuple[float, float], ...]:
+    def points(self) -> tuple[Point, ...]:
         """(north_m, east_m) of each remembered point, oldest first."""
         return tuple(self._points)
+
+    def way_home(self) -> tuple[Point, ...]:
+        """The track from the last harbour that it passed, as far as it was looked at."""
+        return tuple(self._points[self._end :])
+
+    def end(self) -> Point | None:
+        """Of the way home."""
+        return self._points[self._end] if self._points else None
+
+    def call_at(self, harbours: tuple[Point, ...], near_m: float) -> None:
+        """Other harbours. `look_back` finds out which of them were passed."""
+        self._harbours, self._near_m, self._end, self._unseen = harbours, near_m, 0, len(self._points)
+
+    def look_back(self) -> None:
+        """At some of the older points, newest first, whether a harbour is near. Call it now and then."""
+        for _ in range(min(BACK, self._unseen) if self._harbours else 0):
+            self._unseen -= 1
+            if self._passes(self._points[self._unseen]):
+                self._end, self._unseen = self._unseen, 0
+                return
+
+    def _passes(self, point: Point) -> bool:
+        return any(math.dist(point, harbour) <= self._near_m for harbour in self._harbours)
 
     def _cut(self, north_m: float, east_m: float) -> None:
         """Forget what lies after the oldest point that the boat stands on."""
@@ -43,14 +76,29 @@ class Track:
                 index = self._cells.get((i, j), last)
                 if index < keep and math.dist(self._points[index], (north_m, east_m)) < self._cut_m:
                     keep = index
-        for point in self._points[keep + 1 :]:
-            self._cells.pop(self._cell(*point), None)
+        if keep == last:
+            return
+        self._forgotten += self._points[keep + 1 :]
         del self._points[keep + 1 :]
+        self._unseen = min(self._unseen, keep + 1)
+        if self._end > keep:
+            self._end, self._unseen = 0, keep + 1
+
+    def _sweep(self) -> None:
+        """Clear squares of points that were forgotten: few at a time, for a loop may have been long."""
+        for _ in range(min(SWEPT, len(self._forgotten))):
+            cell = self._cell(*self._forgotten.pop())
+            index = self._cells.get(cell, -1)
+            if index >= len(self._points) or (index >= 0 and self._cell(*self._points[index]) != cell):
+                del self._cells[cell]
 
     def _thin(self) -> None:
         del self._points[1::2]
         self._spacing_m *= 2.0
-        self._cells = {self._cell(*point): index for index, point in enumerate(self._points)}
+        side_m, floor = self._cut_m, math.floor
+        self._cells = {(floor(n / side_m), floor(e / side_m)): index for index, (n, e) in enumerate(self._points)}
+        self._forgotten = []
+        self._end, self._unseen = self._end // 2, (self._unseen + 1) // 2
 
     def _cell(self, north_m: float, east_m: float) -> tuple[int, int]:
         return math.floor(north_m / self._cut_m), math.floor(east_m / self._cut_m)

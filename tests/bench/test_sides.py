@@ -9,9 +9,11 @@ import pytest
 
 from delfim.__main__ import main
 from delfim.bench import onlooker
+from delfim.bench.floods import KINDS
 from delfim.bench.onlooker import Onlooker, paths_us
-from delfim.canproxy.dsor import Message, segments
-from delfim.canproxy.socket import CanAddress, CanSocket, open_can
+from delfim.canproxy.dsor.protocol import Message, segments
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import DelfimError
 from delfim.messages import BATTERIES_COMMAND, NAVIGATION_ID, NAVIGATION_PRIORITY, Node
 
@@ -97,6 +99,16 @@ def test_downloads_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFix
     assert sorted(row["case"] for row in rows) == ["download by FTP", "download by SFTP", "no download"]
     assert all((row["megabytes_per_s"] > 0.1) == (row["case"] != "no download") for row in rows)
     assert "p99 with download by FTP <= 1.2 x that with no download" in capsys.readouterr().out
+
+
+@pytest.mark.timeout(240)
+def test_floods_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "floods", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]) == 0
+    results = json.loads((tmp_path / "floods.json").read_text())
+    assert sorted(row["case"] for row in results["rows"]) == sorted([*KINDS, "no flood"])
+    assert all((row["sent"] > 10) == (row["case"] != "no flood") for row in results["rows"])
+    assert results["mode"] == "heading"
+    assert "p99 with forged frames <= 1.2 x that with no flood" in capsys.readouterr().out
 
 
 @pytest.mark.timeout(180)

@@ -2,6 +2,7 @@
 
 import asyncio
 import os
+import random
 import socket
 import struct
 from collections.abc import Callable, Iterator
@@ -14,11 +15,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.canproxy.canip import UDP_MAX, WAITING_MAX, CanIp, checksum, open_tun, parsed, rebuilt
-from delfim.canproxy.dsor import BROADCAST, Message
-from delfim.canproxy.dsorsocket import Endpoint
-from delfim.canproxy.socket import open_can
+from delfim.canproxy.canudp import UDP_MAX, WAITING_MAX, CanIp, checksum, open_tun, parsed, rebuilt
+from delfim.canproxy.dsor.endpoint import Endpoint
+from delfim.canproxy.dsor.protocol import BROADCAST, Message
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING
 from delfim.errors import ConfigError, DelfimError, FormatError, PermanentFailure
+from delfim.frames import CAN_ERR, CAN_RTR, Frame
 
 BUS = "canloop:canip"
 FIRST, SECOND = "192.168.1.2", "192.168.1.3"
@@ -293,3 +296,38 @@ def test_without_tun_the_service_stays_down_and_says_why(monkeypatch: pytest.Mon
     monkeypatch.setattr(os, "open", refuse)
     with pytest.raises(PermanentFailure, match="modprobe tun"):
         open_tun("canip9", "", 1500)
+
+
+def test_three_thousand_mutated_frames_make_no_datagram_that_is_too_long_and_it_goes_on() -> None:
+    """Frames of real transfers with bits turned, shortened, in any order and from any node."""
+
+    async def main() -> None:
+        chance, frames, heard = random.Random(1), list[Frame](), list[bytes]()
+        with sides() as (first, second), open_can(BUS) as can:
+            can.bind(ANYTHING)
+            can.setblocking(False)
+            for size in (0, 5, 200):
+                first.device.send(packet(data=bytes(size)))
+                await second.read()
+            while frame := can.receive():
+                frames.append(frame)
+            for number in range(3000):
+                frame = chance.choice(frames)
+                bits = frame.arb ^ (1 << chance.randrange(3, 32) if number % 2 else 0)
+                data = bytearray(frame.data)
+                for _ in range(chance.randrange(min(len(data), 4) + 1)):
+                    data[chance.randrange(len(data))] = chance.randrange(256)
+                with suppress(BlockingIOError):
+                    can.sendmsg(Frame(bits & ~(CAN_RTR | CAN_ERR), bytes(data[: chance.randrange(9)])))
+                await asyncio.sleep(0)
+            delivered = first.counts["delivered"]
+            first.device.send(packet())
+            await until(lambda: first.counts["delivered"] > delivered)
+            with suppress(BlockingIOError):
+                while True:
+                    heard.append(second.device.recv(1 << 17))
+            assert len(frames) > 20
+            assert b"hello" in [parsed(raw)[2] for raw in heard]
+            assert max(map(len, heard)) <= UDP_MAX + 28
+
+    asyncio.run(main())

@@ -12,7 +12,8 @@ import time
 import pytest
 
 from delfim.canproxy.canloop import CanLoop, group_of, open_canloop, stable_index
-from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.errors import BusError
 from delfim.frames import CAN_RTR, extended, standard
 
@@ -20,7 +21,8 @@ _numbers = itertools.count()
 
 ECHO = """
 import sys
-from delfim.canproxy.socket import ANYTHING, CanAddress, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING, CanAddress
 from delfim.frames import standard
 bus = open_can(sys.argv[1])
 bus.bind(CanAddress(standard(0x100), standard(0xFF)))

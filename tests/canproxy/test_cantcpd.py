@@ -22,12 +22,13 @@ import can
 import pytest
 
 from delfim import config
-from delfim.canproxy import cantcpd
+from delfim.canproxy import cantcp
 from delfim.canproxy.bcm import JOBS_MAX
 from delfim.canproxy.beacon import DATAGRAM_BYTES, announce, datagram
 from delfim.canproxy.canloop import open_canloop
-from delfim.canproxy.cantcpd import Access, Cantcpd, bus_name
-from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, open_can
+from delfim.canproxy.cantcp import Access, Cantcpd, bus_name
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.clock import SystemClock
 from delfim.errors import BusError
 from delfim.frames import CAN_RTR, Frame, extended, standard
@@ -173,7 +174,7 @@ def bus(name: str) -> Iterator[CanSocket]:
         yield one
 
 
-def sleepy(served: Served, name: str) -> tuple[Peer, cantcpd.Client]:
+def sleepy(served: Served, name: str) -> tuple[Peer, cantcp.Client]:
     """A client in raw mode that takes little before it reads, and its other side."""
     peer = Peer.__new__(Peer)
     peer.socket, peer.rest = socket.socket(), b""
@@ -260,7 +261,7 @@ def test_cycles_are_sent_changed_and_deleted(served: Served, bus: CanSocket, nam
     with Peer(served, f"< open {name} >") as peer:
         peer.say("< add 0 2000 123 1 01 >")
         stamps_ns = [bus.recvmsg().t_ns for _ in range(20)]
-        assert 1.9 < (stamps_ns[-1] - stamps_ns[0]) / 19e6 < 50.0  # ms; late on a busy machine, never early
+        assert (stamps_ns[-1] - stamps_ns[0]) / 19e6 > 1.9  # ms; late on a busy machine, never early
         peer.say("< update 123 2 02 03 >")
         while bus.recv(8) != b"\x02\x03":
             pass
@@ -357,7 +358,7 @@ def test_a_connection_has_its_socket_options(served: Served, name: str) -> None:
         peer = client._transport.get_extra_info("socket")
         assert peer.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         assert peer.getsockopt(socket.IPPROTO_IP, socket.IP_TOS) == 0x10
-        assert cantcpd._round_trip_s(peer) < 1.0
+        assert cantcp._round_trip_s(peer) < TIMEOUT_S
 
 
 # Real clients.
@@ -610,11 +611,70 @@ def test_barred_identifiers_are_not_sent_by_anybody(served: Served, bus: CanSock
         assert [bus.recvmsg().arb, bus.recvmsg().arb] == [standard(0x44), extended(0x40)]
 
 
-def test_connections_are_bounded(name: str) -> None:
-    with Served([f"canloop:{name}"], clients=2) as served, Peer(served), Peer(served):
+@pytest.mark.parametrize("limits", [{"clients": 2}, {"clients_per_address": 2}], ids=lambda limits: next(iter(limits)))
+def test_connections_are_bounded(name: str, limits: dict[str, int]) -> None:
+    with Served([f"canloop:{name}"], **limits) as served, raw(served, name), raw(served, name):
         with socket.create_connection(("127.0.0.1", served.port), TIMEOUT_S) as third, contextlib.suppress(ConnectionError):
             assert third.recv(100) == b""
         served.wait_for(lambda: served.server.refused == 1)
+        assert served.call(lambda: len(served.server.clients)) == 2
+
+
+def test_who_opens_no_bus_gives_way_the_oldest_first(name: str) -> None:
+    """Idle connections, twice as many as there may be, keep nobody out, and none who has opened a bus is sent away."""
+    with Served([f"canloop:{name}"], clients=4) as served, raw(served, name) as watching, contextlib.ExitStack() as held:
+        idle = [held.enter_context(Peer(served)) for _ in range(8)]
+        with raw(served, name) as another:
+            for peer in idle[:6]:
+                assert peer.closed()
+            for peer in (watching, another):
+                peer.say("< echo >")
+                assert peer.element() == "< echo >"
+            assert all(peer.silent() for peer in idle[6:])
+            assert served.call(lambda: len(served.server.clients)) == 4
+
+
+def test_one_address_cannot_keep_the_others_out(name: str) -> None:
+    with Served([f"canloop:{name}"], clients=4, clients_per_address=2) as served, contextlib.ExitStack() as held:
+        for _ in range(20):
+            link = socket.create_connection(("127.0.0.1", served.port), TIMEOUT_S, ("127.0.0.2", 0))
+            held.enter_context(link).sendall(f"< open {name} >".encode())
+        for _ in range(2):
+            held.enter_context(raw(served, name))
+        served.wait_for(lambda: sum(client.host == "127.0.0.2" for client in served.server.clients) <= 2)
+        served.wait_for(lambda: sum(client.host == "127.0.0.1" for client in served.server.clients) == 2)
+
+
+def test_who_opens_no_bus_in_time_is_closed_and_a_serial_bridge_is_not(name: str) -> None:
+    with Served([f"canloop:{name}"], stall_s=60.0) as served, Peer(served) as idle, contextlib.ExitStack() as held:
+        watching = held.enter_context(raw(served, name))
+        with socket.create_connection(("127.0.0.1", served.slcan_port), TIMEOUT_S) as bridge:
+            served.wait_for(lambda: len(served.server.clients) == 3)
+            served.call(lambda: served.server.poll(0))
+            assert served.call(lambda: len(served.server.clients)) == 3
+            served.call(lambda: [setattr(client, "since_s", client.since_s - 60.0) for client in served.server.clients])
+            served.call(lambda: served.server.poll(0))
+            assert idle.closed()
+            watching.say("< echo >")
+            assert watching.element() == "< echo >"
+            bridge.sendall(b"O\r")
+            assert bridge.recv(1) == b"\r"
+
+
+def test_counts_of_clients_that_have_left_are_kept_by_address(name: str) -> None:
+    with Served([f"canloop:{name}"]) as served:
+        for _ in range(3):
+            with raw(served, name) as peer:
+                peer.say("< send 040 0 >< send 040 >< echo >")
+                assert peer.element() == "< echo >"
+            served.wait_for(lambda: not served.server.clients)
+        left = served.call(served.server.report)["left"]
+        assert left == {"127.0.0.1": {"refused": 3, "malformed": 3, "clients": 3}}
+        served.call(lambda: served.server.left.update({f"192.0.2.{number}": {} for number in range(cantcp.ADDRESSES_MAX)}))
+        with raw(served, name):
+            pass
+        served.wait_for(lambda: not served.server.clients)
+        assert served.call(lambda: len(served.server.left)) <= cantcp.ADDRESSES_MAX + 1
 
 
 # Backpressure.
@@ -683,7 +743,7 @@ def test_a_full_bus_holds_back_the_sender_and_loses_nothing(
 def test_a_bus_that_takes_nothing_is_given_up(
     served: Served, bus: CanSocket, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cantcpd, "GIVE_UP_S", 0.05)
+    monkeypatch.setattr(cantcp, "GIVE_UP_S", 0.05)
     with raw(served, name) as peer:
         can_socket = served.server.buses[name]._can
         assert can_socket is not None
@@ -784,7 +844,8 @@ def test_a_flood_of_malformed_commands_and_of_connections(bus: CanSocket, name: 
 def test_every_transmission_is_in_the_black_box(bus: CanSocket, name: str, tmp_path: Path) -> None:
     with Daemon(f"canloop:{name}", tmp_path) as daemon, raw(daemon, name) as peer:
         peer.say("".join(f"< send 7A5 1 {number:x} >" for number in range(100)) + "< echo >")
-        assert peer.element() == "< echo >"
+        while peer.element() != "< echo >":  # the boat's own frames are on this bus, too
+            pass
     (log,) = tmp_path.glob(f"*/{name}/*.log.gz")
     lines = gzip.decompress(log.read_bytes()).decode().splitlines()
     ours = [line.split(" ", 1)[1] for line in lines if " 7A5#" in line]

@@ -14,12 +14,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.canproxy import dsor
-from delfim.canproxy.dsor import Ack, Kind, Message, Outcome, Receiver, Sender, dsor_arb, dsor_fields, segments
+from delfim.canproxy.dsor.protocol import Ack, Kind, Message, Outcome, ack_filter, dsor_arb, message_filter, segments
+from delfim.canproxy.dsor.receiver import Receiver
+from delfim.canproxy.dsor.sender import Sender
 from delfim.clock import ManualClock
 from delfim.errors import FormatError, Refused
 from delfim.frames import CAN_ERR, Frame, extended, standard
 from delfim.messages import Node, sysstat_arb
+from tests.canproxy.dsor_fields import dsor_fields
 
 NAVIGATION = Message(0x20, Node.NAVIGATION, Node.BROADCAST, 1, bytes(range(32)))
 TO_VEHICLE = Message(0x80, Node.GPS, Node.VEHICLE, 2, bytes(range(16)))
@@ -125,12 +127,12 @@ def accepted(arb: int, filter_: tuple[int, int]) -> bool:
 def test_filters(priority: int, kind: Kind, source: int, destination: int, a: int, b: int, sequence: int) -> None:
     arb = dsor_arb(priority, kind, source, destination, sequence)
     message = kind in (Kind.HEADER, Kind.BODY)
-    assert accepted(arb, dsor.message_filter()) == message
-    assert accepted(arb, dsor.message_filter(source=a)) == (message and source == a)
-    assert accepted(arb, dsor.message_filter(destination=b)) == (message and destination == b)
-    assert accepted(arb, dsor.message_filter(source, destination)) == message
-    assert accepted(arb, dsor.ack_filter(a)) == (kind == Kind.ACK and destination == a)
-    assert not accepted(arb | 2, dsor.message_filter())
+    assert accepted(arb, message_filter()) == message
+    assert accepted(arb, message_filter(source=a)) == (message and source == a)
+    assert accepted(arb, message_filter(destination=b)) == (message and destination == b)
+    assert accepted(arb, message_filter(source, destination)) == message
+    assert accepted(arb, ack_filter(a)) == (kind == Kind.ACK and destination == a)
+    assert not accepted(arb | 2, message_filter())
 
 
 def test_status_frames_are_outside_the_protocol() -> None:

@@ -17,25 +17,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from bench.dsor import Rates, exchange
-from delfim.canproxy import dsorsocket
-from delfim.canproxy.dsor import BROADCAST, Kind, Message, Outcome, dsor_arb, dsor_fields, segments
-from delfim.canproxy.dsorsocket import (
+from delfim.canproxy.dsor import sockets as dsor_sockets
+from delfim.canproxy.dsor.endpoint import (
     ANY_ID,
     INBOX_MAX,
     OUTBOX_MAX,
     Address,
     CanPort,
     CanSegm,
-    DsorSocket,
-    DsorTransport,
     Endpoint,
     message_to,
-    open_dsor,
     source_of,
 )
-from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, accepts, open_can
+from delfim.canproxy.dsor.protocol import BROADCAST, Kind, Message, Outcome, dsor_arb, segments
+from delfim.canproxy.dsor.sockets import DsorSocket, DsorTransport, open_dsor
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, accepts
 from delfim.errors import BusError, FormatError, Refused
 from delfim.frames import Frame
+from tests.canproxy.dsor_fields import dsor_fields
 
 BUS = "canloop:dsorsocket"
 REASON = "node 0x02 did not acknowledge the header"
@@ -478,7 +478,7 @@ def test_asyncio_tells_what_was_not_acknowledged_and_asks_what_is_wanted() -> No
 
 
 def test_asyncio_takes_up_a_bus_that_failed(bus: ScriptedBus, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(dsorsocket, "REBIND_S", 0.01)
+    monkeypatch.setattr(dsor_sockets, "REBIND_S", 0.01)
     rebound = list[bool]()
     monkeypatch.setattr(bus, "rebind", lambda: rebound.append(not bus.failure) or not bus.failure)
 
@@ -531,8 +531,8 @@ def test_two_processes_on_a_bad_bus(messages: int, bytes_max: int, rates: Rates)
 
 HEADERS = """
 import itertools
-from delfim.canproxy.dsor import Message, iter_segments
-from delfim.canproxy.socket import open_can
+from delfim.canproxy.dsor.protocol import Message, iter_segments
+from delfim.canproxy.opening import open_can
 
 data = bytes(9), bytes(65_535)
 with open_can("canloop:headers") as can:

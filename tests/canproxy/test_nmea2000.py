@@ -8,15 +8,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.canproxy import nmea2000 as n2k
-from delfim.canproxy.nmea2000 import (
+from delfim.canproxy.nmea2000 import pgns
+from delfim.canproxy.nmea2000.fastpacket import FastPacket
+from delfim.canproxy.nmea2000.newest import Newest
+from delfim.canproxy.nmea2000.pgns import (
     Attitude,
     CourseSpeed,
-    FastPacket,
     GnssPosition,
     Heading,
-    Newest,
-    Nmea2000Source,
     PositionRapid,
     RateOfTurn,
     Reference,
@@ -24,13 +23,14 @@ from delfim.canproxy.nmea2000 import (
     Variation,
     decode,
     encode,
-    pgn_of,
 )
+from delfim.canproxy.nmea2000.source import SLOW_S, VARIATION_S, Nmea2000Source
 from delfim.canproxy.socket import CanAddress, accepts
 from delfim.config import Nmea2000
 from delfim.errors import FormatError
 from delfim.frames import CAN_ERR, Frame, extended, standard
 from delfim.messages import Navigation
+from tests.canproxy.pgn_of import pgn_of
 
 STALE_S = 1.0
 PGNS = (126992, 127250, 127251, 127257, 127258, 129025, 129026, 129029)
@@ -43,7 +43,7 @@ def source(*preferred: int, variation_deg: float = 0.0, stale_s: float = STALE_S
     return Nmea2000Source(Nmea2000(preferred_sources=preferred, variation_deg=variation_deg), stale_s)
 
 
-def say(bus: Nmea2000Source, address: int, message: n2k.Message, now_s: float, t_ns: int = 0) -> Navigation | None:
+def say(bus: Nmea2000Source, address: int, message: pgns.Message, now_s: float, t_ns: int = 0) -> Navigation | None:
     """A device speaks: what comes of the last frame."""
     navigation = None
     for frame in encode(message, address):
@@ -51,7 +51,7 @@ def say(bus: Nmea2000Source, address: int, message: n2k.Message, now_s: float, t
     return navigation
 
 
-def said(bus: Nmea2000Source, address: int, message: n2k.Message, now_s: float, t_ns: int = 0) -> Navigation:
+def said(bus: Nmea2000Source, address: int, message: pgns.Message, now_s: float, t_ns: int = 0) -> Navigation:
     navigation = say(bus, address, message, now_s, t_ns)
     assert navigation is not None
     return navigation
@@ -181,7 +181,7 @@ def angles(low: float, high: float) -> st.SearchStrategy[float | None]:
 references = st.sampled_from((Reference.TRUE, Reference.MAGNETIC, None))
 times = st.none() | st.integers(0, 65532 * 86_400_000_000_000)
 latitudes, longitudes = angles(-1.57, 1.57), angles(-3.14, 3.14)
-messages: st.SearchStrategy[n2k.Message] = st.one_of(
+messages: st.SearchStrategy[pgns.Message] = st.one_of(
     st.builds(PositionRapid, latitudes, longitudes),
     st.builds(CourseSpeed, references, angles(0, 6.2831), angles(0, 655)),
     st.builds(
@@ -210,7 +210,7 @@ RESOLUTION = {
 
 
 @given(messages, st.integers(0, 251), st.integers(0, 7))
-def test_what_is_sent_is_read(message: n2k.Message, address: int, sequence: int) -> None:
+def test_what_is_sent_is_read(message: pgns.Message, address: int, sequence: int) -> None:
     frames = encode(message, address, sequence)
     pgn = pgn_of(frames[0].arb)[1]
     assert [pgn_of(f.arb)[1:] for f in frames] == [(pgn, address, 255)] * len(frames)
@@ -453,10 +453,10 @@ def test_nothing_but_a_position_makes_a_message() -> None:
         (Heading(1.0, None, None, Reference.TRUE), "heading_rad", STALE_S),
         (RateOfTurn(0.1), "yaw_rate_radps", STALE_S),
         (CourseSpeed(Reference.TRUE, 1.0, 1.0), "north_mps", STALE_S),
-        (Attitude(None, 0.1, 0.1), "roll_rad", n2k.SLOW_S),
+        (Attitude(None, 0.1, 0.1), "roll_rad", SLOW_S),
     ],
 )
-def test_what_is_older_than_its_limit_is_unknown(message: n2k.Message, field: str, limit_s: float) -> None:
+def test_what_is_older_than_its_limit_is_unknown(message: pgns.Message, field: str, limit_s: float) -> None:
     bus = source()
     say(bus, 9, message, 0.0)
     assert getattr(said(bus, 9, LISBON, limit_s), field) is not None
@@ -475,7 +475,7 @@ def test_what_is_older_than_its_limit_is_unknown(message: n2k.Message, field: st
         (Attitude(None, 0.1, 0.1), Attitude(0.5, None, None), "roll_rad"),
     ],
 )
-def test_not_available_ends_what_was_said_before(message: n2k.Message, unknown: n2k.Message, field: str) -> None:
+def test_not_available_ends_what_was_said_before(message: pgns.Message, unknown: pgns.Message, field: str) -> None:
     bus = source()
     say(bus, 9, message, 0.0)
     say(bus, 9, unknown, 0.1)
@@ -536,7 +536,7 @@ def test_the_full_gnss_position_counts_only_where_no_rapid_one_comes() -> None:
     assert say(bus, 2, gnss(), 1.2) is not None
 
 
-@pytest.mark.parametrize(("method", "fix"), [(1, 3), (2, 4), (3, 4), (4, 5), (5, 4), (None, 2)])
+@pytest.mark.parametrize(("method", "fix"), [(1, 3), (2, 4), (3, 3), (4, 5), (5, 6), (None, 2)])
 def test_methods_that_are_a_fix(method: int | None, fix: int) -> None:
     assert said(source(), 2, gnss(method=method), 0.0).fix == fix
 
@@ -609,7 +609,7 @@ def test_a_magnetic_course_becomes_true() -> None:
 def test_an_old_variation_gives_way_to_the_configured_one() -> None:
     bus = source(variation_deg=math.degrees(0.4))
     say(bus, 9, Variation(0.2), 0.0)
-    for now_s, expected_rad in ((n2k.VARIATION_S, 1.2), (n2k.VARIATION_S + 0.1, 1.4)):
+    for now_s, expected_rad in ((VARIATION_S, 1.2), (VARIATION_S + 0.1, 1.4)):
         say(bus, 9, Heading(1.0, None, None, Reference.MAGNETIC), now_s)
         assert said(bus, 2, LISBON, now_s).heading_rad == pytest.approx(expected_rad)
 
@@ -677,4 +677,4 @@ def test_a_bus_of_anything_gives_sound_messages_only(heard: list[tuple[float, li
             assert n.latitude_rad is None or abs(n.latitude_rad) <= math.pi / 2
             assert n.heading_rad is None or 0 <= n.heading_rad < math.tau
             assert (n.north_mps is None) == (n.east_mps is None)
-    assert all(k.age_s is None or k.age_s <= n2k.VARIATION_S for k in bus.status(now_s).kinds.values())
+    assert all(k.age_s is None or k.age_s <= VARIATION_S for k in bus.status(now_s).kinds.values())

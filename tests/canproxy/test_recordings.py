@@ -16,11 +16,14 @@ from typing import Any, NamedTuple
 import pytest
 from nmea2000.decoder import NMEA2000Decoder
 
-from delfim.canproxy import nmea2000 as n2k
-from delfim.canproxy.nmea2000 import FastPacket, Nmea2000Source, decode, pgn_of
+from delfim.canproxy.nmea2000 import pgns
+from delfim.canproxy.nmea2000.fastpacket import FastPacket
+from delfim.canproxy.nmea2000.pgns import decode
+from delfim.canproxy.nmea2000.source import SLOW_S, Nmea2000Source
 from delfim.config import Nmea2000
 from delfim.frames import Frame, extended
 from delfim.messages import Navigation
+from tests.canproxy.pgn_of import pgn_of
 
 RECORDINGS = Path(__file__).parents[1] / "data/nmea2000"
 BUSY, RAYMARINE, GATEWAY = "can0-1.candump.log.gz", "raymarine-p70.candump.log.gz", "actisense-522.candump.log"
@@ -82,7 +85,7 @@ def independent(name: str) -> tuple[Told, ...]:
 
 
 @functools.cache
-def ours(name: str) -> tuple[tuple[int, int, int, n2k.Message], ...]:
+def ours(name: str) -> tuple[tuple[int, int, int, pgns.Message], ...]:
     """(index, pgn, source, message) by the code under test."""
     errors: Counter[str] = Counter()
     fast, messages = FastPacket(errors), []
@@ -90,7 +93,7 @@ def ours(name: str) -> tuple[tuple[int, int, int, n2k.Message], ...]:
         _, pgn, address, _ = pgn_of(line.frame.arb)
         if pgn not in PGNS:
             continue
-        data = fast.feed(address, line.frame.data, line.now_s) if pgn == n2k.GNSS_POSITION else line.frame.data
+        data = fast.feed(address, line.frame.data, line.now_s) if pgn == pgns.GNSS_POSITION else line.frame.data
         if data is not None:
             messages.append((index, pgn, address, decode(pgn, data)))
     assert not errors
@@ -217,8 +220,8 @@ def test_preferred_sources_drive_the_busy_bus() -> None:
         agrees(n.north_mps, age_s, STALE_S, f["sog"] * math.cos(f["cog"] + variation_rad))
         agrees(n.east_mps, age_s, STALE_S, f["sog"] * math.sin(f["cog"] + variation_rad))
         age_s, f = attitude.at(index)
-        agrees(n.roll_rad, age_s, n2k.SLOW_S, f["roll"])
-        agrees(n.pitch_rad, age_s, n2k.SLOW_S, f["pitch"])
+        agrees(n.roll_rad, age_s, SLOW_S, f["roll"])
+        agrees(n.pitch_rad, age_s, SLOW_S, f["pitch"])
         if heading.at(index)[0] <= STALE_S:  # else compass 23 stands in
             assert n.heading_rad == pytest.approx(
                 (heading.at(index)[1]["heading"] + variation_rad) % math.tau, rel=0, abs=1e-12
@@ -262,8 +265,8 @@ def test_the_recorder_slept_and_nothing_older_than_its_limit_was_used() -> None:
         seen.add(pgn_of(line.frame.arb)[1])
         n = bus.feed(line.frame, line.now_s)
         if n is not None:
-            assert (n.heading_rad is None) == (n2k.HEADING not in seen)
-            assert (n.yaw_rate_radps is None) == (n2k.RATE_OF_TURN not in seen)
+            assert (n.heading_rad is None) == (pgns.HEADING not in seen)
+            assert (n.yaw_rate_radps is None) == (pgns.RATE_OF_TURN not in seen)
             break
         assert index < before + 200
 

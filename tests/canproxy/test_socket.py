@@ -14,7 +14,8 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from delfim.canproxy.canloop import CanLoop
-from delfim.canproxy.socket import ANYTHING, BATCH, BusState, CanAddress, CanSocket, accepts, bus_state, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING, BATCH, BusState, CanAddress, CanSocket, accepts, bus_state
 from delfim.canproxy.socketcan import SocketCan, kernel_filters
 from delfim.errors import BusError, FormatError
 from delfim.frames import CAN_ANY, CAN_ERR, CAN_ID, CAN_IDE, CAN_RTR, Frame, extended, standard, to_can_id

@@ -16,9 +16,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.canproxy import timed
-from delfim.canproxy.socket import CanAddress, CanSocket, open_can
-from delfim.canproxy.timed import REDUNDANT_DELAY_S, SecondTimer, Timekeeper, TimeService
+from delfim.canproxy import timekeeping
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.canproxy.timekeeping import REDUNDANT_DELAY_S, SecondTimer, Timekeeper, TimeService
 from delfim.clock import ManualClock, SystemClock
 from delfim.errors import BusError
 from delfim.frames import Frame, standard
@@ -131,7 +132,7 @@ class Timerfd:
         self.set: list[tuple[int, ...]] = []
         self.result: bytes | int = bytes(8)
         monkeypatch.setattr(ctypes, "CDLL", lambda *_, **__: self)
-        monkeypatch.setattr(timed.os, "read", self._read)
+        monkeypatch.setattr(timekeeping.os, "read", self._read)
 
     def timerfd_create(self, clock: int, flags: int) -> int:
         assert (clock, flags) == (0, os.O_NONBLOCK | os.O_CLOEXEC)

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple, cast
 
 from delfim import config, messages
 from delfim.console.link import Link
+from delfim.errors import DelfimError
 from delfim.logging.candump import parse_line
 from delfim.logging.reading import in_order, read_log
 from delfim.vehicle.mavlink import wire
@@ -52,7 +53,7 @@ class Boat:
         try:
             async with asyncio.timeout(PATIENCE_S):
                 while True:
-                    with contextlib.suppress(OSError):
+                    with contextlib.suppress(OSError, DelfimError):
                         state = await asyncio.to_thread(self.state)
                     if state and is_so(state):
                         return state
@@ -65,14 +66,19 @@ class Boat:
         cycle = (await asyncio.to_thread(self.state))["cycle"]
         return await self.until(lambda state: state["cycle"] >= cycle + cycles)
 
-    def pushes(self) -> list[tuple[int, bool]]:
-        """The manual commands that it obeyed: when, ns since 1970, and whether they asked for thrust."""
+    def told(self) -> list[dict[str, Any]]:
+        """The commands that it heard: with when, ns since 1970, and why it refused them."""
         found = []
         for event in self._events():
-            if event["event"] == "command" and event["value"]["command"] == "manual" and not event["refused"]:
+            if event["event"] == "command" and event["value"]["command"] != "alive":
                 taken_ns = event["t_ns"] - round((event["monotonic_s"] - event["at_s"]) * 1e9)
-                found.append((taken_ns, bool(event["value"]["port"] or event["value"]["starboard"])))
+                found.append(event["value"] | {"taken_ns": taken_ns, "refused": event["refused"]})
         return found
+
+    def pushes(self) -> list[tuple[int, bool]]:
+        """The manual commands that it obeyed: when, and whether they asked for thrust."""
+        manual = (each for each in self.told() if each["command"] == "manual" and not each["refused"])
+        return [(each["taken_ns"], bool(each["port"] or each["starboard"])) for each in manual]
 
     def _events(self) -> Iterator[dict[str, Any]]:
         for file in in_order((self.place / "log").glob("*/state/*.meta.jsonl")):
@@ -162,6 +168,10 @@ class Radio:
     def cut(self) -> None:
         self.through = False
 
+    def say(self, frame: bytes) -> None:
+        """In the gateway's place."""
+        self._boats_end.sendto(frame, self._boat)
+
     def mend(self) -> None:
         """First of all comes what was on its way, late as it is."""
         self.through = True
@@ -227,7 +237,7 @@ class Gateway:
     def start(self) -> str:
         """Where the page is, once it is there. Blocks meanwhile."""
         words = [f"--boats=127.0.0.1:{self.boats[1]}", f"--page=127.0.0.1:{self._page}", "--no-browser", f"--vehicle={VEHICLE}"]
-        words += [f"--{each}={self._folder}/{each}" for each in ("missions", "charts", "sessions")]
+        words += [f"--{each}={self._folder}/{each}" for each in ("missions", "charts", "sessions", "token")]
         command = [sys.executable, "-u", "-m", "delfim", "console", *words]
         self._program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         line = cast(Any, self._program.stdout).readline()
@@ -299,7 +309,8 @@ class Sea:
     def nothing_amiss(self) -> None:
         """Nothing was missing on the page, and it asked nobody but the gateway."""
         assert self.page.complaints == []
-        own = "data:", "about:", self.url, self.url.replace("http", "ws")
+        url = self.url.partition("?")[0]
+        own = "data:", "about:", url, url.replace("http", "ws")
         assert [each for each in self.page.requests if not each.startswith(own)] == []
 
 

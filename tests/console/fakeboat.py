@@ -34,6 +34,7 @@ class FakeBoat:
             signing.timestamp = round((time.time() - 1_420_070_400) * 1e5)
         self.refused = 0
         self.heartbeats = 0
+        self.name, self.run, self.asked_name = "", "", 0
         self._said_s = -1.0
 
     def say(self, *messages: Any) -> None:
@@ -50,7 +51,7 @@ class FakeBoat:
             return
         self._said_s = now_s
         self.say(
-            mavlink.MAVLink_heartbeat_message(11, 0, 1 | (128 if self.mode != 4 else 0), self.mode, 4, 3),
+            self._heartbeat(),
             mavlink.MAVLink_global_position_int_message(round(now_s * 1e3), *self.position, 0, 0, 100, 50, 0, 9000),
             mavlink.MAVLink_raw_rpm_message(0, 300.0),
             mavlink.MAVLink_raw_rpm_message(1, 310.0),
@@ -77,6 +78,11 @@ class FakeBoat:
         elif kind == "PARAM_SET":
             self.profile = int(m.param_value)
             self.say(mavlink.MAVLink_param_value_message(m.param_id.encode(), m.param_value, m.param_type, 1, 0))
+        elif kind == "PARAM_EXT_REQUEST_READ":
+            self.asked_name += m.param_id == "BOAT_NAME"
+            value = {"BOAT_NAME": self.name, "BOAT_RUN": self.run}[m.param_id]
+            if value:
+                self.say(mavlink.MAVLink_param_ext_value_message(m.param_id.encode(), value.encode(), 11, 2, 0))
         elif kind == "TIMESYNC":
             self.say(mavlink.MAVLink_timesync_message(round(self.clock.monotonic_s() * 1e9) + 1, m.ts1))
         elif kind.startswith("MISSION_"):
@@ -90,7 +96,10 @@ class FakeBoat:
         self.obeyed.append((m.command, m.param1, m.param2, m.param3))
         if m.command == mavlink.MAV_CMD_DO_SET_MODE:
             self.mode = int(m.param2)
-        self.say(mavlink.MAVLink_command_ack_message(m.command, mavlink.MAV_RESULT_ACCEPTED))
+        self.say(mavlink.MAVLink_command_ack_message(m.command, mavlink.MAV_RESULT_ACCEPTED), self._heartbeat())
+
+    def _heartbeat(self) -> Any:
+        return mavlink.MAVLink_heartbeat_message(11, 0, 1 | (128 if self.mode != 4 else 0), self.mode, 4, 3)
 
     def _mission(self, kind: str, m: Any) -> None:
         gcs = 250, 190

@@ -15,7 +15,7 @@ import matplotlib
 from matplotlib import pyplot
 
 from tests.console.standin import M_PER_DEG, RPM_MOST, Message, Standin, boat, place, reference
-from tests.services.browser import Page, browser
+from tests.services.browser import Page, browser, shrink
 
 SIZE = (1440, 860)
 EAST_M, NORTH_M = (-620.0, 620.0), (-300.0, 360.0)
@@ -136,7 +136,8 @@ def at_work() -> Standin:
     extent = [south_west[1], south_west[0], north_east[1], north_east[0]]
     gateway = Standin(boats, backgrounds=({"name": name, "kind": "image", "extent": extent},))
     gateway.charts[name] = chart()
-    gateway.plans[2] = survey()
+    gateway.plans[2] = gateway.aboard[2] = survey()
+    boats[1].update({key: survey()[key] for key in ("fence", "obstacles", "home")})
     boats[1].update(mode="play", armed=True, speed_pct=60)
     boats[1]["mission"] = {"name": "Survey", "count": len(SURVEY), "current": 1, "state": "same", "digest": "1"}
     boats[0].update(mode="manual", armed=True)
@@ -238,7 +239,14 @@ async def plan(page: Page, picture: Picture) -> None:
 
 async def replayed(page: Page, picture: Picture) -> None:
     gateway = at_work()
-    gateway.hello["replay"] = {"from_s": gateway.at_s - 300, "to_s": gateway.at_s + 1500}
+    said = (
+        (-240, 6, "play: operator"),
+        (400, 4, "guest silent for 2.0 s: warn"),
+        (900, 2, "battery low: home"),
+        (1300, 6, "hold"),
+    )
+    events = [{"at_s": gateway.at_s + at_s, "boat": 2, "severity": severity, "text": text} for at_s, severity, text in said]
+    gateway.hello["replay"] = {"from_s": gateway.at_s - 300, "to_s": gateway.at_s + 1500, "events": events}
     async with gateway.serving():
         day = Day(gateway)
         await day.sail(0.1)
@@ -324,3 +332,4 @@ async def main(folder: Path, only: list[str]) -> None:
 
 if __name__ == "__main__":
     asyncio.run(main(Path(sys.argv[1]), sys.argv[2:]))
+    shrink(Path(sys.argv[1]).glob("console-*.png"))

@@ -7,7 +7,12 @@ from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any, TypeAlias
 
+import msgspec
 from aiohttp import WSMsgType, web
+
+from delfim.console import said
+from delfim.console.orders import order
+from delfim.errors import FormatError
 
 PAGE = Path(__file__).parents[2] / "delfim" / "console" / "page"
 MODES = ("idle", "manual", "heading", "goto", "path", "play", "grex", "hold", "home")
@@ -34,6 +39,8 @@ def boat(number: int, name: str, colour: str, *, north_m: float = 0.0, east_m: f
         "asked": None,
         "armed": False,
         "owner": True,
+        "commander": 0,
+        "twins": [],
         "ready": True,
         "reason": "",
         "failsafe": "",
@@ -71,14 +78,17 @@ class Standin:
         self.boats = boats
         self.hello: Message = {
             "version": "0",
-            "me": "console-1",
+            "me": 250,
             "keys": [],
+            "heard_on": ["127.0.0.1:14550"],
             "backgrounds": list(backgrounds),
             "replay": replay,
         }
         self.charts: dict[str, bytes] = {}
         self.said: list[Message] = []
+        self.faults: list[str] = []  # what the gateway would not have understood
         self.plans: dict[int, Message] = {}
+        self.aboard: dict[int, Message] = {}
         self.stored: dict[str, Message] = {}
         self.refusals: dict[str, str] = {}  # by command, or by what is to be done to a mission
         self.obedient = True  # boats enter the mode they are told
@@ -101,6 +111,7 @@ class Standin:
             yield self
         finally:
             await runner.cleanup()
+        assert self.faults == []
 
     async def tell(self, message: Message) -> None:
         for socket in list(self.sockets):
@@ -153,6 +164,8 @@ class Standin:
                 await socket.send_json(chunk)
         for number, mission in self.plans.items():
             await socket.send_json({"t": "mission", "boat": number, "where": "here", "mission": mission})
+        for number, mission in self.aboard.items():
+            await socket.send_json({"t": "mission", "boat": number, "where": "aboard", "mission": mission})
         self.sockets.add(socket)  # as of the gateway: no frame comes between a track's pieces
         try:
             async for message in socket:
@@ -164,6 +177,7 @@ class Standin:
 
     async def _take(self, socket: web.WebSocketResponse, message: Message) -> None:
         self.said.append(message)
+        self._understand(message)
         if "seq" not in message:
             return
         what = message.get("command") or message.get("do") or message["t"]
@@ -173,6 +187,16 @@ class Standin:
         if not reason and message["t"] == "mission":
             await self._mission(socket, message)
         await socket.send_json({"t": "answer", "seq": message["seq"], "ok": not reason, "reason": reason})
+
+    def _understand(self, message: Message) -> None:
+        """As the gateway does: the page says nothing that the gateway refuses to hear."""
+        try:
+            msgspec.convert(message, said.Message)
+            if message["t"] == "command":
+                numbers = {name: value for name, value in message.items() if name not in said.NO_NUMBERS}
+                order(message["command"], numbers)
+        except (msgspec.ValidationError, FormatError) as error:
+            self.faults.append(f"{error}: {message}")
 
     def _obey(self, message: Message) -> None:
         command = message["command"]
@@ -201,6 +225,7 @@ class Standin:
         elif deed == "upload":
             count, name = len(self.plans[number]["waypoints"]), self.plans[number]["name"]
             self.boat(number)["mission"] = {"name": name, "count": count, "current": 0, "state": "same", "digest": "1"}
+            await socket.send_json({"t": "mission", "boat": number, "where": "aboard", "mission": self.plans[number]})
         elif deed == "download":
             await socket.send_json({"t": "mission", "boat": number, "where": "aboard", "mission": self.stored["aboard"]})
         elif deed == "dryrun":

@@ -234,7 +234,9 @@ def test_a_folder_of_charts_is_told_and_served(tmp_path: Path) -> None:
         assert (status, kind, data[:4]) == (200, "image/png", b"\x89PNG")
         assert (await get("/background/utm"))[2] == data
         assert (await get("/background/lost"))[0] == 404
-        assert (await get("/background/..%2Fplain.png"))[0] == 404
+        for name in ("..%2Fplain.png", "..", "%00", "a" * 300, "%FF", "%2Fetc%2Fpasswd", "<b>", "CON"):
+            assert (await get(f"/background/{name}"))[0] == 404, name
+            assert (await get(f"/tiles/{name}/3/1/5"))[0] == 404, name
         assert await get("/tiles/sea/3/1/5") == (200, "image/png", png()), "rows count from the north"
         assert (await get("/tiles/sea/3/1/2"))[0] == 204
         assert (await get("/tiles/sea/99/1/2"))[0] == 404

@@ -1,5 +1,6 @@
 """The console against the vehicle itself: its loop, its station, its control; only the sockets between them are left out."""
 
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,10 +12,13 @@ from delfim.console import transfer
 from delfim.console.fleet import Fleet
 from delfim.console.library import Library
 from delfim.console.mavlink import Key, keygen
+from delfim.errors import Refused
+from delfim.geodesy import from_plane
+from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.station import Station
-from delfim.vehicle.state import Mode
+from delfim.vehicle.mavlink.wire import Source
 from tests.console.fakeboat import Radio
 
 HOME = ("127.0.0.1", 14550)
@@ -39,8 +43,7 @@ class Afloat:
     def __init__(self, boat: Any, key: Key | None = None, secret: bytes | None = None, **radio: Any) -> None:
         self.boat, self.state, self.answers = boat, boat.state, list[tuple[bool, str]]()
         vehicle = boat.vehicle
-        away = {"sign": "all", "key": "x"} if secret else {}
-        vehicle.settings = config.Vehicle(boat=config.Boat(name="test", id=1), mavlink=config.Mavlink(**away))  # type: ignore[arg-type]
+        vehicle.helm.settings = config.Vehicle(boat=config.Boat(name="test", id=1))
         self.radio = Radio(boat.clock, 3, **radio)
         signing = Signing(secret, boat.clock, {}) if secret else None
         self.station = Station(vehicle, lambda asked, who: self._obey(asked, who), self._down, signing)
@@ -152,6 +155,49 @@ def test_every_word_does_at_the_vehicle_what_it_says(sea: Afloat, word: str, wor
     assert sea.shown["mode"] == mode.lower()
 
 
+@pytest.mark.parametrize(("words", "heading_deg"), [({}, 0.0), ({"heading_deg": 243.0}, 243.0)])
+def test_heading_mode_follows_the_heading_that_was_asked_for_or_else_the_boats(
+    sea: Afloat, words: dict[str, Any], heading_deg: float
+) -> None:
+    assert sea.ask("goto_point", latitude_deg=38.6935, longitude_deg=-9.2147, speed_mps=0.8) == (True, "")
+    assert sea.ask("heading", **words) == (True, "")
+    asked = sea.state.setpoint
+    assert (math.degrees(asked.heading_rad), asked.speed_mps) == pytest.approx((heading_deg, 0.8), abs=0.01)
+
+
+@pytest.mark.parametrize("profile", ["wifi", "radio", "lean"])
+def test_the_place_that_a_boat_steers_for_is_that_of_its_mode(sea: Afloat, profile: str) -> None:
+    """From one mode into the next: what the mode before steered for is not shown any more."""
+    sea.fleet.put(1, PLAN)
+    assert sea.do(sea.fleet.upload) == (True, "")
+    assert sea.ask("profile", profile=profile) == (True, "")
+    waypoint = {key: PLAN["waypoints"][0][key] for key in ("latitude_deg", "longitude_deg")}  # type: ignore[index]
+    for word, words in (
+        ("play", {}),
+        ("heading_to", {"heading_deg": 123.0}),
+        ("goto_point", waypoint),
+        ("manual", {}),
+        ("hold", {}),
+        ("heading_to", {"heading_deg": 301.0}),
+        ("path", {}),
+        ("idle", {}),
+    ):
+        assert sea.ask(word, **words) == (True, ""), word
+        sea.run(3.0)
+        shown, told = sea.shown["reference"], sea.state.reference
+        has_place = told.north_m is not None and profile != "lean"
+        assert (shown["latitude_deg"] is not None) == has_place, word
+        if has_place:
+            there = from_plane(sea.state.origin, told.north_m, told.east_m)  # type: ignore[arg-type]
+            assert math.radians(shown["latitude_deg"]) == pytest.approx(there[0], abs=1e-8)
+            assert math.radians(shown["longitude_deg"]) == pytest.approx(there[1], abs=1e-8)
+            assert shown["distance_m"] == pytest.approx(told.distance_m, abs=1.0)
+        elif told.distance_m is None:
+            assert shown["distance_m"] is None
+        if word == "heading_to":
+            assert shown["heading_deg"] == pytest.approx(words["heading_deg"], abs=2.0)
+
+
 def test_a_refusal_is_told_in_the_vehicles_words(sea: Afloat) -> None:
     well, why = sea.ask("play")
     assert (well, why) == (False, "no item 0 that can be gone to")
@@ -174,6 +220,80 @@ def test_what_is_saved_is_what_is_loaded(tmp_path: Path) -> None:
     keys = ("latitude_deg", "longitude_deg", "speed_mps", "acceptance_m", "hold_s")
     loaded = [{key: each[key] for key in keys} for each in library.load("harbour")["waypoints"]]
     assert loaded == [{"hold_s": 0.0, **each} for each in PLAN["waypoints"]]  # type: ignore[dict-item]
+
+
+@pytest.mark.parametrize("name", ["Survey 2", "é", "日本", "a" * 60, "\U0001d4d0" * 60, "1.2-3_x", "COMPASS", "console"])
+def test_a_mission_is_a_file_of_its_name(tmp_path: Path, name: str) -> None:
+    library = Library(tmp_path / "missions")
+    library.save(PLAN | {"name": name})
+    assert (library.names(), library.load(name)["name"]) == ([name], name)
+
+
+ODD = (
+    "",
+    ".",
+    "..",
+    "../x",
+    "a/b",
+    "a\\b",
+    "/etc/passwd",
+    "a\0b",
+    "a\nb",
+    "-rf",
+    " x",
+    "x ",
+    "x.",
+    "~",
+    "a:b",
+    "<b>",
+    "\ud800",
+    "\u202ea",
+)
+
+
+@pytest.mark.parametrize(
+    "name",
+    [*ODD, "-rf", " x", "x ", "x.", "~", "\ud800", "\u202ea", "a" * 61, "a" * 300, "CON", "nul", "Com1", "aux.old", "LPT9.x"],
+)
+def test_no_name_of_a_mission_leads_elsewhere(tmp_path: Path, name: str) -> None:
+    library = Library(tmp_path / "missions")
+    for ask in (lambda: library.save(PLAN | {"name": name}), lambda: library.load(name)):
+        with pytest.raises(Refused) as refused:
+            ask()
+        assert len(str(refused.value)) < 200
+    assert not [*tmp_path.rglob("*.*")]
+
+
+def test_the_boats_name_is_that_of_its_file(sea: Afloat) -> None:
+    assert sea.shown["name"] == "test"
+
+
+def test_what_is_aboard_is_read_when_the_boat_is_found_and_when_it_changes(sea: Afloat, tmp_path: Path) -> None:
+    def count() -> int:
+        return int(sea.shown["mission"]["count"])
+
+    sea.run(10.0, until=lambda: "aboard" in sea.fleet.missions.get(1, {}))
+    assert (sea.shown["mission"]["state"], count()) == ("same", 0)
+    Library(tmp_path).save(PLAN)
+    text = (tmp_path / "harbour.toml").read_text()
+    assert sea.boat.vehicle.on_command(console.Mission(text)) is None, "by another console, or on board"
+    assert sea.run(10.0, until=count) < 7.0
+    assert count() == 4
+    said = [each for each in sea.told if each["t"] == "mission"]
+    assert [len(each["mission"]["waypoints"]) for each in said] == [0, 4], "no more often than it changes"
+    sea.run(60.0)
+    assert [each for each in sea.told if each["t"] == "mission"] == said
+
+
+def test_a_plan_that_is_sent_does_not_wait_for_the_one_that_is_read_by_itself(boat: Any) -> None:
+    sea = Afloat(boat)
+    sea.run(8.0, until=lambda: sea.fleet.progress())
+    sea.fleet.put(1, PLAN)
+    assert sea.do(sea.fleet.upload) == (True, "")
+    assert sea.shown["mission"]["state"] == "same"
+    reads = len([each for each in sea.told if each["t"] == "mission"])
+    sea.run(20.0)
+    assert len([each for each in sea.told if each["t"] == "mission"]) == reads, "what was sent is not read again"
 
 
 def test_a_path_with_an_arc_goes_along_with_the_waypoints(sea: Afloat) -> None:
@@ -231,7 +351,7 @@ def test_a_profile_is_the_vehicles(sea: Afloat, profile: str) -> None:
 def test_another_consoles_ownership_is_shown_and_taken(sea: Afloat) -> None:
     assert sea.ask("hold") == (True, "")
     assert sea.shown["owner"]
-    sea.station.owner = 255
+    sea.station.commander = Source(255, 190, ("127.0.0.1", 14560))
     sea.run(2.0)
     assert not sea.shown["owner"]
     well, why = sea.ask("heading")

@@ -5,10 +5,11 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
+from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.clock import ManualClock
 from delfim.console import transfer
-from delfim.console.fleet import Fleet
+from delfim.console.fleet import NAME_ASKS, Fleet
 from delfim.console.mavlink import Key, keygen
 from delfim.errors import ConfigError, FormatError, Refused
 from tests.console.fakeboat import FakeBoat, Radio
@@ -41,8 +42,9 @@ class Sea:
         }
         self.answers: list[tuple[bool, str]] = []
 
-    def _transmit(self, address: int, data: bytes) -> None:
-        self.radios[address].carry(0, data, self.boats[address].hear)
+    def _transmit(self, address: Any, data: bytes) -> None:
+        if address in self.radios:  # others are not heard by anybody
+            self.radios[address].carry(0, data, self.boats[address].hear)
 
     def run(
         self, seconds: float, until: Callable[[], object] = lambda: False, each: Callable[[], object] = lambda: None
@@ -89,6 +91,23 @@ def test_boats_are_found_and_shown_with_the_age_of_each_group(sea: Sea) -> None:
     assert two["ghost"] is None
 
 
+def test_a_failsafe_is_shown_with_what_its_trouble_has_become(sea: Sea) -> None:
+    boat = sea.boats[1]
+    sea.run(1.0)
+
+    alarmed = boat._heartbeat()
+    alarmed.system_status = mavlink.MAV_STATE_CRITICAL
+    boat._heartbeat = lambda: alarmed  # type: ignore[method-assign]
+    for text, shown in (
+        ("navigation silent for 1.0 s: hold", "navigation silent for 1.0 s: hold"),
+        ("console 250 commands", "navigation silent for 1.0 s: hold"),
+        ("navigation silent for 4.8 s: hold", "navigation silent for 4.8 s: hold"),
+    ):
+        boat.say(mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, text.encode()), alarmed)
+        sea.run(1.5)
+        assert sea.shown(1)["failsafe"] == shown
+
+
 @pytest.mark.parametrize(
     ("word", "words", "expected"),
     [
@@ -109,6 +128,7 @@ def test_boats_are_found_and_shown_with_the_age_of_each_group(sea: Sea) -> None:
         ("disarm", {}, (400, 0, 0, 0)),
         ("reset", {}, (246, 0, 0, 1)),
         ("take", {}, (32100, 0, 1, 1)),
+        ("heading", {"heading_deg": 243}, (43002, 1, 243, 0)),
     ],
 )
 def test_each_word_reaches_its_boat_alone_and_is_answered(sea: Sea, word: str, words: dict[str, Any], expected: Any) -> None:
@@ -180,6 +200,36 @@ def test_a_stop_ends_input_and_is_repeated_until_it_arrives() -> None:
     assert sea.answers[1:] == [(True, "")]
     assert 4.0 < took_s < 6.0
     assert sea.boats[1].mode == 4
+
+
+def test_a_stop_is_not_taken_for_heard_because_a_mode_before_it_was() -> None:
+    """Both are DO_SET_MODE: the answer to the mode comes when the stop is on its way, and the stop is lost."""
+    sea = Sea(1)
+    sea.run(2.0)
+    ways: list[bytes] = []
+    sea.fleet._transmit = lambda address, data: ways.append(data)
+    sea.ask(1, "hold")
+    hold = ways[-1]
+    sea.ask(1, "stop")
+    sea.boats[1].hear(hold)
+    sea.run(1.0)
+    assert sea.answers == [(False, "replaced by a newer command")]
+    sea.boats[1].hear(ways[-1])
+    sea.run(0.5)
+    assert (sea.answers[1:], sea.boats[1].mode) == ([(True, "")], 4)
+
+
+def test_the_name_is_asked_for_until_the_boat_tells_it() -> None:
+    sea = Sea(1, loss=0.5)
+    sea.boats[1].name = "Delfim\x07X "
+    sea.run(60.0, until=lambda: 1 in sea.fleet.boats and sea.shown(1)["name"] != "boat 1")
+    assert sea.shown(1)["name"] == "DelfimX"
+
+
+def test_a_boat_that_has_no_name_is_not_asked_for_ever(sea: Sea) -> None:
+    sea.run(200.0)
+    assert sea.shown(1)["name"] == "boat 1"
+    assert sea.boats[1].asked_name == NAME_ASKS
 
 
 def test_a_command_that_is_too_old_is_not_sent_any_more() -> None:
@@ -282,6 +332,142 @@ def test_peers_and_boats_are_bounded(sea: Sea) -> None:
     assert len(sea.fleet._peers) <= 64
 
 
+class Twins:
+    """Two that speak by the number 1, at two addresses, and a console."""
+
+    HERE, THERE = ("udp", "10.0.0.3", 14550), ("udp", "10.0.0.4", 14550)
+
+    def __init__(self, *runs: str, there: Any = THERE) -> None:
+        self.clock = ManualClock(100.0)
+        self.told: list[dict[str, Any]] = []
+        self.answers: list[tuple[bool, str]] = []
+        self.places = (self.HERE, there)
+        self.boats = {
+            place: FakeBoat(1, self.clock, lambda data, place=place: self.fleet.receive(place, data)) for place in self.places
+        }
+        for boat, run in zip(self.boats.values(), runs, strict=False):
+            boat.run = run
+        self.boats[there].position = [0, 1]
+        self.fleet = Fleet(self.clock, lambda address, data: self.boats[address].hear(data), self.told.append)
+
+    def run(self, seconds: float, *silent: Any) -> None:
+        for _ in range(round(seconds / 0.05)):
+            self.clock.advance(0.05)
+            for place, boat in self.boats.items():
+                if place not in silent:
+                    boat.tick()
+            self.fleet.tick()
+
+    @property
+    def shown(self) -> dict[str, Any]:
+        return self.fleet.snapshot()[0]
+
+    @property
+    def alarms(self) -> list[str]:
+        return [each["text"] for each in self.told if each["t"] == "text" and each["severity"] <= 2]
+
+
+@pytest.mark.parametrize("runs", [("a", "b"), ("", ""), ("a", "")])
+def test_two_boats_with_one_number_are_told_of_and_not_mixed(runs: tuple[str, str]) -> None:
+    sea = Twins(*runs)
+    sea.run(10.0)
+    assert sea.shown["twins"] == ["10.0.0.3:14550", "10.0.0.4:14550"]
+    assert sea.alarms == ["2 boats have the number 1: 10.0.0.3:14550 and 10.0.0.4:14550; STOP goes to all of them"]
+    assert {longitude_deg for _, _, longitude_deg in sea.fleet.boats[1].track} == {-9.215}
+    sea.run(20.0, sea.THERE)
+    assert (sea.shown["twins"], len(sea.alarms)) == ([], 1)
+
+
+@pytest.mark.parametrize("to", [1, "all"])
+def test_stop_goes_to_every_boat_of_a_number_and_is_over_when_all_of_them_are_idle(to: int | str) -> None:
+    sea = Twins("a", "b")
+    for boat in sea.boats.values():
+        boat.mode = 10
+    sea.run(10.0)
+    deaf = sea.boats[sea.THERE]
+    hear, deaf.hear = deaf.hear, lambda data: None  # type: ignore[method-assign]
+    sea.fleet.command(1, "stop", {}, lambda well, why: sea.answers.append((well, why)))
+    sea.run(3.0)
+    assert (sea.boats[sea.HERE].mode, deaf.mode, sea.answers) == (4, 10, [])
+    deaf.hear = hear  # type: ignore[method-assign]
+    sea.run(3.0)
+    assert (deaf.mode, sea.answers) == (4, [(True, "")])
+    sea.fleet.command(1, "hold", {}, lambda well, why: None)
+    sea.run(2.0)
+    assert (sea.boats[sea.HERE].mode, deaf.mode) == (5, 4), "anything else is for the one that is shown"
+
+
+@pytest.mark.parametrize("there", [Twins.THERE, ("serial", "/dev/ttyUSB0")])
+def test_a_boat_that_is_heard_on_two_links_is_one(there: Any) -> None:
+    sea = Twins("same", "same", there=there)
+    sea.run(20.0)
+    assert (sea.alarms, sea.shown["twins"]) == ([], [])
+
+
+def test_a_boat_that_comes_back_from_another_address_is_the_boat() -> None:
+    sea = Twins("a", "b")
+    sea.run(5.0, sea.THERE)
+    sea.boats[sea.HERE].hear = lambda data: None  # type: ignore[method-assign]
+    sea.run(10.0, sea.HERE)
+    sea.fleet.command(1, "hold", {}, lambda well, why: sea.answers.append((well, why)))
+    sea.run(1.0, sea.HERE)
+    assert (sea.boats[sea.THERE].mode, sea.answers, sea.alarms) == (5, [(True, "")], [])
+
+
+def test_addresses_of_one_number_are_bounded() -> None:
+    sea = Twins("a", "b")
+    sea.run(2.0)
+    for n in range(300):
+        FakeBoat(1, sea.clock, lambda data, n=n: sea.fleet.receive(("udp", "10.0.1.1", n), data)).tick()
+    sea.run(5.0)
+    assert len(sea.fleet._ways.to_stop(1, sea.clock.monotonic_s())) <= 9
+    assert sea.shown["twins"][0] == "10.0.0.3:14550"
+
+
+def test_invented_boats_give_way_and_those_that_are_used_stay() -> None:
+    sea = Sea(1, 2)
+    sea.run(2.0)
+    sea.ask(1, "hold")
+    for n in range(100, 200):
+        FakeBoat(n, sea.clock, lambda data, n=n: sea.fleet.receive(("udp", "10.0.1.1", n), data)).tick()
+    assert len(sea.fleet.boats) == 32
+    assert {1, 2} <= set(sea.fleet.boats)
+    sea.run(10.0)
+    late = FakeBoat(77, sea.clock, lambda data: sea.fleet.receive(("udp", "10.0.1.1", 77), data))
+    sea.boats[1].tick = lambda: None  # type: ignore[method-assign]
+    sea.run(30.0)
+    late.tick()
+    assert 77 in sea.fleet.boats, "one that had fallen silent made room"
+    assert {1, 2} <= set(sea.fleet.boats), "the silent one is the operator's, the other one speaks"
+    assert len(sea.fleet.boats) == 32
+    sea.ask(2, "hold")
+    sea.run(1.0)
+    assert sea.boats[2].mode == 5, "and is reached, though many addresses spoke since"
+
+
+def test_another_console_with_our_number_is_told_of_once_a_minute() -> None:
+    sea = Sea(1)
+    other = mavlink.MAVLink(None, 231, 190)
+    sea.fleet.me = 231
+    for _ in range(90):
+        beat = mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3).pack(other)
+        sea.fleet.receive(("serial", "/dev/ttyUSB0"), beat)
+        sea.run(1.0)
+    texts = [each["text"] for each in sea.told if each["t"] == "text" and each["boat"] is None]
+    words = "/dev/ttyUSB0 has the number of this console, 231: start one of them with another (delfim console --number)"
+    assert texts == [words] * 2
+
+
+def test_a_boat_says_who_commands_and_the_console_knows_whether_it_is_meant() -> None:
+    sea = Sea(1)
+    sea.fleet.me = 231
+    sea.run(2.0)
+    for number, mine in ((250, False), (231, True), (0, True)):
+        sea.boats[1].say(mavlink.MAVLink_named_value_int_message(0, b"OWNER", number))
+        sea.run(0.5)
+        assert (sea.shown(1)["owner"], sea.shown(1)["commander"]) == (mine, number)
+
+
 def test_signed_links_take_nothing_else(tmp_path: Any) -> None:
     keygen(tmp_path / "key")
     assert (tmp_path / "key").stat().st_mode & 0o777 == 0o600
@@ -351,3 +537,19 @@ def test_boats_are_never_mixed(sea: Sea) -> None:
     assert {n: len(boat.obeyed) for n, boat in sea.boats.items()} == wanted
     for number, boat in sea.boats.items():  # FakeBoat fails for whatever names another boat
         assert set(boat.thrust) <= {(10 * number, 0), (0, 0)}
+
+
+def test_a_zone_of_the_plan_is_not_shown_as_one_that_the_boat_keeps(sea: Sea) -> None:
+    sea.fleet.put(1, SQUARE)
+    assert (sea.shown(1)["fence"], sea.shown(1)["obstacles"], sea.shown(1)["home"]) == ([], [], None)
+    sea.fleet.upload(1, lambda well, why: sea.answers.append((well, why)))
+    sea.run(30.0, until=lambda: sea.answers)
+    assert len(sea.shown(1)["fence"]) == 3
+    assert sea.shown(1)["home"] is not None
+
+
+def test_what_a_boat_said_is_shown_with_its_age(sea: Sea) -> None:
+    assert sea.shown(1)["reason_age_s"] is None
+    sea.boats[1].say(mavlink.MAVLink_statustext_message(4, b"navigation silent for 1.0 s: warn", 0, 0))
+    sea.run(5.0)
+    assert sea.shown(1)["reason_age_s"] == pytest.approx(5.0, abs=0.2)

@@ -374,6 +374,16 @@ def test_a_mode_that_is_asked_for_is_shown_as_asked_until_the_boat_says_it(sail:
     sail(story)
 
 
+def test_a_number_that_is_used_twice_is_a_red_alarm_with_both_addresses(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        gateway.boat(1)["twins"] = ["10.0.0.3:14550", "10.0.0.4:14550"]
+        await shown(
+            page, gateway, f"{text_of(1, '.trouble.bad')} === 'number 1 is used twice: 10.0.0.3:14550 and 10.0.0.4:14550'"
+        )
+
+    sail(story)
+
+
 def test_a_refusal_is_said_in_words(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         gateway.refusals["play"] = "no mission aboard"

@@ -1,6 +1,7 @@
 """Sessions recorded, and recordings played again."""
 
 import errno
+import math
 import shutil
 from pathlib import Path
 from typing import Any
@@ -17,9 +18,10 @@ from delfim.console.replay import Replay, open_tapes
 from delfim.console.session import PENDING_BYTES, Session
 from delfim.console.statetape import States
 from delfim.console.tape import Session as Recording
+from delfim.console.tape import Text
 from delfim.errors import DelfimError, FormatError, Refused
 from delfim.simulator.lockstep import Lockstep
-from delfim.wiring import StateLog
+from delfim.vehicle.logbook import Logbook
 from tests.console.fakeboat import FakeBoat
 
 ROOT = Path(__file__).parents[2]
@@ -53,7 +55,7 @@ def sailed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A minute of the vehicle in the simulator, as its own state log holds it."""
     log = tmp_path_factory.mktemp("log")
     settings = config.load(ROOT / "etc/delfimx.toml", [f'log.directory="{log}"', 'log.state_method="write"'])
-    run = Lockstep(settings, 1, lambda clock: StateLog(settings, clock))
+    run = Lockstep(settings, 1, lambda clock: Logbook(settings, clock))
     run.sail((ROOT / "etc/missions/doca.toml").read_text(), 60.0)
     run.close()
     return log
@@ -81,6 +83,7 @@ def test_a_mission_is_shown_from_when_it_was_read_and_at_its_waypoint(tmp_path: 
     fleet = Fleet(clock, lambda address, data: boats[0].hear(data), lambda message: None)
     fleet.record = session.put
     boats.append(FakeBoat(1, clock, lambda data: fleet.receive(1, data)))
+    boats[0].name = "Delfim"
     waypoints = [
         {"latitude_deg": 38.69, "longitude_deg": -9.21 + n / 1e3, "speed_mps": 1.0 + n, "acceptance_m": 3.0, "hold_s": 0.0}
         for n in range(3)
@@ -103,7 +106,9 @@ def test_a_mission_is_shown_from_when_it_was_read_and_at_its_waypoint(tmp_path: 
     assert (played.shown(1)["mission"]["count"], played.shown(1)["mission"]["current"]) == (3, 1)
     played.replay.seek(played.replay.from_s)
     assert played.shown(1)["mission"]["count"] == 0
-    assert [len(told["mission"]["waypoints"]) for told in played.told if told["t"] == "mission"] == [3, 0], "drawn, and no more"
+    drawn = [len(told["mission"]["waypoints"]) for told in played.told if told["t"] == "mission"]
+    assert drawn == [0, 3, 0], "what the console read by itself, what was sent, and nothing before either"
+    assert played.shown(1)["name"] == "Delfim", "from the beginning"
 
 
 def test_a_session_is_read_by_everybodys_reader(recorded: Path) -> None:
@@ -129,15 +134,42 @@ def test_a_session_plays_at_the_rate_of_life_and_at_others(recorded: Path) -> No
     assert played.replay.at_s == pytest.approx(begun_s + 30.0)
     assert {boat["id"]: boat["mode"] for boat in played.replay.snapshot()} == {1: "idle", 2: "idle"}
     assert 28 <= len(played.replay.boats[1].track) <= 32
-    played.replay.steer({"rate": 0})
+    played.replay.steer(None, 0.0)
     played.run(5.0)
     assert played.replay.at_s == pytest.approx(begun_s + 30.0)
-    played.replay.steer({"rate": 10})
+    played.replay.steer(None, 10.0)
     played.run(4.0)
     assert (played.shown(1)["mode"], played.shown(1)["age_s"]["heard"] <= 1.1) == ("play", True)
     assert [each["text"] for each in played.told] == ["play: operator"]
     played.run(100.0)
     assert played.replay.at_s == played.replay.to_s
+
+
+def test_the_whole_way_and_what_was_said_are_known_from_the_beginning(recorded: Path) -> None:
+    replay = Played(recorded).replay
+    assert [(each["text"], each["boat"]) for each in replay.events()] == [("play: operator", 1)]
+    assert replay.events()[0]["at_s"] == pytest.approx(replay.from_s + 60.0, abs=1.0)
+    tracks = replay.tracks()
+    assert (len(tracks[1]), len(tracks[2])) == (120, 41)
+    assert tracks[1][-1][0] == pytest.approx(replay.to_s, abs=1.0)
+
+
+def test_of_many_events_the_gravest_are_kept_in_their_order() -> None:
+    class Talk:
+        from_s, to_s, tracks, missions, complaint = 0.0, 1000.0, {1: [(t, 0.0, 0.0) for t in range(10_000)]}, {}, ""
+        texts = tuple(Text(float(t), 1, 4 if t % 10 else 6, "words") for t in range(1000))
+
+        def seek(self, boats: object, at_s: float) -> None: ...
+
+        def play(self, boats: object, from_s: float, to_s: float) -> list[Text]:
+            return []
+
+    replay = Replay([Talk()], ManualClock(), lambda message: None)  # type: ignore[list-item]
+    events = replay.events()
+    assert len(events) == 300
+    assert {each["severity"] for each in events} == {4}
+    assert events == sorted(events, key=lambda each: each["at_s"])
+    assert 2000 < len(replay.tracks()[1]) <= 4000
 
 
 def test_any_time_is_shown_as_it_was(recorded: Path) -> None:
@@ -199,13 +231,11 @@ def test_a_replay_commands_nothing(recorded: Path) -> None:
     assert replay.progress() == []
 
 
-@pytest.mark.parametrize(
-    "words", [{"rate": -1}, {"rate": 1e9}, {"rate": "x"}, {"at_s": "x"}, {"at_s": float("nan")}, {"rate": []}]
-)
-def test_a_time_line_that_means_nothing_is_refused(recorded: Path, words: dict[str, Any]) -> None:
+@pytest.mark.parametrize(("at_s", "rate"), [(None, -1.0), (None, 1e9), (None, math.nan), (math.nan, None), (math.inf, None)])
+def test_a_time_line_that_means_nothing_is_refused(recorded: Path, at_s: float | None, rate: float | None) -> None:
     played = Played(recorded)
     with pytest.raises(FormatError):
-        played.replay.steer(words)
+        played.replay.steer(at_s, rate)
     assert played.replay.rate == 1.0
 
 

@@ -87,3 +87,13 @@ def test_warnings_say_what_is_wrong(boat, state):
         "navigation jumps": "3",
     }
     assert not warnings(state)
+
+
+@pytest.mark.parametrize(("width", "height"), [(80, 24), (130, 24), (110, 50)])
+def test_the_time_the_consoles_address_and_what_ends_it_are_always_there(state, width, height):
+    view = View(SQUARE)
+    view.feed(state, "0:12:34  console http://127.0.0.1:8765/?token=AbCdEfGhIjKlMnOp  Ctrl-C ends")
+    text = shown(view, width, height)
+    for words in ("0:12:34", "http://127.0.0.1:8765/?token=AbCdEfGhIjKlMnOp", "Ctrl-C ends"):
+        assert words in text
+    assert text.count("\n") <= height

@@ -1,6 +1,8 @@
 """The boat's image for the tests: built once under run/, and again when something that goes into it has changed."""
 
+import fcntl
 import hashlib
+import os
 import shutil
 import subprocess
 import sys
@@ -22,17 +24,28 @@ def missing() -> str | None:
 
 
 def build() -> Path:
-    """The folder with vmlinuz, initramfs.gz for it and initramfs-guest.gz for User-Mode Linux. Takes a minute."""
+    """The folder with vmlinuz, initramfs.gz for it and initramfs-guest.gz for User-Mode Linux. Takes a minute; who comes
+    meanwhile waits for it."""
     mark, inputs = FOLDER / "inputs", _inputs()
-    if not mark.exists() or mark.read_text() != inputs:
-        mark.unlink(missing_ok=True)
-        kernel = next(KERNELS.iterdir())
-        words = [sys.executable, ROOT / "docker" / "image.py", FOLDER, "--kernel", "debian", "--kernel", kernel]
-        done = subprocess.run(words, capture_output=True, text=True, timeout=BUILD_S, cwd=ROOT)
-        assert done.returncode == 0, done.stdout + done.stderr
-        (FOLDER / f"initramfs-{kernel.name}.gz").replace(FOLDER / "initramfs-guest.gz")
-        mark.write_text(inputs)
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    with (FOLDER / "lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not mark.exists() or mark.read_text() != inputs:
+            mark.unlink(missing_ok=True)
+            kernel = next(KERNELS.iterdir())
+            make(FOLDER, "--kernel", "debian", "--kernel", str(kernel))
+            (FOLDER / f"initramfs-{kernel.name}.gz").replace(FOLDER / "initramfs-guest.gz")
+            mark.write_text(inputs)
     return FOLDER
+
+
+def make(folder: Path, *words: str) -> None:
+    """docker/image.py, which asks the registries for packages: in the network of the program that started this worker, where it
+    is one of several."""
+    outside = ["nsenter", f"--net=/proc/{os.getppid()}/ns/net"] if "PYTEST_XDIST_WORKER" in os.environ else []
+    command = [*outside, sys.executable, ROOT / "docker" / "image.py", folder, *words]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=BUILD_S, cwd=ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
 
 
 def _inputs() -> str:

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.canproxy.socketcan import restart
 from delfim.errors import BusError
 from delfim.frames import CAN_IDE, extended, standard

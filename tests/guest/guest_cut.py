@@ -24,8 +24,8 @@ while True:
 """
 TALKER = """
 import time
-from delfim.canproxy.dsor import BROADCAST, Message, segments
-from delfim.canproxy.socket import open_can
+from delfim.canproxy.dsor.protocol import BROADCAST, Message, segments
+from delfim.canproxy.opening import open_can
 from delfim.messages import LOG_ID, Node
 with open_can("vcan0") as bus:
     number = 0

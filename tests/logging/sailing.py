@@ -7,13 +7,13 @@ import pytest
 from delfim import config
 from delfim.canproxy.socket import ANYTHING
 from delfim.clock import ManualClock
-from delfim.logging import canzlogd
-from delfim.logging.canzlogd import BlackBox
+from delfim.logging import blackbox
+from delfim.logging.blackbox import BlackBox
 from delfim.logging.liblog import open_log
 from delfim.logging.tree import LogFile, files
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
-from delfim.wiring import StateLog
+from delfim.vehicle.logbook import Logbook
 
 ROOT = Path(__file__).parents[2]
 MISSION = (ROOT / "etc/missions/doca.toml").read_text()
@@ -31,11 +31,11 @@ class Day:
         self.socket = self.sailing.bus.socket("logger")
         self.socket.bind(ANYTHING)
         with pytest.MonkeyPatch.context() as patch:  # files of the clock of the simulation need no child
-            patch.setattr(canzlogd, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))
+            patch.setattr(blackbox, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))
             self.box = BlackBox([self.socket], self.settings.log, self.clock)
 
-    def _opened(self, clock: ManualClock) -> StateLog:
-        self.log = StateLog(self.settings, clock)
+    def _opened(self, clock: ManualClock) -> Logbook:
+        self.log = Logbook(self.settings, clock)
         return self.log
 
     def command(self, command: console.Commands) -> str | None:
@@ -56,7 +56,7 @@ class Day:
 
     def end(self) -> None:
         self.clock.advance(0.01)
-        self.sailing.vehicle.stop("shutdown")
+        self.sailing.vehicle.helm.stop("shutdown")
         self.box.on_readable(self.socket)
         self.log.close()
         self.box.close()

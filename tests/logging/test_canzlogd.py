@@ -10,13 +10,14 @@ from types import SimpleNamespace
 import can
 import pytest
 
-from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state
 from delfim.config import Log
 from delfim.errors import BusError
 from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
-from delfim.logging import canzlogd
+from delfim.logging import blackbox
+from delfim.logging.blackbox import FRAMES_A_CALL, BlackBox
 from delfim.logging.candump import format_line, parse_line
-from delfim.logging.canzlogd import FRAMES_A_CALL, BlackBox
 from delfim.logging.liblog import open_log
 from tests.logging.conftest import content, files
 
@@ -59,7 +60,7 @@ def box(tmp_path, wire, clock, monkeypatch):
         made.append(open_log(directory, id, suffix, "write", clock, **limits))
         return made[-1]
 
-    monkeypatch.setattr(canzlogd, "open_log", opened)
+    monkeypatch.setattr(blackbox, "open_log", opened)
     box = BlackBox([wire], Log(directory=str(tmp_path), free_bytes_min=0), clock, bus_state)
     yield SimpleNamespace(on_readable=box.on_readable, poll=box.poll, status=box.status, close=box.close, log=made[0])
     box.close()
@@ -157,7 +158,7 @@ def test_what_the_log_lost_is_noted_when_it_writes_again(tmp_path, box, wire, cl
     [("can0", "can0"), ("canloop:doca-1", "doca-1"), ("python-can:slcan:/dev/ttyUSB0@500000", "-dev-ttyUSB0-500000")],
 )
 def test_devices_are_names_of_folders_without_blanks(tmp_path, clock, monkeypatch, name, device):
-    monkeypatch.setattr(canzlogd, "open_log", lambda *place, **limits: open_log(*place[:3], "write", clock, **limits))
+    monkeypatch.setattr(blackbox, "open_log", lambda *place, **limits: open_log(*place[:3], "write", clock, **limits))
     wire = Wire(name)
     box = BlackBox([wire], Log(directory=str(tmp_path), free_bytes_min=0), clock)
     wire.queue.append(frame(1))

@@ -37,14 +37,21 @@ def written(day, tmp_path: Path, form: str) -> Path:
     return file
 
 
-def test_csv_has_every_field_of_every_record(day, tmp_path):
+def test_csv_has_every_field_of_every_record_in_degrees_with_units(day, tmp_path):
     columns, schema, _ = day
+    columns["cross_track"][0] = np.nan
     with written(day, tmp_path, "csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(columns["t1"])
-    assert list(rows[0]) == ["utc", *schema.names]
+    assert [head.partition(" ")[0] for head in rows[0]] == ["utc", *schema.names]
+    assert {"latitude [deg]", "yaw_rate [deg/s]", "cross_track [m]", "starboard_rpm [1/min]", "t1 [ns]", "mode", "run"} <= {
+        *rows[0]
+    }
     assert rows[0]["utc"].startswith("2010-01-01T00:00:00")
-    assert [float(row["latitude"]) for row in rows] == columns["latitude"].tolist()
+    latitudes_deg = [float(row["latitude [deg]"]) for row in rows]
+    assert latitudes_deg == pytest.approx(np.degrees(columns["latitude"]).tolist(), abs=1e-9)
+    assert list(dict.fromkeys(row["mode"] for row in rows)) == ["idle", "play", "heading", "manual"]
+    assert rows[0]["cross_track [m]"] == "", "not known"
 
 
 def test_parquet_has_types_units_and_time(day, tmp_path):
@@ -55,6 +62,9 @@ def test_parquet_has_types_units_and_time(day, tmp_path):
     assert str(read.schema.field("utc").type) == "timestamp[ns, tz=UTC]"
     assert read.schema.field("heading").metadata[b"unit"] == b"rad"
     np.testing.assert_array_equal(read.column("starboard_rpm").to_numpy(), columns["starboard_rpm"])
+    known = np.isfinite(columns["cross_track"])
+    assert 0 < known.sum() < len(known)
+    assert read.column("cross_track").null_count == len(known) - known.sum(), "a query's max() is a number"
 
 
 def test_gpx_has_the_track_and_the_changes_of_mode(day, tmp_path):
@@ -153,6 +163,28 @@ def test_error_frames_are_error_frames_in_the_formats_of_others(tmp_path, form):
         assert (read[1].arbitration_id, bytes(read[1].data)) == (4, told)
 
 
+def test_the_head_of_asc_has_the_time_of_the_first_frame(tmp_path):
+    canexport.write(iter(FRAMES), tmp_path / "out.asc", "asc")
+    lines = (tmp_path / "out.asc").read_text().splitlines()
+    assert lines[0].endswith("2010")
+    assert lines[0].removeprefix("date ")[:19] == lines[3].removeprefix("Begin Triggerblock ")[:19]
+
+
+def test_the_head_of_mf4_has_the_time_of_the_first_frame_and_samples_count_from_there(tmp_path):
+    asammdf = pytest.importorskip("asammdf", reason=FORMATS_MISSING)
+    canexport.write(iter(FRAMES), tmp_path / "out.mf4", "mf4")
+    with asammdf.MDF(tmp_path / "out.mf4") as read:
+        assert read.header.start_time.timestamp() == pytest.approx(FRAMES[0][1].t_ns / 1e9, abs=1e-3)
+        assert read.get("CAN_DataFrame.ID").timestamps.tolist() == pytest.approx([0.0, 0.099877, 0.999877], abs=1e-5)
+
+
+@pytest.mark.parametrize("form", ["asc", "blf", "mf4"])
+def test_a_time_without_frames_makes_no_file(tmp_path, form):
+    with pytest.raises(DelfimError, match="no frame in this time"):
+        canexport.write(iter(()), tmp_path / f"out.{form}", form)
+    assert not list(tmp_path.iterdir())
+
+
 def test_asc_is_read_by_can_utils(tmp_path):
     if not shutil.which("asc2log"):
         pytest.skip("asc2log of can-utils is missing (make system installs it on Debian)")
@@ -170,11 +202,6 @@ def test_plain_candump_is_what_was_logged_error_frames_included(tmp_path):
     canexport.write([*FRAMES, ("can0", error)], tmp_path / "out.log", "log")
     lines = (tmp_path / "out.log").read_text().splitlines(keepends=True)
     assert lines == [format_line(frame, name) for name, frame in [*FRAMES, ("can0", error)]]
-
-
-def test_a_missing_package_is_named():
-    with pytest.raises(DelfimError, match=r"needs the package no_such_package: pip install 'delfim\[formats\]'"):
-        export.needed("no_such_package.inside")
 
 
 def test_nothing_logged_is_told(tmp_path):

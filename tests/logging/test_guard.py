@@ -122,3 +122,43 @@ def test_stop_deletes_nothing_and_says_so(disk, file_log, clock):
     assert not log.put(b"lost")
     assert log.status().reason == f"{disk}: less than 1500 bytes are free"
     assert days(disk) == DAYS
+
+
+@pytest.mark.parametrize("free_bytes_min", [1000, 2000, 3000])
+@pytest.mark.parametrize("uploaded", [0, 100, 400])
+def test_uploads_cost_no_day(disk, file_log, clock, monkeypatch, free_bytes_min, uploaded):
+    """Which days go depends on the logs alone: what uploads have taken, and what they may still take, is one sum."""
+    clock.step(3 * 86_400.0)
+    monkeypatch.setattr(guard, "upload_room", lambda folder, bytes_max: bytes_max - uploaded)
+    (disk / "upload").mkdir()
+    (disk / "upload/image").write_bytes(bytes(uploaded))
+    log = file_log(free_bytes_min=free_bytes_min, upload_folder="upload", upload_bytes_max=400)
+    assert days(disk) == DAYS[-(-(free_bytes_min + 400 - 1000) // 1000) :]
+    assert log.status().writable
+    log.close()
+
+
+def test_a_log_goes_on_in_the_room_of_uploads_rather_than_stop(disk, file_log, clock, monkeypatch):
+    clock.step(3 * 86_400.0)
+    monkeypatch.setattr(guard, "upload_room", lambda folder, bytes_max: bytes_max)
+    log = file_log(free_bytes_min=3000, upload_folder="upload", upload_bytes_max=9000)
+    assert days(disk) == DAYS[3:]
+    assert log.status().writable
+    log = file_log(free_bytes_min=3000, upload_folder="upload", upload_bytes_max=9000, when_full="stop")
+    assert log.status().writable
+
+
+def test_what_uploads_may_still_take(tmp_path):
+    folder = tmp_path / "upload"
+    assert guard.upload_room(str(folder), 1 << 20) == 0
+    folder.mkdir()
+    assert guard.upload_room(str(folder), 1 << 20) == 1 << 20
+    (folder / "sub").mkdir()
+    (folder / "sub/x").write_bytes(bytes(100_000))
+    (folder / "link").symlink_to("/")
+    taken, names = guard.used(str(folder))
+    assert names == 3
+    assert 100_000 <= taken < 120_000
+    assert guard.upload_room(str(folder), 1 << 20) == (1 << 20) - taken
+    disk = os.statvfs(folder)
+    assert guard.upload_room(str(folder), 1 << 60) <= disk.f_blocks * disk.f_frsize / 4

@@ -10,14 +10,15 @@ from pathlib import Path
 
 import pytest
 
-from delfim.canproxy.dsor import Message, Receiver, segments
-from delfim.canproxy.socket import open_can
+from delfim.canproxy.dsor.protocol import Message, segments
+from delfim.canproxy.dsor.receiver import Receiver
+from delfim.canproxy.opening import open_can
 from delfim.config import Log
 from delfim.errors import BusError
 from delfim.frames import Frame
-from delfim.logging import logd
+from delfim.logging import nodelog
 from delfim.logging.liblog import open_log, read_log
-from delfim.logging.logd import LogMessages, line
+from delfim.logging.nodelog import LogMessages, line
 from delfim.messages import LOG_ID, NAVIGATION_ID, Node
 from tests.logging.conftest import files
 
@@ -53,7 +54,7 @@ def daemon(tmp_path, wire, clock, monkeypatch):
         assert method == "zpipe", "logd lives in the runtime, which must not wait"
         return open_log(directory, id, suffix, "write", clock, **limits)
 
-    monkeypatch.setattr(logd, "open_log", opened)
+    monkeypatch.setattr(nodelog, "open_log", opened)
     receiver = Receiver(Node.VEHICLE, lambda message: message.id == LOG_ID)
     names = {Node.GPS: "gps", 0x33: "node-51"}
     return LogMessages(wire, receiver, names, Log(directory=str(tmp_path), free_bytes_min=0), clock)

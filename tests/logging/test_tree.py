@@ -40,6 +40,13 @@ def root(tmp_path: Path) -> Path:
     return tmp_path
 
 
+def test_an_id_is_shown_whatever_its_folder_is_called(tmp_path):
+    for name in (b"can0", b"\xff\xfe", b"a\x1b[2Jb", b"two\nlines", "é".encode()):
+        made(tmp_path, f"{os.fsdecode(name)}/093000.log", 600)
+    shown = {run.id for run in tree.runs(tree.files([tmp_path]), NOW_NS)}
+    assert shown == {"can0", r"\xff\xfe", r"a\x1b[2Jb", r"two\nlines", "é"}
+
+
 def test_runs_begin_with_a_start_and_say_how_they_ended(root):
     runs = tree.runs(tree.files([root]), NOW_NS)
     assert [(run.name, run.id, len(run.files), run.end) for run in runs] == [

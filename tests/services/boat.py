@@ -70,7 +70,7 @@ def vehicle_file(tmp_path: Path, **tables: Any) -> config.Vehicle:
 @contextlib.asynccontextmanager
 async def vehicle(settings: config.Vehicle, state: dict[str, Any]) -> AsyncIterator[CommandServer]:
     """The vehicle's command socket, saying `state`, which the test may change."""
-    commands = CommandServer(lambda command: None, lambda: json.loads(json.dumps(state)), 16)
+    commands = CommandServer(lambda command: None, None, lambda: json.loads(json.dumps(state)), 16)
     server = await asyncio.get_running_loop().create_unix_server(commands.connection, settings.console.socket)
     try:
         yield commands
@@ -85,7 +85,7 @@ async def served(settings: config.Vehicle, serve: Callable[[Runtime], Awaitable[
     runtime = Runtime(settings, SystemClock(), alone=True)
     task = asyncio.create_task(serve(runtime))
     try:
-        async with asyncio.timeout(10):
+        async with asyncio.timeout(60):
             while name not in runtime.board and not task.done():
                 await asyncio.sleep(0.01)
         if task.done():
@@ -93,6 +93,6 @@ async def served(settings: config.Vehicle, serve: Callable[[Runtime], Awaitable[
         yield runtime
     finally:
         task.cancel()
-        async with asyncio.timeout(1.0):
+        async with asyncio.timeout(20):
             with contextlib.suppress(asyncio.CancelledError):
                 await task

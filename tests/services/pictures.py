@@ -8,7 +8,7 @@ from pathlib import Path
 
 import aiohttp
 
-from tests.services.browser import browser
+from tests.services.browser import browser, shrink
 
 ROOT = Path(__file__).parents[2]
 PORT = 18_480
@@ -37,6 +37,7 @@ async def _drawn(folder: Path, place: Path) -> None:
     finally:
         boat.terminate()
         await boat.wait()
+    shrink(folder / name for name, *_ in VIEWS)
 
 
 async def _sailed(url: str) -> None:

@@ -4,6 +4,7 @@ Everyone appends lines to the record: monotonic time, name, word.
 """
 
 import ctypes
+import faulthandler
 import json
 import os
 import re
@@ -71,6 +72,8 @@ def orphan(record: str, name: str) -> None:
 
 def run(name: str, record: str, behaviour: list[str], beat_fd: int) -> int:
     signal.alarm(30)  # whatever becomes of the test, nothing is left behind
+    if "unarmed" not in behaviour:
+        faulthandler.register(supervisor.STACKS_SIGNAL, beat_fd, chain=True)
     starts = Path(record).read_text().count(f" {name} start\n") if os.path.exists(record) else 0
 
     def end(*_: object) -> None:

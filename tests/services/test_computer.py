@@ -81,8 +81,8 @@ def test_a_can_controller():
 
 def test_the_supervisors_state():
     text = (
-        '{"pid": 1, "programs": {"runtime": {"state": "running", "pid": 7, "restarts": 2, "reason": "killed", "since": 90.0}},'
-        ' "deadman": {"reason": "beat stopped", "time": 80.0}}'
+        '{"pid": 1, "programs": {"runtime": {"state": "running", "pid": 7, "restarts": 2, "reason": "killed", "since_s": 90.0}}'
+        ', "deadman": {"reason": "beat stopped", "at_s": 80.0}}'
     )
     found, deadman = programs(text, 100.0)
     assert (found["runtime"].restarts, found["runtime"].for_s, deadman) == (2, 10.0, "beat stopped, 20 s ago")

@@ -18,7 +18,8 @@ import pytest
 
 from delfim import config
 from delfim.errors import PermanentFailure
-from delfim.services import door, ftpd
+from delfim.logging import guard
+from delfim.services import door, ftpd, uploads
 from delfim.services.door import hashed
 from tests.services.boat import served, vehicle_file
 
@@ -353,7 +354,9 @@ def test_an_upload_that_breaks_off_is_not_there_but_can_be_resumed(tmp_path):
     run(tmp_path, test)
 
 
-def test_an_upload_stops_at_its_limit_and_at_a_full_disk(tmp_path, monkeypatch):
+def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, monkeypatch):
+    monkeypatch.setattr(uploads, "upload_room", lambda folder, bytes_max: guard.upload_room(folder, 2 << 20))
+
     async def test(there: Files) -> None:
         def put(ftp: ftplib.FTP) -> None:
             ftp.storbinary("STOR upload/x", io.BytesIO(bytes(3 << 20)))
@@ -361,12 +364,29 @@ def test_an_upload_stops_at_its_limit_and_at_a_full_disk(tmp_path, monkeypatch):
         with pytest.raises((ftplib.error_temp, OSError)):
             await there.ftplib(put, "writer", "open")
         assert not (there.staging / "x").exists()
-        monkeypatch.setattr(ftpd, "free_bytes", lambda directory: -1)
-        with pytest.raises((ftplib.error_temp, OSError)):
-            await there.ftplib(put, "writer", "open")
-        assert (there.staging / "x.part").stat().st_size < 3 << 20
+        monkeypatch.setattr(uploads, "free_bytes", lambda directory: 0)
+        writer = await (await there.raw()).login("writer", "open")
+        for word in ("STOR upload/x", "APPE upload/x", "STOR upload/new", "MKD upload/new"):
+            assert await writer.say(word) == "452 the disk is full\r\n"
+        assert [path.name for path in there.staging.iterdir()] == ["x.part"]
 
-    run(tmp_path, test, upload_bytes_max=2 << 20)
+    run(tmp_path, test)
+
+
+def test_an_upload_has_a_name_that_can_be_shown(tmp_path):
+    async def test(there: Files) -> None:
+        writer = await (await there.raw()).login("writer", "open")
+        for word in (b"STOR", b"MKD", b"APPE"):
+            for name in (b"\xff\xfe", b"bell\x07", b"\x1b[2J"):
+                writer.writer.write(word + b" upload/" + name + b"\r\n")
+                assert "printable" in await writer.answer()
+        (there.staging / "x").write_bytes(CONTENT)
+        assert (await writer.say("RNFR upload/x")).startswith("350")
+        writer.writer.write(b"RNTO upload/\xff\r\n")
+        assert "printable" in await writer.answer()
+        assert [path.name for path in there.staging.iterdir()] == ["x"]
+
+    run(tmp_path, test)
 
 
 def test_wrong_passwords_are_slowed_and_logged_without_the_password(tmp_path, monkeypatch, caplog):
@@ -560,3 +580,44 @@ def test_a_certificate_that_is_none_is_said_and_not_tried_again(tmp_path, certif
     for file, reason in ((certificate.parent / "key", "certificate"), (tmp_path / "gone", "No such file")):
         with pytest.raises(PermanentFailure, match=reason):
             run(tmp_path, lambda there: there.raw(), certificate=str(file))
+
+
+def test_no_way_leads_back_from_tls(tmp_path, certificate, monkeypatch):
+    """Whoever sits in between strips AUTH, asks for data in the clear, or takes the cipher off again: 60 tries."""
+
+    monkeypatch.setattr(ftpd, "DATA_S", 0.5)
+    in_the_clear = (
+        "USER reader", "PASS sesame", "LIST", "RETR 20260101/a b.log", "PASV", "EPSV", "CWD 20260101", "STOR upload/x",
+        "SIZE 20260101/a b.log", "MKD upload/x", "CCC", "REIN", "user reader", "\xffUSER reader",
+    )  # fmt: skip
+
+    async def test(there: Files) -> None:
+        clear = await there.raw()
+        await clear.answer()
+        for word in ("AUTH NONE", "AUTH", "AUTH KERBEROS_V4", "PBSZ 0", "PROT P"):
+            assert not (await clear.say(word)).startswith("234")
+        for word in in_the_clear:
+            assert (await clear.say(word))[0] == "5", word
+        trusted = ssl.create_default_context(cafile=str(certificate))
+        secret = await there.raw()
+        await secret.answer()
+        assert (await secret.say("AUTH TLS")).startswith("234")
+        await secret.writer.start_tls(trusted, server_hostname="127.0.0.1")
+        await secret.say("USER writer")
+        assert (await secret.say("PASS open")).startswith("230")
+        for ask in ("CCC", "PROT C", "PROT S", "PROT E", "PROT", "AUTH TLS", "AUTH NONE", "REIN", "PBSZ 1"):
+            for word in ("LIST", "NLST", "RETR 20260101/a b.log", "STOR upload/x"):
+                await secret.say(ask)
+                assert (await secret.say(word)).startswith("521"), (ask, word)
+        assert (await secret.say("PROT P")).startswith("200")
+        assert (await secret.say("PROT C")).startswith("536")
+        reader, writer = await secret.passive()  # in the clear
+        there.writers.append(writer)
+        writer.write(CONTENT[:100])
+        assert (await secret.say("STOR upload/x")).startswith("150")
+        assert (await secret.answer())[0] == "4"
+        assert b"a b.log" not in await reader.read(1000)
+        assert [path.name for path in there.staging.iterdir()] == ["x.part"]
+        assert (there.staging / "x.part").stat().st_size == 0
+
+    run(tmp_path, test, certificate=str(certificate))

@@ -121,6 +121,54 @@ def test_the_page_says_without_a_script_what_a_person_must_know(tmp_path):
     asyncio.run(main())
 
 
+def test_the_way_is_drawn_as_it_was_seen_and_stays_short(tmp_path):
+    way = httpd.Way()
+    for n in range(1000):
+        way.add(api.State(mode="play", reason="", latitude_deg=38.0 + n / 1e5, longitude_deg=-9.0))
+    way.add(api.State(mode="play", reason=""))
+    assert httpd.WAY_MAX / 2 <= len(way.points) < httpd.WAY_MAX
+    assert way.points == sorted(way.points)
+    assert (way.points[0][0], round(way.points[-1][0], 3)) == (38.0, 38.01)
+
+    async def main():
+        async with site(tmp_path) as boat:
+            text = (await boat.get("/"))[2].decode()
+            assert 'class="figure map"' in text
+            assert "Console" not in text.partition("<footer>")[2]
+
+    asyncio.run(main())
+
+
+def test_the_page_leads_to_the_console_where_the_file_says_where_it_is(tmp_path):
+    async def main():
+        async with site(tmp_path, console="http://127.0.0.1:8765/") as boat:
+            text = (await boat.get("/"))[2].decode()
+            assert '<a href="http://127.0.0.1:8765/">Console</a>' in text.partition("<footer>")[2]
+
+    asyncio.run(main())
+
+
+def test_logs_are_listed_with_what_they_are(tmp_path):
+    async def main():
+        async with site(tmp_path) as boat:
+            for name in ("20261122/state/101530.state.gz", "20261122/can0/101530.log.gz", "20269999/x"):
+                (boat.log / name).parent.mkdir(parents=True, exist_ok=True)
+                (boat.log / name).write_text("x")
+            for place, words in (
+                ("/logs/", ("22 November 2026", ">20269999/<")),
+                ("/logs/20261122/", ("each cycle of the boat’s state", "each frame of this bus", '<a href="../">Logs</a>')),
+                (
+                    "/logs/20261122/state/",
+                    ("state log, compressed from 10:15:30", '<a href="../../">Logs</a> › <a href="../">20261122</a>'),
+                ),
+                ("/logs/20261122/can0/", ("frames, as candump writes them, compressed from 10:15:30",)),
+            ):
+                text = (await boat.get(place))[2].decode()
+                assert all(each in text for each in words), place
+
+    asyncio.run(main())
+
+
 def test_words_from_outside_are_not_markup(tmp_path):
     async def main():
         async with site(tmp_path) as boat:
@@ -188,6 +236,31 @@ def test_a_vehicle_that_does_not_answer_is_said_to_be_so(tmp_path, monkeypatch, 
             assert msgspec.json.decode((await boat.get("/api/state"))[2])["vehicle"] is None
             if mute:
                 silent.close()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    ("host", "status"),
+    [
+        *(
+            (host, 200)
+            for host in ("127.0.0.1", "192.168.0.7:8080", "[fe80::1]:8080", "[::1]", "boat", "Delfim.local:8080", "localhost")
+        ),
+        *(
+            (host, 403)
+            for host in ("evil.example:8080", "127.0.0.1.evil.example", "boat.local.evil.example", "", ":8080", "a b")
+        ),
+    ],
+)
+def test_a_name_of_the_internet_is_not_the_boats(tmp_path, host, status):
+    """Whoever owns it can let it point to the boat, and read the boat by a page of his."""
+
+    async def main() -> None:
+        async with site(tmp_path) as boat:
+            for place in ("/", "/events", "/logs/", "/api/state"):
+                async with boat.session.get(boat.url + place, headers={"Host": host}) as answer:
+                    assert answer.status == status, place
 
     asyncio.run(main())
 
@@ -386,6 +459,23 @@ def test_curl_resumes_a_download_that_broke_off(tmp_path):
             curl = await asyncio.create_subprocess_exec("curl", "-sS", "-C", "-", "-o", part, boat.url + "/logs/x.log")
             assert await curl.wait() == 0
             assert part.read_bytes() == CONTENT
+
+    asyncio.run(main())
+
+
+def test_a_name_that_is_no_utf8_is_shown_and_leads_to_its_file(tmp_path):
+    async def main():
+        async with site(tmp_path) as boat:
+            folder = boat.log / os.fsdecode(b"\xfe")
+            folder.mkdir()
+            (folder / os.fsdecode(b"\xff <b>.log")).write_bytes(CONTENT)
+            assert rb'<a href="./%FE/">\xfe/</a>' in (await boat.get("/logs/"))[2]
+            assert (await boat.get("/logs/%FE"))[1]["Location"] == "/logs/%FE/"
+            listing = (await boat.get("/logs/%FE/"))[2]
+            assert rb'<a href="./%FF%20%3Cb%3E.log">\xff &lt;b&gt;.log</a>' in listing
+            status, headers, content = await boat.get("/logs/%FE/%FF%20%3Cb%3E.log")
+            assert (status, content) == (200, CONTENT)
+            assert headers["Content-Disposition"].endswith("UTF-8''%5Cxff%20%3Cb%3E.log")
 
     asyncio.run(main())
 

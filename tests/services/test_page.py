@@ -79,11 +79,57 @@ def test_without_vehicle_and_computer_the_page_says_so():
     assert "not looked at yet" in found["computer"]
 
 
-def test_the_figures_of_a_service_are_words():
-    shown = {"frames_lost": 0, "buses": {"can<0>": {"received": 7, "failure": ""}}, "clients": {}}
+def test_the_figures_of_a_service_are_tables():
+    shown = {"frames_lost": 0, "buses": {"can<0>": {"received": 7, "failure": ""}, "b": {"received": 8}}, "clients": {}}
     vehicle = msgspec.structs.replace(VEHICLE, services={"cantcpd": api.Service(state="running", figures=shown)})
-    text = "".join(rendered(report(vehicle))["services"].itertext())
-    assert "frames lost 0 · buses (can<0> (received 7, failure none)) · clients none" in text
+    section = rendered(report(vehicle))["services"]
+    single, several = (
+        [["".join(cell.itertext()) for cell in row] for row in table.iter("tr")] for table in section.iter("table")
+    )
+    assert single == [["frames lost", "0"], ["clients", "none"]]
+    assert several == [["buses", "received", "failure"], ["can<0>", "7", "none"], ["b", "8", "none"]]
+    assert not set("{}'") & set("".join(section.itertext()))
+
+
+def test_a_network_that_never_was_up_is_no_news():
+    networks = {
+        "eth0": api.Network(up=True, addresses=("192.0.2.2",)),
+        "ifb0": api.Network(up=False, addresses=()),
+        "wlan0": api.Network(up=False, addresses=(), received_bytes=9),
+    }
+    text = "".join(rendered(report(VEHICLE, api.Computer(networks=networks)))["networks"].itertext())
+    assert "ifb0" not in text
+    assert "No longer up: wlan0" in text
+
+
+@pytest.mark.parametrize(("asked_mps", "words"), [(None, ""), (1.5, "asked for 1.5"), (0.0, "asked to lie still")])
+def test_the_speed_that_was_asked_for_is_said_in_words(asked_mps, words):
+    vehicle = msgspec.structs.replace(VEHICLE, reference=api.Reference(speed_mps=asked_mps))
+    text = "".join(rendered(report(vehicle))["motion"].itertext())
+    assert ("asked" in text) == bool(words)
+    assert words in text
+
+
+places = st.tuples(st.floats(-80, 80), st.floats(-179, 179))
+
+
+@given(st.lists(places, max_size=20), places, st.one_of(st.none(), places), st.one_of(st.none(), st.floats(0, 360)))
+def test_the_map_shows_all_of_the_way_in_its_frame(way, here, there, heading_deg):
+    drawing = figures.chart(way, here, heading_deg, there)
+    ElementTree.fromstring(drawing)
+    points = re.findall(r"[ML](-?[0-9.]+) (-?[0-9.]+)", "".join(re.findall(r'class="(?:way|to)" d="([^"]+)"', drawing)))
+    assert len(points) == len(way) + 1 + (2 if there else 0)
+    assert all(0 <= float(x) <= figures.WIDTH and 0 <= float(y) <= figures.HEIGHT for x, y in points)
+
+
+def test_the_map_has_a_scale():
+    drawing = figures.chart([(38.6900, -9.2150)], (38.6909, -9.2150), 0.0, None)
+    rule = re.search(r'class="rule" d="M10 \d+v5h([0-9.]+)v-5"', drawing)
+    length = re.search(r">(\d+) m<", drawing)
+    ends = re.search(r'class="way" d="M([0-9.]+) ([0-9.]+)L([0-9.]+) ([0-9.]+)"', drawing)
+    assert None not in (rule, length, ends)
+    metres_a_pixel = float(length[1]) / float(rule[1])
+    assert (float(ends[2]) - float(ends[4])) * metres_a_pixel == pytest.approx(100.0, abs=2.0)
 
 
 @pytest.mark.parametrize(

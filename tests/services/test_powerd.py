@@ -1,6 +1,7 @@
 """What powerd makes of frames, button and batteries; and the service on a bus, with and without a supervisor."""
 
 import os
+import random
 import signal
 import socket
 import struct
@@ -11,9 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config, messages
-from delfim.canproxy.socket import CanAddress, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import CanAddress
 from delfim.clock import ManualClock, SystemClock
-from delfim.frames import Frame
+from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame
 from delfim.messages import BatteriesStatus, Fault, Node, PropellerCommand, Shutdown, ShutdownStage, Status
 from delfim.services import powerd, shutdown
 from delfim.services.powerd import EV_KEY, INPUT_EVENT, KEY_POWER, Button, Powerd
@@ -201,3 +203,30 @@ def test_the_supervisor_is_asked_once_and_each_order_acknowledged(tmp_path: Path
 def test_without_supervisor_the_boat_is_stopped(tmp_path: Path) -> None:
     code, _, _ = sail(tmp_path, OFF, supervised=False)
     assert code == 0
+
+
+def test_two_thousand_frames_of_a_flood_end_no_voyage_and_are_counted() -> None:
+    """Orders with a byte changed, too short or too long, as extended, remote and error frames, and of other nodes."""
+    chance, boat, kinds = random.Random(1), Boat(), (0, CAN_IDE, CAN_RTR, CAN_ERR)
+    whole = (OFF, REBOOT, DRIVEN, IDLE, batteries(1.0), batteries(0.9, Node.BATTERIES_STARBOARD))
+    for number in range(2000):
+        frame = whole[number % len(whole)]
+        data = bytearray(frame.data)
+        match number // len(whole) % 4:
+            case 0:
+                data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+            case 1:
+                del data[chance.randrange(len(data)) :]
+            case 2:
+                data += chance.randbytes(chance.randrange(1, 57))
+            case 3:
+                data = bytearray(chance.randbytes(8))
+        mutated = Frame(frame.arb | kinds[number % len(kinds)], bytes(data))
+        if not mutated.data.startswith(OFF.data[:4]):  # that is an order
+            boat.powerd.on_frame(mutated)
+            assert boat.powerd.order is None, mutated
+        boat.clock.advance(0.001)
+        boat.powerd.look()
+    assert boat.powerd.order is None, boat.powerd.reason
+    boat.powerd.on_frame(OFF)
+    assert boat.powerd.order == "off"

@@ -128,3 +128,24 @@ def test_after_a_loss_nothing_false_is_delivered_until_tcp_repeats(seed: int) ->
             continue
         out = other.decompress(line)
         assert out in (packet, None)
+
+
+def test_two_thousand_damaged_streams_cost_packets_and_nothing_more() -> None:
+    """Compressed traffic with bits turned and bytes lost on the way: no exception, no packet too long, and on it goes."""
+    chance = random.Random(1)
+    for number in range(2000):
+        compressor, decompressor, deframer = Compressor(), Decompressor(), Deframer()
+        packets = [tcp(seq=1000 + 10 * n, data=chance.randbytes(10), number=n + 1, port=n % 3) for n in range(6)]
+        stream = bytearray(b"".join(framed(compressor.compress(packet)) for packet in packets))
+        for _ in range(chance.randrange(1, 10)):
+            at = chance.randrange(len(stream))
+            if number % 2:
+                stream[at] ^= 1 << chance.randrange(8)
+            else:
+                stream[at : at + chance.randrange(3)] = chance.randbytes(chance.randrange(3))
+        for frame in deframer.feed(bytes(stream)):
+            packet = decompressor.decompress(frame)
+            assert packet is None or len(packet) <= PACKET_MAX + 128
+        again = framed(Compressor().compress(packets[0]))  # not compressed yet: all that it takes is here
+        found = [decompressor.decompress(frame) for frame in deframer.feed(again)]
+        assert found[-1:] == [packets[0]]

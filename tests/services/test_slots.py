@@ -3,10 +3,12 @@
 import contextlib
 import io
 import os
+import random
 import subprocess
 import tarfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -181,6 +183,118 @@ def test_at_no_call_that_fails_does_the_boot_loader_see_half_an_image(yard: Yard
     assert yard.state == Environment("a", "b")
 
 
+class Failing:
+    """Files whose N-th change of the disk fails: a write in its middle, or a sync, a rename, a removal, a folder."""
+
+    def __init__(self, patch: pytest.MonkeyPatch, number: int, error: BaseException) -> None:
+        self.left, self._error = number, error
+        for place, name in ((os, "fsync"), (Path, "replace"), (Path, "unlink"), (Path, "mkdir")):
+            patch.setattr(place, name, self._before(getattr(place, name)))
+        opened = Path.open
+
+        def open_(path: Path, mode: str = "r") -> Any:
+            file = opened(path, mode)
+            return Writes(file, self) if "w" in mode else file
+
+        patch.setattr(Path, "open", open_)
+
+    def step(self) -> None:
+        self.left -= 1
+        if not self.left:
+            raise self._error
+
+    def _before(self, do: Callable[..., Any]) -> Callable[..., Any]:
+        def one(*arguments: Any, **words: Any) -> Any:
+            self.step()
+            return do(*arguments, **words)
+
+        return one
+
+
+class Writes:
+    """A file that takes half of a write before it fails."""
+
+    def __init__(self, file: Any, failing: Failing) -> None:
+        self._file, self._failing = file, failing
+
+    def write(self, text: bytes) -> int:
+        half = len(text) // 2
+        self._file.write(text[:half])
+        self._failing.step()
+        return half + int(self._file.write(text[half:]))
+
+    def __enter__(self) -> "Writes":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._file.close()
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._file, name)
+
+
+class PowerCut(BaseException):
+    """Nothing is tidied up after it."""
+
+
+@pytest.mark.parametrize(
+    "error", [OSError(28, "No space left on device"), OSError(5, "Input/output error"), PowerCut()], ids=str
+)
+def test_wherever_an_installation_breaks_off_the_boat_starts_from_what_is_whole(
+    yard: Yard, monkeypatch: pytest.MonkeyPatch, error: BaseException
+) -> None:
+    """The disk is full or broken, or the power fails, at every change that an installation makes."""
+    yard.slots.install(yard.bundle("1.5"), yard.signers)
+    bundle = yard.bundle("2.0")
+    for number in range(1, 100):
+        yard.state = Environment("a", "b")
+        with monkeypatch.context() as patch:
+            failing = Failing(patch, number, error)
+            try:
+                yard.slots.install(bundle, yard.signers)
+            except (OSError, PowerCut):
+                assert not failing.left
+            else:
+                break
+        state = yard.state
+        assert state.slot == "a"
+        assert yard.slots.damage("a") == ""
+        assert not state.trial or yard.slots.damage("b") == ""
+        assert yard.start() in ("a", "b")
+    assert 20 < number < 99
+    assert (yard.state, yard.slots.damage("b")) == (Environment("a", "b"), "")
+
+
+def test_two_thousand_damaged_images_are_refused_or_are_the_same(yard: Yard, tmp_path: Path) -> None:
+    """Bits turned, bytes put in and taken out, the end cut off. Some bytes of a tar header mean nothing."""
+    chance = random.Random(1)
+    text = yard.bundle("2.0").read_bytes()
+    paper = slots.verify(yard.bundle("2.0"), yard.signers).paper
+    bundle, taken, words = tmp_path / "damaged.image", 0, list[str]()
+    head = 5 * 512  # with manifest and signature: where a change tells most
+    for number in range(2000):
+        at = chance.randrange(head if number % 2 else len(text))
+        some = chance.randbytes(chance.choice((1, 2, 512)))
+        bundle.write_bytes(
+            (
+                text[:at] + bytes([text[at] ^ 1 << chance.randrange(8)]) + text[at + 1 :],
+                text[:at] + some + text[at + len(some) :],
+                text[:at] + some + text[at:],
+                text[:at] + text[at + len(some) :],
+                text[:at],
+            )[number % 5]
+        )
+        try:
+            assert slots.verify(bundle, yard.signers).paper == paper
+            taken += 1
+        except DelfimError as error:
+            words.append(str(error))
+    assert taken < 100
+    assert len(words) == 2000 - taken
+    assert max(map(len, words)) < 300
+    assert "\n" not in "".join(words)
+
+
 def test_two_are_not_installed_at_once(yard: Yard) -> None:
     table = config.Image(directory=str(yard.boot))
     with (
@@ -217,6 +331,36 @@ def test_the_block_is_one_that_grub_reads_and_writes(tmp_path: Path) -> None:
     assert listing == "slot=a\ntrial=b\ntried=\n"
     subprocess.run(["grub-editenv", path, "set", "trial=", "tried=b"], check=True)
     assert slots.parse_environment(path.read_bytes()) == Environment("a", "", "b")
+
+
+def with_extras(text: bytes, name: str) -> Iterator[bytes]:
+    """An image with a member more, at each place where there could be one, and with bytes between and behind."""
+    extra = tarfile.TarInfo(name)
+    extra.size = 7
+    more = extra.tobuf(tarfile.USTAR_FORMAT) + b"unsigned"[:7].ljust(512, b"\0")
+    with tarfile.open(fileobj=io.BytesIO(text)) as archive:
+        starts = [member.offset for member in archive.getmembers()]
+        end = archive.getmembers()[-1].offset_data + -(-archive.getmembers()[-1].size // 512) * 512
+    for at in (*starts, end, end + 512, len(text)):
+        yield text[:at] + more + text[at:]
+    for at in (starts[1] - 1, end - 1, end, len(text) - 1):
+        yield changed(text, at)
+    yield text + bytes(tarfile.RECORDSIZE)
+    pax = tarfile.TarInfo("pax")
+    pax.pax_headers = {"comment": "x" * 100_000}
+    yield pax.tobuf(tarfile.PAX_FORMAT) + text
+
+
+@pytest.mark.parametrize("name", ["extra", "../up", "/etc/passwd", "vmlinuz", slots.MANIFEST])
+def test_what_nobody_has_signed_does_not_travel_with_an_image(yard: Yard, tmp_path: Path, name: str) -> None:
+    text = yard.bundle("2.0").read_bytes()
+    bundle = tmp_path / "more.image"
+    for more in with_extras(text, name):
+        bundle.write_bytes(more)
+        with pytest.raises(FormatError, match="no image"):
+            slots.verify(bundle, yard.signers)
+    bundle.write_bytes(text)
+    assert slots.verify(bundle, yard.signers).manifest.version == "2.0"
 
 
 @given(st.binary(max_size=2000) | st.binary(max_size=900).map(lambda text: b"# GRUB Environment Block\n" + text))

@@ -5,6 +5,7 @@ import contextlib
 import os
 import pwd
 import shutil
+import signal
 import stat
 import sys
 import time
@@ -17,7 +18,8 @@ import pytest
 
 from delfim import config
 from delfim.errors import PermanentFailure
-from delfim.services import door, sshd
+from delfim.logging import guard
+from delfim.services import door, sshd, uploads
 from tests.services.boat import served, vehicle_file
 
 pytestmark = [
@@ -93,6 +95,7 @@ def test_a_program_runs_with_its_input_output_errors_and_exit_status(tmp_path, k
         assert (await there.ssh("kill -9 $$"))[0] == 255
         assert (await there.ssh("no-such-program"))[0] == 127
         assert (await there.ssh("id", "-un"))[1].decode().strip() == pwd.getpwuid(os.getuid()).pw_name
+        assert Path((await there.ssh("command -v delfim"))[1].decode().strip()).name == "delfim", "as the documents use it"
         assert (await there.ssh("pwd"))[1].decode().strip() == pwd.getpwuid(os.getuid()).pw_dir
 
     run(tmp_path, keys, test)
@@ -191,6 +194,64 @@ def test_programs_end_when_their_client_goes_away(tmp_path, keys):
     run(tmp_path, keys, test)
 
 
+def test_a_flood_of_window_sizes_and_signals_is_heeded_at_once_and_keeps_nothing(tmp_path, keys):
+    """5,000 sizes, possible and impossible, to a program that reads nothing of the megabyte that was typed before them."""
+
+    async def test(there: Boat) -> None:
+        options: dict[str, Any] = {"username": "ana", "client_keys": [keys["key"]], "known_hosts": None, "config": None}
+        async with asyncssh.connect("127.0.0.1", there.port, **options) as link:
+            words = "stty raw -echo; echo ready; until [ \"$(stty size)\" = '77 99' ]; do sleep 0.05; done; echo done"
+            async with link.create_process(words, term_type="vt100", encoding=None) as shell:
+                assert (await shell.stdout.readline()).strip() == b"ready"
+                shell.stdin.write(bytes(1 << 20))
+                for number in range(5000):
+                    size = (0, 1, 80, 0xFFFF, 0x10000, 0x7FFFFFFF, 0xFFFFFFFF)[number % 7]
+                    shell.change_terminal_size(size, size ^ number, size, number)
+                    if not number % 10:
+                        shell.send_signal(("URG", "CONT", "WINCH")[number % 3])
+                shell.change_terminal_size(99, 77)
+                async with asyncio.timeout(20):
+                    assert (await shell.stdout.readline()).strip() == b"done"
+        assert (await there.ssh("echo served"))[1] == b"served\n"
+
+    run(tmp_path, keys, test)
+
+
+def runs(pid: int) -> bool:
+    """And is no zombie that waits for the first process of a container."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+SLEEPS = "sleep 1000 >/dev/null 2>&1 </dev/null"
+
+
+@pytest.mark.parametrize(
+    "words", [(f"{SLEEPS} & echo $!",), (f"nohup {SLEEPS} & echo $!",), ("-tt", f"set -m; {SLEEPS} & echo $!")]
+)
+def test_what_is_in_the_background_ends_with_its_session(tmp_path, keys, monkeypatch, words):
+    monkeypatch.setattr(sshd, "HANG_UP_S", 0.2)  # which nohup waits for
+    monkeypatch.setattr(sshd, "LEAVE_S", 0.2)
+
+    async def test(there: Boat) -> None:
+        code, out, _ = await there.ssh(*words)
+        assert code == 0
+        assert not runs(int(out.split()[-1]))
+
+    run(tmp_path, keys, test)
+
+
+def test_what_has_a_session_of_its_own_stays(tmp_path, keys):
+    async def test(there: Boat) -> None:
+        code, out, _ = await there.ssh(f"setsid {SLEEPS} & echo $!")
+        assert code == 0
+        os.kill(int(out), signal.SIGKILL)  # it is there
+
+    run(tmp_path, keys, test)
+
+
 def test_sftp(tmp_path, keys):
     async def test(there: Boat) -> None:
         (there.root / "20260101").mkdir()
@@ -200,8 +261,10 @@ def test_sftp(tmp_path, keys):
             "ls -la",
             "cd 20260101",
             "get x.log got",
+            "cd /upload",
             "put new",
             "rename new named",
+            "chmod 600 named",
             "mkdir sub",
             "rmdir sub",
             "ls",
@@ -211,25 +274,43 @@ def test_sftp(tmp_path, keys):
         assert code == 0, told
         assert "x.log" in told
         assert (tmp_path / "got").read_bytes() == CONTENT
-        assert (there.root / "20260101/named").read_bytes() == CONTENT[::-1]
+        assert (there.root / "upload/named").read_bytes() == CONTENT[::-1]
+        assert stat.S_IMODE((there.root / "upload/named").stat().st_mode) == 0o600
         (tmp_path / "got").write_bytes(CONTENT[:1000])
-        code, told = await there.batch("reget 20260101/x.log got", "rm 20260101/named", "chmod 600 20260101/x.log")
+        code, told = await there.batch("reget 20260101/x.log got", "rm upload/named")
         assert code == 0, told
         assert (tmp_path / "got").read_bytes() == CONTENT
-        assert not (there.root / "20260101/named").exists()
+        assert not (there.root / "upload/named").exists()
 
     run(tmp_path, keys, test)
 
 
-def test_an_upload_leaves_the_logs_their_room(tmp_path, keys, monkeypatch):
-    monkeypatch.setattr(sshd, "free_bytes", lambda directory: -1)
+@pytest.mark.parametrize(
+    "command", ["put new", "put new 20260101/x.log", "rm 20260101/x.log", "rename 20260101/x.log y.log", "mkdir sub",
+                "chmod 600 20260101/x.log", "rmdir 20260101", "rename 20260101/x.log upload/x.log"]
+)  # fmt: skip
+def test_the_logs_are_for_reading_only(tmp_path, keys, command):
+    async def test(there: Boat) -> None:
+        (there.root / "20260101").mkdir()
+        (there.root / "20260101/x.log").write_bytes(CONTENT)
+        before = (there.root / "20260101/x.log").stat()
+        (tmp_path / "new").write_bytes(CONTENT[::-1])
+        assert (await there.batch(command))[0] != 0
+        assert (there.root / "20260101/x.log").read_bytes() == CONTENT
+        assert (there.root / "20260101/x.log").stat().st_ctime_ns == before.st_ctime_ns
+        assert sorted(path.name for path in there.root.iterdir()) == [".keys", "20260101", "upload"]
+        assert not list((there.root / "upload").iterdir())
+
+    run(tmp_path, keys, test)
+
+
+def test_an_upload_stops_where_the_room_of_uploads_ends(tmp_path, keys, monkeypatch):
+    monkeypatch.setattr(uploads, "upload_room", lambda folder, bytes_max: guard.upload_room(folder, len(CONTENT) // 2))
 
     async def test(there: Boat) -> None:
         (tmp_path / "new").write_bytes(CONTENT)
-        code, told = await there.batch("put new")
-        assert code != 0
-        assert "disk is full" in told or "Failure" in told or "space" in told
-        assert (there.root / "new").stat().st_size == 0
+        assert (await there.batch("put new upload/new"))[0] != 0
+        assert guard.used(str(there.root / "upload"))[0] <= len(CONTENT) // 2
 
     run(tmp_path, keys, test)
 
@@ -239,11 +320,11 @@ def test_scp(tmp_path, keys, legacy):
     async def test(there: Boat) -> None:
         (there.root / "x.log").write_bytes(CONTENT)
         words = ("-q", *legacy, *there.options(), "-P", str(there.port))
-        for source, target in (("ana@127.0.0.1:/x.log", "got"), ("got", "ana@127.0.0.1:/back.log")):
+        for source, target in (("ana@127.0.0.1:/x.log", "got"), ("got", "ana@127.0.0.1:/upload/back.log")):
             child = await there.start("scp", *words, source, target)
             _, told = await child.communicate()
             assert child.returncode == 0, told
-        assert (there.root / "back.log").read_bytes() == CONTENT
+        assert (there.root / "upload/back.log").read_bytes() == CONTENT
         child = await there.start("scp", *words, "got", "ana@127.0.0.1:/../../escaped")
         await child.communicate()
         assert not (tmp_path / "escaped").exists()
@@ -312,9 +393,10 @@ def test_the_host_key_is_made_once_kept_and_nobody_elses_business(tmp_path, keys
     assert asyncssh.read_private_key(file).algorithm == b"ssh-ed25519"
     run(tmp_path, keys, test)
     assert file.read_bytes() == first
-    file.write_text("torn")
-    with pytest.raises(PermanentFailure, match="host_key"):
-        run(tmp_path, keys, test)
+    for text in ("torn", "-----BEGIN OPENSSH( PRIVATE KEY-----\nAAAA\n-----END OPENSSH( PRIVATE KEY-----\n"):
+        file.write_text(text)
+        with pytest.raises(PermanentFailure, match="host_key"):
+            run(tmp_path, keys, test)
 
 
 def test_nothing_is_forwarded(tmp_path, keys):
@@ -422,7 +504,7 @@ def test_commands_are_those_of_the_configured_user(tmp_path, keys):
 import os, sys
 sys.path.insert(0, {str(Path(__file__).parents[2])!r})
 from delfim.services.sshd import _become
-_become("nobody")
+_become("nobody", {str(tmp_path)!r}, can=True)
 assert os.getuid() == os.geteuid() != 0 and 0 not in os.getgroups()
 try:
     os.setuid(0)
@@ -435,3 +517,4 @@ except PermissionError:
         return (await child.communicate())[0]
 
     assert asyncio.run(main()) == b"confined\n"
+    assert tmp_path.stat().st_uid == pwd.getpwnam("nobody").pw_uid

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import os
+import re
 import select
 import signal
 import socket
@@ -15,13 +16,12 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from delfim.services import shutdown
+from delfim.clock import ManualClock
+from delfim.services import shutdown, supervisor
 from delfim.services.supervisor import EXIT_PERMANENT
 
-pytestmark = pytest.mark.timeout(30)
 PROGRAM = [sys.executable, str(Path(__file__).with_name("program.py"))]
 DEADMAN_S = 0.5
-SLACK_S = 0.3  # for a machine that has other things to do
 
 
 class Event(NamedTuple):
@@ -87,11 +87,11 @@ class Suite:
 
     def ended(self) -> int:
         """Its exit code, when it has one."""
-        _, self.said = self.process.communicate(timeout=15)
+        _, self.said = self.process.communicate(timeout=60)
         return self.process.returncode
 
 
-def until(condition: Callable[[], object], within_s: float = 10.0) -> None:
+def until(condition: Callable[[], object], within_s: float = 60.0) -> None:
     """Wait for it."""
     deadline_s = time.monotonic() + within_s
     while not condition():
@@ -115,23 +115,111 @@ def suite(tmp_path: Path) -> Iterator[Suite]:
                 os.kill(program["pid"], signal.SIGKILL)
 
 
-@pytest.mark.parametrize("how", ["busy", "regex", "holds-gil", "stopped", "hangs-up"])
-def test_a_stalled_runtime_is_stopped_killed_and_started_again(suite: Suite, how: str) -> None:
+@pytest.mark.parametrize(
+    ("how", "where"),
+    [
+        ("busy", r"it stood in stall \(services/program.py:\d+\), called by run \(.*\), called by <module> \(.*\)"),
+        (
+            "regex",
+            r"it stood in match \(re/__init__.py:\d+\), called by stall \(services/program.py:\d+\), called by run \(.*\)",
+        ),
+        ("holds-gil", r"it stood in stall \(services/program.py:\d+\), .*"),
+        ("stopped", r"it did not say where it stood: T \(stopped\)"),
+        ("hangs-up", r"it did not say where it stood: killed by signal 12 .*"),
+    ],
+)
+def test_a_stalled_runtime_is_stopped_killed_and_started_again(suite: Suite, how: str, where: str) -> None:
+    began = time.monotonic()
     suite.program("runtime", f"stall={how}", critical=True)
     suite.start(deadman_s=DEADMAN_S)
     until(lambda: len(suite.events("runtime", "beat")) == 2)
-    select.select([], [], [], 0.25)
     stall, stops = suite.events("runtime", "stall")[0], suite.events("bus", "stop")
-    again, beat = suite.events("runtime", "start")[1], suite.events("runtime", "beat")[1]
-    assert stops[0].at_s - stall.at_s < DEADMAN_S + SLACK_S
-    assert again.at_s - stall.at_s < DEADMAN_S + 1.0
-    assert stops[-1].at_s < beat.at_s + 0.1
+    again = suite.events("runtime", "start")[1]
+    assert stall.at_s < stops[0].at_s < again.at_s, "stopped before anything else is done"
     runtime, deadman = suite.state()["programs"]["runtime"], suite.state()["deadman"]
     assert runtime["restarts"] >= 1
-    assert runtime["reason"] == deadman["reason"] == "beat stopped for 0.5 s: dead-man"
-    assert abs(deadman["time"] - time.time()) < 10
+    assert runtime["reason"] == deadman["reason"]
+    assert re.fullmatch(rf"beat stopped for \d\.\d s: dead-man; {where}", runtime["reason"])
+    assert deadman["at_s"] >= began
     assert suite.terminate() == 0
-    assert "beat stopped for 0.5 s: dead-man" in suite.said
+    assert runtime["reason"] in suite.said
+    assert ("(most recent call first)" in suite.said) is ("did not say" not in where), "all stacks are in the log"
+
+
+BEATS_ONCE = """import os, signal, sys
+signal.alarm(100)
+signal.signal(signal.SIGUSR2, signal.SIG_IGN)
+os.write(int(sys.argv[2]), b".")
+while True:
+    signal.pause()
+"""
+
+
+@pytest.mark.parametrize("stands_still_s", [0.0, 0.7, 30.0])
+def test_the_stop_frames_come_when_the_deadman_is_due_and_the_kill_a_moment_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stands_still_s: float
+) -> None:
+    """On a clock of its own, that waiting alone moves: what the contract of 1.2 s leaves is the computer's, not ours. While the
+    computer stands still nobody beats, and nobody is killed for that."""
+    clock, look = ManualClock(100.0), select.select
+    stops_s, kills_s, killpg = list[float](), list[float](), os.killpg
+    program = supervisor.Program("runtime", (sys.executable, "-c", BEATS_ONCE), critical=True)
+    boat = supervisor.Supervisor(
+        [program],
+        stop=lambda: stops_s.append(clock.monotonic_s()),
+        deadman_s=1.0,
+        backoff_s=1.0,
+        backoff_max_s=1.0,
+        state_file=tmp_path / "state.json",
+    )
+    boat._wake, woken = os.pipe()
+    boat._start_due()
+    assert look([boat._children[0].pipe], [], [], 60.0)[0], "its only beat"
+
+    def waits(read: list[int], write: list[int], error: list[int], seconds: float) -> tuple[list[int], list[int], list[int]]:
+        found, before_s = look(read, write, error, 0.0), clock.monotonic_s()
+        if not found[0]:
+            clock.advance(seconds + 1e-6 + (stands_still_s if before_s < 100.35 <= before_s + seconds else 0.0))
+        return found
+
+    monkeypatch.setattr(supervisor.time, "monotonic", clock.monotonic_s)
+    monkeypatch.setattr(supervisor.select, "select", waits)
+    monkeypatch.setattr(supervisor.os, "killpg", lambda *told: (kills_s.append(clock.monotonic_s()), killpg(*told)))
+    boat._turn_s = clock.monotonic_s()
+    while not kills_s:
+        boat._wait()
+        boat._watch_beat()
+        boat._keep_stopped()
+    monkeypatch.undo()
+    assert os.waitpid(boat._children[0].pid, 0)[1] == signal.SIGKILL
+    for fd in (boat._wake, woken):
+        os.close(fd)
+    assert stops_s[0] == pytest.approx(101.0 + stands_still_s)
+    assert kills_s == [pytest.approx(101.0 + stands_still_s + supervisor.STACKS_S)]
+
+
+def test_a_program_that_does_not_know_how_to_say_where_it_stands_ends_all_the_same(suite: Suite) -> None:
+    suite.program("runtime", "stall=busy", "unarmed", critical=True)
+    suite.start(deadman_s=DEADMAN_S)
+    until(lambda: len(suite.events("runtime", "beat")) == 2)
+    assert re.search(
+        r"dead-man; it did not say where it stood: killed by signal 12", suite.state()["programs"]["runtime"]["reason"]
+    )
+
+
+def test_where_a_program_stood_is_the_innermost_of_its_main_thread() -> None:
+    stacks = """..Thread 0x00007f01 (most recent call first):
+  File "/usr/lib/python3.11/concurrent/futures/thread.py", line 81 in _worker
+
+Current thread 0x00007f02 [main] (most recent call first):
+  File "/srv/delfim/vehicle/track.py", line 12 in crossing
+  File "/srv/delfim/vehicle/loop.py", line 34 in <genexpr>
+  File "<frozen runpy>", line 88 in _run_code
+  File "/srv/delfim/__main__.py", line 1 in <module>
+"""
+    innermost = ("crossing (vehicle/track.py:12)", "<genexpr> (vehicle/loop.py:34)", "_run_code (<frozen runpy>:88)")
+    assert supervisor.stood(stacks) == "it stood in " + ", called by ".join(innermost)
+    assert supervisor.stood("") == supervisor.stood("....") == supervisor.stood(stacks[:40]) == ""
 
 
 def test_stop_frames_are_repeated_until_a_runtime_beats_again(suite: Suite) -> None:
@@ -156,7 +244,7 @@ def test_a_runtime_that_never_beats_is_killed_after_its_grace(suite: Suite) -> N
     suite.program("runtime", "mute", critical=True)
     suite.start(START_S=0.5)
     until(lambda: len(suite.events("runtime", "start")) == 2)
-    assert suite.state()["programs"]["runtime"]["reason"] == "no beat for 0.5 s: dead-man"
+    assert re.match(r"no beat for \d+\.\d s: dead-man; it ", suite.state()["programs"]["runtime"]["reason"])
 
 
 def test_other_programs_have_no_deadman_but_their_silence_is_told(suite: Suite) -> None:
@@ -225,7 +313,7 @@ def test_the_others_do_not_wait_for_ever_for_its_first_beat(suite: Suite) -> Non
     suite.program("runtime", "mute", critical=True)
     suite.start(HEAD_START_S=0.2)
     until(lambda: suite.events("sshd", "start"))
-    assert suite.events("sshd", "start")[0].at_s - suite.events("runtime", "start")[0].at_s < 5.0
+    assert suite.events("runtime", "beat") == []
     assert suite.state()["programs"]["runtime"]["restarts"] == 0
 
 
@@ -264,10 +352,8 @@ def test_the_end_is_bounded(suite: Suite) -> None:
     suite.program("sshd", "deaf")
     suite.start(END_CRITICAL_S=0.2, END_S=0.2)
     until(lambda: len(suite.events(word="beat")) == 2)
-    began_s = time.monotonic()
     assert suite.terminate() == 0
-    assert time.monotonic() - began_s < 0.4 + 2 * 0.5 + SLACK_S
-    assert suite.state()["programs"]["runtime"]["reason"] == "did not end in 0.2 s"
+    assert {program["reason"] for program in suite.state()["programs"].values()} == {"did not end in 0.2 s"}
     assert suite.events("bus", "stop")
 
 
@@ -276,9 +362,9 @@ def test_the_deadman_is_awake_while_the_runtime_ends(suite: Suite) -> None:
     suite.start(deadman_s=DEADMAN_S)
     until(lambda: suite.events("runtime", "beat"))
     os.kill(suite.state()["programs"]["runtime"]["pid"], signal.SIGSTOP)
-    began_s = time.monotonic()
     assert suite.terminate() == 0
-    assert suite.events("bus", "stop")[0].at_s - began_s < DEADMAN_S + SLACK_S
+    assert "dead-man" in suite.state()["programs"]["runtime"]["reason"], "and not that it did not end in order"
+    assert suite.events("bus", "stop")
 
 
 def test_a_runtime_without_supervisor_learns_of_it(suite: Suite) -> None:
@@ -287,7 +373,7 @@ def test_a_runtime_without_supervisor_learns_of_it(suite: Suite) -> None:
     suite.start()
     until(lambda: len(suite.events(word="beat")) == 2)
     suite.process.kill()
-    until(lambda: len(suite.events(word="abandoned")) == 2, 1.0)
+    until(lambda: len(suite.events(word="abandoned")) == 2)
 
 
 def test_programs_are_idle_but_the_critical_one_and_have_a_session_of_their_own(suite: Suite) -> None:
@@ -393,7 +479,7 @@ def test_orphans_are_reaped(suite: Suite) -> None:
     suite.is_namespace = is_allowed
     suite.start(prefix, subreaper=not is_allowed)
     until(lambda: suite.events("runtime", "orphan-ends"))
-    until(lambda: zombies_below(suite.process.pid) == [], 2.0)
+    until(lambda: zombies_below(suite.process.pid) == [])
     assert suite.state()["programs"]["runtime"]["state"] == "running"
     if is_allowed:
         assert suite.state()["pid"] == 1
@@ -417,6 +503,28 @@ def test_a_supervisor_that_dies_leaves_the_watchdog_armed(suite: Suite) -> None:
     suite.process.kill()
     suite.process.wait()
     assert b"V" not in suite.watchdog.read_bytes()
+
+
+def test_a_supervisor_that_is_stopped_strokes_no_watchdog_and_holds_nobody_up(suite: Suite) -> None:
+    """So the hardware resets the computer. Where there is none, the runtime sails on without its dead-man; when the supervisor
+    goes on, it must not take its own absence for the runtime's."""
+    suite.watchdog.touch()
+    suite.program("runtime", critical=True)
+    suite.start(deadman_s=DEADMAN_S)
+    until(lambda: suite.events("runtime", "beat"))
+    until(lambda: len(suite.watchdog.read_bytes()) > 3)
+    suite.process.send_signal(signal.SIGSTOP)
+    until(lambda: Path(f"/proc/{suite.process.pid}/stat").read_text().rpartition(")")[2].split()[0] == "T")
+    strokes = suite.watchdog.read_bytes()
+    end_s = time.monotonic() + 3 * DEADMAN_S
+    until(lambda: time.monotonic() > end_s)
+    assert suite.watchdog.read_bytes() == strokes
+    assert b"V" not in strokes
+    suite.process.send_signal(signal.SIGCONT)
+    until(lambda: len(suite.watchdog.read_bytes()) > len(strokes) + 3)
+    assert suite.state()["programs"]["runtime"]["restarts"] == 0
+    assert suite.events("bus", "stop") == []
+    assert len(suite.events("runtime", "start")) == 1
 
 
 def test_a_watchdog_that_cannot_be_opened_costs_a_line_in_the_log(suite: Suite) -> None:

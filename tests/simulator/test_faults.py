@@ -11,18 +11,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from delfim import config, messages
-from delfim.canproxy import dsor
+from delfim.canproxy.dsor.receiver import Receiver
 from delfim.clock import ManualClock
 from delfim.errors import DelfimError, FormatError, Refused
 from delfim.frames import Frame
 from delfim.messages import Navigation, Node, Status
+from delfim.modes import Mode
 from delfim.simulator import bycommand
 from delfim.simulator.faults import ABOARD, KINDS, VALUES, WHERE, Faults, FaultyGuest, FaultyLog, fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.scenario import Silence
 from delfim.vehicle import console
-from delfim.vehicle.state import Mode, State
+from delfim.vehicle.state import State
 
 SETTINGS = config.Vehicle(boat=config.Boat(name="test"))
 STEP_S = 0.2
@@ -33,7 +34,7 @@ class World:
 
     def __init__(self, seed: int = 1) -> None:
         self.faults, self.now_s, self.counter = Faults(nodes_of(SETTINGS, seed), seed), 0.0, 0
-        self.receiver = dsor.Receiver(Node.VEHICLE, lambda message: message.id == messages.NAVIGATION_ID)
+        self.receiver = Receiver(Node.VEHICLE, lambda message: message.id == messages.NAVIGATION_ID)
 
     def step(self, rpm: int = 800) -> list[Frame]:
         frames = self.faults.step(self.now_s, round(self.now_s * 1e9))

@@ -14,9 +14,11 @@ from delfim import geodesy
 from delfim.clock import ManualClock
 from delfim.errors import FormatError
 from delfim.messages import Navigation
+from delfim.modes import Mode
 from delfim.simulator.guest import Asked, Circle, Heard, Script, Zigzag, guest, heard, reference, written
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.state import Mode, State
+from delfim.vehicle.grex import reference as read_reference
+from delfim.vehicle.state import State
 
 HERE = geodesy.origin(math.radians(38.6925), math.radians(-9.215))
 CIRCLE = Circle(38.6925, -9.215, radius_m=30.0, speed_mps=1.2)
@@ -92,12 +94,9 @@ def test_other_lines_are_refused(line: bytes) -> None:
 
 
 def test_what_is_written_is_what_the_vehicle_reads() -> None:
-    state = State()
-    vehicle = Guest(state, ManualClock())
-    vehicle.reference(written(Asked(270.0, 1.5)).strip())
-    assert state.setpoint.guest_heading_rad == pytest.approx(1.5 * math.pi)
-    assert state.setpoint.guest_speed_mps == 1.5
-    assert not state.counts
+    asked = read_reference(written(Asked(270.0, 1.5)).strip())
+    assert asked is not None
+    assert (asked.heading_deg, asked.speed_mps) == (270.0, 1.5)
 
 
 def over_tcp(
@@ -185,14 +184,15 @@ def test_it_waits_for_a_vehicle_that_is_not_there_yet(caplog: pytest.LogCaptureF
 
 def test_with_the_vehicles_own_server() -> None:
     """Both ends of the protocol as they are: navigation goes out, the reference arrives."""
-    state, clock = State(mode=Mode.GREX), ManualClock()
+    state, clock, lines = State(mode=Mode.GREX), ManualClock(), list[bytes]()
     state.navigation = Navigation(START_NS, HERE.latitude_rad, HERE.longitude_rad, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3, 9, 0.9, 0)
 
     async def play() -> None:
         vehicle = Guest(state, clock)
+        vehicle.on_line = lines.append
         server = await asyncio.get_running_loop().create_server(lambda: vehicle, "127.0.0.1", 0)
         running = asyncio.create_task(guest("127.0.0.1", server.sockets[0].getsockname()[1], ZIGZAG, backoff_s=AT_ONCE))
-        while state.setpoint.guest_heading_rad is None:
+        while not lines:
             vehicle.send()
             await asyncio.sleep(0.001)
         running.cancel()
@@ -202,6 +202,7 @@ def test_with_the_vehicles_own_server() -> None:
         await server.wait_closed()
 
     asyncio.run(asyncio.wait_for(play(), 20))
-    assert state.setpoint.guest_heading_rad == pytest.approx(math.radians(10.0))
-    assert state.setpoint.guest_speed_mps == 1.2
+    asked = read_reference(lines[0])
+    assert asked is not None
+    assert (asked.heading_deg, asked.speed_mps) == (pytest.approx(10.0), 1.2)
     assert not state.counts

@@ -8,11 +8,13 @@ import pytest
 
 from delfim import config, geodesy
 from delfim.clock import ManualClock
+from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
+from delfim.slices import Sliced
 from delfim.vehicle import console, record
 from delfim.vehicle.fence import stopping_m
 from delfim.vehicle.mission import load_mission, plan
-from delfim.vehicle.state import Mode, State
+from delfim.vehicle.state import State
 
 ROOT = Path(__file__).parents[2]
 MISSION = ROOT / "etc/missions/doca.toml"
@@ -67,7 +69,7 @@ def test_every_waypoint_is_reached_in_a_cross_current_with_sensor_noise(seed):
     mission = MISSION.read_text()
     assert sailing.command(console.Mission(mission)) is None
     next(sailing.cycles(1.0))
-    legs = plan(load_mission(MISSION), sailing.state.origin, sailing.settings.control).waypoints
+    legs = Sliced(plan(load_mission(MISSION), sailing.state.origin, sailing.settings.control)).finish().waypoints
     nearest_m = [math.inf] * len(legs)
     playing = False
     for state in sailing.cycles(3600.0):
@@ -115,3 +117,60 @@ def test_the_boat_comes_to_rest_where_the_fence_reckons_with(speed_mps, order):
     rolled_m = max(model.north_m - before_m for _ in sailing.cycles(60.0))
     limits = config.Fence()
     assert 1.0 < rolled_m < stopping_m(limits, speed_mps) + limits.margin_m
+
+
+DAY_S = 86_400.0
+BY_THE_WALL_CLOCK = {"t0", "t1", "t2", "t3", "t4", "previous_t5", "utc_ns"}
+
+
+class Rows:
+    """A state log without what the wall clock says."""
+
+    def __init__(self, clock: ManualClock) -> None:
+        self.rows, self.notes = list[tuple[object, ...]](), list[str]()
+
+    def write(self, state: State, now_s: float) -> None:
+        values = zip(record.FIELDS, record.values(state, now_s), strict=True)
+        self.rows.append(tuple(repr(value) for field, value in values if field.name not in BY_THE_WALL_CLOCK))
+
+    def note(self, text: str) -> None:
+        self.notes.append(text)
+
+    def reason(self) -> str:
+        return ""
+
+    def close(self) -> None:
+        pass
+
+
+def stepped(*steps_s: float) -> Rows:
+    """A mission of which the wall clock is set, every five seconds."""
+    settings = config.load(ROOT / "etc/delfimx.toml")
+    sailing = Lockstep(settings, 1, Rows)
+    sailing.command(console.Mission(MISSION.read_text()))
+    due_s = [20.0 + 5.0 * number for number in range(len(steps_s))]
+    for state in sailing.cycles(60.0):
+        if state.mode is Mode.IDLE:
+            sailing.command(console.Play())
+        if due_s and sailing.elapsed_s >= due_s[0]:
+            sailing.clock.step(steps_s[len(steps_s) - len(due_s)])
+            due_s.pop(0)
+    assert state.mode is Mode.PLAY
+    assert isinstance(sailing.log, Rows)
+    return sailing.log
+
+
+@pytest.mark.parametrize(
+    "steps_s",
+    [
+        (DAY_S, -2.0 * DAY_S, DAY_S),
+        (-40.0 * 365.0 * DAY_S,),
+        (1024.0 * 7.0 * DAY_S, -1024.0 * 7.0 * DAY_S),
+        (28.5 * 365.0 * DAY_S,),
+    ],
+    ids=["a day to and fro", "1970", "the weeks of GPS roll over", "past 2038"],
+)
+def test_whatever_the_wall_clock_says_the_boat_does_the_same(steps_s: tuple[float, ...]) -> None:
+    calm, odd = stepped(), stepped(*steps_s)
+    assert odd.rows == calm.rows
+    assert odd.notes == calm.notes

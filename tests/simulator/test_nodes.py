@@ -9,7 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.canproxy.dsor import Message, Receiver
+from delfim.canproxy.dsor.protocol import Message
+from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import accepts
 from delfim.frames import Frame, extended
 from delfim.messages import (

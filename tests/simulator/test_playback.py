@@ -2,7 +2,8 @@
 
 import pytest
 
-from delfim.canproxy.socket import ANYTHING, open_can
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING
 from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
 from delfim.simulator.playback import play
 

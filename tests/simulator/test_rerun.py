@@ -8,13 +8,13 @@ from pathlib import Path
 
 import pytest
 
-from delfim.canproxy.nmea2000 import Nmea2000Source
+from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import ANYTHING, CanAddress
 from delfim.errors import DelfimError
 from delfim.frames import Frame
-from delfim.logging import canzlogd
+from delfim.logging import blackbox
+from delfim.logging.blackbox import BlackBox
 from delfim.logging.candump import format_line, parse_line
-from delfim.logging.canzlogd import BlackBox
 from delfim.logging.liblog import open_log, read_log
 from delfim.logging.table import frames, table
 from delfim.simulator.bus import LockstepBus
@@ -22,8 +22,8 @@ from delfim.simulator.rerun import rerun
 from delfim.vehicle import console
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
-from delfim.vehicle.navcan import Nmea2000Navigation
 from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.sources.nmea2000 import Nmea2000Navigation
 from delfim.vehicle.state import State
 from tests.logging.sailing import Day, logged, sailed
 
@@ -128,6 +128,24 @@ def test_silence_of_navigation_and_what_the_watchdog_did_are_repeated(tmp_path):
     assert result.exact, result.text()
 
 
+def test_what_was_said_before_the_boat_listened_is_not_its_input(tmp_path):
+    """The black box is open a moment before the vehicle's sockets are."""
+    day = Day(tmp_path)
+    sailing = day.sailing
+    for frame in sailing.nodes.step(day.clock.monotonic_s(), day.clock.time_ns()):
+        sailing._world.sendmsg(frame)
+    day.box.on_readable(day.socket)
+    for source in sailing.vehicle.sources:
+        assert source.read(day.clock.monotonic_s()) is not None
+    day.clock.advance(0.2)
+    day.sail(3.0)
+    assert day.command(console.Heading(120.0, 1.5)) is None
+    day.sail(10.0)
+    day.end()
+    result = rerun(logged(tmp_path), None)
+    assert result.exact, result.text()
+
+
 def test_a_run_without_its_start_is_refused(day, tmp_path):
     folder = copied(day, tmp_path)
     (folder / "state/000000.meta.jsonl").write_text("")
@@ -182,7 +200,7 @@ class Sensors:
         guest, outlet = Guest(self.state, self.clock), Propulsion(propulsion, settings.propulsion, self.state)
         self.boat = Vehicle(settings, self.clock, self.state, (self.source,), outlet, guest, self.log)
         with pytest.MonkeyPatch.context() as patch:  # files of the clock of the recording need no child
-            patch.setattr(canzlogd, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))
+            patch.setattr(blackbox, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))
             self.box, self.ends = BlackBox([box, own], settings.log, self.clock), (box, own)
 
     def sail(self, frames: list[Frame]) -> None:
@@ -212,7 +230,7 @@ class Sensors:
             self.box.on_readable(end)
 
     def end(self) -> None:
-        self.boat.stop("shutdown")
+        self.boat.helm.stop("shutdown")
         self.boxed()
         self.log.close()
         self.box.close()

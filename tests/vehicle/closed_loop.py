@@ -15,12 +15,14 @@ import msgspec
 
 from delfim.config import ControlTable, Propulsion, Sea, load
 from delfim.geodesy import Origin, origin, wrap
+from delfim.modes import Mode
 from delfim.simulator.model import Hull, Model
+from delfim.slices import Sliced
 from delfim.vehicle.control.control import Settings, admit, control, enter, limited
-from delfim.vehicle.control.path_following import APPROACH, nearest
+from delfim.vehicle.control.path import APPROACH, nearest
 from delfim.vehicle.mission import load_mission, plan
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Arc, Line, Mode, Motion, Plan, Reference, Setpoint, Waypoint
+from delfim.vehicle.state import Actuation, Arc, Line, Motion, Plan, Reference, Setpoint, Waypoint
 from delfim.vehicle.track import Track
 
 SETTINGS = Settings(ControlTable(), Propulsion())
@@ -28,10 +30,29 @@ ALL = frozenset({"position", "heading", "velocity"})
 DT_S = 0.2
 PLACE = load("etc/delfimx.toml").simulation
 START: Origin = origin(math.radians(PLACE.latitude_deg), math.radians(PLACE.longitude_deg))
-DOCA = plan(load_mission("etc/missions/doca.toml"), START, SETTINGS.control)
-LAWNMOWER = plan(load_mission("etc/missions/lawnmower.toml"), START, SETTINGS.control)
+DOCA = Sliced(plan(load_mission("etc/missions/doca.toml"), START, SETTINGS.control)).finish()
+LAWNMOWER = Sliced(plan(load_mission("etc/missions/lawnmower.toml"), START, SETTINGS.control)).finish()
 OTHERS = {
     "heavy": Hull(mass_kg=420.0, inertia_kgm2=1900.0, added_sway_kg=400.0, added_yaw_kgm2=800.0, surge_n_per_mps2=110.0),
+    "damped": Hull(  # of the size of Fossen's Otter, whose damping of a turn grows tenfold at 1 rad/s; propellers for its 120 N
+        length_m=2.0,
+        mass_kg=80.0,
+        inertia_kgm2=20.0,
+        added_surge_kg=5.5,
+        added_sway_kg=5.5,  # as that model has it: no moment of the added masses
+        added_yaw_kgm2=25.0,
+        surge_n_per_mps=77.5,
+        surge_n_per_mps2=0.0,
+        sway_n_per_mps=20.0,
+        sway_n_per_mps2=200.0,
+        yaw_nm_per_radps=45.0,
+        yaw_nm_per_radps2=450.0,
+        lift_kg_per_m=0.0,
+        propeller_m=0.395,
+        propeller_diameter_m=0.189,
+        thrust_per_j=0.0,
+        astern=0.58,
+    ),
     "light": Hull(mass_kg=100.0, inertia_kgm2=250.0, added_sway_kg=100.0, added_yaw_kgm2=100.0),
 }
 CORNER_S = 20.0  # a boat that comes onto a path across it gets this long; smooth joints get nothing
@@ -182,19 +203,19 @@ def home_errors(boat: Boat) -> tuple[list[float], float, int]:
     raise AssertionError("home was not reached in 15 minutes")
 
 
-def tuned(hull: Hull) -> Settings:
+def tuned(hull: Hull, turning_part: float = 0.5) -> Settings:
     """Gains for another boat, by the recipe of docs/control.md: two trials in calm water with the propellers set by hand."""
     rpm_max = SETTINGS.propulsion.rpm_max
     ahead, turning = Boat(hull=hull).model, Boat(hull=hull).model
     rates = []
     for _ in range(600):
-        for model, starboard, port in ((ahead, 0.6, 0.6), (turning, -0.5, 0.5)):
+        for model, starboard, port in ((ahead, 0.6, 0.6), (turning, -turning_part, turning_part)):
             model.command("starboard", starboard * rpm_max, True)
             model.command("port", port * rpm_max, True)
             model.advance(DT_S)
         rates.append(turning.yaw_rate_radps)
     speed_per_rpm = ahead.north_mps / (0.6 * rpm_max)
-    turn, lag_s = 0.25 * rpm_max / rates[-1], DT_S * sum(rate < 0.63 * rates[-1] for rate in rates)
+    turn, lag_s = turning_part**2 * rpm_max / rates[-1], DT_S * sum(rate < 0.63 * rates[-1] for rate in rates)
     p, d = turn * lag_s * 0.65**2, turn * max(2.0 * 0.65 * lag_s - 1.0, 0.3)
     control, replace = SETTINGS.control, msgspec.structs.replace
     heading = replace(control.heading, p_rpm_per_rad=p, d_rpm_per_radps=d, turn_rpm_per_radps=turn, i_rpm_per_rad_s=p / 25.0)
@@ -246,12 +267,12 @@ def main() -> None:
         print("home, current to {:3}: rms {:.1f} max {:.1f} m off the track,".format(degrees, *errors(off)), end=" ")
         print(f"end {end_m:.1f} m from the start, {points} points left")
     for name, hull in OTHERS.items():
-        settings = tuned(hull)
-        over, settled_s, _ = heading_step(Boat(hull=hull, settings=settings), 90.0, 1.5)
-        print(f"{name} boat, tuned by the recipe: {over:.1f} deg over, settled in {settled_s:.1f} s")
-        show_path(
-            name, [path_errors(Boat(seed, current(seed, 8), hull=hull, settings=settings), DOCA.path) for seed in range(8)]
-        )
+        for how, settings in (("tuned at 0.5", tuned(hull)), ("tuned at 0.2", tuned(hull, 0.2)), ("as it comes", SETTINGS)):
+            over, settled_s, _ = heading_step(Boat(hull=hull, settings=settings), 90.0, 1.5)
+            print(f"{name} boat, {how}: {over:.1f} deg over, settled in {settled_s:.1f} s")
+            for plan_ in (DOCA, LAWNMOWER):
+                boats = [Boat(seed, current(seed, 8), hull=hull, settings=settings) for seed in range(8)]
+                show_path(f"{name}, {plan_.name}", [path_errors(boat, plan_.path) for boat in boats])
     print("control():", ", ".join(f"{mode.name.lower()} {control_us(mode):.1f}" for mode in Mode), "µs")
 
 

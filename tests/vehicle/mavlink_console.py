@@ -1,5 +1,6 @@
 """A console for tests: it has a MAVLink codec and nothing else, and hears what the station sends to its address."""
 
+import math
 from typing import Any
 
 from delfim.vehicle.mavlink import wire
@@ -22,12 +23,20 @@ class Radio:
 
 class Console:
     def __init__(
-        self, station: Station, radio: Radio, system: int = 250, address: tuple[str, int] = HOME, signing: Signing | None = None
+        self,
+        station: Station,
+        radio: Radio,
+        system: int = 250,
+        address: tuple[str, int] = HOME,
+        signing: Signing | None = None,
+        component: int = 190,
+        link: int = 0,
     ) -> None:
         self.station, self.radio, self.address = station, radio, address
-        self.party = (system, 190)
+        self.party = (system, component)
         key, stamp = (None, lambda: 0) if signing is None else (signing.key, signing.stamp)
         self.sender = Sender(*self.party, key, stamp)
+        self.sender._signing.link_id = link
         self.heard: list[Any] = []
 
     def frame(self, name: str, *fields: object) -> bytes:
@@ -58,6 +67,15 @@ class Console:
         acks = [m for m in answers if m.get_type() == "COMMAND_ACK"]
         assert [(m.command, m.target_system, m.target_component) for m in acks] == [(number, *self.party)], answers
         return acks[0].result, texts(answers)
+
+    def reposition(
+        self, latitude_deg: float | None, longitude_deg: float | None, flags: float = 1.0, frame: int = 6
+    ) -> tuple[int, str]:
+        """DO_REPOSITION as a COMMAND_INT; None is not given. (result, words)"""
+        x, y = (0x7FFFFFFF if each is None else round(each * 1e7) for each in (latitude_deg, longitude_deg))
+        numbers = (-1.0, flags, 0.0, math.nan, x, y, 0.0)
+        answers = self.say("command_int", 1, 1, frame, 192, 0, 0, *numbers)
+        return newest(answers, "COMMAND_ACK").result, texts(answers)
 
     def mode(self, number: int, sub: int = 0, **more: int) -> tuple[int, str]:
         return self.command(176, 1, number, sub, **more)

@@ -7,14 +7,15 @@ import pytest
 from delfim import config, messages
 from delfim.frames import Frame
 from delfim.messages import BatteriesStatus, Fault, Node, Status
+from delfim.modes import Mode
 from delfim.vehicle import console
-from delfim.vehicle.state import Mode
+from delfim.vehicle.state import Computer
 
 AROUND = config.Fence(keep_in=((38.692, -9.216), (38.693, -9.216), (38.693, -9.214), (38.692, -9.214)))
 
 
 def lines(boat) -> dict[str, tuple[bool, str]]:
-    return {line.name: (line.ok, line.reason) for line in boat.vehicle.checks()}
+    return {line.name: (line.ok, line.reason) for line in boat.vehicle.helm.checks()}
 
 
 def charge(boat, part: float) -> None:
@@ -55,8 +56,6 @@ def test_the_clock_is_held_against_that_of_navigation(boat, off_s, ok):
     boat.ready()
     boat.clock.step(off_s)
     assert lines(boat)["clock"] == (ok, f"the computer's clock is {off_s:+.1f} s off navigation's")
-    refused = boat.vehicle.on_command(console.Heading(0.0))
-    assert refused == (None if ok else f"heading refused: the computer's clock is {off_s:+.1f} s off navigation's")
 
 
 def test_a_clock_that_was_never_set_is_no_clock(boat):
@@ -65,14 +64,26 @@ def test_a_clock_that_was_never_set_is_no_clock(boat):
     assert lines(boat)["clock"] == (False, "the computer's clock was never set")
 
 
+@pytest.mark.parametrize("off_s", [-40 * 365 * 86_400.0, -1024 * 7 * 86_400.0, -86_400.0, 6.0, 1024 * 7 * 86_400.0])
+def test_a_wrong_clock_strands_no_boat(make_boat, off_s):
+    """It is told, and every mode can be entered: by hand, or home."""
+    for command in (console.Manual(0.2, 0.2), console.Mode("hold"), console.Heading(0.0), console.Mode("home"), console.Arm()):
+        boat = make_boat()
+        boat.ready()
+        boat.clock.step(off_s)
+        assert not lines(boat)["clock"][0]
+        assert boat.vehicle.on_command(command) is None
+        assert boat.state.armed
+
+
 def test_a_computer_that_nobody_watches_over_yet_turns_nothing(boat):
     boat.ready()
-    boat.state.is_starting = True
-    reason = "the computer is still starting, and nobody watches over it yet: a moment"
+    boat.state.computer = Computer(is_starting=True)
+    reason = "the program is still starting and the dead-man does not watch it yet; wait a few seconds"
     assert lines(boat)["computer"] == (False, reason)
     for command in (console.Manual(0.5, 0.5), console.Heading(0.0), console.Mode("hold"), console.Goto(38.69, -9.21)):
         assert boat.vehicle.on_command(command).endswith(f" refused: {reason}")
-    boat.state.is_starting = False
+    boat.state.computer = Computer()
     assert boat.vehicle.on_command(console.Heading(0.0)) is None
 
 
@@ -104,7 +115,7 @@ def test_a_fence_without_a_position_refuses_what_does_not_need_one(make_boat):
 
 def test_what_is_only_told_keeps_nobody_on_the_quay(boat):
     boat.ready()
-    boat.state.last_shutdown = "the power was cut"
+    boat.state.computer = Computer(last_shutdown="the power was cut")
     assert lines(boat)["last shutdown"] == (False, "the power was cut")
     assert boat.vehicle.on_command(console.Heading(0.0)) is None
     assert boat.state.mode is Mode.HEADING

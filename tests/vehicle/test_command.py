@@ -1,7 +1,13 @@
 """The local command socket: a real UNIX socket, the real client beside it."""
 
 import asyncio
+import contextlib
 import json
+import os
+import pty
+import subprocess
+import sys
+import threading
 from collections.abc import Callable
 
 import pytest
@@ -9,14 +15,18 @@ import pytest
 from delfim.console.drive import command, line
 from delfim.console.link import Link
 from delfim.errors import DelfimError, FormatError, Refused
+from delfim.modes import Mode
+from delfim.vehicle import console
 from delfim.vehicle.command import LINE_BYTES, CommandServer
+from delfim.vehicle.reviews import Reviews
 
 
 def served(boat, tmp_path, talk: Callable[[str], object], clients_max: int = 4) -> object:
     """Serve a boat's commands on a loop while `talk` runs in a thread with the socket's path; what talk returned."""
 
     async def both() -> object:
-        server = CommandServer(boat.vehicle.on_command, lambda: boat.vehicle.snapshot({}), clients_max)
+        reviews = Reviews(boat.vehicle, boat.vehicle.on_command, asyncio.get_running_loop())
+        server = CommandServer(boat.vehicle.on_command, reviews, lambda: boat.vehicle.snapshot({}), clients_max)
         path = str(tmp_path / "command")
         listening = await asyncio.get_running_loop().create_unix_server(server.connection, path)
         boat.server = server
@@ -96,7 +106,11 @@ def test_nobody_there(tmp_path):
         ("heading 90", {"command": "heading", "heading_deg": 90.0}),
         ("hold", {"command": "mode", "mode": "hold"}),
         ("mode path", {"command": "mode", "mode": "path"}),
-        ("play 3", {"command": "play", "leg": 3}),
+        ("play", {"command": "play"}),
+        ("play 1", {"command": "play", "leg": 0}),
+        ("goto", {"command": "goto"}),
+        ("goto 38.69 -9.21", {"command": "goto", "latitude_deg": 38.69, "longitude_deg": -9.21}),
+        ("speed", {"command": "speed"}),
         ("manual 0.5 -0.5", {"command": "manual", "starboard": 0.5, "port": -0.5}),
     ],
 )
@@ -105,7 +119,76 @@ def test_words_of_the_prompt(words, asked):
     json.dumps(asked)
 
 
-@pytest.mark.parametrize("words", ["fly", "heading north", "manual 1 1 1", "mode", "mission /no/such/file"])
-def test_words_that_mean_nothing(words):
-    with pytest.raises(FormatError):
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("fly", "no command 'fly'; there are state, "),
+        ("heading", "heading_deg is missing: heading heading_deg [speed_mps]"),
+        ("heading north", "heading_deg must be a number, not 'north': heading heading_deg [speed_mps]"),
+        ("heading nan", "heading_deg must be a number, not 'nan'"),
+        ("goto 38.69", "longitude_deg is missing: goto [latitude_deg longitude_deg] [speed_mps]"),
+        ("manual 1", "port is missing: manual starboard port"),
+        ("manual 1 1 1", "'1' is too much: manual starboard port"),
+        ("hold here", "'here' is too much: hold"),
+        ("play 0", "leg must be a whole number from 1 on, not '0': play [leg]"),
+        ("play 1.5", "leg must be a whole number from 1 on, not '1.5'"),
+        ("mode", "name is missing: mode name"),
+        ("mission /no/such/file", "/no/such/file: No such file"),
+    ],
+)
+def test_words_that_mean_nothing_are_refused_with_what_is_right(words, why):
+    with pytest.raises(FormatError) as refusal:
         command(words.split())
+    assert str(refusal.value).startswith(why)
+
+
+def keyboard(path: str, *typed: bytes) -> str:
+    """What stands on the terminal after all of this was typed at the prompt, each part once the prompt is there."""
+    here, there = pty.openpty()
+    program = f"from delfim.console.drive import run; run({path!r}, [])"
+    shown = b""
+    with subprocess.Popen([sys.executable, "-c", program], stdin=there, stdout=there, stderr=there) as process:
+        os.close(there)
+        for keys in (*typed, b"quit\r"):
+            before = len(shown)
+            while b"delfim> " not in shown[before:]:
+                shown += os.read(here, 4096)
+            os.write(here, keys)
+        with contextlib.suppress(OSError):  # the other end is closed
+            while more := os.read(here, 4096):
+                shown += more
+        assert process.wait(20) == 0
+    os.close(here)
+    return shown.decode()
+
+
+def test_the_prompt_has_a_sign_completes_words_and_remembers_them(boat, tmp_path):
+    boat.ready()
+    shown = served(boat, tmp_path, lambda path: keyboard(path, b"hea\t90 1\r", b"\x1b[A\r", b"help heading\r", b"heading\r"))
+    assert shown.count("delfim> heading 90 1") == 2
+    assert shown.count("heading 38.692500 -9.215000") == 2, shown
+    assert "heading heading_deg [speed_mps]" in shown
+    assert "heading_deg is missing" in shown
+    assert boat.state.mode is Mode.HEADING
+
+
+def test_the_prompt_tells_that_somebody_is_there_while_it_waits(boat, tmp_path):
+    heard = threading.Event()
+    obey = boat.vehicle.on_command
+
+    def obeyed(command, operator="local"):
+        if isinstance(command, console.Alive):
+            heard.set()
+        return obey(command, operator)
+
+    boat.vehicle.on_command = obeyed
+
+    def talk(path: str) -> bool:
+        with subprocess.Popen(
+            [sys.executable, "-c", f"from delfim.console.drive import run; run({path!r}, [])"], stdin=subprocess.PIPE
+        ) as process:
+            told = heard.wait(20)
+            process.communicate()
+            return told and process.returncode == 0
+
+    assert served(boat, tmp_path, talk)

@@ -50,6 +50,29 @@ def test_what_is_not_understood_is_refused_in_words(line):
         console.parse(line.encode())
 
 
+@pytest.mark.parametrize(
+    ("line", "why"),
+    [
+        ("nonsense", "it is no JSON"),
+        ("[" * 100_000, "it is no JSON"),
+        ("{}", "it names no command"),
+        ('{"command":"fly"}', "there is no command 'fly'"),
+        ('{"command":"heading"}', "heading needs heading_deg"),
+        ('{"command":"heading","heading_deg":null}', "heading_deg must be -360.0 to 360.0"),
+        ('{"command":"manual","starboard":1.1,"port":0}', "starboard must be -1.0 to 1.0"),
+        ('{"command":"speed","speed_mps":"fast"}', "speed_mps must be 0.0 to 30.0"),
+        ('{"command":"goto","latitude_deg":38.69}', "goto needs a latitude and a longitude, or neither"),
+        ('{"command":"stop","now":true}', "stop has no 'now'"),
+        ('{"command":"set","key":"a","value":[]}', "value must be a number or text of up to 64 characters"),
+        ('{"command":"upload","mission":{}}', "mission must be a table of version, name, waypoint, path, fence"),
+    ],
+)
+def test_a_refusal_is_said_in_our_words_and_not_in_the_librarys(line, why):
+    with pytest.raises(FormatError) as refusal:
+        console.parse(line.encode())
+    assert str(refusal.value) == f"command not understood: {why}"
+
+
 @given(st.binary(max_size=200))
 def test_no_bytes_raise_anything_else(line):
     with contextlib.suppress(FormatError):

@@ -8,9 +8,10 @@ from hypothesis import strategies as st
 
 from delfim.config import Propulsion, Sea
 from delfim.geodesy import wrap
+from delfim.modes import Mode
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.memory import Integrals
-from delfim.vehicle.state import Mode, Motion, Setpoint
+from delfim.vehicle.state import Motion, Setpoint
 from tests.vehicle.closed_loop import ALL, DT_S, SETTINGS, Boat, heading_step
 
 RPM_MAX = SETTINGS.propulsion.rpm_max

@@ -9,9 +9,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.config import Propulsion
+from delfim.modes import Mode
 from delfim.vehicle.control.control import MODES, Memory, admit, control, enter, limited
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import NOWHERE, Actuation, Arc, Line, Mode, Motion, Plan, Setpoint, Waypoint
+from delfim.vehicle.state import NOWHERE, Actuation, Arc, Line, Motion, Plan, Setpoint, Waypoint
 from tests.vehicle.closed_loop import ALL, DT_S, SETTINGS
 
 T = TypeVar("T")
@@ -83,8 +84,7 @@ def test_refusals_are_sentences_for_a_tired_operator() -> None:
     assert admit(Mode.PLAY, frozenset({"heading", "velocity"}), READY) == "no position: heading and velocity only"
     assert admit(Mode.HEADING, frozenset(), READY) == "no heading"
     assert admit(Mode.PLAY, ALL, Setpoint()) == "no mission loaded"
-    assert admit(Mode.PLAY, ALL, READY._replace(leg=1)) == "no leg 1: the mission has legs 0 to 0"
-    assert admit(Mode.GOTO, ALL, Setpoint()) == "no point to go to and no mission loaded"
+    assert admit(Mode.PLAY, ALL, READY._replace(leg=1)) == "no leg 2: the mission has legs 1 to 1"
     assert admit(Mode.PATH, ALL, Setpoint()) == "no mission loaded"
     assert admit(Mode.PATH, ALL, Setpoint(plan=PLAN._replace(path=()))) is not None
     assert admit(Mode.GREX, ALL, Setpoint()) == "no reference from the guest computer"

@@ -6,10 +6,11 @@ import math
 import pytest
 
 from delfim.config import Sea
+from delfim.modes import Mode
 from delfim.vehicle.control.control import control, enter
 from delfim.vehicle.control.guidance import along
-from delfim.vehicle.control.path_following import APPROACH
-from delfim.vehicle.state import Arc, Line, Mode, Motion, Plan, Setpoint, Waypoint
+from delfim.vehicle.control.path import APPROACH
+from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
 from tests.vehicle.closed_loop import (
     ALL,
     DOCA,
@@ -172,9 +173,10 @@ def test_goto_arrives_slowly_and_is_done(seed: int) -> None:
     assert math.hypot(arrived.north_mps, arrived.east_mps) < 1.75  # 2.0 asked for
 
 
-def test_goto_without_a_point_goes_to_the_first_waypoint() -> None:
+def test_goto_without_a_point_stays_where_it_is() -> None:
     x = next(iter(Boat().sail(Mode.GOTO, Setpoint(plan=DOCA), 1.0)))
-    assert (x.reference.north_m, x.reference.east_m) == DOCA.waypoints[0][:2]
+    assert x.reference.distance_m == pytest.approx(0.0, abs=1.0)
+    assert x.reference.speed_mps == 0.0
 
 
 @pytest.mark.parametrize("way_mps", [0.0, 1.5, 2.2])

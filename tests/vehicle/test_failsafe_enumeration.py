@@ -15,15 +15,17 @@ from delfim import config, messages
 from delfim.canproxy.socket import ANYTHING, CanSocket
 from delfim.clock import ManualClock
 from delfim.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
+from delfim.modes import Mode
 from delfim.simulator.bus import LockstepBus
 from delfim.simulator.scenario import Silence
+from delfim.slices import Sliced
 from delfim.vehicle import console, fence
 from delfim.vehicle.failsafe import TURNING_RPM
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
-from delfim.vehicle.navcan import Fix
+from delfim.vehicle.navigation import Fix
 from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.state import Line, Mode, Plan, State, Waypoint
+from delfim.vehicle.state import Line, Plan, State, Waypoint
 
 SECONDS, NAVIGATION_S = 1.6, 0.2
 HERE = Navigation(0, 0.675, -0.16, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 3, 9, 0.9, 0)
@@ -121,7 +123,7 @@ class Boat:
             plan=PLAN, guest_heading_rad=0.5, guest_speed_mps=1.0, speed_mps=1.5, track=((-20.0, 0.0),), starboard=0.7, port=0.7
         )
         state.console_s = state.manual_s = state.guest_s = 0.0
-        self.vehicle._enter(mode, "test")
+        self.vehicle.helm.enter(mode, "test")
         state.armed = armed
         propulsion._sent = state.actuation = state.actuation._replace(starboard_rpm=rpm, port_rpm=-rpm, run=rpm != 0.0)
         self.told: set[str] = set()
@@ -149,7 +151,7 @@ class Boat:
         self.log.why = "disk full" if trouble == "log" else ""
         self.source.frozen, self.source.jump_rad = trouble == "frozen", 1e-3 if trouble == "jumping" else 0.0
         if trouble == "fence":
-            self.vehicle.fence = fence.survey(SETTINGS.fence, AHEAD, self.state.origin)
+            self.vehicle.helm.plans.fence = Sliced(fence.survey(SETTINGS.fence, AHEAD, self.state.origin)).finish()
         for tick in range(1, ticks + 1):
             self.clock.advance(0.1)
             now_s = self.clock.monotonic_s()

@@ -7,8 +7,8 @@ import pytest
 from delfim import config, messages
 from delfim.frames import Frame
 from delfim.messages import Fault, Node, PropellerStatus, Status
+from delfim.modes import Mode
 from delfim.vehicle import console
-from delfim.vehicle.state import Mode
 
 NORTH_8_M = math.radians(38.6925) + 8.0 / 6_360_000
 
@@ -79,7 +79,7 @@ def test_a_message_that_comes_again_is_not_news(boat):
 def test_a_position_that_is_no_number_is_refused_and_leaves_no_origin(boat, value):
     """No bus can carry it, but the loop does not rely on that."""
     from delfim.messages import Navigation
-    from delfim.vehicle.navcan import Fix
+    from delfim.vehicle.navigation import Fix
 
     class Wild:
         name, heard_s = "wild", 0.0

@@ -8,12 +8,20 @@ from hypothesis import strategies as st
 
 from delfim import config, geodesy
 from delfim.errors import ConfigError
+from delfim.modes import Mode
+from delfim.slices import Sliced
 from delfim.vehicle import fence
-from delfim.vehicle.fence import Fence, Zone, clearance_m, least_m, polygon, stopping_m
+from delfim.vehicle.fence import Fence, Zone, clearance_m, least, polygon, stopping_m
 from delfim.vehicle.mission import canonical, digest, parse_mission
-from delfim.vehicle.state import Arc, Line, Mode, Motion, Plan, Setpoint, Waypoint
+from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
 
 LIMITS = config.Fence()
+
+
+def whole(work, *arguments: object):
+    return Sliced(work(*arguments)).finish()
+
+
 ALL = frozenset({"position", "heading", "velocity"})
 SQUARE = polygon("square", True, [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)])
 ROCK = Zone("rock", False, (), 0.0, 100.0, 10.0)
@@ -81,10 +89,10 @@ def test_clearance_changes_no_faster_than_the_boat_moves(corners, a, b):
 @given(stars(), points, points, st.booleans())
 def test_the_least_clearance_of_a_way_is_that_of_its_worst_point(corners, a, b, keep_in):
     zone = polygon("", keep_in, corners)
-    least = least_m(zone, a, b)
+    smallest, _ = least(zone, a, b)
     ways = [clearance_m(zone, a[0] + (b[0] - a[0]) * i / 200, a[1] + (b[1] - a[1]) * i / 200) for i in range(201)]
-    if least > 0.0:
-        assert least == pytest.approx(min(ways), abs=math.dist(a, b) / 200 + 1e-9)
+    if smallest > 0.0:
+        assert smallest == pytest.approx(min(ways), abs=math.dist(a, b) / 200 + 1e-9)
         assert min(ways) > 0.0
     else:
         assert min(ways) < math.dist(a, b) / 200 + 1e-9, "between two samples, or at one of them, the way is forbidden"
@@ -95,14 +103,14 @@ def test_the_least_clearance_of_a_way_is_that_of_its_worst_point(corners, a, b, 
 def test_the_same_around_a_circle(a, b, radius_m):
     zone = Zone("", False, (), 10.0, -20.0, radius_m)
     ways = [clearance_m(zone, a[0] + (b[0] - a[0]) * i / 200, a[1] + (b[1] - a[1]) * i / 200) for i in range(201)]
-    assert least_m(zone, a, b) == pytest.approx(min(ways), abs=math.dist(a, b) / 200 + 1e-9)
+    assert least(zone, a, b)[0] == pytest.approx(min(ways), abs=math.dist(a, b) / 200 + 1e-9)
 
 
 @settings(deadline=None)
 @given(stars())
 def test_a_polygon_by_bearing_is_accepted_and_one_that_crosses_itself_is_not(corners):
-    assert geodesy.polygon_fault(corners) is None
-    assert "same corner twice" in (geodesy.polygon_fault([*corners, corners[0]]) or "")
+    assert Sliced(geodesy.polygon_fault(corners)).finish() is None
+    assert "same corner twice" in (Sliced(geodesy.polygon_fault([*corners, corners[0]])).finish() or "")
 
 
 @pytest.mark.parametrize(
@@ -117,7 +125,7 @@ def test_a_polygon_by_bearing_is_accepted_and_one_that_crosses_itself_is_not(cor
     ],
 )
 def test_polygons_that_nobody_can_have_meant(corners, reason):
-    assert reason in (geodesy.polygon_fault(corners) or "")
+    assert reason in (Sliced(geodesy.polygon_fault(corners)).finish() or "")
 
 
 @settings(deadline=None)
@@ -133,7 +141,7 @@ def test_a_boat_that_keeps_its_course_is_stopped_in_time(speed_mps, course_rad):
         east_m += 0.1 * speed_mps * math.sin(course_rad)
     room_m = stopping_m(LIMITS, speed_mps)
     end = north_m + room_m * math.cos(course_rad), east_m + room_m * math.sin(course_rad)
-    assert min(least_m(zone, (north_m, east_m), end) for zone in around.zones) >= LIMITS.margin_m - 0.1 * speed_mps - 1e-6
+    assert min(least(zone, (north_m, east_m), end)[0] for zone in around.zones) >= LIMITS.margin_m - 0.1 * speed_mps - 1e-6
 
 
 @settings(deadline=None)
@@ -178,30 +186,30 @@ def to(north_m: float, east_m: float, speed_mps: float = 1.5) -> Waypoint:
     ],
 )
 def test_missions_are_held_against_the_fence(waypoints, reason):
-    assert fence.complaint(Fence((SQUARE, WALL), LIMITS), Plan("", tuple(waypoints), ()), 5.0) == reason
+    assert whole(fence.complaint, Fence((SQUARE, WALL), LIMITS), Plan("", tuple(waypoints), ()), 5.0) == reason
 
 
 def test_a_place_to_stay_at_needs_room_to_drift():
     waits = to(0, 43)._replace(hold_s=10.0)
     reason = "no room to wait at waypoint 2: square is nearer than 8 m"
-    assert fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (to(0, 0), waits), ()), 5.0) == reason
-    assert fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (to(0, 0), waits), ()), 4.0) is None
+    assert whole(fence.complaint, Fence((SQUARE,), LIMITS), Plan("", (to(0, 0), waits), ()), 5.0) == reason
+    assert whole(fence.complaint, Fence((SQUARE,), LIMITS), Plan("", (to(0, 0), waits), ()), 4.0) is None
 
 
 def test_paths_and_their_arcs_too():
     line = Line(-20.0, -30.0, -20.0, 0.0, 1.5)
     inside = Arc(0.0, 0.0, 20.0, math.pi, -math.pi / 2, 1.5)
     around = Fence((SQUARE,), LIMITS)
-    assert fence.complaint(around, Plan("", (), (line, inside)), 5.0) is None
+    assert whole(fence.complaint, around, Plan("", (), (line, inside)), 5.0) is None
     bulging = Arc(-20.0, 20.0, 28.0, -math.pi / 2, -math.pi, 1.5)
-    assert (fence.complaint(around, Plan("", (), (line, bulging)), 5.0) or "").startswith("piece 2 of the path leads")
+    assert (whole(fence.complaint, around, Plan("", (), (line, bulging)), 5.0) or "").startswith("piece 2 of the path leads")
 
 
 def test_a_turn_that_points_at_the_fence_needs_room_too():
     """Legs along the fence, and between them half a turn towards it."""
     there, back = [to(-30, 43), to(0, 43)], to(-30, 43.9)
-    assert "without room to stop" in (fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (*there, back), ()), 5.0) or "")
-    assert fence.complaint(Fence((SQUARE,), LIMITS), Plan("", (to(-30, 36), to(0, 36), to(-30, 34)), ()), 5.0) is None
+    assert "without room to stop" in (whole(fence.complaint, Fence((SQUARE,), LIMITS), Plan("", (*there, back), ()), 5.0) or "")
+    assert whole(fence.complaint, Fence((SQUARE,), LIMITS), Plan("", (to(-30, 36), to(0, 36), to(-30, 34)), ()), 5.0) is None
 
 
 def test_the_way_to_where_a_mode_begins_is_held_against_it():
@@ -220,9 +228,9 @@ def test_the_way_to_where_a_mode_begins_is_held_against_it():
 def test_it_holds_where_it_has_room():
     around = Fence((SQUARE,), LIMITS)
     track = ((0.0, 0.0), (0.0, 20.0), (0.0, 40.0), (0.0, 45.0))
-    assert fence.place_to_hold(around, (0.0, 10.0), track, 5.0) == (0.0, 10.0)
-    assert fence.place_to_hold(around, (0.0, 47.0), track, 5.0) == (0.0, 40.0)
-    assert fence.place_to_hold(around, (0.0, 47.0), ((0.0, 49.0),), 5.0) == (0.0, 47.0)
+    assert whole(fence.place_to_hold, around, (0.0, 10.0), track, 5.0) == (0.0, 10.0)
+    assert whole(fence.place_to_hold, around, (0.0, 47.0), track, 5.0) == (0.0, 40.0)
+    assert whole(fence.place_to_hold, around, (0.0, 47.0), ((0.0, 49.0),), 5.0) == (0.0, 47.0)
 
 
 MISSION = """version = 1
@@ -252,7 +260,7 @@ def test_a_missions_fence_is_part_of_its_text_and_comes_on_top_of_the_boats():
     assert digest(mission) != digest(parse_mission(MISSION.replace("30.0", "31.0")))
     own = config.Fence(keep_out=(config.KeepOut(name="buoy", centre=((38.7, -9.25),), radius_m=5.0),))
     at = geodesy.origin(math.radians(38.69), math.radians(-9.21))
-    around = fence.survey(own, mission.fence, at)
+    around = whole(fence.survey, own, mission.fence, at)
     assert around is not None
     assert [zone.name for zone in around.zones] == [
         "buoy",
@@ -260,10 +268,11 @@ def test_a_missions_fence_is_part_of_its_text_and_comes_on_top_of_the_boats():
         'the "old" pier',
         "mission's keep-out zone 2",
     ]
-    assert fence.survey(config.Fence(), config.Zones(), at) is None
-    unlaid = fence.survey(own, config.Zones(), None)
+    assert whole(fence.survey, config.Fence(), config.Zones(), at) is None
+    unlaid = fence.unlaid(own, config.Zones())
     assert unlaid is not None
-    assert unlaid.zones == ()
+    assert not unlaid.is_laid
+    assert fence.unlaid(config.Fence(), config.Zones()) is None
 
 
 @pytest.mark.parametrize(

@@ -6,8 +6,8 @@ import math
 
 import pytest
 
+from delfim.modes import Mode
 from delfim.vehicle import console
-from delfim.vehicle.state import Mode
 
 
 def test_a_reference_is_taken_and_obeyed_in_grex_mode_only(boat):
@@ -65,7 +65,7 @@ def test_navigation_goes_out_each_cycle_and_a_new_guest_replaces_the_old(boat):
         for writer in (first_writer, second_writer):
             writer.close()
         server.close()
-        while boat.state.guest_connected:
+        while boat.guest.is_connected:
             await asyncio.sleep(0)
         return line, b""
 
@@ -78,7 +78,7 @@ def test_a_guest_that_does_not_read_loses_the_newest_and_delays_nothing(boat):
     async def stuck() -> None:
         server = await asyncio.get_running_loop().create_server(lambda: boat.guest, "127.0.0.1", 0)
         _, writer = await asyncio.open_connection("127.0.0.1", server.sockets[0].getsockname()[1], limit=1)
-        while not boat.state.guest_connected:
+        while not boat.guest.is_connected:
             await asyncio.sleep(0)
         writer.transport.pause_reading()
         boat.navigate()

@@ -38,6 +38,13 @@ def test_a_stepped_clock_is_not_a_latency():
     assert latency.summary()["p99_us"] == 0
 
 
+def test_the_first_cycles_of_a_program_that_comes_up_spoil_no_figure():
+    latency = Latency(skipped=2)
+    for path_us in (46_074, 9_000, 90, 110):
+        latency.add(Profile(1, 1, 1, 1, 1 + path_us * 1000, 1 + path_us * 1000))
+    assert (latency.n, latency.worst_us) == (2, 110)
+
+
 def test_edges_rise():
     assert all(a < b for a, b in pairwise(EDGES_US))
 

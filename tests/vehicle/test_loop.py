@@ -10,9 +10,10 @@ from hypothesis import strategies as st
 from delfim import config, messages
 from delfim.frames import Frame, extended
 from delfim.messages import Fault, Node, Status
+from delfim.modes import Mode
 from delfim.vehicle import console
+from delfim.vehicle.loop import COLD_CYCLES
 from delfim.vehicle.rehearsal import Rehearsal
-from delfim.vehicle.state import Mode
 
 FOUR = {messages.PROPELLER_STARBOARD, messages.PROPELLER_PORT, messages.BATTERIES_STARBOARD, messages.BATTERIES_PORT}
 
@@ -32,10 +33,11 @@ def test_profile_stamps_follow_each_other_and_begin_with_the_kernels(boat, make_
     from delfim.clock import SystemClock
 
     boat.vehicle.clock = SystemClock()
-    boat.navigate()
+    for _ in range(COLD_CYCLES + 1):
+        boat.navigate()
     p = boat.state.profile
     assert 0 < p.t0 <= p.t1 <= p.t2 <= p.t3 <= p.t4 <= p.t5
-    assert boat.vehicle.latency.n == 1
+    assert boat.vehicle.latency.n == 1, "a program that comes up is slow, and spoils no figure"
 
 
 def test_heading_command_turns_the_propellers_at_once_and_again_each_cycle(boat):
@@ -47,6 +49,27 @@ def test_heading_command_turns_the_propellers_at_once_and_again_each_cycle(boat)
     assert port.run
     assert port.rpm > starboard.rpm, "turning to starboard wants more port thrust"
     assert boat.state.mode is Mode.HEADING
+
+
+@pytest.mark.parametrize("command", [console.Mode("heading"), console.Heading(90.0)])
+def test_heading_mode_goes_on_as_the_boat_sails(boat, command):
+    boat.ready()
+    boat.navigate(heading_rad=math.pi / 2)
+    boat.vehicle.on_command(console.Goto(38.6925, -9.10, 0.7))
+    boat.navigate(heading_rad=math.pi / 2)
+    assert boat.vehicle.on_command(command) is None
+    assert boat.state.setpoint.heading_rad == pytest.approx(math.pi / 2, abs=1e-4)
+    assert boat.state.setpoint.speed_mps == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize("command", [console.Mode("heading"), console.Heading(20.0)])
+def test_heading_mode_keeps_the_speed_that_was_asked_for(boat, command):
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(20.0))
+    assert boat.state.setpoint.speed_mps == boat.vehicle.helm.settings.control.speed.cruise_mps, "an idle boat begins with it"
+    boat.vehicle.on_command(console.SetSpeed(0.0))
+    assert boat.vehicle.on_command(command) is None
+    assert (boat.state.setpoint.heading_rad, boat.state.setpoint.speed_mps) == (math.radians(20.0), 0.0)
 
 
 def test_commands_are_refused_with_reasons_until_everything_is_well(boat):
@@ -69,7 +92,7 @@ def test_a_sailor_without_a_log_may_say_so(make_boat):
 
 @pytest.mark.parametrize(
     ("mode", "reason"),
-    [("goto", "mission"), ("play", "mission"), ("path", "path"), ("grex", "guest"), ("nonsense", "no mode 'nonsense'")],
+    [("play", "mission"), ("path", "path"), ("grex", "guest"), ("nonsense", "no mode 'nonsense'")],
 )
 def test_modes_without_what_they_need_are_refused_in_words(boat, mode, reason):
     boat.ready()
@@ -77,6 +100,67 @@ def test_modes_without_what_they_need_are_refused_in_words(boat, mode, reason):
     assert answer is not None
     assert reason in answer
     assert boat.state.mode is Mode.IDLE
+
+
+TWO = """
+version = 1
+name = "two"
+waypoint = [{ latitude_deg = 38.6930, longitude_deg = -9.2150 }, { latitude_deg = 38.6934, longitude_deg = -9.2150 }]
+"""
+
+
+def test_goto_without_a_place_goes_to_the_first_waypoint_and_needs_a_mission(boat):
+    boat.ready()
+    assert boat.vehicle.on_command(console.Goto()) == "goto refused: no point to go to and no mission loaded"
+    boat.vehicle.on_command(console.Mission(TWO))
+    assert boat.vehicle.on_command(console.Goto()) is None
+    boat.pass_time(0.2)
+    assert boat.state.reference.distance_m == pytest.approx(55.6, abs=0.5)
+
+
+def test_the_mode_goto_waits_where_it_is_for_a_place(boat):
+    """Also when a mission is loaded, and when an earlier place is still known."""
+    boat.ready()
+    boat.vehicle.on_command(console.Mission(TWO))
+    boat.vehicle.on_command(console.Goto(38.6932, -9.2150))
+    boat.vehicle.on_command(console.Stop())
+    assert boat.vehicle.on_command(console.Mode("goto")) is None
+    boat.pass_time(3.0)
+    assert boat.state.mode is Mode.GOTO
+    assert boat.state.actuation[:2] == (0.0, 0.0)
+    assert boat.vehicle.on_command(console.Goto(38.6932, -9.2150)) is None
+    boat.pass_time(0.5)
+    assert boat.state.actuation.port_rpm > 0.0
+
+
+@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(38.69, 9.2153), (0.0, 0.0), (38.6925, -8.984)])
+def test_no_place_is_gone_to_that_is_further_than_a_mission_may_lead(boat, latitude_deg, longitude_deg):
+    boat.ready()
+    far = boat.vehicle.on_command(console.Goto(latitude_deg, longitude_deg))
+    assert far is not None
+    assert "km to go; up to 20 km are allowed" in far
+    assert boat.state.mode is Mode.IDLE
+    assert boat.vehicle.on_command(console.Goto(38.6925, -8.986)) is None
+
+
+@pytest.mark.parametrize("command", [console.Play(), console.Goto(), console.Mode("path")])
+def test_a_mission_that_was_loaded_before_the_position_was_known_is_not_sailed_across_an_ocean(boat, command):
+    boat.vehicle.on_command(console.Mission(TWO))
+    boat.report()
+    assert boat.navigate(latitude_rad=math.radians(28.0), longitude_rad=math.radians(-15.4))
+    far = boat.vehicle.on_command(command)
+    assert far is not None
+    assert "km to go; up to 20 km are allowed" in far
+
+
+def test_a_path_that_is_begun_in_the_middle_says_so(boat):
+    places = [(38.6920, -9.2140), (38.6920, -9.2150), (38.6930, -9.2150), (38.6930, -9.2140)]
+    rows = ", ".join(f"{{ latitude_deg = {latitude}, longitude_deg = {longitude} }}" for latitude, longitude in places)
+    boat.ready()
+    assert boat.vehicle.on_command(console.Mission(f'version = 1\nname = "survey"\nwaypoint = [{rows}]\n')) is None
+    assert boat.vehicle.on_command(console.Mode("path")) is None
+    assert boat.state.reason == "operator; begins at piece 2 of 3, the first that the boat stands on"
+    assert boat.log.notes[-1] == f"path: {boat.state.reason}"
 
 
 def test_navigation_silence_stops_the_boat_within_its_limit_and_says_why(boat):
@@ -173,7 +257,7 @@ def test_a_shutdown_stops_the_propellers(boat):
     boat.ready()
     boat.vehicle.on_command(console.Manual(1.0, 1.0))
     boat.heard()
-    boat.vehicle.stop("shutdown")
+    boat.vehicle.helm.stop("shutdown")
     starboard, port = boat.propellers()
     assert not starboard.run
     assert not port.run
@@ -193,7 +277,8 @@ def test_random_frames_raise_nothing(boat, frames, kind):
 
 def test_the_better_source_wins_while_it_speaks(boat):
     """Preference and age, with the function that decides."""
-    from delfim.vehicle.navcan import DsorNavigation, preferred
+    from delfim.vehicle.navigation import preferred
+    from delfim.vehicle.sources.dsor import DsorNavigation
 
     first, second = boat.source, DsorNavigation(boat.messages, boat.state)
     first.heard_s, second.heard_s = 10.0, 10.4
@@ -210,12 +295,12 @@ def test_a_rehearsal_goes_the_whole_way_sends_nothing_and_changes_nothing(boat):
     boat.vehicle.on_command(console.Heading(90.0, 1.0))
     boat.pass_time(1.0)
     boat.heard()
-    before = copy.deepcopy((boat.vehicle._memory, boat.vehicle.propulsion._sent, boat.state))
+    before = copy.deepcopy((boat.vehicle.helm.memory, boat.vehicle.propulsion._sent, boat.state))
     for _ in range(3):
         rehearsal.whole()
     for _ in range(8):
         rehearsal.part()
     assert boat.heard() == []
-    assert (boat.vehicle._memory, boat.vehicle.propulsion._sent, boat.state) == before
+    assert (boat.vehicle.helm.memory, boat.vehicle.propulsion._sent, boat.state) == before
     twin = rehearsal._twin
     assert (twin.state.cycles, twin.state.mode, twin.state.actuation.run) == (3 + 2, Mode.HEADING, True)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.bench.fuzz import framed
 from delfim.errors import FormatError
+from delfim.modes import Mode
 from delfim.vehicle.console import Stop, Take
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.commands import COMMANDS
@@ -20,7 +21,6 @@ from delfim.vehicle.mavlink.params import NAMES
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.station import FRAMES, PEERS, PENDING, Station
 from delfim.vehicle.mavlink.wire import dialect
-from delfim.vehicle.state import Mode
 from tests.vehicle.mavlink_console import HOME, Console, Radio
 from tests.vehicle.test_mavlink_station import afloat, sail
 
@@ -93,8 +93,8 @@ def test_whatever_anybody_else_says_moves_nothing(make_boat, mode, said):
             sail(sea, 0.1)
         assert disturbed.state.actuation == alone.state.actuation
         assert (disturbed.state.mode, disturbed.station.owner) == (alone.state.mode, alone.station.owner)
-        assert disturbed.vehicle.settings == alone.vehicle.settings
-        assert disturbed.vehicle.mission is None
+        assert disturbed.vehicle.helm.settings == alone.vehicle.helm.settings
+        assert disturbed.vehicle.helm.plans.mission is None
     assert alone.state.actuation.run is (mode is not Mode.IDLE)
 
 
@@ -119,8 +119,8 @@ def test_a_hundred_thousand_datagrams_of_anything(boat):
         while sea.station.turn():
             pass
     assert len(sea.station.peers) <= PEERS
-    assert sea.station.counts["peers_full"] > 0
-    sea.vehicle.stop("test")
+    assert sea.station.counts["peers_replaced"] > 0
+    sea.vehicle.helm.stop("test")
     sail(sea, 1.0)
     assert sea.state.mode is Mode.IDLE
     assert console.listen()
@@ -140,7 +140,7 @@ def test_a_flood_is_worked_off_a_little_at_a_time_and_what_is_too_much_is_droppe
 
 def test_the_socket_asks_for_low_delay_and_survives_what_comes(boat, tmp_path):
     """Over a real socket on a real loop: rubbish, then a command that is obeyed."""
-    boat.vehicle.settings = config.Vehicle(
+    boat.vehicle.helm.settings = config.Vehicle(
         boat=config.Boat(name="test", id=1), mavlink=config.Mavlink(listen="127.0.0.1:0", peers=())
     )
     boat.ready()
@@ -148,7 +148,7 @@ def test_the_socket_asks_for_low_delay_and_survives_what_comes(boat, tmp_path):
 
     async def serve() -> dict:
         loop = asyncio.get_running_loop()
-        with MavlinkLink(boat.vehicle, boat.vehicle.on_command, tmp_path / "stamps", board) as link:
+        with MavlinkLink(boat.vehicle, boat.vehicle.on_command, None, tmp_path / "stamps", board) as link:
             tos = link._socket.getsockopt(socket.IPPROTO_IP, socket.IP_TOS)
             host, port = str(board["mavlink"]()["listen"]).split(":")
             with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as console:
@@ -178,11 +178,11 @@ def test_an_address_that_is_taken_is_told_and_the_boat_sails(boat, tmp_path, cap
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
         listen = f"127.0.0.1:{taken.getsockname()[1]}"
-        boat.vehicle.settings = config.Vehicle(boat=config.Boat(name="test"), mavlink=config.Mavlink(listen=listen))
+        boat.vehicle.helm.settings = config.Vehicle(boat=config.Boat(name="test"), mavlink=config.Mavlink(listen=listen))
 
         async def serve() -> None:
             try:
-                MavlinkLink(boat.vehicle, boat.vehicle.on_command, tmp_path / "stamps", {})
+                MavlinkLink(boat.vehicle, boat.vehicle.on_command, None, tmp_path / "stamps", {})
             except OSError:
                 return
             raise AssertionError("somebody else is there")

@@ -10,11 +10,12 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.errors import FormatError
+from delfim.modes import Mode
+from delfim.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
 from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical
-from delfim.vehicle.state import Mode
 from tests.vehicle.mavlink_console import Console, messages, newest, texts
 from tests.vehicle.test_mavlink_station import afloat, sail
 
@@ -40,10 +41,31 @@ def fields(number: int, item: Item, kind: int) -> tuple[object, ...]:
     return (1, 1, number, item.frame, item.command, 0, 1, item.p1, item.p2, item.p3, item.p4, item.x, item.y, item.z, kind)
 
 
+def items_of(mission: Mission) -> list[Item]:
+    return list(plans.mission_items(mission))
+
+
+def drafted(draft, items):
+    for number, item in enumerate(items):
+        draft.add(number, item)
+    return draft
+
+
+def told(items, frame: int = plans.PLACED) -> plans.Told:
+    return Sliced(plans.told(None, items, frame)).finish()
+
+
+def checksum(items, frame: int = plans.PLACED) -> int:
+    return told(items, frame).checksum
+
+
 def upload(console_: Console, items: list[Item], kind: int = MISSION) -> list:
     """Over a link that loses nothing; all that came back."""
+    items = list(items)
     heard = console_.say("mission_count", 1, 1, len(items), kind)
     for number, item in enumerate(items):
+        if any(m.get_type() == "MISSION_ACK" for m in heard):
+            break  # refused already
         assert newest(heard, "MISSION_REQUEST_INT").seq == number
         heard += console_.say("mission_item_int", *fields(number, item, kind))
     return heard
@@ -80,9 +102,9 @@ pieces = st.builds(
 def test_a_mission_comes_back_as_it_was_sent(points, path):
     mission = Mission(version=1, name="any", waypoint=tuple(points), path=tuple(path))
     items = [single(item) for item in plans.mission_items(mission)]
-    back = plans.mission(items, "any", config.Zones())
+    back = drafted(plans.MissionDraft(), items).done("any", config.Zones())
     assert back == mission
-    assert plans.checksum(items) == plans.checksum(plans.mission_items(back))
+    assert checksum(items) == checksum(plans.mission_items(back))
 
 
 def single(item: Item) -> Item:
@@ -98,20 +120,20 @@ def test_a_fence_and_harbours_come_back_as_they_were_sent():
         keep_in=ring,
         keep_out=(config.KeepOut(polygon=ring), config.KeepOut(centre=((38.695, -9.215),), radius_m=12.5)),
     )
-    assert plans.zones(plans.fence_items(zones)) == zones
-    assert plans.harbours(plans.rally_items(ring)) == ring
+    assert drafted(plans.ZonesDraft(), plans.fence_items(zones)).done() == zones
+    assert drafted(plans.RallyDraft(), plans.rally_items(ring)).done() == ring
 
 
 def test_the_checksum_is_that_of_mavlink_ftp():
     """Of no bytes it is 0; of one item it was computed once by hand, bit by bit."""
-    assert plans.checksum([]) == 0
+    assert checksum([]) == 0
     data = plans._CHECKED.pack(5, 16, 1, 0.0, 3.0, 0.0, 0.0, 386_909_000, -92_149_000, 0.0)
     crc = 0
     for byte in data:
         crc ^= byte
         for _ in range(8):
             crc = crc >> 1 ^ (0xEDB88320 if crc & 1 else 0)
-    assert plans.checksum([Item(16, 0.0, 3.0, x=386_909_000, y=-92_149_000)]) == crc
+    assert checksum([Item(16, 0.0, 3.0, x=386_909_000, y=-92_149_000)], frame=5) == crc
 
 
 @pytest.mark.parametrize(
@@ -124,12 +146,12 @@ def test_the_checksum_is_that_of_mavlink_ftp():
         (Item(93, -1.0, 12.0), UNSUPPORTED, "item 1: to wait for a time of day"),
         (Item(60_000), UNSUPPORTED, "item 1: command 60000"),
         (Item(93, math.nan), INVALID, "item 1: nan is no number"),
-        (Item(93, 1e6), INVALID, "item 1: "),
-        (Item(16, -5.0, x=386_930_000, y=-92_150_000), INVALID, "item 1: "),
+        (Item(93, 1e6), INVALID, "item 1: hold_s must be 0.0 to 86400.0"),
+        (Item(16, -5.0, x=386_930_000, y=-92_150_000), INVALID, "item 1: hold_s must be 0.0 to 86400.0"),
         (Item(16, 1e6, x=386_930_000, y=-92_150_000), INVALID, "item 1: "),
         (Item(19, math.inf, x=386_930_000, y=-92_150_000), INVALID, "item 1: inf is no number"),
         (Item(16, 0.0, math.nan, x=386_930_000, y=-92_150_000), INVALID, "item 1: nan is no number"),
-        (Item(16, 0.0, -1.0, x=386_930_000, y=-92_150_000), INVALID, "item 1: "),
+        (Item(16, 0.0, -1.0, x=386_930_000, y=-92_150_000), INVALID, "item 1: acceptance_m must be 0.0 to 1000.0"),
         (Item(16, x=386_930_000, y=-92_150_000, frame=1), INVALID, "item 1: frame 1 has no latitude"),
         (Item(16), INVALID, "item 1: no such place"),
         (Item(16, x=2_000_000_000, y=0), INVALID, "item 1: no such place"),
@@ -141,7 +163,7 @@ def test_what_a_boat_cannot_do_is_refused_by_its_number(sea, item, result, reaso
     heard = upload(sea.console, [first, item])
     assert newest(heard, "MISSION_ACK").type == result
     assert reason in texts(heard)
-    assert sea.vehicle.mission is None
+    assert sea.vehicle.helm.plans.mission is None
 
 
 def test_a_refused_item_has_the_number_that_the_console_gave_it(boat):
@@ -179,15 +201,18 @@ def test_the_boat_stays_that_long_and_then_goes_on(sea):
         [Item(5001, 3.0, x=1, y=1)] * 2,
         [Item(5001, 4.0, x=n, y=n * n) for n in range(1, 4)],
         [Item(5001, math.nan, x=1, y=1)] * 3,
-        [Item(5002, 3.0, x=1, y=1)] * 3,
+        [Item(5001, 2.0, x=1, y=1)] * 2,
+        [Item(5002, 101.0, x=n, y=n * n) for n in range(1, 102)],
         [Item(5004, 0.0, x=1, y=1)],
         [Item(5003, 10.0, x=1, y=1)],
-        [Item(5001, 3.0, x=n, y=n % 2 + 1) for n in range(1, 7)],
+        [Item(5003, 0.0, x=1, y=1)],
+        [Item(5003, 10.0, x=n, y=1) for n in range(1, 102)],
+        [Item(5001, 3.0, x=n, y=n * n) for n in range(1, 7)],
     ],
 )
 def test_zones_that_make_no_sense(items):
     with pytest.raises(FormatError, match="item "):
-        plans.zones(items)
+        drafted(plans.ZonesDraft(), items).done()
 
 
 # The protocol.
@@ -195,26 +220,40 @@ def test_zones_that_make_no_sense(items):
 
 def test_up_down_and_the_checksum_is_everybodys(sea):
     mission = zigzag(20, speed_mps=1.2)
-    heard = upload(sea.console, plans.mission_items(mission))
+    heard = upload(sea.console, items_of(mission))
     assert newest(heard, "MISSION_ACK").type == OK
-    assert newest(heard, "MISSION_CHECKSUM").checksum == plans.checksum(plans.mission_items(mission))
+    assert newest(heard, "MISSION_CHECKSUM").checksum == checksum(plans.mission_items(mission))
     assert [single(item) for item in plans.mission_items(mission)] == download(sea.console)
-    assert sea.vehicle.mission.waypoint == mission.waypoint
+    assert sea.vehicle.helm.plans.mission.waypoint == mission.waypoint
     assert isinstance(sea.log[-1], console.Upload), "through the one door"
     assert newest(sea.console.say("command_long", 1, 1, 512, 0, 53, 0, 0, 0, 0, 0, 0), "MISSION_CHECKSUM").mission_type == 0
+
+
+@pytest.mark.parametrize("frame", sorted(plans.GLOBAL))
+@pytest.mark.parametrize("autopilot", ["generic", "ardurover"])
+def test_places_come_back_in_the_frame_in_which_they_were_sent(boat, autopilot, frame):
+    sea = afloat(boat, autopilot=autopilot)
+    ways = told(plans.mission_items(zigzag(3, speed_mps=1.2)), frame).items
+    home = [Item(16, x=386_925_000, y=-92_150_000, frame=frame)] if autopilot == "ardurover" else []
+    heard = upload(sea.console, [*home, *ways])
+    assert download(sea.console) == [single(item) for item in [*home, *ways]]
+    assert newest(heard, "MISSION_CHECKSUM").checksum == checksum(ways, frame)
+    harbours = told(plans.rally_items([(38.69, -9.215)]), frame).items
+    upload(sea.console, harbours, RALLY)
+    assert download(sea.console, RALLY) == harbours
 
 
 def test_a_boats_own_mission_file_is_told_item_by_item(sea):
     mission = zigzag(3)
     sea.vehicle.on_command(console.Mission(canonical(mission)))
-    assert download(sea.console) == plans.mission_items(mission)
+    assert download(sea.console) == items_of(mission)
 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_twenty_points_get_through_a_bad_link(sea, seed):
     """30 % of the datagrams lost, some doubled, some late, both ways; the console does what the protocol says."""
     random, mission = Random(seed), zigzag(20)
-    items = plans.mission_items(mission)
+    items = items_of(mission)
     sender, way, ack, begun = sea.console, [], None, False
     sent = len(sea.radio.sent)
     for tick in range(3000):
@@ -238,11 +277,11 @@ def test_twenty_points_get_through_a_bad_link(sea, seed):
         if ack is not None:
             break
     assert ack in (OK, None), "the acknowledgement may be the one that is lost"
-    assert sea.vehicle.mission.waypoint == mission.waypoint
+    assert sea.vehicle.helm.plans.mission.waypoint == mission.waypoint
 
 
 def test_a_lost_acknowledgement_is_given_again(sea):
-    items = plans.mission_items(zigzag(2))
+    items = items_of(zigzag(2))
     upload(sea.console, items)
     again = sea.console.say("mission_item_int", *fields(1, items[1], MISSION))
     assert newest(again, "MISSION_ACK").type == OK
@@ -250,41 +289,41 @@ def test_a_lost_acknowledgement_is_given_again(sea):
 
 
 def test_an_upload_that_stops_is_given_up_and_changes_nothing(sea):
-    upload(sea.console, plans.mission_items(zigzag(3)))
+    upload(sea.console, items_of(zigzag(3)))
     sea.console.say("mission_count", 1, 1, 5, MISSION)
     heard = sail(sea, 21.0)
     assert sum(m.get_type() == "MISSION_REQUEST_INT" for m in heard) >= 10, "it asks again"
     sea.console.beat()
-    assert len(sea.vehicle.mission.waypoint) == 3
+    assert len(sea.vehicle.helm.plans.mission.waypoint) == 3
 
 
 def test_a_new_upload_takes_the_place_of_the_one_before(sea):
     sea.console.say("mission_count", 1, 1, 5, MISSION)
-    assert newest(upload(sea.console, plans.mission_items(zigzag(2))), "MISSION_ACK").type == OK
-    assert len(sea.vehicle.mission.waypoint) == 2
+    assert newest(upload(sea.console, items_of(zigzag(2))), "MISSION_ACK").type == OK
+    assert len(sea.vehicle.helm.plans.mission.waypoint) == 2
 
 
 def test_while_it_is_played_a_mission_is_not_changed(sea):
-    upload(sea.console, plans.mission_items(zigzag(3)))
+    upload(sea.console, items_of(zigzag(3)))
     sea.console.command(300)
-    heard = upload(sea.console, plans.mission_items(zigzag(2)))
+    heard = upload(sea.console, items_of(zigzag(2)))
     assert newest(heard, "MISSION_ACK").type == DENIED
     assert "being played" in texts(heard)
     heard = sea.console.say("mission_clear_all", 1, 1, 255)
     assert newest(heard, "MISSION_ACK").type == DENIED
-    assert len(sea.vehicle.mission.waypoint) == 3
+    assert len(sea.vehicle.helm.plans.mission.waypoint) == 3
 
 
 def test_clearing(sea):
-    upload(sea.console, plans.mission_items(zigzag(3)))
+    upload(sea.console, items_of(zigzag(3)))
     upload(sea.console, plans.rally_items([(38.69, -9.2)]), RALLY)
     assert newest(sea.console.say("mission_clear_all", 1, 1, 255), "MISSION_ACK").type == OK
-    assert sea.vehicle.mission is None
-    assert sea.vehicle.rally == ()
+    assert sea.vehicle.helm.plans.mission is None
+    assert sea.vehicle.helm.plans.rally == ()
     assert download(sea.console) == []
-    upload(sea.console, plans.mission_items(zigzag(3)))
+    upload(sea.console, items_of(zigzag(3)))
     assert newest(upload(sea.console, []), "MISSION_ACK").type == OK, "a mission of no items is none"
-    assert sea.vehicle.mission is None
+    assert sea.vehicle.helm.plans.mission is None
 
 
 @pytest.mark.parametrize("target", [0, 2])
@@ -295,7 +334,7 @@ def test_an_upload_that_names_no_vehicle_changes_nothing(sea, target):
 
 
 def test_an_onlooker_downloads_and_does_not_upload(sea):
-    upload(sea.console, plans.mission_items(zigzag(3)))
+    upload(sea.console, items_of(zigzag(3)))
     other = Console(sea.station, sea.radio, system=251, address=("127.0.0.1", 14551))
     assert len(download(other)) == 3
     heard = other.say("mission_count", 1, 1, 2, MISSION)
@@ -319,9 +358,9 @@ def test_unknown_types_and_numbers_are_answered(sea):
 def test_a_home_item_comes_first_where_that_is_the_custom(boat):
     sea = afloat(boat, autopilot="ardurover")
     sail(sea, 0.5)
-    items = plans.mission_items(zigzag(3))
+    items = items_of(zigzag(3))
     assert newest(upload(sea.console, [Item(16, x=1, y=1), *items]), "MISSION_ACK").type == OK
-    assert len(sea.vehicle.mission.waypoint) == 3
+    assert len(sea.vehicle.helm.plans.mission.waypoint) == 3
     assert download(sea.console)[0].x == pytest.approx(386_925_000, abs=2)
     assert download(sea.console)[1:] == items
     sea.console.command(300, 2)
@@ -336,25 +375,25 @@ NEAR = ((38.6920, -9.2156), (38.6920, -9.2144), (38.6930, -9.2144), (38.6930, -9
 
 def test_a_fence_keeps_the_boat_in(sea):
     assert newest(upload(sea.console, plans.fence_items(config.Zones(keep_in=NEAR)), FENCE), "MISSION_ACK").type == OK
-    assert download(sea.console, FENCE) == plans.fence_items(config.Zones(keep_in=NEAR))
-    heard = upload(sea.console, plans.mission_items(zigzag(20)))
+    assert download(sea.console, FENCE) == list(plans.fence_items(config.Zones(keep_in=NEAR)))
+    heard = upload(sea.console, items_of(zigzag(20)))
     assert newest(heard, "MISSION_ACK").type == DENIED
     assert "keep-in zone" in texts(heard)
     assert sea.console.command(192, -1, 0, 0, 0, 38.70, -9.215)[0] == 1
 
 
 def test_a_mission_that_a_new_fence_crosses_is_forgotten(sea):
-    upload(sea.console, plans.mission_items(zigzag(20)))
+    upload(sea.console, items_of(zigzag(20)))
     upload(sea.console, plans.fence_items(config.Zones(keep_in=NEAR)), FENCE)
-    assert sea.vehicle.mission is None
+    assert sea.vehicle.helm.plans.mission is None
     assert any("forgotten" in note for note in sea.boat.log.notes)
 
 
 def test_a_mission_keeps_the_fence_that_came_before_it(sea):
     wide = ((38.68, -9.23), (38.68, -9.20), (38.71, -9.20), (38.71, -9.23))
     upload(sea.console, plans.fence_items(config.Zones(keep_in=wide)), FENCE)
-    upload(sea.console, plans.mission_items(zigzag(3)))
-    assert sea.vehicle.zones.keep_in == wide
+    upload(sea.console, items_of(zigzag(3)))
+    assert sea.vehicle.helm.plans.zones.keep_in == wide
     assert sea.log[-1].mission.fence.keep_in == wide
 
 

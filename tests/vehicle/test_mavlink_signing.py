@@ -10,11 +10,11 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.clock import ManualClock
 from delfim.errors import ConfigError
+from delfim.modes import Mode
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.signing import STREAMS, Signing, new_key, read_key, read_stamps, write_stamps
 from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mavlink.wire import dialect
-from delfim.vehicle.state import Mode
 from tests.vehicle.mavlink_console import Console, Radio, newest
 
 KEY, OTHER = bytes(range(32)), bytes(range(1, 33))
@@ -34,7 +34,7 @@ class Sea:
 
     def __init__(self, boat, key: bytes | None = KEY, stamps: dict | None = None, **options: object) -> None:
         self.boat, self.radio = boat, Radio()
-        boat.vehicle.settings = config.Vehicle(boat=config.Boat(name="test", id=1), mavlink=config.Mavlink(**options))
+        boat.vehicle.helm.settings = config.Vehicle(boat=config.Boat(name="test", id=1), mavlink=config.Mavlink(**options))
         self.signing = Signing(key, boat.clock, stamps or {}) if key else None
         self.station = Station(boat.vehicle, boat.vehicle.on_command, self.radio, self.signing)
         boat.ready()
@@ -167,9 +167,12 @@ def test_without_a_key_only_this_computer_is_heard(make_boat):
     assert here.mode(3)[0] == 0
 
 
-def test_this_computer_signs_where_all_must(make_boat):
-    sea = Sea(make_boat(), sign="all")
-    sea.console(None, address=("127.0.0.1", 14550)).beat()
+def test_with_a_key_this_computer_signs_too(make_boat):
+    """Another user's shell is on it."""
+    sea = Sea(make_boat())
+    stranger = sea.console(None, address=("127.0.0.1", 14550))
+    stranger.say("command_long", 1, 1, 176, 0, 1, 3, 0, 0, 0, 0, 0)
+    assert untouched(sea)
     assert sea.station.counts == {"unsigned": 1}
     assert newest(sea.console(KEY, address=("127.0.0.1", 14551)).say("timesync", 0, 1), "TIMESYNC").ts1 == 1
 

@@ -6,11 +6,11 @@ from types import SimpleNamespace
 import pytest
 
 from delfim import config, messages
+from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mavlink.wire import dialect
-from delfim.vehicle.state import Mode
 from tests.vehicle.mavlink_console import Console, Radio, newest, texts
 
 ACCEPTED, LATER, DENIED, UNSUPPORTED = 0, 1, 2, 3
@@ -28,7 +28,7 @@ waypoint = [
 def afloat(boat, **options: object) -> SimpleNamespace:
     """A boat that is fit, its station, and a console that it has heard."""
     vehicle: Vehicle = boat.vehicle
-    vehicle.settings = config.Vehicle(boat=config.Boat(name="test", id=1), mavlink=config.Mavlink(**options))
+    vehicle.helm.settings = config.Vehicle(boat=config.Boat(name="test", id=1), mavlink=config.Mavlink(**options))
     log: list[console.Commands] = []
 
     def obey(command: console.Commands, operator: str) -> str | None:
@@ -95,7 +95,7 @@ def test_another_autopilots_modes_move_nothing(sea, number, sub):
     assert sea.log == []
 
 
-@pytest.mark.parametrize("number", [1, 2, 6, 12, 16, 102, -1, 3.5, math.nan, math.inf])
+@pytest.mark.parametrize("number", [1, 2, 6, 13, 16, 102, -1, 3.5, math.nan, math.inf])
 def test_no_such_mode(sea, number):
     assert sea.console.mode(number)[0] == DENIED
     assert sea.state.mode is Mode.IDLE
@@ -119,7 +119,7 @@ def test_what_names_no_vehicle_or_another_one_moves_nothing(sea, number, target)
     assert [m.result for m in acks] == ([DENIED] if target == 0 else []), "one for another vehicle is not even answered"
 
 
-@pytest.mark.parametrize("ask", [(176, 1, 11), (20,)])
+@pytest.mark.parametrize("ask", [(176, 1, 11), (176, 1, 12), (20,)])
 def test_home_is_a_mode_and_a_command(sea, ask):
     assert sea.console.command(*ask)[0] == ACCEPTED
     assert sea.state.mode is Mode.HOME
@@ -185,10 +185,85 @@ def test_guided_heading_and_position(sea):
     assert sea.console.command(43002, 1, 123.0)[0] == ACCEPTED
     assert sea.state.mode is Mode.HEADING
     assert math.degrees(sea.state.setpoint.heading_rad) == pytest.approx(123.0)
-    sea.console.say("command_int", 1, 1, 6, 192, 0, 0, -1.0, 0.0, 0.0, math.nan, 386_930_000, -92_150_000, 0.0)
+    assert sea.console.reposition(38.6930, -9.2150)[0] == ACCEPTED
     assert sea.state.mode is Mode.GOTO
-    assert sea.state.setpoint.target is not None
-    assert sea.console.command(43002, 1, math.nan)[0] == LATER
+    assert sea.state.reference.distance_m == pytest.approx(55.6, abs=0.5)
+    assert sea.console.reposition(38.6934, -9.2150, flags=0)[0] == ACCEPTED
+    assert sea.state.reference.distance_m == pytest.approx(100.1, abs=0.5)
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [((1, math.nan), "heading_deg must be"), ((0, 90.0), "no course over ground"), ((2, 90.0), "no course over ground")],
+)
+def test_what_is_no_heading_is_not_steered(sea, numbers, words):
+    result, why = sea.console.command(43002, *numbers)
+    assert result == DENIED
+    assert words in why
+    assert sea.state.mode is Mode.IDLE
+
+
+@pytest.mark.parametrize("frame", [0, 3, 5, 6, 10, 11])
+def test_a_place_in_degrees_is_gone_to_whatever_its_height_means(sea, frame):
+    assert sea.console.reposition(38.6930, -9.2150, frame=frame)[0] == ACCEPTED
+    assert sea.state.mode is Mode.GOTO
+
+
+@pytest.mark.parametrize("frame", [1, 2, 4, 7, 8, 9, 12, 20, 21, 200])
+def test_a_place_in_metres_is_no_place(sea, frame):
+    result, words = sea.console.reposition(1e-5, 1e-5, frame=frame)
+    assert result == DENIED
+    assert f"a position in frame {frame} has no latitude and longitude" in words
+    assert sea.state.mode is Mode.IDLE
+
+
+@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(0.0, 0.0), (38.6930, 9.2150), (38.6930, -8.7)])
+def test_a_place_that_is_too_far_away_is_refused(sea, latitude_deg, longitude_deg):
+    result, words = sea.console.reposition(latitude_deg, longitude_deg)
+    assert result == LATER
+    assert "km to go; up to 20 km are allowed" in words
+    assert sea.state.mode is Mode.IDLE
+
+
+@pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(95.0, 0.0), (38.69, 181.0), (38.69, None), (None, -9.215)])
+def test_what_is_no_place_is_denied_and_moves_nothing(sea, latitude_deg, longitude_deg):
+    sea.vehicle.on_command(console.Mission(MISSION))
+    assert sea.console.reposition(latitude_deg, longitude_deg)[0] == DENIED
+    nan = [math.nan if each is None else each for each in (latitude_deg, longitude_deg)]
+    assert sea.console.command(192, -1, 1, 0, math.nan, *nan)[0] == DENIED
+    assert sea.state.mode is Mode.IDLE
+
+
+def test_the_present_position_is_held(sea):
+    """NaN, or the largest integer: the standard's way to say that a position is not given."""
+    sea.vehicle.on_command(console.Mission(MISSION))
+    assert sea.console.reposition(None, None)[0] == ACCEPTED
+    assert sea.state.mode is Mode.HOLD
+    sea.console.mode(4)
+    assert sea.console.command(192, -1, 1, 0, math.nan, math.nan, math.nan)[0] == ACCEPTED
+    assert sea.state.mode is Mode.HOLD
+
+
+@pytest.mark.parametrize("mode", [4, 0, 3, 5])
+def test_without_the_flag_to_change_the_mode_it_stays(sea, mode):
+    sea.console.mode(mode)
+    before = sea.state.mode, sea.state.armed
+    result, words = sea.console.reposition(38.6930, -9.2150, flags=0)
+    assert result == LATER
+    assert "the flag to change it is not set" in words
+    assert (sea.state.mode, sea.state.armed) == before
+
+
+def test_in_the_ardurover_profile_the_guided_mode_waits_for_a_place(boat):
+    sea = afloat(boat, autopilot="ardurover")
+    sea.vehicle.on_command(console.Mission(MISSION))
+    assert sea.console.mode(15)[0] == ACCEPTED
+    sail(sea, 3.0)
+    assert sea.state.mode is Mode.GOTO
+    assert sea.state.actuation[:2] == (0.0, 0.0)
+    assert sea.console.reposition(38.6930, -9.2150, flags=0)[0] == ACCEPTED
+    sail(sea, 1.0)
+    assert sea.state.actuation.port_rpm > 0.0
 
 
 @pytest.mark.parametrize(("percent", "mps"), [(0, 0.0), (10, 0.22), (80, 1.76), (100, 2.2)])
@@ -284,6 +359,24 @@ def test_a_message_by_request(sea, number, name):
     assert newest(answers, "COMMAND_ACK").result == ACCEPTED
 
 
+@pytest.mark.parametrize("asked", [(b"BOAT_NAME", -1), (b"", 0)])
+def test_the_name_of_the_boat_by_request(sea, asked):
+    answer = newest(sea.console.say("param_ext_request_read", 1, 1, *asked), "PARAM_EXT_VALUE")
+    assert (answer.param_id, answer.param_value) == ("BOAT_NAME", sea.boat.vehicle.helm.settings.boat.name)
+
+
+def test_each_run_of_a_boat_has_a_name_of_its_own_and_tells_it_to_all(sea):
+    texts = {m.param_id: m.param_value for m in sea.console.say("param_ext_request_list", 1, 1)}
+    again = newest(sea.console.say("param_ext_request_read", 1, 1, b"BOAT_RUN", -1), "PARAM_EXT_VALUE").param_value
+    assert texts == {"BOAT_NAME": sea.boat.vehicle.helm.settings.boat.name, "BOAT_RUN": again}
+    assert again != Station(sea.boat.vehicle, lambda command, who: None, lambda data, to: None, None).text("BOAT_RUN")
+
+
+def test_a_text_that_does_not_exist_is_answered(sea):
+    answer = newest(sea.console.say("param_ext_request_read", 1, 1, b"OTHER", -1), "PARAM_ERROR")
+    assert (answer.param_id, answer.error) == ("OTHER", 1)
+
+
 def test_all_modes_by_request(sea):
     answers = sea.console.say("command_long", 1, 1, 512, 0, 435, 0, 0, 0, 0, 0, 0)
     modes = {m.custom_mode: m.mode_name for m in answers if m.get_type() == "AVAILABLE_MODES"}
@@ -338,6 +431,14 @@ def test_what_is_told_is_what_is(sea):
     assert newest(heard, "NAV_CONTROLLER_OUTPUT").nav_bearing == 90
     assert newest(heard, "NAMED_VALUE_INT").value == 250
     assert newest(heard, "MISSION_CURRENT").mission_state == dialect.MISSION_STATE_NO_MISSION
+
+
+@pytest.mark.parametrize(("fix", "told"), [(0, 1), (2, 2), (3, 3), (4, 4), (5, 6), (6, 5), (9, 1)])
+def test_the_kind_of_fix_is_the_protocols(sea, fix, told):
+    """RTK is 6 there and RTK float 5; what is not known is no fix."""
+    sea.boat.navigate(fix=fix)
+    sea.station.tick()
+    assert newest(sea.console.listen(), "GPS_RAW_INT").fix_type == told
 
 
 @pytest.mark.parametrize(
@@ -405,6 +506,21 @@ def test_reasons_come_in_plain_words_and_long_ones_in_pieces(sea):
     assert [(len(m.text), m.chunk_seq) for m in pieces] == [(50, 0), (50, 1), (20, 2)]
 
 
+def test_a_trouble_that_lasts_is_told_again_with_what_it_has_become(sea):
+    """When it has lasted twice as long; and a number that changes ten times a second makes no heartbeat more."""
+    sea.console.command(43002, 1, 0.0)
+    sail(sea, 9.0)
+    before = len(sea.radio.sent)
+    for _ in range(70):
+        sea.boat.pass_time(0.1, navigation=False)
+        sea.station.tick()
+    heard = sea.console.listen(before)
+    silent = [m.text for m in heard if m.get_type() == "STATUSTEXT" and m.text.startswith("navigation silent")]
+    assert [text.split(": ")[1] for text in silent] == ["stop", "warn", "warn", "warn"]
+    assert [float(text.split(" for ")[1].split(" s")[0]) for text in silent] == pytest.approx([1.1, 1.2, 3.2, 5.4], abs=0.3)
+    assert sum(m.get_type() == "HEARTBEAT" for m in heard) <= 12
+
+
 # Parameters.
 
 
@@ -418,13 +534,13 @@ def test_all_parameters_in_order_and_none_twice(sea):
 def test_a_parameter_is_changed_within_its_range_and_logged(sea):
     answers = sea.console.say("param_set", 1, 1, b"SPEED_MAX", 1.8, 9)
     assert newest(answers, "PARAM_VALUE").param_value == pytest.approx(1.8)
-    assert sea.vehicle.settings.control.speed.max_mps == 1.8
+    assert sea.vehicle.helm.settings.control.speed.max_mps == 1.8
     assert sea.log == [console.Set("control.speed.max_mps", 1.8)]
     answers = sea.console.say("param_set", 1, 1, b"SPEED_MAX", -3.0, 9)
     assert newest(answers, "PARAM_VALUE").param_value == pytest.approx(1.8)
     assert "more than 0.0 to 30.0" in texts(answers)
     answers = sea.console.say("param_set", 1, 1, b"LOSS_ACTION", 3.0, 9)
-    assert sea.vehicle.settings.failsafe.console_silent.action == "stop"
+    assert sea.vehicle.helm.settings.failsafe.console_silent.action == "stop"
     assert newest(sea.console.say("param_request_read", 1, 1, b"LOSS_ACTION", -1), "PARAM_VALUE").param_value == 3.0
     assert "0 to 3" in texts(sea.console.say("param_set", 1, 1, b"LOSS_ACTION", 7.0, 9))
 
@@ -432,7 +548,7 @@ def test_a_parameter_is_changed_within_its_range_and_logged(sea):
 @pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_no_parameter(sea, value):
     sea.console.say("param_set", 1, 1, b"LOSS_TIMEOUT", value, 9)
-    assert sea.vehicle.settings.failsafe.console_silent.after_s == 10.0
+    assert sea.vehicle.helm.settings.failsafe.console_silent.after_s == 10.0
 
 
 def test_a_parameter_that_does_not_exist(sea):

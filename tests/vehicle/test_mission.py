@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from delfim import geodesy
 from delfim.config import ControlTable
 from delfim.errors import ConfigError
-from delfim.vehicle.control.path_following import arc_point
+from delfim.slices import Sliced
+from delfim.vehicle.control.path import arc_point
 from delfim.vehicle.mission import (
     Mission,
     PathPoint,
@@ -23,7 +24,7 @@ from delfim.vehicle.mission import (
     plan,
     save_mission,
 )
-from delfim.vehicle.state import Arc, Line
+from delfim.vehicle.state import Arc, Line, Plan
 from tests.vehicle.closed_loop import START
 
 HEAD = 'version = 1\nname = "test"\n'
@@ -40,14 +41,14 @@ ARC = "[[path]]\nlatitude_deg = 38.69\nlongitude_deg = -9.2145\nturn_deg = 90\nr
         (ONE.replace("version = 1", "version = 2"), "version", "1"),
         (ONE.replace("version = 1\n", ""), "version", "missing"),
         (HEAD, "waypoint", "missing"),
-        (HEAD + "waypoint = []\n", "waypoint", "length"),
+        (HEAD + "waypoint = []\n", "waypoint", "an empty list is not allowed"),
         (ONE + "speed_kn = 3\n", "waypoint[0].speed_kn", "speed_mps"),
         (ONE + "speed_mps = 99\n", "waypoint[0].speed_mps", "0.0 to 30.0"),
         (ONE + "speed_mps = nan\n", "waypoint[0].speed_mps", "0.0 to 30.0"),
         (ONE + "acceptance_m = -1\n", "waypoint[0].acceptance_m", "0.0 to 1000.0"),
         (ONE + "hold_s = 1e6\n", "waypoint[0].hold_s", "0.0 to 86400.0"),
         (ONE.replace("38.69", "95.0"), "waypoint[0].latitude_deg", "-89.0 to 89.0"),
-        (ONE.replace("38.69", '"north"'), "waypoint[0].latitude_deg", "float"),
+        (ONE.replace("38.69", '"north"'), "waypoint[0].latitude_deg", "is text, not a number"),
         (ONE.replace("-9.215", "nan"), "waypoint[0].longitude_deg", "-180.0 to 180.0"),
         (ONE.replace('"test"', '""'), "name", "1 to 64 characters"),
         (ONE + SECOND.replace("38.691", "38.690001"), "waypoint[1]", "0.11 m from the one before"),
@@ -76,20 +77,24 @@ def test_a_missing_file_is_said(tmp_path: Path) -> None:
 
 def test_the_least_mission() -> None:
     mission = parse_mission(ONE)
-    planned = plan(mission, START, ControlTable())
-    assert [w[2:] for w in planned.waypoints] == [(1.5, 5.0, 0.0)]  # cruising speed, the boat's own acceptance radius
-    assert planned.path == ()
+    laid = planned(mission, START, ControlTable())
+    assert [w[2:] for w in laid.waypoints] == [(1.5, 5.0, 0.0)]  # cruising speed, the boat's own acceptance radius
+    assert laid.path == ()
+
+
+def planned(mission: Mission, at: geodesy.Origin, control: ControlTable) -> Plan:
+    return Sliced(plan(mission, at, control)).finish()
 
 
 def test_a_mission_without_a_path_gets_the_one_that_connects_its_waypoints() -> None:
-    planned = plan(parse_mission(ONE + SECOND + "speed_mps = 1.0\n"), START, ControlTable())
-    first, second = planned.waypoints
-    assert planned.path == (Line(*first[:2], *second[:2], 1.0),)
+    laid = planned(parse_mission(ONE + SECOND + "speed_mps = 1.0\n"), START, ControlTable())
+    first, second = laid.waypoints
+    assert laid.path == (Line(*first[:2], *second[:2], 1.0),)
 
 
 def test_pieces_join() -> None:
     text = ONE + BEGIN + ARC.format(43.5) + "[[path]]\nlatitude_deg = 38.691\nlongitude_deg = -9.21\n"
-    arc, line = plan(parse_mission(text), START, ControlTable()).path
+    arc, line = planned(parse_mission(text), START, ControlTable()).path
     assert isinstance(arc, Arc)
     assert isinstance(line, Line)
     begin = geodesy.to_plane(START, math.radians(38.69), math.radians(-9.215))
@@ -100,9 +105,9 @@ def test_pieces_join() -> None:
 
 def test_what_this_boat_cannot_do_here_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"waypoint\[0\].speed_mps: faster than this boat goes"):
-        plan(parse_mission(ONE + "speed_mps = 9.0\n"), START, ControlTable())
+        planned(parse_mission(ONE + "speed_mps = 9.0\n"), START, ControlTable())
     with pytest.raises(ConfigError, match="km from the boat"):
-        plan(parse_mission(ONE.replace("38.69", "39.69")), START, ControlTable())
+        planned(parse_mission(ONE.replace("38.69", "39.69")), START, ControlTable())
 
 
 def waypoints() -> st.SearchStrategy[Waypoint]:
@@ -152,14 +157,14 @@ def test_any_file_is_a_mission_or_refused(tmp_path_factory: pytest.TempPathFacto
 def test_the_missions_of_the_package(name: str, tmp_path: Path) -> None:
     mission = load_mission(f"etc/missions/{name}.toml")
     assert len(mission.waypoint) >= 6
-    assert len(plan(mission, START, ControlTable()).path) >= 4
+    assert len(planned(mission, START, ControlTable()).path) >= 4
     save_mission(mission, tmp_path / "saved.toml")
     assert load_mission(tmp_path / "saved.toml") == mission
 
 
 def test_the_example_of_the_documentation_is_a_mission() -> None:
     text = Path("docs/missions.md").read_text(encoding="utf-8").partition("```toml\n")[2].partition("```")[0]
-    assert [type(piece) for piece in plan(parse_mission(text), START, ControlTable()).path] == [Line, Arc]
+    assert [type(piece) for piece in planned(parse_mission(text), START, ControlTable()).path] == [Line, Arc]
 
 
 def test_the_order_of_keys_and_comments_do_not_change_a_digest() -> None:

@@ -9,9 +9,9 @@ from typing import Any, NamedTuple
 
 import pytest
 
+from delfim.modes import Mode
 from delfim.vehicle.mavlink import params
 from delfim.vehicle.mavlink.wire import dialect
-from delfim.vehicle.state import Mode
 from tests.vehicle.mavlink_console import Console, newest
 from tests.vehicle.test_mavlink_station import afloat, sail
 

@@ -66,3 +66,43 @@ def test_whatever_is_driven_the_track_is_bounded_and_was_driven(places: list[tup
     assert len(points) <= most
     assert set(points) <= set(places)
     assert not places or points[0] == places[0]
+
+
+def test_the_way_home_ends_at_the_last_harbour_that_was_passed_whenever_that_was_said() -> None:
+    track = Track(HomeTable())
+    sail(track, (0.0, 0.0), (1000.0, 0.0))
+    track.call_at(((100.0, 3.0), (300.0, -3.0), (600.0, 30.0)), 5.0)
+    assert track.way_home() == track.points(), "not looked at yet"
+    for _ in range(len(track.points())):
+        track.look_back()
+    assert track.end() == track.way_home()[0]
+    assert math.dist(track.way_home()[0], (300.0, -3.0)) <= 5.0
+    track.call_at(((1100.0, 0.0),), 5.0)
+    sail(track, (1000.0, 0.0), (1200.0, 0.0))
+    assert math.dist(track.way_home()[0], (1100.0, 0.0)) <= 5.0, "passed later"
+    sail(track, (1200.0, 0.0), (1050.0, 0.0))
+    assert track.way_home() == track.points(), "and forgotten with the loop that led there"
+
+
+def test_squares_of_forgotten_points_are_cleared_little_by_little() -> None:
+    track = Track(HomeTable())
+    for loop in range(20):
+        sail(track, (0.0, 0.0), (0.0, 500.0), (50.0 + loop, 500.0), (50.0 + loop, 0.0), (0.0, 0.0), step_m=2.0)
+    assert len(track._cells) < 300, "one loop of 220 points and what is left of the one before"
+    assert len(track.points()) < 10
+
+
+@given(st.lists(st.tuples(st.floats(-60.0, 60.0), st.floats(-60.0, 60.0)), max_size=200), st.integers(0, 199))
+def test_harbours_are_found_wherever_the_track_was_cut_or_thinned(places: list[tuple[float, float]], called: int) -> None:
+    track, harbours = Track(HomeTable(points=12)), ((0.0, 0.0), (30.0, 30.0))
+    for at, place in enumerate(places):
+        if at == called:
+            track.call_at(harbours, 10.0)
+        track.add(*place)
+    if len(places) <= called:
+        track.call_at(harbours, 10.0)
+    for _ in range(12):
+        track.look_back()
+    way = track.way_home()
+    assert way == track.points()[len(track.points()) - len(way) :]
+    assert not any(math.dist(point, harbour) <= 10.0 for point in way[1:] for harbour in harbours)

@@ -21,6 +21,8 @@ class Reference(Words, frozen=True):
     cross_track_m: float | None = None  # positive: the boat is to starboard of its line
     distance_m: float | None = None
     leg: int = 0  # from 0
+    latitude_deg: float | None = None  # of the place that it steers for
+    longitude_deg: float | None = None
 
 
 class Node(Words, frozen=True):

@@ -36,15 +36,17 @@ POLICY: Final = (
 )
 
 
-def live(sections: Mapping[str, str], every_s: float) -> str:
-    """The page of the boat. `sections`: HTML by id, "head" among them; without a script it is read again every few seconds."""
+def live(sections: Mapping[str, str], every_s: float, console: str = "") -> str:
+    """The page of the boat. `sections`: HTML by id, "head" among them; `console`: where the operator's console is. Without a
+    script it is read again every few seconds."""
     columns = ["", "", ""]
     for each in SECTIONS:
         columns[each.column] += f'<section><h2>{each.title}</h2><div id="{each.id}">{sections[each.id]}</div></section>'
     places = "".join(f"<div>{column}</div>" for column in columns)
     again = f'<noscript><meta http-equiv="refresh" content="{max(round(every_s), 5)}"></noscript>'
+    link = f'<a href="{escape(console)}">Console</a>' if console else ""
     body = f'<header><div id="head" role="status">{sections["head"]}</div><div id="late" role="alert"></div></header>'
-    return document("Boat", f"{body}<main>{places}</main><footer>{_links()}</footer><script>{SCRIPT}</script>", again)
+    return document("Boat", f"{body}<main>{places}</main><footer>{_links()}{link}</footer><script>{SCRIPT}</script>", again)
 
 
 def plain(title: str, content: str, head: str = "") -> str:

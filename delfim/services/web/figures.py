@@ -4,10 +4,15 @@ Colours are classes of style.css, so that a figure follows the page by day and b
 """
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 from delfim.services.web.api import Latency
 
+M_PER_DEG: Final = 111_200.0
+SEEN_M: Final = 40.0  # of the sea at least
+MARGIN: Final = 26
+SCALES_M: Final = tuple(m * 10**power for power in range(7) for m in (1, 2, 5))
 LIMIT_US: Final = 100.0  # of the critical path
 WIDTH, HEIGHT, LEFT, BOTTOM, TOP = 360, 180, 30, 26, 6
 
@@ -36,13 +41,47 @@ def histogram(latency: Latency) -> str:
     for power in range(1, decades + 2):
         at = x(10.0**power)
         parts.append(f'<path class="grid" d="M{at} {TOP}V{base}"/>')
-        parts.append(f'<text class="tick middle" x="{min(at, WIDTH - 20)}" y="{HEIGHT - 10}">{micros(10.0**power)}</text>')
+        parts.append(f'<text class="tick middle" x="{min(at, WIDTH - 24)}" y="{HEIGHT - 10}">{micros(10.0**power)}</text>')
     bars = (f"M{x(edge / 10**0.1)} {base}V{y(n)}H{round(x(edge) - 0.8, 1)}V{base}Z" for edge, n in latency.histogram)
     parts.append(f'<path class="bars" d="{"".join(bars)}"/>')
     marks = (("median", latency.p50_us), ("p99", latency.p99_us), ("worst", latency.worst_us))
     parts += [f'<path class="mark {name}" d="M{x(us)} {TOP}V{base}"/>' for name, us in marks if us > 0]
     label = f"Histogram of {latency.n} cycles: median {latency.p50_us:.0f}, worst {latency.worst_us:.0f} microseconds"
     return f'<svg class="figure" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{label}">{"".join(parts)}</svg>'
+
+
+def chart(
+    way: Sequence[tuple[float, float]], here: tuple[float, float], heading_deg: float | None, there: tuple[float, float] | None
+) -> str:
+    """North up, everything in sight, with a scale. Places are latitude and longitude in degrees."""
+    places = [*way, here, *([there] if there else [])]
+    south, north = min(lat for lat, _ in places), max(lat for lat, _ in places)
+    west, east = min(lon for _, lon in places), max(lon for _, lon in places)
+    east_m = M_PER_DEG * max(math.cos(math.radians(here[0])), 0.01)
+    wide_m, high_m = max((east - west) * east_m, SEEN_M), max((north - south) * M_PER_DEG, SEEN_M)
+    scale = min((WIDTH - 2 * MARGIN) / wide_m, (HEIGHT - 2 * MARGIN) / high_m)  # pixels a metre
+    across, down = scale * east_m, -scale * M_PER_DEG
+    middle = (south + north) / 2, (west + east) / 2
+
+    def at(place: tuple[float, float]) -> str:
+        return f"{WIDTH / 2 + (place[1] - middle[1]) * across:.1f} {HEIGHT / 2 + (place[0] - middle[0]) * down:.1f}"
+
+    boat = at(here)
+    parts = [f'<rect class="sea" width="{WIDTH}" height="{HEIGHT}" rx="6"/>']
+    parts.append(f'<path class="way" d="M{"L".join([at(place) for place in way] + [boat])}"/>')
+    if there:
+        x, y = at(there).split()
+        parts.append(f'<path class="to" d="M{boat}L{x} {y}"/><circle class="there" cx="{x}" cy="{y}" r="6"/>')
+    turned = f" rotate({heading_deg:.0f})" if heading_deg is not None else ""
+    shape = (
+        "M0 -13C5 -6 6 2 5 10L0 7L-5 10C-6 2 -5 -6 0 -13Z" if heading_deg is not None else "M-6 0A6 6 0 1 0 6 0A6 6 0 1 0 -6 0Z"
+    )
+    parts.append(f'<path class="hull" d="{shape}" transform="translate({boat.replace(" ", ",")}){turned}"/>')
+    length_m = next(m for m in SCALES_M if m * scale >= 40 or m == SCALES_M[-1])
+    parts.append(f'<path class="rule" d="M10 {HEIGHT - 14}v5h{length_m * scale:.1f}v-5"/>')
+    parts.append(f'<text class="tick" x="14" y="{HEIGHT - 14}">{length_m} m</text>')
+    parts.append(f'<text class="tick end" x="{WIDTH - 10}" y="18">N ↑</text>')
+    return f'<svg class="figure map" viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="Map">{"".join(parts)}</svg>'
 
 
 def bar(value: float, maximum: float, kind: str = "") -> str:

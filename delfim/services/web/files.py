@@ -2,12 +2,23 @@
 
 import os
 import re
+from calendar import month_name
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError
 from delfim.services.jail import Jail
 
 ENTRIES_MAX: Final = 2000
+_DAY: Final = re.compile(r"20\d\d(0[1-9]|1[0-2])\d\d")
+_TIME: Final = re.compile(r"([0-2]\d)([0-5]\d)([0-5]\d)\.")
+_MONTHS: Final = tuple(month_name)[1:]
+_KINDS: Final = {
+    ".state": "state log",
+    ".state.gz": "state log, compressed",
+    ".meta.jsonl": "events beside the log",
+    ".log": "frames, as candump writes them",
+    ".log.gz": "frames, as candump writes them, compressed",
+}
 _RANGE: Final = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 
 
@@ -16,6 +27,20 @@ class Entry(NamedTuple):
     is_directory: bool
     bytes: int
     mtime_s: float
+
+
+def meaning(path: str, entry: Entry) -> str:
+    """What a name in the logs says (docs/log-format.md), in words; nothing for any other name."""
+    if entry.is_directory:
+        if _DAY.fullmatch(entry.name):
+            return f"{int(entry.name[6:])} {_MONTHS[int(entry.name[4:6]) - 1]} {entry.name[:4]}"
+        if _DAY.fullmatch(path.strip("/")) is None:
+            return ""
+        return "each cycle of the boat’s state" if entry.name == "state" else "each frame of this bus"
+    time = _TIME.match(entry.name)
+    kind = next((words for ending, words in _KINDS.items() if entry.name.endswith(ending)), "")
+    began = f"from {time[1]}:{time[2]}:{time[3]}" if time else ""
+    return " ".join(filter(None, (kind, began)))
 
 
 class Opened(NamedTuple):

@@ -3,10 +3,10 @@
 Whatever comes from outside is escaped here. What a person must know first stands first, in words.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from datetime import UTC, datetime
 from html import escape
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from delfim import config
 from delfim.services.web import figures
@@ -22,6 +22,7 @@ class View(NamedTuple):
 
     report: Report
     settings: config.Vehicle
+    way: Sequence[tuple[float, float]] = ()  # latitude, longitude in degrees, oldest first
 
 
 class Section(NamedTuple):
@@ -98,7 +99,7 @@ def motion(view: View) -> str:
         return f'<p class="none">{GONE}</p>'
     reference, most = vehicle.reference, view.settings.propulsion.rpm_max
     wanted = f"to {number(reference.heading_deg, '03.0f')}°" if reference.heading_deg is not None else "&nbsp;"
-    asked = f"of {number(reference.speed_mps, '.1f')} asked for" if reference.speed_mps is not None else "&nbsp;"
+    asked = _asked(reference.speed_mps)
     track = f"{number(reference.cross_track_m, '+.1f')} m off track" if reference.cross_track_m is not None else "&nbsp;"
     sides = "".join(
         f'<div class="side"><b>{side}</b> {figures.thrust(rpm, most)} <span>{rpm:.0f} rpm</span></div>'
@@ -112,6 +113,26 @@ def motion(view: View) -> str:
         f"{tile('To go', number(reference.distance_m, '.0f'), 'm', track)}</div>{sides}"
         f'<p class="small">{position} · {vehicle.satellites} satellites · by {escape(vehicle.source or "nobody")}'
         f"{_batteries(vehicle)}</p>"
+    )
+
+
+def _asked(speed_mps: float | None) -> str:
+    if speed_mps is None:
+        return "&nbsp;"
+    return f"asked for {speed_mps:.1f}" if speed_mps > 0 else "asked to lie still"
+
+
+def where(view: View) -> str:
+    """The way, where the boat is, and where it is steering."""
+    vehicle = view.report.vehicle
+    if vehicle is None or vehicle.latitude_deg is None or vehicle.longitude_deg is None:
+        return '<p class="none">its position is not known</p>'
+    to = vehicle.reference
+    there = (to.latitude_deg, to.longitude_deg) if to.latitude_deg is not None and to.longitude_deg is not None else None
+    here = vehicle.latitude_deg, vehicle.longitude_deg
+    return (
+        f"{figures.chart(view.way, here, vehicle.heading_deg, there)}"
+        '<p class="small">Its way since this page was first opened. The dashed line leads to where it is steering.</p>'
     )
 
 
@@ -210,6 +231,7 @@ def _service(view: View, name: str, service: Service) -> str:
         slow = service.longest_callback_s > view.settings.runtime.callback_budget_s
         text = f"longest callback {figures.micros(service.longest_callback_s * 1e6)}"
         told.append(f'<b class="warn">{text}</b>' if slow else text)
+    if service.busy_s:
         told.append(f"{100 * service.busy_s / max(service.for_s, 1e-3):.1f} % busy")
     if service.memory_bytes:
         told.append(size(service.memory_bytes))
@@ -217,11 +239,31 @@ def _service(view: View, name: str, service: Service) -> str:
         told.append(f'<b class="warn">restarted {service.restarts} times</b>')
     if service.reason:
         told.append(f"last event: {escape(service.reason)}")
-    told += [f"{escape(_words(key))} {escape(_told(value))}" for key, value in service.figures.items()]
     return (
         f'<li><b class="name">{escape(name)}</b> <span class="pill {kind}">{escape(service.state)}</span>'
-        f'<span class="small">{" · ".join(told)}</span></li>'
+        f'<span class="small">{" · ".join(told)}</span>{_figures(service.figures)}</li>'
     )
+
+
+def _figures(figures: dict[str, Any]) -> str:
+    """A service's own: a row each. What it has of several things, as of buses, is a table with a row for each of them."""
+    rows, tables = [], []
+    for key, value in figures.items():
+        if isinstance(value, dict) and value and all(isinstance(each, dict) for each in value.values()):
+            tables.append(_several(_words(key), value))
+        else:
+            rows.append(f"<tr><th>{_words(key)}</th><td>{_told(value)}</td></tr>")
+    return (f'<table class="figures">{"".join(rows)}</table>' if rows else "") + "".join(tables)
+
+
+def _several(name: str, things: dict[str, dict[str, Any]]) -> str:
+    keys = list(dict.fromkeys(key for thing in things.values() for key in thing))
+    head = "".join(f"<th>{_words(key)}</th>" for key in keys)
+    rows = "".join(
+        f"<tr><th>{escape(each)}</th>{''.join(f'<td>{_told(thing.get(key))}</td>' for key in keys)}</tr>"
+        for each, thing in things.items()
+    )
+    return f'<table class="several"><thead><tr><th>{name}</th>{head}</tr></thead>{rows}</table>'
 
 
 def buses(view: View) -> str:
@@ -285,8 +327,8 @@ def networks(view: View) -> str:
     if found is None:
         return '<p class="none">not looked at yet</p>'
     up = "".join(_network(name, each) for name, each in found.networks.items() if each.up)
-    down = ", ".join(escape(name) for name, each in found.networks.items() if not each.up)
-    return f'<ul class="services">{up}</ul>' + (f'<p class="small">Down: {down}</p>' if down else "")
+    down = ", ".join(escape(name) for name, each in found.networks.items() if not each.up and each.received_bytes)
+    return f'<ul class="services">{up}</ul>' + (f'<p class="small">No longer up: {down}</p>' if down else "")
 
 
 def _network(name: str, network: Network) -> str:
@@ -335,6 +377,7 @@ def _busiest(found: Computer) -> str:
 # The page, in its order.
 SECTIONS: Final = (
     Section("motion", "Motion", motion, 1.0, 0),
+    Section("where", "Where", where, 1.0, 0),
     Section("warnings", "To look at", warnings, 1.0, 0),
     Section("inputs", "Age of every input", inputs, 1.0, 0),
     Section("disk", "Logs", disk, 5.0, 0),
@@ -392,10 +435,14 @@ def rate(bps: float) -> str:
 
 
 def _told(figure: object) -> str:
-    """A service's own figure, as people write it: what is within another one in brackets."""
+    """A figure as people write it."""
     if isinstance(figure, dict) and figure:
-        return f"({', '.join(f'{name} {_told(each)}'.replace('_', ' ') for name, each in figure.items())})"
-    return str(figure) if figure or figure == 0 else "none"
+        return ", ".join(f"{_words(name)} {_told(each)}" for name, each in figure.items())
+    if isinstance(figure, list | tuple) and figure:
+        return ", ".join(map(_told, figure))
+    if isinstance(figure, bool):
+        return "yes" if figure else "no"
+    return escape(str(figure)) if figure or figure == 0 else "none"
 
 
 def _words(name: str) -> str:

@@ -3,16 +3,18 @@ propellers. Pure functions: no input, no output, no clock, no wait.
 """
 
 import math
-from typing import Protocol
+from importlib import import_module
+from typing import Final, Protocol, cast
 
 from delfim import config
-from delfim.vehicle.control import goto, grex, heading, hold, home, idle, manual, path_following, play
+from delfim.modes import Mode
+from delfim.vehicle.control import path
 from delfim.vehicle.control.autopilot import clamp
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Mode, Motion, Reference, Setpoint
+from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
 
-__all__ = ["MODES", "Memory", "Settings", "admit", "control", "enter", "limited"]
+__all__ = ["MODES", "Memory", "Settings", "admit", "control", "enter", "first", "limited"]
 
 FAR_M = 1e7  # a plane position beyond this is nonsense, and so are the numbers below
 FAST_MPS = 100.0
@@ -35,17 +37,7 @@ class Program(Protocol):
     ) -> tuple[Memory, Reference, Actuation]: ...
 
 
-MODES: dict[Mode, Program] = {
-    Mode.IDLE: idle,
-    Mode.MANUAL: manual,
-    Mode.HEADING: heading,
-    Mode.GOTO: goto,
-    Mode.PLAY: play,
-    Mode.PATH: path_following,
-    Mode.GREX: grex,
-    Mode.HOLD: hold,
-    Mode.HOME: home,
-}
+MODES: Final[dict[Mode, Program]] = {mode: cast(Program, import_module(f"{__package__}.{mode.name.lower()}")) for mode in Mode}
 
 
 def admit(mode: Mode, has: frozenset[str], setpoint: Setpoint) -> str | None:
@@ -63,6 +55,16 @@ def enter(mode: Mode, motion: Motion, setpoint: Setpoint, settings: Settings) ->
         return MODES[mode].enter(motion, setpoint, settings) if _plausible(motion) else Memory()
     except (ValueError, ArithmeticError):
         return Memory()
+
+
+def first(mode: Mode, memory: Memory, setpoint: Setpoint) -> tuple[float, float] | None:
+    """(north_m, east_m) of the point that a mode goes to at its beginning; None where it has none."""
+    plan, to = setpoint.plan, setpoint.target if mode is Mode.GOTO else None
+    if mode is Mode.PLAY and plan is not None:
+        to = plan.waypoints[setpoint.leg]
+    if mode is Mode.PATH and plan is not None and memory.leg == path.APPROACH:
+        return path.start(plan.path[0])
+    return None if to is None else (to.north_m, to.east_m)
 
 
 def control(

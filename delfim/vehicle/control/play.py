@@ -19,7 +19,7 @@ def lacks(setpoint: Setpoint) -> str | None:
     if not waypoints:
         return "no mission loaded"
     if not 0 <= setpoint.leg < len(waypoints):
-        return f"no leg {setpoint.leg}: the mission has legs 0 to {len(waypoints) - 1}"
+        return f"no leg {setpoint.leg + 1}: the mission has legs 1 to {len(waypoints)}"
     return None
 
 

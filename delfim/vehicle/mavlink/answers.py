@@ -5,9 +5,9 @@ from collections.abc import Callable, Iterable
 from typing import Final
 
 from delfim import __version__
+from delfim.modes import Mode
 from delfim.vehicle.mavlink.telemetry import View
 from delfim.vehicle.mavlink.wire import Message, dialect
-from delfim.vehicle.state import Mode
 
 CAPABILITIES: Final = (
     dialect.MAV_PROTOCOL_CAPABILITY_MISSION_INT
@@ -30,7 +30,7 @@ def version(view: View, index: int) -> Iterable[Message]:
     parts = [int(part) for part in __version__.split(".")[:3] if part.isdigit()]
     number = sum(part << 8 * (3 - at) for at, part in enumerate(parts)) | 0xFF
     none = [0] * 8
-    boat = view.boat.settings.boat.id
+    boat = view.boat.helm.settings.boat.id
     return (dialect.MAVLink_autopilot_version_message(CAPABILITIES, number, 0, 0, 0, none, none, none, 0, 0, boat),)
 
 
@@ -51,7 +51,7 @@ def mode(view: View, index: int) -> Iterable[Message]:
 
 def home(view: View, index: int) -> Iterable[Message]:
     """HOME_POSITION: where the way home ends."""
-    place = view.boat.home()
+    place = view.boat.helm.home()
     if place is None:
         return ()
     latitude, longitude = (round(math.degrees(angle) * 1e7) for angle in place)

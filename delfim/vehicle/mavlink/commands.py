@@ -8,15 +8,19 @@ import math
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
-from delfim.errors import FormatError
+from delfim.errors import FormatError, Refused
+from delfim.modes import Mode
 from delfim.vehicle import console
+from delfim.vehicle.mavlink.plans import GLOBAL
 from delfim.vehicle.mavlink.wire import Message, dialect
-from delfim.vehicle.state import Mode
 
 ACCEPTED: Final = int(dialect.MAV_RESULT_ACCEPTED)
 LATER: Final = int(dialect.MAV_RESULT_TEMPORARILY_REJECTED)
 DENIED: Final = int(dialect.MAV_RESULT_DENIED)
 UNSUPPORTED: Final = int(dialect.MAV_RESULT_UNSUPPORTED)
+SMART_RTL: Final = 12  # ArduRover's number for a way home along the driven track, which is what ours is
+CHANGE_MODE: Final = int(dialect.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
+NOWHERE: Final = 0x7FFFFFFF  # of an integer position: not given
 
 PX4: Final[dict[tuple[float, float], console.Commands]] = {  # main mode, sub mode: what MAVSDK says to whom it does not know
     (4, 3): console.Stop(),  # "hold" must never move the boat
@@ -26,12 +30,13 @@ PX4: Final[dict[tuple[float, float], console.Commands]] = {  # main mode, sub mo
 
 
 class Order(NamedTuple):
-    """A command as it came: seven numbers, the position among them in degrees."""
+    """A command as it came: seven numbers, the position among them in degrees; NaN where it is not given."""
 
     command: int
     p: tuple[float, ...]
     target_system: int
-    confirmation: int
+    confirmation: int = 0
+    frame: int = 0
 
 
 class Terms(NamedTuple):
@@ -39,15 +44,18 @@ class Terms(NamedTuple):
 
     leg: Callable[[int], int]  # of an item of the mission; raises FormatError
     speed_max_mps: float
+    mode: Mode  # that the boat is in
+    guided_waits: bool  # as ArduRover does: mode 15 waits for a point, and does not go to the first waypoint
 
 
 def order(message: Message) -> Order:
-    """Of a COMMAND_LONG or a COMMAND_INT. Raises FormatError where a position of the latter is in a local frame."""
+    """Of a COMMAND_LONG or a COMMAND_INT."""
     first = message.param1, message.param2, message.param3, message.param4
     if message.get_msgId() == dialect.MAVLINK_MSG_ID_COMMAND_LONG:
         rest = message.param5, message.param6, message.param7
         return Order(message.command, (*first, *rest), message.target_system, message.confirmation)
-    return Order(message.command, (*first, message.x / 1e7, message.y / 1e7, message.z), message.target_system, 0)
+    x, y = (math.nan if each == NOWHERE else each / 1e7 for each in (message.x, message.y))
+    return Order(message.command, (*first, x, y, message.z), message.target_system, frame=message.frame)
 
 
 def stops(o: Order) -> bool:
@@ -56,21 +64,22 @@ def stops(o: Order) -> bool:
     return asked and o.command in (dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
 
 
-def mode(base: float, custom: float, sub: float) -> console.Commands:
+def _mode(o: Order, boat: Terms) -> console.Commands:
     """DO_SET_MODE. Raises FormatError for what is not ours; nothing must be changed then."""
+    base, custom, sub = o.p[:3]
     if sub:
         if (custom, sub) not in PX4:
             raise FormatError(f"mode {custom:g}/{sub:g} is another autopilot's")
         return PX4[custom, sub]
     if not (math.isfinite(base) and int(base) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
         raise FormatError("a mode is asked for by its custom number")
+    if custom == SMART_RTL:
+        return console.Mode("home")
     if custom not in list(Mode):
         raise FormatError(f"no mode {custom:g}")
+    if custom == Mode.GOTO and not boat.guided_waits:
+        return console.Goto()
     return console.Stop() if custom == Mode.IDLE else console.Mode(Mode(int(custom)).name.lower())
-
-
-def _mode(o: Order, boat: Terms) -> console.Commands:
-    return mode(*o.p[:3])
 
 
 def _arm(o: Order, boat: Terms) -> console.Commands:
@@ -92,12 +101,24 @@ def _home(o: Order, boat: Terms) -> console.Commands:
 
 
 def _heading(o: Order, boat: Terms) -> console.Commands:
-    if o.p[0] not in (0.0, 1.0):
-        raise FormatError("a heading or a course, nothing else")
+    if o.p[0] != dialect.HEADING_TYPE_HEADING:
+        raise FormatError("the boat steers a heading (1), and no course over ground")
     return console.Heading(o.p[1])
 
 
 def _goto(o: Order, boat: Terms) -> console.Commands:
+    """DO_REPOSITION. Without a position it is the present one, where the boat holds. Raises Refused where the boat is in a mode
+    that it must not leave for this."""
+    if o.frame not in GLOBAL:
+        raise FormatError(f"a position in frame {o.frame} has no latitude and longitude")
+    if math.isinf(o.p[0]):
+        raise FormatError(f"{o.p[0]} is no speed")
+    if boat.mode is not Mode.GOTO and not _whole(o.p[1]) & CHANGE_MODE:
+        raise Refused("goto refused: the boat is in another mode, and the flag to change it is not set")
+    if math.isnan(o.p[4]) and math.isnan(o.p[5]):
+        return console.Mode("hold")
+    if math.isnan(o.p[4]) or math.isnan(o.p[5]):
+        raise FormatError("goto needs a latitude and a longitude, or neither")
     return console.Goto(o.p[4], o.p[5], o.p[0] if o.p[0] > 0.0 else None)
 
 

@@ -4,7 +4,8 @@ import math
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from delfim.errors import FormatError
+from delfim.errors import FormatError, Refused
+from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.mavlink import commands, params, telemetry
 from delfim.vehicle.mavlink.answers import ANSWERS
@@ -12,23 +13,21 @@ from delfim.vehicle.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
 from delfim.vehicle.mavlink.missions import KINDS
 from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.telemetry import NEVER_S
-from delfim.vehicle.mavlink.wire import Message, dialect
-from delfim.vehicle.state import Mode
+from delfim.vehicle.mavlink.wire import GUEST, Message, Source, dialect
 
 if TYPE_CHECKING:  # the station finds its handlers here
-    from delfim.vehicle.mavlink.station import Peer, Source, Station
+    from delfim.vehicle.mavlink.station import Peer, Station
 
 AGAIN_S: Final = 10.0  # a command that is repeated within this time for want of an answer gets the one it had
-GUEST: Final = 191  # component of the guest computer, of this system
 INTERVAL_MIN_S: Final = 0.1
 NAK, UNKNOWN_COMMAND = 129, 7  # of MAVLink FTP
 
 
-def _heartbeat(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
-    station.alive(source)
+def _heartbeat(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+    station.alive(source, peer.address)
 
 
-def _command(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _command(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     """COMMAND_LONG, COMMAND_INT: answered always; one that is repeated is not carried out again, a stop apart."""
     now_s, order = station.clock.monotonic_s(), commands.order(message)
     same, before = repr((source, order.command, order.p)), peer.answered
@@ -36,14 +35,15 @@ def _command(station: "Station", peer: "Peer", source: "Source", message: Messag
         station.tell(peer, [before[2]])
         return
     result, reason = _ordered(station, peer, source, order)
-    answer = dialect.MAVLink_command_ack_message(order.command, result, 0xFF, 0, *source)
+    answer = dialect.MAVLink_command_ack_message(order.command, result, 0xFF, 0, *source.party)
     peer.answered = same, now_s, answer
     if reason:  # before the answer, so that whoever hears that knows why
         station.say(dialect.MAV_SEVERITY_WARNING, reason)
-    station.tell(peer, [answer])
+    told = [telemetry.heartbeat(station.view())] if commands.stops(order) else []  # a stop is over when the boat says idle
+    station.tell(peer, [answer, *told])
 
 
-def _ordered(station: "Station", peer: "Peer", source: "Source", order: commands.Order) -> tuple[int, str | None]:
+def _ordered(station: "Station", peer: "Peer", source: Source, order: commands.Order) -> tuple[int, str | None]:
     """(MAV_RESULT, why not)"""
     own = _REQUESTS.get(order.command)
     if own is not None:
@@ -53,26 +53,29 @@ def _ordered(station: "Station", peer: "Peer", source: "Source", order: commands
         return UNSUPPORTED, None
     if order.target_system != station.system:
         return DENIED, "a command must name its vehicle"
+    boat, guided_waits = station.boat, station.settings.autopilot == "ardurover"
     try:
-        command = make(order, commands.Terms(station.missions.leg, station.boat.settings.control.speed.max_mps))
+        terms = commands.Terms(station.missions.leg, boat.helm.settings.control.speed.max_mps, boat.state.mode, guided_waits)
+        refused = station.ask(source, make(order, terms))
     except FormatError as error:
         return DENIED, str(error)
-    refused = station.ask(source, command)
+    except Refused as error:
+        return LATER, str(error)
     return (ACCEPTED, None) if refused is None else (LATER, refused)
 
 
-def _set_mode(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _set_mode(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     """SET_MODE, of old programs: no answer exists but the heartbeat."""
     if message.target_system == station.system:
-        order = commands.Order(dialect.MAV_CMD_DO_SET_MODE, (message.base_mode, message.custom_mode, 0.0), station.system, 0)
+        order = commands.Order(dialect.MAV_CMD_DO_SET_MODE, (message.base_mode, message.custom_mode, 0.0), station.system)
         _, reason = _ordered(station, peer, source, order)
         if reason:
             station.say(dialect.MAV_SEVERITY_WARNING, reason)
 
 
-def _manual(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _manual(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     """Thrust in manual mode, and nowhere else: a stream that did not end must not change a mode."""
-    if message.target != station.system or station.boat.state.mode is not Mode.MANUAL or source.system != station.owner:
+    if message.target != station.system or station.boat.state.mode is not Mode.MANUAL or source != station.commander:
         station.count("manual_ignored")
         return
     ahead, turn = (message.z, message.y) if station.settings.autopilot == "ardurover" else (message.x, message.r)
@@ -85,9 +88,9 @@ def _manual(station: "Station", peer: "Peer", source: "Source", message: Message
         station.count("manual_refused")
 
 
-def _guest(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _guest(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     """SET_POSITION_TARGET_GLOBAL_INT of the guest computer: a course and a speed, obeyed in GREX mode only."""
-    if source != (station.system, GUEST) or not math.isfinite(message.vx + message.vy):
+    if source.party != (station.system, GUEST) or not math.isfinite(message.vx + message.vy):
         station.count("unknown")
         return
     heading_deg = math.degrees(math.atan2(message.vy, message.vx)) % 360.0
@@ -95,9 +98,9 @@ def _guest(station: "Station", peer: "Peer", source: "Source", message: Message)
     station.boat.on_guest(b'{"heading_deg": %.3f, "speed_mps": %.3f}' % (heading_deg, speed_mps))
 
 
-def _set_current(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _set_current(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     """MISSION_SET_CURRENT: the answer is MISSION_CURRENT."""
-    order = commands.Order(dialect.MAV_CMD_DO_SET_MISSION_CURRENT, (float(message.seq),), message.target_system, 0)
+    order = commands.Order(dialect.MAV_CMD_DO_SET_MISSION_CURRENT, (float(message.seq),), message.target_system)
     _, reason = _ordered(station, peer, source, order)
     station.tell(peer, list(telemetry.current(station.view())))
     if reason:
@@ -107,63 +110,65 @@ def _set_current(station: "Station", peer: "Peer", source: "Source", message: Me
 # Plans.
 
 
-def _listed(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _listed(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     station.missions.listed(_Line(station, peer, source), source, message)
 
 
-def _requested(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _requested(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     station.missions.requested(_Line(station, peer, source), source, message)
 
 
-def _counted(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _counted(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     if _may(station, peer, source, message):
         station.missions.counted(_Line(station, peer, source), source, message, station.clock.monotonic_s())
 
 
-def _item(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _item(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     station.missions.item(_Line(station, peer, source), source, message, station.clock.monotonic_s())
 
 
-def _clear(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _clear(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     if _may(station, peer, source, message):
         station.missions.clear(_Line(station, peer, source), source, message)
 
 
-def _old_item(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _old_item(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     """MISSION_ITEM, MISSION_WRITE_PARTIAL_LIST, MISSION_REQUEST_PARTIAL_LIST: there is a better way to say it."""
-    station.tell(peer, [dialect.MAVLink_mission_ack_message(*source, dialect.MAV_MISSION_UNSUPPORTED, message.mission_type)])
+    unsupported = dialect.MAV_MISSION_UNSUPPORTED
+    station.tell(peer, [dialect.MAVLink_mission_ack_message(*source.party, unsupported, message.mission_type)])
 
 
-def _may(station: "Station", peer: "Peer", source: "Source", message: Message) -> bool:
+def _may(station: "Station", peer: "Peer", source: Source, message: Message) -> bool:
     """Whether this console may change a plan; it is told why not."""
     reason = station.refusal(source) if message.target_system == station.system else "a plan must name its vehicle"
     if reason:
         station.say(dialect.MAV_SEVERITY_WARNING, reason)
-        station.tell(peer, [dialect.MAVLink_mission_ack_message(*source, dialect.MAV_MISSION_DENIED, message.mission_type)])
+        denied = dialect.MAV_MISSION_DENIED
+        station.tell(peer, [dialect.MAVLink_mission_ack_message(*source.party, denied, message.mission_type)])
     return reason is None
 
 
 # Parameters.
 
 
-def _param_list(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _param_list(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     peer.params.clear()
     peer.params.extend(params.NAMES)
 
 
-def _param_read(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _param_read(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     index = message.param_index
     name = params.named(message.param_id) if index < 0 else params.NAMES[index] if index < len(params.NAMES) else ""
     known = name in params.NAMES
     missing = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
-    station.tell(peer, [station.param(peer, name) if known else params.error(source, name, index, missing)])
+    station.tell(peer, [station.param(peer, name) if known else params.error(source.party, name, index, missing)])
 
 
-def _param_set(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _param_set(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     """The answer is the value that is in force; where that is not the one asked for, a text says why."""
     name, number = params.named(message.param_id), message.param_value
     if name not in params.NAMES:
-        station.tell(peer, [params.error(source, name, -1, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST)])
+        station.tell(peer, [params.error(source.party, name, -1, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST)])
         return
     reason: str | None = None
     if name == params.PROFILE:
@@ -179,43 +184,60 @@ def _param_set(station: "Station", peer: "Peer", source: "Source", message: Mess
             reason = str(error)
     station.tell(peer, [station.param(peer, name)])
     if reason:
-        station.tell(peer, [params.error(source, name, -1, dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)])
+        station.tell(peer, [params.error(source.party, name, -1, dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)])
         station.say(dialect.MAV_SEVERITY_WARNING, reason)
+
+
+def _text_list(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+    """PARAM_EXT_REQUEST_LIST"""
+    station.tell(peer, [params.text(name, station.text(name)) for name in params.TEXTS])
+
+
+def _text_read(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+    """PARAM_EXT_REQUEST_READ"""
+    index = message.param_index
+    name = params.TEXTS[index] if 0 <= index < len(params.TEXTS) else params.named(message.param_id)
+    if name in params.TEXTS:
+        station.tell(peer, [params.text(name, station.text(name))])
+    else:
+        missing = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
+        station.tell(peer, [params.error(source.party, name, index, missing)])
 
 
 # Questions.
 
 
-def _ftp(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _ftp(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     """FILE_TRANSFER_PROTOCOL: not here; `delfim log fetch` is."""
     payload = [*message.payload]
     number = payload[0] + 256 * payload[1] + 1
     nak = [number & 0xFF, number >> 8 & 0xFF, payload[2], NAK, 1, payload[3], 0, 0, 0, 0, 0, 0, UNKNOWN_COMMAND]
-    answer = dialect.MAVLink_file_transfer_protocol_message(0, *source, nak + [0] * (len(payload) - len(nak)))
+    answer = dialect.MAVLink_file_transfer_protocol_message(0, *source.party, nak + [0] * (len(payload) - len(nak)))
     station.tell(peer, [answer])
 
 
-def _logs(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _logs(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     station.tell(peer, [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)])
 
 
-def _log(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _log(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     """LOG_REQUEST_DATA: of a log that is not here."""
     station.tell(peer, [dialect.MAVLink_log_data_message(message.id, message.ofs, 0, [0] * 90)])
 
 
-def _ping(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _ping(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     if message.target_system == 0:
-        station.tell(peer, [dialect.MAVLink_ping_message(message.time_usec, message.seq, *source)])
+        station.tell(peer, [dialect.MAVLink_ping_message(message.time_usec, message.seq, *source.party)])
 
 
-def _request(station: "Station", peer: "Peer", source: "Source", order: commands.Order) -> int:
+def _request(station: "Station", peer: "Peer", source: Source, order: commands.Order) -> int:
     """REQUEST_MESSAGE: once, after the answer."""
     number, index = (int(value) if math.isfinite(value) else -1 for value in order.p[:2])
     view = station.view()
     rows = [row for row in telemetry.ROWS if row.id == number]
     if number == dialect.MAVLINK_MSG_ID_MISSION_CHECKSUM and index in (*KINDS, ALL):
-        found = [dialect.MAVLink_mission_checksum_message(index, station.missions.checksum(index))]
+        known = station.missions.checksum(index)
+        found = [] if known is None else [dialect.MAVLink_mission_checksum_message(index, known)]
     elif number == dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
         found = [_interval_of(station, peer, index)]
     elif rows:
@@ -235,21 +257,24 @@ def _interval_of(station: "Station", peer: "Peer", number: int) -> Message:
     return dialect.MAVLink_message_interval_message(number & 0xFFFF, interval_us)
 
 
-def _timesync(station: "Station", peer: "Peer", source: "Source", message: Message) -> None:
+def _timesync(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
     if message.tc1 == 0:
         station.tell(peer, [dialect.MAVLink_timesync_message(station.clock.time_ns(), message.ts1)])
 
 
-def _take(station: "Station", peer: "Peer", source: "Source", order: commands.Order) -> int:
+def _take(station: "Station", peer: "Peer", source: Source, order: commands.Order) -> int:
     if order.target_system != station.system:
         return DENIED
     if order.p[1]:
-        return ACCEPTED if station.ask(source, console.Take()) is None else LATER
+        refused = station.ask(source, console.Take())
+        if refused:
+            station.say(dialect.MAV_SEVERITY_WARNING, refused)
+        return ACCEPTED if refused is None else LATER
     station.give_up(source)
     return ACCEPTED
 
 
-def _interval(station: "Station", peer: "Peer", source: "Source", order: commands.Order) -> int:
+def _interval(station: "Station", peer: "Peer", source: Source, order: commands.Order) -> int:
     """SET_MESSAGE_INTERVAL: of what this peer gets. 0: as its profile says; below: not at all."""
     number, interval_us = order.p[:2]
     if number not in [row.id for row in telemetry.ROWS] or not math.isfinite(interval_us):
@@ -264,7 +289,7 @@ def _interval(station: "Station", peer: "Peer", source: "Source", order: command
     return ACCEPTED
 
 
-def _high_latency(station: "Station", peer: "Peer", source: "Source", order: commands.Order) -> int:
+def _high_latency(station: "Station", peer: "Peer", source: Source, order: commands.Order) -> int:
     if order.p[0] not in (0.0, 1.0):
         return DENIED
     peer.profile = "lean" if order.p[0] else "wifi" if station.settings.profile == "lean" else station.settings.profile
@@ -276,7 +301,7 @@ class _Line(NamedTuple):
 
     station: "Station"
     peer: "Peer"
-    source: "Source"
+    source: Source
 
     def tell(self, message: Message) -> None:
         self.station.tell(self.peer, [message])
@@ -284,8 +309,8 @@ class _Line(NamedTuple):
     def tell_all(self, message: Message) -> None:
         self.station.tell_all([message])
 
-    def ask(self, command: console.Commands) -> str | None:
-        return self.station.ask(self.source, command)
+    def ask(self, command: console.Commands, answer: Callable[[str | None], None]) -> None:
+        self.station.propose(self.source, command, answer)
 
     def complain(self, text: str) -> None:
         self.station.say(dialect.MAV_SEVERITY_WARNING, text)
@@ -293,14 +318,14 @@ class _Line(NamedTuple):
 
 MAV_CMD_REQUEST_OPERATOR_CONTROL: Final = 32100
 
-_Request = Callable[["Station", "Peer", "Source", commands.Order], int]
+_Request = Callable[["Station", "Peer", Source, commands.Order], int]
 _REQUESTS: Final[dict[int, _Request]] = {
     MAV_CMD_REQUEST_OPERATOR_CONTROL: _take,
     dialect.MAV_CMD_SET_MESSAGE_INTERVAL: _interval,
     dialect.MAV_CMD_REQUEST_MESSAGE: _request,
     dialect.MAV_CMD_CONTROL_HIGH_LATENCY: _high_latency,
 }
-HANDLERS: Final[dict[int, Callable[["Station", "Peer", "Source", Message], None]]] = {
+HANDLERS: Final[dict[int, Callable[["Station", "Peer", Source, Message], None]]] = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     dialect.MAVLINK_MSG_ID_COMMAND_LONG: _command,
     dialect.MAVLINK_MSG_ID_COMMAND_INT: _command,
@@ -322,6 +347,8 @@ HANDLERS: Final[dict[int, Callable[["Station", "Peer", "Source", Message], None]
     dialect.MAVLINK_MSG_ID_PARAM_REQUEST_LIST: _param_list,
     dialect.MAVLINK_MSG_ID_PARAM_REQUEST_READ: _param_read,
     dialect.MAVLINK_MSG_ID_PARAM_SET: _param_set,
+    dialect.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_LIST: _text_list,
+    dialect.MAVLINK_MSG_ID_PARAM_EXT_REQUEST_READ: _text_read,
     dialect.MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: _ftp,
     dialect.MAVLINK_MSG_ID_LOG_REQUEST_LIST: _logs,
     dialect.MAVLINK_MSG_ID_LOG_REQUEST_DATA: _log,

@@ -15,8 +15,8 @@ from typing import Final, Self
 from delfim.vehicle import console
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.mavlink.signing import Signing, read_key, read_stamps, write_stamps
-from delfim.vehicle.mavlink.station import Address, Station
-from delfim.vehicle.mavlink.wire import DATAGRAM_BYTES
+from delfim.vehicle.mavlink.station import Station
+from delfim.vehicle.mavlink.wire import DATAGRAM_BYTES, Address
 
 TICK_S: Final = 0.05
 STAMPS_S: Final = 10.0  # between two writings of the time stamps: the most that can be heard again after a crash
@@ -33,14 +33,15 @@ class MavlinkLink:
         self,
         boat: Vehicle,
         obey: Callable[[console.Commands, str], str | None],
+        review: Callable[[str, console.Plan, Callable[[str | None], None]], None] | None,
         stamps: Path,
         board: dict[str, Callable[[], dict[str, object]]],
     ) -> None:
-        settings = boat.settings.mavlink
+        settings = boat.helm.settings.mavlink
         self._loop, self._board, self._stamps = asyncio.get_running_loop(), board, stamps
         self._signing = Signing(read_key(settings.key), boat.clock, read_stamps(stamps)) if settings.key else None
         self._socket = _bound(settings.listen)
-        self.station = Station(boat, obey, self._send, self._signing)
+        self.station = Station(boat, obey, self._send, self._signing, review)
         self._unsent = 0
         self._timer: asyncio.TimerHandle | None = None
         self._written_s = self._loop.time()
@@ -67,6 +68,7 @@ class MavlinkLink:
         return {
             "listen": f"{host}:{port}",
             "owner": self.station.owner,
+            "namesakes": self.station.boat.state.namesakes,
             "peers": peers,
             "unsent": self._unsent,
             "counts": dict(self.station.counts),
@@ -82,9 +84,15 @@ class MavlinkLink:
         if self.station.turn():
             self._loop.call_soon(self._turn)
 
+    def _serve(self) -> None:
+        if self.station.serve():
+            self._loop.call_soon(self._serve)
+
     def _tick(self) -> None:
         self._timer = self._loop.call_later(TICK_S, self._tick)
-        self.station.tick()
+        self.station.begin()
+        self._loop.call_soon(self._turn)
+        self._loop.call_soon(self._serve)
         if self._signing is not None and self._loop.time() - self._written_s > STAMPS_S:
             self._written_s = self._loop.time()
             self._loop.run_in_executor(None, self._write, self._stamps, dict(self._signing.stamps))

@@ -5,15 +5,17 @@ asked for by its number. Both get through any loss: the vehicle asks again, and 
 (mavlink.io/en/services/mission.html).
 """
 
+from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple, Protocol
 
 from delfim import config
-from delfim.errors import FormatError
+from delfim.errors import DelfimError, FormatError, Refused
+from delfim.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import ALL, FENCE, ITEMS, MISSION, RALLY, Item
-from delfim.vehicle.mavlink.wire import Message, dialect
+from delfim.vehicle.mavlink.wire import Message, Source, dialect
 
 AGAIN_S: Final = 1.0  # after this silence the next item is asked for again ...
 GIVE_UP_S: Final = 20.0  # ... until nothing came for so long
@@ -23,31 +25,34 @@ INVALID: Final = int(dialect.MAV_MISSION_INVALID)
 DENIED: Final = int(dialect.MAV_MISSION_DENIED)
 UNSUPPORTED: Final = int(dialect.MAV_MISSION_UNSUPPORTED)
 
-Party = tuple[int, int]  # system, component
-
 
 class Line(Protocol):
     """What the protocol needs of the station, for one console."""
 
     def tell(self, message: Message) -> None: ...
     def tell_all(self, message: Message) -> None: ...
-    def ask(self, command: console.Commands) -> str | None: ...
+    def ask(self, command: console.Commands, answer: Callable[[str | None], None]) -> None: ...
     def complain(self, text: str) -> None: ...
 
 
-class Upload:
-    """One that is under way: the items so far, and when the next one was asked for."""
+Draft = plans.MissionDraft | plans.ZonesDraft | plans.RallyDraft
 
-    def __init__(self, line: Line, party: Party, kind: int, count: int, now_s: float) -> None:
-        self.line, self.party, self.kind, self.count = line, party, kind, count
-        self.items: list[Item] = []
+
+class Upload:
+    """One that is under way: how many items came, and when the next one was asked for."""
+
+    def __init__(self, line: Line, source: Source, kind: int, count: int, now_s: float) -> None:
+        self.line, self.source, self.kind, self.count = line, source, kind, count
+        self.draft: Draft = _DRAFTS[kind]()
+        self.came = 0
+        self.frame: int | None = None  # of its places
         self.heard_s = self.asked_s = now_s
 
 
 class Done(NamedTuple):
     """An upload that ended: what was said, in case that it was not heard."""
 
-    party: Party
+    source: Source
     kind: int
     last: int  # number of its last item
     result: int
@@ -60,87 +65,150 @@ class Missions:
         self._boat, self._home_first = boat, home_first
         self._upload: Upload | None = None
         self._done: Done | None = None
-        self._known: tuple[object, list[Item]] = None, []
+        self._frames = dict.fromkeys(KINDS, plans.PLACED)  # of places: as they were sent, so they are told
+        self._told = dict.fromkeys(KINDS, plans.NOTHING)
+        self._telling: tuple[int, Sliced[plans.Told]] | None = None  # what is being made ready to be told
+        self._summing: Sliced[int] | None = None
+        self._summed: tuple[tuple[plans.Told, ...], int | None] = (), None  # of which plans, and their checksum
+        self._due: list[Callable[[], None]] = []  # once all of it is
 
     # What is on board.
 
-    def items(self, kind: int) -> list[Item]:
-        """As they are told: with the home position first where that is the custom."""
-        items = self.own(kind)
-        if kind == MISSION and self._home_first and items:
-            home = self._boat.home()
-            latitude_rad, longitude_rad = home if home is not None else (0.0, 0.0)
-            return [plans.home_item(latitude_rad, longitude_rad), *items]
-        return items
+    def step(self) -> bool:
+        """A slice of making ready what is told of the plans. Returns whether there is more to do."""
+        if self._telling is None and self._summing is None:
+            kind = next((kind for kind in KINDS if self._told[kind].plan is not self._plan(kind)), None)
+            if kind is not None:
+                self._telling = kind, Sliced(plans.told(self._plan(kind), self._items(kind), self._frames[kind]))
+            elif not self._is_summed():
+                self._summing = Sliced(plans.checksum([self._told[each].packed for each in KINDS]))
+                self._summed = tuple(self._told.values()), None
+            else:
+                due, self._due = self._due, []
+                for tell in due:
+                    tell()
+                return False
+        if self._telling is not None:
+            kind, work = self._telling
+            if work.step():
+                self._boat.helm.plans.remains.add(self._told[kind].items)
+                self._told[kind], self._telling = work.result, None
+        elif self._summing is not None and self._summing.step():
+            self._summed, self._summing = (self._summed[0], self._summing.result), None
+        return True
 
-    def own(self, kind: int) -> list[Item]:
+    def _is_summed(self) -> bool:
+        """Whether the checksum of all plans is that of those which are told."""
+        plans_summed, known = self._summed
+        return known is not None and all(a is b for a, b in zip(plans_summed, self._told.values(), strict=True))
+
+    def _plan(self, kind: int) -> object:
+        boat = self._boat
+        return boat.helm.plans.mission if kind == MISSION else boat.helm.plans.zones if kind == FENCE else boat.helm.plans.rally
+
+    def _items(self, kind: int) -> Iterator[Item]:
         boat = self._boat
         if kind == FENCE:
-            return plans.fence_items(boat.zones)
+            return plans.fence_items(boat.helm.plans.zones)
         if kind == RALLY:
-            return plans.rally_items(boat.rally)
-        if self._known[0] is not boat.mission:
-            self._known = boat.mission, plans.mission_items(boat.mission) if boat.mission is not None else []
-        return self._known[1]
+            return plans.rally_items(boat.helm.plans.rally)
+        return plans.mission_items(boat.helm.plans.mission) if boat.helm.plans.mission is not None else iter(())
 
-    def checksum(self, kind: int) -> int:
-        return plans.checksum(item for each in (KINDS if kind == ALL else (kind,)) for item in self.own(each))
+    def own(self, kind: int) -> plans.Told | None:
+        """The boat's plan of a type. None: it is being made ready, which takes a moment; whoever asked asks again."""
+        for _ in KINDS:  # small ones take a slice each
+            if self._told[kind].plan is not self._plan(kind):
+                self.step()
+        return known if (known := self._told[kind]).plan is self._plan(kind) else None
+
+    def checksum(self, kind: int) -> int | None:
+        """None: as with `own`."""
+        known = [self.own(each) for each in (KINDS if kind == ALL else (kind,))]
+        if None in known:
+            return None
+        if kind != ALL:
+            return self._told[kind].checksum
+        if not self._is_summed():
+            self.step()  # a slice, which is enough for small ones
+        return self._summed[1] if self._is_summed() else None
 
     def leg(self, number: int) -> int:
         """The leg that leads to an item. Raises FormatError."""
-        return plans.leg_of(self.own(MISSION), max(number - self._home_first, 0))
+        if (known := self.own(MISSION)) is None:
+            raise FormatError("the mission is being read: a moment")
+        return known.leg_of(max(number - self._home_first, 0))
 
     def number(self, leg: int) -> int:
-        """The item that a leg leads to."""
-        return plans.item_of(self.own(MISSION), leg) + self._home_first
+        """The item that a leg leads to, as far as it is known."""
+        known = self.own(MISSION)
+        return (0 if known is None else known.item_of(leg)) + self._home_first
 
     # Down.
 
-    def listed(self, line: Line, party: Party, message: Message) -> None:
+    def listed(self, line: Line, source: Source, message: Message) -> None:
         """MISSION_REQUEST_LIST"""
         kind = message.mission_type
         if kind not in KINDS:
-            line.tell(dialect.MAVLink_mission_ack_message(*party, UNSUPPORTED, kind))
+            line.tell(dialect.MAVLink_mission_ack_message(*source.party, UNSUPPORTED, kind))
             return
-        line.tell(dialect.MAVLink_mission_count_message(*party, len(self.items(kind)), kind))
+        if (known := self.own(kind)) is not None:
+            count = len(known.items) + self._homes(kind, known)
+            line.tell(dialect.MAVLink_mission_count_message(*source.party, count, kind))
 
-    def requested(self, line: Line, party: Party, message: Message) -> None:
+    def _homes(self, kind: int, known: plans.Told) -> int:
+        """Whether item 0 is the home position."""
+        return int(kind == MISSION and self._home_first and bool(known.items))
+
+    def _home(self) -> Item:
+        return plans.home_item(*(self._boat.helm.home() or (0.0, 0.0)))._replace(frame=self._frames[MISSION])
+
+    def requested(self, line: Line, source: Source, message: Message) -> None:
         """MISSION_REQUEST_INT, and the older MISSION_REQUEST."""
         kind, number = message.mission_type, message.seq
-        items = self.items(kind) if kind in KINDS else []
-        if number >= len(items):
-            line.tell(dialect.MAVLink_mission_ack_message(*party, dialect.MAV_MISSION_INVALID_SEQUENCE, kind))
+        known = self.own(kind) if kind in KINDS else self._told[MISSION]._replace(items=[])
+        if known is None:
             return
-        i = items[number]
+        homes = self._homes(kind, known)
+        if number >= len(known.items) + homes:
+            line.tell(dialect.MAVLink_mission_ack_message(*source.party, dialect.MAV_MISSION_INVALID_SEQUENCE, kind))
+            return
+        i = known.items[number - homes] if number >= homes else self._home()
         current = kind == MISSION and number == self.number(self._boat.state.setpoint.leg)
         rest = i.p1, i.p2, i.p3, i.p4, i.x, i.y, i.z, kind
-        line.tell(dialect.MAVLink_mission_item_int_message(*party, number, i.frame, i.command, int(current), 1, *rest))
+        line.tell(dialect.MAVLink_mission_item_int_message(*source.party, number, i.frame, i.command, int(current), 1, *rest))
 
     # Up.
 
-    def counted(self, line: Line, party: Party, message: Message, now_s: float) -> None:
+    def counted(self, line: Line, source: Source, message: Message, now_s: float) -> None:
         """MISSION_COUNT: an upload begins, in place of one that was under way."""
         kind, count = message.mission_type, message.count
         if kind not in KINDS or count > ITEMS:
             refused = UNSUPPORTED if kind not in KINDS else dialect.MAV_MISSION_NO_SPACE
-            line.tell(dialect.MAVLink_mission_ack_message(*party, refused, kind))
+            line.tell(dialect.MAVLink_mission_ack_message(*source.party, refused, kind))
             return
-        self._upload = Upload(line, party, kind, count, now_s)
+        self._upload = Upload(line, source, kind, count, now_s)
         self._done = None
         self._next(self._upload, now_s)
 
-    def item(self, line: Line, party: Party, message: Message, now_s: float) -> None:
+    def item(self, line: Line, source: Source, message: Message, now_s: float) -> None:
         """MISSION_ITEM_INT. What was not asked for is heard a second time, or too late."""
         upload, done = self._upload, self._done
-        if upload is None or (upload.party, upload.kind) != (party, message.mission_type):
-            if done is not None and (party, message.mission_type, message.seq) == (done.party, done.kind, done.last):
-                line.tell(dialect.MAVLink_mission_ack_message(*party, done.result, done.kind))
+        if upload is None or (upload.source, upload.kind) != (source, message.mission_type):
+            if done is not None and (source, message.mission_type, message.seq) == (done.source, done.kind, done.last):
+                line.tell(dialect.MAVLink_mission_ack_message(*source.party, done.result, done.kind))
             return
         upload.heard_s = now_s
-        if message.seq != len(upload.items):
+        if message.seq != upload.came:
             return
-        m = message
-        upload.items.append(Item(m.command, m.param1, m.param2, m.param3, m.param4, m.x, m.y, m.z, m.frame))
+        m, upload.came = message, upload.came + 1
+        if upload.frame is None and m.frame in plans.GLOBAL:
+            upload.frame = m.frame
+        if upload.kind != MISSION or m.seq or not self._home_first:
+            try:
+                upload.draft.add(m.seq, Item(m.command, m.param1, m.param2, m.param3, m.param4, m.x, m.y, m.z, m.frame))
+            except FormatError as error:
+                self._end(upload, error)
+                return
         self._next(upload, now_s)
 
     def tick(self, now_s: float) -> None:
@@ -151,59 +219,80 @@ class Missions:
         if now_s - upload.heard_s > GIVE_UP_S:
             self._upload = None
             cancelled = dialect.MAV_MISSION_OPERATION_CANCELLED
-            upload.line.tell(dialect.MAVLink_mission_ack_message(*upload.party, cancelled, upload.kind))
+            upload.line.tell(dialect.MAVLink_mission_ack_message(*upload.source.party, cancelled, upload.kind))
         elif now_s - upload.asked_s > AGAIN_S:
             self._next(upload, now_s)
 
     def _next(self, upload: Upload, now_s: float) -> None:
         """Ask for the next item; when there is none, take what came."""
         upload.asked_s = now_s
-        if len(upload.items) < upload.count:
-            upload.line.tell(dialect.MAVLink_mission_request_int_message(*upload.party, len(upload.items), upload.kind))
+        if upload.came < upload.count:
+            upload.line.tell(dialect.MAVLink_mission_request_int_message(*upload.source.party, upload.came, upload.kind))
             return
-        self._upload = None
-        self._finish(upload.line, upload.party, upload.kind, upload.items)
+        try:
+            self._upload, command = None, self._command(upload)
+        except FormatError as error:
+            self._end(upload, error)
+            return
+        upload.line.ask(command, lambda refused: self._end(upload, None if refused is None else Refused(refused)))
 
-    def clear(self, line: Line, party: Party, message: Message) -> None:
+    def clear(self, line: Line, source: Source, message: Message) -> None:
         """MISSION_CLEAR_ALL"""
         kind = message.mission_type
         if kind not in (*KINDS, ALL):
-            line.tell(dialect.MAVLink_mission_ack_message(*party, UNSUPPORTED, kind))
+            line.tell(dialect.MAVLink_mission_ack_message(*source.party, UNSUPPORTED, kind))
             return
-        refusals = [line.ask(_CLEAR[each]) for each in (KINDS if kind == ALL else (kind,))]
-        self._answer(line, party, kind, next(filter(None, refusals), None), DENIED)
+        self._clear(line, source, kind, KINDS if kind == ALL else (kind,), None)
 
-    def _finish(self, line: Line, party: Party, kind: int, items: list[Item]) -> None:
-        try:
-            command = self._command(kind, items)
-            refused, result = line.ask(command), DENIED
-        except FormatError as error:
-            refused, result = str(error), UNSUPPORTED if isinstance(error, plans.Unsupported) else INVALID
-        self._done = Done(party, kind, len(items) - 1, OK if refused is None else result)
-        self._answer(line, party, kind, refused, result)
+    def _clear(self, line: Line, source: Source, kind: int, left: tuple[int, ...], refused: str | None) -> None:
+        """One type after the other; the answer when all are done."""
+        if left:
+            line.ask(_CLEAR[left[0]], lambda why: self._clear(line, source, kind, left[1:], refused or why))
+        else:
+            self._answer(line, source, kind, refused, DENIED)
 
-    def _command(self, kind: int, items: list[Item]) -> console.Commands:
+    def _end(self, upload: Upload, fault: DelfimError | None) -> None:
+        if self._upload is upload:
+            self._upload = None
+        if fault is None and upload.frame is not None:
+            self._frames[upload.kind], self._told[upload.kind], self._telling = upload.frame, plans.NOTHING, None
+        wrong = UNSUPPORTED if isinstance(fault, plans.Unsupported) else INVALID if isinstance(fault, FormatError) else DENIED
+        self._done = Done(upload.source, upload.kind, upload.came - 1, OK if fault is None else wrong)
+        self._answer(upload.line, upload.source, upload.kind, None if fault is None else str(fault), wrong)
+
+    def _command(self, upload: Upload) -> console.Commands:
         """Raises FormatError."""
-        first = int(kind == MISSION and self._home_first)
-        items = items[first:]
-        if not items:
-            return _CLEAR[kind]
-        if kind == FENCE:
-            return console.Fence(plans.zones(items))
-        if kind == RALLY:
-            return console.Rally(plans.harbours(items))
-        return console.Upload(plans.mission(items, "uploaded", self._boat.zones, first))
+        if upload.count <= (upload.kind == MISSION and self._home_first):
+            return _CLEAR[upload.kind]
+        match upload.draft:
+            case plans.ZonesDraft():
+                return console.Fence(upload.draft.done())
+            case plans.RallyDraft():
+                return console.Rally(upload.draft.done())
+            case plans.MissionDraft():
+                return console.Upload(upload.draft.done("uploaded", self._boat.helm.plans.zones))
 
-    def _answer(self, line: Line, party: Party, kind: int, refused: str | None, result: int) -> None:
+    def _answer(self, line: Line, source: Source, kind: int, refused: str | None, result: int) -> None:
         if refused is not None:
             line.complain(refused)
-            line.tell(dialect.MAVLink_mission_ack_message(*party, result, kind))
+            line.tell(dialect.MAVLink_mission_ack_message(*source.party, result, kind))
             return
-        line.tell(dialect.MAVLink_mission_ack_message(*party, OK, kind))
-        for each in KINDS if kind == ALL else (kind,):
-            line.tell_all(dialect.MAVLink_mission_checksum_message(each, self.checksum(each)))
+
+        def tell() -> None:
+            for each in (*KINDS, ALL) if kind == ALL else (kind, ALL):  # first, so that whoever hears the answer knows
+                if (known := self.checksum(each)) is not None:
+                    line.tell_all(dialect.MAVLink_mission_checksum_message(each, known))
+            line.tell(dialect.MAVLink_mission_ack_message(*source.party, OK, kind))
+
+        self._due.append(tell)
+        self.step()
 
 
+_DRAFTS: Final[dict[int, type[Draft]]] = {
+    MISSION: plans.MissionDraft,
+    FENCE: plans.ZonesDraft,
+    RALLY: plans.RallyDraft,
+}
 _CLEAR: Final[dict[int, console.Commands]] = {
     MISSION: console.Unload(),
     FENCE: console.Fence(config.Zones()),

@@ -44,6 +44,9 @@ PARAMS: Final = (
     Param("HOLD_SPEED", "control.hold.speed_mps", "m/s"),
     Param("HOME_SPEED", "control.home.speed_mps", "m/s"),
 )
+BOAT_NAME: Final = "BOAT_NAME"  # the parameters that are texts; read only
+BOAT_RUN: Final = "BOAT_RUN"  # drawn at the start: two addresses that tell the same one are one boat
+TEXTS: Final = (BOAT_NAME, BOAT_RUN)
 NAMES: Final = (PROFILE, *(param.name for param in PARAMS))
 BY_NAME: Final = {param.name: param for param in PARAMS}
 
@@ -79,6 +82,12 @@ def single(number: float) -> float:
 def message(name: str, number: float) -> Message:
     """PARAM_VALUE"""
     return dialect.MAVLink_param_value_message(name.encode(), number, REAL32, len(NAMES), NAMES.index(name))
+
+
+def text(name: str, value: str) -> Message:
+    """PARAM_EXT_VALUE"""
+    kind = dialect.MAV_PARAM_EXT_TYPE_CUSTOM
+    return dialect.MAVLink_param_ext_value_message(name.encode(), value.encode(), kind, len(TEXTS), TEXTS.index(name))
 
 
 def error(to: tuple[int, int], name: str, index: int, code: int) -> Message:

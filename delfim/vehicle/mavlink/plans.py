@@ -7,18 +7,23 @@ refused by the number of the item, and never left out in silence.
 import math
 import struct
 import zlib
-from collections.abc import Iterable, Sequence
+from bisect import bisect_left
+from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple, TypeVar
 
 import msgspec
 
 from delfim import config
-from delfim.errors import FormatError
+from delfim.errors import ConfigError, FormatError
+from delfim.slices import Work
 from delfim.vehicle.mavlink.wire import dialect
-from delfim.vehicle.mission import Mission, PathPoint, Waypoint
+from delfim.vehicle.mission import ROWS, Mission, PathPoint, Waypoint
 
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255  # MAV_MISSION_TYPE
 ITEMS: Final = 2000  # of a plan, at most
+HARBOURS: Final = 100
+BLOCK_BYTES, BLOCK = 8192, 50  # that are summed up at a time, and what it costs in comparisons
+ITEM: Final = 4  # comparisons, in time, that one item costs
 WAYPOINT: Final = int(dialect.MAV_CMD_NAV_WAYPOINT)
 WAIT: Final = int(dialect.MAV_CMD_NAV_LOITER_TIME)  # a waypoint to wait at, in other words
 DELAY: Final = int(dialect.MAV_CMD_NAV_DELAY)  # wait where the boat is
@@ -29,6 +34,7 @@ KEEP_OUT: Final = int(dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION)
 CIRCLE_OUT: Final = int(dialect.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION)
 HARBOUR: Final = int(dialect.MAV_CMD_NAV_RALLY_POINT)
 GLOBAL: Final = frozenset({0, 3, 5, 6, 10, 11})  # frames with latitude and longitude; height means nothing to a boat
+PLACED: Final = int(dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # of an item that nobody has sent: every program knows it
 USUAL_SPEED: Final = -2.0  # of SPEED: the vehicle's own
 _CHECKED: Final = struct.Struct("<BHB4fiif")
 
@@ -50,129 +56,189 @@ class Item(NamedTuple):
     x: int = 0  # latitude
     y: int = 0  # longitude
     z: float = 0.0
-    frame: int = int(dialect.MAV_FRAME_GLOBAL_INT)
+    frame: int = PLACED
 
 
-def mission_items(tables: Mission) -> list[Item]:
+def mission_items(tables: Mission) -> Iterator[Item]:
     """Waypoints with a change of speed before those that have another one; then the pieces of the path, where there is one."""
-    items: list[Item] = []
     speed_mps = 0.0
     for waypoint in tables.waypoint:
         if waypoint.speed_mps != speed_mps:
             speed_mps = waypoint.speed_mps
-            items.append(Item(SPEED, 1.0, speed_mps or USUAL_SPEED, -1.0, frame=int(dialect.MAV_FRAME_MISSION)))
+            yield Item(SPEED, 1.0, speed_mps or USUAL_SPEED, -1.0, frame=int(dialect.MAV_FRAME_MISSION))
         place = _e7(waypoint.latitude_deg), _e7(waypoint.longitude_deg)
-        items.append(Item(WAYPOINT, waypoint.hold_s, waypoint.acceptance_m, 0.0, 0.0, *place))
+        yield Item(WAYPOINT, waypoint.hold_s, waypoint.acceptance_m, 0.0, 0.0, *place)
     for piece in tables.path:
         place = _e7(piece.latitude_deg), _e7(piece.longitude_deg)
-        items.append(Item(PATH, piece.turn_deg, piece.radius_m, piece.speed_mps, 0.0, *place))
-    return items
+        yield Item(PATH, piece.turn_deg, piece.radius_m, piece.speed_mps, 0.0, *place)
 
 
-def fence_items(zones: config.Zones) -> list[Item]:
-    items = [Item(KEEP_IN, float(len(zones.keep_in)), x=_e7(at[0]), y=_e7(at[1])) for at in zones.keep_in]
+def fence_items(zones: config.Zones) -> Iterator[Item]:
+    for at in zones.keep_in:
+        yield Item(KEEP_IN, float(len(zones.keep_in)), x=_e7(at[0]), y=_e7(at[1]))
     for zone in zones.keep_out:
-        items += [Item(KEEP_OUT, float(len(zone.polygon)), x=_e7(at[0]), y=_e7(at[1])) for at in zone.polygon]
-        items += [Item(CIRCLE_OUT, zone.radius_m, x=_e7(at[0]), y=_e7(at[1])) for at in zone.centre]
-    return items
+        for at in zone.polygon:
+            yield Item(KEEP_OUT, float(len(zone.polygon)), x=_e7(at[0]), y=_e7(at[1]))
+        for at in zone.centre:
+            yield Item(CIRCLE_OUT, zone.radius_m, x=_e7(at[0]), y=_e7(at[1]))
 
 
-def rally_items(points: Iterable[tuple[float, float]]) -> list[Item]:
-    return [Item(HARBOUR, x=_e7(latitude_deg), y=_e7(longitude_deg)) for latitude_deg, longitude_deg in points]
+def rally_items(points: Iterable[tuple[float, float]]) -> Iterator[Item]:
+    return (Item(HARBOUR, x=_e7(latitude_deg), y=_e7(longitude_deg)) for latitude_deg, longitude_deg in points)
 
 
 def home_item(latitude_rad: float, longitude_rad: float) -> Item:
     return Item(WAYPOINT, x=_e7(math.degrees(latitude_rad)), y=_e7(math.degrees(longitude_rad)))
 
 
-def mission(items: Sequence[Item], name: str, zones: config.Zones, first: int = 0) -> Mission:
-    """What a mission file would say; `first` is the number of the first item. Raises FormatError with the number of the item
-    that makes no sense, Unsupported where it makes sense and is nothing for this boat."""
-    waypoints: list[Waypoint] = []
-    path: list[PathPoint] = []
-    speed_mps = 0.0
-    for number, item in enumerate(items, first):
+class MissionDraft:
+    """A mission, item by item as they come. What makes no sense is refused at its item, before any other is asked for:
+    FormatError with its number, Unsupported where it makes sense and is nothing for this boat."""
+
+    def __init__(self) -> None:
+        self._waypoints: list[Waypoint] = []
+        self._path: list[PathPoint] = []
+        self._speed_mps = 0.0
+
+    def add(self, number: int, item: Item) -> None:
         if item.command == SPEED:
-            speed_mps = _asked_mps(number, item)
+            self._speed_mps = _asked_mps(number, item)
         elif item.command in (WAYPOINT, WAIT):
-            waypoints.append(_waypoint(number, item, speed_mps))
+            self._waypoints.append(_waypoint(number, item, self._speed_mps))
         elif item.command == DELAY:
-            if not waypoints:
+            if not self._waypoints:
                 raise FormatError(f"item {number}: a delay before the first waypoint")
-            waypoints[-1] = _delayed(number, item, waypoints[-1])
+            self._waypoints[-1] = _delayed(number, item, self._waypoints[-1])
         elif item.command == PATH:
-            path.append(_piece(number, item))
+            self._path.append(_piece(number, item))
         else:
             raise Unsupported(f"item {number}: {_name(item.command)} is not something this boat does")
-    if not waypoints:
-        raise FormatError("a mission without a waypoint")
-    return Mission(version=1, name=name, waypoint=tuple(waypoints), path=tuple(path), fence=zones)
+        if max(len(self._waypoints), len(self._path)) > ROWS:
+            raise FormatError(f"item {number}: more than {ROWS} waypoints, or pieces of the path")
+
+    def done(self, name: str, zones: config.Zones) -> Mission:
+        """What a mission file would say."""
+        if not self._waypoints:
+            raise FormatError("a mission without a waypoint")
+        return Mission(version=1, name=name, waypoint=tuple(self._waypoints), path=tuple(self._path), fence=zones)
 
 
-def zones(items: Sequence[Item]) -> config.Zones:
-    """Raises FormatError with the number of the item that cannot be understood."""
-    keep_in: tuple[tuple[float, float], ...] = ()
-    keep_out: list[config.KeepOut] = []
-    at = 0
-    try:
-        while at < len(items):
-            item = items[at]
-            if item.command == CIRCLE_OUT:
-                keep_out.append(config.KeepOut(centre=(_place(at, item),), radius_m=_number(at, item.p1)))
-                at += 1
-                continue
-            if item.command not in (KEEP_IN, KEEP_OUT):
-                raise Unsupported(f"item {at}: {_name(item.command)} is no zone that this boat knows")
-            corners = _polygon(items, at)
-            if item.command == KEEP_OUT:
-                keep_out.append(config.KeepOut(polygon=corners))
-            elif keep_in:
-                raise FormatError(f"item {at}: a second polygon to stay in")
-            else:
-                keep_in = corners
-            at += len(corners)
-        return config.Zones(keep_in=keep_in, keep_out=tuple(keep_out))
-    except FormatError:
-        raise
-    except ValueError as error:
-        raise FormatError(f"item {at}: {error}") from None
+class ZonesDraft:
+    """Zones, item by item. Raises FormatError with the number of the item that cannot be understood. Whether a polygon crosses
+    itself is not its matter."""
+
+    def __init__(self) -> None:
+        self._keep_in: tuple[tuple[float, float], ...] = ()
+        self._keep_out: list[config.KeepOut] = []
+        self._first, self._begun, self._corners = Item(0), 0, list[tuple[float, float]]()  # of the polygon that is coming
+
+    def add(self, number: int, item: Item) -> None:
+        if not self._corners:
+            self._begin(number, item)
+        elif (item.command, item.p1) != (self._first.command, self._first.p1):
+            raise self._torn()
+        if item.command == CIRCLE_OUT:
+            self._keep_out.append(
+                _row(number, config.KeepOut, centre=(_place(number, item),), radius_m=_number(number, item.p1))
+            )
+            return
+        self._corners.append(_place(number, item))
+        if len(self._corners) < int(item.p1):
+            return
+        corners, self._corners = tuple(self._corners), []
+        if item.command == KEEP_IN:
+            self._keep_in = corners
+        else:
+            self._keep_out.append(config.KeepOut(polygon=corners))
+
+    def _begin(self, number: int, item: Item) -> None:
+        """The first item of a zone: lengths before anything else."""
+        if item.command not in (CIRCLE_OUT, KEEP_IN, KEEP_OUT):
+            raise Unsupported(f"item {number}: {_name(item.command)} is no zone that this boat knows")
+        self._first, self._begun = item, number
+        if item.command == KEEP_IN and self._keep_in:
+            raise FormatError(f"item {number}: a second polygon to stay in")
+        if item.command != KEEP_IN and len(self._keep_out) >= config.ZONES:
+            raise FormatError(f"item {number}: more than {config.ZONES} zones to stay out of")
+        if item.command == CIRCLE_OUT:
+            return
+        if int(_number(number, item.p1)) < 3:
+            raise self._torn()
+        if item.p1 > config.CORNERS:
+            raise FormatError(f"item {number}: a polygon of {item.p1:g} corners: up to {config.CORNERS} are understood")
+
+    def _torn(self) -> FormatError:
+        return FormatError(f"item {self._begun}: a polygon of {self._first.p1:g} corners that does not have them")
+
+    def done(self) -> config.Zones:
+        if self._corners:
+            raise self._torn()
+        return config.Zones(keep_in=self._keep_in, keep_out=tuple(self._keep_out))
 
 
-def harbours(items: Sequence[Item]) -> tuple[tuple[float, float], ...]:
-    """Raises FormatError with the number of the item that cannot be understood."""
-    for number, item in enumerate(items):
+class RallyDraft:
+    """Harbours, item by item. Raises FormatError with the number of the item that cannot be understood."""
+
+    def __init__(self) -> None:
+        self._places: list[tuple[float, float]] = []
+
+    def add(self, number: int, item: Item) -> None:
         if item.command != HARBOUR:
             raise Unsupported(f"item {number}: {_name(item.command)} is no rally point")
-    return tuple(_place(number, item) for number, item in enumerate(items))
+        if len(self._places) >= HARBOURS:
+            raise FormatError(f"item {number}: more than {HARBOURS} rally points")
+        self._places.append(_place(number, item))
+
+    def done(self) -> tuple[tuple[float, float], ...]:
+        return tuple(self._places)
 
 
-def checksum(items: Iterable[Item]) -> int:
+class Told(NamedTuple):
+    """A plan as it is told: its items, the numbers of those that are waypoints, and all of it as it is summed up."""
+
+    plan: object
+    items: list[Item]
+    waypoints: list[int]
+    packed: bytearray
+    checksum: int  # of it alone
+
+    def leg_of(self, number: int) -> int:
+        """The leg that leads to an item, or to the first waypoint after it. Raises FormatError where there is none."""
+        leg = bisect_left(self.waypoints, number)
+        if leg == len(self.waypoints):
+            raise FormatError(f"no item {number} that can be gone to")
+        return leg
+
+    def item_of(self, leg: int) -> int:
+        """The number of the item that a leg leads to; that of the last one where there is no such leg."""
+        return self.waypoints[min(leg, len(self.waypoints) - 1)] if self.waypoints else 0
+
+
+NOTHING: Final = Told(None, [], [], bytearray(), 0)
+
+
+def told(plan: object, items: Iterable[Item], frame: int) -> Work[Told]:
+    """A plan to be told, item by item, with its places in this frame."""
+    told_items, waypoints, packed = list[Item](), list[int](), bytearray()
+    for number, item in enumerate(items):
+        yield ITEM
+        i = item._replace(frame=frame) if item.frame in GLOBAL else item
+        told_items.append(i)
+        packed.extend(_CHECKED.pack(i.frame, i.command, 1, i.p1, i.p2, i.p3, i.p4, i.x, i.y, i.z))
+        if i.command == WAYPOINT:
+            waypoints.append(number)
+    return Told(plan, told_items, waypoints, packed, (yield from checksum([packed])))
+
+
+def checksum(packed: Iterable[bytearray]) -> Work[int]:
     """Of MISSION_CHECKSUM: the CRC-32 of MAVLink FTP (no inversion) over frame, command, autocontinue (1) and the parameters
     as they travel in MISSION_ITEM_INT, little endian."""
-    data = b"".join(_CHECKED.pack(i.frame, i.command, 1, i.p1, i.p2, i.p3, i.p4, i.x, i.y, i.z) for i in items)
-    return ~zlib.crc32(data, 0xFFFFFFFF) & 0xFFFFFFFF
-
-
-def leg_of(items: Sequence[Item], number: int) -> int:
-    """The leg that leads to an item, or to the first waypoint after it. Raises FormatError where there is none."""
-    if not any(item.command == WAYPOINT for item in items[number:]):
-        raise FormatError(f"no item {number} that can be gone to")
-    return sum(item.command == WAYPOINT for item in items[:number])
-
-
-def item_of(items: Sequence[Item], leg: int) -> int:
-    """The number of the item that a leg leads to; that of the last one where there is no such leg."""
-    numbers = [number for number, item in enumerate(items) if item.command == WAYPOINT]
-    return numbers[min(leg, len(numbers) - 1)] if numbers else 0
-
-
-def _polygon(items: Sequence[Item], at: int) -> tuple[tuple[float, float], ...]:
-    first = items[at]
-    count = int(_number(at, first.p1))
-    corners = items[at : at + count]
-    if count < 3 or len(corners) < count or any(i.command != first.command or i.p1 != first.p1 for i in corners):
-        raise FormatError(f"item {at}: a polygon of {first.p1:g} corners that does not have them")
-    return tuple(_place(number, item) for number, item in enumerate(corners, at))
+    crc = 0xFFFFFFFF
+    for data in packed:
+        for at in range(0, len(data), BLOCK_BYTES):
+            yield BLOCK
+            crc = zlib.crc32(data[at : at + BLOCK_BYTES], crc)
+    return ~crc & 0xFFFFFFFF
 
 
 def _waypoint(number: int, item: Item, speed_mps: float) -> Waypoint:
@@ -225,12 +291,12 @@ def _fields(number: int, item: Item) -> dict[str, float]:
     return dict(zip(("latitude_deg", "longitude_deg"), _place(number, item), strict=True))
 
 
-def _row(number: int, kind: type[T], **fields: float) -> T:
+def _row(number: int, kind: type[T], **fields: object) -> T:
     """A row of a mission file, in range. Raises FormatError."""
     try:
-        return msgspec.convert(fields, kind)
-    except msgspec.ValidationError as error:
-        raise FormatError(f"item {number}: {error}") from None
+        return config.decode({**fields}, kind, f"item {number}")
+    except ConfigError as error:
+        raise FormatError(f"item {number}: {f'{error.key} must be {error.allowed}' if error.key else error.reason}") from None
 
 
 def _e7(angle_deg: float) -> int:

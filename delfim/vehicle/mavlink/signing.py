@@ -15,6 +15,7 @@ import msgspec
 
 from delfim.clock import Clock
 from delfim.errors import ConfigError
+from delfim.outside import UNREADABLE, read_file
 
 KEY_BYTES: Final = 32
 EPOCH_NS: Final = 1_420_070_400_000_000_000  # time stamps count 10 us since 2015
@@ -87,7 +88,7 @@ def read_key(path: str | Path) -> bytes:
     try:
         if os.name == "posix" and Path(path).stat().st_mode & 0o077:
             raise ConfigError(str(path), "key", "others may read it", "mode 0600")
-        key = bytes.fromhex(Path(path).read_text(encoding="ascii").strip())
+        key = bytes.fromhex(read_file(path).decode("ascii").strip())
     except OSError as error:
         raise ConfigError(str(path), "key", error.strerror or str(error)) from None
     except ValueError:
@@ -100,8 +101,8 @@ def read_key(path: str | Path) -> bytes:
 def read_stamps(path: str | Path) -> dict[Stream, int]:
     """The last stamps of the run before; none where there is no such file, or nothing readable in it."""
     try:
-        rows = msgspec.json.decode(Path(path).read_bytes(), type=list[tuple[Stream, int]])
-    except (OSError, msgspec.DecodeError):
+        rows = msgspec.json.decode(read_file(path), type=list[tuple[Stream, int]])
+    except (OSError, *UNREADABLE):
         return {}
     return dict(rows[:STREAMS])
 

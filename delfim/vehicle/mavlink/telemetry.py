@@ -11,10 +11,11 @@ from typing import Final, Literal, NamedTuple
 from delfim.config import Mavlink
 from delfim.geodesy import compass, from_plane, wrap
 from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.modes import Mode
 from delfim.vehicle.failsafe import Action, charge
 from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.wire import Message, dialect
-from delfim.vehicle.state import Mode
 from delfim.vehicle.sysstat import NAMES
 
 Profile = Literal["lean", "radio", "wifi"]
@@ -41,6 +42,7 @@ class View(NamedTuple):
     settings: Mavlink
     owner: int  # system that commands; 0: none
     item: Callable[[int], int]  # number of the item that a leg of the mission leads to
+    checksum: Callable[[int], int | None]  # of the plans of a type; None: not now
     now_s: float
 
 
@@ -111,15 +113,16 @@ def thrust(view: View) -> Iterator[Message]:
 def status(view: View) -> Iterator[Message]:
     """Health: of navigation, propellers and batteries, and whether the boat would leave idle."""
     boat = view.boat
-    lines = {line.name: line.ok for line in boat.checks()}
+    checks = boat.helm.checks()
+    lines = {line.name: line.ok for line in checks}
     health = dialect.MAV_SYS_STATUS_SENSOR_GPS if lines["navigation"] else 0
     health |= dialect.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS if lines["sensors"] else 0
     health |= dialect.MAV_SYS_STATUS_SENSOR_BATTERY if lines["battery"] else 0
-    health |= dialect.MAV_SYS_STATUS_PREARM_CHECK if boat.unfit() is None else 0
+    health |= dialect.MAV_SYS_STATUS_PREARM_CHECK if boat.helm.unfit(checks) is None else 0
     near = any(notice.name == "fence" for notice in boat.state.notices)
     health |= 0 if near else dialect.MAV_SYS_STATUS_GEOFENCE  # without a fence, too: MAVProxy takes anything else for a breach
     present = _SENSORS | dialect.MAV_SYS_STATUS_PREARM_CHECK
-    present |= dialect.MAV_SYS_STATUS_GEOFENCE if boat.fence is not None else 0
+    present |= dialect.MAV_SYS_STATUS_GEOFENCE if boat.helm.plans.fence is not None else 0
     least, name = charge(boat.state)
     worst = _batteries(view, name) if name else None
     volts = _U16 if worst is None or worst.voltage_v is None else round(worst.voltage_v * 1000)
@@ -145,7 +148,7 @@ def satellites(view: View) -> Iterator[Message]:
     n = view.boat.state.navigation
     if n is None:
         return
-    fix = {0: 1, 2: 2, 3: 3, 4: 4, 5: 6}.get(n.fix, 1)  # "no fix", not "no GPS"
+    fix = {2: 2, 3: 3, 4: 4, 5: 6, 6: 5}.get(n.fix, 1)  # "no fix", not "no GPS"
     dilution = _U16 if n.hdop is None else round(n.hdop * 100)
     known = n.latitude_rad is not None and n.longitude_rad is not None
     place = (_e7(n.latitude_rad or 0.0), _e7(n.longitude_rad or 0.0)) if known else (0, 0)
@@ -203,6 +206,12 @@ def current(view: View) -> Iterator[Message]:
     yield dialect.MAVLink_mission_current_message(view.item(leg), len(plan.waypoints), doing)
 
 
+def checksum(view: View) -> Iterator[Message]:
+    """Of all plans: a console that has read other ones reads again."""
+    if (known := view.checksum(ALL)) is not None:
+        yield dialect.MAVLink_mission_checksum_message(ALL, known)
+
+
 def owner(view: View) -> Iterator[Message]:
     yield dialect.MAVLink_named_value_int_message(_boot_ms(view), b"OWNER", view.owner)
 
@@ -224,7 +233,9 @@ def all_in_one(view: View) -> Iterator[Message]:
     least, name = charge(state)
     left = round(least * 100) if name else _I8
     port, starboard = (round(100 * part) for part in _thrust(view))
-    failures = dialect.HL_FAILURE_FLAG_GPS if view.now_s - state.navigation_s > view.boat.settings.navigation.stale_s else 0
+    failures = (
+        dialect.HL_FAILURE_FLAG_GPS if view.now_s - state.navigation_s > view.boat.helm.settings.navigation.stale_s else 0
+    )
     failures |= dialect.HL_FAILURE_FLAG_BATTERY if any(notice.name.startswith("battery") for notice in state.notices) else 0
     failures |= dialect.HL_FAILURE_FLAG_GEOFENCE if any(notice.name == "fence" for notice in state.notices) else 0
     failures |= dialect.HL_FAILURE_FLAG_ENGINE if any(notice.name == "thruster" for notice in state.notices) else 0
@@ -258,6 +269,7 @@ ROWS: Final = (
     Row(dialect.MAVLINK_MSG_ID_GPS_RAW_INT, NEVER_S, 1.0, 1.0, satellites, _measured),
     Row(dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT, NEVER_S, 1.0, 0.5, steering),
     Row(dialect.MAVLINK_MSG_ID_MISSION_CURRENT, NEVER_S, 1.0, 1.0, current),
+    Row(dialect.MAVLINK_MSG_ID_MISSION_CHECKSUM, 5.0, 5.0, 5.0, checksum),
     Row(dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT, NEVER_S, 5.0, 1.0, owner),
     Row(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, NEVER_S, 5.0, 1.0, override),
     Row(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
@@ -266,7 +278,7 @@ ROWS: Final = (
 
 def _thrust(view: View) -> tuple[float, float]:
     """In force of port and starboard, as a part of the most: -1..1."""
-    sent, most = view.boat.state.actuation, view.boat.settings.propulsion.rpm_max
+    sent, most = view.boat.state.actuation, view.boat.helm.settings.propulsion.rpm_max
     return (sent.port_rpm / most, sent.starboard_rpm / most) if sent.run else (0.0, 0.0)
 
 

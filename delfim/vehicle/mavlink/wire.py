@@ -6,7 +6,7 @@ console. Both are done here and in `signing.py`.
 """
 
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from pymavlink.dialects.v20 import development
 
@@ -14,11 +14,32 @@ from delfim.errors import FormatError
 
 MARKER: Final = 0xFD
 SIGNED: Final = 0x01  # the one incompatibility flag that exists
+GUEST: Final = 191  # component of the guest computer, which gives set points in GREX mode and commands nothing
 DATAGRAM_BYTES: Final = 2048  # longer ones are cut off by the socket and therefore malformed
 _LEAST, _SIGNATURE = 12, 13
 
 dialect: Final[Any] = development
 Message = Any  # a class a message, generated; pymavlink has no types
+
+
+Address = tuple[str, int]
+
+
+class Source(NamedTuple):
+    """Who sent a frame. Two programs may call themselves by the same numbers; what they speak by is not the same."""
+
+    system: int
+    component: int
+    link: int | Address  # of a signed frame the number of its link, of another one where it came from
+
+    @property
+    def party(self) -> tuple[int, int]:
+        """Whom an answer is for."""
+        return self.system, self.component
+
+    @property
+    def name(self) -> str:
+        return f"console {self.system}"
 
 
 def frames(datagram: bytes) -> tuple[list[bytes], bool]:
@@ -34,6 +55,11 @@ def frames(datagram: bytes) -> tuple[list[bytes], bool]:
         found.append(datagram[at:end])
         at = end
     return found, True
+
+
+def link_of(frame: bytes) -> int:
+    """The number of the link in a signed frame."""
+    return frame[-13]
 
 
 def decode(frame: bytes) -> Message | None:

@@ -12,6 +12,11 @@ const STOP_MOST = 150; // 30 s; then the gateway's own repetition and the boat's
 export type Say = (boat: number | null, severity: number, text: string) => void;
 type More = Partial<Place> & { heading_deg?: number; speed_pct?: number; leg?: number };
 
+/** In words. A boat says itself what it refuses: "play refused: no mission loaded". */
+function refusal(what: string, reason: string): string {
+  return reason.includes(" refused: ") ? reason : `${what} refused: ${reason || "no reason given"}`;
+}
+
 export class Actions {
   /** Boats that were told to stop and have not confirmed it. */
   readonly stopping = new Set<number>();
@@ -31,7 +36,7 @@ export class Actions {
 
   async command(boat: number, command: Command, more: More = {}): Promise<Answer> {
     const answer = await this.net.ask({ t: "command", boat, command, ...more });
-    if (!answer.ok) this.say(boat, 3, `${command.replace("_", " ")} refused: ${answer.reason || "no reason given"}`);
+    if (!answer.ok) this.say(boat, 3, refusal(command.replace("_", " "), answer.reason));
     return answer;
   }
 
@@ -116,13 +121,13 @@ export class Actions {
     const carries = deed !== "list" && deed !== "load" && deed !== "download";
     const more = { ...(carries ? { mission: spoken(this.state.plan(boat).mission) } : {}), ...(name === undefined ? {} : { name }) };
     const answer = await this.net.ask({ t: "mission", boat, do: deed, ...more });
-    if (!answer.ok) this.say(boat, 3, `${deed === "put" ? "plan" : deed} refused: ${answer.reason}`);
+    if (!answer.ok) this.say(boat, 3, refusal(deed === "put" ? "plan" : deed, answer.reason));
     return answer;
   }
 
   async profile(boat: number, profile: string): Promise<void> {
     const answer = await this.net.ask({ t: "profile", boat, profile });
-    if (!answer.ok) this.say(boat, 4, `link profile refused: ${answer.reason}`);
+    if (!answer.ok) this.say(boat, 4, refusal("link profile", answer.reason));
   }
 
   replay(to: { at_s?: number; rate?: number }): void {

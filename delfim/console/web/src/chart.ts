@@ -25,6 +25,8 @@ const MINUTE = 1 / 60;
 const SECOND = 1 / 3600;
 const INTERVALS_DEG = [30, 10, 5, 2, 1, 30 * MINUTE, 10 * MINUTE, 5 * MINUTE, 2 * MINUTE, MINUTE, 30 * SECOND, 12 * SECOND, 6 * SECOND, 3 * SECOND, 1.2 * SECOND, 0.6 * SECOND];
 
+const KEPT = "delfim.view";
+
 export type Pixel = [number, number];
 
 export const point = (place: Place): number[] => fromLonLat([place.longitude_deg, place.latitude_deg]);
@@ -42,16 +44,16 @@ export interface Pointing {
 
 export class Chart {
   readonly map: OlMap;
-  private readonly view = new View({ center: fromLonLat([-9.2146, 38.6901]), zoom: 3, maxZoom: 24, enableRotation: false });
+  private readonly view = new View({ ...lastView(), maxZoom: 24, enableRotation: false });
   private charts = new Map<string, BaseLayer>();
   private graticule: Graticule | null = null;
   private pressed = false;
 
-  constructor(target: HTMLElement, pointing: Pointing) {
+  constructor(target: HTMLElement, scale: HTMLElement, pointing: Pointing) {
     this.map = new OlMap({
       target,
       view: this.view,
-      controls: [new ScaleLine({ minWidth: 90 })],
+      controls: [new ScaleLine({ minWidth: 90, target: scale })],
       interactions: [new DragPan(), new MouseWheelZoom({ timeout: 40 }), new PinchZoom()],
       moveTolerance: MOVE_PX,
     });
@@ -61,6 +63,7 @@ export class Chart {
       else pointing.click(placeOf(event.coordinate), pixel(event), (event.originalEvent as PointerEvent).pointerType === "touch");
     });
     this.map.on("pointermove", (event) => !event.dragging && pointing.hover(placeOf(event.coordinate), pixel(event)));
+    this.map.on("moveend", () => localStorage.setItem(KEPT, JSON.stringify({ center: this.view.getCenter(), zoom: this.view.getZoom() })));
     this.longPress(target, pointing);
   }
 
@@ -120,6 +123,18 @@ export class Chart {
 
   zoom(by: number): void {
     this.view.animate({ zoom: (this.view.getZoom() ?? 3) + by, duration: 150 });
+  }
+
+  pan([right, down]: Pixel): void {
+    const [step, [x, y]] = [this.view.getResolution() ?? 1, this.view.getCenter() ?? [0, 0]];
+    this.view.setCenter([x! + right * step, y! - down * step]);
+    this.map.renderSync();
+  }
+
+  /** What is in the middle of the part that nothing covers. */
+  middle(): [Place, Pixel] {
+    const centre = this.view.getCenter() ?? [0, 0];
+    return [placeOf(centre), this.map.getPixelFromCoordinate(centre) as Pixel];
   }
 
   setPadding(padding: number[]): void {
@@ -182,6 +197,12 @@ export class Chart {
   private showGraticule(): void {
     this.graticule?.setVisible(![...this.charts.values()].some((layer) => layer.getVisible()));
   }
+}
+
+/** Where the map was when the page was left: before a boat is heard there is nothing else to show. */
+function lastView(): { center: number[]; zoom: number } {
+  const { center, zoom } = JSON.parse(localStorage.getItem(KEPT) ?? "{}") as { center?: number[]; zoom?: number };
+  return { center: center ?? fromLonLat([-9.2146, 38.6901]), zoom: zoom ?? 3 };
 }
 
 function background(chart: Background): BaseLayer {

@@ -1,9 +1,9 @@
 // What floats over the map beside the menus: the stop corner, the key card, the result of a dry run, where the pointer is.
 import type { Actions } from "./actions";
-import { make, text } from "./dom";
+import { attribute, make, text } from "./dom";
 import { position as boatPosition } from "./fleet";
 import { bearing, bearing_deg, distance_m, duration, metres, position } from "./geo";
-import { CARD } from "./keys";
+import { CARD, REPLAY_CARD } from "./keys";
 import type { State } from "./state";
 import type { Place } from "./wire";
 
@@ -17,6 +17,7 @@ export class Corner {
     private readonly state: State,
     private readonly actions: Actions,
     close: () => void,
+    nobody: () => void,
   ) {
     this.name = stop.lastElementChild!;
     const press = (button: HTMLElement, act: () => void) =>
@@ -25,14 +26,15 @@ export class Corner {
         close();
         act();
       });
-    press(stop, () => state.selected !== null && actions.stop(state.selected));
-    press(all, () => actions.stopAll());
+    press(stop, () => (state.selected === null ? nobody() : actions.stop(state.selected)));
+    press(all, () => (state.boats.length ? actions.stopAll() : nobody()));
     state.on(["boats", "selection"], () => this.draw());
   }
 
   draw(): void {
     const { boat } = this.state;
     text(this.name, boat?.name ?? "");
+    attribute(this.stop, "aria-label", boat ? `Stop ${boat.name}` : "Stop");
     const stopping = boat !== null && this.actions.stopping.has(boat.id);
     this.stop.dataset["state"] = stopping ? "stopping" : boat?.mode === "idle" ? "idle" : "ready";
     const others = this.state.boats.filter((each) => each.id !== this.state.selected);
@@ -40,20 +42,39 @@ export class Corner {
   }
 }
 
-export function card(parent: HTMLElement): { toggle(): void; close(): boolean } {
+/** What is drawn how: a class of the style sheet, and words. */
+const LINES: readonly (readonly [string, string])[] = [
+  ["aboard", "the mission that the boat has aboard"],
+  ["draft", "a plan on the screen that is not aboard"],
+  ["band", "its path, for path following"],
+  ["steering", "where the boat is steering to"],
+  ["course", "its course, a minute ahead"],
+  ["track", "where it was"],
+  ["zone", "fence and obstacles that the boat keeps"],
+  ["zone draft", "those of the plan on the screen"],
+];
+
+export function card(parent: HTMLElement, state: State): { toggle(): void; close(): boolean } {
   const group = ([title, rows]: (typeof CARD)[number]) =>
     make(
       "section",
       make("h2", title),
       ...rows.map(([keys, words]) => make("div.key", make("span", ...keys.split(" ").flatMap((key) => [key === "…" ? "…" : make("kbd", key), " "])), make("p", words))),
     );
-  const box = make("div.card", ...CARD.map(group));
+  const legend = () =>
+    make("section", make("h2", "Lines on the map"), ...LINES.map(([look, words]) => make("div.key", make(`i.line.${look.replace(" ", ".")}`), make("p", words))));
+  const box = make("div.card");
   box.id = "card";
+  box.setAttribute("role", "dialog");
+  box.setAttribute("aria-label", "Keys and lines");
   box.hidden = true;
   box.addEventListener("click", () => (box.hidden = true));
   parent.append(box);
   return {
-    toggle: () => void (box.hidden = !box.hidden),
+    toggle: () => {
+      box.replaceChildren(...(state.replaying ? REPLAY_CARD : CARD).map(group), legend());
+      box.hidden = !box.hidden;
+    },
     close: () => {
       const was = !box.hidden;
       box.hidden = true;

@@ -53,6 +53,8 @@ export class Fleet {
   private readonly closedTracks = new VectorSource({ useSpatialIndex: true });
   private readonly tails = new VectorSource({ useSpatialIndex: false });
   private readonly live = new VectorSource({ useSpatialIndex: false });
+  private readonly ways = new VectorSource({ useSpatialIndex: true });
+  private readonly waysLayer = new VectorImageLayer({ source: this.ways, imageRatio: 2 }); // on the map in a replay only
   private readonly aboard = new VectorSource({ useSpatialIndex: false });
   private aboardKey = "";
 
@@ -91,6 +93,24 @@ export class Fleet {
     this.draw();
   }
 
+  /** The whole way of a recorded run, under what was sailed up to the time that is shown. */
+  whole(points: [number, number, number][]): void {
+    if (!this.ways.getFeatures().length) this.chart.add(this.waysLayer, 2);
+    const line = new LineString(points.map(([, latitude_deg, longitude_deg]) => point({ latitude_deg, longitude_deg })));
+    const way = new Feature(line);
+    way.setStyle(() => cased(palette.soft, 1.2));
+    this.ways.addFeature(way);
+  }
+
+  get wayPoints(): number {
+    return this.ways.getFeatures().reduce((sum, way) => sum + (way.getGeometry() as LineString).getCoordinates().length, 0);
+  }
+
+  forgetWays(): void {
+    this.chart.map.removeLayer(this.waysLayer);
+    this.ways.clear();
+  }
+
   /** How many points of a boat's track are kept. */
   points(id: number): number {
     const shown = this.shown.get(id);
@@ -124,7 +144,9 @@ export class Fleet {
   /** What a name must not hide: the numbers of the waypoints, and boats. */
   private marks(): Pixel[] {
     const { boats, selected } = this.state;
-    const waypoints = selected === null ? [] : this.state.plan(selected).mission.waypoints;
+    const chosen = this.state.boat;
+    const aboard = (chosen && this.state.aboardOf(chosen)?.waypoints) ?? [];
+    const waypoints = selected === null ? [] : [...this.state.plan(selected).mission.waypoints, ...aboard];
     return [...waypoints, ...boats.flatMap((boat) => position(boat) ?? [])].flatMap((place) => {
       const pixel = this.chart.pixelOf(place);
       return pixel ? [pixel] : [];
@@ -192,7 +214,8 @@ export class Fleet {
     const age = age_s(this.state, boat);
     const label = freshness(age) === "fresh" ? boat.name : `${boat.name}  ${ageWords(age)}`;
     const chosen = boat.id === this.state.selected;
-    const look = [theme, boat.colour, lost, label, chosen].join("|");
+    const isPlace = boat.reference?.latitude_deg != null;
+    const look = [theme, boat.colour, lost, label, chosen, isPlace].join("|");
     if (look === shown.look) return;
     shown.look = look;
     shown.icon = new Icon({ img: symbol(boat.colour, lost), rotateWithView: true, scale: 0.5 });
@@ -205,7 +228,7 @@ export class Fleet {
     shown.symbol.setStyle(new Style({ image: shown.icon, text: shown.name, zIndex: chosen ? 9 : 8 }));
     shown.ring.setStyle(new Style({ image: new Disc({ radius: 23, stroke: new Stroke({ color: palette.accent, width: 2 }) }), zIndex: 7 }));
     shown.course.setStyle(cased(inked(boat.colour), 1.6));
-    shown.reference.setStyle(cased(palette.accent, 1.6, [7, 6]));
+    shown.reference.setStyle(isPlace ? [...steering(), target()] : steering());
     shown.tail.setStyle(track(boat));
     shown.ghost.setStyle(
       new Style({ fill: new Fill({ color: inked(boat.colour, 0.12) }), stroke: new Stroke({ color: inked(boat.colour), width: 1.5, lineDash: [4, 5] }) }),
@@ -301,6 +324,16 @@ function reference(boat: Boat, place: Place, here: number[]): LineString | null 
   }
   if (to.heading_deg === null) return null;
   return new LineString([here, point(towards(place, to.heading_deg, Math.max(20, (boat.speed_mps ?? 0) * AHEAD_S)))]);
+}
+
+const steering = (): Style[] => cased(palette.steer, 2.2, [2, 5]);
+
+/** A ring around the place that the boat steers for. */
+function target(): Style {
+  return new Style({
+    geometry: (feature) => new Point((feature.getGeometry() as LineString).getLastCoordinate()),
+    image: new Disc({ radius: 17, stroke: new Stroke({ color: palette.steer, width: 2.2 }) }),
+  });
 }
 
 function put<G extends Point | LineString | Polygon | Circle>(feature: Feature<G>, geometry: G | null): void {

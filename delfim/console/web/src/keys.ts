@@ -2,7 +2,7 @@
 import type { Actions } from "./actions";
 import type { Thrusters } from "./drive";
 import type { State } from "./state";
-import type { Mode } from "./wire";
+import type { Boat, Mode } from "./wire";
 
 const ARROW_EVERY_MS = 100;
 
@@ -16,7 +16,38 @@ export const MODES: readonly { key: string; mode: Mode; title: string; says: str
   { key: "X", mode: "grex", title: "GREX", says: "do what the guest computer says" },
 ];
 
-export const CARD: readonly (readonly [title: string, rows: readonly (readonly [string, string])[]])[] = [
+type Group = readonly [title: string, rows: readonly (readonly [string, string])[]];
+
+const SCREEN: Group = [
+  "Screen",
+  [
+    ["+ −", "zoom"],
+    ["W", "crosshair: arrows move the map, Enter opens the menu of the place"],
+    ["Esc", "close"],
+    ["F1", "this card"],
+  ],
+];
+
+export const REPLAY_CARD: readonly Group[] = [
+  [
+    "Replay",
+    [
+      ["Space", "play, pause"],
+      ["→ ←", "10 s on, 10 s back"],
+      ["↑ ↓", "faster, slower"],
+    ],
+  ],
+  [
+    "Boats",
+    [
+      ["Tab", "next boat; Shift Tab: previous"],
+      ["Enter", "the boat's menu"],
+    ],
+  ],
+  SCREEN,
+];
+
+export const CARD: readonly Group[] = [
   [
     "Stop",
     [
@@ -29,7 +60,7 @@ export const CARD: readonly (readonly [title: string, rows: readonly (readonly [
     "Speed",
     [
       ["0 … 8", "0 % … 80 %"],
-      ["9", "nothing, for it is next to 0"],
+      ["9", "no function: a slip beside 0 must not mean 90 %"],
       ["↑ ↓", "common speed ± 1 %"],
       ["→ ←", "turn to starboard, to port"],
       ["Alt", "with these: the starboard thruster only"],
@@ -45,14 +76,13 @@ export const CARD: readonly (readonly [title: string, rows: readonly (readonly [
     ],
   ],
   [
-    "Screen",
+    "Plan",
     [
-      ["+ −", "zoom"],
+      ["W W", "crosshair, then a waypoint where it is"],
       ["Ctrl Z", "undo the last change of the plan"],
-      ["Esc", "close"],
-      ["F1", "this card"],
     ],
   ],
+  SCREEN,
 ];
 
 export interface Screen {
@@ -61,6 +91,10 @@ export interface Screen {
   closeMenu(): void;
   openMenu(): void;
   toggleCard(): void;
+  /** Of a mission that differs from the plan on the screen the operator is asked first. */
+  enterMode(boat: Boat, mode: Mode): void;
+  nobody(): void;
+  aim(): void;
   follow(): void;
   zoom(by: number): void;
   undo(): void;
@@ -84,6 +118,7 @@ export class Keys {
 
   private down(event: KeyboardEvent): void {
     if (event.isComposing || event.metaKey) return;
+    if (isTyped(event)) return;
     if (event.key === "F12" || (event.ctrlKey && event.shiftKey && !ARROWS.has(event.code))) return; // the browser's own tools
     if (this.taken(event)) {
       event.preventDefault();
@@ -104,11 +139,13 @@ export class Keys {
     if (event.repeat) return true;
     if (event.shiftKey) this.actions.stopAll();
     else if (this.state.boat) this.actions.stop(this.state.boat.id);
+    if (!this.state.boat) this.screen.nobody();
     return true;
   }
 
   private view(event: KeyboardEvent): boolean {
     if (event.key === "Tab" && !event.ctrlKey && !event.altKey) this.next(event.shiftKey ? -1 : 1);
+    else if (event.key.toUpperCase() === "W" && !event.ctrlKey && !event.altKey) this.screen.aim();
     else if (event.key === "F1") this.screen.toggleCard();
     else if (event.key === "Escape") this.screen.closeMenu();
     else if (event.key === "Enter") this.screen.openMenu();
@@ -152,12 +189,19 @@ export class Keys {
     const [boat, key] = [this.state.boat, event.key.toUpperCase()];
     const mode = MODES.find((each) => each.key === key)?.mode;
     if (!mode && key !== "R") return false;
-    if (!boat || event.repeat) return true;
+    if (event.repeat) return true;
     this.screen.closeMenu();
-    if (mode) void this.actions.mode(boat, mode);
+    if (!boat) this.screen.nobody();
+    else if (mode) this.screen.enterMode(boat, mode);
     else void this.actions.command(boat.id, "reset");
     return true;
   }
+}
+
+/** A letter of a name. Space is stop wherever it is pressed. */
+function isTyped(event: KeyboardEvent): boolean {
+  const into = event.target instanceof HTMLInputElement && event.target.type === "text";
+  return into && event.code !== "Space" && !["Enter", "Escape", "Tab", "F1"].includes(event.key);
 }
 
 function which(event: KeyboardEvent): Thrusters {

@@ -2,12 +2,14 @@
 import "ol/ol.css";
 import "./style.css";
 import { Actions } from "./actions";
+import { Aim } from "./aim";
 import type { Pixel } from "./chart";
 import { Chart } from "./chart";
 import { Corner, card, dryRunCard, whereWords } from "./corner";
 import { text } from "./dom";
 import { Drive } from "./drive";
 import { Fleet, position } from "./fleet";
+import { Hints } from "./hints";
 import { Keys } from "./keys";
 import { Menus } from "./menus";
 import { Messages } from "./messages";
@@ -17,7 +19,7 @@ import { Plans } from "./plans";
 import { Popup } from "./popup";
 import { Replay } from "./replay";
 import { Sound } from "./sound";
-import { State, age_s, ageWords, freshness } from "./state";
+import { NOBODY, State, age_s, ageWords, freshness } from "./state";
 import { Strips } from "./strip";
 import type { Boat, Heard, Mission, Place } from "./wire";
 
@@ -33,34 +35,47 @@ const net = new Net(heard, online);
 const drive = new Drive(net, state, () => strips.draw(false));
 const actions = new Actions(net, state, drive, (boat, severity, words) => messages.say(boat, severity, words), () => corner.draw());
 const popup = new Popup(document.body, element("corner"));
-const keyCard = card(document.body);
-const chart = new Chart(element("map"), { click, press, hover });
+const keyCard = card(document.body, state);
+const chart = new Chart(element("map"), element("scale"), { click, press, hover });
 const fleet = new Fleet(chart, state);
-const plans = new Plans(chart, state, (mission) => state.selected !== null && edit(state.selected, mission));
+const plans = new Plans(chart, state, (mission) => edit(state.planning, mission));
 const menus = new Menus(popup, state, actions, chart, fleet, plans, messages, sound, edit, undo, () => keyCard.toggle());
+const hints = new Hints(element("hint"), element("nobody"), state, popup);
+const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && menus.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
-const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close());
+const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close(), nobody);
 const replay = new Replay(element("replay"), state, actions);
 new Keys(state, actions, {
-  menuTakes: (key) => popup.takes(key) || (key === "Escape" && keyCard.close()),
+  menuTakes: (key) => popup.takes(key) || (key === "Escape" && keyCard.close()) || aim.takes(key),
   closeMenu: escape,
   openMenu,
-  toggleCard: () => keyCard.toggle(),
+  toggleCard: () => {
+    hints.used();
+    keyCard.toggle();
+  },
+  enterMode: (boat, mode) => menus.sail(boat, mode),
+  nobody,
+  aim: () => {
+    moved = true;
+    aim.press();
+  },
   follow: () => state.boat && position(state.boat) && chart.follow(position(state.boat)!),
-  zoom: (by) => chart.zoom(by),
+  zoom: (by) => {
+    moved = true;
+    chart.zoom(by);
+  },
   undo,
   replayTakes: (code) => replay.takes(code),
 });
 dryRunCard(element("dryrun"), state);
 
-let placed = false;
+let [placed, fitted, moved] = [false, false, false]; // a boat was brought into view; a mission too; the operator has chosen the view
 const lost = new Set<number>();
 
 chart.paint();
 state.on(["theme"], () => chart.paint());
-state.on(["boats"], () => {
-  if (!placed && state.boats.some((boat) => position(boat))) show();
-});
+state.on(["boats", "plan"], show);
+for (const event of ["pointerdown", "wheel"]) element("map").addEventListener(event, () => (moved = true), { capture: true, passive: true });
 state.on(["selection"], () => document.querySelector(".chip.selected")?.scrollIntoView({ block: "nearest", inline: "nearest" }));
 setInterval(listen, 500);
 new ResizeObserver(pad).observe(element("strips"));
@@ -72,20 +87,24 @@ function heard(message: Heard): void {
   switch (message.t) {
     case "hello":
       state.hello = message;
+      document.title = `Delfim · console ${message.me}`;
       state.backgrounds = message.backgrounds;
       chart.setBackgrounds(message.backgrounds);
-      state.takeBoats(message.boats, state.at_s);
+      fleet.forgetWays();
+      took(message.boats, state.at_s);
       state.tell("hello");
-      if (state.selected !== null && !state.replaying) void net.ask({ t: "mission", boat: state.selected, do: "list" });
+      if (!state.replaying) void net.ask({ t: "mission", boat: state.planning, do: "list" });
       return;
     case "boats":
-      return state.takeBoats(message.boats, message.at_s);
+      return took(message.boats, message.at_s);
+    case "whole_track":
+      return fleet.whole(message.points);
     case "track":
       return fleet.history(message.boat, message.start ?? false, message.points);
     case "text":
       return messages.say(message.boat, message.severity, message.text);
     case "mission":
-      return took(message.boat, message.where, understood(message.mission));
+      return tookMission(message.boat, message.where, understood(message.mission));
     case "missions":
       state.names = message.names;
       return;
@@ -107,9 +126,23 @@ function online(now: boolean): void {
   if (!now) drive.release("offline");
 }
 
-function took(boat: number, where: "here" | "aboard", mission: Mission): void {
-  if (where === "here") state.takeMission(boat, mission);
-  else if (state.fetching.delete(boat)) edit(boat, mission);
+/** The first boat has the plan that was made before it was heard. */
+function took(boats: Boat[], at_s: number): void {
+  const first = state.selected === null;
+  state.takeBoats(boats, at_s);
+  if (first && state.selected !== null && state.inherit(state.selected)) planned(state.selected);
+}
+
+/** A replay tells what was aboard as the plan, which nobody makes there. */
+function tookMission(boat: number, where: "here" | "aboard", mission: Mission): void {
+  if (where === "aboard" || state.replaying) state.takeAboard(boat, mission);
+  else state.takeMission(boat, mission);
+  if (where === "aboard" && state.fetching.delete(boat)) edit(boat, mission);
+}
+
+/** There is nothing to stop or to steer. */
+function nobody(): void {
+  messages.say(null, 4, `${state.nobody}: nothing to command`);
 }
 
 function edit(boat: number, mission: Mission): void {
@@ -118,9 +151,8 @@ function edit(boat: number, mission: Mission): void {
 }
 
 function undo(): void {
-  if (state.selected === null) return;
-  state.plan(state.selected).undo();
-  planned(state.selected);
+  state.plan(state.planning).undo();
+  planned(state.planning);
 }
 
 /** The gateway keeps the plan: the page may be closed. */
@@ -128,7 +160,7 @@ function planned(boat: number): void {
   state.dryruns.delete(boat);
   state.tell("dryrun");
   state.tell("plan");
-  void actions.mission(boat, "put");
+  if (boat !== NOBODY) void actions.mission(boat, "put");
 }
 
 function chosen(boat: Boat, at: Pixel): void {
@@ -152,7 +184,7 @@ function escape(): void {
 function click(place: Place, pixel: Pixel, touch: boolean): void {
   if (plans.measuring) return plans.measureTo(place, true);
   if (popup.isOpen) return popup.close();
-  if (!offer(pixel, touch) && !touch) menus.map(place, pixel);
+  if (!offer(pixel, touch)) menus.map(place, pixel);
 }
 
 /** A long press, or the other button: the same menus. */
@@ -188,9 +220,13 @@ function listen(): void {
   }
 }
 
+/** The view is chosen once when the first boat is seen, and once more when its mission is, unless the operator has moved the map. */
 function show(): void {
-  placed = true;
-  chart.fit(menus.everything());
+  if (moved || (placed && fitted)) return;
+  const boat = state.boats.some((each) => position(each));
+  const mission = boat && state.boats.some((each) => (state.aboardOf(each) ?? state.plan(each.id).mission).waypoints.length);
+  if ((boat && !placed) || (mission && !fitted)) chart.fit(menus.everything());
+  [placed, fitted] = [placed || boat, fitted || mission];
 }
 
 function pad(): void {
@@ -209,6 +245,7 @@ Object.assign(window, {
   delfim: {
     pixel: (latitude_deg: number, longitude_deg: number) => chart.pixelOf({ latitude_deg, longitude_deg }),
     fit: (south: number, west: number, north: number, east: number) => {
+      moved = true;
       chart.fit([
         { latitude_deg: south, longitude_deg: west },
         { latitude_deg: north, longitude_deg: east },
@@ -216,6 +253,9 @@ Object.assign(window, {
       chart.map.renderSync();
     },
     at_s: () => state.at_s,
+    drawn: () => ({ plan: state.plan(state.planning).mission.waypoints.length, aboard: (state.boat && state.aboardOf(state.boat)?.waypoints.length) ?? 0 }),
+    online: () => state.hello !== null,
+    ways: () => fleet.wayPoints,
     points: (boat: number) => fleet.points(boat),
     frames: ofLastSecond,
   },

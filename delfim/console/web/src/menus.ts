@@ -10,9 +10,22 @@ import { setTheme, theme } from "./palette";
 import type { Handle, Plans } from "./plans";
 import type { Entry, Field, Item, Popup } from "./popup";
 import type { Sound } from "./sound";
+import { NOBODY } from "./state";
 import type { State } from "./state";
-import type { Boat, Mission, Place, Waypoint } from "./wire";
+import type { Boat, Mission, Mode, Place, Waypoint } from "./wire";
 
+const AMONG_MISSION: ReadonlySet<Mode> = new Set(["play", "path", "goto"]); // modes that sail what is aboard
+const NO_BOAT = "no boat has been heard";
+/** Stands for the boat while none is heard: its mission can be planned. */
+const NONE: Boat = {
+  ...{ id: NOBODY, name: "", colour: "", latitude_deg: null, longitude_deg: null, heading_deg: null, course_deg: null, speed_mps: null },
+  ...{ mode: null, asked: null, armed: false, owner: true, commander: 0, twins: [], ready: false, reason: "", failsafe: "", rpm: [null, null], thrust_pct: [null, null] },
+  ...{ speed_pct: null, battery_v: null, battery_pct: null, roll_deg: null, pitch_deg: null, satellites: null, fix: null, reference: null },
+  ...{ home: null, fence: [], obstacles: [], ghost: null, released: false },
+  age_s: { heard: null, position: null, attitude: null, rpm: null, battery: null },
+  link: { kind: "", profile: "", rtt_ms: null, loss_pct: null, bytes_per_s: null, signed: false },
+  mission: { name: "", count: 0, current: null, state: "none", digest: null },
+};
 const ASIDE: Pixel = [Infinity, 60]; // a form that shapes the plan does not stand on it
 const PROFILES = ["lean", "radio", "wifi"];
 
@@ -37,7 +50,7 @@ export class Menus {
       title,
       key,
       tick: boat.mode === mode,
-      do: () => void this.actions.mode(boat, mode),
+      do: () => this.sail(boat, mode),
     }));
     this.popup.menu(at, { title: boat.name, colour: boat.colour }, [
       { title: "Stop", key: "Space", do: () => this.actions.stop(boat.id) },
@@ -54,20 +67,61 @@ export class Menus {
     ]);
   }
 
+  /** Into a mode. Where it would sail the mission aboard and the plan on the screen is another one: which of them is meant? */
+  sail(boat: Boat, mode: Mode, from?: number): void {
+    const begin = () => {
+      if (from === undefined) void this.actions.mode(boat, mode);
+      else void this.actions.command(boat.id, "play", { leg: from });
+    };
+    const plan = this.state.plan(boat.id).mission;
+    const compared = this.state.compared(boat);
+    if (!AMONG_MISSION.has(mode) || !plan.waypoints.length || compared === "same") return begin();
+    const verb = mode === "play" ? "play it" : mode === "path" ? "follow it" : "go to its waypoint 1";
+    const { name, count } = boat.mission;
+    const other = compared === "none" || !count ? "nothing is aboard" : from !== undefined && "its waypoints are other ones";
+    this.popup.menu(this.chart.middle()[1], { title: boat.name, colour: boat.colour, note: "The plan is not aboard" }, [
+      {
+        title: `${isSailing(boat) ? "Hold, send" : "Send"} the plan, then ${verb}`,
+        note: `${plan.name} · ${plan.waypoints.length} waypoints, the dashed line`,
+        do: () => void this.replace(boat).then((well) => well && begin()),
+      },
+      {
+        title: "Leave it: sail what is aboard",
+        ...(compared === "unknown" ? { note: "which was not read" } : { note: `${name === M.UNNAMED ? "" : `${name} · `}${count} waypoints, the full line` }),
+        refuse: compared !== "unknown" && other,
+        do: begin,
+      },
+      { title: "Neither" },
+    ]);
+  }
+
+  /** A mission that is being sailed is not exchanged under the boat: it holds its position meanwhile. */
+  private async replace(boat: Boat): Promise<boolean> {
+    return (!isSailing(boat) || (await this.actions.command(boat.id, "hold")).ok) && (await this.send(boat));
+  }
+
+  private async send(boat: Boat): Promise<boolean> {
+    return (await this.actions.mission(boat.id, "upload")).ok;
+  }
+
   /** The menu of the bare map. */
   map(place: Place, at: Pixel): void {
-    const boat = this.state.replaying ? null : this.state.boat;
+    const boat = this.state.replaying ? null : (this.state.boat ?? NONE);
     this.popup.menu(at, { title: position(place) }, [...(boat ? this.here(boat, place) : []), ...this.view(place)]);
   }
 
   handle(handle: Handle, at: Pixel): void {
-    const boat = this.state.boat;
-    if (!boat) return;
+    const boat = this.state.boat ?? NONE;
     if (handle.kind === "waypoint") this.waypoint(boat, handle.index, at);
     else if (handle.kind === "obstacle") this.obstacle(boat, handle.index, at);
     else if (handle.kind === "corner") this.corner(boat, handle.index, at);
     else if (handle.kind === "home") this.home(boat, at);
     else this.map(handle.place, at);
+  }
+
+  /** A waypoint at the end of the plan. */
+  add(place: Place): void {
+    this.change(this.state.boat ?? NONE, (each) => M.insertWaypoint(each, each.waypoints.length, place));
   }
 
   private change(boat: Boat, change: (mission: Mission) => Mission): void {
@@ -147,14 +201,15 @@ export class Menus {
   private mission(boat: Boat): Entry[] {
     const { mission, undoable } = this.state.plan(boat.id);
     const none = mission.waypoints.length ? undefined : "the plan has no waypoints";
+    const nobody = boat.id === NOBODY ? NO_BOAT : undefined;
     const others = this.state.boats.filter((each) => each.id !== boat.id);
     return [
-      { title: "Send to the boat", note: this.compared(boat), refuse: none, do: () => void this.actions.mission(boat.id, "upload") },
-      { title: "Take the one aboard", do: () => this.fetch(boat) },
+      { title: "Send to the boat", note: this.compared(boat), refuse: nobody ?? none ?? (isSailing(boat) && "a mission is being sailed: hold or stop first"), do: () => void this.send(boat) },
+      { title: "Take the one aboard", refuse: nobody, do: () => this.fetch(boat) },
       { title: "Dry run", refuse: none, note: "in the simulator: time and distance", do: () => this.dryRun(boat) },
       "line",
       { title: "Save", note: mission.name, refuse: none, do: () => this.save(boat, mission.name) },
-      { title: "Save under a new name", refuse: none, do: () => this.save(boat, newName(mission.name, this.state.names)) },
+      { title: "Save under a new name…", refuse: none, do: () => this.saveAs(boat) },
       { title: "Load", sub: () => this.stored(boat) },
       "line",
       { title: "Undo", key: "Ctrl Z", refuse: undoable ? undefined : "nothing to undo", do: this.undo },
@@ -172,7 +227,7 @@ export class Menus {
 
   private compared(boat: Boat): string {
     const words = { same: "aboard is the same", differs: "aboard is another one", unknown: "what is aboard is not known", none: "nothing aboard" };
-    return words[boat.mission.state];
+    return boat.id === NOBODY ? "" : words[this.state.compared(boat)];
   }
 
   private copy(from: Boat, to: Boat): Item {
@@ -185,16 +240,22 @@ export class Menus {
     return names.map((name) => ({ title: name, do: () => void this.actions.mission(boat.id, "load", name) }));
   }
 
+  private saveAs(boat: Boat): void {
+    const { names } = this.state;
+    const note = (name: string) => (names.includes(name) ? "There is one of this name. It will be replaced." : "");
+    this.popup.name("Save under a new name", newName(this.state.plan(boat.id).mission.name, names), note, (name) => this.save(boat, name));
+  }
+
   private save(boat: Boat, name: string): void {
     if (name !== this.state.plan(boat.id).mission.name) this.change(boat, (mission) => ({ ...mission, name }));
     void this.actions.mission(boat.id, "save", name).then((answer) => {
-      if (answer.ok) this.messages.say(boat.id, 6, `saved: ${name}`);
+      if (answer.ok) this.messages.say(boat.id || null, 6, `saved: ${name}`);
       void this.actions.mission(boat.id, "list");
     });
   }
 
   private dryRun(boat: Boat): void {
-    this.messages.say(boat.id, 6, "dry run begins");
+    this.messages.say(boat.id || null, 6, "dry run begins");
     void this.actions.mission(boat.id, "dryrun");
   }
 
@@ -210,9 +271,9 @@ export class Menus {
     const best = M.bestIndex(mission, place);
     const size = mission.waypoints.length;
     const insert = (index: number) => () => this.change(boat, (each) => M.insertWaypoint(each, index, place));
+    const go: Entry[] = [{ title: `Send ${boat.name} here`, colour: boat.colour, do: () => void this.actions.command(boat.id, "goto_point", { ...place }) }, "line"];
     const entries: Entry[] = [
-      { title: `Send ${boat.name} here`, colour: boat.colour, do: () => void this.actions.command(boat.id, "goto_point", { ...place }) },
-      "line",
+      ...(boat.id === NOBODY ? [] : go),
       { title: "Add waypoint", note: size ? `as the last, number ${size + 1}` : "the first", do: insert(size) },
     ];
     if (best < size) entries.push({ title: "Insert waypoint", note: `between ${best} and ${best + 1}`, do: insert(best) });
@@ -230,7 +291,7 @@ export class Menus {
       { title: "Ruler from here", refuse: place ? undefined : "its position is not known", do: () => this.plans.measure(place) },
       { title: "Show everything", do: () => this.chart.fit(this.everything(), 250) },
       { title: "Screen", sub: () => this.screen() },
-      { title: "Keys", key: "F1", do: this.card },
+      { title: "Keys and lines", key: "F1", do: this.card },
     ];
     if (this.plans.measured) entries.splice(1, 0, { title: "Remove the rulers", do: () => this.plans.clearRulers() });
     return entries;
@@ -238,8 +299,9 @@ export class Menus {
 
   everything(): Place[] {
     const boats = this.state.boats.flatMap((boat) => (boat.latitude_deg === null ? [] : [boat as Place]));
-    const plans = [...this.state.plans.values()].flatMap(({ mission }) => [...mission.waypoints, ...mission.fence.map(M.cornerPlace)]);
-    return [...boats, ...plans];
+    const aboard = this.state.boats.flatMap((boat) => this.state.aboardOf(boat) ?? []);
+    const missions = [...aboard, ...[...this.state.plans.values()].map(({ mission }) => mission)];
+    return [...boats, ...missions.flatMap((each) => [...each.waypoints, ...M.path(each), ...each.fence.map(M.cornerPlace)])];
   }
 
   private screen(): Entry[] {
@@ -352,8 +414,8 @@ export class Menus {
       shift(1, index === last),
       { title: "Delete", do: () => this.change(boat, (each) => M.deleteWaypoint(each, index)) },
       "line",
-      { title: "Play from here", do: () => void this.actions.command(boat.id, "play", { leg: index }) },
-      { title: "Go to this point", do: () => void this.actions.command(boat.id, "goto_point", { latitude_deg: its.latitude_deg, longitude_deg: its.longitude_deg }) },
+      { title: "Play from here", refuse: boat.id === NOBODY && NO_BOAT, do: () => this.sail(boat, "play", index) },
+      { title: "Go to this point", refuse: boat.id === NOBODY && NO_BOAT, do: () => void this.actions.command(boat.id, "goto_point", { latitude_deg: its.latitude_deg, longitude_deg: its.longitude_deg }) },
     ]);
   }
 
@@ -404,6 +466,7 @@ export class Menus {
   }
 }
 
+const isSailing = ({ mode }: Boat): boolean => mode === "play" || mode === "path";
 const speedField = (value: number): Field => ({ title: "Speed", unit: "m/s", value, step: 0.1, least: 0, most: 10, zero: "the boat’s own" });
 const acceptanceField = (value: number): Field => ({ title: "Acceptance", unit: "m", value, step: 0.5, least: 0, most: 100, zero: "the boat’s own" });
 const stayField = (value: number): Field => ({ title: "Stay", unit: "s", value, step: 10, least: 0, most: 86400, zero: "go on at once" });

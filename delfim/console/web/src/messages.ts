@@ -1,5 +1,5 @@
 // What the boats and the gateway say in words: on the screen for a while, in the list for the session, and heard when it matters.
-import { make } from "./dom";
+import { make, text } from "./dom";
 import type { Sound } from "./sound";
 import type { State } from "./state";
 
@@ -14,7 +14,10 @@ export interface Message {
   severity: number; // MAVLink's: 0 emergency .. 7 debug
   text: string;
   at: Date;
+  words: HTMLElement; // that show it
 }
+
+export const severityWord = (severity: number): string => (severity <= 3 ? "grave" : severity === 4 ? "warning" : "notice");
 
 export class Messages {
   readonly kept: Message[] = [];
@@ -25,25 +28,40 @@ export class Messages {
     private readonly sound: Sound,
   ) {}
 
+  /** What was said a moment ago stands once, also where it comes again as the reason of a refusal. */
   say(boat: number | null, severity: number, words: string): void {
-    const last = this.kept[0];
-    if (last && last.boat === boat && last.text === words && Date.now() - last.at.getTime() < SAME_MS) return;
-    this.kept.unshift({ boat, severity, text: words, at: new Date() });
+    const recent = this.kept.find((each) => each.boat === boat && meant(each.text) === meant(words) && Date.now() - each.at.getTime() < SAME_MS);
+    if (recent) return fuller(recent, words);
+    const line = make("span", words);
+    this.kept.unshift({ boat, severity, text: words, at: new Date(), words: line });
     this.kept.length = Math.min(this.kept.length, KEPT_MOST);
     if (severity <= 3) this.sound.alarm();
     else if (severity === 4) this.sound.warn();
-    if (severity < 7) this.show(boat, severity, words);
+    if (severity < 7) this.show(boat, severity, line);
   }
 
-  private show(id: number | null, severity: number, words: string): void {
+  private show(id: number | null, severity: number, words: HTMLElement): void {
     const boat = id === null ? undefined : this.state.byId(id);
     const dot = make("i.dot");
     dot.style.background = boat?.colour ?? "transparent";
-    const line = make("p.message", boat ? dot : null, boat ? make("b", boat.name) : null, make("span", words));
-    line.dataset["severity"] = severity <= 3 ? "grave" : severity === 4 ? "warning" : "notice";
+    const name = boat?.name ?? (id === null ? null : `boat ${id}`); // of which nothing more is known yet
+    const line = make("p.message", boat ? dot : null, name && make("b", name), words);
+    line.dataset["severity"] = severityWord(severity);
     line.addEventListener("click", () => line.remove());
     this.parent.append(line);
     while (this.parent.children.length > SHOWN_MOST) this.parent.firstElementChild!.remove();
     setTimeout(() => line.remove(), severity <= 3 ? GRAVE_MS : SHOWN_MS);
   }
+}
+
+/** A refusal comes twice, from the boat and as the answer to what was asked: its reason says that they are one. */
+function meant(words: string): string {
+  return words.replace(/^.*refused: /, "");
+}
+
+/** The one that also says what was refused is shown. */
+function fuller(message: Message, words: string): void {
+  if (words.length <= message.text.length) return;
+  message.text = words;
+  text(message.words, words);
 }

@@ -16,6 +16,8 @@ export const waypoint = (place: Place): Waypoint => ({
   turn: null,
 });
 
+export const UNNAMED = "aboard"; // what the gateway calls a mission that it was not told the name of
+
 export const empty = (name: string): Mission => ({ name, waypoints: [], fence: [], obstacles: [], home: null });
 
 /** Whether two missions say the same, however they were written. */
@@ -33,9 +35,33 @@ export function same(a: Mission, b: Mission): boolean {
   return words(a) === words(b);
 }
 
+/** Whether a boat would sail the same by both: what it was sent comes back rounded, and without its name. */
+export function alike(a: Mission, b: Mission): boolean {
+  const [one, other] = [figures(spoken(a)), figures(spoken(b))];
+  return one.length === other.length && one.every((each, i) => Math.abs(each - other[i]!) < 1.5);
+}
+
+/** All numbers of a mission in units of what may be lost on the way. */
+function figures({ waypoints, fence, obstacles, home, path: pieces = [] }: Mission): number[] {
+  const at = ({ latitude_deg, longitude_deg }: Place) => [latitude_deg * 1e7, longitude_deg * 1e7];
+  const size = (many: unknown[]) => many.length * 1000;
+  return [
+    size(waypoints),
+    ...waypoints.flatMap((each) => [...at(each), each.speed_mps * 100, each.acceptance_m * 10, each.hold_s * 10]),
+    size(pieces),
+    ...pieces.flatMap((each) => [...at(each), (each.turn_deg ?? 0) * 10, (each.radius_m ?? 0) * 10, (each.speed_mps ?? 0) * 100]),
+    size(fence),
+    ...fence.flatMap((each) => at(cornerPlace(each))),
+    size(obstacles),
+    ...obstacles.flatMap((each) => [...at(each), each.radius_m * 10]),
+    ...(home ? at(home) : []),
+  ];
+}
+
 /** A mission and what it was before each change. */
 export class Plan {
   private past: Mission[] = [];
+  untouched = true; // nobody has planned anything: it is what the boat has
 
   constructor(public mission: Mission) {}
 
@@ -44,6 +70,7 @@ export class Plan {
   }
 
   change(next: Mission): void {
+    this.untouched = false;
     this.past.push(this.mission);
     if (this.past.length > UNDO_MOST) this.past.shift();
     this.mission = next;

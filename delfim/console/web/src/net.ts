@@ -49,12 +49,21 @@ export class Net {
     this.socket = socket;
     this.heardAt = performance.now();
     socket.onopen = () => this.changed(true);
-    socket.onmessage = (event) => this.take(JSON.parse(String(event.data)) as Heard);
+    socket.onmessage = (event) => this.hear(String(event.data));
     socket.onclose = () => this.lost(socket);
   }
 
-  private take(message: Heard): void {
+  /** One message that cannot be taken costs itself, and no other. */
+  private hear(text: string): void {
     this.heardAt = performance.now();
+    try {
+      this.take(JSON.parse(text) as Heard);
+    } catch (error) {
+      console.warn("a message was not understood:", error, text.slice(0, 200));
+    }
+  }
+
+  private take(message: Heard): void {
     if (message.t === "answer") {
       if (message.stage === "sent") return;
       this.waiting.get(message.seq)?.(message);

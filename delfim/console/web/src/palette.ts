@@ -9,7 +9,9 @@ export interface Palette {
   sea: string;
   line: string;
   accent: string;
-  plan: string;
+  plan: string; // what a boat has aboard
+  draft: string; // what is only on the screen
+  steer: string; // where it is steering
   danger: string;
   dangerFill: string;
   handle: string;
@@ -26,6 +28,8 @@ const DAY: Palette = {
   line: "rgba(30,70,92,.22)",
   accent: "#0a5fa8",
   plan: "#0a5fa8",
+  draft: "#a85f00",
+  steer: "#a3148c",
   danger: "#b4232f",
   dangerFill: "rgba(180,35,47,.14)",
   handle: "#ffffff",
@@ -42,6 +46,8 @@ const NIGHT: Palette = {
   line: "rgba(140,180,200,.16)",
   accent: "#5c9ccc",
   plan: "#5c9ccc",
+  draft: "#d09a4a",
+  steer: "#c878c0",
   danger: "#d0525a",
   dangerFill: "rgba(208,82,90,.14)",
   handle: "#0c1c26",

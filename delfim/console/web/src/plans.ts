@@ -10,19 +10,27 @@ import type { Chart, Pixel } from "./chart";
 import { placeOf, point } from "./chart";
 import { cased, keptAboard } from "./fleet";
 import { bearing, bearing_deg, distance_m, metres } from "./geo";
-import { cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, moveWaypoint, path as pathOf, setObstacle } from "./mission";
+import { alike, cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, moveWaypoint, path as pathOf, setObstacle } from "./mission";
 import { inked, palette } from "./palette";
 import type { State } from "./state";
-import type { Mission, Place, Waypoint } from "./wire";
+import type { Boat, Mission, Place, Waypoint } from "./wire";
 
 const REACH_PX = 14;
 const REACH_TOUCH_PX = 26;
 const LEG_FOR_MIDDLE_PX = 80;
+const ASIDE_PX = 25; // between two discs that stand side by side
+const DRAFT = [8, 6];
 
 export interface Handle {
   kind: "waypoint" | "middle" | "corner" | "edge" | "obstacle" | "home";
   index: number;
   place: Place;
+}
+
+interface Look {
+  colour: string;
+  lineDash?: number[];
+  small?: boolean; // it cannot be taken hold of
 }
 
 type Changed = (mission: Mission) => void;
@@ -50,7 +58,7 @@ export class Plans {
     state.on(["dryrun", "theme"], () => this.drawOver());
     let current = "";
     state.on(["boats"], () => {
-      const now = state.boats.map(({ id, mission }) => `${id}:${mission.current}`).join();
+      const now = state.boats.map(({ id, mode, mission }) => `${id}:${mode}:${mission.current}:${mission.state}`).join();
       if (now !== current) this.draw();
       current = now;
     });
@@ -68,8 +76,10 @@ export class Plans {
   at(pixel: Pixel, touch: boolean): Handle | null {
     if (this.state.replaying) return null;
     let [best, least] = [null as Handle | null, touch ? REACH_TOUCH_PX : REACH_PX];
+    const aside = besideTheFirst(this.chart, this.mission().waypoints);
     for (const handle of this.handles()) {
       const its = this.chart.pixelOf(handle.place);
+      if (its && aside && handle.kind === "waypoint" && handle.index === this.mission().waypoints.length - 1) its[0] += ASIDE_PX;
       const far = its ? Math.hypot(its[0] - pixel[0], its[1] - pixel[1]) : Infinity;
       const behind = handle.kind === "middle" || handle.kind === "edge" ? 3 : 0;
       if (far + behind < least) [best, least] = [handle, far + behind];
@@ -104,14 +114,12 @@ export class Plans {
     this.measure(null);
   }
 
-  private mission(): Mission | null {
-    if (this.state.selected === null) return null;
-    return this.draft ?? this.state.plan(this.state.selected).mission;
+  private mission(): Mission {
+    return this.draft ?? this.state.plan(this.state.planning).mission;
   }
 
   private handles(): Handle[] {
     const mission = this.mission();
-    if (!mission) return [];
     const made: Handle[] = mission.waypoints.map((place, index) => ({ kind: "waypoint", index, place }));
     mission.fence.forEach((each, index) => made.push({ kind: "corner", index, place: cornerPlace(each) }));
     mission.obstacles.forEach((place, index) => made.push({ kind: "obstacle", index, place }));
@@ -135,26 +143,37 @@ export class Plans {
 
   private draw(): void {
     this.others.clear();
-    for (const [id, plan] of this.state.plans) {
-      const boat = this.state.byId(id);
-      if (boat && id !== this.state.selected) this.others.addFeatures(drawnLegs(plan.mission, inked(boat.colour, 0.6), 1.3));
+    for (const boat of this.state.boats) {
+      const [aboard, planned] = [this.state.aboardOf(boat), this.state.plans.get(boat.id)?.mission];
+      const shown = aboard ?? planned;
+      if (shown && boat.id !== this.state.selected) this.others.addFeatures(drawnLegs(shown, inked(boat.colour, 0.6), 1.3, aboard ? undefined : DRAFT));
     }
     this.legs.clear();
     this.marks.clear();
     const [mission, boat] = [this.mission(), this.state.boat];
-    if (!mission || !boat) return;
+    const aboard = boat && this.state.aboardOf(boat);
+    const isAboard = aboard !== null && alike(mission, aboard);
+    if (aboard && !isAboard) this.drawMission(aboard, boat!, { colour: palette.plan, small: mission.waypoints.length > 0 });
     this.legs.addFeatures(keptAboard(mission, true));
-    const path = pathOf(mission).map(point);
-    if (path.length > 1) this.legs.addFeature(styled(new LineString(path), cased(palette.plan, 1.6, [9, 5])));
-    this.legs.addFeatures(drawnLegs(mission, palette.plan, 2.2));
-    const current = boat.mode === "play" || boat.mode === "goto" ? boat.mission.current : null;
-    const size = mission.waypoints.length;
-    const drawn = crowded(this.chart, mission.waypoints);
-    mission.waypoints.forEach((each, i) => {
-      if (drawn[i] || i === current || i === 0 || i === size - 1) this.marks.addFeature(drawnWaypoint(each, i, i === current));
-    });
+    this.drawMission(mission, boat, isAboard ? { colour: palette.plan } : { colour: palette.draft, lineDash: DRAFT });
     mission.fence.forEach((each) => this.marks.addFeature(drawnCorner(cornerPlace(each), palette.danger, 5.5)));
-    this.middles(mission).forEach(({ kind, place }) => this.marks.addFeature(drawnPlus(place, kind === "edge" ? palette.danger : palette.plan)));
+    const tint = isAboard ? palette.plan : palette.draft;
+    this.middles(mission).forEach(({ kind, place }) => this.marks.addFeature(drawnPlus(place, kind === "edge" ? palette.danger : tint)));
+  }
+
+  /** Full as the boat has it, dashed as it is only on the screen. */
+  private drawMission(mission: Mission, boat: Boat | null, look: Look): void {
+    const path = pathOf(mission).map(point);
+    if (path.length > 1) this.legs.addFeature(styled(new LineString(path), ribbon(look)));
+    this.legs.addFeatures(drawnLegs(mission, look.colour, 2.2, look.lineDash));
+    const sails = !look.lineDash && (boat?.mode === "play" || boat?.mode === "goto");
+    const [current, last] = [sails ? boat!.mission.current : null, mission.waypoints.length - 1];
+    const drawn = crowded(this.chart, mission.waypoints);
+    const aside = besideTheFirst(this.chart, mission.waypoints);
+    mission.waypoints.forEach((each, i) => {
+      if (!drawn[i] && i !== current && i !== 0 && i !== last) return;
+      this.marks.addFeature(drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0));
+    });
   }
 
   private drawOver(to?: Place): void {
@@ -185,9 +204,9 @@ class Dragging extends PointerInteraction {
 
   override handleDownEvent(event: MapBrowserEvent): boolean {
     const pointer = event.originalEvent as PointerEvent;
-    if (pointer.button !== 0 || this.plans.measuring || this.state.selected === null) return false;
+    if (pointer.button !== 0 || this.plans.measuring) return false;
     this.handle = this.plans.at(event.pixel as Pixel, pointer.pointerType === "touch");
-    this.before = this.handle && this.state.plan(this.state.selected).mission;
+    this.before = this.handle && this.state.plan(this.state.planning).mission;
     this.now = null;
     return this.handle !== null;
   }
@@ -229,10 +248,10 @@ function styled(geometry: LineString | Point, style: Style | Style[]): Feature {
   return feature;
 }
 
-function drawnLegs(mission: Mission, colour: string, width: number): Feature[] {
+function drawnLegs(mission: Mission, colour: string, width: number, lineDash?: number[]): Feature[] {
   return mission.waypoints.slice(1).flatMap((_, i) => {
     const points = leg(mission, i + 1).map(point);
-    const line = styled(new LineString(points), cased(colour, width));
+    const line = styled(new LineString(points), cased(colour, width, lineDash));
     const [a, b] = [points[Math.floor((points.length - 1) / 2)]!, points[Math.floor((points.length - 1) / 2) + 1]!];
     const arrow = new Feature(new Point([a[0]! + (b[0]! - a[0]!) * 0.62, a[1]! + (b[1]! - a[1]!) * 0.62]));
     const rotation = Math.atan2(b[0]! - a[0]!, b[1]! - a[1]!);
@@ -252,19 +271,33 @@ function crowded(chart: Chart, waypoints: Waypoint[]): boolean[] {
   });
 }
 
-function drawnWaypoint(place: Place, index: number, current: boolean): Feature {
+/** Whether the last waypoint would hide the first one, as where a mission ends where it begins. */
+function besideTheFirst(chart: Chart, waypoints: Waypoint[]): boolean {
+  if (waypoints.length < 2) return false;
+  const [first, last] = [chart.pixelOf(waypoints[0]!), chart.pixelOf(waypoints.at(-1)!)];
+  return first !== null && last !== null && Math.hypot(first[0] - last[0], first[1] - last[1]) < ASIDE_PX;
+}
+
+/** The path of path following: a band that legs, fences and tracks are seen on. */
+function ribbon({ colour, lineDash }: Look): Style {
+  return new Style({ stroke: new Stroke({ color: `${colour}55`, width: 9, lineCap: "butt", ...(lineDash ? { lineDash: [14, 8] } : {}) }) });
+}
+
+function drawnWaypoint(place: Place, index: number, current: boolean, { colour, small }: Look, aside_px: number): Feature {
   const feature = new Feature(new Point(point(place)));
   feature.setStyle(
     new Style({
       image: new Disc({
-        radius: 12,
-        fill: new Fill({ color: current ? palette.plan : palette.handle }),
-        stroke: new Stroke({ color: palette.plan, width: 2.2 }),
+        radius: small ? 10 : 12,
+        fill: new Fill({ color: current ? colour : palette.handle }),
+        stroke: new Stroke({ color: colour, width: small ? 1.4 : 2.2 }),
+        displacement: [aside_px, 0],
       }),
       text: new Text({
         text: String(index + 1),
         font: "650 12px system-ui, sans-serif",
         fill: new Fill({ color: current ? palette.handle : palette.ink }),
+        offsetX: aside_px,
         offsetY: 1,
       }),
     }),

@@ -1,7 +1,8 @@
-// Pop-up menus and forms: one pointing button, or arrows, Enter and Esc. Nothing here is typed, so no key of the boats is lost.
+// Pop-up menus and forms: one pointing button, or arrows, Enter and Esc. Nothing is typed but the name of a mission.
 import { make, text } from "./dom";
 
 const MARGIN_PX = 8;
+const NAME_MOST = 60;
 const AGAIN_MS = 400;
 const AGAIN_EVERY_MS = 60;
 const MEANT_MS = 300; // the second click of two in a row came too soon for what it hits to have been read
@@ -42,6 +43,7 @@ export class Popup {
   private at: [number, number] = [0, 0];
   private readonly box = make("div.popup");
   private shownAt = 0;
+  opened = () => {}; // told each time that something is shown
   private meant = false; // the pointer came down on what is shown, and not before it was
 
   constructor(
@@ -52,7 +54,8 @@ export class Popup {
     this.box.hidden = true;
     parent.append(this.box);
     this.box.addEventListener("contextmenu", (event) => event.preventDefault());
-    window.addEventListener("resize", () => this.close());
+    // A keyboard that comes up on the screen for a name takes room, too.
+    window.addEventListener("resize", () => (this.open instanceof NameView ? this.place() : this.close()));
     this.box.addEventListener("pointerdown", () => (this.meant = performance.now() - this.shownAt > MEANT_MS), { capture: true });
     // A finger that opened the menu by a long press is on it when it is lifted. Clicks of no pointer have no detail.
     this.box.addEventListener("click", (event) => event.detail && !this.meant && event.stopPropagation(), { capture: true });
@@ -102,6 +105,16 @@ export class Popup {
     this.place();
   }
 
+  /** Ask for a name; `note` says what is to be known of the one that stands there. */
+  name(title: string, value: string, note: (name: string) => string, done: (name: string) => void): void {
+    this.close();
+    this.open = new NameView(this.box, title, value, note, (name) => {
+      this.close();
+      if (name) done(name);
+    });
+    this.place();
+  }
+
   private show(heading: { title: string; colour?: string; note?: string }, entries: Entry[], path: Entry[][]): void {
     const view = new MenuView(this.box, heading, entries, path.length > 0, {
       chosen: (item) => {
@@ -118,6 +131,7 @@ export class Popup {
   /** Beside the pointer, within the window, and never on the stop corner. */
   private place(): void {
     this.box.hidden = false;
+    this.opened();
     this.box.style.maxHeight = "";
     [this.shownAt, this.meant] = [performance.now(), false];
     const { width, height } = this.box.getBoundingClientRect();
@@ -194,6 +208,49 @@ class MenuView implements Open {
   }
 }
 
+/** The only thing that is typed. Space is stop, here too: a dash is put in its place where a screen's keyboard sends one. */
+class NameView implements Open {
+  private readonly input = make("input.name");
+
+  constructor(
+    box: HTMLElement,
+    title: string,
+    value: string,
+    note: (name: string) => string,
+    private readonly done: (name: string) => void,
+  ) {
+    const words = make("p.words");
+    const tell = () => {
+      this.input.value = this.input.value.replace(/[^\w.-]/g, "-").replace(/^[.-]+/, "");
+      text(words, note(this.input.value) || "Letters, digits, dots and dashes. Space is stop.");
+    };
+    Object.assign(this.input, { type: "text", value: value.replaceAll(" ", "-"), maxLength: NAME_MOST, autocomplete: "off", spellcheck: false });
+    this.input.setAttribute("aria-label", title);
+    this.input.addEventListener("input", tell);
+    const button = (name: string, kind: string, act: () => void) => {
+      const made = make(`button.${kind}`, name);
+      made.addEventListener("click", act);
+      return made;
+    };
+    const choice = make("div.choice", button("Cancel", "plain", () => this.back()), button("Save", "main", () => this.enter()));
+    box.replaceChildren(make("header", make("b", title)), this.input, words, choice);
+    tell();
+    requestAnimationFrame(() => this.input.select());
+  }
+
+  move(): void {}
+
+  change(): void {}
+
+  enter(): void {
+    this.done(this.input.value);
+  }
+
+  back(): void {
+    this.done("");
+  }
+}
+
 class FormView implements Open {
   private readonly values: number[];
   private readonly shown: HTMLElement[] = [];
@@ -258,6 +315,7 @@ class FormView implements Open {
   private stepper(index: number, by: number): HTMLElement {
     const button = make("button.stepper", by < 0 ? "−" : "+");
     button.tabIndex = -1;
+    button.setAttribute("aria-label", `${this.fields[index]!.title}: ${by < 0 ? "less" : "more"}`);
     let timer = 0;
     const stop = () => clearTimeout(timer);
     button.addEventListener("pointerdown", (event) => {

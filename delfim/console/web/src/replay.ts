@@ -2,13 +2,16 @@
 import type { Actions } from "./actions";
 import { make, text } from "./dom";
 import { duration } from "./geo";
+import { severityWord } from "./messages";
 import type { State } from "./state";
+import type { Event, TimeLine } from "./wire";
 
 const RATES = [1, 2, 5, 10, 30, 60];
 const STEP_S = 10;
 
 export class Replay {
   private readonly slider = make("input");
+  private readonly marks = make("div.marks");
   private readonly clock = make("output");
   private readonly play = make("button.plain");
   private readonly faster = make("button.plain");
@@ -24,7 +27,9 @@ export class Replay {
     this.slider.type = "range";
     this.slider.step = "0.1";
     for (const each of [this.slider, this.play, this.faster]) each.tabIndex = -1;
-    bar.append(this.play, this.slider, this.clock, this.faster);
+    this.slider.setAttribute("aria-label", "time");
+    this.faster.setAttribute("aria-label", "rate");
+    bar.append(make("b", "REPLAY"), this.play, make("div.line", this.slider, this.marks), this.clock, this.faster);
     this.play.addEventListener("click", () => this.toggle());
     this.faster.addEventListener("click", () => this.setRate(RATES[(RATES.indexOf(this.rate) + 1) % RATES.length]!));
     this.slider.addEventListener("pointerdown", () => (this.held = true));
@@ -55,7 +60,18 @@ export class Replay {
     if (!range) return;
     this.slider.min = String(range.from_s);
     this.slider.max = String(range.to_s);
+    this.marks.replaceChildren(...(range.events ?? []).map((event) => this.mark(event, range)));
     this.show();
+  }
+
+  /** Something that was said then. */
+  private mark({ at_s, severity, text: words }: Event, { from_s, to_s }: TimeLine): HTMLElement {
+    const mark = make("i");
+    mark.style.left = `${(100 * (at_s - from_s)) / Math.max(to_s - from_s, 1)}%`;
+    mark.dataset["severity"] = severityWord(severity);
+    mark.title = `${time(at_s)} ${words}`;
+    mark.addEventListener("click", () => this.seek(at_s));
+    return mark;
   }
 
   private toggle(): void {
@@ -78,6 +94,7 @@ export class Replay {
 
   private show(): void {
     text(this.play, this.paused ? "▶" : "❚❚");
+    this.play.setAttribute("aria-label", this.paused ? "play" : "pause");
     text(this.faster, `× ${this.rate}`);
   }
 
@@ -85,7 +102,8 @@ export class Replay {
     const range = this.state.hello?.replay;
     if (!range || !at_s) return;
     if (!this.held) this.slider.value = String(at_s);
-    const time = new Date(at_s * 1000).toISOString().slice(11, 19);
-    text(this.clock, `${time} · ${duration(at_s - range.from_s)} of ${duration(range.to_s - range.from_s)}`);
+    text(this.clock, `${time(at_s)} · ${duration(at_s - range.from_s)} of ${duration(range.to_s - range.from_s)}`);
   }
 }
+
+const time = (at_s: number): string => new Date(at_s * 1000).toISOString().slice(11, 19);

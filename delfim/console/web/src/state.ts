@@ -1,13 +1,16 @@
 // What the page knows, in one place. Who shows something subscribes to a topic; only the operator changes the selection.
-import { Plan, empty, same } from "./mission";
+import { Plan, UNNAMED, alike, empty, same } from "./mission";
 import type { Background, Boat, Heard, Mission } from "./wire";
 
 export type Topic = "boats" | "selection" | "plan" | "online" | "hello" | "missions" | "progress" | "dryrun" | "theme";
 type Hello = Extract<Heard, { t: "hello" }>;
 export type DryRun = Extract<Heard, { t: "dryrun" }>;
 
+export const NOBODY = 0; // whose plan it is before a boat is heard
+
 const FRESH_S = 1.5;
 const OLD_S = 3.5;
+const SAID_S = 2; // what was said longer ago is shown with its age
 const BATTERY_FACTOR = 6; // it is told every few seconds only
 
 export class State {
@@ -21,7 +24,8 @@ export class State {
   progress = new Map<number, { what: string; part: number }>();
   dryruns = new Map<number, DryRun>();
   readonly fetching = new Set<number>(); // boats whose mission was asked for, to become the plan
-  readonly plans = new Map<number, Plan>();
+  readonly plans = new Map<number, Plan>(); // NOBODY's before a boat is heard
+  private readonly aboard = new Map<number, Mission>(); // as they were read from the boats
   private framedAt = 0;
   private readonly listeners = new Map<Topic, (() => void)[]>();
 
@@ -35,6 +39,16 @@ export class State {
 
   get boat(): Boat | null {
     return this.boats.find((each) => each.id === this.selected) ?? null;
+  }
+
+  /** Whose plan is edited. */
+  get planning(): number {
+    return this.selected ?? NOBODY;
+  }
+
+  /** Why there is nothing to command. */
+  get nobody(): string {
+    return `No boat heard on ${this.hello?.heard_on?.join(" or ") || "any link"} yet`;
   }
 
   get replaying(): boolean {
@@ -60,6 +74,15 @@ export class State {
     this.tell("boats");
   }
 
+  /** What was planned before a boat was heard becomes the plan of this one. True where there was something. */
+  inherit(id: number): boolean {
+    const early = this.plans.get(NOBODY);
+    this.plans.delete(NOBODY);
+    if (!early?.undoable) return false;
+    this.plan(id).change(early.mission);
+    return true;
+  }
+
   select(id: number): void {
     this.selected = id;
     this.tell("selection");
@@ -76,6 +99,25 @@ export class State {
     if (same(plan.mission, mission)) return;
     plan.change(mission);
     this.tell("plan");
+  }
+
+  /** What a boat has aboard. Where nobody has planned anything it is the plan, too. */
+  takeAboard(id: number, mission: Mission): void {
+    this.aboard.set(id, mission);
+    const plan = this.plan(id);
+    if (plan.untouched || this.replaying) plan.mission = { ...mission, name: mission.name === UNNAMED ? "Mission" : mission.name };
+    this.tell("plan");
+  }
+
+  /** The mission that a boat has, where it was read and is still the one. */
+  aboardOf(boat: Boat): Mission | null {
+    return boat.mission.state === "unknown" ? null : (this.aboard.get(boat.id) ?? null);
+  }
+
+  /** The plan on the screen beside what is aboard: at once, before the gateway has compared. */
+  compared(boat: Boat): Boat["mission"]["state"] {
+    const aboard = this.aboardOf(boat);
+    return aboard ? (alike(this.plan(boat.id).mission, aboard) ? "same" : "differs") : boat.mission.state;
   }
 }
 
@@ -99,10 +141,16 @@ export function ageWords(age: number): string {
   return age < 6000 ? `${Math.floor(age / 60)} min` : `${Math.floor(age / 3600)} h`;
 }
 
-/** What a person should look at first, if anything: failsafe, then why the boat is not ready. */
+/** What a person should look at first, if anything: one number twice, failsafe, then why the boat is not ready. */
 export function trouble(boat: Boat): { words: string; grave: boolean } | null {
-  if (boat.failsafe) return { words: boat.failsafe, grave: true };
-  if (!boat.owner) return { words: "another console is in control", grave: false };
-  if (!boat.ready) return { words: boat.reason || "not ready", grave: false };
+  if (boat.twins.length) return { words: `number ${boat.id} is used twice: ${boat.twins.join(" and ")}`, grave: true };
+  if (boat.failsafe) return { words: boat.failsafe === boat.reason ? saidWords(boat) : boat.failsafe, grave: true };
+  if (!boat.owner) return { words: `console ${boat.commander} is in control`, grave: false };
+  if (!boat.ready) return { words: saidWords(boat) || "not ready", grave: false };
   return null;
+}
+
+/** The boat said it once; how long it has been so since, it does not say again. */
+function saidWords({ reason, reason_age_s: age }: Boat): string {
+  return reason && age && age >= SAID_S ? `${reason} · ${ageWords(age)} ago` : reason;
 }

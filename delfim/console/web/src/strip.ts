@@ -4,7 +4,9 @@ import "uplot/dist/uPlot.min.css";
 import type { Actions } from "./actions";
 import { attribute, make, text } from "./dom";
 import type { Drive } from "./drive";
+import { bearing, metres } from "./geo";
 import { palette } from "./palette";
+import { UNNAMED } from "./mission";
 import type { State } from "./state";
 import { age_s, ageWords, freshness, trouble } from "./state";
 import type { Boat } from "./wire";
@@ -13,6 +15,8 @@ const SPAN_S = 60;
 const POINTS_MOST = 700;
 const CONFIRM_LATE_MS = 3000;
 const FULL_AT_MOST = 3; // boats; with more of them only the selected one is shown in full
+
+const STILL_MPS = 0.2; // slower than this there is no time to go
 
 const MODE_WORDS: Record<string, string> = { goto: "go to", grex: "GREX", play: "mission" };
 const GROUPS: readonly (keyof Boat["age_s"])[] = ["heard", "position", "attitude", "rpm", "battery"];
@@ -56,6 +60,8 @@ class Chip {
   private readonly mode = make("span.mode");
   private readonly speed = make("span.speed");
   private readonly battery = make("span.battery");
+  private readonly heading = make("span.heading");
+  private readonly left = make("span.left");
   private readonly trouble = make("p.trouble");
   private readonly link = make("span.link");
   private readonly mission = make("span.mission");
@@ -71,6 +77,7 @@ class Chip {
     this.root.append(
       make("div.row.head", this.dot, this.name, this.battery, this.age),
       make("div.row.state", this.mode, this.speed),
+      make("div.row.going", this.heading, this.left),
       this.trouble,
       make("div.row.graphs", this.graphs[0].root, this.graphs[1].root),
       make("div.row.ages", ...this.groups),
@@ -92,6 +99,8 @@ class Chip {
     text(this.age, ageWords(age));
     this.drawMode(boat, actions);
     this.drawSpeed(boat, drive, actions);
+    text(this.heading, boat.heading_deg === null ? "" : `heading ${bearing(boat.heading_deg)}`);
+    text(this.left, leftWords(boat));
     text(this.battery, batteryWords(boat));
     this.battery.classList.toggle("bad", boat.battery_pct !== null && boat.battery_pct < 20);
     this.drawTrouble(boat);
@@ -105,6 +114,9 @@ class Chip {
     if (fresh) {
       const live = freshness(age_s(state, boat, "rpm")) !== "lost";
       this.graphs.forEach((graph, i) => graph.push(state.at_s, live ? boat.rpm[i as 0 | 1] : null));
+      const most = Math.max(500, ...this.graphs.map((graph) => 1.45 * graph.highest));
+      const least = Math.min(-0.15 * most, ...this.graphs.map((graph) => 1.1 * graph.lowest));
+      this.graphs.forEach((graph) => graph.draw(state.at_s, least, most)); // one scale: their zeros are on one line
     }
   }
 
@@ -141,11 +153,11 @@ class Chip {
 
   private drawMission(boat: Boat, state: State): void {
     const progress = state.progress.get(boat.id);
-    const { name, count, current, state: compared } = boat.mission;
-    const at = current === null || boat.mode !== "play" ? "" : ` · ${current + 1}/${count}`;
-    text(this.mission, progress ? `${progress.what} ${Math.round(progress.part * 100)} %` : count ? `${name || "mission"}${at || ` · ${count}`}` : compared === "unknown" ? "mission not read" : "no mission aboard");
+    const compared = state.compared(boat);
+    text(this.mission, progress ? `${progress.what} ${Math.round(progress.part * 100)} %` : missionWords(boat));
+    const { count } = boat.mission;
     const planned = state.plans.get(boat.id)?.mission.waypoints.length ?? 0;
-    const words = compared === "differs" ? "differs" : compared === "same" ? "same" : compared === "unknown" && count ? "unread" : planned && !count ? "not sent" : "";
+    const words = !count ? (planned ? "not sent" : "") : compared === "unknown" ? "unread" : compared;
     text(this.badge, words);
     attribute(this.badge, "data-state", words.replace(" ", "-"));
     this.badge.hidden = !words;
@@ -161,6 +173,8 @@ class Graph {
   private readonly values: (number | null)[] = [];
   private most = 500;
   private least = -75;
+  highest = 0;
+  lowest = 0;
 
   constructor(private readonly side: "port" | "starboard") {
     this.root.classList.add(side);
@@ -194,10 +208,14 @@ class Graph {
     const drop = Math.max(old, this.times.length - POINTS_MOST, 0);
     this.times.splice(0, drop);
     this.values.splice(0, drop);
-    this.most = Math.max(500, ...this.values.map((each) => 1.45 * (each ?? 0)));
-    this.least = Math.min(-0.15 * this.most, ...this.values.map((each) => 1.1 * (each ?? 0)));
+    this.highest = Math.max(0, ...this.values.map((each) => each ?? 0));
+    this.lowest = Math.min(0, ...this.values.map((each) => each ?? 0));
     text(this.value, `${this.side === "port" ? "P" : "S"} ${rpm === null ? "–" : Math.round(rpm)}`);
     this.root.classList.toggle("unknown", rpm === null);
+  }
+
+  draw(at_s: number, least: number, most: number): void {
+    [this.least, this.most] = [least, most];
     this.plot.setData([this.times, this.values], false);
     this.plot.setScale("x", { min: at_s - SPAN_S, max: at_s });
   }
@@ -217,6 +235,21 @@ function zeroLine(plot: uPlot): void {
   plot.ctx.lineTo(plot.bbox.left + plot.bbox.width, y);
   plot.ctx.stroke();
   plot.ctx.restore();
+}
+
+function missionWords({ mode, mission: { name, count, current, state } }: Boat): string {
+  if (!count) return state === "unknown" ? "mission not read" : "no mission aboard";
+  const waypoints = count === 1 ? "1 waypoint" : `${count} waypoints`;
+  return `${name === UNNAMED ? "mission" : name}: ${mode === "play" && current !== null ? `waypoint ${current + 1} of ${count}` : waypoints}`;
+}
+
+/** To the place that it steers for: metres, and the time that they take at the present speed. */
+function leftWords({ mode, reference, speed_mps }: Boat): string {
+  const left_m = reference?.distance_m;
+  if (left_m == null || mode === "idle" || mode === "manual") return "";
+  const [far, left_s] = [left_m < 1000 ? `${left_m.toFixed(0)} m` : metres(left_m), left_m / Math.max(speed_mps ?? 0, STILL_MPS)];
+  const time = (speed_mps ?? 0) < STILL_MPS ? "" : left_s < 100 ? ` · ${left_s.toFixed(0)} s` : ` · ${(left_s / 60).toFixed(0)} min`;
+  return `${far}${time} to go`;
 }
 
 function batteryWords({ battery_pct, battery_v }: Boat): string {

@@ -47,9 +47,12 @@ export interface Boat {
   mode: Mode | null;
   asked: Mode | null;
   armed: boolean;
-  owner: boolean;
+  owner: boolean; // this console commands it, or nobody does
+  commander: number; // the console that does; 0: none
+  twins: string[]; // addresses that speak by this boat's number, where it is more than one
   ready: boolean;
   reason: string;
+  reason_age_s?: number | null; // since it was said
   failsafe: string;
   rpm: Pair;
   thrust_pct: Pair;
@@ -93,10 +96,25 @@ export interface Background {
   maxzoom?: number;
 }
 
+/** A mark on the time line of a replay. */
+export interface Event {
+  at_s: number;
+  boat: number;
+  severity: number;
+  text: string;
+}
+
+export interface TimeLine {
+  from_s: number;
+  to_s: number;
+  events?: Event[];
+}
+
 export type Heard =
-  | { t: "hello"; version: string; me: string; backgrounds: Background[]; boats: Boat[]; replay: { from_s: number; to_s: number } | null }
+  | { t: "hello"; version: string; me: number; heard_on?: string[]; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "boats"; at_s: number; boats: Boat[] }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
+  | { t: "whole_track"; boat: number; points: [number, number, number][] }
   | { t: "text"; boat: number | null; severity: number; text: string; at_s: number }
   | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
   | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }

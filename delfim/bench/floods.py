@@ -1,0 +1,127 @@
+"""Who floods the boat's doors: `python -m delfim.bench.floods KIND PORT`, PORT being that of ftpd.
+
+Frames with a forged signature for the MAVLink port; connections to cantcpd that say nothing, from many addresses; clients that
+open a bus there and leave; commands to cantcpd that mean nothing, or are barred; connections to ftpd, as many as it takes. The
+same seed sends the same.
+"""
+
+import contextlib
+import json
+import select
+import socket
+import sys
+import time
+from collections import deque
+from collections.abc import Callable, Generator
+from random import Random
+from typing import Final
+
+from delfim.bench.fuzz import SYSTEM
+from delfim.bench.load import Ports
+from delfim.vehicle.mavlink.wire import dialect
+
+BURST_S: Final = 0.002
+BURST: Final = 100  # at once, at most
+HELD: Final = 64  # connections of which the oldest is closed for a new one
+TIMEOUT_S: Final = 0.5
+NONSENSE: Final = (
+    "< send 040 2 11 22 >",
+    "< send 123 9 >",
+    "< nonsense >",
+    "< filter >",
+    "<" * 300,
+    "\xff\0 >",
+)
+
+
+def _forged(random: Random, ports: Ports, _: str, __: int) -> Generator[None, None, None]:
+    """Orders to drive, to stop and to take over, as if the console that commands had signed them."""
+    kinds = (dialect.MAVLINK_MSG_ID_MANUAL_CONTROL, dialect.MAVLINK_MSG_ID_COMMAND_LONG, dialect.MAVLINK_MSG_ID_HEARTBEAT)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.connect(("127.0.0.1", ports.mavlink))
+        while True:
+            kind, payload = random.choice(kinds), random.randbytes(33)
+            header = bytes([len(payload), 1, 0, random.randrange(256), SYSTEM, 190]) + kind.to_bytes(3, "little")
+            crc = dialect.x25crc(header + payload + bytes([dialect.mavlink_map[kind].crc_extra])).crc.to_bytes(2, "little")
+            link.send(b"\xfd" + header + payload + crc + b"\1" + random.randbytes(12))
+            yield
+
+
+def _connections(random: Random, port: int) -> Generator[None, None, None]:
+    held = deque[socket.socket]()
+    try:
+        while True:
+            while len(held) >= HELD:
+                held.popleft().close()
+            address = f"127.0.{random.randrange(256)}.{random.randrange(2, 255)}"
+            held.append(socket.create_connection(("127.0.0.1", port), TIMEOUT_S, (address, 0)))
+            yield
+    finally:
+        for link in held:
+            link.close()
+
+
+def _silent(random: Random, ports: Ports, _: str, __: int) -> Generator[None, None, None]:
+    return _connections(random, ports.cantcpd)
+
+
+def _visitors(random: Random, _: Ports, __: str, ftpd: int) -> Generator[None, None, None]:
+    return _connections(random, ftpd)
+
+
+def _visits(random: Random, ports: Ports, bus: str, _: int) -> Generator[None, None, None]:
+    while True:
+        with socket.create_connection(("127.0.0.1", ports.cantcpd), TIMEOUT_S) as link:
+            link.sendall(f"< open {bus} >< rawmode >".encode())
+            while b"ok" not in link.recv(1 << 10):
+                pass
+        yield
+
+
+def _nonsense(random: Random, ports: Ports, bus: str, _: int) -> Generator[None, None, None]:
+    with socket.create_connection(("127.0.0.1", ports.cantcpd), TIMEOUT_S) as link:
+        link.sendall(f"< open {bus} >".encode())
+        link.setblocking(False)
+        while True:
+            with contextlib.suppress(BlockingIOError):
+                link.send(random.choice(NONSENSE).encode("latin-1"))
+                link.recv(1 << 16)
+            yield
+
+
+Kind = Callable[[Random, Ports, str, int], Generator[None, None, None]]
+KINDS: Final[dict[str, tuple[Kind, float]]] = {  # and how many a second
+    "forged frames": (_forged, 3500.0),
+    "silent connections to cantcpd": (_silent, 300.0),
+    "short visits to cantcpd": (_visits, 300.0),
+    "nonsense to cantcpd": (_nonsense, 5000.0),
+    "connections to ftpd": (_visitors, 300.0),
+}
+
+
+def main() -> int:
+    """A line of ports (delfim.bench.load) starts and is answered with "on", an empty line stops and is answered with how many
+    were sent, and how many failed, as JSON; the end of the input ends."""
+    kind, rate_hz = KINDS[sys.argv[1]]
+    random = Random(1)
+    while line := sys.stdin.readline():
+        *numbers, bus, _ = line.split()
+        asked = random, Ports(*map(int, numbers)), bus, int(sys.argv[2])
+        flood, sent, failed, began_s = kind(*asked), 0, 0, time.monotonic()
+        print("on", flush=True)
+        while not select.select([sys.stdin], [], [], BURST_S)[0]:
+            for _ in range(min(int((time.monotonic() - began_s) * rate_hz) - sent - failed, BURST)):
+                try:
+                    next(flood)
+                    sent += 1
+                except OSError:  # hung up on, or not let in: that is what it is for
+                    failed += 1
+                    flood = kind(*asked)
+        flood.close()
+        sys.stdin.readline()
+        print(json.dumps({"sent": sent, "failed": failed}), flush=True)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

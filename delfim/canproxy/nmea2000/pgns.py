@@ -1,0 +1,309 @@
+"""The NMEA 2000 messages that are read here, as values and as bytes. One row in LAYOUTS for each PGN."""
+
+import math
+import struct
+from collections.abc import Callable
+from enum import IntEnum
+from typing import Any, Final, NamedTuple
+
+from delfim.errors import FormatError
+from delfim.frames import Frame, extended
+
+TAU: Final = math.tau
+ADDRESS_MAX: Final = 251  # 252 and 253 are reserved, 254 cannot claim an address, 255 is everybody
+
+SYSTEM_TIME: Final = 126992
+HEADING: Final = 127250
+RATE_OF_TURN: Final = 127251
+ATTITUDE: Final = 127257
+VARIATION: Final = 127258
+POSITION_RAPID: Final = 129025
+COURSE_SPEED_RAPID: Final = 129026
+GNSS_POSITION: Final = 129029
+
+
+class Reference(IntEnum):
+    """North of a heading or course."""
+
+    TRUE = 0
+    MAGNETIC = 1
+
+
+class PositionRapid(NamedTuple):
+    """PGN 129025, usually 10 Hz, resolution 1e-7 degrees."""
+
+    latitude_rad: float | None
+    longitude_rad: float | None
+
+
+class CourseSpeed(NamedTuple):
+    """PGN 129026, usually 4 Hz: over ground; 1e-4 rad, 0.01 m/s."""
+
+    reference: Reference | None
+    course_rad: float | None  # 0..2 pi
+    speed_mps: float | None
+
+
+class GnssPosition(NamedTuple):
+    """PGN 129029, usually 1 Hz: fast packet of 43 bytes and 4 for each reference station; 1e-16 degrees."""
+
+    utc_ns: int | None
+    latitude_rad: float | None
+    longitude_rad: float | None
+    method: (
+        int | None
+    )  # 0 no fix, 1 GNSS, 2 differential, 3 precise, 4 RTK, 5 RTK float, 6 dead reckoning, 7 manual, 8 simulated
+    satellites: int | None
+    hdop: float | None
+
+
+class Heading(NamedTuple):
+    """PGN 127250, usually 10 Hz, 1e-4 rad: what the sensor reads, and what to add to it."""
+
+    heading_rad: float | None  # 0..2 pi
+    deviation_rad: float | None  # east positive; sensor to magnetic
+    variation_rad: float | None  # east positive; magnetic to true
+    reference: Reference | None
+
+
+class RateOfTurn(NamedTuple):
+    """PGN 127251, usually 10 Hz, 2**-5 urad/s; positive turns the bow to starboard."""
+
+    rate_radps: float | None
+
+
+class Attitude(NamedTuple):
+    """PGN 127257, usually 1 Hz, 1e-4 rad; pitch positive bow up, roll positive starboard down."""
+
+    yaw_rad: float | None  # of no stated reference: never used as a heading
+    pitch_rad: float | None
+    roll_rad: float | None
+
+
+class Variation(NamedTuple):
+    """PGN 127258, usually 1 Hz, 1e-4 rad, east positive."""
+
+    variation_rad: float | None
+
+
+class SystemTime(NamedTuple):
+    """PGN 126992, usually 1 Hz, 0.1 ms."""
+
+    utc_ns: int | None
+
+
+Message = PositionRapid | CourseSpeed | GnssPosition | Heading | RateOfTurn | Attitude | Variation | SystemTime
+
+
+_DEGREES_1E7: Final = math.radians(1e-7)
+_DEGREES_1E16: Final = math.radians(1e-16)
+_RATE_RADPS: Final = 1e-6 / 32
+_DAY_NS: Final = 86_400_000_000_000
+_I16, _I32, _I64 = 0x7FFF, 0x7FFFFFFF, 0x7FFFFFFFFFFFFFFF  # not available; two less is the first value without meaning
+_U16, _U32 = 0xFFFF, 0xFFFFFFFF
+_CIRCLE: Final = 62_832  # 2 pi in 1e-4 rad, rounded up: some senders do not wrap before they round
+_REFERENCES: Final = (Reference.TRUE, Reference.MAGNETIC, None, None)
+
+
+def _signed(raw: int, unavailable: int, limit: int, unit: float, name: str) -> float | None:
+    """A signed field in its unit. Raises FormatError beyond +-limit."""
+    if -limit <= raw <= limit:
+        return raw * unit
+    if raw >= unavailable - 2:
+        return None
+    raise FormatError(f"impossible {name} {raw * unit:.6g}")
+
+
+def _circle(raw: int, name: str) -> float | None:
+    """A field of 0..2 pi in 1e-4 rad. Raises FormatError for what is no angle."""
+    if raw < _CIRCLE:
+        return raw * 1e-4
+    if raw == _CIRCLE:
+        return 0.0
+    if raw >= _U16 - 2:
+        return None
+    raise FormatError(f"impossible {name} {raw * 1e-4:.4f} rad")
+
+
+def _utc_ns(days: int, tenths_ms: int) -> int | None:
+    """Nanoseconds since 1970; a leap second is the 86401st of its day. Raises FormatError beyond that."""
+    if days >= _U16 - 2 or tenths_ms >= _U32 - 2:
+        return None
+    if tenths_ms >= 864_010_000:
+        raise FormatError(f"impossible time of day {tenths_ms * 1e-4:.4f} s")
+    return days * _DAY_NS + tenths_ms * 100_000
+
+
+def _read_position(latitude: int, longitude: int) -> PositionRapid:
+    return PositionRapid(
+        _signed(latitude, _I32, 900_000_000, _DEGREES_1E7, "latitude in rad"),
+        _signed(longitude, _I32, 1_800_000_000, _DEGREES_1E7, "longitude in rad"),
+    )
+
+
+def _read_course_speed(_sid: int, reference: int, course: int, speed: int, _reserved: int) -> CourseSpeed:
+    return CourseSpeed(_REFERENCES[reference & 3], _circle(course, "course"), speed * 0.01 if speed < _U16 - 2 else None)
+
+
+def _read_gnss(*raw: int) -> GnssPosition:
+    _sid, days, time, latitude, longitude, _altitude, kind, _integrity, satellites, hdop, _pdop, _geoid, _stations = raw
+    if hdop < 0:
+        raise FormatError(f"impossible horizontal dilution of precision {hdop * 0.01:.2f}")
+    return GnssPosition(
+        _utc_ns(days, time),
+        _signed(latitude, _I64, 900_000_000_000_000_000, _DEGREES_1E16, "latitude in rad"),
+        _signed(longitude, _I64, 1_800_000_000_000_000_000, _DEGREES_1E16, "longitude in rad"),
+        kind >> 4 if kind < 0xE0 else None,
+        satellites if satellites < 0xFD else None,
+        hdop * 0.01 if hdop < _I16 - 2 else None,
+    )
+
+
+def _read_heading(_sid: int, heading: int, deviation: int, variation: int, reference: int) -> Heading:
+    return Heading(
+        _circle(heading, "heading"),
+        _signed(deviation, _I16, 31_416, 1e-4, "deviation in rad"),
+        _signed(variation, _I16, 31_416, 1e-4, "variation in rad"),
+        _REFERENCES[reference & 3],
+    )
+
+
+def _read_rate(_sid: int, rate: int, _reserved: int, _reserved2: int) -> RateOfTurn:
+    return RateOfTurn(rate * _RATE_RADPS if rate < _I32 - 2 else None)
+
+
+def _read_attitude(_sid: int, yaw: int, pitch: int, roll: int, _reserved: int) -> Attitude:
+    return Attitude(
+        _signed(yaw, _I16, 31_416, 1e-4, "yaw in rad"),
+        _signed(pitch, _I16, 15_708, 1e-4, "pitch in rad"),
+        _signed(roll, _I16, 31_416, 1e-4, "roll in rad"),
+    )
+
+
+def _read_variation(_sid: int, _source: int, _age_days: int, variation: int, _reserved: int) -> Variation:
+    return Variation(_signed(variation, _I16, 31_416, 1e-4, "variation in rad"))
+
+
+def _read_time(_sid: int, _source: int, days: int, time: int) -> SystemTime:
+    return SystemTime(_utc_ns(days, time))
+
+
+def _raw(value: float | None, unit: float, low: int, high: int, unavailable: int) -> int:
+    """A field's integer; not available where the value is None, not a number or outside what `decode` takes."""
+    scaled = math.nan if value is None else value / unit
+    if not math.isfinite(scaled):
+        return unavailable
+    raw = round(scaled)
+    return raw if low <= raw <= high else unavailable
+
+
+def _raw_circle(angle_rad: float | None) -> int:
+    return _U16 if angle_rad is None or not math.isfinite(angle_rad) else round(angle_rad % TAU * 1e4) % _CIRCLE
+
+
+def _raw_angle(angle_rad: float | None, limit: int = 31_416) -> int:
+    return _raw(angle_rad, 1e-4, -limit, limit, _I16)
+
+
+def _raw_utc(utc_ns: int | None) -> tuple[int, int]:
+    days, rest_ns = divmod(-1 if utc_ns is None else utc_ns, _DAY_NS)
+    return (days, rest_ns // 100_000) if 0 <= days < _U16 - 2 else (_U16, _U32)
+
+
+def _raw_reference(reference: Reference | None) -> int:
+    return 0xFF if reference is None else 0xFC | reference
+
+
+def _write_position(m: PositionRapid) -> tuple[int, ...]:
+    return (
+        _raw(m.latitude_rad, _DEGREES_1E7, -900_000_000, 900_000_000, _I32),
+        _raw(m.longitude_rad, _DEGREES_1E7, -1_800_000_000, 1_800_000_000, _I32),
+    )
+
+
+def _write_course_speed(m: CourseSpeed) -> tuple[int, ...]:
+    return 0xFF, _raw_reference(m.reference), _raw_circle(m.course_rad), _raw(m.speed_mps, 0.01, 0, _U16 - 3, _U16), 0xFFFF
+
+
+def _write_gnss(m: GnssPosition) -> tuple[int, ...]:
+    latitude = _raw(m.latitude_rad, _DEGREES_1E16, -900_000_000_000_000_000, 900_000_000_000_000_000, _I64)
+    longitude = _raw(m.longitude_rad, _DEGREES_1E16, -1_800_000_000_000_000_000, 1_800_000_000_000_000_000, _I64)
+    method, satellites = _raw(m.method, 1, 0, 13, 15), _raw(m.satellites, 1, 0, 0xFC, 0xFF)
+    hdop = _raw(m.hdop, 0.01, 0, _I16 - 3, _I16)
+    return 0xFF, *_raw_utc(m.utc_ns), latitude, longitude, _I64, method << 4, 0xFC, satellites, hdop, _I16, _I32, 0
+
+
+def _write_heading(m: Heading) -> tuple[int, ...]:
+    return (
+        0xFF,
+        _raw_circle(m.heading_rad),
+        _raw_angle(m.deviation_rad),
+        _raw_angle(m.variation_rad),
+        _raw_reference(m.reference),
+    )
+
+
+def _write_rate(m: RateOfTurn) -> tuple[int, ...]:
+    return 0xFF, _raw(m.rate_radps, _RATE_RADPS, -_I32, _I32 - 3, _I32), 0xFF, 0xFFFF
+
+
+def _write_attitude(m: Attitude) -> tuple[int, ...]:
+    return 0xFF, _raw_angle(m.yaw_rad), _raw_angle(m.pitch_rad, 15_708), _raw_angle(m.roll_rad), 0xFF
+
+
+def _write_variation(m: Variation) -> tuple[int, ...]:
+    return 0xFF, 0xFF, 0xFFFF, _raw_angle(m.variation_rad), 0xFFFF
+
+
+def _write_time(m: SystemTime) -> tuple[int, ...]:
+    return 0xFF, 0xF0, *_raw_utc(m.utc_ns)  # low half of the second byte: by GPS
+
+
+class _Layout(NamedTuple):
+    fields: struct.Struct
+    read: Callable[..., Message]
+    kind: type
+    write: Callable[[Any], tuple[int, ...]]
+    priority: int  # as sent
+
+
+LAYOUTS: Final = {
+    SYSTEM_TIME: _Layout(struct.Struct("<BBHI"), _read_time, SystemTime, _write_time, 3),
+    HEADING: _Layout(struct.Struct("<BHhhB"), _read_heading, Heading, _write_heading, 2),
+    RATE_OF_TURN: _Layout(struct.Struct("<BiBH"), _read_rate, RateOfTurn, _write_rate, 2),
+    ATTITUDE: _Layout(struct.Struct("<BhhhB"), _read_attitude, Attitude, _write_attitude, 3),
+    VARIATION: _Layout(struct.Struct("<BBHhH"), _read_variation, Variation, _write_variation, 7),
+    POSITION_RAPID: _Layout(struct.Struct("<ii"), _read_position, PositionRapid, _write_position, 2),
+    COURSE_SPEED_RAPID: _Layout(struct.Struct("<BBHHH"), _read_course_speed, CourseSpeed, _write_course_speed, 2),
+    GNSS_POSITION: _Layout(struct.Struct("<BHIqqqBBBhhiB"), _read_gnss, GnssPosition, _write_gnss, 3),
+}
+_PGNS: Final = {layout.kind: pgn for pgn, layout in LAYOUTS.items()}
+
+
+def decode(pgn: int, data: bytes) -> Message:
+    """The values of one complete message. Raises FormatError for a PGN that is not read here, a wrong length (129029 may be
+    longer: reference stations follow) and values that no boat can have, such as a latitude beyond 90 degrees."""
+    layout = LAYOUTS.get(pgn)
+    if layout is None:
+        raise FormatError(f"PGN {pgn} is not one of {', '.join(map(str, LAYOUTS))}")
+    size = layout.fields.size
+    if len(data) != size and not (pgn == GNSS_POSITION and len(data) > size):
+        raise FormatError(f"{len(data)} bytes instead of {size}")
+    return layout.read(*layout.fields.unpack_from(data))
+
+
+def encode(message: Message, source: int, sequence: int = 0) -> list[Frame]:
+    """The frames of a message as the device at address `source` sends them: one, or the seven of a fast packet with the
+    sequence number 0..7 (one up each message). Values that `decode` would not take are sent as not available. Raises
+    FormatError for an address outside 0..251."""
+    if not 0 <= source <= ADDRESS_MAX:
+        raise FormatError(f"address {source} is outside 0..{ADDRESS_MAX}")
+    pgn = _PGNS[type(message)]
+    layout = LAYOUTS[pgn]
+    arb = extended(layout.priority << 26 | pgn << 8 | source)
+    data = layout.fields.pack(*layout.write(message))
+    if len(data) <= 8:
+        return [Frame(arb, data)]
+    head = (sequence & 7) << 5
+    rest = bytes((len(data),)) + data
+    return [Frame(arb, (bytes((head | i,)) + rest[7 * i : 7 * i + 7]).ljust(8, b"\xff")) for i in range(-(-len(rest) // 7))]

@@ -1,0 +1,249 @@
+"""A navigation source made of an NMEA 2000 bus: each kind of data has its device and its age (docs/nmea2000.md)."""
+
+import math
+from collections import Counter
+from typing import Any, Final, NamedTuple
+
+from delfim import config
+from delfim.canproxy.nmea2000.fastpacket import FastPacket
+from delfim.canproxy.nmea2000.newest import Newest
+from delfim.canproxy.nmea2000.pgns import (
+    ADDRESS_MAX,
+    GNSS_POSITION,
+    LAYOUTS,
+    TAU,
+    Attitude,
+    CourseSpeed,
+    GnssPosition,
+    Heading,
+    Message,
+    PositionRapid,
+    RateOfTurn,
+    Reference,
+    SystemTime,
+    Variation,
+    decode,
+)
+from delfim.errors import FormatError
+from delfim.frames import CAN_IDE, Frame, extended
+from delfim.messages import Navigation
+
+# Limits of age for kinds that a healthy bus carries less often than positions; all others are held to the vehicle's `stale_s`.
+SLOW_S: Final = 2.5  # attitude, GNSS quality and time come once a second
+VARIATION_S: Final = 60.0  # some devices send it every ten seconds, and it changes by a minute of arc in a day's sail
+STANDSTILL_MPS: Final = 0.1  # receivers name no course at rest; an unknown course at up to this speed is a velocity of zero
+
+
+class KindStatus(NamedTuple):
+    """Who is believed for one kind of data. None, None: nobody (for variation: the vehicle's file)."""
+
+    source: int | None
+    age_s: float | None
+
+
+class Heard(NamedTuple):
+    """A source of navigation frames."""
+
+    age_s: float
+    frames: int
+
+
+class Status(NamedTuple):
+    kinds: dict[str, KindStatus]  # position, velocity, heading, rate, attitude, variation, quality, time
+    sources: dict[int, Heard]  # by address
+    errors: dict[str, int]  # by reason
+    last_error: str
+
+
+class _Quality(NamedTuple):
+    fix: int
+    satellites: int
+    hdop: float | None
+
+
+# delfim.messages.Navigation.fix by GNSS method. What is reckoned, typed in or simulated is no fix: it must not drive a boat.
+_FIX: Final = {1: 3, 2: 4, 3: 3, 4: 5, 5: 6}
+_UNSTATED: Final = _Quality(2, 0, None)  # a position of which nothing else is said has two dimensions
+
+
+class Nmea2000Source:
+    """A navigation source made of an NMEA 2000 bus. Each kind of data has a chosen source and an age of its own; what is older
+    than its limit is None in the message. Limits: `stale_s`; attitude, quality and time at least `SLOW_S`; variation
+    `VARIATION_S`. The rules are in docs/nmea2000.md."""
+
+    # (arb, mask) to bind a socket to, set mask bits = don't care: the PGNs read here, at any priority, from any address.
+    filters: Final = tuple((extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in LAYOUTS)
+
+    def __init__(self, settings: config.Nmea2000, stale_s: float) -> None:
+        preferred, slow_s = settings.preferred_sources, max(stale_s, SLOW_S)
+        self._configured_variation_rad = math.radians(settings.variation_deg)
+        self._stale_s = stale_s
+        self._position: Newest[tuple[float, float]] = Newest(preferred, stale_s)
+        self._talking: Newest[bool] = Newest(preferred, stale_s)  # says something of position, if only that it has none
+        self._velocity: Newest[tuple[float, float]] = Newest(preferred, stale_s)
+        self._heading: Newest[float] = Newest(preferred, stale_s)
+        self._rate: Newest[float] = Newest(preferred, stale_s)
+        self._attitude: Newest[Attitude] = Newest(preferred, slow_s)
+        self._variation: Newest[float] = Newest(preferred, VARIATION_S)
+        self._quality: Newest[_Quality] = Newest(preferred, slow_s)
+        self._time: Newest[int] = Newest(preferred, slow_s)  # UTC minus monotonic time, ns
+        self._kinds: dict[str, Newest[Any]] = {
+            "position": self._position,
+            "velocity": self._velocity,
+            "heading": self._heading,
+            "rate": self._rate,
+            "attitude": self._attitude,
+            "variation": self._variation,
+            "quality": self._quality,
+            "time": self._time,
+        }
+        self._rapid_s: dict[int, float] = {}  # by address: when it last sent a position of PGN 129025
+        self._heard: dict[int, list[float]] = {}  # by address: last time, frames
+        self._errors: Counter[str] = Counter()
+        self._last_error = ""
+        self._fast = FastPacket(self._errors)
+        self._counter = 0
+
+    def feed(self, frame: Frame, now_s: float) -> Navigation | None:
+        """A navigation message when this frame brings a new position of the chosen source, with the newest of everything
+        else. While no source has a position, the source that says so is passed on: position None, fix 0. Never raises."""
+        arb, data = frame.arb, frame.data
+        if arb & 7 != CAN_IDE:
+            self._errors["not an extended data frame"] += 1
+            return None
+        pgn, address = arb >> 11 & 0x3FFFF, arb >> 3 & 0xFF
+        if pgn not in LAYOUTS:
+            return None
+        if address > ADDRESS_MAX:
+            self._errors["source address that nobody can have"] += 1
+            return None
+        heard = self._heard.get(address)
+        if heard is None:
+            heard = self._heard[address] = [0.0, 0]
+        heard[0] = now_s
+        heard[1] += 1
+        if pgn == GNSS_POSITION:
+            payload = self._fast.feed(address, data, now_s)
+            if payload is None:
+                return None
+            data = payload
+        try:
+            message = decode(pgn, data)
+        except FormatError as error:
+            self._errors[f"PGN {pgn}: malformed"] += 1
+            self._last_error = f"PGN {pgn} of source {address}: {error}"
+            return None
+        return self._take(address, message, frame.t_ns, now_s)
+
+    def _take(self, address: int, message: Message, t_ns: int, now_s: float) -> Navigation | None:
+        """File a message under its kind; positions go on to the vehicle."""
+        match message:
+            case PositionRapid(latitude_rad, longitude_rad):
+                self._rapid_s[address] = now_s
+                return self._place(address, latitude_rad, longitude_rad, t_ns, now_s)
+            case Heading():
+                self._heading.put(address, self._true_heading(address, message, now_s), now_s)
+            case RateOfTurn(rate_radps):
+                self._rate.put(address, rate_radps, now_s)
+            case CourseSpeed():
+                self._velocity.put(address, self._over_ground(address, message, now_s), now_s)
+            case Attitude(_, pitch_rad, roll_rad):
+                known = pitch_rad is not None or roll_rad is not None
+                self._attitude.put(address, message if known else None, now_s)
+            case GnssPosition():
+                return self._gnss(address, message, t_ns, now_s)
+            case Variation(variation_rad):
+                self._variation.put(address, variation_rad, now_s)
+            case SystemTime(utc_ns):
+                self._set_time(address, utc_ns, now_s)
+        return None
+
+    def _gnss(self, address: int, g: GnssPosition, t_ns: int, now_s: float) -> Navigation | None:
+        """Quality and time of a receiver; its position too unless it sends the rapid one."""
+        self._set_time(address, g.utc_ns, now_s)
+        fix = _UNSTATED.fix if g.method is None else _FIX.get(g.method, 0)
+        self._quality.put(address, _Quality(fix, g.satellites or 0, g.hdop), now_s)
+        if now_s - self._rapid_s.get(address, -math.inf) <= self._stale_s:
+            return None
+        return self._place(address, g.latitude_rad, g.longitude_rad, t_ns, now_s)
+
+    def _place(
+        self, address: int, latitude_rad: float | None, longitude_rad: float | None, t_ns: int, now_s: float
+    ) -> Navigation | None:
+        """A position, or the word of a receiver that it has none: the navigation message if the address is the chosen one."""
+        quality = self._quality.of(address, now_s) or _UNSTATED
+        position = None
+        if latitude_rad is not None and longitude_rad is not None and quality.fix:
+            position = latitude_rad, longitude_rad
+        self._position.put(address, position, now_s)
+        self._talking.put(address, True, now_s)
+        chosen = self._position.choose(now_s)
+        if chosen is None:
+            chosen = self._talking.choose(now_s)
+        if chosen != address:
+            return None
+        latitude_rad, longitude_rad = position or (None, None)
+        north_mps, east_mps = self._velocity.get(now_s) or (None, None)
+        _, pitch_rad, roll_rad = self._attitude.get(now_s) or (None, None, None)
+        self._counter = self._counter + 1 & 0xFF
+        return Navigation(
+            self._utc_ns(address, t_ns, now_s),
+            latitude_rad,
+            longitude_rad,
+            north_mps,
+            east_mps,
+            self._heading.get(now_s),
+            self._rate.get(now_s),
+            roll_rad,
+            pitch_rad,
+            quality.fix if position else 0,
+            quality.satellites,
+            quality.hdop,
+            self._counter,
+        )
+
+    def _true_heading(self, address: int, h: Heading, now_s: float) -> float | None:
+        """Sensor + deviation = magnetic, + variation = true; the compass' own variation first."""
+        if h.heading_rad is None or h.reference is None:
+            return None
+        if h.reference is Reference.TRUE:
+            return h.heading_rad
+        variation_rad = self._variation_rad(address, now_s) if h.variation_rad is None else h.variation_rad
+        return (h.heading_rad + (h.deviation_rad or 0.0) + variation_rad) % TAU
+
+    def _over_ground(self, address: int, v: CourseSpeed, now_s: float) -> tuple[float, float] | None:
+        """(north_mps, east_mps)."""
+        if v.speed_mps is None:
+            return None
+        if v.course_rad is None or v.reference is None:
+            return (0.0, 0.0) if v.speed_mps <= STANDSTILL_MPS else None
+        course_rad = v.course_rad
+        if v.reference is Reference.MAGNETIC:
+            course_rad += self._variation_rad(address, now_s)
+        return v.speed_mps * math.cos(course_rad), v.speed_mps * math.sin(course_rad)
+
+    def _variation_rad(self, address: int, now_s: float) -> float:
+        """For a magnetic angle of a source: its own variation, else that of the chosen source, else the vehicle's file."""
+        variation_rad = self._variation.of(address, now_s)
+        if variation_rad is None:
+            variation_rad = self._variation.get(now_s)
+        return self._configured_variation_rad if variation_rad is None else variation_rad
+
+    def _set_time(self, address: int, utc_ns: int | None, now_s: float) -> None:
+        self._time.put(address, None if utc_ns is None else utc_ns - round(now_s * 1e9), now_s)
+
+    def _utc_ns(self, address: int, t_ns: int, now_s: float) -> int:
+        """The bus' time now, by the source of the position if it tells the time; else this computer's stamp of the frame."""
+        offset_ns = self._time.of(address, now_s)
+        if offset_ns is None:
+            offset_ns = self._time.get(now_s)
+        return t_ns if offset_ns is None else offset_ns + round(now_s * 1e9)
+
+    def status(self, now_s: float) -> Status:
+        """Who is believed, who talks, what was refused: for the statistics page."""
+        kinds = {}
+        for name, newest in self._kinds.items():
+            chosen = newest.choose(now_s)
+            kinds[name] = KindStatus(chosen, None if chosen is None else newest.age_s(chosen, now_s))
+        sources = {address: Heard(now_s - t_s, int(frames)) for address, (t_s, frames) in sorted(self._heard.items())}
+        return Status(kinds, sources, dict(self._errors), self._last_error)

@@ -1,0 +1,59 @@
+"""`delfim check`: everything that is wrong with a vehicle's file, and what it names that this computer does not have."""
+
+import argparse
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from delfim.commands import vehicle_file
+
+if TYPE_CHECKING:
+    from delfim.config import Vehicle
+
+TOLD = 50  # mistakes that are told of a file
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    vehicle_file(parser)
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Returns 2 where something is wrong. A warning is nothing wrong: another computer may have what this one lacks."""
+    from delfim import config
+    from delfim.suite import services
+
+    tree = config.read_toml(asked.file, asked.set)
+    wrong = list(config.complaints(tree, config.Vehicle, asked.file))
+    if len(wrong) > 1:
+        print(f"delfim: {asked.file}: {len(wrong)} things are wrong:", file=sys.stderr)
+        print(*(f"  {str(each).removeprefix(f'{asked.file}: ')}" for each in wrong[:TOLD]), sep="\n", file=sys.stderr)
+        return 2
+    vehicle = config.load(asked.file, asked.set)
+    services(vehicle)
+    for doubt in _doubts(asked.file, vehicle):
+        print(f"delfim: warning: {doubt}", file=sys.stderr)
+    print(f"{asked.file}: {vehicle.boat.name}: nothing is wrong with this file")
+    return 0
+
+
+def _doubts(file: str, vehicle: "Vehicle") -> Iterator[str]:
+    """What the file names and this computer does not have."""
+    from delfim import config
+    from delfim.errors import ConfigError
+    from delfim.vehicle.mission import load_mission
+
+    buses = {"can.interface": vehicle.can.interface}
+    if "nmea2000" in vehicle.navigation.sources:
+        buses["nmea2000.interface"] = vehicle.nmea2000.interface
+    for key, bus in buses.items():
+        if ":" not in bus and not Path("/sys/class/net", bus).exists():
+            yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not"
+    for key, path in (("mavlink.key", vehicle.mavlink.key), ("slipd.device", vehicle.slipd.device)):
+        if path and not Path(path).exists():
+            yield f"{key}: there is no file {path} on this computer"
+    if vehicle.simulation.mission:
+        try:
+            load_mission(config.mission_place(file, vehicle))
+        except ConfigError as error:
+            yield str(error)

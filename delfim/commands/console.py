@@ -1,0 +1,54 @@
+"""`delfim console`: all boats on one screen, in the browser."""
+
+import argparse
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="Hear boats here.")
+    parser.add_argument(
+        "--radio",
+        action="append",
+        default=[],
+        metavar="DEVICE:BAUD",
+        help="Hear this serial radio, too: /dev/ttyUSB0:57600, COM3:9600.",
+    )
+    parser.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="Serve the page here.")
+    parser.add_argument(
+        "--number",
+        type=int,
+        choices=range(200, 255),
+        metavar="NUMBER",
+        help="This console's number, 200 to 254, by which boats know it from others; otherwise it draws one and keeps it.",
+    )
+    parser.add_argument(
+        "--token",
+        default="~/.local/state/delfim/console.token",
+        metavar="FILE",
+        help="What lets a browser in, part of the address that is printed; made if it is not there.",
+    )
+    parser.add_argument("--missions", default="missions", metavar="FOLDER", help="The operator's missions.")
+    parser.add_argument("--charts", default="charts", metavar="FOLDER", help="The operator's charts.")
+    parser.add_argument("--sessions", default="sessions", metavar="FOLDER", help="Record sessions here.")
+    parser.add_argument(
+        "--replay",
+        nargs="+",
+        metavar="PATH",
+        help="Hear no boats; play these sessions (.tlog) and state logs, or folders of them.",
+    )
+    parser.add_argument("--key", metavar="FILE", help="Sign with this key; the boats must have the same.")
+    parser.add_argument("--vehicle", metavar="FILE", help="The vehicle's file, for dry runs of missions.")
+    parser.add_argument("--keygen", metavar="FILE", help="Make a signing key, and end.")
+    parser.add_argument("--no-browser", dest="browser", action="store_false", help="Do not open the browser.")
+
+
+def run(asked: argparse.Namespace) -> int:
+    from pathlib import Path
+
+    from delfim.console.gateway import run
+    from delfim.console.mavlink import keygen
+
+    if asked.keygen:
+        keygen(Path(asked.keygen))
+        print(f"delfim: {asked.keygen}: a new key; the boat needs the same file, brought there by hand")
+        return 0
+    return run(asked)

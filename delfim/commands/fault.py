@@ -1,0 +1,25 @@
+"""`delfim fault`: something of a simulated boat breaks."""
+
+import argparse
+
+from delfim.commands import seconds, simulated, there, vehicle_file
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    from delfim.simulator.faults import KINDS, WHERE
+
+    vehicle_file(parser)
+    parser.add_argument("kind", metavar="KIND", help=f'One of {", ".join(KINDS)}; or "end", which ends all faults.')
+    places = ", ".join(dict.fromkeys(place for its in WHERE.values() for place in its))
+    parser.add_argument("where", metavar="WHERE", nargs="?", default="", help=f"Which one, where there are several: {places}.")
+    parser.add_argument("--value", type=float, help="How much, where the kind has a size.")
+    parser.add_argument("--for", type=seconds, dest="for_s", metavar="SECONDS", help="End the fault after this time.")
+    simulated(parser)
+
+
+def run(asked: argparse.Namespace) -> int:
+    from delfim.config import load
+    from delfim.simulator.bycommand import tell
+
+    print(f"delfim: {tell(load(asked.file, there(asked)), asked.kind, asked.where, asked.value, asked.for_s)}")
+    return 0

@@ -1,0 +1,21 @@
+"""`delfim guest`: a guest computer that steers a zigzag."""
+
+import argparse
+
+from delfim.commands import vehicle_file
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    vehicle_file(parser)
+    parser.add_argument("--course", type=float, default=90.0, metavar="DEGREES", help="Zigzag about this course.")
+
+
+def run(asked: argparse.Namespace) -> int:
+    import asyncio
+
+    from delfim.config import load
+    from delfim.simulator.guest import Zigzag, guest
+
+    host, _, port = load(asked.file, asked.set).guest.listen.rpartition(":")
+    asyncio.run(guest(host, int(port), Zigzag(course_deg=asked.course, amplitude_deg=30.0, leg_s=20.0, speed_mps=1.2)))
+    return 0

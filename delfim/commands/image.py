@@ -1,0 +1,100 @@
+"""`delfim image`: look at the boat's image, install one, confirm it. The slots are services/slots.py; what is found out here is
+whether the boat is under way.
+"""
+
+import argparse
+import os
+from pathlib import Path
+
+from delfim import config
+from delfim.commands import vehicle_file
+from delfim.console.link import Link
+from delfim.errors import DelfimError, Refused
+from delfim.services import slots
+
+ANSWER_S = 3.0  # for the vehicle to say what it does
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    vehicle_file(parser)
+    parser.add_argument(
+        "verb", choices=["status", "verify", "install", "confirm"], help="What to do; verify and install need an image."
+    )
+    parser.add_argument("image", metavar="IMAGE", nargs="?", help="What `make image` packed, as it was uploaded.")
+
+
+def run(asked: argparse.Namespace) -> int:
+    """The command. Returns the exit code; raises DelfimError for what a person can mend."""
+    settings = config.load(asked.file, asked.set)
+    if (asked.verb in ("verify", "install")) != bool(asked.image):
+        raise DelfimError(f"image {asked.verb}: {'it names no image' if asked.image else 'which image?'}")
+    try:
+        if asked.verb == "status":
+            return status(settings)
+        if asked.verb == "confirm":
+            return confirm(settings)
+        reason = under_way(settings)
+        if reason:  # also only to verify: it reads a disk and a processor full
+            raise Refused(f"image {asked.verb} refused: {reason}")
+        os.nice(19)
+        return install(settings, Path(asked.image)) if asked.verb == "install" else verify(settings, Path(asked.image))
+    except OSError as error:
+        raise DelfimError(f"image {asked.verb}: {error.filename or 'boot partition'}: {error.strerror}") from None
+
+
+def under_way(settings: config.Vehicle) -> str:
+    """Why no image may be installed now; "" where the boat rests. A vehicle that is not running moves nothing."""
+    try:
+        link = Link(settings.console.socket, ANSWER_S)
+    except DelfimError:
+        return ""
+    with link:
+        try:
+            state = link.ask("state")
+        except DelfimError as error:
+            return f"nobody knows whether the boat is under way: {error}"
+    if state["mode"] != "idle":
+        return f"the boat is under way, in mode {state['mode']}"
+    return "a propeller is turned" if state["starboard_rpm"] or state["port_rpm"] else ""
+
+
+def verify(settings: config.Vehicle, bundle: Path) -> int:
+    image = slots.verify(bundle, settings.image.signers)
+    print(f"{bundle.name}: version {image.manifest.version}, whole, signed by {image.signer}")
+    return 0
+
+
+def install(settings: config.Vehicle, bundle: Path) -> int:
+    slots.verify(bundle, settings.image.signers)  # before anything on the partition is touched
+    with slots.boot_partition(settings.image, write=True) as both:
+        slot, image = both.install(bundle, settings.image.signers)
+    print(f"version {image.manifest.version}, signed by {image.signer}, is in slot {slot} and is tried at the next start.")
+    print("It stays only when it is confirmed then: delfim image FILE confirm")
+    return 0
+
+
+def confirm(settings: config.Vehicle) -> int:
+    running, _ = slots.started(Path("/proc/cmdline").read_text())
+    with slots.boot_partition(settings.image, write=True) as both:
+        both.confirm(running)
+    slots.confirmed(settings.runtime.run_directory)
+    print(f"slot {running} is confirmed: every start from now on is its")
+    return 0
+
+
+def status(settings: config.Vehicle) -> int:
+    """Returns 1 where a slot that may be started is damaged or an image was rolled back."""
+    running, tried = slots.started(Path("/proc/cmdline").read_text())
+    with slots.boot_partition(settings.image, write=False) as both:
+        environment = both.environment()
+        damages = {slot: both.damage(slot) for slot in slots.SLOTS}
+        manifests = {slot: None if damages[slot] else both.manifest(slot) for slot in slots.SLOTS}
+    for slot, manifest in manifests.items():
+        words = [f"version {manifest.version}" if manifest else damages[slot]]
+        words += ["confirmed"] if slot == environment.slot else []
+        words += ["tried at the next start"] if slot == environment.trial else []
+        words += ["running"] if slot == running else []
+        print(f"slot {slot}: {', '.join(words)}")
+    said = slots.present_notice(settings.runtime.run_directory)
+    print(said or ("started from no slot" if not running else "nothing to confirm"))
+    return int(bool(damages[environment.slot]) or bool(said and tried != running))

@@ -1,0 +1,369 @@
+"""`delfim log`: what people do with logs afterwards. One verb, one function; the work is done in delfim.logging and, where a
+boat is needed to repeat something, in delfim.simulator.
+
+Without a path the tree is /log, or that of the simulation; without a range it is the last run.
+"""
+
+import argparse
+import heapq
+import json
+import os
+import re
+import sys
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from delfim.commands import Formatter
+from delfim.errors import DelfimError
+from delfim.frames import Frame
+from delfim.logging import tree
+from delfim.logging.progress import progress, tracked
+from delfim.logging.tree import LogFile, Run, Span
+
+STATE_FORMATS = ("csv", "parquet", "gpx", "kml", "mcap", "mat")
+BOX_FORMATS = ("log", "asc", "blf", "mf4")
+
+WRITTEN_NS = 60_000_000_000  # a file on the boat that was changed so recently, by our clock, is being written
+
+
+class Selection(NamedTuple):
+    """What was asked for."""
+
+    runs: list[Run]
+    files: list[LogFile]
+    span: Span
+
+    @property
+    def name(self) -> str:
+        return self.runs[0].name if self.runs else "nothing"
+
+    def state(self) -> list[LogFile]:
+        return [file for file in self.files if file.suffix.startswith(".state")]
+
+    def black_box(self) -> list[LogFile]:
+        return [file for file in self.files if file.suffix in (".log", ".log.gz")]
+
+
+def run(asked: argparse.Namespace) -> int:
+    code: int = asked.verb(asked)
+    return code
+
+
+def _selection(asked: argparse.Namespace) -> Selection:
+    paths = asked.path or [_default()]
+    found = [file for file in tree.files(paths) if not asked.id or file.id in asked.id]
+    if not found:
+        raise DelfimError(f"no logs{' of ' + ', '.join(asked.id) if asked.id else ''} in {', '.join(paths)}")
+    ranged = any(word and not word.startswith("+") for word in (asked.from_, asked.to))
+    name = asked.run or (None if ranged or asked.all or all(map(os.path.isfile, paths)) else "last")
+    chosen = tree.choose(found, name, time.time_ns())
+    main = next((each for each in chosen if each.id == "state"), chosen[0])
+    span = tree.span(asked.from_, asked.to, main.begin_ns)
+    here = [each for each in chosen if each.end_ns >= span.from_ns and tree.within([each], span)]
+    if not here and not asked.all:
+        raise _nothing(chosen)
+    return Selection(here, tree.within(here, span), span)
+
+
+def _default() -> str:
+    place = tree.default_place()
+    print(f"delfim: the logs of {place}", file=sys.stderr)
+    return place
+
+
+def _nothing(chosen: Sequence[Run]) -> DelfimError:
+    """What is said where a range of time holds nothing."""
+    from delfim.logging.summary import utc
+
+    begin_ns, end_ns = min(run.begin_ns for run in chosen), max(run.end_ns for run in chosen)
+    return DelfimError(f"nothing was logged in this time; the logs are from {utc(begin_ns)} to {utc(end_ns)} UTC")
+
+
+def _ls(asked: argparse.Namespace) -> int:
+    asked.all = True
+    rows = _selection(asked).runs
+    if asked.json:
+        for row in rows:
+            told = {"run": row.name, "id": row.id, "files": len(row.files), "bytes": row.size, "end": row.end}
+            print(json.dumps(told | {"duration_s": round((row.end_ns - row.begin_ns) / 1e9, 1)}))
+        return 0
+    wide = max([10, *(len(row.id) for row in rows)]) + 2
+    print(f"{'RUN (UTC)':17}{'ID':{wide}}{'FILES':>6}{'DURATION':>10}{'SIZE':>10}  END")
+    for row in rows:
+        lasted = _duration((row.end_ns - row.begin_ns) / 1e9)
+        print(f"{row.name:17}{row.id:{wide}}{len(row.files):6}{lasted:>10}{_size(row.size):>10}  {row.end}")
+    return 0
+
+
+def _cat(asked: argparse.Namespace) -> int:
+    asked.id = asked.id or ([] if asked.events else ["state"])
+    chosen = _selection(asked)
+    if not asked.events and not chosen.black_box() and chosen.state():
+        _cat_state(chosen, asked.fields)
+        return 0
+    is_empty = True
+    for line in _cat_lines(chosen, events=asked.events):
+        is_empty = False
+        sys.stdout.write(line)
+    if is_empty and (asked.from_ or asked.to):
+        raise _nothing(chosen.runs)
+    return 0
+
+
+def _cat_lines(chosen: Selection, *, events: bool) -> Iterator[str]:
+    """The events, or the frames of the black boxes by time, or what nodes said: lines of JSON that begin with their time."""
+    if events:
+        told = sorted(tree.events(chosen.files, chosen.span), key=lambda each: each["t_ns"])
+        yield from (json.dumps(event) + "\n" for event in told)
+        return
+    if boxes := chosen.black_box():
+        from delfim.logging.table import lines
+
+        streams = [
+            lines([file for file in boxes if file.id == id_], chosen.span) for id_ in sorted({file.id for file in boxes})
+        ]
+        yield from heapq.merge(*streams, key=lambda line: line[1:18]) if len(streams) > 1 else streams[0]
+        return
+    from delfim.logging.liblog import read_log
+
+    for file in chosen.files:
+        for line in read_log(file.path)[0].splitlines(keepends=True):
+            match = re.match(rb'\{"t_ns": ([0-9]+)', line)
+            if match and line.endswith(b"\n") and chosen.span.has(int(match[1])):
+                yield line.decode(errors="replace")
+
+
+def _cat_state(chosen: Selection, fields: str | None) -> None:
+    """Tab-separated, names first."""
+    from delfim.logging.table import table
+
+    columns, _ = table(chosen.state(), chosen.span)
+    names = fields.split(",") if fields else list(columns)
+    if unknown := [name for name in names if name not in columns]:
+        raise DelfimError(f"no field {', '.join(unknown)}; there are {', '.join(columns)}")
+    print("\t".join(names))
+    for values in zip(*(columns[name].tolist() for name in names), strict=True):
+        print("\t".join(map(str, values)))
+
+
+def _info(asked: argparse.Namespace) -> int:
+    from delfim.logging.summary import summary, text
+
+    chosen = _selection(asked)
+    told = summary(chosen.files, chosen.span, _modes())
+    told["ends"] = {each.id: each.end for each in chosen.runs}
+    if asked.json:
+        print(json.dumps(told))
+    else:
+        print(text(told))
+        print(f"{'ended':14} {', '.join(f'{id_} {end}' for id_, end in told['ends'].items())}")
+    return 0
+
+
+def _plot(asked: argparse.Namespace) -> int:
+    from delfim.logging import plot
+    from delfim.logging.table import table
+
+    chosen = _selection(asked)
+    columns, schema = table(chosen.state(), chosen.span)
+    folder = Path(asked.output or chosen.name)
+    folder.mkdir(parents=True, exist_ok=True)
+    for file in plot.draw(columns, _waypoints(chosen), f"{schema.boat}, {chosen.name}", folder, asked.format):
+        print(file)
+    return 0
+
+
+def _export(asked: argparse.Namespace) -> int:
+    from delfim.logging import canexport, export
+    from delfim.logging.table import table
+
+    chosen = _selection(asked)
+    file = Path(asked.output or f"{chosen.name}.{asked.format}")
+    if asked.format in canexport.FORMATS:
+        count = canexport.write(_frames(chosen, str(file)), file, asked.format)
+    else:
+        columns, schema = table(tracked(str(file), chosen.state(), *_sizes(chosen.state())), chosen.span)
+        told = list(tree.events(chosen.state(), chosen.span))
+        export.FORMATS[asked.format](columns, schema, told, file)
+        count = len(columns["t1"])
+    print(f"{file}: {count} {'frames' if asked.format in canexport.FORMATS else 'records'}, {_size(file.stat().st_size)}")
+    return 0
+
+
+def _replay(asked: argparse.Namespace) -> int:
+    if asked.bus:
+        from delfim.simulator.playback import play
+
+        count, late_s = play(_frames(_selection(asked), f"onto {asked.bus}"), asked.bus, asked.speed, asked.only)
+        print(f"{count} frames onto {asked.bus}, at most {late_s * 1e3:.1f} ms late")
+        return 0
+    from delfim.simulator.rerun import rerun
+
+    chosen = _selection(asked)
+    result = rerun(sorted(file for run in chosen.runs for file in run.files), asked.vehicle, chosen.span)
+    print(result.text())
+    return 0 if result.exact else 1
+
+
+def _repair(asked: argparse.Namespace) -> int:
+    from delfim.logging.repair import repair
+
+    asked.all = not asked.run
+    chosen = _selection(asked)
+    now_ns, mended = time.time_ns(), 0
+    for file in tracked("repair", chosen.files, *_sizes(chosen.files)):
+        if tree.is_running(file, now_ns):
+            print(f"{file.path}: left alone, it was written less than {tree.RUNNING_S} s ago")
+            continue
+        for result in repair(file, in_place=asked.in_place):
+            if result.complaint:
+                mended += 1
+                print(f"{result.path}: {result.complaint} -> {result.target}")
+    print(f"{len(chosen.files)} files checked, {mended} mended")
+    return 0
+
+
+def _fetch(asked: argparse.Namespace) -> int:
+    from delfim.logging.fetch import fetch
+
+    folder = Path(asked.directory)
+    if any(word and word.startswith("+") for word in (asked.from_, asked.to)):
+        raise DelfimError(
+            "a time since the beginning of a run means nothing before the run is here: write 09:30, today, or a date"
+        )
+    began_ns = time.time_ns()
+    span = tree.span(asked.from_, asked.to, began_ns)
+    for summary in (True, False)[: 1 if asked.summary else 2]:
+        outcome, seconds = fetch(asked.url, folder, asked.id, span, summary=summary)
+        print(f"{len(outcome.fetched)} files, {_size(outcome.bytes)} in {seconds:.1f} s")
+        for path in outcome.cut:
+            if abs((folder / path).stat().st_mtime_ns - began_ns) < WRITTEN_NS:
+                print(f"{path}: it is being written on the boat; the same command fetches the rest")
+            else:
+                print(f"{path}: cut on the boat already; delfim log repair mends it")
+        if summary and any("/state/" in path for path in outcome.fetched):
+            _info(argparse.Namespace(path=[str(folder)], id=[], run=None, all=False, from_=None, to=None, json=False))
+    return 0
+
+
+def _frames(chosen: Selection, what: str) -> Iterator[tuple[str, Frame]]:
+    """Those of the black boxes. Raises DelfimError where there is none."""
+    from delfim.logging.table import frames
+
+    boxes = chosen.black_box()
+    if not boxes:
+        raise DelfimError("no black box in this time")
+    return _watched(frames(boxes, chosen.span), boxes, what)
+
+
+def _modes() -> dict[int, str]:
+    from delfim.modes import Mode
+
+    return {int(mode): mode.name.lower() for mode in Mode}
+
+
+def _waypoints(chosen: Selection) -> list[tuple[float, float, float]]:
+    """Of the mission that was loaded last, as the commands in the sidecar tell."""
+    from delfim.config import PathTable
+    from delfim.vehicle.mission import parse_mission
+
+    mission = text = ""
+    for event in tree.events(chosen.state()):
+        if event["event"] == "command" and event["value"]["command"] == "mission" and not event["refused"]:
+            part = event["value"]
+            text = part["text"] if not part.get("at") else text + part["text"]
+            mission = mission if part.get("more") else text
+    if not mission:
+        return []
+    radius_m = PathTable().acceptance_m
+    points = parse_mission(mission, "the mission in the log").waypoint
+    return [(each.latitude_deg, each.longitude_deg, each.acceptance_m or radius_m) for each in points]
+
+
+def _sizes(files: Sequence[LogFile]) -> tuple[float, Callable[[LogFile], float]]:
+    return sum(file.size for file in files), lambda file: file.size
+
+
+def _watched(frames: Iterable[tuple[str, Frame]], files: Sequence[LogFile], what: str) -> Iterator[tuple[str, Frame]]:
+    """Frames, with a progress bar by their time."""
+    begin_ns, end_ns = min(file.begin_ns for file in files), max(file.end_ns for file in files)
+    told = progress(what, (end_ns - begin_ns) / 1e9)
+    for count, each in enumerate(frames):
+        if count % 1000 == 0:
+            told(min(each[1].t_ns - begin_ns, end_ns - begin_ns - 1) / 1e9)
+        yield each
+    told((end_ns - begin_ns) / 1e9)
+
+
+def _duration(seconds: float) -> str:
+    minutes, second = divmod(round(seconds), 60)
+    return f"{minutes // 60}:{minutes % 60:02}:{second:02}"
+
+
+def _size(count: float) -> str:
+    for unit in ("B", "kB", "MB"):
+        if count < 1000:
+            return f"{count:.0f} {unit}" if unit == "B" else f"{count:.1f} {unit}"
+        count /= 1000
+    return f"{count:.1f} GB"
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
+
+    def verb(name: str, function: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        one = verbs.add_parser(name, help=text, description=text, formatter_class=Formatter)
+        one.set_defaults(verb=function)
+        one.add_argument(
+            "--from", dest="from_", metavar="TIME", help="From this time on: UTC, as 2010-01-01T09:30:00 or 09:30, or +SECONDS."
+        )
+        one.add_argument("--to", metavar="TIME", help="Up to this time; +SECONDS count from the beginning of the run.")
+        one.add_argument("--id", action="append", default=[], metavar="ID", help="Take only these logs: state, can0, ...")
+        return one
+
+    def reader(name: str, function: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
+        one = verb(name, function, text)
+        one.add_argument(
+            "--run",
+            metavar="NAME",
+            help="Take this run, as `delfim log ls` names it, or how that begins (default: the last).",
+        )
+        one.add_argument("--all", action="store_true", help="Take all runs.")
+        return one
+
+    ls = reader("ls", _ls, "List the runs: day, id, files, duration, size, and whether they ended in order.")
+    cat = reader("cat", _cat, "Print a log as text: the state as a table, the black box as candump's lines, or the events.")
+    cat.add_argument("--fields", metavar="NAME,...", help="Print only these fields of the state.")
+    cat.add_argument("--events", action="store_true", help="Print commands, changes of mode and losses, as lines of JSON.")
+    info = reader("info", _info, "Sum up a run: track, modes, warnings, latency.")
+    for one in (ls, info):
+        one.add_argument("--json", action="store_true", help="Print JSON, for programs.")
+    plot = reader("plot", _plot, "Draw a run: track, speeds, propellers, references, latency.")
+    plot.add_argument("--format", choices=["png", "svg"], default="png", help="Draw in this format.")
+    plot.add_argument("--output", metavar="DIRECTORY", help="Put the pictures here (default: a folder named after the run).")
+    export = reader("export", _export, "Write a run in a format of other programs.")
+    told = f"{', '.join(STATE_FORMATS)}: the state; {', '.join(BOX_FORMATS)}: the black box."
+    export.add_argument("format", choices=[*STATE_FORMATS, *BOX_FORMATS], metavar="FORMAT", help=told)
+    export.add_argument("--output", metavar="FILE", help="Write this file (default: one named after the run).")
+    words = (
+        "Sail a run again in the vehicle's program, comparing its commands bit by bit; or send its frames onto a bus (--bus)."
+    )
+    replay = reader("replay", _replay, words)
+    replay.add_argument("--vehicle", metavar="FILE", help="Use this vehicle's file instead of the settings in the log.")
+    replay.add_argument("--bus", metavar="INTERFACE", help="Send the black box onto this bus, as vcan0 or canloop:can0.")
+    replay.add_argument("--speed", type=float, default=1.0, help="Times real time; 0 is as fast as the bus takes it.")
+    replay.add_argument("--only", choices=["received", "sent"], help="Send only what the recording computer received, or sent.")
+    text = "Repair logs that a power cut left without their end: whole copies beside the originals. Without --run, all of them."
+    repair = reader("repair", _repair, text)
+    repair.add_argument("--in-place", action="store_true", help="Replace the originals.")
+    told = f"Trees, days, folders or files (default: {' or '.join(tree.PLACES)})."
+    for one in (ls, cat, info, plot, export, replay, repair):  # behind what a verb has itself
+        one.add_argument("path", nargs="*", metavar="PATH", help=told)
+        one.set_defaults(many="path")
+    text = "Fetch logs from a boat (ftp://user@boat/log, sftp://user@boat/log): verified, and resumed after a lost link."
+    fetch = verb("fetch", _fetch, text)
+    fetch.add_argument("--summary", action="store_true", help="Fetch only state logs and sidecars, and sum up the last run.")
+    fetch.add_argument("url", metavar="URL", help="The logs on the boat.")
+    fetch.add_argument("directory", metavar="DIRECTORY", help="Where they go here.")

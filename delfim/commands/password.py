@@ -1,0 +1,16 @@
+"""`delfim password`: a password's hash."""
+
+import argparse
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    pass
+
+
+def run(_: argparse.Namespace) -> int:
+    import getpass
+
+    from delfim.services.door import hashed
+
+    print(hashed(getpass.getpass("password: ")))
+    return 0

@@ -1,0 +1,392 @@
+"""`delfim sim`: the whole suite over a loopback bus, the other nodes modelled, a mission sailed, and pictures at the end.
+
+The boat's program is the same that goes to sea, started the same way; what differs is said in its file's overrides: another
+bus, another place for logs and sockets. In lock step nothing runs in real time and the same seed gives the same bytes.
+"""
+
+import argparse
+import contextlib
+import json
+import math
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from delfim import config
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING
+from delfim.commands import own_file, seconds, vehicle_file
+from delfim.console.drive import line
+from delfim.console.link import Link
+from delfim.errors import BusError, ConfigError, DelfimError, Refused
+from delfim.modes import Mode
+from delfim.simulator.berth import BOATS, PAGE, SIMULATED, Berth, berth, settings_of
+from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.mission import Mission, canonical, load_mission
+
+START_S = 60.0  # the suite must answer within this time: a busy machine reads it slowly
+END_S = 10.0  # and have ended within this time
+QUIET_S = 0.25  # a bus on which nobody speaks for so long is free
+LOCKSTEP_S = 7200.0  # longest mission in lock step
+PAUSE_NS = 5_000_000_000  # what the boat did between two records so far apart is not known
+CTRL_C, GONE = "ended by Ctrl-C", "the vehicle went away"
+
+Show = Callable[[dict[str, Any], str], None]  # a state, and words beside it
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    vehicle_file(parser, optional=True)
+    parser.add_argument("--mission", metavar="FILE", help="Sail this mission instead of the vehicle file's simulation.mission.")
+    parser.add_argument(
+        "--scenario", metavar="FILE", help='Sail this scenario in lock step; "mixed" draws faults from the seed.'
+    )
+    parser.add_argument(
+        "--for", type=seconds, dest="for_s", metavar="SECONDS", help="End after this time instead of with the mission."
+    )
+    parser.add_argument("--seed", type=int, default=1, help="Draw noise and gusts from this number.")
+    parser.add_argument("--lockstep", action="store_true", help="Sail as fast as the machine can; same seed, same bytes.")
+    parser.add_argument("--plain", action="store_true", help="Print one line a second instead of the live view.")
+    parser.add_argument("--json", action="store_true", help="Print one JSON object for each state.")
+    parser.add_argument(
+        "--console", action="store_true", help="Run the console in the browser, too, and stay until Ctrl-C (docs/console.md)."
+    )
+    parser.add_argument(
+        "--page", metavar="ADDRESS:PORT", help=f"Serve the console's page here (default: {PAGE}, or the next free)."
+    )
+    parser.add_argument(
+        "--boats", metavar="ADDRESS:PORT", help=f"Have the console hear boats here (default: {BOATS}, likewise)."
+    )
+    parser.add_argument(
+        "--output",
+        metavar="DIRECTORY",
+        help=f"Keep logs, sockets and pictures here (default: {SIMULATED}; of a second simulation, {SIMULATED}-2).",
+    )
+
+
+def run(asked: argparse.Namespace) -> int:
+    """Returns 0 when the mission was sailed to its end, the asked time passed or Ctrl-C was typed, 1 when the boat stopped."""
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # what we started ends with us, in a script's background, too
+        signal.signal(number, signal.default_int_handler)
+    asked.file = own_file(asked.file)
+    if asked.scenario:
+        return _scenario(asked)
+    settings = config.load(asked.file, asked.set)
+    mission = _mission(asked, settings)
+    return _lockstep(asked, settings, mission) if asked.lockstep else _real_time(asked, settings, mission)
+
+
+def _scenario(asked: argparse.Namespace) -> int:
+    from delfim.simulator import campaign, scenario
+
+    if asked.scenario == campaign.MIXED:
+        result = campaign.sail_mixed(asked.file, asked.seed, tuple(asked.set))
+    else:
+        result = scenario.run_file(asked.scenario, asked.file, asked.seed, tuple(asked.set))
+    print(*scenario.report(result), sep="\n")
+    if result.failures:
+        print(f"delfim: failed; again: {campaign.again(asked.file, asked.scenario, asked.seed, asked.set)}", file=sys.stderr)
+        return 1
+    print(f"delfim: {asked.scenario}, seed {asked.seed}: all as it must be, {result.elapsed_s:.0f} s sailed")
+    return 0
+
+
+def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> int:
+    with berth(asked.output) as its:
+        named = {override.partition("=")[0].strip() for override in asked.set}
+        simulated = settings_of(settings, its, named)
+        overrides, console = [*asked.set, *simulated.overrides], list[str]()
+        if asked.console:
+            console, heard, page_at = _console(asked, settings, its)
+            overrides += [] if "httpd.console" in named else [f"httpd.console={json.dumps(f'http://{page_at}/')}"]
+            peers = [heard, *(peer for peer in settings.mavlink.peers if peer != BOATS)][:8]
+            overrides += [] if "mavlink.peers" in named else [f"mavlink.peers={json.dumps(peers)}"]
+        settings = config.load(asked.file, overrides)
+        _alone(settings.can.interface)
+        arguments = [asked.file, *(word for override in overrides for word in ("--set", override))]
+        voyage = Voyage(asked, settings, mission)
+        page = "" if simulated.page.endswith(":0") else f"; its page is http://{simulated.page}/"
+        told = f"simulation {its.number}: boat {simulated.boat_id} ({settings.boat.name}) in {its.folder}{page}"
+        print(f"delfim: {told}", file=sys.stderr if asked.json else sys.stdout, flush=True)
+        with contextlib.ExitStack() as running:
+            try:
+                running.enter_context(_process("nodes", *arguments, "--seed", str(asked.seed)))
+                boat = running.enter_context(_process("supervise", *arguments))
+                if asked.console:
+                    gateway = running.enter_context(_process("console", *console, stdout=subprocess.PIPE))
+                    voyage.address = _announced(gateway)
+                voyage.sail(boat)
+            except KeyboardInterrupt:
+                voyage.end = CTRL_C
+            signal.signal(signal.SIGINT, signal.SIG_IGN)  # they end in order, each within END_S
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        voyage.report(its.folder)
+        return _code(voyage.end)
+
+
+def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Berth) -> tuple[list[str], str, str]:
+    """The console's words, where it hears boats, and where its page is. What it keeps lies beside the simulation's own. A boat
+    that has a key hears nobody without it."""
+    place, boats = its.folder.resolve() / "console", asked.boats or its.address(BOATS, udp=True)
+    page = asked.page or its.address(PAGE)
+    words = ["--vehicle", asked.file, "--boats", boats, "--page", page]
+    words += ["--key", settings.mavlink.key] if settings.mavlink.key else []
+    kept = [word for name in ("missions", "charts", "sessions", "token") for word in (f"--{name}", str(place / name))]
+    return [*words, *kept], boats, page
+
+
+def _announced(console: "subprocess.Popen[bytes]") -> str:
+    """The address that the console tells as soon as it listens. Raises DelfimError when it does not."""
+    assert console.stdout is not None
+    ready, _, _ = select.select([console.stdout], [], [], START_S)
+    told = console.stdout.readline().decode(errors="replace").strip() if ready else ""
+    if not told:
+        raise DelfimError("the console did not start, so nothing was sailed; what is wrong with it stands above")
+    print(told, flush=True)
+    return next((word.rstrip(";") for word in told.split() if word.startswith("http")), "")
+
+
+class Voyage:
+    """A mission sailed in real time, as it is seen from outside: shown while it lasts, summed up afterwards."""
+
+    def __init__(self, asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> None:
+        self._asked, self._settings, self._mission = asked, settings, mission
+        self._began_s, self._began_utc_s = time.monotonic(), time.time()
+        self._played_s: float | None = None
+        self._last: dict[str, Any] | None = None  # state
+        self.address, self.end = "", ""
+        self.troubles = dict[str, str]()  # what the boat suffered: the last words about each
+
+    def sail(self, boat: "subprocess.Popen[bytes]") -> None:
+        """Load the mission, play it as soon as the boat is fit, and watch until it ends; with a console until Ctrl-C. Raises
+        DelfimError where the boat never answers, or refuses the mission."""
+        with _shown(self._asked, self._mission) as show:
+            while not self.end:
+                try:
+                    self._watch(show, boat)
+                except Refused:
+                    raise
+                except DelfimError:  # its program ended; with a console it is watched again when it was started again
+                    if self._last is None:
+                        raise
+                    show(self._last, f"{self._words()}  THE BOAT DOES NOT ANSWER")
+                    if boat.poll() is not None or not self._asked.console:
+                        self.end = GONE
+
+    def _watch(self, show: Show, boat: "subprocess.Popen[bytes]") -> None:
+        socket = self._settings.console.socket
+        with _connected(socket, boat) as operator, _connected(socket, boat) as onlooker:
+            operator.ask("mission", text=canonical(self._mission))
+            self._began_s = time.monotonic() if self._last is None else self._began_s
+            for state in self._watched(operator, onlooker):
+                self._last = state
+                show(state, self._words())
+
+    def _watched(self, operator: Link, onlooker: Link) -> Iterator[dict[str, Any]]:
+        alive_s = 0.0
+        for state in onlooker.watch():
+            yield state
+            now_s = time.monotonic()
+            if now_s - alive_s > 1.0:
+                alive_s = now_s
+                with contextlib.suppress(Refused):  # not heard: a fault by command
+                    operator.ask("alive")
+            if self._played_s is None:
+                with contextlib.suppress(Refused):  # not fit yet; the view shows why
+                    operator.ask("play")
+                    self._played_s = now_s
+            else:
+                self.end, sailed_s = self._ended(state), now_s - self._played_s
+                news = (notice for notice in state["notices"] if notice["age_s"] < sailed_s)  # not those of the start
+                self.troubles |= {notice["name"]: notice["reason"] for notice in news}
+            if self._asked.for_s is not None and now_s - self._began_s > self._asked.for_s:
+                self.end = f"time: {self._asked.for_s:.0f} s sailed, mode {state['mode']}"
+            if self.end:
+                return
+
+    def _ended(self, state: dict[str, Any]) -> str:
+        """How the mission ended, in words. Where there is a console, its operator goes on."""
+        if self._asked.console or state["operator"] != "local":
+            return ""
+        if state["mode"] == "hold" and state["reason"] == "play done":
+            return f"mission done in {time.monotonic() - self._began_s:.0f} s"
+        return f"stopped: {state['reason']}" if state["mode"] == "idle" else ""
+
+    def _words(self) -> str:
+        """What stands beside a state: the time, where the console is, how all this ends."""
+        return f"{_clock(time.monotonic() - self._began_s)}  {f'console {self.address}  ' if self.address else ''}Ctrl-C ends"
+
+    def report(self, folder: Path) -> None:
+        """The summary and the pictures."""
+        from delfim.logging.statelog import columns
+
+        log = Path(self._settings.log.directory)
+        files = [file for file in log.glob("*/state/*.state*") if file.stat().st_mtime > self._began_utc_s]
+        data = columns(files)
+        print(f"delfim: {self.end}")
+        rows = [("time", _clock(time.monotonic() - self._began_s)), *_figures(data)]
+        rows.append(("troubles", "; ".join(f"{name}: {reason}" for name, reason in self.troubles.items()) or "none"))
+        rows.append(("log", _beside(log)))
+        print("\n".join(f"  {name:12} {words}" for name, words in rows), flush=True)
+        _pictures(data, self._mission, self._settings, folder)
+
+
+def _figures(data: dict[str, list[Any]]) -> list[tuple[str, str]]:
+    """How far, and how far off the line while a mission was played, from the columns of the state log."""
+    if not data:
+        return []
+    steps = zip(data["t1"], data["t1"][1:], data["north_speed"][1:], data["east_speed"][1:], strict=False)
+    ways = [math.hypot(north, east) * (end - begin) / 1e9 for begin, end, north, east in steps if 0 < end - begin < PAUSE_NS]
+    both = zip(data["mode"], data["cross_track"], strict=True)
+    off = [abs(value) for mode, value in both if mode == Mode.PLAY and math.isfinite(value)]
+    rows = [("distance", f"{math.fsum(way for way in ways if math.isfinite(way)):.0f} m")]
+    if off:
+        rms_m = math.sqrt(math.fsum(value * value for value in off) / len(off))
+        rows.append(("cross-track", f"{rms_m:.2f} m rms, {max(off):.2f} m at most, while the mission was played"))
+    return rows
+
+
+def _code(end: str) -> int:
+    return 0 if end.startswith(("mission done", "time", CTRL_C)) else 1
+
+
+def _alone(interface: str) -> None:
+    """Raises BusError when somebody sails on this bus already: two boats would obey each other's commands."""
+    with open_can(interface) as bus:
+        bus.bind(ANYTHING)
+        bus.settimeout(QUIET_S)
+        with contextlib.suppress(TimeoutError):
+            bus.recvmsg()
+            raise BusError(
+                f"{interface} is in use by another simulation; name another: --set simulation.interface=canloop:NAME"
+            )
+
+
+def _mission(asked: argparse.Namespace, settings: config.Vehicle) -> Mission:
+    if asked.mission:
+        return load_mission(asked.mission)
+    if not settings.simulation.mission:
+        raise ConfigError(asked.file, "simulation.mission", "missing, and no --mission was given")
+    return load_mission(config.mission_place(asked.file, settings))
+
+
+@contextlib.contextmanager
+def _process(command: str, *arguments: str, stdout: int | None = None) -> Iterator["subprocess.Popen[bytes]"]:
+    """A child of the same program, ended in order however this one ends."""
+    child = subprocess.Popen([sys.executable, "-m", "delfim", command, *arguments], start_new_session=True, stdout=stdout)
+    try:
+        yield child
+    finally:
+        child.send_signal(signal.SIGTERM)
+        try:
+            child.wait(END_S)
+        except subprocess.TimeoutExpired:
+            os.killpg(child.pid, signal.SIGKILL)
+            child.wait()
+        if child.stdout is not None:
+            child.stdout.close()
+
+
+def _connected(path: str, boat: "subprocess.Popen[bytes]") -> Link:
+    """A link to the vehicle as soon as it listens. Raises DelfimError when it does not within START_S."""
+    until = time.monotonic() + START_S
+    while True:
+        try:
+            return Link(path)
+        except DelfimError:
+            if boat.poll() is not None:
+                raise DelfimError("the boat's program has ended; why stands above") from None
+            if time.monotonic() > until:
+                raise
+            time.sleep(0.02)
+
+
+@contextlib.contextmanager
+def _shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Show]:
+    """How states are shown, with a few words beside each: a live view, one line a second, or JSON."""
+    if asked.json:
+        yield lambda state, words: print(json.dumps(state), flush=True)
+    elif asked.plain or not sys.stdout.isatty():
+        last = [0.0]
+
+        def plain(state: dict[str, Any], words: str) -> None:
+            if time.monotonic() - last[0] >= 1.0:
+                last[0] = time.monotonic()
+                path = "/".join(f"{state['latency'][name]:.0f}" for name in ("p50_us", "p99_us", "worst_us"))
+                print(f"{words.split()[0]}  {line(state)}  path {path} us", flush=True)
+
+        print("delfim: Ctrl-C ends", flush=True)
+        yield plain
+    else:
+        from rich.live import Live
+
+        from delfim.console.view import View
+
+        view = View([(w.latitude_deg, w.longitude_deg) for w in mission.waypoint])
+        with Live(view.render(), refresh_per_second=5, screen=True) as live:
+
+            def lively(state: dict[str, Any], words: str) -> None:
+                view.feed(state, words)
+                live.update(view.render(*live.console.size))
+
+            yield lively
+            live.stop()
+
+
+def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> int:
+    """The same mission as fast as the machine can; the state log's bytes depend on file, mission and seed alone."""
+    from delfim.logging.statelog import columns
+    from delfim.simulator.lockstep import Lockstep
+
+    output = Path(asked.output or SIMULATED)
+    log = output.resolve() / f"lockstep-{asked.seed}"
+    log.parent.mkdir(parents=True, exist_ok=True)
+    shutil.rmtree(log, ignore_errors=True)
+    settings = config.load(asked.file, [*asked.set, f'log.directory="{log}"', 'log.state_method="write"'])
+    started = time.monotonic()
+    run = Lockstep(settings, asked.seed, lambda clock: Logbook(settings, clock))
+    end = run.sail(canonical(mission), asked.for_s or LOCKSTEP_S)
+    run.close()
+    wall_s = time.monotonic() - started
+    data = columns(log.glob("*/state/*.state*"))
+    print(f"delfim: {end}; {run.elapsed_s:.0f} s sailed in {wall_s:.2f} s, {run.elapsed_s / wall_s:.0f} times real time")
+    print("\n".join(f"  {name:12} {words}" for name, words in [*_figures(data), ("log", _beside(log))]), flush=True)
+    _pictures(data, mission, settings, output, timed=False)
+    return _code(end)
+
+
+def _pictures(
+    data: dict[str, list[Any]], mission: Mission, settings: config.Vehicle, output: Path, *, timed: bool = True
+) -> None:
+    """Track of a run, and its latency where time was real, as PNG from the state log."""
+    try:
+        from delfim.logging import plot
+    except ModuleNotFoundError as error:  # on a boat, in its container
+        print(f"delfim: no pictures without {error.name}: pip install 'delfim[ground]'", file=sys.stderr)
+        return
+    if not data:
+        print("delfim: nothing was logged, so there are no pictures", file=sys.stderr)
+        return
+    acceptance_m = settings.control.path.acceptance_m
+    marks = [(w.latitude_deg, w.longitude_deg, w.acceptance_m or acceptance_m) for w in mission.waypoint]
+    plot.track(data, marks, f"{settings.boat.name}: {mission.name}", output / "track.png")
+    print(f"  {'pictures':12} {output}/track.png", end="", flush=True)
+    if timed:
+        plot.latency(data, f"{settings.boat.name}: critical path, t0 to t4", output / "latency.png")
+        print(f", {output}/latency.png", end="")
+    print(flush=True)
+
+
+def _clock(seconds: float) -> str:
+    return f"{int(seconds) // 3600}:{int(seconds) // 60 % 60:02}:{int(seconds) % 60:02}"
+
+
+def _beside(path: Path) -> str:
+    """A path as it is written from here."""
+    return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)

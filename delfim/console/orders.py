@@ -1,0 +1,118 @@
+"""What an operator may order, word by word: one row a word, with the numbers that it takes and the MAVLink command that it is.
+
+A word that has no row, a number that the word does not take, one that is missing or is none: refused in words. Nothing is left
+out in silence, and nothing is guessed.
+"""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final, NamedTuple
+
+from delfim.console.mavlink import MODES, mavlink
+from delfim.errors import FormatError
+
+REQUEST_CONTROL: Final = 32100  # MAV_CMD_REQUEST_OPERATOR_CONTROL
+OWN_SPEED: Final = -1.0  # the boat's
+Numbers = Mapping[str, float]
+
+
+class Order(NamedTuple):
+    """A MAVLink command. `place`: latitude and longitude, 1e-7 degrees; too fine for the floats of `numbers`."""
+
+    command: int
+    numbers: tuple[float, ...]
+    place: tuple[int, int] | None = None
+
+
+class Row(NamedTuple):
+    """Of a word."""
+
+    make: Callable[[Numbers], Order]
+    mode: str = ""  # that the boat enters by it
+    needs: tuple[str, ...] = ()
+    takes: tuple[str, ...] = ()  # and these, where they are known
+
+
+def order(word: str, words: Mapping[str, Any]) -> Order:
+    """Raises FormatError."""
+    row = ORDERS.get(word)
+    if row is None:
+        raise FormatError(f"no command {word!r}")
+    if unknown := sorted(set(words) - {*row.needs, *row.takes}):
+        raise FormatError(f"{word} does not take {', '.join(map(repr, unknown))}")
+    if missing := [name for name in row.needs if name not in words]:
+        raise FormatError(f"{word} needs {', '.join(missing)}")
+    return row.make({name: _number(word, name, value) for name, value in words.items()})
+
+
+def _number(word: str, name: str, value: Any) -> float:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not abs(value) < 1e9:  # NaN is not, either
+        raise FormatError(f"{word}: {name} is a number, not {value!r:.40}")
+    return float(value)
+
+
+def _enter(mode: str) -> Row:
+    asked = Order(mavlink.MAV_CMD_DO_SET_MODE, (1.0, float(MODES[mode])))
+    return Row(lambda n: asked, mode)
+
+
+def _heading(n: Numbers) -> Order:
+    if "heading_deg" not in n:
+        return _enter("heading").make(n)
+    return Order(mavlink.MAV_CMD_GUIDED_CHANGE_HEADING, (1.0, n["heading_deg"] % 360.0, 0.0))
+
+
+def _goto_point(n: Numbers) -> Order:
+    latitude, longitude = round(n["latitude_deg"] * 1e7), round(n["longitude_deg"] * 1e7)
+    if abs(latitude) > 890_000_000 or abs(longitude) > 1_800_000_000:
+        raise FormatError(f"{n['latitude_deg']}, {n['longitude_deg']} is nowhere")
+    return Order(mavlink.MAV_CMD_DO_REPOSITION, (n.get("speed_mps", OWN_SPEED), 1.0), (latitude, longitude))
+
+
+def _speed(n: Numbers) -> Order:
+    if len(n) != 1:
+        raise FormatError("speed needs either speed_mps or speed_pct")
+    return Order(mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, n.get("speed_mps", OWN_SPEED), n.get("speed_pct", OWN_SPEED)))
+
+
+def _play(n: Numbers) -> Order:
+    leg = n.get("leg", 0.0)
+    if leg < 0.0 or leg != int(leg):
+        raise FormatError(f"play: leg is the number of a waypoint, not {leg:g}")
+    return Order(mavlink.MAV_CMD_MISSION_START, (leg, 0.0))
+
+
+def _arm(n: Numbers) -> Order:
+    return Order(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
+
+
+def _disarm(n: Numbers) -> Order:
+    return Order(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
+
+
+def _reset(n: Numbers) -> Order:
+    return Order(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (0.0, 0.0, 1.0, n.get("component", 0.0)))
+
+
+def _take(n: Numbers) -> Order:
+    return Order(REQUEST_CONTROL, (0.0, 1.0, 1.0))
+
+
+ORDERS: Final[dict[str, Row]] = {
+    "stop": _enter("idle"),
+    "idle": _enter("idle"),
+    "manual": _enter("manual"),
+    "heading": Row(_heading, "heading", takes=("heading_deg",)),
+    "heading_to": Row(_heading, "heading", needs=("heading_deg",)),
+    "hold": _enter("hold"),
+    "goto": _enter("goto"),
+    "goto_point": Row(_goto_point, "goto", needs=("latitude_deg", "longitude_deg"), takes=("speed_mps",)),
+    "path": _enter("path"),
+    "play": Row(_play, "play", takes=("leg",)),
+    "grex": _enter("grex"),
+    "home": _enter("home"),
+    "speed": Row(_speed, takes=("speed_mps", "speed_pct")),
+    "arm": Row(_arm),
+    "disarm": Row(_disarm, "idle"),
+    "reset": Row(_reset, takes=("component",)),
+    "take": Row(_take),
+}

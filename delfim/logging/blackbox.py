@@ -1,0 +1,153 @@
+"""canzlogd: the black box. Every frame of every bus, as it was on the bus, in candump's format, deflated (thesis 3.3).
+
+One log a bus, `DIRECTORY/YYYYMMDD/can0/hhmmss.log.gz`, its id the name of the interface. What is no frame goes to the sidecar:
+a line of JSON for each start, loss of frames, change of the bus, step of the wall clock and trouble of the log itself.
+"""
+
+import re
+from collections.abc import Callable, Iterable
+from typing import Final, Protocol
+
+from delfim.clock import Clock
+from delfim.config import Log as Limits
+from delfim.errors import BusError
+from delfim.frames import CAN_ERR, Frame
+from delfim.logging.candump import format_line
+from delfim.logging.liblog import LogStatus, event_line, open_log
+
+FRAMES_A_CALL: Final = 64  # a fraction of a millisecond; the loop calls again while frames are queued
+LAST_CALLS: Final = 100
+STEP_S: Final = 0.5  # a wall clock that differs by more from where it should be has stepped
+
+
+class Socket(Protocol):
+    """What is needed of a CAN socket; delfim.canproxy.socket.CanSocket is one."""
+
+    name: str
+
+    def receive_many(self) -> list[Frame]: ...  # raises BusError
+    @property
+    def dropped(self) -> int: ...
+    def rebind(self) -> bool: ...
+
+
+class BusState(Protocol):
+    @property
+    def state(self) -> str: ...
+
+
+def device(interface: str) -> str:
+    """The name of a bus in candump's text, and the id of its log."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", interface.rpartition(":")[2])
+
+
+class Bus:
+    """The log of one bus, and what was last said in its sidecar."""
+
+    def __init__(self, socket: Socket, limits: Limits, clock: Clock) -> None:
+        self.socket, self.clock = socket, clock
+        self.device = device(socket.name)
+        self.log = open_log(
+            limits.directory,
+            self.device,
+            ".log",
+            "zpipe",
+            clock,
+            file_bytes=limits.file_bytes,
+            file_s=limits.file_s,
+            free_bytes_min=limits.free_bytes_min,
+            when_full=limits.when_full,
+            upload_folder=limits.upload_folder,
+            upload_bytes_max=limits.upload_bytes_max,
+        )
+        self.lost = 0  # frames that the log did not take
+        self.error = self.state = ""  # of the bus
+        self.told: dict[str, object] = {}
+        self.note("start")
+
+    def note(self, event: str, **what: object) -> bool:
+        return self.log.note(event_line(self.clock, event, **what))
+
+    def tell(self, event: str, value: object, empty: object) -> None:
+        """Note a value when it is another than the one noted last; `empty` needs no first note."""
+        if value != self.told.get(event, empty) and self.note(event, value=value):
+            self.told[event] = value
+
+
+class BlackBox:
+    """Logs what the sockets receive. Sockets never block, and are bound to ANYTHING with error frames let through.
+
+    `bus_state` tells of an error frame in which state the controller is, as delfim.canproxy.socket.bus_state does.
+    """
+
+    def __init__(
+        self,
+        sockets: Iterable[Socket],
+        limits: Limits,
+        clock: Clock,
+        bus_state: Callable[[Frame], BusState | None] = lambda frame: None,
+    ) -> None:
+        self._buses = {id(socket): Bus(socket, limits, clock) for socket in sockets}
+        self._clock, self._bus_state = clock, bus_state
+        self._offset_s = self._wall_offset_s()
+
+    def on_readable(self, socket: Socket) -> int:
+        """Log about FRAMES_A_CALL of the frames that are queued. Returns how many."""
+        bus = self._buses[id(socket)]
+        receive_many, device = socket.receive_many, bus.device
+        lines: list[str] = []
+        try:
+            while len(lines) < FRAMES_A_CALL and (frames := receive_many()):
+                for frame in frames:
+                    lines.append(format_line(frame, device))
+                    if frame.arb & CAN_ERR and (state := self._bus_state(frame)):
+                        bus.state = state.state
+        except BusError as error:
+            bus.error = str(error)
+        if lines and not bus.log.put("".join(lines).encode()):
+            bus.lost += len(lines)
+        return len(lines)
+
+    def poll(self) -> None:
+        """Call about once a second: keeps the logs going, takes up buses that failed, writes the sidecars."""
+        offset_s = self._wall_offset_s()
+        step_s, self._offset_s = offset_s - self._offset_s, offset_s
+        for bus in self._buses.values():
+            bus.log.poll()
+            if bus.error and bus.socket.rebind():
+                bus.error = ""
+            if abs(step_s) > STEP_S:
+                bus.note("clock step", value=step_s)
+            status = bus.log.status()
+            bus.tell("frames lost before the socket was read", bus.socket.dropped, 0)
+            bus.tell("frames lost for want of room in the pipe", bus.lost, 0)
+            bus.tell("blocks of frames lost by the log", status.dropped, 0)
+            bus.tell("bus state", bus.state, "")
+            bus.tell("bus error", bus.error, "")
+            bus.tell("log not writable", status.reason, "")
+
+    def status(self) -> dict[str, LogStatus]:
+        """How the log of each bus fares."""
+        return {bus.device: bus.log.status() for bus in self._buses.values()}
+
+    def figures(self) -> dict[str, object]:
+        """JSON-ready: of each bus the bytes on disk, the frames lost, and its trouble where it has one."""
+        shown: dict[str, object] = {}
+        for name, bus in ((bus.device, bus) for bus in self._buses.values()):
+            status = bus.log.status()
+            shown[f"{name}_bytes"] = status.bytes
+            shown[f"{name}_frames_lost"] = bus.socket.dropped + bus.lost
+            if trouble := bus.error or status.reason or bus.state:
+                shown[name] = trouble
+        return shown
+
+    def close(self) -> None:
+        for bus in self._buses.values():
+            for _ in range(LAST_CALLS):  # the last frames of a boat that stops are among those that are still queued
+                if self.on_readable(bus.socket) < FRAMES_A_CALL:
+                    break
+            bus.note("end")
+            bus.log.close()
+
+    def _wall_offset_s(self) -> float:
+        return self._clock.time_ns() / 1e9 - self._clock.monotonic_s()

@@ -1,0 +1,132 @@
+"""logd: what the nodes of the bus have to say in words. Their DSOR segmented log messages, a log a node (thesis 3.3).
+
+A message is a line of JSON in `DIRECTORY/YYYYMMDD/gps/hhmmss.jsonl.gz`: when its last frame came, and its bytes as text or,
+where they are none, in hexadecimal.
+"""
+
+import json
+from collections import deque
+from collections.abc import Callable, Mapping
+from typing import Final, Protocol
+
+from delfim.clock import Clock
+from delfim.config import Log as Limits
+from delfim.errors import BusError
+from delfim.frames import Frame
+from delfim.logging.liblog import LogStatus, event_line, open_log
+
+FRAMES_A_CALL: Final = 64
+
+
+class Message(Protocol):
+    @property
+    def source(self) -> int: ...
+    @property
+    def data(self) -> bytes: ...
+    @property
+    def t_ns(self) -> int: ...
+
+
+class Receiver(Protocol):
+    """What puts frames together; delfim.canproxy.dsor.receiver.Receiver is one."""
+
+    replies: deque[Frame]
+
+    def feed(self, frame: Frame, now_s: float) -> Message | None: ...
+    def expire(self, now_s: float) -> None: ...
+
+
+class Socket(Protocol):
+    """What is needed of a CAN socket; delfim.canproxy.socket.CanSocket is one."""
+
+    receive: Callable[[], Frame | None]  # raises BusError
+
+    def sendmsg(self, frame: Frame) -> object: ...  # raises OSError
+    def rebind(self) -> bool: ...
+
+
+class LogMessages:
+    """Logs the messages of the named nodes; those of others are not answered. The socket never blocks."""
+
+    def __init__(self, socket: Socket, receiver: Receiver, names: Mapping[int, str], limits: Limits, clock: Clock) -> None:
+        self._socket, self._receiver, self._clock = socket, receiver, clock
+        self._failed = False  # the bus
+        self.messages = self.lost = self.unanswered = 0
+        self._logs = {
+            node: open_log(
+                limits.directory,
+                name,
+                ".jsonl",
+                "zpipe",
+                clock,
+                file_bytes=limits.file_bytes,
+                file_s=limits.file_s,
+                free_bytes_min=limits.free_bytes_min,
+                when_full=limits.when_full,
+                upload_folder=limits.upload_folder,
+                upload_bytes_max=limits.upload_bytes_max,
+            )
+            for node, name in names.items()
+        }
+        self._names = dict(names)
+        self._note("start")
+
+    def on_readable(self) -> None:
+        """Take up to FRAMES_A_CALL frames that are queued, and answer them."""
+        now_s, replies = self._clock.monotonic_s(), self._receiver.replies
+        try:
+            for _ in range(FRAMES_A_CALL):
+                frame = self._socket.receive()
+                if frame is None:
+                    break
+                message = self._receiver.feed(frame, now_s)
+                if message is not None:
+                    self._write(message)
+        except BusError:
+            self._failed = True
+        while replies:
+            try:
+                self._socket.sendmsg(replies.popleft())
+            except OSError:  # the node repeats its frame
+                self.unanswered += 1
+
+    def poll(self) -> None:
+        """Call about once a second: keeps the logs going, forgets messages that were never finished."""
+        self._receiver.expire(self._clock.monotonic_s())
+        if self._failed and self._socket.rebind():
+            self._failed = False
+        for log in self._logs.values():
+            log.poll()
+
+    def status(self) -> dict[str, LogStatus]:
+        """How the log of each node fares."""
+        return {self._names[node]: log.status() for node, log in self._logs.items()}
+
+    def report(self) -> dict[str, object]:
+        """JSON-ready: messages logged and lost, frames that could not be answered, why a log is not written."""
+        reasons = {name: status.reason for name, status in self.status().items() if status.reason}
+        return {"messages": self.messages, "lost": self.lost, "unanswered": self.unanswered, "not_writable": reasons}
+
+    def close(self) -> None:
+        self._note("end")
+        for log in self._logs.values():
+            log.close()
+
+    def _write(self, message: Message) -> None:
+        log = self._logs.get(message.source)
+        if log is not None:
+            self.messages += 1
+            self.lost += not log.put(line(message))
+
+    def _note(self, event: str) -> None:
+        for log in self._logs.values():
+            log.note(event_line(self._clock, event))
+
+
+def line(message: Message) -> bytes:
+    """A message as a line of JSON."""
+    try:
+        what = {"text": message.data.decode()}
+    except UnicodeDecodeError:
+        what = {"hex": message.data.hex()}
+    return json.dumps({"t_ns": message.t_ns} | what, ensure_ascii=False).encode() + b"\n"

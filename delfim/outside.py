@@ -1,0 +1,62 @@
+"""What comes from outside is bounded before it is read: a file by its size, JSON and TOML by their depth and numbers."""
+
+import json
+import os
+import re
+import stat
+import tomllib
+from pathlib import Path
+from typing import Any, Final
+
+import msgspec
+
+from delfim.errors import FormatError
+
+UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)  # what msgspec raises for JSON that is none
+TEXT_BYTES: Final = 1 << 20  # of a file that people write: settings, a mission, a scenario
+_HALVES: Final = re.compile(r"\\u[dD][89a-fA-F]")  # of characters, in JSON
+_KINDS: Final = ((stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"), (stat.S_ISSOCK, "a socket"))
+
+
+def read_file(path: str | Path, bytes_max: int = TEXT_BYTES) -> bytes:
+    """All of a file. Raises OSError, in words for one that is too large, and for what would never end or never begin."""
+    status = os.stat(path)
+    for is_kind, name in _KINDS:
+        if is_kind(status.st_mode):
+            raise OSError(0, f"this is {name}, not a file", str(path))
+    if status.st_size > bytes_max:
+        raise OSError(0, f"{status.st_size} bytes: files of more than {bytes_max} are not read", str(path))
+    with open(path, "rb") as file:
+        return file.read(status.st_size)  # what is written meanwhile comes later
+
+
+def read_text(path: str | Path) -> str:
+    """A file that people write. Raises OSError, FormatError."""
+    try:
+        return read_file(path).decode()
+    except UnicodeDecodeError as error:
+        raise FormatError(f"not UTF-8: {error.reason} at byte {error.start}") from None
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Raises FormatError."""
+    try:
+        return tomllib.loads(text)
+    except RecursionError:
+        raise FormatError("not TOML: nested too deep") from None
+    except ValueError as error:  # also a number of thousands of digits
+        raise FormatError(f"not TOML: {error}") from None
+
+
+def parse_json(text: str | bytes) -> Any:
+    """Raises FormatError."""
+    try:
+        text = text.decode() if isinstance(text, bytes) else text
+        told = json.loads(text)
+        if _HALVES.search(text):
+            json.dumps(told, ensure_ascii=False).encode()  # half a character could not be printed or sent on
+        return told
+    except RecursionError:
+        raise FormatError("not JSON: nested too deep") from None
+    except ValueError as error:
+        raise FormatError(f"not JSON: {error}") from None

@@ -1,0 +1,23 @@
+"""canip: UDP datagrams over the bus (docs/canip.md)."""
+
+import asyncio
+import contextlib
+import os
+
+from delfim.canproxy.canudp import CanIp, open_tun
+from delfim.canproxy.opening import open_can
+from delfim.services.runtime import Runtime
+
+
+async def serve(runtime: Runtime) -> None:
+    """Until it is cancelled."""
+    settings = runtime.config.canip
+    tun = open_tun(settings.device, settings.address, settings.mtu)
+    with contextlib.ExitStack() as links:
+        links.callback(os.close, tun)
+        can = links.enter_context(open_can(runtime.config.can.interface))
+        carrier = CanIp(asyncio.get_running_loop(), tun, can, settings)
+        links.callback(carrier.close)
+        links.enter_context(runtime.reading(tun, carrier.on_packets))
+        links.enter_context(runtime.publishing("canip", carrier.report))
+        await asyncio.Event().wait()

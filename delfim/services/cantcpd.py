@@ -1,0 +1,27 @@
+"""cantcpd: CAN over TCP; whoever may watches the buses, and sends (docs/cantcpd.md)."""
+
+import asyncio
+import contextlib
+
+from delfim.canproxy.cantcp import Cantcpd
+from delfim.services.runtime import Runtime
+
+
+async def serve(runtime: Runtime) -> None:
+    """Until it is cancelled. Raises OSError where an address cannot be had."""
+    settings, loop = runtime.config, asyncio.get_running_loop()
+    interfaces = settings.cantcpd.buses or settings.buses
+    with contextlib.ExitStack() as links:
+        server = Cantcpd(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes)
+        links.callback(server.close)
+        asked = [(address, server.slcan_connection) for address in settings.cantcpd.slcan]
+        asked += [(address, server.connection) for address in settings.cantcpd.listen]
+        for address, connection in asked:
+            host, _, number = address.rpartition(":")
+            listening = await loop.create_server(connection, host.strip("[]"), int(number))
+            links.callback(listening.close)
+        port = listening.sockets[0].getsockname()[1]
+        links.enter_context(runtime.publishing("cantcpd", server.report))
+        while True:
+            server.poll(port)
+            await asyncio.sleep(1.0)

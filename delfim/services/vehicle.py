@@ -1,0 +1,195 @@
+"""The critical program as a service: it opens the boat's links, hands them to the loop, serves console and guest, and stops the
+boat when it ends.
+"""
+
+import asyncio
+import contextlib
+import logging
+import os
+import socket
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from delfim import config
+from delfim.canproxy.opening import open_bound
+from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.clock import Clock
+from delfim.errors import DelfimError
+from delfim.services import powerd, slots
+from delfim.services.runtime import Runtime
+from delfim.vehicle.build import build
+from delfim.vehicle.command import CommandServer
+from delfim.vehicle.console import Commands, Shutdown
+from delfim.vehicle.grex import Guest
+from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.loop import LOCAL, Vehicle
+from delfim.vehicle.navigation import Source
+from delfim.vehicle.rehearsal import Rehearsal
+from delfim.vehicle.reviews import Reviews
+from delfim.vehicle.state import Computer, State, StateLog
+
+WATCHDOG_S = 0.1
+PUBLISH_EVERY = 2  # watchdog ticks
+MEASURE_EVERY = 5
+MAINTAIN_EVERY = 10
+
+
+class Breakable(Protocol):
+    """What `delfim fault` can break in this program; `delfim.simulator.bycommand` has it."""
+
+    @property
+    def deaf(self) -> str | None: ...  # why the operator is not heard; None: he is
+    def log(self, log: StateLog) -> StateLog: ...
+    def guest(self, state: State, clock: Clock) -> Guest: ...
+
+
+async def serve(runtime: Runtime) -> None:
+    """The critical program as a service: opens its links, hands them to the loop, and stops the boat when it ends."""
+    settings, clock = runtime.config, runtime.clock
+    with contextlib.ExitStack() as links:
+        last_shutdown = _last_shutdown(Path(settings.log.directory), links)
+        image = slots.present_notice(settings.runtime.run_directory)
+        state = State(computer=Computer(runtime.is_starting(), last_shutdown, image))
+        log = Logbook(settings, clock)
+        links.callback(log.close)
+        broken = _breakable(runtime, links)
+        record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
+
+        def open_bus(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
+            return links.enter_context(open_bound(settings.can, interface, filters))
+
+        boat, statuses, outlet = build(settings, clock, state, open_bus, record_to, make_guest)
+        links.callback(boat.helm.stop, "shutdown")  # first of all that is undone
+        for source in boat.sources:
+            links.callback(source.close)
+            runtime.navigation(source.fileno(), partial(boat.on_navigation, source))
+            links.callback(runtime.remove_navigation, source.fileno())
+            links.enter_context(runtime.publishing(source.name, partial(_figures, source, clock)))
+        if (mirror := outlet.mirror()) is not None:
+            runtime.rehearsal(Rehearsal(boat, outlet, mirror))
+            links.callback(runtime.rehearsal, None)
+        for status in statuses:
+            links.enter_context(runtime.reading(status.fileno(), partial(boat.on_sysstat, status)))
+        await _attend(runtime, boat, log, (*boat.sources, *statuses), links, broken)
+
+
+async def _attend(
+    runtime: Runtime,
+    boat: Vehicle,
+    log: Logbook,
+    inputs: tuple[Source | CanSocket, ...],
+    links: contextlib.ExitStack,
+    broken: Breakable | None,
+) -> None:
+    """Console and guest served, the watchdog stroked, until the service is cancelled."""
+    settings, loop = runtime.config, asyncio.get_running_loop()
+    figures = dict[str, object]()
+
+    def measure() -> None:  # not for each answer, which would be a long callback
+        figures.update({name: report() for name, report in runtime.board.items() if name not in runtime.status})
+        figures.update(runtime.report())
+
+    def snapshot() -> dict[str, object]:
+        return boat.snapshot({"boat": settings.boat.name, "log": log.status()._asdict(), **figures})
+
+    def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
+        refused = (broken.deaf if broken else None) or boat.on_command(command, operator)
+        reviews.hear(command, operator)
+        if isinstance(command, Shutdown) and refused is None:
+            powerd.ask(runtime, "reboot" if command.reboot else "off", "command of the console")
+        log.command(command, refused, boat.state, reviews.written(command))
+        return refused
+
+    mavlink = runtime.load("delfim.vehicle.mavlink.link") if settings.mavlink.enabled else None
+    reviews = Reviews(boat, obeyed, loop)
+    commands = CommandServer(obeyed, reviews, snapshot, settings.console.clients)
+    links.callback(commands.close)
+    links.callback((await loop.create_unix_server(commands.connection, _socket_path(settings.console.socket))).close)
+    os.chmod(settings.console.socket, 0o660)
+    if settings.guest.enabled:
+        links.callback(boat.guest.close)
+        links.callback(await _guest_server(boat, settings.guest.listen))
+    measure()
+    ticks, computer = 0, boat.state.computer
+    while True:
+        await asyncio.sleep(WATCHDOG_S)
+        ticks += 1
+        computer = computer._replace(is_starting=runtime.is_starting())
+        boat.on_watchdog(computer)
+        log.watch(boat.state)
+        if mavlink and mavlink.done():
+            link, mavlink = mavlink.result().MavlinkLink, None
+            with contextlib.suppress(OSError):  # a boat without this link sails; the reason is logged
+                links.enter_context(link(boat, obeyed, reviews.begin, _stamps(settings), runtime.board))
+        if ticks % PUBLISH_EVERY == 0:
+            await asyncio.sleep(0)  # navigation has its turn between two parts of a tick
+            commands.publish()
+        if ticks % MEASURE_EVERY == 1:
+            await asyncio.sleep(0)
+            measure()
+        if ticks % MAINTAIN_EVERY == 0:
+            log.poll()
+            if computer.image:  # until somebody confirms it
+                computer = computer._replace(image=slots.present_notice(settings.runtime.run_directory))
+            for each in inputs:
+                each.rebind()
+
+
+def _stamps(settings: config.Vehicle) -> Path:
+    """The file of the time stamps of what was signed."""
+    return Path(settings.log.directory) / "mavlink-stamps"
+
+
+def _breakable(runtime: Runtime, links: contextlib.ExitStack) -> Breakable | None:
+    """What `delfim fault` can break in this program. None at sea: nothing of it is loaded there."""
+    if not runtime.config.simulation.faults:
+        return None
+    from delfim.simulator.bycommand import Aboard
+
+    return links.enter_context(Aboard(runtime.config, runtime.clock))
+
+
+def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
+    """What was wrong with the end of the run before, in words, told by a mark that lies among the logs while a run goes on."""
+    mark = directory / "running"
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        unclean = mark.exists()
+        mark.touch()
+    except OSError:  # no disk: the check of the log says so
+        return ""
+
+    def ended() -> None:
+        with contextlib.suppress(OSError):
+            mark.unlink()
+
+    links.callback(ended)
+    return "the run before did not end in order: a crash, or the power was cut" if unclean else ""
+
+
+async def _guest_server(boat: Vehicle, listen: str) -> Callable[[], object]:
+    """Returns what ends it. A boat without its guest sails: where the address cannot be had, the log says so."""
+    host, _, port = listen.rpartition(":")
+    try:
+        return (await asyncio.get_running_loop().create_server(lambda: boat.guest, host, int(port))).close
+    except OSError as error:
+        logging.getLogger(__name__).error("guest: nobody can connect on %s: %s", listen, error.strerror)
+        return bool
+
+
+def _figures(source: Source, clock: Clock) -> dict[str, object]:
+    return source.report(clock.monotonic_s())
+
+
+def _socket_path(name: str) -> str:
+    """The path for a new UNIX socket; what a run that was killed left there is removed. Raises DelfimError when a vehicle is
+    running there: two must not answer to one name."""
+    path = Path(name)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with socket.socket(socket.AF_UNIX) as knock:
+        if knock.connect_ex(name) == 0:
+            raise DelfimError(f"another vehicle answers on {name}")
+    path.unlink(missing_ok=True)
+    return name

@@ -1,0 +1,183 @@
+"""Where a simulated boat lies: its number, folder, bus, ports and boat's number, none of them shared with another simulation.
+
+The first simulation of a computer has what the vehicle's file says. The next ones have numbers: a folder `run/sim-2`, a bus
+`canloop:can0-2`, ports ten above. A port that any other program has is passed over. What the operator named himself is taken
+as it is.
+"""
+
+import contextlib
+import errno
+import fcntl
+import json
+import os
+import re
+import socket
+from collections.abc import Collection, Iterator
+from itertools import count
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from delfim import config
+from delfim.errors import DelfimError
+
+SIMULATED: Final = "run/sim"  # the folder of the first one
+NUMBERS: Final = 20  # simulations on one computer at most
+PORTS: Final = 10  # that lie between those of two simulations
+PAGE, BOATS = "127.0.0.1:8765", "127.0.0.1:14550"  # of the console, where it is free
+
+
+class Berth:
+    """What one simulation has for itself."""
+
+    def __init__(self, number: int, folder: Path) -> None:
+        self.number, self.folder = number, folder
+        self._given = set[tuple[str, int, int]]()
+
+    def address(self, wanted: str, *, udp: bool = False) -> str:
+        """An address that is free, at or above the wanted one; port 0 is left to the system."""
+        host, _, text = wanted.rpartition(":")
+        kind = socket.SOCK_DGRAM if udp else socket.SOCK_STREAM
+        first = int(text) + (self.number - 1) * PORTS
+        for port in range(first, min(first + PORTS, 1 << 16)) if text != "0" else ():
+            if (host, port, kind) not in self._given and _is_free(host.strip("[]"), port, kind):
+                self._given.add((host, port, kind))
+                return f"{host}:{port}"
+        return wanted
+
+    def interface(self, wanted: str) -> str:
+        """The bus of this simulation; one of the kernel is as it is named."""
+        return f"{wanted}-{self.number}" if self.number > 1 and wanted.startswith("canloop:") else wanted
+
+
+class Settings(NamedTuple):
+    """A simulated boat's overrides of its file, and what of them people are told."""
+
+    overrides: list[str]
+    boat_id: int
+    page: str  # of the boat
+
+
+@contextlib.contextmanager
+def berth(folder: str | None) -> Iterator[Berth]:
+    """The next free one, as long as the context lasts; in this folder, or in one after its number. Raises DelfimError where
+    the folder is another simulation's."""
+    with contextlib.ExitStack() as held:
+        for number in count(1):
+            if number > NUMBERS:
+                raise DelfimError(f"{NUMBERS} simulations run on this computer already")
+            with contextlib.ExitStack() as tried:
+                if not tried.enter_context(_numbered(number)):
+                    continue
+                place = Path(folder or (SIMULATED if number == 1 else f"{SIMULATED}-{number}"))
+                if not tried.enter_context(_locked(place)):
+                    if folder is not None:
+                        raise DelfimError(f"--output {folder}: another simulation runs there; name another folder")
+                    continue
+                held.enter_context(tried.pop_all())
+                break
+        yield Berth(number, place)
+
+
+def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> Settings:
+    """The overrides with which a boat sails in simulation. `named` are the keys that the operator set."""
+    place, simulation = its.folder.resolve(), vehicle.simulation
+
+    def free(key: str, wanted: str, *, udp: bool = False) -> str:
+        return wanted if key in named else its.address(wanted, udp=udp)
+
+    def several(key: str, wanted: Collection[str]) -> str:
+        return f"[{', '.join(_quoted(free(key, each)) for each in wanted)}]"
+
+    bus = simulation.interface if "simulation.interface" in named else its.interface(simulation.interface)
+    sensors = bus if vehicle.nmea2000.interface == vehicle.can.interface else f"{bus}-nmea2000"
+    boat_id = vehicle.boat.id if "boat.id" in named else (vehicle.boat.id + its.number - 2) % 249 + 1
+    page = free("simulation.httpd", simulation.httpd)
+    texts = {
+        "can.interface": bus,
+        **({"nmea2000.interface": sensors} if bus.startswith("canloop:") else {}),
+        "console.socket": f"{place}/command",
+        "log.directory": f"{place}/log",
+        "runtime.run_directory": str(place),
+        "supervisor.hardware_watchdog": "",
+        "mavlink.key": "",
+        "guest.listen": free("guest.listen", vehicle.guest.listen),
+        "mavlink.listen": free("mavlink.listen", vehicle.mavlink.listen, udp=True),
+        "httpd.listen": page,
+        "ftpd.listen": free("simulation.ftpd", simulation.ftpd),
+        "ftpd.root": f"{place}/log",
+        "sshd.listen": free("simulation.sshd", simulation.sshd),
+        "sshd.root": f"{place}/log",
+        "sshd.host_key": f"{place}/ssh_host_ed25519",
+    }
+    values = {
+        "boat.id": str(boat_id),
+        "cantcpd.listen": several("cantcpd.listen", vehicle.cantcpd.listen),
+        "cantcpd.slcan": several("cantcpd.slcan", vehicle.cantcpd.slcan),
+        "runtime.fifo_priority": "0",
+        "simulation.faults": "true",
+    }
+    overrides = [f"{key}={_quoted(text)}" for key, text in texts.items()] + [f"{key}={value}" for key, value in values.items()]
+    return Settings(overrides, boat_id, page)
+
+
+def found(folder: str | None) -> Path:
+    """The folder of the simulation that is meant. Raises DelfimError where several run and none was named."""
+    if folder is not None:
+        return Path(folder)
+    running = [place for place in folders() if _answers(place / "command")]
+    if len(running) > 1:
+        raise DelfimError(f"simulations run in {' and '.join(map(str, running))}: say which, as --sim-in {running[-1]}")
+    return running[0] if running else Path(SIMULATED)
+
+
+def folders() -> list[Path]:
+    """Those of all simulations of this folder, whether they run or not."""
+    there = [place for place in Path(SIMULATED).parent.glob("sim*") if re.fullmatch("sim(-[0-9]+)?", place.name)]
+    return sorted(there, key=lambda place: (len(place.name), place.name))
+
+
+@contextlib.contextmanager
+def _numbered(number: int) -> Iterator[bool]:
+    """Whether the number was free. It is a name in the network of this computer, as buses and ports are, and ends with us."""
+    with socket.socket(socket.AF_UNIX) as name:
+        try:
+            name.bind(f"\0delfim simulation {number}")
+        except OSError:
+            yield False
+            return
+        yield True
+
+
+@contextlib.contextmanager
+def _locked(folder: Path) -> Iterator[bool]:
+    """Whether nobody else has the folder, which is made. Raises OSError."""
+    folder.mkdir(parents=True, exist_ok=True)
+    handle = os.open(folder / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        yield True
+    except BlockingIOError:
+        yield False
+    finally:
+        os.close(handle)
+
+
+def _is_free(host: str, port: int, kind: int) -> bool:
+    """Where anything else is wrong with the address, who wants it says so."""
+    with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, kind) as door:
+        if kind == socket.SOCK_STREAM:
+            door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # connections that linger are no neighbours
+        try:
+            door.bind((host, port))
+        except OSError as error:
+            return error.errno != errno.EADDRINUSE
+        return True
+
+
+def _answers(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX) as knock:
+        return knock.connect_ex(str(path)) == 0
+
+
+def _quoted(text: str) -> str:
+    return json.dumps(text, ensure_ascii=False)  # as TOML has it

@@ -1,0 +1,63 @@
+"""Work in slices: what would hold the loop for longer than a callback may is a generator, and has a slice of it at a time.
+
+The generator yields how much it has done since it last yielded, in comparisons (about a microsecond each), and returns what
+it found. Work is counted and no clock is read, so that a run in lock step comes out the same each time.
+"""
+
+from collections.abc import Generator, Iterable
+from typing import Final, Generic, TypeVar
+
+from delfim.errors import Refused
+
+SLICE: Final = 100  # comparisons of one callback: a part of what it may take, for computers that are slower
+MOST: Final = 5_000_000  # comparisons of one piece of work, after which it is given up
+
+LET_GO: Final = 400  # objects of a few numbers that are freed at a time
+
+T = TypeVar("T")
+Work = Generator[int, None, T]
+
+
+class Sliced(Generic[T]):
+    """A piece of work under way, what it has cost so far, and its result once it is done."""
+
+    result: T
+
+    def __init__(self, work: Work[T]) -> None:
+        self._work, self.spent = work, 0
+
+    def step(self, most: int = SLICE) -> bool:
+        """A slice of it. Returns whether it is done. Raises what the work raises; the work gets Refused where it has no end."""
+        until = self.spent + most
+        try:
+            while self.spent < until:
+                self.spent += next(self._work)
+            if self.spent > MOST:
+                self._work.throw(Refused(f"more than {MOST:,} comparisons: fewer zones, corners, waypoints or pieces would do"))
+        except StopIteration as end:
+            self.result = end.value
+            return True
+        return False
+
+    def finish(self) -> T:
+        """All that is left of it at once, for who has the time."""
+        while not self.step():
+            pass
+        return self.result
+
+
+class Remains:
+    """What nobody needs any more, let go of a little at a time: to free all that a large plan is made of takes longer than a
+    callback may."""
+
+    def __init__(self) -> None:
+        self._things: list[object] = []
+
+    def add(self, *things: Iterable[object]) -> None:
+        """The parts of something large, just before it is dropped."""
+        for parts in things:
+            self._things.extend(parts)
+
+    def let_go(self) -> None:
+        """Of some; of more where there is much, so that nobody can make it grow for ever. Call it now and then."""
+        del self._things[-max(LET_GO, len(self._things) // 20) :]

@@ -1,0 +1,42 @@
+"""The boat put together, for the runtime, lock step, replay, warm-up and tests: what differs between them is handed in."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+from delfim import config
+from delfim.canproxy.dsor.protocol import message_filter
+from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.clock import Clock
+from delfim.messages import SYSSTAT_MASK, Node, sysstat_arb
+from delfim.vehicle.grex import Guest
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.navigation import OpenBus, open_sources
+from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.state import State, StateLog
+
+
+class Built(NamedTuple):
+    """The vehicle, and the sockets whose frames are to be handed to it or that it sends by."""
+
+    vehicle: Vehicle
+    status: tuple[CanSocket, ...]  # readable: `vehicle.on_sysstat`
+    outlet: CanSocket  # of the propulsion
+
+
+def build(
+    settings: config.Vehicle,
+    clock: Clock,
+    state: State,
+    open_bus: OpenBus,
+    log: StateLog,
+    make_guest: Callable[[State, Clock], Guest] = Guest,
+) -> Built:
+    """The vehicle of this file. Its sources are `vehicle.sources`. Raises DelfimError where an input cannot be opened."""
+    bus = settings.can.interface
+    sources = open_sources(settings, open_bus, state)
+    frames = open_bus(bus, (CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK),))
+    messages = open_bus(bus, (CanAddress(*message_filter(source=Node.GPS)),))
+    outlet = open_bus(bus, ())
+    propulsion = Propulsion(outlet, settings.propulsion, state)
+    vehicle = Vehicle(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
+    return Built(vehicle, (frames, messages), outlet)

@@ -1,0 +1,127 @@
+"""Path following: lines and arcs, with a cross-track error bounded as `docs/control.md` states.
+
+A boat that is not on the path goes to where it begins; one that is, within the acceptance radius, goes on from the first piece
+it stands on: that is how a path is resumed after a hold. At a corner the boat leaves a line early by R tan(angle / 2), where
+a turn of radius R begins that ends on the next one.
+"""
+
+import math
+
+from delfim.geodesy import wrap
+from delfim.vehicle.control.autopilot import entered, steer
+from delfim.vehicle.control.guidance import CREEP_MPS, along, course_to_steer
+from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.safe import STOP
+from delfim.vehicle.state import Actuation, Arc, Line, Motion, Reference, Setpoint
+
+NEEDS = frozenset({"position", "heading", "velocity"})
+SENTENCE = "Follows the mission's lines and arcs, then holds."
+
+APPROACH = -1  # leg: on the way to where the path begins
+TURN_S = 3.0  # radius of a turn at a corner, over speed
+CORNER_MAX_RAD = math.radians(120.0)
+
+
+def lacks(setpoint: Setpoint) -> str | None:
+    if setpoint.plan is None:
+        return "no mission loaded"
+    return None if setpoint.plan.path else "the mission has no path: it needs two waypoints, or pieces of a path"
+
+
+def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
+    memory = Memory(entered(motion), north_m=motion.north_m, east_m=motion.east_m, leg=APPROACH)
+    reach_m = settings.control.path.acceptance_m
+    for leg, piece in enumerate(setpoint.plan.path if setpoint.plan is not None else ()):
+        if _far(piece, motion.north_m, motion.east_m, reach_m):
+            continue
+        _, cross_m, left_m, swept_rad = nearest(piece, motion, 0.0)
+        if abs(cross_m) <= reach_m and 0.0 <= left_m <= _length_m(piece) + reach_m:
+            return memory._replace(leg=leg, swept_rad=swept_rad)
+    return memory
+
+
+def _far(piece: Line | Arc, north_m: float, east_m: float, reach_m: float) -> bool:
+    """Whether a piece is certainly out of reach: a path has up to a thousand."""
+    if isinstance(piece, Arc):
+        return abs(math.hypot(north_m - piece.north_m, east_m - piece.east_m) - piece.radius_m) > reach_m
+    a, b = (piece.north_m, piece.to_north_m) if piece.north_m < piece.to_north_m else (piece.to_north_m, piece.north_m)
+    if not a - 2.0 * reach_m <= north_m <= b + 2.0 * reach_m:
+        return True
+    a, b = (piece.east_m, piece.to_east_m) if piece.east_m < piece.to_east_m else (piece.to_east_m, piece.east_m)
+    return not a - 2.0 * reach_m <= east_m <= b + 2.0 * reach_m
+
+
+def step(
+    memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+) -> tuple[Memory, Reference, Actuation]:
+    path = setpoint.plan.path if setpoint.plan is not None else ()
+    if memory.leg >= len(path):
+        return memory, Reference(leg=memory.leg, done=True), STOP
+    piece = path[memory.leg] if memory.leg >= 0 else _approach(memory, path[0])
+    tangent_rad, cross_m, left_m, swept_rad = nearest(piece, motion, memory.swept_rad)
+    course, heading_rad = course_to_steer(memory.course, motion, tangent_rad, cross_m, settings.control.path, dt_s)
+    last = memory.leg + 1 == len(path)
+    speed_mps = piece.speed_mps if setpoint.override_mps is None else setpoint.override_mps
+    if last:
+        speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * max(left_m, 0.0)), CREEP_MPS))
+    turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad) if isinstance(piece, Arc) else 0.0
+    integrals, actuation = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
+    north_m, east_m = _end(piece)
+    reference = Reference(wrap(heading_rad), speed_mps, cross_m, max(left_m, 0.0), north_m, east_m, max(memory.leg, 0))
+    after = memory._replace(integrals=integrals, course=course, swept_rad=swept_rad)
+    if last:
+        return after, reference._replace(done=True) if left_m <= 0.0 else reference, actuation
+    if left_m > _wheel_over_m(tangent_rad, path[memory.leg + 1], speed_mps, settings.control.path.lookahead_m):
+        return after, reference, actuation
+    return after._replace(leg=memory.leg + 1, swept_rad=0.0), reference, actuation
+
+
+def _approach(memory: Memory, first: Line | Arc) -> Line:
+    to_north_m, to_east_m = start(first)
+    return Line(memory.north_m, memory.east_m, to_north_m, to_east_m, first.speed_mps)
+
+
+def nearest(piece: Line | Arc, motion: Motion, swept_rad: float) -> tuple[float, float, float, float]:
+    """(tangent, cross-track, left to go, swept) at the point of the piece that is nearest to the boat. The angle swept so far
+    tells the turns of an arc apart.
+    """
+    if isinstance(piece, Line):
+        return *along(motion, piece.north_m, piece.east_m, piece.to_north_m, piece.to_east_m), 0.0
+    side = math.copysign(1.0, piece.turn_rad)
+    off_north, off_east = motion.north_m - piece.north_m, motion.east_m - piece.east_m
+    bearing_rad = math.atan2(off_east, off_north)
+    swept_rad += side * wrap(bearing_rad - piece.start_rad - side * swept_rad)
+    cross_m = side * (piece.radius_m - math.hypot(off_north, off_east))
+    return bearing_rad + side * math.pi / 2.0, cross_m, (abs(piece.turn_rad) - swept_rad) * piece.radius_m, swept_rad
+
+
+def _wheel_over_m(tangent_rad: float, following: Line | Arc, speed_mps: float, at_most_m: float) -> float:
+    """How far before its end a piece is left for the next one; zero where they join smoothly."""
+    corner_rad = min(abs(wrap(_start_tangent_rad(following) - tangent_rad)), CORNER_MAX_RAD)
+    return min(speed_mps * TURN_S * math.tan(corner_rad / 2.0), at_most_m)
+
+
+def _start_tangent_rad(piece: Line | Arc) -> float:
+    if isinstance(piece, Line):
+        return math.atan2(piece.to_east_m - piece.east_m, piece.to_north_m - piece.north_m)
+    return piece.start_rad + math.copysign(math.pi / 2.0, piece.turn_rad)
+
+
+def start(piece: Line | Arc) -> tuple[float, float]:
+    return (piece.north_m, piece.east_m) if isinstance(piece, Line) else arc_point(piece, 0.0)
+
+
+def _end(piece: Line | Arc) -> tuple[float, float]:
+    return (piece.to_north_m, piece.to_east_m) if isinstance(piece, Line) else arc_point(piece, piece.turn_rad)
+
+
+def _length_m(piece: Line | Arc) -> float:
+    if isinstance(piece, Line):
+        return math.hypot(piece.to_north_m - piece.north_m, piece.to_east_m - piece.east_m)
+    return abs(piece.turn_rad) * piece.radius_m
+
+
+def arc_point(arc: Arc, turned_rad: float) -> tuple[float, float]:
+    """(north_m, east_m) of the arc's point after a turn, positive clockwise."""
+    bearing_rad = arc.start_rad + turned_rad
+    return arc.north_m + arc.radius_m * math.cos(bearing_rad), arc.east_m + arc.radius_m * math.sin(bearing_rad)

@@ -1,0 +1,265 @@
+"""Which mode the boat is in, who may change it, and what the operator asked for. The loop alone calls this."""
+
+import math
+
+from delfim import config, geodesy
+from delfim.clock import Clock
+from delfim.errors import ConfigError, Refused
+from delfim.modes import Mode, mode_named
+from delfim.slices import Sliced
+from delfim.vehicle import console, failsafe, fence
+from delfim.vehicle.checks import Check, checks, refusal
+from delfim.vehicle.control.control import MODES, Settings, admit, first
+from delfim.vehicle.control.control import control as step
+from delfim.vehicle.control.control import enter as begin
+from delfim.vehicle.failsafe import Action, Inputs
+from delfim.vehicle.mission import FAR_MAX_M
+from delfim.vehicle.planning import Plans
+from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.safe import STOP
+from delfim.vehicle.state import Actuation, Reference, Setpoint, State, StateLog, Waypoint
+from delfim.vehicle.track import Track
+
+PUSHED_S = 1.0  # manual commands that come faster are one push
+
+
+class Helm:
+    """The mode with its memory, the plans, the failsafe's rules, and the one door from mode to mode."""
+
+    def __init__(self, settings: config.Vehicle, clock: Clock, state: State, propulsion: Propulsion, log: StateLog) -> None:
+        self.settings, self.state = settings, state
+        self._clock, self._propulsion, self._log = clock, propulsion, log
+        self.limits = Settings(settings.control, settings.propulsion)
+        self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
+        self.track = Track(settings.control.home)
+        self.plans = Plans(settings.fence, self.limits, state, self.track, log)
+        self.rules, self.troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
+        self.taken = False  # the failsafe changed the mode; a joystick that is still pushed does not take it back
+        self._seeking: Sliced[fence.Point] | None = None  # of a better place to hold
+        self._controlled_s = clock.monotonic_s()
+
+    def stop(self, reason: str) -> None:
+        """Idle and propellers off, now. The reason is shown and logged."""
+        self.enter(Mode.IDLE, reason)
+        self.state.actuation = self._propulsion.send(STOP, self._clock.monotonic_s())
+
+    def steer(self, now_s: float) -> None:
+        """A step of the mode, and what it asks for to the propellers."""
+        self.state.actuation = self._propulsion.send(self.control(now_s), now_s)
+
+    def control(self, now_s: float) -> Actuation:
+        state = self.state
+        dt_s = min(now_s - self._controlled_s, 1.0)
+        self._controlled_s = now_s
+        self.memory, state.reference, wanted = step(state.mode, self.memory, state.motion, state.setpoint, self.limits, dt_s)
+        return wanted
+
+    def checks(self) -> list[Check]:
+        """What is in order before the start and what is not, a line each."""
+        inputs = Inputs(self._log.reason(), self.plans.fence)
+        return checks(self.rules, self.state, inputs, self._clock.monotonic_s(), self._clock.time_ns())
+
+    def unfit(self, lines: list[Check] | None = None) -> str | None:
+        """Why the boat cannot leave idle, in words; None: it can. Manual asks for least: what forbids it forbids everything."""
+        return refusal(self.rules, Mode.MANUAL, self.checks() if lines is None else lines)
+
+    def home(self) -> tuple[float, float] | None:
+        """(latitude_rad, longitude_rad) of the end of the way home; None where no track was driven yet."""
+        end, at = self.track.end(), self.state.origin
+        return geodesy.from_plane(at, *end) if end is not None and at is not None else None
+
+    def fall_back(self, action: Action, reason: str, now_s: float) -> None:
+        """Do what the failsafe asks, or the next safer thing that can be done."""
+        state = self.state
+        if action is Action.DISCONNECT:
+            self._propulsion.disconnect(failsafe.unfollowed(self.rules.table.thruster, state, now_s))
+            return
+        setpoint = state.setpoint._replace(track=self.track.way_home())
+        mode, reason = failsafe.fallback(action, reason, state.motion.has, setpoint)
+        if mode is not state.mode:
+            state.setpoint, self.taken = setpoint, True
+            self.enter(mode, reason)
+            self.steer(now_s)
+
+    def fade(self, now_s: float) -> None:
+        """Manual thrust that nobody repeats ends; the mode stays. Coming back, the operator lets go before it turns again."""
+        state, silent_s = self.state, now_s - self.state.manual_s
+        held = state.setpoint.starboard or state.setpoint.port
+        if state.mode is Mode.MANUAL and held and silent_s > self.settings.failsafe.manual_silent.thrust_s:
+            state.setpoint, self.taken = state.setpoint._replace(starboard=0.0, port=0.0), True
+            state.reason = f"no thrust: no manual command for {silent_s:.1f} s"
+            self._log.note(state.reason)
+            state.actuation = self._propulsion.send(STOP, now_s)  # at once; from the next cycle on, none
+
+    def go_on(self) -> None:
+        """A slice of what takes its time."""
+        self.plans.go_on()
+        self._seek()
+
+    def _seek(self) -> None:
+        """The place to hold moves to a better one as soon as that is found."""
+        if self._seeking is not None and self._seeking.step():
+            (north_m, east_m), self._seeking = self._seeking.result, None
+            self.memory = self.memory._replace(north_m=north_m, east_m=east_m)
+
+    def enter(self, mode: Mode, reason: str) -> None:
+        state = self.state
+        if mode is Mode.IDLE and state.mode is Mode.IDLE and state.reason == reason:
+            return
+        self.memory, self._seeking = begin(mode, state.motion, state.setpoint, self.limits), None
+        waits = mode is Mode.GOTO and state.setpoint.target is None
+        if (mode is Mode.HOLD or waits) and self.plans.fence is not None:
+            here, radius_m = (self.memory.north_m, self.memory.east_m), self.settings.control.hold.radius_m
+            self._seeking = Sliced(fence.place_to_hold(self.plans.fence, here, self.track.points(), radius_m))
+            self._seek()
+        if (
+            mode is Mode.PATH and self.memory.leg > 0 and state.setpoint.plan is not None
+        ):  # or pieces would be missed in silence
+            pieces = len(state.setpoint.plan.path)
+            reason = f"{reason}; begins at piece {self.memory.leg + 1} of {pieces}, the first that the boat stands on"
+        if mode is not state.mode:
+            state.mode_s = self._clock.monotonic_s()
+        state.armed = mode is not Mode.IDLE
+        state.mode, state.reason, state.reference = mode, reason, Reference()
+        self._log.note(f"{mode.name.lower()}: {reason}")
+
+    def _request(self, mode: Mode, setpoint: Setpoint, now_s: float) -> None:
+        """The one door: the operator asks for a mode with its set points. Raises Refused; nothing has changed then."""
+        state = self.state
+        if mode is Mode.HOME:
+            setpoint = setpoint._replace(track=self.track.way_home())
+        if mode is not state.mode:
+            setpoint = setpoint._replace(override_mps=None)
+        if mode is not Mode.IDLE:
+            reason = refusal(self.rules, mode, self.checks()) or admit(mode, state.motion.has, setpoint)
+            if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
+                reason = "no reference from the guest"
+            memory = begin(mode, state.motion, setpoint, self.limits)
+            if reason is None:
+                reason = self._too_far(first(mode, memory, setpoint))
+            if reason is None and self.plans.fence is not None:
+                reason = fence.crossing(self.plans.fence, mode, state.motion, setpoint)
+            if reason is not None:
+                raise Refused(f"{mode.name.lower()} refused: {reason}")
+        state.setpoint = setpoint
+        self.troubles, self.taken = failsafe.overruled(self.troubles), False
+        self.enter(mode, "operator")
+
+    def _too_far(self, to: fence.Point | None) -> str | None:
+        """Why the point that a mode goes to first is too far away, in words."""
+        motion = self.state.motion
+        far_m = 0.0 if to is None else math.dist(to, (motion.north_m, motion.east_m))
+        return f"{far_m / 1e3:.1f} km to go; up to {FAR_MAX_M / 1e3:.0f} km are allowed" if far_m > FAR_MAX_M else None
+
+    def obey(self, command: console.Commands, now_s: float) -> None:
+        setpoint = self.state.setpoint
+        match command:
+            case console.Stop() | console.Shutdown():  # what else a shutdown is, is not the vehicle's
+                self.taken = False
+                self.stop("operator")
+            case console.Mode(mode):
+                wanted = mode_named(mode)
+                if wanted is Mode.MANUAL:  # without thrust, until told
+                    self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
+                elif wanted is Mode.HEADING:
+                    setpoint = self._onwards()
+                elif wanted is Mode.GOTO:  # waits, until told where to
+                    setpoint = setpoint._replace(target=None)
+                self._request(wanted, setpoint, now_s)
+            case console.Manual(starboard, port):
+                self._push(starboard, port, now_s)
+            case console.Heading(heading_deg, speed_mps):
+                asked = self._onwards()._replace(heading_rad=math.radians(heading_deg % 360.0))
+                if speed_mps is not None:
+                    asked = asked._replace(speed_mps=self._speed(speed_mps))
+                self._request(Mode.HEADING, asked, now_s)
+            case console.SetSpeed(speed_mps):
+                override_mps = None if speed_mps is None else self._speed(speed_mps)
+                self.state.setpoint = setpoint._replace(speed_mps=self._speed(speed_mps), override_mps=override_mps)
+            case console.Goto(latitude_deg, longitude_deg, speed_mps):
+                self._request(Mode.GOTO, setpoint._replace(target=self._target(latitude_deg, longitude_deg, speed_mps)), now_s)
+            case console.Mission(_, _, more=True):
+                self.plans.gather(command)
+            case console.Mission() | console.Upload() | console.Fence():
+                self.plans.accept(command)
+            case console.Play(leg):
+                self._request(Mode.PLAY, setpoint._replace(leg=leg), now_s)
+            case console.Leg(leg):
+                self._choose(leg, now_s)
+            case console.Unload():
+                self.plans.unload()
+            case console.Rally(points):
+                self.plans.rally = points
+                self.plans.call_at()
+            case console.Arm():
+                self._arm()
+            case console.Reset(node):
+                if self.state.mode is not Mode.IDLE:
+                    raise Refused("reset refused: stop first")
+                self._propulsion.reset(node)
+            case console.Set(key, value):
+                self._set(key, value)
+
+    def _onwards(self) -> Setpoint:
+        """The set points of heading mode until others are asked for: those that it has, or else the boat's heading, and the
+        speed at which it sails; cruising speed where it does not sail."""
+        state = self.state
+        if state.mode is Mode.HEADING:
+            return state.setpoint
+        sails = state.mode not in (Mode.IDLE, Mode.MANUAL, Mode.HOLD)
+        speed_mps = state.reference.speed_mps if sails else None
+        return state.setpoint._replace(heading_rad=state.motion.heading_rad, speed_mps=self._speed(speed_mps))
+
+    def _speed(self, asked_mps: float | None) -> float:
+        """The operator's speed within the boat's; cruising speed where none was named."""
+        speeds = self.settings.control.speed
+        return min(speeds.cruise_mps if asked_mps is None else asked_mps, speeds.max_mps)
+
+    def _target(self, latitude_deg: float | None, longitude_deg: float | None, speed_mps: float | None) -> Waypoint:
+        """A free point of the operator; where none is given, the mission's first waypoint."""
+        if latitude_deg is None or longitude_deg is None:
+            plan = self.state.setpoint.plan
+            if plan is None:
+                raise Refused("goto refused: no point to go to and no mission loaded")
+            return plan.waypoints[0]
+        if self.state.origin is None:
+            raise Refused("goto refused: no position yet")
+        north_m, east_m = geodesy.to_plane(self.state.origin, math.radians(latitude_deg), math.radians(longitude_deg))
+        return Waypoint(north_m, east_m, self._speed(speed_mps), self.settings.control.path.acceptance_m)
+
+    def _choose(self, leg: int, now_s: float) -> None:
+        setpoint = self.state.setpoint._replace(leg=leg)
+        if (reason := MODES[Mode.PLAY].lacks(setpoint)) is not None:
+            raise Refused(f"leg refused: {reason}")
+        if self.state.mode is Mode.PLAY:
+            self._request(Mode.PLAY, setpoint, now_s)
+        self.state.setpoint = self.state.setpoint._replace(leg=leg)
+
+    def _push(self, starboard: float, port: float, now_s: float) -> None:
+        """Manual thrust. After the failsafe took it away, the operator first lets go: by silence, or by asking for none."""
+        state = self.state
+        pushed, state.manual_s = now_s - state.manual_s < PUSHED_S, now_s
+        if state.mode is Mode.MANUAL and not starboard and not port:
+            self.taken = False
+        if self.taken and (pushed or state.mode is Mode.MANUAL):
+            raise Refused(f"manual refused: {state.reason}; let go for {PUSHED_S:g} s or ask for a mode")
+        state.setpoint = setpoint = state.setpoint._replace(starboard=starboard, port=port)
+        if state.mode is not Mode.MANUAL:
+            self._request(Mode.MANUAL, setpoint, now_s)
+
+    def _arm(self) -> None:
+        if self.state.mode is Mode.IDLE and (reason := self.unfit()) is not None:
+            raise Refused(f"arm refused: {reason}")
+        self.state.armed = True
+
+    def _set(self, key: str, value: float | str) -> None:
+        """A value of the tables that may change while the boat sails. Raises Refused with what is allowed."""
+        try:
+            self.settings = settings = config.changed(self.settings, key, value)
+        except ConfigError as error:
+            raise Refused(f"set refused: {error.key}: {error.reason}; {error.allowed}") from None
+        self.limits = self.plans.limits = Settings(settings.control, settings.propulsion)
+        if key.startswith("failsafe."):
+            self.rules = failsafe.Rules(settings)
+        else:
+            self.rules.settings = settings

@@ -1,0 +1,81 @@
+"""The vehicle's state log: a record a cycle, and what happened in the sidecar beside it (docs/log-format.md)."""
+
+import msgspec
+
+from delfim import __version__, config
+from delfim.clock import Clock
+from delfim.logging.liblog import event_line, open_log
+from delfim.logging.statelog import Schema, StateWriter
+from delfim.modes import Mode
+from delfim.vehicle import record
+from delfim.vehicle.console import Alive, Commands, Report, Watch
+from delfim.vehicle.state import State
+
+
+class Logbook:
+    """The vehicle's state log: a record a cycle."""
+
+    def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
+        schema = Schema(
+            [(f.name, f.code, f.unit, f.description) for f in record.FIELDS],
+            boat=settings.boat.name,
+            started_ns=clock.time_ns(),
+        )
+        limits, self._clock = settings.log, clock
+        self._log = open_log(
+            limits.directory,
+            "state",
+            ".state",
+            limits.state_method,
+            clock,
+            header=schema.header,
+            file_bytes=limits.file_bytes,
+            file_s=limits.file_s,
+            free_bytes_min=limits.free_bytes_min,
+            when_full=limits.when_full,
+            upload_folder=limits.upload_folder,
+            upload_bytes_max=limits.upload_bytes_max,
+        )
+        self._writer = StateWriter(self._log, schema)
+        self.status, self.poll = self._log.status, self._log.poll
+        self._noted = False
+        self.event("start", version=__version__, settings=config.shown(settings))
+
+    def write(self, state: State, now_s: float) -> None:
+        self._writer.put(record.values(state, now_s))
+
+    def event(self, event: str, **what: object) -> None:
+        """Into the sidecar: what happened that is no record."""
+        self._log.note(event_line(self._clock, event, **what))
+
+    def command(self, command: Commands, refused: str | None, state: State, written: bytes | None = None) -> None:
+        """A word of the console and what became of it; `written`: its JSON, where somebody took the time to make it. Those that
+        only ask or only say that somebody is there are not kept."""
+        if not isinstance(command, Alive | Report | Watch):
+            value = command if written is None else msgspec.Raw(written)
+            what = {"event": "command", "at_s": state.console_s, "value": value, "refused": refused or ""}
+            times = {"t_ns": self._clock.time_ns(), "monotonic_s": self._clock.monotonic_s()}
+            self._log.note(msgspec.json.encode(times | what) + b"\n")
+
+    def note(self, text: str) -> None:
+        """An event of the loop, in words; "hold: fence ahead" is a change of mode with its reason."""
+        self._noted = True
+        mode, _, reason = text.partition(": ")
+        if mode.upper() in Mode.__members__:
+            self.event("mode", value=mode, reason=reason)
+        else:
+            self.event("note", value=text)
+
+    def watch(self, state: State) -> None:
+        """Called after each look of the watchdog: when it was, where something was noted since the one before."""
+        if self._noted:
+            self._noted = False
+            self.event("watchdog", at_s=state.watchdog_s)
+
+    def reason(self) -> str:
+        status = self._log.status()
+        return self._writer.reason if status.writable else status.reason
+
+    def close(self) -> None:
+        self.event("end")
+        self._log.close()

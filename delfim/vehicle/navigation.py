@@ -1,0 +1,118 @@
+"""Where navigation comes from: inputs of one kind or another, each of which puts together complete navigation messages.
+
+Sources stand in order of preference; a message of a less preferred source counts only while every better one is silent. To add
+a source: a file in `delfim/vehicle/sources/` with a function `open_source`, and its name in `navigation.sources` of the
+vehicle's file (CONTRIBUTING.md, "How to add a sensor").
+"""
+
+import math
+from collections.abc import Callable
+from importlib import import_module
+from typing import NamedTuple, Protocol
+
+from delfim import config, geodesy
+from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.messages import Navigation
+from delfim.vehicle.state import Motion, State
+
+FRAMES_PER_READ = 64  # bounds one call on a flooded input; what is left stays readable
+
+OpenBus = Callable[[str, tuple[CanAddress, ...]], CanSocket]
+"""Opens a socket on an interface that never blocks and receives what the filters accept: none, nothing. Raises BusError."""
+
+
+class Fix(NamedTuple):
+    """One navigation message and when its last frame arrived."""
+
+    navigation: Navigation
+    t0_ns: int  # kernel's stamp
+    received_s: float  # monotonic
+
+
+class Source(Protocol):
+    """A navigation input. `read` never raises and never waits."""
+
+    name: str  # as in `navigation.sources`
+    heard_s: float  # monotonic time of its last message
+
+    def fileno(self) -> int: ...
+    def read(self, now_s: float) -> Fix | None: ...
+    def rebind(self) -> bool: ...  # take up an input that failed; True when it can be used
+    def report(self, now_s: float) -> dict[str, object]: ...  # JSON-ready figures, empty where there are none
+    def close(self) -> None: ...
+
+
+def open_sources(settings: config.Vehicle, open_bus: OpenBus, state: State) -> tuple[Source, ...]:
+    """The vehicle's sources in order of preference. A source's file is loaded when it is asked for. Raises DelfimError."""
+    names = settings.navigation.sources
+    return tuple(import_module(f"{__package__}.sources.{name}").open_source(settings, open_bus, state) for name in names)
+
+
+def preferred(source: Source, sources: tuple[Source, ...], now_s: float, stale_s: float) -> bool:
+    """Whether every source before this one is silent."""
+    for better in sources:
+        if better is source:
+            return True
+        if now_s - better.heard_s <= stale_s:
+            return False
+    return True
+
+
+def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, limits: config.NavigationTable) -> bool:
+    """A fix into the state; False when it is not used: a better source speaks, or no boat moves that fast."""
+    if not preferred(source, sources, fix.received_s, limits.stale_s):
+        return False
+    n, last = fix.navigation, state.navigation
+    if last is not None and n.counter == last.counter and n.utc_ns == last.utc_ns and state.source == source.name:
+        state.count("navigation_repeated")
+        source.heard_s = state.navigation_s  # what says the same again is silent: the next source may speak
+        return False
+    if n.latitude_rad is not None and n.longitude_rad is not None:
+        if not (abs(n.latitude_rad) < math.pi / 2 and abs(n.longitude_rad) <= math.tau):  # nor what is no number
+            state.count("navigation_malformed")
+            return False
+        if state.origin is None:
+            state.origin = geodesy.origin(n.latitude_rad, n.longitude_rad)
+        north_m, east_m = geodesy.to_plane(state.origin, n.latitude_rad, n.longitude_rad)
+        has = _POSITION
+    else:
+        north_m, east_m, has = state.motion.north_m, state.motion.east_m, 0
+    if has and _jumped(state, limits, north_m, east_m, fix.received_s):
+        return False
+    moving, headed = n.north_mps is not None, n.heading_rad is not None
+    state.motion = Motion(
+        _HAS[has | (_HEADING if headed else 0) | (_VELOCITY if moving else 0)],
+        north_m,
+        east_m,
+        n.heading_rad or 0.0,
+        n.yaw_rate_radps or 0.0,
+        n.north_mps or 0.0,
+        n.east_mps or 0.0,
+    )
+    if last is None or n[_MEASURED] != last[_MEASURED]:
+        state.changed_s = fix.received_s
+    state.navigation, state.navigation_s, state.source = n, fix.received_s, source.name
+    state.cycles += 1
+    return True
+
+
+def _jumped(state: State, limits: config.NavigationTable, north_m: float, east_m: float, now_s: float) -> bool:
+    """Whether the boat would have to move impossibly fast to be here. After a silence anything may be true."""
+    age_s = now_s - state.navigation_s
+    if age_s > limits.stale_s or "position" not in state.motion.has:
+        return False
+    moved_m = math.hypot(north_m - state.motion.north_m, east_m - state.motion.east_m)
+    if moved_m <= limits.jump_m + limits.jump_mps * age_s:
+        return False
+    state.count("navigation_jumps")
+    if now_s - state.jumped_s > limits.stale_s:
+        state.jumping_s = now_s
+    state.jumped_s, state.jumped_m = now_s, moved_m
+    return True
+
+
+_MEASURED = slice(1, 9)  # of a navigation message: position, velocity, attitude
+_POSITION, _HEADING, _VELOCITY = 1, 2, 4
+_HAS = tuple(
+    frozenset(name for bit, name in ((1, "position"), (2, "heading"), (4, "velocity")) if known & bit) for known in range(8)
+)

@@ -1,0 +1,177 @@
+"""Mission, zones and harbours of the boat: looked at in slices before they become the plan, and laid into the local plane."""
+
+import math
+from typing import NamedTuple
+
+import msgspec
+
+from delfim import config, geodesy
+from delfim.errors import DelfimError, Refused
+from delfim.modes import Mode
+from delfim.slices import Remains, Sliced, Work
+from delfim.vehicle import console, fence
+from delfim.vehicle.control.memory import Settings
+from delfim.vehicle.mission import Mission, checked, plan, read_mission
+from delfim.vehicle.state import Plan, State, StateLog
+from delfim.vehicle.track import Track
+
+
+class Looked(NamedTuple):
+    """What came of looking at a plan: what it would change, or what is wrong with it. It holds while `basis` does."""
+
+    command: console.Plan
+    basis: tuple[object, ...]
+    wrong: DelfimError | None = None
+    mission: Mission | None = None
+    plan: Plan | None = None
+    origin: geodesy.Origin | None = None
+    around: fence.Fence | None = None
+    lost: str | None = None  # why the present mission is to be forgotten
+
+
+class Plans:
+    """What is aboard. `look` and `accept` are the two halves of loading a plan: nothing changes before the second."""
+
+    def __init__(self, fence_settings: config.Fence, limits: Settings, state: State, track: Track, log: StateLog) -> None:
+        self.limits = limits  # the helm's, which may change
+        self.zones = config.Zones()  # the mission's
+        self.mission: Mission | None = None  # as loaded
+        self.rally: tuple[tuple[float, float], ...] = ()  # harbours, degrees
+        self.fence = fence.unlaid(fence_settings, self.zones)  # the boat's and the mission's; None: none
+        self._fence, self._state, self._track, self._log = fence_settings, state, track, log
+        self._laying: Sliced[fence.Fence | None] | None = None  # of the fence into the plane
+        self._looked: Looked | None = None
+        self._text = ""  # of a mission, so far
+        self.remains = Remains()  # of plans
+
+    def gather(self, part: console.Mission) -> None:
+        """A part of a mission's text that has more. Raises Refused."""
+        self._text = self.text(part)
+
+    def text(self, part: console.Mission) -> str:
+        """A mission's text as far as this part of it. Raises Refused."""
+        if part.at != (len(self._text) if part.at else 0):
+            raise Refused("mission refused: a part of its text is missing; begin again")
+        return self._text + part.text if part.at else part.text
+
+    def look(self, command: console.Plan, mission: Mission | None = None) -> Work[None]:
+        """What is right and wrong with a plan, for the command that is to follow. `mission`: what its text said, once read."""
+        basis = self._basis()
+        try:
+            self.spare("fence" if isinstance(command, console.Fence) else "mission")
+            if isinstance(command, console.Fence):
+                looked = yield from self._look_at_zones(command)
+            else:
+                if mission is None:
+                    mission = command.mission if isinstance(command, console.Upload) else read_mission(self.text(command))
+                looked = yield from self._look_at_mission(command, mission)
+        except DelfimError as error:
+            looked = Looked(command, basis, error)
+        self._leave(self._looked)
+        self._looked = looked
+
+    def has_looked(self, command: console.Plan) -> bool:
+        """Whether it was looked at, and the boat is what it was then."""
+        looked = self._looked
+        return (
+            looked is not None
+            and looked.command is command
+            and all(was is now for was, now in zip(looked.basis, self._basis(), strict=True))
+        )
+
+    def _basis(self) -> tuple[object, ...]:
+        return self._state.origin, self.limits, self.mission, self.zones
+
+    def _look_at_mission(self, command: console.Mission | console.Upload, mission: Mission) -> Work[Looked]:
+        state, basis = self._state, self._basis()
+        yield from checked(mission)
+        first = mission.waypoint[0]
+        origin = state.origin or geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
+        planned = yield from plan(mission, origin, self.limits.control)
+        around = yield from fence.survey(self._fence, mission.fence, origin, self.fence)
+        radius_m = self.limits.control.hold.radius_m
+        if around is not None and (why := (yield from fence.complaint(around, planned, radius_m))) is not None:
+            raise Refused(f"mission refused: {why}")
+        return Looked(command, basis, None, mission, planned, origin, around)
+
+    def _look_at_zones(self, command: console.Fence) -> Work[Looked]:
+        """Other zones of the mission. Without a position there is no plane yet, and no mission in it."""
+        origin, basis = self._state.origin, self._basis()
+        yield from config.polygons(command.zones, "zones")
+        if origin is None:
+            return Looked(command, basis, around=fence.unlaid(self._fence, command.zones))
+        around = yield from fence.survey(self._fence, command.zones, origin, self.fence)
+        planned, radius_m, why = self._state.setpoint.plan, self.limits.control.hold.radius_m, None
+        if planned is not None and around is not None:
+            why = yield from fence.complaint(around, planned, radius_m)
+        return Looked(command, basis, around=around, lost=why)
+
+    def accept(self, command: console.Plan) -> None:
+        """What was looked at becomes the plan; at once where nobody looked before."""
+        self.spare("fence" if isinstance(command, console.Fence) else "mission")
+        if not self.has_looked(command):
+            Sliced(self.look(command)).finish()
+        looked, self._looked, self._text = self._looked, None, ""
+        assert looked is not None
+        if looked.wrong is not None:
+            raise looked.wrong
+        state = self._state
+        self._leave(Looked(command, (), None, self.mission, state.setpoint.plan, None, self.fence))
+        self.fence, self._laying = looked.around, None
+        if isinstance(command, console.Fence):
+            self.zones = command.zones
+            if self.mission is not None:
+                self.mission = msgspec.structs.replace(self.mission, fence=command.zones)
+            if looked.lost is not None:
+                self.unload()
+                self._log.note(f"the mission is forgotten: {looked.lost}")
+            return
+        assert looked.mission is not None
+        assert looked.origin is not None
+        if state.origin is None:
+            self.found(looked.origin)
+        state.setpoint = state.setpoint._replace(plan=looked.plan, leg=0)
+        self.mission, self.zones, self.fence, self._laying = looked.mission, looked.mission.fence, looked.around, None
+
+    def _leave(self, old: Looked | None) -> None:
+        """What is going to be replaced."""
+        if old is None:
+            return
+        if old.around is not None:
+            zones = old.around.zones
+            self.remains.add(zones, *(zone.sides for zone in zones), *(zone.parts for zone in zones))
+        if old.plan is not None:
+            self.remains.add(old.plan.waypoints, old.plan.path)
+        if old.mission is not None:
+            keep_in, keep_out = old.mission.fence.keep_in, old.mission.fence.keep_out
+            self.remains.add(old.mission.waypoint, old.mission.path, keep_in, *(each.polygon for each in keep_out))
+
+    def found(self, origin: geodesy.Origin) -> None:
+        """There is a local plane from now on: the fence is laid into it, slice by slice."""
+        self._state.origin = origin
+        self._laying = Sliced(fence.survey(self._fence, self.zones, origin))
+        self.call_at()
+        self.go_on()
+
+    def go_on(self) -> None:
+        """A slice of what takes its time."""
+        if self._laying is not None and self._laying.step():
+            self.fence, self._laying = self._laying.result, None
+        self._track.look_back()
+        self.remains.let_go()
+
+    def call_at(self) -> None:
+        """The harbours into the plane."""
+        if (at := self._state.origin) is not None:
+            harbours = tuple(geodesy.to_plane(at, math.radians(place[0]), math.radians(place[1])) for place in self.rally)
+            self._track.call_at(harbours, self.limits.control.path.acceptance_m)
+            self._track.look_back()
+
+    def unload(self) -> None:
+        self.spare("unload")
+        self.mission, self._state.setpoint = None, self._state.setpoint._replace(plan=None, leg=0)
+
+    def spare(self, what: str) -> None:
+        """Raises Refused while the mission is under the boat."""
+        if self._state.mode in (Mode.PLAY, Mode.PATH):
+            raise Refused(f"{what} refused: the mission is being played; stop or hold first")

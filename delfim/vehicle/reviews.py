@@ -1,0 +1,114 @@
+"""Plans that somebody sent, looked at in slices of the loop's time: one at a time, the newest. Nothing changes before all of it
+was looked at; then the plan is obeyed, or refused, and whoever sent it hears which.
+"""
+
+import asyncio
+from collections.abc import Callable
+from typing import NamedTuple
+
+from delfim.errors import DelfimError, Refused
+from delfim.slices import Sliced
+from delfim.vehicle import console
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.mission import Mission, read_mission
+
+AGAIN = 3  # times that a plan is looked at anew because the boat's settings changed meanwhile
+QUIET = console.Alive | console.Report | console.Watch
+Answer = Callable[[str | None], None]  # with the reason why not, or None
+Obey = Callable[[console.Commands, str], str | None]
+
+
+class Review(NamedTuple):
+    """A plan under way."""
+
+    command: console.Plan
+    operator: str
+    answer: Answer
+
+
+class Reviews:
+    """`obey` carries a command out that was looked at, as any other."""
+
+    def __init__(self, boat: Vehicle, obey: Obey, loop: asyncio.AbstractEventLoop) -> None:
+        self._boat, self._obey, self._loop = boat, obey, loop
+        self._now: Review | None = None
+        self._written: tuple[console.Plan, bytes] | None = None
+
+    def begin(self, operator: str, command: console.Plan, answer: Answer) -> None:
+        """Look at this plan, in place of one that is being looked at. `answer` is called once, at the earliest at once."""
+        self.cancel("another plan came after it")
+        self._now = review = Review(command, operator, answer)
+        if not isinstance(command, console.Mission):
+            self._write(review, None, Sliced(console.written(command)))
+            return
+        try:
+            text = self._boat.helm.plans.text(command)
+        except Refused:  # the boat says so
+            self._end(review)
+            return
+        reading = self._loop.run_in_executor(None, _read, text)
+        reading.add_done_callback(lambda read: None if read.cancelled() else self._was_read(review, read.result()))
+
+    def written(self, command: console.Commands) -> bytes | None:
+        """The JSON of a plan that is being obeyed."""
+        return self._written[1] if self._written is not None and self._written[0] is command else None
+
+    def hear(self, command: console.Commands, operator: str) -> None:
+        """A command was obeyed, or refused: a stop, or somebody else who commands, ends what is being looked at."""
+        if isinstance(command, console.Stop | console.Shutdown):
+            self.cancel("a stop came")
+        elif self._now is not None and operator != self._now.operator and not isinstance(command, QUIET):
+            self.cancel(f"{operator} commands now")
+
+    def cancel(self, reason: str) -> None:
+        """Whatever is being looked at is not wanted any more."""
+        if (review := self._now) is not None:
+            self._now = None
+            review.answer(f"refused: {reason}")
+
+    def _was_read(self, review: Review, mission: Mission | DelfimError) -> None:
+        if review is not self._now:
+            return
+        if isinstance(mission, DelfimError):
+            self._now = None
+            review.answer(str(mission))
+            return
+        self._look(review, mission)
+
+    def _write(self, review: Review, mission: Mission | None, work: Sliced[bytes]) -> None:
+        if review is not self._now:
+            return
+        if not work.step():
+            self._loop.call_soon(self._write, review, mission, work)
+            return
+        self._written = review.command, work.result
+        self._loop.call_soon(self._look, review, mission)
+
+    def _look(self, review: Review, mission: Mission | None, times: int = 1) -> None:
+        self._slice(review, mission, Sliced(self._boat.helm.plans.look(review.command, mission)), times)
+
+    def _slice(self, review: Review, mission: Mission | None, work: Sliced[None], times: int) -> None:
+        if review is not self._now:
+            return
+        if not work.step():
+            self._loop.call_soon(self._slice, review, mission, work, times)
+        elif self._boat.helm.plans.has_looked(review.command):
+            self._end(review)
+        elif times < AGAIN:
+            self._loop.call_soon(self._look, review, mission, times + 1)
+        else:
+            self.cancel("the boat's settings change all the time")
+
+    def _end(self, review: Review) -> None:
+        self._now = None
+        refused = self._obey(review.command, review.operator)
+        self._written = None
+        review.answer(refused)
+
+
+def _read(text: str) -> Mission | DelfimError:
+    """In a worker: a text cannot be read in slices."""
+    try:
+        return read_mission(text)
+    except DelfimError as error:
+        return error

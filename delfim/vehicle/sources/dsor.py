@@ -1,0 +1,73 @@
+"""The boat's own navigation node: a DSOR segmented message (navcan.c in the thesis)."""
+
+from delfim import config
+from delfim.canproxy.dsor.protocol import Message, message_filter
+from delfim.canproxy.dsor.receiver import Receiver
+from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.errors import BusError, FormatError
+from delfim.messages import NAVIGATION_ID, Node, unpack_navigation
+from delfim.vehicle.navigation import FRAMES_PER_READ, Fix, OpenBus
+from delfim.vehicle.state import State
+
+LOOKS = 8  # for the next frame of a message, 20 us in all: many an adapter hands over its frames in a burst
+
+
+class DsorNavigation:
+    """The boat's own navigation node."""
+
+    name = "dsor"
+
+    def __init__(self, socket: CanSocket, state: State) -> None:
+        self._socket, self._state = socket, state
+        self.heard_s = -1e9
+        self._receive_many = socket.receive_many
+        self._receiver = Receiver(Node.VEHICLE, lambda message: message.id == NAVIGATION_ID)
+
+    def read(self, now_s: float) -> Fix | None:
+        """The next complete message, None when there is none yet. What is behind it stays readable. Malformed ones are
+        counted."""
+        feed, fix, looks = self._receiver.feed, None, 0
+        for _ in range(FRAMES_PER_READ):
+            try:
+                frames = self._receive_many()
+            except BusError:
+                self._state.count("navigation_bus_errors")
+                break
+            for frame in frames:  # no more than a message has, so that no two can be complete
+                message = feed(frame, now_s)
+                if message is not None:
+                    fix = self._fix(message, now_s) or fix
+            if frames:
+                looks = 0
+            elif looks == LOOKS or not self._receiver.is_waiting:
+                break
+            else:
+                looks += 1
+            if fix is not None:
+                break
+        return fix
+
+    def _fix(self, message: Message, now_s: float) -> Fix | None:
+        self.heard_s = now_s
+        try:
+            return Fix(unpack_navigation(message.data), message.t_ns, now_s)
+        except FormatError:
+            self._state.count("navigation_malformed")
+            return None
+
+    def report(self, now_s: float) -> dict[str, object]:
+        return dict(self._receiver.errors)
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def rebind(self) -> bool:
+        return self._socket.rebind()
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def open_source(settings: config.Vehicle, open_bus: OpenBus, state: State) -> DsorNavigation:
+    node = CanAddress(*message_filter(source=Node.NAVIGATION))
+    return DsorNavigation(open_bus(settings.can.interface, (node,)), state)

@@ -1,0 +1,57 @@
+"""Off-the-shelf sensors on an NMEA 2000 bus (docs/nmea2000.md)."""
+
+import msgspec
+
+from delfim import config
+from delfim.canproxy.nmea2000.source import Nmea2000Source
+from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.errors import BusError
+from delfim.vehicle.navigation import FRAMES_PER_READ, Fix, OpenBus
+from delfim.vehicle.state import State
+
+
+class Nmea2000Navigation:
+    """Off-the-shelf sensors."""
+
+    name = "nmea2000"
+
+    def __init__(self, socket: CanSocket, source: Nmea2000Source, state: State) -> None:
+        self._socket, self._source, self._state = socket, source, state
+        self.heard_s = -1e9
+
+    def read(self, now_s: float) -> Fix | None:
+        """As `DsorNavigation.read`: a fix whenever the chosen position source spoke."""
+        fix = None
+        for _ in range(FRAMES_PER_READ):
+            try:
+                frame = self._socket.receive()
+            except BusError:
+                self._state.count("nmea2000_bus_errors")
+                break
+            if frame is None:
+                break
+            navigation = self._source.feed(frame, now_s)
+            if navigation is not None:
+                fix = Fix(navigation, frame.t_ns, now_s)
+                self.heard_s = now_s
+        return fix
+
+    def report(self, now_s: float) -> dict[str, object]:
+        """Who is believed for what, who talks, what was refused."""
+        told: dict[str, object] = msgspec.to_builtins(self._source.status(now_s)._asdict(), str_keys=True)
+        return told
+
+    def fileno(self) -> int:
+        return self._socket.fileno()
+
+    def rebind(self) -> bool:
+        return self._socket.rebind()
+
+    def close(self) -> None:
+        self._socket.close()
+
+
+def open_source(settings: config.Vehicle, open_bus: OpenBus, state: State) -> Nmea2000Navigation:
+    decoder = Nmea2000Source(settings.nmea2000, settings.navigation.stale_s)
+    filters = tuple(CanAddress(arb, mask) for arb, mask in decoder.filters)
+    return Nmea2000Navigation(open_bus(settings.nmea2000.interface, filters), decoder, state)

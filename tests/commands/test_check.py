@@ -1,0 +1,72 @@
+"""`delfim check` as it is typed: all mistakes at once, and what the file names that is not there."""
+
+from pathlib import Path
+
+import pytest
+
+from delfim.__main__ import main
+
+VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
+
+
+@pytest.fixture
+def check(tmp_path, capsys):
+    """What is said of a file, and the exit code."""
+
+    def typed(text: str, *words: str) -> tuple[int, str, str]:
+        file = tmp_path / "boat.toml"
+        file.write_text(text)
+        code = main(["check", str(file), *words])
+        out, err = capsys.readouterr()
+        return code, out.replace(f"{tmp_path}/", ""), err.replace(f"{tmp_path}/", "")
+
+    return typed
+
+
+def test_all_mistakes_are_told_at_once_in_plain_words(check):
+    code, out, err = check('[boat]\nname = "my boat"\nid = "two"\n[navigatoin]\nrate_hz = 5\n')
+    assert (code, out) == (2, "")
+    assert err.splitlines() == [
+        "delfim: boat.toml: 3 things are wrong:",
+        '  boat.name: "my boat" is not allowed (allowed: a letter, then up to 31 letters, digits, _ or -)',
+        '  boat.id: "two" is text, not a whole number (allowed: 1 to 249)',
+        "  navigatoin: unknown key; did you mean navigation?",
+    ]
+
+
+def test_a_single_mistake_is_a_line(check):
+    assert check('[boat]\nname = "x"\nid = 0\n') == (
+        2,
+        "",
+        "delfim: boat.toml: boat.id: 0 is not allowed (allowed: 1 to 249)\n",
+    )
+
+
+def test_what_is_not_on_this_computer_is_a_warning(check, tmp_path):
+    text = (
+        '[boat]\nname = "x"\n[can]\ninterface = "can77"\n[mavlink]\nkey = "/no/such/key"\n[simulation]\nmission = "away.toml"\n'
+    )
+    code, out, err = check(text)
+    assert (code, out) == (0, "boat.toml: x: nothing is wrong with this file\n")
+    assert err.splitlines() == [
+        "delfim: warning: can.interface: this computer has no can77; the boat needs it, `delfim sim` does not",
+        "delfim: warning: mavlink.key: there is no file /no/such/key on this computer",
+        "delfim: warning: boat.toml: simulation.mission: there is no file away.toml;"
+        " it is looked for beside the vehicle's file",
+    ]
+    assert main(["sim", str(tmp_path / "boat.toml"), "--lockstep"]) == 2
+
+
+def test_a_mission_that_is_wrong_is_told_too(check, tmp_path):
+    (tmp_path / "wrong.toml").write_text(
+        'version = 1\nname = "wrong"\n[[waypoint]]\nlatitude_deg = 91.0\nlongitude_deg = 0.0\n'
+    )
+    _, _, err = check('[boat]\nname = "x"\n[can]\ninterface = "canloop:x"\n', "--set", "simulation.mission=wrong.toml")
+    assert err == "delfim: warning: wrong.toml: waypoint[0].latitude_deg: 91.0 is not allowed (allowed: -89.0 to 89.0)\n"
+
+
+@pytest.mark.parametrize("name", ["delfimx.toml", "sensors.toml"])
+def test_the_files_that_are_shipped_are_sound(name, capsys):
+    assert main(["check", str(VEHICLE.with_name(name)), "--set", "can.interface=canloop:x"]) == 0
+    err = capsys.readouterr().err
+    assert all("nmea2000.interface" in line for line in err.splitlines())

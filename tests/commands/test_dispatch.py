@@ -1,0 +1,70 @@
+"""The command line itself: the list of commands, mistakes, and what a command loads."""
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from delfim import commands
+from delfim.__main__ import main
+from tests.logging.sailing import sailed
+
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.mark.parametrize("words", [[], ["--help"], ["-h"]])
+def test_without_a_command_all_of_them_are_listed_by_what_people_do(words, capsys):
+    assert main(words) == 0
+    out = capsys.readouterr().out
+    for group, its in commands.GROUPS.items():
+        assert f"\n{group}:\n" in out
+        assert all(f"\n  {name:10} {sentence}\n" in out for name, sentence in its.items())
+
+
+def test_every_command_is_a_file_and_every_file_a_command():
+    files = {path.stem for path in Path(commands.__file__).parent.glob("*.py")} - {"__init__"}
+    assert files == set(commands.SENTENCES)
+
+
+@pytest.mark.parametrize("name", commands.SENTENCES)
+def test_help_is_in_whole_sentences_and_shows_defaults(name, capsys):
+    with pytest.raises(SystemExit) as ended:
+        main([name, "--help"])
+    assert ended.value.code == 0
+    out = " ".join(capsys.readouterr().out.split())
+    assert commands.SENTENCES[name] in out
+    assert commands.SENTENCES[name].endswith(".")
+    if name == "sim":
+        assert "Draw noise and gusts from this number. (default: 1)" in out
+
+
+def test_a_command_that_does_not_exist_is_one_line_with_a_proposal(capsys):
+    assert main(["chekc"]) == 2
+    assert capsys.readouterr().err == "delfim: there is no command 'chekc'; did you mean check?; delfim alone lists them\n"
+
+
+@pytest.mark.parametrize(
+    ("missing", "words", "extra"),
+    [
+        ("aiohttp", ["console", "--no-browser"], "ground"),
+        ("numpy", ["log", "info"], "ground"),
+        ("matplotlib", ["log", "plot"], "ground"),
+        ("pyarrow", ["log", "export", "parquet"], "formats"),
+        ("asammdf", ["log", "export", "mf4"], "formats"),
+    ],
+)
+def test_a_package_that_is_not_installed_is_named_with_what_installs_it(missing, words, extra, tmp_path):
+    sailed(tmp_path / "log").end()
+    words = [*words, str(tmp_path / "log")] if words[0] == "log" else words
+    without = f"import sys; sys.modules[{missing!r}] = None; from delfim.__main__ import main; sys.exit(main({words!r}))"
+    ended = subprocess.run([sys.executable, "-c", without], capture_output=True, text=True, cwd=tmp_path)
+    told = f"delfim: {words[0]} needs {missing}, which is not installed: pip install 'delfim[{extra}]'\n"
+    assert (ended.returncode, ended.stderr) == (2, told)
+
+
+def test_a_boat_loads_its_own_command_alone():
+    look = "import sys; from delfim.__main__ import parsed; parsed(['run', 'boat.toml']); print(*sys.modules)"
+    loaded = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split()
+    ours = {name for name in loaded if name.startswith("delfim.")}
+    assert ours == {"delfim.commands", "delfim.errors", "delfim.__main__", "delfim.commands.run"}

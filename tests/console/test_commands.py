@@ -1,0 +1,398 @@
+"""Every way in which the page tells a boat something, from the key or the menu to what the vehicle obeyed: the real page,
+gateway, link and vehicle.
+
+The ways are read from the page's own source: one that has no row here fails, and so does a row that is nobody's way.
+"""
+
+import asyncio
+import itertools
+import re
+import time
+from collections.abc import Awaitable, Callable, Iterator
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import pytest
+
+from delfim import config
+from delfim.console.orders import ORDERS
+from delfim.vehicle.mavlink import wire
+from tests.console.chain import PATIENCE_S, VEHICLE, Boat, Sea, operating, select, shown_mode
+from tests.console.scenes import choose
+from tests.services.browser import Page
+
+SOURCE = Path(__file__).parents[2] / "delfim/console/web/src"
+METHOD = re.compile(r"^(?:  )?(?:(?:private|async|export|function) )*(\w+)\(.*\{$")
+TELLS = re.compile(
+    r"(?:actions\.(?=(?:stop|stopAll|mode|command|speed|faster|turn|headTo|setSpeed|setThrust|profile|mission)\()"
+    r"|screen\.(?=enterMode\()|this\.(?=(?:sail|send)\(boat\b))(\w+\((?:[^()]|\([^()]*\))*\))"
+)
+PASSED_ON = {"mode(boat, mode)", "command(boat.id, name)"}  # where the page has come to from one of the ways
+NAMED = re.compile(r'command\("([^"]+)", "\w+"')  # of the menu that makes its entries by a function
+NORTH_M = 1 / 111_111
+SPEED_MAX = config.load(VEHICLE).control.speed.max_mps
+PLACES = ((40.0, 0.0), (40.0, 30.0), (70.0, 30.0))  # of waypoints, metres north and east of the boat; home is beside the first
+HOME = (20.0, -20.0)
+FREE_M = itertools.count(-40.0, 12.0)  # north of the boat: where other waypoints are drawn
+ENTERED = "document.querySelector('.selected .mode').dataset.state === 'on'"  # the mode that was asked for
+OTHER = 199  # another console
+
+pytestmark = pytest.mark.timeout(300)  # the boats sail in real time
+
+
+def ways() -> set[str]:
+    """Where the page tells a boat something, and how: file, method, and what the menu calls it."""
+    found = set()
+    modes = re.findall(r'\{ key: "(\w)", mode: "(\w+)", title: "([^"]+)"', (SOURCE / "keys.ts").read_text())
+    for file in sorted(each for each in SOURCE.glob("*.ts") if each.name != "actions.ts"):
+        method = ""
+        for line in file.read_text().splitlines():
+            if match := METHOD.match(line):
+                method = match[1]
+            title = re.search(r'title: ["`]([^"`$]+)', line)
+            for call in TELLS.findall(line):
+                if call in ("enterMode(boat, mode)", "sail(boat, mode)"):
+                    if title is None and file.stem != "main":
+                        found |= {f"{file.stem}.{method}: {key if file.stem == 'keys' else name}" for key, _, name in modes}
+                elif call not in PASSED_ON:
+                    called = f"{title[1].strip()}: " if title else ""
+                    found.add(f"{file.stem}.{method}: {called}{call.partition(', {')[0].rstrip(')')}")
+            found |= {f"{file.stem}.{method}: {name}" for name in NAMED.findall(line)}
+    return found
+
+
+class Row(NamedTuple):
+    """A way. `word` is the order of the gateway that it ends in; `told` what the vehicle is told, as its log has it."""
+
+    way: Callable[[Sea, Page, Boat], Awaitable[object]]
+    word: str = ""
+    told: dict[str, Any] | None = None
+
+
+def keys(*pressed: str, held: tuple[str, ...] = ()) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
+    async def way(sea: Sea, page: Page, boat: Boat) -> None:
+        for each in pressed[:-1]:  # until the boat is as it has to be
+            count = len(boat.told())
+            await page.press(each)
+            await told(boat, count)
+        await page.press(pressed[-1], held)
+
+    return way
+
+
+def menu(
+    *titles: str, after: tuple[str, ...] = (), form: tuple[str, ...] = ()
+) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
+    """The boat's menu; then the keys that fill in a form."""
+
+    async def way(sea: Sea, page: Page, boat: Boat) -> None:
+        if after:
+            await keys(*after)(sea, page, boat)
+            await page.until(ENTERED)
+        await page.press("Enter")
+        await choose(page, *titles)
+        for each in form:
+            await page.press(each)
+
+    return way
+
+
+def on_map(north_m: float, east_m: float, *titles: str) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
+    """The menu of what is drawn there, or of the bare map."""
+
+    async def way(sea: Sea, page: Page, boat: Boat) -> None:
+        await page.mouse(await pixel(page, north_m, east_m))
+        await choose(page, *titles)
+
+    return way
+
+
+def corner(name: str) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
+    async def way(sea: Sea, page: Page, boat: Boat) -> None:
+        await page.mouse(await middle(page, name))
+
+    return way
+
+
+def finger(name: str) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
+    async def way(sea: Sea, page: Page, boat: Boat) -> None:
+        await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=1)
+        await page.touch("Start", await middle(page, name))
+        await page.touch("End")
+        await page.call("Emulation.setTouchEmulationEnabled", enabled=False)
+
+    return way
+
+
+async def middle(page: Page, name: str) -> tuple[float, float]:
+    x, y = await page.value(
+        f"(r => [r.x + r.width / 2, r.y + r.height / 2])(document.getElementById('{name}').getBoundingClientRect())"
+    )
+    return x, y
+
+
+async def pixel(page: Page, north_m: float, east_m: float) -> tuple[float, float]:
+    """Of a place beside where the boat was when the plan was drawn."""
+    latitude_deg, longitude_deg = await page.value("window.origin")
+    x, y = await page.value(f"delfim.pixel({latitude_deg + north_m * NORTH_M}, {longitude_deg + east_m * NORTH_M / 0.7806})")
+    return x, y
+
+
+async def says(page: Page, words: str) -> None:
+    await page.until(f"document.getElementById('messages').textContent.includes({words!r})", PATIENCE_S)
+
+
+async def badge(page: Page, words: str) -> None:
+    await page.until(f"document.querySelector('.selected .badge').textContent === {words!r}", PATIENCE_S)
+
+
+async def put(sea: Sea, page: Page, boat: Boat) -> None:
+    """The gateway compares the plan with what is aboard."""
+    await other_plan(sea, page, boat)
+    await page.press("z", ("Control",))
+    await badge(page, "same")
+
+
+async def fetched(sea: Sea, page: Page, boat: Boat) -> None:
+    await other_plan(sea, page, boat)
+    await menu("Mission", "Take the one aboard")(sea, page, boat)
+    await badge(page, "same")
+
+
+async def dry_run(sea: Sea, page: Page, boat: Boat) -> None:
+    await menu("Mission", "Dry run")(sea, page, boat)
+    await page.until("!document.getElementById('dryrun').hidden", PATIENCE_S)
+
+
+async def saved(sea: Sea, page: Page, boat: Boat) -> None:
+    await menu("Mission", "Save")(sea, page, boat)
+    await says(page, "saved: ")
+    assert list((sea.folder / "missions").glob("*.toml"))
+
+
+async def loaded(sea: Sea, page: Page, boat: Boat) -> None:
+    """What was saved, in place of a plan that has a waypoint more; files hold no home."""
+    await saved(sea, page, boat)
+    name = next((sea.folder / "missions").glob("*.toml")).stem
+    await other_plan(sea, page, boat)
+    await menu("Mission", "Load", name)(sea, page, boat)
+    await menu("Mission", "Take the one aboard")(sea, page, boat)
+    await badge(page, "same")
+
+
+async def sent_first(sea: Sea, page: Page, boat: Boat) -> None:
+    """Another plan is drawn, and played; the one before is sent again afterwards."""
+    await other_plan(sea, page, boat)
+    await page.press("y")
+    await choose(page, "Send the plan, then play it")
+    await badge(page, "same")
+    await boat.until(lambda state: state["mode"] == "play")
+
+
+async def held_first(sea: Sea, page: Page, boat: Boat) -> None:
+    """Another plan is drawn while one is sailed, and played from its second waypoint on."""
+    await page.press("y")
+    await shown_mode(page, 2, "mission")
+    await page.until(ENTERED)
+    await other_plan(sea, page, boat)
+    await on_map(*PLACES[1], "Play from here")(sea, page, boat)
+    await choose(page, "Hold, send the plan, then play it")
+    await badge(page, "same")
+    await boat.until(lambda state: state["mode"] == "play" and state["reference"]["leg"] == 1)
+
+
+async def other_plan(sea: Sea, page: Page, boat: Boat) -> None:
+    """With a waypoint more, where none was before."""
+    await on_map(next(FREE_M), -50.0, "Add waypoint")(sea, page, boat)
+    await badge(page, "differs")
+
+
+async def profile(sea: Sea, page: Page, boat: Boat) -> None:
+    for name in ("radio", "wifi"):
+        await menu("More", f"Link: {name}")(sea, page, boat)
+        await page.until(f"document.querySelector('.selected .link').textContent.startsWith('{name} ')", PATIENCE_S)
+
+
+async def taken(sea: Sea, page: Page, boat: Boat) -> None:
+    """From another console that speaks by the same link."""
+    other = wire.Sender(OTHER, 190, None, lambda: 0)
+    sea.radios[1].say(other.pack(wire.dialect.MAVLink_command_long_message(2, 1, 32100, 0, 0, 1, 1, 0, 0, 0, 0)))
+    await page.until(f"document.querySelector('.selected .trouble').textContent.includes('console {OTHER} ')", PATIENCE_S)
+    await menu("More", "Take control")(sea, page, boat)
+
+
+def heading(turned_deg: float) -> dict[str, Any]:
+    return {"command": "heading", "turned_deg": turned_deg}
+
+
+STOP = {"command": "stop"}
+MODES = {
+    "I": ("Idle", "idle", STOP),
+    "M": ("Manual", "manual", {"command": "mode", "mode": "manual"}),
+    "H": ("Heading", "heading", heading(0.0)),
+    "G": ("Go to waypoint 1", "goto", {"command": "goto", "latitude_deg": None}),
+    "P": ("Path following", "path", {"command": "mode", "mode": "path"}),
+    "Y": ("Play mission", "play", {"command": "play", "leg": 0}),
+    "X": ("GREX", "grex", {"command": "mode", "mode": "grex", "refused": "no reference from the guest"}),
+}
+GO_HOME = {"command": "mode", "mode": "home"}
+ROWS: dict[str, Row] = {
+    "corner.: stop(state.selected": Row(corner("stop"), "stop", STOP),
+    "corner.: stopAll(": Row(corner("stop-all"), "stop", STOP),
+    "keys.stop: stop(this.state.boat.id": Row(keys(" "), "stop", STOP),
+    "keys.stop: stopAll(": Row(keys(" ", held=("Shift",)), "stop", STOP),
+    **{f"keys.letter: {key}": Row(keys(key.lower()), word, what) for key, (_, word, what) in MODES.items()},
+    'keys.letter: command(boat.id, "reset"': Row(keys("r"), "reset", {"command": "reset", "node": 127}),
+    "keys.digit: speed(this.state.boat, which(event), 10 * Number(digit": Row(
+        keys("h", "3"), "speed", {"command": "speed", "speed_mps": 0.3 * SPEED_MAX}
+    ),
+    "keys.arrow: faster(boat, which(event), 1": Row(
+        keys("h", "3", "ArrowUp"), "speed", {"command": "speed", "speed_mps": 0.31 * SPEED_MAX}
+    ),
+    "keys.arrow: faster(boat, which(event), -1": Row(
+        keys("h", "3", "ArrowDown"), "speed", {"command": "speed", "speed_mps": 0.29 * SPEED_MAX}
+    ),
+    "keys.arrow: turn(boat, which(event), 1": Row(keys("h", "ArrowRight"), "heading_to", heading(1.0)),
+    "keys.arrow: turn(boat, which(event), -1": Row(keys("h", "ArrowLeft"), "heading_to", heading(-1.0)),
+    'main.planned: mission(boat, "put"': Row(put),
+    "menus.boat: Stop: stop(boat.id": Row(menu("Stop"), "stop", STOP),
+    **{f"menus.boat: {title}": Row(menu(title), word, what) for title, word, what in MODES.values()},
+    'menus.headingForm: command(boat.id, "heading"': Row(
+        menu("Heading…", form=("ArrowRight", "ArrowRight", "Enter")), "heading", heading(10.0)
+    ),
+    "menus.headingForm: headTo(boat, heading": Row(
+        menu("Heading…", after=("h",), form=("ArrowLeft", "Enter")), "heading_to", heading(-5.0)
+    ),
+    'menus.speedForm: speed(boat, "both", speed': Row(
+        menu("Speed…", after=("h", "3"), form=("ArrowRight", "Enter")),
+        "speed",
+        {"command": "speed", "speed_mps": 0.35 * SPEED_MAX},
+    ),
+    "menus.thrustForm: setThrust(boat, ...thrust": Row(
+        menu("Thrust…", after=("m",), form=("ArrowRight", "ArrowDown", "ArrowLeft", "Enter")),
+        told={"command": "manual", "port": 0.05, "starboard": -0.05},
+    ),
+    'menus.more: Hold this position: mode(boat, "hold"': Row(
+        menu("More", "Hold this position"), "hold", {"command": "mode", "mode": "hold"}
+    ),
+    'menus.more: Go home: mode(boat, "home"': Row(menu("More", "Go home"), "home", GO_HOME),
+    "menus.more: Arm": Row(menu("More", "Arm"), "arm", {"command": "arm"}),
+    "menus.more: Disarm": Row(menu("More", "Disarm", after=("h",)), "disarm", STOP),
+    'menus.more: Reset the peripherals: command(boat.id, "reset"': Row(
+        menu("More", "Reset the peripherals"), "reset", {"command": "reset"}
+    ),
+    "menus.more: Take control": Row(taken, "take", {"command": "take"}),
+    "menus.more: Link:: profile(boat.id, name": Row(profile),
+    "menus.mission: Send to the boat: send(boat": Row(menu("Mission", "Send to the boat"), told={"command": "upload"}),
+    'menus.fetch: mission(boat.id, "download"': Row(fetched),
+    'menus.dryRun: mission(boat.id, "dryrun"': Row(dry_run),
+    'menus.save: mission(boat.id, "save", name': Row(saved),
+    'menus.save: mission(boat.id, "list"': Row(loaded),
+    'menus.stored: mission(boat.id, "load", name': Row(loaded),
+    'menus.here: Send: command(boat.id, "goto_point"': Row(
+        on_map(-30.0, -30.0, "Send boat2 here"), "goto_point", {"command": "goto", "place": (-30.0, -30.0)}
+    ),
+    'menus.waypoint: Play from here: sail(boat, "play", index': Row(
+        on_map(*PLACES[2], "Play from here"), "play", {"command": "play", "leg": 2}
+    ),
+    'menus.waypoint: Go to this point: command(boat.id, "goto_point"': Row(
+        on_map(*PLACES[1], "Go to this point"), "goto_point", {"command": "goto", "place": PLACES[1]}
+    ),
+    'menus.home: Go home: mode(boat, "home"': Row(on_map(*HOME, "Go home"), "home", GO_HOME),
+    # What another plan than the one aboard needs first.
+    'menus.send: mission(boat.id, "upload"': Row(sent_first, "play", {"command": "play", "leg": 0}),
+    "menus.replace: send(boat": Row(sent_first, told={"command": "upload"}),
+    'menus.replace: command(boat.id, "hold"': Row(held_first, "hold", {"command": "mode", "mode": "hold"}),
+    'menus.sail: command(boat.id, "play"': Row(held_first, "play", {"command": "play", "leg": 1}),
+    # By touch: the same entries, opened by a finger.
+    "touch: stop": Row(finger("stop"), "stop", STOP),
+    "touch: stop all": Row(finger("stop-all"), "stop", STOP),
+}
+
+
+def test_every_way_has_a_row_and_every_row_is_a_way() -> None:
+    assert {each for each in ROWS if not each.startswith("touch")} == ways()
+
+
+def test_page_and_gateway_know_the_same_words_and_each_is_said() -> None:
+    text = (SOURCE / "wire.ts").read_text()
+    mode, command = (re.search(rf"export type {name} =([^;]+);", text) for name in ("Mode", "Command"))
+    assert mode is not None
+    assert command is not None
+    words = set(re.findall(r'"(\w+)"', mode[1] + command[1]))
+    assert words == set(ORDERS) == {row.word for row in ROWS.values() if row.word}
+
+
+async def told(boat: Boat, count: int) -> None:
+    """More than so many things."""
+    async with asyncio.timeout(PATIENCE_S):
+        while len(boat.told()) <= count:
+            await asyncio.sleep(0.05)
+
+
+@pytest.fixture(scope="module")
+def sea(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[asyncio.Runner, Sea]]:
+    """Two boats, the second with a mission and a home that were drawn and sent."""
+    with asyncio.Runner() as runner:
+        afternoon = operating(tmp_path_factory.mktemp("commands"))
+        its = runner.run(afternoon.__aenter__())
+        try:
+            runner.run(planned(its))
+            yield runner, its
+        finally:
+            runner.run(afternoon.__aexit__(None, None, None))
+
+
+async def planned(sea: Sea) -> None:
+    page, boat = await sea.at_rest(2)
+    state = boat.state()
+    await page.value(f"window.origin = [{state['latitude_deg']}, {state['longitude_deg']}], 0")
+    south, west, north, east = -50.0 * NORTH_M, -60.0 * NORTH_M, 90.0 * NORTH_M, 60.0 * NORTH_M
+    await page.value(f"(([a, b]) => delfim.fit(a + {south}, b + {west}, a + {north}, b + {east}))(window.origin)")
+    for place in PLACES:
+        await on_map(*place, "Add waypoint")(sea, page, boat)
+    await on_map(*HOME, "Fence, obstacle, home", "Home is here")(sea, page, boat)
+    await menu("Mission", "Send to the boat")(sea, page, boat)
+    await badge(page, "same")
+
+
+@pytest.mark.parametrize("way", ROWS)
+def test_what_the_page_says_is_what_the_vehicle_obeys(sea: tuple[asyncio.Runner, Sea], way: str) -> None:
+    runner, its = sea
+    row = ROWS[way]
+
+    async def story() -> None:
+        page, boat = await its.at_rest(2)
+        await select(page, 2)
+        began_ns, before = time.time_ns(), boat.state() | {"origin": await page.value("window.origin")}
+        await row.way(its, page, boat)
+        if row.told is not None:
+            await obeyed(boat, began_ns, before, row.told)
+        its.nothing_amiss()
+
+    runner.run(story())
+
+
+async def obeyed(boat: Boat, began_ns: int, before: dict[str, Any], wanted: dict[str, Any]) -> None:
+    """The vehicle is told something like this, and does it unless it is to be refused."""
+
+    def fits(each: dict[str, Any], name: str, value: Any) -> bool:
+        if name == "turned_deg":
+            return abs((each["heading_deg"] - before["heading_deg"] - value + 180.0) % 360.0 - 180.0) < 3.0
+        if name == "place":
+            return abs(each["latitude_deg"] - before["origin"][0] - value[0] * NORTH_M) < 3 * NORTH_M
+        if name == "refused":
+            return value in each["refused"] if value else not each["refused"]
+        return bool(each[name] == (pytest.approx(value, abs=1e-3) if isinstance(value, float) else value))
+
+    def is_it(each: dict[str, Any]) -> bool:
+        return all(fits(each, name, value) for name, value in ({"refused": ""} | wanted).items())
+
+    heard: list[dict[str, Any]] = []
+    try:
+        async with asyncio.timeout(PATIENCE_S / 2):
+            while not any(map(is_it, heard)):
+                heard = [each for each in boat.told() if each["taken_ns"] > began_ns and each["command"] == wanted["command"]]
+                await asyncio.sleep(0.05)
+    except TimeoutError:
+        raise AssertionError(f"wanted {wanted}, and it was told {boat.told()[-5:]}") from None

@@ -1,0 +1,305 @@
+"""The page for somebody who is new to it, in a real browser at a real gateway: before a boat is heard, without a pointer, in a
+recording. Boats are a few lines that speak MAVLink; the whole vehicle is met in test_first_voyage.py.
+"""
+
+import asyncio
+import contextlib
+import socket
+from collections.abc import AsyncIterator, Awaitable, Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pymavlink.dialects.v20 import common as mavlink
+
+from delfim.clock import ManualClock, SystemClock
+from delfim.console.fleet import Fleet
+from delfim.console.gateway import Gateway, serve
+from delfim.console.replay import open_tapes
+from delfim.console.session import Session
+from delfim.console.tape import Tape
+from tests.console.fakeboat import FakeBoat
+from tests.console.scenes import choose
+from tests.services.browser import Page, browser
+
+NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
+PLANNED = "delfim.drawn().plan"
+SMALL_TEXT = """[...document.querySelectorAll('body *')].filter((each) => each.getClientRects().length &&
+  [...each.childNodes].some((node) => node.nodeType === Node.TEXT_NODE && node.data.trim()) &&
+  parseFloat(getComputedStyle(each).fontSize) < 12).map((each) => each.outerHTML)"""
+NAMELESS = """[...document.querySelectorAll('button, input')].filter((each) => each.getClientRects().length &&
+  !(each.getAttribute('aria-label') || each.textContent.trim())).map((each) => each.outerHTML)"""
+
+
+class Console:
+    """A gateway, the page that it serves, and boats that may appear."""
+
+    def __init__(self, gateway: Gateway, port: int, url: str, page: Page, folder: Path) -> None:
+        self.gateway, self.port, self.url, self.page, self.folder = gateway, port, url, page, folder
+        self.boats: list[FakeBoat] = []
+        self._links: list[socket.socket] = []
+
+    def boat(self, number: int) -> FakeBoat:
+        """It is heard from now on."""
+        link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        link.setblocking(False)
+        link.connect(("127.0.0.1", self.port))
+        boat = FakeBoat(number, SystemClock(), link.send)  # type: ignore[arg-type]
+        asyncio.get_running_loop().add_reader(link, lambda: boat.hear(link.recv(2048)))
+        self._links.append(link)
+        self.boats.append(boat)
+        return boat
+
+    async def until(self, expression: str) -> None:
+        """Until it is so in the page; boats speak meanwhile."""
+        async with asyncio.timeout(30):
+            while not await self.page.value(expression):
+                for boat in self.boats:
+                    boat.tick()
+                await asyncio.sleep(0.05)
+
+    async def said(self, words: str) -> None:
+        await self.until(f"document.getElementById('messages').textContent.includes({words!r})")
+
+    def hang_up(self) -> None:
+        for link in self._links:
+            asyncio.get_running_loop().remove_reader(link)
+            link.close()
+
+
+@contextlib.asynccontextmanager
+async def console(folder: Path, tapes: list[Tape] | None = None) -> AsyncIterator[Console]:
+    gateway = Gateway(SystemClock(), folder / "missions", tapes=tapes or ())
+    ready = asyncio.get_running_loop().create_future()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+    async with asyncio.TaskGroup() as group, browser(folder / "browser", NOWHERE) as page:
+        task = group.create_task(serve(gateway, None if tapes else ("127.0.0.1", port), ("127.0.0.1", 0), ready.set_result))
+        it = Console(gateway, port, await ready, page, folder)
+        try:
+            await page.open(it.url, width=1200, height=760, scale=1.0)
+            await it.page.until("delfim.online()")
+            yield it
+            assert page.complaints == []
+            assert await page.value(SMALL_TEXT) == []
+            assert await page.value(NAMELESS) == []
+        finally:
+            it.hang_up()
+            task.cancel()
+
+
+Story = Callable[[Console], Awaitable[None]]
+
+
+@pytest.fixture
+def visit(tmp_path: Path) -> Callable[[Story], None]:
+    def run(story: Story) -> None:
+        async def told() -> None:
+            async with console(tmp_path) as it:
+                await story(it)
+
+        asyncio.run(told())
+
+    return run
+
+
+def test_without_a_boat_the_page_says_so_and_stop_and_modes_answer(visit: Callable[[Story], None]) -> None:
+    async def story(it: Console) -> None:
+        words = f"No boat heard on 127.0.0.1:{it.port} yet"
+        assert words in await it.page.value("document.getElementById('nobody').innerText")
+        for key in (" ", "y"):
+            await it.page.press(key)
+            await it.said(f"{words}: nothing to command")
+            await it.page.value("document.querySelectorAll('.message').forEach((each) => each.remove())")
+            await it.page.value("new Promise(done => setTimeout(done, 3100))")  # the same again within 3 s is not shown twice
+        it.boat(3)
+        await it.until("document.getElementById('nobody').hidden")
+
+    visit(story)
+
+
+def test_a_mission_is_planned_by_keys_before_a_boat_is_heard_and_is_the_first_boats(visit: Callable[[Story], None]) -> None:
+    async def story(it: Console) -> None:
+        page = it.page
+        await page.value("delfim.fit(38.689, -9.217, 38.691, -9.213)")
+        await page.press("w")
+        await page.press("w")
+        await it.until(f"{PLANNED} === 1")
+        for _ in range(6):
+            await page.press("ArrowRight")
+        await page.press("w")
+        await it.until(f"{PLANNED} === 2")
+        await page.press("Enter")
+        await page.until("document.querySelector('.popup .item') !== null")
+        assert "Waypoint 2" in await page.value("document.querySelector('.popup header').textContent"), (
+            "it is under the crosshair"
+        )
+        await page.press("Escape")
+        await page.press("ArrowUp")
+        await page.press("ArrowUp")
+        await page.press("Enter")
+        await choose(page, "Mission", "Save under a new name…")
+        await page.until("document.activeElement.matches('.name')")
+        for letter in "Yay":
+            await page.call("Input.insertText", text=letter)
+        await page.press("Enter")
+        await it.said("saved: Yay")
+        assert "Yay" in [each.stem for each in (it.folder / "missions").glob("*.toml")]
+        await page.press("Escape")
+        it.boat(3)
+        await it.until(f"document.querySelector('.chip') !== null && {PLANNED} === 2")
+        await it.until("document.querySelector('.badge').textContent === 'not sent'")
+        assert len(it.gateway.fleet.missions[3]["here"]["waypoints"]) == 2
+        assert it.boats[0].obeyed == []
+
+    visit(story)
+
+
+def test_space_stops_while_a_name_is_typed_and_letters_are_no_modes(visit: Callable[[Story], None]) -> None:
+    async def story(it: Console) -> None:
+        boat = it.boat(1)
+        await it.until("document.querySelector('.chip') !== null")
+        for _ in range(2):
+            await it.page.press("w")
+        await it.page.press("Escape")
+        await it.page.value("document.querySelector('.chip').click()")
+        await choose(it.page, "Mission", "Save under a new name…")
+        await it.page.until("document.activeElement.matches('.name')")
+        for key in ("m", "y", "3"):
+            await it.page.press(key)
+        await it.page.press(" ")
+        await it.until("document.querySelector('.popup').hidden")
+        async with asyncio.timeout(20):
+            while not boat.obeyed:
+                await asyncio.sleep(0.02)
+        assert {command for command, *_ in boat.obeyed} == {mavlink.MAV_CMD_DO_SET_MODE}
+        assert {mode for _, _, mode, _ in boat.obeyed} == {4}, "idle, and nothing else"
+
+    visit(story)
+
+
+def test_a_refusal_is_shown_once(visit: Callable[[Story], None]) -> None:
+    async def story(it: Console) -> None:
+        boat = it.boat(1)
+        boat.refuse = "heading refused: gps has not reported"
+        await it.until("document.querySelector('.chip') !== null")
+        await it.page.press("h")
+        await it.said("gps has not reported")
+        await it.page.value("new Promise(done => setTimeout(done, 800))")
+        shown = await it.page.value("[...document.querySelectorAll('.message')].map((each) => each.textContent)")
+        assert [each for each in shown if "refused" in each] == ["boat 1heading refused: gps has not reported"]
+
+    visit(story)
+
+
+def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(visit: Callable[[Story], None]) -> None:
+    async def story(it: Console) -> None:
+        boat = it.boat(1)
+        boat.aboard[0] = [
+            mavlink.MAVLink_mission_item_int_message(1, 1, n, 6, 16, 0, 1, 0, 3, 0, 0, 386_900_000 + 2000 * n, -92_150_000, 0)
+            for n in range(3)
+        ]
+        await it.until("delfim.drawn().aboard === 3 && delfim.drawn().plan === 3")
+        await it.page.press("y")
+        await until(it, boat, 1)
+        boat.mode = 4
+        for _ in range(2):
+            await it.page.press("w")
+        await it.page.press("Escape")
+        await it.until(f"{PLANNED} === 4 && document.querySelector('.badge').textContent === 'differs'")
+        boat.obeyed.clear()
+        for key in "ypg":
+            await it.page.press(key)
+            await it.page.until("document.querySelector('.popup header')?.textContent.includes('The plan is not aboard')")
+            await it.page.press("Escape")
+        await it.page.press("h")
+        await until(it, boat, 1)
+        assert boat.obeyed[0][0] != mavlink.MAV_CMD_MISSION_START
+        boat.obeyed.clear()
+        await it.page.press("y")
+        await choose(it.page, "Send the plan, then play it")
+        await until(it, boat, 1)
+        assert boat.obeyed[0][0] == mavlink.MAV_CMD_MISSION_START
+        assert len(boat.aboard[0]) == 4, "it was sent before"
+        assert await it.page.value("delfim.drawn().aboard") == 4
+
+    visit(story)
+
+
+async def until(it: Console, boat: FakeBoat, commands: int) -> None:
+    """Until the boat has obeyed so many."""
+    async with asyncio.timeout(30):
+        while len(boat.obeyed) < commands:
+            boat.tick()
+            await asyncio.sleep(0.02)
+
+
+def test_the_hint_goes_when_it_was_used_and_does_not_come_again(visit: Callable[[Story], None]) -> None:
+    async def story(it: Console) -> None:
+        hint = "document.getElementById('hint').hidden"
+        assert not await it.page.value(hint)
+        await it.page.mouse((600.0, 300.0))
+        await it.page.until(f"{hint} && !document.querySelector('.popup').hidden")
+        await it.page.press("Escape")
+        await it.page.press("F1")
+        text = await it.page.value("document.getElementById('card').innerText")
+        assert "where the boat is steering to" in text
+        assert "Play mission" in text
+        await it.page.open(it.url, width=1200, height=760, scale=1.0)
+        await it.page.until("delfim.online()")
+        assert await it.page.value(hint)
+
+    visit(story)
+
+
+def test_scale_and_position_do_not_overlap_at_any_zoom(visit: Callable[[Story], None]) -> None:
+    async def story(it: Console) -> None:
+        await it.page.point(700, 300)
+        for _ in range(9):
+            await it.page.press("+")
+            await it.page.value("new Promise(done => setTimeout(done, 200))")
+            await it.page.point(701, 300)
+            right, left = await it.page.value(
+                "[document.querySelector('.ol-scale-line').getBoundingClientRect().right,"
+                "document.getElementById('where').getBoundingClientRect().left]"
+            )
+            assert right < left
+
+    visit(story)
+
+
+def test_a_replay_says_so_with_its_keys_its_whole_way_and_its_events(tmp_path: Path) -> None:
+    clock = ManualClock(100.0)
+    session = Session(tmp_path / "sessions", clock)
+    fleet = Fleet(clock, lambda address, data: None, lambda message: None)
+    fleet.record = session.put
+    boat = FakeBoat(1, clock, lambda data: fleet.receive(1, data))
+    for step in range(600):
+        clock.advance(0.1)
+        boat.position[0] += 10
+        boat.tick()
+        if step == 300:
+            boat.say(mavlink.MAVLink_statustext_message(2, b"failsafe: battery low", 0, 0))
+        fleet.tick()
+        session.tick()
+    session.flush()
+
+    async def told() -> None:
+        async with console(tmp_path, open_tapes([tmp_path / "sessions"])) as it:
+            page = it.page
+            assert "REPLAY" in await page.value("document.getElementById('replay').innerText")
+            marks: Any = await page.value(
+                "[...document.querySelectorAll('.marks i')].map((each) => [each.dataset.severity, each.style.left, each.title])"
+            )
+            assert [(severity, 49 < float(left.rstrip("%")) < 52) for severity, left, _ in marks] == [("grave", True)]
+            assert marks[0][2].endswith("failsafe: battery low")
+            assert await page.value("delfim.ways()") == 60, "also what was not played yet"
+            await page.press("F1")
+            text = await page.value("document.getElementById('card').innerText")
+            assert "10 s on, 10 s back" in text
+            assert "Play mission" not in text
+            await page.value("document.querySelector('.marks i').click()")
+            await page.until("/· (29|30|31) s of/.test(document.querySelector('#replay output').textContent)")
+
+    asyncio.run(told())

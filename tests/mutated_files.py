@@ -1,0 +1,366 @@
+"""`python -m tests.mutated_files READER FOLDER COUNT`: a reader of files is given its sample, mutated so many times, in a
+process with a bound on memory and, for each file, on processor time. It prints what it must not have done, as JSON.
+
+A reader says yes, or one line of error. `tests/test_mutated_files.py` makes the samples and runs all readers.
+"""
+
+import asyncio
+import contextlib
+import io
+import json
+import os
+import resource
+import shutil
+import signal
+import sys
+import traceback
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from random import Random
+from types import FrameType
+from typing import NamedTuple
+
+from delfim.logging import reading
+from tests.mutations import BINARY, TEXT, Mutation, deflated, large_png, odd_tables
+
+ROOT = Path(__file__).parents[1]
+VEHICLE = str(ROOT / "etc/delfimx.toml")
+MEMORY_BYTES = 1 << 28  # more than the program has before it reads
+LOG_BYTES = 1 << 22  # instead of the limit of a computer that looks at logs
+PROCESSOR_S = 20.0  # for one file, of a mebibyte at most: none takes a tenth of it
+LINE_MAX = 1000
+LINES_MAX = 60  # of a list of mistakes, or warnings of a command that goes on
+
+Said = list[str]
+
+
+class Reader(NamedTuple):
+    """Who reads, how it is called with a folder of which one file is mutated, and how."""
+
+    file: str
+    read: Callable[[Path], Said]
+    how: tuple[Mutation, ...]
+
+
+def command(*words: str) -> Said:
+    """What the command line says on standard error."""
+    from delfim.__main__ import main
+
+    errors = io.StringIO()
+    with contextlib.redirect_stderr(errors), contextlib.redirect_stdout(io.StringIO()):
+        code = main(words)
+    lines = errors.getvalue().splitlines()
+    if code not in (0, 1, 2, 100):
+        return [f"\0exit code {code}"]
+    if code == 2 and not any(line.startswith("delfim: ") for line in lines):
+        return ["\0refused without a word"]
+    return lines
+
+
+def refused(read: Callable[[], object]) -> Said:
+    """What a function says that is not a command."""
+    from delfim.errors import DelfimError, in_words
+
+    try:
+        read()
+    except (DelfimError, OSError) as error:
+        return [in_words(error)]
+    return []
+
+
+def vehicle(here: Path) -> Said:
+    return command("check", str(here / "boat.toml"))
+
+
+def mission(here: Path) -> Said:
+    from delfim.vehicle.mission import load_mission
+
+    return refused(lambda: load_mission(here / "lake.toml"))
+
+
+def library(here: Path) -> Said:
+    from delfim.console.library import Library
+
+    missions = Library(here)
+    return [
+        words
+        for name in missions.names()
+        for words in refused(lambda name=name: json.dumps(missions.load(name), allow_nan=False))
+    ]  # type: ignore[misc]
+
+
+def scenario(here: Path) -> Said:
+    from delfim.simulator.scenario import load_scenario, settings_of
+
+    return refused(lambda: settings_of(load_scenario(here / "storm.toml"), VEHICLE))
+
+
+def scenarios_mission(here: Path) -> Said:
+    from delfim.simulator.scenario import load_scenario, mission_of
+
+    return refused(lambda: mission_of(load_scenario(here / "storm.toml"), here / "storm.toml"))
+
+
+def operators_mission(here: Path) -> Said:
+    from delfim.console.drive import command as words_of
+
+    return refused(lambda: words_of(["mission", str(here / "lake.toml")]))
+
+
+def replayed(here: Path) -> Said:
+    """All of a tape, and every tenth of it jumped to, as a page gets it."""
+    from delfim.clock import ManualClock
+    from delfim.console.replay import Replay, open_tapes
+
+    def play() -> None:
+        clock, told = ManualClock(), list[object]()
+        replay = Replay(open_tapes([here]), clock, told.append)
+        replay.steer(None, 60.0)
+        for tenth in range(4):
+            replay.steer(replay.from_s + tenth * (replay.to_s - replay.from_s) / 4.0, None)
+            clock.advance(0.5)
+            replay.tick()
+            json.dumps([replay.snapshot(), told], allow_nan=False)
+
+    return refused(play)
+
+
+def log_verb(*words: str) -> Callable[[Path], Said]:
+    def read(here: Path) -> Said:
+        verb, *more = words
+        return command("log", verb, *more, str(here / "log"))
+
+    return read
+
+
+def logs(*verbs: tuple[str, ...]) -> Callable[[Path], Said]:
+    """Several verbs after each other on one tree."""
+
+    def read(here: Path) -> Said:
+        os.chdir(here)
+        return next((said for verb in verbs if faults(said := log_verb(*verb)(here))), [])
+
+    return read
+
+
+def can_replay(name: str) -> Callable[[Path], Said]:
+    def read(here: Path) -> Said:
+        from delfim.console.bus import logged
+
+        errors = io.StringIO()
+        with contextlib.redirect_stderr(errors):
+            said = refused(lambda: sum(1 for _ in logged(str(here / name))))
+        return said + errors.getvalue().splitlines()
+
+    return read
+
+
+def database(here: Path) -> Said:
+    from delfim.console.candump import decoder
+    from delfim.frames import Frame, standard
+
+    def read() -> None:
+        decoded = decoder(str(here / "boat.dbc"))
+        for number in range(0, 2048, 8):
+            decoded(Frame(standard(number), bytes(8), 0))
+
+    return refused(read)
+
+
+def chart(name: str) -> Callable[[Path], Said]:
+    """Taken into the console's folder, and drawn anew where it lies askew."""
+
+    def read(here: Path) -> Said:
+        from delfim.console.charts import Charts
+        from delfim.console.warp import main as warp
+
+        charts = Charts(here)
+        charts.close()
+        json.dumps(charts.backgrounds, allow_nan=False)
+        if charts.faults:
+            return charts.faults
+        errors = io.StringIO()
+        with contextlib.redirect_stderr(errors):
+            warp([str(here / name), str(here / "drawn")])
+        return errors.getvalue().splitlines()
+
+    return read
+
+
+def tiles(here: Path) -> Said:
+    from aiohttp import web
+    from aiohttp.test_utils import make_mocked_request
+
+    from delfim.console.charts import Charts
+
+    charts, said = Charts(here), list[str]()
+    json.dumps(charts.backgrounds, allow_nan=False)
+    for z, x, y in ((12, 1943, 1582), (13, 0, 0)) if charts.backgrounds else ():
+        request = make_mocked_request("GET", "/", match_info={"name": "harbour", "z": str(z), "x": str(x), "y": str(y)})
+        try:
+            asyncio.run(charts._tile(request))
+        except web.HTTPException as error:
+            said += (error.text or "").splitlines()
+    charts.close()
+    return charts.faults + said
+
+
+def image(here: Path) -> Said:
+    return command(
+        "image",
+        VEHICLE,
+        "verify",
+        str(here / "new.image"),
+        "--set",
+        f"image.signers=[{json.dumps((here / 'yard.pub').read_text())}]",
+    )
+
+
+def slot(here: Path) -> Said:
+    return command("image", VEHICLE, "status", "--set", f'image.directory="{here}"')
+
+
+def key(here: Path) -> Said:
+    from delfim.vehicle.mavlink.signing import read_key
+
+    os.chmod(here / "key", 0o600)
+    return refused(lambda: read_key(here / "key"))
+
+
+def stamps(here: Path) -> Said:
+    from delfim.vehicle.mavlink.signing import read_stamps
+
+    return refused(lambda: read_stamps(here / "stamps"))
+
+
+def host_key(here: Path) -> Said:
+    from delfim.services.sshd import _host_key
+
+    return refused(lambda: _host_key(str(here / "host_key")))
+
+
+def certificate(here: Path) -> Said:
+    from delfim.services.ftpd import _tls
+
+    return refused(lambda: _tls(str(here / "boat.pem")))
+
+
+def page_token(here: Path) -> Said:
+    from delfim.console.gateway import kept_token
+
+    return [kept_token(here / "token")]
+
+
+def supervisors_record(here: Path) -> Said:
+    from delfim.services.runtime import _last_deadman
+    from delfim.suite import _told
+
+    with contextlib.redirect_stdout(io.StringIO()):
+        return refused(lambda: (_last_deadman(here / "record"), _told(here / "record", 0.0, "")))
+
+
+LOG_VERBS = (("ls",), ("info",), ("cat",), ("cat", "--events"), ("export", "csv", "--output", "out"), ("repair",))
+BOX_VERBS = (("info",), ("cat", "--id", "lockstep"), ("export", "log", "--output", "out"), ("repair",))
+
+READERS = {
+    "vehicle": Reader("boat.toml", vehicle, TEXT),
+    "mission": Reader("lake.toml", mission, TEXT),
+    "library": Reader("lake.toml", library, TEXT),
+    "scenario": Reader("storm.toml", scenario, TEXT),
+    "scenario's mission": Reader("lake.toml", scenarios_mission, TEXT),
+    "mission to send": Reader("lake.toml", operators_mission, TEXT),
+    "session": Reader("day.tlog", replayed, BINARY),
+    "state log": Reader("log/*/state/*.state", logs(*LOG_VERBS), (*BINARY, *TEXT)),
+    "state log, deflated": Reader("log/*/state/*.state.gz", logs(*LOG_VERBS), deflated((*BINARY, *TEXT))),
+    "black box": Reader("log/*/lockstep/*.log.gz", logs(*BOX_VERBS), deflated(TEXT)),
+    "black box, plain": Reader("log/*/lockstep/*.log", logs(*BOX_VERBS), (*BINARY, *TEXT)),
+    "sidecar": Reader(
+        "log/*/state/*.meta.jsonl",
+        logs(("info",), ("cat", "--events"), ("export", "mcap", "--output", "out"), ("repair",)),
+        TEXT,
+    ),
+    "run to repeat": Reader("log/*/lockstep/*.log.gz", logs(("replay", "--all")), deflated(TEXT)),
+    "run to repeat, state": Reader("log/*/state/*.state.gz", logs(("replay", "--all")), deflated((*BINARY, *TEXT))),
+    "run to repeat, sidecar": Reader("log/*/state/*.meta.jsonl", logs(("replay", "--all")), TEXT),
+    "state log as a tape": Reader("log/*/state/*.state.gz", replayed, deflated((*BINARY, *TEXT))),
+    "sidecar of a tape": Reader("log/*/state/*.meta.jsonl", replayed, TEXT),
+    "candump": Reader("box.log", can_replay("box.log"), (*BINARY, *TEXT)),
+    "candump, deflated": Reader("box.log.gz", can_replay("box.log.gz"), deflated(TEXT)),
+    "CAN database": Reader("boat.dbc", database, TEXT),
+    "PNG": Reader("chart.png", chart("chart.png"), (*BINARY, large_png)),
+    "JPEG": Reader("chart.jpg", chart("chart.jpg"), BINARY),
+    "GeoTIFF": Reader("chart.tif", chart("chart.tif"), BINARY),
+    "control points": Reader("chart.toml", chart("chart.png"), TEXT),
+    "world file": Reader("chart.pgw", chart("chart.png"), TEXT),
+    "MBTiles": Reader("harbour.mbtiles", tiles, (*BINARY, odd_tables, odd_tables, odd_tables)),
+    "image": Reader("new.image", image, BINARY),
+    "boot environment": Reader("grub/grubenv", slot, (*BINARY, *TEXT)),
+    "manifest of a slot": Reader("a/manifest.json", slot, TEXT),
+    "signing key": Reader("key", key, TEXT),
+    "stamps": Reader("stamps", stamps, TEXT),
+    "host key": Reader("host_key", host_key, TEXT),
+    "certificate": Reader("boat.pem", certificate, TEXT),
+    "page's token": Reader("token", page_token, TEXT),
+    "supervisor's record": Reader("record", supervisors_record, TEXT),
+}
+
+
+def faults(said: Said) -> list[str]:
+    """What is wrong with what was said."""
+    wrong = [f"no line for people: {line[:200]!r}" for line in said if not line.isprintable() or len(line) > LINE_MAX]
+    wrong += [f"traceback: {said}"] if any("Traceback" in line for line in said) else []
+    return wrong + ([f"{len(said)} lines: {said[:3]}"] if len(said) > LINES_MAX else [])
+
+
+def mutants(reader: Reader, data: bytes, count: int, name: str) -> Iterator[tuple[str, bytes]]:
+    for number in range(count):
+        random = Random(f"{name} {number}")
+        how = random.choice(reader.how)
+        yield f"{number} {how.__name__}", how(data, random)
+
+
+class TooLong(BaseException):
+    """Not caught by anyone."""
+
+
+def _alarm(number: int, frame: FrameType | None) -> None:
+    raise TooLong
+
+
+def judged(read: Callable[[Path], Said], here: Path) -> list[str]:
+    signal.setitimer(signal.ITIMER_PROF, PROCESSOR_S)
+    try:
+        return faults(read(here))
+    except BaseException:
+        return [traceback.format_exc()]
+    finally:
+        signal.setitimer(signal.ITIMER_PROF, 0.0)
+
+
+def main(name: str, sample: str, count: str) -> None:
+    reader, folder = READERS[name], Path(sample)
+    signal.signal(signal.SIGPROF, _alarm)
+    reading.LOG_BYTES = LOG_BYTES  # type: ignore[misc]
+    there = next(iter(sorted(folder.glob(reader.file))))
+    data, here = there.read_bytes(), folder.with_name(f"{folder.name}, {name}")
+    wrong = dict[str, list[str]]()
+
+    def one(label: str, mutant: bytes) -> None:
+        shutil.rmtree(here, ignore_errors=True)
+        shutil.copytree(folder, here)
+        place = here / there.relative_to(folder)
+        place.write_bytes(mutant)
+        if said := judged(reader.read, here):
+            wrong[label] = said
+        os.chdir(ROOT)
+
+    one("sample", data)
+    used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    resource.setrlimit(resource.RLIMIT_AS, (used + MEMORY_BYTES, resource.RLIM_INFINITY))
+    for label, mutant in mutants(reader, data, int(count), name):
+        one(label, mutant)
+    print(json.dumps(wrong))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

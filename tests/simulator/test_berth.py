@@ -1,0 +1,74 @@
+"""What a simulated boat has for itself: the number, folder, bus and ports that no other simulation has."""
+
+import socket
+from pathlib import Path
+
+import pytest
+
+from delfim import config
+from delfim.errors import DelfimError
+from delfim.simulator.berth import berth, folders, settings_of
+
+VEHICLE = config.load(Path(__file__).parents[2] / "etc/delfimx.toml")
+
+
+@pytest.fixture(autouse=True)
+def here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+
+
+def changed(overrides: list[str]) -> config.Vehicle:
+    return config.load(Path(__file__).parents[2] / "etc/delfimx.toml", overrides)
+
+
+def test_two_share_nothing():
+    with berth(None) as one, berth(None) as two:
+        assert two.number > one.number
+        assert folders() == [one.folder, two.folder]
+        its = [changed(settings_of(VEHICLE, each, ()).overrides) for each in (one, two)]
+    for key in (
+        lambda v: v.can.interface,
+        lambda v: v.nmea2000.interface,
+        lambda v: v.console.socket,
+        lambda v: v.runtime.run_directory,
+        lambda v: v.log.directory,
+        lambda v: v.guest.listen,
+        lambda v: v.mavlink.listen,
+        lambda v: v.httpd.listen,
+        lambda v: v.ftpd.listen,
+        lambda v: v.sshd.listen,
+        lambda v: v.cantcpd.listen,
+        lambda v: v.boat.id,
+    ):
+        assert key(its[0]) != key(its[1])
+    buses = {vehicle.can.interface for vehicle in its} | {vehicle.nmea2000.interface for vehicle in its}
+    assert len(buses) == 4
+
+
+def test_a_port_of_another_program_is_passed_over():
+    with socket.socket() as other, berth(None) as its:
+        other.bind(("127.0.0.1", 0))
+        other.listen()
+        port = other.getsockname()[1] - 10 * (its.number - 1)
+        got = its.address(f"127.0.0.1:{port}")
+        assert got != f"127.0.0.1:{other.getsockname()[1]}"
+        assert its.address(f"127.0.0.1:{port}") not in (got, f"127.0.0.1:{other.getsockname()[1]}")
+        assert its.address("127.0.0.1:0") == "127.0.0.1:0"
+
+
+def test_what_the_operator_named_is_taken_as_it_is():
+    named = {"simulation.interface", "simulation.httpd", "boat.id", "guest.listen"}
+    with berth(None), berth(None) as two:
+        its = changed(settings_of(VEHICLE, two, named).overrides)
+    assert (its.can.interface, its.boat.id) == (VEHICLE.simulation.interface, VEHICLE.boat.id)
+    assert (its.httpd.listen, its.guest.listen) == (VEHICLE.simulation.httpd, VEHICLE.guest.listen)
+
+
+def test_a_folder_in_use_is_refused_or_passed_over_and_free_again_afterwards(tmp_path):
+    with berth("run/sim"):
+        with pytest.raises(DelfimError, match="another simulation runs there"), berth("run/sim"):
+            pass
+        with berth(None) as other:
+            assert other.folder != Path("run/sim")
+    with berth("run/sim") as again:
+        assert again.folder == Path("run/sim")

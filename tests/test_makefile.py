@@ -1,0 +1,22 @@
+"""What the targets of the Makefile would do, asked of make itself."""
+
+import subprocess
+from pathlib import Path
+
+ROOT = Path(__file__).parents[1]
+
+
+def planned(*words: str) -> str:
+    return subprocess.run(["make", "-n", *words], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+
+
+def test_a_first_run_says_that_it_installs_once_and_installs_nothing_for_tests():
+    steps = planned("run", "BOAT=.venv/.nobody-made-this")
+    assert "once; this takes about a minute" in steps
+    assert "-r requirements/ground.txt" in steps
+    assert "requirements/test.txt" not in steps
+    assert steps.rstrip().endswith("delfim sim etc/delfimx.toml --console")
+
+
+def test_what_tests_need_comes_with_the_first_target_that_needs_it():
+    assert "-r requirements/test.txt" in planned("check", "READY=.venv/.nobody-made-this")

@@ -1,0 +1,293 @@
+"""Whatever a file holds, its reader answers with a line of words, in bounded memory and time."""
+
+import ast
+import gzip
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import asyncssh
+import pytest
+
+from delfim.clock import ManualClock
+from delfim.console.fleet import Fleet
+from delfim.console.replay import open_tapes
+from delfim.console.session import Session
+from delfim.logging.reading import read_log
+from delfim.simulator.scenario import load_scenario
+from delfim.vehicle import console
+from delfim.vehicle.mavlink.signing import new_key, read_key, write_stamps
+from delfim.vehicle.mission import load_mission
+from tests.console.fakeboat import FakeBoat
+from tests.console.test_charts import _points, chart, geotiff, mbtiles, png, world
+from tests.logging.sailing import MISSION, Day
+from tests.mutated_files import READERS, ROOT, command, refused
+from tests.services.test_slots import Yard
+
+STORM = """version = 1
+name = "storm"
+seconds = 60
+mission = "lake.toml"
+guest = {heading_deg = 10.0, speed_mps = 1.0}
+vehicle = {failsafe = {pause_s = 5.0}}
+[[command]]
+at_s = 5
+command = "heading"
+heading_deg = 90
+speed_mps = 1.5
+[[fault]]
+at_s = 30
+kind = "frames_late"
+value = 0.2
+for_s = 30
+[[expect]]
+mode = "play"
+after = 5.0
+within_s = 30.0
+"""
+
+
+def settings(folder: Path) -> None:
+    shutil.copy(ROOT / "etc/delfimx.toml", folder / "boat.toml")
+    shutil.copy(ROOT / "etc/missions/doca.toml", folder / "lake.toml")
+    (folder / "storm.toml").write_text(STORM)
+    shutil.copy(ROOT / "etc/delfimx.dbc", folder / "boat.dbc")
+
+
+def sailed(place: Path, *overrides: str) -> None:
+    """A few seconds of a mission."""
+    day = Day(place, *overrides)
+    day.sail(3.0)
+    for word in (console.Mission(MISSION), console.Play()):
+        assert day.command(word) is None
+    day.sail(6.0)
+    day.end()
+
+
+def logs(folder: Path) -> None:
+    sailed(folder / "log")
+    (box,) = (folder / "log").rglob("*.log.gz")
+    shutil.copy(box, folder / "box.log.gz")
+    (folder / "box.log").write_bytes(gzip.decompress(box.read_bytes())[:60_000])
+
+
+def plain_logs(folder: Path) -> None:
+    """As other programs keep them."""
+    sailed(folder / "log", 'log.state_method="write"')
+    (box,) = (folder / "log").rglob("*.log.gz")
+    box.with_suffix("").write_bytes(gzip.decompress(box.read_bytes()))
+    box.unlink()
+
+
+def session(folder: Path) -> None:
+    """A minute with two boats, the mission of one of them read."""
+    clock = ManualClock(100.0)
+    tape = Session(folder, clock)
+    boats = list[FakeBoat]()
+    fleet = Fleet(clock, lambda address, data: boats[address - 1].hear(data), lambda message: None)
+    fleet.record = tape.put
+    boats += [FakeBoat(number, clock, lambda data, number=number: fleet.receive(number, data)) for number in (1, 2)]  # type: ignore[misc]
+    place = {"latitude_deg": 38.69, "longitude_deg": -9.21, "speed_mps": 1.0, "acceptance_m": 3.0, "hold_s": 0.0}
+    for step in range(300):
+        clock.advance(0.1)
+        for boat in boats:
+            boat.tick()
+        if step == 100:
+            fleet.put(1, {"name": "line", "waypoints": [place, place | {"latitude_deg": 38.7}]})
+            fleet.upload(1, lambda well, why: None)
+        fleet.tick()
+        tape.tick()
+    tape.flush()
+    assert tape.file is not None
+    tape.file.rename(folder / "day.tlog")
+
+
+def charts(folder: Path) -> None:
+    chart(folder / "chart.png")
+    (folder / "chart.toml").write_text(_points((0, 0, 38.70, -9.22), (200, 0, 38.70, -9.20), (200, 100, 38.69, -9.20)))
+
+
+def worlds(folder: Path) -> None:
+    for name in ("chart.png", "chart.jpg"):
+        chart(folder / name)
+    for name in ("chart.pgw", "chart.jgw"):
+        world(folder / name, 0.0, -0.0001, -0.0001, 0.0, -9.20005, 38.69995)
+
+
+def geotiffs(folder: Path) -> None:
+    geotiff(folder / "chart.tif")
+
+
+def tiles(folder: Path) -> None:
+    told = {"bounds": "-9.3,38.6,-9.1,38.8", "format": "png", "name": "harbour"}
+    mbtiles(folder / "harbour.mbtiles", told, [(12, 1943, 2513, png()), (13, 0, 8191, png())])
+
+
+def keys(folder: Path) -> None:
+    new_key(folder / "key")
+    write_stamps(folder / "stamps", {(255, 190, 1): 123_456_789, (250, 190, 2): 99})
+    (folder / "host_key").write_bytes(asyncssh.generate_private_key("ssh-ed25519").export_private_key("openssh"))
+    words = [
+        "openssl",
+        "req",
+        "-x509",
+        "-newkey",
+        "ec",
+        "-pkeyopt",
+        "ec_paramgen_curve:prime256v1",
+        "-nodes",
+        "-subj",
+        "/CN=boat",
+    ]
+    subprocess.run([*words, "-keyout", folder / "key.pem", "-out", folder / "cert.pem"], check=True, capture_output=True)
+    (folder / "boat.pem").write_bytes(b"".join((folder / name).read_bytes() for name in ("key.pem", "cert.pem")))
+    (folder / "token").write_text("Zm9vYmFyYmF6cXV4cXV1eA\n")
+    record = {"stage": "safe", "at_s": 12.5, "holders": ["state", "can0"], "deadman": {"at_s": 1.5, "reason": "silent"}}
+    (folder / "record").write_text(json.dumps(record))
+
+
+def images(folder: Path) -> None:
+    yard = Yard(folder)
+    shutil.copy(yard.bundle("2.0"), folder / "new.image")
+    for name in ("grub", "a", "b"):
+        if (yard.boot / name).exists():
+            shutil.copytree(yard.boot / name, folder / name)
+
+
+SAMPLES = {
+    settings: ("vehicle", "mission", "library", "scenario", "scenario's mission", "mission to send", "CAN database"),
+    logs: (
+        *("state log, deflated", "black box", "sidecar", "run to repeat", "run to repeat, state", "run to repeat, sidecar"),
+        *("state log as a tape", "sidecar of a tape", "candump", "candump, deflated"),
+    ),
+    plain_logs: ("state log", "black box, plain"),
+    session: ("session",),
+    charts: ("control points",),
+    worlds: ("PNG", "JPEG", "world file"),
+    geotiffs: ("GeoTIFF",),
+    tiles: ("MBTiles",),
+    keys: ("signing key", "stamps", "host key", "certificate", "supervisor's record", "page's token"),
+    images: ("image", "boot environment", "manifest of a slot"),
+}
+
+
+@pytest.fixture(scope="module")
+def samples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """The folder of each reader's sample."""
+    folders = dict[str, Path]()
+    for make, names in SAMPLES.items():
+        folder = tmp_path_factory.mktemp(make.__name__)
+        make(folder)
+        folders |= dict.fromkeys(names, folder)
+    return folders
+
+
+@pytest.mark.parametrize("name", READERS)
+def test_a_mutated_file_is_read_or_refused_in_words(name: str, samples: dict[str, Path], mutations: int) -> None:
+    words = [sys.executable, "-m", "tests.mutated_files", name, str(samples[name]), str(mutations)]
+    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert json.loads(done.stdout) == {}
+
+
+OPENERS = {"read_file", "read_text", "read_bytes", "raw", "load_cert_chain", "read_private_key", "load_file"}
+MODULES = {"Image", "gzip", "sqlite3", "tarfile"}
+
+
+def _opens(call: ast.Call) -> bool:
+    """Whether a call reads a file, or opens one to be read."""
+    words = ast.unparse(call.func).split(".")
+    modes = [each.value for each in call.args[1:] if isinstance(each, ast.Constant) and isinstance(each.value, str)]
+    if words[-1] in ("open", "connect") and words[0] in MODULES:
+        return True
+    if words == ["open"] or (
+        words[-1] == "open" and "rb" in [each.value for each in call.args if isinstance(each, ast.Constant)]
+    ):
+        return not any(set(mode) & set("wax") for mode in modes)
+    return words[-1] in OPENERS
+
+
+def readers() -> set[str]:
+    """The functions of the program that read files: "console/tape.py: __init__"."""
+    found = set[str]()
+    for path in (ROOT / "delfim").rglob("*.py"):
+        for function in ast.walk(ast.parse(path.read_text())):
+            calls = [node for node in ast.walk(function) if isinstance(node, ast.Call)]
+            if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef) and any(map(_opens, calls)):
+                found.add(f"{path.relative_to(ROOT / 'delfim')}: {function.name}")
+    return found
+
+
+LOGS = {"state log", "black box", "sidecar", "run to repeat", "state log as a tape", "sidecar of a tape"}
+READ_BY = {  # function: the readers above that come by it
+    "config.py: read_toml": {"vehicle", "mission", "library", "scenario", "control points"},
+    "console/bus.py: logged": {"candump", "candump, deflated"},
+    "console/candump.py: decoder": {"CAN database"},
+    "console/charts.py: _add_tiles": {"MBTiles"},
+    "console/gateway.py: kept_token": {"page's token"},
+    "console/drive.py: _file": {"mission to send"},
+    "console/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
+    "console/georeference.py: _world": {"world file"},
+    "console/tape.py: __init__": {"session"},
+    "console/warp.py: warp": {"PNG", "JPEG", "GeoTIFF"},
+    "logging/reading.py: raw": LOGS,
+    "logging/reading.py: read_events": LOGS,
+    "logging/reading.py: read_log": LOGS,
+    "logging/repair.py: repair": {"state log", "black box", "sidecar"},
+    "logging/tree.py: _end": {"sidecar"},
+    "logging/tree.py: _starts": {"sidecar"},
+    "services/ftpd.py: _tls": {"certificate"},
+    "services/runtime.py: _last_deadman": {"supervisor's record"},
+    "services/slots.py: environment": {"boot environment"},
+    "services/slots.py: manifest": {"manifest of a slot"},
+    "services/slots.py: verify": {"image"},
+    "services/sshd.py: _host_key": {"host key"},
+    "simulator/scenario.py: mission_of": {"scenario's mission"},
+    "suite.py: _told": {"supervisor's record"},
+    "vehicle/mavlink/signing.py: read_key": {"signing key"},
+    "vehicle/mavlink/signing.py: read_stamps": {"stamps"},
+}
+OTHERS = {  # what the kernel tells, and what is only copied or digested
+    *("commands/image.py: confirm", "commands/image.py: status", "outside.py: read_file", "outside.py: read_text"),
+    *("logging/fetch.py: _condition", "logging/fetch.py: _fetched", "logging/fetch.py: _read"),
+    *("services/cgroup.py: exceeded", "services/computer.py: _read", "services/shutdown.py: _read"),
+    *("services/slipd.py: _counters", "services/slipd.py: carrier_source"),
+    *("services/slots.py: _digest", "services/slots.py: _digest_of_disk", "services/slots.py: pack"),
+    *("services/slots.py: present_notice", "services/sshd.py: _session", "services/supervisor.py: _process_state"),
+}
+
+
+def test_no_reader_of_files_is_forgotten() -> None:
+    found = {name for name in readers() if not name.startswith("bench/")}
+    assert found == READ_BY.keys() | OTHERS, "a new reader needs a sample, a row above, and a row here"
+    assert set().union(*READ_BY.values()) <= READERS.keys()
+
+
+@pytest.mark.parametrize(("kind", "words"), [("pipe", "a pipe, not a file"), ("device", "a device"), ("large", "are not read")])
+def test_what_never_ends_or_never_begins_is_refused_in_words(kind: str, words: str, tmp_path: Path) -> None:
+    """Given instead of a vehicle's file, a mission, a session, a log, a key."""
+    place = tmp_path / "log/20260101/state"
+    place.mkdir(parents=True)
+    odd = place / "000000.state"
+    if kind == "pipe":
+        os.mkfifo(odd)
+    elif kind == "device":
+        odd.symlink_to("/dev/zero")
+    else:
+        with odd.open("wb") as file:
+            file.truncate(2 << 30)
+    (place / "day.tlog").symlink_to(odd)
+    if kind != "device":
+        odd.chmod(0o600)
+    said = [
+        command("check", str(odd)),
+        refused(lambda: load_mission(odd)),
+        refused(lambda: load_scenario(odd)),
+        refused(lambda: open_tapes([place / "day.tlog"])),
+        refused(lambda: read_log(odd)),
+        refused(lambda: read_key(odd)) if kind != "device" else [words],
+    ]
+    assert [lines for lines in said if len(lines) != 1 or words not in lines[0]] == []

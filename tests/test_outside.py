@@ -1,0 +1,42 @@
+"""What comes from outside, before anybody asks what it means."""
+
+import os
+from pathlib import Path
+
+import pytest
+
+from delfim.errors import FormatError
+from delfim.outside import parse_json, parse_toml, read_file
+
+
+def test_a_file_is_read_up_to_its_limit(tmp_path: Path) -> None:
+    file = tmp_path / "a"
+    file.write_bytes(b"12345678")
+    assert read_file(file, 8) == b"12345678"
+    with pytest.raises(OSError, match="8 bytes: files of more than 7 are not read") as refused:
+        read_file(file, 7)
+    assert refused.value.filename == str(file)
+
+
+def test_a_pipe_does_not_hold_who_opens_it(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(OSError, match="this is a pipe, not a file"):
+        read_file(tmp_path / "pipe")
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 100_000, '{"a":' * 100_000, "9" * 5000, '"\\ud800"', b'"\xff"', b'"\xed\xa0\x80"', "{", ""]
+)
+def test_json_that_is_none_is_refused_in_words(text: str | bytes) -> None:
+    with pytest.raises(FormatError, match="not JSON: "):
+        parse_json(text)
+
+
+def test_a_character_of_two_halves_is_one() -> None:
+    assert parse_json(rb'["\ud83d\ude00", "\u00e9"]') == ["\U0001f600", "\u00e9"]
+
+
+@pytest.mark.parametrize("text", ["a = " + "[" * 50_000, "a = " + "9" * 5000, "a = 1\na = 2", "a ="])
+def test_toml_that_is_none_is_refused_in_words(text: str) -> None:
+    with pytest.raises(FormatError, match="not TOML: "):
+        parse_toml(text)
