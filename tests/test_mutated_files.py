@@ -188,7 +188,8 @@ def samples(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
 @pytest.mark.parametrize("name", READERS)
 def test_a_mutated_file_is_read_or_refused_in_words(name: str, samples: dict[str, Path], mutations: int) -> None:
     words = [sys.executable, "-m", "tests.mutated_files", name, str(samples[name]), str(mutations)]
-    done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True)
+    here = os.environ | {"PYTHONSAFEPATH": ""}  # make sets it: then a module of the working directory is not found
+    done = subprocess.run(words, cwd=ROOT, env=here, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")
     assert json.loads(done.stdout) == {}
 

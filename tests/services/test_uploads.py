@@ -1,6 +1,7 @@
 """The folder of uploads: its share of the disk, its names, and the logs beside it."""
 
 import contextlib
+import itertools
 import os
 import threading
 from pathlib import Path
@@ -240,14 +241,14 @@ def test_folders_that_become_links_meanwhile_lead_nowhere(disk, tmp_path):
     thread = threading.Thread(target=flip)
     thread.start()
     try:
-        for number in range(2000):
+        for number in itertools.takewhile(lambda number: number < 2000 or (inside < 20 and number < 200_000), itertools.count()):
             with contextlib.suppress(DelfimError, OSError):
                 tries[number % len(tries)]()
                 inside += 1
     finally:
         over.set()
         thread.join()
-    assert inside > 20, "some met the folder"
+    assert inside >= 20, "some met the folder"
     assert (outside / "secret").read_text() == "secret"
     assert (outside / "secret").stat().st_mode & 0o777 != 0o777
     assert sorted(path.name for path in outside.iterdir()) == ["empty", "secret"]

@@ -257,14 +257,14 @@ def test_a_full_disk_says_so_at_once_and_a_hanging_one_after_a_while(world):
 
 
 def test_a_lost_guest_is_not_heard_and_comes_back(world):
-    state = State()
-    guest = FaultyGuest(state, ManualClock(5.0), world.faults)
+    guest, heard = FaultyGuest(State(), ManualClock(5.0), world.faults), list[bytes]()
+    guest.on_line = heard.append
     world.begin("guest_lost")
     guest.data_received(b'{"heading_deg": 1}\n')
-    assert state.guest_s < 0
+    assert heard == []
     world.faults.end("guest_lost")
-    guest.data_received(b'{"heading_deg": 1}\n')
-    assert state.guest_s == 5.0
+    guest.data_received(b'{"heading_deg": 2}\n')
+    assert heard == [b'{"heading_deg": 2}']
 
 
 def test_in_lock_step_everything_around_breaks_too():
