@@ -176,7 +176,7 @@ class Visitors:
             self.visits[kind] += 1
             try:
                 visit()
-            except (OSError, ftplib.Error, subprocess.SubprocessError, DelfimError, Refused) as error:
+            except (OSError, EOFError, ftplib.Error, subprocess.SubprocessError, DelfimError, Refused) as error:
                 self.failures[kind] += 1
                 self.reasons[kind] = f"({error})"
 

@@ -32,7 +32,10 @@ class Sea(Boat):
 
     def _overrides(self) -> list[str]:
         # A busy host makes everybody late, but by no days.
-        patient = ("navigation.stale_s=10.0", "failsafe.navigation_silent.after_s=10.0", "sysstat.stale_s=10.0")
+        patient = (
+            *("navigation.stale_s=10.0", "failsafe.navigation_silent.after_s=10.0", "sysstat.stale_s=10.0"),
+            "supervisor.deadman_s=60.0",
+        )
         return [*super()._overrides(), 'can.interface="vcan0"', 'timed.mode="master"', "log.free_bytes_min=0", *patient]
 
 

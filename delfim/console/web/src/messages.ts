@@ -14,7 +14,7 @@ export interface Message {
   severity: number; // MAVLink's: 0 emergency .. 7 debug
   text: string;
   at: Date;
-  words: HTMLElement; // that show it
+  words?: HTMLElement; // that shows it, as long as it may be on the screen
 }
 
 export const severityWord = (severity: number): string => (severity <= 3 ? "grave" : severity === 4 ? "warning" : "notice");
@@ -35,6 +35,7 @@ export class Messages {
     const line = make("span", words);
     this.kept.unshift({ boat, severity, text: words, at: new Date(), words: line });
     this.kept.length = Math.min(this.kept.length, KEPT_MOST);
+    delete this.kept[SHOWN_MOST]?.words;
     if (severity <= 3) this.sound.alarm();
     else if (severity === 4) this.sound.warn();
     if (severity < 7) this.show(boat, severity, line);
@@ -63,5 +64,5 @@ function meant(words: string): string {
 function fuller(message: Message, words: string): void {
   if (words.length <= message.text.length) return;
   message.text = words;
-  text(message.words, words);
+  if (message.words) text(message.words, words);
 }
