@@ -8,7 +8,8 @@ ROOT = Path(__file__).parents[1]
 
 
 def planned(*words: str) -> str:
-    alone = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}  # not a child of the make that tests
+    """As no child of the make that runs the tests."""
+    alone = {name: value for name, value in os.environ.items() if not name.startswith("MAKE")}
     return subprocess.run(["make", "-n", *words], cwd=ROOT, env=alone, capture_output=True, text=True, check=True).stdout
 
 
