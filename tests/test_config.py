@@ -11,9 +11,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import config
-from delfim.config import Service, Table, Vehicle
+from delfim import config, tables
+from delfim.config import Service, Vehicle
 from delfim.errors import ConfigError
+from delfim.tables import Table
 
 BOAT = '[boat]\nname = "delfimx"\n'
 
@@ -200,7 +201,7 @@ def test_everything_that_is_wrong_is_told_at_once() -> None:
         [services.httpd]
         plaice = "moon"
         """)
-    told = {wrong.key: (wrong.reason, wrong.allowed) for wrong in config.complaints(tree, Vehicle, "f")}
+    told = {wrong.key: (wrong.reason, wrong.allowed) for wrong in tables.complaints(tree, Vehicle, "f")}
     assert told["navigatoin"] == ("unknown key; did you mean navigation?", "")
     assert told["colour"][0] == "unknown key"
     assert "navigation" in told["colour"][1]
@@ -257,7 +258,7 @@ def test_any_tree_is_taken_or_refused_with_a_key(table: str, tree: object) -> No
     whole = {"boat": {"name": "x"}, table: tree} if table else {"x": tree}
     refusal = None
     try:
-        config.decode(whole, Vehicle, "f")
+        tables.decode(whole, Vehicle, "f")
     except ConfigError as error:
         refusal = error
     assert table or refusal
@@ -270,7 +271,7 @@ def test_every_parameter_says_what_is_allowed() -> None:
             if isinstance(hint, type) and issubclass(hint, Table):
                 check(hint)
             else:
-                assert config.allowed(hint), name
+                assert tables.allowed(hint), name
 
     check(Vehicle)
 
@@ -288,9 +289,9 @@ def test_what_everybody_may_read_holds_no_secret_and_is_still_a_vehicle(tmp_path
     vehicle = load(
         tmp_path, f'{BOAT}[ftpd.users.ana]\npassword = "scrypt:c2FsdA==:AAAA"\n[fence]\nkeep_in = [[0,0],[0,1],[1,1]]\n'
     )
-    shown = config.shown(vehicle)
+    shown = tables.shown(vehicle)
     assert shown["ftpd"]["users"] == {"ana": {"password": "scrypt:hidden:hidden", "upload": False}}
-    again = config.decode(shown, Vehicle, "log")
+    again = tables.decode(shown, Vehicle, "log")
     assert again.ftpd.users["ana"].password not in vehicle.ftpd.users["ana"].password
     assert msgspec.structs.replace(again, ftpd=vehicle.ftpd) == vehicle
 

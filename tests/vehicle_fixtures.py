@@ -9,7 +9,7 @@ from itertools import count
 
 import pytest
 
-from delfim import config, messages
+from delfim import config, messages, tables
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
@@ -135,7 +135,7 @@ def make_boat() -> Iterator[Callable[..., Boat]]:
     """Boats from tables of a vehicle's file: `make_boat(log=config.Log(required=False))`."""
     boats = []
 
-    def make(**tables: config.Table) -> Boat:
+    def make(**tables: tables.Table) -> Boat:
         boats.append(Boat(config.Vehicle(boat=config.Boat(name="test"), **tables)))
         return boats[-1]
 

@@ -20,11 +20,11 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Returns 2 where something is wrong. A warning is nothing wrong: another computer may have what this one lacks."""
-    from delfim import config
+    from delfim import config, tables
     from delfim.suite import services
 
-    tree = config.read_toml(asked.file, asked.set)
-    wrong = list(config.complaints(tree, config.Vehicle, asked.file))
+    tree = tables.read_toml(asked.file, asked.set)
+    wrong = list(tables.complaints(tree, config.Vehicle, asked.file))
     if len(wrong) > 1:
         print(f"delfim: {asked.file}: {len(wrong)} things are wrong:", file=sys.stderr)
         print(*(f"  {str(each).removeprefix(f'{asked.file}: ')}" for each in wrong[:TOLD]), sep="\n", file=sys.stderr)

@@ -10,7 +10,7 @@ from typing import Any, get_args, get_origin, get_type_hints
 
 import msgspec
 
-from delfim import config
+from delfim import config, tables
 from delfim.modes import Mode
 
 
@@ -31,7 +31,7 @@ def describe() -> str:
         hints = get_type_hints(table, include_extras=True)
         for field in msgspec.structs.fields(table):
             if not _is_table(hints[field.name]):
-                allowed = config.allowed(hints[field.name]).replace("|", "\\|")
+                allowed = tables.allowed(hints[field.name]).replace("|", "\\|")
                 page.append(f"| `{field.name}` | {_default(field)} | {allowed} | {comments.get(field.name, '')} |")
     return "\n".join(page) + "\n"
 
@@ -62,7 +62,7 @@ def _sentence(table: type) -> str:
 def _comments(table: type) -> dict[str, str]:
     """Of the class and of those that it extends; the nearest one counts. The keys of the modes are not written one by one."""
     found = {mode.name.lower(): f'in {mode.name.lower()} mode; "same": as `action`' for mode in Mode}
-    for each in reversed([kind for kind in table.__mro__ if issubclass(kind, config.Table)]):
+    for each in reversed([kind for kind in table.__mro__ if issubclass(kind, tables.Table)]):
         with contextlib.suppress(OSError):  # made by a function: there are no lines
             found.update(re.findall(r"^    (\w+): .*?  # (.+)$", inspect.getsource(each), re.MULTILINE))
     return {name: comment.replace("|", "\\|") for name, comment in found.items()}

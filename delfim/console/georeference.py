@@ -14,7 +14,7 @@ from typing import Annotated, Any, Final, NamedTuple
 import msgspec
 from PIL import Image, UnidentifiedImageError
 
-from delfim import config
+from delfim import tables
 from delfim.console.projection import GEOGRAPHIC, plane
 from delfim.errors import ConfigError, DelfimError
 from delfim.geodesy import origin
@@ -29,7 +29,7 @@ _USER_DEFINED: Final = 32767
 Matrix = tuple[float, float, float, float, float, float]  # x = a column + b row + c; y = d column + e row + f; of pixel corners
 
 
-class Point(config.Table, frozen=True):
+class Point(tables.Table, frozen=True):
     """A place that is known in the image and on the map. Column 0, row 0 is the upper left corner."""
 
     column: float
@@ -38,7 +38,7 @@ class Point(config.Table, frozen=True):
     longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 
 
-class Beside(config.Table, frozen=True):
+class Beside(tables.Table, frozen=True):
     """The file beside an image."""
 
     epsg: int = GEOGRAPHIC  # the plane of the world file
@@ -130,7 +130,7 @@ def _header(image: Path) -> tuple[tuple[int, int], dict[int, Any]]:
 
 def _beside(image: Path) -> Beside:
     file = image.with_suffix(".toml")
-    return config.decode(config.read_toml(file), Beside, str(file)) if file.exists() else Beside()
+    return tables.decode(tables.read_toml(file), Beside, str(file)) if file.exists() else Beside()
 
 
 def _world(file: Path) -> Matrix:

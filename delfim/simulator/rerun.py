@@ -13,7 +13,7 @@ from typing import Any, Final, NamedTuple
 
 import msgspec
 
-from delfim import config
+from delfim import config, tables
 from delfim.canproxy.dsor.protocol import message_filter
 from delfim.canproxy.nmea2000.pgns import GNSS_POSITION, POSITION_RAPID
 from delfim.canproxy.socket import CanAddress, CanSocket, accepts
@@ -285,7 +285,7 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     if len(starts) != 1:
         raise DelfimError(f"a run is repeated from its start to its end, and these logs hold {len(starts)} starts")
     recorded = starts[0].get("settings", {})
-    settings = config.load(vehicle_file) if vehicle_file else config.decode(recorded, config.Vehicle, "the log")
+    settings = config.load(vehicle_file) if vehicle_file else tables.decode(recorded, config.Vehicle, "the log")
     columns, _ = table(state_files)
     if not all(bool((abs(columns[name]) < MOMENT_MAX_S).all()) for name in MOMENTS):
         raise DelfimError("this state log is damaged: it has times that are none")

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Final, Literal, NamedTuple, Self
 
 import msgspec
 
-from delfim import config
+from delfim import config, tables
 from delfim.clock import ManualClock
 from delfim.errors import ConfigError, FormatError, in_words
 from delfim.modes import Mode
@@ -38,7 +38,7 @@ DAY_S: Final = 86_400.0
 Time = Annotated[float, msgspec.Meta(ge=0.0, le=DAY_S)]
 
 
-class FaultAt(config.Table, frozen=True):
+class FaultAt(tables.Table, frozen=True):
     """Something breaks."""
 
     at_s: Time
@@ -48,7 +48,7 @@ class FaultAt(config.Table, frozen=True):
     for_s: float | None = None  # to the end where not given
 
 
-class Expect(config.Table, frozen=True):
+class Expect(tables.Table, frozen=True):
     """What must come of it: a mode, a notice, propellers that stand still, or waypoints reached."""
 
     mode: str = ""
@@ -66,14 +66,14 @@ class Expect(config.Table, frozen=True):
             raise ValueError("one of mode, notice, propellers, waypoints")
 
 
-class Guest(config.Table, frozen=True):
+class Guest(tables.Table, frozen=True):
     """What the guest computer asks for, twice a second."""
 
     heading_deg: float
     speed_mps: float
 
 
-class Scenario(config.Table, frozen=True):
+class Scenario(tables.Table, frozen=True):
     """A scenario file."""
 
     version: Literal[1]
@@ -104,7 +104,7 @@ class Result(NamedTuple):
 
 def load_scenario(path: str | Path) -> Scenario:
     """A scenario, its faults and commands checked. Raises ConfigError."""
-    scenario = config.decode(config.read_toml(path), Scenario, str(path))
+    scenario = tables.decode(tables.read_toml(path), Scenario, str(path))
     key = ""
     try:
         for number, broken in enumerate(scenario.fault):
@@ -120,7 +120,7 @@ def load_scenario(path: str | Path) -> Scenario:
 
 def settings_of(scenario: Scenario, vehicle: str | Path, overrides: tuple[str, ...] = ()) -> config.Vehicle:
     """The vehicle's file with the scenario's tables laid over it. Raises ConfigError."""
-    return config.decode(_laid_over(config.read_toml(vehicle, overrides), scenario.vehicle), config.Vehicle, str(vehicle))
+    return tables.decode(_laid_over(tables.read_toml(vehicle, overrides), scenario.vehicle), config.Vehicle, str(vehicle))
 
 
 def _laid_over(tree: dict[str, Any], upper: dict[str, Any]) -> dict[str, Any]:

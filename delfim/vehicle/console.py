@@ -10,7 +10,7 @@ from typing import Annotated, Any, get_args
 
 import msgspec
 
-from delfim import config
+from delfim import config, tables
 from delfim.errors import FormatError
 from delfim.geodesy import compass, from_plane
 from delfim.messages import Fault, SystemStatus
@@ -231,7 +231,7 @@ def _why(tree: Any, text: str) -> str:
             msgspec.convert(tree.get(name), field.type)
         except msgspec.ValidationError:
             if name in tree:
-                return f"{name} must be {config.allowed(field.type)}"
+                return f"{name} must be {tables.allowed(field.type)}"
     return text
 
 

@@ -2,7 +2,7 @@
 
 import msgspec
 
-from delfim import __version__, config
+from delfim import __version__, config, tables
 from delfim.clock import Clock
 from delfim.logging.liblog import event_line, open_log
 from delfim.logging.statelog import Schema, StateWriter
@@ -39,7 +39,7 @@ class Logbook:
         self._writer = StateWriter(self._log, schema)
         self.status, self.poll = self._log.status, self._log.poll
         self._noted = False
-        self.event("start", version=__version__, settings=config.shown(settings))
+        self.event("start", version=__version__, settings=tables.shown(settings))
 
     def write(self, state: State, now_s: float) -> None:
         self._writer.put(record.values(state, now_s))

@@ -15,7 +15,7 @@ from typing import Annotated, Literal
 
 import msgspec
 
-from delfim import config, geodesy
+from delfim import config, geodesy, tables
 from delfim.errors import ConfigError, FormatError
 from delfim.outside import parse_toml
 from delfim.slices import Sliced, Work
@@ -33,10 +33,10 @@ JOINT_M = 1.0  # an arc's stated radius and the distance from its beginning to i
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 MissionSpeed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
-Title = Annotated[str, config.text(r"[^\x00-\x1f\x7f]{1,64}", "1 to 64 characters")]
+Title = Annotated[str, tables.text(r"[^\x00-\x1f\x7f]{1,64}", "1 to 64 characters")]
 
 
-class Waypoint(config.Table, frozen=True):
+class Waypoint(tables.Table, frozen=True):
     """A place to go to, and to stay at for a while. 0 for speed and acceptance radius: as the vehicle's file says."""
 
     latitude_deg: Latitude
@@ -46,7 +46,7 @@ class Waypoint(config.Table, frozen=True):
     hold_s: Annotated[float, msgspec.Meta(ge=0.0, le=HOLD_MAX_S)] = 0.0
 
 
-class PathPoint(config.Table, frozen=True):
+class PathPoint(tables.Table, frozen=True):
     """A piece of the path. The first says where the path begins; one without `turn_deg` is the end of a line from the end of
     the piece before; one with it is the centre of an arc that begins there.
     """
@@ -58,7 +58,7 @@ class PathPoint(config.Table, frozen=True):
     radius_m: Annotated[float, msgspec.Meta(ge=0.0, le=RADIUS_MAX_M)] = 0.0  # of an arc
 
 
-class Mission(config.Table, frozen=True):
+class Mission(tables.Table, frozen=True):
     """A mission file."""
 
     version: Literal[1]
@@ -70,7 +70,7 @@ class Mission(config.Table, frozen=True):
 
 def load_mission(path: str | Path) -> Mission:
     """The mission in a file, checked. Raises ConfigError with file, key and reason."""
-    return _checked(config.decode(config.read_toml(path), Mission, str(path)), str(path))
+    return _checked(tables.decode(tables.read_toml(path), Mission, str(path)), str(path))
 
 
 def parse_mission(text: str, file: str = "mission") -> Mission:
@@ -89,7 +89,7 @@ def read_mission(text: str, file: str = "mission") -> Mission:
             rows = tree.get(key)
             if isinstance(rows, list) and len(rows) <= ROWS:  # row by row, for another thread waits for each
                 tree[key] = [msgspec.convert(row, kind) for row in rows]
-    return config.decode(tree, Mission, file)
+    return tables.decode(tree, Mission, file)
 
 
 def _checked(mission: Mission, file: str) -> Mission:

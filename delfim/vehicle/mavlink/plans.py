@@ -13,7 +13,7 @@ from typing import Final, NamedTuple, TypeVar
 
 import msgspec
 
-from delfim import config
+from delfim import config, tables
 from delfim.errors import ConfigError, FormatError
 from delfim.slices import Work
 from delfim.vehicle.mavlink.wire import dialect
@@ -38,7 +38,7 @@ PLACED: Final = int(dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # of an item tha
 USUAL_SPEED: Final = -2.0  # of SPEED: the vehicle's own
 _CHECKED: Final = struct.Struct("<BHB4fiif")
 
-T = TypeVar("T", bound=config.Table)
+T = TypeVar("T", bound=tables.Table)
 
 
 class Unsupported(FormatError):
@@ -294,7 +294,7 @@ def _fields(number: int, item: Item) -> dict[str, float]:
 def _row(number: int, kind: type[T], **fields: object) -> T:
     """A row of a mission file, in range. Raises FormatError."""
     try:
-        return config.decode({**fields}, kind, f"item {number}")
+        return tables.decode({**fields}, kind, f"item {number}")
     except ConfigError as error:
         raise FormatError(f"item {number}: {f'{error.key} must be {error.allowed}' if error.key else error.reason}") from None
 
