@@ -63,7 +63,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_first_voyage docs/pictures
 
 bench: $(READY) ## measure the contracts of the design on this machine
-	$(BIN)/delfim bench $(ARGS)
+	PYTHONPATH=. $(BIN)/python -m bench $(ARGS)
 
 image: $(READY) ## build the boat's image, kernel and initramfs, into run/image (ARGS="--sign KEY" packs one to upload)
 	$(BIN)/python docker/image.py run/image $(ARGS)

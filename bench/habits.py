@@ -1,6 +1,6 @@
 """What four habits of the critical path are worth: each of them broken in turn, against the program as it is.
 
-    python bench/habits.py [--rate HZ] [--seconds S] [--rounds N] [--load]
+    python -m bench.habits [--rate HZ] [--seconds S] [--rounds N] [--load]
 
 garbage   the interpreter collects garbage whenever it likes, not in the quiet time between two cycles
 log       the record of the last cycle is written before the propellers are commanded, not after
@@ -19,7 +19,7 @@ from collections import defaultdict
 from itertools import chain
 from pathlib import Path
 
-from delfim.bench import competitor, critical_path, report
+from bench import competitor, critical_path, report
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.navigation import Fix
 from delfim.vehicle.rehearsal import Rehearsal
@@ -41,11 +41,11 @@ def broken(habit: str) -> None:
             helm._log.write(helm.state, now_s)
             return control(helm, now_s)
 
-        Helm.control = log_and_control
+        Helm.control = log_and_control  # type: ignore[method-assign,assignment]
     elif habit == "names":
-        DsorNavigation.read = read_by_name
+        DsorNavigation.read = read_by_name  # type: ignore[method-assign,assignment]
     elif habit == "practice":
-        Rehearsal.part = lambda rehearsal: None
+        Rehearsal.part = lambda rehearsal: None  # type: ignore[method-assign,assignment]
 
 
 def read_by_name(navigation: DsorNavigation, now_s: float) -> Fix | None:
@@ -61,7 +61,7 @@ class Team(critical_path.Team):
     """A competitor that broke a habit."""
 
     def _competitor(self, kind: str) -> list[str]:
-        return [sys.executable, __file__, kind, *self._arguments]
+        return [sys.executable, "-m", "bench.habits", kind, *self._arguments]
 
 
 def measure(asked: argparse.Namespace) -> dict[str, list[list[float]]]:

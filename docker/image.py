@@ -53,7 +53,7 @@ PRUNED: Final = {  # in these, what no boat needs
         "pydoc*",
     ],
     "usr/lib/python3*/lib-dynload": ("nis.*", "_dbm.*", "_sqlite3.*", "_test*", "_xxtestfuzz*", "_ctypes_test*"),
-    "usr/lib/python3/dist-packages": ("bin", "lxml*", "delfim/bench", "delfim/console/page"),
+    "usr/lib/python3/dist-packages": ("bin", "lxml*", "delfim/console/page"),
     "usr/lib/python3/dist-packages/frozenlist": ("_frozenlist.*",),  # wants libstdc++; it is there in Python, too
     "usr/lib/python3/dist-packages/*.dist-info": ("RECORD", "direct_url.json", "INSTALLER", "REQUESTED", "licenses"),
 }

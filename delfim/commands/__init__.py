@@ -34,9 +34,6 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # what people do: their commands, 
         "shutdown": "Stop the boat and end everything in order, so that the power may be cut (docs/powerd.md).",
         "image": "Look at the boat's image, install a new one and confirm it; the old one is kept (docs/image.md).",
     },
-    "Develop": {
-        "bench": "Measure the figures of the design on this machine, from a checkout of the sources.",
-    },
 }
 SENTENCES: Final = {name: sentence for group in GROUPS.values() for name, sentence in group.items()}
 OWN_FILE: Final = "etc/delfimx.toml"  # the boat of a simulation for which none is named

@@ -3,16 +3,15 @@
 import argparse
 import json
 import socket
-import subprocess
 import sys
 from pathlib import Path
 
 import pytest
 
-from delfim.__main__ import main
-from delfim.bench import critical_path, liblog
-from delfim.bench.critical_path import LABELS, LONG_CYCLES, Plan, Slice
-from delfim.bench.report import PERCENTILES, STAGES, Cycle, over_budget
+from bench import critical_path, liblog
+from bench.__main__ import main
+from bench.critical_path import LABELS, LONG_CYCLES, Plan, Slice
+from bench.report import PERCENTILES, STAGES, Cycle, over_budget
 from delfim.errors import DelfimError
 
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
@@ -23,7 +22,7 @@ def asked(**options: object) -> argparse.Namespace:
 
 
 def test_quick_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["bench", "critical-path", "--quick", "--seconds", "0.25", "--rates", "200"]
+    words = ["critical-path", "--quick", "--seconds", "0.25", "--rates", "200"]
     ended = main([*words, "--file", VEHICLE, "--output", str(tmp_path)])
     results = json.loads((tmp_path / "critical-path.json").read_text())
     assert ended == any(over_budget(group) for group in results["groups"]), "1 where a service exceeds its budget"
@@ -54,7 +53,7 @@ def test_quick_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_lock_step_bench(tmp_path: Path) -> None:
-    words = ["bench", "sim", "--rounds", "2", "--seconds", "60"]
+    words = ["sim", "--rounds", "2", "--seconds", "60"]
     assert main([*words, "--file", VEHICLE, "--output", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "sim.json").read_text())
     assert results["repetitions"] == 2
@@ -65,7 +64,7 @@ def test_lock_step_bench(tmp_path: Path) -> None:
 def test_bench_of_log_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(liblog, "QUICK_WRITES", 100)
     monkeypatch.setattr(liblog, "DAYS", 2)
-    assert main(["bench", "log", "--quick", "--seconds", "0.2", "--file", VEHICLE, "--output", str(tmp_path)]) == 0
+    assert main(["log", "--quick", "--seconds", "0.2", "--file", VEHICLE, "--output", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "log.json").read_text())
     ours = [f"liblog {method}, paced" for method in ("write", "zwrite", "zpipe")]
     assert list(results["us"]) == [*liblog.WAYS, "os.write, paced", *ours]
@@ -78,8 +77,9 @@ def test_bench_of_log_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str], 
 
 def test_every_habit_can_be_broken() -> None:
     """In a process of its own, which it spoils: what it breaks has the names that it knows."""
-    program = "import sys; sys.path.insert(0, sys.argv[1]); import habits; [habits.broken(habit) for habit in habits.HABITS]"
-    subprocess.run([sys.executable, "-c", program, str(critical_path.SOURCES)], check=True, timeout=60)
+    program = "from bench import habits; [habits.broken(habit) for habit in habits.HABITS]"
+    with critical_path.running([sys.executable, "-c", program]) as child:
+        assert child.wait(60.0) == 0
 
 
 def test_every_round_lets_c_begin_and_end() -> None:

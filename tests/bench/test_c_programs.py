@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from delfim.bench.critical_path import build
+from bench.critical_path import build
 from delfim.canproxy.canloop import group_of
 from delfim.canproxy.dsor.protocol import Message, message_filter, segments
 from delfim.canproxy.dsor.receiver import Receiver

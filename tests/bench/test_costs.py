@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
+from bench import costs
+from bench.costs import Cost, Row, measured
 from delfim import config
-from delfim.bench import costs
-from delfim.bench.costs import Cost, Row, measured
 from delfim.slices import SLICE, Sliced
 from delfim.vehicle import fence
 

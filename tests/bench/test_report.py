@@ -4,8 +4,8 @@ import math
 
 import pytest
 
-from delfim.bench import report
-from delfim.bench.report import Cycle, over_budget, within
+from bench import report
+from bench.report import Cycle, over_budget, within
 
 
 def cycles(*paths_us: float) -> list[Cycle]:

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from delfim.__main__ import main
-from delfim.bench import onlooker
-from delfim.bench.floods import KINDS
-from delfim.bench.onlooker import Onlooker, paths_us
+from bench import onlooker
+from bench.__main__ import main
+from bench.floods import KINDS
+from bench.onlooker import Onlooker, paths_us
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
@@ -80,7 +80,7 @@ def test_the_onlooker_says_when_it_could_not_keep_everything(monkeypatch: pytest
 
 @pytest.mark.timeout(180)
 def test_watchers_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["bench", "watchers", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]
+    words = ["watchers", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]
     ended = main(words)
     results = json.loads((tmp_path / "watchers.json").read_text())
     assert [row["case"] for row in results["rows"]] == ["no client", "8 clients, one asleep"]
@@ -94,7 +94,7 @@ def test_watchers_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixt
 
 @pytest.mark.timeout(180)
 def test_downloads_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "downloads", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]) == 0
+    assert main(["downloads", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]) == 0
     rows = json.loads((tmp_path / "downloads.json").read_text())["rows"]
     assert sorted(row["case"] for row in rows) == ["download by FTP", "download by SFTP", "no download"]
     assert all((row["megabytes_per_s"] > 0.1) == (row["case"] != "no download") for row in rows)
@@ -103,7 +103,7 @@ def test_downloads_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFix
 
 @pytest.mark.timeout(240)
 def test_floods_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["bench", "floods", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]) == 0
+    assert main(["floods", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "floods.json").read_text())
     assert sorted(row["case"] for row in results["rows"]) == sorted([*KINDS, "no flood"])
     assert all((row["sent"] > 10) == (row["case"] != "no flood") for row in results["rows"])
@@ -113,7 +113,7 @@ def test_floods_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 @pytest.mark.timeout(180)
 def test_datagrams_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["bench", "datagrams", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]
+    words = ["datagrams", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]
     ended = main(words)
     results = json.loads((tmp_path / "datagrams.json").read_text())
     assert [row["case"] for row in results["rows"]] == ["no datagrams", "fuzzed datagrams"]

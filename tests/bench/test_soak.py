@@ -1,12 +1,12 @@
-"""The soak for half a minute: it runs, everybody is served, nothing is left open. The hour is `delfim bench soak`."""
+"""The soak for half a minute: it runs, everybody is served, nothing is left open. The hour is `python -m bench soak`."""
 
 import json
 from pathlib import Path
 
 import pytest
 
-from delfim.__main__ import main
-from delfim.bench.soak import Sample, grown
+from bench.__main__ import main
+from bench.soak import Sample, grown
 
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
 MEGABYTE = 1 << 20
@@ -28,7 +28,7 @@ def test_what_comes_and_goes_does_not_count_nor_what_is_loaded_in_the_first_thir
 @pytest.mark.timeout(180)
 def test_the_whole_suite_is_flat_and_everybody_is_served(tmp_path: Path) -> None:
     """So soon after the start memory still grows: each thread that hashes a password for the first time takes 16 MB."""
-    main(["bench", "soak", "--minutes", "0.3", "--file", VEHICLE, "--output", str(tmp_path)])
+    main(["soak", "--minutes", "0.3", "--file", VEHICLE, "--output", str(tmp_path)])
     results = json.loads((tmp_path / "soak.json").read_text())
     assert {row["process"] for row in results["rows"]} == {"supervisor", "runtime", "log writers", "ftpd", "sshd"}
     for row in results["rows"]:

@@ -13,9 +13,9 @@ import time
 from pathlib import Path
 from typing import Any
 
-from delfim.bench import critical_path
-from delfim.bench.critical_path import until
-from delfim.bench.soak import Boat, Visitors
+from bench import critical_path
+from bench.critical_path import until
+from bench.soak import Boat, Visitors
 from delfim.console.link import Link
 from delfim.logging import tree
 from delfim.logging.statelog import columns

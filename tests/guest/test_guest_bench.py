@@ -2,7 +2,7 @@
 
 import json
 
-from delfim.bench.critical_path import build
+from bench.critical_path import build
 from delfim.logging.statelog import columns
 from tests.guest.harness import Guest
 

@@ -7,7 +7,7 @@ import json
 
 import pytest
 
-from delfim.bench.critical_path import build
+from bench.critical_path import build
 from tests.guest.harness import Guest
 
 FRAMES_PER_S = 7700

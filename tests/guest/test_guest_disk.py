@@ -6,7 +6,7 @@ import pytest
 
 from tests.guest.harness import guest, missing
 
-COMMAND = "python -m delfim bench disk --quick --seconds 4 --rates 50 --bus vcan0 --frames 300 --output $FOLDER"
+COMMAND = "python -m bench disk --quick --seconds 4 --rates 50 --bus vcan0 --frames 300 --output $FOLDER"
 
 
 @pytest.mark.timeout(300)

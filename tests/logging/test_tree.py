@@ -8,7 +8,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from delfim.bench import liblog
+from bench import liblog
 from delfim.errors import DelfimError, FormatError
 from delfim.logging import tree
 from delfim.logging.tree import Span

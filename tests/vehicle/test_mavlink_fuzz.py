@@ -9,8 +9,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from bench.fuzz import framed
 from delfim import config
-from delfim.bench.fuzz import framed
 from delfim.errors import FormatError
 from delfim.modes import Mode
 from delfim.vehicle.console import Stop, Take

@@ -1,4 +1,4 @@
-"""`delfim bench log`: figure 2-8 of the thesis on this machine, and beside it what a log call of ours costs the loop.
+"""`python -m bench log`: figure 2-8 of the thesis on this machine, and beside it what a log call of ours costs the loop.
 
 The figure's ways of getting rid of a record, one write after the other: a pipe, a UNIX socket, a file, a UDP socket, a buffered
 file, deflate, and a file with O_SYNC. Ours come paced, as in a control loop: back to back everything is in the caches and
@@ -21,7 +21,7 @@ from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, get_args
 
-from delfim.bench.critical_path import cpu_ns, family
+from bench.critical_path import cpu_ns, family
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import BATCH
 from delfim.clock import SystemClock

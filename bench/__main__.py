@@ -1,13 +1,17 @@
-"""`delfim bench`: the figures of the design, measured here."""
+"""`make bench`, or `python -m bench` in a checkout: the figures of the design, measured on this machine."""
 
 import argparse
+import sys
+from collections.abc import Sequence
 
-from delfim.commands import overrides
+from delfim.commands import Formatter, overrides
+from delfim.errors import DelfimError, in_words
 
 PROGRAMS = ("critical-path", "costs", "sim", "log", "watchers", "datagrams", "floods", "downloads", "disk")
 
 
-def options(parser: argparse.ArgumentParser) -> None:
+def options() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__, formatter_class=Formatter)
     parser.add_argument("what", nargs="?", choices=[*PROGRAMS, "soak"], help="Without a name, all but soak.")
     parser.add_argument("--file", default="etc/delfimx.toml", help="The vehicle's file.")
     overrides(parser)
@@ -23,10 +27,11 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="Take about a minute: whether it works, not how fast it is.")
     parser.add_argument("--minutes", type=float, default=60.0, help="Length of soak.")
     parser.add_argument("--long", action="store_true", help="Under load, against C alone: 150,645 cycles, or --rounds of them.")
+    return parser
 
 
 def run(asked: argparse.Namespace) -> int:
-    from delfim.bench import costs, critical_path, liblog, lockstep, sides, soak
+    from bench import costs, critical_path, liblog, lockstep, sides, soak
 
     programs = {
         "critical-path": critical_path.run,
@@ -42,3 +47,17 @@ def run(asked: argparse.Namespace) -> int:
     if asked.what == "soak":
         return soak.run(asked)
     return max(programs[name](asked) for name in ([asked.what] if asked.what else PROGRAMS))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    try:
+        return run(options().parse_args(arguments))
+    except KeyboardInterrupt:
+        return 130
+    except (DelfimError, OSError) as error:
+        print(f"bench: {in_words(error)}", file=sys.stderr)
+        return 2
+
+
+if __name__ == "__main__":
+    sys.exit(main())

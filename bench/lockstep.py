@@ -1,4 +1,4 @@
-"""`delfim bench sim`: how many times faster than the clock one core sails a mission in lock step, its state log written."""
+"""`python -m bench sim`: how many times faster than the clock one core sails a mission in lock step, its state log written."""
 
 import argparse
 import json

@@ -1,4 +1,4 @@
-"""`delfim bench critical-path`: navigation to propulsion, this program against others, side by side on one machine.
+"""`python -m bench critical-path`: navigation to propulsion, this program against others, side by side on one machine.
 
 Competitors take turns in short slices, in the same run, so that what the machine does to one it does to all; those whose turn
 it is not are stopped. C has two turns a round: how far C is from itself is how far the figures can be trusted. Every
@@ -25,17 +25,17 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from bench import report
+from bench.load import ASHORE, ELSEWHERE, Ports, prepare
+from bench.report import Cycle
 from delfim import config
-from delfim.bench import report
-from delfim.bench.load import ASHORE, ELSEWHERE, Ports, prepare
-from delfim.bench.report import Cycle
 from delfim.canproxy.canloop import group_of
 from delfim.console.link import Link
 from delfim.errors import DelfimError, Refused
 from delfim.logging.statelog import columns
 from delfim.services.priority import ARRIVALS
 
-SOURCES: Final = Path(__file__).parents[2] / "bench"
+SOURCES: Final = Path(__file__).parent
 LABELS: Final = {
     "c": "C poll loop, services apart",
     "realtime": "the same in real time",
@@ -150,7 +150,7 @@ def _measure_rate(
         for key in plan.competitors:
             progress.say(f"{rate_hz:g} Hz: {LABELS[key]} starts")
             teams[key] = links.enter_context(Team(key, rate_hz, asked, programs, place / key))
-        clients = links.enter_context(_process("-m", "delfim.bench.load", stdin=subprocess.PIPE, stdout=subprocess.PIPE))
+        clients = links.enter_context(_process("-m", "bench.load", stdin=subprocess.PIPE, stdout=subprocess.PIPE))
         for number, load in itertools.product(range(plan.rounds), plan.loads):
             for key in plan.turns(load, number):
                 progress.turn(f"{rate_hz:g} Hz, {load}, round {number + 1} of {plan.rounds}")
@@ -272,7 +272,7 @@ class Team:
             self._steer()
 
     def _competitor(self, kind: str) -> list[str]:
-        return [sys.executable, "-m", "delfim.bench.competitor", kind, *self._arguments]
+        return [sys.executable, "-m", "bench.competitor", kind, *self._arguments]
 
     def _launch(self, *command: str) -> None:
         self._processes.append(self._all.enter_context(running(list(command), stdout=subprocess.DEVNULL)))
@@ -407,8 +407,8 @@ def _overrides(interface: str, rate_hz: float, place: Path, ports: Ports) -> lis
 
 @contextlib.contextmanager
 def running(command: Sequence[str], **pipes: Any) -> Iterator[subprocess.Popen[bytes]]:
-    """A child, ended however this ends."""
-    child = subprocess.Popen(command, **pipes)
+    """A child, ended however this ends. It finds this package, wherever it was started."""
+    child = subprocess.Popen(command, env=os.environ | {"PYTHONPATH": str(SOURCES.parent)}, **pipes)
     try:
         yield child
     finally:

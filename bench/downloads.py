@@ -12,8 +12,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Final
 
-from delfim.bench.critical_path import free_ports, running, until
-from delfim.bench.load import ASHORE, IDLE, LOG
+from bench.critical_path import free_ports, running, until
+from bench.load import ASHORE, IDLE, LOG
 from delfim.errors import DelfimError
 from delfim.services.door import hashed
 

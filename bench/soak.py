@@ -1,4 +1,4 @@
-"""`delfim bench soak`: the whole suite under load for an hour: are memory, descriptors and tasks of its processes flat?
+"""`python -m bench soak`: the whole suite under load for an hour: are memory, descriptors and tasks of its processes flat?
 
 The boat holds its place in simulation, and visitors come, take what they came for, and go, again and again: the page and its
 events, the bus by cantcpd, logs by FTP and SFTP, commands by SSH, the command socket; some go in the middle. Flat is what has
@@ -25,7 +25,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from delfim.bench.critical_path import command_line, family, free_ports, running, until
+from bench.critical_path import command_line, family, free_ports, running, until
 from delfim.console.link import Link
 from delfim.errors import DelfimError, Refused
 from delfim.services.door import hashed

@@ -1,11 +1,11 @@
-"""`delfim bench disk`, `watchers`, `datagrams`, `floods` and `downloads`: does the critical path feel what happens beside it?
+"""`make bench ARGS=disk`, `watchers`, `datagrams`, `floods`, `downloads`: does the critical path feel what happens beside it?
 
 This program alone, at 100 Hz on a full bus, in slices that take turns: with a healthy log partition and with each way in which
 one fails; without clients of cantcpd and with eight that watch the bus, one of them asleep; with nobody on the consoles' link
 and with 3,500 fuzzed datagrams a second; with doors that somebody floods; without downloads and while somebody fetches a log
 by FTP or SFTP. The undisturbed
 case has two turns a round, and how far it is from itself is the noise. Latency is that which the bus sees
-(delfim.bench.onlooker), because the state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
+(bench.onlooker), because the state log is what is tried. What is measured, and how to read it: docs/benchmark.md.
 """
 
 import argparse
@@ -23,13 +23,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from delfim.bench import report
-from delfim.bench.critical_path import Slice, Team, build
-from delfim.bench.disk import Disk, leave_mounts
-from delfim.bench.downloads import Downloads
-from delfim.bench.floods import KINDS
-from delfim.bench.load import ASHORE, prepare
-from delfim.bench.onlooker import Onlooker
+from bench import report
+from bench.critical_path import Slice, Team, build, running
+from bench.disk import Disk, leave_mounts
+from bench.downloads import Downloads
+from bench.floods import KINDS
+from bench.load import ASHORE, prepare
+from bench.onlooker import Onlooker
 from delfim.console.link import Link
 from delfim.errors import DelfimError
 from delfim.vehicle.mavlink.signing import new_key
@@ -144,7 +144,7 @@ def run_datagrams(asked: argparse.Namespace) -> int:
     """The command. Returns 0 when everything was measured, 1 where the datagrams moved the boat."""
     seconds, rounds = _length(asked)
     turns = defaultdict[str, list[Turn]](list)
-    with _afloat(asked) as (_, team, look), _clients("delfim.bench.fuzz") as sender:
+    with _afloat(asked) as (_, team, look), _clients("bench.fuzz") as sender:
         for number in range(rounds):
             for its in (None, sender, None):
                 _say(f"{'fuzzed' if its else 'no'} datagrams, round {number + 1} of {rounds}")
@@ -171,7 +171,7 @@ def run_floods(asked: argparse.Namespace) -> int:
         asked = argparse.Namespace(**vars(asked) | {"set": [*asked.set, f'mavlink.key="{key}"']})
         place, team, look = links.enter_context(_afloat(asked))
         doors = links.enter_context(Downloads(asked.set, asked.file, place / "delfim" / "log", place))
-        senders = {kind: links.enter_context(_clients("delfim.bench.floods", kind, str(doors.ports["ftpd"]))) for kind in KINDS}
+        senders = {kind: links.enter_context(_clients("bench.floods", kind, str(doors.ports["ftpd"]))) for kind in KINDS}
         for number in range(rounds):
             order = list(KINDS)
             for kind in ("", *(order if number % 2 else reversed(order)), ""):
@@ -210,13 +210,10 @@ def _team(asked: argparse.Namespace, place: Path) -> Iterator[Team]:
 
 
 @contextlib.contextmanager
-def _clients(module: str = "delfim.bench.load", *words: str) -> Iterator["subprocess.Popen[bytes]"]:
+def _clients(module: str = "bench.load", *words: str) -> Iterator["subprocess.Popen[bytes]"]:
     command = [*ASHORE, sys.executable, "-m", module, *words]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as clients:
-        try:
-            yield clients
-        finally:
-            clients.terminate()
+    with running(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as clients:
+        yield clients
 
 
 def _turn(team: Team, look: Onlooker, clients: "subprocess.Popen[bytes] | None", seconds: float, *, watchers: int = 0) -> Turn:

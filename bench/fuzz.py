@@ -1,4 +1,4 @@
-"""Who sends the boat's MAVLink port datagrams without end: `python -m delfim.bench.fuzz`.
+"""Who sends the boat's MAVLink port datagrams without end: `python -m bench.fuzz`.
 
 A third is rubbish of any length, a third are frames of all kinds with a right checksum and anything in them, and a third are
 questions, which have to be answered. The same seed sends the same.
@@ -13,7 +13,7 @@ import time
 from random import Random
 from typing import Final
 
-from delfim.bench.load import Ports
+from bench.load import Ports
 from delfim.vehicle.mavlink.wire import dialect
 
 RATE_HZ: Final = 3500.0  # 100,000 in half a minute
@@ -46,7 +46,7 @@ def framed(kind: int, payload: bytes, sequence: int, system: int = SYSTEM, compo
 
 
 def main() -> int:
-    """A line of ports (delfim.bench.load) starts and is answered with "on", an empty line stops and is answered with the number
+    """A line of ports (bench.load) starts and is answered with "on", an empty line stops and is answered with the number
     of datagrams as JSON; the end of the input ends."""
     random, number = Random(1), 0
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:

@@ -1,4 +1,4 @@
-"""Who floods the boat's doors: `python -m delfim.bench.floods KIND PORT`, PORT being that of ftpd.
+"""Who floods the boat's doors: `python -m bench.floods KIND PORT`, PORT being that of ftpd.
 
 Frames with a forged signature for the MAVLink port; connections to cantcpd that say nothing, from many addresses; clients that
 open a bus there and leave; commands to cantcpd that mean nothing, or are barred; connections to ftpd, as many as it takes. The
@@ -16,8 +16,8 @@ from collections.abc import Callable, Generator
 from random import Random
 from typing import Final
 
-from delfim.bench.fuzz import SYSTEM
-from delfim.bench.load import Ports
+from bench.fuzz import SYSTEM
+from bench.load import Ports
 from delfim.vehicle.mavlink.wire import dialect
 
 BURST_S: Final = 0.002
@@ -100,7 +100,7 @@ KINDS: Final[dict[str, tuple[Kind, float]]] = {  # and how many a second
 
 
 def main() -> int:
-    """A line of ports (delfim.bench.load) starts and is answered with "on", an empty line stops and is answered with how many
+    """A line of ports (bench.load) starts and is answered with "on", an empty line stops and is answered with how many
     were sent, and how many failed, as JSON; the end of the input ends."""
     kind, rate_hz = KINDS[sys.argv[1]]
     random = Random(1)

@@ -3,7 +3,7 @@
 Two monitors read every frame of the bus from cantcpd, somebody downloads a log from httpd, somebody polls its page twenty
 times a second, and somebody runs a program every second. The program is run by a row of the benchmark's own, because sshd has a
 process to itself, where it would not be in anybody's way. The clients run in an idle process, and on one processor, as all that
-other computers do: `python -m delfim.bench.load`.
+other computers do: `python -m bench.load`.
 """
 
 import asyncio

@@ -1,6 +1,6 @@
 """One competitor of the benchmark as a process: the vehicle on one kind of event loop, with or without the services beside it.
 
-python -m delfim.bench.competitor KIND FILE PORTS [--set KEY=VALUE]...
+python -m bench.competitor KIND FILE PORTS [--set KEY=VALUE]...
 
 delfim      the product: its runtime, its rows, and the rows of the load
 apart       the product's runtime with the vehicle alone
@@ -20,8 +20,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any, Final
 
+from bench.load import Ports, rows
 from delfim import config, suite
-from delfim.bench.load import Ports, rows
 from delfim.clock import Clock, SystemClock
 from delfim.services.priority import Rehearsal
 from delfim.services.runtime import Runtime, Service

@@ -1,4 +1,4 @@
-"""`delfim bench costs`: what the largest input costs the loop, callback by callback, against the budget of a callback.
+"""`python -m bench costs`: what the largest input costs the loop, callback by callback, against the budget of a callback.
 
 Whoever adds a computation to the loop that grows with what it is sent, or with time, adds its row here with the largest input.
 Processor time of this thread is measured, so that other programs of the machine count for nothing, and each callback counts
