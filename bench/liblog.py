@@ -22,12 +22,14 @@ from pathlib import Path
 from typing import Any, Final, get_args
 
 from bench.critical_path import cpu_ns, family
+from delfim import config
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import BATCH
 from delfim.clock import SystemClock
 from delfim.errors import DelfimError
 from delfim.frames import extended
-from delfim.logging.liblog import Method, open_log, read_log
+from delfim.logging.liblog import Method, read_log
+from delfim.logging.openlog import open_log
 from delfim.logging.plot import INK, LINE, SEA
 
 WRITES, QUICK_WRITES = 100_000, 2_000
@@ -167,7 +169,7 @@ def figure_us(way: Callable[[Path], Any], path: Path, writes: int) -> list[float
 
 def put_us(directory: Path, method: Method, seconds: float) -> list[float]:
     """The time of each put of liblog, paced, sorted, us."""
-    log = open_log(directory, method, ".log", method, SystemClock(), file_bytes=1_000_000, file_s=600.0)
+    log = open_log(config.Log(directory=str(directory), free_bytes_min=0), method, ".log", method, SystemClock())
     times = paced_us(log.put, log.poll, seconds)
     log.close()
     assert log.status().records == len(times), log.status()

@@ -16,10 +16,13 @@ from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.clock import ManualClock
 from delfim.frames import Frame
 from delfim.messages import BatteriesStatus, Fault, Navigation, Node, PropellerCommand, PropellerStatus, Status
+from delfim.slices import SLICE, Sliced
+from delfim.vehicle import fence
 from delfim.vehicle.build import build
 from delfim.vehicle.state import State
 
 WELL = Fault(0)
+MOST_AT_ONCE = 2 * fence.LOOKS + SLICE  # comparisons between two yields: those of one question, with the zone that was too much
 _names = count()
 
 
@@ -148,3 +151,19 @@ def make_boat() -> Iterator[Callable[..., Boat]]:
 @pytest.fixture
 def boat(make_boat: Callable[..., Boat]) -> Boat:
     return make_boat()
+
+
+@pytest.fixture
+def counted(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """What each slice of what takes its time has compared, in comparisons."""
+    spent: list[int] = []
+    step = Sliced.step
+
+    def counting(self: Sliced[object], most: int = SLICE) -> bool:
+        before = self.spent
+        is_done = step(self, most)
+        spent.append(self.spent - before)
+        return is_done
+
+    monkeypatch.setattr(Sliced, "step", counting)
+    return spent

@@ -13,7 +13,8 @@ from delfim.config import Log as Limits
 from delfim.errors import BusError
 from delfim.frames import CAN_ERR, Frame
 from delfim.logging.candump import format_line
-from delfim.logging.liblog import LogStatus, event_line, open_log
+from delfim.logging.liblog import LogStatus, event_line
+from delfim.logging.openlog import open_log
 
 FRAMES_A_CALL: Final = 64  # a fraction of a millisecond; the loop calls again while frames are queued
 LAST_CALLS: Final = 100
@@ -47,19 +48,7 @@ class Bus:
     def __init__(self, socket: Socket, limits: Limits, clock: Clock) -> None:
         self.socket, self.clock = socket, clock
         self.device = device(socket.name)
-        self.log = open_log(
-            limits.directory,
-            self.device,
-            ".log",
-            "zpipe",
-            clock,
-            file_bytes=limits.file_bytes,
-            file_s=limits.file_s,
-            free_bytes_min=limits.free_bytes_min,
-            when_full=limits.when_full,
-            upload_folder=limits.upload_folder,
-            upload_bytes_max=limits.upload_bytes_max,
-        )
+        self.log = open_log(limits, self.device, ".log", "zpipe", clock)
         self.lost = 0  # frames that the log did not take
         self.error = self.state = ""  # of the bus
         self.told: dict[str, object] = {}

@@ -25,7 +25,6 @@ import subprocess
 import sys
 import time
 import zlib
-from pathlib import Path
 from typing import Any, Final, Literal, NamedTuple, Protocol
 
 from delfim.clock import Clock
@@ -79,44 +78,13 @@ class Log(Protocol):
         """Flush and end. A writer that takes longer is killed, and what it had not written counts as dropped."""
 
 
-def open_log(
-    directory: str | Path,
-    id: str,  # noqa: A002  # the word of the thesis
-    suffix: str,
-    method: Method,
-    clock: Clock,
-    *,
-    header: bytes = b"",
-    file_bytes: int,
-    file_s: float,
-    free_bytes_min: int = 0,
-    when_full: WhenFull = "delete-oldest",
-    upload_folder: str = "",
-    upload_bytes_max: int = 0,
-    nice: int = 10,
-) -> Log:
-    """Open a log; where that fails the log's status says why, and it tries on.
-
-    `header` starts every file. A file ends past `file_bytes` on disk or `file_s`. The guard keeps `free_bytes_min` of the disk
-    free by deleting the oldest days, or stops the log (`when_full`), and leaves uploads their own room; see
-    delfim.logging.guard. With "zpipe" the child lives by the computer's own clock, and `clock` only tells how long it has been
-    silent.
-    """
-    settings = Settings(
-        str(directory), id, suffix, header, file_bytes, file_s, free_bytes_min, when_full, upload_folder, upload_bytes_max
-    )
-    if method == "zpipe":
-        return PipeLog(settings, clock, nice)
-    return FileLog(settings, clock, deflate=method == "zwrite")
-
-
 def event_line(clock: Clock, event: str, **what: object) -> bytes:
     """A line for a sidecar: what happened, when, and more words about it (JSON-ready)."""
     return json.dumps({"t_ns": clock.time_ns(), "monotonic_s": clock.monotonic_s(), "event": event} | what).encode() + b"\n"
 
 
 class Settings(NamedTuple):
-    """What `open_log` was told about files."""
+    """Of a log and its files, as a writer is told them; delfim.logging.openlog says what they mean."""
 
     directory: str
     id: str

@@ -13,7 +13,8 @@ from delfim.clock import Clock
 from delfim.config import Log as Limits
 from delfim.errors import BusError
 from delfim.frames import Frame
-from delfim.logging.liblog import LogStatus, event_line, open_log
+from delfim.logging.liblog import LogStatus, event_line
+from delfim.logging.openlog import open_log
 
 FRAMES_A_CALL: Final = 64
 
@@ -52,22 +53,7 @@ class LogMessages:
         self._socket, self._receiver, self._clock = socket, receiver, clock
         self._failed = False  # the bus
         self.messages = self.lost = self.unanswered = 0
-        self._logs = {
-            node: open_log(
-                limits.directory,
-                name,
-                ".jsonl",
-                "zpipe",
-                clock,
-                file_bytes=limits.file_bytes,
-                file_s=limits.file_s,
-                free_bytes_min=limits.free_bytes_min,
-                when_full=limits.when_full,
-                upload_folder=limits.upload_folder,
-                upload_bytes_max=limits.upload_bytes_max,
-            )
-            for node, name in names.items()
-        }
+        self._logs = {node: open_log(limits, name, ".jsonl", "zpipe", clock) for node, name in names.items()}
         self._names = dict(names)
         self._note("start")
 

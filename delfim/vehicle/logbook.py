@@ -4,7 +4,8 @@ import msgspec
 
 from delfim import __version__, config, tables
 from delfim.clock import Clock
-from delfim.logging.liblog import event_line, open_log
+from delfim.logging.liblog import event_line
+from delfim.logging.openlog import open_log
 from delfim.logging.statelog import Schema, StateWriter
 from delfim.modes import Mode
 from delfim.vehicle import record
@@ -21,21 +22,8 @@ class Logbook:
             boat=settings.boat.name,
             started_ns=clock.time_ns(),
         )
-        limits, self._clock = settings.log, clock
-        self._log = open_log(
-            limits.directory,
-            "state",
-            ".state",
-            limits.state_method,
-            clock,
-            header=schema.header,
-            file_bytes=limits.file_bytes,
-            file_s=limits.file_s,
-            free_bytes_min=limits.free_bytes_min,
-            when_full=limits.when_full,
-            upload_folder=limits.upload_folder,
-            upload_bytes_max=limits.upload_bytes_max,
-        )
+        self._clock = clock
+        self._log = open_log(settings.log, "state", ".state", settings.log.state_method, clock, header=schema.header)
         self._writer = StateWriter(self._log, schema)
         self.status, self.poll = self._log.status, self._log.poll
         self._noted = False

@@ -9,24 +9,14 @@ import pytest
 from bench import costs
 from bench.costs import Cost, Row, measured
 from delfim import config
-from delfim.slices import SLICE, Sliced
-from delfim.vehicle import fence
+from tests.vehicle_fixtures import MOST_AT_ONCE, counted
+
+__all__ = ["counted"]
 
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
-DEAR = 2 * fence.LOOKS + SLICE  # comparisons between two yields: those of one question, with the zone that was too much
 
 
-def test_no_slice_of_any_row_compares_more_than_it_may(monkeypatch):
-    spent: list[int] = []
-    step = Sliced.step
-
-    def counting(self, most=SLICE):
-        before = self.spent
-        is_done = step(self, most)
-        spent.append(self.spent - before)
-        return is_done
-
-    monkeypatch.setattr(Sliced, "step", counting)
+def test_no_slice_of_any_row_compares_more_than_it_may(monkeypatch, counted):
     monkeypatch.setattr(costs, "ROWS", 100)  # waypoints, and circles; all zones and corners
     rows = costs.rows(config.load(VEHICLE))
     for row in rows:
@@ -34,8 +24,8 @@ def test_no_slice_of_any_row_compares_more_than_it_may(monkeypatch):
         assert next(callbacks) is None, row.name
         assert sum(1 for _ in callbacks) > 0, row.name
     assert len({row.name for row in rows}) == len(rows)
-    assert len(spent) > 4000
-    assert max(spent) <= DEAR
+    assert len(counted) > 4000
+    assert max(counted) <= MOST_AT_ONCE
 
 
 def test_each_callback_counts_with_the_best_of_its_repetitions():

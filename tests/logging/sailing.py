@@ -9,7 +9,7 @@ from delfim.canproxy.socket import ANYTHING
 from delfim.clock import ManualClock
 from delfim.logging import blackbox
 from delfim.logging.blackbox import BlackBox
-from delfim.logging.liblog import open_log
+from delfim.logging.openlog import open_log
 from delfim.logging.tree import LogFile, files
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console

@@ -18,7 +18,7 @@ from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
 from delfim.logging import blackbox
 from delfim.logging.blackbox import FRAMES_A_CALL, BlackBox
 from delfim.logging.candump import format_line, parse_line
-from delfim.logging.liblog import open_log
+from delfim.logging.openlog import open_log
 from tests.logging.conftest import content, files
 
 
@@ -55,9 +55,9 @@ def box(tmp_path, wire, clock, monkeypatch):
     """A black box of one bus whose files are written here and now, and whose log can be made to fail."""
     made = []
 
-    def opened(directory, id, suffix, method, clock, **limits):  # noqa: A002
+    def opened(limits, id, suffix, method, clock):  # noqa: A002
         assert method == "zpipe", "the black box lives in the runtime, which must not wait"
-        made.append(open_log(directory, id, suffix, "write", clock, **limits))
+        made.append(open_log(limits, id, suffix, "write", clock))
         return made[-1]
 
     monkeypatch.setattr(blackbox, "open_log", opened)
@@ -158,7 +158,7 @@ def test_what_the_log_lost_is_noted_when_it_writes_again(tmp_path, box, wire, cl
     [("can0", "can0"), ("canloop:doca-1", "doca-1"), ("python-can:slcan:/dev/ttyUSB0@500000", "-dev-ttyUSB0-500000")],
 )
 def test_devices_are_names_of_folders_without_blanks(tmp_path, clock, monkeypatch, name, device):
-    monkeypatch.setattr(blackbox, "open_log", lambda *place, **limits: open_log(*place[:3], "write", clock, **limits))
+    monkeypatch.setattr(blackbox, "open_log", lambda *place: open_log(*place[:3], "write", clock))
     wire = Wire(name)
     box = BlackBox([wire], Log(directory=str(tmp_path), free_bytes_min=0), clock)
     wire.queue.append(frame(1))

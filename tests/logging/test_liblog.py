@@ -7,9 +7,11 @@ from typing import Any
 
 import pytest
 
+from delfim import config
 from delfim.clock import ManualClock
 from delfim.logging import guard, liblog
-from delfim.logging.liblog import LogStatus, in_order, open_log, read_log
+from delfim.logging.liblog import LogStatus, in_order, read_log
+from delfim.logging.openlog import open_log
 from tests.logging.conftest import content, files, numbers, remount
 
 NEW_YEAR_2010 = 1_262_304_000_000_000_000
@@ -402,8 +404,9 @@ def test_what_is_flushed_is_synced_and_so_is_its_name(tmp_path, file_log, clock,
 
 
 def test_open_log_chooses_the_way(tmp_path, clock):
-    plain = open_log(tmp_path, "a", ".log", "write", clock, file_bytes=1000, file_s=60.0)
-    deflated = open_log(str(tmp_path), "b", ".log", "zwrite", clock, file_bytes=1000, file_s=60.0)
+    limits = config.Log(directory=str(tmp_path), free_bytes_min=0)
+    plain = open_log(limits, "a", ".log", "write", clock)
+    deflated = open_log(limits, "b", ".log", "zwrite", clock)
     assert plain.status().file.endswith("/a/000000.log")
     assert deflated.status().file.endswith("/b/000000.log.gz")
     assert plain.status_fileno() == -1

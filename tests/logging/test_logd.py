@@ -17,8 +17,9 @@ from delfim.config import Log
 from delfim.errors import BusError
 from delfim.frames import Frame
 from delfim.logging import nodelog
-from delfim.logging.liblog import open_log, read_log
+from delfim.logging.liblog import read_log
 from delfim.logging.nodelog import LogMessages, line
+from delfim.logging.openlog import open_log
 from delfim.messages import LOG_ID, NAVIGATION_ID, Node
 from tests.logging.conftest import files
 
@@ -50,9 +51,9 @@ def wire() -> Wire:
 
 @pytest.fixture
 def daemon(tmp_path, wire, clock, monkeypatch):
-    def opened(directory, id, suffix, method, clock, **limits):  # noqa: A002
+    def opened(limits, id, suffix, method, clock):  # noqa: A002
         assert method == "zpipe", "logd lives in the runtime, which must not wait"
-        return open_log(directory, id, suffix, "write", clock, **limits)
+        return open_log(limits, id, suffix, "write", clock)
 
     monkeypatch.setattr(nodelog, "open_log", opened)
     receiver = Receiver(Node.VEHICLE, lambda message: message.id == LOG_ID)

@@ -8,13 +8,16 @@ import struct
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from typing import Any
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim import config
 from delfim.logging import liblog
-from delfim.logging.liblog import LENGTH, NOTE, PipeLog, open_log, read_log
+from delfim.logging.liblog import LENGTH, NOTE, PipeLog, read_log
+from delfim.logging.openlog import open_log
 from delfim.logging.writer import Messages
 from tests.logging.conftest import content, files, numbers, until
 
@@ -23,9 +26,9 @@ from tests.logging.conftest import content, files, numbers, until
 def pipe_log(tmp_path, clock) -> Iterator[Callable[..., PipeLog]]:
     logs: list[PipeLog] = []
 
-    def opened(**settings: object) -> PipeLog:
-        limits = {"file_bytes": 1_000_000, "file_s": 600.0} | settings
-        log = open_log(tmp_path / "log", "gps", ".log", "zpipe", clock, **limits)
+    def opened(**how: Any) -> PipeLog:
+        limits = config.Log(directory=str(tmp_path / "log"), free_bytes_min=0)
+        log = open_log(limits, "gps", ".log", "zpipe", clock, **how)
         assert isinstance(log, PipeLog)
         logs.append(log)
         return log
@@ -179,9 +182,10 @@ def test_a_writer_killed_within_a_large_record_does_not_hold_up_the_end(pipe_log
 def test_what_a_dead_parent_had_put_is_written(tmp_path):
     program = f"""
 import os, signal
+from delfim import config
 from delfim.clock import SystemClock
-from delfim.logging.liblog import open_log
-log = open_log({str(tmp_path / "log")!r}, "gps", ".log", "zpipe", SystemClock(), file_bytes=1_000_000, file_s=600.0)
+from delfim.logging.openlog import open_log
+log = open_log(config.Log(directory={str(tmp_path / "log")!r}, free_bytes_min=0), "gps", ".log", "zpipe", SystemClock())
 for number in range(500):
     log.put(b"%06d\\n" % number)
 print(log._child.pid, flush=True)

@@ -13,7 +13,6 @@ from delfim import config, slices
 from delfim.console.link import Link
 from delfim.errors import Refused
 from delfim.modes import Mode
-from delfim.slices import SLICE, Sliced
 from delfim.vehicle import console, fence
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.mavlink import plans
@@ -23,11 +22,11 @@ from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical
 from delfim.vehicle.reviews import Reviews
 from tests.vehicle.mavlink_console import Console, Radio, newest, texts
 from tests.vehicle.test_mavlink_missions import fields
+from tests.vehicle_fixtures import MOST_AT_ONCE
 
 OK, INVALID, DENIED = 0, 5, 14
 HERE = 38.6925, -9.2150  # where the boat of the tests lies
 OPEN = config.Zones()
-MOST_AT_ONCE = 2 * fence.LOOKS + SLICE  # comparisons between two yields: those of one question, with the zone that was too much
 
 
 def ring(north_deg: float, east_deg: float, radius_deg: float, corners: int = 100) -> tuple[tuple[float, float], ...]:
@@ -48,22 +47,6 @@ def mission(waypoints: int, path: int = 0, around: config.Zones = OPEN) -> Missi
     begin = PathPoint(latitude_deg=n - 0.001, longitude_deg=e)
     arcs = [PathPoint(latitude_deg=n - 0.0012, longitude_deg=e, turn_deg=360.0, radius_m=r) for _ in range(path - 1)]
     return Mission(version=1, name="large", waypoint=tuple(places), path=(begin, *arcs) if path else (), fence=around)
-
-
-@pytest.fixture
-def counted(monkeypatch):
-    """The comparisons of each slice that was worked off."""
-    spent: list[int] = []
-    step = Sliced.step
-
-    def counting(self, most=SLICE):
-        before = self.spent
-        is_done = step(self, most)
-        spent.append(self.spent - before)
-        return is_done
-
-    monkeypatch.setattr(Sliced, "step", counting)
-    return spent
 
 
 @pytest.fixture

@@ -1,0 +1,39 @@
+"""Opens a log as the vehicle's file says. Not in liblog: its writers need no vehicle's file."""
+
+from delfim.clock import Clock
+from delfim.config import Log as Limits
+from delfim.logging.liblog import FileLog, Log, Method, PipeLog, Settings
+
+
+def open_log(
+    limits: Limits,
+    id: str,  # noqa: A002  # the word of the thesis
+    suffix: str,
+    method: Method,
+    clock: Clock,
+    *,
+    header: bytes = b"",
+    nice: int = 10,
+) -> Log:
+    """Open a log; where that fails the log's status says why, and it tries on.
+
+    `header` starts every file. A file ends past `file_bytes` on disk or `file_s`. The guard keeps `free_bytes_min` of the disk
+    free by deleting the oldest days, or stops the log (`when_full`), and leaves uploads their own room; see
+    delfim.logging.guard. With "zpipe" the child lives by the computer's own clock, and `clock` only tells how long it has been
+    silent.
+    """
+    settings = Settings(
+        limits.directory,
+        id,
+        suffix,
+        header,
+        limits.file_bytes,
+        limits.file_s,
+        limits.free_bytes_min,
+        limits.when_full,
+        limits.upload_folder,
+        limits.upload_bytes_max,
+    )
+    if method == "zpipe":
+        return PipeLog(settings, clock, nice)
+    return FileLog(settings, clock, deflate=method == "zwrite")
