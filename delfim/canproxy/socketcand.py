@@ -75,7 +75,7 @@ class Delete(NamedTuple):
 
 
 class Subscribe(NamedTuple):
-    """Frames of one identifier, at most one each `interval_s` (0: all). What `masks` mean is said in delfim.canproxy.bcm."""
+    """Frames of one identifier, at most one each `interval_s` (0: all). `masks`: see delfim.canproxy.cantcp.bcm."""
 
     arb: int
     interval_s: float

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 
-from delfim.canproxy.cantcp import Cantcpd
+from delfim.canproxy.cantcp.server import CanServer
 from delfim.services.runtime import Runtime
 
 
@@ -12,7 +12,7 @@ async def serve(runtime: Runtime) -> None:
     settings, loop = runtime.config, asyncio.get_running_loop()
     interfaces = settings.cantcpd.buses or settings.buses
     with contextlib.ExitStack() as links:
-        server = Cantcpd(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes)
+        server = CanServer(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes)
         links.callback(server.close)
         asked = [(address, server.slcan_connection) for address in settings.cantcpd.slcan]
         asked += [(address, server.connection) for address in settings.cantcpd.listen]

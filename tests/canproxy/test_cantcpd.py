@@ -22,11 +22,13 @@ import can
 import pytest
 
 from delfim import config
-from delfim.canproxy import cantcp
-from delfim.canproxy.bcm import JOBS_MAX
-from delfim.canproxy.beacon import DATAGRAM_BYTES, announce, datagram
 from delfim.canproxy.canloop import open_canloop
-from delfim.canproxy.cantcp import Access, Cantcpd, bus_name
+from delfim.canproxy.cantcp import client as client_file
+from delfim.canproxy.cantcp.access import Access
+from delfim.canproxy.cantcp.bcm import JOBS_MAX
+from delfim.canproxy.cantcp.beacon import DATAGRAM_BYTES, announce, datagram
+from delfim.canproxy.cantcp.client import ADDRESSES_MAX, Client
+from delfim.canproxy.cantcp.server import CanServer, bus_name
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.clock import SystemClock
@@ -62,7 +64,7 @@ class Served:
     async def _run(self) -> None:
         self.loop = asyncio.get_running_loop()
         self.loop.set_exception_handler(lambda _, context: self.defects.append(context))
-        self.server = Cantcpd(self._settings, self._buses, Loop(), SystemClock())
+        self.server = CanServer(self._settings, self._buses, Loop(), SystemClock())
         listening = await self.loop.create_server(self.server.connection, "127.0.0.1", 0)
         serial = await self.loop.create_server(self.server.slcan_connection, "127.0.0.1", 0)
         self.port, self.slcan_port = (each.sockets[0].getsockname()[1] for each in (listening, serial))
@@ -100,7 +102,7 @@ class Served:
 
     def counts(self) -> dict[str, int]:
         """Of the only client."""
-        (client,) = self.server.clients
+        (client,) = self.server.clients.inside
         return self.call(lambda: dict(client.counts))
 
 
@@ -174,7 +176,7 @@ def bus(name: str) -> Iterator[CanSocket]:
         yield one
 
 
-def sleepy(served: Served, name: str) -> tuple[Peer, cantcp.Client]:
+def sleepy(served: Served, name: str) -> tuple[Peer, Client]:
     """A client in raw mode that takes little before it reads, and its other side."""
     peer = Peer.__new__(Peer)
     peer.socket, peer.rest = socket.socket(), b""
@@ -184,8 +186,8 @@ def sleepy(served: Served, name: str) -> tuple[Peer, cantcp.Client]:
     peer.say(f"< open {name} >< rawmode >")
     assert [peer.element() for _ in range(3)] == ["< hi >", "< ok >", "< ok >"]
     own = f"127.0.0.1:{peer.socket.getsockname()[1]}"
-    (client,) = [client for client in served.server.clients if client.name == own]
-    served.wait_for(lambda: client._held is None)
+    (client,) = [client for client in served.server.clients.inside if client.name == own]
+    served.wait_for(lambda: not client._outbox.is_held)
     return peer, client
 
 
@@ -288,7 +290,7 @@ def test_cycles_and_subscriptions_end_with_their_mode_and_connection(served: Ser
         assert peer.silent()
         peer.say("< add 0 1000 123 0 >")
         bus.recvmsg()
-    served.wait_for(lambda: not served.server.clients)
+    served.wait_for(lambda: not served.server.clients.inside)
     while bus.receive():
         pass
     bus.settimeout(0.05)
@@ -354,11 +356,11 @@ def test_statistics(served: Served, bus: CanSocket, name: str) -> None:
 
 def test_a_connection_has_its_socket_options(served: Served, name: str) -> None:
     with raw(served, name):
-        (client,) = served.server.clients
+        (client,) = served.server.clients.inside
         peer = client._transport.get_extra_info("socket")
         assert peer.getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
         assert peer.getsockopt(socket.IPPROTO_IP, socket.IP_TOS) == 0x10
-        assert cantcp._round_trip_s(peer) < TIMEOUT_S
+        assert client_file._round_trip_s(peer) < TIMEOUT_S
 
 
 # Real clients.
@@ -532,7 +534,7 @@ def test_our_own_client(served: Served, bus: CanSocket, name: str) -> None:
         assert remote.recv(8) == b"two"
         remote.sendto(b"back", CanAddress(extended(7)))
         assert bus.recvmsg()[:2] == (extended(7), b"back")
-        served.call(lambda: [client.abort() for client in served.server.clients])
+        served.call(lambda: [client.abort() for client in served.server.clients.inside])
         with pytest.raises(BusError, match=r"closed|reset"):
             remote.recvmsg()
         assert remote.receive() is None
@@ -590,7 +592,7 @@ def test_who_may_not_watch_is_not_greeted(name: str) -> None:
     with Served([f"canloop:{name}"], watch=("10.0.0.0/8",)) as served:
         with socket.create_connection(("127.0.0.1", served.port), TIMEOUT_S) as stranger, contextlib.suppress(ConnectionError):
             assert stranger.recv(100) == b""
-        served.wait_for(lambda: served.server.refused == 1)
+        served.wait_for(lambda: served.server.clients.refused == 1)
 
 
 def test_who_may_only_watch_does_not_transmit(name: str, bus: CanSocket) -> None:
@@ -616,8 +618,8 @@ def test_connections_are_bounded(name: str, limits: dict[str, int]) -> None:
     with Served([f"canloop:{name}"], **limits) as served, raw(served, name), raw(served, name):
         with socket.create_connection(("127.0.0.1", served.port), TIMEOUT_S) as third, contextlib.suppress(ConnectionError):
             assert third.recv(100) == b""
-        served.wait_for(lambda: served.server.refused == 1)
-        assert served.call(lambda: len(served.server.clients)) == 2
+        served.wait_for(lambda: served.server.clients.refused == 1)
+        assert served.call(lambda: len(served.server.clients.inside)) == 2
 
 
 def test_who_opens_no_bus_gives_way_the_oldest_first(name: str) -> None:
@@ -631,7 +633,7 @@ def test_who_opens_no_bus_gives_way_the_oldest_first(name: str) -> None:
                 peer.say("< echo >")
                 assert peer.element() == "< echo >"
             assert all(peer.silent() for peer in idle[6:])
-            assert served.call(lambda: len(served.server.clients)) == 4
+            assert served.call(lambda: len(served.server.clients.inside)) == 4
 
 
 def test_one_address_cannot_keep_the_others_out(name: str) -> None:
@@ -641,18 +643,18 @@ def test_one_address_cannot_keep_the_others_out(name: str) -> None:
             held.enter_context(link).sendall(f"< open {name} >".encode())
         for _ in range(2):
             held.enter_context(raw(served, name))
-        served.wait_for(lambda: sum(client.host == "127.0.0.2" for client in served.server.clients) <= 2)
-        served.wait_for(lambda: sum(client.host == "127.0.0.1" for client in served.server.clients) == 2)
+        served.wait_for(lambda: sum(client.host == "127.0.0.2" for client in served.server.clients.inside) <= 2)
+        served.wait_for(lambda: sum(client.host == "127.0.0.1" for client in served.server.clients.inside) == 2)
 
 
 def test_who_opens_no_bus_in_time_is_closed_and_a_serial_bridge_is_not(name: str) -> None:
     with Served([f"canloop:{name}"], stall_s=60.0) as served, Peer(served) as idle, contextlib.ExitStack() as held:
         watching = held.enter_context(raw(served, name))
         with socket.create_connection(("127.0.0.1", served.slcan_port), TIMEOUT_S) as bridge:
-            served.wait_for(lambda: len(served.server.clients) == 3)
+            served.wait_for(lambda: len(served.server.clients.inside) == 3)
             served.call(lambda: served.server.poll(0))
-            assert served.call(lambda: len(served.server.clients)) == 3
-            served.call(lambda: [setattr(client, "since_s", client.since_s - 60.0) for client in served.server.clients])
+            assert served.call(lambda: len(served.server.clients.inside)) == 3
+            served.call(lambda: [setattr(client, "since_s", client.since_s - 60.0) for client in served.server.clients.inside])
             served.call(lambda: served.server.poll(0))
             assert idle.closed()
             watching.say("< echo >")
@@ -667,14 +669,14 @@ def test_counts_of_clients_that_have_left_are_kept_by_address(name: str) -> None
             with raw(served, name) as peer:
                 peer.say("< send 040 0 >< send 040 >< echo >")
                 assert peer.element() == "< echo >"
-            served.wait_for(lambda: not served.server.clients)
+            served.wait_for(lambda: not served.server.clients.inside)
         left = served.call(served.server.report)["left"]
         assert left == {"127.0.0.1": {"refused": 3, "malformed": 3, "clients": 3}}
-        served.call(lambda: served.server.left.update({f"192.0.2.{number}": {} for number in range(cantcp.ADDRESSES_MAX)}))
+        served.call(lambda: served.server.clients.left.update({f"192.0.2.{number}": {} for number in range(ADDRESSES_MAX)}))
         with raw(served, name):
             pass
-        served.wait_for(lambda: not served.server.clients)
-        assert served.call(lambda: len(served.server.left)) <= cantcp.ADDRESSES_MAX + 1
+        served.wait_for(lambda: not served.server.clients.inside)
+        assert served.call(lambda: len(served.server.clients.left)) <= ADDRESSES_MAX + 1
 
 
 # Backpressure.
@@ -690,7 +692,7 @@ def test_a_sleeping_client_loses_its_oldest_frames_and_nobody_else_does(name: st
                 sent += 1
             heard = [int(awake.frame()[1], 16) for _ in range(100)]
             assert heard == list(range(sent - 100, sent))
-            assert served.call(lambda: sleeper._queued_bytes) <= 8192
+            assert served.call(lambda: sleeper._outbox.queued_bytes) <= 8192
         lost = served.call(lambda: sleeper.counts["dropped"])
         numbers = [int(asleep.frame()[1], 16) for _ in range(sent - lost)]
         assert numbers[-1] == sent - 1  # the newest is there
@@ -713,10 +715,10 @@ def test_a_client_that_stalls_is_closed(name: str, bus: CanSocket) -> None:
             for _ in range(100):
                 bus.sendto(bytes(8), CanAddress(standard(1)))
         served.call(lambda: served.server.poll(0))
-        assert client in served.server.clients  # not yet
+        assert client in served.server.clients.inside  # not yet
         served.wait_for(lambda: client.stalled(served.loop.time(), 0.2))
         served.call(lambda: served.server.poll(0))
-        served.wait_for(lambda: not served.server.clients)
+        served.wait_for(lambda: not served.server.clients.inside)
         assert asleep.closed()
         asleep.socket.close()
 
@@ -743,7 +745,7 @@ def test_a_full_bus_holds_back_the_sender_and_loses_nothing(
 def test_a_bus_that_takes_nothing_is_given_up(
     served: Served, bus: CanSocket, name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cantcp, "GIVE_UP_S", 0.05)
+    monkeypatch.setattr(client_file, "GIVE_UP_S", 0.05)
     with raw(served, name) as peer:
         can_socket = served.server.buses[name]._can
         assert can_socket is not None

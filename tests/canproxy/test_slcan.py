@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.canproxy import slcan
 from delfim.canproxy.canloop import open_canloop
-from delfim.canproxy.slcan import DONE, REFUSED, Session
+from delfim.canproxy.cantcp import slcan
+from delfim.canproxy.cantcp.slcan import DONE, REFUSED, Session
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.canproxy.socketcand import Close, Enter, Open, Reply, Transmit
 from delfim.frames import Frame, extended, standard
@@ -113,7 +113,9 @@ def test_python_can_over_tcp(bus: CanSocket, name: str) -> None:
             interface="slcan", channel=f"socket://127.0.0.1:{served.slcan_port}", sleep_after_open=0, bitrate=1_000_000
         ) as client,
     ):
-        served.wait_for(lambda: [one for one in served.server.clients if one.session.mode == "raw" and not one._held])
+        served.wait_for(
+            lambda: [one for one in served.server.clients.inside if one.session.mode == "raw" and not one._outbox.is_held]
+        )
         for number in range(100):
             bus.sendto(bytes([number]), CanAddress(extended(number)))
         heard = []
@@ -125,13 +127,15 @@ def test_python_can_over_tcp(bus: CanSocket, name: str) -> None:
         client.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\1\2"))
         assert bus.recvmsg()[:2] == (standard(0x123), b"\1\2")
         client.send(can.Message(arbitration_id=0x40, is_extended_id=False, data=b"barred"))
-        served.wait_for(lambda: [one for one in served.server.clients if one.counts["refused"] == 1])
+        served.wait_for(lambda: [one for one in served.server.clients.inside if one.counts["refused"] == 1])
 
 
 def test_beside_a_client_of_socketcand(bus: CanSocket, name: str) -> None:
     with Served([f"canloop:{name}"], slcan=("127.0.0.1:0",)) as served, raw(served, name) as peer:
         with can.Bus(interface="slcan", channel=f"socket://127.0.0.1:{served.slcan_port}", sleep_after_open=0) as client:
-            served.wait_for(lambda: all(one.session.mode == "raw" and not one._held for one in served.server.clients))
+            served.wait_for(
+                lambda: all(one.session.mode == "raw" and not one._outbox.is_held for one in served.server.clients.inside)
+            )
             client.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"\1"))
             assert peer.frame() == ("123", "01"), "what one client sends the other hears"
             peer.say("< send 124 1 2 >")
@@ -139,4 +143,4 @@ def test_beside_a_client_of_socketcand(bus: CanSocket, name: str) -> None:
             assert message is not None
             assert (message.arbitration_id, bytes(message.data)) == (0x124, b"\2")
         assert peer.silent()
-        served.wait_for(lambda: len(served.server.clients) == 1)
+        served.wait_for(lambda: len(served.server.clients.inside) == 1)

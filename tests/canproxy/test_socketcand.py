@@ -7,8 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.canproxy import bcm, socketcand
-from delfim.canproxy.bcm import JOBS_MAX, Cycles, Watch
+from delfim.canproxy import socketcand
+from delfim.canproxy.cantcp import bcm
+from delfim.canproxy.cantcp.bcm import JOBS_MAX, Cycles, Watch
 from delfim.canproxy.socketcand import (
     ELEMENT_BYTES,
     Cycle,
