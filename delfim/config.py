@@ -63,6 +63,12 @@ Carrier = Annotated[str, text("(none|dcd|file:/[^ ]+)", "none, dcd, or file:/PAT
 DeviceName = Annotated[str, text("[a-z][a-z0-9_.-]{0,14}", "a small letter, then up to 14 small letters, digits, _, . or -")]
 
 
+def address(text: str) -> tuple[str, int]:
+    """Host and port of an `Endpoint` or a `Listen`."""
+    host, _, port = text.rpartition(":")
+    return host.strip("[]"), int(port)
+
+
 class Boat(Table, frozen=True):
     """What the boat is."""
 

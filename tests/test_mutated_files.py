@@ -257,7 +257,7 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
     *("services/cgroup.py: exceeded", "services/computer.py: _read", "services/shutdown.py: _read"),
     *("services/slipd.py: _counters", "services/slipd.py: carrier_source"),
     *("services/slots.py: _digest", "services/slots.py: _digest_of_disk", "services/slots.py: pack"),
-    *("services/slots.py: present_notice", "services/sshd.py: _session", "services/supervisor.py: _process_state"),
+    *("services/slots.py: present_notice", "services/sshprograms.py: _session", "services/supervisor.py: _process_state"),
 }
 
 

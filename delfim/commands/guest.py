@@ -13,9 +13,9 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     import asyncio
 
-    from delfim.config import load
+    from delfim.config import address, load
     from delfim.simulator.guest import Zigzag, guest
 
-    host, _, port = load(asked.file, asked.set).guest.listen.rpartition(":")
-    asyncio.run(guest(host, int(port), Zigzag(course_deg=asked.course, amplitude_deg=30.0, leg_s=20.0, speed_mps=1.2)))
+    listen = address(load(asked.file, asked.set).guest.listen)
+    asyncio.run(guest(*listen, Zigzag(course_deg=asked.course, amplitude_deg=30.0, leg_s=20.0, speed_mps=1.2)))
     return 0

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 
+from delfim import config
 from delfim.canproxy.cantcp.server import CanServer
 from delfim.services.runtime import Runtime
 
@@ -17,8 +18,7 @@ async def serve(runtime: Runtime) -> None:
         asked = [(address, server.slcan_connection) for address in settings.cantcpd.slcan]
         asked += [(address, server.connection) for address in settings.cantcpd.listen]
         for address, connection in asked:
-            host, _, number = address.rpartition(":")
-            listening = await loop.create_server(connection, host.strip("[]"), int(number))
+            listening = await loop.create_server(connection, *config.address(address))
             links.callback(listening.close)
         port = listening.sockets[0].getsockname()[1]
         links.enter_context(runtime.publishing("cantcpd", server.report))

@@ -428,8 +428,8 @@ async def serve(runtime: Runtime) -> None:
         links.push_async_callback(look.close)
         links.callback(board.feed.close)
         links.callback(_hang_up, server)
-        host, _, port = settings.httpd.listen.rpartition(":")
-        listener = await loop.create_server(lambda: Connection(server, door), host, int(port), backlog=BACKLOG)
+        place = config.address(settings.httpd.listen)
+        listener = await loop.create_server(lambda: Connection(server, door), *place, backlog=BACKLOG)
         links.callback(listener.close)
         address = "http://{}:{}/".format(*listener.sockets[0].getsockname()[:2])
         runtime.board["httpd"] = lambda: {"address": address, **board.figures()}

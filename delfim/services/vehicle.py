@@ -171,9 +171,8 @@ def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
 
 async def _guest_server(boat: Vehicle, listen: str) -> Callable[[], object]:
     """Returns what ends it. A boat without its guest sails: where the address cannot be had, the log says so."""
-    host, _, port = listen.rpartition(":")
     try:
-        return (await asyncio.get_running_loop().create_server(lambda: boat.guest, host, int(port))).close
+        return (await asyncio.get_running_loop().create_server(lambda: boat.guest, *config.address(listen))).close
     except OSError as error:
         logging.getLogger(__name__).error("guest: nobody can connect on %s: %s", listen, error.strerror)
         return bool

@@ -12,7 +12,7 @@ from typing import Annotated
 import msgspec
 
 from delfim.clock import Clock
-from delfim.config import Sea
+from delfim.config import Sea, address
 from delfim.errors import DelfimError
 from delfim.geodesy import origin
 from delfim.outside import UNREADABLE
@@ -47,9 +47,8 @@ class ExternalModel(Model):
         self.malformed = 0
         self._clock, self._heard_s = clock, -math.inf
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        host, _, port = listen.rpartition(":")
         try:
-            self._socket.bind((host, int(port)))
+            self._socket.bind(address(listen))
         except OSError as error:
             self._socket.close()
             raise DelfimError(f"simulation.external: {listen}: {error.strerror}") from None

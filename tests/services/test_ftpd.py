@@ -19,7 +19,7 @@ import pytest
 from delfim import config
 from delfim.errors import PermanentFailure
 from delfim.logging import guard
-from delfim.services import door, ftpd, uploads
+from delfim.services import door, ftpd, ftpdata, uploads
 from delfim.services.door import hashed
 from tests.services.boat import served, vehicle_file
 
@@ -441,7 +441,7 @@ def test_a_data_connection_is_only_for_who_asked(tmp_path):
 
 
 def test_no_data_connection_is_told_and_commands_go_on(tmp_path, monkeypatch):
-    monkeypatch.setattr(ftpd, "DATA_S", 0.1)
+    monkeypatch.setattr(ftpdata, "DATA_S", 0.1)
 
     async def test(there: Files) -> None:
         ftp = await (await there.raw()).login()
@@ -480,7 +480,7 @@ def test_nonsense_costs_only_its_own_connection(tmp_path, line):
 def test_who_says_nothing_or_reads_nothing_is_hung_up(tmp_path, monkeypatch):
     """Slow-loris: half a line, again and again, does not hold a connection; nor do answers that nobody reads."""
     monkeypatch.setattr(ftpd, "LOGIN_S", 0.3)
-    monkeypatch.setattr(ftpd, "STALL_S", 0.3)
+    monkeypatch.setattr(ftpdata, "STALL_S", 0.3)
 
     async def test(there: Files) -> None:
         slow = await there.raw()
@@ -508,7 +508,7 @@ def test_connections_are_limited(tmp_path):
 
 
 def test_it_goes_on_when_a_download_is_not_read(tmp_path, monkeypatch):
-    monkeypatch.setattr(ftpd, "STALL_S", 0.3)
+    monkeypatch.setattr(ftpdata, "STALL_S", 0.3)
 
     async def test(there: Files) -> None:
         (there.root / "big").write_bytes(bytes(30 << 20))
@@ -585,7 +585,7 @@ def test_a_certificate_that_is_none_is_said_and_not_tried_again(tmp_path, certif
 def test_no_way_leads_back_from_tls(tmp_path, certificate, monkeypatch):
     """Whoever sits in between strips AUTH, asks for data in the clear, or takes the cipher off again: 60 tries."""
 
-    monkeypatch.setattr(ftpd, "DATA_S", 0.5)
+    monkeypatch.setattr(ftpdata, "DATA_S", 0.5)
     in_the_clear = (
         "USER reader", "PASS sesame", "LIST", "RETR 20260101/a b.log", "PASV", "EPSV", "CWD 20260101", "STOR upload/x",
         "SIZE 20260101/a b.log", "MKD upload/x", "CCC", "REIN", "user reader", "\xffUSER reader",

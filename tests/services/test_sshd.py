@@ -19,7 +19,7 @@ import pytest
 from delfim import config
 from delfim.errors import PermanentFailure
 from delfim.logging import guard
-from delfim.services import door, sshd, uploads
+from delfim.services import door, sshd, sshfiles, sshprograms, uploads
 from tests.services.boat import served, vehicle_file
 
 pytestmark = [
@@ -232,8 +232,8 @@ SLEEPS = "sleep 1000 >/dev/null 2>&1 </dev/null"
     "words", [(f"{SLEEPS} & echo $!",), (f"nohup {SLEEPS} & echo $!",), ("-tt", f"set -m; {SLEEPS} & echo $!")]
 )
 def test_what_is_in_the_background_ends_with_its_session(tmp_path, keys, monkeypatch, words):
-    monkeypatch.setattr(sshd, "HANG_UP_S", 0.2)  # which nohup waits for
-    monkeypatch.setattr(sshd, "LEAVE_S", 0.2)
+    monkeypatch.setattr(sshprograms, "HANG_UP_S", 0.2)  # which nohup waits for
+    monkeypatch.setattr(sshprograms, "LEAVE_S", 0.2)
 
     async def test(there: Boat) -> None:
         code, out, _ = await there.ssh(*words)
@@ -415,7 +415,7 @@ def test_clients_are_told_to_read_files_in_small_blocks(tmp_path, keys):
     async def test(there: Boat) -> None:
         options: Any = {"known_hosts": None, "client_keys": [keys["key"]], "username": "ana"}
         async with asyncssh.connect("127.0.0.1", there.port, **options) as link, link.start_sftp_client() as files:
-            assert files.limits.max_read_len == sshd.READ_BYTES
+            assert files.limits.max_read_len == sshfiles.READ_BYTES
 
     run(tmp_path, keys, test)
 

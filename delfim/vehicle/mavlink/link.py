@@ -12,6 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Final, Self
 
+from delfim import config
 from delfim.vehicle import console
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.mavlink.signing import Signing, read_key, read_stamps, write_stamps
@@ -110,8 +111,7 @@ class MavlinkLink:
 
 
 def _bound(listen: str) -> socket.socket:
-    host, _, port = listen.rpartition(":")
-    address = host.strip("[]"), int(port)
+    address = config.address(listen)
     bound = socket.socket(socket.AF_INET6 if ":" in address[0] else socket.AF_INET, socket.SOCK_DGRAM)
     try:
         bound.setblocking(False)

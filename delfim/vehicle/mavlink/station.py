@@ -12,6 +12,7 @@ from collections.abc import Callable
 from ipaddress import ip_address
 from typing import Final, NamedTuple
 
+from delfim import config
 from delfim.errors import FormatError
 from delfim.modes import Mode
 from delfim.vehicle import console
@@ -94,8 +95,7 @@ class Station:
         self._run = secrets.token_hex(8)
         self.missions = Missions(boat, self.settings.autopilot == "ardurover")
         for listen in self.settings.peers:
-            host, _, port = listen.rpartition(":")
-            self._peer((host.strip("[]"), int(port)), configured=True)
+            self._peer(config.address(listen), configured=True)
 
     # In.
 

@@ -1,0 +1,65 @@
+"""The data connection of FTP: a transfer from its announcement to its end, and how it is aborted."""
+
+import asyncio
+import contextlib
+from collections.abc import AsyncIterator
+from typing import Any, Final
+
+from delfim.errors import DelfimError
+from delfim.services.uploads import NoRoom
+
+DATA_S: Final = 30.0  # for the client to open a data connection; a radio is slow
+STALL_S: Final = 60.0  # a client that neither reads nor sends for so long is gone
+BLOCK_BYTES: Final = 64 << 10
+
+
+class Answered(DelfimError):
+    """The client was told."""
+
+
+@contextlib.asynccontextmanager
+async def carried(connection: Any) -> AsyncIterator[Any]:
+    """A transfer: announced, carried by the data connection, and told how it ended."""
+    if not connection.is_data_secret:
+        connection.response("521", "first PROT P")
+        raise Answered
+    if not connection.future.passive_server.done():
+        connection.response("425", "first PASV or EPSV")
+        raise Answered
+    connection.response("150", "here it comes")
+    connection.aborted, connection.awaited = False, True
+    try:
+        async with asyncio.timeout(DATA_S):
+            stream = connection.carrying = await connection["data_connection"]
+    except (TimeoutError, ConnectionAbortedError):
+        connection.response("425", "no data connection")
+        raise Answered from None
+    finally:
+        connection.awaited = False
+        del connection.data_connection
+    try:
+        yield stream
+        stream.writer.close()
+        async with asyncio.timeout(STALL_S):
+            await stream.writer.wait_closed()
+        connection.response("226", "that was all")
+    except (DelfimError, OSError) as error:
+        full = isinstance(error, NoRoom)
+        connection.response("452" if full else "426", str(error) if full else "it broke off")
+        raise Answered from None
+    finally:
+        stream.writer.transport.abort()
+        del connection.carrying
+
+
+async def abor(connection: Any, rest: Any) -> bool:
+    """End the transfer that is under way; its own answer comes first."""
+    if not connection.idle.is_set():
+        connection.aborted = True
+        if connection.future.carrying.done():
+            connection.carrying.writer.transport.abort()
+        elif connection.awaited and not connection["data_connection"].done():
+            connection["data_connection"].set_exception(ConnectionAbortedError("aborted"))
+        await connection.idle.wait()
+    connection.response("226", "ok")
+    return True

@@ -1,0 +1,265 @@
+"""Files over FTP: lists, reading, and uploads that are whole or not there. Methods are named as the commands of the RFC."""
+
+import contextlib
+import fcntl
+import fnmatch
+import logging
+import os
+import stat
+from collections.abc import Awaitable, Callable
+from datetime import UTC, datetime
+from itertools import islice
+from pathlib import PurePosixPath
+from typing import Any, Final
+
+from delfim import config
+from delfim.clock import Clock
+from delfim.errors import DelfimError
+from delfim.services.ftpdata import BLOCK_BYTES, carried
+from delfim.services.jail import Jail
+from delfim.services.uploads import Uploads
+
+ENTRIES_MAX: Final = 20_000  # of a directory
+PART: Final = ".part"
+MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
+HALF_A_YEAR_S: Final = 180 * 86_400
+
+log = logging.getLogger(__name__)
+
+
+class FtpFiles:
+    """Inside of a jail, for all connections. `work` does in a worker what blocks. Raises DelfimError, OSError."""
+
+    def __init__(self, settings: config.Vehicle, clock: Clock, work: Callable[..., Awaitable[Any]]) -> None:
+        self.uploads = Uploads(settings.ftpd.root, settings.log)
+        self.sent_bytes = self.received_bytes = 0
+        self._boat, self._users, self._clock, self._work = settings.boat.name, settings.ftpd.users, clock, work
+        self._jail = Jail(settings.ftpd.root)
+        self.commands = {
+            "appe": self.appe, "cdup": self.cdup, "cwd": self.cwd, "dele": self.dele, "list": self.ls, "mdtm": self.mdtm,
+            "mkd": self.mkd, "mlsd": self.mlsd, "mlst": self.mlst, "nlst": self.nlst, "retr": self.retr, "rmd": self.rmd,
+            "rnfr": self.rnfr, "rnto": self.rnto, "size": self.size, "stat": self.stat, "stor": self.stor,
+            "xcup": self.cdup, "xcwd": self.cwd, "xmkd": self.mkd, "xrmd": self.rmd,
+        }  # fmt: skip
+
+    async def cwd(self, connection: Any, rest: Any) -> bool:
+        real = self._real(connection, str(rest))
+        if not await self._work(os.path.isdir, real):
+            raise DelfimError("no such directory")
+        connection.current_directory = PurePosixPath(self._jail.shown(real))
+        connection.response("250", "ok")
+        return True
+
+    async def cdup(self, connection: Any, rest: Any) -> bool:
+        return await self.cwd(connection, "..")
+
+    async def size(self, connection: Any, rest: str) -> bool:
+        status = await self._work(self._status, self._real(connection, rest))
+        if not stat.S_ISREG(status.st_mode):
+            raise DelfimError("not a plain file")
+        connection.response("213", str(status.st_size))
+        return True
+
+    async def mdtm(self, connection: Any, rest: str) -> bool:
+        status = await self._work(self._status, self._real(connection, rest))
+        connection.response("213", _stamp(status.st_mtime))
+        return True
+
+    async def mlst(self, connection: Any, rest: Any) -> bool:
+        real = self._real(connection, rest)
+        status = await self._work(self._status, real)
+        connection.response("250", ("Facts:", _facts_line(self._jail.shown(real), status), "End"), True)
+        return True
+
+    async def ls(self, connection: Any, rest: str) -> bool:
+        return await self._list(connection, _without_options(rest), self._list_line)
+
+    async def nlst(self, connection: Any, rest: str) -> bool:
+        return await self._list(connection, _without_options(rest), lambda name, status: name)
+
+    async def mlsd(self, connection: Any, rest: Any) -> bool:
+        return await self._list(connection, rest, _facts_line)
+
+    async def _list(self, connection: Any, rest: str, line: Callable[[str, os.stat_result], str]) -> bool:
+        folder, _, names = rest.rpartition("/")
+        if set(names) & set("*?["):  # clients leave it to the server which names are meant
+            real = self._real(connection, folder or ("/" if rest.startswith("/") else ""))
+            before = f"{folder}/" if "/" in rest else ""
+            lines = await self._work(self._listed, real, lambda name, status: line(before + name, status), names)
+        else:
+            lines = await self._work(self._listed, self._real(connection, rest), line)
+        text = "".join(f"{each}\r\n" for each in lines).encode("utf-8", "surrogateescape")
+        async with carried(connection) as stream:
+            for start in range(0, len(text), BLOCK_BYTES):
+                await stream.write(text[start : start + BLOCK_BYTES])
+        return True
+
+    async def stat(self, connection: Any, rest: str) -> bool:
+        if rest:
+            lines = await self._work(self._listed, self._real(connection, _without_options(rest)), self._list_line)
+            connection.response("213", ("Status:", *lines, "End"), True)
+        else:
+            connection.response("211", f"{self._boat}: {connection.user.login} is logged in")
+        return True
+
+    async def retr(self, connection: Any, rest: Any) -> bool:
+        offset = self._offset(connection)
+        fd = await self._work(self._jail.open, self._path(connection, rest))
+        sent = offset
+        try:
+            async with carried(connection) as stream:
+                while block := await self._work(os.pread, fd, BLOCK_BYTES, sent):
+                    await stream.write(block)
+                    sent += len(block)
+        finally:
+            os.close(fd)
+            self.sent_bytes += sent - offset
+            log.info("ftpd: %s read %r, %d bytes", connection.user.login, rest, sent - offset)
+        return True
+
+    async def stor(self, connection: Any, rest: Any, append: bool = False) -> bool:
+        """Into a file beside, and under its name when all of it is on the disk. What breaks off stays beside, to be resumed."""
+        path, offset = self._writable(connection, rest), self._offset(connection)
+        fd, at = await self._work(_part, self.uploads, path, offset, append)
+        began = at
+        try:
+            async with carried(connection) as stream:
+                while block := await stream.read(BLOCK_BYTES):
+                    await self._work(self.uploads.write, fd, block, at)
+                    at += len(block)
+                if connection.aborted:  # which looks like the end
+                    raise ConnectionAbortedError
+                await self._work(os.fsync, fd)
+                await self._work(self.uploads.rename, path + PART, path)
+        finally:
+            os.close(fd)
+            self.received_bytes += at - began
+            log.warning("ftpd: %s wrote %r, %d bytes", connection.user.login, path, at - began)
+        return True
+
+    async def appe(self, connection: Any, rest: Any) -> bool:
+        return await self.stor(connection, rest, append=True)
+
+    async def dele(self, connection: Any, rest: Any) -> bool:
+        return await self._changed(connection, self.uploads.remove, self._writable(connection, rest))
+
+    async def mkd(self, connection: Any, rest: Any) -> bool:
+        path = self._writable(connection, rest)
+        await self._work(self.uploads.make_folder, path)
+        connection.response("257", f'"{path}"')
+        return True
+
+    async def rmd(self, connection: Any, rest: Any) -> bool:
+        return await self._changed(connection, self.uploads.remove_folder, self._writable(connection, rest))
+
+    async def rnfr(self, connection: Any, rest: Any) -> bool:
+        path = self._writable(connection, rest)
+        await self._work(self.uploads.apply, path, os.fstat)
+        connection.rename_from = path
+        connection.response("350", "to what?")
+        return True
+
+    async def rnto(self, connection: Any, rest: Any) -> bool:
+        if not connection.future.rename_from.done():
+            connection.response("503", "first RNFR")
+            return True
+        source = connection.rename_from
+        del connection.rename_from
+        return await self._changed(connection, self.uploads.rename, source, self._writable(connection, rest))
+
+    async def _changed(self, connection: Any, do: Callable[..., None], *paths: str) -> bool:
+        await self._work(do, *paths)
+        log.warning("ftpd: %s: %s %s", connection.user.login, do.__name__, " ".join(map(repr, paths)))
+        connection.response("250", "ok")
+        return True
+
+    def _path(self, connection: Any, rest: str) -> str:
+        """What the client means, from the root."""
+        return os.path.normpath(os.path.join("/", str(connection.current_directory), rest))
+
+    def _real(self, connection: Any, rest: str) -> str:
+        return self._jail.real(self._path(connection, rest))
+
+    def _writable(self, connection: Any, rest: str) -> str:
+        """What the client means, from the root, for those who may write. Raises DelfimError."""
+        if not self._users[connection.user.login or ""].upload:
+            raise DelfimError("you may not write")
+        return self._path(connection, rest)
+
+    def _offset(self, connection: Any) -> int:
+        """What REST said, once."""
+        offset: int = connection.offset if connection.future.offset.done() else 0
+        connection.offset = 0
+        return offset
+
+    # What blocks, and is done by a worker.
+
+    def _status(self, real: str) -> os.stat_result:
+        """Of a file, or of its part that is here until the rest comes."""
+        try:
+            return os.stat(real)
+        except FileNotFoundError:
+            if real.startswith(self.uploads.folder + "/"):
+                return os.stat(real + PART)
+            raise
+
+    def _listed(self, real: str, line: Callable[[str, os.stat_result], str], pattern: str = "*") -> list[str]:
+        """A line for each entry, or for the file itself. Links that lead out are not there."""
+        if not os.path.isdir(real):
+            return [line(os.path.basename(real), os.stat(real))]
+        found = []
+        names = (name for name in sorted(fnmatch.filter(os.listdir(real), pattern)) if not set(name) & {"\r", "\n"})
+        for name in islice(names, ENTRIES_MAX):
+            with contextlib.suppress(OSError, DelfimError):
+                found.append(line(name, os.stat(self._jail.real(os.path.join(self._jail.shown(real), name)))))
+        return found
+
+    def _list_line(self, name: str, status: os.stat_result) -> str:
+        """As `ls -l` writes it, which is what programs expect: the time of day for half a year, then the year."""
+        at = datetime.fromtimestamp(status.st_mtime, UTC)
+        is_new = abs(self._clock.time_ns() / 1e9 - status.st_mtime) < HALF_A_YEAR_S
+        when = f"{at:%H:%M}" if is_new else f" {at:%Y}"
+        date = f"{MONTHS[at.month - 1]} {at.day:2} {when}"
+        return f"{stat.filemode(status.st_mode)} {status.st_nlink:3} boat boat {status.st_size:12} {date} {name}"
+
+
+def _part(uploads: Uploads, path: str, offset: int, append: bool) -> tuple[int, int]:
+    """The part of an upload, open and locked, and where to go on writing. What is there under the name stays until all of the
+    new is. Raises DelfimError, OSError."""
+    fd = uploads.open(path + PART, os.O_RDWR | os.O_CREAT)
+    try:
+        try:
+            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            raise DelfimError("somebody else is writing it") from None
+        if (append or offset) and not os.fstat(fd).st_size:
+            with contextlib.suppress(FileNotFoundError):
+                uploads.copy(path, fd)
+        size = os.fstat(fd).st_size
+        if offset > size:
+            raise DelfimError(f"there are only {size} bytes of it")
+        at = size if append else offset
+        os.ftruncate(fd, at)
+    except BaseException:
+        os.close(fd)
+        raise
+    return fd, at
+
+
+def _without_options(rest: str) -> str:
+    """`LIST -la folder`: clients speak to servers as if they were ls."""
+    words = rest.split(" ")
+    while words and words[0].startswith("-"):
+        words.pop(0)
+    return " ".join(words)
+
+
+def _facts_line(name: str, status: os.stat_result) -> str:
+    """RFC 3659, 7.2."""
+    kind = "dir" if stat.S_ISDIR(status.st_mode) else "file"
+    return f"type={kind};size={status.st_size};modify={_stamp(status.st_mtime)}; {name}"
+
+
+def _stamp(time_s: float) -> str:
+    """RFC 3659, 2.3."""
+    return f"{datetime.fromtimestamp(time_s, UTC):%Y%m%d%H%M%S}"
