@@ -5,8 +5,9 @@ from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
 
-from delfim.console.mavlink import NAMES, mavlink
+from delfim.console.mavlink import mavlink
 from delfim.console.words import Words
+from delfim.modes import Mode
 from delfim.vehicle.mavlink.params import BOAT_NAME
 
 COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
@@ -26,6 +27,9 @@ class Boat:
         self.colour = COLOURS[number % len(COLOURS)]
         self.heard_s = now_s
         self.mode, self.armed = "", False
+        self.modes: dict[int, str] = {mode: mode.name.lower() for mode in Mode}  # until the boat has told its own
+        self.has_told_modes = False
+        self._modes_told: dict[int, tuple[int, str]] = {}  # by their place in its list
         self.commander = 0  # number of the console that commands; 0: none
         self.used = False  # the operator did something with it
         self.twins: list[str] = []  # addresses of all boats that have this number, where it is more than one
@@ -44,7 +48,7 @@ class Boat:
         self.synced_s = -math.inf
         self.released = False
         self.profile = "wifi"
-        self.name_asks = 0  # how often its name was asked for
+        self.asks = 0  # how often it was asked for its name and its modes
         self.checksum: int | None = None  # of the plans aboard, as the boat tells it
         self.read: int | None = None  # the same, when they were read
         self.read_due_s = now_s + CHECKSUM_S
@@ -68,9 +72,25 @@ class Boat:
     def is_unnamed(self) -> bool:
         return self.name == f"boat {self.number}"
 
+    def enter(self, number: int) -> None:
+        """What the mode before steered for is not what this one steers for."""
+        mode = self.modes.get(number, f"mode {number}")
+        if mode != self.mode:
+            self.reference |= _NOWHERE
+            self.mode = mode
+
     def age_s(self, kind: str, now_s: float) -> float | None:
         """Since a message of this kind; None where there was none."""
         return None if kind not in self.at_s else round(now_s - self.at_s[kind], 2)
+
+    def learn_mode(self, place: int, count: int, number: int, name: str) -> None:
+        """One of the modes that the boat has: when all are there, they are the list. The mode of STOP is idle, however the boat
+        calls it."""
+        self._modes_told[place] = number, name
+        places = range(1, count + 1)
+        if all(each in self._modes_told for each in places):
+            self.modes = dict(self._modes_told[each] for each in places) | {Mode.IDLE: "idle"}
+            self.has_told_modes = True
 
     def snapshot(self, now_s: float) -> dict[str, Any]:
         """Everything for the page."""
@@ -93,6 +113,7 @@ class Boat:
             "colour": self.colour,
             **{key: v.get(key) for key in _PLAIN},
             "mode": self.mode or None,
+            "modes": list(self.modes.values()),
             "asked": self.asked,
             "armed": self.armed,
             "owner": True,
@@ -186,16 +207,8 @@ _NOWHERE: Final = dict.fromkeys(_REFERENCE[:-1])  # the leg is kept
 _GROUPS: Final = {"HIGH_LATENCY2": ("HIGH_LATENCY2", "GLOBAL_POSITION_INT", "SYS_STATUS")}  # which it says all at once
 
 
-def _enter(boat: Boat, number: int) -> None:
-    """What the mode before steered for is not what this one steers for."""
-    mode = NAMES.get(number, f"mode {number}")
-    if mode != boat.mode:
-        boat.reference |= _NOWHERE
-        boat.mode = mode
-
-
 def _heartbeat(boat: Boat, m: Any) -> None:
-    _enter(boat, m.custom_mode)
+    boat.enter(m.custom_mode)
     boat.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
     boat.signed = bool(m.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
     boat.failsafe = (boat.failsafe or boat.reason) if m.system_status == mavlink.MAV_STATE_CRITICAL else ""
@@ -272,13 +285,17 @@ def _named(boat: Boat, m: Any) -> None:
         boat.commander = m.value
 
 
-def name_in(m: Any) -> str:
-    """The boat's name in a PARAM_EXT_VALUE; empty where it tells something else."""
-    return "".join(filter(str.isprintable, m.param_value)).strip()[:NAME_MAX] if m.param_id == BOAT_NAME else ""
-
-
 def _name(boat: Boat, m: Any) -> None:
-    boat.name = name_in(m) or boat.name
+    if m.param_id == BOAT_NAME:
+        boat.name = _printable(m.param_value) or boat.name
+
+
+def _available(boat: Boat, m: Any) -> None:
+    boat.learn_mode(m.mode_index, m.number_modes, m.custom_mode, _printable(m.mode_name).lower() or f"mode {m.custom_mode}")
+
+
+def _printable(text: str) -> str:
+    return "".join(filter(str.isprintable, text)).strip()[:NAME_MAX]
 
 
 def _checksum(boat: Boat, m: Any) -> None:
@@ -290,7 +307,7 @@ def _checksum(boat: Boat, m: Any) -> None:
 def _lean(boat: Boat, m: Any) -> None:
     """HIGH_LATENCY2: everything in one message, for radios on which a byte counts."""
     boat.commander = m.custom0 & 0xFF
-    _enter(boat, m.custom_mode)
+    boat.enter(m.custom_mode)
     boat.reference["heading_deg"] = m.target_heading * 2.0
     boat.reference["distance_m"] = m.target_distance * 10.0 or None
     boat.values |= {
@@ -321,5 +338,6 @@ _HANDLERS: Final[dict[str, Callable[[Boat, Any], None]]] = {
     "HIGH_LATENCY2": _lean,
     "NAMED_VALUE_INT": _named,
     "PARAM_EXT_VALUE": _name,
+    "AVAILABLE_MODES": _available,
     "MISSION_CHECKSUM": _checksum,
 }

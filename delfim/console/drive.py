@@ -64,7 +64,7 @@ def usage(verb: str = "") -> str:
 def command(words: list[str]) -> dict[str, Any]:
     """The command for a line of words: "heading 90 1.5". Raises FormatError in words."""
     verb, *rest = words
-    if verb in ENTERED and not rest:
+    if verb not in WORDS and not rest:  # the boat knows its modes
         return {"command": "mode", "mode": verb}
     word = Word("enter that mode") if verb in ENTERED else WORDS.get(verb)
     if word is None:
@@ -125,7 +125,12 @@ def once(link: Link, words: list[str], out: TextIO) -> None:
     elif words[0] == "checks":
         print(*checks(link.ask("state")), sep="\n", file=out)
     else:
-        print(line(link.ask(asked.pop("command"), **asked)), file=out)
+        try:
+            print(line(link.ask(asked.pop("command"), **asked)), file=out)
+        except Refused as refusal:
+            if words[0] in WORDS or words[0] in ENTERED:
+                raise
+            raise Refused(f"no command {words[0]!r}; {refusal}") from None
 
 
 def prompt(link: Link, texts: Iterator[str], out: TextIO) -> None:

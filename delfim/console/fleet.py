@@ -13,7 +13,7 @@ from delfim.clock import Clock
 from delfim.console import transfer
 from delfim.console.boats import SILENT_S, Boat
 from delfim.console.mavlink import SYSTEM, Codec, Key, mavlink
-from delfim.console.orders import ORDERS, order
+from delfim.console.orders import order, row_of
 from delfim.console.requests import LIFE_S, REPEAT_S, Answer, Requests
 from delfim.console.transfer import Download, Item, Upload
 from delfim.console.ways import Address, Ways, in_words
@@ -23,7 +23,7 @@ from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
 READ_AGAIN_S: Final = 10.0  # plans that could not be read
-NAME_ASKS: Final = 12  # a minute
+ASKS: Final = 12  # a minute: for what a boat tells once
 INPUT_S: Final = 0.6
 DEAF_S: Final = 1.0  # after a sleep, to what pages say: so long a page has to see that it was released
 BOATS_MAX: Final = 32
@@ -150,6 +150,10 @@ class Fleet:
         self._tell({"t": "text", "boat": number, "severity": severity, "text": text, "at_s": self._utc_s()})
 
     def _on_ack(self, boat: Boat, message: Any, now_s: float) -> None:
+        if (
+            message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
+        ):  # nobody waits for it, and what was refused before waits for its reason
+            return
         said_s, text = self._texts.get(boat.number, (-math.inf, ""))
         reason = text if now_s - said_s < REASON_S else ""
         fine = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
@@ -220,7 +224,7 @@ class Fleet:
             if now_s - boat.synced_s >= TIMESYNC_S:
                 boat.synced_s = now_s
                 self._send(boat.number, mavlink.MAVLink_timesync_message(0, round(now_s * 1e9)))
-                self._ask_name(boat)
+                self._ask_once(boat)
             self._read(boat, now_s)
             self._look_for_twins(boat, now_s)
         for number, address in self._ways.to_ask(now_s):
@@ -244,12 +248,17 @@ class Fleet:
             self._say(boat.number, 1, words)
         boat.twins = twins
 
-    def _ask_name(self, boat: Boat) -> None:
-        """Until it is known, but not for ever of a boat that knows no names."""
-        if boat.is_unnamed and boat.name_asks < NAME_ASKS:
-            boat.name_asks += 1
-            asked = mavlink.MAVLink_param_ext_request_read_message(boat.number, AUTOPILOT, BOAT_NAME.encode(), -1)
-            self._send(boat.number, asked)
+    def _ask_once(self, boat: Boat) -> None:
+        """Name and modes until they are known, but not for ever of a boat that tells neither."""
+        boat.asks += 1
+        if boat.asks > ASKS:
+            return
+        to = boat.number, AUTOPILOT
+        if boat.is_unnamed:
+            self._send(boat.number, mavlink.MAVLink_param_ext_request_read_message(*to, BOAT_NAME.encode(), -1))
+        if not boat.has_told_modes:
+            modes = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES, *(0.0,) * 6  # all of them
+            self._send(boat.number, mavlink.MAVLink_command_long_message(*to, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *modes))
 
     def _read(self, boat: Boat, now_s: float) -> None:
         """The plans aboard, where others are known or none, so that pages can draw what is sailed."""
@@ -274,19 +283,19 @@ class Fleet:
         """A word of the page. Raises Refused for what cannot be asked; otherwise `answer` is called once, when the boat has
         answered or has not."""
         boat, now_s = self._use(number), self._clock.monotonic_s()
-        row = ORDERS.get(word)
+        row = row_of(word, boat.modes) if word != "profile" else None
         stop = row is not None and row.mode == "idle"
         if self._asleep_s(now_s) > LIFE_S and not stop:
             raise Refused("the console slept: say it again")
-        if word == "profile":
+        if row is None:
             self._set_profile(boat, words["profile"], answer, now_s)
             return
-        asked = order(word, words)
+        asked = order(word, row, words)
         if word == "play":
             asked = asked._replace(numbers=(float(self._item(number, int(asked.numbers[0]))), 0.0))
         if word != "manual":
             self._inputs.pop(number, None)
-        if row is not None and row.mode:
+        if row.mode:
             boat.asked, boat.asked_s = row.mode, now_s
         boat.released = False
         self._requests.begin(number, asked, answer, now_s, stop=stop)

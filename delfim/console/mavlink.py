@@ -1,4 +1,4 @@
-"""MAVLink 2 as the console speaks it: bytes to messages and back, signed where there is a key. Modes and their numbers.
+"""MAVLink 2 as the console speaks it: bytes to messages and back, signed where there is a key.
 
 Frames and signatures are the vehicle's (`delfim.vehicle.mavlink`): both ends judge alike. What a boat says and obeys:
 docs/mavlink.md.
@@ -24,19 +24,6 @@ _SENT: Final = (
     SYSTEM,
     COMPONENT,
 )  # whatever the number of this console is: the stream of what is sent, among the stamps that are kept
-
-MODES: Final = {
-    "idle": 4,
-    "manual": 0,
-    "heading": 3,
-    "hold": 5,
-    "play": 10,
-    "home": 11,
-    "goto": 15,
-    "path": 100,
-    "grex": 101,
-}
-NAMES: Final = {number: name for name, number in MODES.items()}
 
 
 class Key:

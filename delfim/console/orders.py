@@ -1,4 +1,5 @@
-"""What an operator may order, word by word: one row a word, with the numbers that it takes and the MAVLink command that it is.
+"""What an operator may order, word by word: one row a word, with the numbers that it takes and the MAVLink command that it is;
+and the name of each mode that the boat has.
 
 A word that has no row, a number that the word does not take, one that is missing or is none: refused in words. Nothing is left
 out in silence, and nothing is guessed.
@@ -7,8 +8,9 @@ out in silence, and nothing is guessed.
 from collections.abc import Callable, Mapping
 from typing import Any, Final, NamedTuple
 
-from delfim.console.mavlink import MODES, mavlink
+from delfim.console.mavlink import mavlink
 from delfim.errors import FormatError
+from delfim.modes import Mode
 
 REQUEST_CONTROL: Final = 32100  # MAV_CMD_REQUEST_OPERATOR_CONTROL
 OWN_SPEED: Final = -1.0  # the boat's
@@ -32,11 +34,19 @@ class Row(NamedTuple):
     takes: tuple[str, ...] = ()  # and these, where they are known
 
 
-def order(word: str, words: Mapping[str, Any]) -> Order:
+def row_of(word: str, modes: Mapping[int, str]) -> Row:
+    """The row of a word, or that of a mode that the boat has. Raises FormatError."""
+    for number, name in modes.items() if word not in ORDERS else ():
+        if name == word:
+            return _enter(name, number)
+    try:
+        return ORDERS[word]
+    except KeyError:
+        raise FormatError(f"no command {word!r}") from None
+
+
+def order(word: str, row: Row, words: Mapping[str, Any]) -> Order:
     """Raises FormatError."""
-    row = ORDERS.get(word)
-    if row is None:
-        raise FormatError(f"no command {word!r}")
     if unknown := sorted(set(words) - {*row.needs, *row.takes}):
         raise FormatError(f"{word} does not take {', '.join(map(repr, unknown))}")
     if missing := [name for name in row.needs if name not in words]:
@@ -50,14 +60,14 @@ def _number(word: str, name: str, value: Any) -> float:
     return float(value)
 
 
-def _enter(mode: str) -> Row:
-    asked = Order(mavlink.MAV_CMD_DO_SET_MODE, (1.0, float(MODES[mode])))
+def _enter(mode: str, number: int) -> Row:
+    asked = Order(mavlink.MAV_CMD_DO_SET_MODE, (1.0, float(number)))
     return Row(lambda n: asked, mode)
 
 
 def _heading(n: Numbers) -> Order:
     if "heading_deg" not in n:
-        return _enter("heading").make(n)
+        return _enter("heading", Mode.HEADING).make(n)
     return Order(mavlink.MAV_CMD_GUIDED_CHANGE_HEADING, (1.0, n["heading_deg"] % 360.0, 0.0))
 
 
@@ -98,18 +108,11 @@ def _take(n: Numbers) -> Order:
 
 
 ORDERS: Final[dict[str, Row]] = {
-    "stop": _enter("idle"),
-    "idle": _enter("idle"),
-    "manual": _enter("manual"),
+    "stop": _enter("idle", Mode.IDLE),
     "heading": Row(_heading, "heading", takes=("heading_deg",)),
     "heading_to": Row(_heading, "heading", needs=("heading_deg",)),
-    "hold": _enter("hold"),
-    "goto": _enter("goto"),
     "goto_point": Row(_goto_point, "goto", needs=("latitude_deg", "longitude_deg"), takes=("speed_mps",)),
-    "path": _enter("path"),
     "play": Row(_play, "play", takes=("leg",)),
-    "grex": _enter("grex"),
-    "home": _enter("home"),
     "speed": Row(_speed, takes=("speed_mps", "speed_pct")),
     "arm": Row(_arm),
     "disarm": Row(_disarm, "idle"),

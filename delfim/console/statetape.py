@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from delfim.console.boats import Boat
-from delfim.console.mavlink import NAMES, mavlink
+from delfim.console.mavlink import mavlink
 from delfim.console.tape import LAST_S, Missions, Text, Track, between
 from delfim.errors import FormatError
 from delfim.logging.reading import in_order, read_events
@@ -60,7 +60,8 @@ class States:
         if at >= 0 and self._rows[at].at_s > from_s:
             row = self._rows[at]
             boat = boats.setdefault(self._number, Boat(self._number, row.at_s))
-            boat.name, boat.heard_s, boat.mode, boat.armed = self.name or boat.name, row.at_s, NAMES[row.mode], row.armed
+            boat.name, boat.heard_s, boat.armed = self.name or boat.name, row.at_s, row.armed
+            boat.enter(row.mode)
             boat.values |= row.values
             boat.reference |= row.reference
             boat.at_s |= dict.fromkeys(("GLOBAL_POSITION_INT", "ATTITUDE", "RAW_RPM", "SYS_STATUS"), row.at_s)
@@ -76,7 +77,7 @@ class States:
         for record in records:
             told = dict(zip(schema.names, record, strict=True))
             at_s = told.get("t1", 0) / 1e9
-            if due_s - 1e-6 <= at_s < LAST_S and told.get("mode") in NAMES:
+            if due_s - 1e-6 <= at_s < LAST_S and isinstance(told.get("mode"), int):
                 due_s = at_s + STATE_S
                 self._rows.append(_row(at_s, told))
 

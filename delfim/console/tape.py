@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
-from delfim.console.boats import Boat, name_in
+from delfim.console.boats import Boat
 from delfim.console.mavlink import COMPONENT, SYSTEM, mavlink
 from delfim.console.session import STAMP
 from delfim.console.transfer import FENCE, HOME, WAYPOINTS, Item, item_in, mission_of
@@ -23,6 +23,7 @@ SESSION_BYTES: Final = 1 << 30  # of a session that is replayed: a boat's day ha
 BEFORE_S: Final = 30.0  # so far back lies everything that is said from time to time, lean links apart
 _V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
 _SHOWS_PLACE: Final = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2)
+_TOLD_ONCE: Final = (mavlink.MAVLINK_MSG_ID_PARAM_EXT_VALUE, mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES)  # when the boat was found
 _MISSION: Final = (mavlink.MAVLINK_MSG_ID_MISSION_COUNT, mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT)
 _FIRST_S, LAST_S = 1e9, 4e9  # 2001 to 2096: stamps that are times
 
@@ -76,7 +77,7 @@ class Session:
         self.texts: list[Text] = []
         self._read: dict[tuple[int, int], tuple[int, list[Item]]] = {}  # by boat and type: how many, and those so far
         self._words: dict[int, Words] = {}  # by boat
-        self._names: dict[int, str] = {}  # by boat; told once, when it was found
+        self._known: dict[int, Boat] = {}  # what was told once: name and modes
         self.complaint = ""
         self.from_s = self.to_s = -math.inf
         at = 0
@@ -120,8 +121,9 @@ class Session:
                 continue
             number = message.get_srcSystem()
             if number not in boats:
-                boats[number] = Boat(number, at_s)
-                boats[number].name = self._names.get(number, boats[number].name)
+                boats[number] = boat = Boat(number, at_s)
+                known = self._known.get(number, boat)
+                boat.name, boat.modes = known.name, known.modes
             boats[number].receive(message, at_s, at_s)
         return between(self.texts, from_s, to_s)
 
@@ -131,10 +133,9 @@ class Session:
             return
         if self._number(start) == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
             self._remember_text(at_s, self._message(start, end))
-        if self._number(start) == mavlink.MAVLINK_MSG_ID_PARAM_EXT_VALUE:
-            message = self._message(start, end)
-            if message is not None and (name := name_in(message)):
-                self._names[message.get_srcSystem()] = name
+        if self._number(start) in _TOLD_ONCE and (message := self._message(start, end)) is not None:
+            number = message.get_srcSystem()
+            self._known.setdefault(number, Boat(number, at_s)).receive(message, at_s, at_s)
         if self._number(start) in _MISSION:
             self._remember_mission(at_s, self._message(start, end))
         if self._number(start) not in _SHOWS_PLACE:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from delfim.console.boats import SILENT_S
-from delfim.console.mavlink import MODES
+from delfim.modes import Mode
 from delfim.vehicle.mavlink.params import BOAT_RUN
 
 Address = Any  # of a link; hashable
@@ -81,7 +81,7 @@ class Ways:
 
     def are_idle(self, number: int, now_s: float) -> bool:
         """Whether all of them say so."""
-        return all(self._ways[number][address].mode == MODES["idle"] for address in self.to_stop(number, now_s))
+        return all(self._ways[number][address].mode == Mode.IDLE for address in self.to_stop(number, now_s))
 
     def forget(self, number: int) -> None:
         del self.routes[number], self._ways[number]

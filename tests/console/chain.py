@@ -116,8 +116,10 @@ def turning(port: int, starboard: int) -> Callable[[dict[str, Any]], bool]:
 
 
 @contextlib.contextmanager
-def afloat(place: Path, number: int, port: int) -> Iterator[Boat]:
-    """A boat's nodes and its program, as at sea but for the bus."""
+def afloat(
+    place: Path, number: int, port: int, more: tuple[str, ...] = (), env: dict[str, str] | None = None
+) -> Iterator[Boat]:
+    """A boat's nodes and its program, as at sea but for the bus. `more` of its settings; `env` of another program than ours."""
     place.mkdir()
     latitude_deg, longitude_deg = BERTHS[number - 1]
     values = (
@@ -135,9 +137,10 @@ def afloat(place: Path, number: int, port: int) -> Iterator[Boat]:
         f'mavlink.peers=["127.0.0.1:{port}"]',
         f"simulation.latitude_deg={latitude_deg}",
         f"simulation.longitude_deg={longitude_deg}",
+        *more,
     )
     words = [str(VEHICLE), *(word for value in values for word in ("--set", value))]
-    programs = [subprocess.Popen([sys.executable, "-m", "delfim", name, *words]) for name in ("nodes", "supervise")]
+    programs = [subprocess.Popen([sys.executable, "-m", "delfim", name, *words], env=env) for name in ("nodes", "supervise")]
     try:
         yield Boat(place, number)
     finally:
@@ -228,7 +231,8 @@ async def _socket(heard: Callable[[bytes, tuple[str, int]], None]) -> asyncio.Da
 class Gateway:
     """`delfim console`, which finds its boats and its page again on the same ports when it is started anew."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, env: dict[str, str] | None = None) -> None:
+        self._env = env
         self.boats = ("127.0.0.1", _unused(socket.SOCK_DGRAM))
         self._page = _unused(socket.SOCK_STREAM)
         self._folder = folder
@@ -239,7 +243,7 @@ class Gateway:
         words = [f"--boats=127.0.0.1:{self.boats[1]}", f"--page=127.0.0.1:{self._page}", "--no-browser", f"--vehicle={VEHICLE}"]
         words += [f"--{each}={self._folder}/{each}" for each in ("missions", "charts", "sessions", "token")]
         command = [sys.executable, "-u", "-m", "delfim", "console", *words]
-        self._program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+        self._program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=self._env)
         line = cast(Any, self._program.stdout).readline()
         assert "the console is at " in line
         return str(line.split("the console is at ")[1].split(";")[0])
@@ -325,14 +329,18 @@ async def shown_mode(page: Page, number: int, words: str) -> None:
 
 
 @contextlib.asynccontextmanager
-async def operating(folder: Path) -> AsyncIterator[Sea]:
-    gateway = Gateway(folder)
+async def operating(
+    folder: Path, *more: str, env: dict[str, str] | None = None, gateway_env: dict[str, str] | None = None
+) -> AsyncIterator[Sea]:
+    """`more` settings of the boats; `env` of their programs and of the gateway's, where they are not ours."""
+    gateway = Gateway(folder, gateway_env)
     radios = [Radio(gateway.boats) for _ in BERTHS]
     ports = [await radio.open() for radio in radios]
     try:
         url = await asyncio.to_thread(gateway.start)
-        with afloat(folder / "1", 1, ports[0]) as first, afloat(folder / "2", 2, ports[1]) as second:
-            sea = Sea(folder, gateway, url, [first, second], radios)
+        first, second = (afloat(folder / str(n), n, port, more, env) for n, port in enumerate(ports, 1))
+        with first as one, second as two:
+            sea = Sea(folder, gateway, url, [one, two], radios)
             try:
                 await sea.browse()
                 yield sea

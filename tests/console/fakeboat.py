@@ -8,7 +8,7 @@ from collections.abc import Callable
 from random import Random
 from typing import Any
 
-from pymavlink.dialects.v20 import common as mavlink
+from pymavlink.dialects.v20 import development as mavlink
 
 from delfim.clock import ManualClock
 
@@ -35,6 +35,8 @@ class FakeBoat:
         self.refused = 0
         self.heartbeats = 0
         self.name, self.run, self.asked_name = "", "", 0
+        self.modes: list[tuple[int, bytes]] = []  # numbers and names that it tells; none: it knows no such question
+        self.asked_modes = 0
         self._said_s = -1.0
 
     def say(self, *messages: Any) -> None:
@@ -88,7 +90,19 @@ class FakeBoat:
         elif kind.startswith("MISSION_"):
             self._mission(kind, m)
 
+    def _tell_modes(self) -> None:
+        self.asked_modes += 1
+        if not self.modes:
+            unsupported = mavlink.MAV_RESULT_UNSUPPORTED
+            self.say(mavlink.MAVLink_command_ack_message(mavlink.MAV_CMD_REQUEST_MESSAGE, unsupported))
+        for place, (number, name) in enumerate(self.modes, 1):
+            self.say(mavlink.MAVLink_available_modes_message(len(self.modes), place, 0, number, 0, name))
+
     def _command(self, m: Any) -> None:
+        if m.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+            assert m.param1 == mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES
+            self._tell_modes()
+            return
         if self.refuse is not None:
             self.say(mavlink.MAVLink_statustext_message(4, self.refuse.encode(), 0, 0))
             self.say(mavlink.MAVLink_command_ack_message(m.command, mavlink.MAV_RESULT_DENIED))

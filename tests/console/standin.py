@@ -11,11 +11,12 @@ import msgspec
 from aiohttp import WSMsgType, web
 
 from delfim.console import said
-from delfim.console.orders import order
+from delfim.console.orders import order, row_of
 from delfim.errors import FormatError
+from delfim.modes import Mode
 
 PAGE = Path(__file__).parents[2] / "delfim" / "console" / "page"
-MODES = ("idle", "manual", "heading", "goto", "path", "play", "grex", "hold", "home")
+MODES = {mode: mode.name.lower() for mode in Mode}
 DOCA = (38.6902, -9.2150)
 M_PER_DEG = 111_111.0
 RPM_MOST = 1500.0
@@ -37,6 +38,7 @@ def boat(number: int, name: str, colour: str, *, north_m: float = 0.0, east_m: f
         "speed_mps": 0.0,
         "mode": "idle",
         "asked": None,
+        "modes": list(MODES.values()),
         "armed": False,
         "owner": True,
         "commander": 0,
@@ -194,7 +196,7 @@ class Standin:
             msgspec.convert(message, said.Message)
             if message["t"] == "command":
                 numbers = {name: value for name, value in message.items() if name not in said.NO_NUMBERS}
-                order(message["command"], numbers)
+                order(message["command"], row_of(message["command"], MODES), numbers)
         except (msgspec.ValidationError, FormatError) as error:
             self.faults.append(f"{error}: {message}")
 
@@ -202,7 +204,7 @@ class Standin:
         command = message["command"]
         for each in self.boats if message["boat"] == "all" else [self.boat(message["boat"])]:
             mode = "idle" if command == "stop" else command
-            if mode in MODES:
+            if mode in MODES.values():
                 each["asked"] = mode
                 if self.obedient:
                     each["mode"], each["asked"], each["armed"] = mode, None, mode != "idle"

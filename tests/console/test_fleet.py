@@ -9,9 +9,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.clock import ManualClock
 from delfim.console import transfer
-from delfim.console.fleet import NAME_ASKS, Fleet
+from delfim.console.fleet import ASKS, Fleet
 from delfim.console.mavlink import Key, keygen
 from delfim.errors import ConfigError, FormatError, Refused
+from delfim.modes import Mode
 from tests.console.fakeboat import FakeBoat, Radio
 
 SQUARE = {
@@ -226,10 +227,40 @@ def test_the_name_is_asked_for_until_the_boat_tells_it() -> None:
     assert sea.shown(1)["name"] == "DelfimX"
 
 
+OWN_MODES = [(4, b"Hold"), (0, b"manual"), (42, b"Dance\x07"), (43, b"")]
+
+
+def test_the_modes_are_those_that_the_boat_tells() -> None:
+    sea = Sea(1, loss=0.3)
+    sea.boats[1].modes = OWN_MODES
+    sea.run(60.0, until=lambda: 1 in sea.fleet.boats and len(sea.shown(1)["modes"]) == len(OWN_MODES))
+    assert sea.shown(1)["modes"] == ["idle", "manual", "dance", "mode 43"], "4 is where STOP leads, whatever it is called"
+    asked = sea.boats[1].asked_modes
+    sea.ask(1, "dance")
+    sea.run(30.0, until=lambda: sea.shown(1)["mode"] == "dance")
+    assert (sea.boats[1].mode, sea.shown(1)["armed"]) == (42, True)
+    with pytest.raises(FormatError, match="no command 'grex'"):
+        sea.ask(1, "grex")
+    sea.run(30.0)
+    assert sea.boats[1].asked_modes == asked, "what is known is not asked again"
+
+
+def test_a_boat_that_does_not_tell_its_modes_is_shown_by_its_heartbeat(sea: Sea) -> None:
+    sea.boats[1].mode = 77
+    sea.run(2.0)
+    assert sea.shown(1)["mode"] == "mode 77"
+    assert sea.shown(1)["modes"] == [mode.name.lower() for mode in Mode]
+    sea.ask(1, "hold")
+    sea.run(2.0)
+    assert (sea.boats[1].mode, sea.shown(1)["mode"]) == (5, "hold")
+    sea.run(80.0)
+    assert sea.boats[1].asked_modes == ASKS
+
+
 def test_a_boat_that_has_no_name_is_not_asked_for_ever(sea: Sea) -> None:
     sea.run(200.0)
     assert sea.shown(1)["name"] == "boat 1"
-    assert sea.boats[1].asked_name == NAME_ASKS
+    assert sea.boats[1].asked_name == ASKS
 
 
 def test_a_command_that_is_too_old_is_not_sent_any_more() -> None:

@@ -122,7 +122,7 @@ def test_words_of_the_prompt(words, asked):
 @pytest.mark.parametrize(
     ("words", "why"),
     [
-        ("fly", "no command 'fly'; there are state, "),
+        ("fly high", "no command 'fly'; there are state, "),
         ("heading", "heading_deg is missing: heading heading_deg [speed_mps]"),
         ("heading north", "heading_deg must be a number, not 'north': heading heading_deg [speed_mps]"),
         ("heading nan", "heading_deg must be a number, not 'nan'"),

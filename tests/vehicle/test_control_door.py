@@ -2,6 +2,8 @@
 
 import itertools
 import math
+import re
+from pathlib import Path
 from typing import TypeVar
 
 import pytest
@@ -15,6 +17,7 @@ from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import NOWHERE, Actuation, Arc, Line, Motion, Plan, Setpoint, Waypoint
 from tests.vehicle.closed_loop import ALL, DT_S, SETTINGS
 
+DOCS = Path(__file__).parents[2] / "docs"
 T = TypeVar("T")
 INPUTS = ("position", "heading", "velocity")
 PLAN = Plan("plan", (Waypoint(50.0, 0.0, 1.5, 5.0),), (Line(0.0, 0.0, 50.0, 0.0, 1.5), Arc(50.0, 20.0, 20.0, -1.57, 3.0, 1.0)))
@@ -170,3 +173,12 @@ def test_a_guest_that_asked_for_nothing_gets_a_stop() -> None:
     _, reference, actuation = control(Mode.GREX, Memory(), KNOWN, Setpoint(), SETTINGS, DT_S)
     assert actuation == STOP
     assert "guest" in reference.reason
+
+
+def test_the_documents_have_a_line_for_each_mode() -> None:
+    control, mavlink = ((DOCS / name).read_text() for name in ("control.md", "mavlink.md"))
+    needs = control.partition("| mode | needs |")[2].partition("\n\n")[0]
+    assert set(re.findall(r"^\| (\w+) \|", needs, re.MULTILINE)) == {mode.name.lower() for mode in Mode}
+    numbers = mavlink.partition("## Modes")[2].partition("\nEvery mode")[0]
+    told = {int(number): name for number, name in re.findall(r"\| (\d+)[, \d]* \| (\w+)", numbers)}
+    assert {number: name.lower() for number, name in told.items()} == {mode.value: mode.name.lower() for mode in Mode}

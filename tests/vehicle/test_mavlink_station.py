@@ -649,6 +649,7 @@ def test_a_command_repeated_for_want_of_an_answer_is_answered_and_not_obeyed_twi
     assert sea.console.command(300, 0)[0] == ACCEPTED
     before = list(sea.log)
     sail(sea, 1.0)
+    sea.console.command(512, 435)  # a question between the two
     assert sea.console.command(300, 0, confirmation=1)[0] == ACCEPTED
     assert sea.log == before
 

@@ -36,7 +36,8 @@ def _command(station: "Station", peer: "Peer", source: Source, message: Message)
         return
     result, reason = _ordered(station, peer, source, order)
     answer = dialect.MAVLink_command_ack_message(order.command, result, 0xFF, 0, *source.party)
-    peer.answered = same, now_s, answer
+    if order.command not in _REQUESTS:
+        peer.answered = same, now_s, answer
     if reason:  # before the answer, so that whoever hears that knows why
         station.say(dialect.MAV_SEVERITY_WARNING, reason)
     told = [telemetry.heartbeat(station.view())] if commands.stops(order) else []  # a stop is over when the boat says idle

@@ -6,7 +6,8 @@ import type { Boat, Mode } from "./wire";
 
 const ARROW_EVERY_MS = 100;
 
-export const MODES: readonly { key: string; mode: Mode; title: string; says: string }[] = [
+/** The modes that have a key; the menu has all that the boat tells. */
+export const KEYED: readonly { key: string; mode: Mode; title: string; says: string }[] = [
   { key: "I", mode: "idle", title: "Idle", says: "thrusters are powered off" },
   { key: "M", mode: "manual", title: "Manual", says: "thrusters are set here" },
   { key: "H", mode: "heading", title: "Heading", says: "follow a heading" },
@@ -55,7 +56,7 @@ export const CARD: readonly Group[] = [
       ["Shift Space", "stop all boats"],
     ],
   ],
-  ["Mode", MODES.map(({ key, title, says }) => [key, `${title}: ${says}`])],
+  ["Mode", KEYED.map(({ key, title, says }) => [key, `${title}: ${says}`])],
   [
     "Speed",
     [
@@ -187,7 +188,7 @@ export class Keys {
   private letter(event: KeyboardEvent): boolean {
     if (event.ctrlKey || event.altKey || event.key.length !== 1) return event.altKey && event.key.length === 1;
     const [boat, key] = [this.state.boat, event.key.toUpperCase()];
-    const mode = MODES.find((each) => each.key === key)?.mode;
+    const mode = KEYED.find((each) => each.key === key)?.mode;
     if (!mode && key !== "R") return false;
     if (event.repeat) return true;
     this.screen.closeMenu();

@@ -3,7 +3,7 @@ import type { Actions } from "./actions";
 import type { Chart, Pixel } from "./chart";
 import type { Fleet } from "./fleet";
 import { bearing, bearing_deg, distance_m, duration, metres, position } from "./geo";
-import { MODES } from "./keys";
+import { KEYED } from "./keys";
 import type { Messages } from "./messages";
 import * as M from "./mission";
 import { setTheme, theme } from "./palette";
@@ -15,11 +15,12 @@ import type { State } from "./state";
 import type { Boat, Mission, Mode, Place, Waypoint } from "./wire";
 
 const AMONG_MISSION: ReadonlySet<Mode> = new Set(["play", "path", "goto"]); // modes that sail what is aboard
+const IN_MORE: ReadonlySet<Mode> = new Set(["hold", "home"]);
 const NO_BOAT = "no boat has been heard";
 /** Stands for the boat while none is heard: its mission can be planned. */
 const NONE: Boat = {
   ...{ id: NOBODY, name: "", colour: "", latitude_deg: null, longitude_deg: null, heading_deg: null, course_deg: null, speed_mps: null },
-  ...{ mode: null, asked: null, armed: false, owner: true, commander: 0, twins: [], ready: false, reason: "", failsafe: "", rpm: [null, null], thrust_pct: [null, null] },
+  ...{ mode: null, asked: null, modes: [], armed: false, owner: true, commander: 0, twins: [], ready: false, reason: "", failsafe: "", rpm: [null, null], thrust_pct: [null, null] },
   ...{ speed_pct: null, battery_v: null, battery_pct: null, roll_deg: null, pitch_deg: null, satellites: null, fix: null, reference: null },
   ...{ home: null, fence: [], obstacles: [], ghost: null, released: false },
   age_s: { heard: null, position: null, attitude: null, rpm: null, battery: null },
@@ -46,12 +47,10 @@ export class Menus {
 
   boat(boat: Boat, at: Pixel): void {
     if (this.state.replaying) return this.popup.menu(at, { title: boat.name, colour: boat.colour }, this.view(boat.latitude_deg === null ? null : (boat as Place)));
-    const modes: Entry[] = MODES.map(({ key, mode, title }) => ({
-      title,
-      key,
-      tick: boat.mode === mode,
-      do: () => this.sail(boat, mode),
-    }));
+    const enter = (mode: Mode, title: string): Item => ({ title, tick: boat.mode === mode, do: () => this.sail(boat, mode) });
+    const keyed = KEYED.filter(({ mode }) => boat.modes.includes(mode));
+    const others = boat.modes.filter((mode) => !IN_MORE.has(mode) && !keyed.some((each) => each.mode === mode));
+    const modes = [...keyed.map(({ key, mode, title }) => ({ ...enter(mode, title), key })), ...others.map((mode) => enter(mode, capital(mode)))];
     this.popup.menu(at, { title: boat.name, colour: boat.colour }, [
       { title: "Stop", key: "Space", do: () => this.actions.stop(boat.id) },
       "line",
@@ -466,6 +465,7 @@ export class Menus {
   }
 }
 
+const capital = (word: string): string => word.charAt(0).toUpperCase() + word.slice(1);
 const isSailing = ({ mode }: Boat): boolean => mode === "play" || mode === "path";
 const speedField = (value: number): Field => ({ title: "Speed", unit: "m/s", value, step: 0.1, least: 0, most: 10, zero: "the boat’s own" });
 const acceptanceField = (value: number): Field => ({ title: "Acceptance", unit: "m", value, step: 0.5, least: 0, most: 100, zero: "the boat’s own" });

@@ -33,7 +33,7 @@ export interface Mission {
 }
 
 export type Pair = [number | null, number | null];
-export type Mode = "idle" | "manual" | "heading" | "goto" | "path" | "play" | "grex" | "hold" | "home";
+export type Mode = string; // out of the list that the boat tells
 
 export interface Boat {
   id: number;
@@ -46,6 +46,7 @@ export interface Boat {
   speed_mps: number | null;
   mode: Mode | null;
   asked: Mode | null;
+  modes: Mode[]; // that it has
   armed: boolean;
   owner: boolean; // this console commands it, or nobody does
   commander: number; // the console that does; 0: none
@@ -122,16 +123,7 @@ export type Heard =
   | { t: "progress"; boat: number; what: string; part: number }
   | { t: "dryrun"; boat: number; time_s: number; distance_m: number; track: [number, number][] };
 
-export type Command =
-  | Mode
-  | "stop"
-  | "reset"
-  | "arm"
-  | "disarm"
-  | "take"
-  | "speed"
-  | "heading_to"
-  | "goto_point";
+export type Command = Mode | "stop" | "reset" | "arm" | "disarm" | "take" | "speed" | "heading_to" | "goto_point";
 
 export type MissionDeed = "put" | "upload" | "download" | "dryrun" | "save" | "load" | "list" | "compare";
 

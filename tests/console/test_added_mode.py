@@ -1,0 +1,149 @@
+"""A mode that was added as CONTRIBUTING.md says, one file and one row, on a real boat: entered from the page's list, from
+`delfim drive` and by MAVLink; refused without navigation; and what the failsafe does in it is its key in the vehicle's file.
+
+Page, gateway and `delfim drive` are those of the project, to which nothing was added: what they know of it the boat has told.
+"""
+
+import asyncio
+import subprocess
+import sys
+from collections.abc import Awaitable, Callable, Iterator
+
+import pytest
+
+from delfim.vehicle.mavlink import wire
+from tests.console.chain import PATIENCE_S, VEHICLE, Boat, Sea, operating, shown_mode
+from tests.console.scenes import choose
+from tests.extended import extended
+from tests.services.browser import Page
+
+FILE = '''"""Dance: turns in place."""
+
+from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+
+NEEDS = frozenset({"position", "heading"})
+SENTENCE = "Turns in place."
+
+
+def lacks(setpoint: Setpoint) -> str | None:
+    return None
+
+
+def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
+    return Memory()
+
+
+def step(
+    memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+) -> tuple[Memory, Reference, Actuation]:
+    return memory, Reference(), Actuation(60.0, -60.0, True)
+'''
+NUMBER = 42
+ROW = {"    GREX = 101\n": f"    DANCE = {NUMBER}\n"}
+OTHER = 199  # another console
+SET_MODE, CONTROL = 176, 32100
+
+pytestmark = pytest.mark.timeout(300)  # the boats sail in real time
+
+Story = Callable[[Sea, Page, Boat], Awaitable[None]]
+Sail = Callable[[Story], None]
+
+
+@pytest.fixture(scope="module")
+def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
+    """Runs a story."""
+    folder = tmp_path_factory.mktemp("added-mode")
+    env = extended(folder / "program", {"vehicle/control/dance.py": FILE}, {"modes.py": ROW})
+    with asyncio.Runner() as runner:
+        afternoon = operating(folder, 'failsafe.console_silent.dance="hold"', env=env)
+        sea = runner.run(afternoon.__aenter__())
+
+        async def told(story: Story) -> None:
+            await story(sea, *await sea.at_rest(1))
+            sea.nothing_amiss()
+
+        try:
+            yield lambda story: runner.run(told(story))
+        finally:
+            runner.run(afternoon.__aexit__(None, None, None))
+
+
+async def from_the_page(page: Page) -> None:
+    await page.press("Enter")
+    await choose(page, "Dance")
+
+
+async def dances(boat: Boat) -> None:
+    await boat.until(lambda state: state["mode"] == "dance" and state["starboard_rpm"] > 0 > state["port_rpm"])
+
+
+async def delfim(boat: Boat, name: str, *words: str) -> str:
+    """A command of the project's own program; what it printed."""
+    there = "--set", f'console.socket="{boat.place}/command"', "--set", f'runtime.run_directory="{boat.place}"'
+    command = [sys.executable, "-m", "delfim", name, str(VEHICLE), *there, *words]
+    done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=60, check=False)
+    return done.stdout + done.stderr
+
+
+def test_it_is_in_the_pages_list_and_entered_from_there(sail: Sail) -> None:
+    async def story(sea: Sea, page: Page, boat: Boat) -> None:
+        await from_the_page(page)
+        await dances(boat)
+        await shown_mode(page, 1, "dance")
+
+    sail(story)
+
+
+def test_it_is_entered_from_the_command_line(sail: Sail) -> None:
+    async def story(sea: Sea, page: Page, boat: Boat) -> None:
+        assert "dance" in await delfim(boat, "drive", "dance")
+        await dances(boat)
+        refused = await delfim(boat, "drive", "fly")
+        assert "no command 'fly'; no mode 'fly': there are manual, " in refused
+        assert "dance" in refused
+
+    sail(story)
+
+
+def test_it_is_entered_by_mavlink(sail: Sail) -> None:
+    async def story(sea: Sea, page: Page, boat: Boat) -> None:
+        console = wire.Sender(OTHER, 190, None, lambda: 0)
+
+        def say(command: int, *numbers: float) -> None:
+            seven = (*numbers, *(0.0,) * (7 - len(numbers)))
+            sea.radios[0].say(console.pack(wire.dialect.MAVLink_command_long_message(1, 1, command, 0, *seven)))
+
+        say(CONTROL, 0.0, 1.0)
+        say(SET_MODE, 1.0, float(NUMBER))
+        await dances(boat)
+        assert (await asyncio.to_thread(boat.state))["operator"] == f"console {OTHER}"
+        say(CONTROL, 0.0, 0.0)  # to whom asks next
+
+    sail(story)
+
+
+def test_without_navigation_it_is_refused_with_the_reason(sail: Sail) -> None:
+    async def story(sea: Sea, page: Page, boat: Boat) -> None:
+        await delfim(boat, "fault", "navigation_silent")
+        await boat.until(lambda state: not all(check["ok"] for check in state["checks"] if check["name"] == "navigation"))
+        await from_the_page(page)
+        words = "dance refused: navigation silent for "
+        await page.until(f"document.getElementById('messages').textContent.includes('{words}')", PATIENCE_S)
+        await delfim(boat, "fault", "end")
+        assert boat.state()["mode"] == "idle"
+
+    sail(story)
+
+
+def test_the_failsafe_does_in_it_what_its_key_says(sail: Sail) -> None:
+    async def story(sea: Sea, page: Page, boat: Boat) -> None:
+        await boat.until(lambda state: all(check["ok"] for check in state["checks"]))
+        await from_the_page(page)
+        await dances(boat)
+        sea.radios[0].cut()
+        state = await boat.until(lambda state: state["mode"] == "hold")
+        sea.radios[0].mend()
+        assert state["reason"].startswith("console silent for "), "the other modes' answer is home"
+
+    sail(story)
