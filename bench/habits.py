@@ -50,7 +50,7 @@ def broken(habit: str) -> None:
 
 def read_by_name(navigation: DsorNavigation, now_s: float) -> Fix | None:
     fix = None
-    for frame in navigation._socket.receive_many():
+    for frame in navigation.input.receive_many():
         message = navigation._receiver.feed(frame, now_s)
         if message is not None:
             fix = navigation._fix(message, now_s) or fix

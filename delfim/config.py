@@ -32,7 +32,8 @@ Interface = Annotated[
     ),
 ]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
-Sources = Annotated[tuple[Literal["dsor", "nmea2000"], ...], msgspec.Meta(min_length=1, max_length=2)]
+SourceName = Literal["dsor", "nmea2000"]  # files in delfim/vehicle/sources
+Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(SourceName)))]
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 ActionName = Literal["warn", "hold", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "home", "stop"]
@@ -626,11 +627,16 @@ class Vehicle(Table, frozen=True):
     services: dict[Name, Service] = msgspec.field(default_factory=dict)
     simulation: Simulation = Simulation()
 
+    def outside(self, key: Literal["interface", "device"]) -> dict[str, str]:
+        """The buses or serial lines of the boat's nodes and of the parts that are chosen by name, by their keys: a part has
+        its table by its name."""
+        tables = {name: getattr(self, name, None) for name in ("can", *self.navigation.sources)}
+        return {f"{name}.{key}": getattr(table, key) for name, table in tables.items() if hasattr(table, key)}
+
     @property
     def buses(self) -> tuple[str, ...]:
         """All interfaces of the boat."""
-        nmea2000 = {self.nmea2000.interface} if "nmea2000" in self.navigation.sources else set()
-        return tuple(sorted({self.can.interface} | nmea2000))
+        return tuple(sorted(set(self.outside("interface").values())))
 
 
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:

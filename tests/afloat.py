@@ -12,9 +12,9 @@ ROOT = Path(__file__).parents[1]
 
 
 @contextlib.contextmanager
-def running(tmp_path: Path, port: int, *more: str) -> Iterator[Path]:
+def running(tmp_path: Path, port: int, *more: str, package: Path = ROOT) -> Iterator[Path]:
     """The boat's nodes and its program, as at sea but for the bus, speaking to a console on this port; the path of its command
-    socket. `more`: values of the vehicle's file."""
+    socket. `more`: values of the vehicle's file. `package`: where the folder `delfim` of these programs is."""
     bus = f"canloop:afloat-{os.getpid()}-{tmp_path.name[-8:]}"
     values = (
         f'can.interface="{bus}"',
@@ -30,7 +30,8 @@ def running(tmp_path: Path, port: int, *more: str) -> Iterator[Path]:
         *more,
     )
     words = [str(ROOT / "etc/delfimx.toml"), *(word for value in values for word in ("--set", value))]
-    programs = [subprocess.Popen([sys.executable, "-m", "delfim", name, *words]) for name in ("nodes", "supervise")]
+    there = os.environ | {"PYTHONPATH": str(package)}
+    programs = [subprocess.Popen([sys.executable, "-m", "delfim", name, *words], env=there) for name in ("nodes", "supervise")]
     try:
         yield tmp_path / "command"
     finally:

@@ -107,6 +107,13 @@ def operators_mission(here: Path) -> Said:
     return refused(lambda: words_of(["mission", str(here / "lake.toml")]))
 
 
+def serial_line(here: Path) -> Said:
+    from delfim.logging.linelog import pieces
+    from delfim.logging.tree import files
+
+    return refused(lambda: list(pieces(files([here / "log" / next(os.walk(here / "log"))[1][0] / "-dev-gnss"]))))
+
+
 def replayed(here: Path) -> Said:
     """All of a tape, and every tenth of it jumped to, as a page gets it."""
     from delfim.clock import ManualClock
@@ -284,6 +291,7 @@ READERS = {
     "run to repeat, sidecar": Reader("log/*/state/*.meta.jsonl", logs(("replay", "--all")), TEXT),
     "state log as a tape": Reader("log/*/state/*.state.gz", replayed, deflated((*BINARY, *TEXT))),
     "sidecar of a tape": Reader("log/*/state/*.meta.jsonl", replayed, TEXT),
+    "serial line": Reader("log/*/-dev-gnss/*.jsonl", serial_line, TEXT),
     "candump": Reader("box.log", can_replay("box.log"), (*BINARY, *TEXT)),
     "candump, deflated": Reader("box.log.gz", can_replay("box.log.gz"), deflated(TEXT)),
     "CAN database": Reader("boat.dbc", database, TEXT),

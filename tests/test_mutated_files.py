@@ -16,6 +16,7 @@ from delfim.clock import ManualClock
 from delfim.console.fleet import Fleet
 from delfim.console.replay import open_tapes
 from delfim.console.session import Session
+from delfim.logging import nodelog
 from delfim.logging.reading import read_log
 from delfim.simulator.scenario import load_scenario
 from delfim.vehicle import console
@@ -72,6 +73,8 @@ def logs(folder: Path) -> None:
     (box,) = (folder / "log").rglob("*.log.gz")
     shutil.copy(box, folder / "box.log.gz")
     (folder / "box.log").write_bytes(gzip.decompress(box.read_bytes())[:60_000])
+    (line := next((folder / "log").iterdir()) / "-dev-gnss/000000.jsonl").parent.mkdir()
+    line.write_bytes(b"".join(nodelog.line(each, b"$GPGGA,%d\r\n" % each + bytes([each])) for each in range(256)))
 
 
 def plain_logs(folder: Path) -> None:
@@ -160,8 +163,9 @@ def images(folder: Path) -> None:
 SAMPLES = {
     settings: ("vehicle", "mission", "library", "scenario", "scenario's mission", "mission to send", "CAN database"),
     logs: (
+        "serial line",
         *("state log, deflated", "black box", "sidecar", "run to repeat", "run to repeat, state", "run to repeat, sidecar"),
-        *("state log as a tape", "sidecar of a tape", "candump", "candump, deflated"),
+        *("state log as a tape", "sidecar of a tape", "serial line", "candump", "candump, deflated"),
     ),
     plain_logs: ("state log", "black box, plain"),
     session: ("session",),

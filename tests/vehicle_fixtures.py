@@ -16,9 +16,11 @@ from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.clock import ManualClock
 from delfim.frames import Frame
 from delfim.messages import BatteriesStatus, Fault, Navigation, Node, PropellerCommand, PropellerStatus, Status
+from delfim.simulator.line import LockstepLine
 from delfim.slices import SLICE, Sliced
 from delfim.vehicle import fence
 from delfim.vehicle.build import build
+from delfim.vehicle.links import Links
 from delfim.vehicle.state import State
 
 WELL = Fault(0)
@@ -60,8 +62,9 @@ class Boat:
             self.sockets.append(open_bound(settings.can, name, filters))
             return self.sockets[-1]
 
-        self.nodes = self.sockets[0]
-        self.vehicle, (self.status, self.messages), self.outlet = build(settings, self.clock, self.state, open_bus, self.log)
+        self.nodes, self.lines = self.sockets[0], dict[str, LockstepLine]()
+        links = Links(open_bus, lambda device, _: self.lines.setdefault(device, LockstepLine(self.clock)))
+        self.vehicle, (self.status, self.messages), self.outlet = build(settings, self.clock, self.state, links, self.log)
         self.guest, (self.source,) = self.vehicle.guest, self.vehicle.sources
         self._number = 0
 

@@ -43,13 +43,11 @@ def _doubts(file: str, vehicle: "Vehicle") -> Iterator[str]:
     from delfim.errors import ConfigError
     from delfim.vehicle.mission import load_mission
 
-    buses = {"can.interface": vehicle.can.interface}
-    if "nmea2000" in vehicle.navigation.sources:
-        buses["nmea2000.interface"] = vehicle.nmea2000.interface
-    for key, bus in buses.items():
+    for key, bus in vehicle.outside("interface").items():
         if ":" not in bus and not Path("/sys/class/net", bus).exists():
             yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not"
-    for key, path in (("mavlink.key", vehicle.mavlink.key), ("slipd.device", vehicle.slipd.device)):
+    files = {"mavlink.key": vehicle.mavlink.key, "slipd.device": vehicle.slipd.device} | vehicle.outside("device")
+    for key, path in files.items():
         if path and not Path(path).exists():
             yield f"{key}: there is no file {path} on this computer"
     if vehicle.simulation.mission:

@@ -102,17 +102,17 @@ class LogMessages:
         log = self._logs.get(message.source)
         if log is not None:
             self.messages += 1
-            self.lost += not log.put(line(message))
+            self.lost += not log.put(line(message.t_ns, message.data))
 
     def _note(self, event: str) -> None:
         for log in self._logs.values():
             log.note(event_line(self._clock, event))
 
 
-def line(message: Message) -> bytes:
-    """A message as a line of JSON."""
+def line(t_ns: int, data: bytes) -> bytes:
+    """What was said, as a line of JSON."""
     try:
-        what = {"text": message.data.decode()}
+        what = {"text": data.decode()}
     except UnicodeDecodeError:
-        what = {"hex": message.data.hex()}
-    return json.dumps({"t_ns": message.t_ns} | what, ensure_ascii=False).encode() + b"\n"
+        what = {"hex": data.hex()}
+    return json.dumps({"t_ns": t_ns} | what, ensure_ascii=False).encode() + b"\n"

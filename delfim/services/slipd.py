@@ -14,7 +14,6 @@ import os
 import socket
 import struct
 import termios
-import tty
 from collections import deque
 from collections.abc import Callable
 from ipaddress import IPv4Address
@@ -25,6 +24,7 @@ from delfim import config
 from delfim.canproxy.canudp import open_tun
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure
+from delfim.serialline import open_port
 from delfim.services.runtime import Runtime
 from delfim.services.slip import Deframer, framed
 from delfim.services.vj import Compressor, Decompressor
@@ -157,24 +157,6 @@ class Radio:
             with contextlib.suppress(OSError):
                 os.close(self._port)
             self._port = -1
-
-
-def open_port(device: str, baud: int, ignores_modem: bool) -> int:
-    """A serial port, raw, at this speed. Raises OSError, DelfimError for a speed that there is not."""
-    speed = getattr(termios, f"B{baud}", None)
-    if speed is None:
-        raise DelfimError(f"no serial port runs at {baud} baud")
-    port = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
-    try:
-        tty.setraw(port)
-        attributes = termios.tcgetattr(port)
-        attributes[2] = attributes[2] & ~termios.CLOCAL | (termios.CLOCAL if ignores_modem else 0) | termios.CREAD
-        attributes[4] = attributes[5] = speed
-        termios.tcsetattr(port, termios.TCSANOW, attributes)
-    except (OSError, termios.error) as error:
-        os.close(port)
-        raise OSError(*error.args) from None
-    return port
 
 
 class KernelLine:

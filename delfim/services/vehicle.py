@@ -17,12 +17,15 @@ from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.errors import DelfimError
+from delfim.logging.linelog import LineLog
+from delfim.serialline import SerialLine
 from delfim.services import powerd, slots
 from delfim.services.runtime import Runtime
 from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Commands, Shutdown
 from delfim.vehicle.grex import Guest
+from delfim.vehicle.links import Input, Links
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.loop import LOCAL, Vehicle
 from delfim.vehicle.navigation import Source
@@ -45,6 +48,41 @@ class Breakable(Protocol):
     def guest(self, state: State, clock: Clock) -> Guest: ...
 
 
+class Opened:
+    """The boat's links to the outside, for as long as the service runs: kept up, and what comes by a serial line logged. A CAN
+    bus has its black box elsewhere."""
+
+    def __init__(self, runtime: Runtime, links: contextlib.ExitStack) -> None:
+        self._runtime, self._links = runtime, links
+        self._inputs, self._logs = list[Input](), list[LineLog]()
+
+    def bus(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
+        socket = self._links.enter_context(open_bound(self._runtime.config.can, interface, filters))
+        self._inputs.append(socket)
+        return socket
+
+    def line(self, device: str, baud: int) -> SerialLine:
+        log = LineLog(device, self._runtime.config.log, self._runtime.clock)
+        self._links.callback(log.close)
+        line = SerialLine(device, baud, self._runtime.clock, log.heard)
+        self._links.callback(line.close)
+        self._links.enter_context(self._runtime.publishing(log.id, lambda: {"trouble": line.trouble} | log.report()))
+        self._inputs.append(line)
+        self._logs.append(log)
+        return line
+
+    def write(self) -> None:
+        for log in self._logs:
+            log.write()
+
+    def maintain(self) -> None:
+        """Call about once a second."""
+        for log in self._logs:
+            log.poll()
+        for each in self._inputs:
+            each.rebind()
+
+
 async def serve(runtime: Runtime) -> None:
     """The critical program as a service: opens its links, hands them to the loop, and stops the boat when it ends."""
     settings, clock = runtime.config, runtime.clock
@@ -57,29 +95,26 @@ async def serve(runtime: Runtime) -> None:
         broken = _breakable(runtime, links)
         record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
 
-        def open_bus(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
-            return links.enter_context(open_bound(settings.can, interface, filters))
-
-        boat, statuses, outlet = build(settings, clock, state, open_bus, record_to, make_guest)
+        opened = Opened(runtime, links)
+        boat, statuses, outlet = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
         links.callback(boat.helm.stop, "shutdown")  # first of all that is undone
         for source in boat.sources:
-            links.callback(source.close)
-            runtime.navigation(source.fileno(), partial(boat.on_navigation, source))
-            links.callback(runtime.remove_navigation, source.fileno())
+            runtime.navigation(source.input.fileno(), partial(boat.on_navigation, source))
+            links.callback(runtime.remove_navigation, source.input.fileno())
             links.enter_context(runtime.publishing(source.name, partial(_figures, source, clock)))
         if (mirror := outlet.mirror()) is not None:
             runtime.rehearsal(Rehearsal(boat, outlet, mirror))
             links.callback(runtime.rehearsal, None)
         for status in statuses:
             links.enter_context(runtime.reading(status.fileno(), partial(boat.on_sysstat, status)))
-        await _attend(runtime, boat, log, (*boat.sources, *statuses), links, broken)
+        await _attend(runtime, boat, log, opened, links, broken)
 
 
 async def _attend(
     runtime: Runtime,
     boat: Vehicle,
     log: Logbook,
-    inputs: tuple[Source | CanSocket, ...],
+    opened: Opened,
     links: contextlib.ExitStack,
     broken: Breakable | None,
 ) -> None:
@@ -119,6 +154,7 @@ async def _attend(
         computer = computer._replace(is_starting=runtime.is_starting())
         boat.on_watchdog(computer)
         log.watch(boat.state)
+        opened.write()
         if mavlink and mavlink.done():
             link, mavlink = mavlink.result().MavlinkLink, None
             with contextlib.suppress(OSError):  # a boat without this link sails; the reason is logged
@@ -133,8 +169,7 @@ async def _attend(
             log.poll()
             if computer.image:  # until somebody confirms it
                 computer = computer._replace(image=slots.present_notice(settings.runtime.run_directory))
-            for each in inputs:
-                each.rebind()
+            opened.maintain()
 
 
 def _stamps(settings: config.Vehicle) -> Path:

@@ -12,9 +12,11 @@ from delfim.clock import ManualClock
 from delfim.modes import Mode
 from delfim.simulator.bus import LockstepBus
 from delfim.simulator.faults import Fault, Faults, FaultyLog
+from delfim.simulator.line import LockstepLine
 from delfim.simulator.nodes import COMMANDS, nodes_of
 from delfim.vehicle import console
 from delfim.vehicle.build import build
+from delfim.vehicle.links import Links
 from delfim.vehicle.state import State, StateLog
 
 CONSOLE_S: Final = 1.0  # the operator's console speaks this often
@@ -36,12 +38,15 @@ class Lockstep:
         self.state = State()
         self.log = make_log(self.clock)
         record_to = FaultyLog(self.log, self.faults)
-        self.vehicle, self._status, _ = build(
-            settings, self.clock, self.state, lambda _, filters: bus.bound(*filters), record_to
-        )
+        self.lines = dict[str, LockstepLine]()  # by device
+        links = Links(lambda _, filters: bus.bound(*filters), self._line)
+        self.vehicle, self._status, _ = build(settings, self.clock, self.state, links, record_to)
         self.guest = self.vehicle.guest
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
+
+    def _line(self, device: str, baud: int) -> LockstepLine:
+        return self.lines.setdefault(device, LockstepLine(self.clock))
 
     def close(self) -> None:
         """End the log."""

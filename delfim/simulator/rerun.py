@@ -6,6 +6,7 @@ console's and the guest's last words in the state log; commands and settings in 
 because the loop remembers: integrators, ramps, the driven track. Not recorded is the order of inputs within a few microseconds.
 """
 
+import heapq
 from collections import deque
 from collections.abc import Iterable, Iterator, Sequence
 from itertools import pairwise
@@ -14,13 +15,12 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from delfim import config, tables
-from delfim.canproxy.dsor.protocol import message_filter
-from delfim.canproxy.nmea2000.pgns import GNSS_POSITION, POSITION_RAPID
-from delfim.canproxy.socket import CanAddress, CanSocket, accepts
+from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import DelfimError
 from delfim.frames import Frame
 from delfim.logging import tree
 from delfim.logging.blackbox import device
+from delfim.logging.linelog import SUFFIX, pieces
 from delfim.logging.reading import MOMENT_MAX_S
 from delfim.logging.summary import utc
 from delfim.logging.table import frames, table
@@ -30,11 +30,12 @@ from delfim.messages import (
     BATTERIES_STARBOARD,
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
-    Node,
 )
 from delfim.simulator.bus import LockstepBus
+from delfim.simulator.line import LockstepLine
 from delfim.vehicle import console
 from delfim.vehicle.build import build
+from delfim.vehicle.links import Links
 from delfim.vehicle.loop import REPEAT_S
 from delfim.vehicle.state import State
 
@@ -71,6 +72,14 @@ class Result(NamedTuple):
         for t_ns, recorded, repeated in self.differences[:SHOWN]:
             lines.append(f"  {_time(t_ns)}  recorded {_words(recorded)}  repeated {_words(repeated)}")
         return "\n".join([*lines, *(f"  {words}" for words in self.refusals[:SHOWN])])
+
+
+class Heard(NamedTuple):
+    """A frame of a bus, or what one read of a serial line gave."""
+
+    name: str  # of the bus or line, as its log is called
+    t_ns: int
+    what: Frame | bytes
 
 
 class Due(NamedTuple):
@@ -130,37 +139,44 @@ class NoLog:
 
 
 class Rerun:
-    """The loop, its inputs on buses without time, and what it sends. What it sends in `span` is compared."""
+    """The loop, its inputs on buses and lines without time, and what it sends. What it sends in `span` is compared."""
 
-    def __init__(
-        self, settings: config.Vehicle, recorded: Iterable[tuple[str, Frame]], start_s: float, first_ns: int, span: Span
-    ) -> None:
+    def __init__(self, settings: config.Vehicle, recorded: Iterable[Heard], start_s: float, first_ns: int, span: Span) -> None:
         """`start_s` is the monotonic time of the start, `first_ns` the kernel's stamp of the first message that was used."""
         self.clock, self.log, self.state = Recalled(), NoLog(), State()
         self.clock.now_s = start_s
         self._interface = device(settings.can.interface)
-        names = {self._interface, device(settings.nmea2000.interface)}
-        self._buses = {name: LockstepBus(self.clock, name) for name in names}
-        self._world = {name: bus.socket("nodes") for name, bus in self._buses.items()}
-        self._heard = self._buses[self._interface].socket("onlooker")
+        self._buses, self._world = dict[str, LockstepBus](), dict[str, CanSocket]()  # by what their logs are called
+        self._lines = dict[str, LockstepLine]()
+        self._heard = self._bus(self._interface).socket("onlooker")
         self._heard.bind(*(CanAddress(arb) for arb in COMMANDS))
-        self.vehicle, self._status, _ = build(settings, self.clock, self.state, self._open, self.log)
+        links = Links(self._open_bus, self._open_line)
+        self.vehicle, self._status, _ = build(settings, self.clock, self.state, links, self.log)
         self._heard_ns = first_ns - round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
-        self._inputs = deque[tuple[str, Frame]]()
+        self._inputs = deque[Heard]()
         self.recorded = deque[tuple[int, Group]]()
         self._split(recorded)
         self._span, self.differences, self.refusals, self.frames = span, list[Difference](), list[str](), 0
 
-    def _open(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
-        return self._buses[device(interface)].bound(*filters)
+    def _bus(self, name: str) -> LockstepBus:
+        if name not in self._buses:
+            bus = self._buses[name] = LockstepBus(self.clock, name)
+            self._world[name] = bus.socket("nodes")
+        return self._buses[name]
 
-    def _split(self, recorded: Iterable[tuple[str, Frame]]) -> None:
+    def _open_bus(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
+        return self._bus(device(interface)).bound(*filters)
+
+    def _open_line(self, name: str, baud: int) -> LockstepLine:
+        return self._lines.setdefault(device(name), LockstepLine(self.clock))
+
+    def _split(self, recorded: Iterable[Heard]) -> None:
         """What the vehicle sent into groups, everything else is its input."""
         group: list[tuple[int, bytes]] = []
-        for name, frame in recorded:
-            if name != self._interface or frame.arb not in COMMANDS:
-                if frame.t_ns >= self._heard_ns or not _is_position(frame):
-                    self._inputs.append((name, frame))
+        for heard in recorded:
+            frame = heard.what
+            if isinstance(frame, bytes) or heard.name != self._interface or frame.arb not in COMMANDS:
+                self._inputs.append(heard)
                 continue
             if not group or frame.data[-1:] != group[-1][1][-1:]:  # the counter
                 group = []
@@ -175,16 +191,24 @@ class Rerun:
 
     def feed(self, until_ns: int) -> None:
         """The frames that had arrived by then."""
-        while self._inputs and self._inputs[0][1].t_ns <= until_ns:
-            self._deliver(*self._inputs.popleft())
+        while self._inputs and self._inputs[0].t_ns <= until_ns:
+            self._deliver(self._inputs.popleft())
 
-    def _deliver(self, name: str, frame: Frame) -> None:
-        self.clock.now_s += (frame.t_ns - self.clock.now_ns) / 1e9 if self.clock.now_ns else 0.0
-        self.clock.now_ns = frame.t_ns
-        if name in self._world and not frame.error:
-            self._world[name].sendto(frame.data, CanAddress(frame.arb))
+    def _deliver(self, heard: Heard) -> None:
+        name, t_ns, what = heard
+        self.clock.now_s += (t_ns - self.clock.now_ns) / 1e9 if self.clock.now_ns else 0.0
+        self.clock.now_ns = t_ns
+        if isinstance(what, bytes):
+            if name in self._lines:
+                self._lines[name].put(what)
+        elif name in self._world and not what.error:
+            self._world[name].sendto(what.data, CanAddress(what.arb))
             for socket in self._status:
                 self.vehicle.on_sysstat(socket)
+        if t_ns < self._heard_ns:
+            for source in self.vehicle.sources:
+                source.read(self.clock.now_s)
+                source.heard_s = NEVER_S
 
     def step(self, due: Due) -> None:
         """One thing that happened, after all that the vehicle sent before it for reasons that were not recorded."""
@@ -218,9 +242,9 @@ class Rerun:
         """The cycle of a record. The last frame may have got its stamp in the black box after the vehicle had read it."""
         self._ask(due.what)
         while not any(self.vehicle.on_navigation(source) for source in self.vehicle.sources):
-            if not self._inputs or self._inputs[0][1].t_ns > due.t_ns + LATER_NS:
+            if not self._inputs or self._inputs[0].t_ns > due.t_ns + LATER_NS:
                 break
-            self._deliver(*self._inputs.popleft())
+            self._deliver(self._inputs.popleft())
             self._at(due.t_ns, due.at_s)
 
     def hear(self, word: Word) -> None:
@@ -292,7 +316,7 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     boxes = [file for file in files if file.suffix.startswith(".log")]
     if device(settings.can.interface) not in {file.id for file in boxes}:
         raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
-    run = Rerun(settings, frames(boxes), starts[0]["monotonic_s"], int(columns["t0"][0]), span)
+    run = Rerun(settings, _heard(boxes, files), starts[0]["monotonic_s"], int(columns["t0"][0]), span)
     due = sorted([*_cycles(columns), *_commands(told), *_looks(columns, told)], key=lambda each: each.t_ns)
     ended = any(event["event"] == "end" for event in told)
     if not ended:
@@ -308,10 +332,15 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     return Result(run.state.cycles, run.frames, run.differences, run.refusals)
 
 
-def _is_position(frame: Frame) -> bool:
-    """Whether a frame is of a message that sets off a cycle: of the navigation node, or a position of NMEA 2000."""
-    node = CanAddress(*message_filter(source=Node.NAVIGATION))
-    return accepts(node, frame.arb) or frame.arb >> 11 & 0x3FFFF in (POSITION_RAPID, GNSS_POSITION)
+def _heard(boxes: Sequence[LogFile], files: Sequence[LogFile]) -> Iterator[Heard]:
+    """All that the black boxes of buses and lines hold, by time."""
+    of_buses = (Heard(name, frame.t_ns, frame) for name, frame in frames(boxes))
+    of_lines = (Heard(*piece) for piece in pieces(file for file in files if file.suffix.startswith(SUFFIX)))
+    return heapq.merge(of_buses, sorted(of_lines, key=_when), key=_when)
+
+
+def _when(heard: Heard) -> int:
+    return heard.t_ns
 
 
 def _cycles(columns: Any) -> Iterator[Due]:

@@ -9,8 +9,9 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.messages import SYSSTAT_MASK, Node, sysstat_arb
 from delfim.vehicle.grex import Guest
+from delfim.vehicle.links import Links
 from delfim.vehicle.loop import Vehicle
-from delfim.vehicle.navigation import OpenBus, open_sources
+from delfim.vehicle.navigation import open_sources
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.state import State, StateLog
 
@@ -27,16 +28,16 @@ def build(
     settings: config.Vehicle,
     clock: Clock,
     state: State,
-    open_bus: OpenBus,
+    links: Links,
     log: StateLog,
     make_guest: Callable[[State, Clock], Guest] = Guest,
 ) -> Built:
     """The vehicle of this file. Its sources are `vehicle.sources`. Raises DelfimError where an input cannot be opened."""
     bus = settings.can.interface
-    sources = open_sources(settings, open_bus, state)
-    frames = open_bus(bus, (CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK),))
-    messages = open_bus(bus, (CanAddress(*message_filter(source=Node.GPS)),))
-    outlet = open_bus(bus, ())
+    sources = open_sources(settings, links, state)
+    frames = links.bus(bus, (CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK),))
+    messages = links.bus(bus, (CanAddress(*message_filter(source=Node.GPS)),))
+    outlet = links.bus(bus, ())
     propulsion = Propulsion(outlet, settings.propulsion, state)
     vehicle = Vehicle(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
     return Built(vehicle, (frames, messages), outlet)

@@ -1,31 +1,27 @@
 """Where navigation comes from: inputs of one kind or another, each of which puts together complete navigation messages.
 
 Sources stand in order of preference; a message of a less preferred source counts only while every better one is silent. To add
-a source: a file in `delfim/vehicle/sources/` with a function `open_source`, and its name in `navigation.sources` of the
-vehicle's file (CONTRIBUTING.md, "How to add a sensor").
+a source: a file in `delfim/vehicle/sources/` with a function `open_source`, and its name in `SourceName` of `delfim/config.py`
+(CONTRIBUTING.md, "How to add a sensor").
 """
 
 import math
-from collections.abc import Callable
 from importlib import import_module
 from typing import NamedTuple, Protocol
 
 from delfim import config, geodesy
-from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.messages import Navigation
+from delfim.vehicle.links import Input, Links
 from delfim.vehicle.state import Motion, State
 
 FRAMES_PER_READ = 64  # bounds one call on a flooded input; what is left stays readable
 
-OpenBus = Callable[[str, tuple[CanAddress, ...]], CanSocket]
-"""Opens a socket on an interface that never blocks and receives what the filters accept: none, nothing. Raises BusError."""
-
 
 class Fix(NamedTuple):
-    """One navigation message and when its last frame arrived."""
+    """One navigation message and when the last of it arrived."""
 
     navigation: Navigation
-    t0_ns: int  # kernel's stamp
+    t0_ns: int  # the kernel's stamp, or when it was read
     received_s: float  # monotonic
 
 
@@ -33,19 +29,17 @@ class Source(Protocol):
     """A navigation input. `read` never raises and never waits."""
 
     name: str  # as in `navigation.sources`
+    input: Input  # to be read when it is readable
     heard_s: float  # monotonic time of its last message
 
-    def fileno(self) -> int: ...
     def read(self, now_s: float) -> Fix | None: ...
-    def rebind(self) -> bool: ...  # take up an input that failed; True when it can be used
     def report(self, now_s: float) -> dict[str, object]: ...  # JSON-ready figures, empty where there are none
-    def close(self) -> None: ...
 
 
-def open_sources(settings: config.Vehicle, open_bus: OpenBus, state: State) -> tuple[Source, ...]:
+def open_sources(settings: config.Vehicle, links: Links, state: State) -> tuple[Source, ...]:
     """The vehicle's sources in order of preference. A source's file is loaded when it is asked for. Raises DelfimError."""
     names = settings.navigation.sources
-    return tuple(import_module(f"{__package__}.sources.{name}").open_source(settings, open_bus, state) for name in names)
+    return tuple(import_module(f"{__package__}.sources.{name}").open_source(settings, links, state) for name in names)
 
 
 def preferred(source: Source, sources: tuple[Source, ...], now_s: float, stale_s: float) -> bool:

@@ -15,6 +15,7 @@ from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.socket import CanSocket, Many
 from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
 from delfim.vehicle.build import build
+from delfim.vehicle.links import Line, Links
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.state import State
 
@@ -28,7 +29,7 @@ class Rehearsal:
         self._boat, self._outlet, self._tell = boat, outlet, mirror.send_many
         link = cast(CanSocket, mirror)
         dsor = msgspec.structs.replace(settings, navigation=msgspec.structs.replace(settings.navigation, sources=("dsor",)))
-        self._twin = build(dsor, clock, state, lambda _, filters: link, _NoLog()).vehicle
+        self._twin = build(dsor, clock, state, Links(lambda _, filters: link, _no_line), _NoLog()).vehicle
         (self._source,) = self._twin.sources
         self._numbers, self._messages = count(), cycle([list[tuple[int, bytes]]()])
         self._parts = cycle((self._hear, self._command, outlet.rehearse))
@@ -61,6 +62,28 @@ class Rehearsal:
 def _frames(navigation: Navigation) -> list[tuple[int, bytes]]:
     message = Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, pack_navigation(navigation))
     return [(frame.arb, frame.data) for frame in segments(message, navigation.counter)]
+
+
+class _NoLine:
+    """A serial line that takes all and says nothing."""
+
+    t_ns = 0
+
+    def fileno(self) -> int:
+        return -1
+
+    def rebind(self) -> bool:
+        return True
+
+    def read(self) -> bytes:
+        return b""
+
+    def write(self, data: bytes) -> bool:
+        return True
+
+
+def _no_line(device: str, baud: int) -> Line:
+    return _NoLine()
 
 
 class _NoLog:

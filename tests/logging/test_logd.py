@@ -116,7 +116,7 @@ def test_start_and_end_are_noted_and_the_status_has_names(tmp_path, daemon):
 
 
 def test_a_line_is_one_line_whatever_is_in_it():
-    row = line(Message(0, 1, 0, LOG_ID, b"a\nb\xe2\x80\xa8c", 5))
+    row = line(5, b"a\nb\xe2\x80\xa8c")
     assert row.count(b"\n") == 1
     assert json.loads(row) == {"t_ns": 5, "text": "a\nb\u2028c"}
 

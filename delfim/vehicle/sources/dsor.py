@@ -6,7 +6,8 @@ from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import BusError, FormatError
 from delfim.messages import NAVIGATION_ID, Node, unpack_navigation
-from delfim.vehicle.navigation import FRAMES_PER_READ, Fix, OpenBus
+from delfim.vehicle.links import Links
+from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State
 
 LOOKS = 8  # for the next frame of a message, 20 us in all: many an adapter hands over its frames in a burst
@@ -18,7 +19,7 @@ class DsorNavigation:
     name = "dsor"
 
     def __init__(self, socket: CanSocket, state: State) -> None:
-        self._socket, self._state = socket, state
+        self.input, self._state = socket, state
         self.heard_s = -1e9
         self._receive_many = socket.receive_many
         self._receiver = Receiver(Node.VEHICLE, lambda message: message.id == NAVIGATION_ID)
@@ -58,16 +59,7 @@ class DsorNavigation:
     def report(self, now_s: float) -> dict[str, object]:
         return dict(self._receiver.errors)
 
-    def fileno(self) -> int:
-        return self._socket.fileno()
 
-    def rebind(self) -> bool:
-        return self._socket.rebind()
-
-    def close(self) -> None:
-        self._socket.close()
-
-
-def open_source(settings: config.Vehicle, open_bus: OpenBus, state: State) -> DsorNavigation:
+def open_source(settings: config.Vehicle, links: Links, state: State) -> DsorNavigation:
     node = CanAddress(*message_filter(source=Node.NAVIGATION))
-    return DsorNavigation(open_bus(settings.can.interface, (node,)), state)
+    return DsorNavigation(links.bus(settings.can.interface, (node,)), state)

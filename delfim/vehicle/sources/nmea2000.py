@@ -6,7 +6,8 @@ from delfim import config
 from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import BusError
-from delfim.vehicle.navigation import FRAMES_PER_READ, Fix, OpenBus
+from delfim.vehicle.links import Links
+from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State
 
 
@@ -16,7 +17,7 @@ class Nmea2000Navigation:
     name = "nmea2000"
 
     def __init__(self, socket: CanSocket, source: Nmea2000Source, state: State) -> None:
-        self._socket, self._source, self._state = socket, source, state
+        self.input, self._source, self._state = socket, source, state
         self.heard_s = -1e9
 
     def read(self, now_s: float) -> Fix | None:
@@ -24,7 +25,7 @@ class Nmea2000Navigation:
         fix = None
         for _ in range(FRAMES_PER_READ):
             try:
-                frame = self._socket.receive()
+                frame = self.input.receive()
             except BusError:
                 self._state.count("nmea2000_bus_errors")
                 break
@@ -41,17 +42,8 @@ class Nmea2000Navigation:
         told: dict[str, object] = msgspec.to_builtins(self._source.status(now_s)._asdict(), str_keys=True)
         return told
 
-    def fileno(self) -> int:
-        return self._socket.fileno()
 
-    def rebind(self) -> bool:
-        return self._socket.rebind()
-
-    def close(self) -> None:
-        self._socket.close()
-
-
-def open_source(settings: config.Vehicle, open_bus: OpenBus, state: State) -> Nmea2000Navigation:
+def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea2000Navigation:
     decoder = Nmea2000Source(settings.nmea2000, settings.navigation.stale_s)
     filters = tuple(CanAddress(arb, mask) for arb, mask in decoder.filters)
-    return Nmea2000Navigation(open_bus(settings.nmea2000.interface, filters), decoder, state)
+    return Nmea2000Navigation(links.bus(settings.nmea2000.interface, filters), decoder, state)

@@ -1,0 +1,75 @@
+"""The black box of a serial line: what was read and when, as delfim.logging.nodelog writes messages, a piece a line of JSON.
+
+Nobody can read a serial line beside the program that uses it, so that program hands over what it reads.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Iterator
+from typing import Final, NamedTuple
+
+from delfim.clock import Clock
+from delfim.config import Log as Limits
+from delfim.errors import FormatError
+from delfim.logging.blackbox import device
+from delfim.logging.liblog import event_line, read_log
+from delfim.logging.nodelog import line
+from delfim.logging.openlog import open_log
+from delfim.logging.tree import LogFile
+from delfim.outside import parse_json
+
+SUFFIX: Final = ".jsonl"
+WAITING: Final = 1024  # pieces between two calls of `write`
+
+
+class Piece(NamedTuple):
+    """What one read gave."""
+
+    name: str  # of the line, as its log is called
+    t_ns: int
+    data: bytes
+
+
+class LineLog:
+    """Pieces are taken at once and written when there is time."""
+
+    def __init__(self, name: str, limits: Limits, clock: Clock) -> None:
+        self.id, self.lost = device(name), 0
+        self._clock, self._log = clock, open_log(limits, device(name), SUFFIX, "zpipe", clock)
+        self._waiting = deque[Piece](maxlen=WAITING)
+        self._log.note(event_line(clock, "start"))
+        self.poll = self._log.poll
+
+    def heard(self, t_ns: int, data: bytes) -> None:
+        self.lost += len(self._waiting) == WAITING
+        self._waiting.append(Piece(self.id, t_ns, data))
+
+    def write(self) -> None:
+        """Hand over to the disk what waits."""
+        if self._waiting:
+            count = len(self._waiting)
+            self.lost += 0 if self._log.put(b"".join(line(piece.t_ns, piece.data) for piece in self._waiting)) else count
+            self._waiting.clear()
+
+    def report(self) -> dict[str, object]:
+        """JSON-ready: bytes on disk, pieces lost, why it is not written."""
+        status = self._log.status()
+        return {f"{self.id}_bytes": status.bytes, f"{self.id}_lost": self.lost, f"{self.id}_log": status.reason}
+
+    def close(self) -> None:
+        self.write()
+        self._log.note(event_line(self._clock, "end"))
+        self._log.close()
+
+
+def pieces(files: Iterable[LogFile]) -> Iterator[Piece]:
+    """What these logs hold. Lines that mean nothing are left out."""
+    for file in files:
+        for told in read_log(file.path)[0].splitlines():
+            try:
+                what = parse_json(told)
+                data = what["text"].encode() if "text" in what else bytes.fromhex(what["hex"])
+                t_ns = what["t_ns"]
+            except (FormatError, KeyError, TypeError, ValueError, AttributeError):
+                continue
+            if type(t_ns) is int and 0 <= t_ns < 1 << 63:
+                yield Piece(file.id, t_ns, data)

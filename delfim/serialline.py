@@ -1,0 +1,108 @@
+"""A serial line: raw, never waited for, opened anew when its adapter comes back."""
+
+import os
+import select
+import termios
+import tty
+from collections.abc import Callable
+from typing import Final
+
+from delfim.clock import Clock
+from delfim.errors import DelfimError
+
+READ_BYTES: Final = 4096
+
+
+class SerialLine:
+    """A port from its opening on. Raises DelfimError where it cannot be opened; later `trouble` says what is wrong with it."""
+
+    def __init__(
+        self, device: str, baud: int, clock: Clock, heard: Callable[[int, bytes], object] = lambda t_ns, data: None
+    ) -> None:
+        """`heard` is told all that is read, with the time."""
+        self.device, self.t_ns = device, 0
+        self._baud, self._time_ns, self._heard = baud, clock.time_ns, heard
+        self.trouble = ""
+        self._port = -1
+        self._ready = select.epoll()  # to wait for: it stays the same when the port is opened anew
+        try:
+            self._open()
+        except OSError as error:
+            self._ready.close()
+            raise DelfimError(f"{device}: {error.strerror}") from None
+
+    def fileno(self) -> int:
+        """Readable when there is something to read."""
+        return self._ready.fileno()
+
+    def read(self) -> bytes:
+        """What has come since the last call, and in `t_ns` when it was read; empty: nothing."""
+        if self._port < 0:
+            return b""
+        try:
+            data = os.read(self._port, READ_BYTES)
+        except BlockingIOError:
+            return b""
+        except OSError as error:
+            self._lost(str(error.strerror))
+            return b""
+        if data:
+            self.t_ns = self._time_ns()
+            self._heard(self.t_ns, data)
+        else:
+            self._lost("hung up")
+        return data
+
+    def write(self, data: bytes) -> bool:
+        """False where the line did not take all of it; it is not sent again."""
+        try:
+            return self._port >= 0 and os.write(self._port, data) == len(data)
+        except BlockingIOError:
+            return False
+        except OSError as error:
+            self._lost(str(error.strerror))
+            return False
+
+    def rebind(self) -> bool:
+        """Open a port that was lost. True when it can be used."""
+        if self._port < 0:
+            try:
+                self._open()
+            except OSError as error:
+                self.trouble = str(error.strerror)
+        return self._port >= 0
+
+    def close(self) -> None:
+        self._lost("closed")
+        self._ready.close()
+
+    def _open(self) -> None:
+        self._port = open_port(self.device, self._baud, ignores_modem=True)
+        self._ready.register(self._port, select.EPOLLIN)
+        self.trouble = ""
+
+    def _lost(self, why: str) -> None:
+        """A port that hung up would be readable for ever."""
+        self.trouble = why
+        if self._port >= 0:
+            self._ready.unregister(self._port)
+            os.close(self._port)
+            self._port = -1
+
+
+def open_port(device: str, baud: int, ignores_modem: bool) -> int:
+    """A serial port, raw, at this speed. Raises OSError, DelfimError for a speed that there is not."""
+    speed = getattr(termios, f"B{baud}", None)
+    if speed is None:
+        raise DelfimError(f"no serial port runs at {baud} baud")
+    port = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
+    try:
+        tty.setraw(port)
+        attributes = termios.tcgetattr(port)
+        attributes[2] = attributes[2] & ~termios.CLOCAL | (termios.CLOCAL if ignores_modem else 0) | termios.CREAD
+        attributes[4] = attributes[5] = speed
+        termios.tcsetattr(port, termios.TCSANOW, attributes)
+    except (OSError, termios.error) as error:
+        os.close(port)
+        raise OSError(*error.args) from None
+    return port
