@@ -21,7 +21,7 @@ from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.rerun import NoLog
 from delfim.slices import Sliced
-from delfim.vehicle import console, fence
+from delfim.vehicle import console, fence, reading
 from delfim.vehicle.control.control import enter
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.mavlink import plans
@@ -166,6 +166,7 @@ def _plans(boat: Vehicle, largest: console.Upload) -> list[Row]:
     fenced = console.Fence(largest.mission.fence)
     star = [((1 + i % 2) * math.cos(0.0628 * i), (1 + i % 2) * math.sin(0.0628 * i)) for i in range(config.CORNERS)]
     return [
+        Row("mission that came as text", lambda: _slices(reading.gathered(list(reading.written(largest.mission))))),
         Row("mission that comes item by item", lambda: items(plans.MissionDraft(), plans.mission_items(largest.mission))),
         Row("fence that comes item by item", lambda: items(plans.ZonesDraft(), plans.fence_items(largest.mission.fence))),
         Row("mission looked at, in the largest fence", lambda: _slices(boat.helm.plans.look(largest))),

@@ -45,6 +45,7 @@ class CommandServer:
                 client.write(line)
 
     def close(self) -> None:
+        self.reviews.cancel("the program ends")
         for client in list(self.clients):
             client.abort()
 

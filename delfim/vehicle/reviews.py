@@ -4,18 +4,21 @@ was looked at; then the plan is obeyed, or refused, and whoever sent it hears wh
 
 import asyncio
 from collections.abc import Callable
-from typing import NamedTuple
+from functools import partial
+from typing import NamedTuple, TypeVar
 
 from delfim.errors import DelfimError, Refused
 from delfim.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.loop import Vehicle
-from delfim.vehicle.mission import Mission, read_mission
+from delfim.vehicle.mission import Mission
+from delfim.vehicle.reading import Reading, gathered
 
 AGAIN = 3  # times that a plan is looked at anew because the boat's settings changed meanwhile
 QUIET = console.Alive | console.Report | console.Watch
 Answer = Callable[[str | None], None]  # with the reason why not, or None
 Obey = Callable[[console.Commands, str], str | None]
+T = TypeVar("T")
 
 
 class Review(NamedTuple):
@@ -32,6 +35,7 @@ class Reviews:
     def __init__(self, boat: Vehicle, obey: Obey, loop: asyncio.AbstractEventLoop) -> None:
         self._boat, self._obey, self._loop = boat, obey, loop
         self._now: Review | None = None
+        self._reading: Reading | None = None
         self._written: tuple[console.Plan, bytes] | None = None
 
     def begin(self, operator: str, command: console.Plan, answer: Answer) -> None:
@@ -39,14 +43,15 @@ class Reviews:
         self.cancel("another plan came after it")
         self._now = review = Review(command, operator, answer)
         if not isinstance(command, console.Mission):
-            self._write(review, None, Sliced(console.written(command)))
+            self._work(review, Sliced(console.written(command)), partial(self._was_written, review))
             return
         try:
             text = self._boat.helm.plans.text(command)
         except Refused:  # the boat says so
             self._end(review)
             return
-        reading = self._loop.run_in_executor(None, _read, text)
+        self._reading = Reading(text)
+        reading = self._loop.run_in_executor(None, self._reading.lines)
         reading.add_done_callback(lambda read: None if read.cancelled() else self._was_read(review, read.result()))
 
     def written(self, command: console.Commands) -> bytes | None:
@@ -64,51 +69,47 @@ class Reviews:
         """Whatever is being looked at is not wanted any more."""
         if (review := self._now) is not None:
             self._now = None
+            if self._reading is not None:
+                self._reading.cancel()
             review.answer(f"refused: {reason}")
 
-    def _was_read(self, review: Review, mission: Mission | DelfimError) -> None:
+    def _was_read(self, review: Review, lines: list[bytes] | DelfimError) -> None:
         if review is not self._now:
             return
-        if isinstance(mission, DelfimError):
+        self._reading = None
+        if isinstance(lines, DelfimError):
             self._now = None
-            review.answer(str(mission))
+            review.answer(str(lines))
             return
-        self._look(review, mission)
+        self._work(review, Sliced(gathered(lines)), lambda mission: self._loop.call_soon(self._look, review, mission))
 
-    def _write(self, review: Review, mission: Mission | None, work: Sliced[bytes]) -> None:
-        if review is not self._now:
-            return
-        if not work.step():
-            self._loop.call_soon(self._write, review, mission, work)
-            return
-        self._written = review.command, work.result
-        self._loop.call_soon(self._look, review, mission)
+    def _was_written(self, review: Review, line: bytes) -> None:
+        self._written = review.command, line
+        self._loop.call_soon(self._look, review, None)
 
     def _look(self, review: Review, mission: Mission | None, times: int = 1) -> None:
-        self._slice(review, mission, Sliced(self._boat.helm.plans.look(review.command, mission)), times)
+        work = Sliced(self._boat.helm.plans.look(review.command, mission))
+        self._work(review, work, lambda _: self._was_looked_at(review, mission, times))
 
-    def _slice(self, review: Review, mission: Mission | None, work: Sliced[None], times: int) -> None:
-        if review is not self._now:
-            return
-        if not work.step():
-            self._loop.call_soon(self._slice, review, mission, work, times)
-        elif self._boat.helm.plans.has_looked(review.command):
+    def _was_looked_at(self, review: Review, mission: Mission | None, times: int) -> None:
+        if self._boat.helm.plans.has_looked(review.command):
             self._end(review)
         elif times < AGAIN:
             self._loop.call_soon(self._look, review, mission, times + 1)
         else:
             self.cancel("the boat's settings change all the time")
 
+    def _work(self, review: Review, work: Sliced[T], then: Callable[[T], object]) -> None:
+        """Slice by slice, as long as this plan is wanted."""
+        if review is not self._now:
+            return
+        if work.step():
+            then(work.result)
+        else:
+            self._loop.call_soon(self._work, review, work, then)
+
     def _end(self, review: Review) -> None:
         self._now = None
         refused = self._obey(review.command, review.operator)
         self._written = None
         review.answer(refused)
-
-
-def _read(text: str) -> Mission | DelfimError:
-    """In a worker: a text cannot be read in slices."""
-    try:
-        return read_mission(text)
-    except DelfimError as error:
-        return error

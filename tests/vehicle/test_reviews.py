@@ -5,6 +5,7 @@ import asyncio
 import itertools
 import json
 import math
+import tomllib
 from types import SimpleNamespace
 
 import pytest
@@ -198,8 +199,9 @@ def test_what_was_looked_at_for_another_state_is_looked_at_again(sea):
     assert answers[1:] == ["refused: the boat's settings change all the time"] * 3
 
 
-def test_over_the_command_socket_a_long_text_comes_in_parts(boat, tmp_path, counted):
-    """The real socket, the real client, the real loop, the real worker."""
+def test_over_the_command_socket_a_long_text_comes_in_parts(boat, tmp_path, counted, monkeypatch):
+    """The real socket, the real client, the real loop, the real worker. The boat's own process reads no TOML."""
+    monkeypatch.setattr(tomllib, "loads", lambda text: pytest.fail("the loop waits for who reads this"))
     boat.ready()
     large = canonical(mission(1000, 1000))
     assert len(large) > 3 * console.PART

@@ -1,0 +1,77 @@
+"""A mission's text is read in a process that has bounds: whatever the text, the boat's own process reads no TOML."""
+
+import asyncio
+import threading
+from pathlib import Path
+
+import pytest
+
+from delfim.console.link import Link
+from delfim.errors import FormatError, Refused
+from delfim.slices import SLICE, Sliced
+from delfim.vehicle.command import CommandServer
+from delfim.vehicle.mission import canonical, load_mission
+from delfim.vehicle.reading import ZONE, Reading, gathered, written
+from delfim.vehicle.reviews import Reviews
+from tests.vehicle.test_reviews import mission, zones
+
+FILES = sorted((Path(__file__).parents[2] / "etc/missions").glob("*.toml"))
+ENDLESS = ".".join("a" * 100_000) + " = 1"  # each part of such a key is looked up in all before it
+LARGE = "".join(f"[k{i}.a.b.c.d.e]\n" for i in range(60_000))  # a megabyte of it is a quarter of a gigabyte of tables
+
+
+@pytest.mark.parametrize("made", [*FILES, mission(2), mission(1000, 1000, zones())], ids=str)
+def test_a_mission_is_put_together_as_it_was_in_slices(made, monkeypatch):
+    made = load_mission(made) if isinstance(made, Path) else made
+    work, spent = Sliced(gathered([line.rstrip() for line in written(made)])), 0
+    while not work.step():
+        assert work.spent - spent < SLICE + ZONE
+        spent = work.spent
+    assert work.result == made
+
+
+def test_a_text_comes_back_as_its_mission_or_with_what_is_wrong():
+    made = mission(5, 3, zones(2))
+    assert Sliced(gathered(Reading(canonical(made)).lines())).finish() == made
+    wrong = Reading("version = 2").lines()
+    assert isinstance(wrong, FormatError)
+    assert str(wrong).startswith("mission: version: ")
+
+
+@pytest.mark.parametrize(("text", "cpu_s"), [(ENDLESS, 1), (LARGE, 60)], ids=["time", "memory"])
+def test_a_text_that_takes_too_much_is_given_up_in_words(text, cpu_s):
+    told = Reading(text, cpu_s).lines()
+    assert str(told) == "mission: its text takes longer to read, or more memory, than a boat has for it"
+
+
+def test_a_stop_ends_the_reading(boat, tmp_path):
+    """The process, too: otherwise the worker would not end."""
+    boat.ready()
+
+    async def both() -> None:
+        def obey(command, operator="local"):
+            reviews.hear(command, operator)
+            return boat.vehicle.on_command(command, operator)
+
+        reviews = Reviews(boat.vehicle, obey, asyncio.get_running_loop())
+        server = CommandServer(obey, reviews, lambda: boat.vehicle.snapshot({}), 4)
+        listening = await asyncio.get_running_loop().create_unix_server(server.connection, str(tmp_path / "command"))
+        await asyncio.to_thread(talk)
+        server.close()
+        listening.close()
+
+    def talk() -> None:
+        def ask() -> None:
+            with Link(tmp_path / "command") as link, pytest.raises(Refused, match="refused: a stop came"):
+                link.ask("mission", text=ENDLESS)
+            heard.set()
+
+        heard = threading.Event()
+        asking = threading.Thread(target=ask)
+        asking.start()
+        with Link(tmp_path / "command") as link:
+            while not heard.wait(0.1):
+                link.ask("stop")
+        asking.join()
+
+    asyncio.run(both())
