@@ -66,6 +66,7 @@ class ServiceStatus:
     state: State = "starting"
     restarts: int = 0
     reason: str = ""  # of the last end, in words
+    told: str = ""  # the reason in the log, until it runs again
     failure: Exception | None = None  # raised by a callback and not yet acted upon
 
     def report(self, now_s: float) -> dict[str, object]:
@@ -289,7 +290,9 @@ class Runtime:
         while await self._attempt(row, status):
             if self.clock.monotonic_s() - began_s > limits.backoff_max_s:
                 pause_s = limits.backoff_s
-            log.error("%s: %s; started again in %g s", row.name, status.reason, pause_s)
+            if status.told != status.reason:  # and not each time that nothing has changed
+                log.error("%s: %s; tried again, after %g s at most", row.name, status.reason, limits.backoff_max_s)
+                status.told = status.reason
             await asyncio.sleep(pause_s)
             pause_s = min(2 * pause_s, limits.backoff_max_s)
             status.restarts += 1
@@ -314,9 +317,9 @@ class Runtime:
             error = raised
         finally:
             settled.cancel()
-        if not isinstance(error, DelfimError | OSError):
-            log.error("%s: a defect", row.name, exc_info=error)
         reason = in_words(error)
+        if not isinstance(error, DelfimError | OSError) and reason != status.told:
+            log.error("%s: a defect", row.name, exc_info=error)
         if isinstance(error, PermanentFailure):
             log.error("%s: %s; not started again", row.name, reason)
             self._change(status, "failed", reason)
@@ -330,6 +333,9 @@ class Runtime:
     def _settled(self, status: ServiceStatus) -> None:
         self._change(status, "running", status.reason)
         status.account.reset()
+        if status.told:
+            log.info("%s: runs again", status.name)
+            status.told = ""
 
     def _failed(self) -> Callable[[Exception], None]:
         """What a callback of the calling service does with its exception. Raises LookupError outside a service."""

@@ -64,8 +64,14 @@ def test_it_ends_when_all_services_have() -> None:
     }
 
 
-def test_a_service_that_raises_is_started_again_after_growing_pauses(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_service_that_raises_is_started_again_after_growing_pauses(monkeypatch: pytest.MonkeyPatch) -> None:
     starts: list[str] = []
+    pauses: list[float] = []
+    sleep = asyncio.sleep
+
+    async def sleeping(pause_s: float) -> None:
+        pauses.append(pause_s)
+        await sleep(0)
 
     async def failing(runtime: Runtime) -> None:
         starts.append("failing")
@@ -73,10 +79,32 @@ def test_a_service_that_raises_is_started_again_after_growing_pauses(caplog: pyt
             return
         raise BusError("bus-off")
 
+    monkeypatch.setattr(asyncio, "sleep", sleeping)
     runtime, _ = ran(Service("failing", failing))
-    pauses = [record.message.rpartition(" in ")[2] for record in caplog.records if "started again" in record.message]
-    assert pauses == ["0.01 s", "0.02 s", "0.04 s", "0.04 s"]
+    assert pauses == [0.01, 0.02, 0.04, 0.04]
     assert runtime.status["failing"].restarts == 4
+
+
+def test_what_fails_again_and_again_is_told_once_and_when_it_goes(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(module, "SETTLE_S", 0.0)
+    caplog.set_level("INFO")
+    ends = [BusError("there is no interface can0"), *[BusError("can0 is down")] * 9, *[KeyError("heading")] * 3, None]
+
+    async def failing(runtime: Runtime) -> None:
+        if (end := ends.pop(0)) is not None:
+            raise end
+        await asyncio.sleep(0.01)
+
+    ran(Service("can", failing))
+    assert [record.getMessage() for record in caplog.records if record.getMessage().startswith("can: ")] == [
+        "can: there is no interface can0; tried again, after 0.04 s at most",
+        "can: can0 is down; tried again, after 0.04 s at most",
+        "can: a defect",
+        "can: KeyError: 'heading'; tried again, after 0.04 s at most",
+        "can: runs again",
+    ]
 
 
 def test_the_reason_of_a_failure_is_kept_in_words(caplog: pytest.LogCaptureFixture) -> None:
