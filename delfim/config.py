@@ -33,6 +33,8 @@ Interface = Annotated[
 ]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
 SourceName = Literal["dsor", "nmea2000"]  # files in delfim/vehicle/sources
+ActuatorName = Literal["dsor"]  # files in delfim/vehicle/actuators
+Actuators = Annotated[tuple[ActuatorName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(ActuatorName)))]
 Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(SourceName)))]
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 ActionName = Literal["warn", "hold", "home", "stop"]
@@ -105,8 +107,9 @@ class Nmea2000(Table, frozen=True):
 
 
 class Propulsion(Table, frozen=True):
-    """The two propellers."""
+    """What moves the boat. All actuators are given the same command; each takes its part of it."""
 
+    actuators: Actuators = ("dsor",)  # of the boat
     rpm_max: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1200  # of either propeller, ahead and astern
     rpm_per_s_max: Annotated[float, msgspec.Meta(gt=0.0, le=1e5)] = 800.0  # steepest change that is commanded
     speed_per_rpm_mps: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.00196  # straight ahead, calm water
@@ -630,7 +633,7 @@ class Vehicle(Table, frozen=True):
     def outside(self, key: Literal["interface", "device"]) -> dict[str, str]:
         """The buses or serial lines of the boat's nodes and of the parts that are chosen by name, by their keys: a part has
         its table by its name."""
-        tables = {name: getattr(self, name, None) for name in ("can", *self.navigation.sources)}
+        tables = {name: getattr(self, name, None) for name in ("can", *self.navigation.sources, *self.propulsion.actuators)}
         return {f"{name}.{key}": getattr(table, key) for name, table in tables.items() if hasattr(table, key)}
 
     @property

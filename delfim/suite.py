@@ -16,18 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
 from delfim import config
-from delfim.canproxy.opening import open_can
-from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import DelfimError, FormatError, PermanentFailure
-from delfim.messages import (
-    PROPELLER_COMMAND,
-    PROPELLER_PORT,
-    PROPELLER_STARBOARD,
-    SHUTDOWN_ACKNOWLEDGE,
-    ShutdownAcknowledge,
-    ShutdownStage,
-    pack_shutdown_acknowledge,
-)
 from delfim.outside import parse_json, read_file
 from delfim.services import cgroup, shutdown
 from delfim.services.supervisor import STACKS_SIGNAL, Program, Supervisor, real_time
@@ -146,24 +135,27 @@ def supervise(
     place = Path(settings.runtime.run_directory)
     place.mkdir(parents=True, exist_ok=True)
     _above(settings.runtime.fifo_priority)
-    limits, stop = settings.supervisor, StopFrames(settings.can.interface)
-    supervisor = Supervisor(
-        programs,
-        stop=stop,
-        deadman_s=limits.deadman_s,
-        backoff_s=limits.backoff_s,
-        backoff_max_s=limits.backoff_max_s,
-        state_file=place / "supervisor.json",
-        watchdog=limits.hardware_watchdog,
-        requests=shutdown.socket_path(place),
-        init=init,
-    )
-    code = supervisor.run_forever()
-    if supervisor.word in ("off", "reboot"):
-        is_safe = _last_act(settings, supervisor.reason, stop)
-        code = 0 if is_safe else 1
-        if init:
-            shutdown.leave(supervisor.word)
+    from delfim.services.stop import Stop
+
+    limits = settings.supervisor
+    with contextlib.closing(Stop(settings)) as stop:
+        supervisor = Supervisor(
+            programs,
+            stop=stop,
+            deadman_s=limits.deadman_s,
+            backoff_s=limits.backoff_s,
+            backoff_max_s=limits.backoff_max_s,
+            state_file=place / "supervisor.json",
+            watchdog=limits.hardware_watchdog,
+            requests=shutdown.socket_path(place),
+            init=init,
+        )
+        code = supervisor.run_forever()
+        if supervisor.word in ("off", "reboot"):
+            is_safe = _last_act(settings, supervisor.reason, stop.tell)
+            code = 0 if is_safe else 1
+            if init:
+                shutdown.leave(supervisor.word)
     return code
 
 
@@ -179,16 +171,10 @@ def _limits(settings: config.Vehicle, name: str) -> cgroup.Limits:
     return cgroup.Limits(asked.memory_max_mb << 20, asked.cpu_max)
 
 
-def _last_act(settings: config.Vehicle, reason: str, stop: "StopFrames") -> bool:
+def _last_act(settings: config.Vehicle, reason: str, tell: Callable[[bool, Sequence[str]], None]) -> bool:
     """After the programs: the log partition unmounted, the bus told. Returns whether the power may be cut."""
     limits = settings.powerd
     inside = Path(limits.partition) in (Path(settings.log.directory), *Path(settings.log.directory).parents)
-
-    def tell(is_safe: bool, holders: Sequence[str]) -> None:
-        with contextlib.suppress(OSError, DelfimError):  # a bus that takes nothing is no reason to go on
-            stop()
-            stop.acknowledge(ShutdownStage.SAFE if is_safe else ShutdownStage.HELD, len(holders))
-
     return shutdown.last_act(
         reason,
         limits.partition if inside else "",
@@ -235,25 +221,3 @@ def rescue(error: Exception) -> None:
     """The machine's first process must not end: what is wrong is said, and whoever is at its console may mend it."""
     print(f"delfim: {error}\ndelfim: the boat does not sail; this is a shell", file=sys.stderr)
     os.execv("/bin/sh", ("/bin/sh",))
-
-
-class StopFrames:
-    """What the supervisor sends: both propellers off, and how far a shutdown is."""
-
-    def __init__(self, interface: str) -> None:
-        self._interface = interface
-        self._socket: CanSocket | None = None
-
-    def __call__(self) -> None:
-        """Raises OSError where the bus does not take the frames."""
-        if self._socket is None:
-            self._socket = open_can(self._interface)
-            self._socket.setblocking(False)
-        for arb in (PROPELLER_STARBOARD, PROPELLER_PORT):
-            self._socket.sendto(PROPELLER_COMMAND.pack(0, 0, 0), CanAddress(arb))
-
-    def acknowledge(self, stage: ShutdownStage, holders: int) -> None:
-        """Raises OSError as above."""
-        if self._socket is not None:
-            told = pack_shutdown_acknowledge(ShutdownAcknowledge(stage, holders))
-            self._socket.sendto(told, CanAddress(SHUTDOWN_ACKNOWLEDGE))

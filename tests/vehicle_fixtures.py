@@ -64,7 +64,7 @@ class Boat:
 
         self.nodes, self.lines = self.sockets[0], dict[str, LockstepLine]()
         links = Links(open_bus, lambda device, _: self.lines.setdefault(device, LockstepLine(self.clock)))
-        self.vehicle, (self.status, self.messages), self.outlet = build(settings, self.clock, self.state, links, self.log)
+        self.vehicle, (self.status, self.messages), self.outlets = build(settings, self.clock, self.state, links, self.log)
         self.guest, (self.source,) = self.vehicle.guest, self.vehicle.sources
         self._number = 0
 

@@ -96,14 +96,17 @@ async def serve(runtime: Runtime) -> None:
         record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
 
         opened = Opened(runtime, links)
-        boat, statuses, outlet = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
+        boat, statuses, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
         links.callback(boat.helm.stop, "shutdown")  # first of all that is undone
         for source in boat.sources:
             runtime.navigation(source.input.fileno(), partial(boat.on_navigation, source))
             links.callback(runtime.remove_navigation, source.input.fileno())
             links.enter_context(runtime.publishing(source.name, partial(_figures, source, clock)))
-        if (mirror := outlet.mirror()) is not None:
-            runtime.rehearsal(Rehearsal(boat, outlet, mirror))
+        for actuator in boat.propulsion.actuators:
+            if actuator.report():
+                links.enter_context(runtime.publishing(actuator.name, actuator.report))
+        if mirror := next(filter(None, (outlet.mirror() for outlet in outlets)), None):
+            runtime.rehearsal(Rehearsal(boat, outlets, mirror))
             links.callback(runtime.rehearsal, None)
         for status in statuses:
             links.enter_context(runtime.reading(status.fileno(), partial(boat.on_sysstat, status)))

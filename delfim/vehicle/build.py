@@ -8,6 +8,7 @@ from delfim.canproxy.dsor.protocol import message_filter
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.messages import SYSSTAT_MASK, Node, sysstat_arb
+from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import Vehicle
@@ -21,7 +22,7 @@ class Built(NamedTuple):
 
     vehicle: Vehicle
     status: tuple[CanSocket, ...]  # readable: `vehicle.on_sysstat`
-    outlet: CanSocket  # of the propulsion
+    outlets: tuple[CanSocket, ...]  # of the actuators
 
 
 def build(
@@ -37,7 +38,14 @@ def build(
     sources = open_sources(settings, links, state)
     frames = links.bus(bus, (CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK),))
     messages = links.bus(bus, (CanAddress(*message_filter(source=Node.GPS)),))
-    outlet = links.bus(bus, ())
-    propulsion = Propulsion(outlet, settings.propulsion, state)
+    outlets = list[CanSocket]()
+
+    def outlet(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
+        outlets.append(links.bus(interface, filters))
+        return outlets[-1]
+
+    to_actuators = links._replace(bus=outlet)
+    actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.propulsion.actuators)
+    propulsion = Propulsion(actuators, frames, settings.propulsion, state)
     vehicle = Vehicle(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
-    return Built(vehicle, (frames, messages), outlet)
+    return Built(vehicle, (frames, messages), tuple(outlets))

@@ -23,16 +23,16 @@ from delfim.vehicle.state import State
 class Rehearsal:
     """For `NavigationLoop.set_rehearsal`. Never raises for what navigation says."""
 
-    def __init__(self, boat: Vehicle, outlet: CanSocket, mirror: Many) -> None:
-        """`outlet` is the socket by which the propulsion is commanded, `mirror` that of a socket like it."""
+    def __init__(self, boat: Vehicle, outlets: tuple[CanSocket, ...], mirror: Many) -> None:
+        """`outlets` are the sockets by which the actuators are commanded, `mirror` that of a socket like one of them."""
         state, clock, settings = State(), boat.clock, boat.helm.settings
-        self._boat, self._outlet, self._tell = boat, outlet, mirror.send_many
+        self._boat, self._outlets, self._tell = boat, outlets, mirror.send_many
         link = cast(CanSocket, mirror)
         dsor = msgspec.structs.replace(settings, navigation=msgspec.structs.replace(settings.navigation, sources=("dsor",)))
         self._twin = build(dsor, clock, state, Links(lambda _, filters: link, _no_line), _NoLog()).vehicle
         (self._source,) = self._twin.sources
         self._numbers, self._messages = count(), cycle([list[tuple[int, bytes]]()])
-        self._parts = cycle((self._hear, self._command, outlet.rehearse))
+        self._parts = cycle((self._hear, self._command, *(outlet.rehearse for outlet in outlets)))
 
     def whole(self) -> None:
         """The path from end to end, sending included, with what was heard last. About 0.15 ms, the first time in a while."""
@@ -43,7 +43,8 @@ class Rehearsal:
         self._twin.follow(self._boat)
         self._tell(next(self._messages))
         self._twin.on_navigation(self._source)
-        self._outlet.rehearse()
+        for outlet in self._outlets:
+            outlet.rehearse()
 
     def part(self) -> None:
         """From the bus to the state, from there to the propellers' bytes, or through the kernel: in turns, about 10 us each."""

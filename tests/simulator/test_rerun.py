@@ -21,6 +21,7 @@ from delfim.logging.table import frames, table
 from delfim.simulator.bus import LockstepBus
 from delfim.simulator.rerun import rerun
 from delfim.vehicle import console
+from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.propulsion import Propulsion
@@ -198,7 +199,8 @@ class Sensors:
         decoder, sensors = Nmea2000Source(settings.nmea2000, settings.navigation.stale_s), self.bus.socket()
         sensors.bind(*(CanAddress(arb, mask) for arb, mask in decoder.filters))
         self.source = Nmea2000Navigation(sensors, decoder, self.state)
-        guest, outlet = Guest(self.state, self.clock), Propulsion(propulsion, settings.propulsion, self.state)
+        guest = Guest(self.state, self.clock)
+        outlet = Propulsion((Propellers(propulsion),), propulsion, settings.propulsion, self.state)
         self.boat = Vehicle(settings, self.clock, self.state, (self.source,), outlet, guest, self.log)
         with pytest.MonkeyPatch.context() as patch:  # files of the clock of the recording need no child
             patch.setattr(blackbox, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))

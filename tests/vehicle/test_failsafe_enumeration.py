@@ -20,6 +20,7 @@ from delfim.simulator.bus import LockstepBus
 from delfim.simulator.scenario import Silence
 from delfim.slices import Sliced
 from delfim.vehicle import console, fence
+from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.failsafe import TURNING_RPM
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
@@ -114,7 +115,8 @@ class Boat:
         self.world = bus.socket("world")
         self.world.bind(ANYTHING)
         self.state, self.source, self.log = State(), Sensors(bus.socket()), Log(self.clock)
-        propulsion, guest = Propulsion(bus.socket(), SETTINGS.propulsion, self.state), Guest(self.state, self.clock)
+        outlet, guest = bus.socket(), Guest(self.state, self.clock)
+        propulsion = Propulsion((Propellers(outlet),), outlet, SETTINGS.propulsion, self.state)
         self.vehicle = Vehicle(SETTINGS, self.clock, self.state, (self.source,), propulsion, guest, self.log)
         self.report("none")
         self.vehicle.on_navigation(self.source)

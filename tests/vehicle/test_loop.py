@@ -288,7 +288,7 @@ def test_the_better_source_wins_while_it_speaks(boat):
 
 
 def test_a_rehearsal_goes_the_whole_way_sends_nothing_and_changes_nothing(boat):
-    rehearsal = Rehearsal(boat.vehicle, boat.outlet, boat.outlet.mirror())
+    rehearsal = Rehearsal(boat.vehicle, boat.outlets, boat.outlets[0].mirror())
     rehearsal.whole()
     rehearsal.part()
     boat.ready()

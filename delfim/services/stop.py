@@ -1,0 +1,70 @@
+"""The supervisor's own way to actuators and bus, for when the runtime does not beat: loaded beforehand, opened when needed."""
+
+import contextlib
+from collections.abc import Sequence
+from importlib import import_module
+
+from delfim import config
+from delfim.canproxy.opening import open_bound, open_can
+from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.clock import SystemClock
+from delfim.errors import DelfimError, in_words
+from delfim.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
+from delfim.serialline import SerialLine
+from delfim.vehicle import actuators
+from delfim.vehicle.actuators import Actuator
+from delfim.vehicle.links import Links
+
+
+class Stop:
+    """Called, it stops all actuators. What could not be told is opened anew the next time."""
+
+    def __init__(self, settings: config.Vehicle) -> None:
+        self._settings, self._names = settings, settings.propulsion.actuators
+        for name in self._names:
+            import_module(f"{actuators.__name__}.{name}")
+        self._opened = dict[str, tuple[Actuator, contextlib.ExitStack]]()
+        self._bus: CanSocket | None = None
+
+    def __call__(self) -> None:
+        """Raises DelfimError where one of them was not told; the others were."""
+        refused = list[str]()
+        for name in self._names:
+            try:
+                if name not in self._opened:
+                    self._opened[name] = self._open(name)
+                self._opened[name][0].stop()
+            except (OSError, DelfimError) as error:
+                refused.append(in_words(error))
+                if name in self._opened:
+                    self._opened.pop(name)[1].close()
+        if refused:
+            raise DelfimError("; ".join(refused))
+
+    def tell(self, is_safe: bool, holders: Sequence[str]) -> None:
+        """At the end of a shutdown: a stop once more, and whether the power may be cut."""
+        stage = ShutdownStage.SAFE if is_safe else ShutdownStage.HELD
+        with contextlib.suppress(OSError, DelfimError):  # a bus that takes nothing is no reason to go on
+            self()
+            if self._bus is None:
+                self._bus = open_can(self._settings.can.interface)
+                self._bus.setblocking(False)
+            told = pack_shutdown_acknowledge(ShutdownAcknowledge(stage, len(holders)))
+            self._bus.sendto(told, CanAddress(SHUTDOWN_ACKNOWLEDGE))
+
+    def close(self) -> None:
+        for _, links in self._opened.values():
+            links.close()
+        if self._bus is not None:
+            self._bus.close()
+
+    def _open(self, name: str) -> tuple[Actuator, contextlib.ExitStack]:
+        with contextlib.ExitStack() as opening:
+
+            def bus(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
+                return opening.enter_context(open_bound(self._settings.can, interface, filters))
+
+            def line(device: str, baud: int) -> SerialLine:
+                return opening.enter_context(contextlib.closing(SerialLine(device, baud, SystemClock())))
+
+            return actuators.open_actuator(name, self._settings, Links(bus, line)), opening.pop_all()
