@@ -36,6 +36,7 @@ from delfim.console.dryrun import dry_run
 from delfim.console.fleet import Fleet
 from delfim.console.library import Library
 from delfim.console.mavlink import Key
+from delfim.console.orders import OFFERED
 from delfim.console.radio import radio
 from delfim.console.replay import Replay, open_tapes
 from delfim.console.session import Session
@@ -265,6 +266,7 @@ class Gateway:
                 "backgrounds": self.charts.backgrounds,
                 "boats": fleet.snapshot(),
                 "heard_on": self.heard_on,
+                "orders": OFFERED,
                 "replay": _time_line(fleet) if isinstance(fleet, Replay) else None,
             }
         )

@@ -32,6 +32,8 @@ class Row(NamedTuple):
     mode: str = ""  # that the boat enters by it
     needs: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()  # and these, where they are known
+    title: str = ""  # in the page's menu, where that offers it as it is
+    key: str = ""  # that does the same
 
 
 def row_of(word: str, modes: Mapping[int, str]) -> Row:
@@ -116,6 +118,7 @@ ORDERS: Final[dict[str, Row]] = {
     "speed": Row(_speed, takes=("speed_mps", "speed_pct")),
     "arm": Row(_arm),
     "disarm": Row(_disarm, "idle"),
-    "reset": Row(_reset, takes=("component",)),
+    "reset": Row(_reset, takes=("component",), title="Reset the peripherals", key="R"),
     "take": Row(_take),
 }
+OFFERED: Final = [{"command": word, "title": row.title, "key": row.key} for word, row in ORDERS.items() if row.title]

@@ -1,6 +1,8 @@
 """Which mode the boat is in, who may change it, and what the operator asked for. The loop alone calls this."""
 
 import math
+from collections.abc import Callable
+from typing import Any, Final
 
 from delfim import config, geodesy
 from delfim.clock import Clock
@@ -152,53 +154,62 @@ class Helm:
         return f"{far_m / 1e3:.1f} km to go; up to {FAR_MAX_M / 1e3:.0f} km are allowed" if far_m > FAR_MAX_M else None
 
     def obey(self, command: console.Commands, now_s: float) -> None:
-        setpoint = self.state.setpoint
-        match command:
-            case console.Stop() | console.Shutdown():  # what else a shutdown is, is not the vehicle's
-                self.taken = False
-                self.stop("operator")
-            case console.Mode(mode):
-                wanted = mode_named(mode)
-                if wanted is Mode.MANUAL:  # without thrust, until told
-                    self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
-                elif wanted is Mode.HEADING:
-                    setpoint = self._onwards()
-                elif wanted is Mode.GOTO:  # waits, until told where to
-                    setpoint = setpoint._replace(target=None)
-                self._request(wanted, setpoint, now_s)
-            case console.Manual(starboard, port):
-                self._push(starboard, port, now_s)
-            case console.Heading(heading_deg, speed_mps):
-                asked = self._onwards()._replace(heading_rad=math.radians(heading_deg % 360.0))
-                if speed_mps is not None:
-                    asked = asked._replace(speed_mps=self._speed(speed_mps))
-                self._request(Mode.HEADING, asked, now_s)
-            case console.SetSpeed(speed_mps):
-                override_mps = None if speed_mps is None else self._speed(speed_mps)
-                self.state.setpoint = setpoint._replace(speed_mps=self._speed(speed_mps), override_mps=override_mps)
-            case console.Goto(latitude_deg, longitude_deg, speed_mps):
-                self._request(Mode.GOTO, setpoint._replace(target=self._target(latitude_deg, longitude_deg, speed_mps)), now_s)
-            case console.Mission(_, _, more=True):
-                self.plans.gather(command)
-            case console.Mission() | console.Upload() | console.Fence():
-                self.plans.accept(command)
-            case console.Play(leg):
-                self._request(Mode.PLAY, setpoint._replace(leg=leg), now_s)
-            case console.Leg(leg):
-                self._choose(leg, now_s)
-            case console.Unload():
-                self.plans.unload()
-            case console.Rally(points):
-                self.plans.rally = points
-                self.plans.call_at()
-            case console.Arm():
-                self._arm()
-            case console.Reset(node):
-                if self.state.mode is not Mode.IDLE:
-                    raise Refused("reset refused: stop first")
-                self._propulsion.reset(node)
-            case console.Set(key, value):
-                self._set(key, value)
+        """Raises DelfimError with the reason why not."""
+        _OBEYED[type(command)](self, command, now_s)
+
+    def _halt(self, command: console.Stop | console.Shutdown, now_s: float) -> None:
+        """Whatever else a shutdown is, the vehicle does not do it."""
+        self.taken = False
+        self.stop("operator")
+
+    def _change_mode(self, command: console.Mode, now_s: float) -> None:
+        wanted, setpoint = mode_named(command.mode), self.state.setpoint
+        if wanted is Mode.MANUAL:  # without thrust, until told
+            self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
+        elif wanted is Mode.HEADING:
+            setpoint = self._onwards()
+        elif wanted is Mode.GOTO:  # waits, until told where to
+            setpoint = setpoint._replace(target=None)
+        self._request(wanted, setpoint, now_s)
+
+    def _head(self, command: console.Heading, now_s: float) -> None:
+        asked = self._onwards()._replace(heading_rad=math.radians(command.heading_deg % 360.0))
+        if command.speed_mps is not None:
+            asked = asked._replace(speed_mps=self._speed(command.speed_mps))
+        self._request(Mode.HEADING, asked, now_s)
+
+    def _set_speed(self, command: console.SetSpeed, now_s: float) -> None:
+        speed_mps = self._speed(command.speed_mps)
+        override_mps = None if command.speed_mps is None else speed_mps
+        self.state.setpoint = self.state.setpoint._replace(speed_mps=speed_mps, override_mps=override_mps)
+
+    def _go(self, command: console.Goto, now_s: float) -> None:
+        target = self._target(command.latitude_deg, command.longitude_deg, command.speed_mps)
+        self._request(Mode.GOTO, self.state.setpoint._replace(target=target), now_s)
+
+    def _load(self, command: console.Plan, now_s: float) -> None:
+        if isinstance(command, console.Mission) and command.more:
+            self.plans.gather(command)
+        else:
+            self.plans.accept(command)
+
+    def _unload(self, command: console.Unload, now_s: float) -> None:
+        self.plans.unload()
+
+    def _play(self, command: console.Play, now_s: float) -> None:
+        self._request(Mode.PLAY, self.state.setpoint._replace(leg=command.leg), now_s)
+
+    def _call_at(self, command: console.Rally, now_s: float) -> None:
+        self.plans.rally = command.points
+        self.plans.call_at()
+
+    def _reset(self, command: console.Reset, now_s: float) -> None:
+        if self.state.mode is not Mode.IDLE:
+            raise Refused("reset refused: stop first")
+        self._propulsion.reset(command.node)
+
+    def _hear(self, command: console.Alive | console.Take, now_s: float) -> None:
+        """That the console is there, or commands, the loop has noted."""
 
     def _onwards(self) -> Setpoint:
         """The set points of heading mode until others are asked for: those that it has, or else the boat's heading, and the
@@ -227,7 +238,8 @@ class Helm:
         north_m, east_m = geodesy.to_plane(self.state.origin, math.radians(latitude_deg), math.radians(longitude_deg))
         return Waypoint(north_m, east_m, self._speed(speed_mps), self.settings.control.path.acceptance_m)
 
-    def _choose(self, leg: int, now_s: float) -> None:
+    def _choose(self, command: console.Leg, now_s: float) -> None:
+        leg = command.leg
         setpoint = self.state.setpoint._replace(leg=leg)
         if (reason := MODES[Mode.PLAY].lacks(setpoint)) is not None:
             raise Refused(f"leg refused: {reason}")
@@ -235,9 +247,9 @@ class Helm:
             self._request(Mode.PLAY, setpoint, now_s)
         self.state.setpoint = self.state.setpoint._replace(leg=leg)
 
-    def _push(self, starboard: float, port: float, now_s: float) -> None:
+    def _push(self, command: console.Manual, now_s: float) -> None:
         """Manual thrust. After the failsafe took it away, the operator first lets go: by silence, or by asking for none."""
-        state = self.state
+        state, starboard, port = self.state, command.starboard, command.port
         pushed, state.manual_s = now_s - state.manual_s < PUSHED_S, now_s
         if state.mode is Mode.MANUAL and not starboard and not port:
             self.taken = False
@@ -247,19 +259,42 @@ class Helm:
         if state.mode is not Mode.MANUAL:
             self._request(Mode.MANUAL, setpoint, now_s)
 
-    def _arm(self) -> None:
+    def _arm(self, command: console.Arm, now_s: float) -> None:
         if self.state.mode is Mode.IDLE and (reason := self.unfit()) is not None:
             raise Refused(f"arm refused: {reason}")
         self.state.armed = True
 
-    def _set(self, key: str, value: float | str) -> None:
+    def _set(self, command: console.Set, now_s: float) -> None:
         """A value of the tables that may change while the boat sails. Raises Refused with what is allowed."""
         try:
-            self.settings = settings = config.changed(self.settings, key, value)
+            self.settings = settings = config.changed(self.settings, command.key, command.value)
         except ConfigError as error:
             raise Refused(f"set refused: {error.key}: {error.reason}; {error.allowed}") from None
         self.limits = self.plans.limits = Settings(settings.control, settings.propulsion)
-        if key.startswith("failsafe."):
+        if command.key.startswith("failsafe."):
             self.rules = failsafe.Rules(settings)
         else:
             self.rules.settings = settings
+
+
+_OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] = {
+    console.Alive: Helm._hear,
+    console.Stop: Helm._halt,
+    console.Mode: Helm._change_mode,
+    console.Manual: Helm._push,
+    console.Heading: Helm._head,
+    console.SetSpeed: Helm._set_speed,
+    console.Goto: Helm._go,
+    console.Mission: Helm._load,
+    console.Upload: Helm._load,
+    console.Play: Helm._play,
+    console.Leg: Helm._choose,
+    console.Unload: Helm._unload,
+    console.Fence: Helm._load,
+    console.Rally: Helm._call_at,
+    console.Take: Helm._hear,
+    console.Arm: Helm._arm,
+    console.Reset: Helm._reset,
+    console.Set: Helm._set,
+    console.Shutdown: Helm._halt,
+}

@@ -61,6 +61,15 @@ class Boat:
         except TimeoutError:
             raise AssertionError(f"it never was so; at last: {state}") from None
 
+    async def delfim(self, *words: str, env: dict[str, str] | None = None) -> str:
+        """A command of the operator's that speaks to this boat; what it printed."""
+        there = "--set", f'console.socket="{self.place}/command"', "--set", f'runtime.run_directory="{self.place}"'
+        command = [sys.executable, "-m", "delfim", words[0], str(VEHICLE), *there, *words[1:]]
+        done = await asyncio.to_thread(
+            subprocess.run, command, capture_output=True, text=True, timeout=PATIENCE_S, env=env, check=False
+        )
+        return done.stdout + done.stderr
+
     async def sails_on(self, cycles: int) -> dict[str, Any]:
         """So many cycles of its navigation, five a second."""
         cycle = (await asyncio.to_thread(self.state))["cycle"]
@@ -205,6 +214,11 @@ class Radio:
             self._boats_end.sendto(data, self._boat)
         else:
             self._held.append(data)
+
+
+def ordered(boat: int, command: int, *numbers: float) -> Any:
+    """A COMMAND_LONG."""
+    return wire.dialect.MAVLink_command_long_message(boat, 1, command, 0, *numbers, *(0.0,) * (7 - len(numbers)))
 
 
 def _messages(datagram: bytes) -> list[Any]:

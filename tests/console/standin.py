@@ -11,7 +11,7 @@ import msgspec
 from aiohttp import WSMsgType, web
 
 from delfim.console import said
-from delfim.console.orders import order, row_of
+from delfim.console.orders import OFFERED, order, row_of
 from delfim.errors import FormatError
 from delfim.modes import Mode
 
@@ -81,7 +81,7 @@ class Standin:
         self.hello: Message = {
             "version": "0",
             "me": 250,
-            "keys": [],
+            "orders": OFFERED,
             "heard_on": ["127.0.0.1:14550"],
             "backgrounds": list(backgrounds),
             "replay": replay,

@@ -5,14 +5,12 @@ Page, gateway and `delfim drive` are those of the project, to which nothing was 
 """
 
 import asyncio
-import subprocess
-import sys
 from collections.abc import Awaitable, Callable, Iterator
 
 import pytest
 
 from delfim.vehicle.mavlink import wire
-from tests.console.chain import PATIENCE_S, VEHICLE, Boat, Sea, operating, shown_mode
+from tests.console.chain import PATIENCE_S, Boat, Sea, operating, ordered, shown_mode
 from tests.console.scenes import choose
 from tests.extended import extended
 from tests.services.browser import Page
@@ -78,14 +76,6 @@ async def dances(boat: Boat) -> None:
     await boat.until(lambda state: state["mode"] == "dance" and state["starboard_rpm"] > 0 > state["port_rpm"])
 
 
-async def delfim(boat: Boat, name: str, *words: str) -> str:
-    """A command of the project's own program; what it printed."""
-    there = "--set", f'console.socket="{boat.place}/command"', "--set", f'runtime.run_directory="{boat.place}"'
-    command = [sys.executable, "-m", "delfim", name, str(VEHICLE), *there, *words]
-    done = await asyncio.to_thread(subprocess.run, command, capture_output=True, text=True, timeout=60, check=False)
-    return done.stdout + done.stderr
-
-
 def test_it_is_in_the_pages_list_and_entered_from_there(sail: Sail) -> None:
     async def story(sea: Sea, page: Page, boat: Boat) -> None:
         await from_the_page(page)
@@ -97,9 +87,9 @@ def test_it_is_in_the_pages_list_and_entered_from_there(sail: Sail) -> None:
 
 def test_it_is_entered_from_the_command_line(sail: Sail) -> None:
     async def story(sea: Sea, page: Page, boat: Boat) -> None:
-        assert "dance" in await delfim(boat, "drive", "dance")
+        assert "dance" in await boat.delfim("drive", "dance")
         await dances(boat)
-        refused = await delfim(boat, "drive", "fly")
+        refused = await boat.delfim("drive", "fly")
         assert "no command 'fly'; no mode 'fly': there are manual, " in refused
         assert "dance" in refused
 
@@ -110,27 +100,22 @@ def test_it_is_entered_by_mavlink(sail: Sail) -> None:
     async def story(sea: Sea, page: Page, boat: Boat) -> None:
         console = wire.Sender(OTHER, 190, None, lambda: 0)
 
-        def say(command: int, *numbers: float) -> None:
-            seven = (*numbers, *(0.0,) * (7 - len(numbers)))
-            sea.radios[0].say(console.pack(wire.dialect.MAVLink_command_long_message(1, 1, command, 0, *seven)))
-
-        say(CONTROL, 0.0, 1.0)
-        say(SET_MODE, 1.0, float(NUMBER))
+        sea.radios[0].say(console.pack(ordered(1, CONTROL, 0.0, 1.0)) + console.pack(ordered(1, SET_MODE, 1.0, float(NUMBER))))
         await dances(boat)
         assert (await asyncio.to_thread(boat.state))["operator"] == f"console {OTHER}"
-        say(CONTROL, 0.0, 0.0)  # to whom asks next
+        sea.radios[0].say(console.pack(ordered(1, CONTROL, 0.0, 0.0)))  # whoever asks next commands
 
     sail(story)
 
 
 def test_without_navigation_it_is_refused_with_the_reason(sail: Sail) -> None:
     async def story(sea: Sea, page: Page, boat: Boat) -> None:
-        await delfim(boat, "fault", "navigation_silent")
+        await boat.delfim("fault", "navigation_silent")
         await boat.until(lambda state: not all(check["ok"] for check in state["checks"] if check["name"] == "navigation"))
         await from_the_page(page)
         words = "dance refused: navigation silent for "
         await page.until(f"document.getElementById('messages').textContent.includes('{words}')", PATIENCE_S)
-        await delfim(boat, "fault", "end")
+        await boat.delfim("fault", "end")
         assert boat.state()["mode"] == "idle"
 
     sail(story)

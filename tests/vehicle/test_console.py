@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.errors import FormatError
-from delfim.vehicle import console
+from delfim.vehicle import console, helm
 
 
 @pytest.mark.parametrize(
@@ -101,3 +101,8 @@ def test_an_empty_boat_has_a_state_too(boat):
 def test_heading_is_shown_on_the_compass(boat):
     boat.navigate(heading_rad=math.radians(359.9999))
     assert 0.0 <= boat.vehicle.snapshot({})["heading_deg"] <= 360.0
+
+
+def test_what_may_be_asked_is_obeyed() -> None:
+    """But for those that only ask for the state, which the loop answers."""
+    assert set(helm._OBEYED) == set(console.KINDS.values()) - {console.Report, console.Watch}

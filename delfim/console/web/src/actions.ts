@@ -3,7 +3,7 @@ import type { Drive, Thrusters } from "./drive";
 import { spoken } from "./mission";
 import type { Answer, Net } from "./net";
 import type { State } from "./state";
-import type { Boat, Command, MissionDeed, Mode, Place } from "./wire";
+import type { Boat, MissionDeed, Mode, Place } from "./wire";
 
 const WANTED_MS = 2000; // what was asked for is taken for granted so long, until the boat says its own
 const STOP_AGAIN_MS = 200;
@@ -34,7 +34,7 @@ export class Actions {
     state.on(["boats"], () => this.confirm());
   }
 
-  async command(boat: number, command: Command, more: More = {}): Promise<Answer> {
+  async command(boat: number, command: string, more: More = {}): Promise<Answer> {
     const answer = await this.net.ask({ t: "command", boat, command, ...more });
     if (!answer.ok) this.say(boat, 3, refusal(command.replace("_", " "), answer.reason));
     return answer;

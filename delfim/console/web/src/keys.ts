@@ -189,12 +189,13 @@ export class Keys {
     if (event.ctrlKey || event.altKey || event.key.length !== 1) return event.altKey && event.key.length === 1;
     const [boat, key] = [this.state.boat, event.key.toUpperCase()];
     const mode = KEYED.find((each) => each.key === key)?.mode;
-    if (!mode && key !== "R") return false;
+    const order = this.state.orders.find((each) => each.key === key);
+    if (!mode && !order) return false;
     if (event.repeat) return true;
     this.screen.closeMenu();
     if (!boat) this.screen.nobody();
     else if (mode) this.screen.enterMode(boat, mode);
-    else void this.actions.command(boat.id, "reset");
+    else if (order) void this.actions.command(boat.id, order.command);
     return true;
   }
 }

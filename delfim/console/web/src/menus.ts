@@ -190,7 +190,7 @@ export class Menus {
       { title: "Go home", refuse: boat.home ? undefined : "no home is known", do: () => void this.actions.mode(boat, "home") },
       "line",
       boat.armed ? command("Disarm", "disarm") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
-      { title: "Reset the peripherals", key: "R", do: () => void this.actions.command(boat.id, "reset") },
+      ...this.state.orders.map(({ command, title, key }): Item => ({ title, ...(key && { key }), do: () => void this.actions.command(boat.id, command) })),
       command("Take control", "take", boat.owner && "this console is in control"),
       "line",
       ...PROFILES.map((name): Item => ({ title: `Link: ${name}`, tick: boat.link.profile === name, do: () => void this.actions.profile(boat.id, name) })),

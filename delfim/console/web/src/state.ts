@@ -1,6 +1,6 @@
 // What the page knows, in one place. Who shows something subscribes to a topic; only the operator changes the selection.
 import { Plan, UNNAMED, alike, empty, same } from "./mission";
-import type { Background, Boat, Heard, Mission } from "./wire";
+import type { Background, Boat, Heard, Mission, Order } from "./wire";
 
 export type Topic = "boats" | "selection" | "plan" | "online" | "hello" | "missions" | "progress" | "dryrun" | "theme";
 type Hello = Extract<Heard, { t: "hello" }>;
@@ -49,6 +49,11 @@ export class State {
   /** Why there is nothing to command. */
   get nobody(): string {
     return `No boat heard on ${this.hello?.heard_on?.join(" or ") || "any link"} yet`;
+  }
+
+  /** Commands that the gateway offers as they are. */
+  get orders(): Order[] {
+    return this.hello?.orders ?? [];
   }
 
   get replaying(): boolean {

@@ -97,6 +97,13 @@ export interface Background {
   maxzoom?: number;
 }
 
+/** A command that the gateway offers as it is, and the key that does the same. */
+export interface Order {
+  command: string;
+  title: string;
+  key: string;
+}
+
 /** A mark on the time line of a replay. */
 export interface Event {
   at_s: number;
@@ -112,7 +119,7 @@ export interface TimeLine {
 }
 
 export type Heard =
-  | { t: "hello"; version: string; me: number; heard_on?: string[]; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
+  | { t: "hello"; version: string; me: number; heard_on?: string[]; orders: Order[]; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "boats"; at_s: number; boats: Boat[] }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
   | { t: "whole_track"; boat: number; points: [number, number, number][] }
@@ -123,12 +130,10 @@ export type Heard =
   | { t: "progress"; boat: number; what: string; part: number }
   | { t: "dryrun"; boat: number; time_s: number; distance_m: number; track: [number, number][] };
 
-export type Command = Mode | "stop" | "reset" | "arm" | "disarm" | "take" | "speed" | "heading_to" | "goto_point";
-
 export type MissionDeed = "put" | "upload" | "download" | "dryrun" | "save" | "load" | "list" | "compare";
 
 export type Said =
-  | ({ t: "command"; boat: number | "all"; command: Command } & Partial<Place> & {
+  | ({ t: "command"; boat: number | "all"; command: string } & Partial<Place> & {
         heading_deg?: number;
         speed_pct?: number;
         speed_mps?: number;
