@@ -3,6 +3,7 @@ rest: paths, limits, wrong passwords and keys."""
 
 import contextlib
 import gzip
+import itertools
 import json
 import os
 import select
@@ -20,6 +21,7 @@ from typing import NamedTuple
 import pytest
 
 from delfim.console.link import Link
+from delfim.console.mavlink import mavlink
 from delfim.errors import DelfimError
 from delfim.services.door import hashed
 
@@ -161,6 +163,45 @@ def test_slow_visitors_of_all_daemons_leave_the_boat_sailing_and_the_others_serv
     assert state["mode"] == "play"
     assert state["cycle"] - began > 10
     assert state["deadman"] == {}
+
+
+def memory_kib(pid: int) -> int:
+    """That a process has in use."""
+    status = Path(f"/proc/{pid}/status").read_text()
+    return int(status.partition("VmRSS:")[2].split()[0])
+
+
+def idle_and_half_open(boat: Boat, held: contextlib.ExitStack) -> None:
+    """200 visitors at each door: some say nothing, some half of something, some ask for much and read none of it."""
+    words = {
+        "httpd": (b"", b"GET / HTTP/1.1\r\nX: " + b"x" * 7000, b"GET /events HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n"),
+        "ftpd": (b"", b"USER " + b"x" * 400, b"STAT\r\n" * 1000),
+        "sshd": (b"", b"SSH-2.0-x", b"SSH-2.0-x\r\n" + bytes(30_000)),
+        "cantcpd": (b"", b"< open " + b"x" * 400, b"< open can0 >< rawmode >"),
+        "guest": (b"", b'{"heading_deg": ' + b"9" * 400, b'{"heading_deg": 90}\n' * 1000),
+    }
+    for name, n in itertools.product(SERVICES, range(200)):
+        link = socket.create_connection(("127.0.0.1", boat.ports[name]), 10, (f"127.0.1.{n % 100 + 1}", 0))
+        held.callback(link.close)
+        link.setblocking(False)
+        with contextlib.suppress(OSError):
+            link.send(words[name][n % 3])
+    host, _, port = boat.state()["mavlink"]["listen"].partition(":")
+    for n in range(200):
+        console = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+        console.connect((host, int(port)))
+        console.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3).pack(mavlink.MAVLink(None, 1 + n, 190)))
+
+
+def test_two_hundred_idle_and_half_open_visitors_at_each_door_cost_bounded_memory(boat: Boat) -> None:
+    before = {name: memory_kib(each["pid"]) for name, each in programs(boat).items()}
+    began = boat.state()["cycle"]
+    with contextlib.ExitStack() as held:
+        idle_and_half_open(boat, held)
+        until(lambda: boat.state()["cycle"] > began + 30)
+        grown = {name: memory_kib(each["pid"]) - before[name] for name, each in programs(boat).items()}
+        assert max(grown.values()) < 8 << 10, grown
+    assert (boat.state()["mode"], boat.state()["deadman"]) == ("play", {})
 
 
 def test_no_secret_is_in_a_log_on_a_page_or_in_a_list_of_processes(boat: Boat) -> None:

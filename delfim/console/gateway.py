@@ -26,6 +26,7 @@ from typing import Any, Final, cast
 
 import msgspec
 from aiohttp import WSMsgType, web
+from aiohttp.http_exceptions import HttpProcessingError
 
 from delfim import __version__
 from delfim.clock import Clock, WakefulClock
@@ -435,7 +436,9 @@ def _bracketed(address: IPv4Address | IPv6Address) -> str:
 async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str, int], ready: Callable[[str], None]) -> None:
     """Until cancelled; without `boats` no UDP is heard. Raises ConfigError for an address that cannot be had."""
     loop = asyncio.get_running_loop()
-    runner = web.AppRunner(gateway.app, access_log=None, shutdown_timeout=1.0)
+    visits = logging.getLogger(f"{__name__}.visits")
+    visits.addFilter(_is_news)
+    runner = web.AppRunner(gateway.app, access_log=None, logger=visits, shutdown_timeout=1.0)
     transport: asyncio.DatagramTransport | None = None
     try:
         if boats is not None:
@@ -458,6 +461,11 @@ async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str
         if transport is not None:
             transport.close()
         gateway.close()
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """What a visitor sends that is no HTTP is none: he could fill the terminal with it."""
+    return not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
 
 
 @contextmanager

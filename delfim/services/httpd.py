@@ -284,6 +284,16 @@ class Connection(web.RequestHandler):
         if self._address:
             super().data_received(data)
 
+    def handle_error(
+        self, request: web.BaseRequest, status: int = 500, exc: BaseException | None = None, message: str | None = None
+    ) -> web.StreamResponse:
+        """A visitor's own mistakes are told to nobody else: he could fill the log with them."""
+        if status >= 500:
+            return super().handle_error(request, status, exc, message)
+        refused = web.Response(status=status, text=message)
+        refused.force_close()
+        return refused
+
 
 class Site:
     """What is answered. One method a place."""

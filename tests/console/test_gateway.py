@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -399,6 +399,37 @@ def test_two_hundred_pages_are_served_or_refused_in_words(tmp_path: Path) -> Non
     asyncio.run(main())
 
 
+def test_two_hundred_sockets_that_say_nothing_or_nonsense_cost_bounded_memory_and_no_log(tmp_path: Path) -> None:
+    """A process of its own; a page is served meanwhile, and after each kind of them."""
+    with program(tmp_path, 0) as (gateway, url), contextlib.ExitStack() as held:
+        place, _, token = url.removeprefix("http://").partition("/?")
+        host, _, port = place.partition(":")
+        asked = f"GET /ws?{token} HTTP/1.1\r\nHost: {place}\r\n"
+        upgrade = "Connection: Upgrade\r\nUpgrade: websocket\r\nSec-WebSocket-Version: 13\r\n"
+        upgrade += "Sec-WebSocket-Key: MTIzNDU2Nzg5MDEyMzQ1Ng==\r\n"
+        endless = b"\x81\xff" + (1 << 40).to_bytes(8, "big") + bytes(4) + b"a" * 30_000
+        words = (b"", f"{asked}X: {'x' * 7000}".encode(), f"{asked}{upgrade}\r\n".encode() + endless, b"GET /" + b"a" * 30_000)
+        asyncio.run(_visited(url))
+        before = memory_kib(gateway.pid)
+        for said in words:
+            for _ in range(200):
+                link = held.enter_context(socket.create_connection((host, int(port)), 10))
+                link.sendall(said)
+            asyncio.run(_visited(url))
+            assert memory_kib(gateway.pid) - before < 32 << 10, said[:20]
+    assert b"Traceback" not in (tmp_path / "errors").read_bytes()
+
+
+async def _visited(url: str) -> None:
+    async with visitor() as session, asyncio.timeout(60), session.get(url) as answer:
+        assert answer.status in (200, 404), "404 where the page was not built"
+
+
+def memory_kib(pid: int) -> int:
+    """That a process has in use."""
+    return int(Path(f"/proc/{pid}/status").read_text().partition("VmRSS:")[2].split()[0])
+
+
 def test_a_port_that_is_taken_has_a_reason_and_what_to_do(tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(("127.0.0.1", 0))
@@ -469,18 +500,27 @@ def test_a_gateway_that_is_killed_says_nothing_more(tmp_path: Path) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    words = ["console", "--no-browser", "--token=token", "--page", "127.0.0.1:0", "--boats", f"127.0.0.1:{port}"]
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
     boat_end = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     boat_end.setblocking(False)
     boat_end.connect(("127.0.0.1", port))
-    program = [sys.executable, "-m", "delfim", *words]
-    with boat_end, subprocess.Popen(program, cwd=tmp_path, stdout=subprocess.PIPE, env=environment) as gateway:
+    with boat_end, program(tmp_path, port) as (gateway, url):
+        asyncio.run(_steered(url, boat_end, gateway))
+
+
+@contextlib.contextmanager
+def program(folder: Path, port: int) -> Iterator[tuple["subprocess.Popen[bytes]", str]]:
+    """The console in a process of its own, which hears boats on this port, and its address."""
+    words = ["console", "--no-browser", "--token=token", "--page", "127.0.0.1:0", "--boats", f"127.0.0.1:{port}"]
+    command, environment = [sys.executable, "-m", "delfim", *words], os.environ | {"PYTHONPATH": str(ROOT)}
+    with (
+        (folder / "errors").open("wb") as errors,
+        subprocess.Popen(command, cwd=folder, stdout=subprocess.PIPE, stderr=errors, env=environment) as gateway,
+    ):
         try:
             assert gateway.stdout is not None
             url = re.search(rb"http://[^;]+", gateway.stdout.readline())
             assert url is not None
-            asyncio.run(_steered(url[0].decode(), boat_end, gateway))
+            yield gateway, url[0].decode()
         finally:
             gateway.kill()
 

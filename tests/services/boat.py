@@ -5,6 +5,7 @@ import contextlib
 import json
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 from delfim import config
@@ -70,7 +71,8 @@ def vehicle_file(tmp_path: Path, **tables: Any) -> config.Vehicle:
 @contextlib.asynccontextmanager
 async def vehicle(settings: config.Vehicle, state: dict[str, Any]) -> AsyncIterator[CommandServer]:
     """The vehicle's command socket, saying `state`, which the test may change."""
-    commands = CommandServer(lambda command: None, None, lambda: json.loads(json.dumps(state)), 16)
+    reviews = SimpleNamespace(cancel=lambda reason: None)
+    commands = CommandServer(lambda command: None, reviews, lambda: json.loads(json.dumps(state)), 16)
     server = await asyncio.get_running_loop().create_unix_server(commands.connection, settings.console.socket)
     try:
         yield commands
