@@ -190,19 +190,23 @@ class Trouble(_EachMode, frozen=True):
     action: ActionName = "stop"  # in every mode that says nothing else
 
 
-class NavigationSilent(Trouble, frozen=True):
+class Silence(Trouble, frozen=True):
+    """A trouble with an age of its own: `after_s` is the age at which it begins."""
+
+
+class NavigationSilent(Silence, frozen=True):
     """No navigation message (the thesis' rule)."""
 
     after_s: Seconds = 1.0  # age of the last one
 
 
-class NavigationJumping(Trouble, frozen=True):
+class NavigationJumping(Silence, frozen=True):
     """Positions that would need a boat faster than `navigation.jump_mps`."""
 
     after_s: Seconds = 0.5  # from the first one that was refused to the last
 
 
-class NavigationFrozen(Trouble, frozen=True):
+class NavigationFrozen(Silence, frozen=True):
     """Navigation messages that say the same to the last bit while the propellers turn."""
 
     after_s: Seconds = 3.0  # since something changed
@@ -212,7 +216,7 @@ class SensorBad(Trouble, frozen=True):
     """A node of `sysstat.required` that reports bad or is silent for `sysstat.stale_s` (the thesis' rule)."""
 
 
-class ConsoleSilent(Trouble, frozen=True):
+class ConsoleSilent(Silence, frozen=True):
     """No word of the operator's console."""
 
     after_s: Seconds = 10.0  # age of the last one
@@ -221,14 +225,14 @@ class ConsoleSilent(Trouble, frozen=True):
     home: ModeAction = "warn"
 
 
-class ManualSilent(Trouble, frozen=True):
+class ManualSilent(Silence, frozen=True):
     """No manual command, in manual mode: first no thrust, then this."""
 
     after_s: Seconds = 5.0  # age of the last one
     thrust_s: Seconds = 1.8  # age of the last one at which thrust goes to zero, at the next look of the watchdog: within 2 s
 
 
-class GuestSilent(Trouble, frozen=True):
+class GuestSilent(Silence, frozen=True):
     """No reference of the guest computer, in GREX mode."""
 
     after_s: Seconds = 5.0  # age of the last one

@@ -7,9 +7,10 @@ from typing import NamedTuple
 
 from delfim.modes import Mode
 from delfim.vehicle import sysstat
-from delfim.vehicle.failsafe import Action, Inputs, Rules, Trigger, charge
+from delfim.vehicle.failsafe import Action, Rules
 from delfim.vehicle.fence import outside
 from delfim.vehicle.state import State
+from delfim.vehicle.troubles import Inputs, Trigger, charge
 
 EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
 HEARD_S = 5.0  # a console that was silent for longer is no link

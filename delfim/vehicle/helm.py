@@ -14,13 +14,14 @@ from delfim.vehicle.checks import Check, checks, refusal
 from delfim.vehicle.control.control import MODES, Settings, admit, first
 from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
-from delfim.vehicle.failsafe import Action, Inputs
+from delfim.vehicle.failsafe import Action
 from delfim.vehicle.mission import FAR_MAX_M
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation, Reference, Setpoint, State, StateLog, Waypoint
 from delfim.vehicle.track import Track
+from delfim.vehicle.troubles import Inputs, unfollowed
 
 PUSHED_S = 1.0  # manual commands that come faster are one push
 
@@ -74,7 +75,7 @@ class Helm:
         """Do what the failsafe asks, or the next safer thing that can be done."""
         state = self.state
         if action is Action.DISCONNECT:
-            self._propulsion.disconnect(failsafe.unfollowed(self.rules.table.thruster, state, now_s))
+            self._propulsion.disconnect(unfollowed(self.rules.table.thruster, state, now_s))
             return
         setpoint = state.setpoint._replace(track=self.track.way_home())
         mode, reason = failsafe.fallback(action, reason, state.motion.has, setpoint)

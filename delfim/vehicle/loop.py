@@ -19,7 +19,7 @@ from delfim.errors import DelfimError
 from delfim.modes import Mode
 from delfim.vehicle import console, failsafe, sysstat
 from delfim.vehicle.control.control import admit
-from delfim.vehicle.failsafe import Action, Inputs
+from delfim.vehicle.failsafe import Action
 from delfim.vehicle.grex import Guest, reference
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.latency import Latency
@@ -27,6 +27,7 @@ from delfim.vehicle.navigation import Fix, Source, take
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Computer, Profile, State, StateLog
+from delfim.vehicle.troubles import Inputs
 
 REPEAT_S = 0.5  # a propeller that heard nothing for PROPELLER_TIMEOUT_S stops itself, and that would hide the cause
 COLD_CYCLES = 10  # after the start, which figures do not count: 2 s at 5 Hz

@@ -11,7 +11,7 @@ from delfim.errors import ConfigError
 from delfim.simulator import campaign, scenario
 from delfim.simulator.faults import KINDS
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle.failsafe import Trigger
+from delfim.vehicle.troubles import Trigger
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"

@@ -10,10 +10,11 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
 from delfim.modes import Mode
-from delfim.vehicle.failsafe import NO_TROUBLE, Action, Inputs, Rules, Trigger, Verdict, bits, fallback, news, overruled
+from delfim.vehicle.failsafe import NO_TROUBLE, Action, Rules, Verdict, bits, fallback, news, overruled
 from delfim.vehicle.failsafe import failsafe as look
 from delfim.vehicle.fence import Fence, polygon
 from delfim.vehicle.state import Actuation, Motion, Notice, Reference, Setpoint, State
+from delfim.vehicle.troubles import Inputs, Trigger
 
 ALL = frozenset({"position", "heading", "velocity"})
 RULES = Rules(config.Vehicle(boat=config.Boat(name="test")))

@@ -12,11 +12,12 @@ from delfim.config import Mavlink
 from delfim.geodesy import compass, from_plane, wrap
 from delfim.messages import BatteriesStatus, Node, PropellerStatus
 from delfim.modes import Mode
-from delfim.vehicle.failsafe import Action, charge
+from delfim.vehicle.failsafe import Action
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.wire import Message, dialect
 from delfim.vehicle.sysstat import NAMES
+from delfim.vehicle.troubles import charge
 
 Profile = Literal["lean", "radio", "wifi"]
 PROFILES: Final[tuple[Profile, ...]] = ("lean", "radio", "wifi")

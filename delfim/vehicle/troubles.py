@@ -1,0 +1,189 @@
+"""What can go wrong: a function a trouble, which says of the present state what is wrong, and its row in `Trigger`.
+
+How long it must last and what is then done stands in the class of its name in `delfim/config.py`. Those that have an age of
+their own look at their `after_s` themselves: their class is a `config.Silence`.
+"""
+
+from collections.abc import Callable, Container
+from enum import IntEnum
+from typing import Final, NamedTuple, Self
+
+from delfim import config
+from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.modes import Mode
+from delfim.vehicle import sysstat
+from delfim.vehicle.fence import Fence, ahead, outside
+from delfim.vehicle.state import State
+
+TURNING_RPM: Final = 50.0  # below this a propeller moves no boat
+FRESH_S: Final = 1.0  # an older report of a propeller is no measurement
+CHARGE_BACK: Final = 0.02  # a battery is low until it has this much more
+SIDES: Final = ("starboard", "port")
+_PROPELLERS: Final = tuple(zip(SIDES, ("propeller_starboard", "propeller_port"), strict=True))
+_BATTERIES: Final = (sysstat.NAMES[Node.BATTERIES_STARBOARD], sysstat.NAMES[Node.BATTERIES_PORT])
+
+
+class Inputs(NamedTuple):
+    """What there is to look at beside the state."""
+
+    log_reason: str  # why the log is not written, in words; empty while it is
+    fence: Fence | None  # None: there is none
+
+
+class Look(NamedTuple):
+    """What a trouble is judged by."""
+
+    settings: config.Vehicle
+    state: State
+    inputs: Inputs
+    present: Container[int]  # the troubles that were there already
+    now_s: float
+
+
+def control(look: Look) -> str | None:
+    return look.state.reference.reason if look.state.mode is not Mode.IDLE else None
+
+
+def navigation_jumping(look: Look) -> str | None:
+    state, settings = look.state, look.settings
+    if state.jumped_s - state.jumping_s < settings.failsafe.navigation_jumping.after_s:
+        return None
+    return f"position jumped by {state.jumped_m:.0f} m" if look.now_s - state.jumped_s <= settings.navigation.stale_s else None
+
+
+def navigation_silent(look: Look) -> str | None:
+    age_s = look.now_s - look.state.navigation_s
+    if age_s <= look.settings.failsafe.navigation_silent.after_s:
+        return None
+    return "no navigation yet" if look.state.navigation is None else f"navigation silent for {age_s:.1f} s"
+
+
+def navigation_frozen(look: Look) -> str | None:
+    state, age_s = look.state, look.now_s - look.state.changed_s
+    if state.mode is Mode.IDLE or age_s <= look.settings.failsafe.navigation_frozen.after_s:
+        return None
+    turns = state.actuation.run and max(abs(state.actuation.starboard_rpm), abs(state.actuation.port_rpm)) > TURNING_RPM
+    return f"navigation frozen for {age_s:.1f} s" if turns else None
+
+
+def sensor_bad(look: Look) -> str | None:
+    return sysstat.wrong(look.state, look.settings.sysstat, look.now_s)
+
+
+def battery_critical(look: Look) -> str | None:
+    return _low(look, look.settings.failsafe.battery_critical.charge, Trigger.BATTERY_CRITICAL)
+
+
+def battery_low(look: Look) -> str | None:
+    return _low(look, look.settings.failsafe.battery_low.charge, Trigger.BATTERY_LOW)
+
+
+def thruster(look: Look) -> str | None:
+    sides = unfollowed(look.settings.failsafe.thruster, look.state, look.now_s)
+    return _astray(look.state, sides) if sides else None
+
+
+def manual_silent(look: Look) -> str | None:
+    age_s = look.now_s - look.state.manual_s
+    silent = look.state.mode is Mode.MANUAL and age_s > look.settings.failsafe.manual_silent.after_s
+    return f"no manual command for {age_s:.1f} s" if silent else None
+
+
+def console_silent(look: Look) -> str | None:
+    age_s = look.now_s - look.state.console_s
+    silent = look.state.mode is not Mode.IDLE and age_s > look.settings.failsafe.console_silent.after_s
+    return f"console silent for {age_s:.1f} s" if silent else None
+
+
+def guest_silent(look: Look) -> str | None:
+    age_s = look.now_s - look.state.guest_s
+    silent = look.state.mode is Mode.GREX and age_s > look.settings.failsafe.guest_silent.after_s
+    return f"guest silent for {age_s:.1f} s" if silent else None
+
+
+def fence(look: Look) -> str | None:
+    around, mode, motion = look.inputs.fence, look.state.mode, look.state.motion
+    if around is None:
+        return None
+    if "position" not in motion.has:
+        return None if mode in (Mode.IDLE, Mode.MANUAL) else "no position: the fence cannot be watched"
+    return outside(around, motion.north_m, motion.east_m) if mode is Mode.IDLE else ahead(around, motion)
+
+
+def log(look: Look) -> str | None:
+    return f"log not written: {look.inputs.log_reason}" if look.inputs.log_reason else None
+
+
+class Trigger(IntEnum):
+    """The troubles, named as in the vehicle's file, with their numbers, which are bits in the log, and what sees them. Of two
+    that ask for the same action the first one gives the reason."""
+
+    sees: Callable[[Look], str | None]
+
+    def __new__(cls, number: int, sees: Callable[[Look], str | None]) -> Self:
+        trigger = int.__new__(cls, number)
+        trigger._value_, trigger.sees = number, sees
+        return trigger
+
+    CONTROL = 0, control  # the mode cannot go on: its inputs are missing or make no sense; always a stop
+    NAVIGATION_JUMPING = 1, navigation_jumping
+    NAVIGATION_SILENT = 2, navigation_silent
+    NAVIGATION_FROZEN = 3, navigation_frozen
+    SENSOR_BAD = 4, sensor_bad
+    BATTERY_CRITICAL = 5, battery_critical
+    THRUSTER = 6, thruster
+    MANUAL_SILENT = 7, manual_silent
+    CONSOLE_SILENT = 8, console_silent
+    GUEST_SILENT = 9, guest_silent
+    FENCE = 10, fence
+    BATTERY_LOW = 11, battery_low
+    LOG = 12, log
+
+
+def troubles(look: Look) -> list[tuple[Trigger, str]]:
+    """What is wrong at this moment, with its reason in words."""
+    return [(trigger, reason) for trigger in Trigger if (reason := trigger.sees(look))]
+
+
+def charge(state: State) -> tuple[float, str]:
+    """Of the emptier side, 0..1, and its name; (1, "") where no side tells."""
+    least, name = 1.0, ""
+    for batteries in _BATTERIES:
+        report = state.sysstat.get(batteries)
+        if report is not None and isinstance(report[0], BatteriesStatus):
+            known = report[0].charge
+            if known is not None and (known < least or not name):
+                least, name = known, batteries
+    return least, name
+
+
+def _low(look: Look, limit: float, trigger: Trigger) -> str | None:
+    least, name = charge(look.state)
+    is_low = name and least <= limit + (CHARGE_BACK if trigger in look.present else 0.0)
+    return f"{name.replace('_', ' ')} at {least:.0%}" if is_low else None
+
+
+def unfollowed(limits: config.ThrusterAstray, state: State, now_s: float) -> tuple[str, ...]:
+    """The sides whose propeller does not turn as commanded. One that does not report its revolutions is not among them."""
+    sent, reports = state.actuation, state.sysstat
+    astray: tuple[str, ...] = ()
+    for side, node in _PROPELLERS:
+        report = reports.get(node)
+        if report is None or now_s - report[1] > FRESH_S or not isinstance(report[0], PropellerStatus) or report[0].rpm is None:
+            continue
+        wanted = (sent.starboard_rpm if side == "starboard" else sent.port_rpm) if sent.run else 0.0
+        if abs(report[0].rpm - wanted) > (limits.error_rpm + limits.error * abs(wanted) if sent.run else limits.idle_rpm):
+            astray += (side,)
+    return astray
+
+
+def _astray(state: State, sides: tuple[str, ...]) -> str:
+    def words(side: str) -> str:
+        report = state.sysstat[f"propeller_{side}"][0]
+        measured = report.rpm if isinstance(report, PropellerStatus) else None
+        wanted = (
+            (state.actuation.starboard_rpm if side == "starboard" else state.actuation.port_rpm) if state.actuation.run else 0
+        )
+        return f"{side} propeller turns {measured} instead of {wanted:.0f} rpm"
+
+    return ", ".join(map(words, sides))
