@@ -4,7 +4,7 @@
 PYTHON ?= python3
 ARGS   ?=
 WORKERS ?= 2
-BESIDE := -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+BESIDE := -n $(WORKERS) --no-loadscope-reorder
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 BOAT   := $(VENV)/.boat

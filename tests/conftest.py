@@ -10,6 +10,8 @@ from collections.abc import Generator, Iterator
 
 import hypothesis
 import pytest
+from xdist.remote import Producer
+from xdist.scheduler import LoadScopeScheduling
 
 from tests.guest.harness import Guest, guest, missing
 
@@ -39,25 +41,20 @@ def pytest_addoption(parser: pytest.Parser) -> None:
     parser.addoption("--seeds", type=int, default=100, help="runs of mixed faults in lock step (%(default)s)")
 
 
-# These begin first, so that nobody waits for one of them in the end.
-LONGEST = (
-    "test_image",
-    "test_guest_slip",
-    "test_guest_boot",
-    "test_operating",
-    "test_page",
-    "test_guest_disk",
-    "test_scenarios",
-)
+class Rooms(LoadScopeScheduling):
+    """Workers share out files, whose fixtures cost; all guests go to one of them, for each guest takes a processor."""
+
+    def _split_scope(self, nodeid: str) -> str:
+        return "guests" if nodeid.startswith("tests/guest/") else nodeid.partition("::")[0]
+
+
+def pytest_xdist_make_scheduler(config: pytest.Config, log: Producer) -> Rooms:
+    return Rooms(config, log)
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Those that take longest first, then the guests, which mostly wait, then the rest."""
-
-    def turn(item: pytest.Item) -> int:
-        return LONGEST.index(item.path.stem) if item.path.stem in LONGEST else len(LONGEST) + ("guest" not in item.path.parts)
-
-    items.sort(key=turn)
+    """Guests begin first, so that nobody waits for them in the end."""
+    items.sort(key=lambda item: "guest" not in item.path.parts)
 
 
 @pytest.fixture

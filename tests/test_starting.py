@@ -4,6 +4,7 @@ import asyncio
 import os
 from collections.abc import Callable
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 import pytest
@@ -40,18 +41,26 @@ def test_the_vehicle_says_that_the_computer_is_starting_until_it_is_watched_over
         runtime=config.Runtime(run_directory=str(tmp_path)),
     )
 
-    async def reading(runtime: Runtime) -> None:
-        library = runtime.load("slow_library_of_this_test")
+    async def asked(library: asyncio.Future[ModuleType]) -> None:
         while not (tmp_path / "command").exists():
             await asyncio.sleep(0.01)
         with Link(tmp_path / "command") as link:
             said.append((await until(link, lambda state: True))["checks"][0])
-            with pytest.raises(DelfimError, match="heading refused: the computer is still starting"):
+            with pytest.raises(DelfimError, match="heading refused: the program is still starting"):
                 await asyncio.to_thread(link.ask, "heading", heading_deg=0.0)
             (tmp_path / "gate").write_text("")
             await library
             said.append((await until(link, lambda state: state["checks"][0]["ok"]))["checks"][0])
-        runtime.stop("test over")
+
+    async def reading(runtime: Runtime) -> None:
+        """Whatever fails ends the test: a thread that reads a library cannot be ended otherwise."""
+        library = runtime.load("slow_library_of_this_test")
+        try:
+            await asked(library)
+        finally:
+            runtime.stop("test over")
+            if not library.done():
+                os.close(os.open(tmp_path / "gate", os.O_RDWR))
 
     services = [Service("vehicle", serve), Service("reading", reading)]
     assert Runtime(settings, SystemClock(), beat_fd=writer, alone=True).main(services) == 0
