@@ -21,7 +21,7 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.clock import Clock, ManualClock, SystemClock, WakefulClock
 from delfim.console import browser
-from delfim.console.gateway import PAGES_MAX, Gateway, kept_token, serve
+from delfim.console.gateway import PAGES_MAX, Gateway, kept_token, own_number, serve
 from delfim.console.replay import open_tapes
 from delfim.errors import ConfigError
 from tests.console.fakeboat import FakeBoat
@@ -268,6 +268,18 @@ def test_the_token_is_kept_so_that_a_page_finds_its_console_again(tmp_path: Path
     file.write_bytes(b"\xff short")
     assert kept_token(file) not in (token, "")
     assert kept_token(tmp_path / "state" / "console.token" / "below"), "no file there: it is of this run"
+
+
+def test_a_console_draws_a_number_of_its_own_and_keeps_it(tmp_path: Path) -> None:
+    tokens = [kept_token(tmp_path / str(n)) for n in range(200)]
+    numbers = [own_number(token) for token in tokens]
+    assert numbers == [own_number(kept_token(tmp_path / str(n))) for n in range(200)]
+    assert len(set(numbers)) > 20
+    assert set(numbers) <= set(range(200, 255))
+    for asked, number in ((None, numbers[0]), (231, 231)):
+        gateway = Gateway(SystemClock(), tmp_path, token=tokens[0], number=asked)
+        assert gateway.me == number
+        gateway.close()
 
 
 @pytest.mark.parametrize(

@@ -1,8 +1,10 @@
 """The console's page in a real browser against a stand-in gateway: what an operator does, and what the gateway hears of it."""
 
 import asyncio
+import base64
 import contextlib
 import hashlib
+import io
 import json
 import math
 import shutil
@@ -11,6 +13,7 @@ from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 
 import pytest
+from PIL import Image
 
 from tests.console.scenes import SURVEY, at_work, caught_up, choose, fleet, hour, opened, pixel, show, survey, waypoints
 from tests.console.standin import M_PER_DEG, Message, Standin, boat, place
@@ -380,6 +383,50 @@ def test_a_number_that_is_used_twice_is_a_red_alarm_with_both_addresses(sail: Sa
         await shown(
             page, gateway, f"{text_of(1, '.trouble.bad')} === 'number 1 is used twice: 10.0.0.3:14550 and 10.0.0.4:14550'"
         )
+
+    sail(story)
+
+
+def test_a_message_that_cannot_be_taken_costs_itself_alone(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        for text in ('{"t": "boats", "boats": [{"speed_mps": NaN}]}', "[", "null", "17", '{"t": "boats"}', '{"t": "what"}'):
+            for socket in gateway.sockets:
+                await socket.send_str(text)
+        await settled(page, gateway)
+        assert await page.value("delfim.online()")
+
+    sail(story)
+
+
+def test_the_graphs_of_port_and_starboard_have_one_zero_line(sail: Sail) -> None:
+    zero = """[...document.querySelectorAll('[data-boat="1"] .graphs canvas')].map((each) => {
+      const column = each.getContext('2d').getImageData(4, 0, 1, each.height).data; // older than what is drawn
+      return [...Array(each.height).keys()].filter((y) => column[4 * y + 3] > 0);
+    })"""
+
+    async def story(page: Page, gateway: Standin) -> None:
+        gateway.boat(1)["rpm"] = [900.0, -300.0]
+        await settled(page, gateway)
+        port, starboard = await page.value(zero)
+        assert port
+        assert port == starboard
+
+    sail(story)
+
+
+def test_a_mission_that_ends_where_it_begins_shows_both_ends(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        square = [dict(zip(("latitude_deg", "longitude_deg"), place(*at), strict=True)) for at in (*SQUARE, SQUARE[0])]
+        gateway.stored["round"] = {"name": "round", "waypoints": square, "fence": [], "obstacles": [], "home": None}
+        for socket in gateway.sockets:
+            await gateway._mission(socket, {"boat": 1, "do": "load", "name": "round"})
+        await page.until("delfim.drawn().plan === 5")
+        await settled(page, gateway)
+        x, y = await pixel(page, *SQUARE[0])
+        taken = await page.call("Page.captureScreenshot", format="png")
+        picture = Image.open(io.BytesIO(base64.b64decode(taken["data"]))).convert("RGB")
+        first, last, sea = (picture.getpixel((round(x + aside), round(y + 7))) for aside in (0, 25, 60))
+        assert first == last != sea
 
     sail(story)
 

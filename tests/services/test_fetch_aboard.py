@@ -70,6 +70,24 @@ def test_by_ftp(tmp_path: Path) -> None:
     asyncio.run(main())
 
 
+def test_what_is_being_written_on_the_boat_is_not_called_cut(tmp_path: Path) -> None:
+    users = {"ana": config.FtpUser(password=hashed("sesame"))}
+    table = config.Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users)
+    old, new = (f"20100101/can0/09{minute}000.log.gz" for minute in (3, 4))
+
+    async def main() -> None:
+        async with served(vehicle_file(tmp_path, ftpd=table), ftpd.serve, "ftpd") as runtime:
+            told = await fetched(f"ftp://ana:sesame@127.0.0.1:{port_of(runtime, 'ftpd')}/", tmp_path)
+        assert f"{old}: cut on the boat already; delfim log repair mends it" in told
+        assert f"{new}: it is being written on the boat; the same command fetches the rest" in told
+
+    log_files(tmp_path)
+    for path in (old, new):
+        (tmp_path / "log" / path).write_bytes(gz(b"frames", cut=True))
+    os.utime(tmp_path / "log" / old, ns=(T0_NS, T0_NS))
+    asyncio.run(main())
+
+
 def test_by_ftp_with_tls(tmp_path: Path, certificate: Path) -> None:
     users = {"ana": config.FtpUser(password=hashed("sesame"))}
     table = config.Ftpd(listen="127.0.0.1:0", root=str(tmp_path / "log"), users=users, certificate=str(certificate))

@@ -157,6 +157,20 @@ def test_a_console_does_not_hide_the_silence_of_another_with_its_number(make_boa
     assert sea.state.reason.startswith("console silent")
 
 
+@pytest.mark.parametrize("key", [None, KEY], ids=["without-key", "signed"])
+def test_the_guest_computer_takes_no_boat_whose_owner_is_silent(make_boat, key):
+    sea = at_sea(make_boat, key)
+    sea.consoles["owner"].mode(3)
+    for _ in range(14):
+        sea.consoles["guest"].beat()
+        sea.boat.pass_time(1.0)
+        sea.station.tick()
+    for number, numbers in ((176, (1, 3)), (300, ()), (32100, (0, 1))):
+        assert sea.consoles["guest"].command(number, *numbers)[0] == LATER
+    assert sea.station.commander.party == (250, 190)
+    assert sea.consoles["other"].mode(3)[0] == ACCEPTED, "another console does"
+
+
 def test_consoles_with_one_number_are_told_so_and_it_is_over_when_one_goes(sea):
     words = "two consoles are number 250: 127.0.0.1:14550 and 127.0.0.1:14552; give one of them another number"
     heard = []
