@@ -34,6 +34,7 @@ Interface = Annotated[
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
 SourceName = Literal["dsor", "nmea2000"]  # files in delfim/vehicle/sources
 ActuatorName = Literal["dsor"]  # files in delfim/vehicle/actuators
+SensorName = Literal["sysstat"]  # files in delfim/vehicle/sensors
 Actuators = Annotated[tuple[ActuatorName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(ActuatorName)))]
 Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(SourceName)))]
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
@@ -339,6 +340,13 @@ class Checks(Table, frozen=True):
     clock_s: Seconds = 5.0  # the computer's clock and that of navigation differ by less
 
 
+class Sensors(Table, frozen=True):
+    """What the boat measures beside navigation."""
+
+    names: Annotated[tuple[SensorName, ...], msgspec.Meta(max_length=len(get_args(SensorName)))] = ("sysstat",)  # of the boat
+    stale_s: Seconds = 5.0  # a value older than this is not logged
+
+
 class Sysstat(Table, frozen=True):
     """Which nodes must report, and how old a report may be. A bad or silent required node stops the boat."""
 
@@ -614,6 +622,7 @@ class Vehicle(Table, frozen=True):
     failsafe: Failsafe = Failsafe()
     fence: Fence = Fence()
     checks: Checks = Checks()
+    sensors: Sensors = Sensors()
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
     mavlink: Mavlink = Mavlink()
@@ -637,7 +646,8 @@ class Vehicle(Table, frozen=True):
     def outside(self, key: Literal["interface", "device"]) -> dict[str, str]:
         """The buses or serial lines of the boat's nodes and of the parts that are chosen by name, by their keys: a part has
         its table by its name."""
-        tables = {name: getattr(self, name, None) for name in ("can", *self.navigation.sources, *self.propulsion.actuators)}
+        parts = ("can", *self.navigation.sources, *self.sensors.names, *self.propulsion.actuators)
+        tables = {name: getattr(self, name, None) for name in parts}
         return {f"{name}.{key}": getattr(table, key) for name, table in tables.items() if hasattr(table, key)}
 
     @property

@@ -64,7 +64,7 @@ class Boat:
 
         self.nodes, self.lines = self.sockets[0], dict[str, LockstepLine]()
         links = Links(open_bus, lambda device, _: self.lines.setdefault(device, LockstepLine(self.clock)))
-        self.vehicle, (self.status, self.messages), self.outlets = build(settings, self.clock, self.state, links, self.log)
+        self.vehicle, (self.sensor,), self.outlets = build(settings, self.clock, self.state, links, self.log)
         self.guest, (self.source,) = self.vehicle.guest, self.vehicle.sources
         self._number = 0
 
@@ -101,8 +101,7 @@ class Boat:
         if "gps" not in silent:
             gps = messages.GpsStatus(Status.GOOD, WELL, 3, 9, 0.9, self.clock.time_ns())
             self.send(messages.pack_gps_status(gps), Node.GPS, messages.GPS_SYSSTAT_ID)
-        self.vehicle.on_sysstat(self.status)
-        self.vehicle.on_sysstat(self.messages)
+        self.vehicle.on_sensor(self.sensor)
 
     def heard(self) -> list[Frame]:
         """What the vehicle has sent since the last call."""

@@ -96,7 +96,7 @@ async def serve(runtime: Runtime) -> None:
         record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
 
         opened = Opened(runtime, links)
-        boat, statuses, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
+        boat, sensors, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
         links.callback(boat.helm.stop, "shutdown")  # first of all that is undone
         for source in boat.sources:
             runtime.navigation(source.input.fileno(), partial(boat.on_navigation, source))
@@ -108,8 +108,8 @@ async def serve(runtime: Runtime) -> None:
         if mirror := next(filter(None, (outlet.mirror() for outlet in outlets)), None):
             runtime.rehearsal(Rehearsal(boat, outlets, mirror))
             links.callback(runtime.rehearsal, None)
-        for status in statuses:
-            links.enter_context(runtime.reading(status.fileno(), partial(boat.on_sysstat, status)))
+        for sensor in sensors:
+            links.enter_context(runtime.reading(sensor.input.fileno(), partial(boat.on_sensor, sensor)))
         await _attend(runtime, boat, log, opened, links, broken)
 
 

@@ -40,7 +40,7 @@ class Lockstep:
         record_to = FaultyLog(self.log, self.faults)
         self.lines = dict[str, LockstepLine]()  # by device
         links = Links(lambda _, filters: bus.bound(*filters), self._line)
-        self.vehicle, self._status, _ = build(settings, self.clock, self.state, links, record_to)
+        self.vehicle, self._sensors, _ = build(settings, self.clock, self.state, links, record_to)
         self.guest = self.vehicle.guest
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
@@ -84,8 +84,8 @@ class Lockstep:
         for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is served again
             for source in vehicle.sources:
                 vehicle.on_navigation(source)
-        for status in self._status:
-            vehicle.on_sysstat(status)
+        for sensor in self._sensors:
+            vehicle.on_sensor(sensor)
         if now_s >= self._console_s and "console_lost" not in faults.on:
             self._console_s = now_s + CONSOLE_S
             vehicle.on_command(_ALIVE)

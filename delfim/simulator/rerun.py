@@ -151,7 +151,7 @@ class Rerun:
         self._heard = self._bus(self._interface).socket("onlooker")
         self._heard.bind(*(CanAddress(arb) for arb in COMMANDS))
         links = Links(self._open_bus, self._open_line)
-        self.vehicle, self._status, _ = build(settings, self.clock, self.state, links, self.log)
+        self.vehicle, self._sensors, _ = build(settings, self.clock, self.state, links, self.log)
         self._heard_ns = first_ns - round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
         self._inputs = deque[Heard]()
         self.recorded = deque[tuple[int, Group]]()
@@ -203,8 +203,8 @@ class Rerun:
                 self._lines[name].put(what)
         elif name in self._world and not what.error:
             self._world[name].sendto(what.data, CanAddress(what.arb))
-            for socket in self._status:
-                self.vehicle.on_sysstat(socket)
+        for sensor in self._sensors:
+            self.vehicle.on_sensor(sensor)
         if t_ns < self._heard_ns:
             for source in self.vehicle.sources:
                 source.read(self.clock.now_s)

@@ -4,24 +4,23 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 from delfim import config
-from delfim.canproxy.dsor.protocol import message_filter
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
-from delfim.messages import SYSSTAT_MASK, Node, sysstat_arb
 from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.navigation import open_sources
 from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.sensors import Sensor, open_sensors
 from delfim.vehicle.state import State, StateLog
 
 
 class Built(NamedTuple):
-    """The vehicle, and the sockets whose frames are to be handed to it or that it sends by."""
+    """The vehicle, its inputs beside navigation, and the sockets by which it sends."""
 
     vehicle: Vehicle
-    status: tuple[CanSocket, ...]  # readable: `vehicle.on_sysstat`
+    sensors: tuple[Sensor, ...]  # readable: `vehicle.on_sensor`
     outlets: tuple[CanSocket, ...]  # of the actuators
 
 
@@ -34,10 +33,8 @@ def build(
     make_guest: Callable[[State, Clock], Guest] = Guest,
 ) -> Built:
     """The vehicle of this file. Its sources are `vehicle.sources`. Raises DelfimError where an input cannot be opened."""
-    bus = settings.can.interface
     sources = open_sources(settings, links, state)
-    frames = links.bus(bus, (CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK),))
-    messages = links.bus(bus, (CanAddress(*message_filter(source=Node.GPS)),))
+    sensors = open_sensors(settings, links)
     outlets = list[CanSocket]()
 
     def outlet(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
@@ -46,6 +43,6 @@ def build(
 
     to_actuators = links._replace(bus=outlet)
     actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.propulsion.actuators)
-    propulsion = Propulsion(actuators, frames, settings.propulsion, state)
+    propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.propulsion, state)
     vehicle = Vehicle(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
-    return Built(vehicle, (frames, messages), tuple(outlets))
+    return Built(vehicle, sensors, tuple(outlets))

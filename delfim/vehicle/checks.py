@@ -6,9 +6,9 @@ The one door asks the same lines: what the page shows in order, the door does no
 from typing import NamedTuple
 
 from delfim.modes import Mode
-from delfim.vehicle import sysstat
 from delfim.vehicle.failsafe import Action, Rules
 from delfim.vehicle.fence import outside
+from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import State
 from delfim.vehicle.troubles import Inputs, Trigger, charge
 

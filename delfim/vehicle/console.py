@@ -277,8 +277,9 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
             "navigation": _age(now_s, state.navigation_s),
             "console": _age(now_s, state.console_s),
             "guest": _age(now_s, state.guest_s),
-            **{name: _age(now_s, at_s) for name, (_, at_s) in state.sysstat.items()},
+            **{name: _age(now_s, at_s) for name, (_, at_s) in (state.sysstat | state.measured).items()},
         },
+        "measured": {name: value for name, (value, _) in state.measured.items()},
         "sysstat": {name: _status(report) for name, (report, _) in state.sysstat.items()},
         "notices": [
             {"name": n.name, "reason": n.reason, "age_s": _age(now_s, n.since_s), "action": n.action} for n in state.notices

@@ -17,8 +17,9 @@ class Logbook:
     """The vehicle's state log: a record a cycle."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
+        self._fields = record.fields(settings)
         schema = Schema(
-            [(f.name, f.code, f.unit, f.description) for f in record.FIELDS],
+            [(f.name, f.code, f.unit, f.description) for f in self._fields],
             boat=settings.boat.name,
             started_ns=clock.time_ns(),
         )
@@ -30,7 +31,7 @@ class Logbook:
         self.event("start", version=__version__, settings=tables.shown(settings))
 
     def write(self, state: State, now_s: float) -> None:
-        self._writer.put(record.values(state, now_s))
+        self._writer.put(record.values(self._fields, state, now_s))
 
     def event(self, event: str, **what: object) -> None:
         """Into the sidecar: what happened that is no record."""

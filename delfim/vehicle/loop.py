@@ -1,7 +1,7 @@
 """The critical program. `Vehicle` is figure 3-8 of the thesis: five inputs, each with the list of what it sets off.
 
     navigation readable -> read -> control -> propulsion -> guest -> log      (profiled t0..t5)
-    sysstat readable    -> update the health of the other nodes
+    sensor readable     -> what it says into the state, the health of the other nodes among it
     console command     -> command -> control -> propulsion -> state back
     guest readable      -> set point, obeyed in GREX mode only
     watchdog due        -> failsafe -> stop, hold or home -> propulsion
@@ -13,11 +13,10 @@ in lock step, is not their business; clock, sockets and log are handed in.
 import math
 
 from delfim import config
-from delfim.canproxy.socket import CanSocket
 from delfim.clock import Clock
 from delfim.errors import DelfimError
 from delfim.modes import Mode
-from delfim.vehicle import console, failsafe, sysstat
+from delfim.vehicle import console, failsafe
 from delfim.vehicle.control.control import admit
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.grex import Guest, reference
@@ -26,6 +25,7 @@ from delfim.vehicle.latency import Latency
 from delfim.vehicle.navigation import Fix, Source, take
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
+from delfim.vehicle.sensors import Sensor
 from delfim.vehicle.state import Computer, Profile, State, StateLog
 from delfim.vehicle.troubles import Inputs
 
@@ -51,7 +51,6 @@ class Vehicle:
         self.propulsion, self.guest, self.log = propulsion, guest, log
         self.helm = Helm(settings, clock, state, propulsion, log)
         self.latency = Latency(skipped=COLD_CYCLES)
-        self._segmented = sysstat.receiver()
         guest.on_line = self.on_guest
 
     # The five inputs.
@@ -77,9 +76,9 @@ class Vehicle:
         self.latency.add(state.profile)
         return True
 
-    def on_sysstat(self, socket: CanSocket) -> None:
-        """A status socket readable."""
-        sysstat.read(socket, self._segmented, self.state, self.clock.monotonic_s())
+    def on_sensor(self, sensor: Sensor) -> None:
+        """A sensor readable."""
+        sensor.read(self.state, self.clock.monotonic_s())
 
     def on_command(self, command: console.Commands, operator: str = LOCAL) -> str | None:
         """A command of a console: carried out at once, propellers included. Returns why it was refused, or None. Who commanded

@@ -4,10 +4,12 @@ import math
 from collections.abc import Callable
 from typing import NamedTuple
 
+from delfim import config
 from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.vehicle import sensors
 from delfim.vehicle.failsafe import bits
+from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.state import State
-from delfim.vehicle.sysstat import NAMES
 
 NAN = math.nan
 
@@ -50,6 +52,14 @@ def _of_batteries(node: Node, name: str) -> Callable[[State, float], object]:
         report = s.sysstat.get(NAMES[node])
         known = getattr(report[0], name) if report and isinstance(report[0], BatteriesStatus) else None
         return NAN if known is None else known
+
+    return value
+
+
+def _measured(name: str, stale_s: float) -> Callable[[State, float], object]:
+    def value(s: State, now_s: float) -> object:
+        known, at_s = s.measured.get(name, (NAN, now_s))
+        return known if now_s - at_s <= stale_s else NAN
 
     return value
 
@@ -105,6 +115,14 @@ FIELDS = (
 )
 
 
-def values(state: State, now_s: float) -> tuple[object, ...]:
-    """The record of this cycle, in the order of FIELDS."""
-    return tuple([field.value(state, now_s) for field in FIELDS])
+def fields(settings: config.Vehicle) -> tuple[Field, ...]:
+    """Those of every boat, and what the sensors of this one measure."""
+    stale_s = settings.sensors.stale_s
+    return FIELDS + tuple(
+        Field(name, "d", unit, text, _measured(name, stale_s)) for name, unit, text in sensors.values(settings)
+    )
+
+
+def values(fields: tuple[Field, ...], state: State, now_s: float) -> tuple[object, ...]:
+    """The record of this cycle, in the order of the fields."""
+    return tuple([field.value(state, now_s) for field in fields])

@@ -147,6 +147,7 @@ class State:
     reference: Reference = field(default_factory=Reference)
     actuation: Actuation = field(default_factory=lambda: Actuation(0.0, 0.0, False))  # as sent
     sysstat: dict[str, tuple[SystemStatus, float]] = field(default_factory=dict)  # by node: last report, its time
+    measured: dict[str, tuple[float, float]] = field(default_factory=dict)  # by sensors: last value, its time
     operator: str = ""  # the console that commands: whose silence is a trouble; empty: none yet
     console_s: float = -1e9  # monotonic time of the last word of the console
     namesakes: str = ""  # that two consoles have one number, in words; empty: they do not

@@ -11,8 +11,8 @@ from typing import Final, NamedTuple, Self
 from delfim import config
 from delfim.messages import BatteriesStatus, Node, PropellerStatus
 from delfim.modes import Mode
-from delfim.vehicle import sysstat
 from delfim.vehicle.fence import Fence, ahead, outside
+from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import State
 
 TURNING_RPM: Final = 50.0  # below this a propeller moves no boat

@@ -29,7 +29,7 @@ class Bytes:
         self.data = bytearray()
 
     def write(self, state: State, now_s: float) -> None:
-        self.data += PACK(*record.values(state, now_s))
+        self.data += PACK(*record.values(record.FIELDS, state, now_s))
 
     def note(self, text: str) -> None:
         self.data += text.encode()
@@ -130,7 +130,7 @@ class Rows:
         self.rows, self.notes = list[tuple[object, ...]](), list[str]()
 
     def write(self, state: State, now_s: float) -> None:
-        values = zip(record.FIELDS, record.values(state, now_s), strict=True)
+        values = zip(record.FIELDS, record.values(record.FIELDS, state, now_s), strict=True)
         self.rows.append(tuple(repr(value) for field, value in values if field.name not in BY_THE_WALL_CLOCK))
 
     def note(self, text: str) -> None:

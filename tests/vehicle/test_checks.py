@@ -21,7 +21,7 @@ def lines(boat) -> dict[str, tuple[bool, str]]:
 def charge(boat, part: float) -> None:
     status = BatteriesStatus(Status.GOOD, Fault(0), 44.0, 1.0, part, 20)
     boat.nodes.sendmsg(Frame(messages.sysstat_arb(Node.BATTERIES_PORT), messages.pack_batteries_status(status)))
-    boat.vehicle.on_sysstat(boat.status)
+    boat.vehicle.on_sensor(boat.sensor)
 
 
 def test_a_boat_that_nobody_has_heard_of_says_so_line_by_line(boat):

@@ -31,7 +31,7 @@ def test_a_joystick_that_stays_pushed_does_not_take_the_boat_back(make_boat):
     boat.vehicle.on_command(console.Manual(0.5, 0.5))
     boat.clock.advance(0.2)
     boat.send(messages.pack_gps_status(messages.GpsStatus(Status.BAD, Fault.NO_SIGNAL, 0, 0, None, 0)), Node.GPS, 2)
-    boat.vehicle.on_sysstat(boat.messages)
+    boat.vehicle.on_sensor(boat.sensor)
     boat.vehicle.on_watchdog()
     assert boat.state.reason == "gps bad: no signal"
     boat.report()
@@ -142,7 +142,7 @@ def test_a_propeller_that_does_not_stop_loses_its_batteries(boat):
         boat.navigate()
         boat.report()
         boat.nodes.sendmsg(Frame(messages.sysstat_arb(Node.PROPELLER_PORT), runaway))
-        boat.vehicle.on_sysstat(boat.status)
+        boat.vehicle.on_sensor(boat.sensor)
         boat.vehicle.on_watchdog()
     newest = {frame.arb: frame.data for frame in boat.heard()}
     assert messages.unpack_batteries_command(newest[messages.BATTERIES_STARBOARD]).connected

@@ -15,8 +15,9 @@ from delfim.config import Sysstat
 from delfim.errors import FormatError
 from delfim.frames import CAN_ERR, CAN_RTR, Frame, extended, standard
 from delfim.messages import SYSSTAT_SUBJECT, Node
-from delfim.vehicle import console, sysstat
+from delfim.vehicle import console
 from delfim.vehicle.grex import LINE_BYTES, LINES_A_CALL, Guest
+from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import State
 from tests.mutations import BINARY, TEXT
 
@@ -57,13 +58,8 @@ def test_ten_thousand_mutated_commands_are_understood_or_refused_in_a_line() -> 
     assert [words for words in said if not words.isprintable() or len(words) > 1000] == []
 
 
-def guest() -> tuple[Guest, State]:
-    state = State()
-    return Guest(state, ManualClock(100.0)), state
-
-
-def test_ten_thousand_mutated_references_are_taken_or_counted() -> None:
-    there, state = guest()
+def test_ten_thousand_mutated_references_are_taken_or_counted(boat) -> None:
+    there, state = boat.guest, boat.state
     taken = 0
     for number in range(LINES):
         random = Random(number)
@@ -78,11 +74,11 @@ def test_ten_thousand_mutated_references_are_taken_or_counted() -> None:
 
 
 @pytest.mark.parametrize("line", [b"", b"{}", b'{"heading_deg": 1}'])
-def test_of_a_burst_the_guests_newest_words_are_read_and_no_others(line: bytes) -> None:
-    there, state = guest()
+def test_of_a_burst_the_guests_newest_words_are_read_and_no_others(boat, line: bytes) -> None:
+    there, state = boat.guest, boat.state
     read = list[bytes]()
-    reference = there.reference
-    there.reference = lambda words: (read.append(words), reference(words))[1]  # type: ignore[method-assign]
+    on_line = there.on_line
+    there.on_line = lambda words: (read.append(words), on_line(words))[1]
     there.data_received((line + b"\n") * 50_000 + b'{"heading_deg": 90}\n{"head')
     assert len(read) == LINES_A_CALL
     assert state.counts["guest_hasty"] == 1
@@ -93,7 +89,7 @@ def test_of_a_burst_the_guests_newest_words_are_read_and_no_others(line: bytes) 
 
 @given(st.lists(st.binary(max_size=3000), max_size=30))
 def test_no_bytes_of_a_guest_pile_up(pieces: list[bytes]) -> None:
-    there, _ = guest()
+    there = Guest(State(), ManualClock(100.0))
     for piece in pieces:
         there.data_received(piece)
         assert len(there._buffer) <= LINE_BYTES
@@ -128,11 +124,12 @@ FRAMES = st.builds(Frame, PLAIN | SEGMENTED | ANY | st.builds(standard, st.integ
 
 @given(st.lists(st.lists(FRAMES, max_size=80), max_size=8))
 def test_no_status_frames_are_raised_or_kept(bursts: list[list[Frame]]) -> None:
-    state, segmented = State(), sysstat.receiver()
+    state, sensor = State(), sysstat.SystemStatus(Bus([]))  # type: ignore[arg-type]
     for number, burst in enumerate(bursts):
-        sysstat.read(Bus(burst), segmented, state, 0.5 * number)  # type: ignore[arg-type]
+        sensor.input = Bus(burst)
+        sensor.read(state, 0.5 * number)
         sysstat.wrong(state, Sysstat(), 0.5 * number)
     assert state.sysstat.keys() <= set(sysstat.NAMES.values())
     assert set(state.counts) <= {"sysstat_malformed", "acknowledgements_unsent"}
-    assert not segmented.replies
-    assert len(segmented._open) <= 16
+    assert not sensor._segmented.replies
+    assert len(sensor._segmented._open) <= 16

@@ -249,7 +249,7 @@ def test_malformed_messages_are_counted_and_harmless(boat):
     assert not boat.vehicle.on_navigation(boat.source)
     boat.nodes.sendmsg(Frame(messages.sysstat_arb(Node.PROPELLER_PORT), b"\x09"))
     boat.nodes.sendmsg(Frame(messages.sysstat_arb(Node(0x02)), bytes(8)))
-    boat.vehicle.on_sysstat(boat.status)
+    boat.vehicle.on_sensor(boat.sensor)
     assert boat.state.counts == {"navigation_malformed": 1, "sysstat_malformed": 2}
 
 
@@ -271,8 +271,7 @@ def test_random_frames_raise_nothing(boat, frames, kind):
     for identifier, data in frames:
         boat.nodes.sendmsg(Frame(extended(identifier & ~(0x7F << 12) | nodes[kind] << 12), data))
         boat.vehicle.on_navigation(boat.source)
-        boat.vehicle.on_sysstat(boat.status)
-        boat.vehicle.on_sysstat(boat.messages)
+        boat.vehicle.on_sensor(boat.sensor)
 
 
 def test_the_better_source_wins_while_it_speaks(boat):
@@ -280,7 +279,7 @@ def test_the_better_source_wins_while_it_speaks(boat):
     from delfim.vehicle.navigation import preferred
     from delfim.vehicle.sources.dsor import DsorNavigation
 
-    first, second = boat.source, DsorNavigation(boat.messages, boat.state)
+    first, second = boat.source, DsorNavigation(boat.sensor.input, boat.state)
     first.heard_s, second.heard_s = 10.0, 10.4
     assert preferred(first, (first, second), 10.5, 1.0)
     assert not preferred(second, (first, second), 10.5, 1.0)

@@ -16,7 +16,7 @@ from delfim.vehicle.failsafe import Action
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.wire import Message, dialect
-from delfim.vehicle.sysstat import NAMES
+from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.troubles import charge
 
 Profile = Literal["lean", "radio", "wifi"]

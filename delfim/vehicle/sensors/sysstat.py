@@ -1,13 +1,17 @@
 """System status of the other nodes (sysstat.c in the thesis): extended frames and segmented messages, one function."""
 
+from delfim import config
+from delfim.canproxy.dsor.protocol import message_filter
 from delfim.canproxy.dsor.receiver import Receiver
-from delfim.canproxy.socket import CanSocket
-from delfim.config import Sysstat
+from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import BusError, FormatError
 from delfim.frames import CAN_IDE, CAN_RTR, Frame
-from delfim.messages import GPS_SYSSTAT_ID, SYSSTAT_SUBJECT, Fault, Node, Status, unpack_sysstat
+from delfim.messages import GPS_SYSSTAT_ID, SYSSTAT_MASK, SYSSTAT_SUBJECT, Fault, Node, Status, sysstat_arb, unpack_sysstat
+from delfim.vehicle.links import Links
+from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import State
 
+VALUES: tuple[Value, ...] = ()  # what of it is logged is in record.py
 FRAMES_PER_READ = 64
 NAMES = {
     Node.GPS: "gps",
@@ -18,34 +22,43 @@ NAMES = {
 }
 
 
-def receiver() -> Receiver:
-    """Reassembles the segmented status messages."""
-    return Receiver(Node.VEHICLE, lambda message: message.id == GPS_SYSSTAT_ID)
+class SystemStatus:
+    """The health of the other nodes."""
 
+    name = "sysstat"
 
-def read(socket: CanSocket, segmented: Receiver, state: State, now_s: float) -> None:
-    """Take what waits on either status socket into the state. Never raises; malformed reports are counted."""
-    for _ in range(FRAMES_PER_READ):
-        try:
-            frame = socket.receive()
-            if frame is None:
+    def __init__(self, socket: CanSocket) -> None:
+        self.input = socket
+        self._segmented = Receiver(Node.VEHICLE, lambda message: message.id == GPS_SYSSTAT_ID)
+
+    def read(self, state: State, now_s: float) -> None:
+        """Malformed reports are counted."""
+        for _ in range(FRAMES_PER_READ):
+            try:
+                frame = self.input.receive()
+                if frame is None:
+                    break
+                node, data = _report(frame, self._segmented, now_s)
+                if data is not None:
+                    state.sysstat[NAMES[Node(node)]] = (unpack_sysstat(node, data), now_s)
+            except (FormatError, KeyError, ValueError):
+                state.count("sysstat_malformed")
+            except BusError:
+                state.count("sysstat_bus_errors")
                 break
-            node, data = _report(frame, segmented, now_s)
-            if data is not None:
-                state.sysstat[NAMES[Node(node)]] = (unpack_sysstat(node, data), now_s)
-        except (FormatError, KeyError, ValueError):
-            state.count("sysstat_malformed")
-        except BusError:
-            state.count("sysstat_bus_errors")
-            break
-    for reply in _drain(segmented):
-        try:
-            socket.sendmsg(reply)
-        except OSError:
-            state.count("acknowledgements_unsent")
+        for reply in _drain(self._segmented):
+            try:
+                self.input.sendmsg(reply)
+            except OSError:
+                state.count("acknowledgements_unsent")
 
 
-def wrong(state: State, required: Sysstat, now_s: float) -> str | None:
+def open_sensor(settings: config.Vehicle, links: Links) -> SystemStatus:
+    plain, segmented = CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK), CanAddress(*message_filter(source=Node.GPS))
+    return SystemStatus(links.bus(settings.can.interface, (plain, segmented)))
+
+
+def wrong(state: State, required: config.Sysstat, now_s: float) -> str | None:
     """The first reason why the boat may not sail, in words: a required node that is silent or bad."""
     for name in required.required:
         report = state.sysstat.get(name)
