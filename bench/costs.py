@@ -273,14 +273,14 @@ def _consoles(boat: Vehicle, largest: console.Upload) -> list[Row]:
 
     def told() -> Callbacks:
         """All that is due for as many consoles as there may be; the parameters, too."""
-        while station.missions.step():
+        while station.consoles.missions.step():
             pass
         yield None
         for i in range(CONSOLES):
             hear(i, dialect.MAVLink_param_request_list_message(1, 1))
         while station.turn():
             yield None
-        for peer in station.peers.values():
+        for peer in station.consoles.peers.known.values():
             peer.due_s.clear()
             peer.told.clear()
         station.begin()
@@ -301,13 +301,13 @@ def _consoles(boat: Vehicle, largest: console.Upload) -> list[Row]:
         return callbacks
 
     def reread() -> Callbacks:
-        for each in station.missions._told.values():
+        for each in station.consoles.missions._told.values():
             boat.helm.plans.remains.add(each.items)
         yield None
-        station.missions._told.update(dict.fromkeys(station.missions._told, plans.NOTHING))
-        while station.missions.step():
+        station.consoles.missions._told.update(dict.fromkeys(station.consoles.missions._told, plans.NOTHING))
+        while station.consoles.missions.step():
             yield None
-        yield station.missions.checksum(plans.ALL)
+        yield station.consoles.missions.checksum(plans.ALL)
 
     number = len(largest.mission.fence.keep_out) * config.CORNERS
     order, message = dialect.MAVLink_command_long_message, dialect.MAVLINK_MSG_ID_AVAILABLE_MODES
@@ -319,5 +319,5 @@ def _consoles(boat: Vehicle, largest: console.Upload) -> list[Row]:
         Row("plans: items asked for", asked(dialect.MAVLink_mission_request_int_message(1, 1, number, plans.FENCE))),
         Row("questions after all modes", asked(modes)),
         Row("orders to hold", asked(hold)),
-        Row("reason told to all consoles", _once(lambda: station.say(4, "x" * 5000))),
+        Row("reason told to all consoles", _once(lambda: station.consoles.peers.say(4, "x" * 5000))),
     ]

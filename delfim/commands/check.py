@@ -4,12 +4,9 @@ import argparse
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
+from delfim import config
 from delfim.commands import vehicle_file
-
-if TYPE_CHECKING:
-    from delfim.config import Vehicle
 
 TOLD = 50  # mistakes that are told of a file
 
@@ -20,7 +17,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Returns 2 where something is wrong. A warning is nothing wrong: another computer may have what this one lacks."""
-    from delfim import config, tables
+    from delfim import tables
     from delfim.suite import services
 
     tree = tables.read_toml(asked.file, asked.set)
@@ -37,9 +34,8 @@ def run(asked: argparse.Namespace) -> int:
     return 0
 
 
-def _doubts(file: str, vehicle: "Vehicle") -> Iterator[str]:
+def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     """What the file names and this computer does not have."""
-    from delfim import config
     from delfim.errors import ConfigError
     from delfim.vehicle.mission import load_mission
 

@@ -11,15 +11,12 @@ import json
 import logging
 import math
 import struct
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from delfim.errors import FormatError
 from delfim.logging.reading import in_order, read_log
-
-if TYPE_CHECKING:
-    from delfim.logging.liblog import Log
 
 MAGIC: Final = b"DELFIM STATE 1\n"
 CODES: Final = "?bBhHiIqQfd"
@@ -81,9 +78,9 @@ class Schema:
 class StateWriter:
     """Packs records and puts them. `rejected` counts those that do not fit the schema, `reason` says why the last did not."""
 
-    def __init__(self, log: "Log", schema: Schema) -> None:
+    def __init__(self, put: Callable[[bytes], bool], schema: Schema) -> None:
         self.rejected, self.reason = 0, ""
-        self._pack, self._put = schema.struct.pack, log.put
+        self._pack, self._put = schema.struct.pack, put
 
     def put(self, values: Sequence[object]) -> bool:
         """Log one record, its values in the order of the schema. False: it was not. Raises nothing: the caller steers."""

@@ -32,7 +32,7 @@ class Table(dict[str, "NDArray[Any]"]):
         raise FormatError(f"these state logs have no field {name}")
 
 
-def table(files: Iterable[LogFile], span: Span = ALWAYS) -> "tuple[Table, Schema]":
+def table(files: Iterable[LogFile], span: Span = ALWAYS) -> tuple[Table, Schema]:
     """The records of state logs in this time, and the schema of the newest file. What is wrong with a file is logged.
 
     Raises DelfimError where there is no record at all.
@@ -77,7 +77,7 @@ def lines(files: Iterable[LogFile], span: Span = ALWAYS) -> Iterator[str]:
                 yield line
 
 
-def _part(file: LogFile) -> "tuple[Schema, NDArray[Any]] | None":
+def _part(file: LogFile) -> tuple[Schema, "NDArray[Any]"] | None:
     import numpy as np
 
     content, complaint = read_log(file.path)

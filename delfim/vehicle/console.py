@@ -6,7 +6,7 @@ words and their ranges; `command.py` carries them over a local socket, and a rad
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 import msgspec
 
@@ -165,6 +165,7 @@ Commands = (
 )  # fmt: skip
 KINDS: dict[str, type[Command]] = {str(kind.__struct_config__.tag): kind for kind in get_args(Commands)}  # by their words
 Plan = Mission | Upload | Fence  # what has to be looked at for longer than a callback may take
+Kind = TypeVar("Kind", bound=Command)
 _decoder = msgspec.json.Decoder(Commands)
 _encode = msgspec.json.Encoder().encode
 
@@ -205,14 +206,12 @@ def parse(line: bytes) -> Commands:
     raise FormatError(f"command not understood: {_why(tree, text)}")
 
 
-def checked(command: Commands) -> Commands:
-    """The command as it will be read back from a log: in range, and finite. Raises FormatError in words."""
-    tree = msgspec.to_builtins(command)
+def asked(kind: type[Kind], **numbers: object) -> Kind:
+    """A command of these numbers, in range and finite, as a line of JSON must have them. Raises FormatError in words."""
     try:
-        again: Commands = msgspec.convert(tree, Commands)
-        return again
+        return msgspec.convert(numbers, kind)
     except msgspec.ValidationError as error:
-        raise FormatError(_why(tree, str(error))) from None
+        raise FormatError(_why(numbers | {"command": kind.__struct_config__.tag}, str(error))) from None
 
 
 def _why(tree: Any, text: str) -> str:

@@ -25,7 +25,7 @@ class Logbook:
         )
         self._clock = clock
         self._log = open_log(settings.log, "state", ".state", settings.log.state_method, clock, header=schema.header)
-        self._writer = StateWriter(self._log, schema)
+        self._writer = StateWriter(self._log.put, schema)
         self.status, self.poll = self._log.status, self._log.poll
         self._noted = False
         self.event("start", version=__version__, settings=tables.shown(settings))

@@ -351,7 +351,7 @@ def test_a_profile_is_the_vehicles(sea: Afloat, profile: str) -> None:
 def test_another_consoles_ownership_is_shown_and_taken(sea: Afloat) -> None:
     assert sea.ask("hold") == (True, "")
     assert sea.shown["owner"]
-    sea.station.commander = Source(255, 190, ("127.0.0.1", 14560))
+    sea.station.consoles.commander = Source(255, 190, ("127.0.0.1", 14560))
     sea.run(2.0)
     assert not sea.shown["owner"]
     well, why = sea.ask("heading")
@@ -373,7 +373,7 @@ def test_on_a_signed_link_commands_are_obeyed_for_as_long_as_it_lasts(boat: Any,
         assert sea.ask("hold") == (True, ""), minute
         assert sea.ask("stop") == (True, ""), minute
     assert {
-        name: count for name, count in sea.station.counts.items() if name in ("late", "replayed", "forged", "unsigned")
+        name: count for name, count in sea.station.consoles.counts.items() if name in ("late", "replayed", "forged", "unsigned")
     } == {}
     # A console that was started again goes on at once.
     again = Fleet(boat.clock, sea._up, sea.told.append, Key(tmp_path / "key", boat.clock))

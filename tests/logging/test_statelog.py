@@ -31,7 +31,7 @@ VALUES = [(1_262_304_000_000_000_000 + cycle, 0.25 * cycle, cycle % 7, cycle % 2
 def written(file_log, clock, rows=ROWS, values=VALUES, **how) -> None:
     schema = Schema(rows, boat="DelfimX", started_ns=7)
     log = file_log(id="state", suffix=".state", header=schema.header, **how)
-    writer = StateWriter(log, schema)
+    writer = StateWriter(log.put, schema)
     for each in values:
         assert writer.put(each)
         clock.advance(0.2)
@@ -150,12 +150,12 @@ def test_a_deflated_file_cut_anywhere_is_read_as_far_as_it_goes(tmp_path, file_l
 
 def test_values_that_do_not_fit_are_refused_and_told(file_log):
     schema = Schema(ROWS)
-    writer = StateWriter(file_log(), schema)
+    writer = StateWriter(file_log().put, schema)
     for values in [(1, None, 1, True), (1, 2.0, 256, True), (1, 2.0, 3), (2**63, 2.0, 3, True)]:
         assert not writer.put(values)
     assert writer.rejected == 4
     assert writer.reason.startswith("a record does not fit the schema: ")
-    assert not StateWriter(file_log(), Schema([("a", "f", "", "")])).put((1e300,))
+    assert not StateWriter(file_log().put, Schema([("a", "f", "", "")])).put((1e300,))
 
 
 def test_columns_of_several_files_are_in_order_of_time(tmp_path, file_log, clock):

@@ -106,3 +106,21 @@ def test_heading_is_shown_on_the_compass(boat):
 def test_what_may_be_asked_is_obeyed() -> None:
     """But for those that only ask for the state, which the loop answers."""
     assert set(helm._OBEYED) == set(console.KINDS.values()) - {console.Report, console.Watch}
+
+
+@pytest.mark.parametrize(
+    ("kind", "numbers", "why"),
+    [
+        (console.Heading, {"heading_deg": math.nan}, "heading_deg must be "),
+        (console.Heading, {"heading_deg": 361.0}, "heading_deg must be "),
+        (console.Goto, {"latitude_deg": 38.69}, "goto needs a latitude and a longitude, or neither"),
+        (console.Play, {"leg": -1}, "leg must be "),
+        (console.Reset, {"node": 300}, "node must be "),
+    ],
+)
+def test_numbers_that_are_no_command_are_refused_in_words(
+    kind: type[console.Command], numbers: dict[str, object], why: str
+) -> None:
+    with pytest.raises(FormatError) as refusal:
+        console.asked(kind, **numbers)
+    assert str(refusal.value).startswith(why)

@@ -18,8 +18,9 @@ from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.commands import COMMANDS
 from delfim.vehicle.mavlink.link import MavlinkLink
 from delfim.vehicle.mavlink.params import NAMES
+from delfim.vehicle.mavlink.peers import PEERS
 from delfim.vehicle.mavlink.signing import Signing
-from delfim.vehicle.mavlink.station import FRAMES, PEERS, PENDING, Station
+from delfim.vehicle.mavlink.station import FRAMES, PENDING, Station
 from delfim.vehicle.mavlink.wire import dialect
 from tests.vehicle.mavlink_console import HOME, Console, Radio
 from tests.vehicle.test_mavlink_station import afloat, sail
@@ -92,7 +93,7 @@ def test_whatever_anybody_else_says_moves_nothing(make_boat, mode, said):
             sea.console.say("manual_control", 1, 500, 0, 0, 100, 0)
             sail(sea, 0.1)
         assert disturbed.state.actuation == alone.state.actuation
-        assert (disturbed.state.mode, disturbed.station.owner) == (alone.state.mode, alone.station.owner)
+        assert (disturbed.state.mode, disturbed.station.consoles.owner) == (alone.state.mode, alone.station.consoles.owner)
         assert disturbed.vehicle.helm.settings == alone.vehicle.helm.settings
         assert disturbed.vehicle.helm.plans.mission is None
     assert alone.state.actuation.run is (mode is not Mode.IDLE)
@@ -118,8 +119,8 @@ def test_a_hundred_thousand_datagrams_of_anything(boat):
         sea.station.receive(data, ("127.0.0.1", 20_000 + n % 40))
         while sea.station.turn():
             pass
-    assert len(sea.station.peers) <= PEERS
-    assert sea.station.counts["peers_replaced"] > 0
+    assert len(sea.station.consoles.peers.known) <= PEERS
+    assert sea.station.consoles.counts["peers_replaced"] > 0
     sea.vehicle.helm.stop("test")
     sail(sea, 1.0)
     assert sea.state.mode is Mode.IDLE
@@ -131,7 +132,7 @@ def test_a_flood_is_worked_off_a_little_at_a_time_and_what_is_too_much_is_droppe
     frame = sea.console.frame("timesync", 0, 1)
     for _ in range(20):
         sea.station.receive(frame * 50, HOME)
-    assert sea.station.counts["dropped"] == 20 - PENDING // 50 - 1 + 1
+    assert sea.station.consoles.counts["dropped"] == 20 - PENDING // 50 - 1 + 1
     turns = 1
     while sea.station.turn():
         turns += 1
@@ -195,11 +196,11 @@ def test_a_peer_that_came_by_itself_is_forgotten_and_others_are_greeted(boat):
     sea = afloat(boat)
     stranger = Console(sea.station, sea.radio, 251, ("127.0.0.1", 14999))
     stranger.beat()
-    assert len(sea.station.peers) == 2
+    assert len(sea.station.consoles.peers.known) == 2
     sail(sea, 16.0)
     before = len(sea.radio.sent)
     heard = sail(sea, 3.0)
-    assert list(sea.station.peers) == [HOME]
+    assert list(sea.station.consoles.peers.known) == [HOME]
     assert {m.get_type() for m in heard} == {"HEARTBEAT"}, "only that the boat exists"
     assert all(to == HOME for _, to in sea.radio.sent[before:])
 

@@ -11,9 +11,10 @@ import pytest
 from delfim import config
 from delfim.modes import Mode
 from delfim.vehicle import console
-from delfim.vehicle.mavlink import commands, desk
+from delfim.vehicle.mavlink import commands, handlers
+from delfim.vehicle.mavlink.peers import PEERS
 from delfim.vehicle.mavlink.signing import Signing
-from delfim.vehicle.mavlink.station import PEERS, Station
+from delfim.vehicle.mavlink.station import Station
 from tests.vehicle.mavlink_console import Console, Radio, newest, texts
 
 ACCEPTED, LATER = 0, 1
@@ -92,7 +93,7 @@ def sea(make_boat):
 
 
 def test_no_command_is_forgotten():
-    assert {number for number, _, _ in TABLE} == commands.COMMANDS.keys() | desk._REQUESTS.keys()
+    assert {number for number, _, _ in TABLE} == commands.COMMANDS.keys() | handlers._REQUESTS.keys()
 
 
 @pytest.mark.parametrize("key", [None, KEY], ids=["without-key", "signed"])
@@ -103,7 +104,7 @@ def test_who_may_give_which_command(make_boat, number, numbers, kind, who, key):
     sea.consoles["owner"].mode(0)
     if number == 246:  # in idle only
         sea.consoles["owner"].mode(4)
-    before, owner = sea.state.mode, sea.station.commander
+    before, owner = sea.state.mode, sea.station.consoles.commander
     assert owner.party == (250, 190)
     result, words = sea.consoles[who].command(number, *numbers)
     refused = (who != "owner" and kind == ORDER) or (who == "guest" and kind == TAKE)
@@ -111,8 +112,8 @@ def test_who_may_give_which_command(make_boat, number, numbers, kind, who, key):
     if refused:
         named = {"other": "console 250 commands", "namesake": "another console 250 commands"}.get(who, "the guest computer")
         assert named in words
-    assert sea.station.commander == (
-        sea.station.peers[sea.consoles[who].address].source if kind == TAKE and not refused else owner
+    assert sea.station.consoles.commander == (
+        sea.station.consoles.peers.known[sea.consoles[who].address].source if kind == TAKE and not refused else owner
     )
     if kind == STOP:
         assert sea.state.mode is Mode.IDLE
@@ -139,7 +140,7 @@ def test_where_there_is_a_key_nothing_unsigned_is_heard(make_boat, number, numbe
     heard = spoken(sea, who, 14560, None, 0).say("command_long", 1, 1, number, 0, *numbers, *[0.0] * (7 - len(numbers)))
     assert heard == []
     assert sea.log == []
-    assert sea.station.counts == {"unsigned": 1}
+    assert sea.station.consoles.counts == {"unsigned": 1}
 
 
 # Two that call themselves by one number.
@@ -229,8 +230,8 @@ def test_invented_peers_keep_nobody_out(make_boat):
     for port in range(20_000, 20_000 + 3 * PEERS):
         boat.clock.advance(0.1)
         Console(sea.station, radio, 251, ("127.0.0.1", port)).beat()
-    assert len(station.peers) == PEERS
-    assert {("127.0.0.1", 14550), owner.address} <= station.peers.keys()
+    assert len(station.consoles.peers.known) == PEERS
+    assert {("127.0.0.1", 14550), owner.address} <= station.consoles.peers.known.keys()
     assert newest(Console(station, radio, 255, ("127.0.0.1", 14601)).say("timesync", 0, 7), "TIMESYNC").ts1 == 7
     assert owner.mode(4)[0] == ACCEPTED
-    assert station.counts["peers_replaced"] == 2 * PEERS + 3
+    assert station.consoles.counts["peers_replaced"] == 2 * PEERS + 3

@@ -51,7 +51,7 @@ def sea(boat):
 
 
 def untouched(sea) -> bool:
-    return sea.boat.state.mode is Mode.IDLE and not sea.station.owner and AFAR not in sea.station.peers
+    return sea.boat.state.mode is Mode.IDLE and not sea.station.consoles.owner and AFAR not in sea.station.consoles.peers.known
 
 
 def test_a_signed_command_is_obeyed_and_its_answer_is_signed(sea):
@@ -69,7 +69,7 @@ def test_a_signed_command_is_obeyed_and_its_answer_is_signed(sea):
 def test_without_the_key_nothing_changes(sea, key, fault):
     sea.console(key).say("command_long", 1, 1, 176, 0, 1, 3, 0, 0, 0, 0, 0)
     assert untouched(sea)
-    assert sea.station.counts == {fault: 1}
+    assert sea.station.consoles.counts == {fault: 1}
 
 
 def test_a_frame_heard_again_changes_nothing(sea):
@@ -79,7 +79,7 @@ def test_a_frame_heard_again_changes_nothing(sea):
     console.mode(4)
     console.deliver(frame)
     assert sea.boat.state.mode is Mode.IDLE
-    assert sea.station.counts == {"replayed": 1}
+    assert sea.station.consoles.counts == {"replayed": 1}
 
 
 def test_a_frame_heard_again_after_a_restart_changes_nothing(sea, make_boat, tmp_path):
@@ -92,7 +92,7 @@ def test_a_frame_heard_again_after_a_restart_changes_nothing(sea, make_boat, tmp
     again = Sea(rebooted, stamps=read_stamps(tmp_path / "stamps"))
     again.console().deliver(frame)
     assert untouched(again)
-    assert again.station.counts == {"replayed": 1}
+    assert again.station.consoles.counts == {"replayed": 1}
 
 
 @given(st.data())
@@ -114,13 +114,13 @@ def test_a_forged_stamp_does_not_silence_the_console(sea):
     frame[-12:-6] = b"\xff" * 6
     console.deliver(bytes(frame))
     assert console.mode(3)[0] == 0
-    assert sea.station.counts == {"forged": 1}
+    assert sea.station.consoles.counts == {"forged": 1}
 
 
 def test_a_new_speaker_is_not_from_long_ago(sea):
     past = ManualClock(time_ns=sea.boat.clock.time_ns() - 61_000_000_000)
     Console(sea.station, sea.radio, 250, AFAR, Signing(KEY, past, {})).say("heartbeat", 6, 8, 0, 0, 4, 3)
-    assert sea.station.counts == {"replayed": 1}
+    assert sea.station.consoles.counts == {"replayed": 1}
 
 
 def test_a_boat_whose_clock_was_never_set_hears_its_console(make_boat):
@@ -128,8 +128,8 @@ def test_a_boat_whose_clock_was_never_set_hears_its_console(make_boat):
     now = ManualClock(time_ns=boat.clock.time_ns() + round(SIXTEEN_YEARS_S * 1e9))
     sea = Sea(boat)
     Console(sea.station, sea.radio, 250, AFAR, Signing(KEY, now, {})).say("heartbeat", 6, 8, 0, 0, 4, 3)
-    assert sea.station.counts == {}
-    assert AFAR in sea.station.peers
+    assert sea.station.consoles.counts == {}
+    assert AFAR in sea.station.consoles.peers.known
 
 
 def test_a_command_that_was_long_on_the_way_is_not_obeyed(sea):
@@ -141,7 +141,7 @@ def test_a_command_that_was_long_on_the_way_is_not_obeyed(sea):
     sea.boat.ready()
     console.deliver(kept)
     assert sea.boat.state.mode is Mode.IDLE
-    assert sea.station.counts == {"late": 1}
+    assert sea.station.consoles.counts == {"late": 1}
     assert console.mode(3)[0] == 0
 
 
@@ -155,13 +155,13 @@ def test_clocks_that_differ_do_not_matter(sea):
         theirs.advance(0.9999)
     sea.boat.ready()
     assert console.mode(3)[0] == 0
-    assert sea.station.counts == {}
+    assert sea.station.consoles.counts == {}
 
 
 def test_without_a_key_only_this_computer_is_heard(make_boat):
     sea = Sea(make_boat(), key=None)
     sea.console(KEY).beat()
-    assert sea.station.counts == {"unsigned": 1}
+    assert sea.station.consoles.counts == {"unsigned": 1}
     here = sea.console(None, address=("127.0.0.1", 14550))
     here.beat()
     assert here.mode(3)[0] == 0
@@ -173,7 +173,7 @@ def test_with_a_key_this_computer_signs_too(make_boat):
     stranger = sea.console(None, address=("127.0.0.1", 14550))
     stranger.say("command_long", 1, 1, 176, 0, 1, 3, 0, 0, 0, 0, 0)
     assert untouched(sea)
-    assert sea.station.counts == {"unsigned": 1}
+    assert sea.station.consoles.counts == {"unsigned": 1}
     assert newest(sea.console(KEY, address=("127.0.0.1", 14551)).say("timesync", 0, 1), "TIMESYNC").ts1 == 1
 
 

@@ -154,7 +154,7 @@ def test_an_axis_that_is_not_there_is_no_thrust(sea, x):
     sea.console.mode(0)
     sea.console.say("manual_control", 1, x, 0, 0, 0, 0)
     assert (sea.state.setpoint.port, sea.state.setpoint.starboard) == (0.0, 0.0)
-    assert sea.station.counts["manual_ignored"] == 1
+    assert sea.station.consoles.counts["manual_ignored"] == 1
 
 
 @pytest.mark.parametrize("target", [0, 2])
@@ -369,7 +369,7 @@ def test_each_run_of_a_boat_has_a_name_of_its_own_and_tells_it_to_all(sea):
     texts = {m.param_id: m.param_value for m in sea.console.say("param_ext_request_list", 1, 1)}
     again = newest(sea.console.say("param_ext_request_read", 1, 1, b"BOAT_RUN", -1), "PARAM_EXT_VALUE").param_value
     assert texts == {"BOAT_NAME": sea.boat.vehicle.helm.settings.boat.name, "BOAT_RUN": again}
-    assert again != Station(sea.boat.vehicle, lambda command, who: None, lambda data, to: None, None).text("BOAT_RUN")
+    assert again != Station(sea.boat.vehicle, lambda command, who: None, lambda data, to: None, None).consoles.text("BOAT_RUN")
 
 
 def test_a_text_that_does_not_exist_is_answered(sea):
@@ -501,7 +501,7 @@ def test_reasons_come_in_plain_words_and_long_ones_in_pieces(sea):
     before = len(sea.radio.sent)
     sea.station.tick()
     assert "idle: propeller starboard bad: overheated" in texts(sea.console.listen(before))
-    sea.station.say(4, "x" * 120)
+    sea.station.consoles.peers.say(4, "x" * 120)
     pieces = [m for m in sea.console.listen(before) if m.get_type() == "STATUSTEXT" and m.id]
     assert [(len(m.text), m.chunk_seq) for m in pieces] == [(50, 0), (50, 1), (20, 2)]
 
@@ -579,7 +579,7 @@ def test_anybody_stops_the_boat(sea):
     sea.console.mode(3)
     assert other.mode(4)[0] == ACCEPTED
     assert sea.state.mode is Mode.IDLE
-    assert sea.station.owner == 250
+    assert sea.station.consoles.owner == 250
 
 
 def test_a_console_gives_up_and_the_next_one_commands(sea):
@@ -668,5 +668,5 @@ def test_what_comes_twice_or_late_is_not_obeyed(sea):
     sea.console.deliver(second)
     sea.console.deliver(first)
     assert sea.log == [console.Stop()]
-    assert sea.station.counts["late"] == 2
+    assert sea.station.consoles.counts["late"] == 2
     assert sea.state.mode is Mode.IDLE

@@ -20,6 +20,7 @@ DENIED: Final = int(dialect.MAV_RESULT_DENIED)
 UNSUPPORTED: Final = int(dialect.MAV_RESULT_UNSUPPORTED)
 SMART_RTL: Final = 12  # ArduRover's number for a way home along the driven track, which is what ours is
 CHANGE_MODE: Final = int(dialect.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
+PLACE: Final = ("latitude_deg", "longitude_deg")
 NOWHERE: Final = 0x7FFFFFFF  # of an integer position: not given
 
 PX4: Final[dict[tuple[float, float], console.Commands]] = {  # main mode, sub mode: what MAVSDK says to whom it does not know
@@ -89,11 +90,11 @@ def _arm(o: Order, boat: Terms) -> console.Commands:
 
 
 def _start(o: Order, boat: Terms) -> console.Commands:
-    return console.Play(boat.leg(_whole(o.p[0])))
+    return console.asked(console.Play, leg=boat.leg(_whole(o.p[0])))
 
 
 def _current(o: Order, boat: Terms) -> console.Commands:
-    return console.Leg(boat.leg(_whole(o.p[0])))
+    return console.asked(console.Leg, leg=boat.leg(_whole(o.p[0])))
 
 
 def _home(o: Order, boat: Terms) -> console.Commands:
@@ -103,7 +104,7 @@ def _home(o: Order, boat: Terms) -> console.Commands:
 def _heading(o: Order, boat: Terms) -> console.Commands:
     if o.p[0] != dialect.HEADING_TYPE_HEADING:
         raise FormatError("the boat steers a heading (1), and no course over ground")
-    return console.Heading(o.p[1])
+    return console.asked(console.Heading, heading_deg=o.p[1])
 
 
 def _goto(o: Order, boat: Terms) -> console.Commands:
@@ -117,9 +118,8 @@ def _goto(o: Order, boat: Terms) -> console.Commands:
         raise Refused("goto refused: the boat is in another mode, and the flag to change it is not set")
     if math.isnan(o.p[4]) and math.isnan(o.p[5]):
         return console.Mode("hold")
-    if math.isnan(o.p[4]) or math.isnan(o.p[5]):
-        raise FormatError("goto needs a latitude and a longitude, or neither")
-    return console.Goto(o.p[4], o.p[5], o.p[0] if o.p[0] > 0.0 else None)
+    place = {name: degrees for name, degrees in zip(PLACE, o.p[4:6], strict=True) if not math.isnan(degrees)}
+    return console.asked(console.Goto, **place, speed_mps=o.p[0] if o.p[0] > 0.0 else None)
 
 
 def _speed(o: Order, boat: Terms) -> console.Commands:
@@ -127,16 +127,16 @@ def _speed(o: Order, boat: Terms) -> console.Commands:
     if o.p[1] == -2.0:
         return console.SetSpeed(None)
     if o.p[1] >= 0.0:
-        return console.SetSpeed(o.p[1])
+        return console.asked(console.SetSpeed, speed_mps=o.p[1])
     if not 0.0 <= o.p[2] <= 100.0:
         raise FormatError("a speed needs m/s, or 0 to 100 %")
-    return console.SetSpeed(o.p[2] / 100.0 * boat.speed_max_mps)
+    return console.asked(console.SetSpeed, speed_mps=o.p[2] / 100.0 * boat.speed_max_mps)
 
 
 def _reset(o: Order, boat: Terms) -> console.Commands:
     if o.p[0] or o.p[1] or o.p[2] != 1.0:
         raise FormatError("only the other nodes start again: 0, 0, 1")
-    return console.Reset(_whole(o.p[3]) or 127)
+    return console.asked(console.Reset, node=_whole(o.p[3]) or 127)
 
 
 def _whole(value: float) -> int:

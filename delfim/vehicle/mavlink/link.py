@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Final, Self
 
 from delfim import config
-from delfim.vehicle import console
 from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.mavlink.consoles import Obey, Review
 from delfim.vehicle.mavlink.signing import Signing, read_key, read_stamps, write_stamps
 from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mavlink.wire import DATAGRAM_BYTES, Address
@@ -33,8 +33,8 @@ class MavlinkLink:
     def __init__(
         self,
         boat: Vehicle,
-        obey: Callable[[console.Commands, str], str | None],
-        review: Callable[[str, console.Plan, Callable[[str | None], None]], None] | None,
+        obey: Obey,
+        review: Review | None,
         stamps: Path,
         board: dict[str, Callable[[], dict[str, object]]],
     ) -> None:
@@ -65,14 +65,15 @@ class MavlinkLink:
     def report(self) -> dict[str, object]:
         """JSON-ready."""
         host, port = self._socket.getsockname()[:2]
-        peers = [f"{peer.address[0]}:{peer.address[1]}" for peer in self.station.peers.values()]
+        consoles = self.station.consoles
+        peers = [f"{host}:{port}" for host, port in consoles.peers.known]
         return {
             "listen": f"{host}:{port}",
-            "owner": self.station.owner,
-            "namesakes": self.station.boat.state.namesakes,
+            "owner": consoles.owner,
+            "namesakes": consoles.boat.state.namesakes,
             "peers": peers,
             "unsent": self._unsent,
-            "counts": dict(self.station.counts),
+            "counts": dict(consoles.counts),
         }
 
     def _readable(self) -> None:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from delfim.errors import FormatError, Refused
 from delfim.modes import Mode
@@ -10,54 +10,53 @@ from delfim.vehicle import console
 from delfim.vehicle.mavlink import commands, params, telemetry
 from delfim.vehicle.mavlink.answers import ANSWERS
 from delfim.vehicle.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
+from delfim.vehicle.mavlink.consoles import Consoles
 from delfim.vehicle.mavlink.missions import KINDS
+from delfim.vehicle.mavlink.peers import Peer
 from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.telemetry import NEVER_S
 from delfim.vehicle.mavlink.wire import GUEST, Message, Source, dialect
-
-if TYPE_CHECKING:  # the station finds its handlers here
-    from delfim.vehicle.mavlink.station import Peer, Station
 
 AGAIN_S: Final = 10.0  # a command that is repeated within this time for want of an answer gets the one it had
 INTERVAL_MIN_S: Final = 0.1
 NAK, UNKNOWN_COMMAND = 129, 7  # of MAVLink FTP
 
 
-def _heartbeat(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
-    station.alive(source, peer.address)
+def _heartbeat(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+    consoles.alive(source, peer.address)
 
 
-def _command(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _command(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """COMMAND_LONG, COMMAND_INT: answered always; one that is repeated is not carried out again, a stop apart."""
-    now_s, order = station.clock.monotonic_s(), commands.order(message)
+    now_s, order = consoles.clock.monotonic_s(), commands.order(message)
     same, before = repr((source, order.command, order.p)), peer.answered
     if order.confirmation and before and before[0] == same and now_s - before[1] < AGAIN_S and not commands.stops(order):
-        station.tell(peer, [before[2]])
+        consoles.peers.tell(peer, [before[2]])
         return
-    result, reason = _ordered(station, peer, source, order)
+    result, reason = _ordered(consoles, peer, source, order)
     answer = dialect.MAVLink_command_ack_message(order.command, result, 0xFF, 0, *source.party)
     if order.command not in _REQUESTS:
         peer.answered = same, now_s, answer
     if reason:  # before the answer, so that whoever hears that knows why
-        station.say(dialect.MAV_SEVERITY_WARNING, reason)
-    told = [telemetry.heartbeat(station.view())] if commands.stops(order) else []  # a stop is over when the boat says idle
-    station.tell(peer, [answer, *told])
+        consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
+    told = [telemetry.heartbeat(consoles.view())] if commands.stops(order) else []  # a stop is over when the boat says idle
+    consoles.peers.tell(peer, [answer, *told])
 
 
-def _ordered(station: "Station", peer: "Peer", source: Source, order: commands.Order) -> tuple[int, str | None]:
+def _ordered(consoles: Consoles, peer: Peer, source: Source, order: commands.Order) -> tuple[int, str | None]:
     """(MAV_RESULT, why not)"""
     own = _REQUESTS.get(order.command)
     if own is not None:
-        return own(station, peer, source, order), None
+        return own(consoles, peer, source, order), None
     make = commands.COMMANDS.get(order.command)
     if make is None:
         return UNSUPPORTED, None
-    if order.target_system != station.system:
+    if order.target_system != consoles.system:
         return DENIED, "a command must name its vehicle"
-    boat, guided_waits = station.boat, station.settings.autopilot == "ardurover"
+    boat, guided_waits = consoles.boat, consoles.settings.autopilot == "ardurover"
     try:
-        terms = commands.Terms(station.missions.leg, boat.helm.settings.control.speed.max_mps, boat.state.mode, guided_waits)
-        refused = station.ask(source, make(order, terms))
+        terms = commands.Terms(consoles.missions.leg, boat.helm.settings.control.speed.max_mps, boat.state.mode, guided_waits)
+        refused = consoles.ask(source, make(order, terms))
     except FormatError as error:
         return DENIED, str(error)
     except Refused as error:
@@ -65,217 +64,217 @@ def _ordered(station: "Station", peer: "Peer", source: Source, order: commands.O
     return (ACCEPTED, None) if refused is None else (LATER, refused)
 
 
-def _set_mode(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _set_mode(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """SET_MODE, of old programs: no answer exists but the heartbeat."""
-    if message.target_system == station.system:
-        order = commands.Order(dialect.MAV_CMD_DO_SET_MODE, (message.base_mode, message.custom_mode, 0.0), station.system)
-        _, reason = _ordered(station, peer, source, order)
+    if message.target_system == consoles.system:
+        order = commands.Order(dialect.MAV_CMD_DO_SET_MODE, (message.base_mode, message.custom_mode, 0.0), consoles.system)
+        _, reason = _ordered(consoles, peer, source, order)
         if reason:
-            station.say(dialect.MAV_SEVERITY_WARNING, reason)
+            consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
 
 
-def _manual(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _manual(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """Thrust in manual mode, and nowhere else: a stream that did not end must not change a mode."""
-    if message.target != station.system or station.boat.state.mode is not Mode.MANUAL or source != station.commander:
-        station.count("manual_ignored")
+    if message.target != consoles.system or consoles.boat.state.mode is not Mode.MANUAL or source != consoles.commander:
+        consoles.count("manual_ignored")
         return
-    ahead, turn = (message.z, message.y) if station.settings.autopilot == "ardurover" else (message.x, message.r)
+    ahead, turn = (message.z, message.y) if consoles.settings.autopilot == "ardurover" else (message.x, message.r)
     if not (-1000 <= ahead <= 1000 and -1000 <= turn <= 1000):
-        station.count("manual_ignored")
+        consoles.count("manual_ignored")
         return
     port, starboard = (max(min((ahead + side * turn) / 1000.0, 1.0), -1.0) for side in (1, -1))
-    refused = station.ask(source, console.Manual(starboard, port))
+    refused = consoles.ask(source, console.Manual(starboard, port))
     if refused:
-        station.count("manual_refused")
+        consoles.count("manual_refused")
 
 
-def _guest(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _guest(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """SET_POSITION_TARGET_GLOBAL_INT of the guest computer: a course and a speed, obeyed in GREX mode only."""
-    if source.party != (station.system, GUEST) or not math.isfinite(message.vx + message.vy):
-        station.count("unknown")
+    if source.party != (consoles.system, GUEST) or not math.isfinite(message.vx + message.vy):
+        consoles.count("unknown")
         return
     heading_deg = math.degrees(math.atan2(message.vy, message.vx)) % 360.0
     speed_mps = math.hypot(message.vx, message.vy)
-    station.boat.on_guest(b'{"heading_deg": %.3f, "speed_mps": %.3f}' % (heading_deg, speed_mps))
+    consoles.boat.on_guest(b'{"heading_deg": %.3f, "speed_mps": %.3f}' % (heading_deg, speed_mps))
 
 
-def _set_current(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _set_current(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """MISSION_SET_CURRENT: the answer is MISSION_CURRENT."""
     order = commands.Order(dialect.MAV_CMD_DO_SET_MISSION_CURRENT, (float(message.seq),), message.target_system)
-    _, reason = _ordered(station, peer, source, order)
-    station.tell(peer, list(telemetry.current(station.view())))
+    _, reason = _ordered(consoles, peer, source, order)
+    consoles.peers.tell(peer, list(telemetry.current(consoles.view())))
     if reason:
-        station.say(dialect.MAV_SEVERITY_WARNING, reason)
+        consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
 
 
 # Plans.
 
 
-def _listed(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
-    station.missions.listed(_Line(station, peer, source), source, message)
+def _listed(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+    consoles.missions.listed(_Line(consoles, peer, source), source, message)
 
 
-def _requested(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
-    station.missions.requested(_Line(station, peer, source), source, message)
+def _requested(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+    consoles.missions.requested(_Line(consoles, peer, source), source, message)
 
 
-def _counted(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
-    if _may(station, peer, source, message):
-        station.missions.counted(_Line(station, peer, source), source, message, station.clock.monotonic_s())
+def _counted(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+    if _may(consoles, peer, source, message):
+        consoles.missions.counted(_Line(consoles, peer, source), source, message, consoles.clock.monotonic_s())
 
 
-def _item(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
-    station.missions.item(_Line(station, peer, source), source, message, station.clock.monotonic_s())
+def _item(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+    consoles.missions.item(_Line(consoles, peer, source), source, message, consoles.clock.monotonic_s())
 
 
-def _clear(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
-    if _may(station, peer, source, message):
-        station.missions.clear(_Line(station, peer, source), source, message)
+def _clear(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+    if _may(consoles, peer, source, message):
+        consoles.missions.clear(_Line(consoles, peer, source), source, message)
 
 
-def _old_item(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _old_item(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """MISSION_ITEM, MISSION_WRITE_PARTIAL_LIST, MISSION_REQUEST_PARTIAL_LIST: there is a better way to say it."""
     unsupported = dialect.MAV_MISSION_UNSUPPORTED
-    station.tell(peer, [dialect.MAVLink_mission_ack_message(*source.party, unsupported, message.mission_type)])
+    consoles.peers.tell(peer, [dialect.MAVLink_mission_ack_message(*source.party, unsupported, message.mission_type)])
 
 
-def _may(station: "Station", peer: "Peer", source: Source, message: Message) -> bool:
+def _may(consoles: Consoles, peer: Peer, source: Source, message: Message) -> bool:
     """Whether this console may change a plan; it is told why not."""
-    reason = station.refusal(source) if message.target_system == station.system else "a plan must name its vehicle"
+    reason = consoles.refusal(source) if message.target_system == consoles.system else "a plan must name its vehicle"
     if reason:
-        station.say(dialect.MAV_SEVERITY_WARNING, reason)
+        consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
         denied = dialect.MAV_MISSION_DENIED
-        station.tell(peer, [dialect.MAVLink_mission_ack_message(*source.party, denied, message.mission_type)])
+        consoles.peers.tell(peer, [dialect.MAVLink_mission_ack_message(*source.party, denied, message.mission_type)])
     return reason is None
 
 
 # Parameters.
 
 
-def _param_list(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _param_list(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     peer.params.clear()
     peer.params.extend(params.NAMES)
 
 
-def _param_read(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _param_read(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     index = message.param_index
     name = params.named(message.param_id) if index < 0 else params.NAMES[index] if index < len(params.NAMES) else ""
     known = name in params.NAMES
     missing = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
-    station.tell(peer, [station.param(peer, name) if known else params.error(source.party, name, index, missing)])
+    consoles.peers.tell(peer, [consoles.param(peer, name) if known else params.error(source.party, name, index, missing)])
 
 
-def _param_set(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _param_set(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """The answer is the value that is in force; where that is not the one asked for, a text says why."""
     name, number = params.named(message.param_id), message.param_value
     if name not in params.NAMES:
-        station.tell(peer, [params.error(source.party, name, -1, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST)])
+        consoles.peers.tell(peer, [params.error(source.party, name, -1, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST)])
         return
     reason: str | None = None
     if name == params.PROFILE:
         if number in range(len(telemetry.PROFILES)):
             peer.profile = telemetry.PROFILES[int(number)]
             peer.asked_s.clear()
-    elif message.target_system != station.system:
+    elif message.target_system != consoles.system:
         reason = "a parameter must name its vehicle"
     else:
         try:
-            reason = station.ask(source, params.command(name, number))
+            reason = consoles.ask(source, params.command(name, number))
         except FormatError as error:
             reason = str(error)
-    station.tell(peer, [station.param(peer, name)])
+    consoles.peers.tell(peer, [consoles.param(peer, name)])
     if reason:
-        station.tell(peer, [params.error(source.party, name, -1, dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)])
-        station.say(dialect.MAV_SEVERITY_WARNING, reason)
+        consoles.peers.tell(peer, [params.error(source.party, name, -1, dialect.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)])
+        consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
 
 
-def _text_list(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _text_list(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """PARAM_EXT_REQUEST_LIST"""
-    station.tell(peer, [params.text(name, station.text(name)) for name in params.TEXTS])
+    consoles.peers.tell(peer, [params.text(name, consoles.text(name)) for name in params.TEXTS])
 
 
-def _text_read(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _text_read(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """PARAM_EXT_REQUEST_READ"""
     index = message.param_index
     name = params.TEXTS[index] if 0 <= index < len(params.TEXTS) else params.named(message.param_id)
     if name in params.TEXTS:
-        station.tell(peer, [params.text(name, station.text(name))])
+        consoles.peers.tell(peer, [params.text(name, consoles.text(name))])
     else:
         missing = dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST
-        station.tell(peer, [params.error(source.party, name, index, missing)])
+        consoles.peers.tell(peer, [params.error(source.party, name, index, missing)])
 
 
 # Questions.
 
 
-def _ftp(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _ftp(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """FILE_TRANSFER_PROTOCOL: not here; `delfim log fetch` is."""
     payload = [*message.payload]
     number = payload[0] + 256 * payload[1] + 1
     nak = [number & 0xFF, number >> 8 & 0xFF, payload[2], NAK, 1, payload[3], 0, 0, 0, 0, 0, 0, UNKNOWN_COMMAND]
     answer = dialect.MAVLink_file_transfer_protocol_message(0, *source.party, nak + [0] * (len(payload) - len(nak)))
-    station.tell(peer, [answer])
+    consoles.peers.tell(peer, [answer])
 
 
-def _logs(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
-    station.tell(peer, [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)])
+def _logs(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+    consoles.peers.tell(peer, [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)])
 
 
-def _log(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _log(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     """LOG_REQUEST_DATA: of a log that is not here."""
-    station.tell(peer, [dialect.MAVLink_log_data_message(message.id, message.ofs, 0, [0] * 90)])
+    consoles.peers.tell(peer, [dialect.MAVLink_log_data_message(message.id, message.ofs, 0, [0] * 90)])
 
 
-def _ping(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _ping(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     if message.target_system == 0:
-        station.tell(peer, [dialect.MAVLink_ping_message(message.time_usec, message.seq, *source.party)])
+        consoles.peers.tell(peer, [dialect.MAVLink_ping_message(message.time_usec, message.seq, *source.party)])
 
 
-def _request(station: "Station", peer: "Peer", source: Source, order: commands.Order) -> int:
+def _request(consoles: Consoles, peer: Peer, source: Source, order: commands.Order) -> int:
     """REQUEST_MESSAGE: once, after the answer."""
     number, index = (int(value) if math.isfinite(value) else -1 for value in order.p[:2])
-    view = station.view()
+    view = consoles.view()
     rows = [row for row in telemetry.ROWS if row.id == number]
     if number == dialect.MAVLINK_MSG_ID_MISSION_CHECKSUM and index in (*KINDS, ALL):
-        known = station.missions.checksum(index)
+        known = consoles.missions.checksum(index)
         found = [] if known is None else [dialect.MAVLink_mission_checksum_message(index, known)]
     elif number == dialect.MAVLINK_MSG_ID_MESSAGE_INTERVAL:
-        found = [_interval_of(station, peer, index)]
+        found = [_interval_of(consoles, peer, index)]
     elif rows:
         found = list(rows[0].make(view))
     elif number in ANSWERS:
         found = list(ANSWERS[number](view, index))
     else:
         return UNSUPPORTED
-    station.tell(peer, found)
+    consoles.peers.tell(peer, found)
     return ACCEPTED if found else LATER
 
 
-def _interval_of(station: "Station", peer: "Peer", number: int) -> Message:
+def _interval_of(consoles: Consoles, peer: Peer, number: int) -> Message:
     """MESSAGE_INTERVAL: -1 is not sent, 0 not known."""
     rows = [row for row in telemetry.ROWS if row.id == number]
     interval_us = round(peer.interval_s(rows[0]) * 1e6) or -1 if rows else 0
     return dialect.MAVLink_message_interval_message(number & 0xFFFF, interval_us)
 
 
-def _timesync(station: "Station", peer: "Peer", source: Source, message: Message) -> None:
+def _timesync(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
     if message.tc1 == 0:
-        station.tell(peer, [dialect.MAVLink_timesync_message(station.clock.time_ns(), message.ts1)])
+        consoles.peers.tell(peer, [dialect.MAVLink_timesync_message(consoles.clock.time_ns(), message.ts1)])
 
 
-def _take(station: "Station", peer: "Peer", source: Source, order: commands.Order) -> int:
-    if order.target_system != station.system:
+def _take(consoles: Consoles, peer: Peer, source: Source, order: commands.Order) -> int:
+    if order.target_system != consoles.system:
         return DENIED
     if order.p[1]:
-        refused = station.ask(source, console.Take())
+        refused = consoles.ask(source, console.Take())
         if refused:
-            station.say(dialect.MAV_SEVERITY_WARNING, refused)
+            consoles.peers.say(dialect.MAV_SEVERITY_WARNING, refused)
         return ACCEPTED if refused is None else LATER
-    station.give_up(source)
+    consoles.give_up(source)
     return ACCEPTED
 
 
-def _interval(station: "Station", peer: "Peer", source: Source, order: commands.Order) -> int:
+def _interval(consoles: Consoles, peer: Peer, source: Source, order: commands.Order) -> int:
     """SET_MESSAGE_INTERVAL: of what this peer gets. 0: as its profile says; below: not at all."""
     number, interval_us = order.p[:2]
     if number not in [row.id for row in telemetry.ROWS] or not math.isfinite(interval_us):
@@ -290,43 +289,43 @@ def _interval(station: "Station", peer: "Peer", source: Source, order: commands.
     return ACCEPTED
 
 
-def _high_latency(station: "Station", peer: "Peer", source: Source, order: commands.Order) -> int:
+def _high_latency(consoles: Consoles, peer: Peer, source: Source, order: commands.Order) -> int:
     if order.p[0] not in (0.0, 1.0):
         return DENIED
-    peer.profile = "lean" if order.p[0] else "wifi" if station.settings.profile == "lean" else station.settings.profile
+    peer.profile = "lean" if order.p[0] else "wifi" if consoles.settings.profile == "lean" else consoles.settings.profile
     return ACCEPTED
 
 
 class _Line(NamedTuple):
     """One console, as the mission protocol sees it."""
 
-    station: "Station"
-    peer: "Peer"
+    consoles: Consoles
+    peer: Peer
     source: Source
 
     def tell(self, message: Message) -> None:
-        self.station.tell(self.peer, [message])
+        self.consoles.peers.tell(self.peer, [message])
 
     def tell_all(self, message: Message) -> None:
-        self.station.tell_all([message])
+        self.consoles.peers.tell_all([message])
 
     def ask(self, command: console.Commands, answer: Callable[[str | None], None]) -> None:
-        self.station.propose(self.source, command, answer)
+        self.consoles.propose(self.source, command, answer)
 
     def complain(self, text: str) -> None:
-        self.station.say(dialect.MAV_SEVERITY_WARNING, text)
+        self.consoles.peers.say(dialect.MAV_SEVERITY_WARNING, text)
 
 
 MAV_CMD_REQUEST_OPERATOR_CONTROL: Final = 32100
 
-_Request = Callable[["Station", "Peer", Source, commands.Order], int]
+_Request = Callable[[Consoles, Peer, Source, commands.Order], int]
 _REQUESTS: Final[dict[int, _Request]] = {
     MAV_CMD_REQUEST_OPERATOR_CONTROL: _take,
     dialect.MAV_CMD_SET_MESSAGE_INTERVAL: _interval,
     dialect.MAV_CMD_REQUEST_MESSAGE: _request,
     dialect.MAV_CMD_CONTROL_HIGH_LATENCY: _high_latency,
 }
-HANDLERS: Final[dict[int, Callable[["Station", "Peer", Source, Message], None]]] = {
+HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Source, Message], None]]] = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     dialect.MAVLINK_MSG_ID_COMMAND_LONG: _command,
     dialect.MAVLINK_MSG_ID_COMMAND_INT: _command,

@@ -1,0 +1,144 @@
+"""The consoles of one vehicle: who commands, and what is asked. Whatever changes anything goes through `obey`, in the console's
+words, and so into the log.
+"""
+
+import math
+import secrets
+from collections.abc import Callable
+
+from delfim.vehicle import console
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.mavlink import params, telemetry
+from delfim.vehicle.mavlink.missions import Missions
+from delfim.vehicle.mavlink.news import News
+from delfim.vehicle.mavlink.peers import HEARD_S, Peer, Peers
+from delfim.vehicle.mavlink.sequences import Sequences
+from delfim.vehicle.mavlink.signing import Signing
+from delfim.vehicle.mavlink.telemetry import View
+from delfim.vehicle.mavlink.wire import GUEST, Address, Message, Source
+
+Obey = Callable[[console.Commands, str], str | None]
+Review = Callable[[str, console.Plan, Callable[[str | None], None]], None]
+
+
+class Consoles:
+    """`obey` carries out a command of a console that is named, and returns why not, or None. `review` has a plan obeyed once
+    it was looked at; without it that is done at once."""
+
+    def __init__(
+        self,
+        boat: Vehicle,
+        obey: Obey,
+        send: Callable[[bytes, Address], object],
+        signing: Signing | None,
+        review: Review | None,
+    ) -> None:
+        self.boat, self.clock, self.settings = boat, boat.clock, boat.helm.settings.mavlink
+        self.system = boat.helm.settings.boat.id
+        self.commander: Source | None = None  # the console that commands
+        self.counts: dict[str, int] = {}
+        self.peers = Peers(self.system, self.settings, self.clock, send, signing, self.count)
+        self.missions = Missions(boat, self.settings.autopilot == "ardurover")
+        self.sequences = Sequences()
+        self._obey = obey
+        self._review = review or (lambda operator, command, answer: answer(obey(command, operator)))
+        self._news = News(boat, self.peers, self.missions)
+        self._owner_s = self._namesakes_s = -math.inf
+        self._run = secrets.token_hex(8)
+
+    def count(self, name: str) -> None:
+        self.counts[name] = self.counts.get(name, 0) + 1
+
+    def tick(self, now_s: float) -> None:
+        """What is new is told, and what is over forgotten."""
+        self.tell_news()
+        self.missions.tick(now_s)
+        if self.boat.state.namesakes and now_s - self._namesakes_s > HEARD_S:
+            self.boat.on_namesakes("")
+        self.peers.forget_silent(now_s)
+
+    def tell_news(self) -> None:
+        self._news.tell(self.commander)
+
+    def ask(self, source: Source, command: console.Commands) -> str | None:
+        """A command of a console that must be the one that commands. Whoever asks first commands; so does the next one when the
+        one before was silent for long. Anybody may stop the boat. Returns why not, or None."""
+        if (reason := self._own(source, command)) is not None:
+            return reason
+        refused = self._obey(command, source.name)
+        self.tell_news()
+        return refused
+
+    def propose(self, source: Source, command: console.Commands, answer: Callable[[str | None], None]) -> None:
+        """The same for a plan, which takes a while to be looked at: `answer` gets what came of it."""
+
+        def done(refused: str | None) -> None:
+            self.tell_news()
+            answer(refused)
+
+        if not isinstance(command, console.Plan):
+            answer(self.ask(source, command))
+        elif (reason := self._own(source, command)) is not None:
+            answer(reason)
+        else:
+            self._review(source.name, command, done)
+
+    def _own(self, source: Source, command: console.Commands) -> str | None:
+        """Whoever commands is the owner from now on. Returns why this console may not command."""
+        if self.commander != source and not isinstance(command, console.Stop):
+            if (reason := self.refusal(source, isinstance(command, console.Take))) is not None:
+                return reason
+            self.commander = source
+        if self.commander == source:
+            self._owner_s = self.clock.monotonic_s()
+        return None
+
+    def refusal(self, source: Source, takes: bool = False) -> str | None:
+        """Why this console may not command, in words. `takes`: it says that it takes over."""
+        if source.component == GUEST:
+            return "the guest computer does not command"
+        lost = self.clock.monotonic_s() - self._owner_s > self.boat.helm.settings.failsafe.console_silent.after_s
+        if takes or self.commander in (None, source) or lost:
+            return None
+        self.count("not_owner")
+        same = "another " if self.owner == source.system else ""
+        return f"{same}console {self.owner} commands; take over first"
+
+    @property
+    def owner(self) -> int:
+        """The system of the console that commands; 0: none."""
+        return self.commander.system if self.commander is not None else 0
+
+    def alive(self, source: Source, address: Address) -> None:
+        """A console was heard that may be the one that commands, or have the number of another one."""
+        now_s = self.clock.monotonic_s()
+        if source == self.commander:
+            self._owner_s = now_s
+            self._obey(console.Alive(), source.name)
+        where = self.sequences.namesake(source, address, now_s)
+        if where is not None:
+            self._namesakes_s = now_s
+            places = " and ".join(f"{host}:{port}" for host, port in sorted((address, where)))
+            words = f"two consoles are number {source.system}: {places}; give one of them another number"
+            self.boat.on_namesakes(self.boat.state.namesakes or words)
+
+    def give_up(self, source: Source) -> None:
+        """This console commands no longer."""
+        if self.commander == source:
+            self.commander = None
+            self.tell_news()
+
+    def param(self, peer: Peer, name: str) -> Message:
+        """PARAM_VALUE, with what is in force for this peer."""
+        if name == params.PROFILE:
+            return params.message(name, float(telemetry.PROFILES.index(peer.profile)))
+        return params.message(name, params.value(self.boat.helm.settings, params.BY_NAME[name]))
+
+    def text(self, name: str) -> str:
+        """Of one of `params.TEXTS`."""
+        return {params.BOAT_NAME: self.boat.helm.settings.boat.name, params.BOAT_RUN: self._run}[name]
+
+    def view(self) -> View:
+        return View(
+            self.boat, self.settings, self.owner, self.missions.number, self.missions.checksum, self.clock.monotonic_s()
+        )

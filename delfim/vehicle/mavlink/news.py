@@ -1,0 +1,66 @@
+"""What is new aboard, in words to every console: another mode, troubles, who commands, a waypoint that was reached."""
+
+import math
+from typing import Final
+
+from delfim.modes import Mode
+from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.mavlink.missions import Missions
+from delfim.vehicle.mavlink.peers import Peers
+from delfim.vehicle.mavlink.wire import Source, dialect
+
+TOLD_AGAIN_S: Final = 2.0  # a trouble that lasts, at the earliest
+
+
+class News:
+    """What was told last, and what is to be told since."""
+
+    def __init__(self, boat: Vehicle, peers: Peers, missions: Missions) -> None:
+        self._boat, self._peers, self._missions = boat, peers, missions
+        self._said: tuple[Mode, str, tuple[tuple[str, str], ...], Source | None, str] | None = None
+        self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last words, and when
+        self._leg_now: tuple[object, int] = None, 0
+
+    def tell(self, commander: Source | None) -> None:
+        """Changes of mode and troubles, in words, and a heartbeat at once where the mode is another one."""
+        self._tell_reached()
+        state, say = self._boat.state, self._peers.say
+        troubles = tuple((notice.name, notice.action) for notice in state.notices)
+        said = state.mode, state.reason, troubles, commander, state.namesakes
+        was, self._said = self._said or said, said
+        if was[:2] != said[:2]:
+            calm = state.reason.startswith("operator") or state.reason.endswith(" done")
+            say(
+                dialect.MAV_SEVERITY_NOTICE if calm else dialect.MAV_SEVERITY_ALERT,
+                f"{state.mode.name.lower()}: {state.reason}",
+            )
+        self._tell_troubles()
+        if was[3] != commander:
+            who = commander.name if commander is not None else "no console"
+            say(dialect.MAV_SEVERITY_NOTICE, f"{who} commands")
+        if state.namesakes and was[4] != state.namesakes:
+            say(dialect.MAV_SEVERITY_ALERT, state.namesakes)
+        if was != said:
+            self._peers.hurry(dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT)
+
+    def _tell_troubles(self) -> None:
+        """Each when it begins or is answered in another way, and again when it has lasted twice as long: "for 1.0 s" does
+        not stand on a screen while it is a minute."""
+        now_s, told, self._told = self._boat.clock.monotonic_s(), self._told, {}
+        for notice in self._boat.state.notices:
+            trouble = notice.name, notice.action
+            words, at_s = told.get(trouble, ("", -math.inf))
+            if notice.reason != words and now_s - at_s >= max(at_s - notice.since_s, TOLD_AGAIN_S):
+                severity = dialect.MAV_SEVERITY_WARNING if notice.action == "warn" else dialect.MAV_SEVERITY_CRITICAL
+                self._peers.say(severity, f"{notice.reason}: {notice.action}")
+                words, at_s = notice.reason, now_s
+            self._told[trouble] = words, at_s
+
+    def _tell_reached(self) -> None:
+        """A waypoint of the mission is behind the boat: its item, to everybody."""
+        state = self._boat.state
+        plan, leg = (state.setpoint.plan, state.reference.leg) if state.mode is Mode.PLAY else (None, 0)
+        was, self._leg_now = self._leg_now, (plan, leg)
+        done = state.mode is Mode.HOLD and state.reason == "play done" and was[0] is not None
+        if done or (plan is not None and plan is was[0] and leg > was[1]):
+            self._peers.tell_all([dialect.MAVLink_mission_item_reached_message(self._missions.number(was[1]))])
