@@ -14,7 +14,7 @@ def planned(*words: str) -> str:
 
 
 def test_a_first_run_says_that_it_installs_once_and_installs_nothing_for_tests():
-    steps = planned("run", "BOAT=.venv/.nobody-made-this")
+    steps = planned("run", "BOAT=.venv/.nobody-made-this", "ARGS=")
     assert "once; this takes about a minute" in steps
     assert "-r requirements/ground.txt" in steps
     assert "requirements/test.txt" not in steps
