@@ -17,6 +17,7 @@ from typing import Any, Final, NamedTuple
 
 from delfim.errors import FormatError
 from delfim.logging.reading import in_order, read_log
+from delfim.outside import parse_json
 
 MAGIC: Final = b"DELFIM STATE 1\n"
 CODES: Final = "?bBhHiIqQfd"
@@ -64,11 +65,11 @@ class Schema:
         if not content.startswith(MAGIC) or not end:
             raise FormatError("not a state log: it starts with another header, or not even with a whole one")
         try:
-            told = json.loads(content[len(MAGIC) : end])
+            told = parse_json(content[len(MAGIC) : end])
             rows = [(str(f["name"]), str(f["code"]), str(f["unit"]), str(f["description"])) for f in told["fields"]]
             schema = cls(rows, boat=str(told["boat"]), started_ns=int(told["started_ns"]))
             fits = told["record_bytes"] == schema.struct.size and told["byte_order"] == "little"
-        except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
+        except (ValueError, TypeError, KeyError, OverflowError) as error:
             raise FormatError(f"the header of this state log means nothing: {type(error).__name__}") from None
         if not fits:
             raise FormatError("the header of this state log contradicts itself")
