@@ -84,6 +84,8 @@ async def console(folder: Path, tapes: list[Tape] | None = None) -> AsyncIterato
             assert page.complaints == []
             assert await page.value(SMALL_TEXT) == []
             assert await page.value(NAMELESS) == []
+            sized = await page.value("document.querySelector('meta[name=viewport]').content")
+            assert "user-scalable" not in sized, "two fingers make it larger"
         finally:
             it.hang_up()
             task.cancel()

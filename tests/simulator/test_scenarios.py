@@ -87,6 +87,17 @@ def test_an_expectation_can_be_met_and_can_be_missed(tmp_path, expect, failure):
         (SAILING + "[[expect]]\nmode = 'idle'\nnotice = 'log'", "one of mode, notice, propellers, waypoints"),
         (SAILING + "[vehicle.propulsion]\nrpm_max = -1", "propulsion.rpm_max"),
         ("mission = 'none.toml'\n" + SAILING, "none.toml"),
+        ("mission = 2026-11-22\n" + SAILING, "mission: 2026-11-22 is a date, not text"),
+        (
+            SAILING + "[[command]]\nat_s = 1\ncommand = 'heading'\nheading_deg = 2026-11-22",
+            "command[1]: command not understood",
+        ),
+        (
+            SAILING + f"[[command]]\nat_s = 1\ncommand = 'heading'\nheading_deg = 1{400 * '0'}",
+            "command[1]: command not understood",
+        ),
+        (SAILING + f"[[fault]]\nat_s = 1\nkind = 'frames_late'\nvalue = 1{400 * '0'}", "fault[0]"),
+        (SAILING + f"[[fault]]\nat_s = 1{400 * '0'}\nkind = 'bus_off'", "fault[0].at_s"),
     ],
 )
 def test_a_scenario_that_cannot_be_meant_is_refused(tmp_path, text, reason):
