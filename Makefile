@@ -26,7 +26,7 @@ export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/$(BIN)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test fast seeds check page pictures bench image system guest-shell formats lock clean
+.PHONY: help run test test-long fast seeds check page pictures bench image system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -34,11 +34,14 @@ help: ## list the targets
 run: $(BOAT) ## sail the whole DelfimX in simulation, with the console in the browser
 	$(BIN)/delfim sim etc/delfimx.toml --console $(ARGS)
 
-test: $(MORE) system ## run all tests, those on a real SocketCAN bus included, so many side by side (WORKERS=2)
-	$(BIN)/pytest $(BESIDE) $(ARGS)
+test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, so many side by side (WORKERS=2)
+	$(BIN)/pytest $(BESIDE) -m "not long" $(ARGS)
+
+test-long: $(MORE) system ## run the tests that take longest: images, power cuts, failing disks, benchmarks
+	$(BIN)/pytest $(BESIDE) -m long $(ARGS)
 
 fast: $(MORE) ## run the tests that need no guest, with ARGS="..." and WORKERS as for test
-	$(BIN)/pytest $(BESIDE) --ignore tests/guest --ignore tests/test_containers.py --ignore tests/bench $(ARGS)
+	$(BIN)/pytest $(BESIDE) -m "not long" --ignore tests/guest --ignore tests/test_containers.py $(ARGS)
 
 seeds: $(READY) ## sail 1,000 runs of mixed faults in lock step (ARGS="--seeds 5000" for more)
 	$(BIN)/pytest tests/simulator/test_scenarios.py -k mixed --timeout 3600 --seeds 1000 $(ARGS)

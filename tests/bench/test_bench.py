@@ -14,6 +14,8 @@ from bench.critical_path import LABELS, LONG_CYCLES, Plan, Slice
 from bench.report import PERCENTILES, STAGES, Cycle, over_budget
 from delfim.errors import DelfimError
 
+pytestmark = pytest.mark.long
+
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
 
 

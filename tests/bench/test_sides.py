@@ -17,6 +17,8 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import DelfimError
 from delfim.messages import BATTERIES_COMMAND, NAVIGATION_ID, NAVIGATION_PRIORITY, Node
 
+pytestmark = pytest.mark.long
+
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
 
 

@@ -8,6 +8,8 @@ import pytest
 from bench.__main__ import main
 from bench.soak import Sample, grown
 
+pytestmark = pytest.mark.long
+
 VEHICLE = str(Path(__file__).parents[2] / "etc" / "delfimx.toml")
 MEGABYTE = 1 << 20
 

@@ -18,6 +18,8 @@ from tests.console.scenes import caught_up, fleet, opened, show, survey
 from tests.console.standin import Message, Standin
 from tests.services.browser import Page, browser
 
+pytestmark = pytest.mark.long
+
 HOUR_S = 3600
 
 

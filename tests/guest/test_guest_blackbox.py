@@ -10,6 +10,8 @@ import pytest
 from bench.critical_path import build
 from tests.guest.harness import Guest
 
+pytestmark = pytest.mark.long
+
 FRAMES_PER_S = 7700
 
 

@@ -6,6 +6,8 @@ import pytest
 
 from tests.guest.harness import Guest
 
+pytestmark = pytest.mark.long
+
 
 @pytest.mark.timeout(300)
 def test_the_wall_clock_is_set_by_days_and_decades_and_nobody_notices(can_guest: Guest) -> None:

@@ -6,6 +6,8 @@ import pytest
 
 from tests.guest.harness import guest, missing
 
+pytestmark = pytest.mark.long
+
 COMMAND = "python -m bench disk --quick --seconds 4 --rates 50 --bus vcan0 --frames 300 --output $FOLDER"
 
 

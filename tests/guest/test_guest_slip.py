@@ -16,6 +16,8 @@ from delfim.services.door import hashed
 from tests.guest.guest_wire import Wire
 from tests.guest.harness import ROOT, Guest, guest
 
+pytestmark = pytest.mark.long
+
 BOAT, SHORE, MTU = "10.0.0.1", "10.0.0.2", 296
 BYTES_PER_S = 10_000  # 100 kbit/s, 8N1
 LINE = "/dev/radio"

@@ -20,6 +20,8 @@ from delfim.logging.statelog import columns, read_state
 from delfim.logging.tree import LogFile, files
 from tests.guest.harness import PATH, guest, missing
 
+pytestmark = pytest.mark.long
+
 LOST_S = 1.0
 SIZE = 64 << 20
 

@@ -17,6 +17,8 @@ from delfim.logging.tree import files
 from tests.guest.harness import PATH, guest, missing
 from tests.guest.test_power_cut import LOST_S, last_s, opens, tool
 
+pytestmark = pytest.mark.long
+
 SIZE, LOG_SIZE = 32 << 20, 1 << 30
 CRASHES_A_CUT = 4  # --cuts is 3 where nothing else is said
 STILL_S = 0.2  # between two marks: the machine stood still, and all logs with it
