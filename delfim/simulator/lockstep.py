@@ -13,7 +13,7 @@ from delfim.modes import Mode
 from delfim.simulator.bus import LockstepBus
 from delfim.simulator.faults import Fault, Faults, FaultyLog
 from delfim.simulator.line import LockstepLine
-from delfim.simulator.nodes import COMMANDS, nodes_of
+from delfim.simulator.nodes import nodes_of
 from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
@@ -32,8 +32,8 @@ class Lockstep:
         self.clock = ManualClock()
         bus = self.bus = LockstepBus(self.clock)
         self._world = bus.socket("nodes")
-        self._world.bind(*COMMANDS)
         self.nodes = nodes_of(settings, seed)
+        self._world.bind(*self.nodes.hears)
         self.faults = Faults(self.nodes, seed)
         self.state = State()
         self.log = make_log(self.clock)

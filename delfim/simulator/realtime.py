@@ -19,7 +19,7 @@ from delfim.simulator.bycommand import NODES, listening, obey, place
 from delfim.simulator.external import ExternalModel
 from delfim.simulator.faults import Faults
 from delfim.simulator.model import hull_of
-from delfim.simulator.nodes import COMMANDS, nodes_of
+from delfim.simulator.nodes import nodes_of
 
 BUS_RETRY_S = 0.5
 
@@ -35,12 +35,12 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
         signal.signal(number, end)
     with open_can(settings.can.interface) as bus, listening(place(settings, NODES)) as requests:
         bus.setblocking(False)
-        bus.bind(*COMMANDS)
         clock, poll = SystemClock(), select.poll()
         model = _external(settings, clock)
         if model is not None:
             poll.register(model.fileno(), select.POLLIN)
         nodes = Faults(nodes_of(settings, seed, model), seed)
+        bus.bind(*nodes.nodes.hears)
         poll.register(bus.fileno(), select.POLLIN)
         poll.register(requests.fileno(), select.POLLIN)
         while not ended:

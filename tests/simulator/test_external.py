@@ -17,7 +17,7 @@ from delfim.clock import ManualClock
 from delfim.errors import DelfimError
 from delfim.simulator.external import SILENT_S, ExternalModel
 from delfim.simulator.model import Hull
-from delfim.simulator.nodes import NavigationNode, Noise
+from delfim.simulator.nodes.navigation import NavigationNode, Noise
 
 ROOT = Path(__file__).parents[2]
 EXAMPLES = dict(re.findall(r"```(python|octave)\n(.*?)```", (ROOT / "docs/external-model.md").read_text(), re.DOTALL))

@@ -40,8 +40,9 @@ from delfim.messages import (
     unpack_navigation,
     unpack_sysstat,
 )
-from delfim.simulator.nodes import COMMANDS, Nodes, nodes_of
+from delfim.simulator.nodes import Nodes, nodes_of
 
+COMMANDS = nodes_of(config.Vehicle(boat=config.Boat(name="test")), 1).hears
 UTC_NS = 1_262_304_000_000_000_000
 QUIET = config.Simulation(position_noise_m=0.0, heading_noise_deg=0.0, speed_noise_mps=0.0)
 
@@ -294,7 +295,7 @@ def test_a_malformed_command_is_counted_and_changes_nothing(arb: int) -> None:
     boat = Boat()
     boat.sail(2, 800, 800)
     boat.nodes.feed(Frame(arb, b"\1"), boat.now_s)
-    assert sum(node.malformed for node in (*boat.nodes.propellers, *boat.nodes.batteries)) == 1
+    assert sum(getattr(node, "malformed", 0) for node in boat.nodes.named.values()) == 1
     boat.sail(0.6, 800, 800)
     assert boat.model.starboard.run
     assert boat.model.port.run

@@ -1,0 +1,91 @@
+"""The other nodes of the boat (thesis figure 3-2) around a model, a file a kind, named in NODES.
+
+Every node is a clocked object without socket or task: `step(now_s, utc_ns)` returns the frames that it puts on the bus now,
+`feed(frame, now_s)` is what it hears, `due_s` when it has something to say again. `now_s` is monotonic and never goes back.
+"""
+
+import math
+from importlib import import_module
+from typing import Final, Protocol, runtime_checkable
+
+from delfim import config
+from delfim.canproxy.socket import CanAddress
+from delfim.frames import Frame
+from delfim.simulator.model import Model, hull_of
+from delfim.simulator.nodes.navigation import NavigationNode
+
+NODES: Final = ("gps", "navigation", "propeller", "batteries")  # files of this folder; `nodes` in it makes those of its kind
+STALL_S: Final = 1.0  # a longer pause of the whole simulator does not exist in the world that it models
+
+
+class SimulatedNode(Protocol):
+    @property
+    def hears(self) -> tuple[int, ...]: ...  # arbitration fields of the frames that it is fed
+    @property
+    def due_s(self) -> float: ...
+    def feed(self, frame: Frame, now_s: float) -> None: ...
+    def step(self, now_s: float, utc_ns: int) -> list[Frame]: ...
+
+
+@runtime_checkable
+class Reporting(Protocol):
+    """A node that reports its health, and what a fault makes of it."""
+
+    bad: bool
+    silent: bool
+
+
+class Nodes:
+    """All nodes of a boat around one model, which they advance."""
+
+    def __init__(self, model: Model, named: dict[str, SimulatedNode]) -> None:
+        self.model, self.named = model, named
+        navigation = named["navigation"]
+        assert isinstance(navigation, NavigationNode)
+        self.navigation = navigation
+        self.sensors: dict[str, Reporting] = {name: node for name, node in named.items() if isinstance(node, Reporting)}
+        self._hearing = dict[int, list[SimulatedNode]]()
+        for node in named.values():
+            for arb in node.hears:
+                self._hearing.setdefault(arb, []).append(node)
+        self._stepped_s: float | None = None
+
+    @property
+    def hears(self) -> tuple[CanAddress, ...]:
+        """What a socket binds to that serves the nodes."""
+        return tuple(map(CanAddress, self._hearing))
+
+    @property
+    def due_s(self) -> float:
+        """When `step` has something to do again."""
+        return min(node.due_s for node in self.named.values())
+
+    def feed(self, frame: Frame, now_s: float) -> None:
+        """A frame of the bus; what is for no node is passed over."""
+        for node in self._hearing.get(frame.arb, ()):
+            node.feed(frame, now_s)
+
+    def step(self, now_s: float, utc_ns: int) -> list[Frame]:
+        """Let the world come to `now_s`; returns the frames that the nodes send then, as they win the bus."""
+        if self._stepped_s is not None and now_s > self._stepped_s:
+            self.model.advance(min(now_s - self._stepped_s, STALL_S))
+        self._stepped_s = now_s
+        frames = [frame for node in self.named.values() for frame in node.step(now_s, utc_ns)]
+        frames.sort(key=_arbitration)
+        return frames
+
+
+def _arbitration(frame: Frame) -> int:
+    return frame.arb
+
+
+def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) -> Nodes:
+    """The nodes that a vehicle's file describes, around its model or another one."""
+    there = settings.simulation
+    if model is None:
+        start = math.radians(there.latitude_deg), math.radians(there.longitude_deg)
+        model = Model(hull_of(settings.boat), there.sea, seed, *start, math.radians(there.heading_deg))
+    named = dict[str, SimulatedNode]()
+    for kind in NODES:
+        named |= import_module(f"{__name__}.{kind}").nodes(settings, model, seed)
+    return Nodes(model, named)

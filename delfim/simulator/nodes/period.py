@@ -1,0 +1,39 @@
+"""When a node has something to say again, and whether a reset is meant for it."""
+
+import math
+from typing import Final
+
+from delfim.errors import FormatError
+from delfim.messages import Node, unpack_reset
+
+TOLERANCE_S: Final = 1e-6  # sums of tenths are never exact
+RESTART_S: Final = 1.0  # of a node, during which it says nothing
+
+
+class Period:
+    """Due at once, then each `period_s`. What was missed is left out and the phase is kept."""
+
+    __slots__ = ("_period_s", "due_s")
+
+    def __init__(self, period_s: float) -> None:
+        self._period_s = period_s
+        self.due_s = -math.inf
+
+    def reset(self, data: bytes, node: Node, now_s: float) -> None:
+        """Say nothing for as long as a start takes, where a reset means this node. What is no reset changes nothing."""
+        try:
+            number = unpack_reset(data)
+        except FormatError:
+            return
+        if number in (node, Node.BROADCAST):
+            self.due_s = now_s + RESTART_S
+
+    def passed(self, now_s: float) -> bool:
+        late_s = now_s - self.due_s + TOLERANCE_S
+        if late_s < 0.0:
+            return False
+        if late_s == math.inf:
+            self.due_s = now_s + self._period_s
+        else:
+            self.due_s += (late_s // self._period_s + 1.0) * self._period_s
+        return True

@@ -1,0 +1,86 @@
+"""The propellers' motor controllers."""
+
+import math
+from typing import Final
+
+from delfim import config
+from delfim.errors import FormatError
+from delfim.frames import Frame
+from delfim.messages import (
+    PROPELLER_PORT,
+    PROPELLER_STARBOARD,
+    PROPELLER_TIMEOUT_S,
+    RESET,
+    Fault,
+    Node,
+    PropellerStatus,
+    Status,
+    pack_propeller_status,
+    sysstat_arb,
+    unpack_propeller_command,
+)
+from delfim.simulator.model import Model, Side
+from delfim.simulator.nodes.period import TOLERANCE_S, Period
+
+PROPELLER_STATUS_S: Final = 0.2
+
+
+class PropellerNode:
+    """A motor controller. It obeys its commands and stops by itself when no new one comes for PROPELLER_TIMEOUT_S.
+
+    A command whose counter stands still is obeyed and does not count as new: a frozen sender must not keep a motor running.
+    """
+
+    def __init__(self, model: Model, side: Side) -> None:
+        self._model, self._side = model, side
+        self._drive = model.starboard if side == "starboard" else model.port
+        self._node = Node.PROPELLER_STARBOARD if side == "starboard" else Node.PROPELLER_PORT
+        self.hears = (PROPELLER_STARBOARD if side == "starboard" else PROPELLER_PORT, RESET)
+        self._status = Period(PROPELLER_STATUS_S)
+        self._commanded_s = -math.inf
+        self._heard_counter = -1
+        self._counter = 0
+        self.malformed = 0
+        self.silent = self.bad = False
+
+    @property
+    def due_s(self) -> float:
+        silent_s = self._commanded_s + PROPELLER_TIMEOUT_S
+        return min(self._status.due_s, silent_s) if self._drive.run else self._status.due_s
+
+    def feed(self, frame: Frame, now_s: float) -> None:
+        """A command to this side. Malformed ones are counted and change nothing."""
+        if frame.arb == RESET:
+            self._status.reset(frame.data, self._node, now_s)
+            return
+        try:
+            command = unpack_propeller_command(frame.data)
+        except FormatError:
+            self.malformed += 1
+            return
+        if command.counter != self._heard_counter:
+            self._heard_counter, self._commanded_s = command.counter, now_s
+        self._model.command(self._side, command.rpm, command.run and not self._silent(now_s))
+
+    def step(self, now_s: float, utc_ns: int) -> list[Frame]:
+        silent, drive = self._silent(now_s), self._drive
+        if silent:
+            self._model.command(self._side, 0.0, False)
+        if not self._status.passed(now_s) or self.silent:
+            return []
+        faults = Fault.NO_COMMAND if silent else Fault(0)
+        if not drive.powered:
+            faults |= Fault.LOW_VOLTAGE
+        if self.bad:
+            faults |= Fault.HARDWARE
+        status = Status.BAD if faults else Status.GOOD
+        self._counter += 1
+        report = PropellerStatus(status, faults, round(drive.rpm), drive.motor_a, round(drive.temperature_c), self._counter)
+        return [Frame(sysstat_arb(self._node), pack_propeller_status(report))]
+
+    def _silent(self, now_s: float) -> bool:
+        return now_s + TOLERANCE_S >= self._commanded_s + PROPELLER_TIMEOUT_S
+
+
+def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, PropellerNode]:
+    return {"propeller_starboard": PropellerNode(model, "starboard"), "propeller_port": PropellerNode(model, "port")}
