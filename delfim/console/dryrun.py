@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-from delfim.console.library import written
+from delfim.console.plan import written
 from delfim.errors import DelfimError
 from delfim.vehicle.mission import canonical
 

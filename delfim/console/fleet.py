@@ -10,15 +10,16 @@ from collections.abc import Callable, Sequence
 from typing import Any, Final, NamedTuple
 
 from delfim.clock import Clock
-from delfim.console import transfer
+from delfim.console import plan, transfer
 from delfim.console.boats import SILENT_S, Boat
 from delfim.console.mavlink import SYSTEM, Codec, Key, mavlink
 from delfim.console.orders import order, row_of
 from delfim.console.requests import LIFE_S, REPEAT_S, Answer, Requests
-from delfim.console.transfer import Download, Item, Upload
+from delfim.console.transfer import Download, Upload
 from delfim.console.ways import Address, Ways, in_words
 from delfim.errors import FormatError, Refused
 from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN
+from delfim.vehicle.mavlink.plans import MISSION, Item
 
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
@@ -58,7 +59,7 @@ def planned(boat: Boat, missions: dict[str, dict[str, Any]]) -> dict[str, Any]:
     state = "unknown" if aboard is None else "same" if same or here is None else "differs"
     told = {"name": shown["name"], "count": len(shown["waypoints"]), "digest": shown["digest"], "state": state}
     item = boat.reference.get("leg")
-    told["current"] = transfer.waypoint_of(shown, item) if item is not None else None
+    told["current"] = plan.waypoint_of(shown, item) if item is not None else None
     return {"mission": told, **{key: (aboard or NO_ZONES).get(key) for key in NO_ZONES}}  # the boat keeps no zone of the plan
 
 
@@ -303,7 +304,7 @@ class Fleet:
     def _item(self, number: int, waypoint: int) -> int:
         """To play from a waypoint on is to play from its item on, where the mission aboard is known. Raises FormatError."""
         aboard = self.missions.get(number, {}).get("aboard")
-        return waypoint if aboard is None or not aboard["waypoints"] else transfer.item_of(aboard, waypoint)
+        return waypoint if aboard is None or not aboard["waypoints"] else plan.item_of(aboard, waypoint)
 
     def input(self, number: int, count: int, port_pct: float, starboard_pct: float) -> None:
         """Thrust of a boat in manual, now. An input that was overtaken is ignored."""
@@ -337,7 +338,7 @@ class Fleet:
 
     def put(self, number: int, mission: dict[str, Any]) -> None:
         """The plan on the screen for a boat. Raises FormatError, Refused."""
-        kept = transfer.with_digest(mission)
+        kept = plan.with_digest(mission)
         self._use(number)
         self.missions.setdefault(number, {})["here"] = kept
 
@@ -347,7 +348,7 @@ class Fleet:
         if mission is None:
             raise Refused("there is no mission to send")
         self._begin_transfer(number)
-        groups = transfer.items_of(mission)
+        groups = plan.items_of(mission)
 
         def next_kind(place: int) -> None:
             kind = transfer.ORDER[place]
@@ -384,12 +385,12 @@ class Fleet:
                     next_kind(kind + 1)
                 else:
                     self._over(number, "download")
-                    self._aboard(number, transfer.mission_of("aboard", groups))
+                    self._aboard(number, plan.mission_of("aboard", groups))
                     answer(True, "")
 
             self._transfers[number] = Download(number, kind, lambda m: self._send(number, m), ended)
 
-        next_kind(transfer.WAYPOINTS)
+        next_kind(MISSION)
 
     def progress(self) -> list[dict[str, Any]]:
         """Of the transfers that are under way."""

@@ -9,9 +9,9 @@ from typing import Any, Final, NoReturn
 from delfim.clock import Clock
 from delfim.console.boats import Boat
 from delfim.console.fleet import planned
+from delfim.console.plan import mission_of
 from delfim.console.statetape import States
 from delfim.console.tape import Session, Tape, Track
-from delfim.console.transfer import mission_of
 from delfim.errors import DelfimError, FormatError, Refused, in_words
 from delfim.logging.statelog import read_state
 

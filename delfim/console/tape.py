@@ -13,11 +13,12 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from delfim.console.boats import Boat
 from delfim.console.mavlink import COMPONENT, SYSTEM, mavlink
+from delfim.console.plan import KINDS, item_in, mission_of
 from delfim.console.session import STAMP
-from delfim.console.transfer import FENCE, HOME, WAYPOINTS, Item, item_in, mission_of
 from delfim.console.words import Words
 from delfim.errors import FormatError
 from delfim.outside import read_file
+from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
 
 SESSION_BYTES: Final = 1 << 30  # of a session that is replayed: a boat's day has a tenth of that
 BEFORE_S: Final = 30.0  # so far back lies everything that is said from time to time, lean links apart
@@ -165,14 +166,14 @@ class Session:
         number, kind = message.get_srcSystem(), message.mission_type
         if message.get_type() == "MISSION_COUNT":
             self._read[number, kind] = message.count, []
-            if kind == WAYPOINTS:  # first of all: fence and home of the reading before belong to that
-                self._read[number, FENCE] = self._read[number, HOME] = -1, []
+            if kind == MISSION:  # first of all: fence and home of the reading before belong to that
+                self._read[number, FENCE] = self._read[number, RALLY] = -1, []
         count, items = self._read.get((number, kind), (0, []))
         if message.get_type() == "MISSION_ITEM_INT" and message.seq == len(items) < count:
             items.append(item_in(message))
         elif message.get_type() == "MISSION_ITEM_INT":
             return
-        groups = [self._read.get((number, each), (-1, [])) for each in (WAYPOINTS, FENCE, HOME)]
+        groups = [self._read.get((number, each), (-1, [])) for each in KINDS]
         if all(len(group) == wanted for wanted, group in groups):
             self.missions.setdefault(number, []).append((at_s, mission_of("aboard", [group for _, group in groups])))
 

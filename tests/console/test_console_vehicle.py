@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from delfim import config
-from delfim.console import transfer
+from delfim.console import plan
 from delfim.console.fleet import Fleet
 from delfim.console.library import Library
 from delfim.console.mavlink import Key, keygen
@@ -209,8 +209,8 @@ def test_a_mission_comes_back_as_it_went(sea: Afloat) -> None:
     back = sea.fleet.missions[1]["aboard"]
     assert [w["speed_mps"] for w in back["waypoints"]] == [0.0, 1.25, 1.25, 0.0]
     assert (back["waypoints"][0]["acceptance_m"], back["waypoints"][0]["hold_s"]) == (4.0, 30.0)
-    assert transfer.digest(back) == transfer.digest(PLAN)
-    assert (back["fence"][2], back["obstacles"], back["home"]) == ((38.70, -9.21), PLAN["obstacles"], PLAN["home"])
+    assert plan.digest(back) == plan.digest(PLAN)
+    assert (back["fence"][2], back["obstacles"], back["home"]) == ([38.70, -9.21], PLAN["obstacles"], PLAN["home"])
     assert sea.shown["mission"]["state"] == "same"
 
 

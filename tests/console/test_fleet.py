@@ -8,11 +8,12 @@ import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.clock import ManualClock
-from delfim.console import transfer
+from delfim.console import plan, transfer
 from delfim.console.fleet import ASKS, Fleet
 from delfim.console.mavlink import Key, keygen
 from delfim.errors import ConfigError, FormatError, Refused
 from delfim.modes import Mode
+from delfim.vehicle.mavlink import plans
 from tests.console.fakeboat import FakeBoat, Radio
 
 SQUARE = {
@@ -301,16 +302,18 @@ def test_a_transfer_that_is_over_says_so_well_or_not(deed: str, silent: bool) ->
 
 
 def test_items_and_missions_are_each_others_inverse() -> None:
-    back = transfer.mission_of("square", transfer.items_of(SQUARE))
-    assert transfer.digest(back) == transfer.digest(SQUARE)
+    back = plan.mission_of("square", plan.items_of(SQUARE))
+    assert plan.digest(back) == plan.digest(SQUARE)
     assert back["waypoints"][3]["speed_mps"] == pytest.approx(1.3)
-    assert transfer.digest(SQUARE | {"name": "another"}) == transfer.digest(SQUARE)
+    numbers = [n for n, item in enumerate(plan.items_of(SQUARE)[0]) if item.command == plans.WAYPOINT]
+    assert [plan.item_of(SQUARE, waypoint) for waypoint in range(20)] == numbers
+    assert plan.digest(SQUARE | {"name": "another"}) == plan.digest(SQUARE)
 
 
 @pytest.mark.parametrize("wrong", [{}, {"waypoints": 3}, {"waypoints": [{"latitude_deg": 95.0, "longitude_deg": 0.0}]}])
 def test_what_is_no_mission_is_refused(wrong: dict[str, Any]) -> None:
     with pytest.raises(FormatError):
-        transfer.items_of(wrong)
+        plan.items_of(wrong)
 
 
 BAD = {

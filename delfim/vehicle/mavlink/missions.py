@@ -35,15 +35,12 @@ class Line(Protocol):
     def complain(self, text: str) -> None: ...
 
 
-Draft = plans.MissionDraft | plans.ZonesDraft | plans.RallyDraft
-
-
 class Upload:
     """One that is under way: how many items came, and when the next one was asked for."""
 
     def __init__(self, line: Line, source: Source, kind: int, count: int, now_s: float) -> None:
         self.line, self.source, self.kind, self.count = line, source, kind, count
-        self.draft: Draft = _DRAFTS[kind]()
+        self.draft: plans.Draft = _DRAFTS[kind]()
         self.came = 0
         self.frame: int | None = None  # of its places
         self.heard_s = self.asked_s = now_s
@@ -288,7 +285,7 @@ class Missions:
         self.step()
 
 
-_DRAFTS: Final[dict[int, type[Draft]]] = {
+_DRAFTS: Final[dict[int, type[plans.Draft]]] = {
     MISSION: plans.MissionDraft,
     FENCE: plans.ZonesDraft,
     RALLY: plans.RallyDraft,

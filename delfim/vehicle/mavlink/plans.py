@@ -73,6 +73,15 @@ def mission_items(tables: Mission) -> Iterator[Item]:
         yield Item(PATH, piece.turn_deg, piece.radius_m, piece.speed_mps, 0.0, *place)
 
 
+def places(speeds_mps: Iterable[float]) -> Iterator[int]:
+    """The numbers of those items that are waypoints, by the waypoints' speeds."""
+    number, before_mps = 0, 0.0
+    for speed_mps in speeds_mps:
+        number += speed_mps != before_mps
+        yield number
+        number, before_mps = number + 1, speed_mps
+
+
 def fence_items(zones: config.Zones) -> Iterator[Item]:
     for at in zones.keep_in:
         yield Item(KEEP_IN, float(len(zones.keep_in)), x=_e7(at[0]), y=_e7(at[1]))
@@ -96,31 +105,31 @@ class MissionDraft:
     FormatError with its number, Unsupported where it makes sense and is nothing for this boat."""
 
     def __init__(self) -> None:
-        self._waypoints: list[Waypoint] = []
-        self._path: list[PathPoint] = []
+        self.waypoints: list[Waypoint] = []
+        self.path: list[PathPoint] = []
         self._speed_mps = 0.0
 
     def add(self, number: int, item: Item) -> None:
         if item.command == SPEED:
             self._speed_mps = _asked_mps(number, item)
         elif item.command in (WAYPOINT, WAIT):
-            self._waypoints.append(_waypoint(number, item, self._speed_mps))
+            self.waypoints.append(_waypoint(number, item, self._speed_mps))
         elif item.command == DELAY:
-            if not self._waypoints:
+            if not self.waypoints:
                 raise FormatError(f"item {number}: a delay before the first waypoint")
-            self._waypoints[-1] = _delayed(number, item, self._waypoints[-1])
+            self.waypoints[-1] = _delayed(number, item, self.waypoints[-1])
         elif item.command == PATH:
-            self._path.append(_piece(number, item))
+            self.path.append(_piece(number, item))
         else:
             raise Unsupported(f"item {number}: {_name(item.command)} is not something this boat does")
-        if max(len(self._waypoints), len(self._path)) > ROWS:
+        if max(len(self.waypoints), len(self.path)) > ROWS:
             raise FormatError(f"item {number}: more than {ROWS} waypoints, or pieces of the path")
 
     def done(self, name: str, zones: config.Zones) -> Mission:
         """What a mission file would say."""
-        if not self._waypoints:
+        if not self.waypoints:
             raise FormatError("a mission without a waypoint")
-        return Mission(version=1, name=name, waypoint=tuple(self._waypoints), path=tuple(self._path), fence=zones)
+        return Mission(version=1, name=name, waypoint=tuple(self.waypoints), path=tuple(self.path), fence=zones)
 
 
 class ZonesDraft:
@@ -191,6 +200,9 @@ class RallyDraft:
 
     def done(self) -> tuple[tuple[float, float], ...]:
         return tuple(self._places)
+
+
+Draft = MissionDraft | ZonesDraft | RallyDraft
 
 
 class Told(NamedTuple):

@@ -1,0 +1,136 @@
+"""A plan of the page (docs/console.md) as the tables of a mission file and as MAVLink's items, and back.
+
+What an item is, `delfim.vehicle.mavlink.plans` says for both ends of the link.
+"""
+
+import contextlib
+import hashlib
+import json
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, TypeVar
+
+import msgspec
+
+from delfim import config
+from delfim.errors import DelfimError, FormatError, Refused
+from delfim.vehicle.mavlink import plans
+from delfim.vehicle.mavlink.plans import Item
+from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical, parse_mission
+
+LATITUDE_MAX_DEG, LONGITUDE_MAX_DEG = 89.0, 180.0
+Row = TypeVar("Row", Waypoint, PathPoint)
+KINDS: Final = (plans.MISSION, plans.FENCE, plans.RALLY)
+
+
+def page_of(name: str, waypoints: Iterable[Waypoint], path: Iterable[PathPoint], zones: config.Zones) -> dict[str, Any]:
+    """For the page, without a home. The path that it may have is for the vehicle and is carried along."""
+    circles = [each for each in zones.keep_out if each.centre]
+    return {
+        "name": name,
+        "waypoints": [msgspec.to_builtins(each) | {"turn": None} for each in waypoints],
+        "path": [msgspec.to_builtins(each) for each in path],
+        "fence": [list(corner) for corner in zones.keep_in],
+        "obstacles": [_named(each.centre[0]) | {"radius_m": each.radius_m} for each in circles],
+        "home": None,
+    }
+
+
+def tables_of(plan: Mapping[str, Any]) -> Mission:
+    """What a mission file would say; home is not in it. Ranges are for whoever takes it to look at. Raises FormatError."""
+    try:
+        circles = ((_place(each), float(each["radius_m"])) for each in plan.get("obstacles") or ())
+        keep_out = tuple(config.KeepOut(centre=(place,), radius_m=radius_m) for place, radius_m in circles)
+        corners = tuple((float(latitude_deg), float(longitude_deg)) for latitude_deg, longitude_deg in plan.get("fence") or ())
+        return Mission(
+            version=1,
+            name=str(plan.get("name", "")),
+            waypoint=tuple(_row(Waypoint, each) for each in plan["waypoints"]),
+            path=tuple(_row(PathPoint, each) for each in plan.get("path") or ()),
+            fence=config.Zones(keep_in=corners, keep_out=keep_out),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise FormatError(f"no mission: {error}") from None
+
+
+def written(plan: Mapping[str, Any]) -> Mission:
+    """The same, checked as a file is. Raises Refused with the reason."""
+    try:
+        return parse_mission(canonical(tables_of(plan)), str(plan["name"]))
+    except DelfimError as error:
+        raise Refused(str(error)) from None
+
+
+def items_of(plan: Mapping[str, Any]) -> list[list[Item]]:
+    """Of each type: waypoints and path, fence and obstacles, home. Raises FormatError."""
+    tables, home = tables_of(plan), plan.get("home")
+    harbours = [_place(home)] if home else []
+    return [list(plans.mission_items(tables)), list(plans.fence_items(tables.fence)), list(plans.rally_items(harbours))]
+
+
+def mission_of(name: str, groups: Sequence[Sequence[Item]]) -> dict[str, Any]:
+    """The inverse, with its digest. What a boat has aboard that the page cannot show is left out."""
+    mission, zones, rally = plans.MissionDraft(), plans.ZonesDraft(), plans.RallyDraft()
+    drafts: tuple[plans.Draft, ...] = mission, zones, rally
+    for draft, items in zip(drafts, groups, strict=True):
+        for number, item in enumerate(items):
+            with contextlib.suppress(FormatError):
+                draft.add(number, item)
+    fence = config.Zones()
+    with contextlib.suppress(FormatError):  # a polygon that is not whole
+        fence = zones.done()
+    home = [_named(place) for place in rally.done()[:1]]
+    return with_digest(page_of(name, mission.waypoints, mission.path, fence) | {"home": home[0] if home else None})
+
+
+def item_in(m: Any) -> Item:
+    """Of a MISSION_ITEM_INT. A number that is not finite stands for "as usual", which is 0 here."""
+    one, two, three, four, z = (each if math.isfinite(each) else 0.0 for each in (m.param1, m.param2, m.param3, m.param4, m.z))
+    return Item(m.command, one, two, three, four, m.x, m.y, z, m.frame)
+
+
+def with_digest(plan: dict[str, Any]) -> dict[str, Any]:
+    """A plan that is kept: it is compared often, and a long one takes 30 ms."""
+    return plan | {"digest": digest(plan)}
+
+
+def digest(plan: Mapping[str, Any]) -> str:
+    """A name of what a plan says, its title apart."""
+    said = [
+        [(i.command, *(round(p, 3) for p in (i.p1, i.p2, i.p3, i.p4)), i.x, i.y) for i in items] for items in items_of(plan)
+    ]
+    return hashlib.sha256(json.dumps(said).encode()).hexdigest()[:12]
+
+
+def item_of(plan: Mapping[str, Any], waypoint: int) -> int:
+    """The number of a waypoint's item, from 0. Raises FormatError where there is no such waypoint."""
+    places = _places(plan)
+    if not 0 <= waypoint < len(places):
+        raise FormatError(f"no waypoint {waypoint}: the mission has {len(places)}")
+    return places[waypoint]
+
+
+def waypoint_of(plan: Mapping[str, Any], item: int) -> int:
+    """The waypoint that an item is or belongs to, from 0; a change of speed belongs to the waypoint behind it."""
+    return sum(place < item for place in _places(plan))
+
+
+def _places(plan: Mapping[str, Any]) -> list[int]:
+    return list(plans.places(float(each.get("speed_mps") or 0.0) for each in plan["waypoints"]))
+
+
+def _row(kind: type[Row], each: Mapping[str, Any]) -> Row:
+    latitude_deg, longitude_deg = _place(each)
+    numbers = {name: float(each.get(name) or 0.0) for name in kind.__struct_fields__}
+    return kind(**numbers | {"latitude_deg": latitude_deg, "longitude_deg": longitude_deg})
+
+
+def _place(where: Mapping[str, Any]) -> tuple[float, float]:
+    latitude_deg, longitude_deg = float(where["latitude_deg"]), float(where["longitude_deg"])
+    if not (abs(latitude_deg) <= LATITUDE_MAX_DEG and abs(longitude_deg) <= LONGITUDE_MAX_DEG):
+        raise ValueError(f"{latitude_deg}, {longitude_deg} is nowhere")
+    return latitude_deg, longitude_deg
+
+
+def _named(place: tuple[float, float]) -> dict[str, float]:
+    return {"latitude_deg": place[0], "longitude_deg": place[1]}
