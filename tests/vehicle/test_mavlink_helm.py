@@ -168,7 +168,7 @@ def test_the_guest_computer_takes_no_boat_whose_owner_is_silent(make_boat, key):
         sea.station.tick()
     for number, numbers in ((176, (1, 3)), (300, ()), (32100, (0, 1))):
         assert sea.consoles["guest"].command(number, *numbers)[0] == LATER
-    assert sea.station.commander.party == (250, 190)
+    assert sea.station.consoles.commander.party == (250, 190)
     assert sea.consoles["other"].mode(3)[0] == ACCEPTED, "another console does"
 
 
