@@ -33,7 +33,7 @@ from delfim.canproxy.canloop import group_of
 from delfim.console.link import Link
 from delfim.errors import DelfimError, Refused
 from delfim.logging.statelog import columns
-from delfim.services.priority import ARRIVALS
+from delfim.services.window import ARRIVALS
 
 SOURCES: Final = Path(__file__).parent
 LABELS: Final = {

@@ -28,9 +28,10 @@ from delfim.canproxy.socket import BATCH
 from delfim.clock import SystemClock
 from delfim.errors import DelfimError
 from delfim.frames import extended
-from delfim.logging.liblog import Method, read_log
+from delfim.logging.liblog import Method
 from delfim.logging.openlog import open_log
 from delfim.logging.plot import INK, LINE, SEA
+from delfim.logging.reading import read_log
 
 WRITES, QUICK_WRITES = 100_000, 2_000
 RECORD_BYTES, RECORDS_PER_S = 250, 500

@@ -19,7 +19,9 @@ from delfim import config
 from delfim.errors import DelfimError, FormatError, PermanentFailure
 from delfim.outside import parse_json, read_file
 from delfim.services import cgroup, shutdown
-from delfim.services.supervisor import STACKS_SIGNAL, Program, Supervisor, real_time
+from delfim.services.children import STACKS_SIGNAL, Program
+from delfim.services.privileges import real_time
+from delfim.services.supervisor import Supervisor
 
 if TYPE_CHECKING:
     from delfim.services import runtime

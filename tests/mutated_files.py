@@ -259,11 +259,11 @@ def page_token(here: Path) -> Said:
 
 
 def supervisors_record(here: Path) -> Said:
-    from delfim.services.runtime import _last_deadman
+    from delfim.services.supervisor import last_deadman
     from delfim.suite import _told
 
     with contextlib.redirect_stdout(io.StringIO()):
-        return refused(lambda: (_last_deadman(here / "record"), _told(here / "record", 0.0, "")))
+        return refused(lambda: (last_deadman(here / "record"), _told(here / "record", 0.0, "")))
 
 
 LOG_VERBS = (("ls",), ("info",), ("cat",), ("cat", "--events"), ("export", "csv", "--output", "out"), ("repair",))

@@ -245,10 +245,10 @@ READ_BY = {  # function: the readers above that come by it
     "logging/tree.py: _end": {"sidecar"},
     "logging/tree.py: _starts": {"sidecar"},
     "services/ftpd.py: _tls": {"certificate"},
-    "services/runtime.py: _last_deadman": {"supervisor's record"},
+    "services/supervisor.py: last_deadman": {"supervisor's record"},
     "services/slots.py: environment": {"boot environment"},
     "services/slots.py: manifest": {"manifest of a slot"},
-    "services/slots.py: verify": {"image"},
+    "services/imagefile.py: verify": {"image"},
     "services/sshd.py: _host_key": {"host key"},
     "simulator/scenario.py: mission_of": {"scenario's mission"},
     "suite.py: _told": {"supervisor's record"},
@@ -260,8 +260,8 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
     *("logging/fetch.py: _condition", "logging/fetch.py: _fetched", "logging/fetch.py: _read"),
     *("services/cgroup.py: exceeded", "services/computer.py: _read", "services/shutdown.py: _read"),
     *("services/slipd.py: _counters", "services/slipd.py: carrier_source"),
-    *("services/slots.py: _digest", "services/slots.py: _digest_of_disk", "services/slots.py: pack"),
-    *("services/slots.py: present_notice", "services/sshprograms.py: _session", "services/supervisor.py: _process_state"),
+    *("services/imagefile.py: _digest", "services/slots.py: _digest_of_disk", "services/imagefile.py: pack"),
+    *("services/slots.py: present_notice", "services/sshprograms.py: _session", "services/children.py: process_state"),
 }
 
 

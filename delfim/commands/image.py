@@ -10,7 +10,7 @@ from delfim import config
 from delfim.commands import vehicle_file
 from delfim.console.link import Link
 from delfim.errors import DelfimError, Refused
-from delfim.services import slots
+from delfim.services import imagefile, slots
 
 ANSWER_S = 3.0  # for the vehicle to say what it does
 
@@ -59,13 +59,13 @@ def under_way(settings: config.Vehicle) -> str:
 
 
 def verify(settings: config.Vehicle, bundle: Path) -> int:
-    image = slots.verify(bundle, settings.image.signers)
+    image = imagefile.verify(bundle, settings.image.signers)
     print(f"{bundle.name}: version {image.manifest.version}, whole, signed by {image.signer}")
     return 0
 
 
 def install(settings: config.Vehicle, bundle: Path) -> int:
-    slots.verify(bundle, settings.image.signers)  # before anything on the partition is touched
+    imagefile.verify(bundle, settings.image.signers)  # before anything on the partition is touched
     with slots.boot_partition(settings.image, write=True) as both:
         slot, image = both.install(bundle, settings.image.signers)
     print(f"version {image.manifest.version}, signed by {image.signer}, is in slot {slot} and is tried at the next start.")

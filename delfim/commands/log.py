@@ -126,7 +126,7 @@ def _cat_lines(chosen: Selection, *, events: bool) -> Iterator[str]:
         ]
         yield from heapq.merge(*streams, key=lambda line: line[1:18]) if len(streams) > 1 else streams[0]
         return
-    from delfim.logging.liblog import read_log
+    from delfim.logging.reading import read_log
 
     for file in chosen.files:
         for line in read_log(file.path)[0].splitlines(keepends=True):

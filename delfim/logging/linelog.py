@@ -11,9 +11,10 @@ from delfim.clock import Clock
 from delfim.config import Log as Limits
 from delfim.errors import FormatError
 from delfim.logging.blackbox import device
-from delfim.logging.liblog import event_line, read_log
+from delfim.logging.liblog import event_line
 from delfim.logging.nodelog import line
 from delfim.logging.openlog import open_log
+from delfim.logging.reading import read_log
 from delfim.logging.tree import LogFile
 from delfim.outside import parse_json
 

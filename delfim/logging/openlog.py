@@ -2,7 +2,9 @@
 
 from delfim.clock import Clock
 from delfim.config import Log as Limits
-from delfim.logging.liblog import FileLog, Log, Method, PipeLog, Settings
+from delfim.logging.filelog import FileLog
+from delfim.logging.liblog import Log, Method, Settings
+from delfim.logging.pipelog import PipeLog
 
 
 def open_log(

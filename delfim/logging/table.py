@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from delfim.errors import DelfimError, FormatError
 from delfim.frames import Frame
 from delfim.logging.candump import parse_line
-from delfim.logging.liblog import read_log
+from delfim.logging.reading import read_log
 from delfim.logging.statelog import Schema
 from delfim.logging.tree import ALWAYS, LogFile, Span, is_running
 

@@ -17,7 +17,9 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim.clock import SystemClock
-from delfim.logging.liblog import FLUSH_S, LENGTH, NOTE, FileLog, LogStatus, Settings
+from delfim.logging.filelog import FLUSH_S, FileLog
+from delfim.logging.liblog import LogStatus, Settings
+from delfim.logging.pipelog import LENGTH, NOTE
 
 TICK_S: Final = 0.05  # between two looks into the pipe
 READ_BYTES: Final = 1 << 16

@@ -313,12 +313,11 @@ async def serve(runtime: Runtime) -> None:
     """The service."""
     server = FtpServer(runtime.config, runtime.clock)
     address = await server.open()
-    runtime.board["ftpd"] = lambda: {"address": address, **server.figures()}
     log.warning("ftpd: %s", address)
     try:
-        await asyncio.Event().wait()
+        with runtime.publishing("ftpd", lambda: {"address": address, **server.figures()}):
+            await asyncio.Event().wait()
     finally:
-        del runtime.board["ftpd"]
         await server.close()
 
 

@@ -12,11 +12,8 @@ import json
 import logging
 import os
 import re
-import sys
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
-from datetime import UTC, datetime
-from html import escape
 from ipaddress import ip_address
 from typing import Any, Final, TypeVar, cast
 from urllib.parse import quote, unquote
@@ -30,18 +27,15 @@ from delfim.logging.tree import readable
 from delfim.services.door import Door, bulk
 from delfim.services.jail import Jail
 from delfim.services.runtime import Runtime
-from delfim.services.web import api, document, files, metrics, page
-from delfim.services.web.api import Computer, Report, Server, Service, State
+from delfim.services.web import api, document, files, metrics
+from delfim.services.web.board import Board, Lookout
+from delfim.services.web.subpages import checks_page, listing
 
-ANSWER_S: Final = 2.0  # that the vehicle has to answer
-FRESH_S: Final = 0.9  # what is younger is not asked for again
 EVERY_S: Final = (1.0, 60.0)  # between two events of a page
 IDLE_S: Final = 15.0  # for a request to arrive, and between two of them
 STALL_S: Final = 20.0  # a client that reads nothing for so long is gone
 AGAIN_S: Final = 5.0  # before a look at the computer that failed is tried again
-WAY_MAX: Final = 160  # points: their line takes 60 µs to write
 CHUNK_BYTES: Final = 64 << 10  # of a file
-ANSWER_BYTES: Final = 1 << 20  # of the vehicle or the child, at most
 BACKLOG: Final = 16
 HEADERS: Final = {
     "Cache-Control": "no-store",
@@ -55,195 +49,10 @@ _PORT: Final = re.compile(r":\d+$")
 _LOCAL: Final = re.compile(r"[a-z0-9_-]+(\.(local|lan|internal|home\.arpa))?")
 log = logging.getLogger(__name__)
 T = TypeVar("T")
-
-
-class Feed(asyncio.Protocol):
-    """The vehicle's words, asked for one at a time."""
-
-    def __init__(self, path: str) -> None:
-        self._path = path
-        self._transport: asyncio.Transport | None = None
-        self._answer: asyncio.Future[bytes] | None = None
-        self._buffer = bytearray()
-
-    async def ask(self) -> State:
-        """The present state. Raises DelfimError in words."""
-        loop = asyncio.get_running_loop()
-        try:
-            async with asyncio.timeout(ANSWER_S):
-                if self._transport is None:
-                    await loop.create_unix_connection(lambda: self, self._path)
-                assert self._transport is not None
-                self._answer = loop.create_future()
-                self._transport.write(b'{"command": "state"}\n')
-                return _ANSWER.decode(await self._answer).state
-        except (OSError, TimeoutError) as error:
-            self.close()
-            reason = error.strerror if isinstance(error, OSError) and error.strerror else "it says nothing"
-            raise DelfimError(f"the vehicle does not answer: {reason}") from None
-        except msgspec.DecodeError as error:
-            raise DelfimError(f"the vehicle's answer is not understood: {error}") from None
-
-    def close(self) -> None:
-        if self._transport is not None:
-            self._transport.abort()
-            self._transport = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)  # uvloop's are none by descent
-        self._buffer.clear()
-
-    def connection_lost(self, exc: Exception | None) -> None:
-        self._transport = None
-        if self._answer is not None and not self._answer.done():
-            self._answer.set_exception(ConnectionResetError(0, "it went away"))
-
-    def data_received(self, data: bytes) -> None:
-        self._buffer += data
-        if data.endswith(b"\n") and self._answer is not None and not self._answer.done():
-            self._answer.set_result(bytes(self._buffer))
-            self._buffer.clear()
-        elif len(self._buffer) > ANSWER_BYTES:
-            self.close()
-
-
-class _Answer(msgspec.Struct):
-    state: State
-
-
-_ANSWER: Final = msgspec.json.Decoder(_Answer)
-_COMPUTER: Final = msgspec.json.Decoder(Computer)
 _encode: Final = msgspec.json.Encoder().encode
 
 
-class Look(asyncio.SubprocessProtocol):
-    """The child that looks at the computer, and what it saw last."""
-
-    def __init__(self, settings: config.Vehicle, clock_s: Callable[[], float]) -> None:
-        words = (settings.log.directory, settings.log.free_bytes_min, settings.runtime.run_directory, settings.httpd.scan_s)
-        self._command = (sys.executable, "-m", "delfim.services.computer", *map(str, words))
-        self._clock_s = clock_s
-        self._buffer = bytearray()
-        self._transport: asyncio.SubprocessTransport | None = None
-        self._ended = asyncio.Event()
-        self.computer: Computer | None = None
-        self.at_s = 0.0
-
-    async def start(self) -> None:
-        """Nothing happens while it runs. Raises OSError."""
-        if self._transport is None:
-            loop = asyncio.get_running_loop()
-            self._ended.clear()
-            self._transport, _ = await loop.subprocess_exec(lambda: self, *self._command, stderr=None)
-
-    async def close(self) -> None:
-        """Nothing is left behind."""
-        if self._transport is not None:
-            self._transport.close()
-            await self._ended.wait()
-
-    def pipe_data_received(self, fd: int, data: bytes) -> None:
-        self._buffer += data
-        if data.endswith(b"\n"):
-            with contextlib.suppress(msgspec.DecodeError):  # it died in the middle of a word
-                self.computer, self.at_s = _COMPUTER.decode(self._buffer.splitlines()[-1]), self._clock_s()
-            self._buffer.clear()
-        elif len(self._buffer) > ANSWER_BYTES and self._transport is not None:
-            self._transport.kill()
-
-    def process_exited(self) -> None:
-        if self._transport is not None:
-            self._transport.close()
-            self._transport = None
-        self._buffer.clear()
-        self._ended.set()
-
-
-class Way:
-    """Where the boat was while somebody looked: at most WAY_MAX points. When they are full, every second one goes, and the next
-    ones come half as often."""
-
-    def __init__(self) -> None:
-        self.points: list[tuple[float, float]] = []
-        self._every, self._seen = 1, 0
-
-    def add(self, vehicle: State) -> None:
-        if vehicle.latitude_deg is None or vehicle.longitude_deg is None:
-            return
-        self._seen += 1
-        if self._seen % self._every:
-            return
-        self.points.append((vehicle.latitude_deg, vehicle.longitude_deg))
-        if len(self.points) >= WAY_MAX:
-            del self.points[1::2]
-            self._every *= 2
-
-
-class Board:
-    """What all visitors see: asked for and rendered once, whoever looks, and never while nobody does."""
-
-    def __init__(self, runtime: Runtime, look: Look, door: Door) -> None:
-        self._runtime, self._look, self._door = runtime, look, door
-        self._settings, self._clock = runtime.config, runtime.clock
-        self.feed = Feed(runtime.config.console.socket)
-        self._lock = asyncio.Lock()
-        self._report: Report | None = None
-        self._report_s = self._sections_s = -1e9
-        self._sections: dict[str, str] = {}
-        self.requests = 0
-        self._way = Way()
-        self._due_s = dict.fromkeys((section.id for section in page.SECTIONS), -1e9)
-
-    def figures(self) -> dict[str, int]:
-        door = self._door
-        return {"connections": door.inside.total(), "requests": self.requests, "refused": door.refused}
-
-    async def report(self) -> Report:
-        async with self._lock:
-            return await self._asked()
-
-    async def sections(self) -> dict[str, str]:
-        """HTML by id. A callback renders one section, so that none is long."""
-        async with self._lock:
-            now_s = self._clock.monotonic_s()
-            if now_s - self._sections_s < FRESH_S:
-                return self._sections
-            view = page.View(await self._asked(), self._settings, self._way.points)
-            now, due_s = {**self._sections, "head": page.head(view)}, dict[str, float]()
-            for section in page.SECTIONS:
-                if now_s >= self._due_s[section.id]:
-                    await asyncio.sleep(0)  # a visitor may leave here: nothing has changed yet
-                    now[section.id] = section.render(view)
-                    due_s[section.id] = now_s + section.every_s - 0.1
-            self._due_s |= due_s
-            self._sections, self._sections_s = now, now_s
-            return now
-
-    async def _asked(self) -> Report:
-        now_s = self._clock.monotonic_s()
-        if self._report is None or now_s - self._report_s >= FRESH_S:
-            vehicle, reason = None, ""
-            try:
-                vehicle = await self.feed.ask()
-                self._way.add(vehicle)
-            except DelfimError as error:
-                reason = str(error)
-            own = msgspec.convert(self._runtime.report()["services"], dict[str, Service])
-            look = self._look
-            self._report = Report(
-                utc_ns=self._clock.time_ns(),
-                vehicle=vehicle,
-                reason=reason,
-                services={**(vehicle.services if vehicle else {}), **own},
-                computer=look.computer,
-                computer_age_s=round(now_s - look.at_s, 1) if look.computer else None,
-                server=Server(**self.figures()),
-            )
-            self._report_s = now_s
-        return self._report
-
-
-class Connection(web.RequestHandler):
+class HttpConnection(web.RequestHandler):
     """aiohttp's connection behind our door."""
 
     __slots__ = ("_address", "_door")
@@ -361,7 +170,7 @@ class Site:
 
     async def _checks(self, request: web.BaseRequest) -> web.StreamResponse:
         report = await self._board.report()
-        return _html(_checks_page(report))
+        return _html(checks_page(report))
 
     async def _metrics(self, request: web.BaseRequest) -> web.StreamResponse:
         text = metrics.metrics(await self._board.report())
@@ -381,7 +190,7 @@ class Site:
         """A directory as a page, a file in the ranges that were asked for."""
         if path.endswith("/"):
             found, is_all = await self._work(files.entries, self._jail, path)
-            return _html(_listing(path, found, is_all))
+            return _html(listing(path, found, is_all))
         if await self._work(files.is_directory, self._jail, path):
             return web.Response(status=308, headers={**HEADERS, "Location": quote(os.fsencode(f"/logs{path}/"))})
         file = await self._work(files.opened, self._jail, path)
@@ -429,7 +238,7 @@ async def serve(runtime: Runtime) -> None:
     """The service."""
     settings, loop = runtime.config, asyncio.get_running_loop()
     door = Door(settings.httpd.connections, settings.httpd.connections_per_address)
-    look = Look(settings, runtime.clock.monotonic_s)
+    look = Lookout(settings, runtime.clock.monotonic_s)
     board = Board(runtime, look, door)
     site = Site(settings, board)
     server = web.Server(site.answer, handler_cancellation=True)
@@ -439,11 +248,10 @@ async def serve(runtime: Runtime) -> None:
         links.callback(board.feed.close)
         links.callback(_hang_up, server)
         place = config.address(settings.httpd.listen)
-        listener = await loop.create_server(lambda: Connection(server, door), *place, backlog=BACKLOG)
+        listener = await loop.create_server(lambda: HttpConnection(server, door), *place, backlog=BACKLOG)
         links.callback(listener.close)
         address = "http://{}:{}/".format(*listener.sockets[0].getsockname()[:2])
-        runtime.board["httpd"] = lambda: {"address": address, **board.figures()}
-        links.callback(runtime.board.pop, "httpd")
+        links.enter_context(runtime.publishing("httpd", lambda: {"address": address, **board.figures()}))
         log.warning("httpd: %s", address)
         while True:
             with contextlib.suppress(OSError):  # no room for a child now: the page says how old the last look is
@@ -486,47 +294,3 @@ def _json(body: bytes) -> web.Response:
 
 def _refused(status: int, words: str, more: dict[str, str] | None = None) -> web.Response:
     return web.Response(status=status, text=words + "\n", headers={**HEADERS, **(more or {})})
-
-
-def _checks_page(report: Report) -> str:
-    lines = report.vehicle.checks if report.vehicle else ()
-    bad = [line for line in lines if not line.ok]
-    if not lines:
-        mood, title = "bad", "Not known"
-    elif bad:
-        mood, title = "warn", f"{len(bad)} of {len(lines)} not in order"
-    else:
-        mood, title = "good", "All in order"
-    rows = "".join(
-        f'<li class="{kind}"><b>{mark} {escape(line.name)}</b> {escape(line.reason)}</li>'
-        for line in lines
-        for kind, mark in [("good", "✓") if line.ok else ("bad", "✗")]
-    )
-    reason = f"<p>{escape(report.reason or page.GONE)}</p>" if report.vehicle is None else ""
-    boat = escape(report.vehicle.boat) if report.vehicle else ""
-    head = f'<div class="band {mood}"><p>{boat}</p><h1>{title}</h1><p class="why">Before the start</p></div>'
-    return document.plain("Before the start", f'{reason}<ul class="lines checks">{rows}</ul>', head)
-
-
-def _listing(path: str, found: list[files.Entry], is_all: bool) -> str:
-    rows = []
-    for each in found:
-        slash = "/" if each.is_directory else ""
-        at = datetime.fromtimestamp(each.mtime_s, UTC)
-        length = "" if each.is_directory else page.size(each.bytes)
-        link = f'<a href="{quote(os.fsencode("./" + each.name), safe="./")}{slash}">{escape(readable(each.name))}{slash}</a>'
-        what = escape(files.meaning(path, each))
-        rows.append(f'<tr><th>{link}</th><td class="what">{what}</td><td>{length}</td><td>{at:%Y-%m-%d %H:%M:%S}</td></tr>')
-    head = '<thead><tr><th>name</th><td class="what">what it is</td><td>size</td><td>last written, UTC</td></tr></thead>'
-    more = "" if is_all else f'<p class="small">The first {files.ENTRIES_MAX}; the rest over FTP or SFTP.</p>'
-    table = document.table([head, *rows]) if rows else '<p class="none">empty</p>'
-    return document.plain(f"Logs {readable(path)}", f'<p class="trail">{_trail(path)}</p>{table}{more}')
-
-
-def _trail(path: str) -> str:
-    """The way back up, each step a link."""
-    steps = [step for step in path.split("/") if step]
-    links = [
-        f'<a href="{"../" * (len(steps) - n) or "./"}">{escape(readable(step))}</a>' for n, step in enumerate(["Logs", *steps])
-    ]
-    return " › ".join(links)

@@ -183,10 +183,8 @@ async def serve(runtime: Runtime) -> None:
                 acted.set()
                 ask(runtime, heard.order or "off", heard.reason)
 
-        runtime.reader(can.fileno(), on_readable)
-        links.callback(runtime.remove_reader, can.fileno())
-        runtime.board["powerd"] = heard.report
-        links.callback(runtime.board.pop, "powerd")
+        links.enter_context(runtime.reading(can.fileno(), on_readable))
+        links.enter_context(runtime.publishing("powerd", heard.report))
         while True:
             await asyncio.sleep(LOOK_S)
             can.rebind()

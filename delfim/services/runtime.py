@@ -8,14 +8,12 @@ How to add a service, and what the figures of `report` mean: docs/runtime.md.
 """
 
 import asyncio
-import ctypes
 import gc
 import importlib
 import json
 import logging
 import os
 import signal
-import sys
 import time
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -27,19 +25,17 @@ from typing import Final, Literal, NamedTuple
 
 from delfim import config
 from delfim.clock import Clock
-from delfim.errors import DelfimError, FormatError, PermanentFailure, in_words
-from delfim.outside import parse_json, read_file
-from delfim.services.priority import ACCOUNT, Account, NavigationLoop, NavigationWindow, Rehearsal
-from delfim.services.supervisor import EXIT_PERMANENT, real_time
+from delfim.errors import DelfimError, PermanentFailure, in_words
+from delfim.services.garbage import Collector
+from delfim.services.priority import ACCOUNT, Account, NavigationLoop, Rehearsal
+from delfim.services.privileges import asked, real_time, set_privileges
+from delfim.services.supervisor import EXIT_PERMANENT, last_deadman
+from delfim.services.window import NavigationWindow
 
 BEAT_S: Final = 0.1  # the longest time between two beats of a loop that is well
 SETTLE_S: Final = 1.0  # a service is starting for so long; what its callbacks cost counts afterwards
-SWITCH_S: Final = 0.0001  # that a thread may keep the interpreter from the loop; the interpreter's own choice is 5 ms
 STOP_S: Final = 1.0  # that a service has to end after its cancellation
 TELL_S: Final = 1.0  # a process of its own says so often how its service is
-COLLECT_EVERY_S: Final = 0.1  # garbage is looked for so often ...
-COLLECT_QUIET_S: Final = 0.002  # ... and collected when no navigation is due for so long ...
-OVERDUE: Final = 10  # ... or when there is so many times more than the interpreter would have let be
 
 State = Literal["starting", "running", "waiting", "failed", "stopped"]
 
@@ -120,31 +116,32 @@ class Runtime:
         self._pauses: dict[int, asyncio.TimerHandle] = {}  # of readers
         self._stop_reason = ""
         self._stopping = asyncio.Event()
-        self._collections, self._collection_longest_s = 0, 0.0
-        self._collection_s = [0.0, 0.0, 0.0]  # the last one of each generation
+        self._collector = Collector(self.window, clock)
         self._deadman: dict[str, object] = {}
         if beat_fd >= 0:
             os.set_inheritable(beat_fd, False)
             os.set_blocking(beat_fd, False)
-            self._deadman = _last_deadman(Path(limits.run_directory) / "supervisor.json")
+            self._deadman = last_deadman(Path(limits.run_directory) / "supervisor.json")
 
     # For services.
 
-    def navigation(self, fd: int, handler: Callable[[], bool]) -> None:
-        """Call `handler` strictly first whenever `fd` is readable. It drains the socket and returns True where that completed
-        a navigation message. Its time is the calling service's, and so is the failure when it raises."""
+    @contextmanager
+    def navigating(self, fd: int, handler: Callable[[], bool]) -> Iterator[None]:
+        """Call `handler` strictly first whenever `fd` is readable, until the end of the block. It drains the socket and returns
+        True where that completed a navigation message. Time and failure are the calling service's."""
         self._first.add_navigation(fd, handler, self._failed())
+        try:
+            yield
+        finally:
+            self._first.remove_navigation(fd)
 
     def rehearsal(self, rehearsal: Rehearsal | None) -> None:
         """What keeps the caches warm for navigation: the critical path without effect."""
         self._first.set_rehearsal(rehearsal)
 
-    def remove_navigation(self, fd: int) -> None:
-        self._first.remove_navigation(fd)
-
     def reader(self, fd: int, handler: Callable[[], object], pause_s: float = 0.0) -> None:
         """Call `handler` in its turn whenever `fd` is readable, at most once each `pause_s`: waking up for every frame of a
-        busy bus costs more than the frames. Time and failure as in `navigation`."""
+        busy bus costs more than the frames. Time and failure as in `navigating`."""
         failed = self._failed()
 
         def guarded() -> None:
@@ -216,8 +213,7 @@ class Runtime:
             "loop": {
                 "busy_s": round(self._account.busy_s, 3),
                 "longest_callback_s": round(self._account.longest_s, 6),
-                "collections": self._collections,
-                "longest_collection_s": round(self._collection_longest_s, 6),
+                **self._collector.report(),
                 "tasks": len(asyncio.all_tasks(self._loop)) if self._tasks else 0,
             },
             "deadman": self._deadman,
@@ -239,8 +235,7 @@ class Runtime:
         """Run until SIGTERM, SIGINT, the end of the supervisor or of all services. Returns the exit code: EXIT_PERMANENT where
         a service must not be started again, otherwise 0."""
         if self._place == "runtime":
-            _privileges(self.config.runtime)
-            sys.setswitchinterval(SWITCH_S)
+            set_privileges(self.config.runtime)
             gc.collect()
             gc.freeze()
             gc.disable()
@@ -264,7 +259,7 @@ class Runtime:
                 self._tasks[row.name] = group.create_task(self._serve(row), name=row.name, context=context)
                 self._tasks[row.name].add_done_callback(self._ended)
             self._loop.call_soon(self._beat)  # after the first step of every service
-            self._tick()
+            self._collector.tick()
             if self._place == "process" and self._beat_fd >= 0:
                 place = Path(self.config.runtime.run_directory)
                 self._tell({name: _status_file(place / f"service-{name}.json") for name in self.status})
@@ -366,7 +361,7 @@ class Runtime:
         """Not earlier: on a slow computer with one processor the threads that read the libraries would never get it."""
         priority = self.config.runtime.fifo_priority
         if priority and self._place == "runtime":
-            _asked(f"fifo_priority = {priority}", lambda: real_time(priority))
+            asked(f"fifo_priority = {priority}", lambda: real_time(priority))
 
     def _beat(self) -> None:
         """Tell the supervisor that the loop turns. Before the first time it is patient, and that is when libraries are read."""
@@ -394,46 +389,6 @@ class Runtime:
                 told["busy_s"] = round(time.process_time(), 3)
                 os.ftruncate(files[name], os.pwrite(files[name], json.dumps(told).encode(), 0))
 
-    def _tick(self) -> None:
-        """Collect garbage as the interpreter would, but in quiet time; where there is none, when it is long overdue."""
-        self._loop.call_later(COLLECT_EVERY_S, self._tick)
-        counts, thresholds = gc.get_count(), gc.get_threshold()
-        if gc.isenabled() or counts[0] <= thresholds[0]:
-            return
-        generation = 2 if counts[2] > thresholds[2] else 1 if counts[1] > thresholds[1] else 0
-        began_s = self.clock.monotonic_s()
-        quiet_s = self.window.opens_s - began_s
-        if quiet_s > 2 * self._collection_s[generation] + COLLECT_QUIET_S or counts[0] > OVERDUE * thresholds[0]:
-            gc.collect(generation)
-            self._collections += 1
-            self._collection_s[generation] = spent_s = self.clock.monotonic_s() - began_s
-            self._collection_longest_s = max(self._collection_longest_s, spent_s)
-
-
-def _privileges(settings: config.Runtime) -> None:
-    """The settings of the vehicle's file that hold from the start."""
-    if settings.nice:
-        _asked(f"nice = {settings.nice}", lambda: os.setpriority(os.PRIO_PROCESS, 0, settings.nice))
-    if settings.cpus:
-        _asked(f"cpus = {list(settings.cpus)}", lambda: os.sched_setaffinity(0, settings.cpus))
-    if settings.mlockall:
-        _asked("mlockall", _mlockall)
-
-
-def _asked(name: str, do: Callable[[], object]) -> None:
-    """What is not permitted costs a warning and is done without."""
-    try:
-        do()
-    except OSError as error:
-        log.warning("runtime.%s: %s; going on without it", name, error.strerror)
-
-
-def _mlockall() -> None:
-    current, future = 1, 2  # sys/mman.h
-    if ctypes.CDLL(None, use_errno=True).mlockall(current | future):
-        number = ctypes.get_errno()
-        raise OSError(number, os.strerror(number))
-
 
 def _status_file(path: Path) -> int:
     """A descriptor, -1 where it cannot be had."""
@@ -443,12 +398,3 @@ def _status_file(path: Path) -> int:
     except OSError as error:
         log.warning("%s: %s; going on without it", path, error.strerror)
         return -1
-
-
-def _last_deadman(path: Path) -> dict[str, object]:
-    """The supervisor's last dead-man event; empty where there was none."""
-    try:
-        event = parse_json(read_file(path))["deadman"]
-    except (OSError, FormatError, KeyError, TypeError):
-        return {}
-    return event if isinstance(event, dict) else {}

@@ -315,13 +315,9 @@ async def serve(runtime: Runtime) -> None:
         with contextlib.suppress(OSError):  # a header whose options change is not compressed (RFC 1144, 3.2.3)
             _TCP_TIMESTAMPS.write_text("0")
     radio = Radio(settings, runtime.clock, open_line)
-    runtime.board["slipd"] = radio.report
-    try:
+    with contextlib.closing(radio), runtime.publishing("slipd", radio.report):
         while True:
             if radio.is_due():
                 await loop.run_in_executor(None, radio.retry)  # the kernel may have to load a module
                 radio.attend()
             await asyncio.sleep(LOOK_S)
-    finally:
-        del runtime.board["slipd"]
-        radio.close()

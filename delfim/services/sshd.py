@@ -178,12 +178,11 @@ async def serve(runtime: Runtime) -> None:
     daemon = Daemon(settings, runtime.clock)
     acceptor = await daemon.listen()
     address = "ssh://{}:{}".format(*acceptor.sockets[0].getsockname()[:2])
-    runtime.board["sshd"] = lambda: {"address": address, **daemon.figures()}
     log.warning("sshd: %s", address)
     try:
-        await asyncio.Event().wait()
+        with runtime.publishing("sshd", lambda: {"address": address, **daemon.figures()}):
+            await asyncio.Event().wait()
     finally:
-        del runtime.board["sshd"]
         acceptor.close()
         await daemon.close()
 

@@ -1,4 +1,4 @@
-"""The supervisor: the parent of all programs, and the dead-man. Standard library only; it fits for PID 1.
+"""The supervisor: the parent of all programs, and the dead-man. It fits for PID 1.
 
 It starts the programs, each in a session of its own, and starts again what died. Every program is told `--beat-fd N`, the
 write end of a pipe. The critical one beats on it; when the beat stops, whatever the reason, the supervisor itself stops the
@@ -12,29 +12,27 @@ caller's. What it does not do: dependencies, logs. It never waits for anything b
 import json
 import logging
 import os
-import re
 import select
 import signal
 import socket
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from math import inf
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, cast, get_args
+from typing import Final, Literal, cast, get_args
 
-from delfim.services.cgroup import Limits
+from delfim.errors import FormatError
+from delfim.outside import parse_json, read_file
+from delfim.services.children import STACKS_SIGNAL, Child, Program, process_state, stood
 from delfim.services.shutdown import Word
+from delfim.services.watchdog import Watchdog
 
 EXIT_PERMANENT: Final = 100  # of a program: do not start me again
 START_S: Final = 60.0  # a critical program may take so long to its first beat: a slow board reads it from a slow card
 HEAD_START_S: Final = 5.0  # the others wait so long for its first beat: until then it has the processor to itself
 STOP_EVERY_S: Final = 0.1  # between two stop frames while nothing beats
 STACKS_S: Final = 0.1  # that a silent program has to write where its threads stand, while stop frames are sent already
-STACKS_SIGNAL: Final = signal.SIGUSR2  # asks for that
-STACKS_BYTES: Final = 65536  # a pipe holds no more
-FRAMES: Final = 3  # of the main thread's stack, in the reason
 TICK_S: Final = 0.1  # the longest wait: the hardware watchdog is stroked so often, and who wakes later has been kept from it
 END_CRITICAL_S: Final = 5.0  # that the critical program has to end in order
 END_S: Final = 2.0  # that another program has
@@ -57,35 +55,6 @@ INIT_SIGNALS: Final[dict[int, Word]] = {
 }
 
 log = logging.getLogger(__name__)
-
-
-class Program(NamedTuple):
-    """One program. The critical one has the dead-man; there is at most one. The others run on processors that nobody else wants
-    (SCHED_IDLE): being niced does not make the kernel take a processor from them at once when the critical one wakes."""
-
-    name: str
-    argv: tuple[str, ...]
-    critical: bool = False
-    limits: Limits = Limits()
-
-
-@dataclass(slots=True)
-class Child:
-    """A program and what became of it. Times are monotonic unless they say otherwise."""
-
-    program: Program
-    state: Literal["waiting", "running", "stopped", "failed"] = "waiting"
-    pid: int = 0  # 0 while it does not run
-    pipe: int = -1  # read end
-    start_s: float = 0.0  # when it was started, or will be
-    beat_s: float | None = None  # last beat, and later by all the time in which the computer did not let us run since
-    pause_s: float = 0.0  # before its last start
-    restarts: int = 0
-    reason: str = ""  # of its last end or silence, in words
-    is_silent: bool = False  # beats no more, and is not critical
-    verdict: str = ""  # why it is or was killed by us
-    kill_s: float = inf  # when it is killed, silent as it is
-    since_s: float = 0.0  # monotonic, of the last change of state
 
 
 class Supervisor:
@@ -118,7 +87,7 @@ class Supervisor:
         self._stop, self._stop_error = stop, ""
         self._deadman_s, self._backoff_s, self._backoff_max_s = deadman_s, backoff_s, backoff_max_s
         self._state_file = state_file
-        self._watchdog = _opened(watchdog)
+        self._watchdog = Watchdog(watchdog)
         self._deadman: dict[str, object] | None = None  # last event
         self._stop_due_s: float | None = None  # when to send stop frames again; None: the critical program is in charge
         self._init, self._signals = init, INIT_SIGNALS if init else SIGNALS
@@ -141,7 +110,7 @@ class Supervisor:
                 self._keep_stopped()
         finally:
             self._end()
-        self._stroke(b"V")  # magic close; an end that was not in order leaves it to the hardware to start again
+        self._watchdog.stroke(b"V")  # magic close; an end that was not in order leaves it to the hardware to start again
         failed = any(child.state == "failed" for child in self._children)
         return EXIT_PERMANENT if failed and not self.word else 0
 
@@ -190,29 +159,12 @@ class Supervisor:
         return max(child.start_s, first.start_s + HEAD_START_S)
 
     def _start(self, child: Child) -> None:
-        program = child.program
-        child.start_s, child.beat_s, child.is_silent = time.monotonic(), None, False
-        child.verdict, child.kill_s = "", inf
-        child.pipe, beat = os.pipe()
-        os.set_blocking(child.pipe, False)
-        os.set_inheritable(beat, True)
-        argv = (*program.argv, "--beat-fd", str(beat))
         try:
-            child.pid = os.posix_spawnp(
-                argv[0], argv, os.environ, setsid=True, setsigmask=(), setsigdef=(signal.SIGPIPE, STACKS_SIGNAL)
-            )
+            child.spawn()
         except OSError as error:
             self._died(child, 1, f"cannot be started: {error.strerror}")
-            return
-        finally:
-            os.close(beat)
-        program.limits.hold(program.name, child.pid)
-        if not program.critical:
-            try:
-                os.sched_setscheduler(child.pid, os.SCHED_IDLE, os.sched_param(0))
-            except OSError as error:
-                log.warning("%s: SCHED_IDLE: %s; going on without it", program.name, error.strerror)
-        self._change(child, "running")
+        else:
+            self._change(child, "running")
 
     def _reap(self) -> None:
         """Every process that ended, also those that PID 1 inherited."""
@@ -233,7 +185,7 @@ class Supervisor:
         now_s = time.monotonic()
         if child.kill_s < inf:
             self._finish(child, reason)
-        self._hang_up(child)
+        child.hang_up()
         child.pid, child.reason = 0, child.verdict or reason
         if child.program.critical:
             self._stop_due_s = now_s
@@ -282,7 +234,7 @@ class Supervisor:
         if child is None or now_s < self._deadline_s():
             return
         if child.verdict:
-            self._finish(child, _process_state(child.pid))
+            self._finish(child, process_state(child.pid))
             return
         silent_s = now_s - (child.start_s if child.beat_s is None else child.beat_s)
         child.verdict = f"{'no beat' if child.beat_s is None else 'beat stopped'} for {silent_s:.1f} s: dead-man"
@@ -295,7 +247,7 @@ class Supervisor:
         child.kill_s = inf
         with suppress(ProcessLookupError):
             os.killpg(child.pid, signal.SIGKILL)
-        stacks = _read(child.pipe).decode(errors="replace").lstrip(".")
+        stacks = child.stacks()
         child.verdict += f"; {stood(stacks) or f'it did not say where it stood: {otherwise}'}"
         self._deadman = {"reason": child.verdict, "at_s": time.monotonic()}
         log.critical("%s: %s\n%s", child.program.name, child.verdict, stacks)
@@ -338,9 +290,9 @@ class Supervisor:
             if fd in requests:
                 self._on_request(told)
             elif fd != self._wake:
-                self._on_beat(pipes[fd]) if told else self._hang_up(pipes[fd])
+                self._on_beat(pipes[fd]) if told else pipes[fd].hang_up()
         self._reap()
-        self._stroke(b"\0")
+        self._watchdog.stroke(b"\0")
 
     def _excuse(self, wait_s: float) -> None:
         """A turn that took longer than its wait: the computer stood still, or gave the processor to others. Who could not beat
@@ -358,19 +310,6 @@ class Supervisor:
         child.beat_s = now_s
         if child.program.critical:
             self._stop_due_s = None
-
-    def _hang_up(self, child: Child) -> None:
-        if child.pipe >= 0:
-            os.close(child.pipe)
-            child.pipe = -1
-
-    def _stroke(self, word: bytes) -> None:
-        if self._watchdog >= 0:
-            try:
-                os.write(self._watchdog, word)
-            except OSError as error:
-                log.error("hardware watchdog: %s; going on without it", error.strerror)
-                self._watchdog = -1
 
     def _end(self) -> None:
         """In order and bounded: the critical program first, which stops the propellers itself; then they are stopped again."""
@@ -420,34 +359,6 @@ class Supervisor:
             log.error("%s: %s", self._state_file, error.strerror)
 
 
-def _read(pipe: int) -> bytes:
-    """What is in it; nothing where there is none."""
-    try:
-        return os.read(pipe, STACKS_BYTES) if pipe >= 0 else b""
-    except BlockingIOError:
-        return b""
-
-
-def stood(stacks: str) -> str:
-    """The innermost calls of the main thread, in words, from what faulthandler wrote of all threads; empty where it did not."""
-    _, _, last = stacks.rpartition("hread 0x")
-    calls = re.findall(r'File "[^"]*?((?:[^"/]+/)?[^"/]+)", line (\d+) in (\S+)', last)[:FRAMES]
-    return "it stood in " + ", called by ".join(f"{name} ({file}:{line})" for file, line, name in calls) if calls else ""
-
-
-def _process_state(pid: int) -> str:
-    """As the kernel says it, such as "T (stopped)"."""
-    try:
-        return next(line for line in Path(f"/proc/{pid}/status").read_text().splitlines() if line.startswith("State:"))[7:]
-    except (OSError, StopIteration):
-        return "unknown"
-
-
-def real_time(priority: int) -> None:
-    """For this process; children and threads start with the ordinary scheduler. Raises OSError."""
-    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))
-
-
 def _listening(path: Path) -> socket.socket | None:
     """The socket for requests; None where it cannot be had: signals remain."""
     path.unlink(missing_ok=True)
@@ -461,12 +372,10 @@ def _listening(path: Path) -> socket.socket | None:
     return listening
 
 
-def _opened(watchdog: str) -> int:
-    """A descriptor of the device, -1 where there is none."""
-    if not watchdog or not os.path.exists(watchdog):
-        return -1
+def last_deadman(path: Path) -> dict[str, object]:
+    """The last event of the dead-man, from the state file; empty where there was none."""
     try:
-        return os.open(watchdog, os.O_WRONLY)
-    except OSError as error:
-        log.error("%s: %s; going on without it", watchdog, error.strerror)
-        return -1
+        event = parse_json(read_file(path))["deadman"]
+    except (OSError, FormatError, KeyError, TypeError):
+        return {}
+    return event if isinstance(event, dict) else {}

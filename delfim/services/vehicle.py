@@ -99,8 +99,7 @@ async def serve(runtime: Runtime) -> None:
         boat, sensors, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
         links.callback(boat.helm.stop, "shutdown")  # first of all that is undone
         for source in boat.sources:
-            runtime.navigation(source.input.fileno(), partial(boat.on_navigation, source))
-            links.callback(runtime.remove_navigation, source.input.fileno())
+            links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))
             links.enter_context(runtime.publishing(source.name, partial(_figures, source, clock)))
         for actuator in boat.propulsion.actuators:
             if actuator.report():

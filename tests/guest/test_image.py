@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from delfim.services import slots
+from delfim.services import imagefile, slots
 from delfim.services.slots import Environment
 from tests.guest import boat_image
 from tests.guest.pc import PATH, Pc, make_disk, pc
@@ -59,7 +59,7 @@ def test_the_same_sources_give_the_same_bytes(image: Path, tmp_path: Path) -> No
     other = tmp_path / "somewhere" / "else"
     shutil.copytree(image / "cache" / "debian", other / "cache" / "debian")
     boat_image.make(other)
-    for name in slots.PARTS:
+    for name in imagefile.PARTS:
         assert (other / name).read_bytes() == (image / name).read_bytes(), name
     shutil.rmtree(other)
 
@@ -90,13 +90,13 @@ def test_a_new_image_is_tried_once_rolled_back_and_then_confirmed(image: Path, t
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "yard", "-f", key], check=True)
     uploads = tmp_path / "log"
     uploads.mkdir()
-    parts = {name: image / name for name in slots.PARTS}
-    slots.pack(uploads / "new.image", parts, "2.0", key)
+    parts = {name: image / name for name in imagefile.PARTS}
+    imagefile.pack(uploads / "new.image", parts, "2.0", key)
     slot = tmp_path / "boot" / "a"
     slot.mkdir(parents=True)
-    for name in slots.PARTS:
+    for name in imagefile.PARTS:
         shutil.copy(image / name, slot)
-    shutil.copy(uploads / slots.MANIFEST, slot)
+    shutil.copy(uploads / imagefile.MANIFEST, slot)
     (slot.parent / "grub").mkdir()
     (slot.parent / "grub" / "grubenv").write_bytes(slots.write_environment(Environment("a")))
     make_disk(tmp_path / "disk.img", slot.parent, f"{OPTIONS} {SHELL}")

@@ -14,7 +14,7 @@ import can
 import pytest
 
 from delfim.logging.candump import parse_line
-from delfim.logging.liblog import read_log
+from delfim.logging.reading import read_log
 from delfim.logging.repair import repair
 from delfim.logging.statelog import columns, read_state
 from delfim.logging.tree import LogFile, files

@@ -8,7 +8,10 @@ from pathlib import Path
 import pytest
 
 from delfim.clock import ManualClock
-from delfim.logging.liblog import FileLog, PipeLog, Settings, in_order, read_log
+from delfim.logging.filelog import FileLog
+from delfim.logging.liblog import Settings
+from delfim.logging.pipelog import PipeLog
+from delfim.logging.reading import in_order, read_log
 
 RECORDINGS = Path(__file__).parents[1] / "data" / "nmea2000"
 

@@ -9,9 +9,10 @@ import pytest
 
 from delfim import config
 from delfim.clock import ManualClock
-from delfim.logging import guard, liblog
-from delfim.logging.liblog import LogStatus, in_order, read_log
+from delfim.logging import filelog, guard, liblog
+from delfim.logging.liblog import LogStatus
 from delfim.logging.openlog import open_log
+from delfim.logging.reading import in_order, read_log
 from tests.logging.conftest import content, files, numbers, remount
 
 NEW_YEAR_2010 = 1_262_304_000_000_000_000
@@ -46,7 +47,7 @@ def test_a_plain_record_costs_one_system_call_where_somebody_polls(tmp_path, fil
             calls.append(name)
             return getattr(os, name)
 
-    monkeypatch.setattr(liblog, "os", Counting())
+    monkeypatch.setattr(filelog, "os", Counting())
     for number in range(500):
         calls.clear()
         assert log.put(record(number))
@@ -331,9 +332,9 @@ def run_with_faults(directory, monkeypatch, first: int, count: int, **how: bool)
     clock, faulty = ManualClock(), Faulty(first, count)
     settings = liblog.Settings(str(directory), "gps", ".log", b"", 600, 12.0, 1, "delete-oldest")
     with monkeypatch.context() as patch:
-        patch.setattr(liblog, "os", faulty)
+        patch.setattr(filelog, "os", faulty)
         patch.setattr(guard, "os", faulty)
-        log = liblog.FileLog(settings, clock, **how)
+        log = filelog.FileLog(settings, clock, **how)
         for number in range(60):
             log.put(record(number, size=10))
             clock.advance(0.5)
@@ -376,7 +377,7 @@ def test_a_write_that_is_cut_short_leaves_whole_records(tmp_path, file_log, monk
         return written
 
     with monkeypatch.context() as patch:
-        patch.setattr(liblog.os, "write", short)
+        patch.setattr(filelog.os, "write", short)
         assert not log.put(b"000002\n")
     assert numbers(tmp_path / "log") == [1]
     clock.advance(1.0)
@@ -391,7 +392,7 @@ def test_what_is_flushed_is_synced_and_so_is_its_name(tmp_path, file_log, clock,
         synced.append((os.readlink(f"/proc/self/fd/{fd}"), os.fstat(fd).st_size))
         real(fd)
 
-    monkeypatch.setattr(liblog.os, "fsync", fsync)
+    monkeypatch.setattr(filelog.os, "fsync", fsync)
     log = file_log(deflate=True, durable=True)
     folder = tmp_path / "log/20100101/gps"
     assert {path for path, _ in synced} == {str(path) for path in (folder, *folder.parents[:2], folder / "000000.log.gz")}

@@ -17,9 +17,9 @@ from delfim.config import Log
 from delfim.errors import BusError
 from delfim.frames import Frame
 from delfim.logging import nodelog
-from delfim.logging.liblog import read_log
 from delfim.logging.nodelog import LogMessages, line
 from delfim.logging.openlog import open_log
+from delfim.logging.reading import read_log
 from delfim.messages import LOG_ID, NAVIGATION_ID, Node
 from tests.logging.conftest import files
 

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from delfim.logging.liblog import read_log
+from delfim.logging.reading import read_log
 from delfim.logging.repair import mended, pieces, repair
 from delfim.logging.statelog import Schema, read_state
 from delfim.logging.tree import files

@@ -15,9 +15,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.logging import liblog
-from delfim.logging.liblog import LENGTH, NOTE, PipeLog, read_log
+from delfim.logging import pipelog
 from delfim.logging.openlog import open_log
+from delfim.logging.pipelog import LENGTH, NOTE, PipeLog
+from delfim.logging.reading import read_log
 from delfim.logging.writer import Messages
 from tests.logging.conftest import content, files, numbers, until
 
@@ -99,7 +100,7 @@ def test_large_records_pass(tmp_path, pipe_log):
 
 
 def test_a_record_larger_than_the_pipe_passes_in_pieces(tmp_path, pipe_log, monkeypatch):
-    monkeypatch.setattr(liblog, "PIPE_BYTES", (1 << 16,))
+    monkeypatch.setattr(pipelog, "PIPE_BYTES", (1 << 16,))
     log = pipe_log()
     large = record(1, size=300_000)
     assert log.put(large)

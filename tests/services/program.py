@@ -14,7 +14,7 @@ import sys
 import time
 from pathlib import Path
 
-from delfim.services import supervisor
+from delfim.services import children, supervisor
 
 
 def note(record: str, name: str, word: str) -> None:
@@ -36,7 +36,7 @@ def supervise(text: str) -> int:
         if broken:
             raise OSError("bus-off")
 
-    programs = [supervisor.Program(name, tuple(argv), critical) for name, argv, critical in told.pop("programs")]
+    programs = [children.Program(name, tuple(argv), critical) for name, argv, critical in told.pop("programs")]
     files = {name: Path(told.pop(name)) for name in ("state_file", "requests")}
     supervising = supervisor.Supervisor(programs, stop=stop, **files, **told)
     code = supervising.run_forever()
@@ -73,7 +73,7 @@ def orphan(record: str, name: str) -> None:
 def run(name: str, record: str, behaviour: list[str], beat_fd: int) -> int:
     signal.alarm(30)  # whatever becomes of the test, nothing is left behind
     if "unarmed" not in behaviour:
-        faulthandler.register(supervisor.STACKS_SIGNAL, beat_fd, chain=True)
+        faulthandler.register(children.STACKS_SIGNAL, beat_fd, chain=True)
     starts = Path(record).read_text().count(f" {name} start\n") if os.path.exists(record) else 0
 
     def end(*_: object) -> None:

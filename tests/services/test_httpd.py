@@ -21,9 +21,8 @@ import pytest
 from delfim import config
 from delfim.clock import SystemClock
 from delfim.services import door, httpd
-from delfim.services.httpd import Look
 from delfim.services.runtime import Runtime
-from delfim.services.web import api, page
+from delfim.services.web import api, board, page
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 from tests.services.browser import PROGRAM, browser
 
@@ -122,11 +121,11 @@ def test_the_page_says_without_a_script_what_a_person_must_know(tmp_path):
 
 
 def test_the_way_is_drawn_as_it_was_seen_and_stays_short(tmp_path):
-    way = httpd.Way()
+    way = board.Trail()
     for n in range(1000):
         way.add(api.State(mode="play", reason="", latitude_deg=38.0 + n / 1e5, longitude_deg=-9.0))
     way.add(api.State(mode="play", reason=""))
-    assert httpd.WAY_MAX / 2 <= len(way.points) < httpd.WAY_MAX
+    assert board.WAY_MAX / 2 <= len(way.points) < board.WAY_MAX
     assert way.points == sorted(way.points)
     assert (way.points[0][0], round(way.points[-1][0], 3)) == (38.0, 38.01)
 
@@ -222,7 +221,7 @@ def test_metrics_are_what_prometheus_reads(tmp_path):
 
 @pytest.mark.parametrize("mute", [False, True], ids=["gone", "mute"])
 def test_a_vehicle_that_does_not_answer_is_said_to_be_so(tmp_path, monkeypatch, mute):
-    monkeypatch.setattr(httpd, "ANSWER_S", 0.05)
+    monkeypatch.setattr(board, "ANSWER_S", 0.05)
 
     async def main():
         async with site(tmp_path, with_vehicle=False) as boat:
@@ -271,13 +270,13 @@ def test_a_visitor_who_leaves_while_the_page_is_made_costs_the_next_none_of_it(t
 
     async def left_after(steps: int) -> set[str]:
         runtime = Runtime(settings, SystemClock(), alone=True)
-        board = httpd.Board(runtime, Look(settings, runtime.clock.monotonic_s), door)
-        visitor = asyncio.create_task(board.sections())
+        told = board.Board(runtime, board.Lookout(settings, runtime.clock.monotonic_s), door)
+        visitor = asyncio.create_task(told.sections())
         for _ in range(steps):
             await asyncio.sleep(0)
         visitor.cancel()
         await asyncio.gather(visitor, return_exceptions=True)
-        return set(await board.sections())
+        return set(await told.sections())
 
     for steps in range(len(page.SECTIONS) + 3):
         assert asyncio.run(left_after(steps)) == {"head", *(section.id for section in page.SECTIONS)}
@@ -285,7 +284,7 @@ def test_a_visitor_who_leaves_while_the_page_is_made_costs_the_next_none_of_it(t
 
 def test_events_bring_all_sections_once_and_then_what_has_changed(tmp_path, monkeypatch):
     monkeypatch.setattr(httpd, "EVERY_S", (0.02, 60.0))
-    monkeypatch.setattr(httpd, "FRESH_S", 0.0)
+    monkeypatch.setattr(board, "FRESH_S", 0.0)
 
     async def main():
         async with site(tmp_path) as boat, boat.session.get(boat.url + "/events") as events:
@@ -310,7 +309,7 @@ def test_events_bring_all_sections_once_and_then_what_has_changed(tmp_path, monk
 
 def test_a_page_that_is_not_read_costs_nothing_and_is_hung_up(tmp_path, monkeypatch):
     monkeypatch.setattr(httpd, "EVERY_S", (0.005, 60.0))
-    monkeypatch.setattr(httpd, "FRESH_S", 0.0)
+    monkeypatch.setattr(board, "FRESH_S", 0.0)
     monkeypatch.setattr(httpd, "STALL_S", 0.3)
     monkeypatch.setattr(door, "UNSENT_BYTES", 4096)
 
@@ -553,14 +552,14 @@ def test_arguments_of_processes_are_nobodys_business(tmp_path):
 
 def test_the_look_at_the_computer_is_started_again_and_ends_with_the_service(tmp_path, monkeypatch):
     monkeypatch.setattr(httpd, "AGAIN_S", 0.05)
-    looks: list[Look] = []
-    start = Look.start
+    looks: list[board.Lookout] = []
+    start = board.Lookout.start
 
-    async def noted(self: Look) -> None:
+    async def noted(self: board.Lookout) -> None:
         looks.append(self)
         await start(self)
 
-    monkeypatch.setattr(Look, "start", noted)
+    monkeypatch.setattr(board.Lookout, "start", noted)
 
     async def main():
         async with site(tmp_path):

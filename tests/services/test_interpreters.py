@@ -19,7 +19,8 @@ import socket
 from contextvars import copy_context
 
 from delfim.clock import ManualClock
-from delfim.services.priority import ACCOUNT, Account, NavigationLoop, NavigationWindow
+from delfim.services.priority import ACCOUNT, Account, NavigationLoop
+from delfim.services.window import NavigationWindow
 
 clock, order, account = ManualClock(), [], Account("service", 0.1)
 receiver, sender = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)

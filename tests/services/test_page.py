@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.services.web import api, document, figures, page
-from delfim.services.web.page import SECTIONS, View, head, mood, size, span
+from delfim.services.web.page import SECTIONS, PageView, head, mood
+from delfim.services.web.wording import size, span
 from tests.services.boat import STATE
 
 FILE = config.Vehicle(boat=config.Boat(name="Test"))
@@ -20,7 +21,7 @@ numbers = st.one_of(st.none(), st.floats(-1e9, 1e9), st.floats(allow_nan=True, a
 
 
 def rendered(report: api.Report) -> dict[str, ElementTree.Element]:
-    view = View(report, FILE)
+    view = PageView(report, FILE)
     texts = {"head": head(view), **{section.id: section.render(view) for section in SECTIONS}}
     return {name: ElementTree.fromstring(f"<div>{text.replace('&nbsp;', ' ')}</div>") for name, text in texts.items()}
 

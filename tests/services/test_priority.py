@@ -20,8 +20,8 @@ from delfim.services.priority import (
     NavigationFirst,
     NavigationLoop,
     NavigationSelector,
-    NavigationWindow,
 )
+from delfim.services.window import NavigationWindow
 
 
 class Navigation:

@@ -1,6 +1,7 @@
 """The runtime with real services, signals and pipes. What changes a whole process runs in one of its own."""
 
 import asyncio
+import contextlib
 import gc
 import json
 import os
@@ -215,8 +216,8 @@ def test_a_service_that_refuses_to_end_does_not_keep_the_process() -> None:
     assert "refusing did not end in 0.1 s" in end.stderr
 
 
-@pytest.mark.parametrize("register", [Runtime.reader, Runtime.navigation])
-def test_a_callback_that_raises_fails_its_service(register: Callable[[Runtime, int, Callable[[], bool]], None]) -> None:
+@pytest.mark.parametrize("until", [Runtime.reading, Runtime.navigating])
+def test_a_callback_that_raises_fails_its_service(until: Callable[..., contextlib.AbstractContextManager[None]]) -> None:
     near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
     starts: list[str] = []
 
@@ -228,9 +229,9 @@ def test_a_callback_that_raises_fails_its_service(register: Callable[[Runtime, i
         def handler() -> bool:
             raise BusError("gone")
 
-        register(runtime, near.fileno(), handler)
-        far.send(b"frame")
-        await forever(runtime)
+        with until(runtime, near.fileno(), handler):
+            far.send(b"frame")
+            await forever(runtime)
 
     async def well(runtime: Runtime) -> None:
         await asyncio.sleep(0.05)
@@ -254,14 +255,14 @@ def test_readers_and_navigation_are_called_until_they_are_removed() -> None:
 
             return handle
 
-        runtime.navigation(pairs[0][0].fileno(), handler(0))
-        runtime.reader(pairs[1][0].fileno(), handler(1))
-        for _ in range(2):
-            pairs[1][1].send(b"other")
-            pairs[0][1].send(b"navigation")
-            await asyncio.sleep(0.01)
-            runtime.remove_navigation(pairs[0][0].fileno())
-            runtime.remove_reader(pairs[1][0].fileno())
+        with contextlib.ExitStack() as links:
+            links.enter_context(runtime.navigating(pairs[0][0].fileno(), handler(0)))
+            links.enter_context(runtime.reading(pairs[1][0].fileno(), handler(1)))
+            for _ in range(2):
+                pairs[1][1].send(b"other")
+                pairs[0][1].send(b"navigation")
+                await asyncio.sleep(0.01)
+                links.close()
 
     ran(Service("service", service))
     for pair in pairs:

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.errors import DelfimError, FormatError, Refused
-from delfim.services import slots
+from delfim.services import imagefile, slots
 from delfim.services.slots import Environment, Slots
 
 
@@ -46,10 +46,10 @@ class Yard:
         (self.boot / "grub" / "grubenv").write_bytes(slots.write_environment(environment))
 
     def bundle(self, version: str, key: str = "") -> Path:
-        parts = {name: self.folder / name for name in slots.PARTS}
+        parts = {name: self.folder / name for name in imagefile.PARTS}
         for name, path in parts.items():
             path.write_bytes(f"{name} of {version}".encode() * 5000)
-        slots.pack(self.folder / f"{version}.image", parts, version, self._key(key) if key else self.key)
+        imagefile.pack(self.folder / f"{version}.image", parts, version, self._key(key) if key else self.key)
         return self.folder / f"{version}.image"
 
     def start(self) -> str:
@@ -113,9 +113,9 @@ def test_a_stranger_s_image_is_refused_before_anything_is_written(yard: Yard, tm
     before = yard.slots.manifest("b")
     bundle = yard.bundle("6.6", key=f"stranger-{os.urandom(4).hex()}")
     with pytest.raises(Refused, match=r"does not name in image\.signers"):
-        slots.verify(bundle, yard.signers)
+        imagefile.verify(bundle, yard.signers)
     with pytest.raises(Refused, match=r"does not name in image\.signers"):
-        slots.verify(yard.bundle("2.0"), ())
+        imagefile.verify(yard.bundle("2.0"), ())
     assert yard.slots.manifest("b") == before
 
 
@@ -136,7 +136,7 @@ def test_a_flipped_bit_is_found(yard: Yard, words: bytes, reason: str) -> None:
     text = bundle.read_bytes()
     bundle.write_bytes(changed(text, text.index(words) + 1))
     with pytest.raises(DelfimError, match=reason):
-        slots.verify(bundle, yard.signers)
+        imagefile.verify(bundle, yard.signers)
 
 
 def test_an_upload_that_broke_off_leaves_the_confirmed_image_and_tries_nothing(yard: Yard) -> None:
@@ -269,7 +269,7 @@ def test_two_thousand_damaged_images_are_refused_or_are_the_same(yard: Yard, tmp
     """Bits turned, bytes put in and taken out, the end cut off. Some bytes of a tar header mean nothing."""
     chance = random.Random(1)
     text = yard.bundle("2.0").read_bytes()
-    paper = slots.verify(yard.bundle("2.0"), yard.signers).paper
+    paper = imagefile.verify(yard.bundle("2.0"), yard.signers).paper
     bundle, taken, words = tmp_path / "damaged.image", 0, list[str]()
     head = 5 * 512  # with manifest and signature: where a change tells most
     for number in range(2000):
@@ -285,7 +285,7 @@ def test_two_thousand_damaged_images_are_refused_or_are_the_same(yard: Yard, tmp
             )[number % 5]
         )
         try:
-            assert slots.verify(bundle, yard.signers).paper == paper
+            assert imagefile.verify(bundle, yard.signers).paper == paper
             taken += 1
         except DelfimError as error:
             words.append(str(error))
@@ -351,16 +351,16 @@ def with_extras(text: bytes, name: str) -> Iterator[bytes]:
     yield pax.tobuf(tarfile.PAX_FORMAT) + text
 
 
-@pytest.mark.parametrize("name", ["extra", "../up", "/etc/passwd", "vmlinuz", slots.MANIFEST])
+@pytest.mark.parametrize("name", ["extra", "../up", "/etc/passwd", "vmlinuz", imagefile.MANIFEST])
 def test_what_nobody_has_signed_does_not_travel_with_an_image(yard: Yard, tmp_path: Path, name: str) -> None:
     text = yard.bundle("2.0").read_bytes()
     bundle = tmp_path / "more.image"
     for more in with_extras(text, name):
         bundle.write_bytes(more)
         with pytest.raises(FormatError, match="no image"):
-            slots.verify(bundle, yard.signers)
+            imagefile.verify(bundle, yard.signers)
     bundle.write_bytes(text)
-    assert slots.verify(bundle, yard.signers).manifest.version == "2.0"
+    assert imagefile.verify(bundle, yard.signers).manifest.version == "2.0"
 
 
 @given(st.binary(max_size=2000) | st.binary(max_size=900).map(lambda text: b"# GRUB Environment Block\n" + text))
@@ -374,12 +374,14 @@ def test_any_bytes_are_refused_as_signature_and_manifest(text: bytes, signature:
     if armoured:
         signature = b"-----BEGIN SSH SIGNATURE-----" + signature + b"-----END SSH SIGNATURE-----"
     with pytest.raises((FormatError, Refused)):
-        slots.verify_signature(text, signature, ("ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIA== nobody",))
+        imagefile.verify_signature(text, signature, ("ssh-ed25519 AAAAC3NzaC1lZDI1NTE5AAAAIA== nobody",))
     with pytest.raises(FormatError):
-        slots.parse_manifest(text)
+        imagefile.parse_manifest(text)
 
 
-@given(st.dictionaries(st.sampled_from([*slots.MEMBERS, "other", "../up"]), st.binary(max_size=100)), st.binary(max_size=20))
+@given(
+    st.dictionaries(st.sampled_from([*imagefile.MEMBERS, "other", "../up"]), st.binary(max_size=100)), st.binary(max_size=20)
+)
 def test_any_archive_is_refused_in_words(
     tmp_path_factory: pytest.TempPathFactory, members: dict[str, bytes], end: bytes
 ) -> None:
@@ -392,4 +394,4 @@ def test_any_archive_is_refused_in_words(
     path = tmp_path_factory.getbasetemp() / "any.image"
     path.write_bytes(held.getvalue()[: -len(end) or None] + end)
     with pytest.raises((FormatError, Refused)):
-        slots.verify(path, ())
+        imagefile.verify(path, ())

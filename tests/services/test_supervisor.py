@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import pytest
 
 from delfim.clock import ManualClock
-from delfim.services import shutdown, supervisor
+from delfim.services import children, shutdown, supervisor
 from delfim.services.supervisor import EXIT_PERMANENT
 
 PROGRAM = [sys.executable, str(Path(__file__).with_name("program.py"))]
@@ -163,7 +163,7 @@ def test_the_stop_frames_come_when_the_deadman_is_due_and_the_kill_a_moment_late
     computer stands still nobody beats, and nobody is killed for that."""
     clock, look = ManualClock(100.0), select.select
     stops_s, kills_s, killpg = list[float](), list[float](), os.killpg
-    program = supervisor.Program("runtime", (sys.executable, "-c", BEATS_ONCE), critical=True)
+    program = children.Program("runtime", (sys.executable, "-c", BEATS_ONCE), critical=True)
     boat = supervisor.Supervisor(
         [program],
         stop=lambda: stops_s.append(clock.monotonic_s()),
@@ -218,8 +218,8 @@ Current thread 0x00007f02 [main] (most recent call first):
   File "/srv/delfim/__main__.py", line 1 in <module>
 """
     innermost = ("crossing (vehicle/track.py:12)", "<genexpr> (vehicle/loop.py:34)", "_run_code (<frozen runpy>:88)")
-    assert supervisor.stood(stacks) == "it stood in " + ", called by ".join(innermost)
-    assert supervisor.stood("") == supervisor.stood("....") == supervisor.stood(stacks[:40]) == ""
+    assert children.stood(stacks) == "it stood in " + ", called by ".join(innermost)
+    assert children.stood("") == children.stood("....") == children.stood(stacks[:40]) == ""
 
 
 def test_stop_frames_are_repeated_until_a_runtime_beats_again(suite: Suite) -> None:

@@ -15,8 +15,8 @@ from delfim.frames import Frame
 from delfim.logging import blackbox
 from delfim.logging.blackbox import BlackBox
 from delfim.logging.candump import format_line, parse_line
-from delfim.logging.liblog import read_log
 from delfim.logging.openlog import open_log
+from delfim.logging.reading import read_log
 from delfim.logging.table import frames, table
 from delfim.simulator.bus import LockstepBus
 from delfim.simulator.rerun import rerun

@@ -11,13 +11,14 @@ from typing import Any, Final, NamedTuple
 from delfim import config
 from delfim.services.web import figures
 from delfim.services.web.api import Computer, Network, Node, Report, Service, State
+from delfim.services.web.wording import as_told, gauges, number, rate, size, span, tile, worded
 
 HURT: Final = ("stop", "disconnect")  # actions of the failsafe that end the sailing
 OWN_WILL: Final = ("operator", "started", "")  # reasons to lie idle that nobody has to look at
 GONE: Final = "the vehicle does not answer"
 
 
-class View(NamedTuple):
+class PageView(NamedTuple):
     """What all sections are made from."""
 
     report: Report
@@ -28,12 +29,12 @@ class View(NamedTuple):
 class Section(NamedTuple):
     id: str
     title: str
-    render: Callable[[View], str]
+    render: Callable[[PageView], str]
     every_s: float  # figures and tables of the computer need not run with every second
     column: int  # on a wide screen; on a phone they stand below each other
 
 
-def head(view: View) -> str:
+def head(view: PageView) -> str:
     """The mode in letters that are read at arm's length in the sun, and why."""
     vehicle, reason = view.report.vehicle, view.report.reason
     name = escape(vehicle.boat if vehicle else view.settings.boat.name)
@@ -57,7 +58,7 @@ def mood(vehicle: State) -> str:
     return "warn" if vehicle.notices else "good"
 
 
-def warnings(view: View) -> str:
+def warnings(view: PageView) -> str:
     """All that a person should look at now, worst first."""
     found = list(troubles(view))
     if not found:
@@ -66,7 +67,7 @@ def warnings(view: View) -> str:
     return f'<ul class="lines">{"".join(rows)}</ul>'
 
 
-def troubles(view: View) -> Iterable[tuple[str, str, str]]:
+def troubles(view: PageView) -> Iterable[tuple[str, str, str]]:
     """(kind, name, words) of each."""
     report = view.report
     vehicle = report.vehicle
@@ -77,7 +78,7 @@ def troubles(view: View) -> Iterable[tuple[str, str, str]]:
             yield "bad" if notice.action in HURT else "warn", notice.name.replace("_", " "), f"{notice.reason}: {notice.action}"
         for name, node in vehicle.sysstat.items():
             if node.status != "good":
-                yield "bad", _words(name), f"{node.status} {', '.join(map(_words, node.faults))}"
+                yield "bad", worded(name), f"{node.status} {', '.join(map(worded, node.faults))}"
         if vehicle.log.reason:
             yield "bad", "log", vehicle.log.reason
         if vehicle.deadman:
@@ -88,12 +89,12 @@ def troubles(view: View) -> Iterable[tuple[str, str, str]]:
             yield "bad", name, f"{service.state}: {service.reason}"
     if vehicle is not None:
         for name, count in vehicle.counts.items():
-            yield "note", _words(name), f"{count} times"
+            yield "note", worded(name), f"{count} times"
     if computer and computer.disk and computer.disk.free_bytes < 2 * view.settings.log.free_bytes_min:
         yield "warn", "disk", f"{size(computer.disk.free_bytes)} free"
 
 
-def motion(view: View) -> str:
+def motion(view: PageView) -> str:
     vehicle = view.report.vehicle
     if vehicle is None:
         return f'<p class="none">{GONE}</p>'
@@ -122,7 +123,7 @@ def _asked(speed_mps: float | None) -> str:
     return f"asked for {speed_mps:.1f}" if speed_mps > 0 else "asked to lie still"
 
 
-def where(view: View) -> str:
+def where(view: PageView) -> str:
     """The way, where the boat is, and where it is steering."""
     vehicle = view.report.vehicle
     if vehicle is None or vehicle.latitude_deg is None or vehicle.longitude_deg is None:
@@ -144,7 +145,7 @@ def _batteries(vehicle: State) -> str:
     )
 
 
-def inputs(view: View) -> str:
+def inputs(view: PageView) -> str:
     """The age of every input beside the age at which it counts as silent."""
     vehicle = view.report.vehicle
     if vehicle is None:
@@ -158,7 +159,7 @@ def inputs(view: View) -> str:
         told = f'<span class="more">{_node(node)}</span>' if node else ""
         text = "never heard" if age_s is None else span(age_s)
         rows.append(
-            f'<tr class="{kind}"><th>{_words(name)}{told}</th><td class="gauge">{figures.bar(age_s or 0.0, limit_s, kind)}</td>'
+            f'<tr class="{kind}"><th>{worded(name)}{told}</th><td class="gauge">{figures.bar(age_s or 0.0, limit_s, kind)}</td>'
             f'<td class="value">{text}</td></tr>'
         )
     return f'<table class="ages">{"".join(rows)}</table><p class="small">A full bar is the limit of the vehicle’s file.</p>'
@@ -185,7 +186,7 @@ def _node(node: Node) -> str:
     return told if node.status == "good" else f"<b>{escape(node.status)} {escape(', '.join(node.faults))}</b> {told}"
 
 
-def latency(view: View) -> str:
+def latency(view: PageView) -> str:
     vehicle = view.report.vehicle
     if vehicle is None or not vehicle.latency.n:
         return '<p class="none">no navigation cycle yet</p>'
@@ -199,7 +200,7 @@ def latency(view: View) -> str:
     )
 
 
-def stages(view: View) -> str:
+def stages(view: PageView) -> str:
     """Figure 3-11: where the time of a cycle goes, on average."""
     vehicle = view.report.vehicle
     if vehicle is None or not vehicle.latency.n:
@@ -207,14 +208,14 @@ def stages(view: View) -> str:
     means = vehicle.latency.stages_us
     most = max([*means.values(), 1e-9])
     rows = "".join(
-        f'<tr><th>{_words(name)}</th><td class="gauge">{figures.bar(mean, most, "after" if name == "log" else "")}</td>'
+        f'<tr><th>{worded(name)}</th><td class="gauge">{figures.bar(mean, most, "after" if name == "log" else "")}</td>'
         f'<td class="value">{figures.micros(mean)}</td></tr>'
         for name, mean in means.items()
     )
     return f'<table>{rows}</table><p class="small">Means. The log comes after the propellers have their command.</p>'
 
 
-def services(view: View) -> str:
+def services(view: PageView) -> str:
     report = view.report
     supervisor = report.computer.supervisor if report.computer else {}
     rows = [_service(view, name, service) for name, service in report.services.items()]
@@ -224,7 +225,7 @@ def services(view: View) -> str:
     return f'<ul class="services">{"".join(rows)}</ul>{note}'
 
 
-def _service(view: View, name: str, service: Service) -> str:
+def _service(view: PageView, name: str, service: Service) -> str:
     kind = {"running": "good", "starting": "warn", "stopped": "calm"}.get(service.state, "bad")
     told = [f"for {span(service.for_s)}", "in the runtime" if service.place == "runtime" else f"process {service.pid or '–'}"]
     if service.longest_callback_s:
@@ -250,23 +251,23 @@ def _figures(figures: dict[str, Any]) -> str:
     rows, tables = [], []
     for key, value in figures.items():
         if isinstance(value, dict) and value and all(isinstance(each, dict) for each in value.values()):
-            tables.append(_several(_words(key), value))
+            tables.append(_several(worded(key), value))
         else:
-            rows.append(f"<tr><th>{_words(key)}</th><td>{_told(value)}</td></tr>")
+            rows.append(f"<tr><th>{worded(key)}</th><td>{as_told(value)}</td></tr>")
     return (f'<table class="figures">{"".join(rows)}</table>' if rows else "") + "".join(tables)
 
 
 def _several(name: str, things: dict[str, dict[str, Any]]) -> str:
     keys = list(dict.fromkeys(key for thing in things.values() for key in thing))
-    head = "".join(f"<th>{_words(key)}</th>" for key in keys)
+    head = "".join(f"<th>{worded(key)}</th>" for key in keys)
     rows = "".join(
-        f"<tr><th>{escape(each)}</th>{''.join(f'<td>{_told(thing.get(key))}</td>' for key in keys)}</tr>"
+        f"<tr><th>{escape(each)}</th>{''.join(f'<td>{as_told(thing.get(key))}</td>' for key in keys)}</tr>"
         for each, thing in things.items()
     )
     return f'<table class="several"><thead><tr><th>{name}</th>{head}</tr></thead>{rows}</table>'
 
 
-def buses(view: View) -> str:
+def buses(view: PageView) -> str:
     """CAN controllers as the kernel sees them; a bus without hardware has none."""
     computer, vehicle = view.report.computer, view.report.vehicle
     found = computer.buses if computer else {}
@@ -284,11 +285,11 @@ def buses(view: View) -> str:
         name = escape(view.settings.can.interface)
         rows.append(f'<tr><td class="none">{name} has no controller for which the kernel counts</td></tr>')
     refused = vehicle.counts if vehicle else {}
-    counts = "".join(f"<tr><th>{_words(name)}</th><td>{count}</td></tr>" for name, count in refused.items())
+    counts = "".join(f"<tr><th>{worded(name)}</th><td>{count}</td></tr>" for name, count in refused.items())
     return f"<table>{''.join(rows)}{counts}</table>" + ("" if counts else '<p class="small">The vehicle refused nothing.</p>')
 
 
-def computer(view: View) -> str:
+def computer(view: PageView) -> str:
     found = view.report.computer
     if found is None:
         return '<p class="none">not looked at yet</p>'
@@ -298,10 +299,10 @@ def computer(view: View) -> str:
     told = [f"up {span(found.uptime_s)}", f"load {' '.join(f'{each:.2f}' for each in found.load)}"]
     if found.temperature_c is not None:
         told.append(f"{found.temperature_c:.0f} °C")
-    return f'{_gauges(rows)}<p class="small">{" · ".join(told)}</p>'
+    return f'{gauges(rows)}<p class="small">{" · ".join(told)}</p>'
 
 
-def disk(view: View) -> str:
+def disk(view: PageView) -> str:
     found, vehicle = view.report.computer, view.report.vehicle
     if found is None or found.disk is None:
         return '<p class="none">not looked at yet, or not there</p>'
@@ -316,13 +317,13 @@ def disk(view: View) -> str:
         state = "being written" if status.writable else f"not written: {status.reason}"
         log = f'<p class="small">State log {escape(state)}: {status.records} records, {status.dropped} dropped.</p>'
     return (
-        f"{_gauges([('Used', used, space.total_bytes, f'{size(space.free_bytes)} free')])}"
+        f"{gauges([('Used', used, space.total_bytes, f'{size(space.free_bytes)} free')])}"
         f'<p><b>{full}</b></p><p class="small">{escape(space.path)}, {size(keep)} are kept free, {then}. '
         f'<a href="/logs/">Browse the logs</a></p>{log}'
     )
 
 
-def networks(view: View) -> str:
+def networks(view: PageView) -> str:
     found = view.report.computer
     if found is None:
         return '<p class="none">not looked at yet</p>'
@@ -339,7 +340,7 @@ def _network(name: str, network: Network) -> str:
     return f'<li><b class="name">{escape(name)}</b> {addresses}<span class="small">{rates} · {totals}{bad}</span></li>'
 
 
-def clock(view: View) -> str:
+def clock(view: PageView) -> str:
     """The computer's clock beside that of the satellites."""
     report, vehicle = view.report, view.report.vehicle
     now = datetime.fromtimestamp(report.utc_ns // 1_000_000_000, UTC)
@@ -357,7 +358,7 @@ def clock(view: View) -> str:
     return f'<p class="big">{now:%H:%M:%S} <small>UTC</small></p><p class="small">{" · ".join(told)}</p>'
 
 
-def processes(view: View) -> str:
+def processes(view: PageView) -> str:
     found = view.report.computer
     if found is None:
         return '<p class="none">not looked at yet</p>'
@@ -390,60 +391,3 @@ SECTIONS: Final = (
     Section("clock", "Clock", clock, 1.0, 2),
     Section("processes", "Processes", processes, 5.0, 2),
 )
-
-
-# Words.
-
-
-def tile(name: str, value: str, unit: str, more: str) -> str:
-    return f'<div class="tile"><b>{name}</b><p class="big">{value}<small>{unit}</small></p><p class="small">{more}</p></div>'
-
-
-def _gauges(rows: Iterable[tuple[str, float, float, str]]) -> str:
-    lines = (
-        f'<tr><th>{name}</th><td class="gauge">{figures.bar(value, most, "warn" if value > 0.9 * most else "")}</td>'
-        f'<td class="value">{text}</td></tr>'
-        for name, value, most, text in rows
-    )
-    return f"<table>{''.join(lines)}</table>"
-
-
-def number(value: float | None, form: str) -> str:
-    return "–" if value is None else format(value, form)
-
-
-def span(seconds: float) -> str:
-    """A time as people say it."""
-    if seconds < 60:
-        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
-    for limit, big, small, names in ((3600, 60, 1, "min s"), (86_400, 3600, 60, "h min"), (1e12, 86_400, 3600, "d h")):
-        if seconds < limit:
-            first, second = names.split()
-            return f"{seconds // big:.0f} {first} {seconds % big // small:.0f} {second}"
-    return "for ever"
-
-
-def size(count: float) -> str:
-    for limit, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
-        if count >= limit:
-            return f"{count / limit:.1f} {unit}" if count < 100 * limit else f"{count / limit:.0f} {unit}"
-    return f"{count:.0f} B"
-
-
-def rate(bps: float) -> str:
-    return f"{bps / 1e6:.1f} Mbit/s" if bps >= 1e6 else f"{bps / 1e3:.1f} kbit/s" if bps >= 1e3 else f"{bps:.0f} bit/s"
-
-
-def _told(figure: object) -> str:
-    """A figure as people write it."""
-    if isinstance(figure, dict) and figure:
-        return ", ".join(f"{_words(name)} {_told(each)}" for name, each in figure.items())
-    if isinstance(figure, list | tuple) and figure:
-        return ", ".join(map(_told, figure))
-    if isinstance(figure, bool):
-        return "yes" if figure else "no"
-    return escape(str(figure)) if figure or figure == 0 else "none"
-
-
-def _words(name: str) -> str:
-    return escape(name.replace("_", " "))

@@ -1,0 +1,39 @@
+"""Garbage is collected as the interpreter would, but in quiet time; where there is none, when it is long overdue."""
+
+import asyncio
+import gc
+from typing import Final
+
+from delfim.clock import Clock
+from delfim.services.window import NavigationWindow
+
+COLLECT_EVERY_S: Final = 0.1  # garbage is looked for so often ...
+COLLECT_QUIET_S: Final = 0.002  # ... and collected when no navigation is due for so long ...
+OVERDUE: Final = 10  # ... or when there is so many times more than the interpreter would have let be
+
+
+class Collector:
+    """Begins with `tick`, which comes again by itself."""
+
+    def __init__(self, window: NavigationWindow, clock: Clock) -> None:
+        self._window, self._clock = window, clock
+        self._collections, self._longest_s = 0, 0.0
+        self._took_s = [0.0, 0.0, 0.0]  # the last one of each generation
+
+    def tick(self) -> None:
+        asyncio.get_running_loop().call_later(COLLECT_EVERY_S, self.tick)
+        counts, thresholds = gc.get_count(), gc.get_threshold()
+        if gc.isenabled() or counts[0] <= thresholds[0]:
+            return
+        generation = 2 if counts[2] > thresholds[2] else 1 if counts[1] > thresholds[1] else 0
+        began_s = self._clock.monotonic_s()
+        quiet_s = self._window.opens_s - began_s
+        if quiet_s > 2 * self._took_s[generation] + COLLECT_QUIET_S or counts[0] > OVERDUE * thresholds[0]:
+            gc.collect(generation)
+            self._collections += 1
+            self._took_s[generation] = spent_s = self._clock.monotonic_s() - began_s
+            self._longest_s = max(self._longest_s, spent_s)
+
+    def report(self) -> dict[str, object]:
+        """JSON-ready."""
+        return {"collections": self._collections, "longest_collection_s": round(self._longest_s, 6)}

@@ -1,0 +1,45 @@
+"""What a process asks the kernel for: scheduler, processors, memory. What it may not have costs one warning."""
+
+import ctypes
+import logging
+import os
+import sys
+from collections.abc import Callable
+from typing import Final
+
+from delfim import config
+
+SWITCH_S: Final = 0.0001  # that a thread may keep the interpreter from the loop; the interpreter's own choice is 5 ms
+
+log = logging.getLogger(__name__)
+
+
+def set_privileges(settings: config.Runtime) -> None:
+    """Those that hold from the start."""
+    sys.setswitchinterval(SWITCH_S)
+    if settings.nice:
+        asked(f"nice = {settings.nice}", lambda: os.setpriority(os.PRIO_PROCESS, 0, settings.nice))
+    if settings.cpus:
+        asked(f"cpus = {list(settings.cpus)}", lambda: os.sched_setaffinity(0, settings.cpus))
+    if settings.mlockall:
+        asked("mlockall", _mlockall)
+
+
+def asked(name: str, do: Callable[[], object]) -> None:
+    """If permission is missing, warn and go on."""
+    try:
+        do()
+    except OSError as error:
+        log.warning("runtime.%s: %s; going on without it", name, error.strerror)
+
+
+def _mlockall() -> None:
+    current, future = 1, 2  # sys/mman.h
+    if ctypes.CDLL(None, use_errno=True).mlockall(current | future):
+        number = ctypes.get_errno()
+        raise OSError(number, os.strerror(number))
+
+
+def real_time(priority: int) -> None:
+    """For this process; children and threads start with the ordinary scheduler. Raises OSError."""
+    os.sched_setscheduler(0, os.SCHED_FIFO | os.SCHED_RESET_ON_FORK, os.sched_param(priority))

@@ -1,0 +1,26 @@
+"""The hardware watchdog: it starts the machine again when nobody strokes it any more."""
+
+import logging
+import os
+
+log = logging.getLogger(__name__)
+
+
+class Watchdog:
+    """A device, "" for none; where it does not exist there is none."""
+
+    def __init__(self, device: str) -> None:
+        self._fd = -1
+        if device and os.path.exists(device):
+            try:
+                self._fd = os.open(device, os.O_WRONLY)
+            except OSError as error:
+                log.error("%s: %s; going on without it", device, error.strerror)
+
+    def stroke(self, word: bytes) -> None:
+        if self._fd >= 0:
+            try:
+                os.write(self._fd, word)
+            except OSError as error:
+                log.error("hardware watchdog: %s; going on without it", error.strerror)
+                self._fd = -1

@@ -1,0 +1,60 @@
+"""Figures as people write them, and the small pieces of HTML that hold them."""
+
+from collections.abc import Iterable
+from html import escape
+
+from delfim.services.web import figures
+
+
+def tile(name: str, value: str, unit: str, more: str) -> str:
+    return f'<div class="tile"><b>{name}</b><p class="big">{value}<small>{unit}</small></p><p class="small">{more}</p></div>'
+
+
+def gauges(rows: Iterable[tuple[str, float, float, str]]) -> str:
+    lines = (
+        f'<tr><th>{name}</th><td class="gauge">{figures.bar(value, most, "warn" if value > 0.9 * most else "")}</td>'
+        f'<td class="value">{text}</td></tr>'
+        for name, value, most, text in rows
+    )
+    return f"<table>{''.join(lines)}</table>"
+
+
+def number(value: float | None, form: str) -> str:
+    return "–" if value is None else format(value, form)
+
+
+def span(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 60:
+        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
+    for limit, big, small, names in ((3600, 60, 1, "min s"), (86_400, 3600, 60, "h min"), (1e12, 86_400, 3600, "d h")):
+        if seconds < limit:
+            first, second = names.split()
+            return f"{seconds // big:.0f} {first} {seconds % big // small:.0f} {second}"
+    return "for ever"
+
+
+def size(count: float) -> str:
+    for limit, unit in ((1e9, "GB"), (1e6, "MB"), (1e3, "kB")):
+        if count >= limit:
+            return f"{count / limit:.1f} {unit}" if count < 100 * limit else f"{count / limit:.0f} {unit}"
+    return f"{count:.0f} B"
+
+
+def rate(bps: float) -> str:
+    return f"{bps / 1e6:.1f} Mbit/s" if bps >= 1e6 else f"{bps / 1e3:.1f} kbit/s" if bps >= 1e3 else f"{bps:.0f} bit/s"
+
+
+def as_told(figure: object) -> str:
+    """A figure as people write it."""
+    if isinstance(figure, dict) and figure:
+        return ", ".join(f"{worded(name)} {as_told(each)}" for name, each in figure.items())
+    if isinstance(figure, list | tuple) and figure:
+        return ", ".join(map(as_told, figure))
+    if isinstance(figure, bool):
+        return "yes" if figure else "no"
+    return escape(str(figure)) if figure or figure == 0 else "none"
+
+
+def worded(name: str) -> str:
+    return escape(name.replace("_", " "))
