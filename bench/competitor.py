@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[])
     asked = parser.parse_args(arguments)
     settings = config.load(asked.file, asked.set)
-    suites = {row.name: row.loaded() for row in suite.services(settings)}
+    suites = {row.name: Service(row.name, row.loaded(), row.budget_s) for row in suite.services(settings)}
     boat = suites.pop("vehicle")
     others = [*suites.values(), *rows(Ports(*map(int, asked.ports.split(","))))]
     services = {"apart": [boat], "services": others}.get(asked.kind, [*others, boat])

@@ -11,9 +11,9 @@ import importlib
 import os
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 from delfim import config
 from delfim.errors import DelfimError, FormatError, PermanentFailure
@@ -23,10 +23,8 @@ from delfim.services.children import STACKS_SIGNAL, Program
 from delfim.services.privileges import real_time
 from delfim.services.supervisor import Supervisor
 
-if TYPE_CHECKING:
-    from delfim.services import runtime
-
 SHUTDOWN_LOOK_S = 0.1
+Start = Callable[[Any], Awaitable[None]]  # a service's coroutine: with the runtime, until it is cancelled
 
 
 class Service(NamedTuple):
@@ -40,31 +38,28 @@ class Service(NamedTuple):
     uvloop: bool = True  # in a process of its own, where it is installed
     when: Callable[[config.Vehicle], object] = lambda settings: True  # whether the vehicle's file has work for it
 
-    def loaded(self) -> "runtime.Service":
+    def loaded(self) -> Start:
         """What the runtime runs. Where a package is missing, a service that says so: the others go on without it."""
-        from delfim.services import runtime
-
         module, _, name = self.entry.partition(":")
         try:
-            start = getattr(importlib.import_module(module), name)
+            start: Start = getattr(importlib.import_module(module), name)
         except ModuleNotFoundError as error:
             missing = f"{error.name} is not installed: pip install 'delfim[services]'"
 
-            async def start(_: runtime.Runtime) -> None:
+            async def start(runtime: object) -> None:
                 raise PermanentFailure(missing)
 
-        return runtime.Service(self.name, start, self.budget_s)
+        return start
 
-    def loading(self) -> "runtime.Service":
+    def loading(self) -> Start:
         """The same, for a loop that is not to wait: it is loaded when it starts."""
-        from delfim.services import runtime
 
-        async def start(running: runtime.Runtime) -> None:
+        async def start(runtime: Any) -> None:
             with contextlib.suppress(ModuleNotFoundError):  # the next line says so
-                await running.load(self.entry.partition(":")[0])
-            await self.loaded().start(running)
+                await runtime.load(self.entry.partition(":")[0])
+            await self.loaded()(runtime)
 
-        return runtime.Service(self.name, start, self.budget_s)
+        return start
 
 
 # In the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
@@ -108,7 +103,7 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
 
     from delfim.clock import SystemClock
     from delfim.eventloop import new_event_loop
-    from delfim.services.runtime import Runtime
+    from delfim.services import runtime
 
     settings = config.load(file, overrides)
     rows = services(settings)
@@ -116,9 +111,10 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     if not wanted:
         raise PermanentFailure(f"{file}: no service {service!r} is enabled")
     alone = service is not None
-    loaded = [row.loading() if row.late and not alone else row.loaded() for row in wanted]  # the loop has no time to do it
+    starts = [row.loading() if row.late and not alone else row.loaded() for row in wanted]  # the loop has no time to do it
+    loaded = [runtime.Service(row.name, start, row.budget_s) for row, start in zip(wanted, starts, strict=True)]
     new_loop = (new_event_loop if wanted[0].uvloop else asyncio.new_event_loop) if alone else None
-    return Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=alone, new_loop=new_loop).main(loaded)
+    return runtime.Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=alone, new_loop=new_loop).main(loaded)
 
 
 def supervise(

@@ -136,6 +136,14 @@ def test_what_asserts_how_long_something_took(text: str, count: int) -> None:
     assert len(list(_stopwatches(ast.parse(text)))) == count
 
 
+def test_no_type_of_ours_is_imported_for_types_alone() -> None:
+    """Whoever needs a type needs its file, and no circle hides behind quotation marks."""
+    guarded = (
+        (at, node) for at, node in _nodes(MODULES) if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+    )
+    assert [at for at, node in guarded if "from delfim" in ast.unparse(node)] == []
+
+
 def test_the_vehicle_does_not_know_that_it_is_simulated() -> None:
     assert (
         _lines([path for path in MODULES if "vehicle" in path.relative_to(ROOT).parts], re.compile("simulat", re.IGNORECASE))
