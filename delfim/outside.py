@@ -14,6 +14,9 @@ from delfim.errors import FormatError
 
 UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)  # what msgspec raises for JSON that is none
 TEXT_BYTES: Final = 1 << 20  # of a file that people write: settings, a mission, a scenario
+_DEEP: Final = re.compile(  # a dotted key, which takes the square of its length to be read as TOML
+    r"""(?<![.\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
+)
 _HALVES: Final = re.compile(r"\\u[dD][89a-fA-F]")  # of characters, in JSON
 _KINDS: Final = ((stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"), (stat.S_ISSOCK, "a socket"))
 
@@ -40,6 +43,8 @@ def read_text(path: str | Path) -> str:
 
 def parse_toml(text: str) -> dict[str, Any]:
     """Raises FormatError."""
+    if _DEEP.search(text):
+        raise FormatError("not TOML: nested too deep")
     try:
         return tomllib.loads(text)
     except RecursionError:

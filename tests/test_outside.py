@@ -1,6 +1,7 @@
 """What comes from outside, before anybody asks what it means."""
 
 import os
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,27 @@ def test_json_that_is_none_is_refused_in_words(text: str | bytes) -> None:
 
 def test_a_character_of_two_halves_is_one() -> None:
     assert parse_json(rb'["\ud83d\ude00", "\u00e9"]') == ["\U0001f600", "\u00e9"]
+
+
+KEYS = {  # of a table within a table and so on: to read one takes the square of its length
+    "bare": ".".join("a" * 100_000) + " = 1",
+    "quoted": " . ".join(['"a b"', "'c.d'"] * 50_000) + " = 1",
+    "table": f"[{'.'.join('a' * 100_000)}]",
+    "inline": "a = [1.5, {" + ".".join("b" * 100_000) + " = 1}]",
+}
+
+
+@pytest.mark.parametrize("text", KEYS.values(), ids=KEYS)
+def test_keys_of_tables_without_end_are_refused_before_they_are_read(text: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(tomllib, "loads", lambda text: pytest.fail("it is read"))
+    with pytest.raises(FormatError, match="not TOML: nested too deep"):
+        parse_toml(text)
+
+
+def test_what_only_looks_like_such_a_key_is_read() -> None:
+    corners = [[round(38.0 + n / 1000, 3), -9.2] for n in range(1000)]
+    text = f'a.b.c = {corners}\nb = "{"... " * 1000}"\nc = "{"x" * 100_000}"  # {"." * 1000}\n'
+    assert parse_toml(text)["a"]["b"]["c"] == corners
 
 
 @pytest.mark.parametrize("text", ["a = " + "[" * 50_000, "a = " + "9" * 5000, "a = 1\na = 2", "a ="])
