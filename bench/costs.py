@@ -19,7 +19,6 @@ from typing import Any, Final, NamedTuple
 from delfim import config, geodesy
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.rerun import NoLog
 from delfim.slices import Sliced
 from delfim.vehicle import console, fence, reading
 from delfim.vehicle.control.control import enter
@@ -28,9 +27,10 @@ from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.station import FRAMES, Station
 from delfim.vehicle.mavlink.wire import Sender, dialect
 from delfim.vehicle.mission import ROWS, Mission, PathPoint, Waypoint
-from delfim.vehicle.state import Motion, Setpoint
+from delfim.vehicle.state import Motion, NoLog, Setpoint
 from delfim.vehicle.state import Waypoint as To
 from delfim.vehicle.track import Track
+from delfim.vehicle.zones import Point, Zone, polygon
 
 REPETITIONS: Final = 5
 WARM_S: Final = 3.0  # sailed before anything is asked
@@ -184,9 +184,9 @@ def _line() -> bytes:
 
 
 def _fences(boat: Vehicle) -> list[Row]:
-    def comb(n: float) -> fence.Zone:
+    def comb(n: float) -> Zone:
         """Its teeth run past the boat from west to east, a millimetre from each other."""
-        return fence.polygon("", False, [*((n + 1e-3 * i, 2e3 * (-1) ** i) for i in range(99)), (3e3, 0.0)])
+        return polygon("", False, [*((n + 1e-3 * i, 2e3 * (-1) ** i) for i in range(99)), (3e3, 0.0)])
 
     def near(north_m: float) -> Motion:
         return Motion(ALL, north_m, 0.0, 0.0, 0.0, -1.5, 0.0)
@@ -211,7 +211,7 @@ def _fences(boat: Vehicle) -> list[Row]:
     return found
 
 
-def _held(around: fence.Fence, track: tuple[fence.Point, ...]) -> Callbacks:
+def _held(around: fence.Fence, track: tuple[Point, ...]) -> Callbacks:
     return _slices(fence.place_to_hold(around, (5.0, 0.0), track, 5.0))
 
 

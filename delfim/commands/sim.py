@@ -83,13 +83,13 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _scenario(asked: argparse.Namespace) -> int:
-    from delfim.simulator import campaign, scenario
+    from delfim.simulator import campaign, trial
 
     if asked.scenario == campaign.MIXED:
         result = campaign.sail_mixed(asked.file, asked.seed, tuple(asked.set))
     else:
-        result = scenario.run_file(asked.scenario, asked.file, asked.seed, tuple(asked.set))
-    print(*scenario.report(result), sep="\n")
+        result = trial.run_file(asked.scenario, asked.file, asked.seed, tuple(asked.set))
+    print(*trial.report(result), sep="\n")
     if result.failures:
         print(f"delfim: failed; again: {campaign.again(asked.file, asked.scenario, asked.seed, asked.set)}", file=sys.stderr)
         return 1

@@ -13,7 +13,7 @@ from delfim.config import Log as Limits
 from delfim.errors import BusError
 from delfim.frames import CAN_ERR, Frame
 from delfim.logging.candump import format_line
-from delfim.logging.liblog import LogStatus, event_line
+from delfim.logging.liblog import event_line
 from delfim.logging.openlog import open_log
 
 FRAMES_A_CALL: Final = 64  # a fraction of a millisecond; the loop calls again while frames are queued
@@ -114,10 +114,6 @@ class BlackBox:
             bus.tell("bus state", bus.state, "")
             bus.tell("bus error", bus.error, "")
             bus.tell("log not writable", status.reason, "")
-
-    def status(self) -> dict[str, LogStatus]:
-        """How the log of each bus fares."""
-        return {bus.device: bus.log.status() for bus in self._buses.values()}
 
     def figures(self) -> dict[str, object]:
         """JSON-ready: of each bus the bytes on disk, the frames lost, and its trouble where it has one."""

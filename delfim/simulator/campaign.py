@@ -14,7 +14,8 @@ from typing import Any, Final
 
 from delfim import config, geodesy
 from delfim.simulator.faults import KINDS, VALUES, WHERE
-from delfim.simulator.scenario import FaultAt, Guest, Result, Scenario, sail, settings_of
+from delfim.simulator.scenario import FaultAt, Guest, Scenario, settings_of
+from delfim.simulator.trial import Result, sail
 
 MIXED: Final = "mixed"
 START_S, QUIET_S = 8.0, 15.0  # nothing breaks before all is well, and the last faults are over before the end

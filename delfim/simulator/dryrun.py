@@ -18,8 +18,8 @@ from delfim.errors import DelfimError
 from delfim.geodesy import from_plane
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.rerun import NoLog
 from delfim.vehicle import console
+from delfim.vehicle.state import NoLog
 
 LIMIT_S: Final = 6 * 3600.0
 POINTS_MAX: Final = 2000

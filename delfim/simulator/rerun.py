@@ -37,7 +37,7 @@ from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import REPEAT_S
-from delfim.vehicle.state import State
+from delfim.vehicle.state import NoLog, State
 
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
 TICK_S: Final = 0.1  # of the watchdog; looks of which the time is not recorded are put in between
@@ -117,25 +117,6 @@ class Recalled:
 
     def time_ns(self) -> int:
         return self.now_ns
-
-
-class NoLog:
-    """Nothing is logged; `why` makes the loop refuse what was refused then."""
-
-    def __init__(self) -> None:
-        self.why = ""
-
-    def write(self, state: State, now_s: float) -> None:
-        pass
-
-    def note(self, text: str) -> None:
-        pass
-
-    def reason(self) -> str:
-        return self.why
-
-    def close(self) -> None:
-        pass
 
 
 class Rerun:

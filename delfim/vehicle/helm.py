@@ -22,6 +22,7 @@ from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation, Reference, Setpoint, State, StateLog, Waypoint
 from delfim.vehicle.track import Track
 from delfim.vehicle.troubles import Inputs, unfollowed
+from delfim.vehicle.zones import Point
 
 PUSHED_S = 1.0  # manual commands that come faster are one push
 
@@ -38,7 +39,7 @@ class Helm:
         self.plans = Plans(settings.fence, self.limits, state, self.track, log)
         self.rules, self.troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
         self.taken = False  # the failsafe changed the mode; a joystick that is still pushed does not take it back
-        self._seeking: Sliced[fence.Point] | None = None  # of a better place to hold
+        self._seeking: Sliced[Point] | None = None  # of a better place to hold
         self._controlled_s = clock.monotonic_s()
 
     def stop(self, reason: str) -> None:
@@ -148,7 +149,7 @@ class Helm:
         self.troubles, self.taken = failsafe.overruled(self.troubles), False
         self.enter(mode, "operator")
 
-    def _too_far(self, to: fence.Point | None) -> str | None:
+    def _too_far(self, to: Point | None) -> str | None:
         """Why the point that a mode goes to first is too far away, in words."""
         motion = self.state.motion
         far_m = 0.0 if to is None else math.dist(to, (motion.north_m, motion.east_m))

@@ -9,7 +9,7 @@ from delfim import config, geodesy
 from delfim.errors import DelfimError, Refused
 from delfim.modes import Mode
 from delfim.slices import Remains, Sliced, Work
-from delfim.vehicle import console, fence
+from delfim.vehicle import console, fence, legs
 from delfim.vehicle.control.memory import Settings
 from delfim.vehicle.mission import Mission, checked, plan, read_mission
 from delfim.vehicle.state import Plan, State, StateLog
@@ -90,7 +90,7 @@ class Plans:
         planned = yield from plan(mission, origin, self.limits.control)
         around = yield from fence.survey(self._fence, mission.fence, origin, self.fence)
         radius_m = self.limits.control.hold.radius_m
-        if around is not None and (why := (yield from fence.complaint(around, planned, radius_m))) is not None:
+        if around is not None and (why := (yield from legs.complaint(around, planned, radius_m))) is not None:
             raise Refused(f"mission refused: {why}")
         return Looked(command, basis, None, mission, planned, origin, around)
 
@@ -103,7 +103,7 @@ class Plans:
         around = yield from fence.survey(self._fence, command.zones, origin, self.fence)
         planned, radius_m, why = self._state.setpoint.plan, self.limits.control.hold.radius_m, None
         if planned is not None and around is not None:
-            why = yield from fence.complaint(around, planned, radius_m)
+            why = yield from legs.complaint(around, planned, radius_m)
         return Looked(command, basis, around=around, lost=why)
 
     def accept(self, command: console.Plan) -> None:

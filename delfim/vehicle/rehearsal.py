@@ -17,7 +17,7 @@ from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Line, Links
 from delfim.vehicle.loop import Vehicle
-from delfim.vehicle.state import State
+from delfim.vehicle.state import NoLog, State
 
 
 class Rehearsal:
@@ -29,7 +29,7 @@ class Rehearsal:
         self._boat, self._outlets, self._tell = boat, outlets, mirror.send_many
         link = cast(CanSocket, mirror)
         dsor = msgspec.structs.replace(settings, navigation=msgspec.structs.replace(settings.navigation, sources=("dsor",)))
-        self._twin = build(dsor, clock, state, Links(lambda _, filters: link, _no_line), _NoLog()).vehicle
+        self._twin = build(dsor, clock, state, Links(lambda _, filters: link, _no_line), NoLog()).vehicle
         (self._source,) = self._twin.sources
         self._numbers, self._messages = count(), cycle([list[tuple[int, bytes]]()])
         self._parts = cycle((self._hear, self._command, *(outlet.rehearse for outlet in outlets)))
@@ -85,14 +85,3 @@ class _NoLine:
 
 def _no_line(device: str, baud: int) -> Line:
     return _NoLine()
-
-
-class _NoLog:
-    """A twin leaves no record."""
-
-    def write(self, state: State, now_s: float) -> None: ...
-    def note(self, text: str) -> None: ...
-    def reason(self) -> str:
-        return ""
-
-    def close(self) -> None: ...

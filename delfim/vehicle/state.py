@@ -173,3 +173,21 @@ class StateLog(Protocol):
     def note(self, text: str) -> None: ...  # an event, in words
     def reason(self) -> str: ...  # why nothing is being written, in words; empty while all is well
     def close(self) -> None: ...
+
+
+class NoLog:
+    """A log that keeps nothing; `why` is the reason that it gives."""
+
+    why = ""
+
+    def write(self, state: State, now_s: float) -> None:
+        pass
+
+    def note(self, text: str) -> None:
+        pass
+
+    def reason(self) -> str:
+        return self.why
+
+    def close(self) -> None:
+        pass

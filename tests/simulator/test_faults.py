@@ -21,9 +21,8 @@ from delfim.simulator import bycommand
 from delfim.simulator.faults import ABOARD, KINDS, VALUES, WHERE, Faults, FaultyGuest, FaultyLog, fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
-from delfim.simulator.scenario import Silence
 from delfim.vehicle import console
-from delfim.vehicle.state import State
+from delfim.vehicle.state import NoLog, State
 
 SETTINGS = config.Vehicle(boat=config.Boat(name="test"))
 STEP_S = 0.2
@@ -236,7 +235,7 @@ def test_any_faults_at_any_time_end_without_a_trace(orders):
 
 def test_a_full_disk_says_so_at_once_and_a_hanging_one_after_a_while(world):
     kept = []
-    log = Silence(ManualClock())
+    log = NoLog()
     log.write = lambda state, now_s: kept.append(now_s)  # type: ignore[method-assign]
     faulty = FaultyLog(log, world.faults)
     state = State()
@@ -268,7 +267,7 @@ def test_a_lost_guest_is_not_heard_and_comes_back(world):
 
 
 def test_in_lock_step_everything_around_breaks_too():
-    run = Lockstep(SETTINGS, 1, Silence)
+    run = Lockstep(SETTINGS, 1, lambda clock: NoLog())
     list(run.cycles(5.0))
     assert run.command(console.Heading(0.0, 1.0)) is None
     for kind in sorted({*ABOARD, "clock_stepped"}):
@@ -284,7 +283,7 @@ def test_in_lock_step_everything_around_breaks_too():
 
 def test_what_came_late_is_not_kept_for_later():
     """The loop takes one message at a time; when a delay ends, all that waited are taken, and the newest is the present."""
-    run = Lockstep(SETTINGS, 1, Silence)
+    run = Lockstep(SETTINGS, 1, lambda clock: NoLog())
     list(run.cycles(4.0))
     run.breaks(fault("frames_late", "", 0.7, 3.0))
     list(run.cycles(8.0))

@@ -8,9 +8,11 @@ import pytest
 
 from delfim import config
 from delfim.errors import ConfigError
-from delfim.simulator import campaign, scenario
+from delfim.simulator import campaign, scenario, trial
 from delfim.simulator.faults import KINDS
 from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.watch import Watch
+from delfim.vehicle.state import NoLog
 from delfim.vehicle.troubles import Trigger
 
 ROOT = Path(__file__).parents[2]
@@ -29,21 +31,21 @@ speed_mps = 1.0
 """
 
 
-def run(tmp_path: Path, text: str, seed: int = 1) -> scenario.Result:
+def run(tmp_path: Path, text: str, seed: int = 1) -> trial.Result:
     file = tmp_path / "test.toml"
     file.write_text(text)
-    return scenario.run_file(file, VEHICLE, seed)
+    return trial.run_file(file, VEHICLE, seed)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.parametrize("file", SCENARIOS, ids=lambda file: file.stem)
 def test_the_scenario_ends_as_it_must(file, seed):
-    result = scenario.run_file(file, VEHICLE, seed)
+    result = trial.run_file(file, VEHICLE, seed)
     assert not result.failures, f"delfim sim {VEHICLE} --scenario {file} --seed {seed}"
 
 
 def test_there_are_scenarios_for_every_trouble_of_the_table():
-    told = {event.name for file in SCENARIOS for event in scenario.run_file(file, VEHICLE, 1).events if event.kind == "notice"}
+    told = {event.name for file in SCENARIOS for event in trial.run_file(file, VEHICLE, 1).events if event.kind == "notice"}
     assert told == {trigger.name.lower() for trigger in Trigger} - {"control"}
 
 
@@ -120,7 +122,7 @@ def test_orders_are_repeated_until_obeyed_and_then_given_up(tmp_path):
 
 def test_a_run_is_repeated_by_its_seed_and_a_file_by_its_command():
     file = ROOT / "etc/scenarios/bad-wire.toml"
-    assert scenario.run_file(file, VEHICLE, 3) == scenario.run_file(file, VEHICLE, 3)
+    assert trial.run_file(file, VEHICLE, 3) == trial.run_file(file, VEHICLE, 3)
     assert campaign.sail_mixed(VEHICLE, 7) == campaign.sail_mixed(VEHICLE, 7)
     assert campaign.again("a b.toml", "mixed", 7, ["log.required=false"]) == (
         "delfim sim 'a b.toml' --scenario mixed --seed 7 --set log.required=false"
@@ -167,8 +169,8 @@ def test_without_a_row_of_the_table_the_campaign_finds_it(monkeypatch, trigger, 
 
 
 def test_the_watch_sees_propellers_commanded_in_idle():
-    sailing = Lockstep(SETTINGS, 1, scenario.Silence)
-    watch = scenario.Watch(sailing)
+    sailing = Lockstep(SETTINGS, 1, lambda clock: NoLog())
+    watch = Watch(sailing)
     list(sailing.cycles(1.0))
     watch.look()
     assert watch.failures == []

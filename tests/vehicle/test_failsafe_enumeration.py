@@ -17,7 +17,6 @@ from delfim.clock import ManualClock
 from delfim.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
 from delfim.modes import Mode
 from delfim.simulator.bus import LockstepBus
-from delfim.simulator.scenario import Silence
 from delfim.slices import Sliced
 from delfim.vehicle import console, fence
 from delfim.vehicle.actuators.dsor import Propellers
@@ -25,7 +24,7 @@ from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.navigation import Fix
 from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.state import Line, Plan, State, Waypoint
+from delfim.vehicle.state import Line, NoLog, Plan, State, Waypoint
 from delfim.vehicle.troubles import TURNING_RPM, Trigger
 
 SECONDS, NAVIGATION_S = 1.6, 0.2
@@ -100,13 +99,6 @@ class Sensors:
     def rehearse(self, last: Navigation) -> None: ...
 
 
-class Log(Silence):
-    why = ""
-
-    def reason(self) -> str:
-        return self.why
-
-
 class Boat:
     """A vehicle in a mode, its propellers at some thrust already, and the list of all it sends."""
 
@@ -115,7 +107,7 @@ class Boat:
         bus = LockstepBus(self.clock)
         self.world = bus.socket("world")
         self.world.bind(ANYTHING)
-        self.state, self.source, self.log = State(), Sensors(bus.socket()), Log(self.clock)
+        self.state, self.source, self.log = State(), Sensors(bus.socket()), NoLog()
         outlet, guest = bus.socket(), Guest(self.state, self.clock)
         propulsion = Propulsion((Propellers(outlet),), outlet, SETTINGS.propulsion, self.state)
         self.vehicle = Vehicle(SETTINGS, self.clock, self.state, (self.source,), propulsion, guest, self.log)

@@ -11,9 +11,11 @@ from delfim.errors import ConfigError
 from delfim.modes import Mode
 from delfim.slices import Sliced
 from delfim.vehicle import fence
-from delfim.vehicle.fence import Fence, Zone, clearance_m, least, polygon, stopping_m
+from delfim.vehicle.fence import Fence, stopping_m
+from delfim.vehicle.legs import complaint
 from delfim.vehicle.mission import canonical, digest, parse_mission
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
+from delfim.vehicle.zones import Zone, clearance_m, least, polygon
 
 LIMITS = config.Fence()
 
@@ -186,30 +188,30 @@ def to(north_m: float, east_m: float, speed_mps: float = 1.5) -> Waypoint:
     ],
 )
 def test_missions_are_held_against_the_fence(waypoints, reason):
-    assert whole(fence.complaint, Fence((SQUARE, WALL), LIMITS), Plan("", tuple(waypoints), ()), 5.0) == reason
+    assert whole(complaint, Fence((SQUARE, WALL), LIMITS), Plan("", tuple(waypoints), ()), 5.0) == reason
 
 
 def test_a_place_to_stay_at_needs_room_to_drift():
     waits = to(0, 43)._replace(hold_s=10.0)
     reason = "no room to wait at waypoint 2: square is nearer than 8 m"
-    assert whole(fence.complaint, Fence((SQUARE,), LIMITS), Plan("", (to(0, 0), waits), ()), 5.0) == reason
-    assert whole(fence.complaint, Fence((SQUARE,), LIMITS), Plan("", (to(0, 0), waits), ()), 4.0) is None
+    assert whole(complaint, Fence((SQUARE,), LIMITS), Plan("", (to(0, 0), waits), ()), 5.0) == reason
+    assert whole(complaint, Fence((SQUARE,), LIMITS), Plan("", (to(0, 0), waits), ()), 4.0) is None
 
 
 def test_paths_and_their_arcs_too():
     line = Line(-20.0, -30.0, -20.0, 0.0, 1.5)
     inside = Arc(0.0, 0.0, 20.0, math.pi, -math.pi / 2, 1.5)
     around = Fence((SQUARE,), LIMITS)
-    assert whole(fence.complaint, around, Plan("", (), (line, inside)), 5.0) is None
+    assert whole(complaint, around, Plan("", (), (line, inside)), 5.0) is None
     bulging = Arc(-20.0, 20.0, 28.0, -math.pi / 2, -math.pi, 1.5)
-    assert (whole(fence.complaint, around, Plan("", (), (line, bulging)), 5.0) or "").startswith("piece 2 of the path leads")
+    assert (whole(complaint, around, Plan("", (), (line, bulging)), 5.0) or "").startswith("piece 2 of the path leads")
 
 
 def test_a_turn_that_points_at_the_fence_needs_room_too():
     """Legs along the fence, and between them half a turn towards it."""
     there, back = [to(-30, 43), to(0, 43)], to(-30, 43.9)
-    assert "without room to stop" in (whole(fence.complaint, Fence((SQUARE,), LIMITS), Plan("", (*there, back), ()), 5.0) or "")
-    assert whole(fence.complaint, Fence((SQUARE,), LIMITS), Plan("", (to(-30, 36), to(0, 36), to(-30, 34)), ()), 5.0) is None
+    assert "without room to stop" in (whole(complaint, Fence((SQUARE,), LIMITS), Plan("", (*there, back), ()), 5.0) or "")
+    assert whole(complaint, Fence((SQUARE,), LIMITS), Plan("", (to(-30, 36), to(0, 36), to(-30, 34)), ()), 5.0) is None
 
 
 def test_the_way_to_where_a_mode_begins_is_held_against_it():

@@ -28,7 +28,7 @@ from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import Vehicle
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.sources.nmea2000 import Nmea2000Navigation
-from delfim.vehicle.state import State
+from delfim.vehicle.state import NoLog, State
 
 RECORDING = Path(__file__).parents[1] / "data/nmea2000/raymarine-p70.candump.log.gz"
 SECONDS = 5.0
@@ -68,20 +68,6 @@ def told_by_another_decoder() -> list[tuple[float, float]]:
             fields = {field.id: field.value for field in message.fields}
             positions.append((fields["latitude"], fields["longitude"]))
     return positions
-
-
-class NoLog:
-    def write(self, state: State, now_s: float) -> None:
-        pass
-
-    def note(self, text):
-        pass
-
-    def reason(self) -> str:
-        return ""
-
-    def close(self) -> None:
-        pass
 
 
 def test_a_recorded_boat_drives_the_vehicle_at_its_own_speed_and_silence_stops_it():

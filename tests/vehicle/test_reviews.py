@@ -21,6 +21,7 @@ from delfim.vehicle.mavlink.plans import FENCE, MISSION, Item
 from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical
 from delfim.vehicle.reviews import Reviews
+from delfim.vehicle.zones import polygon
 from tests.vehicle.mavlink_console import Console, Radio, newest, texts
 from tests.vehicle.test_mavlink_missions import fields
 from tests.vehicle_fixtures import MOST_AT_ONCE
@@ -268,7 +269,7 @@ def test_the_fence_is_watched_at_a_bounded_price(counted):
     """However many corners are near, one look at the fence compares no more than it may, and says so."""
     corners = [(n, e) for n, e in itertools.zip_longest([6.0 + 1e-3 * i for i in range(99)], [], fillvalue=0.0)]
     comb = [(n, 2000.0 if i % 2 else -2000.0) for i, (n, _) in enumerate(corners)]
-    thick = fence.Fence(tuple(fence.polygon(f"comb {i}", False, [*comb, (3000.0, 0.0)]) for i in range(200)), config.Fence())
+    thick = fence.Fence(tuple(polygon(f"comb {i}", False, [*comb, (3000.0, 0.0)]) for i in range(200)), config.Fence())
     looked: list[int] = []
     real = fence.least
 
@@ -306,7 +307,7 @@ def test_a_better_place_to_hold_is_found_later(sea, counted):
     driven = [(0.0, 0.0), *((3.0 + 0.01 * i, 100.0 + 5.0 * i) for i in range(300))]
     for point in driven:
         sea.vehicle.helm.track.add(*point)
-    wall = fence.polygon("wall", False, [(10.0, 50.0), (10.0, 3000.0), (11.0, 3000.0), (11.0, 50.0)])
+    wall = polygon("wall", False, [(10.0, 50.0), (10.0, 3000.0), (11.0, 3000.0), (11.0, 50.0)])
     sea.vehicle.helm.plans.fence = fence.Fence((wall,), config.Fence())
     sea.boat.state.motion = sea.state.motion._replace(north_m=5.0, east_m=1500.0)
     sea.vehicle.helm.enter(Mode.HOLD, "test")

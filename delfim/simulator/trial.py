@@ -1,0 +1,210 @@
+"""A scenario sailed in lock step, and what came of it held against what was expected.
+
+Beside that, every run is watched for what must never happen (`delfim.simulator.watch`).
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable
+from pathlib import Path
+from typing import Final, Literal, NamedTuple
+
+import msgspec
+
+from delfim import config
+from delfim.clock import ManualClock
+from delfim.modes import Mode
+from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.scenario import Expect, Order, Scenario, fault_of, load_scenario, mission_of, settings_of
+from delfim.simulator.watch import TURNS_RPM, Watch
+from delfim.vehicle import console
+from delfim.vehicle.state import NoLog, StateLog
+
+RETRY_S: Final = 1.0  # an operator who was refused asks again so often ...
+PATIENCE_S: Final = 15.0  # ... and gives up after so long
+GUEST_S: Final = 0.5
+HELD_S: Final = 0.5
+
+
+class Event(NamedTuple):
+    """Something that happened."""
+
+    t_s: float
+    kind: Literal["command", "fault", "mode", "notice", "propellers"]
+    name: str
+    text: str = ""
+
+
+class Result(NamedTuple):
+    events: list[Event]
+    failures: list[str]  # in words; empty when all is as it must be
+    elapsed_s: float
+
+
+class Recorder:
+    """What happened, as events."""
+
+    def __init__(self, run: Lockstep) -> None:
+        self._run, self.events = run, list[Event]()
+        self._mode: tuple[Mode, str] | None = None
+        self._notices: set[tuple[str, str]] = set()
+        self._stopped = False
+        self.nearest_m: list[float] = []
+
+    def add(self, kind: Literal["command", "fault"], name: str, text: str = "") -> None:
+        self.events.append(Event(self._run.elapsed_s, kind, name, text))
+
+    def look(self) -> None:
+        state, model, now_s = self._run.state, self._run.nodes.model, self._run.elapsed_s
+        if (state.mode, state.reason) != self._mode:
+            self._mode = state.mode, state.reason
+            self.events.append(Event(now_s, "mode", state.mode.name.lower(), state.reason))
+        if state.notices or self._notices:
+            present = {(notice.name, notice.action) for notice in state.notices}
+            news = [notice for notice in state.notices if (notice.name, notice.action) not in self._notices]
+            self.events += [Event(now_s, "notice", notice.name, f"{notice.reason}: {notice.action}") for notice in news]
+            self._notices = present
+        stopped = max(abs(model.starboard.rpm), abs(model.port.rpm)) <= TURNS_RPM
+        if stopped is not self._stopped:
+            self._stopped = stopped
+            self.events.append(Event(now_s, "propellers", "stopped" if stopped else "turning"))
+
+    def passes(self) -> None:
+        """How near the boat, in truth, came to each waypoint."""
+        state, model = self._run.state, self._run.nodes.model
+        plan, origin = state.setpoint.plan, state.origin
+        if plan is None or origin is None:
+            return
+        if len(self.nearest_m) != len(plan.waypoints):
+            self.nearest_m = [math.inf] * len(plan.waypoints)
+        north_m = (model.latitude_rad - origin.latitude_rad) * origin.north_m_per_rad
+        east_m = (model.longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
+        for number, to in enumerate(plan.waypoints):
+            away_m = math.hypot(north_m - to.north_m, east_m - to.east_m) - to.acceptance_m
+            self.nearest_m[number] = min(self.nearest_m[number], away_m)
+
+
+def sail(
+    scenario: Scenario,
+    settings: config.Vehicle,
+    seed: int,
+    mission: str = "",
+    make_log: Callable[[ManualClock], StateLog] | None = None,
+    *,
+    patient: bool = True,
+) -> Result:
+    """One run. `mission` is the text of the scenario's mission file. The same seed gives the same bytes. An operator who is not
+    patient gives an order once and takes a refusal for an answer.
+    """
+    run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()))
+    watch, recorder, operator = Watch(run), Recorder(run), Operator(run, scenario, mission, patient)
+    broken = deque(sorted(((each.at_s, fault_of(each)) for each in scenario.fault), key=lambda pair: pair[0]))
+    guest_s = 0.0
+    for _ in run.cycles(scenario.seconds):
+        while broken and broken[0][0] <= run.elapsed_s:
+            each = broken.popleft()[1]
+            recorder.add("fault", each.kind, each.where)
+            run.breaks(each)
+        if scenario.guest is not None and run.elapsed_s >= guest_s:
+            guest_s = run.elapsed_s + GUEST_S
+            run.guest_says(msgspec.json.encode(scenario.guest))
+        operator.speak(recorder)
+        watch.look()
+        recorder.look()
+        if any(expected.waypoints for expected in scenario.expect):
+            recorder.passes()
+    missed = [words for expected in scenario.expect if (words := _missed(expected, recorder, run.elapsed_s))]
+    run.close()
+    return Result(recorder.events, [*watch.failures, *operator.failures, *missed], run.elapsed_s)
+
+
+class Operator:
+    """Who gives a scenario's orders: each until it is obeyed, or refused as it should be, or given up."""
+
+    def __init__(self, run: Lockstep, scenario: Scenario, mission: str, patient: bool) -> None:
+        self._run, self._patience_s = run, PATIENCE_S if patient else 0.0
+        orders = [Order.of(words) for words in scenario.command]
+        if mission:
+            orders.append(Order(-1.0, console.Mission(mission)))
+        self._orders = deque(sorted(orders, key=lambda order: order.at_s))
+        self._again_s = self._held_s = 0.0
+        self._held: console.Commands | None = None
+        self.failures: list[str] = []
+
+    def speak(self, recorder: Recorder) -> None:
+        """What is due now."""
+        now_s = self._run.elapsed_s
+        if self._held is not None and now_s >= self._again_s:
+            self._again_s = now_s + HELD_S
+            self._run.command(self._held)
+            self._held = self._held if now_s < self._held_s else None
+        elif self._orders and self._orders[0].at_s <= now_s and now_s >= self._again_s:
+            order = self._orders[0]
+            if self._give(order, recorder):
+                self._orders.popleft()
+            else:
+                self._again_s = now_s + RETRY_S
+
+    def _give(self, order: Order, recorder: Recorder) -> bool:
+        """Whether the operator is done with the order."""
+        name, now_s = type(order.command).__name__.lower(), self._run.elapsed_s
+        why = self._run.command(order.command)
+        if order.refused:
+            recorder.add("command", name, f"refused: {why}" if why else "")
+            if order.refused not in (why or ""):
+                self.failures.append(f"{name} at {order.at_s:g} s: {why or 'obeyed'}, not refused with {order.refused!r}")
+            return True
+        if why is None:
+            recorder.add("command", name)
+            if order.held_s:
+                self._held, self._held_s, self._again_s = order.command, now_s + order.held_s, now_s + HELD_S
+            return True
+        if now_s - order.at_s < self._patience_s:
+            return False
+        if self._patience_s:
+            self.failures.append(f"{name} at {order.at_s:g} s: {why}")
+        return True
+
+
+def _missed(expected: Expect, recorder: Recorder, end_s: float) -> str | None:
+    """What a run lacks of what was expected, in words."""
+    if expected.waypoints:
+        reached = sum(away_m <= 1.0 for away_m in recorder.nearest_m)
+        return None if reached >= expected.waypoints else f"{reached} of {expected.waypoints} waypoints reached"
+    kind, name = next((k, n) for k in ("mode", "notice", "propellers") if (n := getattr(expected, k)))
+    since_s = _since(expected.after, recorder.events)
+    what = f"{kind} {name}" + (f" ({expected.reason})" if expected.reason else "")
+    if since_s is None:
+        return f"{what}: there was no {expected.after}"
+    fits = [event for event in recorder.events if event.kind == kind]
+    there = [e for e in fits if e.t_s >= since_s and e.name == name and expected.reason in e.text]
+    before = [e for e in fits if e.t_s < since_s][-1:]
+    if kind != "notice" and before and before[0].name == name and expected.reason in before[0].text:
+        there = [before[0]._replace(t_s=since_s), *there]
+    if expected.never:
+        return f"{what} at {there[0].t_s:.1f} s, never expected after {expected.after}" if there else None
+    if not there:
+        return f"{what}: not after {expected.after}"
+    if there[0].t_s - since_s > expected.within_s + 1e-6:
+        return f"{what}: {there[0].t_s - since_s:.1f} s after {expected.after}, not {expected.within_s:g} s"
+    if expected.at_end and (fits[-1].name != name or expected.reason not in fits[-1].text):
+        return f"{what}: at {end_s:.0f} s it is {fits[-1].name} ({fits[-1].text})"
+    return None
+
+
+def _since(after: float | str, events: list[Event]) -> float | None:
+    if not isinstance(after, str):
+        return after
+    return next((e.t_s for e in reversed(events) if e.kind in ("fault", "command") and e.name == after), None)
+
+
+def run_file(path: str | Path, vehicle: str | Path, seed: int, overrides: tuple[str, ...] = ()) -> Result:
+    """A scenario file, sailed. Raises ConfigError."""
+    scenario = load_scenario(path)
+    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, mission_of(scenario, path))
+
+
+def report(result: Result) -> list[str]:
+    """What happened and what it is worth, a line each."""
+    lines = [f"{e.t_s:7.1f} s  {e.kind:10} {e.name}{f'  {e.text}' if e.text else ''}" for e in result.events]
+    return lines + [f"FAILED: {words}" for words in result.failures]

@@ -1,0 +1,72 @@
+"""What must never happen to a boat in lock step, whatever breaks."""
+
+import math
+from typing import Final
+
+from delfim.modes import Mode
+from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle.fence import Fence
+from delfim.vehicle.state import State
+from delfim.vehicle.zones import clearance_m
+
+TURNS_RPM: Final = 120.0  # a propeller that gives thrust worth the name
+COAST_S: Final = 4.0  # until a stopped one does not any more
+ASTRAY_S: Final = 12.0  # the same where it does not obey: seen, disconnected, coasted
+BLIND_S: Final = 0.5  # beyond its limit, for the watchdog to come round
+NOISE_M: Final = 1.5  # between where the boat is and where it can know itself to be
+DECEIVED_M: Final = 3.0  # a boat that is told to be farther off than this cannot keep a fence
+
+
+class Watch:
+    """`look` after each cycle."""
+
+    def __init__(self, run: Lockstep) -> None:
+        self._run, self._model, self._settings = run, run.nodes.model, run.settings
+        self.failures: list[str] = []
+        self._turning_since_s = math.inf
+        self._was_inside, self._astray = True, False
+
+    def look(self) -> None:
+        run, state = self._run, self._run.state
+        now_s, sent, limits = run.elapsed_s, state.actuation, self._settings
+        idle = state.mode is Mode.IDLE
+        fastest = max(abs(sent.starboard_rpm), abs(sent.port_rpm))
+        if not fastest <= limits.propulsion.rpm_max or (fastest and (idle or not sent.run)):
+            self._fail(f"commanded {sent}")
+        if idle and not state.reason:
+            self._fail("stopped without a reason")
+        if not idle and now_s - state.navigation_s > limits.failsafe.navigation_silent.after_s + BLIND_S:
+            self._fail(f"sailing blind in mode {state.mode.name.lower()}")
+        self._adrift(idle, now_s)
+        if (around := run.vehicle.helm.plans.fence) is not None:
+            self._fenced(around, state, idle)
+
+    def _adrift(self, idle: bool, now_s: float) -> None:
+        """Propellers that give thrust for a boat that nobody steers. A bus that is away is not the boat's fault."""
+        model, on = self._model, self._run.faults.on
+        turns = max(abs(model.starboard.rpm), abs(model.port.rpm)) > TURNS_RPM
+        if not (idle and turns) or "bus_off" in on or any(kind.startswith("frames_") for kind in on):
+            self._turning_since_s, self._astray = math.inf, False
+            return
+        self._turning_since_s = min(self._turning_since_s, now_s)
+        self._astray = self._astray or model.starboard.fault is not None or model.port.fault is not None
+        if now_s - self._turning_since_s > (ASTRAY_S if self._astray else COAST_S):
+            self._fail("adrift under power")
+
+    def _fenced(self, around: Fence, state: State, idle: bool) -> None:
+        """A boat that obeys, knows where it is and drives must not leave its fence; one that was stopped drifts."""
+        model, origin = self._model, state.origin
+        if origin is None:
+            return
+        north_m = (model.latitude_rad - origin.latitude_rad) * origin.north_m_per_rad
+        east_m = (model.longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
+        inside = all(clearance_m(zone, north_m, east_m) > -NOISE_M for zone in around.zones)
+        deceived = math.dist((north_m, east_m), (state.motion.north_m, state.motion.east_m)) > DECEIVED_M
+        obeys = not model.starboard.fault and not model.port.fault
+        if self._was_inside and not inside and not idle and obeys and not deceived:
+            self._fail(f"outside the fence in mode {state.mode.name.lower()}")
+        self._was_inside = inside
+
+    def _fail(self, words: str) -> None:
+        if not any(words in known for known in self.failures):
+            self.failures.append(f"{words} at {self._run.elapsed_s:.1f} s ({self._run.state.reason})")

@@ -1,0 +1,129 @@
+"""The ways of a mission, against the fence: work in slices, because either may be long."""
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+from typing import NamedTuple
+
+from delfim import geodesy
+from delfim.slices import Work
+from delfim.vehicle.control.path import arc_point
+from delfim.vehicle.fence import BOXES, Fence, stopping_m, through
+from delfim.vehicle.state import Line, Plan
+from delfim.vehicle.zones import Box, Point, Zone, apart, box_of, circle, least
+
+CHORD_RAD = math.radians(5.0)  # an arc is looked at in pieces of this angle: 0.1 % of the radius off
+TURN_STEP_RAD = math.radians(15.0)
+
+
+class Way(NamedTuple):
+    """A straight piece of a mission, the speed at its end, and what the leg or the arc that it belongs to lies in."""
+
+    name: str
+    a: Point
+    b: Point
+    speed_mps: float
+    around: Box
+
+
+def complaint(fence: Fence, plan: Plan, radius_m: float) -> Work[str | None]:
+    """What the fence has against a mission, in words: a leg or path nearer than `mission_margin_m`; a corner where the boat,
+    whichever way it points while it turns, has less than the stopping distance and `margin_m` ahead; or a place to wait at
+    without room to drift about within `radius_m`.
+    """
+    room_m = radius_m + fence.limits.margin_m
+    for number, to in enumerate(plan.waypoints, 1):
+        for zone in fence.zones if to.hold_s else ():
+            smallest, looked = least(zone, (to.north_m, to.east_m), (to.north_m, to.east_m), room_m)
+            if smallest < room_m:
+                return f"no room to wait at waypoint {number}: {zone.name} is nearer than {room_m:g} m"
+            if looked:
+                yield looked
+        yield 1 + len(fence.zones) // BOXES if to.hold_s else 0
+    for ways in (_legs(plan), _pieces(plan)):
+        way, around, zones = next(ways, None), None, fence.zones
+        while way is not None:
+            if way.around is not around:
+                yield 1 + len(fence.zones) // BOXES
+                around, zones = way.around, _near(fence, way)
+            onwards = next(ways, None)
+            why = yield from _fault(fence._replace(zones=zones), way, onwards or way)
+            if why is not None:
+                return why
+            way = onwards
+    return None
+
+
+def _near(fence: Fence, way: Way) -> tuple[Zone, ...]:
+    """The zones that the boat could come near to on a leg or an arc, and from it, by stopping."""
+    limits, (south, west, north, east) = fence.limits, way.around
+    room_m = max(limits.mission_margin_m, limits.margin_m + stopping_m(limits, way.speed_mps))
+    return tuple(
+        zone
+        for zone in fence.zones
+        if zone.keep_in
+        or not (
+            zone.box[2] < south - room_m
+            or zone.box[0] > north + room_m
+            or zone.box[3] < west - room_m
+            or zone.box[1] > east + room_m
+        )
+    )
+
+
+def _fault(fence: Fence, way: Way, onwards: Way) -> Work[str | None]:
+    """What the fence has against one straight piece of a mission and the turn at its end."""
+    limits, (text, a, b, speed_mps, _) = fence.limits, way
+    yield 1 + len(fence.zones) // BOXES
+    room_m = stopping_m(limits, speed_mps)
+    ends = tuple(_stops(a, b, onwards, room_m))
+    for zone in fence.zones:
+        if not zone.keep_in and apart(zone.box, a, b, max(limits.mission_margin_m, limits.margin_m + room_m)):
+            continue
+        smallest, looked = least(zone, a, b, limits.mission_margin_m)
+        if smallest < limits.mission_margin_m:
+            return f"{text} leads {through(zone, smallest)}; missions keep {limits.mission_margin_m:g} m away"
+        yield looked
+        for end in ends:
+            smallest, looked = least(zone, b, end, limits.margin_m)
+            if smallest < limits.margin_m:
+                return f"{text} ends at {speed_mps:.1f} m/s without room to stop before {zone.name}"
+            yield looked
+    return None
+
+
+def _stops(a: Point, b: Point, onwards: Way, room_m: float) -> Iterator[Point]:
+    """Where a boat that came from a and turns in b could come to rest."""
+    came_rad = math.atan2(b[1] - a[1], b[0] - a[0])
+    turn_rad = geodesy.wrap(math.atan2(onwards.b[1] - onwards.a[1], onwards.b[0] - onwards.a[0]) - came_rad)
+    steps = math.ceil(abs(turn_rad) / TURN_STEP_RAD)
+    for step in range(steps + 1):
+        heading_rad = came_rad + (turn_rad * step / steps if steps else 0.0)
+        yield b[0] + room_m * math.cos(heading_rad), b[1] + room_m * math.sin(heading_rad)
+
+
+def _legs(plan: Plan) -> Iterator[Way]:
+    """The straight pieces of the waypoints to play. At the last one the boat has stopped."""
+    at = [(to.north_m, to.east_m) for to in plan.waypoints]
+    if len(at) == 1:
+        yield Way("waypoint 1", at[0], at[0], 0.0, box_of(at))
+    for number, (a, b) in enumerate(pairwise(at), 2):
+        end_mps = 0.0 if number == len(at) else plan.waypoints[number - 1].speed_mps
+        yield Way(f"the leg to waypoint {number}", a, b, end_mps, box_of((a, b)))
+
+
+def _pieces(plan: Plan) -> Iterator[Way]:
+    """The straight pieces of the path to follow, arcs in chords; the same circle is not gone round twice."""
+    for number, piece in enumerate(plan.path, 1):
+        name = f"piece {number} of the path"
+        end_mps = 0.0 if number == len(plan.path) else piece.speed_mps
+        if isinstance(piece, Line):
+            a, b = (piece.north_m, piece.east_m), (piece.to_north_m, piece.to_east_m)
+            yield Way(name, a, b, end_mps, box_of((a, b)))
+            continue
+        around = circle("", (piece.north_m, piece.east_m), piece.radius_m).box
+        round_rad = math.copysign(min(abs(piece.turn_rad), math.tau), piece.turn_rad)
+        from_rad, chords = piece.turn_rad - round_rad, max(1, math.ceil(abs(round_rad) / CHORD_RAD))
+        points = (arc_point(piece, from_rad + round_rad * i / chords) for i in range(chords + 1))
+        for i, (a, b) in enumerate(pairwise(points), 1):
+            yield Way(name, a, b, end_mps if i == chords else piece.speed_mps, around)
