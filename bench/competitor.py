@@ -23,8 +23,8 @@ from typing import Any, Final
 from bench.load import Ports, rows
 from delfim import config, suite
 from delfim.clock import Clock, SystemClock
-from delfim.services.priority import Rehearsal
-from delfim.services.runtime import Runtime, Service
+from delfim.services.priority import Practice
+from delfim.services.runtime import LoadedService, Runtime
 
 KINDS: Final = ("delfim", "apart", "services", "asyncio", "uvloop")
 SERVICES_NICE: Final = 10
@@ -48,13 +48,13 @@ class PlainRuntime(Runtime):
     def remove_reader(self, fd: int) -> None:
         asyncio.get_running_loop().remove_reader(fd)
 
-    def rehearsal(self, rehearsal: Rehearsal | None) -> None:
+    def rehearsal(self, rehearsal: Practice | None) -> None:
         """There is no window in which it could be done."""
 
     def report(self) -> dict[str, Any]:
         return {"services": {}}
 
-    async def run(self, services: Sequence[Service]) -> None:
+    async def run(self, services: Sequence[LoadedService]) -> None:
         """All rows until SIGTERM. A row that fails ends the run: a benchmark does not go on without its load."""
         ended = asyncio.Event()
         asyncio.get_running_loop().add_signal_handler(signal.SIGTERM, ended.set)
@@ -82,7 +82,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[])
     asked = parser.parse_args(arguments)
     settings = config.load(asked.file, asked.set)
-    suites = {row.name: Service(row.name, row.loaded(), row.budget_s) for row in suite.services(settings)}
+    suites = {row.name: LoadedService(row.name, row.loaded(), row.budget_s) for row in suite.services(settings)}
     boat = suites.pop("vehicle")
     others = [*suites.values(), *rows(Ports(*map(int, asked.ports.split(","))))]
     services = {"apart": [boat], "services": others}.get(asked.kind, [*others, boat])

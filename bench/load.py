@@ -19,7 +19,7 @@ from collections.abc import Awaitable, Callable
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from delfim.services.runtime import Runtime, Service
+from delfim.services.runtime import LoadedService, Runtime
 
 LOG: Final = "20100101/bench/120000.log"  # what is downloaded, in the log directory
 LOG_BYTES: Final = 1 << 30  # more than a slice takes of it; the file has holes only
@@ -50,13 +50,13 @@ def prepare(directory: Path) -> None:
         file.truncate(LOG_BYTES)
 
 
-def rows(ports: Ports) -> list[Service]:
+def rows(ports: Ports) -> list[LoadedService]:
     """What is served beside the suite's own services."""
 
     async def commands(runtime: Runtime) -> None:
         await _serve(_command, ports.commands)
 
-    return [Service("commands", commands)]
+    return [LoadedService("commands", commands)]
 
 
 async def _serve(handler: Handler, port: int) -> None:

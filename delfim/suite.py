@@ -19,7 +19,7 @@ from delfim import config
 from delfim.errors import DelfimError, FormatError, PermanentFailure
 from delfim.outside import parse_json, read_file
 from delfim.services import cgroup, shutdown
-from delfim.services.children import STACKS_SIGNAL, Program
+from delfim.services.children import STACKS_SIGNAL, Supervised
 from delfim.services.privileges import real_time
 from delfim.services.supervisor import Supervisor
 
@@ -112,7 +112,7 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
         raise PermanentFailure(f"{file}: no service {service!r} is enabled")
     alone = service is not None
     starts = [row.loading() if row.late and not alone else row.loaded() for row in wanted]  # the loop has no time to do it
-    loaded = [runtime.Service(row.name, start, row.budget_s) for row, start in zip(wanted, starts, strict=True)]
+    loaded = [runtime.LoadedService(row.name, start, row.budget_s) for row, start in zip(wanted, starts, strict=True)]
     new_loop = (new_event_loop if wanted[0].uvloop else asyncio.new_event_loop) if alone else None
     return runtime.Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=alone, new_loop=new_loop).main(loaded)
 
@@ -124,19 +124,19 @@ def supervise(
     `program` is what is started with `run FILE`. init: as the machine's first process, which ends with the machine."""
     settings = config.load(file, overrides)
     command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
-    programs = [Program("runtime", command, critical=True)]
+    programs = [Supervised("runtime", command, critical=True)]
     programs += [
-        Program(row.name, (*command, "--service", row.name), limits=_limits(settings, row.name))
+        Supervised(row.name, (*command, "--service", row.name), limits=_limits(settings, row.name))
         for row in services(settings)
         if row.place == "process"
     ]
     place = Path(settings.runtime.run_directory)
     place.mkdir(parents=True, exist_ok=True)
     _above(settings.runtime.fifo_priority)
-    from delfim.services.stop import Stop
+    from delfim.services.stop import PropellerStop
 
     limits = settings.supervisor
-    with contextlib.closing(Stop(settings)) as stop:
+    with contextlib.closing(PropellerStop(settings)) as stop:
         supervisor = Supervisor(
             programs,
             stop=stop,

@@ -45,7 +45,7 @@ def test_a_service_in_a_process_of_its_own_runs_on_the_loop_that_it_is_given(tmp
     settings = config.load(VEHICLE, [f'runtime.run_directory="{tmp_path}"'])
     for new_loop in (None, new_event_loop):
         running = runtime.Runtime(settings, SystemClock(), alone=True, new_loop=new_loop)
-        assert running.main([runtime.Service("look", look)]) == 0
+        assert running.main([runtime.LoadedService("look", look)]) == 0
     assert [each.__name__ for each in seen] == ["NavigationLoop", "Loop"]
 
 

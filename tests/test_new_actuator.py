@@ -15,7 +15,7 @@ from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress
 from delfim.console.link import Link
 from delfim.errors import DelfimError
-from delfim.services.stop import Stop
+from delfim.services.stop import PropellerStop
 from delfim.vehicle.links import Links
 from tests.afloat import running
 from tests.enlarged import Enlarged
@@ -108,7 +108,7 @@ def test_an_actuator_that_cannot_be_told_keeps_no_other_from_its_stop(monkeypatc
     settings = config.Vehicle(boat=config.Boat(name="test"), can=config.Can(interface=f"canloop:stop-{os.getpid()}"))
     both = msgspec.structs.replace(settings.propulsion, actuators=("broken", "dsor"))
     settings = msgspec.structs.replace(settings, propulsion=both)
-    with open_can(settings.can.interface) as bus, contextlib.closing(Stop(settings)) as stop:
+    with open_can(settings.can.interface) as bus, contextlib.closing(PropellerStop(settings)) as stop:
         bus.bind(CanAddress(messages.PROPELLER_PORT))
         bus.settimeout(60)
         with pytest.raises(DelfimError, match="no such line"):

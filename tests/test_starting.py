@@ -13,7 +13,7 @@ from delfim import config
 from delfim.clock import SystemClock
 from delfim.console.link import Link
 from delfim.errors import DelfimError
-from delfim.services.runtime import Runtime, Service
+from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.vehicle import serve
 
 
@@ -62,7 +62,7 @@ def test_the_vehicle_says_that_the_computer_is_starting_until_it_is_watched_over
             if not library.done():
                 os.close(os.open(tmp_path / "gate", os.O_RDWR))
 
-    services = [Service("vehicle", serve), Service("reading", reading)]
+    services = [LoadedService("vehicle", serve), LoadedService("reading", reading)]
     assert Runtime(settings, SystemClock(), beat_fd=writer, alone=True).main(services) == 0
     os.close(reader)
     os.close(writer)

@@ -110,10 +110,10 @@ class CanLoop:
         self._input = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._output = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._recvmsg = self._input.recvmsg
-        self._taken: mmsg.Messages | None = None
+        self._taken: mmsg.MessageBatch | None = None
         self._batch = batch
-        self._given: mmsg.Messages | None = None
-        self._nothing: mmsg.Messages | None = None
+        self._given: mmsg.MessageBatch | None = None
+        self._nothing: mmsg.MessageBatch | None = None
         self._kernel_filter = kernel_filter
         try:
             self._open(receive_buffer_bytes)
@@ -142,9 +142,9 @@ class CanLoop:
         self.filter(())
         self._input.bind(self._group)
         if mmsg.AVAILABLE and self._kernel_filter:
-            self._taken = mmsg.Messages(self._input, self._batch, _DATAGRAM.size, _SENDER.size, _STAMP.size)
-            self._given = mmsg.Messages(self._output, BATCH, _DATAGRAM.size)
-            self._nothing = mmsg.Messages(self._output, BATCH, 0)
+            self._taken = mmsg.MessageBatch(self._input, self._batch, _DATAGRAM.size, _SENDER.size, _STAMP.size)
+            self._given = mmsg.MessageBatch(self._output, BATCH, _DATAGRAM.size)
+            self._nothing = mmsg.MessageBatch(self._output, BATCH, 0)
 
     def fileno(self) -> int:
         return self._input.fileno()

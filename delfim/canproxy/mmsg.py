@@ -34,7 +34,7 @@ class _Header(ctypes.Structure):  # struct mmsghdr, the struct msghdr in it unfo
     )
 
 
-class Messages:
+class MessageBatch:
     """Buffers for `count` datagrams of a socket, one row each, and the two system calls over them.
 
     data      `data_bytes` a row
@@ -85,7 +85,7 @@ class Messages:
         return unsent
 
 
-class Mirror(Messages):
+class Mirror(MessageBatch):
     """Messages that no system call carries: those given last are those taken next."""
 
     _waiting = 0

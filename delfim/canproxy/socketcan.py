@@ -92,9 +92,11 @@ class SocketCan:
             failure = self._failure(error)
             self._socket.close()
             raise failure from None
-        self._taken: mmsg.Messages | None = mmsg.Messages(self._socket, batch, CAN_FRAME.size, _INTERFACE.size, _CONTROL.size)
-        self._given: mmsg.Messages | None = mmsg.Messages(self._socket, BATCH, CAN_FRAME.size)
-        self._nothing: mmsg.Messages | None = mmsg.Messages(self._socket, BATCH, CAN_FRAME.size - 1)
+        self._taken: mmsg.MessageBatch | None = mmsg.MessageBatch(
+            self._socket, batch, CAN_FRAME.size, _INTERFACE.size, _CONTROL.size
+        )
+        self._given: mmsg.MessageBatch | None = mmsg.MessageBatch(self._socket, BATCH, CAN_FRAME.size)
+        self._nothing: mmsg.MessageBatch | None = mmsg.MessageBatch(self._socket, BATCH, CAN_FRAME.size - 1)
 
     def fileno(self) -> int:
         return self._socket.fileno()

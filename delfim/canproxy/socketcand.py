@@ -86,7 +86,7 @@ class Unsubscribe(NamedTuple):
     arb: int
 
 
-class Statistics(NamedTuple):
+class TellTraffic(NamedTuple):
     """Tell traffic each `period_s`; 0: no longer."""
 
     period_s: float
@@ -98,7 +98,7 @@ class Hangup(NamedTuple):
     text: bytes
 
 
-Action = Reply | Open | Enter | Close | Transmit | Cycle | Update | Delete | Subscribe | Unsubscribe | Statistics | Hangup
+Action = Reply | Open | Enter | Close | Transmit | Cycle | Update | Delete | Subscribe | Unsubscribe | TellTraffic | Hangup
 
 
 @dataclass(slots=True)
@@ -135,7 +135,7 @@ def raw_text(frame: Frame) -> bytes:
     return f"{_head(frame)}{frame.data.hex().upper()} >".encode()
 
 
-class Session:
+class SocketcandSession:
     """One connection as the server sees it. `buses` are the names that can be opened."""
 
     greeting, accepted, refused = HI, OK, NO_SUCH_BUS
@@ -226,7 +226,7 @@ def _muxfilter(words: list[str]) -> Action:
 def _statistics(words: list[str]) -> Action:
     if len(words) != 1:
         raise FormatError("statistics needs a period in ms")
-    return Statistics(_decimal(words[0]) / 1000)
+    return TellTraffic(_decimal(words[0]) / 1000)
 
 
 _MODES: Final[dict[str, Mode]] = {"rawmode": "raw", "bcmmode": "bcm", "controlmode": "control"}

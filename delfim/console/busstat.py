@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Final
 
+from delfim.canproxy.framebits import frame_bits
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state
-from delfim.canproxy.wire import frame_bits
 from delfim.errors import ConfigError
 from delfim.frames import CAN_ERR, CAN_IDE, Frame, identifier
 

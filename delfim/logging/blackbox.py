@@ -21,7 +21,7 @@ LAST_CALLS: Final = 100
 STEP_S: Final = 0.5  # a wall clock that differs by more from where it should be has stepped
 
 
-class Socket(Protocol):
+class RecordedSocket(Protocol):
     """What is needed of a CAN socket; delfim.canproxy.socket.CanSocket is one."""
 
     name: str
@@ -32,7 +32,7 @@ class Socket(Protocol):
     def rebind(self) -> bool: ...
 
 
-class BusState(Protocol):
+class ErrorState(Protocol):
     @property
     def state(self) -> str: ...
 
@@ -42,10 +42,10 @@ def device(interface: str) -> str:
     return re.sub(r"[^A-Za-z0-9_.-]", "-", interface.rpartition(":")[2])
 
 
-class Bus:
+class RecordedBus:
     """The log of one bus, and what was last said in its sidecar."""
 
-    def __init__(self, socket: Socket, limits: Limits, clock: Clock) -> None:
+    def __init__(self, socket: RecordedSocket, limits: Limits, clock: Clock) -> None:
         self.socket, self.clock = socket, clock
         self.device = device(socket.name)
         self.log = open_log(limits, self.device, ".log", "zpipe", clock)
@@ -71,16 +71,16 @@ class BlackBox:
 
     def __init__(
         self,
-        sockets: Iterable[Socket],
+        sockets: Iterable[RecordedSocket],
         limits: Limits,
         clock: Clock,
-        bus_state: Callable[[Frame], BusState | None] = lambda frame: None,
+        bus_state: Callable[[Frame], ErrorState | None] = lambda frame: None,
     ) -> None:
-        self._buses = {id(socket): Bus(socket, limits, clock) for socket in sockets}
+        self._buses = {id(socket): RecordedBus(socket, limits, clock) for socket in sockets}
         self._clock, self._bus_state = clock, bus_state
         self._offset_s = self._wall_offset_s()
 
-    def on_readable(self, socket: Socket) -> int:
+    def on_readable(self, socket: RecordedSocket) -> int:
         """Log about FRAMES_A_CALL of the frames that are queued. Returns how many."""
         bus = self._buses[id(socket)]
         receive_many, device = socket.receive_many, bus.device

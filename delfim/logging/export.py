@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 from xml.sax.saxutils import escape
 
 from delfim.logging.statelog import Schema
-from delfim.logging.table import TIME, Table, units
+from delfim.logging.table import TIME, Columns, units
 from delfim.modes import Mode
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ GAP_NS: Final = 10_000_000_000  # without positions: the track is broken here
 Events = Iterable[Mapping[str, Any]]  # of the sidecars
 
 
-def to_csv(columns: Table, schema: Schema, events: Events, file: Path) -> None:
+def to_csv(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
     """For people and spreadsheets: a line a record, names with units in the first, degrees, modes by name; what is not known is
     empty. The first column is the time in UTC."""
     its = units(schema)
@@ -51,7 +51,7 @@ def _readable(name: str, unit: str, column: "NDArray[Any]") -> list[Any]:
     return ["" if isinstance(value, float) and math.isnan(value) else value for value in values]
 
 
-def to_parquet(columns: Table, schema: Schema, events: Events, file: Path) -> None:
+def to_parquet(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
     """A column a field, its unit and description in the field's metadata. Needs pyarrow."""
     import pyarrow as arrow
     from pyarrow import parquet
@@ -64,7 +64,7 @@ def to_parquet(columns: Table, schema: Schema, events: Events, file: Path) -> No
     parquet.write_table(table.replace_schema_metadata({"boat": schema.boat}), file, compression="zstd")
 
 
-def to_gpx(columns: Table, schema: Schema, events: Events, file: Path) -> None:
+def to_gpx(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
     """GPX 1.1: the track, broken where positions are missing, and a waypoint where the mode changed."""
     with file.open("w", encoding="utf-8") as text:
         text.write('<?xml version="1.0" encoding="UTF-8"?>\n')
@@ -82,7 +82,7 @@ def to_gpx(columns: Table, schema: Schema, events: Events, file: Path) -> None:
         text.write("</trkseg></trk>\n</gpx>\n")
 
 
-def to_kml(columns: Table, schema: Schema, events: Events, file: Path) -> None:
+def to_kml(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
     """KML 2.2 with a gx:Track, which Google Earth plays, and a place mark where the mode changed."""
     with file.open("w", encoding="utf-8") as text:
         text.write('<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"')
@@ -100,7 +100,7 @@ def to_kml(columns: Table, schema: Schema, events: Events, file: Path) -> None:
         text.write("</gx:Track></Placemark></Document></kml>\n")
 
 
-def to_mcap(columns: Table, schema: Schema, events: Events, file: Path) -> None:
+def to_mcap(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
     """MCAP with JSON messages: /state with every field, /location as foxglove.LocationFix for maps, /log as foxglove.Log."""
     from mcap.writer import Writer
 
@@ -127,7 +127,7 @@ def to_mcap(columns: Table, schema: Schema, events: Events, file: Path) -> None:
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def to_mat(columns: Table, schema: Schema, events: Events, file: Path) -> None:
+def to_mat(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
     """MAT version 4: a column vector of doubles a field. Wall clock stamps become seconds since the text `start`: a double
     does not hold nanoseconds since 1970."""
     import struct
@@ -146,7 +146,7 @@ def to_mat(columns: Table, schema: Schema, events: Events, file: Path) -> None:
             stream.write(matrix(name, 0, len(seconds), 1, seconds.astype("<f8").tobytes()))
 
 
-FORMATS: Final[dict[str, Callable[[Table, Schema, Events, Path], None]]] = {
+FORMATS: Final[dict[str, Callable[[Columns, Schema, Events, Path], None]]] = {
     "csv": to_csv,
     "parquet": to_parquet,
     "gpx": to_gpx,
@@ -156,7 +156,7 @@ FORMATS: Final[dict[str, Callable[[Table, Schema, Events, Path], None]]] = {
 }
 
 
-def _positions(columns: Table) -> Iterator[tuple[int, float, float]]:
+def _positions(columns: Columns) -> Iterator[tuple[int, float, float]]:
     """(time, latitude, longitude) in ns and degrees, where they are known."""
     its = (columns[name].tolist() for name in (TIME, "latitude", "longitude"))
     for t_ns, latitude, longitude in zip(*its, strict=True):
@@ -164,7 +164,7 @@ def _positions(columns: Table) -> Iterator[tuple[int, float, float]]:
             yield t_ns, math.degrees(latitude), math.degrees(longitude)
 
 
-def _mode_changes(columns: Table, events: Events) -> Iterator[tuple[int, float, float, str]]:
+def _mode_changes(columns: Columns, events: Events) -> Iterator[tuple[int, float, float, str]]:
     """(time, latitude, longitude, mode and reason) of what the sidecar tells, at the position known then."""
     import numpy as np
 

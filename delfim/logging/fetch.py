@@ -32,7 +32,7 @@ TIMEOUT_S: Final = 20.0
 BLOCK: Final = 1 << 16
 
 
-class Entry(NamedTuple):
+class RemoteFile(NamedTuple):
     """A file on the boat."""
 
     path: str  # below the tree: 20100101/state/093000.state.gz
@@ -40,21 +40,21 @@ class Entry(NamedTuple):
     changed_ns: int
 
 
-class Boat(Protocol):
+class LogSource(Protocol):
     """Where files come from. Every method raises OSError or EOFError when the link is lost."""
 
-    def entries(self) -> list[Entry]: ...
+    def entries(self) -> list[RemoteFile]: ...
     def read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None: ...
     def close(self) -> None: ...
 
 
-class Outcome(NamedTuple):
+class Fetched(NamedTuple):
     fetched: list[str]  # paths
     bytes: int
     cut: list[str]  # of these, what is cut on the boat too: delfim log repair
 
 
-def fetch(url: str, directory: Path, ids: Sequence[str], span: Span, *, summary: bool) -> tuple[Outcome, float]:
+def fetch(url: str, directory: Path, ids: Sequence[str], span: Span, *, summary: bool) -> tuple[Fetched, float]:
     """Fetch what is not here yet, the state logs first. `summary`: only them and the sidecars. Returns what came, and how long
     it took, s. Raises DelfimError."""
     began_s = time.monotonic()
@@ -68,7 +68,7 @@ def fetch(url: str, directory: Path, ids: Sequence[str], span: Span, *, summary:
     return outcome, time.monotonic() - began_s
 
 
-def wanted(entries: Sequence[Entry], ids: Sequence[str], span: Span, *, summary: bool) -> list[Entry]:
+def wanted(entries: Sequence[RemoteFile], ids: Sequence[str], span: Span, *, summary: bool) -> list[RemoteFile]:
     """The log files among these, in the order in which they matter: sidecars, state logs, the rest; the newest first."""
     margin_ns = tree.LATE_S * 1_000_000_000
     result = []
@@ -85,7 +85,9 @@ def wanted(entries: Sequence[Entry], ids: Sequence[str], span: Span, *, summary:
     return sorted(result, key=_rank)
 
 
-def transfer(connect: Callable[[], Boat], entries: Sequence[Entry], directory: Path, tell: Callable[[str], object]) -> Outcome:
+def transfer(
+    connect: Callable[[], LogSource], entries: Sequence[RemoteFile], directory: Path, tell: Callable[[str], object]
+) -> Fetched:
     """Fetch these files where they are not here in full. A lost link is taken up again. Raises DelfimError when that does not
     help; what came so far stays for the next time."""
     due = [entry for entry in entries if _size(directory / entry.path) != entry.size]
@@ -103,15 +105,15 @@ def transfer(connect: Callable[[], Boat], entries: Sequence[Entry], directory: P
                 cut.append(entry.path)
             fetched.append(entry.path)
     told(total)
-    return Outcome(fetched, arrived[0], cut)
+    return Fetched(fetched, arrived[0], cut)
 
 
 class _Link:
     """A connection that is made again when it is lost, as long as something comes."""
 
-    def __init__(self, connect: Callable[[], Boat]) -> None:
+    def __init__(self, connect: Callable[[], LogSource]) -> None:
         self._connect = connect
-        self._boat: Boat | None = None
+        self._boat: LogSource | None = None
 
     def __enter__(self) -> "_Link":
         return self
@@ -151,7 +153,7 @@ class _Link:
         self._boat = None
 
 
-def _fetched(link: _Link, entry: Entry, target: Path, count: Callable[[bytes], None]) -> bool:
+def _fetched(link: _Link, entry: RemoteFile, target: Path, count: Callable[[bytes], None]) -> bool:
     """One file, verified. False where the boat's own is cut."""
     target.parent.mkdir(parents=True, exist_ok=True)
     part = target.with_name(target.name + ".part")
@@ -195,11 +197,11 @@ def _here(target: Path, size: int) -> int:
     return its if its <= size else 0
 
 
-def _rank(entry: Entry) -> int:
+def _rank(entry: RemoteFile) -> int:
     return 0 if entry.path.endswith(".jsonl") else 1 if "/state/" in entry.path else 2
 
 
-def opener(url: str) -> Callable[[], Boat]:
+def opener(url: str) -> Callable[[], LogSource]:
     """A function that connects to what the URL names. Raises DelfimError for another kind of URL."""
     parts = urlsplit(url)
     if parts.scheme not in ("ftp", "ftps", "sftp") or not parts.hostname:
@@ -224,17 +226,17 @@ class Ftp:
             self._ftp.prot_p()
         self._root = unquote(url.path) or "/"
 
-    def entries(self) -> list[Entry]:
+    def entries(self) -> list[RemoteFile]:
         return list(self._walk("", 3))
 
-    def _walk(self, below: str, depth: int) -> Iterator[Entry]:
+    def _walk(self, below: str, depth: int) -> Iterator[RemoteFile]:
         for name, facts in list(self._ftp.mlsd(posixpath.join(self._root, below))):
             path = posixpath.join(below, name)
             if facts.get("type") == "dir" and depth > 1:
                 yield from self._walk(path, depth - 1)
             elif facts.get("type") == "file":
                 changed = datetime.strptime(facts["modify"][:14], "%Y%m%d%H%M%S").replace(tzinfo=UTC)
-                yield Entry(path, int(facts["size"]), int(changed.timestamp()) * 1_000_000_000)
+                yield RemoteFile(path, int(facts["size"]), int(changed.timestamp()) * 1_000_000_000)
 
     def read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None:
         self._ftp.retrbinary(f"RETR {posixpath.join(self._root, path)}", sink, BLOCK, offset or None)
@@ -266,18 +268,18 @@ class Sftp:
         )
         return await self._connection.start_sftp_client()
 
-    def entries(self) -> list[Entry]:
-        found: list[Entry] = self._run(self._walk("", 3))
+    def entries(self) -> list[RemoteFile]:
+        found: list[RemoteFile] = self._run(self._walk("", 3))
         return found
 
-    async def _walk(self, below: str, depth: int) -> list[Entry]:
-        found: list[Entry] = []
+    async def _walk(self, below: str, depth: int) -> list[RemoteFile]:
+        found: list[RemoteFile] = []
         async for each in self._client.scandir(posixpath.join(self._root, below)):
             path, its = posixpath.join(below, str(each.filename)), each.attrs
             if its.type == self._ssh.FILEXFER_TYPE_DIRECTORY and depth > 1 and not str(each.filename).startswith("."):
                 found += await self._walk(path, depth - 1)
             elif its.type == self._ssh.FILEXFER_TYPE_REGULAR:
-                found.append(Entry(path, its.size or 0, int(its.mtime or 0) * 1_000_000_000))
+                found.append(RemoteFile(path, its.size or 0, int(its.mtime or 0) * 1_000_000_000))
         return found
 
     def read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from delfim.clock import Clock
 from delfim.logging import guard
-from delfim.logging.liblog import LogStatus, Settings
+from delfim.logging.liblog import LogSettings, LogStatus
 
 FLUSH_S: Final = 0.6  # with the writer's rhythm and a slow disk's own time a power cut costs less than a second
 UNPOLLED_S: Final = 1.0  # so late a `put` does what a `poll` should have done: who has a critical path polls beside it
@@ -26,7 +26,7 @@ class FileLog:
     On ext2 a synced file whose directory is not synced is lost to its name after a power cut, so both are.
     """
 
-    def __init__(self, settings: Settings, clock: Clock, *, deflate: bool, durable: bool = False) -> None:
+    def __init__(self, settings: LogSettings, clock: Clock, *, deflate: bool, durable: bool = False) -> None:
         self._settings, self._clock, self._deflate, self._durable = settings, clock, deflate, durable
         self._fd = self._day_fd = -1
         self._stem = self._day = self._reason = ""

@@ -59,7 +59,7 @@ def event_line(clock: Clock, event: str, **what: object) -> bytes:
     return json.dumps({"t_ns": clock.time_ns(), "monotonic_s": clock.monotonic_s(), "event": event} | what).encode() + b"\n"
 
 
-class Settings(NamedTuple):
+class LogSettings(NamedTuple):
     """Of a log and its files, as a writer is told them; delfim.logging.openlog says what they mean."""
 
     directory: str

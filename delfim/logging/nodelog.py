@@ -19,7 +19,7 @@ from delfim.logging.openlog import open_log
 FRAMES_A_CALL: Final = 64
 
 
-class Message(Protocol):
+class NodeMessage(Protocol):
     @property
     def source(self) -> int: ...
     @property
@@ -28,16 +28,16 @@ class Message(Protocol):
     def t_ns(self) -> int: ...
 
 
-class Receiver(Protocol):
+class NodeReceiver(Protocol):
     """What puts frames together; delfim.canproxy.dsor.receiver.Receiver is one."""
 
     replies: deque[Frame]
 
-    def feed(self, frame: Frame, now_s: float) -> Message | None: ...
+    def feed(self, frame: Frame, now_s: float) -> NodeMessage | None: ...
     def expire(self, now_s: float) -> None: ...
 
 
-class Socket(Protocol):
+class NodeSocket(Protocol):
     """What is needed of a CAN socket; delfim.canproxy.socket.CanSocket is one."""
 
     receive: Callable[[], Frame | None]  # raises BusError
@@ -49,7 +49,9 @@ class Socket(Protocol):
 class LogMessages:
     """Logs the messages of the named nodes; those of others are not answered. The socket never blocks."""
 
-    def __init__(self, socket: Socket, receiver: Receiver, names: Mapping[int, str], limits: Limits, clock: Clock) -> None:
+    def __init__(
+        self, socket: NodeSocket, receiver: NodeReceiver, names: Mapping[int, str], limits: Limits, clock: Clock
+    ) -> None:
         self._socket, self._receiver, self._clock = socket, receiver, clock
         self._failed = False  # the bus
         self.messages = self.lost = self.unanswered = 0
@@ -98,7 +100,7 @@ class LogMessages:
         for log in self._logs.values():
             log.close()
 
-    def _write(self, message: Message) -> None:
+    def _write(self, message: NodeMessage) -> None:
         log = self._logs.get(message.source)
         if log is not None:
             self.messages += 1

@@ -3,7 +3,7 @@
 from delfim.clock import Clock
 from delfim.config import Log as Limits
 from delfim.logging.filelog import FileLog
-from delfim.logging.liblog import Log, Method, Settings
+from delfim.logging.liblog import Log, LogSettings, Method
 from delfim.logging.pipelog import PipeLog
 
 
@@ -24,7 +24,7 @@ def open_log(
     delfim.logging.guard. With "zpipe" the child lives by the computer's own clock, and `clock` only tells how long it has been
     silent.
     """
-    settings = Settings(
+    settings = LogSettings(
         limits.directory,
         id,
         suffix,

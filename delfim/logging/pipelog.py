@@ -11,7 +11,7 @@ import sys
 from typing import Final
 
 from delfim.clock import Clock
-from delfim.logging.liblog import LogStatus, Settings
+from delfim.logging.liblog import LogSettings, LogStatus
 
 PIPE_BYTES: Final = (4 << 20, 1 << 20)  # asked for in this order: the privileged may exceed pipe-max-size, 1 MiB
 SILENT_S: Final = 5.0  # a writer that does not report for so long hangs on its disk
@@ -23,7 +23,7 @@ class PipeLog:
     """`zpipe`. The pipe is the bounded buffer: a record that it has no room for is dropped. Nobody waits at its other end, the
     child looks into it every now and then, so a `put` wakes nobody and costs one short system call."""
 
-    def __init__(self, settings: Settings, clock: Clock, nice: int) -> None:
+    def __init__(self, settings: LogSettings, clock: Clock, nice: int) -> None:
         self._id, self._clock, self._refused = settings.id, clock, 0
         told = settings._asdict() | {"header": settings.header.decode("latin-1"), "nice": nice}
         self._settings = json.dumps(told).encode()

@@ -24,7 +24,7 @@ class Repair(NamedTuple):
     target: str  # where the whole file is now; empty where none was needed
 
 
-class Piece(NamedTuple):
+class GzipPiece(NamedTuple):
     """A part of a gzip file: a whole member, or what can be read of another, or bytes that mean nothing."""
 
     raw: bytes
@@ -69,19 +69,19 @@ def mended(data: bytes, suffix: str) -> tuple[bytes, str]:
     return b"".join(parts) or _deflated(b""), "; ".join(troubles)
 
 
-def pieces(data: bytes) -> Iterator[Piece]:
+def pieces(data: bytes) -> Iterator[GzipPiece]:
     """All of a gzip file, in order. Whole members are verified by their checksums."""
     at = 0
     while at < len(data):
         content, end, how = member(data, at)
         if not how:
-            yield Piece(data[at:end], content, "")
+            yield GzipPiece(data[at:end], content, "")
         else:
             following = data.find(MEMBER, at + 1)
             end, how = (following, "damaged") if following >= 0 else (len(data), how)
             if end < len(data):  # what reads on beyond the next one's head is not its content
                 content, _, _ = member(data[at:end], 0)
-            yield Piece(data[at:end], content, f"{how} after {len(content)} bytes of the member at {at}")
+            yield GzipPiece(data[at:end], content, f"{how} after {len(content)} bytes of the member at {at}")
         at = end
 
 

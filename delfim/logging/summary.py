@@ -6,7 +6,7 @@ from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
 from delfim.logging import tree
-from delfim.logging.table import Table
+from delfim.logging.table import Columns
 from delfim.logging.tree import LogFile, Span
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def text(told: dict[str, Any]) -> str:
     return "\n".join([*lines, *(f"{'' if i else 'events':14} {words}" for i, words in enumerate(told["events"]))])
 
 
-def latency(columns: Table) -> dict[str, Any]:
+def latency(columns: Columns) -> dict[str, Any]:
     """Percentiles of the critical path t0 to t4 and means of its stages, us; empty where none was measured."""
     import numpy as np
 
@@ -101,7 +101,7 @@ def utc(t_ns: int) -> str:
     return f"{datetime.fromtimestamp(t_ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S}"
 
 
-def track_m(columns: Table) -> float:
+def track_m(columns: Columns) -> float:
     """Length of the driven track, from the speed over ground: positions carry noise, which would add up."""
     import numpy as np
 
@@ -110,7 +110,7 @@ def track_m(columns: Table) -> float:
     return float(np.nansum(moved_m[(dt_s > 0) & (dt_s < 10 * (np.median(dt_s) if len(dt_s) else 0))]))
 
 
-def _way(columns: Table) -> dict[str, Any]:
+def _way(columns: Columns) -> dict[str, Any]:
     import numpy as np
 
     speeds = np.hypot(columns["north_speed"], columns["east_speed"])
@@ -119,7 +119,7 @@ def _way(columns: Table) -> dict[str, Any]:
     return {"track_m": round(track_m(columns), 1), "speed_mps": {"mean": round(mean, 3), "max": round(most, 3)}}
 
 
-def _modes(columns: Table, names: dict[int, str]) -> dict[str, float]:
+def _modes(columns: Columns, names: dict[int, str]) -> dict[str, float]:
     """Seconds in each mode, in the order of the first entry."""
     import numpy as np
 
@@ -128,7 +128,7 @@ def _modes(columns: Table, names: dict[int, str]) -> dict[str, float]:
     return {names.get(mode, str(mode)): round(float(dt_s[columns["mode"] == mode].sum()), 1) for mode in order}
 
 
-def _gaps(columns: Table) -> dict[str, Any]:
+def _gaps(columns: Columns) -> dict[str, Any]:
     import numpy as np
 
     dt_s = np.diff(columns["t1"]) / 1e9
@@ -136,7 +136,7 @@ def _gaps(columns: Table) -> dict[str, Any]:
     return {"count": len(gaps), "longest_s": round(float(gaps.max()), 3) if len(gaps) else 0.0}
 
 
-def _batteries(columns: Table) -> dict[str, float]:
+def _batteries(columns: Columns) -> dict[str, float]:
     import numpy as np
 
     its = ((side, columns[f"{side}_voltage"]) for side in ("starboard", "port") if f"{side}_voltage" in columns)

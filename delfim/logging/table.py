@@ -25,14 +25,14 @@ TIME: Final = "t1"  # the column of a record's time: navigation readable, wall c
 logger = logging.getLogger(__name__)
 
 
-class Table(dict[str, "NDArray[Any]"]):
+class Columns(dict[str, "NDArray[Any]"]):
     """Columns by the names of their fields. Whoever needs one that no file has is told in words."""
 
     def __missing__(self, name: str) -> "NDArray[Any]":
         raise FormatError(f"these state logs have no field {name}")
 
 
-def table(files: Iterable[LogFile], span: Span = ALWAYS) -> tuple[Table, Schema]:
+def table(files: Iterable[LogFile], span: Span = ALWAYS) -> tuple[Columns, Schema]:
     """The records of state logs in this time, and the schema of the newest file. What is wrong with a file is logged.
 
     Raises DelfimError where there is no record at all.
@@ -51,7 +51,7 @@ def table(files: Iterable[LogFile], span: Span = ALWAYS) -> tuple[Table, Schema]
     if newest is None or not sum(map(len, parts)):
         raise DelfimError("no state was logged in this time")
     names = dict.fromkeys(name for part in parts for name in part.dtype.names or ())
-    return Table((name, np.concatenate([_column(part, name) for part in parts])) for name in names), newest
+    return Columns((name, np.concatenate([_column(part, name) for part in parts])) for name in names), newest
 
 
 def units(schema: Schema) -> Mapping[str, str]:

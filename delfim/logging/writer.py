@@ -18,7 +18,7 @@ from typing import Final
 
 from delfim.clock import SystemClock
 from delfim.logging.filelog import FLUSH_S, FileLog
-from delfim.logging.liblog import LogStatus, Settings
+from delfim.logging.liblog import LogSettings, LogStatus
 from delfim.logging.pipelog import LENGTH, NOTE
 
 TICK_S: Final = 0.05  # between two looks into the pipe
@@ -28,7 +28,7 @@ NOTES_BYTES: Final = 1 << 22  # kept while the log cannot be written
 REASON_MAX: Final = 1000  # characters; a report fits into PIPE_BUF and is written whole or not at all
 
 
-class Messages:
+class PipeMessages:
     """Cuts what comes through the pipe into messages, however it was split on the way."""
 
     def __init__(self) -> None:
@@ -62,7 +62,7 @@ class Writer:
     """One log: messages in, reports out."""
 
     def __init__(self) -> None:
-        self._messages = Messages()
+        self._messages = PipeMessages()
         self._clock = SystemClock()
         self._log: FileLog | None = None
         self._notes, self._notes_s = bytearray(), 0.0  # lines for the sidecar; when they are written: a note costs two syncs
@@ -99,7 +99,7 @@ class Writer:
     def _opened(self, message: bytes) -> FileLog:
         told = json.loads(message)
         step_back(told.pop("nice"))
-        settings = Settings(**told | {"header": told["header"].encode("latin-1")})
+        settings = LogSettings(**told | {"header": told["header"].encode("latin-1")})
         return FileLog(settings, self._clock, deflate=True, durable=True)
 
     def _report(self, status: LogStatus) -> None:

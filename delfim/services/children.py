@@ -19,7 +19,7 @@ FRAMES: Final = 3  # of the main thread's stack, in the reason
 log = logging.getLogger(__name__)
 
 
-class Program(NamedTuple):
+class Supervised(NamedTuple):
     """One program. The critical one has the dead-man; there is at most one. The others run on processors that nobody else wants
     (SCHED_IDLE): being niced does not make the kernel take a processor from them at once when the critical one wakes."""
 
@@ -33,7 +33,7 @@ class Program(NamedTuple):
 class Child:
     """A program and what became of it. Times are monotonic unless they say otherwise."""
 
-    program: Program
+    program: Supervised
     state: Literal["waiting", "running", "stopped", "failed"] = "waiting"
     pid: int = 0  # 0 while it does not run
     pipe: int = -1  # read end

@@ -37,7 +37,7 @@ _SIOCGIFADDR: Final = 0x8915
 _NAME: Final = struct.Struct("16s24x")
 
 
-class Look:
+class ComputerLook:
     """What the last look found and the next one needs: rates are differences."""
 
     def __init__(self, directory: str, free_bytes_min: int, run_directory: str, root: Path = Path("/")) -> None:
@@ -312,7 +312,7 @@ def _read(path: Path) -> str:
 
 def main(directory: str, free_bytes_min: str, run_directory: str, seconds: str) -> None:
     os.nice(NICE)
-    look, encode = Look(directory, int(free_bytes_min), run_directory), msgspec.json.encode
+    look, encode = ComputerLook(directory, int(free_bytes_min), run_directory), msgspec.json.encode
     pause_s = 0.5  # the first rates soon
     while True:
         os.write(sys.stdout.fileno(), encode(look.look(time.monotonic(), time.time_ns())) + b"\n")

@@ -199,7 +199,7 @@ class Site:
         finally:
             os.close(file.fd)
 
-    async def _send(self, request: web.BaseRequest, file: files.Opened, path: str) -> web.StreamResponse:
+    async def _send(self, request: web.BaseRequest, file: files.OpenFile, path: str) -> web.StreamResponse:
         asked = request.headers.get("Range")
         if request.headers.get("If-Range", file.tag) != file.tag:
             asked = None  # it has grown or is another one: all of it

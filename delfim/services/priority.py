@@ -55,7 +55,7 @@ class Account:
 ACCOUNT: Final[ContextVar[Account]] = ContextVar("ACCOUNT")
 
 
-class Rehearsal(Protocol):
+class Practice(Protocol):
     """The critical path without effect. It must not raise."""
 
     def whole(self) -> None: ...  # when a window opens, where it is over before the message is due
@@ -99,7 +99,7 @@ class NavigationFirst:
         self._own = self._payer = account
         self._since_s = self._clock_s()
         self._is_fresh = False  # navigation was looked at, and nothing ran since
-        self.rehearsal: Rehearsal | None = None
+        self.rehearsal: Practice | None = None
         self._rehearsal_s = 0.0  # what is left to the message when another one begins
         self._practised_s = self._since_s  # when the last practice was over, which is the window's time and no service's
 
@@ -238,7 +238,7 @@ class NavigationLoop(asyncio.SelectorEventLoop):
         a descriptor that epoll cannot watch."""
         self._first.add(fd, handler, failed)
 
-    def set_rehearsal(self, rehearsal: Rehearsal | None) -> None:
+    def set_rehearsal(self, rehearsal: Practice | None) -> None:
         """What keeps the caches warm for navigation."""
         self._first.rehearsal = rehearsal
 

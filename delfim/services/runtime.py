@@ -27,7 +27,7 @@ from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure, in_words
 from delfim.services.garbage import Collector
-from delfim.services.priority import ACCOUNT, Account, NavigationLoop, Rehearsal
+from delfim.services.priority import ACCOUNT, Account, NavigationLoop, Practice
 from delfim.services.privileges import asked, real_time, set_privileges
 from delfim.services.supervisor import EXIT_PERMANENT, last_deadman
 from delfim.services.window import NavigationWindow
@@ -42,7 +42,7 @@ State = Literal["starting", "running", "waiting", "failed", "stopped"]
 log = logging.getLogger(__name__)
 
 
-class Service(NamedTuple):
+class LoadedService(NamedTuple):
     """What is to run."""
 
     name: str
@@ -135,7 +135,7 @@ class Runtime:
         finally:
             self._first.remove_navigation(fd)
 
-    def rehearsal(self, rehearsal: Rehearsal | None) -> None:
+    def rehearsal(self, rehearsal: Practice | None) -> None:
         """What keeps the caches warm for navigation: the critical path without effect."""
         self._first.set_rehearsal(rehearsal)
 
@@ -231,7 +231,7 @@ class Runtime:
 
     # The life of the process.
 
-    def main(self, services: Sequence[Service]) -> int:
+    def main(self, services: Sequence[LoadedService]) -> int:
         """Run until SIGTERM, SIGINT, the end of the supervisor or of all services. Returns the exit code: EXIT_PERMANENT where
         a service must not be started again, otherwise 0."""
         if self._place == "runtime":
@@ -244,7 +244,7 @@ class Runtime:
         failed = any(status.state == "failed" for status in self.status.values())
         return EXIT_PERMANENT if failed else 0
 
-    async def run(self, services: Sequence[Service]) -> None:
+    async def run(self, services: Sequence[LoadedService]) -> None:
         """All of `main` that happens in the loop."""
         budget_s = self.config.runtime.callback_budget_s
         for row in services:
@@ -277,7 +277,7 @@ class Runtime:
             self._loop = self._first = NavigationLoop(self.window, self.clock, self._account)
         return self._loop
 
-    async def _serve(self, row: Service) -> None:
+    async def _serve(self, row: LoadedService) -> None:
         """One service: started, and started again when it fails, until it is stopped."""
         status, limits = self.status[row.name], self.config.supervisor
         pause_s = limits.backoff_s
@@ -293,7 +293,7 @@ class Runtime:
             status.restarts += 1
             began_s = self.clock.monotonic_s()
 
-    async def _attempt(self, row: Service, status: ServiceStatus) -> bool:
+    async def _attempt(self, row: LoadedService, status: ServiceStatus) -> bool:
         """One run of a service. Returns whether there is to be another one."""
         status.failure = None
         self._change(status, "starting", status.reason)

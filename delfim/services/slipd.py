@@ -44,7 +44,7 @@ _TCP_TIMESTAMPS: Final = Path("/proc/sys/net/ipv4/tcp_timestamps")
 log = logging.getLogger(__name__)
 
 
-class Line(Protocol):
+class RadioLine(Protocol):
     """An interface that is up on an open port."""
 
     name: str
@@ -67,14 +67,14 @@ def carrier_source(text: str) -> Carrier:
     return lambda port: True
 
 
-class Radio:
+class SerialRadio:
     """The link through its ups and downs. `open_line` attaches an interface to an open port."""
 
-    def __init__(self, settings: config.Slipd, clock: Clock, open_line: Callable[[int], Line]) -> None:
+    def __init__(self, settings: config.Slipd, clock: Clock, open_line: Callable[[int], RadioLine]) -> None:
         self._settings, self._clock, self._open_line = settings, clock, open_line
         self._carrier = carrier_source(settings.carrier)
         self._port = -1
-        self._line: Line | None = None
+        self._line: RadioLine | None = None
         self.reason, self.since_s = "starting", clock.monotonic_s()
         self.losses = 0
         self._due_s, self._retry_s = 0.0, LOOK_S
@@ -302,7 +302,7 @@ async def serve(runtime: Runtime) -> None:
     if not settings.device:
         raise PermanentFailure("slipd.device is not set")
 
-    def open_line(port: int) -> Line:
+    def open_line(port: int) -> RadioLine:
         if settings.mode != "user":
             try:
                 return KernelLine(port, settings)
@@ -314,7 +314,7 @@ async def serve(runtime: Runtime) -> None:
     if settings.encapsulation == "cslip":
         with contextlib.suppress(OSError):  # a header whose options change is not compressed (RFC 1144, 3.2.3)
             _TCP_TIMESTAMPS.write_text("0")
-    radio = Radio(settings, runtime.clock, open_line)
+    radio = SerialRadio(settings, runtime.clock, open_line)
     with contextlib.closing(radio), runtime.publishing("slipd", radio.report):
         while True:
             if radio.is_due():

@@ -16,7 +16,7 @@ from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.links import Links
 
 
-class Stop:
+class PropellerStop:
     """Called, it stops all actuators. What could not be told is opened anew the next time."""
 
     def __init__(self, settings: config.Vehicle) -> None:

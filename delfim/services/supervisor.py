@@ -24,7 +24,7 @@ from typing import Final, Literal, cast, get_args
 
 from delfim.errors import FormatError
 from delfim.outside import parse_json, read_file
-from delfim.services.children import STACKS_SIGNAL, Child, Program, process_state, stood
+from delfim.services.children import STACKS_SIGNAL, Child, Supervised, process_state, stood
 from delfim.services.shutdown import Word
 from delfim.services.watchdog import Watchdog
 
@@ -71,7 +71,7 @@ class Supervisor:
 
     def __init__(
         self,
-        programs: Sequence[Program],
+        programs: Sequence[Supervised],
         *,
         stop: Callable[[], None],
         deadman_s: float,

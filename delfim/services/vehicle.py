@@ -48,7 +48,7 @@ class Breakable(Protocol):
     def guest(self, state: State, clock: Clock) -> Guest: ...
 
 
-class Opened:
+class OpenedLinks:
     """The boat's links to the outside, for as long as the service runs: kept up, and what comes by a serial line logged. A CAN
     bus has its black box elsewhere."""
 
@@ -95,7 +95,7 @@ async def serve(runtime: Runtime) -> None:
         broken = _breakable(runtime, links)
         record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
 
-        opened = Opened(runtime, links)
+        opened = OpenedLinks(runtime, links)
         boat, sensors, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
         links.callback(boat.helm.stop, "shutdown")  # first of all that is undone
         for source in boat.sources:
@@ -116,7 +116,7 @@ async def _attend(
     runtime: Runtime,
     boat: Vehicle,
     log: Logbook,
-    opened: Opened,
+    opened: OpenedLinks,
     links: contextlib.ExitStack,
     broken: Breakable | None,
 ) -> None:

@@ -18,7 +18,7 @@ _IP_HEAD: Final = struct.Struct("!BBHHHBBH")  # to the checksum
 _TCP_HEAD: Final = struct.Struct("!HHIIBBHHH")
 
 
-class _Header:
+class _TcpIpHeader:
     """An IP and a TCP header, taken apart as far as they change."""
 
     __slots__ = ("ack", "flags", "identifier", "length", "raw", "seq", "size", "tcp", "urgent", "window")
@@ -53,14 +53,14 @@ class Compressor:
     """The sending end."""
 
     def __init__(self) -> None:
-        self._slots: OrderedDict[bytes, tuple[int, _Header]] = OrderedDict()  # by connection, the longest unused first
+        self._slots: OrderedDict[bytes, tuple[int, _TcpIpHeader]] = OrderedDict()  # by connection, the longest unused first
         self._last = -1
 
     def compress(self, packet: bytes) -> bytes:
         """What goes onto the line for this packet."""
         if not _compressible(packet):
             return packet
-        new = _Header(packet)
+        new = _TcpIpHeader(packet)
         connection = packet[12:20] + packet[new.tcp : new.tcp + 4]
         known = self._slots.pop(connection, None)
         if known is None:
@@ -87,7 +87,7 @@ class Compressor:
         return bytes([packet[0] | UNCOMPRESSED]) + packet[1:9] + bytes([slot]) + packet[10:]
 
 
-def _changes(old: _Header, new: _Header) -> tuple[int, bytes] | None:
+def _changes(old: _TcpIpHeader, new: _TcpIpHeader) -> tuple[int, bytes] | None:
     """(what changed, by how much), None where it cannot be said in short."""
     if old.constant() != new.constant() or (old.flags ^ new.flags) & ~(_PSH | _URG):
         return None

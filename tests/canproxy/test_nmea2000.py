@@ -15,12 +15,12 @@ from delfim.canproxy.nmea2000.pgns import (
     Attitude,
     CourseSpeed,
     GnssPosition,
-    Heading,
+    NorthReference,
     PositionRapid,
     RateOfTurn,
-    Reference,
     SystemTime,
     Variation,
+    VesselHeading,
     decode,
     encode,
 )
@@ -115,13 +115,13 @@ def test_filters_pass_these_pgns_and_no_others() -> None:
         (129025, "00e9a435 00d2496b", PositionRapid(math.pi / 2, math.pi)),
         (129025, "ffffff7f feffff7f", NOWHERE),
         (129025, "00000000 fdffff7f", PositionRapid(0.0, None)),
-        (129026, "fffc 6ff5 0000 ffff", CourseSpeed(Reference.TRUE, 6.2831, 0.0)),
-        (129026, "fffc 70f5 0000 ffff", CourseSpeed(Reference.TRUE, 0.0, 0.0)),
+        (129026, "fffc 6ff5 0000 ffff", CourseSpeed(NorthReference.TRUE, 6.2831, 0.0)),
+        (129026, "fffc 70f5 0000 ffff", CourseSpeed(NorthReference.TRUE, 0.0, 0.0)),
         (129026, "fffd 71f5 0000 ffff", FormatError),
         (129026, "ffff ffff fdff ffff", CourseSpeed(None, None, None)),
         (129026, "fffe 1027 fcff ffff", CourseSpeed(None, 1.0, 655.32)),
-        (127250, "ff 1027 e803 18fc fd", Heading(1.0, 0.1, -0.1, Reference.MAGNETIC)),
-        (127250, "ff ffff ff7f fe7f fc", Heading(None, None, None, Reference.TRUE)),
+        (127250, "ff 1027 e803 18fc fd", VesselHeading(1.0, 0.1, -0.1, NorthReference.MAGNETIC)),
+        (127250, "ff ffff ff7f fe7f fc", VesselHeading(None, None, None, NorthReference.TRUE)),
         (127250, "ff 1027 b97a ff7f fc", FormatError),  # deviation of 3.1417 rad
         (127251, "ff 003b8800 ffffff", RateOfTurn(0.279)),
         (127251, "ff 00000080 ffffff", RateOfTurn(-(2**31) * 1e-6 / 32)),
@@ -153,7 +153,7 @@ def test_a_negative_dilution_of_precision_is_impossible() -> None:
 
 
 def test_a_heading_just_below_north_is_sent_as_an_angle_below_a_turn() -> None:
-    assert encode(Heading(math.tau - 1e-6, None, None, Reference.TRUE), 1)[0].data[1:3] == bytes(2)
+    assert encode(VesselHeading(math.tau - 1e-6, None, None, NorthReference.TRUE), 1)[0].data[1:3] == bytes(2)
 
 
 @pytest.mark.parametrize("pgn", PGNS)
@@ -178,7 +178,7 @@ def angles(low: float, high: float) -> st.SearchStrategy[float | None]:
     return st.none() | st.floats(low, high)
 
 
-references = st.sampled_from((Reference.TRUE, Reference.MAGNETIC, None))
+references = st.sampled_from((NorthReference.TRUE, NorthReference.MAGNETIC, None))
 times = st.none() | st.integers(0, 65532 * 86_400_000_000_000)
 latitudes, longitudes = angles(-1.57, 1.57), angles(-3.14, 3.14)
 messages: st.SearchStrategy[pgns.Message] = st.one_of(
@@ -193,7 +193,7 @@ messages: st.SearchStrategy[pgns.Message] = st.one_of(
         st.none() | st.integers(0, 252),
         angles(0, 327),
     ),
-    st.builds(Heading, angles(0, 6.2831), angles(-3.14, 3.14), angles(-3.14, 3.14), references),
+    st.builds(VesselHeading, angles(0, 6.2831), angles(-3.14, 3.14), angles(-3.14, 3.14), references),
     st.builds(RateOfTurn, angles(-67, 67)),
     st.builds(Attitude, angles(-3.14, 3.14), angles(-1.57, 1.57), angles(-3.14, 3.14)),
     st.builds(Variation, angles(-3.14, 3.14)),
@@ -228,9 +228,9 @@ def test_what_cannot_be_sent_is_sent_as_not_available_or_fits(value: float | Non
     """Anything may come from a simulator under fault injection; nobody on the bus may choke on it."""
     for message in (
         PositionRapid(value, value),
-        CourseSpeed(Reference.TRUE, value, value),
+        CourseSpeed(NorthReference.TRUE, value, value),
         GnssPosition(number, value, value, number, number, value),
-        Heading(value, value, value, None),
+        VesselHeading(value, value, value, None),
         RateOfTurn(value),
         Attitude(value, value, value),
         Variation(value),
@@ -411,10 +411,10 @@ def test_choice_keeps_its_rules(preferred: tuple[int, ...], events: list[tuple[f
 def test_a_position_brings_the_newest_of_everything() -> None:
     bus = source()
     utc_ns = 1_700_000_000_000_000_000
-    say(bus, 3, Heading(1.0, None, None, Reference.TRUE), 10.0)
+    say(bus, 3, VesselHeading(1.0, None, None, NorthReference.TRUE), 10.0)
     say(bus, 3, RateOfTurn(-0.1), 10.0)
     say(bus, 3, Attitude(None, 0.02, -0.03), 10.0)
-    say(bus, 2, CourseSpeed(Reference.TRUE, math.pi / 2, 1.5), 10.0)
+    say(bus, 2, CourseSpeed(NorthReference.TRUE, math.pi / 2, 1.5), 10.0)
     say(bus, 2, gnss(utc_ns=utc_ns), 10.0)
     n = said(bus, 2, PORTO, 10.25)
     assert n == Navigation(
@@ -437,10 +437,10 @@ def test_a_position_brings_the_newest_of_everything() -> None:
 def test_nothing_but_a_position_makes_a_message() -> None:
     bus = source()
     for message in (
-        Heading(1.0, None, None, Reference.TRUE),
+        VesselHeading(1.0, None, None, NorthReference.TRUE),
         RateOfTurn(0.1),
         Attitude(None, 0.0, 0.0),
-        CourseSpeed(Reference.TRUE, 1.0, 1.0),
+        CourseSpeed(NorthReference.TRUE, 1.0, 1.0),
         Variation(0.1),
         SystemTime(1),
     ):
@@ -450,9 +450,9 @@ def test_nothing_but_a_position_makes_a_message() -> None:
 @pytest.mark.parametrize(
     ("message", "field", "limit_s"),
     [
-        (Heading(1.0, None, None, Reference.TRUE), "heading_rad", STALE_S),
+        (VesselHeading(1.0, None, None, NorthReference.TRUE), "heading_rad", STALE_S),
         (RateOfTurn(0.1), "yaw_rate_radps", STALE_S),
-        (CourseSpeed(Reference.TRUE, 1.0, 1.0), "north_mps", STALE_S),
+        (CourseSpeed(NorthReference.TRUE, 1.0, 1.0), "north_mps", STALE_S),
         (Attitude(None, 0.1, 0.1), "roll_rad", SLOW_S),
     ],
 )
@@ -466,12 +466,16 @@ def test_what_is_older_than_its_limit_is_unknown(message: pgns.Message, field: s
 @pytest.mark.parametrize(
     ("message", "unknown", "field"),
     [
-        (Heading(1.0, None, None, Reference.TRUE), Heading(None, None, None, Reference.TRUE), "heading_rad"),
-        (Heading(1.0, None, None, Reference.TRUE), Heading(1.0, None, None, None), "heading_rad"),
+        (
+            VesselHeading(1.0, None, None, NorthReference.TRUE),
+            VesselHeading(None, None, None, NorthReference.TRUE),
+            "heading_rad",
+        ),
+        (VesselHeading(1.0, None, None, NorthReference.TRUE), VesselHeading(1.0, None, None, None), "heading_rad"),
         (RateOfTurn(0.1), RateOfTurn(None), "yaw_rate_radps"),
-        (CourseSpeed(Reference.TRUE, 1.0, 1.0), CourseSpeed(Reference.TRUE, 1.0, None), "north_mps"),
-        (CourseSpeed(Reference.TRUE, 1.0, 1.0), CourseSpeed(Reference.TRUE, None, 0.2), "north_mps"),
-        (CourseSpeed(Reference.TRUE, 1.0, 1.0), CourseSpeed(None, 1.0, 1.0), "north_mps"),
+        (CourseSpeed(NorthReference.TRUE, 1.0, 1.0), CourseSpeed(NorthReference.TRUE, 1.0, None), "north_mps"),
+        (CourseSpeed(NorthReference.TRUE, 1.0, 1.0), CourseSpeed(NorthReference.TRUE, None, 0.2), "north_mps"),
+        (CourseSpeed(NorthReference.TRUE, 1.0, 1.0), CourseSpeed(None, 1.0, 1.0), "north_mps"),
         (Attitude(None, 0.1, 0.1), Attitude(0.5, None, None), "roll_rad"),
     ],
 )
@@ -485,7 +489,7 @@ def test_not_available_ends_what_was_said_before(message: pgns.Message, unknown:
 def test_a_long_stale_limit_holds_for_everything() -> None:
     bus = source(stale_s=5.0)
     say(bus, 9, Attitude(None, 0.1, 0.1), 0.0)
-    say(bus, 9, Heading(1.0, None, None, Reference.TRUE), 0.0)
+    say(bus, 9, VesselHeading(1.0, None, None, NorthReference.TRUE), 0.0)
     n = said(bus, 9, LISBON, 5.0)
     assert (n.roll_rad, n.heading_rad) == (pytest.approx(0.1), pytest.approx(1.0))
 
@@ -499,7 +503,7 @@ def test_an_attitude_of_yaw_alone_leaves_the_word_to_another_sensor() -> None:
 
 def test_a_receiver_at_rest_that_names_no_course_has_velocity_zero() -> None:
     bus = source()
-    say(bus, 9, CourseSpeed(Reference.TRUE, None, 0.05), 0.0)
+    say(bus, 9, CourseSpeed(NorthReference.TRUE, None, 0.05), 0.0)
     n = said(bus, 9, LISBON, 0.0)
     assert (n.north_mps, n.east_mps) == (0.0, 0.0)
 
@@ -515,8 +519,8 @@ def test_positions_of_other_sources_are_silent_until_the_chosen_one_is() -> None
 
 def test_each_kind_has_a_source_of_its_own() -> None:
     bus = source(7, 4)
-    say(bus, 7, Heading(1.0, None, None, Reference.TRUE), 0.0)
-    say(bus, 4, Heading(2.0, None, None, Reference.TRUE), 0.0)
+    say(bus, 7, VesselHeading(1.0, None, None, NorthReference.TRUE), 0.0)
+    say(bus, 4, VesselHeading(2.0, None, None, NorthReference.TRUE), 0.0)
     say(bus, 4, RateOfTurn(0.1), 0.0)
     n = said(bus, 9, LISBON, 0.5)
     assert n.heading_rad == pytest.approx(1.0)
@@ -550,7 +554,7 @@ def test_what_is_reckoned_typed_or_simulated_is_no_position(method: int) -> None
 
 def test_without_any_position_the_word_of_one_receiver_is_passed_on() -> None:
     bus = source()
-    say(bus, 3, Heading(1.0, None, None, Reference.TRUE), 0.0)
+    say(bus, 3, VesselHeading(1.0, None, None, NorthReference.TRUE), 0.0)
     n = said(bus, 5, NOWHERE, 0.1)
     assert (n.latitude_rad, n.fix, n.heading_rad) == (None, 0, pytest.approx(1.0))
     assert say(bus, 6, NOWHERE, 0.1) is None
@@ -583,25 +587,25 @@ def test_where_the_variation_comes_from(
     bus = source(variation_deg=math.degrees(0.4))
     say(bus, 1, Variation(bus_other), 0.0)
     say(bus, 9, Variation(bus_own), 0.0)
-    say(bus, 9, Heading(1.0, None, own, Reference.MAGNETIC), 0.0)
+    say(bus, 9, VesselHeading(1.0, None, own, NorthReference.MAGNETIC), 0.0)
     assert said(bus, 2, LISBON, 0.0).heading_rad == pytest.approx(expected_rad)
 
 
 def test_deviation_is_added_and_the_sum_is_wrapped() -> None:
     bus = source()
-    say(bus, 9, Heading(6.2, 0.1, 0.2, Reference.MAGNETIC), 0.0)
+    say(bus, 9, VesselHeading(6.2, 0.1, 0.2, NorthReference.MAGNETIC), 0.0)
     assert said(bus, 2, LISBON, 0.0).heading_rad == pytest.approx(6.5 - math.tau)
 
 
 def test_a_true_heading_is_taken_as_it_is() -> None:
     bus = source(variation_deg=10.0)
-    say(bus, 9, Heading(1.0, 0.1, 0.2, Reference.TRUE), 0.0)
+    say(bus, 9, VesselHeading(1.0, 0.1, 0.2, NorthReference.TRUE), 0.0)
     assert said(bus, 2, LISBON, 0.0).heading_rad == pytest.approx(1.0)
 
 
 def test_a_magnetic_course_becomes_true() -> None:
     bus = source(variation_deg=math.degrees(0.5))
-    say(bus, 9, CourseSpeed(Reference.MAGNETIC, math.pi / 2 - 0.5, 2.0), 0.0)
+    say(bus, 9, CourseSpeed(NorthReference.MAGNETIC, math.pi / 2 - 0.5, 2.0), 0.0)
     n = said(bus, 2, LISBON, 0.0)
     assert (n.north_mps, n.east_mps) == (pytest.approx(0.0, abs=2e-4), pytest.approx(2.0))
 
@@ -610,7 +614,7 @@ def test_an_old_variation_gives_way_to_the_configured_one() -> None:
     bus = source(variation_deg=math.degrees(0.4))
     say(bus, 9, Variation(0.2), 0.0)
     for now_s, expected_rad in ((VARIATION_S, 1.2), (VARIATION_S + 0.1, 1.4)):
-        say(bus, 9, Heading(1.0, None, None, Reference.MAGNETIC), now_s)
+        say(bus, 9, VesselHeading(1.0, None, None, NorthReference.MAGNETIC), now_s)
         assert said(bus, 2, LISBON, now_s).heading_rad == pytest.approx(expected_rad)
 
 

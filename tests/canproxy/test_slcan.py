@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from delfim.canproxy.canloop import open_canloop
 from delfim.canproxy.cantcp import slcan
-from delfim.canproxy.cantcp.slcan import DONE, REFUSED, Session
+from delfim.canproxy.cantcp.slcan import DONE, REFUSED, SlcanSession
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.canproxy.socketcand import Close, Enter, Open, Reply, Transmit
 from delfim.frames import Frame, extended, standard
@@ -21,8 +21,8 @@ ARBS = st.one_of(st.integers(0, 0x7FF).map(standard), st.integers(0, 0x1FFFFFFF)
 _numbers = itertools.count()
 
 
-def opened() -> Session:
-    session = Session("can0")
+def opened() -> SlcanSession:
+    session = SlcanSession("can0")
     assert list(session.feed(b"O\r")) == [Open("can0"), Enter("raw"), Reply(DONE)]
     return session
 
@@ -55,7 +55,7 @@ def test_what_means_nothing_is_refused_and_counted(line: str) -> None:
 
 
 def test_what_clients_say_before_they_open() -> None:
-    session = Session("can0")
+    session = SlcanSession("can0")
     said = list(session.feed(b"\r\r\rC\rS6\rs0014\rV\rN\rF\rZ0\r"))
     told = (slcan.VERSION, slcan.SERIAL, slcan.STATUS)
     assert said == [Reply(text) for text in (*[DONE] * 6, *told, DONE)]

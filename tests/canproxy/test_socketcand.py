@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from delfim.canproxy import socketcand
 from delfim.canproxy.cantcp import bcm
-from delfim.canproxy.cantcp.bcm import JOBS_MAX, Cycles, Watch
+from delfim.canproxy.cantcp.bcm import JOBS_MAX, Cycles, Subscription
 from delfim.canproxy.socketcand import (
     ELEMENT_BYTES,
     Cycle,
@@ -18,9 +18,9 @@ from delfim.canproxy.socketcand import (
     Hangup,
     Open,
     Reply,
-    Session,
-    Statistics,
+    SocketcandSession,
     Subscribe,
+    TellTraffic,
     Transmit,
     Unsubscribe,
     Update,
@@ -42,8 +42,8 @@ frames = st.builds(
 )
 
 
-def session(mode: str = "bcm") -> Session:
-    one = Session(["can0", "vcan1"])
+def session(mode: str = "bcm") -> SocketcandSession:
+    one = SocketcandSession(["can0", "vcan1"])
     list(one.feed(b"< open can0 >" if mode == "bcm" else f"< open can0 >< {mode}mode >".encode()))
     assert one.mode == mode
     return one
@@ -64,7 +64,7 @@ def session(mode: str = "bcm") -> Session:
     ],
 )
 def test_a_connection_begins_without_a_bus(text: str, actions: list[object]) -> None:
-    assert list(Session(["can0", "vcan1"]).feed(text.encode())) == actions
+    assert list(SocketcandSession(["can0", "vcan1"]).feed(text.encode())) == actions
 
 
 @pytest.mark.parametrize(
@@ -92,8 +92,8 @@ def test_a_connection_begins_without_a_bus(text: str, actions: list[object]) -> 
             "< muxfilter 2 0 123 2 FF 00 00 00 00 00 00 00 01 FF 00 00 00 00 00 00 >",
             Subscribe(standard(0x123), 2.0, (0xFF << 56, 0x01FF << 48)),
         ),
-        ("control", "< statistics 500 >", Statistics(0.5)),
-        ("control", "< statistics 0 >", Statistics(0.0)),
+        ("control", "< statistics 500 >", TellTraffic(0.5)),
+        ("control", "< statistics 0 >", TellTraffic(0.0)),
         ("control", "< send 123 0 >", Reply(socketcand.UNKNOWN)),
     ],
 )
@@ -146,7 +146,7 @@ def test_savvycan_sends_signed_numbers_as_wide_as_they_get(digits: int) -> None:
 
 
 def test_elements_come_split_merged_with_newlines_and_blanks() -> None:
-    one = Session(["can0"])
+    one = SocketcandSession(["can0"])
     assert list(one.feed(b"< open can0 >\n< rawmode >\n<  send   123 1 11  ><echo>\r\n< se")) == [
         Open("can0"),
         Enter("raw"),
@@ -173,7 +173,7 @@ elements = st.lists(tokens, max_size=12).map(lambda words: f"< {' '.join(words)}
 
 @given(st.lists(st.binary(max_size=600) | elements, max_size=30), st.booleans())
 def test_no_input_is_an_exception_and_none_is_kept_for_long(pieces: list[bytes], is_open: bool) -> None:
-    one = session() if is_open else Session(["can0"])
+    one = session() if is_open else SocketcandSession(["can0"])
     for piece in pieces:
         for action in one.feed(piece):
             if isinstance(action, Transmit | Cycle | Update):
@@ -188,7 +188,7 @@ def test_where_the_stream_is_cut_does_not_matter(pieces: list[bytes], data: st.D
     stream = b"< open can0 >" + b"".join(pieces)
     cuts = sorted(data.draw(st.lists(st.integers(0, len(stream)), max_size=10)))
     parts = [stream[start:end] for start, end in zip([0, *cuts], [*cuts, len(stream)], strict=True)]
-    whole, cut = Session(["can0"]), Session(["can0"])
+    whole, cut = SocketcandSession(["can0"]), SocketcandSession(["can0"])
     assert list(whole.feed(stream)) == [action for part in parts for action in cut.feed(part)]
 
 
@@ -220,7 +220,7 @@ def test_what_a_server_says_is_read_with_suspicion(text: str) -> None:
 
 
 def test_a_subscription_tells_the_newest_late_rather_than_never() -> None:
-    watch = Watch(1.0, ())
+    watch = Subscription(1.0, ())
     assert watch.offer(b"1", b"", 10.0) == b"1"
     assert watch.offer(b"2", b"", 10.1) is None
     assert watch.offer(b"3", b"", 10.9) is None
@@ -234,12 +234,12 @@ def test_a_subscription_tells_the_newest_late_rather_than_never() -> None:
 
 
 def test_a_subscription_without_interval_tells_all() -> None:
-    watch = Watch(0.0, ())
+    watch = Subscription(0.0, ())
     assert [watch.offer(text, b"", 1.0) for text in (b"1", b"2", b"3")] == [b"1", b"2", b"3"]
 
 
 def test_a_filter_tells_changes_under_its_mask() -> None:
-    watch = Watch(0.0, (0xF0 << 56,))
+    watch = Subscription(0.0, (0xF0 << 56,))
     assert watch.offer(b"first", b"\x10", 1.0) == b"first"
     assert watch.offer(b"same", b"\x1f\xff", 2.0) is None
     assert watch.offer(b"changed", b"\x20", 3.0) == b"changed"
@@ -247,7 +247,7 @@ def test_a_filter_tells_changes_under_its_mask() -> None:
 
 
 def test_a_muxfilter_keeps_the_rows_apart() -> None:
-    watch = Watch(0.0, (0xFF << 56, 0x01FF << 48, 0x02FF << 48))
+    watch = Subscription(0.0, (0xFF << 56, 0x01FF << 48, 0x02FF << 48))
     assert watch.offer(b"1a", b"\x01\x10", 1.0) == b"1a"
     assert watch.offer(b"2a", b"\x02\x10", 1.0) == b"2a"
     assert watch.offer(b"1a", b"\x01\x10", 1.0) is None
@@ -257,7 +257,7 @@ def test_a_muxfilter_keeps_the_rows_apart() -> None:
 
 @given(st.floats(0.0, 5.0), st.lists(st.tuples(st.floats(0.0, 3.0), st.binary(max_size=2)), max_size=50))
 def test_the_last_frame_is_always_told_and_never_too_often(interval_s: float, steps: list[tuple[float, bytes]]) -> None:
-    watch, now_s, told = Watch(interval_s, ()), 0.0, []
+    watch, now_s, told = Subscription(interval_s, ()), 0.0, []
     for number, (step_s, data) in enumerate(steps):
         now_s += step_s
         if watch.due_s <= now_s:

@@ -9,7 +9,7 @@ import pytest
 
 from delfim.clock import ManualClock
 from delfim.logging.filelog import FileLog
-from delfim.logging.liblog import Settings
+from delfim.logging.liblog import LogSettings
 from delfim.logging.pipelog import PipeLog
 from delfim.logging.reading import in_order, read_log
 
@@ -34,7 +34,7 @@ def file_log(tmp_path: Path, clock: ManualClock) -> Iterator[Callable[..., FileL
     def opened(*, deflate: bool = False, durable: bool = False, **settings: object) -> FileLog:
         told = {"header": b"", "file_bytes": 1_000_000, "file_s": 600.0, "free_bytes_min": 0, "when_full": "delete-oldest"}
         told |= {"directory": str(tmp_path / "log"), "id": "gps", "suffix": ".log"} | settings
-        logs.append(FileLog(Settings(**told), clock, deflate=deflate, durable=durable))
+        logs.append(FileLog(LogSettings(**told), clock, deflate=deflate, durable=durable))
         return logs[-1]
 
     yield opened

@@ -8,7 +8,7 @@ import pytest
 
 from delfim.errors import DelfimError
 from delfim.logging import fetch
-from delfim.logging.fetch import ATTEMPTS, Entry, opener, transfer, wanted
+from delfim.logging.fetch import ATTEMPTS, RemoteFile, opener, transfer, wanted
 from delfim.logging.tree import ALWAYS, Span
 
 T0_NS = 1_262_338_200_000_000_000  # 2010-01-01 09:30:00
@@ -29,8 +29,8 @@ class Radio:
         self.connected += 1
         return self
 
-    def entries(self) -> list[Entry]:
-        return [Entry(path, len(data), T0_NS) for path, data in self.files.items()]
+    def entries(self) -> list[RemoteFile]:
+        return [RemoteFile(path, len(data), T0_NS) for path, data in self.files.items()]
 
     def read(self, path, offset, sink) -> None:
         for at in range(offset, len(self.files[path]), 100):
@@ -135,13 +135,15 @@ def test_a_byte_that_falls_on_the_way_does_not_pass_for_the_truth(tmp_path):
 
 
 def test_state_logs_come_before_the_black_box_and_a_summary_is_only_them():
-    entries = [Entry(path, 1, T0_NS) for path in FILES]
+    entries = [RemoteFile(path, 1, T0_NS) for path in FILES]
     order = [entry.path.rpartition("/")[2] for entry in wanted(entries, [], ALWAYS, summary=False)]
     assert order == ["093000.meta.jsonl", "093000.state.gz", "093000.log.gz"]
     assert len(wanted(entries, [], ALWAYS, summary=True)) == 2
     assert [entry.path for entry in wanted(entries, ["can0"], ALWAYS, summary=False)] == ["20100101/can0/093000.log.gz"]
     assert wanted(entries, [], Span(T0_NS + 10_000_000_000), summary=False) == []
-    strangers = [Entry(path, 1, T0_NS) for path in ("readme", "20100101/KEEP", "../../etc/passwd", "20100101/x/../093000.log")]
+    strangers = [
+        RemoteFile(path, 1, T0_NS) for path in ("readme", "20100101/KEEP", "../../etc/passwd", "20100101/x/../093000.log")
+    ]
     assert wanted(strangers, [], ALWAYS, summary=False) == []
 
 

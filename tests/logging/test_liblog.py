@@ -330,7 +330,7 @@ class Faulty:
 def run_with_faults(directory, monkeypatch, first: int, count: int, **how: bool) -> tuple[Faulty, LogStatus]:
     """Sixty records over 30 s. The log must be itself again at the end."""
     clock, faulty = ManualClock(), Faulty(first, count)
-    settings = liblog.Settings(str(directory), "gps", ".log", b"", 600, 12.0, 1, "delete-oldest")
+    settings = liblog.LogSettings(str(directory), "gps", ".log", b"", 600, 12.0, 1, "delete-oldest")
     with monkeypatch.context() as patch:
         patch.setattr(filelog, "os", faulty)
         patch.setattr(guard, "os", faulty)

@@ -19,7 +19,7 @@ from delfim.logging import pipelog
 from delfim.logging.openlog import open_log
 from delfim.logging.pipelog import LENGTH, NOTE, PipeLog
 from delfim.logging.reading import read_log
-from delfim.logging.writer import Messages
+from delfim.logging.writer import PipeMessages
 from tests.logging.conftest import content, files, numbers, until
 
 
@@ -60,7 +60,7 @@ def fill(log: PipeLog, start: int = 0) -> list[int]:
 @given(st.lists(st.tuples(st.booleans(), st.binary(max_size=50))), st.lists(st.integers(1, 40), min_size=1))
 def test_messages_are_cut_right_however_the_pipe_splits_them(sent, pieces):
     stream = b"".join(LENGTH.pack(len(text) | (NOTE if note else 0)) + text for note, text in sent)
-    messages, got, turn = Messages(), [], 0
+    messages, got, turn = PipeMessages(), [], 0
     while stream:
         size = pieces[turn % len(pieces)]
         got += messages.feed(stream[:size])

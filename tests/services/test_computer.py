@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.services import computer
-from delfim.services.computer import Look, can_bus, memory, networks, process, processors, program, programs, service
+from delfim.services.computer import ComputerLook, can_bus, memory, networks, process, processors, program, programs, service
 from delfim.services.web.api import Service
 
 DEV = """Inter-|   Receive                                                |  Transmit
@@ -101,7 +101,7 @@ def test_when_the_disk_will_be_full(tmp_path, monkeypatch):
         f_bavail = property(lambda self: free)
 
     monkeypatch.setattr(computer.os, "statvfs", lambda path: Disk())
-    look = Look(str(tmp_path), 100, str(tmp_path))
+    look = ComputerLook(str(tmp_path), 100, str(tmp_path))
     assert look._disk(0.0).full_in_s is None, "nothing to compare with"
     free = 900
     assert look._disk(10.0).full_in_s is None, "too short to tell"
@@ -114,11 +114,11 @@ def test_when_the_disk_will_be_full(tmp_path, monkeypatch):
 
 
 def test_a_disk_that_is_not_there(tmp_path):
-    assert Look(str(tmp_path / "gone"), 0, str(tmp_path))._disk(0.0) is None
+    assert ComputerLook(str(tmp_path / "gone"), 0, str(tmp_path))._disk(0.0) is None
 
 
 def test_this_computer(tmp_path):
-    look = Look(str(tmp_path), 0, str(tmp_path))
+    look = ComputerLook(str(tmp_path), 0, str(tmp_path))
     look.look(0.0, time.time_ns())
     found = look.look(1.0, time.time_ns())
     assert found.memory.total_bytes > found.memory.available_bytes > 0
@@ -132,7 +132,7 @@ def test_this_computer(tmp_path):
 
 def test_a_computer_without_anything(tmp_path):
     (tmp_path / "proc").mkdir()
-    found = Look(str(tmp_path), 0, str(tmp_path), tmp_path).look(0.0, 0)
+    found = ComputerLook(str(tmp_path), 0, str(tmp_path), tmp_path).look(0.0, 0)
     assert (found.uptime_s, found.cpu, found.temperature_c, found.processes) == (0.0, (), None, ())
 
 

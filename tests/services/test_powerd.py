@@ -19,7 +19,7 @@ from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame
 from delfim.messages import BatteriesStatus, Fault, Node, PropellerCommand, Shutdown, ShutdownStage, Status
 from delfim.services import powerd, shutdown
 from delfim.services.powerd import EV_KEY, INPUT_EVENT, KEY_POWER, Button, Powerd
-from delfim.services.runtime import Runtime, Service
+from delfim.services.runtime import LoadedService, Runtime
 
 OFF = Frame(messages.SHUTDOWN, messages.pack_shutdown(Shutdown(False)))
 REBOOT = Frame(messages.SHUTDOWN, messages.pack_shutdown(Shutdown(True)))
@@ -189,7 +189,7 @@ def sail(tmp_path: Path, order: Frame, *, supervised: bool) -> tuple[int, bytes,
                 os.kill(os.getpid(), signal.SIGTERM)
 
         told: list[bytes] = []
-        code = runtime.main([Service("powerd", powerd.serve), Service("power board", tell)])
+        code = runtime.main([LoadedService("powerd", powerd.serve), LoadedService("power board", tell)])
         return code, b"".join(told), [board.recvmsg().data for _ in range(2)]
 
 

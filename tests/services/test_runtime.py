@@ -21,7 +21,7 @@ from delfim import config
 from delfim.clock import Clock, ManualClock, SystemClock
 from delfim.errors import BusError, PermanentFailure
 from delfim.services import runtime as module
-from delfim.services.runtime import Runtime, Service
+from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervisor import EXIT_PERMANENT
 
 SETTINGS = config.Vehicle(
@@ -30,7 +30,7 @@ SETTINGS = config.Vehicle(
 Start = Callable[[Runtime], Awaitable[None]]
 
 
-def ran(*services: Service, beat_fd: int = -1, clock: Clock | None = None) -> tuple[Runtime, int]:
+def ran(*services: LoadedService, beat_fd: int = -1, clock: Clock | None = None) -> tuple[Runtime, int]:
     """The runtime after it ended, and its exit code."""
     runtime = Runtime(SETTINGS, clock or SystemClock(), beat_fd=beat_fd, alone=True)
     return runtime, runtime.main(services)
@@ -57,7 +57,7 @@ def test_it_ends_when_all_services_have() -> None:
     async def brief(runtime: Runtime) -> None:
         await asyncio.sleep(0)
 
-    runtime, code = ran(Service("one", brief), Service("two", brief))
+    runtime, code = ran(LoadedService("one", brief), LoadedService("two", brief))
     assert code == 0
     assert {(name, status.state, status.reason) for name, status in runtime.status.items()} == {
         ("one", "stopped", "finished"),
@@ -81,7 +81,7 @@ def test_a_service_that_raises_is_started_again_after_growing_pauses(monkeypatch
         raise BusError("bus-off")
 
     monkeypatch.setattr(asyncio, "sleep", sleeping)
-    runtime, _ = ran(Service("failing", failing))
+    runtime, _ = ran(LoadedService("failing", failing))
     assert pauses == [0.01, 0.02, 0.04, 0.04]
     assert runtime.status["failing"].restarts == 4
 
@@ -98,7 +98,7 @@ def test_what_fails_again_and_again_is_told_once_and_when_it_goes(
             raise end
         await asyncio.sleep(0.01)
 
-    ran(Service("can", failing))
+    ran(LoadedService("can", failing))
     assert [record.getMessage() for record in caplog.records if record.getMessage().startswith("can: ")] == [
         "can: there is no interface can0; tried again, after 0.04 s at most",
         "can: can0 is down; tried again, after 0.04 s at most",
@@ -122,7 +122,7 @@ def test_the_reason_of_a_failure_is_kept_in_words(caplog: pytest.LogCaptureFixtu
         reasons.extend(status.reason for status in runtime.status.values())
         runtime.stop("test over")
 
-    ran(Service("failing", failing), Service("defective", defective), Service("looking", looking))
+    ran(LoadedService("failing", failing), LoadedService("defective", defective), LoadedService("looking", looking))
     assert reasons == ["can0: bus-off", "KeyError: 'heading'", ""]
     with_traceback = {record.message for record in caplog.records if record.exc_info}
     assert with_traceback == {"defective: a defect"}
@@ -138,7 +138,7 @@ def test_a_permanent_failure_is_final_and_others_go_on() -> None:
     async def well(runtime: Runtime) -> None:
         await asyncio.sleep(0.05)
 
-    runtime, code = ran(Service("hopeless", hopeless), Service("well", well))
+    runtime, code = ran(LoadedService("hopeless", hopeless), LoadedService("well", well))
     assert starts == ["hopeless"]
     assert (runtime.status["hopeless"].state, runtime.status["hopeless"].reason) == ("failed", "no such device")
     assert runtime.status["well"].state == "stopped"
@@ -164,7 +164,9 @@ def test_a_signal_stops_the_services_one_after_the_other_the_last_row_first(numb
         os.kill(os.getpid(), number)
         await forever(runtime)
 
-    runtime, code = ran(*(Service(name, noting(name)) for name in ("log", "httpd", "vehicle")), Service("killer", killer))
+    runtime, code = ran(
+        *(LoadedService(name, noting(name)) for name in ("log", "httpd", "vehicle")), LoadedService("killer", killer)
+    )
     assert order == ["vehicle", "httpd", "log"]
     assert code == 0
     assert {(status.state, status.reason) for status in runtime.status.values()} == {("stopped", number.name)}
@@ -174,7 +176,7 @@ def test_a_service_waiting_for_its_next_start_stops_at_once() -> None:
     async def failing(runtime: Runtime) -> None:
         raise BusError("bus-off")
 
-    runtime, _ = ran(Service("failing", failing), Service("stopper", stopper))
+    runtime, _ = ran(LoadedService("failing", failing), LoadedService("stopper", stopper))
     assert runtime.status["failing"].state == "stopped"
 
 
@@ -188,7 +190,7 @@ def test_a_service_that_raises_while_it_stops_is_not_started_again() -> None:
         finally:
             raise BusError("cannot close")
 
-    runtime, _ = ran(Service("untidy", untidy), Service("stopper", stopper))
+    runtime, _ = ran(LoadedService("untidy", untidy), LoadedService("stopper", stopper))
     assert starts == ["untidy"]
     assert runtime.status["untidy"].state == "stopped"
 
@@ -206,7 +208,7 @@ async def noting(runtime):
     finally:
         print("stopped", flush=True)
 module.STOP_S = 0.1
-ran(Service("log", noting), Service("refusing", refusing), Service("stopper", stopper))
+ran(LoadedService("log", noting), LoadedService("refusing", refusing), LoadedService("stopper", stopper))
 """
 
 
@@ -238,7 +240,7 @@ def test_a_callback_that_raises_fails_its_service(until: Callable[..., contextli
         starts.append("well is well")
 
     with near, far:
-        _, code = ran(Service("service", service), Service("well", well))
+        _, code = ran(LoadedService("service", service), LoadedService("well", well))
     assert starts == ["", "gone", "well is well"]
     assert code == 0
 
@@ -264,7 +266,7 @@ def test_readers_and_navigation_are_called_until_they_are_removed() -> None:
                 await asyncio.sleep(0.01)
                 links.close()
 
-    ran(Service("service", service))
+    ran(LoadedService("service", service))
     for pair in pairs:
         for end in pair:
             end.close()
@@ -283,7 +285,7 @@ def test_a_reader_with_a_pause_is_not_called_more_often_and_not_after_its_remova
         runtime.remove_reader(ours.fileno())
         await asyncio.sleep(0.03)
 
-    ran(Service("service", service))
+    ran(LoadedService("service", service))
     for end in (ours, theirs):
         end.close()
     assert len(calls_s) == 5
@@ -314,7 +316,7 @@ def test_every_callback_is_charged_to_its_service_from_when_it_has_settled(monke
     async def idle(runtime: Runtime) -> None:
         await worked.wait()
 
-    runtime, _ = ran(Service("serving", serving), Service("idle", idle), clock=clock)
+    runtime, _ = ran(LoadedService("serving", serving), LoadedService("idle", idle), clock=clock)
     serving_account, idle_account = runtime.status["serving"].account, runtime.status["idle"].account
     assert (serving_account.longest_s, serving_account.over_budget) == (pytest.approx(0.005), 1)
     assert idle_account.busy_s == 0.0
@@ -334,7 +336,7 @@ def test_it_beats_at_least_every_tenth_of_a_second_and_says_when_nobody_listens(
         os.close(reader)
         await forever(runtime)
 
-    runtime, code = ran(Service("listening", listening), beat_fd=writer)
+    runtime, code = ran(LoadedService("listening", listening), beat_fd=writer)
     os.close(writer)
     assert all(1 <= n <= 3 for n in beats)
     assert (code, runtime.status["listening"].reason) == (0, "the supervisor is gone")
@@ -360,7 +362,7 @@ def test_the_first_beat_comes_when_the_libraries_of_the_start_are_read(tmp_path:
         beats.append(runtime.is_starting())
         runtime.stop("test over")
 
-    _, code = ran(Service("reading", reading), beat_fd=writer)
+    _, code = ran(LoadedService("reading", reading), beat_fd=writer)
     os.close(reader)
     os.close(writer)
     assert (beats, code) == ([0, False], 0)
@@ -381,7 +383,7 @@ async def reading(runtime):
         await asyncio.sleep(0.01)
     print(said)
     runtime.stop("test over")
-sys.exit(Runtime(SETTINGS, SystemClock()).main([Service("reading", reading)]))
+sys.exit(Runtime(SETTINGS, SystemClock()).main([LoadedService("reading", reading)]))
 """
 
 
@@ -398,7 +400,7 @@ def test_a_full_pipe_does_not_disturb() -> None:
     os.set_blocking(writer, False)
     while select.select([], [writer], [], 0)[1]:
         os.write(writer, bytes(4096))
-    runtime, code = ran(Service("waiting", forever), Service("stopper", stopper), beat_fd=writer)
+    runtime, code = ran(LoadedService("waiting", forever), LoadedService("stopper", stopper), beat_fd=writer)
     os.close(reader)
     os.close(writer)
     assert (code, runtime.status["waiting"].reason) == (0, "test over")
@@ -425,7 +427,7 @@ settings = config.Runtime(nice=-5, fifo_priority=10, cpus=(1023,), mlockall=True
 async def brief(runtime):
     print("well")
 vehicle = config.Vehicle(boat=config.Boat(name="Test"), runtime=settings)
-sys.exit(Runtime(vehicle, SystemClock()).main([Service("brief", brief)]))
+sys.exit(Runtime(vehicle, SystemClock()).main([LoadedService("brief", brief)]))
 """
 
 
@@ -446,7 +448,7 @@ async def littering(runtime):
         await asyncio.sleep(0.01)
     await asyncio.sleep(0.25)
     print(json.dumps([runtime.report()["loop"]["collections"] >= 1, gc.get_count()[0] < 5000]))
-Runtime(SETTINGS, SystemClock()).main([Service("littering", littering)])
+Runtime(SETTINGS, SystemClock()).main([LoadedService("littering", littering)])
 """
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from delfim import config
 from delfim.clock import ManualClock
-from delfim.services.slipd import Radio, carrier_source
+from delfim.services.slipd import SerialRadio, carrier_source
 
 
 class FakeLine:
@@ -42,7 +42,7 @@ class Bench:
         os.close(slave)
         self.settings = config.Slipd(device=self.device, carrier=f"file:{self.carrier}")
         self.clock, self.lines, self.refusal = ManualClock(), list[FakeLine](), ""
-        self.radio = Radio(self.settings, self.clock, self.open_line)
+        self.radio = SerialRadio(self.settings, self.clock, self.open_line)
 
     def open_line(self, port: int) -> FakeLine:
         if self.refusal:
@@ -112,7 +112,7 @@ def test_a_refusal_of_the_kernel_is_told_and_tried_again(bench: Bench) -> None:
 
 
 def test_an_adapter_that_is_not_there_is_told_and_its_descriptors_are_not_kept(bench: Bench) -> None:
-    radio = Radio(config.Slipd(device="/dev/no-such-port"), bench.clock, bench.open_line)
+    radio = SerialRadio(config.Slipd(device="/dev/no-such-port"), bench.clock, bench.open_line)
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(100):
         if radio.is_due():

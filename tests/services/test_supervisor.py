@@ -163,7 +163,7 @@ def test_the_stop_frames_come_when_the_deadman_is_due_and_the_kill_a_moment_late
     computer stands still nobody beats, and nobody is killed for that."""
     clock, look = ManualClock(100.0), select.select
     stops_s, kills_s, killpg = list[float](), list[float](), os.killpg
-    program = children.Program("runtime", (sys.executable, "-c", BEATS_ONCE), critical=True)
+    program = children.Supervised("runtime", (sys.executable, "-c", BEATS_ONCE), critical=True)
     boat = supervisor.Supervisor(
         [program],
         stop=lambda: stops_s.append(clock.monotonic_s()),

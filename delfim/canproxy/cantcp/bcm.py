@@ -22,7 +22,7 @@ class _Row:
     waiting: bytes | None = None  # newest text that came too soon
 
 
-class Watch:
+class Subscription:
     """One subscription: at most one text each `interval_s` (0: no limit), the newest one, sent late rather than never.
 
     masks, 64-bit numbers over the data as it comes: none, every frame counts; one, a frame counts when the data under the mask

@@ -13,7 +13,7 @@ from delfim import config
 from delfim.canproxy import socketcand
 from delfim.canproxy.cantcp import slcan
 from delfim.canproxy.cantcp.access import Access
-from delfim.canproxy.cantcp.bcm import JOBS_MAX, Cycles, Watch
+from delfim.canproxy.cantcp.bcm import JOBS_MAX, Cycles, Subscription
 from delfim.canproxy.cantcp.outbox import Outbox, Timers
 from delfim.canproxy.cantcp.sharedbus import FRAMES_A_CALL, Ear, SharedBus
 from delfim.errors import BusError
@@ -37,7 +37,9 @@ log = logging.getLogger(__name__)
 class Client(asyncio.BufferedProtocol):
     """One connection: its place in the protocol and its jobs."""
 
-    def __init__(self, clients: "Clients", buses: Mapping[str, SharedBus], session: socketcand.Session | slcan.Session) -> None:
+    def __init__(
+        self, clients: "Clients", buses: Mapping[str, SharedBus], session: socketcand.SocketcandSession | slcan.SlcanSession
+    ) -> None:
         self.name = self.host = ""
         self.counts: Counter[str] = Counter()
         self.session = session
@@ -181,10 +183,10 @@ class Client(asyncio.BufferedProtocol):
             case socketcand.Delete(arb):
                 self._cycles.delete(arb)
             case socketcand.Subscribe(arb, interval_s, masks):
-                self._subscribe(arb, Watch(interval_s, masks))
+                self._subscribe(arb, Subscription(interval_s, masks))
             case socketcand.Unsubscribe(arb) if self._bus:
                 self._bus.unwatch(self._ear, arb)
-            case socketcand.Statistics(period_s):
+            case socketcand.TellTraffic(period_s):
                 self._statistics_s = max(period_s, STATISTICS_S_MIN) if period_s else inf
                 self._timers.cancel(self._on_statistics)
                 self._timers.at(self._on_statistics, self._loop.time() + self._statistics_s)
@@ -231,7 +233,7 @@ class Client(asyncio.BufferedProtocol):
         self._timers.clear()
         self._release()
 
-    def _subscribe(self, arb: int, watch: Watch) -> None:
+    def _subscribe(self, arb: int, watch: Subscription) -> None:
         if self._bus and (arb in self._ear.watches or len(self._ear.watches) < JOBS_MAX):
             self._bus.watch(self._ear, arb, watch)
         else:

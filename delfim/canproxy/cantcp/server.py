@@ -49,11 +49,11 @@ class CanServer:
         self._silent: set[str] = set()  # interfaces on which announcing failed
 
     def connection(self) -> Client:
-        return Client(self.clients, self.buses, socketcand.Session(self.buses))
+        return Client(self.clients, self.buses, socketcand.SocketcandSession(self.buses))
 
     def slcan_connection(self) -> Client:
         """For the first of the buses: slcan has no word for others."""
-        return Client(self.clients, self.buses, slcan.Session(next(iter(self.buses))))
+        return Client(self.clients, self.buses, slcan.SlcanSession(next(iter(self.buses))))
 
     def poll(self, port: int) -> None:
         """Take up buses that failed, close clients that stalled, announce `port` on the LAN."""

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import Final, Protocol
 
 from delfim.canproxy import socketcand
-from delfim.canproxy.cantcp.bcm import Watch
+from delfim.canproxy.cantcp.bcm import Subscription
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.clock import Clock
@@ -35,7 +35,7 @@ class Ear:
         self, text_of: TextOf, put: Callable[[bytes, int], None], at: Callable[[Callable[[], None], float], None]
     ) -> None:
         self.text_of, self.put = text_of, put
-        self.watches: dict[int, Watch] = {}  # by arbitration field; the bus sees to it
+        self.watches: dict[int, Subscription] = {}  # by arbitration field; the bus sees to it
         self._at = at
 
     def offer(self, frame: Frame, text: bytes, now_s: float) -> None:
@@ -97,7 +97,7 @@ class SharedBus:
         for arb in list(ear.watches):
             self.unwatch(ear, arb)
 
-    def watch(self, ear: Ear, arb: int, watch: Watch) -> None:
+    def watch(self, ear: Ear, arb: int, watch: Subscription) -> None:
         ear.watches[arb] = watch
         self.watchers.setdefault(arb, set()).add(ear)
 

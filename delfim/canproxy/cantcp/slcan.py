@@ -32,7 +32,7 @@ def raw_text(frame: Frame) -> bytes:
     return f"{head}{len(data)}{data.hex().upper()}\r".encode()
 
 
-class Session:
+class SlcanSession:
     """One connection as the server sees it. `bus` is the name of the one that it is for."""
 
     greeting, accepted, refused = b"", b"", REFUSED  # `O` is answered as every command

@@ -22,7 +22,7 @@ COURSE_SPEED_RAPID: Final = 129026
 GNSS_POSITION: Final = 129029
 
 
-class Reference(IntEnum):
+class NorthReference(IntEnum):
     """North of a heading or course."""
 
     TRUE = 0
@@ -39,7 +39,7 @@ class PositionRapid(NamedTuple):
 class CourseSpeed(NamedTuple):
     """PGN 129026, usually 4 Hz: over ground; 1e-4 rad, 0.01 m/s."""
 
-    reference: Reference | None
+    reference: NorthReference | None
     course_rad: float | None  # 0..2 pi
     speed_mps: float | None
 
@@ -57,13 +57,13 @@ class GnssPosition(NamedTuple):
     hdop: float | None
 
 
-class Heading(NamedTuple):
+class VesselHeading(NamedTuple):
     """PGN 127250, usually 10 Hz, 1e-4 rad: what the sensor reads, and what to add to it."""
 
     heading_rad: float | None  # 0..2 pi
     deviation_rad: float | None  # east positive; sensor to magnetic
     variation_rad: float | None  # east positive; magnetic to true
-    reference: Reference | None
+    reference: NorthReference | None
 
 
 class RateOfTurn(NamedTuple):
@@ -92,7 +92,7 @@ class SystemTime(NamedTuple):
     utc_ns: int | None
 
 
-Message = PositionRapid | CourseSpeed | GnssPosition | Heading | RateOfTurn | Attitude | Variation | SystemTime
+Message = PositionRapid | CourseSpeed | GnssPosition | VesselHeading | RateOfTurn | Attitude | Variation | SystemTime
 
 
 _DEGREES_1E7: Final = math.radians(1e-7)
@@ -102,7 +102,7 @@ _DAY_NS: Final = 86_400_000_000_000
 _I16, _I32, _I64 = 0x7FFF, 0x7FFFFFFF, 0x7FFFFFFFFFFFFFFF  # not available; two less is the first value without meaning
 _U16, _U32 = 0xFFFF, 0xFFFFFFFF
 _CIRCLE: Final = 62_832  # 2 pi in 1e-4 rad, rounded up: some senders do not wrap before they round
-_REFERENCES: Final = (Reference.TRUE, Reference.MAGNETIC, None, None)
+_REFERENCES: Final = (NorthReference.TRUE, NorthReference.MAGNETIC, None, None)
 
 
 def _signed(raw: int, unavailable: int, limit: int, unit: float, name: str) -> float | None:
@@ -159,8 +159,8 @@ def _read_gnss(*raw: int) -> GnssPosition:
     )
 
 
-def _read_heading(_sid: int, heading: int, deviation: int, variation: int, reference: int) -> Heading:
-    return Heading(
+def _read_heading(_sid: int, heading: int, deviation: int, variation: int, reference: int) -> VesselHeading:
+    return VesselHeading(
         _circle(heading, "heading"),
         _signed(deviation, _I16, 31_416, 1e-4, "deviation in rad"),
         _signed(variation, _I16, 31_416, 1e-4, "variation in rad"),
@@ -210,7 +210,7 @@ def _raw_utc(utc_ns: int | None) -> tuple[int, int]:
     return (days, rest_ns // 100_000) if 0 <= days < _U16 - 2 else (_U16, _U32)
 
 
-def _raw_reference(reference: Reference | None) -> int:
+def _raw_reference(reference: NorthReference | None) -> int:
     return 0xFF if reference is None else 0xFC | reference
 
 
@@ -233,7 +233,7 @@ def _write_gnss(m: GnssPosition) -> tuple[int, ...]:
     return 0xFF, *_raw_utc(m.utc_ns), latitude, longitude, _I64, method << 4, 0xFC, satellites, hdop, _I16, _I32, 0
 
 
-def _write_heading(m: Heading) -> tuple[int, ...]:
+def _write_heading(m: VesselHeading) -> tuple[int, ...]:
     return (
         0xFF,
         _raw_circle(m.heading_rad),
@@ -269,7 +269,7 @@ class _Layout(NamedTuple):
 
 LAYOUTS: Final = {
     SYSTEM_TIME: _Layout(struct.Struct("<BBHI"), _read_time, SystemTime, _write_time, 3),
-    HEADING: _Layout(struct.Struct("<BHhhB"), _read_heading, Heading, _write_heading, 2),
+    HEADING: _Layout(struct.Struct("<BHhhB"), _read_heading, VesselHeading, _write_heading, 2),
     RATE_OF_TURN: _Layout(struct.Struct("<BiBH"), _read_rate, RateOfTurn, _write_rate, 2),
     ATTITUDE: _Layout(struct.Struct("<BhhhB"), _read_attitude, Attitude, _write_attitude, 3),
     VARIATION: _Layout(struct.Struct("<BBHhH"), _read_variation, Variation, _write_variation, 7),

@@ -15,13 +15,13 @@ from delfim.canproxy.nmea2000.pgns import (
     Attitude,
     CourseSpeed,
     GnssPosition,
-    Heading,
     Message,
+    NorthReference,
     PositionRapid,
     RateOfTurn,
-    Reference,
     SystemTime,
     Variation,
+    VesselHeading,
     decode,
 )
 from delfim.errors import FormatError
@@ -41,16 +41,16 @@ class KindStatus(NamedTuple):
     age_s: float | None
 
 
-class Heard(NamedTuple):
+class HeardFrom(NamedTuple):
     """A source of navigation frames."""
 
     age_s: float
     frames: int
 
 
-class Status(NamedTuple):
+class SourceStatus(NamedTuple):
     kinds: dict[str, KindStatus]  # position, velocity, heading, rate, attitude, variation, quality, time
-    sources: dict[int, Heard]  # by address
+    sources: dict[int, HeardFrom]  # by address
     errors: dict[str, int]  # by reason
     last_error: str
 
@@ -141,7 +141,7 @@ class Nmea2000Source:
             case PositionRapid(latitude_rad, longitude_rad):
                 self._rapid_s[address] = now_s
                 return self._place(address, latitude_rad, longitude_rad, t_ns, now_s)
-            case Heading():
+            case VesselHeading():
                 self._heading.put(address, self._true_heading(address, message, now_s), now_s)
             case RateOfTurn(rate_radps):
                 self._rate.put(address, rate_radps, now_s)
@@ -202,11 +202,11 @@ class Nmea2000Source:
             self._counter,
         )
 
-    def _true_heading(self, address: int, h: Heading, now_s: float) -> float | None:
+    def _true_heading(self, address: int, h: VesselHeading, now_s: float) -> float | None:
         """Sensor + deviation = magnetic, + variation = true; the compass' own variation first."""
         if h.heading_rad is None or h.reference is None:
             return None
-        if h.reference is Reference.TRUE:
+        if h.reference is NorthReference.TRUE:
             return h.heading_rad
         variation_rad = self._variation_rad(address, now_s) if h.variation_rad is None else h.variation_rad
         return (h.heading_rad + (h.deviation_rad or 0.0) + variation_rad) % TAU
@@ -218,7 +218,7 @@ class Nmea2000Source:
         if v.course_rad is None or v.reference is None:
             return (0.0, 0.0) if v.speed_mps <= STANDSTILL_MPS else None
         course_rad = v.course_rad
-        if v.reference is Reference.MAGNETIC:
+        if v.reference is NorthReference.MAGNETIC:
             course_rad += self._variation_rad(address, now_s)
         return v.speed_mps * math.cos(course_rad), v.speed_mps * math.sin(course_rad)
 
@@ -239,11 +239,11 @@ class Nmea2000Source:
             offset_ns = self._time.get(now_s)
         return t_ns if offset_ns is None else offset_ns + round(now_s * 1e9)
 
-    def status(self, now_s: float) -> Status:
+    def status(self, now_s: float) -> SourceStatus:
         """Who is believed, who talks, what was refused: for the statistics page."""
         kinds = {}
         for name, newest in self._kinds.items():
             chosen = newest.choose(now_s)
             kinds[name] = KindStatus(chosen, None if chosen is None else newest.age_s(chosen, now_s))
-        sources = {address: Heard(now_s - t_s, int(frames)) for address, (t_s, frames) in sorted(self._heard.items())}
-        return Status(kinds, sources, dict(self._errors), self._last_error)
+        sources = {address: HeardFrom(now_s - t_s, int(frames)) for address, (t_s, frames) in sorted(self._heard.items())}
+        return SourceStatus(kinds, sources, dict(self._errors), self._last_error)

@@ -9,11 +9,11 @@ from typing import Any
 import msgspec
 
 
-class Words(msgspec.Struct, frozen=True, kw_only=True):
+class Facts(msgspec.Struct, frozen=True, kw_only=True):
     """Unknown fields are ignored, missing ones have their default."""
 
 
-class Reference(Words, frozen=True):
+class Reference(Facts, frozen=True):
     """Where the boat is going."""
 
     heading_deg: float | None = None
@@ -25,7 +25,7 @@ class Reference(Words, frozen=True):
     longitude_deg: float | None = None
 
 
-class Node(Words, frozen=True):
+class Node(Facts, frozen=True):
     """The last report of one CAN node. Each kind of node fills its own fields."""
 
     status: str
@@ -37,7 +37,7 @@ class Node(Words, frozen=True):
     temperature_c: float | None = None
 
 
-class Latency(Words, frozen=True):
+class Latency(Facts, frozen=True):
     """The critical path from the kernel's receive time of navigation to the propellers' command (thesis figures 3-10, 3-11)."""
 
     n: int = 0
@@ -50,7 +50,7 @@ class Latency(Words, frozen=True):
     histogram: tuple[tuple[float, int], ...] = ()  # (upper edge in us, cycles) of each bar that is not empty
 
 
-class Service(Words, frozen=True):
+class Service(Facts, frozen=True):
     """A service, or a process of the supervisor."""
 
     state: str
@@ -66,7 +66,7 @@ class Service(Words, frozen=True):
     figures: dict[str, Any] = {}  # its own
 
 
-class LogStatus(Words, frozen=True):
+class LogStatus(Facts, frozen=True):
     writable: bool = True
     reason: str = ""
     file: str = ""
@@ -75,7 +75,7 @@ class LogStatus(Words, frozen=True):
     dropped: int = 0
 
 
-class Check(Words, frozen=True):
+class Check(Facts, frozen=True):
     """A line of the page that is read on the quay."""
 
     name: str
@@ -83,7 +83,7 @@ class Check(Words, frozen=True):
     reason: str
 
 
-class Notice(Words, frozen=True):
+class Notice(Facts, frozen=True):
     """A trouble, and what the boat does about it."""
 
     name: str
@@ -92,7 +92,7 @@ class Notice(Words, frozen=True):
     action: str = "warn"
 
 
-class State(Words, frozen=True):
+class State(Facts, frozen=True):
     """What the vehicle says of itself."""
 
     mode: str
@@ -126,12 +126,12 @@ class State(Words, frozen=True):
     deadman: dict[str, Any] = {}
 
 
-class Memory(Words, frozen=True):
+class Memory(Facts, frozen=True):
     total_bytes: int = 0
     available_bytes: int = 0
 
 
-class Disk(Words, frozen=True):
+class Disk(Facts, frozen=True):
     """The partition of the logs."""
 
     path: str
@@ -140,7 +140,7 @@ class Disk(Words, frozen=True):
     full_in_s: float | None = None  # until the guard has to make room, at the present rate; null: it is not filling
 
 
-class Network(Words, frozen=True):
+class Network(Facts, frozen=True):
     """A network interface; the rates are means since the last look."""
 
     up: bool
@@ -153,7 +153,7 @@ class Network(Words, frozen=True):
     dropped: int = 0
 
 
-class Bus(Words, frozen=True):
+class Bus(Facts, frozen=True):
     """A CAN controller as the kernel sees it; load is null where the bit rate is not known."""
 
     state: str = ""
@@ -168,7 +168,7 @@ class Bus(Words, frozen=True):
     receive_errors: int | None = None
 
 
-class Process(Words, frozen=True):
+class Process(Facts, frozen=True):
     """A process. Its arguments are not shown: they may hold what is nobody's business."""
 
     pid: int
@@ -179,7 +179,7 @@ class Process(Words, frozen=True):
     threads: int = 1
 
 
-class Time(Words, frozen=True):
+class Time(Facts, frozen=True):
     """The computer's clock."""
 
     utc_ns: int = 0
@@ -187,7 +187,7 @@ class Time(Words, frozen=True):
     error_s: float | None = None  # at most, as that source says
 
 
-class Computer(Words, frozen=True):
+class Computer(Facts, frozen=True):
     """What a look at the computer found."""
 
     uptime_s: float = 0.0
@@ -205,7 +205,7 @@ class Computer(Words, frozen=True):
     deadman: str = ""  # its last event, in words
 
 
-class Server(Words, frozen=True):
+class Server(Facts, frozen=True):
     """This server itself."""
 
     connections: int = 0
@@ -213,7 +213,7 @@ class Server(Words, frozen=True):
     refused: int = 0  # connections beyond the limits
 
 
-class Report(Words, frozen=True):
+class Report(Facts, frozen=True):
     """/api/state: everything. `vehicle` is null while it does not answer, and `reason` says why."""
 
     utc_ns: int

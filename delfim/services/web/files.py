@@ -43,7 +43,7 @@ def meaning(path: str, entry: Entry) -> str:
     return " ".join(filter(None, (kind, began)))
 
 
-class Opened(NamedTuple):
+class OpenFile(NamedTuple):
     """A plain file that is being sent, as long as it was when it was opened: a log that is being written grows."""
 
     fd: int
@@ -55,11 +55,11 @@ class Opened(NamedTuple):
         return f'"{self.mtime_ns:x}-{self.bytes:x}"'
 
 
-def opened(jail: Jail, path: str) -> Opened:
+def opened(jail: Jail, path: str) -> OpenFile:
     """Raises DelfimError, OSError."""
     fd = jail.open(path)
     status = os.fstat(fd)
-    return Opened(fd, status.st_size, status.st_mtime_ns)
+    return OpenFile(fd, status.st_size, status.st_mtime_ns)
 
 
 def is_directory(jail: Jail, path: str) -> bool:

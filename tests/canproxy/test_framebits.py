@@ -3,7 +3,7 @@
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.canproxy.wire import frame_bits
+from delfim.canproxy.framebits import frame_bits
 from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, standard
 
 frames = st.builds(
