@@ -253,7 +253,7 @@ def certificate(here: Path) -> Said:
 
 
 def page_token(here: Path) -> Said:
-    from delfim.console.gateway import kept_token
+    from delfim.console.admission import kept_token
 
     return [kept_token(here / "token")]
 

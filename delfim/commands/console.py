@@ -44,8 +44,8 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     from pathlib import Path
 
-    from delfim.console.gateway import run
     from delfim.console.mavlink import keygen
+    from delfim.console.serving import run
 
     if asked.keygen:
         keygen(Path(asked.keygen))

@@ -6,24 +6,22 @@ and neither does a console that slept: what pages said before or meanwhile is re
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from delfim.clock import Clock
-from delfim.console import plan, transfer
+from delfim.console import plan
 from delfim.console.boats import SILENT_S, Boat
+from delfim.console.exchange import SAID, Exchange, planned
 from delfim.console.mavlink import SYSTEM, Codec, Key, mavlink
 from delfim.console.orders import order, row_of
 from delfim.console.requests import LIFE_S, REPEAT_S, Answer, Requests
-from delfim.console.transfer import Download, Upload
 from delfim.console.ways import Address, Ways, in_words
 from delfim.errors import FormatError, Refused
 from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN
-from delfim.vehicle.mavlink.plans import MISSION, Item
 
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
-READ_AGAIN_S: Final = 10.0  # plans that could not be read
 ASKS: Final = 12  # a minute: for what a boat tells once
 INPUT_S: Final = 0.6
 DEAF_S: Final = 1.0  # after a sleep, to what pages say: so long a page has to see that it was released
@@ -35,8 +33,6 @@ UNUSED: Final = 32767  # of an axis in MANUAL_CONTROL
 PROFILES: Final = ("lean", "radio", "wifi")  # values of the parameter that chooses
 PROFILE: Final = b"LINK_PROFILE"
 REASON_S: Final = 0.5  # a refusal and its reason come apart
-NO_MISSION: Final[dict[str, Any]] = {"name": "", "count": 0, "current": None, "state": "none", "digest": None}
-NO_ZONES: Final[dict[str, Any]] = {"home": None, "fence": [], "obstacles": []}
 Tell = Callable[[dict[str, Any]], None]
 
 
@@ -49,20 +45,6 @@ class Profile(NamedTuple):
     due_s: float
 
 
-def planned(boat: Boat, missions: dict[str, dict[str, Any]]) -> dict[str, Any]:
-    """What the page shows of the missions of a boat: the one that is "here", and the one that was read from "aboard"."""
-    here, aboard = missions.get("here"), missions.get("aboard")
-    shown = aboard or here
-    if shown is None:
-        return {"mission": NO_MISSION | {"state": "unknown"}, **NO_ZONES}
-    same = here is not None and aboard is not None and here["digest"] == aboard["digest"]
-    state = "unknown" if aboard is None else "same" if same or here is None else "differs"
-    told = {"name": shown["name"], "count": len(shown["waypoints"]), "digest": shown["digest"], "state": state}
-    item = boat.reference.get("leg")
-    told["current"] = plan.waypoint_of(shown, item) if item is not None else None
-    return {"mission": told, **{key: (aboard or NO_ZONES).get(key) for key in NO_ZONES}}  # the boat keeps no zone of the plan
-
-
 class Fleet:
     """`transmit` puts bytes on the way to an address; `tell` speaks to the pages."""
 
@@ -71,7 +53,8 @@ class Fleet:
     ) -> None:
         self.me = me  # the number of this console
         self.boats: dict[int, Boat] = {}
-        self.missions: dict[int, dict[str, dict[str, Any]]] = {}  # by boat: "here" and "aboard"
+        self._exchange = Exchange(self._send, tell)
+        self.missions = self._exchange.missions
         self.record: Callable[[bytes], None] = lambda frame: None  # every frame that came well or went
         self._clock, self._transmit, self._tell, self._key = clock, transmit, tell, key
         self._peers: dict[Address, Codec] = {}
@@ -79,8 +62,6 @@ class Fleet:
         self._requests = Requests(self._send, self._send_all)
         self._inputs: dict[int, tuple[int, float]] = {}  # by boat in manual: number and time of the last input
         self._ticked_s, self._deaf_until_s, self._slept_s = clock.monotonic_s(), -math.inf, 0.0
-        self._transfers: dict[int, Upload | Download] = {}
-        self._reading = set[int]()  # boats whose plans are read though nobody asked
         self._beat_s = self._complained_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
         self._refused: dict[int, tuple[float, int, int]] = {}  # by boat: until when the reason is waited for, command, result
@@ -131,9 +112,9 @@ class Fleet:
         number = min(silent, key=lambda boat: boat.heard_s).number
         del self.boats[number]
         self._ways.forget(number)
-        for each in (self.missions, self._transfers, self._texts, self._refused, self._profiles):
+        self._exchange.forget(number)
+        for each in (self._texts, self._refused, self._profiles):
             each.pop(number, None)
-        self._reading.discard(number)
         return True
 
     def _complain(self, number: int, address: Address, now_s: float) -> None:
@@ -201,11 +182,7 @@ class Fleet:
             boat.rtt_ms = round(now_s * 1e3 - message.ts1 / 1e6, 1)
 
     def _on_mission(self, boat: Boat, message: Any, now_s: float) -> None:
-        under_way = self._transfers.get(boat.number)
-        if under_way is not None and message.mission_type == under_way.kind:
-            wanted = ("MISSION_COUNT", "MISSION_ITEM_INT") if isinstance(under_way, Download) else _ASKED
-            if message.get_type() in (*wanted, "MISSION_ACK"):
-                under_way.receive(message, now_s)
+        self._exchange.receive(boat, message, now_s)
 
     # What time brings.
 
@@ -226,7 +203,7 @@ class Fleet:
                 boat.synced_s = now_s
                 self._send(boat.number, mavlink.MAVLink_timesync_message(0, round(now_s * 1e9)))
                 self._ask_once(boat)
-            self._read(boat, now_s)
+            self._exchange.read(boat, now_s)
             self._look_for_twins(boat, now_s)
         for number, address in self._ways.to_ask(now_s):
             self._put(address, mavlink.MAVLink_param_ext_request_read_message(number, AUTOPILOT, BOAT_RUN.encode(), -1))
@@ -239,8 +216,7 @@ class Fleet:
                 self._give_reason(number, "")
         for number in list(self._profiles):
             self._choose(number, now_s)
-        for each in list(self._transfers.values()):
-            each.tick(now_s)
+        self._exchange.tick(now_s)
 
     def _look_for_twins(self, boat: Boat, now_s: float) -> None:
         twins = [in_words(each) for each in self._ways.twins(boat.number, now_s)]
@@ -260,15 +236,6 @@ class Fleet:
         if not boat.has_told_modes:
             modes = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES, *(0.0,) * 6  # all of them
             self._send(boat.number, mavlink.MAVLink_command_long_message(*to, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *modes))
-
-    def _read(self, boat: Boat, now_s: float) -> None:
-        """The plans aboard, where others are known or none, so that pages can draw what is sailed."""
-        known = "aboard" in self.missions.get(boat.number, {}) and boat.read == boat.checksum
-        if known or boat.number in self._transfers or now_s < boat.read_due_s or now_s - boat.heard_s > SILENT_S:
-            return
-        boat.read_due_s = now_s + READ_AGAIN_S
-        self.download(boat.number, lambda well, why: self._reading.discard(boat.number))
-        self._reading.add(boat.number)
 
     def snapshot(self) -> list[dict[str, Any]]:
         """All boats for the page, in order of their numbers."""
@@ -338,92 +305,21 @@ class Fleet:
 
     def put(self, number: int, mission: dict[str, Any]) -> None:
         """The plan on the screen for a boat. Raises FormatError, Refused."""
-        kept = plan.with_digest(mission)
-        self._use(number)
-        self.missions.setdefault(number, {})["here"] = kept
+        boat = self._boat(number)
+        self._exchange.put(number, mission)
+        boat.used = True
 
     def upload(self, number: int, answer: Answer) -> None:
         """The plan on the screen to the boat, and back again to compare. Raises Refused."""
-        mission = self.missions.get(number, {}).get("here")
-        if mission is None:
-            raise Refused("there is no mission to send")
-        self._begin_transfer(number)
-        groups = plan.items_of(mission)
-
-        def next_kind(place: int) -> None:
-            kind = transfer.ORDER[place]
-
-            def ended(reason: str) -> None:
-                self._transfers.pop(number, None)
-                if reason:
-                    self._over(number, "upload")
-                    answer(False, reason)
-                elif place + 1 < len(transfer.ORDER):
-                    next_kind(place + 1)
-                else:
-                    self.download(number, lambda well, why: answer(*self._compared(number, well, why)))
-
-            self._transfers[number] = Upload(number, kind, groups[kind], lambda m: self._send(number, m), ended)
-
-        next_kind(0)
+        self._exchange.upload(self._boat(number), answer)
 
     def download(self, number: int, answer: Answer) -> None:
         """The mission that is on board. Raises Refused."""
-        self._begin_transfer(number)
-        groups: list[Sequence[Item]] = []
-
-        def next_kind(kind: int) -> None:
-            def ended(reason: str) -> None:
-                done = self._transfers.pop(number)
-                assert isinstance(done, Download)
-                if reason:
-                    self._over(number, "download")
-                    answer(False, reason)
-                    return
-                groups.append(done.items)
-                if kind + 1 < 3:
-                    next_kind(kind + 1)
-                else:
-                    self._over(number, "download")
-                    self._aboard(number, plan.mission_of("aboard", groups))
-                    answer(True, "")
-
-            self._transfers[number] = Download(number, kind, lambda m: self._send(number, m), ended)
-
-        next_kind(MISSION)
+        self._exchange.download(self._boat(number), answer)
 
     def progress(self) -> list[dict[str, Any]]:
-        """Of the transfers that are under way."""
-        return [
-            {"t": "progress", "boat": n, "what": type(each).__name__.lower(), "part": round((_done(each) + each.part) / 3, 3)}
-            for n, each in self._transfers.items()
-        ]
-
-    def _begin_transfer(self, number: int) -> None:
-        self._boat(number)
-        if number in self._transfers and number not in self._reading:
-            raise Refused("a mission is on its way already")
-        self._reading.discard(number)  # which nobody asked for: it begins again when this one is over
-
-    def _over(self, number: int, what: str) -> None:
-        """Nothing is under way any more, well or not."""
-        self._tell({"t": "progress", "boat": number, "what": what, "part": 1.0})
-
-    def _aboard(self, number: int, mission: dict[str, Any]) -> None:
-        known = self.missions.setdefault(number, {})
-        here = known.get("here")
-        if here is not None and here["digest"] == mission["digest"]:
-            mission["name"] = here["name"]
-        known["aboard"] = mission
-        self.boats[number].read = self.boats[number].checksum
-        self._tell({"t": "mission", "boat": number, "where": "aboard", "mission": mission})
-
-    def _compared(self, number: int, well: bool, why: str) -> tuple[bool, str]:
-        if not well:
-            return False, f"sent, but not read back: {why}"
-        known = self.missions[number]
-        same = known["here"]["digest"] == known["aboard"]["digest"]
-        return same, "" if same else "what the boat has differs from what was sent"
+        """Of the missions that are under way."""
+        return self._exchange.progress()
 
     def _use(self, number: int) -> Boat:
         """The operator does something with it. Raises Refused."""
@@ -481,22 +377,16 @@ class Fleet:
         return round(self._clock.time_ns() / 1e9, 3)
 
 
-def _done(each: Upload | Download) -> int:
-    """How many types of items are over before this one."""
-    return transfer.ORDER.index(each.kind) if isinstance(each, Upload) else each.kind
-
-
 def address_kind(address: Address) -> str:
     """Of which kind a link is: what its addresses begin with."""
     return address[0] if isinstance(address, tuple) else "udp"
 
 
-_ASKED: Final = ("MISSION_REQUEST", "MISSION_REQUEST_INT")
 _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
     "HEARTBEAT": Fleet._on_heartbeat,
     "COMMAND_ACK": Fleet._on_ack,
     "STATUSTEXT": Fleet._on_text,
     "PARAM_VALUE": Fleet._on_param,
     "TIMESYNC": Fleet._on_sync,
-    **dict.fromkeys((*_ASKED, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK"), Fleet._on_mission),
+    **dict.fromkeys(SAID, Fleet._on_mission),
 }

@@ -1,37 +1,23 @@
-"""`delfim console`: the gateway between the boats and the page, one process on the operator's computer.
+"""The gateway between the boats and the page, one process on the operator's computer: what pages are told, and what they ask.
 
-Boats by UDP, the page and its WebSocket by HTTP on loopback; other devices need the token. What is said on the WebSocket stands
-in docs/console.md. All that decides anything is in `Fleet`; here are sockets and time.
+What is said on the WebSocket stands in docs/console.md. All that decides anything about a boat is in `Fleet`.
 """
 
-import argparse
 import asyncio
-import errno
-import hashlib
-import hmac
 import json
-import logging
-import os
-import re
-import secrets
-import signal
-import socket
-import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from functools import partial
-from ipaddress import IPv4Address, IPv6Address, ip_address
 from pathlib import Path
-from typing import Any, Final, cast
+from typing import Any, Final
 
 import msgspec
 from aiohttp import WSMsgType, web
-from aiohttp.http_exceptions import HttpProcessingError
 
 from delfim import __version__
-from delfim.clock import Clock, WakefulClock
+from delfim.clock import Clock
 from delfim.console import said
-from delfim.console.browser import show
+from delfim.console.admission import Admission, own_number
 from delfim.console.charts import Charts
 from delfim.console.dryrun import dry_run
 from delfim.console.fleet import Fleet
@@ -39,57 +25,25 @@ from delfim.console.library import Library
 from delfim.console.mavlink import Key
 from delfim.console.orders import OFFERED
 from delfim.console.radio import radio
-from delfim.console.replay import Replay, open_tapes
+from delfim.console.replay import Replay
 from delfim.console.session import Session
 from delfim.console.tape import Tape
-from delfim.errors import ConfigError, DelfimError, FormatError, Refused
-from delfim.eventloop import new_event_loop
-from delfim.outside import read_text
+from delfim.console.udp import Udp
+from delfim.errors import DelfimError, FormatError, Refused
 
 PAGE: Final = Path(__file__).with_name("page")
-TICK_S: Final = 0.05
 SHOW_TICKS: Final = 2  # ten times a second
 CHUNK: Final = 500  # points of a track in one message
 BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses what is not the newest
-IPTOS_LOWDELAY: Final = 0x10
 PAGES_MAX: Final = 8
 DRY_RUNS_MAX: Final = 2
 QUEUE_MAX: Final = 1000  # messages to one of them
 MESSAGE_BYTES: Final = 1 << 20
-TOKEN_BYTES: Final = 12
-NUMBERS: Final = range(200, 255)  # of consoles; QGroundControl and MAVProxy have 255
-_TOKEN: Final = re.compile(r"[\w-]{16}", re.ASCII)
-LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
-
-log = logging.getLogger(__name__)
 
 
 def encoded(message: Any) -> str:
     """JSON, in which a number that is not finite is null: a browser takes nothing else."""
     return msgspec.json.encode(message).decode()
-
-
-class Udp(asyncio.DatagramProtocol):
-    """One UDP socket for all boats: whoever speaks to it is answered there."""
-
-    def __init__(self, receive: Callable[[Any, bytes], None]) -> None:
-        self._receive = receive
-        self._transport: asyncio.DatagramTransport | None = None
-
-    def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.DatagramTransport, transport)
-        with suppress(OSError, AttributeError):  # not every system lets a program set it
-            transport.get_extra_info("socket").setsockopt(socket.IPPROTO_IP, socket.IP_TOS, IPTOS_LOWDELAY)
-
-    def datagram_received(self, data: bytes, address: Any) -> None:
-        self._receive(("udp", *address[:2]), data)
-
-    def error_received(self, exc: Exception) -> None:
-        """Nobody at the other end, now: the ages say it."""
-
-    def send(self, address: Any, data: bytes) -> None:
-        if self._transport is not None:
-            self._transport.sendto(data, address[1:])
 
 
 class Page:
@@ -138,7 +92,8 @@ class Gateway:
         self.radios = {each.device: each for each in (radio(words, self._receive) for words in radios)}
         self.session = Session(sessions, clock) if sessions is not None and not tapes else None
         self.charts = Charts(charts)
-        self.token = token or secrets.token_urlsafe(TOKEN_BYTES)
+        admission = Admission(token)
+        self.token = admission.token
         self.me = number or own_number(self.token)
         self.fleet: Fleet | Replay
         if tapes:
@@ -153,7 +108,7 @@ class Gateway:
         self._clock, self._library, self._pages = clock, Library(missions), set[Page]()
         self._vehicle, self._dry_runs = vehicle, 0
         self._ticks = 0
-        self.app = web.Application(middlewares=[self._admit], client_max_size=MESSAGE_BYTES)
+        self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
         self.app.router.add_get("/", self._index)
         self.app.router.add_get("/ws", self._socket)
         self.app.router.add_get("/api/boats", self._boats)
@@ -205,25 +160,6 @@ class Gateway:
             self.radios[address[1]].send(data)
         else:
             self.udp.send(address, data)
-
-    @web.middleware
-    async def _admit(self, request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
-        """Who knows the token, which is in the address that the console prints, and then in a cookie. A page of another site
-        may not speak for its visitor. On this computer only its own names count: of another its owner may say that it is here.
-        """
-        host, (own, port) = request.headers.get("Host", ""), _end(request)
-        if own.is_loopback and host.lower() not in {f"{name}:{port}" for name in (_bracketed(own), *LOOPBACK)}:
-            raise web.HTTPForbidden(text=f"this console is at http://{_bracketed(own)}:{port}/\n")
-        if request.headers.get("Origin", f"http://{host}") != f"http://{host}" or not host:
-            raise web.HTTPForbidden(text="another site's page\n")
-        cookie = f"delfim-{port}"  # a browser keeps cookies by host, and several consoles may be on one
-        given = request.query.get("token") or request.cookies.get(cookie) or ""
-        if not hmac.compare_digest(given.encode(), self.token.encode()):
-            raise web.HTTPForbidden(text="this console opens by the address that it printed when it started: ...?token=...\n")
-        response: web.StreamResponse = await handler(request)
-        if "token" in request.query and not response.prepared:
-            response.set_cookie(cookie, self.token, httponly=True, samesite="Lax")  # the boat's page has a link to here
-        return response
 
     async def _index(self, request: web.Request) -> web.StreamResponse:
         if not (PAGE / "index.html").exists():
@@ -419,133 +355,3 @@ def _chunks(points: list[tuple[float, float, float]]) -> Iterator[list[tuple[flo
     """Of a track; one at least."""
     for at in range(0, max(len(points), 1), CHUNK):
         yield points[at : at + CHUNK]
-
-
-def _end(request: web.Request) -> tuple[IPv4Address | IPv6Address, int]:
-    """Our end of the connection."""
-    if request.transport is None:
-        raise web.HTTPForbidden(text="the connection is gone\n")
-    host, port = request.transport.get_extra_info("sockname")[:2]
-    return ip_address(host.partition("%")[0]), port
-
-
-def _bracketed(address: IPv4Address | IPv6Address) -> str:
-    return f"[{address}]" if address.version == 6 else str(address)
-
-
-async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str, int], ready: Callable[[str], None]) -> None:
-    """Until cancelled; without `boats` no UDP is heard. Raises ConfigError for an address that cannot be had."""
-    loop = asyncio.get_running_loop()
-    visits = logging.getLogger(f"{__name__}.visits")
-    visits.addFilter(_is_news)
-    runner = web.AppRunner(gateway.app, access_log=None, logger=visits, shutdown_timeout=1.0)
-    transport: asyncio.DatagramTransport | None = None
-    try:
-        if boats is not None:
-            with _refused("--boats", boats):
-                transport, _ = await loop.create_datagram_endpoint(lambda: gateway.udp, local_addr=boats)
-            gateway.heard_on.insert(0, f"{boats[0]}:{boats[1]}")
-        await runner.setup()
-        with _refused("--page", page):
-            await web.TCPSite(runner, *page).start()
-        for each in gateway.radios.values():
-            each.start()
-        port = runner.addresses[0][1]
-        ready(f"http://{_bracketed(ip_address(page[0]))}:{port}/?token={gateway.token}")
-        while True:
-            await asyncio.sleep(TICK_S)
-            gateway.tick()
-    finally:
-        gateway.fleet.release_all("the console ended")
-        await runner.cleanup()
-        if transport is not None:
-            transport.close()
-        gateway.close()
-
-
-def _is_news(record: logging.LogRecord) -> bool:
-    """What a visitor sends that is no HTTP is none: he could fill the terminal with it."""
-    return not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
-
-
-@contextmanager
-def _refused(option: str, address: tuple[str, int]) -> Iterator[None]:
-    try:
-        yield
-    except OSError as error:
-        taken = error.errno == errno.EADDRINUSE
-        reason = (
-            f"another program has it, perhaps another console; choose with {option} ADDRESS:PORT" if taken else error.strerror
-        )
-        raise ConfigError(option, f"{address[0]}:{address[1]}", str(reason)) from None
-
-
-def own_number(token: str) -> int:
-    """Of this console, by which boats know it from others: drawn with its token, and kept with it."""
-    return NUMBERS[hashlib.sha256(token.encode()).digest()[0] % len(NUMBERS)]
-
-
-def kept_token(file: Path) -> str:
-    """What lets a browser in, the same at each start: a page that is open finds its console again. Where no file can be, it is
-    the token of this run."""
-    with suppress(OSError, FormatError):
-        if _TOKEN.fullmatch(token := read_text(file).strip()):
-            return token
-    token = secrets.token_urlsafe(TOKEN_BYTES)
-    with suppress(OSError):
-        file.parent.mkdir(parents=True, exist_ok=True)
-        with open(file, "w", encoding="ascii", opener=partial(os.open, mode=0o600)) as out:
-            out.write(f"{token}\n")
-    return token
-
-
-def run(asked: argparse.Namespace) -> int:
-    """The command."""
-    host, port = _address("--page", asked.page)
-    tapes = open_tapes([Path(each) for each in asked.replay]) if asked.replay else []
-    gateway = Gateway(
-        WakefulClock(),
-        Path(asked.missions),
-        Key(Path(asked.key)) if asked.key else None,
-        kept_token(Path(asked.token).expanduser()),
-        Path(asked.vehicle) if asked.vehicle else None,
-        charts=Path(asked.charts),
-        radios=() if tapes else asked.radio,
-        sessions=Path(asked.sessions),
-        tapes=tapes,
-        number=asked.number,
-    )
-
-    def ready(url: str) -> None:
-        what = (
-            f"{len(tapes)} recordings are replayed" if tapes else f"boats are heard on {', '.join([asked.boats, *asked.radio])}"
-        )
-        print(f"delfim: the console is at {url}; {what}; it is console {gateway.me}", flush=True)
-        for complaint in filter(None, [*gateway.charts.faults, *(tape.complaint for tape in tapes)]):
-            print(f"delfim: {complaint}", file=sys.stderr)
-        if asked.browser:
-            show(url)
-
-    async def until_ended() -> None:
-        """In order: zero to what is steered, the session to the disk."""
-        serving = asyncio.current_task()
-        assert serving is not None
-        with suppress(NotImplementedError):  # on Windows Ctrl-C is raised instead
-            for number in (signal.SIGINT, signal.SIGTERM):
-                asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
-        await serve(gateway, None if tapes else _address("--boats", asked.boats), (host, port), ready)
-
-    with suppress(KeyboardInterrupt, asyncio.CancelledError), asyncio.Runner(loop_factory=new_event_loop) as runner:
-        runner.run(until_ended())
-    return 0
-
-
-def _address(option: str, text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    try:
-        ip_address(host)
-        if not 0 <= int(port) < 1 << 16:
-            raise ValueError
-        return host, int(port)
-    except ValueError:
-        raise ConfigError(option, text, "no address", "ADDRESS:PORT") from None

@@ -8,7 +8,7 @@ from typing import Any, Final, NoReturn
 
 from delfim.clock import Clock
 from delfim.console.boats import Boat
-from delfim.console.fleet import planned
+from delfim.console.exchange import planned
 from delfim.console.plan import mission_of
 from delfim.console.statetape import States
 from delfim.console.tape import Session, Tape, Track

@@ -21,8 +21,10 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.clock import Clock, ManualClock, SystemClock, WakefulClock
 from delfim.console import browser
-from delfim.console.gateway import PAGES_MAX, Gateway, kept_token, own_number, serve
+from delfim.console.admission import kept_token, own_number
+from delfim.console.gateway import PAGES_MAX, Gateway
 from delfim.console.replay import open_tapes
+from delfim.console.serving import serve
 from delfim.errors import ConfigError
 from tests.console.fakeboat import FakeBoat
 

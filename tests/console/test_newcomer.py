@@ -14,8 +14,9 @@ from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.clock import ManualClock, SystemClock
 from delfim.console.fleet import Fleet
-from delfim.console.gateway import Gateway, serve
+from delfim.console.gateway import Gateway
 from delfim.console.replay import open_tapes
+from delfim.console.serving import serve
 from delfim.console.session import Session
 from delfim.console.tape import Tape
 from tests.console.fakeboat import FakeBoat

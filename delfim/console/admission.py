@@ -1,0 +1,80 @@
+"""Who may open the page, by a token; and the number by which boats know this console from others, which comes of it."""
+
+import hashlib
+import hmac
+import os
+import re
+import secrets
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from ipaddress import IPv4Address, IPv6Address, ip_address
+from pathlib import Path
+from typing import Any, Final
+
+from aiohttp import web
+
+from delfim.errors import FormatError
+from delfim.outside import read_text
+
+TOKEN_BYTES: Final = 12
+NUMBERS: Final = range(200, 255)  # of consoles; QGroundControl and MAVProxy have 255
+_TOKEN: Final = re.compile(r"[\w-]{16}", re.ASCII)
+LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
+
+
+class Admission:
+    """Without a token one is drawn."""
+
+    def __init__(self, token: str = "") -> None:
+        self.token = token or secrets.token_urlsafe(TOKEN_BYTES)
+
+    @web.middleware
+    async def admit(self, request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
+        """Who knows the token, which is in the address that the console prints, and then in a cookie. A page of another site
+        may not speak for its visitor. On this computer only its own names count: of another its owner may say that it is here.
+        """
+        host, (own, port) = request.headers.get("Host", ""), _end(request)
+        if own.is_loopback and host.lower() not in {f"{name}:{port}" for name in (bracketed(own), *LOOPBACK)}:
+            raise web.HTTPForbidden(text=f"this console is at http://{bracketed(own)}:{port}/\n")
+        if request.headers.get("Origin", f"http://{host}") != f"http://{host}" or not host:
+            raise web.HTTPForbidden(text="another site's page\n")
+        cookie = f"delfim-{port}"  # a browser keeps cookies by host, and several consoles may be on one
+        given = request.query.get("token") or request.cookies.get(cookie) or ""
+        if not hmac.compare_digest(given.encode(), self.token.encode()):
+            raise web.HTTPForbidden(text="this console opens by the address that it printed when it started: ...?token=...\n")
+        response: web.StreamResponse = await handler(request)
+        if "token" in request.query and not response.prepared:
+            response.set_cookie(cookie, self.token, httponly=True, samesite="Lax")  # the boat's page has a link to here
+        return response
+
+
+def _end(request: web.Request) -> tuple[IPv4Address | IPv6Address, int]:
+    """Our end of the connection."""
+    if request.transport is None:
+        raise web.HTTPForbidden(text="the connection is gone\n")
+    host, port = request.transport.get_extra_info("sockname")[:2]
+    return ip_address(host.partition("%")[0]), port
+
+
+def bracketed(address: IPv4Address | IPv6Address) -> str:
+    return f"[{address}]" if address.version == 6 else str(address)
+
+
+def own_number(token: str) -> int:
+    """Of this console, by which boats know it from others: drawn with its token, and kept with it."""
+    return NUMBERS[hashlib.sha256(token.encode()).digest()[0] % len(NUMBERS)]
+
+
+def kept_token(file: Path) -> str:
+    """What lets a browser in, the same at each start: a page that is open finds its console again. Where no file can be, it is
+    the token of this run."""
+    with suppress(OSError, FormatError):
+        if _TOKEN.fullmatch(token := read_text(file).strip()):
+            return token
+    token = secrets.token_urlsafe(TOKEN_BYTES)
+    with suppress(OSError):
+        file.parent.mkdir(parents=True, exist_ok=True)
+        with open(file, "w", encoding="ascii", opener=partial(os.open, mode=0o600)) as out:
+            out.write(f"{token}\n")
+    return token

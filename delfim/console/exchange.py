@@ -1,0 +1,160 @@
+"""The plans of all boats: those on the screen, those aboard, and what is on its way between the two."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+from delfim.console import plan
+from delfim.console.boats import SILENT_S, Boat
+from delfim.console.requests import Answer
+from delfim.console.transfer import ORDER, Download, Upload
+from delfim.errors import Refused
+from delfim.vehicle.mavlink.plans import MISSION, Item
+
+READ_AGAIN_S: Final = 10.0  # plans that could not be read
+NO_MISSION: Final[dict[str, Any]] = {"name": "", "count": 0, "current": None, "state": "none", "digest": None}
+NO_ZONES: Final[dict[str, Any]] = {"home": None, "fence": [], "obstacles": []}
+ASKED: Final = ("MISSION_REQUEST", "MISSION_REQUEST_INT")
+SAID: Final = (*ASKED, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK")  # by a boat, of its plans
+
+
+def planned(boat: Boat, missions: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """What the page shows of the missions of a boat: the one that is "here", and the one that was read from "aboard"."""
+    here, aboard = missions.get("here"), missions.get("aboard")
+    shown = aboard or here
+    if shown is None:
+        return {"mission": NO_MISSION | {"state": "unknown"}, **NO_ZONES}
+    same = here is not None and aboard is not None and here["digest"] == aboard["digest"]
+    state = "unknown" if aboard is None else "same" if same or here is None else "differs"
+    told = {"name": shown["name"], "count": len(shown["waypoints"]), "digest": shown["digest"], "state": state}
+    item = boat.reference.get("leg")
+    told["current"] = plan.waypoint_of(shown, item) if item is not None else None
+    return {"mission": told, **{key: (aboard or NO_ZONES).get(key) for key in NO_ZONES}}  # the boat keeps no zone of the plan
+
+
+class Exchange:
+    """`send` puts a message on the way to a boat; `tell` speaks to the pages."""
+
+    def __init__(self, send: Callable[[int, Any], None], tell: Callable[[dict[str, Any]], None]) -> None:
+        self.missions: dict[int, dict[str, dict[str, Any]]] = {}  # by boat: "here" and "aboard"
+        self._send, self._tell = send, tell
+        self._transfers: dict[int, Upload | Download] = {}
+        self._reading = set[int]()  # boats whose plans are read though nobody asked
+
+    def forget(self, number: int) -> None:
+        self.missions.pop(number, None)
+        self._transfers.pop(number, None)
+        self._reading.discard(number)
+
+    def receive(self, boat: Boat, message: Any, now_s: float) -> None:
+        """One of SAID."""
+        under_way = self._transfers.get(boat.number)
+        if under_way is not None and message.mission_type == under_way.kind:
+            wanted = ("MISSION_COUNT", "MISSION_ITEM_INT") if isinstance(under_way, Download) else ASKED
+            if message.get_type() in (*wanted, "MISSION_ACK"):
+                under_way.receive(message, now_s)
+
+    def tick(self, now_s: float) -> None:
+        for each in list(self._transfers.values()):
+            each.tick(now_s)
+
+    def read(self, boat: Boat, now_s: float) -> None:
+        """The plans aboard, where others are known or none, so that pages can draw what is sailed."""
+        known = "aboard" in self.missions.get(boat.number, {}) and boat.read == boat.checksum
+        if known or boat.number in self._transfers or now_s < boat.read_due_s or now_s - boat.heard_s > SILENT_S:
+            return
+        boat.read_due_s = now_s + READ_AGAIN_S
+        self.download(boat, lambda well, why: self._reading.discard(boat.number))
+        self._reading.add(boat.number)
+
+    def put(self, number: int, mission: dict[str, Any]) -> None:
+        """The plan on the screen for a boat. Raises FormatError."""
+        self.missions.setdefault(number, {})["here"] = plan.with_digest(mission)
+
+    def upload(self, boat: Boat, answer: Answer) -> None:
+        """The plan on the screen to the boat, and back again to compare. Raises Refused."""
+        number = boat.number
+        mission = self.missions.get(number, {}).get("here")
+        if mission is None:
+            raise Refused("there is no mission to send")
+        self._begin(number)
+        groups = plan.items_of(mission)
+
+        def next_kind(place: int) -> None:
+            kind = ORDER[place]
+
+            def ended(reason: str) -> None:
+                self._transfers.pop(number, None)
+                if reason:
+                    self._over(number, "upload")
+                    answer(False, reason)
+                elif place + 1 < len(ORDER):
+                    next_kind(place + 1)
+                else:
+                    self.download(boat, lambda well, why: answer(*self._compared(number, well, why)))
+
+            self._transfers[number] = Upload(number, kind, groups[kind], lambda m: self._send(number, m), ended)
+
+        next_kind(0)
+
+    def download(self, boat: Boat, answer: Answer) -> None:
+        """The mission that is on board. Raises Refused."""
+        number = boat.number
+        self._begin(number)
+        groups: list[Sequence[Item]] = []
+
+        def next_kind(kind: int) -> None:
+            def ended(reason: str) -> None:
+                done = self._transfers.pop(number)
+                assert isinstance(done, Download)
+                if reason:
+                    self._over(number, "download")
+                    answer(False, reason)
+                    return
+                groups.append(done.items)
+                if kind + 1 < len(ORDER):
+                    next_kind(kind + 1)
+                else:
+                    self._over(number, "download")
+                    self._aboard(boat, plan.mission_of("aboard", groups))
+                    answer(True, "")
+
+            self._transfers[number] = Download(number, kind, lambda m: self._send(number, m), ended)
+
+        next_kind(MISSION)
+
+    def progress(self) -> list[dict[str, Any]]:
+        """Of the transfers that are under way."""
+        return [
+            {"t": "progress", "boat": n, "what": type(each).__name__.lower(), "part": round((_done(each) + each.part) / 3, 3)}
+            for n, each in self._transfers.items()
+        ]
+
+    def _begin(self, number: int) -> None:
+        if number in self._transfers and number not in self._reading:
+            raise Refused("a mission is on its way already")
+        self._reading.discard(number)  # which nobody asked for: it begins again when this one is over
+
+    def _over(self, number: int, what: str) -> None:
+        """Nothing is under way any more, well or not."""
+        self._tell({"t": "progress", "boat": number, "what": what, "part": 1.0})
+
+    def _aboard(self, boat: Boat, mission: dict[str, Any]) -> None:
+        known = self.missions.setdefault(boat.number, {})
+        here = known.get("here")
+        if here is not None and here["digest"] == mission["digest"]:
+            mission["name"] = here["name"]
+        known["aboard"] = mission
+        boat.read = boat.checksum
+        self._tell({"t": "mission", "boat": boat.number, "where": "aboard", "mission": mission})
+
+    def _compared(self, number: int, well: bool, why: str) -> tuple[bool, str]:
+        if not well:
+            return False, f"sent, but not read back: {why}"
+        known = self.missions[number]
+        same = known["here"]["digest"] == known["aboard"]["digest"]
+        return same, "" if same else "what the boat has differs from what was sent"
+
+
+def _done(each: Upload | Download) -> int:
+    """How many types of items are over before this one."""
+    return ORDER.index(each.kind) if isinstance(each, Upload) else each.kind

@@ -1,0 +1,126 @@
+"""`delfim console`: the gateway with its sockets, until it is ended."""
+
+import argparse
+import asyncio
+import errno
+import logging
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from ipaddress import ip_address
+from pathlib import Path
+from typing import Final
+
+from aiohttp import web
+from aiohttp.http_exceptions import HttpProcessingError
+
+from delfim.clock import WakefulClock
+from delfim.console.admission import bracketed, kept_token
+from delfim.console.browser import show
+from delfim.console.gateway import Gateway
+from delfim.console.mavlink import Key
+from delfim.console.replay import open_tapes
+from delfim.errors import ConfigError
+from delfim.eventloop import new_event_loop
+
+TICK_S: Final = 0.05
+
+
+async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str, int], ready: Callable[[str], None]) -> None:
+    """Until cancelled; without `boats` no UDP is heard. Raises ConfigError for an address that cannot be had."""
+    loop = asyncio.get_running_loop()
+    visits = logging.getLogger(f"{__name__}.visits")
+    visits.addFilter(_is_news)
+    runner = web.AppRunner(gateway.app, access_log=None, logger=visits, shutdown_timeout=1.0)
+    transport: asyncio.DatagramTransport | None = None
+    try:
+        if boats is not None:
+            with _refused("--boats", boats):
+                transport, _ = await loop.create_datagram_endpoint(lambda: gateway.udp, local_addr=boats)
+            gateway.heard_on.insert(0, f"{boats[0]}:{boats[1]}")
+        await runner.setup()
+        with _refused("--page", page):
+            await web.TCPSite(runner, *page).start()
+        for each in gateway.radios.values():
+            each.start()
+        port = runner.addresses[0][1]
+        ready(f"http://{bracketed(ip_address(page[0]))}:{port}/?token={gateway.token}")
+        while True:
+            await asyncio.sleep(TICK_S)
+            gateway.tick()
+    finally:
+        gateway.fleet.release_all("the console ended")
+        await runner.cleanup()
+        if transport is not None:
+            transport.close()
+        gateway.close()
+
+
+def _is_news(record: logging.LogRecord) -> bool:
+    """What a visitor sends that is no HTTP is none: he could fill the terminal with it."""
+    return not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
+
+
+@contextmanager
+def _refused(option: str, address: tuple[str, int]) -> Iterator[None]:
+    try:
+        yield
+    except OSError as error:
+        taken = error.errno == errno.EADDRINUSE
+        reason = (
+            f"another program has it, perhaps another console; choose with {option} ADDRESS:PORT" if taken else error.strerror
+        )
+        raise ConfigError(option, f"{address[0]}:{address[1]}", str(reason)) from None
+
+
+def run(asked: argparse.Namespace) -> int:
+    """The command."""
+    host, port = _address("--page", asked.page)
+    tapes = open_tapes([Path(each) for each in asked.replay]) if asked.replay else []
+    gateway = Gateway(
+        WakefulClock(),
+        Path(asked.missions),
+        Key(Path(asked.key)) if asked.key else None,
+        kept_token(Path(asked.token).expanduser()),
+        Path(asked.vehicle) if asked.vehicle else None,
+        charts=Path(asked.charts),
+        radios=() if tapes else asked.radio,
+        sessions=Path(asked.sessions),
+        tapes=tapes,
+        number=asked.number,
+    )
+
+    def ready(url: str) -> None:
+        what = (
+            f"{len(tapes)} recordings are replayed" if tapes else f"boats are heard on {', '.join([asked.boats, *asked.radio])}"
+        )
+        print(f"delfim: the console is at {url}; {what}; it is console {gateway.me}", flush=True)
+        for complaint in filter(None, [*gateway.charts.faults, *(tape.complaint for tape in tapes)]):
+            print(f"delfim: {complaint}", file=sys.stderr)
+        if asked.browser:
+            show(url)
+
+    async def until_ended() -> None:
+        """In order: zero to what is steered, the session to the disk."""
+        serving = asyncio.current_task()
+        assert serving is not None
+        with suppress(NotImplementedError):  # on Windows Ctrl-C is raised instead
+            for number in (signal.SIGINT, signal.SIGTERM):
+                asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
+        await serve(gateway, None if tapes else _address("--boats", asked.boats), (host, port), ready)
+
+    with suppress(KeyboardInterrupt, asyncio.CancelledError), asyncio.Runner(loop_factory=new_event_loop) as runner:
+        runner.run(until_ended())
+    return 0
+
+
+def _address(option: str, text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    try:
+        ip_address(host)
+        if not 0 <= int(port) < 1 << 16:
+            raise ValueError
+        return host, int(port)
+    except ValueError:
+        raise ConfigError(option, text, "no address", "ADDRESS:PORT") from None
