@@ -195,7 +195,7 @@ def _fences(boat: Vehicle) -> list[Row]:
         far = Setpoint(target=To(9000.0, 9000.0, 1.5, 5.0))
         return fence.crossing(f, Mode.GOTO, near(0.0), far)
 
-    own = config.Fence()
+    own = config.FenceTable()
     around = Sliced(fence.survey(own, zones(boat), _origin(boat))).finish()
     assert around is not None
     legal, worst = around, fence.Fence(tuple(comb(6.0 + 0.001 * i) for i in range(200)), own)

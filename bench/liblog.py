@@ -170,7 +170,7 @@ def figure_us(way: Callable[[Path], Any], path: Path, writes: int) -> list[float
 
 def put_us(directory: Path, method: Method, seconds: float) -> list[float]:
     """The time of each put of liblog, paced, sorted, us."""
-    log = open_log(config.Log(directory=str(directory), free_bytes_min=0), method, ".log", method, SystemClock())
+    log = open_log(config.LogTable(directory=str(directory), free_bytes_min=0), method, ".log", method, SystemClock())
     times = paced_us(log.put, log.poll, seconds)
     log.close()
     assert log.status().records == len(times), log.status()

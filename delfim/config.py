@@ -73,7 +73,7 @@ def address(text: str) -> tuple[str, int]:
     return host.strip("[]"), int(port)
 
 
-class Boat(Table, frozen=True):
+class BoatTable(Table, frozen=True):
     """What the boat is."""
 
     name: Name  # of the boat, in logs and on screens
@@ -107,7 +107,7 @@ class Nmea2000(Table, frozen=True):
     variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while the bus sends none
 
 
-class Propulsion(Table, frozen=True):
+class PropulsionTable(Table, frozen=True):
     """What moves the boat. All actuators are given the same command; each takes its part of it."""
 
     actuators: Actuators = ("dsor",)  # of the boat
@@ -325,7 +325,7 @@ class Zones(Table, frozen=True):
     keep_out: Annotated[tuple[KeepOut, ...], msgspec.Meta(max_length=ZONES)] = ()  # zones that the boat does not enter
 
 
-class Fence(Zones, frozen=True):
+class FenceTable(Zones, frozen=True):
     """Where the boat may be, always, and what it needs to stay there."""
 
     margin_m: Metres = 3.0  # the boat stops so far from the fence
@@ -373,7 +373,7 @@ class Mavlink(Table, frozen=True):
     command_age_s: Seconds = 3.0  # a signed command that was on the way for longer is not obeyed
 
 
-class Guest(Table, frozen=True):
+class GuestTable(Table, frozen=True):
     """The guest computer's TCP server (GREX in the thesis)."""
 
     enabled: bool = False  # serve a guest
@@ -467,7 +467,7 @@ class Httpd(Table, frozen=True):
     console: str = ""  # where the operator's console is, for a link to it, such as "http://127.0.0.1:8765/"; "" for none
 
 
-class Powerd(Table, frozen=True):
+class PowerdTable(Table, frozen=True):
     """The ordered end: by the shutdown frame, a button, a command, or before the batteries are empty (docs/powerd.md)."""
 
     partition: MountPoint = "/log"  # unmounted at last, if logs go there; "": none
@@ -520,7 +520,7 @@ class Sshd(Table, frozen=True):
     users: dict[Name, SshUser] = msgspec.field(default_factory=dict)
 
 
-class Log(Table, frozen=True):
+class LogTable(Table, frozen=True):
     """Where and how logs are written, and what happens when the disk is full."""
 
     directory: str = "/log"  # where logs go
@@ -541,7 +541,7 @@ class Logd(Table, frozen=True):
     nodes: tuple[Annotated[int, msgspec.Meta(ge=1, le=126)], ...] = ()  # whose messages are logged; empty: the service is off
 
 
-class Runtime(Table, frozen=True):
+class RuntimeTable(Table, frozen=True):
     """Real-time settings. What the process is not allowed to set costs one warning."""
 
     nice: Nice = 0  # of the runtime
@@ -555,7 +555,7 @@ class Runtime(Table, frozen=True):
     run_directory: str = "/run/delfim"  # for sockets and state files
 
 
-class Supervisor(Table, frozen=True):
+class SupervisorTable(Table, frozen=True):
     """The parent: dead-man and restarts."""
 
     deadman_s: Annotated[float, msgspec.Meta(ge=0.1, le=60.0)] = 1.0  # silence of the runtime that stops it
@@ -572,7 +572,7 @@ class Image(Table, frozen=True):
     directory: str = "/boot"  # where it is mounted
 
 
-class Service(Table, frozen=True):
+class ServiceTable(Table, frozen=True):
     """A service of the suite, by its name."""
 
     enabled: bool = True  # run it
@@ -613,20 +613,20 @@ class Simulation(Table, frozen=True):
 class Vehicle(Table, frozen=True):
     """The whole file."""
 
-    boat: Boat
+    boat: BoatTable
     can: Can = Can()
     navigation: NavigationTable = NavigationTable()
     nmea2000: Nmea2000 = Nmea2000()
-    propulsion: Propulsion = Propulsion()
+    propulsion: PropulsionTable = PropulsionTable()
     control: ControlTable = ControlTable()
     failsafe: Failsafe = Failsafe()
-    fence: Fence = Fence()
+    fence: FenceTable = FenceTable()
     checks: Checks = Checks()
     sensors: Sensors = Sensors()
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
     mavlink: Mavlink = Mavlink()
-    guest: Guest = Guest()
+    guest: GuestTable = GuestTable()
     cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()
     timed: Timed = Timed()
@@ -634,13 +634,13 @@ class Vehicle(Table, frozen=True):
     httpd: Httpd = Httpd()
     ftpd: Ftpd = Ftpd()
     sshd: Sshd = Sshd()
-    powerd: Powerd = Powerd()
-    log: Log = Log()
+    powerd: PowerdTable = PowerdTable()
+    log: LogTable = LogTable()
     logd: Logd = Logd()
-    runtime: Runtime = Runtime()
-    supervisor: Supervisor = Supervisor()
+    runtime: RuntimeTable = RuntimeTable()
+    supervisor: SupervisorTable = SupervisorTable()
     image: Image = Image()
-    services: dict[Name, Service] = msgspec.field(default_factory=dict)
+    services: dict[Name, ServiceTable] = msgspec.field(default_factory=dict)
     simulation: Simulation = Simulation()
 
     def outside(self, key: Literal["interface", "device"]) -> dict[str, str]:

@@ -84,7 +84,7 @@ def services(settings: config.Vehicle) -> list[Service]:
     for name in settings.services:
         if name not in known:
             raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
-    asked = {row.name: settings.services.get(row.name, config.Service()) for row in SERVICES}
+    asked = {row.name: settings.services.get(row.name, config.ServiceTable()) for row in SERVICES}
     enabled = [(row, asked[row.name]) for row in SERVICES if asked[row.name].enabled and row.when(settings)]
     rows = [row if one.place == "default" else row._replace(place=one.place) for row, one in enabled]
     for row in rows:
@@ -165,7 +165,7 @@ def _above(fifo_priority: int) -> None:
 
 
 def _limits(settings: config.Vehicle, name: str) -> cgroup.Limits:
-    asked = settings.services.get(name, config.Service())
+    asked = settings.services.get(name, config.ServiceTable())
     return cgroup.Limits(asked.memory_max_mb << 20, asked.cpu_max)
 
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config, tables
-from delfim.config import Service, Vehicle
+from delfim.config import ServiceTable, Vehicle
 from delfim.errors import ConfigError
 from delfim.tables import Table
 
@@ -33,12 +33,12 @@ def refused(tmp_path: Path, text: str) -> ConfigError:
 
 
 def test_a_name_is_enough(tmp_path: Path) -> None:
-    assert load(tmp_path, BOAT) == Vehicle(boat=config.Boat(name="delfimx"))
+    assert load(tmp_path, BOAT) == Vehicle(boat=config.BoatTable(name="delfimx"))
 
 
 def test_defaults_lie_within_their_own_ranges() -> None:
     """Defaults are not checked when they are used, so they are checked here."""
-    vehicle = Vehicle(boat=config.Boat(name="x"))
+    vehicle = Vehicle(boat=config.BoatTable(name="x"))
     assert msgspec.convert(msgspec.to_builtins(vehicle), Vehicle) == vehicle
 
 
@@ -64,7 +64,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
     assert vehicle.navigation.rate_hz == 10.0
     assert vehicle.control.heading.p_rpm_per_rad == 0.0
     assert vehicle.runtime.cpus == (0, 3)
-    assert vehicle.services == {"httpd": Service(place="process"), "log-guard": Service(enabled=False)}
+    assert vehicle.services == {"httpd": ServiceTable(place="process"), "log-guard": ServiceTable(enabled=False)}
 
 
 @pytest.mark.parametrize(

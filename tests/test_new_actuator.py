@@ -105,7 +105,7 @@ def test_an_actuator_that_cannot_be_told_keeps_no_other_from_its_stop(monkeypatc
 
     broken.open_actuator = open_actuator  # type: ignore[attr-defined]
     monkeypatch.setitem(sys.modules, broken.__name__, broken)
-    settings = config.Vehicle(boat=config.Boat(name="test"), can=config.Can(interface=f"canloop:stop-{os.getpid()}"))
+    settings = config.Vehicle(boat=config.BoatTable(name="test"), can=config.Can(interface=f"canloop:stop-{os.getpid()}"))
     both = msgspec.structs.replace(settings.propulsion, actuators=("broken", "dsor"))
     settings = msgspec.structs.replace(settings, propulsion=both)
     with open_can(settings.can.interface) as bus, contextlib.closing(PropellerStop(settings)) as stop:

@@ -10,8 +10,7 @@ import pytest
 from delfim import config
 from delfim.clock import SystemClock
 from delfim.errors import PermanentFailure
-from delfim.services.runtime import Runtime
-from delfim.services.runtime import Service as Running
+from delfim.services.runtime import LoadedService, Runtime
 from delfim.suite import SERVICES, Service, services
 
 VEHICLE = Path(__file__).parents[1] / "etc" / "delfimx.toml"
@@ -55,7 +54,7 @@ def test_each_row_names_a_coroutine_that_there_is() -> None:
 def test_a_service_whose_package_is_missing_says_so_and_is_not_started_again(late: bool) -> None:
     row = Service("radar", "no_such_package.radar:serve")
     runtime = Runtime(config.load(VEHICLE), SystemClock(), alone=True)
-    runtime.main([Running(row.name, row.loading() if late else row.loaded())])
+    runtime.main([LoadedService(row.name, row.loading() if late else row.loaded())])
     assert runtime.status["radar"].state == "failed"
     assert "no_such_package is not installed" in runtime.status["radar"].reason
 

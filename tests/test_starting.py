@@ -34,11 +34,11 @@ def test_the_vehicle_says_that_the_computer_is_starting_until_it_is_watched_over
     reader, writer = os.pipe()
     said: list[dict[str, Any]] = []
     settings = config.Vehicle(
-        boat=config.Boat(name="Test"),
+        boat=config.BoatTable(name="Test"),
         can=config.Can(interface=f"canloop:{tmp_path.name[:24]}"),
         console=config.Console(socket=str(tmp_path / "command")),
-        log=config.Log(directory=str(tmp_path / "log"), free_bytes_min=0),
-        runtime=config.Runtime(run_directory=str(tmp_path)),
+        log=config.LogTable(directory=str(tmp_path / "log"), free_bytes_min=0),
+        runtime=config.RuntimeTable(run_directory=str(tmp_path)),
     )
 
     async def asked(library: asyncio.Future[ModuleType]) -> None:

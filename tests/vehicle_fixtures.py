@@ -137,11 +137,11 @@ class Boat:
 
 @pytest.fixture
 def make_boat() -> Iterator[Callable[..., Boat]]:
-    """Boats from tables of a vehicle's file: `make_boat(log=config.Log(required=False))`."""
+    """Boats from tables of a vehicle's file: `make_boat(log=config.LogTable(required=False))`."""
     boats = []
 
     def make(**tables: tables.Table) -> Boat:
-        boats.append(Boat(config.Vehicle(boat=config.Boat(name="test"), **tables)))
+        boats.append(Boat(config.Vehicle(boat=config.BoatTable(name="test"), **tables)))
         return boats[-1]
 
     yield make

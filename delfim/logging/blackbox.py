@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterable
 from typing import Final, Protocol
 
 from delfim.clock import Clock
-from delfim.config import Log as Limits
+from delfim.config import LogTable as Limits
 from delfim.errors import BusError
 from delfim.frames import CAN_ERR, Frame
 from delfim.logging.candump import format_line

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
 
 from delfim.clock import Clock
-from delfim.config import Log as Limits
+from delfim.config import LogTable as Limits
 from delfim.errors import FormatError
 from delfim.logging.blackbox import device
 from delfim.logging.liblog import event_line

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping
 from typing import Final, Protocol
 
 from delfim.clock import Clock
-from delfim.config import Log as Limits
+from delfim.config import LogTable as Limits
 from delfim.errors import BusError
 from delfim.frames import Frame
 from delfim.logging.liblog import LogStatus, event_line

@@ -1,7 +1,7 @@
 """Opens a log as the vehicle's file says. Not in liblog: its writers need no vehicle's file."""
 
 from delfim.clock import Clock
-from delfim.config import Log as Limits
+from delfim.config import LogTable as Limits
 from delfim.logging.filelog import FileLog
 from delfim.logging.liblog import Log, LogSettings, Method
 from delfim.logging.pipelog import PipeLog

@@ -96,7 +96,7 @@ class Button:
 class Powerd:
     """What was heard so far. `order` and `reason` are set when the power is to be cut."""
 
-    def __init__(self, settings: config.Powerd, clock: Clock) -> None:
+    def __init__(self, settings: config.PowerdTable, clock: Clock) -> None:
         self._settings, self._clock = settings, clock
         self.order: shutdown.Word | None = None
         self.reason = ""

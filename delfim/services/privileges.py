@@ -14,7 +14,7 @@ SWITCH_S: Final = 0.0001  # that a thread may keep the interpreter from the loop
 log = logging.getLogger(__name__)
 
 
-def set_privileges(settings: config.Runtime) -> None:
+def set_privileges(settings: config.RuntimeTable) -> None:
     """Those that hold from the start."""
     sys.setswitchinterval(SWITCH_S)
     if settings.nice:

@@ -29,7 +29,7 @@ class NoRoom(DelfimError):
 class Uploads:
     """The folder, changed by name, and its room. Paths are as clients see them. Raises DelfimError for those elsewhere."""
 
-    def __init__(self, root: str, limits: config.Log) -> None:
+    def __init__(self, root: str, limits: config.LogTable) -> None:
         self._limits = limits
         self.folder = os.path.join(os.path.realpath(root), limits.upload_folder)
         self._jail = Jail(self.folder)

@@ -11,7 +11,7 @@ import math
 from random import Random
 from typing import Final, Literal, NamedTuple
 
-from delfim.config import Boat, Sea
+from delfim.config import BoatTable, Sea
 from delfim.geodesy import from_plane, origin
 
 Side = Literal["starboard", "port"]
@@ -73,7 +73,7 @@ class Hull(NamedTuple):
     wind_yaw: float = 0.1  # Fossen
 
 
-def hull_of(boat: Boat) -> Hull:
+def hull_of(boat: BoatTable) -> Hull:
     """The default hull with the length of the vehicle's file and propellers under the middle of hulls that far apart."""
     return Hull(length_m=boat.length_m, propeller_m=0.42 * boat.beam_m)
 

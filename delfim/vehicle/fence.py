@@ -23,19 +23,21 @@ class Fence(NamedTuple):
     """All zones that are obeyed, and what the boat needs to obey them."""
 
     zones: tuple[Zone, ...]
-    limits: config.Fence
+    limits: config.FenceTable
     own: int = 0  # of the zones, the first: the boat's
     is_laid: bool = True  # False: the zones are not in the plane yet
 
 
-def unlaid(limits: config.Fence, mission: config.Zones) -> Fence | None:
+def unlaid(limits: config.FenceTable, mission: config.Zones) -> Fence | None:
     """The fence while there is no plane to lay it into. None: there is none."""
     if not (limits.keep_in or limits.keep_out or mission.keep_in or mission.keep_out):
         return None
     return Fence((), limits, is_laid=False)
 
 
-def survey(limits: config.Fence, mission: config.Zones, at: geodesy.Origin, before: Fence | None = None) -> Work[Fence | None]:
+def survey(
+    limits: config.FenceTable, mission: config.Zones, at: geodesy.Origin, before: Fence | None = None
+) -> Work[Fence | None]:
     """The boat's own zones and the mission's, laid into the local plane. None: no fence. `before`: a fence in this plane, from
     which the boat's own are taken.
     """
@@ -66,7 +68,7 @@ def _zones(whose: str, zones: config.Zones, at: geodesy.Origin) -> Iterator[Zone
             yield circle(name, plane(zone.centre[0]), zone.radius_m)
 
 
-def stopping_m(limits: config.Fence, speed_mps: float) -> float:
+def stopping_m(limits: config.FenceTable, speed_mps: float) -> float:
     """How far the boat goes on when it is told to stop."""
     return speed_mps * limits.reaction_s + speed_mps * speed_mps / (2.0 * limits.deceleration_mps2)
 

@@ -32,7 +32,7 @@ class Looked(NamedTuple):
 class Plans:
     """What is aboard. `look` and `accept` are the two halves of loading a plan: nothing changes before the second."""
 
-    def __init__(self, fence_settings: config.Fence, limits: Settings, state: State, track: Track, log: StateLog) -> None:
+    def __init__(self, fence_settings: config.FenceTable, limits: Settings, state: State, track: Track, log: StateLog) -> None:
         self.limits = limits  # the helm's, which may change
         self.zones = config.Zones()  # the mission's
         self.mission: Mission | None = None  # as loaded

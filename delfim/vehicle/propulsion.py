@@ -14,7 +14,7 @@ from delfim.vehicle.state import Actuation, State
 
 
 class Propulsion:
-    def __init__(self, actuators: tuple[Actuator, ...], nodes: CanSocket, limits: config.Propulsion, state: State) -> None:
+    def __init__(self, actuators: tuple[Actuator, ...], nodes: CanSocket, limits: config.PropulsionTable, state: State) -> None:
         """`nodes` is a socket on the bus of the boat's own nodes."""
         self.actuators = actuators
         self._nodes, self._limits, self._state = nodes, limits, state

@@ -43,7 +43,7 @@ class Afloat:
     def __init__(self, boat: Any, key: Key | None = None, secret: bytes | None = None, **radio: Any) -> None:
         self.boat, self.state, self.answers = boat, boat.state, list[tuple[bool, str]]()
         vehicle = boat.vehicle
-        vehicle.helm.settings = config.Vehicle(boat=config.Boat(name="test", id=1))
+        vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1))
         self.radio = Radio(boat.clock, 3, **radio)
         signing = Signing(secret, boat.clock, {}) if secret else None
         self.station = Station(vehicle, lambda asked, who: self._obey(asked, who), self._down, signing)

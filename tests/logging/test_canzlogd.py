@@ -12,7 +12,7 @@ import pytest
 
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state
-from delfim.config import Log
+from delfim.config import LogTable
 from delfim.errors import BusError
 from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
 from delfim.logging import blackbox
@@ -61,7 +61,7 @@ def box(tmp_path, wire, clock, monkeypatch):
         return made[-1]
 
     monkeypatch.setattr(blackbox, "open_log", opened)
-    box = BlackBox([wire], Log(directory=str(tmp_path), free_bytes_min=0), clock, bus_state)
+    box = BlackBox([wire], LogTable(directory=str(tmp_path), free_bytes_min=0), clock, bus_state)
     yield SimpleNamespace(on_readable=box.on_readable, poll=box.poll, figures=box.figures, close=box.close, log=made[0])
     box.close()
 
@@ -160,7 +160,7 @@ def test_what_the_log_lost_is_noted_when_it_writes_again(tmp_path, box, wire, cl
 def test_devices_are_names_of_folders_without_blanks(tmp_path, clock, monkeypatch, name, device):
     monkeypatch.setattr(blackbox, "open_log", lambda *place: open_log(*place[:3], "write", clock))
     wire = Wire(name)
-    box = BlackBox([wire], Log(directory=str(tmp_path), free_bytes_min=0), clock)
+    box = BlackBox([wire], LogTable(directory=str(tmp_path), free_bytes_min=0), clock)
     wire.queue.append(frame(1))
     box.on_readable(wire)
     box.close()
@@ -173,7 +173,7 @@ def test_recorded_traffic_through_the_whole_black_box(tmp_path, clock, recording
     with gzip.open(recordings / "can0-1.candump.log.gz", "rt") as lines:
         frames = [parse_line(next(lines))[1] for _ in range(5000)]
     wires = [Wire("can0"), Wire("can1")]
-    box = BlackBox(wires, Log(directory=str(tmp_path), free_bytes_min=0), clock)
+    box = BlackBox(wires, LogTable(directory=str(tmp_path), free_bytes_min=0), clock)
     for wire in wires:
         wire.queue.extend(frames)
         while wire.queue:
@@ -192,7 +192,7 @@ def test_can_utils_read_what_zcat_unpacks(tmp_path, clock):
     if not shutil.which("log2asc"):
         pytest.skip("log2asc of can-utils is missing (make system installs it on Debian)")
     wire = Wire("can0")
-    box = BlackBox([wire], Log(directory=str(tmp_path), free_bytes_min=0), clock)
+    box = BlackBox([wire], LogTable(directory=str(tmp_path), free_bytes_min=0), clock)
     sent = frame(2)._replace(arb=extended(0x18EF2A10), sent_here=True)
     wire.queue.extend([frame(1), sent, Frame(standard(0x7FF, remote=True), b"", sent.t_ns), warning(4)])
     box.on_readable(wire)
@@ -208,7 +208,7 @@ def test_a_can_socket_is_such_a_socket(tmp_path, box, wire, clock):
     with open_can("canloop:canzlogd-test") as listening, open_can("canloop:canzlogd-test") as talking:
         assert isinstance(listening, CanSocket)
         listening.bind(ANYTHING)
-        box = BlackBox([listening], Log(directory=str(tmp_path / "loop"), free_bytes_min=0), clock)
+        box = BlackBox([listening], LogTable(directory=str(tmp_path / "loop"), free_bytes_min=0), clock)
         talking.sendmsg(frame(7))
         while not (waiting := listening.receive()):
             pass

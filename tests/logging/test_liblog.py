@@ -405,7 +405,7 @@ def test_what_is_flushed_is_synced_and_so_is_its_name(tmp_path, file_log, clock,
 
 
 def test_open_log_chooses_the_way(tmp_path, clock):
-    limits = config.Log(directory=str(tmp_path), free_bytes_min=0)
+    limits = config.LogTable(directory=str(tmp_path), free_bytes_min=0)
     plain = open_log(limits, "a", ".log", "write", clock)
     deflated = open_log(limits, "b", ".log", "zwrite", clock)
     assert plain.status().file.endswith("/a/000000.log")

@@ -13,7 +13,7 @@ import pytest
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.opening import open_can
-from delfim.config import Log
+from delfim.config import LogTable
 from delfim.errors import BusError
 from delfim.frames import Frame
 from delfim.logging import nodelog
@@ -58,7 +58,7 @@ def daemon(tmp_path, wire, clock, monkeypatch):
     monkeypatch.setattr(nodelog, "open_log", opened)
     receiver = Receiver(Node.VEHICLE, lambda message: message.id == LOG_ID)
     names = {Node.GPS: "gps", 0x33: "node-51"}
-    return LogMessages(wire, receiver, names, Log(directory=str(tmp_path), free_bytes_min=0), clock)
+    return LogMessages(wire, receiver, names, LogTable(directory=str(tmp_path), free_bytes_min=0), clock)
 
 
 def say(wire: Wire, daemon: LogMessages, source: int, data: bytes, number: int = 0, identifier: int = LOG_ID) -> None:

@@ -28,7 +28,7 @@ def pipe_log(tmp_path, clock) -> Iterator[Callable[..., PipeLog]]:
     logs: list[PipeLog] = []
 
     def opened(**how: Any) -> PipeLog:
-        limits = config.Log(directory=str(tmp_path / "log"), free_bytes_min=0)
+        limits = config.LogTable(directory=str(tmp_path / "log"), free_bytes_min=0)
         log = open_log(limits, "gps", ".log", "zpipe", clock, **how)
         assert isinstance(log, PipeLog)
         logs.append(log)
@@ -186,7 +186,7 @@ import os, signal
 from delfim import config
 from delfim.clock import SystemClock
 from delfim.logging.openlog import open_log
-log = open_log(config.Log(directory={str(tmp_path / "log")!r}, free_bytes_min=0), "gps", ".log", "zpipe", SystemClock())
+log = open_log(config.LogTable(directory={str(tmp_path / "log")!r}, free_bytes_min=0), "gps", ".log", "zpipe", SystemClock())
 for number in range(500):
     log.put(b"%06d\\n" % number)
 print(log._child.pid, flush=True)

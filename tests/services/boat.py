@@ -60,10 +60,10 @@ def vehicle_file(tmp_path: Path, **tables: Any) -> config.Vehicle:
     """A vehicle's file whose places are all in `tmp_path`."""
     (tmp_path / "log").mkdir(exist_ok=True)
     return config.Vehicle(
-        boat=config.Boat(name="Test"),
+        boat=config.BoatTable(name="Test"),
         console=config.Console(socket=str(tmp_path / "command")),
-        log=config.Log(directory=str(tmp_path / "log"), free_bytes_min=0),
-        runtime=config.Runtime(run_directory=str(tmp_path)),
+        log=config.LogTable(directory=str(tmp_path / "log"), free_bytes_min=0),
+        runtime=config.RuntimeTable(run_directory=str(tmp_path)),
         **tables,
     )
 

@@ -14,7 +14,7 @@ from delfim.services.web.page import SECTIONS, PageView, head, mood
 from delfim.services.web.wording import size, span
 from tests.services.boat import STATE
 
-FILE = config.Vehicle(boat=config.Boat(name="Test"))
+FILE = config.Vehicle(boat=config.BoatTable(name="Test"))
 VEHICLE = msgspec.convert(STATE, api.State)
 words = st.text(st.characters(exclude_categories=("Cs", "Cc"), exclude_characters="\ufffe\uffff"), max_size=12)
 numbers = st.one_of(st.none(), st.floats(-1e9, 1e9), st.floats(allow_nan=True, allow_infinity=True))

@@ -37,7 +37,7 @@ class Boat:
 
     def __init__(self, **settings: object) -> None:
         self.clock = ManualClock()
-        self.powerd = Powerd(config.Powerd(**settings), self.clock)  # type: ignore[arg-type]
+        self.powerd = Powerd(config.PowerdTable(**settings), self.clock)  # type: ignore[arg-type]
 
     def goes_on(self, seconds: float, *frames: Frame) -> str:
         """These frames each second for so long. Returns why the power is to be cut, or nothing."""

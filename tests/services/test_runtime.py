@@ -25,7 +25,7 @@ from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervisor import EXIT_PERMANENT
 
 SETTINGS = config.Vehicle(
-    boat=config.Boat(name="Test"), supervisor=config.Supervisor(deadman_s=0.4, backoff_s=0.01, backoff_max_s=0.04)
+    boat=config.BoatTable(name="Test"), supervisor=config.SupervisorTable(deadman_s=0.4, backoff_s=0.01, backoff_max_s=0.04)
 )
 Start = Callable[[Runtime], Awaitable[None]]
 
@@ -410,7 +410,7 @@ def test_the_last_deadman_event_is_shown(tmp_path: Path) -> None:
     event = {"reason": "beat stopped for 1.0 s: dead-man", "at_s": 1500.0}
     (tmp_path / "supervisor.json").write_text(json.dumps({"deadman": event}))
     reader, writer = os.pipe()
-    settings = config.Vehicle(boat=config.Boat(name="Test"), runtime=config.Runtime(run_directory=str(tmp_path)))
+    settings = config.Vehicle(boat=config.BoatTable(name="Test"), runtime=config.RuntimeTable(run_directory=str(tmp_path)))
     assert Runtime(settings, SystemClock(), beat_fd=writer).report()["deadman"] == event
     (tmp_path / "supervisor.json").write_text("{")
     assert Runtime(settings, SystemClock(), beat_fd=writer).report()["deadman"] == {}
@@ -423,10 +423,10 @@ import resource
 if os.geteuid() == 0:
     os.setuid(65534)
 resource.setrlimit(resource.RLIMIT_MEMLOCK, (0, 0))
-settings = config.Runtime(nice=-5, fifo_priority=10, cpus=(1023,), mlockall=True)
+settings = config.RuntimeTable(nice=-5, fifo_priority=10, cpus=(1023,), mlockall=True)
 async def brief(runtime):
     print("well")
-vehicle = config.Vehicle(boat=config.Boat(name="Test"), runtime=settings)
+vehicle = config.Vehicle(boat=config.BoatTable(name="Test"), runtime=settings)
 sys.exit(Runtime(vehicle, SystemClock()).main([LoadedService("brief", brief)]))
 """
 

@@ -45,7 +45,7 @@ def disk(tmp_path, monkeypatch) -> Path:
 def opened(disk: Path, **limits: int) -> Uploads:
     """Its folder is there."""
     settings = {"free_bytes_min": FREE_MIN, "upload_bytes_max": 1 << 30} | limits
-    folder = Uploads(str(disk), config.Log(directory=str(disk), **settings))
+    folder = Uploads(str(disk), config.LogTable(directory=str(disk), **settings))
     folder.prepare()
     return folder
 
@@ -197,7 +197,7 @@ def test_a_link_put_there_between_look_and_deed_leads_nowhere(disk, tmp_path, mo
 
 def test_a_folder_that_cannot_be_made_is_said_and_costs_nothing_else(tmp_path, caplog):
     (tmp_path / "upload").write_text("a file")
-    Uploads(str(tmp_path), config.Log()).prepare()
+    Uploads(str(tmp_path), config.LogTable()).prepare()
     assert f"no uploads: {tmp_path}/upload: File exists" in caplog.text
 
 

@@ -24,7 +24,7 @@ from delfim.simulator.nodes import nodes_of
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, State
 
-SETTINGS = config.Vehicle(boat=config.Boat(name="test"))
+SETTINGS = config.Vehicle(boat=config.BoatTable(name="test"))
 STEP_S = 0.2
 
 

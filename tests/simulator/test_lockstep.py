@@ -115,7 +115,7 @@ def test_the_boat_comes_to_rest_where_the_fence_reckons_with(speed_mps, order):
     assert model.north_mps == pytest.approx(speed_mps, abs=0.15)
     assert sailing.command(order) is None
     rolled_m = max(model.north_m - before_m for _ in sailing.cycles(60.0))
-    limits = config.Fence()
+    limits = config.FenceTable()
     assert 1.0 < rolled_m < stopping_m(limits, speed_mps) + limits.margin_m
 
 

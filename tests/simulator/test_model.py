@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from delfim.config import Boat, Sea
+from delfim.config import BoatTable, Sea
 from delfim.geodesy import to_plane
 from delfim.simulator.model import Hull, Model, hull_of
 
@@ -295,7 +295,7 @@ def test_it_rolls_and_pitches_more_in_wind_but_never_far() -> None:
 
 
 def test_a_hull_takes_length_and_beam_from_the_vehicles_file() -> None:
-    hull = hull_of(Boat(name="other", length_m=6.0, beam_m=3.0))
+    hull = hull_of(BoatTable(name="other", length_m=6.0, beam_m=3.0))
     assert hull.length_m == 6.0
     assert hull.propeller_m == pytest.approx(1.26)
     assert hull.mass_kg == Hull().mass_kg

@@ -42,7 +42,7 @@ from delfim.messages import (
 )
 from delfim.simulator.nodes import Nodes, nodes_of
 
-COMMANDS = nodes_of(config.Vehicle(boat=config.Boat(name="test")), 1).hears
+COMMANDS = nodes_of(config.Vehicle(boat=config.BoatTable(name="test")), 1).hears
 UTC_NS = 1_262_304_000_000_000_000
 QUIET = config.Simulation(position_noise_m=0.0, heading_noise_deg=0.0, speed_noise_mps=0.0)
 
@@ -51,7 +51,7 @@ class Boat:
     """The nodes and a receiver of what they say; time goes in steps."""
 
     def __init__(self, simulation: config.Simulation = QUIET, rate_hz: float = 5.0, seed: int = 1) -> None:
-        boat, rate = config.Boat(name="test"), config.NavigationTable(rate_hz=rate_hz)
+        boat, rate = config.BoatTable(name="test"), config.NavigationTable(rate_hz=rate_hz)
         self.nodes: Nodes = nodes_of(config.Vehicle(boat=boat, navigation=rate, simulation=simulation), seed)
         self.model = self.nodes.model
         self.now_s = 100.0

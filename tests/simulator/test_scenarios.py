@@ -18,7 +18,7 @@ from delfim.vehicle.troubles import Trigger
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"
 SCENARIOS = sorted((ROOT / "etc/scenarios").glob("*.toml"))
-SETTINGS = config.Vehicle(boat=config.Boat(name="test"))
+SETTINGS = config.Vehicle(boat=config.BoatTable(name="test"))
 SAILING = """version = 1
 name = "test"
 seconds = 20

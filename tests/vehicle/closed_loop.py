@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import msgspec
 
-from delfim.config import ControlTable, Propulsion, Sea, load
+from delfim.config import ControlTable, PropulsionTable, Sea, load
 from delfim.geodesy import Origin, origin, wrap
 from delfim.modes import Mode
 from delfim.simulator.model import Hull, Model
@@ -25,7 +25,7 @@ from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation, Arc, Line, Motion, Plan, Reference, Setpoint, Waypoint
 from delfim.vehicle.track import Track
 
-SETTINGS = Settings(ControlTable(), Propulsion())
+SETTINGS = Settings(ControlTable(), PropulsionTable())
 ALL = frozenset({"position", "heading", "velocity"})
 DT_S = 0.2
 PLACE = load("etc/delfimx.toml").simulation

@@ -11,7 +11,7 @@ from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.state import Computer
 
-AROUND = config.Fence(keep_in=((38.692, -9.216), (38.693, -9.216), (38.693, -9.214), (38.692, -9.214)))
+AROUND = config.FenceTable(keep_in=((38.692, -9.216), (38.693, -9.216), (38.693, -9.214), (38.692, -9.214)))
 
 
 def lines(boat) -> dict[str, tuple[bool, str]]:

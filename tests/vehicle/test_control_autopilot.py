@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.config import Propulsion, Sea
+from delfim.config import PropulsionTable, Sea
 from delfim.geodesy import wrap
 from delfim.modes import Mode
 from delfim.vehicle.control.autopilot import entered, steer
@@ -115,7 +115,7 @@ def test_integrals_do_not_wind_up() -> None:
     for _ in range(500):
         turning, _ = steer(turning, AT_REST._replace(yaw_rate_radps=0.2), 2.0, 1.5, SETTINGS, DT_S)
     assert (turning.heading_rpm, turning.speed_rpm) == (0.0, 0.0)
-    weak = SETTINGS._replace(propulsion=Propulsion(rpm_max=100))
+    weak = SETTINGS._replace(propulsion=PropulsionTable(rpm_max=100))
     pinned = Integrals()
     for _ in range(500):
         pinned, _ = steer(pinned, AT_REST, 0.3, 0.0, weak, DT_S)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.config import Propulsion
+from delfim.config import PropulsionTable
 from delfim.modes import Mode
 from delfim.vehicle.control.control import MODES, Memory, admit, control, enter, limited
 from delfim.vehicle.safe import STOP
@@ -133,7 +133,7 @@ def test_whatever_comes_what_is_sent_is_finite_and_within_limits(
 
 @given(ACTUATIONS, ACTUATIONS, FLOATS)
 def test_the_gate_passes_nothing_else(wanted: Actuation, previous: Actuation, dt_s: float) -> None:
-    sent = limited(wanted, previous, Propulsion(), dt_s)
+    sent = limited(wanted, previous, PropulsionTable(), dt_s)
     assert abs(sent.starboard_rpm) <= 1200.0
     assert abs(sent.port_rpm) <= 1200.0
     assert math.isfinite(sent.starboard_rpm + sent.port_rpm)
@@ -141,7 +141,7 @@ def test_the_gate_passes_nothing_else(wanted: Actuation, previous: Actuation, dt
 
 @given(*[st.floats(-1200.0, 1200.0)] * 4, st.floats(0.0, 1.0))
 def test_the_gate_limits_the_rate_and_arrives(starboard: float, port: float, old: float, older: float, dt_s: float) -> None:
-    limits, sent, wanted = Propulsion(), Actuation(old, older, True), Actuation(starboard, port, True)
+    limits, sent, wanted = PropulsionTable(), Actuation(old, older, True), Actuation(starboard, port, True)
     after = limited(wanted, sent, limits, dt_s)
     change = limits.rpm_per_s_max * dt_s + 1e-9
     assert abs(after.starboard_rpm - old) <= change
@@ -155,11 +155,11 @@ def test_the_gate_limits_the_rate_and_arrives(starboard: float, port: float, old
     "wanted", [STOP, Actuation(500.0, 500.0, False), Actuation(math.nan, 0.0, True), Actuation(0.0, math.inf, True)]
 )
 def test_a_stop_is_immediate(wanted: Actuation) -> None:
-    assert limited(wanted, Actuation(1200.0, 1200.0, True), Propulsion(), 0.001) == STOP
+    assert limited(wanted, Actuation(1200.0, 1200.0, True), PropulsionTable(), 0.001) == STOP
 
 
 def test_after_a_stop_revolutions_begin_at_zero() -> None:
-    after = limited(Actuation(1000.0, 1000.0, True), Actuation(900.0, 900.0, False), Propulsion(), 0.1)
+    after = limited(Actuation(1000.0, 1000.0, True), Actuation(900.0, 900.0, False), PropulsionTable(), 0.1)
     assert after == Actuation(80.0, 80.0, True)
 
 

@@ -17,8 +17,8 @@ from delfim.vehicle.state import Actuation, Motion, Notice, Reference, Setpoint,
 from delfim.vehicle.troubles import Inputs, Trigger
 
 ALL = frozenset({"position", "heading", "velocity"})
-RULES = Rules(config.Vehicle(boat=config.Boat(name="test")))
-FENCE = Fence((polygon("square", True, [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]),), config.Fence())
+RULES = Rules(config.Vehicle(boat=config.BoatTable(name="test")))
+FENCE = Fence((polygon("square", True, [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]),), config.FenceTable())
 WELL = Inputs("", None)
 OUTWARDS = Motion(ALL, 44.0, 0.0, 0.0, 0.0, 1.5, 0.0)
 DRIVING = [mode for mode in Mode if mode is not Mode.IDLE]
@@ -264,7 +264,7 @@ def test_the_vehicles_file_changes_the_table():
     own = config.Failsafe(
         pause_s=0.0, console_silent=config.ConsoleSilent(after_s=3.0, action="warn", play="home", grex="stop")
     )
-    rules = Rules(config.Vehicle(boat=config.Boat(name="test"), failsafe=own))
+    rules = Rules(config.Vehicle(boat=config.BoatTable(name="test"), failsafe=own))
     asked = {mode: watched(Trigger.CONSOLE_SILENT, mode, 0.0, rules).action for mode in DRIVING}
     expected = dict.fromkeys(DRIVING, Action.WARN) | {Mode.PLAY: Action.HOME, Mode.GREX: Action.STOP, Mode.MANUAL: Action.STOP}
     assert asked == expected

@@ -31,7 +31,7 @@ SECONDS, NAVIGATION_S = 1.6, 0.2
 HERE = Navigation(0, 0.675, -0.16, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 3, 9, 0.9, 0)
 PLAN = Plan("", (Waypoint(50.0, 0.0, 1.5, 5.0), Waypoint(50.0, 50.0, 1.5, 5.0)), (Line(0.0, 0.0, 50.0, 0.0, 1.5),))
 SETTINGS = config.Vehicle(
-    boat=config.Boat(name="test"),
+    boat=config.BoatTable(name="test"),
     failsafe=config.Failsafe(
         pause_s=0.3,
         navigation_frozen=config.NavigationFrozen(after_s=0.5),

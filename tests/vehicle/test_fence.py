@@ -17,7 +17,7 @@ from delfim.vehicle.mission import canonical, digest, parse_mission
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
 from delfim.vehicle.zones import Zone, clearance_m, least, polygon
 
-LIMITS = config.Fence()
+LIMITS = config.FenceTable()
 
 
 def whole(work, *arguments: object):
@@ -260,7 +260,7 @@ def test_a_missions_fence_is_part_of_its_text_and_comes_on_top_of_the_boats():
     mission = parse_mission(MISSION)
     assert canonical(mission) == MISSION
     assert digest(mission) != digest(parse_mission(MISSION.replace("30.0", "31.0")))
-    own = config.Fence(keep_out=(config.KeepOut(name="buoy", centre=((38.7, -9.25),), radius_m=5.0),))
+    own = config.FenceTable(keep_out=(config.KeepOut(name="buoy", centre=((38.7, -9.25),), radius_m=5.0),))
     at = geodesy.origin(math.radians(38.69), math.radians(-9.21))
     around = whole(fence.survey, own, mission.fence, at)
     assert around is not None
@@ -270,11 +270,11 @@ def test_a_missions_fence_is_part_of_its_text_and_comes_on_top_of_the_boats():
         'the "old" pier',
         "mission's keep-out zone 2",
     ]
-    assert whole(fence.survey, config.Fence(), config.Zones(), at) is None
+    assert whole(fence.survey, config.FenceTable(), config.Zones(), at) is None
     unlaid = fence.unlaid(own, config.Zones())
     assert unlaid is not None
     assert not unlaid.is_laid
-    assert fence.unlaid(config.Fence(), config.Zones()) is None
+    assert fence.unlaid(config.FenceTable(), config.Zones()) is None
 
 
 @pytest.mark.parametrize(

@@ -84,7 +84,7 @@ def test_commands_are_refused_with_reasons_until_everything_is_well(boat):
 
 
 def test_a_sailor_without_a_log_may_say_so(make_boat):
-    boat = make_boat(log=config.Log(required=False))
+    boat = make_boat(log=config.LogTable(required=False))
     boat.ready()
     boat.log.why = "disk full"
     assert boat.vehicle.on_command(console.Heading(0.0)) is None

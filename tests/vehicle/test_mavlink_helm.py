@@ -59,7 +59,7 @@ def at_sea(make_boat, key: bytes | None) -> SimpleNamespace:
     boat, log, radio = make_boat(), [], Radio()
     boat.clock.step(16 * 365 * 86_400.0)  # to after 2015, when time stamps begin
     vehicle = boat.vehicle
-    vehicle.helm.settings = config.Vehicle(boat=config.Boat(name="test", id=1))
+    vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1))
 
     def obey(command: console.Commands, operator: str) -> str | None:
         log.append(command)
@@ -221,7 +221,7 @@ def test_an_upload_is_of_one_console_though_two_have_its_number(sea):
 def test_invented_peers_keep_nobody_out(make_boat):
     """The boat's own consoles, the one that commands and a newcomer are heard, whatever else speaks."""
     boat, radio = make_boat(), Radio()
-    boat.vehicle.helm.settings = config.Vehicle(boat=config.Boat(name="test", id=1))  # which says hello to port 14550
+    boat.vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1))  # which says hello to port 14550
     station = Station(boat.vehicle, boat.vehicle.on_command, radio, None)
     sea = SimpleNamespace(station=station, radio=radio, boat=boat)
     boat.ready()

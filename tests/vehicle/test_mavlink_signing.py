@@ -34,7 +34,7 @@ class Sea:
 
     def __init__(self, boat, key: bytes | None = KEY, stamps: dict | None = None, **options: object) -> None:
         self.boat, self.radio = boat, Radio()
-        boat.vehicle.helm.settings = config.Vehicle(boat=config.Boat(name="test", id=1), mavlink=config.Mavlink(**options))
+        boat.vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=config.Mavlink(**options))
         self.signing = Signing(key, boat.clock, stamps or {}) if key else None
         self.station = Station(boat.vehicle, boat.vehicle.on_command, self.radio, self.signing)
         boat.ready()

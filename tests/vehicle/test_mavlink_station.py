@@ -28,7 +28,7 @@ waypoint = [
 def afloat(boat, **options: object) -> SimpleNamespace:
     """A boat that is fit, its station, and a console that it has heard."""
     vehicle: Vehicle = boat.vehicle
-    vehicle.helm.settings = config.Vehicle(boat=config.Boat(name="test", id=1), mavlink=config.Mavlink(**options))
+    vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=config.Mavlink(**options))
     log: list[console.Commands] = []
 
     def obey(command: console.Commands, operator: str) -> str | None:

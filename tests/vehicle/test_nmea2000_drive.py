@@ -73,7 +73,7 @@ def told_by_another_decoder() -> list[tuple[float, float]]:
 def test_a_recorded_boat_drives_the_vehicle_at_its_own_speed_and_silence_stops_it():
     sensors, own = f"canloop:n2k-{os.getpid()}", f"canloop:own-{os.getpid()}"
     settings = config.Vehicle(
-        boat=config.Boat(name="test"),
+        boat=config.BoatTable(name="test"),
         navigation=config.NavigationTable(sources=("nmea2000",)),
         sysstat=config.Sysstat(required=()),
     )

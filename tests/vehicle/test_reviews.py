@@ -269,7 +269,7 @@ def test_the_fence_is_watched_at_a_bounded_price(counted):
     """However many corners are near, one look at the fence compares no more than it may, and says so."""
     corners = [(n, e) for n, e in itertools.zip_longest([6.0 + 1e-3 * i for i in range(99)], [], fillvalue=0.0)]
     comb = [(n, 2000.0 if i % 2 else -2000.0) for i, (n, _) in enumerate(corners)]
-    thick = fence.Fence(tuple(polygon(f"comb {i}", False, [*comb, (3000.0, 0.0)]) for i in range(200)), config.Fence())
+    thick = fence.Fence(tuple(polygon(f"comb {i}", False, [*comb, (3000.0, 0.0)]) for i in range(200)), config.FenceTable())
     looked: list[int] = []
     real = fence.least
 
@@ -289,7 +289,7 @@ def test_the_fence_is_watched_at_a_bounded_price(counted):
 
 def test_a_boats_own_fence_is_laid_out_in_slices_once_there_is_a_position(make_boat, counted):
     own = zones()
-    boat = make_boat(fence=config.Fence(keep_in=own.keep_in, keep_out=own.keep_out))
+    boat = make_boat(fence=config.FenceTable(keep_in=own.keep_in, keep_out=own.keep_out))
     boat.ready()
     lines = {line.name: line for line in boat.vehicle.helm.checks()}
     assert (lines["fence"].ok, lines["fence"].reason) == (False, "its zones are being laid into the plane: a moment")
@@ -308,7 +308,7 @@ def test_a_better_place_to_hold_is_found_later(sea, counted):
     for point in driven:
         sea.vehicle.helm.track.add(*point)
     wall = polygon("wall", False, [(10.0, 50.0), (10.0, 3000.0), (11.0, 3000.0), (11.0, 50.0)])
-    sea.vehicle.helm.plans.fence = fence.Fence((wall,), config.Fence())
+    sea.vehicle.helm.plans.fence = fence.Fence((wall,), config.FenceTable())
     sea.boat.state.motion = sea.state.motion._replace(north_m=5.0, east_m=1500.0)
     sea.vehicle.helm.enter(Mode.HOLD, "test")
     assert sea.vehicle.helm.memory.north_m == 5.0, "meanwhile here"

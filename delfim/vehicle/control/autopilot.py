@@ -78,7 +78,7 @@ def steer(
     return Integrals(heading_rpm, speed_rpm, asked_mps), Actuation(starboard_rpm, port_rpm, True)
 
 
-def _revolutions(thrust: float, propulsion: config.Propulsion) -> float:
+def _revolutions(thrust: float, propulsion: config.PropulsionTable) -> float:
     """The rpm that give a thrust of n |n| / rpm_max."""
     return math.copysign(math.sqrt(abs(thrust) * propulsion.rpm_max), thrust)
 

@@ -99,7 +99,7 @@ def _plausible(motion: Motion) -> bool:
     )
 
 
-def limited(wanted: Actuation, previous: Actuation, propulsion: config.Propulsion, dt_s: float) -> Actuation:
+def limited(wanted: Actuation, previous: Actuation, propulsion: config.PropulsionTable, dt_s: float) -> Actuation:
     """The last, dumb gate: `wanted` within `rpm_max`, and changed from `previous` by no more than `rpm_per_s_max` allows.
     A stop is immediate; what is not finite is a stop.
     """

@@ -9,7 +9,7 @@ class Settings(NamedTuple):
     """The tables of the vehicle's file that control obeys."""
 
     control: config.ControlTable
-    propulsion: config.Propulsion
+    propulsion: config.PropulsionTable
 
 
 class Integrals(NamedTuple):
