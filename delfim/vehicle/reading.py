@@ -17,7 +17,7 @@ from delfim.errors import ConfigError, DelfimError, FormatError
 from delfim.slices import Work
 from delfim.vehicle.mission import Mission, PathPoint, Waypoint, read_mission
 
-PROGRAM: Final = (sys.executable, "-P", "-m", "delfim.vehicle.reading")
+PROGRAM: Final = (sys.executable, "-m", "delfim.vehicle.reading")
 CPU_S: Final = 10  # the largest mission takes half a second, and on a slow board ten times that
 MEMORY_BYTES: Final = 1 << 28
 NICE: Final = 10
