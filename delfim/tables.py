@@ -189,8 +189,8 @@ def allowed(hint: Any) -> str:
     if get_origin(hint) is not Annotated:
         if isinstance(hint, type) and issubclass(hint, Table):
             return f"a table of {', '.join(field.encode_name for field in msgspec.structs.fields(hint))}"
-        return {bool: "true or false", str: "text", float: "a number", int: "a whole number"}.get(
-            hint, getattr(hint, "__name__", str(hint))
+        return {bool: "true or false", str: "text", float: "a number", int: "a whole number", dict: "a table"}.get(
+            get_origin(hint) or hint, getattr(hint, "__name__", str(hint))
         )
     meta = get_args(hint)[1]
     if meta.description:

@@ -89,6 +89,7 @@ def test_an_expectation_can_be_met_and_can_be_missed(tmp_path, expect, failure):
         (SAILING + "[[expect]]\nmode = 'idle'\nnotice = 'log'", "one of mode, notice, propellers, waypoints"),
         (SAILING + "[vehicle.propulsion]\nrpm_max = -1", "propulsion.rpm_max"),
         ("mission = 'none.toml'\n" + SAILING, "none.toml"),
+        ("vehicle = 2026-11-22\n" + SAILING, "vehicle: 2026-11-22 is a date, not a table (allowed: a table)"),
         ("mission = 2026-11-22\n" + SAILING, "mission: 2026-11-22 is a date, not text"),
         (
             SAILING + "[[command]]\nat_s = 1\ncommand = 'heading'\nheading_deg = 2026-11-22",
