@@ -84,6 +84,7 @@ def test_a_mission_is_shown_from_when_it_was_read_and_at_its_waypoint(tmp_path: 
     fleet.record = session.put
     boats.append(FakeBoat(1, clock, lambda data: fleet.receive(1, data)))
     boats[0].name = "Delfim"
+    boats[0].modes, boats[0].mode = [(4, b"idle"), (42, b"dance")], 42
     waypoints = [
         {"latitude_deg": 38.69, "longitude_deg": -9.21 + n / 1e3, "speed_mps": 1.0 + n, "acceptance_m": 3.0, "hold_s": 0.0}
         for n in range(3)
@@ -109,6 +110,7 @@ def test_a_mission_is_shown_from_when_it_was_read_and_at_its_waypoint(tmp_path: 
     drawn = [len(told["mission"]["waypoints"]) for told in played.told if told["t"] == "mission"]
     assert drawn == [0, 3, 0], "what the console read by itself, what was sent, and nothing before either"
     assert played.shown(1)["name"] == "Delfim", "from the beginning"
+    assert (played.shown(1)["mode"], played.shown(1)["modes"]) == ("dance", ["idle", "dance"]), "as well"
 
 
 def test_a_session_is_read_by_everybodys_reader(recorded: Path) -> None:
