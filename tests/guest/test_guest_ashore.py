@@ -85,11 +85,17 @@ def log_partition(folder: Path) -> Path:
     subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-C", "ana", "-f", folder / "key"], check=True)
     text = (boat_image.ROOT / "etc" / "delfimx.toml").read_text()
     changes = {'"can0"': '"vcan0"', "required = true": "required = true\nfree_bytes_min = 1_000_000"}
-    changes |= {"after_s = 10.0": "after_s = 600.0"}  # of a silent console, on a busy machine
+    changes |= {"after_s = 10.0": "after_s = 600.0", "stale_s = 1.0": "stale_s = 10.0"}  # a busy host makes everybody late
     for old, new in changes.items():
         assert old in text
         text = text.replace(old, new)
     text += f"""
+[sysstat]
+stale_s = 10.0
+[failsafe.navigation_silent]
+after_s = 10.0
+[supervisor]
+deadman_s = 60.0
 [httpd]
 listen = "{BOAT}:80"
 [cantcpd]

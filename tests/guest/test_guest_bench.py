@@ -6,11 +6,14 @@ from bench.critical_path import build
 from delfim.logging.statelog import columns
 from tests.guest.harness import Guest
 
+# Who listens is seen in the kernel's lists of receivers.
 SCRIPT = """
-{loop} vcan1 {log} & sleep 0.2
-candump -L vcan1 >{frames} & sleep 0.2
+listening() {{ cat /proc/net/can/rcvlist_* | grep -c ' vcan1 '; }}
+{loop} vcan1 {log} & until [ $(listening) -gt 0 ]; do sleep 0.1; done
+before=$(listening); candump -L vcan1 >{frames} & until [ $(listening) -gt $before ]; do sleep 0.1; done
 {feeder} vcan1 50 0.2 1 500 0; code=$?
-sleep 0.3; kill %1 %2; exit $code
+for tenth in $(seq 100); do [ $(grep -cE ' 04[0-3]#' {frames}) -ge 240 ] && break; sleep 0.1; done
+kill %1 %2; exit $code
 """
 
 
