@@ -444,7 +444,7 @@ def transports(**second: object) -> Iterator[tuple[DsorTransport, DsorTransport,
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(20.0):
+    async with asyncio.timeout(60):
         while not condition():
             await asyncio.sleep(0.001)
 

@@ -37,7 +37,7 @@ def test_python_can_finds_the_plug_in() -> None:
 def test_both_directions(name: str) -> None:
     with can.Bus(interface="canloop", channel=name) as bus, open_canloop(name) as ours:
         assert isinstance(bus, CanloopBus)
-        ours.settimeout(5.0)
+        ours.settimeout(30.0)
         ours.bind(ANYTHING)
         bus.send(can.Message(arbitration_id=0x123, is_extended_id=False, data=b"hello"))
         assert ours.recvfrom(8) == (b"hello", CanAddress(standard(0x123), 0, ours.ifindex))
@@ -135,7 +135,7 @@ def test_what_canloop_cannot_carry_is_refused(name: str) -> None:
 
 def test_an_adapter_both_ways_with_filters(name: str) -> None:
     with open_can(f"python-can:virtual:{name}") as ours, can.Bus(interface="virtual", channel=name) as theirs:
-        ours.settimeout(5.0)
+        ours.settimeout(30.0)
         theirs.send(can.Message(arbitration_id=0x100, is_extended_id=False, data=b"early"))
         ours.bind(CanAddress(standard(0x101)))
         theirs.send(can.Message(arbitration_id=0x100, is_extended_id=False, data=b"refused"))
@@ -157,7 +157,7 @@ def test_an_adapter_both_ways_with_filters(name: str) -> None:
 
 def test_an_adapter_drops_what_does_not_fit_and_counts_it(name: str) -> None:
     with open_can(f"python-can:virtual:{name}", receive_buffer_bytes=4096) as ours:
-        ours.settimeout(5.0)
+        ours.settimeout(30.0)
         ours.bind(ANYTHING)
         with can.Bus(interface="virtual", channel=name) as theirs:
             for _ in range(300):
@@ -203,7 +203,7 @@ def test_an_adapter_that_goes_is_told_and_taken_up_again(monkeypatch: pytest.Mon
         with pytest.raises(BlockingIOError):
             ours.sendto(b"", CanAddress(standard(1)), 0x40)
         UnpluggedBus.unplugged.set()
-        ours.settimeout(5.0)
+        ours.settimeout(30.0)
         with pytest.raises(BusError, match="python-can:test:0: the adapter is gone"):
             ours.recvmsg()
         with pytest.raises(BusError, match="the adapter is gone"):

@@ -42,7 +42,7 @@ class Opened:
 
     async def until(self, page: aiohttp.ClientWebSocketResponse, is_so: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """The next message of which something is so."""
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             while True:
                 message = await page.receive_json()
                 self.heard.append(message)
@@ -137,10 +137,10 @@ def test_a_closed_page_releases_what_it_steered(tmp_path: Path) -> None:
                 await sea.until(page, lambda m: boat_in(m, 1))
                 for n in range(3):
                     await page.send_json({"t": "input", "boat": 1, "n": n, "port_pct": 30, "starboard_pct": 30})
-                async with asyncio.timeout(20):
+                async with asyncio.timeout(60):
                     while len(sea.boats[0].thrust) < 3:
                         await asyncio.sleep(0.01)
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 while sea.boats[0].thrust[-1] != (0, 0):
                     await asyncio.sleep(0.01)
             assert sea.boats[0].thrust == [(300, 0)] * 3 + [(0, 0)]
@@ -584,7 +584,7 @@ def test_a_gateway_that_slept_sends_nothing_old_when_it_wakes(tmp_path: Path) ->
             await sea.until(page, lambda m: boat_in(m, 1))
             await ask("manual")
             await steer(0)
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 while not boat.thrust:
                     await asyncio.sleep(0.01)
             clock.advance(8.0)
@@ -636,11 +636,11 @@ def test_a_gateway_that_is_ended_in_order_says_zero_and_keeps_the_session(tmp_pa
         async with opened(tmp_path, sessions=tmp_path / "sessions") as sea, sea.session.ws_connect(sea.url + "ws") as page:
             await sea.until(page, lambda m: boat_in(m, 1))
             await page.send_json({"t": "input", "boat": 1, "n": 0, "port_pct": 30, "starboard_pct": 30})
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 while not sea.boats[0].thrust:
                     await asyncio.sleep(0.01)
             sea.gateway.fleet.release_all("the console ended")
-            async with asyncio.timeout(20):
+            async with asyncio.timeout(60):
                 while sea.boats[0].thrust[-1] != (0, 0):
                     await asyncio.sleep(0.01)
 

@@ -66,7 +66,7 @@ def sail(tmp_path: Path) -> Sail:
 
 async def shown(page: Page, gateway: Standin, expression: str) -> None:
     """Wait until an expression is true in the page, while the boats go on being told."""
-    async with asyncio.timeout(20):
+    async with asyncio.timeout(60):
         while not await page.value(expression):
             await gateway.frame()
             await asyncio.sleep(0.02)
@@ -754,7 +754,7 @@ def test_a_page_that_asked_elsewhere_or_missed_something_would_be_noticed(tmp_pa
             assert (page.complaints, foreign(page, gateway)) == ([], [])
             for number, address in enumerate(("http://198.51.100.7/chart.png", "missing.png"), 1):
                 await page.value(f"new Promise(done => Object.assign(new Image(), {{onerror: done, src: {address!r}}}))")
-                async with asyncio.timeout(20):
+                async with asyncio.timeout(60):
                     while len(page.complaints) < number:
                         await page.value("document.title")
             assert foreign(page, gateway) == ["http://198.51.100.7/chart.png"]

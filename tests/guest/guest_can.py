@@ -42,7 +42,7 @@ def interface() -> Iterator[str]:
 def sockets(interface: str) -> Iterator[tuple[CanSocket, CanSocket]]:
     """A sender and a receiver of identifiers 0x100..0x1FF, on one interface."""
     with open_can(interface) as sender, open_can(interface) as receiver:
-        receiver.settimeout(5.0)
+        receiver.settimeout(30.0)
         receiver.bind(CanAddress(standard(0x100), standard(0xFF)))
         yield sender, receiver
 
@@ -53,7 +53,7 @@ def test_the_real_interface_is_among_those_tested() -> None:
 
 def test_any_hears_all_interfaces_and_names_them() -> None:
     with open_can("any") as every, open_can("vcan0") as vcan0, open_can("vcan1") as vcan1:
-        every.settimeout(5.0)
+        every.settimeout(30.0)
         every.bind(CanAddress(standard(0x123)))
         vcan0.sendto(b"0", CanAddress(standard(0x123)))
         vcan1.sendto(b"1", CanAddress(standard(0x123)))
@@ -66,7 +66,7 @@ def test_any_sends_by_all_interfaces_or_by_the_one_named(interface: str) -> None
     run(f"ip link set {interface} down")  # an interface that is down is passed over
     with open_can("any") as every, open_can("vcan0") as vcan0, open_can("vcan1") as vcan1:
         for each in (vcan0, vcan1):
-            each.settimeout(5.0)
+            each.settimeout(30.0)
             each.bind(ANYTHING)
         assert every.sendto(b"all", CanAddress(standard(5))) == 3
         every.sendto(b"one", CanAddress(standard(5), 0, vcan1.ifindex))
@@ -79,7 +79,7 @@ def test_any_sends_by_all_interfaces_or_by_the_one_named(interface: str) -> None
 
 def test_any_bound_to_an_index_hears_that_interface_only() -> None:
     with open_can("any") as every, open_can("vcan0") as vcan0, open_can("vcan1") as vcan1:
-        every.settimeout(5.0)
+        every.settimeout(30.0)
         every.bind(CanAddress(standard(1), 0, vcan1.ifindex))
         vcan0.sendto(b"0", CanAddress(standard(1)))
         vcan1.sendto(b"1", CanAddress(standard(1)))
@@ -216,7 +216,7 @@ def test_filters_are_the_kernels(interface: str) -> None:
 def test_an_adapter_of_python_can_on_the_same_interface(interface: str) -> None:
     with open_can(interface) as kernel, open_can(f"python-can:socketcan:{interface}") as adapter:
         for each in (kernel, adapter):
-            each.settimeout(5.0)
+            each.settimeout(30.0)
             each.bind(CanAddress(standard(1)))
         kernel.sendto(b"out", CanAddress(standard(1)))
         assert adapter.recv(8) == b"out"

@@ -57,7 +57,7 @@ def main() -> None:
 
     notifier = can.Notifier(bus, [listen], timeout=0.5)
     with (FOLDER / "candump.log").open("wb") as file:
-        candump = subprocess.Popen(["candump", "-L", "vcan0"], stdout=file)
+        candump = subprocess.Popen(["candump", "-L", "-r", "4194304", "vcan0"], stdout=file)
         time.sleep(1.0)
         for options in ("-g 1", "-g 0.2 -e"):
             subprocess.run(["cangen", "vcan0", "-n", str(FRAMES // 2), "-p", "10", *options.split()], check=True, timeout=60)

@@ -26,7 +26,7 @@ ip addr add {THERE}/24 dev vec0 && ip link set vec0 up
 setsid python -m delfim run etc/delfimx.toml --service cantcpd --set 'can.interface="vcan0"' \\
     --set "runtime.run_directory='$FOLDER'" --set 'cantcpd.listen=["{THERE}:{PORT}"]' \\
     --set 'cantcpd.watch=["10.77.0.0/24"]' --set 'cantcpd.transmit=["10.77.0.0/24"]' >"$FOLDER/service" 2>&1 &
-setsid candump -L vcan0 >"$FOLDER/candump.log" 2>&1 &
+setsid candump -L -r 4194304 vcan0 >"$FOLDER/candump.log" 2>&1 &
 """
 SOURCE = f"""
 for way in "-g 1" "-g 0.2 -e"; do cangen vcan0 -p 10 -n {FRAMES // 2} $way || exit; done

@@ -43,4 +43,4 @@ def test_start_status_restart_stop(can_guest: Guest) -> None:
     assert "another one" in lines
     assert "delfim runs already" in lines
     assert "delfim died; its last words are in /run/board/output" in lines
-    assert any("No such file" in line for line in lines), "an end in order leaves no mark behind"
+    assert any("No such file" in line for line in lines), f"an end in order leaves no mark behind: {result.output}"

@@ -95,6 +95,6 @@ async def served(settings: config.Vehicle, serve: Callable[[Runtime], Awaitable[
         yield runtime
     finally:
         task.cancel()
-        async with asyncio.timeout(20):
+        async with asyncio.timeout(60):
             with contextlib.suppress(asyncio.CancelledError):
                 await task

@@ -31,7 +31,7 @@ def pair():
     clock = ManualClock(100.0)
     model = ExternalModel(Hull(), clock, "127.0.0.1:0", 0.67, -0.16)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-        other.settimeout(5)
+        other.settimeout(30.0)
         other.connect(model._socket.getsockname())
         yield model, clock, other
     model._socket.close()
@@ -81,7 +81,6 @@ def test_an_address_that_is_taken_is_told(pair):
     "language",
     ["python", pytest.param("octave", marks=pytest.mark.skipif(not shutil.which("octave-cli"), reason="needs GNU Octave"))],
 )
-@pytest.mark.timeout(60)
 def test_the_example_of_the_documentation_sails_the_whole_suite(language, tmp_path):
     port = 40_000 + os.getpid() % 20_000
     example = subprocess.Popen([*PROGRAMS[language], EXAMPLES[language].replace("4800", str(port))])
