@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 from delfim.errors import FormatError, Refused
 from delfim.modes import Mode
 from delfim.vehicle import console
+from delfim.vehicle.grex import HeadingReference
 from delfim.vehicle.mavlink import commands, params, telemetry
 from delfim.vehicle.mavlink.answers import ANSWERS
 from delfim.vehicle.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
@@ -95,7 +96,7 @@ def _guest(consoles: Consoles, peer: Peer, source: Source, message: Message) -> 
         return
     heading_deg = math.degrees(math.atan2(message.vy, message.vx)) % 360.0
     speed_mps = math.hypot(message.vx, message.vy)
-    consoles.boat.on_guest(b'{"heading_deg": %.3f, "speed_mps": %.3f}' % (heading_deg, speed_mps))
+    consoles.boat.on_reference(HeadingReference(heading_deg, speed_mps))
 
 
 def _set_current(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
