@@ -20,9 +20,9 @@ from delfim import config, geodesy
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.slices import Sliced
-from delfim.vehicle import console, fence, reading
+from delfim.vehicle import console, fence, missionreader
 from delfim.vehicle.control.control import enter
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.station import FRAMES, Station
 from delfim.vehicle.mavlink.wire import Sender, dialect
@@ -98,14 +98,14 @@ def rows(settings: config.Vehicle) -> list[Row]:
     return [*_plans(boat, largest), *_fences(boat), *_voyage(boat, largest), *_consoles(boat, largest)]
 
 
-def zones(boat: Vehicle) -> config.Zones:
+def zones(boat: VehicleLoop) -> config.Zones:
     """100 zones of 100 corners a hundred metres from each other, within one of as many."""
     places = ((300.0 + 100.0 * (i // 10), 100.0 * (i % 10)) for i in range(config.ZONES))
     out = tuple(config.KeepOut(polygon=tuple(_ring(boat, n, e, 20.0))) for n, e in places)
     return config.Zones(keep_in=tuple(_ring(boat, 0.0, 0.0, 5000.0)), keep_out=out)
 
 
-def mission(boat: Vehicle, around: config.Zones) -> Mission:
+def mission(boat: VehicleLoop, around: config.Zones) -> Mission:
     """1000 waypoints, and a path of 1000 circles."""
     south, east = _place(boat, -200.0, 0.0)
     step_deg = METRE_DEG
@@ -116,12 +116,12 @@ def mission(boat: Vehicle, around: config.Zones) -> Mission:
     return Mission(version=1, name="largest", waypoint=tuple(stops), path=(begin, *[circle] * (ROWS - 1)), fence=around)
 
 
-def _origin(boat: Vehicle) -> Any:
+def _origin(boat: VehicleLoop) -> Any:
     assert boat.state.origin is not None
     return boat.state.origin
 
 
-def _place(boat: Vehicle, north_m: float, east_m: float) -> tuple[float, float]:
+def _place(boat: VehicleLoop, north_m: float, east_m: float) -> tuple[float, float]:
     at = _origin(boat)
     return (
         math.degrees(at.latitude_rad + north_m / at.north_m_per_rad),
@@ -129,7 +129,7 @@ def _place(boat: Vehicle, north_m: float, east_m: float) -> tuple[float, float]:
     )
 
 
-def _ring(boat: Vehicle, north_m: float, east_m: float, radius_m: float) -> Iterator[tuple[float, float]]:
+def _ring(boat: VehicleLoop, north_m: float, east_m: float, radius_m: float) -> Iterator[tuple[float, float]]:
     for i in range(config.CORNERS):
         turn = math.tau * i / config.CORNERS
         yield _place(boat, north_m + radius_m * math.cos(turn), east_m + radius_m * math.sin(turn))
@@ -151,7 +151,7 @@ def _once(call: Callable[[], object]) -> Callable[[], Callbacks]:
     return callbacks
 
 
-def _plans(boat: Vehicle, largest: console.Upload) -> list[Row]:
+def _plans(boat: VehicleLoop, largest: console.Upload) -> list[Row]:
     def accepted() -> Callbacks:
         Sliced(boat.helm.plans.look(largest)).finish()
         yield None
@@ -163,10 +163,10 @@ def _plans(boat: Vehicle, largest: console.Upload) -> list[Row]:
             yield draft.add(number, item)
         yield draft.done("largest", largest.mission.fence) if isinstance(draft, plans.MissionDraft) else draft.done()
 
-    fenced = console.Fence(largest.mission.fence)
+    fenced = console.SetFence(largest.mission.fence)
     star = [((1 + i % 2) * math.cos(0.0628 * i), (1 + i % 2) * math.sin(0.0628 * i)) for i in range(config.CORNERS)]
     return [
-        Row("mission that came as text", lambda: _slices(reading.gathered(list(reading.written(largest.mission))))),
+        Row("mission that came as text", lambda: _slices(missionreader.gathered(list(missionreader.written(largest.mission))))),
         Row("mission that comes item by item", lambda: items(plans.MissionDraft(), plans.mission_items(largest.mission))),
         Row("fence that comes item by item", lambda: items(plans.ZonesDraft(), plans.fence_items(largest.mission.fence))),
         Row("mission looked at, in the largest fence", lambda: _slices(boat.helm.plans.look(largest))),
@@ -183,7 +183,7 @@ def _line() -> bytes:
     return json.dumps({"command": "mission", "text": "\n" * console.PART, "at": 0, "more": True}).encode()
 
 
-def _fences(boat: Vehicle) -> list[Row]:
+def _fences(boat: VehicleLoop) -> list[Row]:
     def comb(n: float) -> Zone:
         """Its teeth run past the boat from west to east, a millimetre from each other."""
         return polygon("", False, [*((n + 1e-3 * i, 2e3 * (-1) ** i) for i in range(99)), (3e3, 0.0)])
@@ -215,7 +215,7 @@ def _held(around: fence.Fence, track: tuple[Point, ...]) -> Callbacks:
     return _slices(fence.place_to_hold(around, (5.0, 0.0), track, 5.0))
 
 
-def _voyage(boat: Vehicle, largest: console.Upload) -> list[Row]:
+def _voyage(boat: VehicleLoop, largest: console.Upload) -> list[Row]:
     home = config.HomeTable()
 
     def driven() -> Track:
@@ -263,7 +263,7 @@ def _voyage(boat: Vehicle, largest: console.Upload) -> list[Row]:
     ]
 
 
-def _consoles(boat: Vehicle, largest: console.Upload) -> list[Row]:
+def _consoles(boat: VehicleLoop, largest: console.Upload) -> list[Row]:
     sent = count()
     station = Station(boat, boat.on_command, lambda datagram, address: next(sent), None)
     senders = [Sender(250, 1 + i, None, lambda: 0) for i in range(CONSOLES)]

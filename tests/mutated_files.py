@@ -117,11 +117,11 @@ def serial_line(here: Path) -> Said:
 def replayed(here: Path) -> Said:
     """All of a tape, and every tenth of it jumped to, as a page gets it."""
     from delfim.clock import ManualClock
-    from delfim.console.replay import Replay, open_tapes
+    from delfim.console.replay import TapePlayer, open_tapes
 
     def play() -> None:
         clock, told = ManualClock(), list[object]()
-        replay = Replay(open_tapes([here]), clock, told.append)
+        replay = TapePlayer(open_tapes([here]), clock, told.append)
         replay.steer(None, 60.0)
         for tenth in range(4):
             replay.steer(replay.from_s + tenth * (replay.to_s - replay.from_s) / 4.0, None)
@@ -163,7 +163,7 @@ def can_replay(name: str) -> Callable[[Path], Said]:
 
 
 def database(here: Path) -> Said:
-    from delfim.console.candump import decoder
+    from delfim.console.framefilter import decoder
     from delfim.frames import Frame, standard
 
     def read() -> None:

@@ -62,7 +62,7 @@ def sailed(place: Path, *overrides: str) -> None:
     """A few seconds of a mission."""
     day = Day(place, *overrides)
     day.sail(3.0)
-    for word in (console.Mission(MISSION), console.Play()):
+    for word in (console.LoadMission(MISSION), console.Play()):
         assert day.command(word) is None
     day.sail(6.0)
     day.end()
@@ -230,9 +230,9 @@ LOGS = {"state log", "black box", "sidecar", "run to repeat", "state log as a ta
 READ_BY = {  # function: the readers above that come by it
     "tables.py: read_toml": {"vehicle", "mission", "library", "scenario", "control points"},
     "console/bus.py: logged": {"candump", "candump, deflated"},
-    "console/candump.py: decoder": {"CAN database"},
+    "console/framefilter.py: decoder": {"CAN database"},
     "console/charts.py: _add_tiles": {"MBTiles"},
-    "console/gateway.py: kept_token": {"page's token"},
+    "console/admission.py: kept_token": {"page's token"},
     "console/drive.py: _file": {"mission to send"},
     "console/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
     "console/georeference.py: _world": {"world file"},

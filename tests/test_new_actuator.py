@@ -23,14 +23,14 @@ from tests.enlarged import Enlarged
 RUDDER = '''"""A rudder behind a serial line, which turns with the difference of the propellers."""
 
 from delfim import config
-from delfim.vehicle.links import Line, Links
+from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.state import Actuation
 
 
 class Rudder:
     name = "rudder"
 
-    def __init__(self, line: Line, limits: config.Rudder) -> None:
+    def __init__(self, line: ReadableLine, limits: config.Rudder) -> None:
         self._line, self._limits, self._sent_deg = line, limits, 0.0
 
     def send(self, sent: Actuation, now_s: float) -> int:
@@ -77,7 +77,7 @@ def test_a_new_actuator_is_commanded_and_limited_and_stopped_by_the_dead_man(tmp
     copy.file("delfim/vehicle/actuators/rudder.py", RUDDER)
     copy.row("delfim/config.py", "]  # files in delfim/vehicle/actuators", ', "rudder"')
     copy.row("delfim/config.py", "class Vehicle(Table, frozen=True):", TABLE)
-    copy.row("delfim/config.py", "    propulsion: Propulsion = Propulsion()", "    rudder: Rudder = Rudder()\n")
+    copy.row("delfim/config.py", "    propulsion: PropulsionTable = PropulsionTable()", "    rudder: Rudder = Rudder()\n")
     end, port = os.openpty()
     values = ('propulsion.actuators=["dsor", "rudder"]', f'rudder.device="{os.ttyname(port)}"', "mavlink.enabled=false")
     with running(tmp_path, 14550, *values, package=copy.place) as command:

@@ -16,7 +16,7 @@ COMPASS = '''"""A satellite compass: a line of text a message, latitude and long
 
 from delfim import config
 from delfim.messages import Navigation
-from delfim.vehicle.links import Line, Links
+from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.navigation import Fix
 from delfim.vehicle.state import State
 
@@ -24,7 +24,7 @@ from delfim.vehicle.state import State
 class Compass:
     name = "compass"
 
-    def __init__(self, line: Line, state: State) -> None:
+    def __init__(self, line: ReadableLine, state: State) -> None:
         self.input, self._state = line, state
         self.heard_s, self._rest = -1e9, b""
 

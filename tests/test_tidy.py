@@ -6,6 +6,7 @@ import logging
 import re
 import subprocess
 import sysconfig
+from collections import defaultdict
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -19,6 +20,11 @@ PROGRAMS = [*MODULES, *sorted(path for folder in ("tests", "bench", "docker", "e
 LINES_PER_FUNCTION = 60
 LINES_PER_FILE = 400
 DECLARATIONS = {"config.py"}  # of nothing but tables, as long as what they declare
+BOTH_ENDS = {"Command", "Mission", "PathPoint", "Plan", "Profile", "Waypoint"}  # of a wire: the boat's, and the page's
+SCHEMA = {  # names that /api/schema publishes; most of them are the other end of what the vehicle says
+    *("Check", "Latency", "LogStatus", "Memory", "Node", "Notice", "Reference", "Service", "State"),
+}
+KINDS = {"dsor.py", "grex.py", "navigation.py"}  # one file a kind, named by it, and the file in which the kind has its rules
 UNFINISHED = re.compile(r"\b(TO" r"DO|FIX" r"ME|X" r"XX|raise Not" r"Implemented\w*)\b")
 REGISTRIES = re.compile(
     r"py" r"pi\.org|python" r"hosted\.org|npm" r"js\.(org|com)|debian" r"\.org|proxy\.golang" r"\.org|crates" r"\.io"
@@ -59,6 +65,24 @@ def test_a_function_fits_on_one_screen() -> None:
 def test_a_file_is_read_in_one_sitting() -> None:
     lengths = {str(path.relative_to(ROOT / "delfim")): len(path.read_text().splitlines()) for path in MODULES}
     assert {name for name, lines in lengths.items() if lines > LINES_PER_FILE} == DECLARATIONS
+
+
+def test_a_class_has_its_name_for_itself() -> None:
+    places = defaultdict[str, list[str]](list)
+    for at, node in _nodes(MODULES):
+        if isinstance(node, ast.ClassDef):
+            places[node.name].append(at)
+    assert {name: at for name, at in places.items() if len(at) > 1 and name not in BOTH_ENDS | SCHEMA} == {}
+    assert {name for name in BOTH_ENDS | SCHEMA if len(places[name]) < 2} == set()
+
+
+def test_a_file_has_its_name_for_itself() -> None:
+    """A command's file is named as people type the command."""
+    places = defaultdict[str, list[str]](list)
+    for path in (path.relative_to(ROOT / "delfim") for path in MODULES if path.name != "__init__.py"):
+        if path.parts[0] != "commands":
+            places[path.name].append(str(path))
+    assert {name: at for name, at in places.items() if len(at) > 1 and name not in KINDS} == {}
 
 
 def test_tasks_are_born_in_the_runtime_or_in_a_group_that_sees_their_end() -> None:

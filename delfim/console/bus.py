@@ -20,7 +20,7 @@ from typing import Final, NamedTuple, TextIO
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket, bus_state
 from delfim.console import busstat
-from delfim.console.candump import Filter, Stamps, decoder, long_text, parse_filter, parse_frame
+from delfim.console.framefilter import Filter, Stamps, decoder, long_text, parse_filter, parse_frame
 from delfim.errors import ConfigError, FormatError
 from delfim.frames import CAN_ERR, Frame, extended, standard
 from delfim.logging.candump import format_line, parse_line
@@ -30,7 +30,7 @@ DRAIN: Final = 64  # frames of one bus before the next one has its turn
 BUS: Final = "can0 | canloop:NAME | python-can:INTERFACE:CHANNEL | socketcand:HOST:PORT:BUS"
 
 
-class Source(NamedTuple):
+class ListenedBus(NamedTuple):
     """A bus that is listened to."""
 
     can: CanSocket
@@ -44,7 +44,7 @@ class Source(NamedTuple):
         return self.can.name.rpartition(":")[2]
 
 
-def opened(texts: Sequence[str], links: contextlib.ExitStack) -> list[Source]:
+def opened(texts: Sequence[str], links: contextlib.ExitStack) -> list[ListenedBus]:
     """Buses and their filters, "can0,123:7FF". Raises BusError, FormatError."""
     sources = []
     for text in texts:
@@ -52,11 +52,11 @@ def opened(texts: Sequence[str], links: contextlib.ExitStack) -> list[Source]:
         can = links.enter_context(open_can(interface, error_frames=bool(wanted.errors)))
         can.bind(ANYTHING)
         can.setblocking(False)
-        sources.append(Source(can, wanted))
+        sources.append(ListenedBus(can, wanted))
     return sources
 
 
-def frames(sources: Sequence[Source], silence_s: float | None = None) -> Iterator[tuple[Source, Frame]]:
+def frames(sources: Sequence[ListenedBus], silence_s: float | None = None) -> Iterator[tuple[ListenedBus, Frame]]:
     """What the buses bring and the filters let pass, until there was none for `silence_s`."""
     poll = select.poll()
     by_fd = {source.can.fileno(): source for source in sources}

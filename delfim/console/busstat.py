@@ -22,7 +22,7 @@ LINK_S: Final = 1.0  # that ip(8) may take
 
 
 @dataclass(slots=True)
-class Row:
+class IdentifierRow:
     """One identifier."""
 
     total: int = 0
@@ -35,7 +35,7 @@ class Row:
 class Statistics:
     """What was seen of a bus. `report` ends an interval."""
 
-    rows: dict[int, Row] = field(default_factory=dict)
+    rows: dict[int, IdentifierRow] = field(default_factory=dict)
     frames: int = 0
     bits: int = 0
     total: int = 0
@@ -58,7 +58,7 @@ class Statistics:
         if row is None:
             if len(self.rows) >= IDENTIFIERS_MAX:
                 return
-            row = self.rows[frame.arb] = Row()
+            row = self.rows[frame.arb] = IdentifierRow()
         row.total += 1
         row.frames += 1
         row.bits += bits

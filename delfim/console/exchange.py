@@ -6,7 +6,7 @@ from typing import Any, Final
 from delfim.console import plan
 from delfim.console.boats import SILENT_S, Boat
 from delfim.console.requests import Answer
-from delfim.console.transfer import ORDER, Download, Upload
+from delfim.console.transfer import ORDER, Download, OutgoingItems
 from delfim.errors import Refused
 from delfim.vehicle.mavlink.plans import MISSION, Item
 
@@ -37,7 +37,7 @@ class Exchange:
     def __init__(self, send: Callable[[int, Any], None], tell: Callable[[dict[str, Any]], None]) -> None:
         self.missions: dict[int, dict[str, dict[str, Any]]] = {}  # by boat: "here" and "aboard"
         self._send, self._tell = send, tell
-        self._transfers: dict[int, Upload | Download] = {}
+        self._transfers: dict[int, OutgoingItems | Download] = {}
         self._reading = set[int]()  # boats whose plans are read though nobody asked
 
     def forget(self, number: int) -> None:
@@ -92,7 +92,7 @@ class Exchange:
                 else:
                     self.download(boat, lambda well, why: answer(*self._compared(number, well, why)))
 
-            self._transfers[number] = Upload(number, kind, groups[kind], lambda m: self._send(number, m), ended)
+            self._transfers[number] = OutgoingItems(number, kind, groups[kind], lambda m: self._send(number, m), ended)
 
         next_kind(0)
 
@@ -125,7 +125,7 @@ class Exchange:
     def progress(self) -> list[dict[str, Any]]:
         """Of the transfers that are under way."""
         return [
-            {"t": "progress", "boat": n, "what": type(each).__name__.lower(), "part": round((_done(each) + each.part) / 3, 3)}
+            {"t": "progress", "boat": n, "what": each.what, "part": round((_done(each) + each.part) / 3, 3)}
             for n, each in self._transfers.items()
         ]
 
@@ -155,6 +155,6 @@ class Exchange:
         return same, "" if same else "what the boat has differs from what was sent"
 
 
-def _done(each: Upload | Download) -> int:
+def _done(each: OutgoingItems | Download) -> int:
     """How many types of items are over before this one."""
-    return ORDER.index(each.kind) if isinstance(each, Upload) else each.kind
+    return ORDER.index(each.kind) if isinstance(each, OutgoingItems) else each.kind

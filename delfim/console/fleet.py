@@ -36,7 +36,7 @@ REASON_S: Final = 0.5  # a refusal and its reason come apart
 Tell = Callable[[dict[str, Any]], None]
 
 
-class Profile(NamedTuple):
+class AskedProfile(NamedTuple):
     """A link profile that was asked for and not yet confirmed."""
 
     name: str
@@ -65,7 +65,7 @@ class Fleet:
         self._beat_s = self._complained_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
         self._refused: dict[int, tuple[float, int, int]] = {}  # by boat: until when the reason is waited for, command, result
-        self._profiles: dict[int, Profile] = {}
+        self._profiles: dict[int, AskedProfile] = {}
 
     # What comes from the boats.
 
@@ -338,7 +338,7 @@ class Fleet:
         before = self._profiles.pop(boat.number, None)
         if before is not None:
             before.answer(False, "replaced by a newer choice")
-        self._profiles[boat.number] = Profile(profile, answer, now_s, now_s)
+        self._profiles[boat.number] = AskedProfile(profile, answer, now_s, now_s)
         self._choose(boat.number, now_s)
 
     def _choose(self, number: int, now_s: float) -> None:

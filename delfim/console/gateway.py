@@ -19,13 +19,13 @@ from delfim.clock import Clock
 from delfim.console import said
 from delfim.console.admission import Admission, own_number
 from delfim.console.charts import Charts
-from delfim.console.dryrun import dry_run
 from delfim.console.fleet import Fleet
+from delfim.console.forecast import dry_run
 from delfim.console.library import Library
 from delfim.console.mavlink import Key
 from delfim.console.orders import OFFERED
 from delfim.console.radio import radio
-from delfim.console.replay import Replay
+from delfim.console.replay import TapePlayer
 from delfim.console.session import Session
 from delfim.console.tape import Tape
 from delfim.console.udp import Udp
@@ -95,9 +95,9 @@ class Gateway:
         admission = Admission(token)
         self.token = admission.token
         self.me = number or own_number(self.token)
-        self.fleet: Fleet | Replay
+        self.fleet: Fleet | TapePlayer
         if tapes:
-            self.fleet = Replay(tapes, clock, self.tell)
+            self.fleet = TapePlayer(tapes, clock, self.tell)
             self.fleet.moved = self._show_tracks_to_all
         else:
             self.fleet = Fleet(clock, self._transmit, self.tell, key, self.me)
@@ -204,13 +204,13 @@ class Gateway:
                 "boats": fleet.snapshot(),
                 "heard_on": self.heard_on,
                 "orders": OFFERED,
-                "replay": _time_line(fleet) if isinstance(fleet, Replay) else None,
+                "replay": _time_line(fleet) if isinstance(fleet, TapePlayer) else None,
             }
         )
         for fault in (*self.charts.faults, *(f"{name}: {reason}" for name, reason in self._complaints.items() if reason)):
             page.tell(self._text(fault))
         self._show_tracks(page)
-        if isinstance(fleet, Replay):
+        if isinstance(fleet, TapePlayer):
             for number, track in fleet.tracks().items():
                 for points in _chunks(track):
                     page.tell({"t": "whole_track", "boat": number, "points": points})
@@ -259,7 +259,7 @@ class Gateway:
             case said.Profile(boat=number, profile=profile):
                 fleet.command(number, "profile", {"profile": profile}, answer)
             case said.Replay():
-                if not isinstance(fleet, Replay):
+                if not isinstance(fleet, TapePlayer):
                     raise Refused("nothing is being replayed")
                 fleet.steer(asked.at_s, asked.rate)
                 answer(True, "")
@@ -339,7 +339,7 @@ class Gateway:
 
     def _utc_s(self) -> float:
         """The time that pages show."""
-        return round(self.fleet.at_s if isinstance(self.fleet, Replay) else self._clock.time_ns() / 1e9, 3)
+        return round(self.fleet.at_s if isinstance(self.fleet, TapePlayer) else self._clock.time_ns() / 1e9, 3)
 
 
 def _answer(page: Page, sequence: Any, well: bool, reason: str) -> None:
@@ -347,7 +347,7 @@ def _answer(page: Page, sequence: Any, well: bool, reason: str) -> None:
         page.tell({"t": "answer", "seq": sequence, "ok": well, "reason": reason})
 
 
-def _time_line(replay: Replay) -> dict[str, Any]:
+def _time_line(replay: TapePlayer) -> dict[str, Any]:
     return {"from_s": replay.from_s, "to_s": replay.to_s, "events": replay.events()}
 
 

@@ -17,7 +17,7 @@ OWN_SPEED: Final = -1.0  # the boat's
 Numbers = Mapping[str, float]
 
 
-class Order(NamedTuple):
+class CommandLong(NamedTuple):
     """A MAVLink command. `place`: latitude and longitude, 1e-7 degrees; too fine for the floats of `numbers`."""
 
     command: int
@@ -25,10 +25,10 @@ class Order(NamedTuple):
     place: tuple[int, int] | None = None
 
 
-class Row(NamedTuple):
+class OrderRow(NamedTuple):
     """Of a word."""
 
-    make: Callable[[Numbers], Order]
+    make: Callable[[Numbers], CommandLong]
     mode: str = ""  # that the boat enters by it
     needs: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()  # and these, where they are known
@@ -36,7 +36,7 @@ class Row(NamedTuple):
     key: str = ""  # that does the same
 
 
-def row_of(word: str, modes: Mapping[int, str]) -> Row:
+def row_of(word: str, modes: Mapping[int, str]) -> OrderRow:
     """The row of a word, or that of a mode that the boat has. Raises FormatError."""
     for number, name in modes.items() if word not in ORDERS else ():
         if name == word:
@@ -47,7 +47,7 @@ def row_of(word: str, modes: Mapping[int, str]) -> Row:
         raise FormatError(f"no command {word!r}") from None
 
 
-def order(word: str, row: Row, words: Mapping[str, Any]) -> Order:
+def order(word: str, row: OrderRow, words: Mapping[str, Any]) -> CommandLong:
     """Raises FormatError."""
     if unknown := sorted(set(words) - {*row.needs, *row.takes}):
         raise FormatError(f"{word} does not take {', '.join(map(repr, unknown))}")
@@ -62,63 +62,63 @@ def _number(word: str, name: str, value: Any) -> float:
     return float(value)
 
 
-def _enter(mode: str, number: int) -> Row:
-    asked = Order(mavlink.MAV_CMD_DO_SET_MODE, (1.0, float(number)))
-    return Row(lambda n: asked, mode)
+def _enter(mode: str, number: int) -> OrderRow:
+    asked = CommandLong(mavlink.MAV_CMD_DO_SET_MODE, (1.0, float(number)))
+    return OrderRow(lambda n: asked, mode)
 
 
-def _heading(n: Numbers) -> Order:
+def _heading(n: Numbers) -> CommandLong:
     if "heading_deg" not in n:
         return _enter("heading", Mode.HEADING).make(n)
-    return Order(mavlink.MAV_CMD_GUIDED_CHANGE_HEADING, (1.0, n["heading_deg"] % 360.0, 0.0))
+    return CommandLong(mavlink.MAV_CMD_GUIDED_CHANGE_HEADING, (1.0, n["heading_deg"] % 360.0, 0.0))
 
 
-def _goto_point(n: Numbers) -> Order:
+def _goto_point(n: Numbers) -> CommandLong:
     latitude, longitude = round(n["latitude_deg"] * 1e7), round(n["longitude_deg"] * 1e7)
     if abs(latitude) > 890_000_000 or abs(longitude) > 1_800_000_000:
         raise FormatError(f"{n['latitude_deg']}, {n['longitude_deg']} is nowhere")
-    return Order(mavlink.MAV_CMD_DO_REPOSITION, (n.get("speed_mps", OWN_SPEED), 1.0), (latitude, longitude))
+    return CommandLong(mavlink.MAV_CMD_DO_REPOSITION, (n.get("speed_mps", OWN_SPEED), 1.0), (latitude, longitude))
 
 
-def _speed(n: Numbers) -> Order:
+def _speed(n: Numbers) -> CommandLong:
     if len(n) != 1:
         raise FormatError("speed needs either speed_mps or speed_pct")
-    return Order(mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, n.get("speed_mps", OWN_SPEED), n.get("speed_pct", OWN_SPEED)))
+    return CommandLong(mavlink.MAV_CMD_DO_CHANGE_SPEED, (1.0, n.get("speed_mps", OWN_SPEED), n.get("speed_pct", OWN_SPEED)))
 
 
-def _play(n: Numbers) -> Order:
+def _play(n: Numbers) -> CommandLong:
     leg = n.get("leg", 0.0)
     if leg < 0.0 or leg != int(leg):
         raise FormatError(f"play: leg is the number of a waypoint, not {leg:g}")
-    return Order(mavlink.MAV_CMD_MISSION_START, (leg, 0.0))
+    return CommandLong(mavlink.MAV_CMD_MISSION_START, (leg, 0.0))
 
 
-def _arm(n: Numbers) -> Order:
-    return Order(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
+def _arm(n: Numbers) -> CommandLong:
+    return CommandLong(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
 
 
-def _disarm(n: Numbers) -> Order:
-    return Order(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
+def _disarm(n: Numbers) -> CommandLong:
+    return CommandLong(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (0.0,))
 
 
-def _reset(n: Numbers) -> Order:
-    return Order(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (0.0, 0.0, 1.0, n.get("component", 0.0)))
+def _reset(n: Numbers) -> CommandLong:
+    return CommandLong(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (0.0, 0.0, 1.0, n.get("component", 0.0)))
 
 
-def _take(n: Numbers) -> Order:
-    return Order(REQUEST_CONTROL, (0.0, 1.0, 1.0))
+def _take(n: Numbers) -> CommandLong:
+    return CommandLong(REQUEST_CONTROL, (0.0, 1.0, 1.0))
 
 
-ORDERS: Final[dict[str, Row]] = {
+ORDERS: Final[dict[str, OrderRow]] = {
     "stop": _enter("idle", Mode.IDLE),
-    "heading": Row(_heading, "heading", takes=("heading_deg",)),
-    "heading_to": Row(_heading, "heading", needs=("heading_deg",)),
-    "goto_point": Row(_goto_point, "goto", needs=("latitude_deg", "longitude_deg"), takes=("speed_mps",)),
-    "play": Row(_play, "play", takes=("leg",)),
-    "speed": Row(_speed, takes=("speed_mps", "speed_pct")),
-    "arm": Row(_arm),
-    "disarm": Row(_disarm, "idle"),
-    "reset": Row(_reset, takes=("component",), title="Reset the peripherals", key="R"),
-    "take": Row(_take),
+    "heading": OrderRow(_heading, "heading", takes=("heading_deg",)),
+    "heading_to": OrderRow(_heading, "heading", needs=("heading_deg",)),
+    "goto_point": OrderRow(_goto_point, "goto", needs=("latitude_deg", "longitude_deg"), takes=("speed_mps",)),
+    "play": OrderRow(_play, "play", takes=("leg",)),
+    "speed": OrderRow(_speed, takes=("speed_mps", "speed_pct")),
+    "arm": OrderRow(_arm),
+    "disarm": OrderRow(_disarm, "idle"),
+    "reset": OrderRow(_reset, takes=("component",), title="Reset the peripherals", key="R"),
+    "take": OrderRow(_take),
 }
 OFFERED: Final = [{"command": word, "title": row.title, "key": row.key} for word, row in ORDERS.items() if row.title]

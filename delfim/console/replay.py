@@ -11,7 +11,7 @@ from delfim.console.boats import Boat
 from delfim.console.exchange import planned
 from delfim.console.plan import mission_of
 from delfim.console.statetape import States
-from delfim.console.tape import Session, Tape, Track
+from delfim.console.tape import Tape, TlogTape, Track
 from delfim.errors import DelfimError, FormatError, Refused, in_words
 from delfim.logging.statelog import read_state
 
@@ -20,7 +20,7 @@ EVENTS_MAX: Final = 300  # marks on the time line
 TRACK_MAX: Final = 4000  # points of a whole track
 
 
-class Replay:
+class TapePlayer:
     """Plays from its beginning at the rate of life. `moved` is called when time jumped: tracks are other ones then."""
 
     def __init__(self, tapes: Sequence[Tape], clock: Clock, tell: Callable[[dict[str, Any]], None]) -> None:
@@ -134,7 +134,7 @@ def open_tapes(paths: Sequence[Path]) -> list[Tape]:
     try:
         for file in files:
             if file.suffix == ".tlog":
-                tapes.append(Session(file))
+                tapes.append(TlogTape(file))
             elif file.name.endswith((".state", ".state.gz")):
                 try:
                     by_boat.setdefault(read_state(file).schema.boat, []).append(file)

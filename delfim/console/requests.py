@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from delfim.console.mavlink import mavlink
-from delfim.console.orders import Order
+from delfim.console.orders import CommandLong
 
 REPEAT_S: Final = 1.0
 LIFE_S: Final = 4.0  # a command that arrives later than this is not what the operator means any more
@@ -30,7 +30,7 @@ class Request:
     """One command on its way."""
 
     boat: int
-    order: Order
+    order: CommandLong
     answer: Answer
     begun_s: float
     is_stop: bool = False
@@ -52,7 +52,7 @@ class Requests:
     def begin(
         self,
         boat: int,
-        order: Order,
+        order: CommandLong,
         answer: Answer,
         now_s: float,
         *,

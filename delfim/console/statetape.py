@@ -17,7 +17,7 @@ from delfim.logging.statelog import read_state
 STATE_S: Final = 0.1  # between records that are shown
 
 
-class Row(NamedTuple):
+class LogRow(NamedTuple):
     """What a state log shows of a boat at a time."""
 
     at_s: float
@@ -33,7 +33,7 @@ class States:
 
     def __init__(self, files: Sequence[Path], number: int) -> None:
         self.name, self.complaint = "", ""
-        self._rows: list[Row] = []
+        self._rows: list[LogRow] = []
         self.texts: list[Text] = []
         self._number = _number(files, number)
         track: Track = []
@@ -82,7 +82,7 @@ class States:
                 self._rows.append(_row(at_s, told))
 
 
-def _row(at_s: float, told: dict[str, Any]) -> Row:
+def _row(at_s: float, told: dict[str, Any]) -> LogRow:
     def known(name: str, digits: int = 2) -> float | None:
         value = told.get(name, math.nan)
         return round(value, digits) if math.isfinite(value) else None
@@ -122,7 +122,7 @@ def _row(at_s: float, told: dict[str, Any]) -> Row:
         "distance_m": known("distance", 1),
         "leg": known("leg"),
     }
-    return Row(at_s, told["mode"], bool(told.get("run")), values, reference)
+    return LogRow(at_s, told["mode"], bool(told.get("run")), values, reference)
 
 
 def _events(file: Path) -> Iterator[dict[str, Any]]:

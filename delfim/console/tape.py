@@ -65,7 +65,7 @@ class Tape(Protocol):
         """Bring boats from what was known at one time to what was known at a later one, and what was said between."""
 
 
-class Session:
+class TlogTape:
     """A .tlog. Raises FormatError where no frame can be read at all, OSError."""
 
     def __init__(self, file: Path) -> None:

@@ -19,8 +19,10 @@ ORDER: Final = (FENCE, RALLY, MISSION)  # a mission that a new fence cuts is for
 Ended = Callable[[str], None]  # with the reason, empty when all went well
 
 
-class Upload:
+class OutgoingItems:
     """Items of one type to one boat."""
+
+    what = "upload"
 
     def __init__(self, boat: int, kind: int, items: Sequence[Item], send: Callable[[Any], None], ended: Ended) -> None:
         self.boat, self.kind = boat, kind
@@ -67,6 +69,8 @@ class Upload:
 
 class Download:
     """Items of one type from one boat: `items` when it has ended well."""
+
+    what = "download"
 
     def __init__(self, boat: int, kind: int, send: Callable[[Any], None], ended: Ended) -> None:
         self.boat, self.kind = boat, kind

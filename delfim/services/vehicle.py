@@ -23,15 +23,15 @@ from delfim.services import powerd, slots
 from delfim.services.runtime import Runtime
 from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
-from delfim.vehicle.console import Commands, Shutdown
+from delfim.vehicle.console import Commands, ShutDown
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.links import Input, Links
+from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.logbook import Logbook
-from delfim.vehicle.loop import LOCAL, Vehicle
+from delfim.vehicle.loop import LOCAL, VehicleLoop
 from delfim.vehicle.navigation import Source
 from delfim.vehicle.rehearsal import Rehearsal
 from delfim.vehicle.reviews import Reviews
-from delfim.vehicle.state import Computer, State, StateLog
+from delfim.vehicle.state import StartConditions, State, StateLog
 
 WATCHDOG_S = 0.1
 PUBLISH_EVERY = 2  # watchdog ticks
@@ -54,7 +54,7 @@ class OpenedLinks:
 
     def __init__(self, runtime: Runtime, links: contextlib.ExitStack) -> None:
         self._runtime, self._links = runtime, links
-        self._inputs, self._logs = list[Input](), list[LineLog]()
+        self._inputs, self._logs = list[Readable](), list[LineLog]()
 
     def bus(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
         socket = self._links.enter_context(open_bound(self._runtime.config.can, interface, filters))
@@ -89,7 +89,7 @@ async def serve(runtime: Runtime) -> None:
     with contextlib.ExitStack() as links:
         last_shutdown = _last_shutdown(Path(settings.log.directory), links)
         image = slots.present_notice(settings.runtime.run_directory)
-        state = State(computer=Computer(runtime.is_starting(), last_shutdown, image))
+        state = State(computer=StartConditions(runtime.is_starting(), last_shutdown, image))
         log = Logbook(settings, clock)
         links.callback(log.close)
         broken = _breakable(runtime, links)
@@ -114,7 +114,7 @@ async def serve(runtime: Runtime) -> None:
 
 async def _attend(
     runtime: Runtime,
-    boat: Vehicle,
+    boat: VehicleLoop,
     log: Logbook,
     opened: OpenedLinks,
     links: contextlib.ExitStack,
@@ -134,12 +134,12 @@ async def _attend(
     def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
         refused = (broken.deaf if broken else None) or boat.on_command(command, operator)
         reviews.hear(command, operator)
-        if isinstance(command, Shutdown) and refused is None:
+        if isinstance(command, ShutDown) and refused is None:
             powerd.ask(runtime, "reboot" if command.reboot else "off", "command of the console")
         log.command(command, refused, boat.state, reviews.written(command))
         return refused
 
-    mavlink = runtime.load("delfim.vehicle.mavlink.link") if settings.mavlink.enabled else None
+    mavlink = runtime.load("delfim.vehicle.mavlink.stationsocket") if settings.mavlink.enabled else None
     reviews = Reviews(boat, obeyed, loop)
     commands = CommandServer(obeyed, reviews, snapshot, settings.console.clients)
     links.callback(commands.close)
@@ -206,7 +206,7 @@ def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
     return "the run before did not end in order: a crash, or the power was cut" if unclean else ""
 
 
-async def _guest_server(boat: Vehicle, listen: str) -> Callable[[], object]:
+async def _guest_server(boat: VehicleLoop, listen: str) -> Callable[[], object]:
     """Returns what ends it. A boat without its guest sails: where the address cannot be had, the log says so."""
     try:
         return (await asyncio.get_running_loop().create_server(lambda: boat.guest, *config.address(listen))).close

@@ -49,7 +49,7 @@ class Berth:
         return f"{wanted}-{self.number}" if self.number > 1 and wanted.startswith("canloop:") else wanted
 
 
-class Settings(NamedTuple):
+class BerthSettings(NamedTuple):
     """A simulated boat's overrides of its file, and what of them people are told."""
 
     overrides: list[str]
@@ -78,7 +78,7 @@ def berth(folder: str | None) -> Iterator[Berth]:
         yield Berth(number, place)
 
 
-def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> Settings:
+def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> BerthSettings:
     """The overrides with which a boat sails in simulation. `named` are the keys that the operator set."""
     place, simulation = its.folder.resolve(), vehicle.simulation
 
@@ -117,7 +117,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "simulation.faults": "true",
     }
     overrides = [f"{key}={_quoted(text)}" for key, text in texts.items()] + [f"{key}={value}" for key, value in values.items()]
-    return Settings(overrides, boat_id, page)
+    return BerthSettings(overrides, boat_id, page)
 
 
 def found(folder: str | None) -> Path:

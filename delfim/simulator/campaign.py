@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from delfim import config, geodesy
 from delfim.simulator.faults import KINDS, VALUES, WHERE
-from delfim.simulator.scenario import FaultAt, Guest, Scenario, settings_of
+from delfim.simulator.scenario import FaultAt, Scenario, ScenarioGuest, settings_of
 from delfim.simulator.trial import Result, sail
 
 MIXED: Final = "mixed"
@@ -44,7 +44,7 @@ def mixed(seed: int, here: config.Simulation) -> Scenario:
             "simulation": {"sea": sea, "heading_deg": random.uniform(0.0, 360.0)},
             "log": {"required": random.random() < 0.5},
         },
-        guest=Guest(heading_deg=random.uniform(0.0, 360.0), speed_mps=1.5) if random.random() < 0.3 else None,
+        guest=ScenarioGuest(heading_deg=random.uniform(0.0, 360.0), speed_mps=1.5) if random.random() < 0.3 else None,
         command=tuple(_orders(random, seconds, place)),
         fault=tuple(_fault(random, seconds) for _ in range(random.randint(1, 5))),
     )

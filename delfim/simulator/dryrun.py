@@ -29,7 +29,7 @@ def sail(settings: config.Vehicle, mission: str, limit_s: float = LIMIT_S, seed:
     """The answer, JSON-ready."""
     run = Lockstep(settings, seed, lambda clock: NoLog())
     track: list[tuple[float, float]] = []
-    end, begun_s, next_s = run.command(console.Mission(mission)) or "", 0.0, 0.0
+    end, begun_s, next_s = run.command(console.LoadMission(mission)) or "", 0.0, 0.0
     for state in run.cycles(0.0 if end else limit_s):
         if not begun_s:
             begun_s = run.elapsed_s if run.command(console.Play()) is None else 0.0

@@ -61,7 +61,7 @@ LATE_MAX: Final = 4096  # frames under way at once
 HANGS_S: Final = 5.0  # a log that was not written for so long says so
 
 
-class Fault(NamedTuple):
+class Breakage(NamedTuple):
     """What breaks, where, how much, and for how long. What a propeller or a battery loses comes back when the time has passed,
     but for charge."""
 
@@ -71,7 +71,7 @@ class Fault(NamedTuple):
     for_s: float = math.inf
 
 
-def fault(kind: str, where: str = "", value: float | None = None, for_s: float | None = None) -> Fault:
+def fault(kind: str, where: str = "", value: float | None = None, for_s: float | None = None) -> Breakage:
     """A fault, checked, with the kind's default value. Raises FormatError in words."""
     if kind not in KINDS:
         raise FormatError(f"no fault {kind!r}; there are {', '.join(KINDS)}")
@@ -83,7 +83,7 @@ def fault(kind: str, where: str = "", value: float | None = None, for_s: float |
         raise FormatError(f"{kind}: {value} means nothing here")
     if for_s is not None and not for_s > 0.0:
         raise FormatError(f"{kind}: no duration: {for_s} s")
-    return Fault(kind, where, default if value is None else value, math.inf if for_s is None else for_s)
+    return Breakage(kind, where, default if value is None else value, math.inf if for_s is None else for_s)
 
 
 class Broken:
@@ -93,7 +93,7 @@ class Broken:
         self.on: dict[str, float] = {}  # kinds that are there now, with their value
         self.faults: dict[tuple[str, str], float] = {}  # kind and place of each that is there, and when it ends
 
-    def begin(self, broken: Fault, now_s: float) -> None:
+    def begin(self, broken: Breakage, now_s: float) -> None:
         """It breaks now; the same fault at the same place replaces the one before."""
         self.faults[broken.kind, broken.where] = now_s + broken.for_s
         self.on[broken.kind] = broken.value

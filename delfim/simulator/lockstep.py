@@ -10,9 +10,9 @@ from typing import Final
 from delfim import config
 from delfim.clock import ManualClock
 from delfim.modes import Mode
-from delfim.simulator.bus import LockstepBus
-from delfim.simulator.faults import Fault, Faults, FaultyLog
+from delfim.simulator.faults import Breakage, Faults, FaultyLog
 from delfim.simulator.line import LockstepLine
+from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.nodes import nodes_of
 from delfim.vehicle import console
 from delfim.vehicle.build import build
@@ -61,7 +61,7 @@ class Lockstep:
         """A word of the operator; why it was refused, or None."""
         return self.vehicle.on_command(command)
 
-    def breaks(self, broken: Fault) -> None:
+    def breaks(self, broken: Breakage) -> None:
         """Something breaks now."""
         if broken.kind == "clock_stepped":
             self.clock.step(broken.value)
@@ -105,7 +105,7 @@ class Lockstep:
 
     def sail(self, mission: str, limit_s: float) -> str:
         """Load a mission's text, play it as soon as the boat is fit, and sail until it ends; how it ended, in words."""
-        reason = self.command(console.Mission(mission))
+        reason = self.command(console.LoadMission(mission))
         if reason is not None:
             return f"stopped: {reason}"
         playing = False

@@ -31,8 +31,8 @@ from delfim.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
 )
-from delfim.simulator.bus import LockstepBus
 from delfim.simulator.line import LockstepLine
+from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
@@ -56,7 +56,7 @@ class Difference(NamedTuple):
     repeated: Group
 
 
-class Result(NamedTuple):
+class RerunResult(NamedTuple):
     cycles: int
     frames: int  # compared
     differences: list[Difference]
@@ -74,7 +74,7 @@ class Result(NamedTuple):
         return "\n".join([*lines, *(f"  {words}" for words in self.refusals[:SHOWN])])
 
 
-class Heard(NamedTuple):
+class BusInput(NamedTuple):
     """A frame of a bus, or what one read of a serial line gave."""
 
     name: str  # of the bus or line, as its log is called
@@ -91,19 +91,19 @@ class Due(NamedTuple):
     what: Any = None
 
 
-class Asked(NamedTuple):
+class GuestReference(NamedTuple):
     """The guest's reference; not a number where it never gave one."""
 
     heading_rad: float
     speed_mps: float
 
 
-class Word(NamedTuple):
+class Contact(NamedTuple):
     """Somebody was heard."""
 
     at_s: float  # monotonic
     key: str  # of the state: "console_s", "guest_s"
-    asked: Asked | None  # None: it was the console
+    asked: GuestReference | None  # None: it was the console
 
 
 class Recalled:
@@ -122,7 +122,9 @@ class Recalled:
 class Rerun:
     """The loop, its inputs on buses and lines without time, and what it sends. What it sends in `span` is compared."""
 
-    def __init__(self, settings: config.Vehicle, recorded: Iterable[Heard], start_s: float, first_ns: int, span: Span) -> None:
+    def __init__(
+        self, settings: config.Vehicle, recorded: Iterable[BusInput], start_s: float, first_ns: int, span: Span
+    ) -> None:
         """`start_s` is the monotonic time of the start, `first_ns` the kernel's stamp of the first message that was used."""
         self.clock, self.log, self.state = Recalled(), NoLog(), State()
         self.clock.now_s = start_s
@@ -134,7 +136,7 @@ class Rerun:
         links = Links(self._open_bus, self._open_line)
         self.vehicle, self._sensors, _ = build(settings, self.clock, self.state, links, self.log)
         self._heard_ns = first_ns - round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
-        self._inputs = deque[Heard]()
+        self._inputs = deque[BusInput]()
         self.recorded = deque[tuple[int, Group]]()
         self._split(recorded)
         self._span, self.differences, self.refusals, self.frames = span, list[Difference](), list[str](), 0
@@ -151,7 +153,7 @@ class Rerun:
     def _open_line(self, name: str, baud: int) -> LockstepLine:
         return self._lines.setdefault(device(name), LockstepLine(self.clock))
 
-    def _split(self, recorded: Iterable[Heard]) -> None:
+    def _split(self, recorded: Iterable[BusInput]) -> None:
         """What the vehicle sent into groups, everything else is its input."""
         group: list[tuple[int, bytes]] = []
         for heard in recorded:
@@ -175,7 +177,7 @@ class Rerun:
         while self._inputs and self._inputs[0].t_ns <= until_ns:
             self._deliver(self._inputs.popleft())
 
-    def _deliver(self, heard: Heard) -> None:
+    def _deliver(self, heard: BusInput) -> None:
         name, t_ns, what = heard
         self.clock.now_s += (t_ns - self.clock.now_ns) / 1e9 if self.clock.now_ns else 0.0
         self.clock.now_ns = t_ns
@@ -228,13 +230,13 @@ class Rerun:
             self._deliver(self._inputs.popleft())
             self._at(due.t_ns, due.at_s)
 
-    def hear(self, word: Word) -> None:
+    def hear(self, word: Contact) -> None:
         """The console or the guest said something."""
         setattr(self.state, word.key, word.at_s)
         if word.asked:
             self._ask(word.asked)
 
-    def _ask(self, asked: Asked) -> None:
+    def _ask(self, asked: GuestReference) -> None:
         """What the guest asks for from now on; not a number where it never did."""
         heading = None if asked.heading_rad != asked.heading_rad else asked.heading_rad
         self.state.setpoint = self.state.setpoint._replace(guest_heading_rad=heading, guest_speed_mps=asked.speed_mps)
@@ -280,7 +282,7 @@ class Rerun:
             self._compare(self.recorded[0][0])
 
 
-def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAYS) -> Result:
+def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAYS) -> RerunResult:
     """Repeat a run, all of it, and compare what came of it in this time. Raises DelfimError where the logs do not hold what it
     takes, or nothing that could be compared."""
     state_files = [file for file in files if file.id == "state"]
@@ -310,17 +312,17 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     run.finish(ended)
     if not (run.frames or run.differences):
         raise DelfimError("the boat commanded nothing in this time")
-    return Result(run.state.cycles, run.frames, run.differences, run.refusals)
+    return RerunResult(run.state.cycles, run.frames, run.differences, run.refusals)
 
 
-def _heard(boxes: Sequence[LogFile], files: Sequence[LogFile]) -> Iterator[Heard]:
+def _heard(boxes: Sequence[LogFile], files: Sequence[LogFile]) -> Iterator[BusInput]:
     """All that the black boxes of buses and lines hold, by time."""
-    of_buses = (Heard(name, frame.t_ns, frame) for name, frame in frames(boxes))
-    of_lines = (Heard(*piece) for piece in pieces(file for file in files if file.suffix.startswith(SUFFIX)))
+    of_buses = (BusInput(name, frame.t_ns, frame) for name, frame in frames(boxes))
+    of_lines = (BusInput(*piece) for piece in pieces(file for file in files if file.suffix.startswith(SUFFIX)))
     return heapq.merge(of_buses, sorted(of_lines, key=_when), key=_when)
 
 
-def _when(heard: Heard) -> int:
+def _when(heard: BusInput) -> int:
     return heard.t_ns
 
 
@@ -330,17 +332,17 @@ def _cycles(columns: Any) -> Iterator[Due]:
         yield Due(t1, "navigation", at_s, asked)
 
 
-def _asked(columns: Any) -> Iterator[Asked]:
-    return map(Asked, columns["guest_heading"].tolist(), columns["guest_speed"].tolist())
+def _asked(columns: Any) -> Iterator[GuestReference]:
+    return map(GuestReference, columns["guest_heading"].tolist(), columns["guest_speed"].tolist())
 
 
-def _words_of(columns: Any) -> Iterator[Word]:
+def _words_of(columns: Any) -> Iterator[Contact]:
     """Each time at which somebody spoke, with what the guest had asked for by the cycle that followed."""
     for key in ("console_s", "guest_s"):
         before_s = NEVER_S
         for at_s, asked in zip(columns[key].tolist(), _asked(columns), strict=True):
             if at_s > before_s:
-                yield Word(at_s, key, asked if key == "guest_s" else None)
+                yield Contact(at_s, key, asked if key == "guest_s" else None)
             before_s = at_s
 
 

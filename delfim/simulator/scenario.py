@@ -12,7 +12,7 @@ import msgspec
 from delfim import config, tables
 from delfim.errors import ConfigError, FormatError, in_words
 from delfim.outside import parse_toml, read_text
-from delfim.simulator.faults import Fault, fault
+from delfim.simulator.faults import Breakage, fault
 from delfim.vehicle import console
 
 DAY_S: Final = 86_400.0
@@ -47,7 +47,7 @@ class Expect(tables.Table, frozen=True):
             raise ValueError("one of mode, notice, propellers, waypoints")
 
 
-class Guest(tables.Table, frozen=True):
+class ScenarioGuest(tables.Table, frozen=True):
     """What the guest computer asks for, twice a second."""
 
     heading_deg: float
@@ -62,7 +62,7 @@ class Scenario(tables.Table, frozen=True):
     seconds: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)]
     mission: str = ""  # a mission file, beside this one
     vehicle: dict[str, Any] = msgspec.field(default_factory=dict)  # tables laid over the vehicle's file
-    guest: Guest | None = None
+    guest: ScenarioGuest | None = None
     command: tuple[dict[str, Any], ...] = ()  # the operator's words with `at_s`, and `held_s` or `refused` (class Order)
     fault: tuple[FaultAt, ...] = ()
     expect: tuple[Expect, ...] = ()
@@ -78,7 +78,7 @@ def load_scenario(path: str | Path) -> Scenario:
             fault_of(broken)
         for number, words in enumerate(scenario.command):
             key = f"command[{number}]"
-            Order.of(words)
+            OperatorWord.of(words)
     except FormatError as error:
         raise ConfigError(str(path), key, str(error)) from None
     return scenario
@@ -94,7 +94,7 @@ def _laid_over(tree: dict[str, Any], upper: dict[str, Any]) -> dict[str, Any]:
     return {**tree, **upper, **both}
 
 
-class Order(NamedTuple):
+class OperatorWord(NamedTuple):
     """A word of the operator."""
 
     at_s: float
@@ -114,7 +114,7 @@ class Order(NamedTuple):
         return cls(float(at_s), console.parse(command), refused, float(held_s))
 
 
-def fault_of(asked: FaultAt) -> Fault:
+def fault_of(asked: FaultAt) -> Breakage:
     return fault(asked.kind, asked.where, asked.value, asked.for_s)
 
 

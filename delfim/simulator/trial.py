@@ -15,8 +15,8 @@ from delfim import config
 from delfim.clock import ManualClock
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.scenario import Expect, Order, Scenario, fault_of, load_scenario, mission_of, settings_of
-from delfim.simulator.watch import TURNS_RPM, Watch
+from delfim.simulator.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, mission_of, settings_of
+from delfim.simulator.watch import TURNS_RPM, Onlooker
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, StateLog
 
@@ -97,7 +97,7 @@ def sail(
     patient gives an order once and takes a refusal for an answer.
     """
     run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()))
-    watch, recorder, operator = Watch(run), Recorder(run), Operator(run, scenario, mission, patient)
+    watch, recorder, operator = Onlooker(run), Recorder(run), Operator(run, scenario, mission, patient)
     broken = deque(sorted(((each.at_s, fault_of(each)) for each in scenario.fault), key=lambda pair: pair[0]))
     guest_s = 0.0
     for _ in run.cycles(scenario.seconds):
@@ -123,9 +123,9 @@ class Operator:
 
     def __init__(self, run: Lockstep, scenario: Scenario, mission: str, patient: bool) -> None:
         self._run, self._patience_s = run, PATIENCE_S if patient else 0.0
-        orders = [Order.of(words) for words in scenario.command]
+        orders = [OperatorWord.of(words) for words in scenario.command]
         if mission:
-            orders.append(Order(-1.0, console.Mission(mission)))
+            orders.append(OperatorWord(-1.0, console.LoadMission(mission)))
         self._orders = deque(sorted(orders, key=lambda order: order.at_s))
         self._again_s = self._held_s = 0.0
         self._held: console.Commands | None = None
@@ -145,9 +145,9 @@ class Operator:
             else:
                 self._again_s = now_s + RETRY_S
 
-    def _give(self, order: Order, recorder: Recorder) -> bool:
+    def _give(self, order: OperatorWord, recorder: Recorder) -> bool:
         """Whether the operator is done with the order."""
-        name, now_s = type(order.command).__name__.lower(), self._run.elapsed_s
+        name, now_s = str(order.command.__struct_config__.tag), self._run.elapsed_s
         why = self._run.command(order.command)
         if order.refused:
             recorder.add("command", name, f"refused: {why}" if why else "")

@@ -17,7 +17,7 @@ NOISE_M: Final = 1.5  # between where the boat is and where it can know itself t
 DECEIVED_M: Final = 3.0  # a boat that is told to be farther off than this cannot keep a fence
 
 
-class Watch:
+class Onlooker:
     """`look` after each cycle."""
 
     def __init__(self, run: Lockstep) -> None:

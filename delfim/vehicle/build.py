@@ -9,7 +9,7 @@ from delfim.clock import Clock
 from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.links import Links
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import open_sources
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.sensors import Sensor, open_sensors
@@ -19,7 +19,7 @@ from delfim.vehicle.state import State, StateLog
 class Built(NamedTuple):
     """The vehicle, its inputs beside navigation, and the sockets by which it sends."""
 
-    vehicle: Vehicle
+    vehicle: VehicleLoop
     sensors: tuple[Sensor, ...]  # readable: `vehicle.on_sensor`
     outlets: tuple[CanSocket, ...]  # of the actuators
 
@@ -44,5 +44,5 @@ def build(
     to_actuators = links._replace(bus=outlet)
     actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.propulsion.actuators)
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.propulsion, state)
-    vehicle = Vehicle(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
+    vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
     return Built(vehicle, sensors, tuple(outlets))

@@ -97,7 +97,7 @@ class Connection(asyncio.Protocol):
             self._answer(str(error))
             return
         self.watching = self.watching or isinstance(command, console.Watch)
-        if isinstance(command, console.Plan) and not (isinstance(command, console.Mission) and command.more):
+        if isinstance(command, console.Plan) and not (isinstance(command, console.LoadMission) and command.more):
             self._under_review = True
             self._server.reviews.begin(LOCAL, command, self._answer)
         else:

@@ -1,7 +1,7 @@
 """The console's side of the vehicle (console.c in the thesis): typed commands in, the state back.
 
-Commands are rows of one union: a class that says what may be asked, and a method of `Vehicle` that does it. This file knows the
-words and their ranges; `command.py` carries them over a local socket, and a radio link carries the same words.
+Commands are rows of one union: a class that says what may be asked, and a method of `Helm` or `VehicleLoop` that does it. This
+file knows the words and their ranges; `command.py` carries them over a local socket, and a radio link carries the same words.
 """
 
 import math
@@ -42,7 +42,7 @@ class Stop(Command, frozen=True):
     """Idle, now."""
 
 
-class Mode(Command, frozen=True):
+class SetMode(Command, frozen=True, tag="mode"):
     """Enter a mode with the set points as they are; manual without thrust, goto without a point: the boat waits for one."""
 
     mode: str
@@ -81,7 +81,7 @@ class Goto(Command, frozen=True):
             raise FormatError("goto needs a latitude and a longitude, or neither")
 
 
-class Mission(Command, frozen=True):
+class LoadMission(Command, frozen=True, tag="mission"):
     """Load a mission, given as the text of its file. The mode stays; nothing is played until told. A long text comes in parts
     one after the other: `at` is where in the text the part belongs, and `more` that it is not the last one."""
 
@@ -112,7 +112,7 @@ class Unload(Command, frozen=True):
     """Forget the mission; its zones stay."""
 
 
-class Fence(Command, frozen=True):
+class SetFence(Command, frozen=True, tag="fence"):
     """The mission's zones, in place of those before. A mission that crosses them is forgotten."""
 
     zones: config.Zones
@@ -145,7 +145,7 @@ class Set(Command, frozen=True):
     value: float | Annotated[str, msgspec.Meta(max_length=64)]
 
 
-class Report(Command, frozen=True, tag="state"):
+class TellState(Command, frozen=True, tag="state"):
     """Only the state back."""
 
 
@@ -153,18 +153,18 @@ class Watch(Command, frozen=True):
     """Every state from now on, newest only."""
 
 
-class Shutdown(Command, frozen=True):
+class ShutDown(Command, frozen=True):
     """Stop, and end everything in order, so that the power may be cut; or start the computer again."""
 
     reboot: bool = False
 
 
 Commands = (
-    Alive | Stop | Mode | Manual | Heading | SetSpeed | Goto | Mission | Upload | Play | Leg | Unload | Fence | Rally
-    | Take | Arm | Reset | Set | Report | Watch | Shutdown
+    Alive | Stop | SetMode | Manual | Heading | SetSpeed | Goto | LoadMission | Upload | Play | Leg | Unload | SetFence | Rally
+    | Take | Arm | Reset | Set | TellState | Watch | ShutDown
 )  # fmt: skip
 KINDS: dict[str, type[Command]] = {str(kind.__struct_config__.tag): kind for kind in get_args(Commands)}  # by their words
-Plan = Mission | Upload | Fence  # what has to be looked at for longer than a callback may take
+Plan = LoadMission | Upload | SetFence  # what has to be looked at for longer than a callback may take
 Kind = TypeVar("Kind", bound=Command)
 _decoder = msgspec.json.Decoder(Commands)
 _encode = msgspec.json.Encoder().encode
@@ -173,10 +173,10 @@ _encode = msgspec.json.Encoder().encode
 def written(command: Plan) -> Work[bytes]:
     """A plan as one line of JSON, which is long."""
     yield 0
-    if isinstance(command, Mission):
+    if isinstance(command, LoadMission):
         return _encode(command)
     mission = command.mission if isinstance(command, Upload) else None
-    zones = command.zones if isinstance(command, Fence) else mission.fence if mission else config.Zones()
+    zones = command.zones if isinstance(command, SetFence) else mission.fence if mission else config.Zones()
     fence = msgspec.structs.asdict(zones) | {"keep_out": (yield from _pieces(zones.keep_out, ZONE))}
     if mission is None:
         return _encode({"command": "fence", "zones": fence})

@@ -159,12 +159,12 @@ class Helm:
         """Raises DelfimError with the reason why not."""
         _OBEYED[type(command)](self, command, now_s)
 
-    def _halt(self, command: console.Stop | console.Shutdown, now_s: float) -> None:
+    def _halt(self, command: console.Stop | console.ShutDown, now_s: float) -> None:
         """Whatever else a shutdown is, the vehicle does not do it."""
         self.taken = False
         self.stop("operator")
 
-    def _change_mode(self, command: console.Mode, now_s: float) -> None:
+    def _change_mode(self, command: console.SetMode, now_s: float) -> None:
         wanted, setpoint = mode_named(command.mode), self.state.setpoint
         if wanted is Mode.MANUAL:  # without thrust, until told
             self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
@@ -190,7 +190,7 @@ class Helm:
         self._request(Mode.GOTO, self.state.setpoint._replace(target=target), now_s)
 
     def _load(self, command: console.Plan, now_s: float) -> None:
-        if isinstance(command, console.Mission) and command.more:
+        if isinstance(command, console.LoadMission) and command.more:
             self.plans.gather(command)
         else:
             self.plans.accept(command)
@@ -282,21 +282,21 @@ class Helm:
 _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] = {
     console.Alive: Helm._hear,
     console.Stop: Helm._halt,
-    console.Mode: Helm._change_mode,
+    console.SetMode: Helm._change_mode,
     console.Manual: Helm._push,
     console.Heading: Helm._head,
     console.SetSpeed: Helm._set_speed,
     console.Goto: Helm._go,
-    console.Mission: Helm._load,
+    console.LoadMission: Helm._load,
     console.Upload: Helm._load,
     console.Play: Helm._play,
     console.Leg: Helm._choose,
     console.Unload: Helm._unload,
-    console.Fence: Helm._load,
+    console.SetFence: Helm._load,
     console.Rally: Helm._call_at,
     console.Take: Helm._hear,
     console.Arm: Helm._arm,
     console.Reset: Helm._reset,
     console.Set: Helm._set,
-    console.Shutdown: Helm._halt,
+    console.ShutDown: Helm._halt,
 }

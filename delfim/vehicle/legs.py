@@ -16,7 +16,7 @@ CHORD_RAD = math.radians(5.0)  # an arc is looked at in pieces of this angle: 0.
 TURN_STEP_RAD = math.radians(15.0)
 
 
-class Way(NamedTuple):
+class Stretch(NamedTuple):
     """A straight piece of a mission, the speed at its end, and what the leg or the arc that it belongs to lies in."""
 
     name: str
@@ -54,7 +54,7 @@ def complaint(fence: Fence, plan: Plan, radius_m: float) -> Work[str | None]:
     return None
 
 
-def _near(fence: Fence, way: Way) -> tuple[Zone, ...]:
+def _near(fence: Fence, way: Stretch) -> tuple[Zone, ...]:
     """The zones that the boat could come near to on a leg or an arc, and from it, by stopping."""
     limits, (south, west, north, east) = fence.limits, way.around
     room_m = max(limits.mission_margin_m, limits.margin_m + stopping_m(limits, way.speed_mps))
@@ -71,7 +71,7 @@ def _near(fence: Fence, way: Way) -> tuple[Zone, ...]:
     )
 
 
-def _fault(fence: Fence, way: Way, onwards: Way) -> Work[str | None]:
+def _fault(fence: Fence, way: Stretch, onwards: Stretch) -> Work[str | None]:
     """What the fence has against one straight piece of a mission and the turn at its end."""
     limits, (text, a, b, speed_mps, _) = fence.limits, way
     yield 1 + len(fence.zones) // BOXES
@@ -92,7 +92,7 @@ def _fault(fence: Fence, way: Way, onwards: Way) -> Work[str | None]:
     return None
 
 
-def _stops(a: Point, b: Point, onwards: Way, room_m: float) -> Iterator[Point]:
+def _stops(a: Point, b: Point, onwards: Stretch, room_m: float) -> Iterator[Point]:
     """Where a boat that came from a and turns in b could come to rest."""
     came_rad = math.atan2(b[1] - a[1], b[0] - a[0])
     turn_rad = geodesy.wrap(math.atan2(onwards.b[1] - onwards.a[1], onwards.b[0] - onwards.a[0]) - came_rad)
@@ -102,28 +102,28 @@ def _stops(a: Point, b: Point, onwards: Way, room_m: float) -> Iterator[Point]:
         yield b[0] + room_m * math.cos(heading_rad), b[1] + room_m * math.sin(heading_rad)
 
 
-def _legs(plan: Plan) -> Iterator[Way]:
+def _legs(plan: Plan) -> Iterator[Stretch]:
     """The straight pieces of the waypoints to play. At the last one the boat has stopped."""
     at = [(to.north_m, to.east_m) for to in plan.waypoints]
     if len(at) == 1:
-        yield Way("waypoint 1", at[0], at[0], 0.0, box_of(at))
+        yield Stretch("waypoint 1", at[0], at[0], 0.0, box_of(at))
     for number, (a, b) in enumerate(pairwise(at), 2):
         end_mps = 0.0 if number == len(at) else plan.waypoints[number - 1].speed_mps
-        yield Way(f"the leg to waypoint {number}", a, b, end_mps, box_of((a, b)))
+        yield Stretch(f"the leg to waypoint {number}", a, b, end_mps, box_of((a, b)))
 
 
-def _pieces(plan: Plan) -> Iterator[Way]:
+def _pieces(plan: Plan) -> Iterator[Stretch]:
     """The straight pieces of the path to follow, arcs in chords; the same circle is not gone round twice."""
     for number, piece in enumerate(plan.path, 1):
         name = f"piece {number} of the path"
         end_mps = 0.0 if number == len(plan.path) else piece.speed_mps
         if isinstance(piece, Line):
             a, b = (piece.north_m, piece.east_m), (piece.to_north_m, piece.to_east_m)
-            yield Way(name, a, b, end_mps, box_of((a, b)))
+            yield Stretch(name, a, b, end_mps, box_of((a, b)))
             continue
         around = circle("", (piece.north_m, piece.east_m), piece.radius_m).box
         round_rad = math.copysign(min(abs(piece.turn_rad), math.tau), piece.turn_rad)
         from_rad, chords = piece.turn_rad - round_rad, max(1, math.ceil(abs(round_rad) / CHORD_RAD))
         points = (arc_point(piece, from_rad + round_rad * i / chords) for i in range(chords + 1))
         for i, (a, b) in enumerate(pairwise(points), 1):
-            yield Way(name, a, b, end_mps if i == chords else piece.speed_mps, around)
+            yield Stretch(name, a, b, end_mps if i == chords else piece.speed_mps, around)

@@ -8,14 +8,14 @@ from typing import NamedTuple, Protocol
 from delfim.canproxy.socket import CanAddress, CanSocket
 
 
-class Input(Protocol):
+class Readable(Protocol):
     """What is waited for: a CAN socket or a serial line."""
 
     def fileno(self) -> int: ...
     def rebind(self) -> bool: ...  # take up an input that failed; True when it can be used
 
 
-class Line(Input, Protocol):
+class ReadableLine(Readable, Protocol):
     """A serial line, as delfim.serialline has it. Nothing here waits or raises."""
 
     t_ns: int  # since 1970, when that was read which `read` gave last
@@ -30,5 +30,5 @@ class Links(NamedTuple):
     bus: Callable[[str, tuple[CanAddress, ...]], CanSocket]
     """A socket on an interface that never blocks and receives what the filters accept: none, nothing."""
 
-    line: Callable[[str, int], Line]
+    line: Callable[[str, int], ReadableLine]
     """The serial line of a device, at this speed in baud."""

@@ -9,7 +9,7 @@ from delfim.logging.openlog import open_log
 from delfim.logging.statelog import Schema, StateWriter
 from delfim.modes import Mode
 from delfim.vehicle import record
-from delfim.vehicle.console import Alive, Commands, Report, Watch
+from delfim.vehicle.console import Alive, Commands, TellState, Watch
 from delfim.vehicle.state import State
 
 
@@ -40,7 +40,7 @@ class Logbook:
     def command(self, command: Commands, refused: str | None, state: State, written: bytes | None = None) -> None:
         """A word of the console and what became of it; `written`: its JSON, where somebody took the time to make it. Those that
         only ask or only say that somebody is there are not kept."""
-        if not isinstance(command, Alive | Report | Watch):
+        if not isinstance(command, Alive | TellState | Watch):
             value = command if written is None else msgspec.Raw(written)
             what = {"event": "command", "at_s": state.console_s, "value": value, "refused": refused or ""}
             times = {"t_ns": self._clock.time_ns(), "monotonic_s": self._clock.monotonic_s()}

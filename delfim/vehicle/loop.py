@@ -1,4 +1,4 @@
-"""The critical program. `Vehicle` is figure 3-8 of the thesis: five inputs, each with the list of what it sets off.
+"""The critical program. `VehicleLoop` is figure 3-8 of the thesis: five inputs, each with the list of what it sets off.
 
     navigation readable -> read -> control -> propulsion -> guest -> log      (profiled t0..t5)
     sensor readable     -> what it says into the state, the health of the other nodes among it
@@ -26,7 +26,7 @@ from delfim.vehicle.navigation import Fix, Source, take
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.sensors import Sensor
-from delfim.vehicle.state import Computer, Profile, State, StateLog
+from delfim.vehicle.state import Profile, StartConditions, State, StateLog
 from delfim.vehicle.troubles import Inputs
 
 REPEAT_S = 0.5  # a propeller that heard nothing for PROPELLER_TIMEOUT_S stops itself, and that would hide the cause
@@ -34,7 +34,7 @@ COLD_CYCLES = 10  # after the start, which figures do not count: 2 s at 5 Hz
 LOCAL = "local"  # the operator at the local command socket
 
 
-class Vehicle:
+class VehicleLoop:
     """The boat's brain. One instance, one state, five handlers."""
 
     def __init__(
@@ -84,7 +84,7 @@ class Vehicle:
         """A command of a console: carried out at once, propellers included. Returns why it was refused, or None. Who commanded
         last is the operator, and must go on being heard."""
         now_s, state = self.clock.monotonic_s(), self.state
-        if isinstance(command, console.Report | console.Watch):  # onlookers do not keep the boat sailing
+        if isinstance(command, console.TellState | console.Watch):  # onlookers do not keep the boat sailing
             return None
         if isinstance(command, console.Alive) and state.operator not in ("", operator):  # nor do other consoles
             return None
@@ -117,7 +117,7 @@ class Vehicle:
         """Consoles that call themselves by one number, in words; empty: there are none."""
         self.state.namesakes = words
 
-    def on_watchdog(self, computer: Computer | None = None) -> None:
+    def on_watchdog(self, computer: StartConditions | None = None) -> None:
         """Due ten times a second: what has gone wrong, and what is done about it. `computer`: as it is now."""
         state = self.state
         state.computer, state.guest_connected = computer or state.computer, self.guest.is_connected
@@ -163,7 +163,7 @@ class Vehicle:
         more = {"checks": lines, "latency": self.latency.summary(), **extra}
         return console.snapshot(self.state, self.clock.monotonic_s(), more)
 
-    def follow(self, other: "Vehicle") -> None:
+    def follow(self, other: "VehicleLoop") -> None:
         """Be in the mode that another vehicle is in, with its set points and its memory."""
         self.state.mode, self.state.setpoint, self.helm.memory = other.state.mode, other.state.setpoint, other.helm.memory
         self.state.origin = other.state.origin

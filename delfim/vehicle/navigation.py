@@ -11,7 +11,7 @@ from typing import NamedTuple, Protocol
 
 from delfim import config, geodesy
 from delfim.messages import Navigation
-from delfim.vehicle.links import Input, Links
+from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.state import Motion, State
 
 FRAMES_PER_READ = 64  # bounds one call on a flooded input; what is left stays readable
@@ -29,7 +29,7 @@ class Source(Protocol):
     """A navigation input. `read` never raises and never waits."""
 
     name: str  # as in `navigation.sources`
-    input: Input  # to be read when it is readable
+    input: Readable  # to be read when it is readable
     heard_s: float  # monotonic time of its last message
 
     def read(self, now_s: float) -> Fix | None: ...

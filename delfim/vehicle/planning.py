@@ -44,11 +44,11 @@ class Plans:
         self._text = ""  # of a mission, so far
         self.remains = Remains()  # of plans
 
-    def gather(self, part: console.Mission) -> None:
+    def gather(self, part: console.LoadMission) -> None:
         """A part of a mission's text that has more. Raises Refused."""
         self._text = self.text(part)
 
-    def text(self, part: console.Mission) -> str:
+    def text(self, part: console.LoadMission) -> str:
         """A mission's text as far as this part of it. Raises Refused."""
         if part.at != (len(self._text) if part.at else 0):
             raise Refused("mission refused: a part of its text is missing; begin again")
@@ -58,8 +58,8 @@ class Plans:
         """What is right and wrong with a plan, for the command that is to follow. `mission`: what its text said, once read."""
         basis = self._basis()
         try:
-            self.spare("fence" if isinstance(command, console.Fence) else "mission")
-            if isinstance(command, console.Fence):
+            self.spare("fence" if isinstance(command, console.SetFence) else "mission")
+            if isinstance(command, console.SetFence):
                 looked = yield from self._look_at_zones(command)
             else:
                 if mission is None:
@@ -82,7 +82,7 @@ class Plans:
     def _basis(self) -> tuple[object, ...]:
         return self._state.origin, self.limits, self.mission, self.zones
 
-    def _look_at_mission(self, command: console.Mission | console.Upload, mission: Mission) -> Work[Looked]:
+    def _look_at_mission(self, command: console.LoadMission | console.Upload, mission: Mission) -> Work[Looked]:
         state, basis = self._state, self._basis()
         yield from checked(mission)
         first = mission.waypoint[0]
@@ -94,7 +94,7 @@ class Plans:
             raise Refused(f"mission refused: {why}")
         return Looked(command, basis, None, mission, planned, origin, around)
 
-    def _look_at_zones(self, command: console.Fence) -> Work[Looked]:
+    def _look_at_zones(self, command: console.SetFence) -> Work[Looked]:
         """Other zones of the mission. Without a position there is no plane yet, and no mission in it."""
         origin, basis = self._state.origin, self._basis()
         yield from config.polygons(command.zones, "zones")
@@ -108,7 +108,7 @@ class Plans:
 
     def accept(self, command: console.Plan) -> None:
         """What was looked at becomes the plan; at once where nobody looked before."""
-        self.spare("fence" if isinstance(command, console.Fence) else "mission")
+        self.spare("fence" if isinstance(command, console.SetFence) else "mission")
         if not self.has_looked(command):
             Sliced(self.look(command)).finish()
         looked, self._looked, self._text = self._looked, None, ""
@@ -118,7 +118,7 @@ class Plans:
         state = self._state
         self._leave(Looked(command, (), None, self.mission, state.setpoint.plan, None, self.fence))
         self.fence, self._laying = looked.around, None
-        if isinstance(command, console.Fence):
+        if isinstance(command, console.SetFence):
             self.zones = command.zones
             if self.mission is not None:
                 self.mission = msgspec.structs.replace(self.mission, fence=command.zones)

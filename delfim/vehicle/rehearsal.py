@@ -15,15 +15,15 @@ from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.socket import CanSocket, Many
 from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
 from delfim.vehicle.build import build
-from delfim.vehicle.links import Line, Links
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.links import Links, ReadableLine
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.state import NoLog, State
 
 
 class Rehearsal:
     """For `NavigationLoop.set_rehearsal`. Never raises for what navigation says."""
 
-    def __init__(self, boat: Vehicle, outlets: tuple[CanSocket, ...], mirror: Many) -> None:
+    def __init__(self, boat: VehicleLoop, outlets: tuple[CanSocket, ...], mirror: Many) -> None:
         """`outlets` are the sockets by which the actuators are commanded, `mirror` that of a socket like one of them."""
         state, clock, settings = State(), boat.clock, boat.helm.settings
         self._boat, self._outlets, self._tell = boat, outlets, mirror.send_many
@@ -83,5 +83,5 @@ class _NoLine:
         return True
 
 
-def _no_line(device: str, baud: int) -> Line:
+def _no_line(device: str, baud: int) -> ReadableLine:
     return _NoLine()

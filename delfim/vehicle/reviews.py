@@ -10,12 +10,12 @@ from typing import NamedTuple, TypeVar
 from delfim.errors import DelfimError, Refused
 from delfim.slices import Sliced
 from delfim.vehicle import console
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mission import Mission
-from delfim.vehicle.reading import Reading, gathered
+from delfim.vehicle.missionreader import Reading, gathered
 
 AGAIN = 3  # times that a plan is looked at anew because the boat's settings changed meanwhile
-QUIET = console.Alive | console.Report | console.Watch
+QUIET = console.Alive | console.TellState | console.Watch
 Answer = Callable[[str | None], None]  # with the reason why not, or None
 Obey = Callable[[console.Commands, str], str | None]
 T = TypeVar("T")
@@ -32,7 +32,7 @@ class Review(NamedTuple):
 class Reviews:
     """`obey` carries a command out that was looked at, as any other."""
 
-    def __init__(self, boat: Vehicle, obey: Obey, loop: asyncio.AbstractEventLoop) -> None:
+    def __init__(self, boat: VehicleLoop, obey: Obey, loop: asyncio.AbstractEventLoop) -> None:
         self._boat, self._obey, self._loop = boat, obey, loop
         self._now: Review | None = None
         self._reading: Reading | None = None
@@ -42,7 +42,7 @@ class Reviews:
         """Look at this plan, in place of one that is being looked at. `answer` is called once, at the earliest at once."""
         self.cancel("another plan came after it")
         self._now = review = Review(command, operator, answer)
-        if not isinstance(command, console.Mission):
+        if not isinstance(command, console.LoadMission):
             self._work(review, Sliced(console.written(command)), partial(self._was_written, review))
             return
         try:
@@ -60,7 +60,7 @@ class Reviews:
 
     def hear(self, command: console.Commands, operator: str) -> None:
         """A command was obeyed, or refused: a stop, or somebody else who commands, ends what is being looked at."""
-        if isinstance(command, console.Stop | console.Shutdown):
+        if isinstance(command, console.Stop | console.ShutDown):
             self.cancel("a stop came")
         elif self._now is not None and operator != self._now.operator and not isinstance(command, QUIET):
             self.cancel(f"{operator} commands now")

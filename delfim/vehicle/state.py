@@ -118,7 +118,7 @@ class Profile(NamedTuple):
     t5: int = 0  # guest and log served
 
 
-class Computer(NamedTuple):
+class StartConditions(NamedTuple):
     """What the checks need to know of the computer."""
 
     is_starting: bool = False  # nobody would notice if this program hung
@@ -156,7 +156,7 @@ class State:
     watchdog_s: float = -1e9  # when the watchdog looked last
     guest_connected: bool = False
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
-    computer: Computer = field(default_factory=Computer)  # that this program runs on
+    computer: StartConditions = field(default_factory=StartConditions)  # that this program runs on
     cycles: int = 0
     counts: dict[str, int] = field(default_factory=dict)  # what was refused, dropped, repaired, by name
     profile: Profile = field(default_factory=Profile)

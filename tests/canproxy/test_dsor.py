@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 
 from delfim.canproxy.dsor.protocol import Ack, Kind, Message, Outcome, ack_filter, dsor_arb, message_filter, segments
 from delfim.canproxy.dsor.receiver import Receiver
-from delfim.canproxy.dsor.sender import Sender
+from delfim.canproxy.dsor.sender import MessageSender
 from delfim.clock import ManualClock
 from delfim.errors import FormatError, Refused
 from delfim.frames import CAN_ERR, Frame, extended, standard
@@ -61,7 +61,7 @@ def flipped(frame: Frame, bit: int) -> Frame:
 
 def test_examples_of_the_document() -> None:
     """docs/dsor.md shows a broadcast message, an addressed one with its acknowledgements, and two more headers."""
-    sender, receiver = Sender(1), Receiver(0)
+    sender, receiver = MessageSender(1), Receiver(0)
     conversation = sender.start(Message(0x80, 1, 0, 2, b"DelfimX"), 0.0)
     for frame in conversation:
         feed(receiver, [frame])
@@ -385,7 +385,7 @@ any_frame = st.builds(
 
 @given(st.lists(any_frame, max_size=60))
 def test_no_frame_raises(frames: list[Frame]) -> None:
-    receiver, sender = Receiver(0, open_max=2), Sender(0, queue_max=4)
+    receiver, sender = Receiver(0, open_max=2), MessageSender(0, queue_max=4)
     sender.start(Message(1, 0, 1, 1, b"0123456789"), 0.0)
     sender.start(Message(0, 0, 2, 1, b"0123456789"), 0.0)
     for i, frame in enumerate(frames):
@@ -419,7 +419,7 @@ REASONS = [
 # Sender and receiver
 
 
-def exchange(sender: Sender, receiver: Receiver, frames: list[Frame], now_s: float = 0.0) -> list[Message]:
+def exchange(sender: MessageSender, receiver: Receiver, frames: list[Frame], now_s: float = 0.0) -> list[Message]:
     """A perfect bus: until nobody has anything to say."""
     got = []
     while frames:
@@ -432,7 +432,7 @@ def exchange(sender: Sender, receiver: Receiver, frames: list[Frame], now_s: flo
 
 @given(messages(node))
 def test_addressed_round_trip(message: Message) -> None:
-    sender, receiver = Sender(message.source), Receiver(message.destination)
+    sender, receiver = MessageSender(message.source), Receiver(message.destination)
     assert exchange(sender, receiver, sender.start(message, 0.0)) == [message]
     assert list(sender.outcomes) == [Outcome(message)]
     assert sender.next_due_s == float("inf")
@@ -442,12 +442,12 @@ def test_addressed_round_trip(message: Message) -> None:
 @pytest.mark.parametrize("length", [0, 4, 5, 65535])
 def test_addressed_lengths(length: int) -> None:
     message = TO_VEHICLE._replace(data=random.Random(length).randbytes(length))
-    sender, receiver = Sender(message.source), Receiver(message.destination)
+    sender, receiver = MessageSender(message.source), Receiver(message.destination)
     assert exchange(sender, receiver, sender.start(message, 0.0)) == [message]
 
 
 def test_one_frame_at_a_time() -> None:
-    sender, receiver = Sender(Node.GPS), Receiver(Node.VEHICLE)
+    sender, receiver = MessageSender(Node.GPS), Receiver(Node.VEHICLE)
     frames = sender.start(TO_VEHICLE, 0.0)
     sent = []
     while frames:
@@ -464,7 +464,7 @@ def test_one_frame_at_a_time() -> None:
 
 
 def test_silence_is_told_after_five_retransmissions() -> None:
-    sender = Sender(Node.GPS)
+    sender = MessageSender(Node.GPS)
     first = sender.start(TO_VEHICLE, 10.0)
     assert sender.next_due_s == pytest.approx(10.1)
     assert sender.poll(10.05) == []
@@ -477,7 +477,7 @@ def test_silence_is_told_after_five_retransmissions() -> None:
 
 
 def test_the_message_behind_a_failed_one_is_sent() -> None:
-    sender, receiver = Sender(Node.GPS, retransmit_max=0), Receiver(Node.VEHICLE)
+    sender, receiver = MessageSender(Node.GPS, retransmit_max=0), Receiver(Node.VEHICLE)
     behind = TO_VEHICLE._replace(id=3)
     sender.start(TO_VEHICLE, 0.0)
     assert sender.start(behind, 0.0) == []
@@ -486,13 +486,13 @@ def test_the_message_behind_a_failed_one_is_sent() -> None:
 
 
 def test_a_dead_node_does_not_hold_up_another() -> None:
-    sender, receiver = Sender(Node.GPS), Receiver(Node.VEHICLE)
+    sender, receiver = MessageSender(Node.GPS), Receiver(Node.VEHICLE)
     sender.start(TO_VEHICLE._replace(destination=9), 0.0)
     assert exchange(sender, receiver, sender.start(TO_VEHICLE, 0.0)) == [TO_VEHICLE]
 
 
 def test_every_first_copy_lost() -> None:
-    sender, receiver = Sender(Node.GPS), Receiver(Node.VEHICLE)
+    sender, receiver = MessageSender(Node.GPS), Receiver(Node.VEHICLE)
     sender.start(TO_VEHICLE, 0.0)
     got, now_s = [], 0.0
     while sender.next_due_s < float("inf"):
@@ -505,7 +505,7 @@ def test_every_first_copy_lost() -> None:
 
 
 def test_every_first_acknowledgement_lost() -> None:
-    sender, receiver = Sender(Node.GPS), Receiver(Node.VEHICLE)
+    sender, receiver = MessageSender(Node.GPS), Receiver(Node.VEHICLE)
     got, now_s, frames = [], 0.0, sender.start(TO_VEHICLE, 0.0)
     while sender.next_due_s < float("inf"):
         now_s += 0.1
@@ -520,7 +520,7 @@ def test_every_first_acknowledgement_lost() -> None:
 
 
 def test_a_corrupt_message_is_sent_again_and_then_given_up() -> None:
-    sender, receiver = Sender(Node.GPS), Receiver(Node.VEHICLE)
+    sender, receiver = MessageSender(Node.GPS), Receiver(Node.VEHICLE)
     frames = sender.start(TO_VEHICLE, 0.0)
     while frames:
         feed(receiver, [flipped(f, 3) if dsor_fields(f.arb).kind == Kind.BODY else f for f in frames])
@@ -532,7 +532,7 @@ def test_a_corrupt_message_is_sent_again_and_then_given_up() -> None:
 def test_a_corrupt_header_is_told_by_the_end() -> None:
     """The receiver waits for more than the sender has, or for less: both start again."""
     for bit in (0, 4, 9):
-        sender, receiver = Sender(Node.GPS), Receiver(Node.VEHICLE)
+        sender, receiver = MessageSender(Node.GPS), Receiver(Node.VEHICLE)
         (header,) = sender.start(TO_VEHICLE, 0.0)
         assert exchange(sender, receiver, [flipped(header, bit)]) == [TO_VEHICLE]
         assert list(sender.outcomes) == [Outcome(TO_VEHICLE)]
@@ -551,7 +551,7 @@ def test_a_sender_that_was_switched_off_is_not_taken_for_its_past() -> None:
     """Same number, same header, other content: the receiver thinks of a repetition, the sender knows better."""
     receiver = Receiver(Node.VEHICLE)
     for data in (b"before", b"after!"):
-        sender = Sender(Node.GPS)
+        sender = MessageSender(Node.GPS)
         message = TO_VEHICLE._replace(data=data)
         assert exchange(sender, receiver, sender.start(message, 0.0)) == [message]
         assert list(sender.outcomes) == [Outcome(message)]
@@ -559,7 +559,7 @@ def test_a_sender_that_was_switched_off_is_not_taken_for_its_past() -> None:
 
 @pytest.mark.parametrize("others", range(1, 40))
 def test_numbers_that_come_round_between_two_messages_lose_neither(others: int) -> None:
-    sender, receiver = Sender(Node.GPS), Receiver(Node.VEHICLE)
+    sender, receiver = MessageSender(Node.GPS), Receiver(Node.VEHICLE)
     sent = [TO_VEHICLE._replace(id=i) for i in range(4)]
     got = []
     for message in sent:
@@ -573,7 +573,7 @@ def test_numbers_that_come_round_between_two_messages_lose_neither(others: int) 
 def test_a_late_acknowledgement_does_not_end_the_message_of_31_others_later() -> None:
     """Numbers are of 5 bits. A node that counted all of its messages together gave the next one of a stream the number of the
     last one again after 31 others: it took the late copy of an acknowledgement for that of a message that was lost."""
-    sender, receiver = Sender(Node.GPS), Receiver(Node.VEHICLE)
+    sender, receiver = MessageSender(Node.GPS), Receiver(Node.VEHICLE)
     message = TO_VEHICLE._replace(data=b"")
     assert exchange(sender, receiver, sender.start(message, 0.0)) == [message]
     late = ack(message, Ack.COMPLETE, 1, 1)
@@ -591,7 +591,7 @@ def test_a_message_half_sent_before_switching_off_is_not_mixed_with_the_next() -
     receiver = Receiver(Node.VEHICLE)
     feed(receiver, segments(TO_VEHICLE._replace(data=b"before the restart"), 1)[:2])
     receiver.replies.clear()
-    sender = Sender(Node.GPS)
+    sender = MessageSender(Node.GPS)
     message = TO_VEHICLE._replace(data=b"after this restart")
     assert exchange(sender, receiver, sender.start(message, 0.0)) == [message]
     assert list(sender.outcomes) == [Outcome(message)]
@@ -599,7 +599,7 @@ def test_a_message_half_sent_before_switching_off_is_not_mixed_with_the_next() -
 
 
 def test_acknowledgements_of_other_messages_move_nothing() -> None:
-    sender = Sender(Node.GPS)
+    sender = MessageSender(Node.GPS)
     sender.start(TO_VEHICLE, 0.0)
     for frame in (
         ack(TO_VEHICLE, Ack.HEADER, 2, 0),  # other message
@@ -618,7 +618,7 @@ def test_acknowledgements_of_other_messages_move_nothing() -> None:
 
 
 def test_late_acknowledgements_do_not_send_a_segment_again() -> None:
-    sender = Sender(Node.GPS)
+    sender = MessageSender(Node.GPS)
     header, *bodies = segments(TO_VEHICLE, 1)
     assert sender.start(TO_VEHICLE, 0.0) == [header]
     assert sender.feed(ack(TO_VEHICLE, Ack.HEADER, 1, 0), 0.0) == bodies[:1]
@@ -633,7 +633,7 @@ def test_late_acknowledgements_do_not_send_a_segment_again() -> None:
 
 
 def test_the_sender_refuses_what_it_cannot_send() -> None:
-    sender = Sender(Node.GPS, queue_max=2)
+    sender = MessageSender(Node.GPS, queue_max=2)
     with pytest.raises(FormatError, match="does not send messages of node"):
         sender.start(NAVIGATION, 0.0)
     sender.start(TO_VEHICLE, 0.0)
@@ -643,7 +643,7 @@ def test_the_sender_refuses_what_it_cannot_send() -> None:
 
 
 def test_broadcast_by_a_sender_is_sent_whole_with_consecutive_numbers() -> None:
-    sender = Sender(Node.NAVIGATION)
+    sender = MessageSender(Node.NAVIGATION)
     numbers = []
     for _ in range(40):
         frames = sender.start(NAVIGATION, 0.0)
@@ -655,7 +655,7 @@ def test_broadcast_by_a_sender_is_sent_whole_with_consecutive_numbers() -> None:
 
 def test_two_receivers_of_one_node_do_not_answer_for_each_other() -> None:
     first, second = Receiver(0, lambda m: m.id == 1), Receiver(0, lambda m: m.id == 2)
-    sender = Sender(Node.GPS)
+    sender = MessageSender(Node.GPS)
     sent = [TO_VEHICLE._replace(id=i % 2 + 1, data=bytes([i]) * i) for i in range(30)]
     frames = [f for message in sent for f in sender.start(message, 0.0)]
     got = []
@@ -702,7 +702,7 @@ class BadBus:
         return frames
 
 
-def converse(bus: BadBus, senders: list[Sender], receiver: Receiver, clock: ManualClock) -> list[Message]:
+def converse(bus: BadBus, senders: list[MessageSender], receiver: Receiver, clock: ManualClock) -> list[Message]:
     """Until every sender knows how each of its messages ended and the bus is empty."""
     got: list[Message] = []
     while bus.under_way or any(sender.next_due_s < float("inf") for sender in senders):
@@ -732,7 +732,7 @@ def converse(bus: BadBus, senders: list[Sender], receiver: Receiver, clock: Manu
 def test_once_and_intact_or_told(seed: int, lost: float, doubled: float, delayed: float, corrupted: float) -> None:
     chance = random.Random(seed)
     bus, clock, receiver = BadBus(seed, lost, doubled, delayed, corrupted), ManualClock(), Receiver(0)
-    senders = [Sender(1), Sender(2)]
+    senders = [MessageSender(1), MessageSender(2)]
     sent = []
     for i in range(16):
         message = Message(0x40 + i % 3, 1 + i % 2, 0, i, chance.randbytes(chance.choice([0, 1, 4, 5, 20, 90])))

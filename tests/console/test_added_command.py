@@ -21,20 +21,20 @@ NUMBER = 31010  # MAV_CMD_USER_1
 ROWS = {
     "vehicle/console.py": {
         "    reboot: bool = False\n": '\n\nclass Bell(Command, frozen=True):\n    """The bell, once."""\n',
-        "    | Take | Arm | Reset | Set | Report | Watch | Shutdown\n": "    | Bell\n",
+        "    | Take | Arm | Reset | Set | TellState | Watch | ShutDown\n": "    | Bell\n",
     },
     "vehicle/helm.py": {
         '        """That the console is there, or commands, the loop has noted."""\n': (
             '\n    def _ring(self, command: console.Bell, now_s: float) -> None:\n        self.state.count("bells")\n'
         ),
-        "    console.Shutdown: Helm._halt,\n": "    console.Bell: Helm._ring,\n",
+        "    console.ShutDown: Helm._halt,\n": "    console.Bell: Helm._ring,\n",
     },
     "vehicle/mavlink/commands.py": {
         "    dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reset,\n": f"    {NUMBER}: lambda o, boat: console.Bell(),\n"
     },
     "console/orders.py": {
         'title="Reset the peripherals", key="R"),\n': (
-            f'    "bell": Row(lambda n: Order({NUMBER}, ()), title="Ring the bell", key="B"),\n'
+            f'    "bell": OrderRow(lambda n: CommandLong({NUMBER}, ()), title="Ring the bell", key="B"),\n'
         )
     },
     "vehicle/record.py": {

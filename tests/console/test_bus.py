@@ -23,7 +23,7 @@ from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.console import busstat
 from delfim.console.bus import logged
 from delfim.console.busstat import Statistics, parse_link
-from delfim.console.candump import Filter, Stamps, decoder, long_text, parse_filter, parse_frame
+from delfim.console.framefilter import Filter, Stamps, decoder, long_text, parse_filter, parse_frame
 from delfim.errors import ConfigError, DelfimError, FormatError
 from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, identifier, standard
 

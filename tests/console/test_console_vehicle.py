@@ -18,7 +18,7 @@ from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.station import Station
-from delfim.vehicle.mavlink.wire import Source
+from delfim.vehicle.mavlink.wire import Speaker
 from tests.console.fakeboat import Radio
 
 HOME = ("127.0.0.1", 14550)
@@ -276,7 +276,7 @@ def test_what_is_aboard_is_read_when_the_boat_is_found_and_when_it_changes(sea: 
     assert (sea.shown["mission"]["state"], count()) == ("same", 0)
     Library(tmp_path).save(PLAN)
     text = (tmp_path / "harbour.toml").read_text()
-    assert sea.boat.vehicle.on_command(console.Mission(text)) is None, "by another console, or on board"
+    assert sea.boat.vehicle.on_command(console.LoadMission(text)) is None, "by another console, or on board"
     assert sea.run(10.0, until=count) < 7.0
     assert count() == 4
     said = [each for each in sea.told if each["t"] == "mission"]
@@ -351,7 +351,7 @@ def test_a_profile_is_the_vehicles(sea: Afloat, profile: str) -> None:
 def test_another_consoles_ownership_is_shown_and_taken(sea: Afloat) -> None:
     assert sea.ask("hold") == (True, "")
     assert sea.shown["owner"]
-    sea.station.consoles.commander = Source(255, 190, ("127.0.0.1", 14560))
+    sea.station.consoles.commander = Speaker(255, 190, ("127.0.0.1", 14560))
     sea.run(2.0)
     assert not sea.shown["owner"]
     well, why = sea.ask("heading")

@@ -14,11 +14,10 @@ from delfim import config
 from delfim.clock import ManualClock
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import mavlink
-from delfim.console.replay import Replay, open_tapes
+from delfim.console.replay import TapePlayer, open_tapes
 from delfim.console.session import PENDING_BYTES, Session
 from delfim.console.statetape import States
-from delfim.console.tape import Session as Recording
-from delfim.console.tape import Text
+from delfim.console.tape import Text, TlogTape
 from delfim.errors import DelfimError, FormatError, Refused
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.logbook import Logbook
@@ -64,7 +63,7 @@ def sailed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 class Played:
     def __init__(self, *paths: Path) -> None:
         self.clock, self.told = ManualClock(), list[dict[str, Any]]()
-        self.replay = Replay(open_tapes(paths), self.clock, self.told.append)
+        self.replay = TapePlayer(open_tapes(paths), self.clock, self.told.append)
 
     def run(self, seconds: float) -> None:
         for _ in range(round(seconds / 0.05)):
@@ -166,7 +165,7 @@ def test_of_many_events_the_gravest_are_kept_in_their_order() -> None:
         def play(self, boats: object, from_s: float, to_s: float) -> list[Text]:
             return []
 
-    replay = Replay([Talk()], ManualClock(), lambda message: None)  # type: ignore[list-item]
+    replay = TapePlayer([Talk()], ManualClock(), lambda message: None)  # type: ignore[list-item]
     events = replay.events()
     assert len(events) == 300
     assert {each["severity"] for each in events} == {4}
@@ -247,7 +246,7 @@ def test_a_damaged_session_is_read_as_far_as_it_goes(recorded: Path, at: int, no
     file = recorded.with_name("damaged.tlog")
     file.write_bytes(data[:at] + noise + data[at + len(noise) : 3000])
     try:
-        recording = Recording(file)
+        recording = TlogTape(file)
     except FormatError:
         return
     boats: dict[int, Any] = {}
@@ -258,8 +257,8 @@ def test_a_damaged_session_is_read_as_far_as_it_goes(recorded: Path, at: int, no
 def test_a_session_cut_short_says_so(recorded: Path) -> None:
     file = recorded.with_name("cut.tlog")
     file.write_bytes(recorded.read_bytes()[:-5])
-    assert "damaged after" in Recording(file).complaint
-    assert Recording(recorded).complaint == ""
+    assert "damaged after" in TlogTape(file).complaint
+    assert TlogTape(recorded).complaint == ""
 
 
 @pytest.mark.parametrize("data", [b"", b"x" * 100, b"\0" * 100])

@@ -68,7 +68,7 @@ def sailed(place: Path, *overrides: str) -> Day:
     assert day.command(console.Play()) is not None
     day.sail(5.0)
     for commands in (
-        [console.Mission(MISSION), console.Play()],
+        [console.LoadMission(MISSION), console.Play()],
         [console.Heading(200.0, 1.2)],
         [console.Manual(0.5, 0.25)],
         [console.Stop()],

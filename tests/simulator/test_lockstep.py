@@ -67,7 +67,7 @@ def test_same_seed_same_bytes_and_another_seed_another_run():
 def test_every_waypoint_is_reached_in_a_cross_current_with_sensor_noise(seed):
     sailing = boat(seed)
     mission = MISSION.read_text()
-    assert sailing.command(console.Mission(mission)) is None
+    assert sailing.command(console.LoadMission(mission)) is None
     next(sailing.cycles(1.0))
     legs = Sliced(plan(load_mission(MISSION), sailing.state.origin, sailing.settings.control)).finish().waypoints
     nearest_m = [math.inf] * len(legs)
@@ -95,7 +95,7 @@ def test_a_guest_steers_in_grex_mode():
     east = b'{"heading_deg": 90, "speed_mps": 1.5}'
     assert len(list(sailing.cycles(5.0))) == 25
     sailing.vehicle.on_guest(east)
-    assert sailing.command(console.Mode("grex")) is None
+    assert sailing.command(console.SetMode("grex")) is None
     for _ in sailing.cycles(40.0):
         sailing.vehicle.on_guest(east)
     state = sailing.state
@@ -104,7 +104,7 @@ def test_a_guest_steers_in_grex_mode():
 
 
 @pytest.mark.parametrize("speed_mps", [0.5, 1.0, 1.5, 2.2])
-@pytest.mark.parametrize("order", [console.Stop(), console.Mode("hold")], ids=["stop", "hold"])
+@pytest.mark.parametrize("order", [console.Stop(), console.SetMode("hold")], ids=["stop", "hold"])
 def test_the_boat_comes_to_rest_where_the_fence_reckons_with(speed_mps, order):
     sailing = boat(1, config.Sea())
     list(sailing.cycles(4.0))
@@ -147,7 +147,7 @@ def stepped(*steps_s: float) -> Rows:
     """A mission of which the wall clock is set, every five seconds."""
     settings = config.load(ROOT / "etc/delfimx.toml")
     sailing = Lockstep(settings, 1, Rows)
-    sailing.command(console.Mission(MISSION.read_text()))
+    sailing.command(console.LoadMission(MISSION.read_text()))
     due_s = [20.0 + 5.0 * number for number in range(len(steps_s))]
     for state in sailing.cycles(60.0):
         if state.mode is Mode.IDLE:

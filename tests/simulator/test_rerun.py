@@ -18,12 +18,12 @@ from delfim.logging.candump import format_line, parse_line
 from delfim.logging.openlog import open_log
 from delfim.logging.reading import read_log
 from delfim.logging.table import frames, table
-from delfim.simulator.bus import LockstepBus
+from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.rerun import rerun
 from delfim.vehicle import console
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.sources.nmea2000 import Nmea2000Navigation
 from delfim.vehicle.state import State
@@ -166,7 +166,7 @@ def test_a_guest_at_the_helm_is_repeated(tmp_path):
     day = Day(tmp_path, "failsafe.guest_silent.after_s=5.15")  # not between two looks of which but one is recorded
     day.sail(5.0)
     day.sailing.guest_says(b'{"heading_deg": 12.3456789, "speed_mps": 0.7}')
-    assert day.command(console.Mode("grex")) is None
+    assert day.command(console.SetMode("grex")) is None
     day.sail(1.0)
     for second in range(20):
         day.clock.advance(0.0003)
@@ -201,7 +201,7 @@ class Sensors:
         self.source = Nmea2000Navigation(sensors, decoder, self.state)
         guest = Guest(self.state, self.clock)
         outlet = Propulsion((Propellers(propulsion),), propulsion, settings.propulsion, self.state)
-        self.boat = Vehicle(settings, self.clock, self.state, (self.source,), outlet, guest, self.log)
+        self.boat = VehicleLoop(settings, self.clock, self.state, (self.source,), outlet, guest, self.log)
         with pytest.MonkeyPatch.context() as patch:  # files of the clock of the recording need no child
             patch.setattr(blackbox, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))
             self.box, self.ends = BlackBox([box, own], settings.log, self.clock), (box, own)

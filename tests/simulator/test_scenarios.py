@@ -11,7 +11,7 @@ from delfim.errors import ConfigError
 from delfim.simulator import campaign, scenario, trial
 from delfim.simulator.faults import KINDS
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.watch import Watch
+from delfim.simulator.watch import Onlooker
 from delfim.vehicle.state import NoLog
 from delfim.vehicle.troubles import Trigger
 
@@ -171,7 +171,7 @@ def test_without_a_row_of_the_table_the_campaign_finds_it(monkeypatch, trigger, 
 
 def test_the_watch_sees_propellers_commanded_in_idle():
     sailing = Lockstep(SETTINGS, 1, lambda clock: NoLog())
-    watch = Watch(sailing)
+    watch = Onlooker(sailing)
     list(sailing.cycles(1.0))
     watch.look()
     assert watch.failures == []

@@ -9,7 +9,7 @@ from delfim.frames import Frame
 from delfim.messages import BatteriesStatus, Fault, Node, Status
 from delfim.modes import Mode
 from delfim.vehicle import console
-from delfim.vehicle.state import Computer
+from delfim.vehicle.state import StartConditions
 
 AROUND = config.FenceTable(keep_in=((38.692, -9.216), (38.693, -9.216), (38.693, -9.214), (38.692, -9.214)))
 
@@ -67,7 +67,13 @@ def test_a_clock_that_was_never_set_is_no_clock(boat):
 @pytest.mark.parametrize("off_s", [-40 * 365 * 86_400.0, -1024 * 7 * 86_400.0, -86_400.0, 6.0, 1024 * 7 * 86_400.0])
 def test_a_wrong_clock_strands_no_boat(make_boat, off_s):
     """It is told, and every mode can be entered: by hand, or home."""
-    for command in (console.Manual(0.2, 0.2), console.Mode("hold"), console.Heading(0.0), console.Mode("home"), console.Arm()):
+    for command in (
+        console.Manual(0.2, 0.2),
+        console.SetMode("hold"),
+        console.Heading(0.0),
+        console.SetMode("home"),
+        console.Arm(),
+    ):
         boat = make_boat()
         boat.ready()
         boat.clock.step(off_s)
@@ -78,12 +84,12 @@ def test_a_wrong_clock_strands_no_boat(make_boat, off_s):
 
 def test_a_computer_that_nobody_watches_over_yet_turns_nothing(boat):
     boat.ready()
-    boat.state.computer = Computer(is_starting=True)
+    boat.state.computer = StartConditions(is_starting=True)
     reason = "the program is still starting and the dead-man does not watch it yet; wait a few seconds"
     assert lines(boat)["computer"] == (False, reason)
-    for command in (console.Manual(0.5, 0.5), console.Heading(0.0), console.Mode("hold"), console.Goto(38.69, -9.21)):
+    for command in (console.Manual(0.5, 0.5), console.Heading(0.0), console.SetMode("hold"), console.Goto(38.69, -9.21)):
         assert boat.vehicle.on_command(command).endswith(f" refused: {reason}")
-    boat.state.computer = Computer()
+    boat.state.computer = StartConditions()
     assert boat.vehicle.on_command(console.Heading(0.0)) is None
 
 
@@ -92,7 +98,7 @@ def test_a_last_charge_is_for_the_way_home_and_for_the_hand(boat):
     charge(boat, 0.06)
     assert lines(boat)["battery"] == (False, "batteries port at 6%")
     assert boat.vehicle.on_command(console.Heading(0.0)) == "heading refused: batteries port at 6%"
-    assert boat.vehicle.on_command(console.Mode("home")) is None
+    assert boat.vehicle.on_command(console.SetMode("home")) is None
     assert boat.vehicle.on_command(console.Manual(0.1, 0.1)) is None
 
 
@@ -115,7 +121,7 @@ def test_a_fence_without_a_position_refuses_what_does_not_need_one(make_boat):
 
 def test_what_is_only_told_keeps_nobody_on_the_quay(boat):
     boat.ready()
-    boat.state.computer = Computer(last_shutdown="the power was cut")
+    boat.state.computer = StartConditions(last_shutdown="the power was cut")
     assert lines(boat)["last shutdown"] == (False, "the power was cut")
     assert boat.vehicle.on_command(console.Heading(0.0)) is None
     assert boat.state.mode is Mode.HEADING

@@ -17,13 +17,13 @@ from delfim.vehicle import console, helm
     [
         ('{"command":"alive"}', console.Alive()),
         ('{"command":"stop"}', console.Stop()),
-        ('{"command":"mode","mode":"hold"}', console.Mode("hold")),
+        ('{"command":"mode","mode":"hold"}', console.SetMode("hold")),
         ('{"command":"manual","starboard":0.5,"port":-0.5}', console.Manual(0.5, -0.5)),
         ('{"command":"heading","heading_deg":90}', console.Heading(90.0)),
         ('{"command":"speed","speed_mps":1.5}', console.SetSpeed(1.5)),
         ('{"command":"goto","latitude_deg":38.7,"longitude_deg":-9.2}', console.Goto(38.7, -9.2)),
         ('{"command":"play","leg":2}', console.Play(2)),
-        ('{"command":"state"}', console.Report()),
+        ('{"command":"state"}', console.TellState()),
     ],
 )
 def test_every_command_has_one_spelling(line, command):
@@ -105,7 +105,7 @@ def test_heading_is_shown_on_the_compass(boat):
 
 def test_what_may_be_asked_is_obeyed() -> None:
     """But for those that only ask for the state, which the loop answers."""
-    assert set(helm._OBEYED) == set(console.KINDS.values()) - {console.Report, console.Watch}
+    assert set(helm._OBEYED) == set(console.KINDS.values()) - {console.TellState, console.Watch}
 
 
 @pytest.mark.parametrize(

@@ -16,12 +16,12 @@ from delfim.canproxy.socket import ANYTHING, CanSocket
 from delfim.clock import ManualClock
 from delfim.messages import BatteriesStatus, Fault, GpsStatus, Navigation, PropellerStatus, Status
 from delfim.modes import Mode
-from delfim.simulator.bus import LockstepBus
+from delfim.simulator.lockstepbus import LockstepBus
 from delfim.slices import Sliced
 from delfim.vehicle import console, fence
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import Fix
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.state import Line, NoLog, Plan, State, Waypoint
@@ -110,7 +110,7 @@ class Boat:
         self.state, self.source, self.log = State(), Sensors(bus.socket()), NoLog()
         outlet, guest = bus.socket(), Guest(self.state, self.clock)
         propulsion = Propulsion((Propellers(outlet),), outlet, SETTINGS.propulsion, self.state)
-        self.vehicle = Vehicle(SETTINGS, self.clock, self.state, (self.source,), propulsion, guest, self.log)
+        self.vehicle = VehicleLoop(SETTINGS, self.clock, self.state, (self.source,), propulsion, guest, self.log)
         self.report("none")
         self.vehicle.on_navigation(self.source)
         state = self.state

@@ -49,7 +49,7 @@ def test_manual_mode_by_name_begins_without_thrust(boat):
     boat.vehicle.on_command(console.Manual(1.0, 1.0))
     boat.vehicle.on_command(console.Stop())
     boat.pass_time(5.0)
-    assert boat.vehicle.on_command(console.Mode("manual")) is None
+    assert boat.vehicle.on_command(console.SetMode("manual")) is None
     boat.pass_time(1.0)
     assert boat.state.mode is Mode.MANUAL
     assert boat.propellers()[0].rpm == 0
@@ -97,7 +97,7 @@ def test_a_mission_that_is_refused_leaves_everything_as_it_was(make_boat):
     rock = config.KeepOut(name="rock", centre=((38.70, -9.215),), radius_m=50.0)
     boat = make_boat(fence=config.FenceTable(keep_out=(rock,)))
     text = 'version = 1\nname = "x"\n[[waypoint]]\nlatitude_deg = 38.70\nlongitude_deg = -9.215\n'
-    refused = boat.vehicle.on_command(console.Mission(text))
+    refused = boat.vehicle.on_command(console.LoadMission(text))
     assert refused == "mission refused: waypoint 1 leads through rock; missions keep 6 m away"
     assert boat.state.origin is None
     assert boat.state.setpoint.plan is None
@@ -109,7 +109,7 @@ def test_a_missions_fence_is_obeyed_as_soon_as_it_is_loaded(boat):
         "[fence]\nkeep_in = [[38.692, -9.216], [38.6926, -9.216], [38.6926, -9.214], [38.692, -9.214]]\n"
     )
     boat.ready()
-    assert boat.vehicle.on_command(console.Mission(text)) is None
+    assert boat.vehicle.on_command(console.LoadMission(text)) is None
     assert boat.vehicle.on_command(console.Heading(0.0, 1.5)) is None
     boat.clock.advance(0.2)
     boat.navigate(latitude_rad=NORTH_8_M, north_mps=1.5)
@@ -128,7 +128,7 @@ def test_holding_near_the_fence_is_where_there_is_room(make_boat):
         boat.vehicle.on_command(console.Alive())
         boat.report()
         boat.navigate(latitude_rad=math.radians(38.6925) + metres / 6_360_000)
-    assert boat.vehicle.on_command(console.Mode("hold")) is None
+    assert boat.vehicle.on_command(console.SetMode("hold")) is None
     reference = boat.state.reference
     assert reference.north_m is not None
     assert 16.7 - reference.north_m >= 8.0, "its own radius and the margin"

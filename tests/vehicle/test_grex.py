@@ -16,7 +16,7 @@ def test_a_reference_is_taken_and_obeyed_in_grex_mode_only(boat):
     boat.pass_time(1.0)
     assert not boat.propellers()[0].run, "idle obeys no guest"
     boat.vehicle.on_guest(b'{"heading_deg": 90, "speed_mps": 1.0}')
-    assert boat.vehicle.on_command(console.Mode("grex")) is None
+    assert boat.vehicle.on_command(console.SetMode("grex")) is None
     boat.pass_time(1.0)
     starboard, port = boat.propellers()
     assert port.rpm > starboard.rpm
@@ -27,13 +27,13 @@ def test_grex_mode_needs_a_fresh_guest(boat):
     boat.ready()
     boat.vehicle.on_guest(b'{"heading_deg": 90}')
     boat.pass_time(6.0)
-    assert boat.vehicle.on_command(console.Mode("grex")) == "grex refused: no reference from the guest"
+    assert boat.vehicle.on_command(console.SetMode("grex")) == "grex refused: no reference from the guest"
 
 
 def test_a_silent_guest_makes_the_boat_hold(boat):
     boat.ready()
     boat.vehicle.on_guest(b'{"heading_deg": 0, "speed_mps": 1.0}')
-    boat.vehicle.on_command(console.Mode("grex"))
+    boat.vehicle.on_command(console.SetMode("grex"))
     boat.pass_time(5.5)
     assert boat.state.mode is Mode.HOLD
     assert boat.state.reason.startswith("guest silent")

@@ -51,7 +51,7 @@ def test_heading_command_turns_the_propellers_at_once_and_again_each_cycle(boat)
     assert boat.state.mode is Mode.HEADING
 
 
-@pytest.mark.parametrize("command", [console.Mode("heading"), console.Heading(90.0)])
+@pytest.mark.parametrize("command", [console.SetMode("heading"), console.Heading(90.0)])
 def test_heading_mode_goes_on_as_the_boat_sails(boat, command):
     boat.ready()
     boat.navigate(heading_rad=math.pi / 2)
@@ -62,7 +62,7 @@ def test_heading_mode_goes_on_as_the_boat_sails(boat, command):
     assert boat.state.setpoint.speed_mps == pytest.approx(0.7)
 
 
-@pytest.mark.parametrize("command", [console.Mode("heading"), console.Heading(20.0)])
+@pytest.mark.parametrize("command", [console.SetMode("heading"), console.Heading(20.0)])
 def test_heading_mode_keeps_the_speed_that_was_asked_for(boat, command):
     boat.ready()
     boat.vehicle.on_command(console.Heading(20.0))
@@ -96,7 +96,7 @@ def test_a_sailor_without_a_log_may_say_so(make_boat):
 )
 def test_modes_without_what_they_need_are_refused_in_words(boat, mode, reason):
     boat.ready()
-    answer = boat.vehicle.on_command(console.Mode(mode))
+    answer = boat.vehicle.on_command(console.SetMode(mode))
     assert answer is not None
     assert reason in answer
     assert boat.state.mode is Mode.IDLE
@@ -112,7 +112,7 @@ waypoint = [{ latitude_deg = 38.6930, longitude_deg = -9.2150 }, { latitude_deg 
 def test_goto_without_a_place_goes_to_the_first_waypoint_and_needs_a_mission(boat):
     boat.ready()
     assert boat.vehicle.on_command(console.Goto()) == "goto refused: no point to go to and no mission loaded"
-    boat.vehicle.on_command(console.Mission(TWO))
+    boat.vehicle.on_command(console.LoadMission(TWO))
     assert boat.vehicle.on_command(console.Goto()) is None
     boat.pass_time(0.2)
     assert boat.state.reference.distance_m == pytest.approx(55.6, abs=0.5)
@@ -121,10 +121,10 @@ def test_goto_without_a_place_goes_to_the_first_waypoint_and_needs_a_mission(boa
 def test_the_mode_goto_waits_where_it_is_for_a_place(boat):
     """Also when a mission is loaded, and when an earlier place is still known."""
     boat.ready()
-    boat.vehicle.on_command(console.Mission(TWO))
+    boat.vehicle.on_command(console.LoadMission(TWO))
     boat.vehicle.on_command(console.Goto(38.6932, -9.2150))
     boat.vehicle.on_command(console.Stop())
-    assert boat.vehicle.on_command(console.Mode("goto")) is None
+    assert boat.vehicle.on_command(console.SetMode("goto")) is None
     boat.pass_time(3.0)
     assert boat.state.mode is Mode.GOTO
     assert boat.state.actuation[:2] == (0.0, 0.0)
@@ -143,9 +143,9 @@ def test_no_place_is_gone_to_that_is_further_than_a_mission_may_lead(boat, latit
     assert boat.vehicle.on_command(console.Goto(38.6925, -8.986)) is None
 
 
-@pytest.mark.parametrize("command", [console.Play(), console.Goto(), console.Mode("path")])
+@pytest.mark.parametrize("command", [console.Play(), console.Goto(), console.SetMode("path")])
 def test_a_mission_that_was_loaded_before_the_position_was_known_is_not_sailed_across_an_ocean(boat, command):
-    boat.vehicle.on_command(console.Mission(TWO))
+    boat.vehicle.on_command(console.LoadMission(TWO))
     boat.report()
     assert boat.navigate(latitude_rad=math.radians(28.0), longitude_rad=math.radians(-15.4))
     far = boat.vehicle.on_command(command)
@@ -157,8 +157,8 @@ def test_a_path_that_is_begun_in_the_middle_says_so(boat):
     places = [(38.6920, -9.2140), (38.6920, -9.2150), (38.6930, -9.2150), (38.6930, -9.2140)]
     rows = ", ".join(f"{{ latitude_deg = {latitude}, longitude_deg = {longitude} }}" for latitude, longitude in places)
     boat.ready()
-    assert boat.vehicle.on_command(console.Mission(f'version = 1\nname = "survey"\nwaypoint = [{rows}]\n')) is None
-    assert boat.vehicle.on_command(console.Mode("path")) is None
+    assert boat.vehicle.on_command(console.LoadMission(f'version = 1\nname = "survey"\nwaypoint = [{rows}]\n')) is None
+    assert boat.vehicle.on_command(console.SetMode("path")) is None
     assert boat.state.reason == "operator; begins at piece 2 of 3, the first that the boat stands on"
     assert boat.log.notes[-1] == f"path: {boat.state.reason}"
 
@@ -183,7 +183,7 @@ def test_console_silence_makes_the_boat_hold_and_a_word_keeps_it_sailing(make_bo
     boat.vehicle.on_command(console.Alive())
     boat.pass_time(2.0)
     assert boat.state.mode is Mode.HEADING
-    boat.vehicle.on_command(console.Report())
+    boat.vehicle.on_command(console.TellState())
     boat.pass_time(2.0)
     assert boat.state.mode is Mode.HOLD, "an onlooker does not keep the boat sailing"
     assert boat.state.reason.startswith("console silent")

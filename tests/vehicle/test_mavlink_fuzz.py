@@ -16,11 +16,11 @@ from delfim.modes import Mode
 from delfim.vehicle.console import Stop, Take
 from delfim.vehicle.mavlink import wire
 from delfim.vehicle.mavlink.commands import COMMANDS
-from delfim.vehicle.mavlink.link import MavlinkLink
 from delfim.vehicle.mavlink.params import NAMES
 from delfim.vehicle.mavlink.peers import PEERS
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.station import FRAMES, PENDING, Station
+from delfim.vehicle.mavlink.stationsocket import MavlinkLink
 from delfim.vehicle.mavlink.wire import dialect
 from tests.vehicle.mavlink_console import HOME, Console, Radio
 from tests.vehicle.test_mavlink_station import afloat, sail

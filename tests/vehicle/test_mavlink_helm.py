@@ -68,7 +68,7 @@ def at_sea(make_boat, key: bytes | None) -> SimpleNamespace:
     station = Station(vehicle, obey, radio, Signing(key, boat.clock, {}) if key else None)
     sea = SimpleNamespace(boat=boat, state=boat.state, station=station, radio=radio, log=log, consoles={})
     boat.ready()
-    vehicle.on_command(console.Mission(MISSION))
+    vehicle.on_command(console.LoadMission(MISSION))
     for link, (who, port) in enumerate(PLACES.items()):
         sea.consoles[who] = spoken(sea, who, port, key, link)
     return sea

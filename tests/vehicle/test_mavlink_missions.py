@@ -245,7 +245,7 @@ def test_places_come_back_in_the_frame_in_which_they_were_sent(boat, autopilot, 
 
 def test_a_boats_own_mission_file_is_told_item_by_item(sea):
     mission = zigzag(3)
-    sea.vehicle.on_command(console.Mission(canonical(mission)))
+    sea.vehicle.on_command(console.LoadMission(canonical(mission)))
     assert download(sea.console) == items_of(mission)
 
 

@@ -8,7 +8,7 @@ import pytest
 from delfim import config, messages
 from delfim.modes import Mode
 from delfim.vehicle import console
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mavlink.wire import dialect
 from tests.vehicle.mavlink_console import Console, Radio, newest, texts
@@ -27,7 +27,7 @@ waypoint = [
 
 def afloat(boat, **options: object) -> SimpleNamespace:
     """A boat that is fit, its station, and a console that it has heard."""
-    vehicle: Vehicle = boat.vehicle
+    vehicle: VehicleLoop = boat.vehicle
     vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=config.Mavlink(**options))
     log: list[console.Commands] = []
 
@@ -68,7 +68,7 @@ def sail(sea, seconds: float) -> list:
     [(0, "MANUAL"), (3, "HEADING"), (5, "HOLD"), (10, "PLAY"), (15, "GOTO"), (100, "PATH"), (4, "IDLE")],
 )
 def test_a_mode_is_entered_by_its_number_and_seen_within_a_tick(sea, number, mode):
-    sea.vehicle.on_command(console.Mission(MISSION))
+    sea.vehicle.on_command(console.LoadMission(MISSION))
     assert sea.console.mode(number)[0] == ACCEPTED
     assert sea.state.mode is Mode[mode]
     heard = sail(sea, 0.1)
@@ -227,7 +227,7 @@ def test_a_place_that_is_too_far_away_is_refused(sea, latitude_deg, longitude_de
 
 @pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(95.0, 0.0), (38.69, 181.0), (38.69, None), (None, -9.215)])
 def test_what_is_no_place_is_denied_and_moves_nothing(sea, latitude_deg, longitude_deg):
-    sea.vehicle.on_command(console.Mission(MISSION))
+    sea.vehicle.on_command(console.LoadMission(MISSION))
     assert sea.console.reposition(latitude_deg, longitude_deg)[0] == DENIED
     nan = [math.nan if each is None else each for each in (latitude_deg, longitude_deg)]
     assert sea.console.command(192, -1, 1, 0, math.nan, *nan)[0] == DENIED
@@ -236,7 +236,7 @@ def test_what_is_no_place_is_denied_and_moves_nothing(sea, latitude_deg, longitu
 
 def test_the_present_position_is_held(sea):
     """NaN, or the largest integer: the standard's way to say that a position is not given."""
-    sea.vehicle.on_command(console.Mission(MISSION))
+    sea.vehicle.on_command(console.LoadMission(MISSION))
     assert sea.console.reposition(None, None)[0] == ACCEPTED
     assert sea.state.mode is Mode.HOLD
     sea.console.mode(4)
@@ -256,7 +256,7 @@ def test_without_the_flag_to_change_the_mode_it_stays(sea, mode):
 
 def test_in_the_ardurover_profile_the_guided_mode_waits_for_a_place(boat):
     sea = afloat(boat, autopilot="ardurover")
-    sea.vehicle.on_command(console.Mission(MISSION))
+    sea.vehicle.on_command(console.LoadMission(MISSION))
     assert sea.console.mode(15)[0] == ACCEPTED
     sail(sea, 3.0)
     assert sea.state.mode is Mode.GOTO
@@ -268,7 +268,7 @@ def test_in_the_ardurover_profile_the_guided_mode_waits_for_a_place(boat):
 
 @pytest.mark.parametrize(("percent", "mps"), [(0, 0.0), (10, 0.22), (80, 1.76), (100, 2.2)])
 def test_the_speed_keys_go_before_the_plans_speed(sea, percent, mps):
-    sea.vehicle.on_command(console.Mission(MISSION))
+    sea.vehicle.on_command(console.LoadMission(MISSION))
     sea.console.command(300)
     sail(sea, 0.2)
     assert sea.state.reference.speed_mps == 1.5, "the boat's own"
@@ -282,7 +282,7 @@ def test_the_speed_keys_go_before_the_plans_speed(sea, percent, mps):
 
 
 def test_another_mode_is_begun_at_its_own_speed(sea):
-    sea.vehicle.on_command(console.Mission(MISSION))
+    sea.vehicle.on_command(console.LoadMission(MISSION))
     sea.console.command(300)
     sea.console.command(178, 1, 0.4)
     sea.console.mode(4)
@@ -292,7 +292,7 @@ def test_another_mode_is_begun_at_its_own_speed(sea):
 
 
 def test_play_from_an_item_and_the_current_one(sea):
-    sea.vehicle.on_command(console.Mission(MISSION))
+    sea.vehicle.on_command(console.LoadMission(MISSION))
     assert newest(sea.console.say("mission_set_current", 1, 1, 2), "MISSION_CURRENT").seq == 2
     assert sea.console.mode(10)[0] == ACCEPTED
     sail(sea, 0.2)
@@ -645,7 +645,7 @@ def test_thrust_ends_then_the_mode_and_coming_back_moves_nothing(sea):
 
 
 def test_a_command_repeated_for_want_of_an_answer_is_answered_and_not_obeyed_twice(sea):
-    sea.vehicle.on_command(console.Mission(MISSION))
+    sea.vehicle.on_command(console.LoadMission(MISSION))
     assert sea.console.command(300, 0)[0] == ACCEPTED
     before = list(sea.log)
     sail(sea, 1.0)

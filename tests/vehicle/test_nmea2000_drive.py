@@ -25,7 +25,7 @@ from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.sources.nmea2000 import Nmea2000Navigation
 from delfim.vehicle.state import NoLog, State
@@ -82,7 +82,7 @@ def test_a_recorded_boat_drives_the_vehicle_at_its_own_speed_and_silence_stops_i
         bus.bind(*(CanAddress(arb, mask) for arb, mask in decoder.filters))
         source = Nmea2000Navigation(bus, decoder, state)
         outlet = Propulsion((Propellers(propulsion),), propulsion, settings.propulsion, state)
-        boat = Vehicle(settings, clock, state, (source,), outlet, Guest(state, clock), NoLog())
+        boat = VehicleLoop(settings, clock, state, (source,), outlet, Guest(state, clock), NoLog())
         command = [sys.executable, "-c", PLAYER, sensors, str(RECORDING), str(SECONDS)]
         with subprocess.Popen(command, stdin=subprocess.PIPE) as player:
             assert player.stdin is not None

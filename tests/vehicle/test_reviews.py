@@ -116,7 +116,7 @@ def test_twenty_polygons_of_a_hundred_corners_around_a_mission(sea, counted):
 
 
 def test_five_hundred_waypoints_into_the_largest_fence(sea, counted):
-    sea.vehicle.on_command(console.Fence(zones()))
+    sea.vehicle.on_command(console.SetFence(zones()))
     counted.clear()
     heard = send(sea, list(plans.mission_items(mission(500))), MISSION)
     assert newest(heard, "MISSION_ACK").type == OK
@@ -149,7 +149,7 @@ def test_what_cannot_be_done_is_refused_in_words_and_changes_nothing(sea):
     turn(sea)
     assert answers == ["mission refused: the leg to waypoint 2 leads through reef; missions keep 6 m away"]
     crossing = config.Zones(keep_in=(*ring(0.0, 0.0, 0.05)[:50], *ring(0.0, 0.0, 0.05)[:49:-1]))
-    sea.reviews.begin("local", console.Fence(crossing), answers.append)
+    sea.reviews.begin("local", console.SetFence(crossing), answers.append)
     turn(sea)
     assert "fence.keep_in: the polygon crosses itself" in answers[1]
     assert (sea.state.setpoint.plan, sea.vehicle.helm.plans.mission, sea.vehicle.helm.plans.fence) == (None, None, None)

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 
 from delfim.canproxy.dsor.protocol import BROADCAST, Message, ack_filter, iter_segments, message_filter
 from delfim.canproxy.dsor.receiver import Receiver
-from delfim.canproxy.dsor.sender import Sender
+from delfim.canproxy.dsor.sender import MessageSender
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import FormatError, Refused
 from delfim.frames import Frame
@@ -79,7 +79,7 @@ class Endpoint:
         self.can, self.node = can, node
         self.inbox: deque[Message] = deque()
         self._receiver = Receiver(node, self._accepts)
-        self._sender = Sender(node, queue_max=sending_max)
+        self._sender = MessageSender(node, queue_max=sending_max)
         self.outcomes, self.errors = self._sender.outcomes, self._receiver.errors
         self._wanted: Callable[[Message], bool] = lambda message: False
         self._outbox: list[tuple[int, bool, int, Iterator[Frame]]] = []

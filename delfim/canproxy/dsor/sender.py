@@ -67,7 +67,7 @@ class _Transfer:
         return Frame(arb, self.stream[8 * self.segment : 8 * self.segment + 8])
 
 
-class Sender:
+class MessageSender:
     """Sends messages of `node`, each frame after the acknowledgement of the one before. Messages of different priority or to
     different nodes travel side by side, those of the same wait for each other.
 

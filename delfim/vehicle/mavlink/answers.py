@@ -6,7 +6,7 @@ from typing import Final
 
 from delfim import __version__
 from delfim.modes import Mode
-from delfim.vehicle.mavlink.telemetry import View
+from delfim.vehicle.mavlink.telemetry import TelemetryView
 from delfim.vehicle.mavlink.wire import Message, dialect
 
 CAPABILITIES: Final = (
@@ -25,7 +25,7 @@ STANDARD: Final = {
 }
 
 
-def version(view: View, index: int) -> Iterable[Message]:
+def version(view: TelemetryView, index: int) -> Iterable[Message]:
     """AUTOPILOT_VERSION: 1.2.3 is 0x010203FF, a release."""
     parts = [int(part) for part in __version__.split(".")[:3] if part.isdigit()]
     number = sum(part << 8 * (3 - at) for at, part in enumerate(parts)) | 0xFF
@@ -34,7 +34,7 @@ def version(view: View, index: int) -> Iterable[Message]:
     return (dialect.MAVLink_autopilot_version_message(CAPABILITIES, number, 0, 0, 0, none, none, none, 0, 0, boat),)
 
 
-def modes(view: View, index: int) -> Iterable[Message]:
+def modes(view: TelemetryView, index: int) -> Iterable[Message]:
     """AVAILABLE_MODES: one of them, counted from 1; 0 is all."""
     every = list(Mode)
     for number, mode in enumerate(every, 1):
@@ -43,13 +43,13 @@ def modes(view: View, index: int) -> Iterable[Message]:
             yield dialect.MAVLink_available_modes_message(len(every), number, standard, mode, 0, name)
 
 
-def mode(view: View, index: int) -> Iterable[Message]:
+def mode(view: TelemetryView, index: int) -> Iterable[Message]:
     now = view.boat.state.mode
     standard = STANDARD.get(now, dialect.MAV_STANDARD_MODE_NON_STANDARD)
     return (dialect.MAVLink_current_mode_message(standard, now, now),)
 
 
-def home(view: View, index: int) -> Iterable[Message]:
+def home(view: TelemetryView, index: int) -> Iterable[Message]:
     """HOME_POSITION: where the way home ends."""
     place = view.boat.helm.home()
     if place is None:
@@ -58,11 +58,11 @@ def home(view: View, index: int) -> Iterable[Message]:
     return (dialect.MAVLink_home_position_message(latitude, longitude, 0, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0),)
 
 
-def time(view: View, index: int) -> Iterable[Message]:
+def time(view: TelemetryView, index: int) -> Iterable[Message]:
     return (dialect.MAVLink_system_time_message(view.boat.clock.time_ns() // 1000, int(view.now_s * 1e3) & 0xFFFFFFFF),)
 
 
-ANSWERS: Final[dict[int, Callable[[View, int], Iterable[Message]]]] = {
+ANSWERS: Final[dict[int, Callable[[TelemetryView, int], Iterable[Message]]]] = {
     dialect.MAVLINK_MSG_ID_AUTOPILOT_VERSION: version,
     dialect.MAVLINK_MSG_ID_AVAILABLE_MODES: modes,
     dialect.MAVLINK_MSG_ID_CURRENT_MODE: mode,

@@ -25,8 +25,8 @@ NOWHERE: Final = 0x7FFFFFFF  # of an integer position: not given
 
 PX4: Final[dict[tuple[float, float], console.Commands]] = {  # main mode, sub mode: what MAVSDK says to whom it does not know
     (4, 3): console.Stop(),  # "hold" must never move the boat
-    (4, 4): console.Mode("play"),
-    (4, 5): console.Mode("home"),
+    (4, 4): console.SetMode("play"),
+    (4, 5): console.SetMode("home"),
 }
 
 
@@ -75,12 +75,12 @@ def _mode(o: Order, boat: Terms) -> console.Commands:
     if not (math.isfinite(base) and int(base) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
         raise FormatError("a mode is asked for by its custom number")
     if custom == SMART_RTL:
-        return console.Mode("home")
+        return console.SetMode("home")
     if custom not in list(Mode):
         raise FormatError(f"no mode {custom:g}")
     if custom == Mode.GOTO and not boat.guided_waits:
         return console.Goto()
-    return console.Stop() if custom == Mode.IDLE else console.Mode(Mode(int(custom)).name.lower())
+    return console.Stop() if custom == Mode.IDLE else console.SetMode(Mode(int(custom)).name.lower())
 
 
 def _arm(o: Order, boat: Terms) -> console.Commands:
@@ -98,7 +98,7 @@ def _current(o: Order, boat: Terms) -> console.Commands:
 
 
 def _home(o: Order, boat: Terms) -> console.Commands:
-    return console.Mode("home")
+    return console.SetMode("home")
 
 
 def _heading(o: Order, boat: Terms) -> console.Commands:
@@ -117,7 +117,7 @@ def _goto(o: Order, boat: Terms) -> console.Commands:
     if boat.mode is not Mode.GOTO and not _whole(o.p[1]) & CHANGE_MODE:
         raise Refused("goto refused: the boat is in another mode, and the flag to change it is not set")
     if math.isnan(o.p[4]) and math.isnan(o.p[5]):
-        return console.Mode("hold")
+        return console.SetMode("hold")
     place = {name: degrees for name, degrees in zip(PLACE, o.p[4:6], strict=True) if not math.isnan(degrees)}
     return console.asked(console.Goto, **place, speed_mps=o.p[0] if o.p[0] > 0.0 else None)
 

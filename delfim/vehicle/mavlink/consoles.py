@@ -7,15 +7,15 @@ import secrets
 from collections.abc import Callable
 
 from delfim.vehicle import console
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink import params, telemetry
 from delfim.vehicle.mavlink.missions import Missions
 from delfim.vehicle.mavlink.news import News
 from delfim.vehicle.mavlink.peers import HEARD_S, Peer, Peers
 from delfim.vehicle.mavlink.sequences import Sequences
 from delfim.vehicle.mavlink.signing import Signing
-from delfim.vehicle.mavlink.telemetry import View
-from delfim.vehicle.mavlink.wire import GUEST, Address, Message, Source
+from delfim.vehicle.mavlink.telemetry import TelemetryView
+from delfim.vehicle.mavlink.wire import GUEST, Address, Message, Speaker
 
 Obey = Callable[[console.Commands, str], str | None]
 Review = Callable[[str, console.Plan, Callable[[str | None], None]], None]
@@ -27,7 +27,7 @@ class Consoles:
 
     def __init__(
         self,
-        boat: Vehicle,
+        boat: VehicleLoop,
         obey: Obey,
         send: Callable[[bytes, Address], object],
         signing: Signing | None,
@@ -35,7 +35,7 @@ class Consoles:
     ) -> None:
         self.boat, self.clock, self.settings = boat, boat.clock, boat.helm.settings.mavlink
         self.system = boat.helm.settings.boat.id
-        self.commander: Source | None = None  # the console that commands
+        self.commander: Speaker | None = None  # the console that commands
         self.counts: dict[str, int] = {}
         self.peers = Peers(self.system, self.settings, self.clock, send, signing, self.count)
         self.missions = Missions(boat, self.settings.autopilot == "ardurover")
@@ -60,7 +60,7 @@ class Consoles:
     def tell_news(self) -> None:
         self._news.tell(self.commander)
 
-    def ask(self, source: Source, command: console.Commands) -> str | None:
+    def ask(self, source: Speaker, command: console.Commands) -> str | None:
         """A command of a console that must be the one that commands. Whoever asks first commands; so does the next one when the
         one before was silent for long. Anybody may stop the boat. Returns why not, or None."""
         if (reason := self._own(source, command)) is not None:
@@ -69,7 +69,7 @@ class Consoles:
         self.tell_news()
         return refused
 
-    def propose(self, source: Source, command: console.Commands, answer: Callable[[str | None], None]) -> None:
+    def propose(self, source: Speaker, command: console.Commands, answer: Callable[[str | None], None]) -> None:
         """The same for a plan, which takes a while to be looked at: `answer` gets what came of it."""
 
         def done(refused: str | None) -> None:
@@ -83,7 +83,7 @@ class Consoles:
         else:
             self._review(source.name, command, done)
 
-    def _own(self, source: Source, command: console.Commands) -> str | None:
+    def _own(self, source: Speaker, command: console.Commands) -> str | None:
         """Whoever commands is the owner from now on. Returns why this console may not command."""
         if self.commander != source and not isinstance(command, console.Stop):
             if (reason := self.refusal(source, isinstance(command, console.Take))) is not None:
@@ -93,7 +93,7 @@ class Consoles:
             self._owner_s = self.clock.monotonic_s()
         return None
 
-    def refusal(self, source: Source, takes: bool = False) -> str | None:
+    def refusal(self, source: Speaker, takes: bool = False) -> str | None:
         """Why this console may not command, in words. `takes`: it says that it takes over."""
         if source.component == GUEST:
             return "the guest computer does not command"
@@ -109,7 +109,7 @@ class Consoles:
         """The system of the console that commands; 0: none."""
         return self.commander.system if self.commander is not None else 0
 
-    def alive(self, source: Source, address: Address) -> None:
+    def alive(self, source: Speaker, address: Address) -> None:
         """A console was heard that may be the one that commands, or have the number of another one."""
         now_s = self.clock.monotonic_s()
         if source == self.commander:
@@ -122,7 +122,7 @@ class Consoles:
             words = f"two consoles are number {source.system}: {places}; give one of them another number"
             self.boat.on_namesakes(self.boat.state.namesakes or words)
 
-    def give_up(self, source: Source) -> None:
+    def give_up(self, source: Speaker) -> None:
         """This console commands no longer."""
         if self.commander == source:
             self.commander = None
@@ -138,7 +138,7 @@ class Consoles:
         """Of one of `params.TEXTS`."""
         return {params.BOAT_NAME: self.boat.helm.settings.boat.name, params.BOAT_RUN: self._run}[name]
 
-    def view(self) -> View:
-        return View(
+    def view(self) -> TelemetryView:
+        return TelemetryView(
             self.boat, self.settings, self.owner, self.missions.number, self.missions.checksum, self.clock.monotonic_s()
         )

@@ -16,18 +16,18 @@ from delfim.vehicle.mavlink.missions import KINDS
 from delfim.vehicle.mavlink.peers import Peer
 from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.telemetry import NEVER_S
-from delfim.vehicle.mavlink.wire import GUEST, Message, Source, dialect
+from delfim.vehicle.mavlink.wire import GUEST, Message, Speaker, dialect
 
 AGAIN_S: Final = 10.0  # a command that is repeated within this time for want of an answer gets the one it had
 INTERVAL_MIN_S: Final = 0.1
 NAK, UNKNOWN_COMMAND = 129, 7  # of MAVLink FTP
 
 
-def _heartbeat(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _heartbeat(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     consoles.alive(source, peer.address)
 
 
-def _command(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _command(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """COMMAND_LONG, COMMAND_INT: answered always; one that is repeated is not carried out again, a stop apart."""
     now_s, order = consoles.clock.monotonic_s(), commands.order(message)
     same, before = repr((source, order.command, order.p)), peer.answered
@@ -44,7 +44,7 @@ def _command(consoles: Consoles, peer: Peer, source: Source, message: Message) -
     consoles.peers.tell(peer, [answer, *told])
 
 
-def _ordered(consoles: Consoles, peer: Peer, source: Source, order: commands.Order) -> tuple[int, str | None]:
+def _ordered(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Order) -> tuple[int, str | None]:
     """(MAV_RESULT, why not)"""
     own = _REQUESTS.get(order.command)
     if own is not None:
@@ -65,7 +65,7 @@ def _ordered(consoles: Consoles, peer: Peer, source: Source, order: commands.Ord
     return (ACCEPTED, None) if refused is None else (LATER, refused)
 
 
-def _set_mode(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _set_mode(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """SET_MODE, of old programs: no answer exists but the heartbeat."""
     if message.target_system == consoles.system:
         order = commands.Order(dialect.MAV_CMD_DO_SET_MODE, (message.base_mode, message.custom_mode, 0.0), consoles.system)
@@ -74,7 +74,7 @@ def _set_mode(consoles: Consoles, peer: Peer, source: Source, message: Message) 
             consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
 
 
-def _manual(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _manual(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """Thrust in manual mode, and nowhere else: a stream that did not end must not change a mode."""
     if message.target != consoles.system or consoles.boat.state.mode is not Mode.MANUAL or source != consoles.commander:
         consoles.count("manual_ignored")
@@ -89,7 +89,7 @@ def _manual(consoles: Consoles, peer: Peer, source: Source, message: Message) ->
         consoles.count("manual_refused")
 
 
-def _guest(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _guest(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """SET_POSITION_TARGET_GLOBAL_INT of the guest computer: a course and a speed, obeyed in GREX mode only."""
     if source.party != (consoles.system, GUEST) or not math.isfinite(message.vx + message.vy):
         consoles.count("unknown")
@@ -99,7 +99,7 @@ def _guest(consoles: Consoles, peer: Peer, source: Source, message: Message) -> 
     consoles.boat.on_reference(HeadingReference(heading_deg, speed_mps))
 
 
-def _set_current(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _set_current(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """MISSION_SET_CURRENT: the answer is MISSION_CURRENT."""
     order = commands.Order(dialect.MAV_CMD_DO_SET_MISSION_CURRENT, (float(message.seq),), message.target_system)
     _, reason = _ordered(consoles, peer, source, order)
@@ -111,35 +111,35 @@ def _set_current(consoles: Consoles, peer: Peer, source: Source, message: Messag
 # Plans.
 
 
-def _listed(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _listed(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     consoles.missions.listed(_Line(consoles, peer, source), source, message)
 
 
-def _requested(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _requested(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     consoles.missions.requested(_Line(consoles, peer, source), source, message)
 
 
-def _counted(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _counted(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     if _may(consoles, peer, source, message):
         consoles.missions.counted(_Line(consoles, peer, source), source, message, consoles.clock.monotonic_s())
 
 
-def _item(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _item(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     consoles.missions.item(_Line(consoles, peer, source), source, message, consoles.clock.monotonic_s())
 
 
-def _clear(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _clear(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     if _may(consoles, peer, source, message):
         consoles.missions.clear(_Line(consoles, peer, source), source, message)
 
 
-def _old_item(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _old_item(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """MISSION_ITEM, MISSION_WRITE_PARTIAL_LIST, MISSION_REQUEST_PARTIAL_LIST: there is a better way to say it."""
     unsupported = dialect.MAV_MISSION_UNSUPPORTED
     consoles.peers.tell(peer, [dialect.MAVLink_mission_ack_message(*source.party, unsupported, message.mission_type)])
 
 
-def _may(consoles: Consoles, peer: Peer, source: Source, message: Message) -> bool:
+def _may(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> bool:
     """Whether this console may change a plan; it is told why not."""
     reason = consoles.refusal(source) if message.target_system == consoles.system else "a plan must name its vehicle"
     if reason:
@@ -152,12 +152,12 @@ def _may(consoles: Consoles, peer: Peer, source: Source, message: Message) -> bo
 # Parameters.
 
 
-def _param_list(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _param_list(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     peer.params.clear()
     peer.params.extend(params.NAMES)
 
 
-def _param_read(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _param_read(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     index = message.param_index
     name = params.named(message.param_id) if index < 0 else params.NAMES[index] if index < len(params.NAMES) else ""
     known = name in params.NAMES
@@ -165,7 +165,7 @@ def _param_read(consoles: Consoles, peer: Peer, source: Source, message: Message
     consoles.peers.tell(peer, [consoles.param(peer, name) if known else params.error(source.party, name, index, missing)])
 
 
-def _param_set(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _param_set(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """The answer is the value that is in force; where that is not the one asked for, a text says why."""
     name, number = params.named(message.param_id), message.param_value
     if name not in params.NAMES:
@@ -189,12 +189,12 @@ def _param_set(consoles: Consoles, peer: Peer, source: Source, message: Message)
         consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
 
 
-def _text_list(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _text_list(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """PARAM_EXT_REQUEST_LIST"""
     consoles.peers.tell(peer, [params.text(name, consoles.text(name)) for name in params.TEXTS])
 
 
-def _text_read(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _text_read(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """PARAM_EXT_REQUEST_READ"""
     index = message.param_index
     name = params.TEXTS[index] if 0 <= index < len(params.TEXTS) else params.named(message.param_id)
@@ -208,7 +208,7 @@ def _text_read(consoles: Consoles, peer: Peer, source: Source, message: Message)
 # Questions.
 
 
-def _ftp(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _ftp(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """FILE_TRANSFER_PROTOCOL: not here; `delfim log fetch` is."""
     payload = [*message.payload]
     number = payload[0] + 256 * payload[1] + 1
@@ -217,21 +217,21 @@ def _ftp(consoles: Consoles, peer: Peer, source: Source, message: Message) -> No
     consoles.peers.tell(peer, [answer])
 
 
-def _logs(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _logs(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     consoles.peers.tell(peer, [dialect.MAVLink_log_entry_message(0, 0, 0, 0, 0)])
 
 
-def _log(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _log(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     """LOG_REQUEST_DATA: of a log that is not here."""
     consoles.peers.tell(peer, [dialect.MAVLink_log_data_message(message.id, message.ofs, 0, [0] * 90)])
 
 
-def _ping(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _ping(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     if message.target_system == 0:
         consoles.peers.tell(peer, [dialect.MAVLink_ping_message(message.time_usec, message.seq, *source.party)])
 
 
-def _request(consoles: Consoles, peer: Peer, source: Source, order: commands.Order) -> int:
+def _request(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Order) -> int:
     """REQUEST_MESSAGE: once, after the answer."""
     number, index = (int(value) if math.isfinite(value) else -1 for value in order.p[:2])
     view = consoles.view()
@@ -258,12 +258,12 @@ def _interval_of(consoles: Consoles, peer: Peer, number: int) -> Message:
     return dialect.MAVLink_message_interval_message(number & 0xFFFF, interval_us)
 
 
-def _timesync(consoles: Consoles, peer: Peer, source: Source, message: Message) -> None:
+def _timesync(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     if message.tc1 == 0:
         consoles.peers.tell(peer, [dialect.MAVLink_timesync_message(consoles.clock.time_ns(), message.ts1)])
 
 
-def _take(consoles: Consoles, peer: Peer, source: Source, order: commands.Order) -> int:
+def _take(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Order) -> int:
     if order.target_system != consoles.system:
         return DENIED
     if order.p[1]:
@@ -275,7 +275,7 @@ def _take(consoles: Consoles, peer: Peer, source: Source, order: commands.Order)
     return ACCEPTED
 
 
-def _interval(consoles: Consoles, peer: Peer, source: Source, order: commands.Order) -> int:
+def _interval(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Order) -> int:
     """SET_MESSAGE_INTERVAL: of what this peer gets. 0: as its profile says; below: not at all."""
     number, interval_us = order.p[:2]
     if number not in [row.id for row in telemetry.ROWS] or not math.isfinite(interval_us):
@@ -290,7 +290,7 @@ def _interval(consoles: Consoles, peer: Peer, source: Source, order: commands.Or
     return ACCEPTED
 
 
-def _high_latency(consoles: Consoles, peer: Peer, source: Source, order: commands.Order) -> int:
+def _high_latency(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Order) -> int:
     if order.p[0] not in (0.0, 1.0):
         return DENIED
     peer.profile = "lean" if order.p[0] else "wifi" if consoles.settings.profile == "lean" else consoles.settings.profile
@@ -302,7 +302,7 @@ class _Line(NamedTuple):
 
     consoles: Consoles
     peer: Peer
-    source: Source
+    source: Speaker
 
     def tell(self, message: Message) -> None:
         self.consoles.peers.tell(self.peer, [message])
@@ -319,14 +319,14 @@ class _Line(NamedTuple):
 
 MAV_CMD_REQUEST_OPERATOR_CONTROL: Final = 32100
 
-_Request = Callable[[Consoles, Peer, Source, commands.Order], int]
+_Request = Callable[[Consoles, Peer, Speaker, commands.Order], int]
 _REQUESTS: Final[dict[int, _Request]] = {
     MAV_CMD_REQUEST_OPERATOR_CONTROL: _take,
     dialect.MAV_CMD_SET_MESSAGE_INTERVAL: _interval,
     dialect.MAV_CMD_REQUEST_MESSAGE: _request,
     dialect.MAV_CMD_CONTROL_HIGH_LATENCY: _high_latency,
 }
-HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Source, Message], None]]] = {
+HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] = {
     dialect.MAVLINK_MSG_ID_HEARTBEAT: _heartbeat,
     dialect.MAVLINK_MSG_ID_COMMAND_LONG: _command,
     dialect.MAVLINK_MSG_ID_COMMAND_INT: _command,

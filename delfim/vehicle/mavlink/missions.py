@@ -12,10 +12,10 @@ from delfim import config
 from delfim.errors import DelfimError, FormatError, Refused
 from delfim.slices import Sliced
 from delfim.vehicle import console
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import ALL, FENCE, ITEMS, MISSION, RALLY, Item
-from delfim.vehicle.mavlink.wire import Message, Source, dialect
+from delfim.vehicle.mavlink.wire import Message, Speaker, dialect
 
 AGAIN_S: Final = 1.0  # after this silence the next item is asked for again ...
 GIVE_UP_S: Final = 20.0  # ... until nothing came for so long
@@ -26,7 +26,7 @@ DENIED: Final = int(dialect.MAV_MISSION_DENIED)
 UNSUPPORTED: Final = int(dialect.MAV_MISSION_UNSUPPORTED)
 
 
-class Line(Protocol):
+class ConsoleLine(Protocol):
     """What the protocol needs of the station, for one console."""
 
     def tell(self, message: Message) -> None: ...
@@ -35,10 +35,10 @@ class Line(Protocol):
     def complain(self, text: str) -> None: ...
 
 
-class Upload:
+class IncomingItems:
     """One that is under way: how many items came, and when the next one was asked for."""
 
-    def __init__(self, line: Line, source: Source, kind: int, count: int, now_s: float) -> None:
+    def __init__(self, line: ConsoleLine, source: Speaker, kind: int, count: int, now_s: float) -> None:
         self.line, self.source, self.kind, self.count = line, source, kind, count
         self.draft: plans.Draft = _DRAFTS[kind]()
         self.came = 0
@@ -49,7 +49,7 @@ class Upload:
 class Done(NamedTuple):
     """An upload that ended: what was said, in case that it was not heard."""
 
-    source: Source
+    source: Speaker
     kind: int
     last: int  # number of its last item
     result: int
@@ -58,9 +58,9 @@ class Done(NamedTuple):
 class Missions:
     """`home_first`: item 0 is the home position, as ArduPilot and its consoles have it."""
 
-    def __init__(self, boat: Vehicle, home_first: bool) -> None:
+    def __init__(self, boat: VehicleLoop, home_first: bool) -> None:
         self._boat, self._home_first = boat, home_first
-        self._upload: Upload | None = None
+        self._upload: IncomingItems | None = None
         self._done: Done | None = None
         self._frames = dict.fromkeys(KINDS, plans.PLACED)  # of places: as they were sent, so they are told
         self._told = dict.fromkeys(KINDS, plans.NOTHING)
@@ -142,7 +142,7 @@ class Missions:
 
     # Down.
 
-    def listed(self, line: Line, source: Source, message: Message) -> None:
+    def listed(self, line: ConsoleLine, source: Speaker, message: Message) -> None:
         """MISSION_REQUEST_LIST"""
         kind = message.mission_type
         if kind not in KINDS:
@@ -159,7 +159,7 @@ class Missions:
     def _home(self) -> Item:
         return plans.home_item(*(self._boat.helm.home() or (0.0, 0.0)))._replace(frame=self._frames[MISSION])
 
-    def requested(self, line: Line, source: Source, message: Message) -> None:
+    def requested(self, line: ConsoleLine, source: Speaker, message: Message) -> None:
         """MISSION_REQUEST_INT, and the older MISSION_REQUEST."""
         kind, number = message.mission_type, message.seq
         known = self.own(kind) if kind in KINDS else self._told[MISSION]._replace(items=[])
@@ -176,18 +176,18 @@ class Missions:
 
     # Up.
 
-    def counted(self, line: Line, source: Source, message: Message, now_s: float) -> None:
+    def counted(self, line: ConsoleLine, source: Speaker, message: Message, now_s: float) -> None:
         """MISSION_COUNT: an upload begins, in place of one that was under way."""
         kind, count = message.mission_type, message.count
         if kind not in KINDS or count > ITEMS:
             refused = UNSUPPORTED if kind not in KINDS else dialect.MAV_MISSION_NO_SPACE
             line.tell(dialect.MAVLink_mission_ack_message(*source.party, refused, kind))
             return
-        self._upload = Upload(line, source, kind, count, now_s)
+        self._upload = IncomingItems(line, source, kind, count, now_s)
         self._done = None
         self._next(self._upload, now_s)
 
-    def item(self, line: Line, source: Source, message: Message, now_s: float) -> None:
+    def item(self, line: ConsoleLine, source: Speaker, message: Message, now_s: float) -> None:
         """MISSION_ITEM_INT. What was not asked for is heard a second time, or too late."""
         upload, done = self._upload, self._done
         if upload is None or (upload.source, upload.kind) != (source, message.mission_type):
@@ -220,7 +220,7 @@ class Missions:
         elif now_s - upload.asked_s > AGAIN_S:
             self._next(upload, now_s)
 
-    def _next(self, upload: Upload, now_s: float) -> None:
+    def _next(self, upload: IncomingItems, now_s: float) -> None:
         """Ask for the next item; when there is none, take what came."""
         upload.asked_s = now_s
         if upload.came < upload.count:
@@ -233,7 +233,7 @@ class Missions:
             return
         upload.line.ask(command, lambda refused: self._end(upload, None if refused is None else Refused(refused)))
 
-    def clear(self, line: Line, source: Source, message: Message) -> None:
+    def clear(self, line: ConsoleLine, source: Speaker, message: Message) -> None:
         """MISSION_CLEAR_ALL"""
         kind = message.mission_type
         if kind not in (*KINDS, ALL):
@@ -241,14 +241,14 @@ class Missions:
             return
         self._clear(line, source, kind, KINDS if kind == ALL else (kind,), None)
 
-    def _clear(self, line: Line, source: Source, kind: int, left: tuple[int, ...], refused: str | None) -> None:
+    def _clear(self, line: ConsoleLine, source: Speaker, kind: int, left: tuple[int, ...], refused: str | None) -> None:
         """One type after the other; the answer when all are done."""
         if left:
             line.ask(_CLEAR[left[0]], lambda why: self._clear(line, source, kind, left[1:], refused or why))
         else:
             self._answer(line, source, kind, refused, DENIED)
 
-    def _end(self, upload: Upload, fault: DelfimError | None) -> None:
+    def _end(self, upload: IncomingItems, fault: DelfimError | None) -> None:
         if self._upload is upload:
             self._upload = None
         if fault is None and upload.frame is not None:
@@ -257,19 +257,19 @@ class Missions:
         self._done = Done(upload.source, upload.kind, upload.came - 1, OK if fault is None else wrong)
         self._answer(upload.line, upload.source, upload.kind, None if fault is None else str(fault), wrong)
 
-    def _command(self, upload: Upload) -> console.Commands:
+    def _command(self, upload: IncomingItems) -> console.Commands:
         """Raises FormatError."""
         if upload.count <= (upload.kind == MISSION and self._home_first):
             return _CLEAR[upload.kind]
         match upload.draft:
             case plans.ZonesDraft():
-                return console.Fence(upload.draft.done())
+                return console.SetFence(upload.draft.done())
             case plans.RallyDraft():
                 return console.Rally(upload.draft.done())
             case plans.MissionDraft():
                 return console.Upload(upload.draft.done("uploaded", self._boat.helm.plans.zones))
 
-    def _answer(self, line: Line, source: Source, kind: int, refused: str | None, result: int) -> None:
+    def _answer(self, line: ConsoleLine, source: Speaker, kind: int, refused: str | None, result: int) -> None:
         if refused is not None:
             line.complain(refused)
             line.tell(dialect.MAVLink_mission_ack_message(*source.party, result, kind))
@@ -292,6 +292,6 @@ _DRAFTS: Final[dict[int, type[plans.Draft]]] = {
 }
 _CLEAR: Final[dict[int, console.Commands]] = {
     MISSION: console.Unload(),
-    FENCE: console.Fence(config.Zones()),
+    FENCE: console.SetFence(config.Zones()),
     RALLY: console.Rally(()),
 }

@@ -4,10 +4,10 @@ import math
 from typing import Final
 
 from delfim.modes import Mode
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.missions import Missions
 from delfim.vehicle.mavlink.peers import Peers
-from delfim.vehicle.mavlink.wire import Source, dialect
+from delfim.vehicle.mavlink.wire import Speaker, dialect
 
 TOLD_AGAIN_S: Final = 2.0  # a trouble that lasts, at the earliest
 
@@ -15,13 +15,13 @@ TOLD_AGAIN_S: Final = 2.0  # a trouble that lasts, at the earliest
 class News:
     """What was told last, and what is to be told since."""
 
-    def __init__(self, boat: Vehicle, peers: Peers, missions: Missions) -> None:
+    def __init__(self, boat: VehicleLoop, peers: Peers, missions: Missions) -> None:
         self._boat, self._peers, self._missions = boat, peers, missions
-        self._said: tuple[Mode, str, tuple[tuple[str, str], ...], Source | None, str] | None = None
+        self._said: tuple[Mode, str, tuple[tuple[str, str], ...], Speaker | None, str] | None = None
         self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last words, and when
         self._leg_now: tuple[object, int] = None, 0
 
-    def tell(self, commander: Source | None) -> None:
+    def tell(self, commander: Speaker | None) -> None:
         """Changes of mode and troubles, in words, and a heartbeat at once where the mode is another one."""
         self._tell_reached()
         state, say = self._boat.state, self._peers.say

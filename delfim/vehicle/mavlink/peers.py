@@ -9,8 +9,8 @@ from delfim import config
 from delfim.clock import Clock
 from delfim.vehicle.mavlink import params, telemetry
 from delfim.vehicle.mavlink.signing import Signing
-from delfim.vehicle.mavlink.telemetry import Profile, Row
-from delfim.vehicle.mavlink.wire import Address, Message, Sender, Source, dialect
+from delfim.vehicle.mavlink.telemetry import Profile, TelemetryRow
+from delfim.vehicle.mavlink.wire import Address, Message, Sender, Speaker, dialect
 
 PEERS: Final = 16  # at once
 HEARD_S: Final = 15.0  # a peer silent for longer is told only that the boat exists; one that came by itself is forgotten
@@ -24,7 +24,7 @@ class Peer:
 
     def __init__(self, address: Address, sender: Sender, profile: Profile, configured: bool) -> None:
         self.address, self.sender, self.profile, self.configured = address, sender, profile, configured
-        self.source: Source | None = None  # who speaks from there
+        self.source: Speaker | None = None  # who speaks from there
         self.heard_s = -math.inf
         self.asked_s: dict[int, float] = {}  # intervals that it asked for, by message
         self.due_s: dict[int, float] = {}
@@ -32,7 +32,7 @@ class Peer:
         self.params: deque[str] = deque(maxlen=len(params.NAMES))  # to be told, a few a tick
         self.answered: tuple[str, float, Message] | None = None  # the last command, when, and its answer
 
-    def interval_s(self, row: Row) -> float:
+    def interval_s(self, row: TelemetryRow) -> float:
         return self.asked_s.get(row.id, row.interval_s(self.profile))
 
 
@@ -57,7 +57,7 @@ class Peers:
             host, _, port = listen.rpartition(":")
             self.at((host.strip("[]"), int(port)), None, configured=True)
 
-    def at(self, address: Address, commander: Source | None, configured: bool = False) -> Peer | None:
+    def at(self, address: Address, commander: Speaker | None, configured: bool = False) -> Peer | None:
         """The peer at an address; None where there are too many and none gives way."""
         if address not in self.known:
             if len(self.known) >= PEERS and not self._makes_room(commander):
@@ -68,7 +68,7 @@ class Peers:
             self.known[address] = Peer(address, sender, self._profile, configured)
         return self.known[address]
 
-    def _makes_room(self, commander: Source | None) -> bool:
+    def _makes_room(self, commander: Speaker | None) -> bool:
         """The peer that was silent for longest is forgotten; none of the vehicle's file, and not the one that commands."""
         others = [peer for peer in self.known.values() if not peer.configured and peer.source != commander]
         if not others:

@@ -27,7 +27,7 @@ DRIFT: Final = 1e-4  # of two clocks against each other, generously
 Stream = tuple[int, int, int]  # link, system, component
 
 
-class Verdict(NamedTuple):
+class FrameVerdict(NamedTuple):
     """`fault` names what is wrong with a frame, as it is counted; empty: nothing. `age_s`: how much longer than the fastest
     frame of its speaker it was on the way."""
 
@@ -49,21 +49,21 @@ class Signing:
         self._sent = max(self._sent + 1, self._now())
         return self._sent
 
-    def judge(self, frame: bytes) -> Verdict:
+    def judge(self, frame: bytes) -> FrameVerdict:
         """A frame as it came. One that is well is remembered, and will not be well again."""
         if not frame[2] & 1:
-            return Verdict("unsigned")
+            return FrameVerdict("unsigned")
         signature = hashlib.sha256(self.key + frame[:-6]).digest()[:6]
         if not hmac.compare_digest(signature, frame[-6:]):
-            return Verdict("forged")
+            return FrameVerdict("forged")
         stream, stamp = (frame[-13], frame[5], frame[6]), int.from_bytes(frame[-12:-6], "little")
         last = self.stamps.get(stream)
         if last is None and (len(self.stamps) >= STREAMS or stamp < max(self._sent, self._now()) - NEW_STREAM_S * PER_S):
-            return Verdict("replayed")
+            return FrameVerdict("replayed")
         if last is not None and stamp <= last:
-            return Verdict("replayed")
+            return FrameVerdict("replayed")
         self.stamps[stream] = stamp
-        return Verdict("", self._age_s(stream, stamp))
+        return FrameVerdict("", self._age_s(stream, stamp))
 
     def _age_s(self, stream: Stream, stamp: int) -> float:
         now_s = self._clock.monotonic_s()

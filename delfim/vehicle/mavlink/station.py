@@ -11,14 +11,14 @@ from ipaddress import ip_address
 from typing import Final
 
 from delfim.errors import FormatError
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink import telemetry, wire
 from delfim.vehicle.mavlink.consoles import Consoles, Obey, Review
 from delfim.vehicle.mavlink.handlers import HANDLERS
 from delfim.vehicle.mavlink.peers import HEARD_S, Peer
-from delfim.vehicle.mavlink.signing import Signing, Verdict
-from delfim.vehicle.mavlink.telemetry import NEVER_S, Row, View
-from delfim.vehicle.mavlink.wire import Address, Message, Source, dialect
+from delfim.vehicle.mavlink.signing import FrameVerdict, Signing
+from delfim.vehicle.mavlink.telemetry import NEVER_S, TelemetryRow, TelemetryView
+from delfim.vehicle.mavlink.wire import Address, Message, Speaker, dialect
 
 FRAMES: Final = 2  # of a turn
 PENDING: Final = 256  # frames that wait; beyond, they are dropped
@@ -32,7 +32,7 @@ class Station:
 
     def __init__(
         self,
-        boat: Vehicle,
+        boat: VehicleLoop,
         obey: Obey,
         send: Callable[[bytes, Address], object],
         signing: Signing | None,
@@ -76,7 +76,7 @@ class Station:
         except FormatError:
             return "malformed"
         consoles, now_s = self.consoles, self._clock.monotonic_s()
-        source = Source(frame[5], frame[6], address if self._signing is None else wire.link_of(frame))
+        source = Speaker(frame[5], frame[6], address if self._signing is None else wire.link_of(frame))
         if message is None or source.system == 0 or source.party == (consoles.system, telemetry.COMPONENT):
             return "unknown"
         peer = consoles.peers.at(address, consoles.commander)
@@ -91,12 +91,12 @@ class Station:
         handler(consoles, peer, source, message)
         return ""
 
-    def _judged(self, frame: bytes, address: Address) -> Verdict:
+    def _judged(self, frame: bytes, address: Address) -> FrameVerdict:
         """Whoever has a key may speak; where there is none, whoever is on this computer. A key binds this computer, too: other
         programs run on it, and a shell of somebody else."""
         if self._signing is not None:
             return self._signing.judge(frame)
-        return Verdict("" if _loopback(address[0]) else "unsigned")
+        return FrameVerdict("" if _loopback(address[0]) else "unsigned")
 
     # Out.
 
@@ -130,7 +130,7 @@ class Station:
         return [self.consoles.param(peer, peer.params.popleft()) for _ in range(min(count, len(peer.params)))]
 
 
-def _due(peer: Peer, row: Row, view: View) -> list[Message]:
+def _due(peer: Peer, row: TelemetryRow, view: TelemetryView) -> list[Message]:
     interval_s, now_s = peer.interval_s(row), view.now_s
     hello = row.id == dialect.MAVLINK_MSG_ID_HEARTBEAT
     if interval_s == NEVER_S or now_s < peer.due_s.get(row.id, -math.inf) or (now_s - peer.heard_s > HEARD_S and not hello):

@@ -13,7 +13,7 @@ from delfim.geodesy import compass, from_plane, wrap
 from delfim.messages import BatteriesStatus, Node, PropellerStatus
 from delfim.modes import Mode
 from delfim.vehicle.failsafe import Action
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.wire import Message, dialect
 from delfim.vehicle.sensors.sysstat import NAMES
@@ -36,10 +36,10 @@ _PORT: Final = NAMES[Node.PROPELLER_PORT], NAMES[Node.BATTERIES_PORT]
 _STARBOARD: Final = NAMES[Node.PROPELLER_STARBOARD], NAMES[Node.BATTERIES_STARBOARD]
 
 
-class View(NamedTuple):
+class TelemetryView(NamedTuple):
     """What a row sees."""
 
-    boat: Vehicle
+    boat: VehicleLoop
     settings: Mavlink
     owner: int  # system that commands; 0: none
     item: Callable[[int], int]  # number of the item that a leg of the mission leads to
@@ -47,21 +47,21 @@ class View(NamedTuple):
     now_s: float
 
 
-class Row(NamedTuple):
+class TelemetryRow(NamedTuple):
     """A message that comes by itself. Intervals are seconds, NEVER_S for not at all."""
 
     id: int
     lean_s: float
     radio_s: float
     wifi_s: float
-    make: Callable[[View], Iterable[Message]]
-    fresh: Callable[[View], object] | None = None  # sent where this is another one than the last time
+    make: Callable[[TelemetryView], Iterable[Message]]
+    fresh: Callable[[TelemetryView], object] | None = None  # sent where this is another one than the last time
 
     def interval_s(self, profile: Profile) -> float:
         return (self.lean_s, self.radio_s, self.wifi_s)[PROFILES.index(profile)]
 
 
-def heartbeat(view: View) -> Message:
+def heartbeat(view: TelemetryView) -> Message:
     state = view.boat.state
     mode, base = state.mode, dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
     base |= dialect.MAV_MODE_FLAG_SAFETY_ARMED if state.armed else 0
@@ -75,12 +75,12 @@ def heartbeat(view: View) -> Message:
     return dialect.MAVLink_heartbeat_message(dialect.MAV_TYPE_SURFACE_BOAT, autopilot(view), base, mode, status, 3)
 
 
-def autopilot(view: View) -> int:
+def autopilot(view: TelemetryView) -> int:
     generic = view.settings.autopilot == "generic"
     return int(dialect.MAV_AUTOPILOT_GENERIC if generic else dialect.MAV_AUTOPILOT_ARDUPILOTMEGA)
 
 
-def position(view: View) -> Iterator[Message]:
+def position(view: TelemetryView) -> Iterator[Message]:
     n, m = view.boat.state.navigation, view.boat.state.motion
     if n is None or n.latitude_rad is None or n.longitude_rad is None:
         return
@@ -90,7 +90,7 @@ def position(view: View) -> Iterator[Message]:
     yield dialect.MAVLink_global_position_int_message(_boot_ms(view), *place, 0, 0, north, east, 0, heading)
 
 
-def attitude(view: View) -> Iterator[Message]:
+def attitude(view: TelemetryView) -> Iterator[Message]:
     n = view.boat.state.navigation
     if n is None or n.heading_rad is None:
         return
@@ -98,20 +98,20 @@ def attitude(view: View) -> Iterator[Message]:
     yield dialect.MAVLink_attitude_message(_boot_ms(view), *angles, 0.0, 0.0, n.yaw_rate_radps or 0.0)
 
 
-def rpm(view: View) -> Iterator[Message]:
+def rpm(view: TelemetryView) -> Iterator[Message]:
     for index, (node, _) in enumerate((_PORT, _STARBOARD)):
         report = view.boat.state.sysstat.get(node)
         if report is not None and isinstance(report[0], PropellerStatus) and report[0].rpm is not None:
             yield dialect.MAVLink_raw_rpm_message(index, float(report[0].rpm))
 
 
-def thrust(view: View) -> Iterator[Message]:
+def thrust(view: TelemetryView) -> Iterator[Message]:
     """In force, as pulses that two motors would get, port and starboard: 1000 is full astern, 1500 stop, 2000 full ahead."""
     port, starboard = (_STILL + round(_AHEAD * part) for part in _thrust(view))
     yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, port, starboard, 0, 0, 0, 0, 0, 0)
 
 
-def status(view: View) -> Iterator[Message]:
+def status(view: TelemetryView) -> Iterator[Message]:
     """Health: of navigation, propellers and batteries, and whether the boat would leave idle."""
     boat = view.boat
     checks = boat.helm.checks()
@@ -132,7 +132,7 @@ def status(view: View) -> Iterator[Message]:
     yield dialect.MAVLink_sys_status_message(present, present, health, 0, volts, amperes, left, 0, 0, 0, 0, 0, 0)
 
 
-def batteries(view: View) -> Iterator[Message]:
+def batteries(view: TelemetryView) -> Iterator[Message]:
     for index, (_, node) in enumerate((_PORT, _STARBOARD)):
         report = _batteries(view, node)
         if report is None:
@@ -145,7 +145,7 @@ def batteries(view: View) -> Iterator[Message]:
         yield dialect.MAVLink_battery_status_message(index, *kind, celsius, cells, amperes, -1, -1, left)
 
 
-def satellites(view: View) -> Iterator[Message]:
+def satellites(view: TelemetryView) -> Iterator[Message]:
     n = view.boat.state.navigation
     if n is None:
         return
@@ -161,7 +161,7 @@ def satellites(view: View) -> Iterator[Message]:
     )
 
 
-def head_up(view: View) -> Iterator[Message]:
+def head_up(view: TelemetryView) -> Iterator[Message]:
     state = view.boat.state
     n, m = state.navigation, state.motion
     heading = 0 if n is None or n.heading_rad is None else round(math.degrees(compass(n.heading_rad))) % 360
@@ -169,7 +169,7 @@ def head_up(view: View) -> Iterator[Message]:
     yield dialect.MAVLink_vfr_hud_message(0.0, math.hypot(m.north_mps, m.east_mps), heading, ahead, 0.0, 0.0)
 
 
-def steering(view: View) -> Iterator[Message]:
+def steering(view: TelemetryView) -> Iterator[Message]:
     """Where control is going; only in modes that go somewhere."""
     state, r = view.boat.state, view.boat.state.reference
     if r.heading_rad is None and r.distance_m is None:
@@ -192,7 +192,7 @@ def steering(view: View) -> Iterator[Message]:
 _ONLY_PLACE_AND_SPEED: Final = 0x0FF0  # vx is the speed along the way, in m/s
 
 
-def current(view: View) -> Iterator[Message]:
+def current(view: TelemetryView) -> Iterator[Message]:
     """MISSION_CURRENT: the item under way, or the one that play would begin with."""
     state = view.boat.state
     plan = state.setpoint.plan
@@ -207,23 +207,23 @@ def current(view: View) -> Iterator[Message]:
     yield dialect.MAVLink_mission_current_message(view.item(leg), len(plan.waypoints), doing)
 
 
-def checksum(view: View) -> Iterator[Message]:
+def checksum(view: TelemetryView) -> Iterator[Message]:
     """Of all plans: a console that has read other ones reads again."""
     if (known := view.checksum(ALL)) is not None:
         yield dialect.MAVLink_mission_checksum_message(ALL, known)
 
 
-def owner(view: View) -> Iterator[Message]:
+def owner(view: TelemetryView) -> Iterator[Message]:
     yield dialect.MAVLink_named_value_int_message(_boot_ms(view), b"OWNER", view.owner)
 
 
-def override(view: View) -> Iterator[Message]:
+def override(view: TelemetryView) -> Iterator[Message]:
     """The operator's speed in place of the plan's; NaN: none."""
     speed_mps = view.boat.state.setpoint.override_mps
     yield dialect.MAVLink_named_value_float_message(_boot_ms(view), b"OVERRIDE", math.nan if speed_mps is None else speed_mps)
 
 
-def all_in_one(view: View) -> Iterator[Message]:
+def all_in_one(view: TelemetryView) -> Iterator[Message]:
     """Everything that matters in 42 bytes. custom0: the owner; custom1, custom2: thrust of port and starboard, %."""
     state = view.boat.state
     n, m, r = state.navigation, state.motion, state.reference
@@ -249,50 +249,50 @@ def all_in_one(view: View) -> Iterator[Message]:
     )  # fmt: skip
 
 
-def _measured(view: View) -> object:
+def _measured(view: TelemetryView) -> object:
     return view.boat.state.cycles
 
 
-def _reported(view: View) -> object:
+def _reported(view: TelemetryView) -> object:
     return tuple(view.boat.state.sysstat.get(node, (None, 0.0))[1] for node, _ in (_PORT, _STARBOARD))
 
 
 # Intervals in seconds: lean, radio, wifi.
 ROWS: Final = (
-    Row(dialect.MAVLINK_MSG_ID_HEARTBEAT, 1.0, 1.0, 1.0, lambda view: (heartbeat(view),)),
-    Row(dialect.MAVLINK_MSG_ID_HIGH_LATENCY2, 1.0, NEVER_S, NEVER_S, all_in_one),
-    Row(dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, NEVER_S, 1.0, 0.1, position, _measured),
-    Row(dialect.MAVLINK_MSG_ID_ATTITUDE, NEVER_S, 1.0, 0.1, attitude, _measured),
-    Row(dialect.MAVLINK_MSG_ID_RAW_RPM, NEVER_S, 1.0, 0.1, rpm, _reported),
-    Row(dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, NEVER_S, 1.0, 0.2, thrust),
-    Row(dialect.MAVLINK_MSG_ID_SYS_STATUS, NEVER_S, 1.0, 1.0, status),
-    Row(dialect.MAVLINK_MSG_ID_VFR_HUD, NEVER_S, 1.0, 0.5, head_up, _measured),
-    Row(dialect.MAVLINK_MSG_ID_GPS_RAW_INT, NEVER_S, 1.0, 1.0, satellites, _measured),
-    Row(dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT, NEVER_S, 1.0, 0.5, steering),
-    Row(dialect.MAVLINK_MSG_ID_MISSION_CURRENT, NEVER_S, 1.0, 1.0, current),
-    Row(dialect.MAVLINK_MSG_ID_MISSION_CHECKSUM, 5.0, 5.0, 5.0, checksum),
-    Row(dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT, NEVER_S, 5.0, 1.0, owner),
-    Row(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, NEVER_S, 5.0, 1.0, override),
-    Row(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_HEARTBEAT, 1.0, 1.0, 1.0, lambda view: (heartbeat(view),)),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_HIGH_LATENCY2, 1.0, NEVER_S, NEVER_S, all_in_one),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, NEVER_S, 1.0, 0.1, position, _measured),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_ATTITUDE, NEVER_S, 1.0, 0.1, attitude, _measured),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_RAW_RPM, NEVER_S, 1.0, 0.1, rpm, _reported),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_SERVO_OUTPUT_RAW, NEVER_S, 1.0, 0.2, thrust),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_SYS_STATUS, NEVER_S, 1.0, 1.0, status),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_VFR_HUD, NEVER_S, 1.0, 0.5, head_up, _measured),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_GPS_RAW_INT, NEVER_S, 1.0, 1.0, satellites, _measured),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT, NEVER_S, 1.0, 0.5, steering),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_MISSION_CURRENT, NEVER_S, 1.0, 1.0, current),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_MISSION_CHECKSUM, 5.0, 5.0, 5.0, checksum),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT, NEVER_S, 5.0, 1.0, owner),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, NEVER_S, 5.0, 1.0, override),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
 )
 
 
-def _thrust(view: View) -> tuple[float, float]:
+def _thrust(view: TelemetryView) -> tuple[float, float]:
     """In force of port and starboard, as a part of the most: -1..1."""
     sent, most = view.boat.state.actuation, view.boat.helm.settings.propulsion.rpm_max
     return (sent.port_rpm / most, sent.starboard_rpm / most) if sent.run else (0.0, 0.0)
 
 
-def _batteries(view: View, name: str) -> BatteriesStatus | None:
+def _batteries(view: TelemetryView, name: str) -> BatteriesStatus | None:
     report = view.boat.state.sysstat.get(name)
     return report[0] if report is not None and isinstance(report[0], BatteriesStatus) else None
 
 
-def _boot_ms(view: View) -> int:
+def _boot_ms(view: TelemetryView) -> int:
     return int(view.now_s * 1e3) & 0xFFFFFFFF
 
 
-def _boot_us(view: View) -> int:
+def _boot_us(view: TelemetryView) -> int:
     return int(view.now_s * 1e6) & 0xFFFFFFFF
 
 

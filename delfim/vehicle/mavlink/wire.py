@@ -25,7 +25,7 @@ Message = Any  # a class a message, generated; pymavlink has no types
 Address = tuple[str, int]
 
 
-class Source(NamedTuple):
+class Speaker(NamedTuple):
     """Who sent a frame. Two programs may call themselves by the same numbers; what they speak by is not the same."""
 
     system: int

@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import NamedTuple, Protocol
 
 from delfim import config
-from delfim.vehicle.links import Input, Links
+from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.state import State
 
 
@@ -24,7 +24,7 @@ class Sensor(Protocol):
     """An input of the loop. `read` never raises and never waits."""
 
     name: str  # as in `sensors.names`
-    input: Input  # to be read when it is readable
+    input: Readable  # to be read when it is readable
 
     def read(self, state: State, now_s: float) -> None: ...  # all that waits, into the state
 

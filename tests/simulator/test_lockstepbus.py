@@ -8,7 +8,7 @@ from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.clock import ManualClock
 from delfim.errors import BusError, FormatError
 from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, standard
-from delfim.simulator.bus import LockstepBus
+from delfim.simulator.lockstepbus import LockstepBus
 
 words = st.integers(0, 0xFFFFFFFF)
 

@@ -11,7 +11,7 @@ from delfim.errors import FormatError, Refused
 from delfim.slices import SLICE, Sliced
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.mission import canonical, load_mission
-from delfim.vehicle.reading import ZONE, Reading, gathered, written
+from delfim.vehicle.missionreader import ZONE, Reading, gathered, written
 from delfim.vehicle.reviews import Reviews
 from tests.vehicle.test_reviews import mission, zones
 

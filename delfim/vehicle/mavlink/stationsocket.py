@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from delfim import config
-from delfim.vehicle.loop import Vehicle
+from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.consoles import Obey, Review
 from delfim.vehicle.mavlink.signing import Signing, read_key, read_stamps, write_stamps
 from delfim.vehicle.mavlink.station import Station
@@ -32,7 +32,7 @@ class MavlinkLink:
 
     def __init__(
         self,
-        boat: Vehicle,
+        boat: VehicleLoop,
         obey: Obey,
         review: Review | None,
         stamps: Path,

@@ -1,8 +1,8 @@
 """A mission's text, read in a process of its own: to read TOML keeps the interpreter busy for many milliseconds, and for hours
 with a text that was made for it. The process has bounds, and ends when nobody wants the mission any more.
 
-`python -m delfim.vehicle.reading CPU_S` reads the text from its standard input. It writes the tables, one JSON object a line
-behind the name of its table, and the boat puts them together in slices; or it writes the reason and ends with WRONG.
+`python -m delfim.vehicle.missionreader CPU_S` reads the text from its standard input. It writes the tables, one JSON object a
+line behind the name of its table, and the boat puts them together in slices; or it writes the reason and ends with WRONG.
 """
 
 import subprocess
@@ -17,7 +17,7 @@ from delfim.errors import ConfigError, DelfimError, FormatError
 from delfim.slices import Work
 from delfim.vehicle.mission import Mission, PathPoint, Waypoint, read_mission
 
-PROGRAM: Final = (sys.executable, "-m", "delfim.vehicle.reading")
+PROGRAM: Final = (sys.executable, "-m", "delfim.vehicle.missionreader")
 CPU_S: Final = 10  # the largest mission takes half a second, and on a slow board ten times that
 MEMORY_BYTES: Final = 1 << 28
 NICE: Final = 10
