@@ -51,9 +51,9 @@ LinuxInterface = Annotated[str, text("[^ /:]{1,15}", "a Linux interface")]
 MountPoint = Annotated[str, text(r"(/[^/\x00]+)*", "an absolute path, or empty")]
 Megabytes = Annotated[int, msgspec.Meta(ge=0, le=1 << 20)]
 Network = Annotated[str, text("[0-9A-Fa-f:.]+(/[0-9]{1,3})?", "an IP address, or ADDRESS/BITS")]
-Password = Annotated[  # hashed; in a log it is what no password is
+Password = Annotated[  # hashed; a log shows a hash that no password has
     str,
-    text("scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+", "what `delfim password` prints", shown="scrypt:hidden:hidden"),
+    text("scrypt:[A-Za-z0-9+/=]+:[A-Za-z0-9+/=]+", "the output of `delfim password`", shown="scrypt:hidden:hidden"),
 ]
 Identifiers = Annotated[  # one or a range; three digits are a standard identifier, eight an extended one
     str,
@@ -74,7 +74,7 @@ def address(text: str) -> tuple[str, int]:
 
 
 class BoatTable(Table, frozen=True):
-    """What the boat is."""
+    """Name and size of the boat."""
 
     name: Name  # of the boat, in logs and on screens
     id: Annotated[int, msgspec.Meta(ge=1, le=249)] = 1  # on the console's link
@@ -100,15 +100,15 @@ class NavigationTable(Table, frozen=True):
 
 
 class Nmea2000(Table, frozen=True):
-    """A bus of off-the-shelf sensors. Empty preference: whoever talks; addresses first named win while they talk."""
+    """A bus of off-the-shelf sensors. Of several that send the same value, the first in `preferred_sources` is used."""
 
     interface: Interface = "can1"  # the bus of the sensors
-    preferred_sources: tuple[Annotated[int, msgspec.Meta(ge=0, le=251)], ...] = ()  # addresses, best first
+    preferred_sources: tuple[Annotated[int, msgspec.Meta(ge=0, le=251)], ...] = ()  # addresses, best first; empty: any
     variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while the bus sends none
 
 
 class PropulsionTable(Table, frozen=True):
-    """What moves the boat. All actuators are given the same command; each takes its part of it."""
+    """The actuators. All of them get the same command; each takes its part of it."""
 
     actuators: Actuators = ("dsor",)  # of the boat
     rpm_max: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1200  # of either propeller, ahead and astern
@@ -117,32 +117,32 @@ class PropulsionTable(Table, frozen=True):
 
 
 class HeadingTable(Table, frozen=True):
-    """Heading autopilot: differential rpm per rad and per rad/s, and the integral that carries wind."""
+    """Heading autopilot: differential rpm per rad and per rad/s, and an integral against wind."""
 
     p_rpm_per_rad: Gain = 700.0  # differential for a heading error
-    p_limit_rpm: Gain = 700.0  # most of it: sets the rate of turn
+    p_limit_rpm: Gain = 700.0  # limit of that: sets the rate of turn
     d_rpm_per_radps: Gain = 1000.0  # differential against a rate of turn
     turn_rpm_per_radps: Gain = 1000.0  # differential that keeps a turn going, on an arc
-    i_rpm_per_rad_s: Gain = 30.0  # differential gathered from an error that stays
-    i_limit_rpm: Gain = 150.0  # most of it
+    i_rpm_per_rad_s: Gain = 30.0  # integral gain: differential for a heading error that lasts
+    i_limit_rpm: Gain = 150.0  # limit of the integral
 
 
 class SpeedTable(Table, frozen=True):
-    """Speed controller: feed-forward from `speed_per_rpm_mps`, integral for what the sea takes away."""
+    """Speed controller: feed-forward from `speed_per_rpm_mps`, and an integral against wind and sea."""
 
     p_rpm_per_mps: Gain = 150.0  # common revolutions for a speed error
-    i_rpm_per_m: Gain = 30.0  # gathered from an error that stays
-    i_limit_rpm: Gain = 400.0  # most of it
+    i_rpm_per_m: Gain = 30.0  # integral gain: common revolutions for a speed error that lasts
+    i_limit_rpm: Gain = 400.0  # limit of the integral
     ramp_mps2: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.4  # how fast the speed asked for may change
-    cruise_mps: Speed = 1.5  # where a command or a waypoint names no speed
-    max_mps: Speed = 2.2  # no mode asks for more
+    cruise_mps: Speed = 1.5  # for a command or a waypoint that names no speed
+    max_mps: Speed = 2.2  # highest speed that a mode may ask for
 
 
 class PathTable(Table, frozen=True):
     """Line-of-sight guidance with integral action against current, for missions, paths and the way home."""
 
     lookahead_m: Metres = 8.0  # the boat steers for a point of the path this far ahead
-    integral_gain: Gain = 0.1  # m/s: how fast a cross-track error that stays turns into crab angle
+    integral_gain: Gain = 0.1  # m/s: how fast a lasting cross-track error turns into crab angle
     crab_s: Seconds = 1.0  # smoothing of the measured crab angle
     acceptance_m: Metres = 5.0  # a waypoint is reached within this radius unless it names its own
 
@@ -150,15 +150,15 @@ class PathTable(Table, frozen=True):
 class HoldTable(Table, frozen=True):
     """Station keeping."""
 
-    radius_m: Metres = 5.0  # inside, the boat rests
-    speed_mps: Speed = 1.0  # most that is used to come back
+    radius_m: Metres = 5.0  # inside this radius the boat rests
+    speed_mps: Speed = 1.0  # highest speed for coming back
 
 
 class HomeTable(Table, frozen=True):
     """The way back along the driven track."""
 
     spacing_m: Metres = 5.0  # between remembered points of the driven track
-    points: Annotated[int, msgspec.Meta(ge=2, le=1500)] = 1500  # remembered; beyond, the spacing doubles
+    points: Annotated[int, msgspec.Meta(ge=2, le=1500)] = 1500  # remembered points; when they are used up, the spacing doubles
     speed_mps: Speed = 1.5  # on the way home
 
 
@@ -185,10 +185,10 @@ else:  # one key for each mode in which something can be stopped
 
 
 class Trouble(_EachMode, frozen=True):
-    """What is done about a trouble: `action`, or what a mode's own key says instead of it."""
+    """The response to a trouble: `action`, unless the key of the present mode names another one."""
 
-    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 0.0  # it must last this long
-    action: ActionName = "stop"  # in every mode that says nothing else
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 0.0  # the trouble must last this long
+    action: ActionName = "stop"  # in every mode whose own key is "same"
 
 
 class Silence(Trouble, frozen=True):
@@ -202,13 +202,13 @@ class NavigationSilent(Silence, frozen=True):
 
 
 class NavigationJumping(Silence, frozen=True):
-    """Positions that would need a boat faster than `navigation.jump_mps`."""
+    """Positions that only a boat faster than `navigation.jump_mps` could reach."""
 
     after_s: Seconds = 0.5  # from the first one that was refused to the last
 
 
 class NavigationFrozen(Silence, frozen=True):
-    """Navigation messages that say the same to the last bit while the propellers turn."""
+    """Navigation messages that are identical to the last bit while the propellers turn."""
 
     after_s: Seconds = 3.0  # since something changed
 
@@ -218,7 +218,7 @@ class SensorBad(Trouble, frozen=True):
 
 
 class ConsoleSilent(Silence, frozen=True):
-    """No word of the operator's console."""
+    """No message from the operator's console."""
 
     after_s: Seconds = 10.0  # age of the last one
     action: ActionName = "home"
@@ -241,7 +241,7 @@ class GuestSilent(Silence, frozen=True):
 
 
 class BatteryLow(Trouble, frozen=True):
-    """Either side's batteries."""
+    """The batteries of either side are low."""
 
     charge: Fraction = 0.25  # this much, or less
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 5.0  # for this long
@@ -251,7 +251,7 @@ class BatteryLow(Trouble, frozen=True):
 
 
 class BatteryCritical(Trouble, frozen=True):
-    """Either side's batteries; what is left is for radio and computer. Where this stops a mode, it cannot be entered."""
+    """The batteries of either side are almost empty; the rest is for radio and computer. A mode that this stops is refused."""
 
     charge: Fraction = 0.1  # this much, or less
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 5.0  # for this long
@@ -260,20 +260,20 @@ class BatteryCritical(Trouble, frozen=True):
 
 
 class FenceNear(Trouble, frozen=True):
-    """The fence is about to be crossed: the boat could not stop within `fence.margin_m` of it any more."""
+    """The boat is about to cross the fence: it can no longer stop at `fence.margin_m` from it."""
 
     action: ActionName = "hold"
 
 
 class ThrusterAstray(Trouble, frozen=True):
-    """A propeller that does not turn as it is told, by its own report."""
+    """A propeller does not turn as commanded, by its own report."""
 
-    error_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 300.0  # difference that is none yet ...
-    error: Fraction = 0.25  # ... plus this part of what was commanded
-    idle_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 100.0  # the same for one that was switched off
+    error_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 300.0  # difference that is tolerated: this ...
+    error: Fraction = 0.25  # ... plus this part of the command
+    idle_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 100.0  # tolerated speed of one that was switched off
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 4.0  # for this long
     manual: ModeAction = "warn"
-    disconnect: bool = True  # one that turns although it was stopped loses its batteries until the program is restarted
+    disconnect: bool = True  # if a stopped propeller turns: disconnect its batteries until the program restarts
 
 
 class LogNotWritable(Trouble, frozen=True):
@@ -284,10 +284,10 @@ class LogNotWritable(Trouble, frozen=True):
 
 
 class Failsafe(Table, frozen=True):
-    """Trouble by trouble, mode by mode, what the boat does about it (docs/failsafe.md). In idle there is nothing to stop."""
+    """The response of the boat to each trouble in each mode (docs/failsafe.md). In idle there is nothing to stop."""
 
-    pause_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 30.0  # hold before home: the operator may overrule
-    clear_s: Seconds = 3.0  # a trouble that was away for this long is over
+    pause_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 30.0  # time in hold before home, for the operator to overrule
+    clear_s: Seconds = 3.0  # a trouble is over when it was absent for this long
     navigation_silent: NavigationSilent = NavigationSilent()
     navigation_jumping: NavigationJumping = NavigationJumping()
     navigation_frozen: NavigationFrozen = NavigationFrozen()
@@ -303,7 +303,7 @@ class Failsafe(Table, frozen=True):
 
 
 class KeepOut(Table, frozen=True):
-    """Where the boat must not be: the inside of a polygon, or of a circle."""
+    """A zone that the boat must stay out of: a polygon or a circle."""
 
     name: Annotated[str, text(r"[^\x00-\x1f\x7f]{0,64}", "up to 64 characters")] = ""  # for people
     polygon: Ring = ()  # corners, [latitude_deg, longitude_deg]; or
@@ -321,37 +321,37 @@ class Zones(Table, frozen=True):
     """Where the boat may be. A mission's zones come on top of the boat's own: both are obeyed."""
 
     version: Literal[1] = 1  # of this description
-    keep_in: Ring = ()  # corners, [latitude_deg, longitude_deg], of the polygon that the boat does not leave; none: no such
+    keep_in: Ring = ()  # corners, [latitude_deg, longitude_deg], of the polygon that the boat does not leave; empty: no limit
     keep_out: Annotated[tuple[KeepOut, ...], msgspec.Meta(max_length=ZONES)] = ()  # zones that the boat does not enter
 
 
 class FenceTable(Zones, frozen=True):
-    """Where the boat may be, always, and what it needs to stay there."""
+    """Where the boat may always be, and its stopping distance."""
 
-    margin_m: Metres = 3.0  # the boat stops so far from the fence
-    mission_margin_m: Metres = 6.0  # missions keep so far from it
-    reaction_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 1.0  # until a stop shows
+    margin_m: Metres = 3.0  # the boat stops at this distance from the fence
+    mission_margin_m: Metres = 6.0  # missions keep this distance from it
+    reaction_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 1.0  # from the command to stop until the boat slows down
     deceleration_mps2: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.3  # of the boat with propellers off, as measured
 
 
 class Checks(Table, frozen=True):
     """What must be in order before the boat leaves idle, besides navigation and sensors."""
 
-    clock_s: Seconds = 5.0  # the computer's clock and that of navigation differ by less
+    clock_s: Seconds = 5.0  # largest difference between the computer's clock and that of navigation
 
 
 class Sensors(Table, frozen=True):
-    """What the boat measures beside navigation."""
+    """The sensors of the boat beside navigation."""
 
     names: Annotated[tuple[SensorName, ...], msgspec.Meta(max_length=len(get_args(SensorName)))] = ("sysstat",)  # of the boat
     stale_s: Seconds = 5.0  # a value older than this is not logged
 
 
 class Sysstat(Table, frozen=True):
-    """Which nodes must report, and how old a report may be. A bad or silent required node stops the boat."""
+    """The nodes that must report, and how old a report may be. A bad or silent required node stops the boat."""
 
     required: tuple[NodeName, ...] = get_args(NodeName)  # nodes that must report
-    stale_s: Seconds = 5.0  # a report older than this is silence
+    stale_s: Seconds = 5.0  # a node is silent when its last report is older
 
 
 class Console(Table, frozen=True):
@@ -366,11 +366,11 @@ class Mavlink(Table, frozen=True):
 
     enabled: bool = True  # serve it
     listen: Listen = "127.0.0.1:14555"  # address and port; port 0: any
-    peers: Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)] = ("127.0.0.1:14550",)  # who is told that the boat exists
-    profile: Literal["lean", "radio", "wifi"] = "wifi"  # how much is sent, until a console asks for another one
-    key: str = ""  # file of the key, from `delfim console --keygen FILE`: who has it is heard; without one, this computer alone
-    autopilot: Literal["generic", "ardurover"] = "generic"  # what programs for other autopilots take the boat for
-    command_age_s: Seconds = 3.0  # a signed command that was on the way for longer is not obeyed
+    peers: Annotated[tuple[Listen, ...], msgspec.Meta(max_length=8)] = ("127.0.0.1:14550",)  # the boat announces itself here
+    profile: Literal["lean", "radio", "wifi"] = "wifi"  # amount of telemetry, until a console asks for another profile
+    key: str = ""  # file of the key, from `delfim console --keygen FILE`: only its holders are heard; "": only this computer
+    autopilot: Literal["generic", "ardurover"] = "generic"  # the autopilot that the boat claims to be to other programs
+    command_age_s: Seconds = 3.0  # a signed command that is older on arrival is refused
 
 
 class GuestTable(Table, frozen=True):
@@ -381,18 +381,18 @@ class GuestTable(Table, frozen=True):
 
 
 class Cantcpd(Table, frozen=True):
-    """CAN over TCP, the socketcand protocol. Who may watch and who may transmit; there are no passwords in it."""
+    """CAN over TCP, the socketcand protocol. It has no passwords: addresses decide who may watch and who may transmit."""
 
     listen: Listeners = ("127.0.0.1:29536",)  # addresses and ports
-    slcan: Ports = ()  # addresses and ports where the first bus is spoken in slcan
-    buses: tuple[Interface, ...] = ()  # that clients can open, by their name or what follows its last colon; empty: the boat's
+    slcan: Ports = ()  # addresses and ports that serve the first bus in slcan
+    buses: tuple[Interface, ...] = ()  # that clients can open, by name or its part after the last colon; empty: the boat's
     watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
-    transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # of these, the networks that may send frames, too
-    barred: tuple[Identifiers, ...] = ("040-043", "0A0", "0C8")  # no client sends these: commands to actuators, reset, shutdown
-    clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once; the oldest without a bus gives way
-    clients_per_address: Annotated[int, msgspec.Meta(ge=1, le=64)] = 8  # likewise, of these
-    queue_bytes: Annotated[int, msgspec.Meta(ge=8192, le=16 << 20)] = 1 << 18  # of one client; beyond, its oldest frames go
-    stall_s: Seconds = 30.0  # a client that takes and says nothing for so long, or has opened no bus by then, is closed
+    transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # the networks, among these, that may also send frames
+    barred: tuple[Identifiers, ...] = ("040-043", "0A0", "0C8")  # no client may send these: to actuators, reset, shutdown
+    clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once; beyond, the oldest without a bus is closed
+    clients_per_address: Annotated[int, msgspec.Meta(ge=1, le=64)] = 8  # likewise, from one address
+    queue_bytes: Annotated[int, msgspec.Meta(ge=8192, le=16 << 20)] = 1 << 18  # of one client; if full, the oldest frames go
+    stall_s: Seconds = 30.0  # a client that reads and sends nothing, or opens no bus, for this long is closed
     beacon: tuple[LinuxInterface, ...] = ()  # LANs on which the buses are announced (UDP port 42000); never a radio link
 
     def __post_init__(self) -> None:
@@ -415,11 +415,11 @@ class Canip(Table, frozen=True):
 
     enabled: bool = False  # run it; needs CAP_NET_ADMIN
     device: DeviceName = "canip0"  # the device's name
-    address: str = "192.168.1.2/24"  # of the device, IPv4 with the network's length; empty: whoever else sets it
+    address: str = "192.168.1.2/24"  # of the device, IPv4 with prefix length; empty: set by another program
     mtu: Annotated[int, msgspec.Meta(ge=576, le=65_535)] = 65_535  # larger datagrams come as fragments, which are dropped
     node: DsorNode = 0  # of this computer
     priority: Annotated[int, msgspec.Meta(ge=0, le=255)] = 192  # of datagrams on the bus; 0 is the most urgent
-    source: str = "192.168.1.1"  # IPv4 address that datagrams from nodes seem to have come from that are no peers
+    source: str = "192.168.1.1"  # IPv4 source address of datagrams from nodes that are not among the peers
     peers: dict[Name, CanipPeer] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -436,14 +436,14 @@ class Slipd(Table, frozen=True):
 
     device: Annotated[str, text("(/dev/[^ ]+)?", "/dev/NAME, or empty")] = ""  # the radio's serial port; empty: no radio
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 115_200  # of the port
-    radio_bps: Annotated[int, msgspec.Meta(ge=0, le=4_000_000)] = 0  # bit/s, of a radio slower than its port; 0: it is not
+    radio_bps: Annotated[int, msgspec.Meta(ge=0, le=4_000_000)] = 0  # bit/s, if the radio is slower than its port; else 0
     encapsulation: Literal["slip", "cslip"] = "cslip"  # cslip compresses TCP's headers (RFC 1144); both ends must agree
-    mode: Literal["auto", "kernel", "user"] = "auto"  # the kernel's SLIP, this program's, or the kernel's where it has one
+    mode: Literal["auto", "kernel", "user"] = "auto"  # SLIP of the kernel, of this program; auto: the kernel's if any
     interface: DeviceName = "radio0"  # its name in mode user
     address: str = "10.0.0.1"  # of the boat
     peer: str = "10.0.0.2"  # of the other end
-    mtu: Annotated[int, msgspec.Meta(ge=68, le=1500)] = 296  # the shorter, the sooner an urgent packet has its turn
-    carrier: Carrier = "none"  # where it is seen: modem, or a file
+    mtu: Annotated[int, msgspec.Meta(ge=68, le=1500)] = 296  # the shorter, the sooner an urgent packet is sent
+    carrier: Carrier = "none"  # source of carrier detection: none, the modem's line (dcd), or a file
 
     def __post_init__(self) -> None:
         IPv4Address(self.address)
@@ -458,31 +458,31 @@ class Timed(Table, frozen=True):
 
 
 class Httpd(Table, frozen=True):
-    """The statistics page: it shows, and changes nothing. Whoever reaches the address may read it and the logs."""
+    """The statistics page, read-only. Anyone who can reach the address may read it and the logs."""
 
     listen: Endpoint = "127.0.0.1:8080"  # address and port; 0.0.0.0 is every interface
     connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 32  # at once; the next one is closed
     connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
-    scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two looks at the computer and its processes
-    console: str = ""  # where the operator's console is, for a link to it, such as "http://127.0.0.1:8765/"; "" for none
+    scan_s: Annotated[float, msgspec.Meta(ge=5.0, le=3600.0)] = 5.0  # between two samples of the computer and its processes
+    console: str = ""  # address of the operator's console, for a link to it, such as "http://127.0.0.1:8765/"; "" for none
 
 
 class PowerdTable(Table, frozen=True):
-    """The ordered end: by the shutdown frame, a button, a command, or before the batteries are empty (docs/powerd.md)."""
+    """The orderly shutdown: by frame, button or command, or before the batteries are empty (docs/powerd.md)."""
 
-    partition: MountPoint = "/log"  # unmounted at last, if logs go there; "": none
-    end_s: Seconds = 5.0  # that other users of the partition have to end before they are killed
-    held_s: Seconds = 30.0  # a partition that stays in use for so long is given up: synced, but not unmounted
-    told_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the acknowledge is repeated for so long, then it is dark
+    partition: MountPoint = "/log"  # unmounted last, if it holds the logs; "": none
+    end_s: Seconds = 5.0  # time for other users of the partition to end before they are killed
+    held_s: Seconds = 30.0  # a partition still in use after this time is given up: synced, but not unmounted
+    told_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the acknowledgement is repeated for this long, then it ends
     button: str = ""  # an input device under /dev/input, or a file (a GPIO's value); "" for none
-    button_pressed: str = "1"  # what the file begins with while the button is pressed
-    button_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # it must be held for so long
-    battery_charge: Fraction = 0.05  # either side's batteries at this or less; 0 for never ...
-    battery_s: Seconds = 60.0  # ... for so long, and no propeller told to run meanwhile
+    button_pressed: str = "1"  # the file begins with this while the button is pressed
+    button_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the button must be held for this long
+    battery_charge: Fraction = 0.05  # the charge of either side is at most this; 0: never ...
+    battery_s: Seconds = 60.0  # ... for this long, while no propeller is commanded to run
 
 
 class FtpUser(Table, frozen=True):
-    """Who may come in by FTP, by name."""
+    """A user who may log in by FTP, by name."""
 
     password: Password  # from `delfim password`
     upload: bool = False  # may write in `log.upload_folder`; everything else is read-only for everybody
@@ -492,15 +492,15 @@ class Ftpd(Table, frozen=True):
     """Files over FTP. Without users it is not started."""
 
     listen: Endpoint = "127.0.0.1:2121"  # address and port; 0.0.0.0 is every interface
-    root: str = "/log"  # what is seen as "/"; no path leads out of it
-    certificate: str = ""  # PEM with certificate and key: nobody logs in without TLS (RFC 4217); "": all in the clear
+    root: str = "/log"  # the folder that clients see as "/"; no path leads out of it
+    certificate: str = ""  # PEM file with certificate and key: login needs TLS (RFC 4217); "": everything goes in the clear
     connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
     connections_per_address: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 8  # so that one visitor cannot keep the others out
     users: dict[Name, FtpUser] = msgspec.field(default_factory=dict)
 
 
 class SshUser(Table, frozen=True):
-    """Who may come in by SSH, by name."""
+    """A user who may log in by SSH, by name."""
 
     keys: Annotated[tuple[str, ...], msgspec.Meta(min_length=1, max_length=16)]  # public ones, as ssh-keygen writes them
 
@@ -509,10 +509,10 @@ class Sshd(Table, frozen=True):
     """Commands, a shell, SFTP and SCP over SSH. Without users it is not started."""
 
     listen: Endpoint = "127.0.0.1:2222"  # address and port; 0.0.0.0 is every interface
-    user: str = ""  # of the system, as whom all is done; "": as who started this. Needs a process of its own
-    can: bool = False  # may that user open CAN sockets, and so command the propellers past cantcpd
+    user: str = ""  # system user that runs everything; "": the user that started sshd. Needs place = "process"
+    can: bool = False  # that user may open CAN sockets, and so command the propellers past cantcpd
     shell: str = "/bin/sh"  # that runs the commands
-    root: str = "/log"  # what SFTP and SCP see as "/"; no path leads out of it
+    root: str = "/log"  # the folder that SFTP and SCP see as "/"; no path leads out of it
     host_key: str = "/log/.keys/ssh_host_ed25519"  # made at the first start, and kept
     sessions: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # programs at once
     connections: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # at once; the next one is closed
@@ -521,54 +521,54 @@ class Sshd(Table, frozen=True):
 
 
 class LogTable(Table, frozen=True):
-    """Where and how logs are written, and what happens when the disk is full."""
+    """Where and how logs are written, and the response to a full disk."""
 
     directory: str = "/log"  # where logs go
-    file_bytes: Annotated[int, msgspec.Meta(ge=4096, le=1 << 24)] = 1_000_000  # a new file past this size
-    file_s: Seconds = 600.0  # a new file past this age
+    file_bytes: Annotated[int, msgspec.Meta(ge=4096, le=1 << 24)] = 1_000_000  # a new file is begun beyond this size
+    file_s: Seconds = 600.0  # a new file is begun beyond this age
     free_bytes_min: Annotated[int, msgspec.Meta(ge=0)] = 64 << 20  # the guard keeps this much free
-    when_full: Literal["delete-oldest", "stop"] = "delete-oldest"  # what the guard does
+    when_full: Literal["delete-oldest", "stop"] = "delete-oldest"  # the guard deletes the oldest days, or stops the logs
     upload_folder: Name = "upload"  # the folder, in the root of ftpd and of sshd, where clients may write
     upload_bytes_max: Annotated[int, msgspec.Meta(ge=0)] = 256 << 20  # of all uploads, and at most a quarter of the disk
     upload_names_max: Annotated[int, msgspec.Meta(ge=0, le=10_000)] = 1000  # files and folders of all uploads
-    state_method: Literal["write", "zwrite", "zpipe"] = "zpipe"  # plain, deflated here, by a niced child
+    state_method: Literal["write", "zwrite", "zpipe"] = "zpipe"  # plain, deflated in the program, deflated in a niced child
     required: bool = True  # no log, no start
 
 
 class Logd(Table, frozen=True):
     """Log messages of the nodes of the bus."""
 
-    nodes: tuple[Annotated[int, msgspec.Meta(ge=1, le=126)], ...] = ()  # whose messages are logged; empty: the service is off
+    nodes: tuple[Annotated[int, msgspec.Meta(ge=1, le=126)], ...] = ()  # nodes to log; empty: the service is off
 
 
 class RuntimeTable(Table, frozen=True):
-    """Real-time settings. What the process is not allowed to set costs one warning."""
+    """Real-time settings. If permission for one is missing, the log warns once and the runtime goes on without it."""
 
     nice: Nice = 0  # of the runtime
-    fifo_priority: Annotated[int, msgspec.Meta(ge=0, le=98)] = 10  # the supervisor one above; 0: the ordinary scheduler
+    fifo_priority: Annotated[int, msgspec.Meta(ge=0, le=98)] = 10  # the supervisor has one more; 0: the ordinary scheduler
     cpus: tuple[Annotated[int, msgspec.Meta(ge=0, le=1023)], ...] = ()  # empty: all
     mlockall: bool = False  # keep the runtime in memory
     window: bool = True  # navigation window: spin shortly before navigation is due
     window_share_max: Fraction = 0.1  # of one processor, at most
-    window_guard_s: Annotated[float, msgspec.Meta(gt=0.0, le=0.05)] = 0.0006  # it opens so long before navigation
-    callback_budget_s: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.0005  # a service whose callback takes longer is shown
+    window_guard_s: Annotated[float, msgspec.Meta(gt=0.0, le=0.05)] = 0.0006  # it opens this long before navigation is due
+    callback_budget_s: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.0005  # longer callbacks of a service are reported
     run_directory: str = "/run/delfim"  # for sockets and state files
 
 
 class SupervisorTable(Table, frozen=True):
-    """The parent: dead-man and restarts."""
+    """The parent process: dead-man switch and restarts."""
 
-    deadman_s: Annotated[float, msgspec.Meta(ge=0.1, le=60.0)] = 1.0  # silence of the runtime that stops it
+    deadman_s: Annotated[float, msgspec.Meta(ge=0.1, le=60.0)] = 1.0  # after this silence the runtime is stopped and restarted
     backoff_s: Seconds = 0.1  # first pause before a restart; doubles each time
     backoff_max_s: Seconds = 10.0  # longest pause before a restart
-    hardware_watchdog: str = "/dev/watchdog"  # stroked where it exists; "" for none
+    hardware_watchdog: str = "/dev/watchdog"  # fed if it exists; "" for none
 
 
 class Image(Table, frozen=True):
-    """The two slots of the boot partition, and whose images are installed there."""
+    """The two slots of the boot partition, and the signers whose images may be installed there."""
 
     signers: tuple[PublicKey, ...] = ()  # public ed25519 keys, as ssh-keygen writes them; without any, nothing can be installed
-    partition: str = ""  # of the slots, mounted only while it is read or written; "" where the directory is always there
+    partition: str = ""  # of the slots, mounted only while it is read or written; "" if the directory is always mounted
     directory: str = "/boot"  # where it is mounted
 
 
@@ -576,13 +576,13 @@ class ServiceTable(Table, frozen=True):
     """A service of the suite, by its name."""
 
     enabled: bool = True  # run it
-    place: Literal["default", "runtime", "process"] = "default"  # the runtime's loop, an idle process, or as usual
-    memory_max_mb: Megabytes = 0  # of its process and all it starts; beyond, it is started again; 0: no limit
+    place: Literal["default", "runtime", "process"] = "default"  # runtime: its loop; process: a process of idle priority
+    memory_max_mb: Megabytes = 0  # of its process and all that it starts; beyond, it is restarted; 0: no limit
     cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
 
 
 class Sea(Table, frozen=True):
-    """The simulator's weather. Directions are where wind comes from and where current goes to, as sailors say them."""
+    """The simulator's weather. As sailors say it, wind is named by where it comes from, current by where it goes."""
 
     current_mps: Annotated[float, msgspec.Meta(ge=0.0, le=5.0)] = 0.0  # speed of the current
     current_to_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # direction it sets
@@ -592,7 +592,7 @@ class Sea(Table, frozen=True):
 
 
 class Simulation(Table, frozen=True):
-    """What only a boat on a desk reads: `delfim sim`, `delfim nodes`."""
+    """Settings for simulation alone: `delfim sim`, `delfim nodes`."""
 
     faults: bool = False  # `delfim fault` may break the boat's own log and links; true in `delfim sim`, never at sea
     interface: Interface = "canloop:can0"  # the bus of a simulated boat
@@ -664,7 +664,7 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
 
 
 def polygons(zones: Zones, file: str) -> Work[None]:
-    """Looks at all polygons of a file's fence. Raises ConfigError for the first one that nobody can have meant."""
+    """Checks all polygons of a file's fence. Raises ConfigError for the first faulty one."""
     rings = [
         ("fence.keep_in", zones.keep_in),
         *((f"fence.keep_out[{i}]", zone.polygon) for i, zone in enumerate(zones.keep_out)),
@@ -675,10 +675,10 @@ def polygons(zones: Zones, file: str) -> Work[None]:
 
 
 def mission_place(file: str, vehicle: Vehicle) -> Path:
-    """Where the mission of a simulation lies: beside the vehicle's file. Raises ConfigError where there is none."""
+    """Path of a simulation's mission, beside the vehicle's file. Raises ConfigError if it does not exist."""
     place = Path(file).parent / vehicle.simulation.mission
     if not place.is_file():
-        raise ConfigError(file, "simulation.mission", f"there is no file {place}; it is looked for beside the vehicle's file")
+        raise ConfigError(file, "simulation.mission", f"there is no file {place}; put it beside the vehicle's file")
     return place
 
 
@@ -686,9 +686,9 @@ CHANGEABLE = ("control.", "failsafe.console_silent.", "failsafe.manual_silent.")
 
 
 def changed(settings: Vehicle, key: str, value: float | str) -> Vehicle:
-    """The settings with another value at a key that may change. Raises ConfigError."""
+    """The settings with a new value at a key that may be changed. Raises ConfigError."""
     if not key.startswith(CHANGEABLE):
-        raise ConfigError("the vehicle's file", key, "this does not change while the boat runs", ", ".join(CHANGEABLE))
+        raise ConfigError("the vehicle's file", key, "this cannot be changed while the boat runs", ", ".join(CHANGEABLE))
     *names, last = key.split(".")
     tables: list[Table] = [settings]
     for name in names:
@@ -698,7 +698,7 @@ def changed(settings: Vehicle, key: str, value: float | str) -> Vehicle:
     if not isinstance(getattr(tables[-1], last, None), float | str):
         raise ConfigError("the vehicle's file", key, "no such key")
     table = tables.pop()
-    try:  # this table, and not the whole file, which may hold a long fence
+    try:  # checks this table alone: the whole file may hold a long fence
         table = decode(msgspec.structs.asdict(table) | {last: value}, type(table), "the vehicle's file")
     except ConfigError as error:
         raise ConfigError(error.file, key, error.reason, error.allowed) from None

@@ -1,6 +1,6 @@
 """The commands of `delfim`, a file each: `options(parser)` declares its options, `run(asked)` does it and gives the exit code.
 
-A file imports what it needs when it runs: a boat does not load what draws pictures. To add a command: a file, and a row here.
+A file imports its libraries only when it runs: a boat does not load those for plots. To add a command: a file, and a row here.
 """
 
 import argparse
@@ -10,33 +10,33 @@ from typing import Final
 
 from delfim.errors import DelfimError
 
-GROUPS: Final[dict[str, dict[str, str]]] = {  # what people do: their commands, each with a sentence
+GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a sentence
     "Sail in simulation": {
         "sim": "Sail a mission in simulation, with the boat's whole program and a model of the boat.",
-        "fault": "Break something of a simulated boat while it sails (docs/scenarios.md).",
+        "fault": "Inject a fault into a simulated boat while it sails (docs/scenarios.md).",
         "nodes": "Play the boat's other CAN nodes (navigation, GPS, propellers, batteries) on its bus.",
         "guest": "Play the guest computer: it asks for a zigzag, which the boat obeys in mode grex.",
     },
     "Operate boats": {
         "console": "Show all boats in the browser, plan missions and command them (docs/console.md).",
-        "drive": "Drive a boat from the command line: one command, or a prompt where none is given.",
+        "drive": "Drive a boat from the command line: one command, or a prompt if none is given.",
         "can": "Look at a CAN bus, send, make traffic, count, and play a log back onto it.",
-        "log": "List, sum up, draw, export, repeat, repair and fetch logs (docs/logs.md).",
+        "log": "List, sum up, plot, export, replay, repair and fetch logs (docs/logs.md).",
     },
     "Describe a boat": {
-        "check": "Check a vehicle's file and list everything that is wrong with it.",
+        "check": "Check a vehicle's file and list all its faults.",
         "describe": "List every key of a vehicle's file with its default, range and meaning.",
         "password": "Ask for a password and print its hash, for a vehicle's file.",
     },
     "On the boat": {
         "supervise": "Run the boat: start, watch and restart its processes, and stop the propellers when the loop stops.",
-        "run": "Run the vehicle and the services of its process, without a supervisor.",
+        "run": "Run the vehicle and the services of its process, without the supervisor.",
         "shutdown": "Stop the boat and end everything in order, so that the power may be cut (docs/powerd.md).",
         "image": "Look at the boat's image, install a new one and confirm it; the old one is kept (docs/image.md).",
     },
 }
 SENTENCES: Final = {name: sentence for group in GROUPS.values() for name, sentence in group.items()}
-OWN_FILE: Final = "etc/delfimx.toml"  # the boat of a simulation for which none is named
+OWN_FILE: Final = "etc/delfimx.toml"  # the default boat of a simulation
 
 
 class Formatter(argparse.HelpFormatter):
@@ -50,15 +50,15 @@ class Formatter(argparse.HelpFormatter):
 
 def vehicle_file(parser: argparse.ArgumentParser, *, optional: bool = False) -> None:
     """The options of every command that reads a vehicle's file."""
-    told = f"The vehicle's file, as {OWN_FILE}{', which is taken where none is named' if optional else ''}."
+    told = f"The vehicle's file, such as {OWN_FILE}{', which is the default' if optional else ''}."
     parser.add_argument("file", metavar="FILE", nargs="?" if optional else None, help=told)
     overrides(parser)
 
 
 def own_file(named: str | None) -> str:
-    """The vehicle's file that is meant. Raises DelfimError where none was named and there is none to take."""
+    """The path of the vehicle's file. Raises DelfimError if none was named and the default does not exist."""
     if named is None and not os.path.exists(OWN_FILE):
-        raise DelfimError(f"name the vehicle's file: there is no {OWN_FILE} in this folder to take instead")
+        raise DelfimError(f"name the vehicle's file: there is no {OWN_FILE} in this folder")
     return named or OWN_FILE
 
 
@@ -72,18 +72,18 @@ def seconds(text: str) -> float:
     with contextlib.suppress(ValueError):
         if 0.0 < float(text) < float("inf"):
             return float(text)
-    raise argparse.ArgumentTypeError(f"{text} is no number of seconds above 0")
+    raise argparse.ArgumentTypeError(f"{text} is not a number of seconds above 0")
 
 
 def simulated(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--sim", action="store_true", help="Take the boat that `delfim sim` sails.")
+    parser.add_argument("--sim", action="store_true", help="Use the boat that `delfim sim` sails.")
     parser.add_argument(
-        "--sim-in", metavar="DIRECTORY", help="Take the simulated boat of this folder, as run/sim-2, where several sail."
+        "--sim-in", metavar="DIRECTORY", help="Use the simulated boat of this folder, such as run/sim-2, if several sail."
     )
 
 
 def there(asked: argparse.Namespace) -> list[str]:
-    """The overrides with which a running boat is found: those of `delfim sim`, where that is meant, and the operator's."""
+    """The overrides that lead to a running boat: those of `delfim sim`, if its boat is asked for, and the operator's."""
     if not asked.sim and asked.sim_in is None:
         return list(asked.set)
     from delfim.simulator.berth import found

@@ -1,4 +1,4 @@
-"""`delfim check`: everything that is wrong with a vehicle's file, and what it names that this computer does not have."""
+"""`delfim check`: lists the faults of a vehicle's file, and the devices and files it names that this computer lacks."""
 
 import argparse
 import sys
@@ -8,7 +8,7 @@ from pathlib import Path
 from delfim import config
 from delfim.commands import vehicle_file
 
-TOLD = 50  # mistakes that are told of a file
+TOLD = 50  # faults listed for one file
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +16,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Returns 2 where something is wrong. A warning is nothing wrong: another computer may have what this one lacks."""
+    """Returns 2 if the file has faults. A warning is not one: another computer may have the device that this one lacks."""
     from delfim import tables
     from delfim.suite import services
 
@@ -35,7 +35,7 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
-    """What the file names and this computer does not have."""
+    """Devices and files that the file names and this computer lacks, in words."""
     from delfim.errors import ConfigError
     from delfim.vehicle.mission import load_mission
 

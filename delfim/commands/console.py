@@ -4,13 +4,13 @@ import argparse
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="Hear boats here.")
+    parser.add_argument("--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="Listen for boats here.")
     parser.add_argument(
         "--radio",
         action="append",
         default=[],
         metavar="DEVICE:BAUD",
-        help="Hear this serial radio, too: /dev/ttyUSB0:57600, COM3:9600.",
+        help="Listen to this serial radio, too: /dev/ttyUSB0:57600, COM3:9600.",
     )
     parser.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="Serve the page here.")
     parser.add_argument(
@@ -18,13 +18,13 @@ def options(parser: argparse.ArgumentParser) -> None:
         type=int,
         choices=range(200, 255),
         metavar="NUMBER",
-        help="This console's number, 200 to 254, by which boats know it from others; otherwise it draws one and keeps it.",
+        help="This console's number, 200 to 254, by which boats tell consoles apart (default: drawn once and kept).",
     )
     parser.add_argument(
         "--token",
         default="~/.local/state/delfim/console.token",
         metavar="FILE",
-        help="What lets a browser in, part of the address that is printed; made if it is not there.",
+        help="File of the browser's access token, which the printed address contains; made if missing.",
     )
     parser.add_argument("--missions", default="missions", metavar="FOLDER", help="The operator's missions.")
     parser.add_argument("--charts", default="charts", metavar="FOLDER", help="The operator's charts.")
@@ -33,11 +33,11 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--replay",
         nargs="+",
         metavar="PATH",
-        help="Hear no boats; play these sessions (.tlog) and state logs, or folders of them.",
+        help="Listen to no boats; replay these sessions (.tlog) and state logs, or folders of them.",
     )
     parser.add_argument("--key", metavar="FILE", help="Sign with this key; the boats must have the same.")
     parser.add_argument("--vehicle", metavar="FILE", help="The vehicle's file, for dry runs of missions.")
-    parser.add_argument("--keygen", metavar="FILE", help="Make a signing key, and end.")
+    parser.add_argument("--keygen", metavar="FILE", help="Make a signing key in this file, and exit.")
     parser.add_argument("--no-browser", dest="browser", action="store_false", help="Do not open the browser.")
 
 
@@ -49,6 +49,6 @@ def run(asked: argparse.Namespace) -> int:
 
     if asked.keygen:
         keygen(Path(asked.keygen))
-        print(f"delfim: {asked.keygen}: a new key; the boat needs the same file, brought there by hand")
+        print(f"delfim: {asked.keygen}: a new key; copy this file to the boat by hand, never over the radio")
         return 0
     return run(asked)

@@ -1,4 +1,4 @@
-"""`delfim describe`: the vehicle's file, key by key."""
+"""`delfim describe`: explains the vehicle's file, key by key."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""`delfim drive`: a boat commanded from a terminal."""
+"""`delfim drive`: commands a boat from a terminal."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""`delfim fault`: something of a simulated boat breaks."""
+"""`delfim fault`: injects a fault into a simulated boat."""
 
 import argparse
 
@@ -11,8 +11,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     vehicle_file(parser)
     parser.add_argument("kind", metavar="KIND", help=f'One of {", ".join(KINDS)}; or "end", which ends all faults.')
     places = ", ".join(dict.fromkeys(place for its in WHERE.values() for place in its))
-    parser.add_argument("where", metavar="WHERE", nargs="?", default="", help=f"Which one, where there are several: {places}.")
-    parser.add_argument("--value", type=float, help="How much, where the kind has a size.")
+    parser.add_argument("where", metavar="WHERE", nargs="?", default="", help=f"Which part, if there are several: {places}.")
+    parser.add_argument("--value", type=float, help="Size of the fault, for a kind that has one.")
     parser.add_argument("--for", type=seconds, dest="for_s", metavar="SECONDS", help="End the fault after this time.")
     simulated(parser)
 

@@ -1,4 +1,4 @@
-"""`delfim image`: look at the boat's image, install one, confirm it. The slots are services/slots.py; what is found out here is
+"""`delfim image`: shows the boat's image, installs one, confirms it. The slots are services/slots.py; this file finds out
 whether the boat is under way.
 """
 
@@ -12,7 +12,7 @@ from delfim.console.link import Link
 from delfim.errors import DelfimError, Refused
 from delfim.services import imagefile, slots
 
-ANSWER_S = 3.0  # for the vehicle to say what it does
+ANSWER_S = 3.0  # for the vehicle's answer
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -20,21 +20,21 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "verb", choices=["status", "verify", "install", "confirm"], help="What to do; verify and install need an image."
     )
-    parser.add_argument("image", metavar="IMAGE", nargs="?", help="What `make image` packed, as it was uploaded.")
+    parser.add_argument("image", metavar="IMAGE", nargs="?", help="The uploaded file that `make image` packed.")
 
 
 def run(asked: argparse.Namespace) -> int:
-    """The command. Returns the exit code; raises DelfimError for what a person can mend."""
+    """The command. Returns the exit code; raises DelfimError for a failure that the user can put right."""
     settings = config.load(asked.file, asked.set)
     if (asked.verb in ("verify", "install")) != bool(asked.image):
-        raise DelfimError(f"image {asked.verb}: {'it names no image' if asked.image else 'which image?'}")
+        raise DelfimError(f"image {asked.verb}: {'takes no image file' if asked.image else 'name the image file'}")
     try:
         if asked.verb == "status":
             return status(settings)
         if asked.verb == "confirm":
             return confirm(settings)
         reason = under_way(settings)
-        if reason:  # also only to verify: it reads a disk and a processor full
+        if reason:  # verify, too: it keeps disk and processor busy
             raise Refused(f"image {asked.verb} refused: {reason}")
         os.nice(19)
         return install(settings, Path(asked.image)) if asked.verb == "install" else verify(settings, Path(asked.image))
@@ -43,7 +43,7 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def under_way(settings: config.Vehicle) -> str:
-    """Why no image may be installed now; "" where the boat rests. A vehicle that is not running moves nothing."""
+    """Why no image may be installed now; "" if the boat rests. A vehicle that is not running moves nothing."""
     try:
         link = Link(settings.console.socket, ANSWER_S)
     except DelfimError:
@@ -52,10 +52,10 @@ def under_way(settings: config.Vehicle) -> str:
         try:
             state = link.ask("state")
         except DelfimError as error:
-            return f"nobody knows whether the boat is under way: {error}"
+            return f"cannot find out whether the boat is under way: {error}"
     if state["mode"] != "idle":
         return f"the boat is under way, in mode {state['mode']}"
-    return "a propeller is turned" if state["starboard_rpm"] or state["port_rpm"] else ""
+    return "a propeller turns" if state["starboard_rpm"] or state["port_rpm"] else ""
 
 
 def verify(settings: config.Vehicle, bundle: Path) -> int:
@@ -69,7 +69,7 @@ def install(settings: config.Vehicle, bundle: Path) -> int:
     with slots.boot_partition(settings.image, write=True) as both:
         slot, image = both.install(bundle, settings.image.signers)
     print(f"version {image.manifest.version}, signed by {image.signer}, is in slot {slot} and is tried at the next start.")
-    print("It stays only when it is confirmed then: delfim image FILE confirm")
+    print("If it works, confirm it then, or the next start is the old one: delfim image FILE confirm")
     return 0
 
 
@@ -78,12 +78,12 @@ def confirm(settings: config.Vehicle) -> int:
     with slots.boot_partition(settings.image, write=True) as both:
         both.confirm(running)
     slots.confirmed(settings.runtime.run_directory)
-    print(f"slot {running} is confirmed: every start from now on is its")
+    print(f"slot {running} is confirmed: it is started from now on")
     return 0
 
 
 def status(settings: config.Vehicle) -> int:
-    """Returns 1 where a slot that may be started is damaged or an image was rolled back."""
+    """Returns 1 if a slot that may be started is damaged or an image was rolled back."""
     running, tried = slots.started(Path("/proc/cmdline").read_text())
     with slots.boot_partition(settings.image, write=False) as both:
         environment = both.environment()

@@ -1,5 +1,5 @@
-"""`delfim log`: what people do with logs afterwards. One verb, one function; the work is done in delfim.logging and, where a
-boat is needed to repeat something, in delfim.simulator.
+"""`delfim log`: work with logs afterwards. One verb, one function; the work is done in delfim.logging and, for a replay, in
+delfim.simulator.
 
 Without a path the tree is /log, or that of the simulation; without a range it is the last run.
 """
@@ -29,7 +29,7 @@ WRITTEN_NS = 60_000_000_000  # a file on the boat that was changed so recently, 
 
 
 class Selection(NamedTuple):
-    """What was asked for."""
+    """The logs that were asked for."""
 
     runs: list[Run]
     files: list[LogFile]
@@ -74,7 +74,7 @@ def _default() -> str:
 
 
 def _nothing(chosen: Sequence[Run]) -> DelfimError:
-    """What is said where a range of time holds nothing."""
+    """The refusal for an empty range of time."""
     from delfim.logging.summary import utc
 
     begin_ns, end_ns = min(run.begin_ns for run in chosen), max(run.end_ns for run in chosen)
@@ -215,7 +215,7 @@ def _repair(asked: argparse.Namespace) -> int:
     now_ns, mended = time.time_ns(), 0
     for file in tracked("repair", chosen.files, *_sizes(chosen.files)):
         if tree.is_running(file, now_ns):
-            print(f"{file.path}: left alone, it was written less than {tree.RUNNING_S} s ago")
+            print(f"{file.path}: skipped, it was written less than {tree.RUNNING_S} s ago")
             continue
         for result in repair(file, in_place=asked.in_place):
             if result.complaint:
@@ -230,9 +230,7 @@ def _fetch(asked: argparse.Namespace) -> int:
 
     folder = Path(asked.directory)
     if any(word and word.startswith("+") for word in (asked.from_, asked.to)):
-        raise DelfimError(
-            "a time since the beginning of a run means nothing before the run is here: write 09:30, today, or a date"
-        )
+        raise DelfimError("+SECONDS count from the beginning of a run, which is not here yet: write 09:30, today, or a date")
     began_ns = time.time_ns()
     span = tree.span(asked.from_, asked.to, began_ns)
     for summary in (True, False)[: 1 if asked.summary else 2]:
@@ -240,9 +238,9 @@ def _fetch(asked: argparse.Namespace) -> int:
         print(f"{len(outcome.fetched)} files, {_size(outcome.bytes)} in {seconds:.1f} s")
         for path in outcome.cut:
             if abs((folder / path).stat().st_mtime_ns - began_ns) < WRITTEN_NS:
-                print(f"{path}: it is being written on the boat; the same command fetches the rest")
+                print(f"{path}: still being written on the boat; run the same command again for the rest")
             else:
-                print(f"{path}: cut on the boat already; delfim log repair mends it")
+                print(f"{path}: incomplete on the boat, too; run delfim log repair on it")
         if summary and any("/state/" in path for path in outcome.fetched):
             _info(argparse.Namespace(path=[str(folder)], id=[], run=None, all=False, from_=None, to=None, json=False))
     return 0
@@ -320,7 +318,7 @@ def options(parser: argparse.ArgumentParser) -> None:
             "--from", dest="from_", metavar="TIME", help="From this time on: UTC, as 2010-01-01T09:30:00 or 09:30, or +SECONDS."
         )
         one.add_argument("--to", metavar="TIME", help="Up to this time; +SECONDS count from the beginning of the run.")
-        one.add_argument("--id", action="append", default=[], metavar="ID", help="Take only these logs: state, can0, ...")
+        one.add_argument("--id", action="append", default=[], metavar="ID", help="Use only these logs: state, can0, ...")
         return one
 
     def reader(name: str, function: Callable[[argparse.Namespace], int], text: str) -> argparse.ArgumentParser:
@@ -328,9 +326,9 @@ def options(parser: argparse.ArgumentParser) -> None:
         one.add_argument(
             "--run",
             metavar="NAME",
-            help="Take this run, as `delfim log ls` names it, or how that begins (default: the last).",
+            help="Use this run, by its name in `delfim log ls` or the beginning of it (default: the last).",
         )
-        one.add_argument("--all", action="store_true", help="Take all runs.")
+        one.add_argument("--all", action="store_true", help="Use all runs.")
         return one
 
     ls = reader("ls", _ls, "List the runs: day, id, files, duration, size, and whether they ended in order.")
@@ -340,30 +338,30 @@ def options(parser: argparse.ArgumentParser) -> None:
     info = reader("info", _info, "Sum up a run: track, modes, warnings, latency.")
     for one in (ls, info):
         one.add_argument("--json", action="store_true", help="Print JSON, for programs.")
-    plot = reader("plot", _plot, "Draw a run: track, speeds, propellers, references, latency.")
-    plot.add_argument("--format", choices=["png", "svg"], default="png", help="Draw in this format.")
+    plot = reader("plot", _plot, "Plot a run: track, speeds, propellers, references, latency.")
+    plot.add_argument("--format", choices=["png", "svg"], default="png", help="Plot in this format.")
     plot.add_argument("--output", metavar="DIRECTORY", help="Put the pictures here (default: a folder named after the run).")
     export = reader("export", _export, "Write a run in a format of other programs.")
     told = f"{', '.join(STATE_FORMATS)}: the state; {', '.join(BOX_FORMATS)}: the black box."
     export.add_argument("format", choices=[*STATE_FORMATS, *BOX_FORMATS], metavar="FORMAT", help=told)
     export.add_argument("--output", metavar="FILE", help="Write this file (default: one named after the run).")
     words = (
-        "Sail a run again in the vehicle's program, comparing its commands bit by bit; or send its frames onto a bus (--bus)."
+        "Replay a run through the vehicle's program and compare its commands bit by bit; or send its frames onto a bus (--bus)."
     )
     replay = reader("replay", _replay, words)
     replay.add_argument("--vehicle", metavar="FILE", help="Use this vehicle's file instead of the settings in the log.")
     replay.add_argument("--bus", metavar="INTERFACE", help="Send the black box onto this bus, as vcan0 or canloop:can0.")
-    replay.add_argument("--speed", type=float, default=1.0, help="Times real time; 0 is as fast as the bus takes it.")
-    replay.add_argument("--only", choices=["received", "sent"], help="Send only what the recording computer received, or sent.")
-    text = "Repair logs that a power cut left without their end: whole copies beside the originals. Without --run, all of them."
+    replay.add_argument("--speed", type=float, default=1.0, help="Multiple of real time; 0 is as fast as the bus takes it.")
+    replay.add_argument("--only", choices=["received", "sent"], help="Send only frames that the computer received, or sent.")
+    text = "Repair logs that a power cut left incomplete: writes whole copies beside the originals. Without --run, all of them."
     repair = reader("repair", _repair, text)
     repair.add_argument("--in-place", action="store_true", help="Replace the originals.")
     told = f"Trees, days, folders or files (default: {' or '.join(tree.PLACES)})."
-    for one in (ls, cat, info, plot, export, replay, repair):  # behind what a verb has itself
+    for one in (ls, cat, info, plot, export, replay, repair):  # after the verb's own options
         one.add_argument("path", nargs="*", metavar="PATH", help=told)
         one.set_defaults(many="path")
     text = "Fetch logs from a boat (ftp://user@boat/log, sftp://user@boat/log): verified, and resumed after a lost link."
     fetch = verb("fetch", _fetch, text)
     fetch.add_argument("--summary", action="store_true", help="Fetch only state logs and sidecars, and sum up the last run.")
     fetch.add_argument("url", metavar="URL", help="The logs on the boat.")
-    fetch.add_argument("directory", metavar="DIRECTORY", help="Where they go here.")
+    fetch.add_argument("directory", metavar="DIRECTORY", help="Put them in this folder.")

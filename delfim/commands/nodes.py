@@ -1,4 +1,4 @@
-"""`delfim nodes`: the rest of the boat, played on its bus."""
+"""`delfim nodes`: simulates the boat's other nodes on its bus."""
 
 import argparse
 
@@ -7,7 +7,7 @@ from delfim.commands import vehicle_file
 
 def options(parser: argparse.ArgumentParser) -> None:
     vehicle_file(parser)
-    parser.add_argument("--seed", type=int, default=1, help="Draw noise and gusts from this number.")
+    parser.add_argument("--seed", type=int, default=1, help="Seed of noise and gusts.")
 
 
 def run(asked: argparse.Namespace) -> int:

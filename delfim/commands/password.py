@@ -1,4 +1,4 @@
-"""`delfim password`: a password's hash."""
+"""`delfim password`: prints the hash of a password."""
 
 import argparse
 

@@ -1,4 +1,4 @@
-"""`delfim shutdown`: everything ended in order."""
+"""`delfim shutdown`: ends everything in order."""
 
 import argparse
 
@@ -7,7 +7,7 @@ from delfim.commands import vehicle_file
 
 def options(parser: argparse.ArgumentParser) -> None:
     vehicle_file(parser)
-    parser.add_argument("--reboot", action="store_true", help="Start the computer again afterwards.")
+    parser.add_argument("--reboot", action="store_true", help="Restart the computer afterwards.")
 
 
 def run(asked: argparse.Namespace) -> int:

@@ -1,7 +1,7 @@
 """`delfim sim`: the whole suite over a loopback bus, the other nodes modelled, a mission sailed, and pictures at the end.
 
-The boat's program is the same that goes to sea, started the same way; what differs is said in its file's overrides: another
-bus, another place for logs and sockets. In lock step nothing runs in real time and the same seed gives the same bytes.
+The boat's program is the same that goes to sea, started the same way; overrides of its file set another
+bus and another place for logs and sockets. In lock step nothing runs in real time and the same seed gives the same bytes.
 """
 
 import argparse
@@ -31,12 +31,12 @@ from delfim.simulator.berth import BOATS, PAGE, SIMULATED, Berth, berth, setting
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.mission import Mission, canonical, load_mission
 
-START_S = 60.0  # the suite must answer within this time: a busy machine reads it slowly
+START_S = 60.0  # the suite must answer within this time: a busy machine loads it slowly
 END_S = 10.0  # and have ended within this time
-QUIET_S = 0.25  # a bus on which nobody speaks for so long is free
+QUIET_S = 0.25  # a bus that was silent for this long is free
 LOCKSTEP_S = 7200.0  # longest mission in lock step
-PAUSE_NS = 5_000_000_000  # what the boat did between two records so far apart is not known
-CTRL_C, GONE = "ended by Ctrl-C", "the vehicle went away"
+PAUSE_NS = 5_000_000_000  # a longer gap between two records does not count as way
+CTRL_C, GONE = "ended by Ctrl-C", "the vehicle's program has ended"
 
 Show = Callable[[dict[str, Any], str], None]  # a state, and words beside it
 
@@ -50,7 +50,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--for", type=seconds, dest="for_s", metavar="SECONDS", help="End after this time instead of with the mission."
     )
-    parser.add_argument("--seed", type=int, default=1, help="Draw noise and gusts from this number.")
+    parser.add_argument("--seed", type=int, default=1, help="Seed of noise and gusts.")
     parser.add_argument("--lockstep", action="store_true", help="Sail as fast as the machine can; same seed, same bytes.")
     parser.add_argument("--plain", action="store_true", help="Print one line a second instead of the live view.")
     parser.add_argument("--json", action="store_true", help="Print one JSON object for each state.")
@@ -61,7 +61,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--page", metavar="ADDRESS:PORT", help=f"Serve the console's page here (default: {PAGE}, or the next free)."
     )
     parser.add_argument(
-        "--boats", metavar="ADDRESS:PORT", help=f"Have the console hear boats here (default: {BOATS}, likewise)."
+        "--boats", metavar="ADDRESS:PORT", help=f"Have the console listen for boats here (default: {BOATS}, or the next free)."
     )
     parser.add_argument(
         "--output",
@@ -72,7 +72,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Returns 0 when the mission was sailed to its end, the asked time passed or Ctrl-C was typed, 1 when the boat stopped."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # what we started ends with us, in a script's background, too
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # our children end with us, also in a script's background
         signal.signal(number, signal.default_int_handler)
     asked.file = own_file(asked.file)
     if asked.scenario:
@@ -147,13 +147,13 @@ def _announced(console: "subprocess.Popen[bytes]") -> str:
     ready, _, _ = select.select([console.stdout], [], [], START_S)
     told = console.stdout.readline().decode(errors="replace").strip() if ready else ""
     if not told:
-        raise DelfimError("the console did not start, so nothing was sailed; what is wrong with it stands above")
+        raise DelfimError("the console did not start, so nothing was sailed; its error stands above")
     print(told, flush=True)
     return next((word.rstrip(";") for word in told.split() if word.startswith("http")), "")
 
 
 class Voyage:
-    """A mission sailed in real time, as it is seen from outside: shown while it lasts, summed up afterwards."""
+    """A mission sailed in real time, seen from outside: shown while it lasts, summed up afterwards."""
 
     def __init__(self, asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> None:
         self._asked, self._settings, self._mission = asked, settings, mission
@@ -219,7 +219,7 @@ class Voyage:
         return f"stopped: {state['reason']}" if state["mode"] == "idle" else ""
 
     def _words(self) -> str:
-        """What stands beside a state: the time, where the console is, how all this ends."""
+        """The words beside a state: the time, the console's address, and how to end the simulation."""
         return f"{_clock(time.monotonic() - self._began_s)}  {f'console {self.address}  ' if self.address else ''}Ctrl-C ends"
 
     def report(self, folder: Path) -> None:
@@ -238,7 +238,7 @@ class Voyage:
 
 
 def _figures(data: dict[str, list[Any]]) -> list[tuple[str, str]]:
-    """How far, and how far off the line while a mission was played, from the columns of the state log."""
+    """Distance sailed, and cross-track error while a mission was played, from the columns of the state log."""
     if not data:
         return []
     steps = zip(data["t1"], data["t1"][1:], data["north_speed"][1:], data["east_speed"][1:], strict=False)
@@ -257,7 +257,7 @@ def _code(end: str) -> int:
 
 
 def _alone(interface: str) -> None:
-    """Raises BusError when somebody sails on this bus already: two boats would obey each other's commands."""
+    """Raises BusError if a boat already sails on this bus: two would obey each other's commands."""
     with open_can(interface) as bus:
         bus.bind(ANYTHING)
         bus.settimeout(QUIET_S)
@@ -301,7 +301,7 @@ def _connected(path: str, boat: "subprocess.Popen[bytes]") -> Link:
             return Link(path)
         except DelfimError:
             if boat.poll() is not None:
-                raise DelfimError("the boat's program has ended; why stands above") from None
+                raise DelfimError("the boat's program has ended; its error stands above") from None
             if time.monotonic() > until:
                 raise
             time.sleep(0.02)
@@ -388,5 +388,5 @@ def _clock(seconds: float) -> str:
 
 
 def _beside(path: Path) -> str:
-    """A path as it is written from here."""
+    """A path as seen from the present folder."""
     return os.path.relpath(path) if path.is_relative_to(Path.cwd()) else str(path)

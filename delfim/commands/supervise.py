@@ -1,4 +1,4 @@
-"""`delfim supervise`: what a boat starts."""
+"""`delfim supervise`: runs the boat; its first command."""
 
 import argparse
 

@@ -51,8 +51,7 @@ def test_what_is_not_on_this_computer_is_a_warning(check, tmp_path):
     assert err.splitlines() == [
         "delfim: warning: can.interface: this computer has no can77; the boat needs it, `delfim sim` does not",
         "delfim: warning: mavlink.key: there is no file /no/such/key on this computer",
-        "delfim: warning: boat.toml: simulation.mission: there is no file away.toml;"
-        " it is looked for beside the vehicle's file",
+        "delfim: warning: boat.toml: simulation.mission: there is no file away.toml; put it beside the vehicle's file",
     ]
     assert main(["sim", str(tmp_path / "boat.toml"), "--lockstep"]) == 2
 

@@ -36,7 +36,7 @@ def test_help_is_in_whole_sentences_and_shows_defaults(name, capsys):
     assert commands.SENTENCES[name] in out
     assert commands.SENTENCES[name].endswith(".")
     if name == "sim":
-        assert "Draw noise and gusts from this number. (default: 1)" in out
+        assert "Seed of noise and gusts. (default: 1)" in out
 
 
 def test_a_command_that_does_not_exist_is_one_line_with_a_proposal(capsys):

@@ -136,7 +136,7 @@ def test_mistakes_are_one_line(log, capsys, tmp_path, place):
         assert err.count("\n") == 1
     assert main(["log", "ls", str(tmp_path / "no")]) == 2
     assert main(["log", "fetch", "--from", "+90", "ftp://boat/log", str(tmp_path)]) == 2
-    assert "means nothing before the run is here" in capsys.readouterr().err
+    assert "count from the beginning of a run, which is not here yet" in capsys.readouterr().err
 
 
 def test_without_a_path_the_logs_that_are_there_are_taken_and_named(place, tmp_path, monkeypatch, capsys):
@@ -176,7 +176,7 @@ def test_what_is_written_just_now_is_running_everywhere(place, tmp_path, capsys,
     assert capsys.readouterr().out.splitlines()[1].endswith("running")
     assert main(["log", "cat", *words]) == 0
     assert main(["log", "repair", *words]) == 0
-    assert "left alone, it was written less than 5 s ago" in capsys.readouterr().out
+    assert "skipped, it was written less than 5 s ago" in capsys.readouterr().out
     assert not caplog.messages
     os.utime(box.path, (1_262_304_100, 1_262_304_100))
     assert main(["log", "ls", *words]) == 0

@@ -309,7 +309,7 @@ def test_mistakes_are_one_line_on_standard_error(tmp_path, words, reason):
     [
         (("log", "--help"), "replay"),
         (("can", "--help"), "candump"),
-        (("sim", VEHICLE, "--for", "-3"), "--for: -3 is no number of seconds above 0"),
+        (("sim", VEHICLE, "--for", "-3"), "--for: -3 is not a number of seconds above 0"),
         (("check", VEHICLE, "--fast"), "unrecognized arguments: --fast"),
     ],
 )

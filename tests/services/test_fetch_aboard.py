@@ -78,8 +78,8 @@ def test_what_is_being_written_on_the_boat_is_not_called_cut(tmp_path: Path) -> 
     async def main() -> None:
         async with served(vehicle_file(tmp_path, ftpd=table), ftpd.serve, "ftpd") as runtime:
             told = await fetched(f"ftp://ana:sesame@127.0.0.1:{port_of(runtime, 'ftpd')}/", tmp_path)
-        assert f"{old}: cut on the boat already; delfim log repair mends it" in told
-        assert f"{new}: it is being written on the boat; the same command fetches the rest" in told
+        assert f"{old}: incomplete on the boat, too; run delfim log repair on it" in told
+        assert f"{new}: still being written on the boat; run the same command again for the rest" in told
 
     log_files(tmp_path)
     for path in (old, new):
