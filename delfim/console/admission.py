@@ -38,11 +38,11 @@ class Admission:
         if own.is_loopback and host.lower() not in {f"{name}:{port}" for name in (bracketed(own), *LOOPBACK)}:
             raise web.HTTPForbidden(text=f"this console is at http://{bracketed(own)}:{port}/\n")
         if request.headers.get("Origin", f"http://{host}") != f"http://{host}" or not host:
-            raise web.HTTPForbidden(text="another site's page\n")
+            raise web.HTTPForbidden(text="pages of another site may not use this console\n")
         cookie = f"delfim-{port}"  # a browser keeps cookies by host, and several consoles may be on one
         given = request.query.get("token") or request.cookies.get(cookie) or ""
         if not hmac.compare_digest(given.encode(), self.token.encode()):
-            raise web.HTTPForbidden(text="this console opens by the address that it printed when it started: ...?token=...\n")
+            raise web.HTTPForbidden(text="open the address that the console printed when it started: ...?token=...\n")
         response: web.StreamResponse = await handler(request)
         if "token" in request.query and not response.prepared:
             response.set_cookie(cookie, self.token, httponly=True, samesite="Lax")  # the boat's page has a link to here

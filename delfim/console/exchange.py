@@ -75,7 +75,7 @@ class Exchange:
         number = boat.number
         mission = self.missions.get(number, {}).get("here")
         if mission is None:
-            raise Refused("there is no mission to send")
+            raise Refused("the boat has no plan to send")
         self._begin(number)
         groups = plan.items_of(mission)
 
@@ -131,7 +131,7 @@ class Exchange:
 
     def _begin(self, number: int) -> None:
         if number in self._transfers and number not in self._reading:
-            raise Refused("a mission is on its way already")
+            raise Refused("a mission is being sent or read: wait until that has ended")
         self._reading.discard(number)  # which nobody asked for: it begins again when this one is over
 
     def _over(self, number: int, what: str) -> None:
@@ -149,10 +149,10 @@ class Exchange:
 
     def _compared(self, number: int, well: bool, why: str) -> tuple[bool, str]:
         if not well:
-            return False, f"sent, but not read back: {why}"
+            return False, f"sent, but it could not be read back: {why}"
         known = self.missions[number]
         same = known["here"]["digest"] == known["aboard"]["digest"]
-        return same, "" if same else "what the boat has differs from what was sent"
+        return same, "" if same else "the mission aboard differs from the plan: send it again"
 
 
 def _done(each: OutgoingItems | Download) -> int:

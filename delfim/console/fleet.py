@@ -122,9 +122,7 @@ class Fleet:
         if now_s - self._complained_s > COMPLAIN_S:
             self._complained_s = now_s
             where = in_words(address)
-            words = (
-                f"{where} has the number of this console, {number}: start one of them with another (delfim console --number)"
-            )
+            words = f"a console on {where} has our number, {number}: start one of the two with another --number"
             self._tell({"t": "text", "boat": None, "severity": 2, "text": words, "at_s": self._utc_s()})
 
     def _say(self, number: int, severity: int, text: str) -> None:
@@ -174,7 +172,7 @@ class Fleet:
         if chosen is not None:
             del self._profiles[boat.number]
             chosen.answer(
-                boat.profile == chosen.name, "" if boat.profile == chosen.name else f"the boat stays with {boat.profile}"
+                boat.profile == chosen.name, "" if boat.profile == chosen.name else f"the boat keeps profile {boat.profile}"
             )
 
     def _on_sync(self, boat: Boat, message: Any, now_s: float) -> None:
@@ -191,7 +189,7 @@ class Fleet:
         now_s = self._clock.monotonic_s()
         if now_s - self._ticked_s > INPUT_S:  # what pages said meanwhile is old, and they are to learn of it
             self._slept_s, self._deaf_until_s = now_s - self._ticked_s, now_s + DEAF_S
-            self.release_all("the console slept")
+            self.release_all("the console's computer slept")
         self._ticked_s = now_s
         if now_s - self._beat_s >= HEARTBEAT_S:
             self._beat_s = now_s
@@ -254,7 +252,7 @@ class Fleet:
         row = row_of(word, boat.modes) if word != "profile" else None
         stop = row is not None and row.mode == "idle"
         if self._asleep_s(now_s) > LIFE_S and not stop:
-            raise Refused("the console slept: say it again")
+            raise Refused("the console's computer slept: give the command again")
         if row is None:
             self._set_profile(boat, words["profile"], answer, now_s)
             return
@@ -297,7 +295,7 @@ class Fleet:
         self._thrust(number, 0.0, 0.0)
         if number in self.boats:
             self.boats[number].released = True
-            self._say(number, 4, f"manual released: {why}")
+            self._say(number, 4, f"manual thrust set to 0: {why}")
 
     def release_all(self, why: str) -> None:
         for number in list(self._inputs):

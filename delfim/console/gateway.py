@@ -133,7 +133,7 @@ class Gateway:
         self.fleet.tick()
         if self.session is not None:
             self.session.tick()
-            self._complain("the session is not recorded", self.session.reason)
+            self._complain("recording of the session", self.session.reason)
         for name, each in self.radios.items():
             self._complain(name, each.reason)
         self._ticks += 1
@@ -146,7 +146,7 @@ class Gateway:
         """Once for each reason."""
         if reason != self._complaints.get(name, ""):
             self._complaints[name] = reason
-            self.tell(self._text(f"{name}: {reason or 'all is well again'}"))
+            self.tell(self._text(f"{name}: {reason or 'works again'}"))
 
     def _text(self, words: str) -> dict[str, Any]:
         """A warning that is no boat's."""
@@ -171,7 +171,7 @@ class Gateway:
 
     async def _socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._pages) >= PAGES_MAX:
-            raise web.HTTPServiceUnavailable(text="too many pages are open\n")
+            raise web.HTTPServiceUnavailable(text="too many pages are open: close one\n")
         link = web.WebSocketResponse(heartbeat=5.0, max_msg_size=MESSAGE_BYTES)
         await link.prepare(request)
         page = Page(link, request)
@@ -249,7 +249,7 @@ class Gateway:
                 fleet.release(number, why[:80])
             case said.Command(boat="all"):
                 if asked.command != "stop":
-                    raise Refused("only stop is for all boats")
+                    raise Refused("only stop can be given to all boats")
                 self._stop_all(answer)
             case said.Command(boat=int(number)):
                 if asked.command == "stop":
@@ -282,7 +282,7 @@ class Gateway:
         for number in sorted(waiting):
             fleet.command(number, "stop", {}, partial(stopped, number))
         if not fleet.boats:
-            answer(False, "no boat is heard")
+            answer(False, "no boat has been heard")
 
     def _mission(
         self, page: Page, asked: said.Mission, plan: dict[str, Any] | None, answer: Callable[[bool, str], None]
@@ -319,9 +319,9 @@ class Gateway:
         self, page: Page, number: int, plan: dict[str, Any], sequence: int | None, answer: Callable[[bool, str], None]
     ) -> None:
         if self._vehicle is None:
-            raise Refused("no dry run without the vehicle's file: delfim console --vehicle FILE")
+            raise Refused("a dry run needs the vehicle's file: start delfim console with --vehicle FILE")
         if self._dry_runs >= DRY_RUNS_MAX:
-            raise Refused("dry runs are under way already")
+            raise Refused("other dry runs are under way: wait until one has ended")
         boat = self.fleet.boats.get(number)
         known = boat is not None and boat.values.get("latitude_deg") is not None
         start = (boat.values["latitude_deg"], boat.values["longitude_deg"]) if boat is not None and known else None

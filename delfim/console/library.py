@@ -43,5 +43,5 @@ class Library:
 
     def _file(self, name: str) -> Path:
         if not _NAME.fullmatch(name) or _DEVICE.fullmatch(name):
-            raise Refused(f"{name!r:.70} is no name for a mission: up to 60 letters, digits, spaces, dots and dashes")
+            raise Refused(f"{name!r:.70} is no name for a mission: take up to 60 letters, digits, spaces, dots and dashes")
         return self._folder / f"{name}.toml"

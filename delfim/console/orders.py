@@ -76,7 +76,7 @@ def _heading(n: Numbers) -> CommandLong:
 def _goto_point(n: Numbers) -> CommandLong:
     latitude, longitude = round(n["latitude_deg"] * 1e7), round(n["longitude_deg"] * 1e7)
     if abs(latitude) > 890_000_000 or abs(longitude) > 1_800_000_000:
-        raise FormatError(f"{n['latitude_deg']}, {n['longitude_deg']} is nowhere")
+        raise FormatError(f"{n['latitude_deg']}, {n['longitude_deg']} is no position on Earth")
     return CommandLong(mavlink.MAV_CMD_DO_REPOSITION, (n.get("speed_mps", OWN_SPEED), 1.0), (latitude, longitude))
 
 

@@ -50,7 +50,7 @@ def tables_of(plan: Mapping[str, Any]) -> Mission:
             fence=config.Zones(keep_in=corners, keep_out=keep_out),
         )
     except (KeyError, TypeError, ValueError) as error:
-        raise FormatError(f"no mission: {error}") from None
+        raise FormatError(f"not a mission: {error}") from None
 
 
 def written(plan: Mapping[str, Any]) -> Mission:
@@ -128,7 +128,7 @@ def _row(kind: type[Row], each: Mapping[str, Any]) -> Row:
 def _place(where: Mapping[str, Any]) -> tuple[float, float]:
     latitude_deg, longitude_deg = float(where["latitude_deg"]), float(where["longitude_deg"])
     if not (abs(latitude_deg) <= LATITUDE_MAX_DEG and abs(longitude_deg) <= LONGITUDE_MAX_DEG):
-        raise ValueError(f"{latitude_deg}, {longitude_deg} is nowhere")
+        raise ValueError(f"{latitude_deg}, {longitude_deg} is no position on Earth")
     return latitude_deg, longitude_deg
 
 

@@ -87,7 +87,7 @@ class Requests:
         """Due often: repeats what was not answered, and gives up what is too old."""
         for request in list(self._waiting):
             if now_s - request.begun_s > (STOP_LIFE_S if request.is_stop else LIFE_S):
-                said = "no answer from the boat" if request.answered is None else "the boat does not say that it is idle"
+                said = "no answer from the boat" if request.answered is None else "the boat took the stop but is not idle"
                 self._end(request, False, said)
             elif now_s >= request.due_s:
                 self._repeat(request, now_s)

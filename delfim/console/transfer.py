@@ -98,7 +98,7 @@ class Download:
                 self._ended(f"refused: {_result(message.type)}")
         elif kind == "MISSION_COUNT" and self._count < 0:
             if message.count > ITEMS:
-                self._ended(f"{message.count} items are more than {ITEMS}")
+                self._ended(f"the boat has {message.count} items, the console takes {ITEMS} at most")
                 return
             self._count = message.count
             self._go_on(now_s)

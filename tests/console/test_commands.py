@@ -156,7 +156,7 @@ async def put(sea: Sea, page: Page, boat: Boat) -> None:
 
 async def fetched(sea: Sea, page: Page, boat: Boat) -> None:
     await other_plan(sea, page, boat)
-    await menu("Mission", "Take the one aboard")(sea, page, boat)
+    await menu("Mission", "Read from the boat")(sea, page, boat)
     await badge(page, "same")
 
 
@@ -177,7 +177,7 @@ async def loaded(sea: Sea, page: Page, boat: Boat) -> None:
     name = next((sea.folder / "missions").glob("*.toml")).stem
     await other_plan(sea, page, boat)
     await menu("Mission", "Load", name)(sea, page, boat)
-    await menu("Mission", "Take the one aboard")(sea, page, boat)
+    await menu("Mission", "Read from the boat")(sea, page, boat)
     await badge(page, "same")
 
 
@@ -346,7 +346,7 @@ async def planned(sea: Sea) -> None:
     await page.value(f"(([a, b]) => delfim.fit(a + {south}, b + {west}, a + {north}, b + {east}))(window.origin)")
     for place in PLACES:
         await on_map(*place, "Add waypoint")(sea, page, boat)
-    await on_map(*HOME, "Fence, obstacle, home", "Home is here")(sea, page, boat)
+    await on_map(*HOME, "Fence, obstacle, home", "Set home here")(sea, page, boat)
     await menu("Mission", "Send to the boat")(sea, page, boat)
     await badge(page, "same")
 

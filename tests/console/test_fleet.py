@@ -168,7 +168,7 @@ def test_thrust_follows_the_page_and_ends_when_the_page_does(sea: Sea) -> None:
     sea.run(3.0)
     assert sea.boats[1].thrust == [(300, 100)] * 5 + [(0, 0)], "zero once, then silence"
     assert sea.shown(1)["released"]
-    assert any("manual released" in each.get("text", "") for each in sea.told)
+    assert any("manual thrust set to 0" in each.get("text", "") for each in sea.told)
     assert sea.boats[2].thrust == []
 
 
@@ -276,7 +276,7 @@ def test_a_command_that_is_too_old_is_not_sent_any_more() -> None:
 def test_a_mission_goes_up_is_read_back_and_compared(sea: Sea) -> None:
     sea.fleet.put(1, SQUARE)
     sea.fleet.upload(1, lambda well, why: sea.answers.append((well, why)))
-    with pytest.raises(Refused, match="on its way"):
+    with pytest.raises(Refused, match="being sent or read"):
         sea.fleet.download(1, lambda well, why: None)
     sea.run(20.0, until=lambda: sea.answers)
     assert sea.answers == [(True, "")]
@@ -488,7 +488,7 @@ def test_another_console_with_our_number_is_told_of_once_a_minute() -> None:
         sea.fleet.receive(("serial", "/dev/ttyUSB0"), beat)
         sea.run(1.0)
     texts = [each["text"] for each in sea.told if each["t"] == "text" and each["boat"] is None]
-    words = "/dev/ttyUSB0 has the number of this console, 231: start one of them with another (delfim console --number)"
+    words = "a console on /dev/ttyUSB0 has our number, 231: start one of the two with another --number"
     assert texts == [words] * 2
 
 

@@ -404,7 +404,7 @@ def test_two_hundred_pages_are_served_or_refused_in_words(tmp_path: Path) -> Non
                     refused.append(error.status)
             assert (len(served), refused) == (PAGES_MAX, [503] * (200 - PAGES_MAX))
             async with sea.session.get(sea.url + "ws") as answer:
-                assert await answer.text() == "too many pages are open\n"
+                assert await answer.text() == "too many pages are open: close one\n"
             for page in served:
                 await page.close()
             async with sea.session.ws_connect(sea.url + "ws") as page:
@@ -590,7 +590,7 @@ def test_a_gateway_that_slept_sends_nothing_old_when_it_wakes(tmp_path: Path) ->
             clock.advance(8.0)
             for count in range(1, 6):
                 await steer(count)
-            assert (await ask("play"))["reason"] == "the console slept: say it again"
+            assert (await ask("play"))["reason"] == "the console's computer slept: give the command again"
             await sea.until(page, lambda m: boat_in(m, 1).get("released"))
             assert (await ask("stop"))["ok"]
             assert boat.thrust == [(300, 0), (0, 0)]

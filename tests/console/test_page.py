@@ -228,7 +228,7 @@ def test_a_hidden_page_sends_no_thrust(sail: Sail) -> None:
         await page.value(
             "Object.defineProperty(document, 'hidden', {value: true}), document.dispatchEvent(new Event('visibilitychange'))"
         )
-        assert (await gateway.until(lambda m: m["t"] == "release"))["why"] == "hidden"
+        assert (await gateway.until(lambda m: m["t"] == "release"))["why"] == "the page is hidden"
 
     sail(story)
 
@@ -239,7 +239,7 @@ def test_a_page_that_slept_releases_and_waits_for_the_operator(sail: Sail) -> No
         await page.press("4")
         await gateway.until(is_input(40, 40))
         await page.value("(() => { const end = Date.now() + 1500; while (Date.now() < end); })()")
-        assert (await gateway.until(lambda m: m["t"] == "release"))["why"] == "asleep"
+        assert (await gateway.until(lambda m: m["t"] == "release"))["why"] == "the page slept"
         for _ in range(20):
             await gateway.frame()
             await asyncio.sleep(0.02)
@@ -611,7 +611,7 @@ def test_what_differs_aboard_is_badged_and_can_be_taken(sail: Sail) -> None:
         gateway.boat(1)["mission"] = {"name": "Aboard", "count": 10, "current": None, "state": "differs", "digest": "2"}
         await shown(page, gateway, f"{text_of(1, '.badge')} === 'differs'")
         await page.press("Enter")
-        await choose(page, "Mission", "Take the one aboard")
+        await choose(page, "Mission", "Read from the boat")
         assert (await gateway.until(lambda m: m.get("do") == "put"))["mission"]["name"] == "Aboard"
 
     sail(story)
@@ -635,7 +635,7 @@ def test_a_silent_boat_stays_in_the_list_with_its_age(sail: Sail) -> None:
         await shown(page, gateway, "document.querySelector('[data-boat=\"1\"]').dataset.age === 'lost'")
         assert (await page.value(text_of(1, ".age"))).startswith("42")
         assert await page.value("document.querySelector('.selected').dataset.boat") == "1"
-        await shown(page, gateway, "document.getElementById('messages').textContent.includes('nothing is heard of it')")
+        await shown(page, gateway, "document.getElementById('messages').textContent.includes('nothing is heard from it')")
         del gateway.boats[0]
         await gateway.frame()
         assert await page.value("document.querySelectorAll('.chip').length") == 2

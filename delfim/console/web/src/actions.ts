@@ -1,18 +1,18 @@
-// What an operator does to a boat, whether by key or by menu. Every command names its boat.
+// The operator's actions on a boat, by key or by menu. Every command names its boat.
 import type { Drive, Thrusters } from "./drive";
 import { spoken } from "./mission";
 import type { Answer, Net } from "./net";
 import type { State } from "./state";
 import type { Boat, MissionDeed, Mode, Place } from "./wire";
 
-const WANTED_MS = 2000; // what was asked for is taken for granted so long, until the boat says its own
+const WANTED_MS = 2000; // for so long the page shows the value asked for; then the boat's own
 const STOP_AGAIN_MS = 200;
 const STOP_MOST = 150; // 30 s; then the gateway's own repetition and the boat's own failsafe remain
 
 export type Say = (boat: number | null, severity: number, text: string) => void;
 type More = Partial<Place> & { heading_deg?: number; speed_pct?: number; leg?: number };
 
-/** In words. A boat says itself what it refuses: "play refused: no mission loaded". */
+/** The text of a refusal. A boat names the refused command itself: "play refused: no mission loaded". */
 function refusal(what: string, reason: string): string {
   return reason.includes(" refused: ") ? reason : `${what} refused: ${reason || "no reason given"}`;
 }
@@ -41,7 +41,7 @@ export class Actions {
   }
 
   async mode(boat: Boat, mode: Mode): Promise<void> {
-    if (mode !== "idle") this.stopping.delete(boat.id); // a new wish
+    if (mode !== "idle") this.stopping.delete(boat.id); // a new order replaces the stop
     if (mode === "manual") this.drive.begin(boat.id);
     else this.drive.end(boat.id);
     this.wantedMode.set(boat.id, { mode, at: performance.now() });
@@ -52,7 +52,7 @@ export class Actions {
     if (mode === "manual") this.drive.end(boat.id);
   }
 
-  /** The mode that the boat was asked for and is not in. */
+  /** The mode that was asked for and that the boat has not entered yet. */
   asked(boat: Boat): Mode | null {
     const wanted = this.wantedMode.get(boat.id);
     const mine = wanted && performance.now() - wanted.at < WANTED_MS ? wanted.mode : null;
@@ -60,7 +60,7 @@ export class Actions {
     return asked === boat.mode ? null : asked;
   }
 
-  /** Stop one boat. The gateway repeats it until the boat answers; what is not taken is asked again until the boat is idle. */
+  /** Stop one boat. The gateway repeats it until the boat answers; a stop that fails is sent again until the boat is idle. */
   stop(id: number): void {
     this.drive.end(id);
     void this.halt([id], id);
@@ -91,7 +91,7 @@ export class Actions {
     if (this.byHand(boat)) this.drive.turn(boat.id, which, by);
     else if (which !== "both") this.oneOnly(boat);
     else if (this.inMode(boat, "heading")) this.headTo(boat, (this.heading_deg(boat) + by + 360) % 360);
-    else this.say(boat.id, 6, "Left and Right steer in manual and in heading mode");
+    else this.say(boat.id, 6, "Left and Right work in manual and heading mode only");
   }
 
   headTo(boat: Boat, heading_deg: number): void {
@@ -116,7 +116,7 @@ export class Actions {
     return Math.round(boat.reference?.heading_deg ?? boat.heading_deg ?? 0);
   }
 
-  /** What is to be done with the plan of a boat; the plan goes along with what needs it. */
+  /** Ask the gateway to do something with a boat's plan; the plan is sent along where it is needed. */
   async mission(boat: number, deed: MissionDeed, name?: string): Promise<Answer> {
     const carries = deed !== "list" && deed !== "load" && deed !== "download";
     const more = { ...(carries ? { mission: spoken(this.state.plan(boat).mission) } : {}), ...(name === undefined ? {} : { name }) };
@@ -134,7 +134,7 @@ export class Actions {
     void this.net.ask({ t: "replay", ...to });
   }
 
-  /** What is set by hand, port and starboard, %. */
+  /** The thrust set by hand, port and starboard, %. */
   thrust_pct(boat: Boat): [number, number] {
     const hand = this.drive.hand(boat.id);
     return hand ? [hand.port_pct, hand.starboard_pct] : [0, 0];
@@ -157,7 +157,7 @@ export class Actions {
   }
 
   private oneOnly(boat: Boat): void {
-    this.say(boat.id, 6, "Alt and Ctrl choose one thruster in manual mode");
+    this.say(boat.id, 6, "Alt and Ctrl work in manual mode only");
   }
 
   private async halt(ids: number[], boat: number | "all"): Promise<void> {

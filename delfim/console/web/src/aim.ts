@@ -1,4 +1,4 @@
-// A crosshair in the middle of the map for who has no pointer: arrows move the map under it, Enter is a click there.
+// A crosshair in the middle of the map, for use without a pointer: arrows move the map under it, Enter is a click there.
 import type { Chart, Pixel } from "./chart";
 import { make } from "./dom";
 import type { Place } from "./wire";

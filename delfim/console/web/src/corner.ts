@@ -1,4 +1,4 @@
-// What floats over the map beside the menus: the stop corner, the key card, the result of a dry run, where the pointer is.
+// Boxes over the map: the stop corner, the key card, the result of a dry run, the position of the pointer.
 import type { Actions } from "./actions";
 import { attribute, make, text } from "./dom";
 import { position as boatPosition } from "./fleet";
@@ -7,7 +7,7 @@ import { CARD, REPLAY_CARD } from "./keys";
 import type { State } from "./state";
 import type { Place } from "./wire";
 
-/** Always there, the same code as the keys: no menu, no question, and taken when the finger comes down. */
+/** Always visible, with the same code as the keys: no menu, no question; it acts as soon as the finger comes down. */
 export class Corner {
   private readonly name: Element;
 
@@ -42,16 +42,16 @@ export class Corner {
   }
 }
 
-/** What is drawn how: a class of the style sheet, and words. */
+/** The legend: a class of the style sheet, and its meaning. */
 const LINES: readonly (readonly [string, string])[] = [
-  ["aboard", "the mission that the boat has aboard"],
-  ["draft", "a plan on the screen that is not aboard"],
+  ["aboard", "the mission aboard the boat"],
+  ["draft", "a plan not yet sent to the boat"],
   ["band", "its path, for path following"],
-  ["steering", "where the boat is steering to"],
+  ["steering", "where the boat is steering"],
   ["course", "its course, a minute ahead"],
-  ["track", "where it was"],
-  ["zone", "fence and obstacles that the boat keeps"],
-  ["zone draft", "those of the plan on the screen"],
+  ["track", "its past track"],
+  ["zone", "fence and obstacles aboard the boat"],
+  ["zone draft", "fence and obstacles not yet sent"],
 ];
 
 export function card(parent: HTMLElement, state: State): { toggle(): void; close(): boolean } {

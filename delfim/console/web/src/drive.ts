@@ -4,9 +4,9 @@ import type { Net } from "./net";
 import type { State } from "./state";
 
 const STREAM_MS = 200;
-const ASLEEP_MS = 1000; // without a beat of its own timer the page, or the laptop, slept
+const ASLEEP_MS = 1000; // a timer that stands still for so long means that the page, or the laptop, slept
 const MOST_PCT = 100;
-const CONFIRM_MS = 3000; // a boat that is not in manual so long after it was asked is not driven
+const CONFIRM_MS = 3000; // a boat that is not in manual so long after the request is not driven
 
 export type Thrusters = "both" | "port" | "starboard";
 
@@ -15,7 +15,7 @@ interface Hand {
   starboard_pct: number;
   n: number;
   silent: boolean;
-  released: boolean; // what the gateway said last
+  released: boolean; // as the gateway said last
   since: number; // when manual mode was asked for; -Infinity once the boat was seen in it
 }
 
@@ -32,17 +32,17 @@ export class Drive {
   ) {
     setInterval(() => this.stream(), STREAM_MS);
     state.on(["boats"], () => this.confirm());
-    window.addEventListener("blur", () => this.release("blur"));
-    window.addEventListener("pagehide", () => this.release("pagehide"));
-    document.addEventListener("visibilitychange", () => document.hidden && this.release("hidden"));
-    document.addEventListener("freeze", () => this.release("frozen"));
+    window.addEventListener("blur", () => this.release("another window is in front"));
+    window.addEventListener("pagehide", () => this.release("the page was closed"));
+    document.addEventListener("visibilitychange", () => document.hidden && this.release("the page is hidden"));
+    document.addEventListener("freeze", () => this.release("the browser paused the page"));
   }
 
   hand(id: number): Readonly<Hand> | undefined {
     return this.hands.get(id);
   }
 
-  /** The operator asked for manual mode: from zero. */
+  /** The operator asked for manual mode: start from zero. */
   begin(id: number): void {
     const [n, released] = [this.hands.get(id)?.n ?? 0, this.state.byId(id)?.released ?? false];
     this.hands.set(id, { port_pct: 0, starboard_pct: 0, n, silent: false, released, since: performance.now() });
@@ -72,7 +72,7 @@ export class Drive {
     this.send(id, hand);
   }
 
-  /** More of the common speed, %. */
+  /** Add to the common speed, %. */
   faster(id: number, which: Thrusters, by: number): void {
     const hand = this.taken(id);
     if (which !== "starboard") hand.port_pct = limited(hand.port_pct + by);
@@ -80,7 +80,7 @@ export class Drive {
     this.send(id, hand);
   }
 
-  /** More of the differential speed, %: positive turns to starboard. */
+  /** Add to the differential speed, %: positive turns to starboard. */
   turn(id: number, which: Thrusters, by: number): void {
     const hand = this.taken(id);
     if (which !== "starboard") hand.port_pct = limited(hand.port_pct + by);
@@ -121,7 +121,7 @@ export class Drive {
   private stream(): void {
     const slept_ms = Date.now() - this.streamed;
     this.streamed = Date.now();
-    if (slept_ms > ASLEEP_MS) this.release("asleep");
+    if (slept_ms > ASLEEP_MS) this.release("the page slept");
     for (const [id, hand] of this.hands) if (!hand.silent) this.send(id, hand);
   }
 

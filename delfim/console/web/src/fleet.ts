@@ -15,13 +15,13 @@ import { age_s, ageWords, freshness } from "./state";
 import type { Boat, Place } from "./wire";
 
 const CHUNK = 500;
-const CHUNKS_MOST = 72; // ten hours at a point a second: what the gateway keeps
+const CHUNKS_MOST = 72; // ten hours at a point a second, as many as the gateway keeps
 const EVERY_S = 1;
 const AHEAD_S = 60;
 const RAD = Math.PI / 180;
 const LETTER_PX = 8;
 const LINE_PX = 18;
-const MARK_PX = 12; // what a waypoint's disc reaches
+const MARK_PX = 12; // radius of a waypoint's disc
 
 /** Where a name may stand beside its boat. */
 const SIDES = [
@@ -93,7 +93,7 @@ export class Fleet {
     this.draw();
   }
 
-  /** The whole way of a recorded run, under what was sailed up to the time that is shown. */
+  /** The whole track of a recorded run, under the part that was sailed up to the time shown. */
   whole(points: [number, number, number][]): void {
     if (!this.ways.getFeatures().length) this.chart.add(this.waysLayer, 2);
     const line = new LineString(points.map(([, latitude_deg, longitude_deg]) => point({ latitude_deg, longitude_deg })));
@@ -122,8 +122,8 @@ export class Fleet {
     this.draw();
   }
 
-  /** By where the boats are now, and by nothing else: what is drawn for another reason, as after a reconnection, is older than the
-   * tracks that the gateway told. */
+  /** Only by new positions of the boats: what is drawn for another reason, as after a reconnection, may be older than the tracks
+   * that the gateway has sent. */
   private extend(): void {
     const { boats, at_s } = this.state;
     for (const boat of boats) {
@@ -141,7 +141,7 @@ export class Fleet {
     this.drawAboard();
   }
 
-  /** What a name must not hide: the numbers of the waypoints, and boats. */
+  /** Pixels that a name must not cover: the numbers of the waypoints, and boats. */
   private marks(): Pixel[] {
     const { boats, selected } = this.state;
     const chosen = this.state.boat;
@@ -153,7 +153,7 @@ export class Fleet {
     });
   }
 
-  /** A name stays where it is until something is there, so that it does not hop about. */
+  /** A name moves only when a mark comes into its place, so that it does not hop about. */
   private placeName(shown: Shown, boat: Boat, marks: Pixel[]): void {
     const place = position(boat);
     const its = place && this.chart.pixelOf(place);
@@ -263,7 +263,7 @@ export class Fleet {
     this.draw();
   }
 
-  /** What the boat itself keeps: redrawn only when it changes. */
+  /** Fence, obstacles and home aboard: redrawn only when they change. */
   private drawAboard(): void {
     const key = JSON.stringify(this.state.boats.map(({ id, fence, obstacles, home }) => [id, fence, obstacles, home]));
     if (key === this.aboardKey) return;
@@ -342,7 +342,7 @@ function put<G extends Point | LineString | Polygon | Circle>(feature: Feature<G
 
 const symbols = new Map<string, HTMLCanvasElement>();
 
-/** A catamaran from above, twice as large as it is shown; hollow when nothing is heard of it. */
+/** A catamaran from above, twice as large as it is shown; hollow when the link is lost. */
 function symbol(colour: string, hollow: boolean): HTMLCanvasElement {
   const key = `${colour}|${hollow}|${theme}`;
   const known = symbols.get(key);

@@ -1,4 +1,4 @@
-// What a person who is here for the first time must be told: where things are, until it was found, and that there is no boat yet.
+// Hints for a first-time user: where the menus are, until one was opened, and that no boat is heard yet.
 import { make } from "./dom";
 import type { Popup } from "./popup";
 import type { State } from "./state";
@@ -18,12 +18,12 @@ export class Hints {
     popup.opened = () => this.used();
     const draw = () => {
       nobody.hidden = !state.hello || state.replaying || state.boats.length > 0;
-      if (!nobody.hidden) nobody.replaceChildren(make("b", state.nobody), make("span", "A mission can be planned meanwhile. It becomes the plan of the first boat."));
+      if (!nobody.hidden) nobody.replaceChildren(make("b", state.nobody), make("span", "You can plan a mission now: it becomes the plan of the first boat."));
     };
     state.on(["hello", "boats"], draw);
   }
 
-  /** It was found: it goes away, and does not come again. */
+  /** The menu was found: the hint goes away for good. */
   used(): void {
     this.hint.hidden = true;
     localStorage.setItem(KEPT, "1");

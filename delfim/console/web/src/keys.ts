@@ -1,4 +1,4 @@
-// The keys of the thesis (section 4.3), and stop. Letters by what they say, digits and arrows by where they are.
+// The keys of the thesis (section 4.3), and stop. Letters are taken by character, digits and arrows by their place on the keyboard.
 import type { Actions } from "./actions";
 import type { Thrusters } from "./drive";
 import type { State } from "./state";
@@ -6,7 +6,7 @@ import type { Boat, Mode } from "./wire";
 
 const ARROW_EVERY_MS = 100;
 
-/** The modes that have a key; the menu has all that the boat tells. */
+/** The modes that have a key; the menu has every mode that the boat reports. */
 export const KEYED: readonly { key: string; mode: Mode; title: string; says: string }[] = [
   { key: "I", mode: "idle", title: "Idle", says: "thrusters are powered off" },
   { key: "M", mode: "manual", title: "Manual", says: "thrusters are set here" },
@@ -14,7 +14,7 @@ export const KEYED: readonly { key: string; mode: Mode; title: string; says: str
   { key: "G", mode: "goto", title: "Go to waypoint 1", says: "in heading mode, and stop there" },
   { key: "P", mode: "path", title: "Path following", says: "follow the path that connects the waypoints" },
   { key: "Y", mode: "play", title: "Play mission", says: "each waypoint in turn, in heading mode" },
-  { key: "X", mode: "grex", title: "GREX", says: "do what the guest computer says" },
+  { key: "X", mode: "grex", title: "GREX", says: "follow the guest computer" },
 ];
 
 type Group = readonly [title: string, rows: readonly (readonly [string, string])[]];
@@ -61,7 +61,7 @@ export const CARD: readonly Group[] = [
     "Speed",
     [
       ["0 … 8", "0 % … 80 %"],
-      ["9", "no function: a slip beside 0 must not mean 90 %"],
+      ["9", "no function, so that a slip beside 0 is not 90 %"],
       ["↑ ↓", "common speed ± 1 %"],
       ["→ ←", "turn to starboard, to port"],
       ["Alt", "with these: the starboard thruster only"],
@@ -79,7 +79,7 @@ export const CARD: readonly Group[] = [
   [
     "Plan",
     [
-      ["W W", "crosshair, then a waypoint where it is"],
+      ["W W", "crosshair; W again puts a waypoint there"],
       ["Ctrl Z", "undo the last change of the plan"],
     ],
   ],
@@ -92,7 +92,7 @@ export interface Screen {
   closeMenu(): void;
   openMenu(): void;
   toggleCard(): void;
-  /** Of a mission that differs from the plan on the screen the operator is asked first. */
+  /** Asks the operator first when the mission aboard differs from the plan on the screen. */
   enterMode(boat: Boat, mode: Mode): void;
   nobody(): void;
   aim(): void;
@@ -200,7 +200,7 @@ export class Keys {
   }
 }
 
-/** A letter of a name. Space is stop wherever it is pressed. */
+/** Whether the key types a letter of a name. Space is stop wherever it is pressed. */
 function isTyped(event: KeyboardEvent): boolean {
   const into = event.target instanceof HTMLInputElement && event.target.type === "text";
   return into && event.code !== "Space" && !["Enter", "Escape", "Tab", "F1"].includes(event.key);

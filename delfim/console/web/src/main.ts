@@ -1,4 +1,4 @@
-// The console's page: puts the parts together and hands them what the gateway says.
+// The console's page: puts the parts together and passes the gateway's messages to them.
 import "ol/ol.css";
 import "./style.css";
 import { Actions } from "./actions";
@@ -123,17 +123,17 @@ function heard(message: Heard): void {
 function online(now: boolean): void {
   state.online = now;
   element("offline").hidden = now;
-  if (!now) drive.release("offline");
+  if (!now) drive.release("the console was offline");
 }
 
-/** The first boat has the plan that was made before it was heard. */
+/** The first boat gets the plan that was made before it was heard. */
 function took(boats: Boat[], at_s: number): void {
   const first = state.selected === null;
   state.takeBoats(boats, at_s);
   if (first && state.selected !== null && state.inherit(state.selected)) planned(state.selected);
 }
 
-/** A replay tells what was aboard as the plan, which nobody makes there. */
+/** A replay sends the mission aboard as the plan: nobody plans in a replay. */
 function tookMission(boat: number, where: "here" | "aboard", mission: Mission): void {
   if (where === "aboard" || state.replaying) state.takeAboard(boat, mission);
   else state.takeMission(boat, mission);
@@ -208,14 +208,14 @@ function hover(place: Place, pixel: Pixel): void {
   element("map").style.cursor = plans.measuring ? "crosshair" : over ? "pointer" : "";
 }
 
-/** What has fallen silent is said once; so is its coming back. */
+/** Says once that a boat fell silent, and once that it is back. */
 function listen(): void {
-  if (!net.online) text(element("offline").lastElementChild!, `the last word was ${ageWords(state.frameAge_s)} ago`);
+  if (!net.online) text(element("offline").lastElementChild!, `last message ${ageWords(state.frameAge_s)} ago`);
   for (const boat of state.boats) {
     const age = age_s(state, boat);
     if (freshness(age) === "lost" && !lost.has(boat.id)) {
       lost.add(boat.id);
-      if (Number.isFinite(age)) messages.say(boat.id, 4, "nothing is heard of it");
+      if (Number.isFinite(age)) messages.say(boat.id, 4, "link lost: nothing is heard from it");
     } else if (freshness(age) === "fresh" && lost.delete(boat.id)) messages.say(boat.id, 6, "heard again");
   }
 }

@@ -1,4 +1,4 @@
-// What the pop-up menus offer for a boat, a waypoint, an obstacle, the fence, and the bare map.
+// The pop-up menus of a boat, a waypoint, an obstacle, the fence, and the bare map.
 import type { Actions } from "./actions";
 import type { Chart, Pixel } from "./chart";
 import type { Fleet } from "./fleet";
@@ -14,10 +14,10 @@ import { NOBODY } from "./state";
 import type { State } from "./state";
 import type { Boat, Mission, Mode, Place, Waypoint } from "./wire";
 
-const AMONG_MISSION: ReadonlySet<Mode> = new Set(["play", "path", "goto"]); // modes that sail what is aboard
+const AMONG_MISSION: ReadonlySet<Mode> = new Set(["play", "path", "goto"]); // modes that sail the mission aboard
 const IN_MORE: ReadonlySet<Mode> = new Set(["hold", "home"]);
 const NO_BOAT = "no boat has been heard";
-/** Stands for the boat while none is heard: its mission can be planned. */
+/** Stands for the boat while none is heard, so that a mission can be planned. */
 const NONE: Boat = {
   ...{ id: NOBODY, name: "", colour: "", latitude_deg: null, longitude_deg: null, heading_deg: null, course_deg: null, speed_mps: null },
   ...{ mode: null, asked: null, modes: [], armed: false, owner: true, commander: 0, twins: [], ready: false, reason: "", failsafe: "", rpm: [null, null], thrust_pct: [null, null] },
@@ -27,7 +27,7 @@ const NONE: Boat = {
   link: { kind: "", profile: "", rtt_ms: null, loss_pct: null, bytes_per_s: null, signed: false },
   mission: { name: "", count: 0, current: null, state: "none", digest: null },
 };
-const ASIDE: Pixel = [Infinity, 60]; // a form that shapes the plan does not stand on it
+const ASIDE: Pixel = [Infinity, 60]; // a form that changes the plan must not cover it
 const PROFILES = ["lean", "radio", "wifi"];
 
 export class Menus {
@@ -66,7 +66,7 @@ export class Menus {
     ]);
   }
 
-  /** Into a mode. Where it would sail the mission aboard and the plan on the screen is another one: which of them is meant? */
+  /** Enter a mode. If it sails the mission aboard and the plan on the screen differs, the operator is asked which one. */
   sail(boat: Boat, mode: Mode, from?: number): void {
     const begin = () => {
       if (from === undefined) void this.actions.mode(boat, mode);
@@ -77,7 +77,7 @@ export class Menus {
     if (!AMONG_MISSION.has(mode) || !plan.waypoints.length || compared === "same") return begin();
     const verb = mode === "play" ? "play it" : mode === "path" ? "follow it" : "go to its waypoint 1";
     const { name, count } = boat.mission;
-    const other = compared === "none" || !count ? "nothing is aboard" : from !== undefined && "its waypoints are other ones";
+    const other = compared === "none" || !count ? "no mission is aboard" : from !== undefined && "its waypoints differ from the plan’s";
     this.popup.menu(this.chart.middle()[1], { title: boat.name, colour: boat.colour, note: "The plan is not aboard" }, [
       {
         title: `${isSailing(boat) ? "Hold, send" : "Send"} the plan, then ${verb}`,
@@ -85,16 +85,16 @@ export class Menus {
         do: () => void this.replace(boat).then((well) => well && begin()),
       },
       {
-        title: "Leave it: sail what is aboard",
-        ...(compared === "unknown" ? { note: "which was not read" } : { note: `${name === M.UNNAMED ? "" : `${name} · `}${count} waypoints, the full line` }),
+        title: "Sail the mission aboard instead",
+        ...(compared === "unknown" ? { note: "it has not been read yet" } : { note: `${name === M.UNNAMED ? "" : `${name} · `}${count} waypoints, the solid line` }),
         refuse: compared !== "unknown" && other,
         do: begin,
       },
-      { title: "Neither" },
+      { title: "Cancel" },
     ]);
   }
 
-  /** A mission that is being sailed is not exchanged under the boat: it holds its position meanwhile. */
+  /** The boat holds its position while the mission that it sails is replaced. */
   private async replace(boat: Boat): Promise<boolean> {
     return (!isSailing(boat) || (await this.actions.command(boat.id, "hold")).ok) && (await this.send(boat));
   }
@@ -127,7 +127,7 @@ export class Menus {
     this.edit(boat.id, change(this.state.plan(boat.id).mission));
   }
 
-  /** A form whose numbers are shown on the map at once, and are the plan's after OK. */
+  /** A form that shows its numbers on the map at once; OK puts them into the plan. */
   private shape(boat: Boat, title: string, fields: Field[], made: (mission: Mission, values: number[]) => Mission): void {
     const before = this.state.plan(boat.id).mission;
     let next = before;
@@ -187,7 +187,7 @@ export class Menus {
     });
     return [
       { title: "Hold this position", do: () => void this.actions.mode(boat, "hold") },
-      { title: "Go home", refuse: boat.home ? undefined : "no home is known", do: () => void this.actions.mode(boat, "home") },
+      { title: "Go home", refuse: boat.home ? undefined : "no home aboard: set one in the plan and send it", do: () => void this.actions.mode(boat, "home") },
       "line",
       boat.armed ? command("Disarm", "disarm") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
       ...this.state.orders.map(({ command, title, key }): Item => ({ title, ...(key && { key }), do: () => void this.actions.command(boat.id, command) })),
@@ -203,8 +203,8 @@ export class Menus {
     const nobody = boat.id === NOBODY ? NO_BOAT : undefined;
     const others = this.state.boats.filter((each) => each.id !== boat.id);
     return [
-      { title: "Send to the boat", note: this.compared(boat), refuse: nobody ?? none ?? (isSailing(boat) && "a mission is being sailed: hold or stop first"), do: () => void this.send(boat) },
-      { title: "Take the one aboard", refuse: nobody, do: () => this.fetch(boat) },
+      { title: "Send to the boat", note: this.compared(boat), refuse: nobody ?? none ?? (isSailing(boat) && "the boat is sailing a mission: hold or stop it first"), do: () => void this.send(boat) },
+      { title: "Read from the boat", refuse: nobody, do: () => this.fetch(boat) },
       { title: "Dry run", refuse: none, note: "in the simulator: time and distance", do: () => this.dryRun(boat) },
       "line",
       { title: "Save", note: mission.name, refuse: none, do: () => this.save(boat, mission.name) },
@@ -225,7 +225,7 @@ export class Menus {
   }
 
   private compared(boat: Boat): string {
-    const words = { same: "aboard is the same", differs: "aboard is another one", unknown: "what is aboard is not known", none: "nothing aboard" };
+    const words = { same: "the boat has this plan", differs: "the boat has another mission", unknown: "the boat’s mission is not known", none: "no mission aboard" };
     return boat.id === NOBODY ? "" : words[this.state.compared(boat)];
   }
 
@@ -241,7 +241,7 @@ export class Menus {
 
   private saveAs(boat: Boat): void {
     const { names } = this.state;
-    const note = (name: string) => (names.includes(name) ? "There is one of this name. It will be replaced." : "");
+    const note = (name: string) => (names.includes(name) ? "A mission of this name exists: Save replaces it." : "");
     this.popup.name("Save under a new name", newName(this.state.plan(boat.id).mission.name, names), note, (name) => this.save(boat, name));
   }
 
@@ -254,7 +254,7 @@ export class Menus {
   }
 
   private dryRun(boat: Boat): void {
-    this.messages.say(boat.id || null, 6, "dry run begins");
+    this.messages.say(boat.id || null, 6, "dry run started");
     void this.actions.mission(boat.id, "dryrun");
   }
 
@@ -287,7 +287,7 @@ export class Menus {
 
   private view(place: Place | null): Entry[] {
     const entries: Entry[] = [
-      { title: "Ruler from here", refuse: place ? undefined : "its position is not known", do: () => this.plans.measure(place) },
+      { title: "Ruler from here", refuse: place ? undefined : "the boat’s position is not known", do: () => this.plans.measure(place) },
       { title: "Show everything", do: () => this.chart.fit(this.everything(), 250) },
       { title: "Screen", sub: () => this.screen() },
       { title: "Keys and lines", key: "F1", do: this.card },
@@ -324,7 +324,7 @@ export class Menus {
   }
 
   private said(): Entry[] {
-    if (!this.messages.kept.length) return [{ title: "Nothing was said", refuse: "yet" }];
+    if (!this.messages.kept.length) return [{ title: "No messages", refuse: "none since the page was opened" }];
     return this.messages.kept.slice(0, 12).map(({ boat, text, at }) => {
       const its = boat === null ? undefined : this.state.byId(boat);
       return { title: text, note: `${at.toLocaleTimeString("en-GB")} ${its?.name ?? ""}`, ...(its ? { colour: its.colour } : {}) };
@@ -384,7 +384,7 @@ export class Menus {
     return [
       fence,
       { title: "Obstacle here…", do: () => this.obstacleForm(boat, mission.obstacles.length, place, 10) },
-      { title: "Home is here", do: () => this.change(boat, (each) => ({ ...each, home: { ...place } })) },
+      { title: "Set home here", do: () => this.change(boat, (each) => ({ ...each, home: { ...place } })) },
     ];
   }
 

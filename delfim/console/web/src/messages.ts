@@ -1,4 +1,4 @@
-// What the boats and the gateway say in words: on the screen for a while, in the list for the session, and heard when it matters.
+// Messages of the boats and the gateway: on the screen for a while, in the list for the session, with a sound when it matters.
 import { make, text } from "./dom";
 import type { Sound } from "./sound";
 import type { State } from "./state";
@@ -14,7 +14,7 @@ export interface Message {
   severity: number; // MAVLink's: 0 emergency .. 7 debug
   text: string;
   at: Date;
-  words?: HTMLElement; // that shows it, as long as it may be on the screen
+  words?: HTMLElement; // shows it while it is on the screen
 }
 
 export const severityWord = (severity: number): string => (severity <= 3 ? "grave" : severity === 4 ? "warning" : "notice");
@@ -28,7 +28,7 @@ export class Messages {
     private readonly sound: Sound,
   ) {}
 
-  /** What was said a moment ago stands once, also where it comes again as the reason of a refusal. */
+  /** A message repeated within SAME_MS is shown once, also when it comes again as the reason of a refusal. */
   say(boat: number | null, severity: number, words: string): void {
     const recent = this.kept.find((each) => each.boat === boat && meant(each.text) === meant(words) && Date.now() - each.at.getTime() < SAME_MS);
     if (recent) return fuller(recent, words);
@@ -45,7 +45,7 @@ export class Messages {
     const boat = id === null ? undefined : this.state.byId(id);
     const dot = make("i.dot");
     dot.style.background = boat?.colour ?? "transparent";
-    const name = boat?.name ?? (id === null ? null : `boat ${id}`); // of which nothing more is known yet
+    const name = boat?.name ?? (id === null ? null : `boat ${id}`); // its name is not known yet
     const line = make("p.message", boat ? dot : null, name && make("b", name), words);
     line.dataset["severity"] = severityWord(severity);
     line.addEventListener("click", () => line.remove());
@@ -55,12 +55,12 @@ export class Messages {
   }
 }
 
-/** A refusal comes twice, from the boat and as the answer to what was asked: its reason says that they are one. */
+/** A refusal comes twice, from the boat and as the answer to the request: they have the same reason. */
 function meant(words: string): string {
   return words.replace(/^.*refused: /, "");
 }
 
-/** The one that also says what was refused is shown. */
+/** Show the longer text: it also names the refused command. */
 function fuller(message: Message, words: string): void {
   if (words.length <= message.text.length) return;
   message.text = words;

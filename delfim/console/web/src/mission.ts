@@ -16,11 +16,11 @@ export const waypoint = (place: Place): Waypoint => ({
   turn: null,
 });
 
-export const UNNAMED = "aboard"; // what the gateway calls a mission that it was not told the name of
+export const UNNAMED = "aboard"; // the gateway's name for a mission whose name it does not know
 
 export const empty = (name: string): Mission => ({ name, waypoints: [], fence: [], obstacles: [], home: null });
 
-/** Whether two missions say the same, however they were written. */
+/** Whether two missions are equal, however their numbers are written. */
 export function same(a: Mission, b: Mission): boolean {
   const at = ({ latitude_deg, longitude_deg }: Place) => [latitude_deg.toFixed(8), longitude_deg.toFixed(8)];
   const words = (mission: Mission) =>
@@ -35,13 +35,13 @@ export function same(a: Mission, b: Mission): boolean {
   return words(a) === words(b);
 }
 
-/** Whether a boat would sail the same by both: what it was sent comes back rounded, and without its name. */
+/** Whether a boat would sail both in the same way: a mission that is read back is rounded, and has no name. */
 export function alike(a: Mission, b: Mission): boolean {
   const [one, other] = [figures(spoken(a)), figures(spoken(b))];
   return one.length === other.length && one.every((each, i) => Math.abs(each - other[i]!) < 1.5);
 }
 
-/** All numbers of a mission in units of what may be lost on the way. */
+/** All numbers of a mission, in units of the rounding on the link. */
 function figures({ waypoints, fence, obstacles, home, path: pieces = [] }: Mission): number[] {
   const at = ({ latitude_deg, longitude_deg }: Place) => [latitude_deg * 1e7, longitude_deg * 1e7];
   const size = (many: unknown[]) => many.length * 1000;
@@ -61,7 +61,7 @@ function figures({ waypoints, fence, obstacles, home, path: pieces = [] }: Missi
 /** A mission and what it was before each change. */
 export class Plan {
   private past: Mission[] = [];
-  untouched = true; // nobody has planned anything: it is what the boat has
+  untouched = true; // nobody has planned anything: it is the boat's mission
 
   constructor(public mission: Mission) {}
 
@@ -218,7 +218,7 @@ export const deleteCorner = (mission: Mission, index: number): Mission => ({
   fence: mission.fence.length > 3 ? without(mission.fence, index) : [],
 });
 
-/** A corner goes between the two neighbours that it makes the least detour for. */
+/** Insert a corner between the two neighbours for which the detour is least. */
 export function insertCorner(mission: Mission, place: Place, index?: number): Mission {
   const corners = mission.fence.map(cornerPlace);
   let [best, least] = [corners.length, Infinity];

@@ -1,4 +1,4 @@
-// The WebSocket to the gateway: says what was said, numbers requests, brings their answers, and comes back by itself.
+// The WebSocket to the gateway: passes messages on, numbers requests, returns their answers, and reconnects by itself.
 import type { Heard, Said, Streamed } from "./wire";
 
 const RETRY_MS = 1000;
@@ -53,7 +53,7 @@ export class Net {
     socket.onclose = () => this.lost(socket);
   }
 
-  /** One message that cannot be taken costs itself, and no other. */
+  /** A message that cannot be read is dropped; the others are not affected. */
   private hear(text: string): void {
     this.heardAt = performance.now();
     try {

@@ -9,8 +9,8 @@ export interface Palette {
   sea: string;
   line: string;
   accent: string;
-  plan: string; // what a boat has aboard
-  draft: string; // what is only on the screen
+  plan: string; // the mission aboard
+  draft: string; // a plan that is on the screen only
   steer: string; // where it is steering
   danger: string;
   dangerFill: string;

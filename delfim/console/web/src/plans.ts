@@ -30,7 +30,7 @@ export interface Handle {
 interface Look {
   colour: string;
   lineDash?: number[];
-  small?: boolean; // it cannot be taken hold of
+  small?: boolean; // it has no handles
 }
 
 type Changed = (mission: Mission) => void;
@@ -66,13 +66,13 @@ export class Plans {
     chart.map.addInteraction(new Dragging(this, state, changed));
   }
 
-  /** Show another mission than the plan for a while, or the plan again. */
+  /** Show another mission in place of the plan; null shows the plan again. */
   preview(mission: Mission | null): void {
     this.draft = mission;
     this.draw();
   }
 
-  /** What can be taken hold of at this pixel; real points come before the middles of legs. */
+  /** The handle at this pixel; points go before the middles of legs. */
   at(pixel: Pixel, touch: boolean): Handle | null {
     if (this.state.replaying) return null;
     let [best, least] = [null as Handle | null, touch ? REACH_TOUCH_PX : REACH_PX];
@@ -161,7 +161,7 @@ export class Plans {
     this.middles(mission).forEach(({ kind, place }) => this.marks.addFeature(drawnPlus(place, kind === "edge" ? palette.danger : tint)));
   }
 
-  /** Full as the boat has it, dashed as it is only on the screen. */
+  /** Solid: the mission aboard. Dashed: a plan that is on the screen only. */
   private drawMission(mission: Mission, boat: Boat | null, look: Look): void {
     const path = pathOf(mission).map(point);
     if (path.length > 1) this.legs.addFeature(styled(new LineString(path), ribbon(look)));
@@ -271,7 +271,7 @@ function crowded(chart: Chart, waypoints: Waypoint[]): boolean[] {
   });
 }
 
-/** Whether the last waypoint would hide the first one, as where a mission ends where it begins. */
+/** Whether the last waypoint would hide the first one, as when a mission ends where it began. */
 function besideTheFirst(chart: Chart, waypoints: Waypoint[]): boolean {
   if (waypoints.length < 2) return false;
   const [first, last] = [chart.pixelOf(waypoints[0]!), chart.pixelOf(waypoints.at(-1)!)];

@@ -1,11 +1,11 @@
-// Pop-up menus and forms: one pointing button, or arrows, Enter and Esc. Nothing is typed but the name of a mission.
+// Pop-up menus and forms: one pointing button, or arrows, Enter and Esc. Only the name of a mission is typed.
 import { make, text } from "./dom";
 
 const MARGIN_PX = 8;
 const NAME_MOST = 60;
 const AGAIN_MS = 400;
 const AGAIN_EVERY_MS = 60;
-const MEANT_MS = 300; // the second click of two in a row came too soon for what it hits to have been read
+const MEANT_MS = 300; // a click that comes sooner hits a menu that nobody can have read
 
 export interface Item {
   title: string;
@@ -27,7 +27,7 @@ export interface Field {
   least: number;
   most: number;
   around?: boolean; // a compass goes around
-  zero?: string; // what 0 means, if it is a word
+  zero?: string; // a word to show for 0
   show?: (value: number) => string;
 }
 
@@ -43,8 +43,8 @@ export class Popup {
   private at: [number, number] = [0, 0];
   private readonly box = make("div.popup");
   private shownAt = 0;
-  opened = () => {}; // told each time that something is shown
-  private meant = false; // the pointer came down on what is shown, and not before it was
+  opened = () => {}; // called each time that a menu or form is shown
+  private meant = false; // the pointer came down after the menu was shown
 
   constructor(
     parent: HTMLElement,
@@ -54,10 +54,10 @@ export class Popup {
     this.box.hidden = true;
     parent.append(this.box);
     this.box.addEventListener("contextmenu", (event) => event.preventDefault());
-    // A keyboard that comes up on the screen for a name takes room, too.
+    // The keyboard of a touch screen, which opens for a name, also resizes the window.
     window.addEventListener("resize", () => (this.open instanceof NameView ? this.place() : this.close()));
     this.box.addEventListener("pointerdown", () => (this.meant = performance.now() - this.shownAt > MEANT_MS), { capture: true });
-    // A finger that opened the menu by a long press is on it when it is lifted. Clicks of no pointer have no detail.
+    // A finger that opened the menu by a long press is lifted over it: that is no click. Clicks without a pointer have no detail.
     this.box.addEventListener("click", (event) => event.detail && !this.meant && event.stopPropagation(), { capture: true });
   }
 
@@ -105,7 +105,7 @@ export class Popup {
     this.place();
   }
 
-  /** Ask for a name; `note` says what is to be known of the one that stands there. */
+  /** Ask for a name; `note` comments on the name typed so far. */
   name(title: string, value: string, note: (name: string) => string, done: (name: string) => void): void {
     this.close();
     this.open = new NameView(this.box, title, value, note, (name) => {
@@ -208,7 +208,7 @@ class MenuView implements Open {
   }
 }
 
-/** The only thing that is typed. Space is stop, here too: a dash is put in its place where a screen's keyboard sends one. */
+/** The only text field. Space is stop here, too: where a touch screen's keyboard sends one, a dash takes its place. */
 class NameView implements Open {
   private readonly input = make("input.name");
 
@@ -311,7 +311,7 @@ class FormView implements Open {
     return row;
   }
 
-  /** A button that goes on while it is held, faster and faster. */
+  /** A button that repeats while it is held, in larger steps after a while. */
   private stepper(index: number, by: number): HTMLElement {
     const button = make("button.stepper", by < 0 ? "−" : "+");
     button.tabIndex = -1;

@@ -1,4 +1,4 @@
-// The time line of a recorded run. The gateway plays; this says where and how fast.
+// The time line of a recorded run. The gateway plays; this sets time and rate.
 import type { Actions } from "./actions";
 import { make, text } from "./dom";
 import { duration } from "./geo";
@@ -64,7 +64,7 @@ export class Replay {
     this.show();
   }
 
-  /** Something that was said then. */
+  /** The mark of a message. */
   private mark({ at_s, severity, text: words }: Event, { from_s, to_s }: TimeLine): HTMLElement {
     const mark = make("i");
     mark.style.left = `${(100 * (at_s - from_s)) / Math.max(to_s - from_s, 1)}%`;

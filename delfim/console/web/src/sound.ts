@@ -1,4 +1,4 @@
-// Warnings that are heard: two falling tones for what is grave, one for what is not. Silent until the page was first touched.
+// Audible warnings: two falling tones, twice, for a grave message, one tone for a warning. Silent until the page was first touched.
 
 const KEPT = "delfim.sound";
 

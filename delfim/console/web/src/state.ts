@@ -1,4 +1,4 @@
-// What the page knows, in one place. Who shows something subscribes to a topic; only the operator changes the selection.
+// The state of the page, in one place. Views subscribe to topics; only the operator changes the selection.
 import { Plan, UNNAMED, alike, empty, same } from "./mission";
 import type { Background, Boat, Heard, Mission, Order } from "./wire";
 
@@ -6,12 +6,12 @@ export type Topic = "boats" | "selection" | "plan" | "online" | "hello" | "missi
 type Hello = Extract<Heard, { t: "hello" }>;
 export type DryRun = Extract<Heard, { t: "dryrun" }>;
 
-export const NOBODY = 0; // whose plan it is before a boat is heard
+export const NOBODY = 0; // stands for the boat of the plan that is made before one is heard
 
 const FRESH_S = 1.5;
 const OLD_S = 3.5;
-const SAID_S = 2; // what was said longer ago is shown with its age
-const BATTERY_FACTOR = 6; // it is told every few seconds only
+const SAID_S = 2; // an older message is shown with its age
+const BATTERY_FACTOR = 6; // it is sent every few seconds only
 
 export class State {
   boats: Boat[] = [];
@@ -23,7 +23,7 @@ export class State {
   names: string[] = [];
   progress = new Map<number, { what: string; part: number }>();
   dryruns = new Map<number, DryRun>();
-  readonly fetching = new Set<number>(); // boats whose mission was asked for, to become the plan
+  readonly fetching = new Set<number>(); // boats whose mission is being read, to become the plan
   readonly plans = new Map<number, Plan>(); // NOBODY's before a boat is heard
   private readonly aboard = new Map<number, Mission>(); // as they were read from the boats
   private framedAt = 0;
@@ -41,7 +41,7 @@ export class State {
     return this.boats.find((each) => each.id === this.selected) ?? null;
   }
 
-  /** Whose plan is edited. */
+  /** The boat whose plan is edited. */
   get planning(): number {
     return this.selected ?? NOBODY;
   }
@@ -51,7 +51,7 @@ export class State {
     return `No boat heard on ${this.hello?.heard_on?.join(" or ") || "any link"} yet`;
   }
 
-  /** Commands that the gateway offers as they are. */
+  /** Commands of the gateway that need no form. */
   get orders(): Order[] {
     return this.hello?.orders ?? [];
   }
@@ -69,7 +69,7 @@ export class State {
     return this.framedAt ? (performance.now() - this.framedAt) / 1000 : Infinity;
   }
 
-  /** A boat is never dropped from the list: one that the gateway no longer names stays with what was known. */
+  /** A boat is never dropped from the list: one that the gateway no longer names keeps its last values. */
   takeBoats(boats: Boat[], at_s: number): void {
     const known = new Set(boats.map((each) => each.id));
     this.boats = [...boats, ...this.boats.filter((each) => !known.has(each.id))].sort((a, b) => a.id - b.id);
@@ -79,7 +79,7 @@ export class State {
     this.tell("boats");
   }
 
-  /** What was planned before a boat was heard becomes the plan of this one. True where there was something. */
+  /** Gives this boat the plan that was made before a boat was heard. True if there was one. */
   inherit(id: number): boolean {
     const early = this.plans.get(NOBODY);
     this.plans.delete(NOBODY);
@@ -106,7 +106,7 @@ export class State {
     this.tell("plan");
   }
 
-  /** What a boat has aboard. Where nobody has planned anything it is the plan, too. */
+  /** Takes the mission that a boat has aboard. If nobody has planned anything, it becomes the plan, too. */
   takeAboard(id: number, mission: Mission): void {
     this.aboard.set(id, mission);
     const plan = this.plan(id);
@@ -114,12 +114,12 @@ export class State {
     this.tell("plan");
   }
 
-  /** The mission that a boat has, where it was read and is still the one. */
+  /** The mission aboard, if it was read and has not changed since. */
   aboardOf(boat: Boat): Mission | null {
     return boat.mission.state === "unknown" ? null : (this.aboard.get(boat.id) ?? null);
   }
 
-  /** The plan on the screen beside what is aboard: at once, before the gateway has compared. */
+  /** Compares the plan on the screen with the mission aboard at once, before the gateway does. */
   compared(boat: Boat): Boat["mission"]["state"] {
     const aboard = this.aboardOf(boat);
     return aboard ? (alike(this.plan(boat.id).mission, aboard) ? "same" : "differs") : boat.mission.state;
@@ -146,7 +146,7 @@ export function ageWords(age: number): string {
   return age < 6000 ? `${Math.floor(age / 60)} min` : `${Math.floor(age / 3600)} h`;
 }
 
-/** What a person should look at first, if anything: one number twice, failsafe, then why the boat is not ready. */
+/** The most urgent trouble, if any: a number used twice, failsafe, then the reason why the boat is not ready. */
 export function trouble(boat: Boat): { words: string; grave: boolean } | null {
   if (boat.twins.length) return { words: `number ${boat.id} is used twice: ${boat.twins.join(" and ")}`, grave: true };
   if (boat.failsafe) return { words: boat.failsafe === boat.reason ? saidWords(boat) : boat.failsafe, grave: true };
@@ -155,7 +155,7 @@ export function trouble(boat: Boat): { words: string; grave: boolean } | null {
   return null;
 }
 
-/** The boat said it once; how long it has been so since, it does not say again. */
+/** The boat says its reason once: add how long ago that was. */
 function saidWords({ reason, reason_age_s: age }: Boat): string {
   return reason && age && age >= SAID_S ? `${reason} · ${ageWords(age)} ago` : reason;
 }

@@ -1,4 +1,4 @@
-// A narrow strip for each boat: mode, thrust, battery, what is wrong, port and starboard rpm, the age of the data, the link.
+// A narrow strip for each boat: mode, thrust, battery, trouble, port and starboard rpm, the age of the data, the link.
 import uPlot from "uplot";
 import "uplot/dist/uPlot.min.css";
 import type { Actions } from "./actions";
@@ -16,7 +16,7 @@ const POINTS_MOST = 700;
 const CONFIRM_LATE_MS = 3000;
 const FULL_AT_MOST = 3; // boats; with more of them only the selected one is shown in full
 
-const STILL_MPS = 0.2; // slower than this there is no time to go
+const STILL_MPS = 0.2; // below this speed no time to go is shown
 
 const MODE_WORDS: Record<string, string> = { goto: "go to", grex: "GREX", play: "mission" };
 const GROUPS: readonly (keyof Boat["age_s"])[] = ["heard", "position", "attitude", "rpm", "battery"];
@@ -34,7 +34,7 @@ export class Strips {
     state.on(["boats"], () => this.draw(true));
     state.on(["selection", "progress", "plan"], () => this.draw(false));
     state.on(["theme"], () => this.chips.forEach((chip) => chip.repaint()));
-    setInterval(() => this.draw(false), 250); // ages count on when nothing comes
+    setInterval(() => this.draw(false), 250); // ages grow while nothing arrives
   }
 
   draw(fresh: boolean): void {
@@ -164,7 +164,7 @@ class Chip {
   }
 }
 
-/** One thruster's speed over the last minute; where nothing is known there is a gap. */
+/** One thruster's speed over the last minute, with a gap where it is unknown. */
 class Graph {
   readonly root = make("figure.graph");
   private readonly value = make("figcaption");
@@ -243,7 +243,7 @@ function missionWords({ mode, mission: { name, count, current, state } }: Boat):
   return `${name === UNNAMED ? "mission" : name}: ${mode === "play" && current !== null ? `waypoint ${current + 1} of ${count}` : waypoints}`;
 }
 
-/** To the place that it steers for: metres, and the time that they take at the present speed. */
+/** The distance to the place that it steers for, and the time to get there at the present speed. */
 function leftWords({ mode, reference, speed_mps }: Boat): string {
   const left_m = reference?.distance_m;
   if (left_m == null || mode === "idle" || mode === "manual") return "";

@@ -1,4 +1,4 @@
-// What the gateway and the page say to each other. Degrees, metres, metres a second, seconds, thrust in % of the most; port first.
+// The messages between gateway and page. Degrees, metres, metres a second, seconds, thrust in % of the maximum; port first.
 
 export interface Place {
   latitude_deg: number;
@@ -33,7 +33,7 @@ export interface Mission {
 }
 
 export type Pair = [number | null, number | null];
-export type Mode = string; // out of the list that the boat tells
+export type Mode = string; // from the list that the boat sends
 
 export interface Boat {
   id: number;
@@ -46,11 +46,11 @@ export interface Boat {
   speed_mps: number | null;
   mode: Mode | null;
   asked: Mode | null;
-  modes: Mode[]; // that it has
+  modes: Mode[]; // of this boat
   armed: boolean;
   owner: boolean; // this console commands it, or nobody does
   commander: number; // the console that does; 0: none
-  twins: string[]; // addresses that speak by this boat's number, where it is more than one
+  twins: string[]; // addresses that use this boat's number, if more than one does
   ready: boolean;
   reason: string;
   reason_age_s?: number | null; // since it was said
@@ -97,7 +97,7 @@ export interface Background {
   maxzoom?: number;
 }
 
-/** A command that the gateway offers as it is, and the key that does the same. */
+/** A command that needs no form, and its key. */
 export interface Order {
   command: string;
   title: string;
@@ -143,7 +143,7 @@ export type Said =
   | { t: "profile"; boat: number; profile: string }
   | { t: "replay"; at_s?: number; rate?: number };
 
-// Sent without a number, for nobody waits for an answer.
+// Sent without a number: nobody waits for an answer.
 export type Streamed =
   | { t: "input"; boat: number; n: number; port_pct: number; starboard_pct: number }
   | { t: "release"; boat: number; why: string };
