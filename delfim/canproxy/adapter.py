@@ -103,7 +103,7 @@ class PythonCan:
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         for address in addresses:
             if address.ifindex not in (0, self.ifindex):
-                raise BusError(f"{self.name} has index {self.ifindex}: frames of interface {address.ifindex} do not come by it")
+                raise BusError(f"{self.name} has index {self.ifindex}: it receives no frames of interface {address.ifindex}")
         self._addresses = addresses
 
     def rebind(self) -> bool:

@@ -162,7 +162,7 @@ class CanLoop:
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         for address in addresses:
             if address.ifindex not in (0, self.ifindex):
-                raise BusError(f"{self.name} has index {self.ifindex}: frames of interface {address.ifindex} do not come by it")
+                raise BusError(f"{self.name} has index {self.ifindex}: it receives no frames of interface {address.ifindex}")
         if not self._kernel_filter and not self._addresses:
             self.receive()  # throws away what came while nothing was to be received
         if self._kernel_filter:

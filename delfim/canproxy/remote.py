@@ -32,7 +32,7 @@ class Remote:
         host_and_port, _, self._bus = place.rpartition(":")
         host, _, port = host_and_port.rpartition(":")
         if not host or not port.isdecimal() or not self._bus or not self._bus.isprintable() or set(self._bus) & set("<> "):
-            raise BusError(f"socketcand:{place}: write socketcand:HOST:PORT:BUS, as socketcand:127.0.0.1:29536:can0")
+            raise BusError(f"socketcand:{place}: write socketcand:HOST:PORT:BUS, for example socketcand:127.0.0.1:29536:can0")
         self._address = (host.strip("[]"), int(port))
         self._receive_buffer_bytes = receive_buffer_bytes
         self._addresses: tuple[CanAddress, ...] = ()
@@ -49,7 +49,7 @@ class Remote:
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         for address in addresses:
             if address.ifindex not in (0, self.ifindex):
-                raise BusError(f"{self.name} has index {self.ifindex}: frames of interface {address.ifindex} do not come by it")
+                raise BusError(f"{self.name} has index {self.ifindex}: it receives no frames of interface {address.ifindex}")
         self._addresses = addresses
 
     def receive(self) -> Frame | None:

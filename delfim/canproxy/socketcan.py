@@ -182,10 +182,10 @@ class SocketCan:
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         indices = {address.ifindex for address in addresses} or {0}
         if len(indices) > 1:
-            raise BusError(f"{self.name}: the addresses of one bind name several interfaces: use one socket for each")
+            raise BusError(f"{self.name}: one bind names several interfaces: use one socket for each")
         wanted = indices.pop()
         if wanted not in (0, self.ifindex) and self.name != "any":
-            raise BusError(f"{self.name} has index {self.ifindex}: frames of interface {wanted} do not come by it")
+            raise BusError(f"{self.name} has index {self.ifindex}: it receives no frames of interface {wanted}")
         self._filters = tuple(dict.fromkeys(entry for address in addresses for entry in kernel_filters(address)))
         try:
             if self.name == "any":
@@ -236,7 +236,7 @@ class SocketCan:
                 return BusError(f"there is no interface {name}: adapter unplugged, or its driver not loaded?")
             if kind != _ARPHRD_CAN:
                 return BusError(f"{name} is not a CAN interface")
-            return BusError(f"{name} was away and is back: rebind")
+            return BusError(f"{name} was gone and is back: open it again")
         return BusError(f"{name}: {error.strerror or error}")
 
 

@@ -249,13 +249,13 @@ _COMMANDS: Final[dict[Mode, dict[str, Callable[[list[str]], Action]]]] = {
 def _frame(words: list[str]) -> tuple[int, bytes]:
     """Arbitration field and data of "ID dlc b0 b1 ..."."""
     if len(words) < 2 or (length := _decimal(words[1])) > 8 or len(words) != 2 + length:
-        raise FormatError("a frame is an identifier, a length and so many bytes")
+        raise FormatError("a frame needs an identifier, a length and that many bytes")
     return _identifier(words[0]), bytes(map(_byte, words[2:]))
 
 
 def _only_identifier(words: list[str]) -> int:
     if len(words) != 1:
-        raise FormatError("one identifier is needed")
+        raise FormatError("the command needs one identifier")
     return _identifier(words[0])
 
 
@@ -287,7 +287,7 @@ def _decimal(word: str) -> int:
 def _interval_s(words: list[str]) -> float:
     """Of the seconds and microseconds with which words begin."""
     if len(words) < 2:
-        raise FormatError("an interval has seconds and microseconds")
+        raise FormatError("an interval needs seconds and microseconds")
     return min(_decimal(words[0]) + _decimal(words[1]) / 1e6, INTERVAL_S_MAX)
 
 

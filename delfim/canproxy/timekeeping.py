@@ -138,7 +138,7 @@ class TimeService:
         except BusError:
             self.failures += 1
         if was_speaking and not self._keeper.is_speaking:
-            log.warning("timed: another node sends the time again; quiet")
+            log.warning("timed: another node sends the time again; this one stops sending")
 
     def on_second(self) -> None:
         if not self._timer.passed(self._clock.time_ns()):
@@ -153,7 +153,7 @@ class TimeService:
                 self.failures += 1
                 self._can.rebind()
         if self._keeper.is_speaking and not was_speaking:
-            log.warning("timed: nobody sends the time; taking over")
+            log.warning("timed: no other node sends the time; this one sends it now")
 
     def report(self) -> dict[str, object]:
         """JSON-ready."""

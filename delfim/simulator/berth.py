@@ -126,7 +126,7 @@ def found(folder: str | None) -> Path:
         return Path(folder)
     running = [place for place in folders() if _answers(place / "command")]
     if len(running) > 1:
-        raise DelfimError(f"simulations run in {' and '.join(map(str, running))}: say which, as --sim-in {running[-1]}")
+        raise DelfimError(f"simulations run in {' and '.join(map(str, running))}: choose one: --sim-in {running[-1]}")
     return running[0] if running else Path(SIMULATED)
 
 

@@ -48,7 +48,7 @@ def _told(path: str, words: bytes) -> str:
             asking.sendto(words, path)
             answer = json.loads(asking.recv(WORDS_BYTES))
         except OSError as error:
-            raise DelfimError(f"nobody to break at {path}: {error.strerror or error}; does a simulation run?") from None
+            raise DelfimError(f"no simulation answers at {path}: {error.strerror or error}; is one running?") from None
     if not answer["ok"]:
         raise Refused(answer["text"])
     return str(answer["text"])
@@ -90,12 +90,12 @@ def _break(broken: Broken, name: str, data: bytes, now_s: float) -> str:
         if kind == "end":
             for present in list(broken.faults):
                 broken.end(*present)
-            return "all faults are over; charge that was lost stays lost"
+            return "all faults ended; lost charge is not restored"
         asked = fault(kind, **words)
     except (TypeError, AttributeError, KeyError, ValueError) as error:
         raise FormatError(str(error)) from None
     if (asked.kind in ABOARD) is not (name == BOAT):
-        raise FormatError(f"{asked.kind} is nothing of the {name}")
+        raise FormatError(f"{asked.kind} does not exist in the {name}")
     broken.begin(asked, now_s)
     lasts = "until it is ended" if asked.for_s == float("inf") else f"for {asked.for_s:g} s"
     return f"{asked.kind} {asked.where}".rstrip() + f" {lasts}"

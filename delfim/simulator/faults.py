@@ -74,15 +74,15 @@ class Breakage(NamedTuple):
 def fault(kind: str, where: str = "", value: float | None = None, for_s: float | None = None) -> Breakage:
     """A fault, checked, with the kind's default value. Raises FormatError in words."""
     if kind not in KINDS:
-        raise FormatError(f"no fault {kind!r}; there are {', '.join(KINDS)}")
+        raise FormatError(f"no fault {kind!r}; choose one of {', '.join(KINDS)}")
     places = WHERE.get(kind, ("",))
     if where not in places:
-        raise FormatError(f"{kind} needs one of {', '.join(places)}" if kind in WHERE else f"{kind} is of no place: {where!r}")
+        raise FormatError(f"{kind} needs one of {', '.join(places)}" if kind in WHERE else f"{kind} takes no place: {where!r}")
     default = VALUES.get(kind, (math.nan, ""))[0]
     if value is not None and (kind not in VALUES or not math.isfinite(value)):
-        raise FormatError(f"{kind}: {value} means nothing here")
+        raise FormatError(f"{kind}: {value} is out of range")
     if for_s is not None and not for_s > 0.0:
-        raise FormatError(f"{kind}: no duration: {for_s} s")
+        raise FormatError(f"{kind}: {for_s} s is not a duration")
     return Breakage(kind, where, default if value is None else value, math.inf if for_s is None else for_s)
 
 

@@ -85,7 +85,7 @@ class _End:
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         for address in addresses:
             if address.ifindex not in (0, _IFINDEX):
-                raise BusError(f"{self.name} has index {_IFINDEX}: frames of interface {address.ifindex} do not come by it")
+                raise BusError(f"{self.name} has index {_IFINDEX}: it receives no frames of interface {address.ifindex}")
         self.addresses = addresses
         self._open().changed()
 
@@ -96,7 +96,7 @@ class _End:
         if len(data) > 8:
             raise FormatError(f"{len(data)} bytes of data do not fit a CAN frame of 8")
         if ifindex not in (0, _IFINDEX):
-            raise BusError(f"{self.name} has index {_IFINDEX}: nothing is sent to interface {ifindex} by it")
+            raise BusError(f"{self.name} has index {_IFINDEX}: it does not send by interface {ifindex}")
         bus = self._open()
         if bus.off:
             raise BusError(f"{self.name}: bus-off")

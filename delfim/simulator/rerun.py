@@ -290,12 +290,12 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     told = [event for event in told if "at_s" in event or event["event"] in ("start", "end")]
     starts = [event for event in told if event["event"] == "start"]
     if len(starts) != 1:
-        raise DelfimError(f"a run is repeated from its start to its end, and these logs hold {len(starts)} starts")
+        raise DelfimError(f"a replay needs the logs of one run, with one start; these hold {len(starts)} starts")
     recorded = starts[0].get("settings", {})
     settings = config.load(vehicle_file) if vehicle_file else tables.decode(recorded, config.Vehicle, "the log")
     columns, _ = table(state_files)
     if not all(bool((abs(columns[name]) < MOMENT_MAX_S).all()) for name in MOMENTS):
-        raise DelfimError("this state log is damaged: it has times that are none")
+        raise DelfimError("this state log is damaged: some of its times are not numbers")
     boxes = [file for file in files if file.suffix.startswith(".log")]
     if device(settings.can.interface) not in {file.id for file in boxes}:
         raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
@@ -360,7 +360,7 @@ def _looks(columns: Any, told: Iterable[dict[str, Any]]) -> Iterator[Due]:
     times = sorted(at_s for at_s in known if at_s > NEVER_S)
     silent_s = sum(gap_s for a, b in pairwise(times) if (gap_s := b - a) > 10.0 * TICK_S)
     if silent_s > SILENT_MAX_S:
-        raise DelfimError(f"nothing is known of {silent_s / 3600.0:.3g} hours of this run: it is not repeated")
+        raise DelfimError(f"the logs do not cover {silent_s / 3600.0:.3g} hours of this run: it cannot be repeated")
     for i, at_s in enumerate(times):
         yield Due(known[at_s], "watchdog", at_s)
         between = round((times[i + 1] - at_s) / TICK_S) if i + 1 < len(times) else 0

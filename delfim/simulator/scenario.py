@@ -44,7 +44,7 @@ class Expect(tables.Table, frozen=True):
 
     def __post_init__(self) -> None:
         if sum(map(bool, (self.mode, self.notice, self.propellers, self.waypoints))) != 1:
-            raise ValueError("one of mode, notice, propellers, waypoints")
+            raise ValueError("name one of mode, notice, propellers, waypoints")
 
 
 class ScenarioGuest(tables.Table, frozen=True):
@@ -109,7 +109,7 @@ class OperatorWord(NamedTuple):
         at_s, refused, held_s = rest.pop("at_s", None), rest.pop("refused", ""), rest.pop("held_s", 0.0)
         is_timed = all(isinstance(each, float | int) and 0.0 <= each <= DAY_S for each in (at_s, held_s))
         if not is_timed or not isinstance(refused, str):
-            raise FormatError("a command needs at_s, seconds up to a day; held_s, too, is seconds, and refused is text")
+            raise FormatError("a command needs at_s in seconds, up to a day; held_s is in seconds too, and refused is text")
         command = json.dumps(rest, default=str).encode()  # no command holds a date
         return cls(float(at_s), console.parse(command), refused, float(held_s))
 

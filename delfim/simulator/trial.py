@@ -175,7 +175,7 @@ def _missed(expected: Expect, recorder: Recorder, end_s: float) -> str | None:
     since_s = _since(expected.after, recorder.events)
     what = f"{kind} {name}" + (f" ({expected.reason})" if expected.reason else "")
     if since_s is None:
-        return f"{what}: there was no {expected.after}"
+        return f"{what}: {expected.after} never happened"
     fits = [event for event in recorder.events if event.kind == kind]
     there = [e for e in fits if e.t_s >= since_s and e.name == name and expected.reason in e.text]
     before = [e for e in fits if e.t_s < since_s][-1:]

@@ -52,8 +52,8 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         _fence(state, inputs),
         Check("mission", True, f"{plan.name}, {len(plan.waypoints)} waypoints" if plan is not None else "none loaded"),
         Check("link", heard_s < HEARD_S and not state.namesakes, state.namesakes or heard),
-        Check("last shutdown", not state.computer.last_shutdown, state.computer.last_shutdown or "nothing wrong known"),
-        Check("image", not state.computer.image, state.computer.image or "confirmed, or not from a slot"),
+        Check("last shutdown", not state.computer.last_shutdown, state.computer.last_shutdown or "no fault known"),
+        Check("image", not state.computer.image, state.computer.image or "confirmed, or the computer has no image slots"),
     ]
 
 
@@ -80,7 +80,7 @@ def _clock(rules: Rules, state: State, age_s: float, time_ns: int) -> Check:
         return Check("clock", False, "the computer's clock was never set")
     n = state.navigation
     if n is None or not n.utc_ns:
-        return Check("clock", True, "navigation tells no time to compare with")
+        return Check("clock", True, "navigation gives no time to compare with")
     off_s = (time_ns - n.utc_ns) / 1e9 - age_s
     ok = abs(off_s) <= rules.settings.checks.clock_s
     return Check("clock", ok, f"the computer's clock is {off_s:+.1f} s off navigation's")
@@ -93,6 +93,6 @@ def _fence(state: State, inputs: Inputs) -> Check:
     if "position" not in state.motion.has:
         return Check("fence", False, "no position: the fence cannot be watched")
     if not fence.is_laid:
-        return Check("fence", False, "its zones are being laid into the plane: a moment")
+        return Check("fence", False, "its zones are still being prepared: wait a moment")
     away = outside(fence, state.motion.north_m, state.motion.east_m)
     return Check("fence", away is None, away or f"{len(fence.zones)} zones, the boat is where it may be")

@@ -74,7 +74,7 @@ class Connection(asyncio.Protocol):
         began = max(len(self._buffer) - len(STOPS[-1]), 0)
         self._buffer += data
         if self._under_review and any(self._buffer.find(word, began) >= 0 for word in STOPS):
-            self._server.reviews.cancel("a stop came behind it")
+            self._server.reviews.cancel("a stop was commanded after it")
         elif not self._is_due and not self._under_review:
             self._line()
         if self._transport is not None and len(self._buffer) > LINE_BYTES:

@@ -202,7 +202,7 @@ def parse(line: bytes) -> Commands:
     try:
         tree = msgspec.json.decode(line)
     except UNREADABLE:
-        raise FormatError("command not understood: it is no JSON") from None
+        raise FormatError("command not understood: it is not JSON") from None
     raise FormatError(f"command not understood: {_why(tree, text)}")
 
 

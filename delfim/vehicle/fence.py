@@ -97,7 +97,7 @@ def ahead(fence: Fence, motion: Motion) -> str | None:
                 return f"{zone.name} {max(here_m, 0.0):.1f} m away at {speed_mps:.1f} m/s"
             left -= len(zone.sides) // 4
         if left < 0:
-            return f"too many corners of zones near to be watched: {zone.name} is one of those"
+            return f"too many corners of zones close by to watch, {zone.name} among them: simplify the zones"
     return None
 
 
@@ -112,7 +112,7 @@ def outside(fence: Fence, north_m: float, east_m: float) -> str | None:
         if zone.sides and may(zone, north_m, east_m):
             left -= len(zone.parts)
             if left < 0:
-                return f"in more zones than can be watched: {zone.name} is one of them"
+                return f"in more zones than can be watched, {zone.name} among them: use fewer zones"
             continue
         clear_m = clearance_m(zone, north_m, east_m)
         if clear_m < 0.0:
@@ -156,7 +156,7 @@ def crossing(fence: Fence, mode: Mode, motion: Motion, setpoint: Setpoint) -> st
             return f"the way leads {through(zone, smallest)}"
         left -= looked
         if left < 0:
-            return f"the way passes too many corners of zones, {zone.name} among them: go there by shorter ways"
+            return f"the way passes too many corners of zones, {zone.name} among them: go there in shorter stretches"
     return None
 
 

@@ -137,7 +137,7 @@ class Helm:
         if mode is not Mode.IDLE:
             reason = refusal(self.rules, mode, self.checks()) or admit(mode, state.motion.has, setpoint)
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
-                reason = "no reference from the guest"
+                reason = "no set point from the guest"
             memory = begin(mode, state.motion, setpoint, self.limits)
             if reason is None:
                 reason = self._too_far(first(mode, memory, setpoint))
@@ -233,7 +233,7 @@ class Helm:
         if latitude_deg is None or longitude_deg is None:
             plan = self.state.setpoint.plan
             if plan is None:
-                raise Refused("goto refused: no point to go to and no mission loaded")
+                raise Refused("goto refused: name a point or load a mission")
             return plan.waypoints[0]
         if self.state.origin is None:
             raise Refused("goto refused: no position yet")
@@ -256,7 +256,7 @@ class Helm:
         if state.mode is Mode.MANUAL and not starboard and not port:
             self.taken = False
         if self.taken and (pushed or state.mode is Mode.MANUAL):
-            raise Refused(f"manual refused: {state.reason}; let go for {PUSHED_S:g} s or ask for a mode")
+            raise Refused(f"manual refused: {state.reason}; release the joystick for {PUSHED_S:g} s or choose a mode")
         state.setpoint = setpoint = state.setpoint._replace(starboard=starboard, port=port)
         if state.mode is not Mode.MANUAL:
             self._request(Mode.MANUAL, setpoint, now_s)

@@ -183,7 +183,7 @@ def checked(mission: Mission, file: str = "mission") -> Work[None]:
 def _check_path(path: tuple[PathPoint, ...], origin: geodesy.Origin, file: str) -> Work[None]:
     """Pieces of sensible length, arcs that begin where the piece before them ends."""
     if len(path) == 1:
-        raise ConfigError(file, "path", "a single point: a path begins there and needs a line or an arc more")
+        raise ConfigError(file, "path", "a single point is only the beginning: add a line or an arc")
     if path[0].turn_deg:
         raise ConfigError(file, "path[0].turn_deg", "an arc cannot be the first: the first point says where the path begins")
     for index, (row, piece) in enumerate(zip(path[1:], _pieces(path, origin, 1.0), strict=True), 1):

@@ -44,7 +44,7 @@ class Reading:
         if self._child.returncode == WRONG:
             return FormatError(told.decode().rstrip())
         if self._child.returncode:
-            return FormatError("mission: its text takes longer to read, or more memory, than a boat has for it")
+            return FormatError("mission: its text takes too much time or memory to read; make it shorter")
         return told.splitlines()
 
     def cancel(self) -> None:

@@ -51,7 +51,7 @@ class Plans:
     def text(self, part: console.LoadMission) -> str:
         """A mission's text as far as this part of it. Raises Refused."""
         if part.at != (len(self._text) if part.at else 0):
-            raise Refused("mission refused: a part of its text is missing; begin again")
+            raise Refused("mission refused: a part of its text is missing; send it again from the start")
         return self._text + part.text if part.at else part.text
 
     def look(self, command: console.Plan, mission: Mission | None = None) -> Work[None]:
@@ -124,7 +124,7 @@ class Plans:
                 self.mission = msgspec.structs.replace(self.mission, fence=command.zones)
             if looked.lost is not None:
                 self.unload()
-                self._log.note(f"the mission is forgotten: {looked.lost}")
+                self._log.note(f"the mission was removed: {looked.lost}")
             return
         assert looked.mission is not None
         assert looked.origin is not None

@@ -35,7 +35,7 @@ class Propulsion:
     def reset(self, node: int) -> None:
         """Ask a node of the bus, or all of them, to start again. Raises Refused where the bus does not take the frame."""
         if self._nodes.send_many(((RESET, pack_reset(node)),)):
-            raise Refused("reset refused: the bus takes no frame")
+            raise Refused("reset refused: the CAN bus did not take the frame")
 
     def disconnect(self, sides: tuple[str, ...]) -> None:
         """Take the power of these sides, for good: an actuator there does not obey."""

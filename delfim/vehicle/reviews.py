@@ -40,7 +40,7 @@ class Reviews:
 
     def begin(self, operator: str, command: console.Plan, answer: Answer) -> None:
         """Look at this plan, in place of one that is being looked at. `answer` is called once, at the earliest at once."""
-        self.cancel("another plan came after it")
+        self.cancel("a newer plan replaced it")
         self._now = review = Review(command, operator, answer)
         if not isinstance(command, console.LoadMission):
             self._work(review, Sliced(console.written(command)), partial(self._was_written, review))
@@ -61,7 +61,7 @@ class Reviews:
     def hear(self, command: console.Commands, operator: str) -> None:
         """A command was obeyed, or refused: a stop, or somebody else who commands, ends what is being looked at."""
         if isinstance(command, console.Stop | console.ShutDown):
-            self.cancel("a stop came")
+            self.cancel("a stop was commanded")
         elif self._now is not None and operator != self._now.operator and not isinstance(command, QUIET):
             self.cancel(f"{operator} commands now")
 
@@ -97,7 +97,7 @@ class Reviews:
         elif times < AGAIN:
             self._loop.call_soon(self._look, review, mission, times + 1)
         else:
-            self.cancel("the boat's settings change all the time")
+            self.cancel("the boat's settings kept changing meanwhile: send it again")
 
     def _work(self, review: Review, work: Sliced[T], then: Callable[[T], object]) -> None:
         """Slice by slice, as long as this plan is wanted."""

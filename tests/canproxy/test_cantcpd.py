@@ -885,7 +885,7 @@ def test_the_beacon_is_what_python_can_looks_for(monkeypatch: pytest.MonkeyPatch
 
 def test_a_beacon_is_never_too_long_and_never_on_what_is_no_lan() -> None:
     assert len(datagram("x" * 64, "1.2.3.4", 29536, [f"canbus-{n:09}" for n in range(100)])) <= DATAGRAM_BYTES
-    with pytest.raises(OSError, match="is no LAN"):
+    with pytest.raises(OSError, match="is not a LAN"):
         announce("lo", 29536, ["can0"])
     with pytest.raises(OSError, match="No such device"):
         announce("nothing0", 29536, ["can0"])
@@ -895,7 +895,7 @@ def test_a_failing_beacon_is_told_once(name: str, caplog: pytest.LogCaptureFixtu
     with Served([f"canloop:{name}"], beacon=("lo",)) as served:
         for _ in range(7):
             served.call(lambda: served.server.poll(29536))
-    assert [record.getMessage() for record in caplog.records] == ["cantcpd: no beacon on lo: lo is no LAN"]
+    assert [record.getMessage() for record in caplog.records] == ["cantcpd: no beacon on lo: lo is not a LAN"]
 
 
 def test_names_by_which_clients_open_a_bus() -> None:

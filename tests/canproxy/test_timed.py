@@ -302,7 +302,7 @@ def test_the_service_runs_in_a_process_of_its_own(buses: tuple[CanSocket, CanSoc
             program.send_signal(signal.SIGTERM)
             errors = program.communicate(timeout=20)[1].decode()
     assert program.returncode == 0, errors
-    assert ("taking over" in errors, "quiet" in errors) == (mode == "redundant", mode == "redundant")
+    assert ("sends it now" in errors, "stops sending" in errors) == (mode == "redundant", mode == "redundant")
 
 
 def test_report_is_json() -> None:

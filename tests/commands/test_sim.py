@@ -187,9 +187,7 @@ def test_a_second_simulation_has_a_folder_a_bus_ports_and_a_boat_of_its_own(tmp_
     places = sorted(path.parent for path in tmp_path.glob("run/*/command"))
     assert len(places) == 2
     said = " and ".join(str(place.relative_to(tmp_path)) for place in places)
-    assert (
-        f"simulations run in {said}: say which, as --sim-in {said.split()[-1]}" in typed("drive", VEHICLE, "--sim", "stop")[2]
-    )
+    assert f"simulations run in {said}: choose one: --sim-in {said.split()[-1]}" in typed("drive", VEHICLE, "--sim", "stop")[2]
     its = [json.loads((place / "supervisor.json").read_text())["pid"] for place in places]
     assert its[0] != its[1]
     assert typed("drive", VEHICLE, "--sim-in", str(places[1]), "speed", "0.7")[0] == 0
@@ -289,7 +287,7 @@ def test_lockstep_sails_the_whole_mission_and_repeats_itself_byte_for_byte(tmp_p
         (("run", VEHICLE, "--set", "services.nonsense.enabled=true"), "there is no such service"),
         (("drive", VEHICLE, "--set", "console.socket='/no/such/socket'", "heading", "90", "1.5"), "is it running"),
         (("drive", VEHICLE, "--sim", "state"), "no vehicle at run/sim/command"),
-        (("fault", VEHICLE, "--sim", "end"), "nobody to break at run/sim/nodes"),
+        (("fault", VEHICLE, "--sim", "end"), "no simulation answers at run/sim/nodes"),
         (("sim", VEHICLE, "--output", f"{VEHICLE}/nobody"), "nobody: Not a directory"),
         (("supervise", VEHICLE, "--set", f"runtime.run_directory='{VEHICLE}/nobody'"), "nobody: Not a directory"),
         (("console", "--no-browser", "--page", "127.0.0.1:65536"), "--page: 127.0.0.1:65536: no address"),

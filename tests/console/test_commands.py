@@ -234,7 +234,7 @@ MODES = {
     "G": ("Go to waypoint 1", "goto", {"command": "goto", "latitude_deg": None}),
     "P": ("Path following", "path", {"command": "mode", "mode": "path"}),
     "Y": ("Play mission", "play", {"command": "play", "leg": 0}),
-    "X": ("GREX", "grex", {"command": "mode", "mode": "grex", "refused": "no reference from the guest"}),
+    "X": ("GREX", "grex", {"command": "mode", "mode": "grex", "refused": "no set point from the guest"}),
 }
 GO_HOME = {"command": "mode", "mode": "home"}
 ROWS: dict[str, Row] = {

@@ -200,7 +200,7 @@ def test_the_place_that_a_boat_steers_for_is_that_of_its_mode(sea: Afloat, profi
 
 def test_a_refusal_is_told_in_the_vehicles_words(sea: Afloat) -> None:
     well, why = sea.ask("play")
-    assert (well, why) == (False, "no item 0 that can be gone to")
+    assert (well, why) == (False, "no waypoint at item 0 or after it")
 
 
 def test_a_mission_comes_back_as_it_went(sea: Afloat) -> None:

@@ -125,7 +125,7 @@ def test_a_refusal_of_the_boat_stands_once_and_in_its_own_words(sail: Sail) -> N
         await page.until("document.querySelector('.message') && document.querySelector('.message span').textContent")
         await pressed(page, boat, "h", "heading")  # and so the answer has come, too
         lines = await page.value("[...document.querySelectorAll('.message span')].map(line => line.textContent)")
-        assert [line for line in lines if "grex" in line] == ["grex refused: no reference from the guest computer"]
+        assert [line for line in lines if "grex" in line] == ["grex refused: no set point from the guest computer"]
         await pressed(page, boat, "i", "idle")
 
     sail(story)

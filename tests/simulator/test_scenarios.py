@@ -64,7 +64,7 @@ def test_there_are_scenarios_for_every_fault():
         ('mode = "heading"\nnever = true', "mode heading at 3.0 s, never expected after 0.0"),
         ('mode = "idle"\nafter = 10\nnever = true', None),
         ('mode = "idle"\nat_end = true', "mode idle: at 20 s it is heading (operator)"),
-        ('mode = "heading"\nafter = "bus_off"', "mode heading: there was no bus_off"),
+        ('mode = "heading"\nafter = "bus_off"', "mode heading: bus_off never happened"),
         ('propellers = "stopped"\nafter = 10\nwithin_s = 1', "propellers stopped: not after 10.0"),
         ('notice = "fence"', "notice fence: not after 0.0"),
         ('notice = "fence"\nnever = true', None),
@@ -85,8 +85,8 @@ def test_an_expectation_can_be_met_and_can_be_missed(tmp_path, expect, failure):
         (SAILING + "[[fault]]\nat_s = 1\nkind = 'thruster_dead'", "fault[0]: thruster_dead needs one of"),
         (SAILING + "[[command]]\nat_s = 1\ncommand = 'swim'", "command[1]: command not understood"),
         (SAILING + "[[command]]\ncommand = 'play'", "command[1]: a command needs at_s"),
-        (SAILING + "[[expect]]\nreason = 'x'", "one of mode, notice, propellers, waypoints"),
-        (SAILING + "[[expect]]\nmode = 'idle'\nnotice = 'log'", "one of mode, notice, propellers, waypoints"),
+        (SAILING + "[[expect]]\nreason = 'x'", "name one of mode, notice, propellers, waypoints"),
+        (SAILING + "[[expect]]\nmode = 'idle'\nnotice = 'log'", "name one of mode, notice, propellers, waypoints"),
         (SAILING + "[vehicle.propulsion]\nrpm_max = -1", "propulsion.rpm_max"),
         ("mission = 'none.toml'\n" + SAILING, "none.toml"),
         ("vehicle = 2026-11-22\n" + SAILING, "vehicle: 2026-11-22 is a date, not a table (allowed: a table)"),
@@ -116,7 +116,7 @@ def test_orders_are_repeated_until_obeyed_and_then_given_up(tmp_path):
     never = run(
         tmp_path, SAILING.replace('"heading"', '"mode"\nmode = "grex"').replace("heading_deg = 90\nspeed_mps = 1.0", "")
     )
-    assert never.failures == ["mode at 3 s: grex refused: no reference from the guest computer"]
+    assert never.failures == ["mode at 3 s: grex refused: no set point from the guest computer"]
     obeyed = run(tmp_path, SAILING + 'refused = "no"')
     assert obeyed.failures == ["heading at 3 s: obeyed, not refused with 'no'"]
 

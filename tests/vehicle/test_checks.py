@@ -29,14 +29,14 @@ def test_a_boat_that_nobody_has_heard_of_says_so_line_by_line(boat):
         "computer": (True, "started"),
         "navigation": (False, "no navigation yet"),
         "sensors": (False, "gps has not reported"),
-        "clock": (True, "navigation tells no time to compare with"),
+        "clock": (True, "navigation gives no time to compare with"),
         "log": (True, "being written"),
         "battery": (True, "no charge reported"),
         "fence": (True, "none"),
         "mission": (True, "none loaded"),
         "link": (False, "console never heard"),
-        "last shutdown": (True, "nothing wrong known"),
-        "image": (True, "confirmed, or not from a slot"),
+        "last shutdown": (True, "no fault known"),
+        "image": (True, "confirmed, or the computer has no image slots"),
     }
 
 

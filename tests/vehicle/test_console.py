@@ -53,8 +53,8 @@ def test_what_is_not_understood_is_refused_in_words(line):
 @pytest.mark.parametrize(
     ("line", "why"),
     [
-        ("nonsense", "it is no JSON"),
-        ("[" * 100_000, "it is no JSON"),
+        ("nonsense", "it is not JSON"),
+        ("[" * 100_000, "it is not JSON"),
         ("{}", "it names no command"),
         ('{"command":"fly"}', "there is no command 'fly'"),
         ('{"command":"heading"}', "heading needs heading_deg"),

@@ -90,7 +90,7 @@ def test_refusals_are_sentences_for_a_tired_operator() -> None:
     assert admit(Mode.PLAY, ALL, READY._replace(leg=1)) == "no leg 2: the mission has legs 1 to 1"
     assert admit(Mode.PATH, ALL, Setpoint()) == "no mission loaded"
     assert admit(Mode.PATH, ALL, Setpoint(plan=PLAN._replace(path=()))) is not None
-    assert admit(Mode.GREX, ALL, Setpoint()) == "no reference from the guest computer"
+    assert admit(Mode.GREX, ALL, Setpoint()) == "no set point from the guest computer"
     assert admit(Mode.HOME, ALL, Setpoint()) == "no driven track to go back along"
 
 

@@ -39,7 +39,7 @@ def test_a_joystick_that_stays_pushed_does_not_take_the_boat_back(make_boat):
         boat.clock.advance(0.1)
         boat.navigate()
         refused = boat.vehicle.on_command(console.Manual(0.5, 0.5))
-        assert refused == "manual refused: gps bad: no signal; let go for 1 s or ask for a mode"
+        assert refused == "manual refused: gps bad: no signal; release the joystick for 1 s or choose a mode"
     boat.pass_time(1.2)
     assert boat.vehicle.on_command(console.Manual(0.5, 0.5)) is None
 

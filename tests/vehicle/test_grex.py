@@ -27,7 +27,7 @@ def test_grex_mode_needs_a_fresh_guest(boat):
     boat.ready()
     boat.vehicle.on_guest(b'{"heading_deg": 90}')
     boat.pass_time(6.0)
-    assert boat.vehicle.on_command(console.SetMode("grex")) == "grex refused: no reference from the guest"
+    assert boat.vehicle.on_command(console.SetMode("grex")) == "grex refused: no set point from the guest"
 
 
 def test_a_silent_guest_makes_the_boat_hold(boat):

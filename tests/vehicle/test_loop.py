@@ -111,7 +111,7 @@ waypoint = [{ latitude_deg = 38.6930, longitude_deg = -9.2150 }, { latitude_deg 
 
 def test_goto_without_a_place_goes_to_the_first_waypoint_and_needs_a_mission(boat):
     boat.ready()
-    assert boat.vehicle.on_command(console.Goto()) == "goto refused: no point to go to and no mission loaded"
+    assert boat.vehicle.on_command(console.Goto()) == "goto refused: name a point or load a mission"
     boat.vehicle.on_command(console.LoadMission(TWO))
     assert boat.vehicle.on_command(console.Goto()) is None
     boat.pass_time(0.2)
@@ -198,7 +198,7 @@ def test_manual_thrust_fades_without_fresh_commands(boat):
     assert boat.propellers()[0].rpm == 0
     assert boat.state.mode is Mode.MANUAL, "the thrust first, then the mode"
     assert boat.state.reason.startswith("no thrust: no manual command")
-    assert "let go" in boat.vehicle.on_command(console.Manual(0.5, 0.5)), "what comes back late does not push on"
+    assert "release the joystick" in boat.vehicle.on_command(console.Manual(0.5, 0.5)), "what comes back late does not push on"
     for _ in range(6):
         boat.vehicle.on_command(console.Alive())
         boat.pass_time(1.0)

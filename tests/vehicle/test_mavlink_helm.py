@@ -173,7 +173,7 @@ def test_the_guest_computer_takes_no_boat_whose_owner_is_silent(make_boat, key):
 
 
 def test_consoles_with_one_number_are_told_so_and_it_is_over_when_one_goes(sea):
-    words = "two consoles are number 250: 127.0.0.1:14550 and 127.0.0.1:14552; give one of them another number"
+    words = "two consoles have number 250: 127.0.0.1:14550 and 127.0.0.1:14552; give one of them another number"
     heard = []
     for _ in range(4):
         before = len(sea.radio.sent)

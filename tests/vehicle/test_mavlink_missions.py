@@ -143,19 +143,19 @@ def test_the_checksum_is_that_of_mavlink_ftp():
         (Item(22, x=1, y=1), UNSUPPORTED, "item 1: NAV_TAKEOFF (22)"),
         (Item(17, x=386_930_000, y=-92_150_000), UNSUPPORTED, "item 1: NAV_LOITER_UNLIM (17)"),
         (Item(18, 3.0, x=386_930_000, y=-92_150_000), UNSUPPORTED, "item 1: NAV_LOITER_TURNS (18)"),
-        (Item(93, -1.0, 12.0), UNSUPPORTED, "item 1: to wait for a time of day"),
+        (Item(93, -1.0, 12.0), UNSUPPORTED, "item 1: this boat cannot wait for a time of day"),
         (Item(60_000), UNSUPPORTED, "item 1: command 60000"),
-        (Item(93, math.nan), INVALID, "item 1: nan is no number"),
+        (Item(93, math.nan), INVALID, "item 1: nan is not a number"),
         (Item(93, 1e6), INVALID, "item 1: hold_s must be 0.0 to 86400.0"),
         (Item(16, -5.0, x=386_930_000, y=-92_150_000), INVALID, "item 1: hold_s must be 0.0 to 86400.0"),
         (Item(16, 1e6, x=386_930_000, y=-92_150_000), INVALID, "item 1: "),
-        (Item(19, math.inf, x=386_930_000, y=-92_150_000), INVALID, "item 1: inf is no number"),
-        (Item(16, 0.0, math.nan, x=386_930_000, y=-92_150_000), INVALID, "item 1: nan is no number"),
+        (Item(19, math.inf, x=386_930_000, y=-92_150_000), INVALID, "item 1: inf is not a number"),
+        (Item(16, 0.0, math.nan, x=386_930_000, y=-92_150_000), INVALID, "item 1: nan is not a number"),
         (Item(16, 0.0, -1.0, x=386_930_000, y=-92_150_000), INVALID, "item 1: acceptance_m must be 0.0 to 1000.0"),
         (Item(16, x=386_930_000, y=-92_150_000, frame=1), INVALID, "item 1: frame 1 has no latitude"),
-        (Item(16), INVALID, "item 1: no such place"),
-        (Item(16, x=2_000_000_000, y=0), INVALID, "item 1: no such place"),
-        (Item(178, 1.0, math.inf), INVALID, "item 1: inf is no number"),
+        (Item(16), INVALID, "item 1: no such latitude and longitude"),
+        (Item(16, x=2_000_000_000, y=0), INVALID, "item 1: no such latitude and longitude"),
+        (Item(178, 1.0, math.inf), INVALID, "item 1: inf is not a number"),
     ],
 )
 def test_what_a_boat_cannot_do_is_refused_by_its_number(sea, item, result, reason):
@@ -386,7 +386,7 @@ def test_a_mission_that_a_new_fence_crosses_is_forgotten(sea):
     upload(sea.console, items_of(zigzag(20)))
     upload(sea.console, plans.fence_items(config.Zones(keep_in=NEAR)), FENCE)
     assert sea.vehicle.helm.plans.mission is None
-    assert any("forgotten" in note for note in sea.boat.log.notes)
+    assert any("mission was removed" in note for note in sea.boat.log.notes)
 
 
 def test_a_mission_keeps_the_fence_that_came_before_it(sea):

@@ -194,7 +194,7 @@ def test_guided_heading_and_position(sea):
 
 @pytest.mark.parametrize(
     ("numbers", "words"),
-    [((1, math.nan), "heading_deg must be"), ((0, 90.0), "no course over ground"), ((2, 90.0), "no course over ground")],
+    [((1, math.nan), "heading_deg must be"), ((0, 90.0), "not a course over ground"), ((2, 90.0), "not a course over ground")],
 )
 def test_what_is_no_heading_is_not_steered(sea, numbers, words):
     result, why = sea.console.command(43002, *numbers)
@@ -250,7 +250,7 @@ def test_without_the_flag_to_change_the_mode_it_stays(sea, mode):
     before = sea.state.mode, sea.state.armed
     result, words = sea.console.reposition(38.6930, -9.2150, flags=0)
     assert result == LATER
-    assert "the flag to change it is not set" in words
+    assert "set the flag that changes the mode" in words
     assert (sea.state.mode, sea.state.armed) == before
 
 

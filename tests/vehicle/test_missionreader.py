@@ -40,7 +40,7 @@ def test_a_text_comes_back_as_its_mission_or_with_what_is_wrong():
 @pytest.mark.parametrize(("text", "cpu_s"), [(LARGE, 1), (LARGE, 60)], ids=["time", "memory"])
 def test_a_text_that_takes_too_much_is_given_up_in_words(text, cpu_s):
     told = Reading(text, cpu_s).lines()
-    assert str(told) == "mission: its text takes longer to read, or more memory, than a boat has for it"
+    assert str(told) == "mission: its text takes too much time or memory to read; make it shorter"
 
 
 def test_a_stop_ends_the_reading(boat, tmp_path):
@@ -69,6 +69,6 @@ def test_a_stop_ends_the_reading(boat, tmp_path):
             asked = asking.submit(ask)
             while not wait([asked], 0.1).done:
                 link.ask("stop")
-            assert asked.result() == "refused: a stop came"
+            assert asked.result() == "refused: a stop was commanded"
 
     asyncio.run(both())

@@ -166,11 +166,11 @@ def test_work_without_end_is_given_up_in_words(sea, monkeypatch):
 @pytest.mark.parametrize(
     ("end", "reason"),
     [
-        (lambda sea: sea.other.mode(4), "refused: a stop came"),
+        (lambda sea: sea.other.mode(4), "refused: a stop was commanded"),
         (lambda sea: sea.other.command(32100, 1, 1), "refused: console 9 commands now"),
         (
             lambda sea: sea.reviews.begin("local", console.Upload(mission(2)), lambda _: None),
-            "refused: another plan came after it",
+            "refused: a newer plan replaced it",
         ),
     ],
 )
@@ -197,7 +197,7 @@ def test_what_was_looked_at_for_another_state_is_looked_at_again(sea):
         while sea.turns:
             turn(sea, 1)
             sea.vehicle.on_command(console.Set("control.speed.max_mps", 1.0))
-    assert answers[1:] == ["refused: the boat's settings change all the time"] * 3
+    assert answers[1:] == ["refused: the boat's settings kept changing meanwhile: send it again"] * 3
 
 
 def test_over_the_command_socket_a_long_text_comes_in_parts(boat, tmp_path, counted, monkeypatch):
@@ -220,7 +220,7 @@ def test_over_the_command_socket_a_long_text_comes_in_parts(boat, tmp_path, coun
             assert link.ask("mission", text=large)["mission"] == "large"
             with pytest.raises(Refused, match="not TOML"):
                 link.ask("mission", text="[" * 5000)
-            with pytest.raises(Refused, match="begin again"):
+            with pytest.raises(Refused, match="send it again from the start"):
                 link._asked("mission", text="x", at=7)
             lines = [{"command": "upload", "mission": json.loads(SMALL)}, {"command": "play"}, {"command": "state"}]
             link._socket.sendall(b"".join(json.dumps(line).encode() + b"\n" for line in lines))
@@ -255,7 +255,7 @@ def test_a_stop_behind_a_plan_does_not_wait_for_it(boat, tmp_path):
             told.extend(link._reply() for _ in range(2))
 
     asyncio.run(both())
-    assert [(each["ok"], each["reason"]) for each in told] == [(False, "refused: a stop came behind it"), (True, "")]
+    assert [(each["ok"], each["reason"]) for each in told] == [(False, "refused: a stop was commanded after it"), (True, "")]
 
 
 def place(n: int) -> dict[str, float]:
@@ -281,7 +281,7 @@ def test_the_fence_is_watched_at_a_bounded_price(counted):
     fence.least, kept = looking, fence.least
     try:
         motion = fence.Motion(frozenset({"position", "velocity"}), 5.0, 0.0, 0.0, 0.0, -1.5, 0.0)
-        assert "too many corners of zones near to be watched" in fence.ahead(thick, motion)
+        assert "too many corners of zones close by to watch" in fence.ahead(thick, motion)
     finally:
         fence.least = kept
     assert sum(looked) <= 2 * fence.LOOKS
@@ -292,7 +292,7 @@ def test_a_boats_own_fence_is_laid_out_in_slices_once_there_is_a_position(make_b
     boat = make_boat(fence=config.FenceTable(keep_in=own.keep_in, keep_out=own.keep_out))
     boat.ready()
     lines = {line.name: line for line in boat.vehicle.helm.checks()}
-    assert (lines["fence"].ok, lines["fence"].reason) == (False, "its zones are being laid into the plane: a moment")
+    assert (lines["fence"].ok, lines["fence"].reason) == (False, "its zones are still being prepared: wait a moment")
     ticks = 0
     while not boat.vehicle.helm.plans.fence.is_laid:
         boat.pass_time(0.1)

@@ -26,12 +26,12 @@ def datagram(host: str, address: str, port: int, buses: Sequence[str]) -> bytes:
 
 
 def announce(interface: str, port: int, buses: Sequence[str]) -> None:
-    """One broadcast with the interface's own address. Raises OSError for an interface that is no LAN, or has no address."""
+    """One broadcast with the interface's own address. Raises OSError for an interface that is not a LAN or has no address."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
         request = struct.pack("16s24x", interface.encode()[:15])
         flags = struct.unpack_from("=H", fcntl.ioctl(sender, _SIOCGIFFLAGS, request), 16)[0]
         if not flags & _IFF_BROADCAST or flags & (_IFF_LOOPBACK | _IFF_POINTOPOINT):
-            raise OSError(f"{interface} is no LAN")
+            raise OSError(f"{interface} is not a LAN")
         address = socket.inet_ntoa(fcntl.ioctl(sender, _SIOCGIFADDR, request)[20:24])
         broadcast = socket.inet_ntoa(fcntl.ioctl(sender, _SIOCGIFBRDADDR, request)[20:24])
         sender.setblocking(False)

@@ -243,7 +243,7 @@ class Client(asyncio.BufferedProtocol):
         """Whether this client may send this identifier; where not, that is counted, and logged once."""
         if self._may_transmit and not self._clients.access.is_barred(arb):
             return True
-        why = f"{identifier(arb):X} is barred" if self._may_transmit else "this network may watch only"
+        why = f"{identifier(arb):X} is barred" if self._may_transmit else "its network may only watch"
         if not self.counts["refused"]:
             self._warn(f"may not transmit: {why}")
         self.counts["refused"] += 1

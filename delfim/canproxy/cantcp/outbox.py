@@ -27,7 +27,7 @@ class Outbox:
             lost, count = self._queue.popleft()
             self.queued_bytes -= len(lost)
             if not self._counts["dropped"]:
-                self._warn("is too slow: frames are dropped for it")
+                self._warn("is too slow: its frames are dropped")
             self._counts["dropped"] += count
         if not (self._soon or self.is_full or self.is_held):
             self._soon = asyncio.get_running_loop().call_soon(self.flush)

@@ -79,7 +79,7 @@ class SlcanSession:
             yield Reply(_TOLD[command])
             return
         elif (command and command not in _IGNORED) or line == "Z1":
-            raise FormatError(f"no command: {line!r}")
+            raise FormatError(f"not a command: {line!r}")
         yield Reply(DONE)  # to an empty line too: clients begin with some of them
 
 

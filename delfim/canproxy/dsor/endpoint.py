@@ -103,7 +103,7 @@ class Endpoint:
             frames = iter(self._sender.start(message, now_s))
         else:
             if len(self._outbox) >= OUTBOX_MAX:
-                raise Refused(f"{OUTBOX_MAX} frames and messages wait for the bus already")
+                raise Refused(f"{OUTBOX_MAX} frames and messages already wait for the bus")
             frames = iter_segments(message, self._broadcasts)
             self._broadcasts += 1
         self._put(message.priority, message.destination == BROADCAST, frames)

@@ -103,7 +103,7 @@ class MessageSender:
         if message.destination == BROADCAST:
             return segments(message, self._next_number(stream))
         if sum(map(len, self._streams.values())) >= self._queue_max:
-            raise Refused(f"{self._queue_max} messages are waiting already")
+            raise Refused(f"{self._queue_max} messages are already waiting")
         transfer = _Transfer(message)
         queue = self._streams.setdefault(stream, deque())
         queue.append(transfer)

@@ -354,7 +354,7 @@ def clock(view: PageView) -> str:
         off_s = (report.utc_ns - vehicle.utc_ns) / 1e9 - age_s
         told.append(f"{off_s:+.1f} s off navigation’s, by {escape(vehicle.source)}")
     else:
-        told.append("navigation tells no time to compare with")
+        told.append("navigation gives no time to compare with")
     return f'<p class="big">{now:%H:%M:%S} <small>UTC</small></p><p class="small">{" · ".join(told)}</p>'
 
 

@@ -10,7 +10,7 @@ SENTENCE = "Holds the heading and speed that the guest computer asks for."
 
 
 def lacks(setpoint: Setpoint) -> str | None:
-    return "no reference from the guest computer" if setpoint.guest_heading_rad is None else None
+    return "no set point from the guest computer" if setpoint.guest_heading_rad is None else None
 
 
 def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:

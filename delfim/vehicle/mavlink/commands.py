@@ -70,10 +70,10 @@ def _mode(o: Order, boat: Terms) -> console.Commands:
     base, custom, sub = o.p[:3]
     if sub:
         if (custom, sub) not in PX4:
-            raise FormatError(f"mode {custom:g}/{sub:g} is another autopilot's")
+            raise FormatError(f"mode {custom:g}/{sub:g} is another autopilot's: choose one of this boat's modes")
         return PX4[custom, sub]
     if not (math.isfinite(base) and int(base) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
-        raise FormatError("a mode is asked for by its custom number")
+        raise FormatError("ask for the mode by its custom number")
     if custom == SMART_RTL:
         return console.SetMode("home")
     if custom not in list(Mode):
@@ -85,7 +85,7 @@ def _mode(o: Order, boat: Terms) -> console.Commands:
 
 def _arm(o: Order, boat: Terms) -> console.Commands:
     if o.p[0] not in (0.0, 1.0):
-        raise FormatError(f"arm or disarm, not {o.p[0]:g}")
+        raise FormatError(f"1 arms, 0 disarms; {o.p[0]:g} does nothing")
     return console.Arm() if o.p[0] else console.Stop()
 
 
@@ -103,7 +103,7 @@ def _home(o: Order, boat: Terms) -> console.Commands:
 
 def _heading(o: Order, boat: Terms) -> console.Commands:
     if o.p[0] != dialect.HEADING_TYPE_HEADING:
-        raise FormatError("the boat steers a heading (1), and no course over ground")
+        raise FormatError("the boat steers a heading (1), not a course over ground")
     return console.asked(console.Heading, heading_deg=o.p[1])
 
 
@@ -113,9 +113,9 @@ def _goto(o: Order, boat: Terms) -> console.Commands:
     if o.frame not in GLOBAL:
         raise FormatError(f"a position in frame {o.frame} has no latitude and longitude")
     if math.isinf(o.p[0]):
-        raise FormatError(f"{o.p[0]} is no speed")
+        raise FormatError(f"{o.p[0]} is not a speed")
     if boat.mode is not Mode.GOTO and not _whole(o.p[1]) & CHANGE_MODE:
-        raise Refused("goto refused: the boat is in another mode, and the flag to change it is not set")
+        raise Refused("goto refused: the boat is in another mode; choose goto first, or set the flag that changes the mode")
     if math.isnan(o.p[4]) and math.isnan(o.p[5]):
         return console.SetMode("hold")
     place = {name: degrees for name, degrees in zip(PLACE, o.p[4:6], strict=True) if not math.isnan(degrees)}
@@ -129,20 +129,20 @@ def _speed(o: Order, boat: Terms) -> console.Commands:
     if o.p[1] >= 0.0:
         return console.asked(console.SetSpeed, speed_mps=o.p[1])
     if not 0.0 <= o.p[2] <= 100.0:
-        raise FormatError("a speed needs m/s, or 0 to 100 %")
+        raise FormatError("give the speed in m/s, or as 0 to 100 %")
     return console.asked(console.SetSpeed, speed_mps=o.p[2] / 100.0 * boat.speed_max_mps)
 
 
 def _reset(o: Order, boat: Terms) -> console.Commands:
     if o.p[0] or o.p[1] or o.p[2] != 1.0:
-        raise FormatError("only the other nodes start again: 0, 0, 1")
+        raise FormatError("only the other nodes can be restarted: send 0, 0, 1")
     return console.asked(console.Reset, node=_whole(o.p[3]) or 127)
 
 
 def _whole(value: float) -> int:
-    """Raises FormatError for what is no number of something."""
+    """Raises FormatError for anything but a whole number from 0 to 65535."""
     if not 0.0 <= value <= 65535.0 or value != int(value):
-        raise FormatError(f"{value:g} is no number of anything")
+        raise FormatError(f"{value:g} is not a whole number from 0 to 65535")
     return int(value)
 
 

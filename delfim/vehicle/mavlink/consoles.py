@@ -96,7 +96,7 @@ class Consoles:
     def refusal(self, source: Speaker, takes: bool = False) -> str | None:
         """Why this console may not command, in words. `takes`: it says that it takes over."""
         if source.component == GUEST:
-            return "the guest computer does not command"
+            return "the guest computer may not command: use a console"
         lost = self.clock.monotonic_s() - self._owner_s > self.boat.helm.settings.failsafe.console_silent.after_s
         if takes or self.commander in (None, source) or lost:
             return None
@@ -119,7 +119,7 @@ class Consoles:
         if where is not None:
             self._namesakes_s = now_s
             places = " and ".join(f"{host}:{port}" for host, port in sorted((address, where)))
-            words = f"two consoles are number {source.system}: {places}; give one of them another number"
+            words = f"two consoles have number {source.system}: {places}; give one of them another number"
             self.boat.on_namesakes(self.boat.state.namesakes or words)
 
     def give_up(self, source: Speaker) -> None:

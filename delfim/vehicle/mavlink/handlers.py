@@ -53,7 +53,7 @@ def _ordered(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Or
     if make is None:
         return UNSUPPORTED, None
     if order.target_system != consoles.system:
-        return DENIED, "a command must name its vehicle"
+        return DENIED, "a command must address this vehicle"
     boat, guided_waits = consoles.boat, consoles.settings.autopilot == "ardurover"
     try:
         terms = commands.Terms(consoles.missions.leg, boat.helm.settings.control.speed.max_mps, boat.state.mode, guided_waits)
@@ -141,7 +141,7 @@ def _old_item(consoles: Consoles, peer: Peer, source: Speaker, message: Message)
 
 def _may(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> bool:
     """Whether this console may change a plan; it is told why not."""
-    reason = consoles.refusal(source) if message.target_system == consoles.system else "a plan must name its vehicle"
+    reason = consoles.refusal(source) if message.target_system == consoles.system else "a plan must address this vehicle"
     if reason:
         consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
         denied = dialect.MAV_MISSION_DENIED
@@ -177,7 +177,7 @@ def _param_set(consoles: Consoles, peer: Peer, source: Speaker, message: Message
             peer.profile = telemetry.PROFILES[int(number)]
             peer.asked_s.clear()
     elif message.target_system != consoles.system:
-        reason = "a parameter must name its vehicle"
+        reason = "a parameter must address this vehicle"
     else:
         try:
             reason = consoles.ask(source, params.command(name, number))

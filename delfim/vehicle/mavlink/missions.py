@@ -132,7 +132,7 @@ class Missions:
     def leg(self, number: int) -> int:
         """The leg that leads to an item. Raises FormatError."""
         if (known := self.own(MISSION)) is None:
-            raise FormatError("the mission is being read: a moment")
+            raise FormatError("the mission is still being prepared: ask again in a moment")
         return known.leg_of(max(number - self._home_first, 0))
 
     def number(self, leg: int) -> int:

@@ -128,7 +128,7 @@ class MissionDraft:
     def done(self, name: str, zones: config.Zones) -> Mission:
         """What a mission file would say."""
         if not self.waypoints:
-            raise FormatError("a mission without a waypoint")
+            raise FormatError("a mission needs a waypoint")
         return Mission(version=1, name=name, waypoint=tuple(self.waypoints), path=tuple(self.path), fence=zones)
 
 
@@ -163,7 +163,7 @@ class ZonesDraft:
     def _begin(self, number: int, item: Item) -> None:
         """The first item of a zone: lengths before anything else."""
         if item.command not in (CIRCLE_OUT, KEEP_IN, KEEP_OUT):
-            raise Unsupported(f"item {number}: {_name(item.command)} is no zone that this boat knows")
+            raise Unsupported(f"item {number}: {_name(item.command)} is not a zone that this boat knows")
         self._first, self._begun = item, number
         if item.command == KEEP_IN and self._keep_in:
             raise FormatError(f"item {number}: a second polygon to stay in")
@@ -193,7 +193,7 @@ class RallyDraft:
 
     def add(self, number: int, item: Item) -> None:
         if item.command != HARBOUR:
-            raise Unsupported(f"item {number}: {_name(item.command)} is no rally point")
+            raise Unsupported(f"item {number}: {_name(item.command)} is not a rally point")
         if len(self._places) >= HARBOURS:
             raise FormatError(f"item {number}: more than {HARBOURS} rally points")
         self._places.append(_place(number, item))
@@ -218,7 +218,7 @@ class Told(NamedTuple):
         """The leg that leads to an item, or to the first waypoint after it. Raises FormatError where there is none."""
         leg = bisect_left(self.waypoints, number)
         if leg == len(self.waypoints):
-            raise FormatError(f"no item {number} that can be gone to")
+            raise FormatError(f"no waypoint at item {number} or after it")
         return leg
 
     def item_of(self, leg: int) -> int:
@@ -262,7 +262,7 @@ def _waypoint(number: int, item: Item, speed_mps: float) -> Waypoint:
 def _delayed(number: int, item: Item, waypoint: Waypoint) -> Waypoint:
     """The waypoint with a delay behind it."""
     if item.p1 < 0.0:
-        raise Unsupported(f"item {number}: to wait for a time of day is not something this boat does")
+        raise Unsupported(f"item {number}: this boat cannot wait for a time of day")
     fields = msgspec.structs.asdict(waypoint)
     return _row(number, Waypoint, **fields | {"hold_s": round(waypoint.hold_s + _number(number, item.p1), 3)})
 
@@ -287,7 +287,7 @@ def _asked_mps(number: int, item: Item) -> float:
 def _number(number: int, value: float) -> float:
     """As a person would write it: what travelled as a float has seven digits. Raises FormatError for what is not finite."""
     if not math.isfinite(value):
-        raise FormatError(f"item {number}: {value} is no number")
+        raise FormatError(f"item {number}: {value} is not a number")
     return round(value, 3)
 
 
@@ -295,7 +295,7 @@ def _place(number: int, item: Item) -> tuple[float, float]:
     if item.frame not in GLOBAL:
         raise FormatError(f"item {number}: frame {item.frame} has no latitude and longitude")
     if not (abs(item.x) <= 890_000_000 and abs(item.y) <= 1_800_000_000) or (item.x == 0 and item.y == 0):
-        raise FormatError(f"item {number}: no such place")
+        raise FormatError(f"item {number}: no such latitude and longitude")
     return item.x / 1e7, item.y / 1e7
 
 
