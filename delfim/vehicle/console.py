@@ -1,7 +1,7 @@
 """The console's side of the vehicle (console.c in the thesis): typed commands in, the state back.
 
-Commands are rows of one union: a class that says what may be asked, and a method of `Helm` or `VehicleLoop` that does it. This
-file knows the words and their ranges; `command.py` carries them over a local socket, and a radio link carries the same words.
+Commands are rows of one union: a class declares the command, a method of `Helm` or `VehicleLoop` carries it out. This
+file has the words and their ranges; `command.py` carries them over a local socket, and a radio link carries the same words.
 """
 
 import math
@@ -26,8 +26,8 @@ Speed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
 Thrust = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
 
 
-ZONE, ROW = 10, 1  # comparisons, in time, that one of them takes to be written
-PART, TEXT = 1 << 14, 1 << 20  # characters of a mission's text: of a part of it, and of all
+ZONE, ROW = 10, 1  # time to write one, counted in comparisons
+PART, TEXT = 1 << 14, 1 << 20  # characters: of a part of a mission's text, and of all of it
 
 
 class Command(msgspec.Struct, frozen=True, forbid_unknown_fields=True, tag_field="command", tag=str.lower):
@@ -49,7 +49,7 @@ class SetMode(Command, frozen=True, tag="mode"):
 
 
 class Manual(Command, frozen=True):
-    """Thrust of each propeller as a part of the most it may give; enters manual mode. Repeat it, or it fades to zero."""
+    """Thrust of each propeller as a fraction of its maximum; enters manual mode. Repeat it, or the thrust ends."""
 
     starboard: Thrust
     port: Thrust
@@ -63,8 +63,8 @@ class Heading(Command, frozen=True):
 
 
 class SetSpeed(Command, frozen=True, tag="speed"):
-    """Change speed, keep the mode: it goes before the speeds of mission, path and way home until another mode is asked for.
-    Without a speed, theirs again."""
+    """Change the speed, keep the mode: it overrides the speeds of mission, path and way home until the next change of mode.
+    Without a value, their own speeds apply again."""
 
     speed_mps: Speed | None = None
 
@@ -77,13 +77,13 @@ class Goto(Command, frozen=True):
     speed_mps: Speed | None = None
 
     def __post_init__(self) -> None:
-        if (self.latitude_deg is None) != (self.longitude_deg is None):  # half a position is none, and not the first waypoint
+        if (self.latitude_deg is None) != (self.longitude_deg is None):  # one alone is a mistake, not the first waypoint
             raise FormatError("goto needs a latitude and a longitude, or neither")
 
 
 class LoadMission(Command, frozen=True, tag="mission"):
-    """Load a mission, given as the text of its file. The mode stays; nothing is played until told. A long text comes in parts
-    one after the other: `at` is where in the text the part belongs, and `more` that it is not the last one."""
+    """Load a mission, given as the text of its file. The mode stays; play is a command of its own. A long text comes in
+    parts, in order: `at` is the part's place in the text, `more` says that another part follows."""
 
     text: Annotated[str, msgspec.Meta(max_length=PART)]
     at: Annotated[int, msgspec.Meta(ge=0, le=TEXT)] = 0
@@ -91,19 +91,19 @@ class LoadMission(Command, frozen=True, tag="mission"):
 
 
 class Upload(Command, frozen=True):
-    """The same as its tables, which a link has at hand: there is no text to be read."""
+    """Load a mission given as tables, from a link that has no text of it."""
 
     mission: MissionTables
 
 
 class Play(Command, frozen=True):
-    """Play the mission from a leg on (0: the first waypoint)."""
+    """Play the mission from this leg on (0: the leg to the first waypoint)."""
 
     leg: Annotated[int, msgspec.Meta(ge=0, le=100_000)] = 0
 
 
 class Leg(Command, frozen=True):
-    """The leg that play begins with; a mission that is being played goes on there."""
+    """Set the leg that play begins with; a mission that is being played continues there."""
 
     leg: Annotated[int, msgspec.Meta(ge=0, le=100_000)]
 
@@ -113,48 +113,48 @@ class Unload(Command, frozen=True):
 
 
 class SetFence(Command, frozen=True, tag="fence"):
-    """The mission's zones, in place of those before. A mission that crosses them is forgotten."""
+    """Replace the mission's zones. A mission that crosses the new ones is removed."""
 
     zones: config.Zones
 
 
 class Rally(Command, frozen=True):
-    """Harbours: the way home ends at the first one that it passes."""
+    """Set the harbours: the way home ends at the first one that it passes."""
 
     points: Annotated[tuple[config.Position, ...], msgspec.Meta(max_length=100)]
 
 
 class Take(Command, frozen=True):
-    """This console commands from now on, and must be heard."""
+    """Take over: this console commands from now on, and its silence is a trouble."""
 
 
 class Arm(Command, frozen=True):
-    """Whether the boat is fit to leave idle; refused with the reason why not. Stop disarms."""
+    """Check that the boat may leave idle; refused with the reason if not. Stop disarms."""
 
 
 class Reset(Command, frozen=True):
-    """The other nodes start again (thesis 4.3, key R); in idle only. `node`: 127 is all of them."""
+    """Restart the other nodes (thesis 4.3, key R); in idle only. `node`: 127 is all of them."""
 
     node: Annotated[int, msgspec.Meta(ge=1, le=127)] = 127
 
 
 class Set(Command, frozen=True):
-    """Another value for a key of the vehicle's file, until the program ends."""
+    """Change a key of the vehicle's file until the program ends."""
 
     key: Annotated[str, msgspec.Meta(max_length=64)]
     value: float | Annotated[str, msgspec.Meta(max_length=64)]
 
 
 class TellState(Command, frozen=True, tag="state"):
-    """Only the state back."""
+    """Ask for the state once."""
 
 
 class Watch(Command, frozen=True):
-    """Every state from now on, newest only."""
+    """Ask for every state from now on, newest only."""
 
 
 class ShutDown(Command, frozen=True):
-    """Stop, and end everything in order, so that the power may be cut; or start the computer again."""
+    """Stop and end everything in order, so that the power may be cut; or restart the computer."""
 
     reboot: bool = False
 
@@ -164,7 +164,7 @@ Commands = (
     | Take | Arm | Reset | Set | TellState | Watch | ShutDown
 )  # fmt: skip
 KINDS: dict[str, type[Command]] = {str(kind.__struct_config__.tag): kind for kind in get_args(Commands)}  # by their words
-Plan = LoadMission | Upload | SetFence  # what has to be looked at for longer than a callback may take
+Plan = LoadMission | Upload | SetFence  # checking these takes longer than a callback may
 Kind = TypeVar("Kind", bound=Command)
 _decoder = msgspec.json.Decoder(Commands)
 _encode = msgspec.json.Encoder().encode
@@ -207,7 +207,7 @@ def parse(line: bytes) -> Commands:
 
 
 def asked(kind: type[Kind], **numbers: object) -> Kind:
-    """A command of these numbers, in range and finite, as a line of JSON must have them. Raises FormatError in words."""
+    """A command with these values, checked as in a line of JSON: in range and finite. Raises FormatError in words."""
     try:
         return msgspec.convert(numbers, kind)
     except msgspec.ValidationError as error:
@@ -215,7 +215,7 @@ def asked(kind: type[Kind], **numbers: object) -> Kind:
 
 
 def _why(tree: Any, text: str) -> str:
-    """Why this is no command, in words for the operator; `text` is the library's, of which only our own sentences are kept."""
+    """Why this is not a command, for the operator. Of `text`, the library's message, only our own sentences are kept."""
     word = tree.get("command") if isinstance(tree, dict) else None
     kind = KINDS.get(word) if isinstance(word, str) else None
     if kind is None:
@@ -235,7 +235,7 @@ def _why(tree: Any, text: str) -> str:
 
 
 def answer(reason: str | None, snapshot: dict[str, Any]) -> bytes:
-    """The line that goes back: whether the command was carried out, if not why, and the state as it now is."""
+    """The answer: whether the command was carried out, the reason if not, and the state now."""
     return _encode({"ok": reason is None, "reason": reason or "", "state": snapshot}) + b"\n"
 
 
@@ -320,5 +320,5 @@ def _rounded(value: float | None) -> float | None:
 
 
 def _age(now_s: float, at_s: float) -> float | None:
-    """None: never heard."""
+    """The age of an input; None: it was never heard."""
     return None if at_s < -1e8 else round(now_s - at_s, 3)

@@ -1,8 +1,8 @@
-"""What goes wrong, and what the boat does about it: one table, trouble by trouble and mode by mode (thesis 2.12, 3.4).
+"""Troubles and the action that the boat takes for each: one table, trouble by trouble and mode by mode (thesis 2.12, 3.4).
 
-The table is `[failsafe]` of the vehicle's file, `docs/failsafe.md` explains it; `troubles.py` sees what is wrong. Nothing here
-moves anything: `failsafe` is a function of the state that says what should be done, ten times a second, and the loop does it.
-No action takes the boat back to what it was taken from. When a trouble ends, nothing is resumed: the operator acts.
+The table is `[failsafe]` of the vehicle's file, `docs/failsafe.md` explains it; `troubles.py` detects them. Nothing here
+moves anything: ten times a second `failsafe` derives the action from the state, and the loop does it.
+When a trouble ends, the boat does not resume what it was doing: the operator acts.
 """
 
 import math
@@ -30,11 +30,11 @@ class Action(IntEnum):
 
 
 class Episode(NamedTuple):
-    """A trouble from its first sight until it has been away for `clear_s`."""
+    """A trouble, from when it is first detected until it has been absent for `clear_s`."""
 
     reason: str
     since_s: float
-    seen_s: float  # last time it was there
+    seen_s: float  # last time it was detected
     acting_s: float  # when it had lasted for `after_s`; infinite before
     answered: bool = False  # the boat went home for it, or the operator overruled that
 
@@ -66,7 +66,7 @@ class Rules:
 
 
 def _lasting_s(table: config.Failsafe, trigger: Trigger) -> float:
-    """How long a trouble that has no age of its own must be there."""
+    """How long a trouble without an age of its own must last before the boat acts."""
     row: config.Trouble | None = getattr(table, trigger.name.lower(), None)
     return 0.0 if row is None or isinstance(row, config.Silence) else row.after_s
 
@@ -82,7 +82,7 @@ def _action(table: config.Failsafe, trigger: Trigger, mode: Mode) -> Action:
 
 
 def failsafe(rules: Rules, memory: Memory, state: State, inputs: Inputs, now_s: float) -> Verdict:
-    """One look at everything that can go wrong."""
+    """Evaluate every trouble once."""
     found = troubles(Look(rules.settings, state, inputs, memory, now_s))
     if not found and not memory:
         return _WELL
@@ -114,14 +114,14 @@ def fallback(action: Action, reason: str, has: frozenset[str], setpoint: Setpoin
 
 
 def news(before: tuple[Notice, ...], after: tuple[Notice, ...]) -> list[str]:
-    """What a log should say of the change from one look to the next."""
+    """The log lines for the change from one evaluation to the next."""
     known, present = {(n.name, n.action) for n in before}, {n.name for n in after}
     lines = [f"{n.name}: {n.reason}: {n.action}" for n in after if (n.name, n.action) not in known]
     return lines + [f"{n.name}: over" for n in before if n.name not in present]
 
 
 def overruled(memory: Memory) -> Memory:
-    """After a command of the operator that was accepted: what is there now sends nobody home any more."""
+    """After an accepted command of the operator, present troubles no longer trigger HOME: the operator overruled them."""
     if not memory:
         return memory
     return {
@@ -136,7 +136,7 @@ def bits(notices: tuple[Notice, ...]) -> int:
 
 
 def _remembered(rules: Rules, memory: Memory, found: list[tuple[Trigger, str]], now_s: float) -> dict[Trigger, Episode]:
-    """The memory with what was found. A trouble that has not lasted yet is forgotten as soon as it is away."""
+    """The memory with the troubles just found. One that has not lasted long enough is forgotten as soon as it is absent."""
     after = {}
     for trigger, reason in found:
         was = memory.get(trigger)
@@ -151,7 +151,7 @@ def _remembered(rules: Rules, memory: Memory, found: list[tuple[Trigger, str]], 
 
 
 def _answer(rules: Rules, trigger: Trigger, episode: Episode, state: State, now_s: float) -> tuple[Action, str]:
-    """What to do about one trouble now, and why. What is away but not over yet is only told."""
+    """The action for one trouble now, and why. A trouble that is absent but not cleared yet is only reported."""
     action, why = rules.actions[trigger][state.mode], episode.reason
     if episode.seen_s != now_s:
         return Action.WARN, why

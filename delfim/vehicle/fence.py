@@ -1,7 +1,7 @@
 """The fence: where the boat may be (docs/failsafe.md). Pure, in metres of the local plane; no clock, no state.
 
-Zones do not add up to one shape: each is asked by itself, so a gap between two of them is as narrow as it is. A fence has up to
-202 of them. So what is asked ten times a second gives up with the safe answer after LOOKS comparisons.
+Zones are not merged into one shape: each is checked by itself, so a gap between two keeps its width. A fence has up to 202
+zones, so the check done ten times a second gives up after LOOKS comparisons, with the safe answer.
 """
 
 import math
@@ -14,22 +14,22 @@ from delfim.slices import Work
 from delfim.vehicle.state import Motion, Setpoint
 from delfim.vehicle.zones import Point, Zone, circle, clearance_m, least, may, polygon
 
-LOOKS: Final = 200  # comparisons, about a microsecond each, of one question
-BOXES: Final = 4  # boxes that are looked at in the time of one comparison
-RECEDES_M = 0.01  # a boat whose clearance does not shrink by more than this goes away from a zone, or along it
+LOOKS: Final = 200  # comparisons for one answer, about a microsecond each
+BOXES: Final = 4  # boxes that are compared in the time of one comparison
+RECEDES_M = 0.01  # a boat whose clearance shrinks by no more than this leaves a zone, or goes along it
 
 
 class Fence(NamedTuple):
-    """All zones that are obeyed, and what the boat needs to obey them."""
+    """All zones in force, and the figures needed to obey them."""
 
     zones: tuple[Zone, ...]
     limits: config.FenceTable
-    own: int = 0  # of the zones, the first: the boat's
+    own: int = 0  # how many of the zones, the first ones, are the boat's own
     is_laid: bool = True  # False: the zones are not in the plane yet
 
 
 def unlaid(limits: config.FenceTable, mission: config.Zones) -> Fence | None:
-    """The fence while there is no plane to lay it into. None: there is none."""
+    """The fence before there is a local plane to lay it into. None: there is no fence."""
     if not (limits.keep_in or limits.keep_out or mission.keep_in or mission.keep_out):
         return None
     return Fence((), limits, is_laid=False)
@@ -69,13 +69,13 @@ def _zones(whose: str, zones: config.Zones, at: geodesy.Origin) -> Iterator[Zone
 
 
 def stopping_m(limits: config.FenceTable, speed_mps: float) -> float:
-    """How far the boat goes on when it is told to stop."""
+    """The boat's stopping distance."""
     return speed_mps * limits.reaction_s + speed_mps * speed_mps / (2.0 * limits.deceleration_mps2)
 
 
 def ahead(fence: Fence, motion: Motion) -> str | None:
-    """Why the boat must stop now, in words: on its course it could not stop `margin_m` from a zone any more. None: it could, or
-    it goes away from that zone, or lies still where it may be. A boat of unknown velocity goes wherever it is worst.
+    """Why the boat must stop now, in words: on its course it could no longer stop `margin_m` from a zone. None: it could, or
+    it leaves that zone, or lies still where it may be. An unknown velocity is taken as the worst possible.
     """
     limits, here = fence.limits, (motion.north_m, motion.east_m)
     known = "velocity" in motion.has
@@ -102,7 +102,7 @@ def ahead(fence: Fence, motion: Motion) -> str | None:
 
 
 def outside(fence: Fence, north_m: float, east_m: float) -> str | None:
-    """Where the boat is that it may not be, in words."""
+    """Which zone the boat violates now, in words."""
     left = LOOKS
     for zone in fence.zones:
         south, west, north, east = zone.box
@@ -121,19 +121,19 @@ def outside(fence: Fence, north_m: float, east_m: float) -> str | None:
 
 
 def place_to_hold(fence: Fence, here: Point, track: Sequence[Point], radius_m: float) -> Work[Point]:
-    """Where to hold so that drifting about within `radius_m` keeps the margin: here, or else at the newest place of the driven
-    track, oldest first, that has this room; here again where none has.
+    """Where to hold so that drifting within `radius_m` keeps the margin: here, or else at the newest place of the
+    driven track (oldest first) with this room; here where no place has it.
     """
     for point in (here, *reversed(track)):
         has_room, looked = _has_room(fence, point, radius_m + fence.limits.margin_m)
         if has_room:
             return point
-        yield 2 * looked  # one that is dear has a slice to itself
+        yield 2 * looked  # an expensive one has a slice to itself
     return here
 
 
 def _has_room(fence: Fence, point: Point, room_m: float) -> tuple[bool, int]:
-    """Whether all zones are so far away, and how many comparisons it took. Where it takes too many, they are not."""
+    """Whether all zones are this far away, and how many comparisons it took. False when it takes too many."""
     looked = 0
     for number, zone in enumerate(fence.zones, 1):
         smallest, more = least(zone, point, point, room_m)
@@ -144,7 +144,7 @@ def _has_room(fence: Fence, point: Point, room_m: float) -> tuple[bool, int]:
 
 
 def crossing(fence: Fence, mode: Mode, motion: Motion, setpoint: Setpoint) -> str | None:
-    """What the fence has against the straight way to where a mode first goes, in words. Within the margin it may lead away."""
+    """Why the fence forbids the straight way to where a mode first goes, in words. Within the margin it may lead away."""
     waypoints = setpoint.plan.waypoints if setpoint.plan is not None else ()
     to = waypoints[setpoint.leg] if mode is Mode.PLAY else setpoint.target if mode is Mode.GOTO else None
     if to is None:

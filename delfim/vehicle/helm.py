@@ -1,4 +1,4 @@
-"""Which mode the boat is in, who may change it, and what the operator asked for. The loop alone calls this."""
+"""The helm: the boat's mode, changes of it, and the operator's set points. Only the loop calls this."""
 
 import math
 from collections.abc import Callable
@@ -24,7 +24,7 @@ from delfim.vehicle.track import Track
 from delfim.vehicle.troubles import Inputs, unfollowed
 from delfim.vehicle.zones import Point
 
-PUSHED_S = 1.0  # manual commands that come faster are one push
+PUSHED_S = 1.0  # manual commands at shorter intervals are one push of the joystick
 
 
 class Helm:
@@ -38,8 +38,8 @@ class Helm:
         self.track = Track(settings.control.home)
         self.plans = Plans(settings.fence, self.limits, state, self.track, log)
         self.rules, self.troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
-        self.taken = False  # the failsafe changed the mode; a joystick that is still pushed does not take it back
-        self._seeking: Sliced[Point] | None = None  # of a better place to hold
+        self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
+        self._seeking: Sliced[Point] | None = None  # the search for a better place to hold
         self._controlled_s = clock.monotonic_s()
 
     def stop(self, reason: str) -> None:
@@ -48,7 +48,7 @@ class Helm:
         self.state.actuation = self._propulsion.send(STOP, self._clock.monotonic_s())
 
     def steer(self, now_s: float) -> None:
-        """A step of the mode, and what it asks for to the propellers."""
+        """One step of the mode; its command goes to the propellers."""
         self.state.actuation = self._propulsion.send(self.control(now_s), now_s)
 
     def control(self, now_s: float) -> Actuation:
@@ -59,12 +59,12 @@ class Helm:
         return wanted
 
     def checks(self) -> list[Check]:
-        """What is in order before the start and what is not, a line each."""
+        """The checks before the start, a line each."""
         inputs = Inputs(self._log.reason(), self.plans.fence)
         return checks(self.rules, self.state, inputs, self._clock.monotonic_s(), self._clock.time_ns())
 
     def unfit(self, lines: list[Check] | None = None) -> str | None:
-        """Why the boat cannot leave idle, in words; None: it can. Manual asks for least: what forbids it forbids everything."""
+        """Why the boat cannot leave idle, in words; None: it can. Manual needs least: if it is forbidden, so is every mode."""
         return refusal(self.rules, Mode.MANUAL, self.checks() if lines is None else lines)
 
     def home(self) -> tuple[float, float] | None:
@@ -73,7 +73,7 @@ class Helm:
         return geodesy.from_plane(at, *end) if end is not None and at is not None else None
 
     def fall_back(self, action: Action, reason: str, now_s: float) -> None:
-        """Do what the failsafe asks, or the next safer thing that can be done."""
+        """Do the failsafe's action, or the next safer one that is possible."""
         state = self.state
         if action is Action.DISCONNECT:
             self._propulsion.disconnect(unfollowed(self.rules.table.thruster, state, now_s))
@@ -86,7 +86,7 @@ class Helm:
             self.steer(now_s)
 
     def fade(self, now_s: float) -> None:
-        """Manual thrust that nobody repeats ends; the mode stays. Coming back, the operator lets go before it turns again."""
+        """Manual thrust that is not repeated ends; the mode stays. Thrust returns only after the joystick is released."""
         state, silent_s = self.state, now_s - self.state.manual_s
         held = state.setpoint.starboard or state.setpoint.port
         if state.mode is Mode.MANUAL and held and silent_s > self.settings.failsafe.manual_silent.thrust_s:
@@ -96,7 +96,7 @@ class Helm:
             state.actuation = self._propulsion.send(STOP, now_s)  # at once; from the next cycle on, none
 
     def go_on(self) -> None:
-        """A slice of what takes its time."""
+        """A slice of long work."""
         self.plans.go_on()
         self._seek()
 
@@ -118,7 +118,7 @@ class Helm:
             self._seek()
         if (
             mode is Mode.PATH and self.memory.leg > 0 and state.setpoint.plan is not None
-        ):  # or pieces would be missed in silence
+        ):  # otherwise the boat would skip pieces without a word
             pieces = len(state.setpoint.plan.path)
             reason = f"{reason}; begins at piece {self.memory.leg + 1} of {pieces}, the first that the boat stands on"
         if mode is not state.mode:
@@ -128,7 +128,7 @@ class Helm:
         self._log.note(f"{mode.name.lower()}: {reason}")
 
     def _request(self, mode: Mode, setpoint: Setpoint, now_s: float) -> None:
-        """The one door: the operator asks for a mode with its set points. Raises Refused; nothing has changed then."""
+        """The one door: enter the mode the operator asks for, with its set points. Raises Refused; nothing has changed then."""
         state = self.state
         if mode is Mode.HOME:
             setpoint = setpoint._replace(track=self.track.way_home())
@@ -160,17 +160,17 @@ class Helm:
         _OBEYED[type(command)](self, command, now_s)
 
     def _halt(self, command: console.Stop | console.ShutDown, now_s: float) -> None:
-        """Whatever else a shutdown is, the vehicle does not do it."""
+        """The vehicle does nothing else for a shutdown."""
         self.taken = False
         self.stop("operator")
 
     def _change_mode(self, command: console.SetMode, now_s: float) -> None:
         wanted, setpoint = mode_named(command.mode), self.state.setpoint
-        if wanted is Mode.MANUAL:  # without thrust, until told
+        if wanted is Mode.MANUAL:  # without thrust until a command comes
             self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
         elif wanted is Mode.HEADING:
             setpoint = self._onwards()
-        elif wanted is Mode.GOTO:  # waits, until told where to
+        elif wanted is Mode.GOTO:  # waits for a point
             setpoint = setpoint._replace(target=None)
         self._request(wanted, setpoint, now_s)
 
@@ -211,11 +211,11 @@ class Helm:
         self._propulsion.reset(command.node)
 
     def _hear(self, command: console.Alive | console.Take, now_s: float) -> None:
-        """That the console is there, or commands, the loop has noted."""
+        """Nothing: the loop has already noted that the console is there, or commands."""
 
     def _onwards(self) -> Setpoint:
-        """The set points of heading mode until others are asked for: those that it has, or else the boat's heading, and the
-        speed at which it sails; cruising speed where it does not sail."""
+        """The set points of heading mode until others come: those that it has, or else the boat's heading and present speed;
+        cruising speed for a boat at rest."""
         state = self.state
         if state.mode is Mode.HEADING:
             return state.setpoint
@@ -224,7 +224,7 @@ class Helm:
         return state.setpoint._replace(heading_rad=state.motion.heading_rad, speed_mps=self._speed(speed_mps))
 
     def _speed(self, asked_mps: float | None) -> float:
-        """The operator's speed within the boat's; cruising speed where none was named."""
+        """The operator's speed, limited to the boat's; cruising speed if none was given."""
         speeds = self.settings.control.speed
         return min(speeds.cruise_mps if asked_mps is None else asked_mps, speeds.max_mps)
 

@@ -8,7 +8,7 @@ from delfim.vehicle.state import Profile
 
 # Upper edges in microseconds: 1 us wide up to 500 us, then 5 % wide up to 10 s.
 EDGES_US = [*range(1, 501), *accumulate([1.05] * 205, lambda edge, ratio: edge * ratio, initial=525.0)]
-# The bars that are shown: ten a decade from 10 us on, the last one open.
+# The bars that are shown: ten a decade from 10 us on, the last one without an upper edge.
 _BARS = [*(bisect_left(EDGES_US, 10.0 * 10.0 ** (k / 10)) for k in range(60)), len(EDGES_US) - 1]
 _BARS_US = [round(float(EDGES_US[last]), 1) for last in _BARS]
 STAGES = ("poll", "navigation", "control", "propulsion", "log")
@@ -39,7 +39,7 @@ class Latency:
         self.counts[bisect_left(EDGES_US, path_us)] += 1
         self.worst_us = max(self.worst_us, path_us)
         sums = self._sums_ns
-        t1 = max(p.t1, p.t0)  # a loop that was awake before the last frame came did not wait for it
+        t1 = max(p.t1, p.t0)  # the loop may have been awake before the last frame came
         sums[0] += t1 - p.t0
         sums[1] += p.t2 - t1
         sums[2] += p.t3 - p.t2

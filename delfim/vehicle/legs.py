@@ -1,4 +1,4 @@
-"""The ways of a mission, against the fence: work in slices, because either may be long."""
+"""Checks the legs and paths of a mission against the fence: work in slices, because either may be long."""
 
 import math
 from collections.abc import Iterator
@@ -12,12 +12,12 @@ from delfim.vehicle.fence import BOXES, Fence, stopping_m, through
 from delfim.vehicle.state import Line, Plan
 from delfim.vehicle.zones import Box, Point, Zone, apart, box_of, circle, least
 
-CHORD_RAD = math.radians(5.0)  # an arc is looked at in pieces of this angle: 0.1 % of the radius off
+CHORD_RAD = math.radians(5.0)  # arcs are checked in chords of this angle: 0.1 % of the radius off
 TURN_STEP_RAD = math.radians(15.0)
 
 
 class Stretch(NamedTuple):
-    """A straight piece of a mission, the speed at its end, and what the leg or the arc that it belongs to lies in."""
+    """A straight piece of a mission, the speed at its end, and the box around the leg or arc that it belongs to."""
 
     name: str
     a: Point
@@ -27,7 +27,7 @@ class Stretch(NamedTuple):
 
 
 def complaint(fence: Fence, plan: Plan, radius_m: float) -> Work[str | None]:
-    """What the fence has against a mission, in words: a leg or path nearer than `mission_margin_m`; a corner where the boat,
+    """Why the fence forbids a mission, in words: a leg or path nearer than `mission_margin_m`; a corner where the boat,
     whichever way it points while it turns, has less than the stopping distance and `margin_m` ahead; or a place to wait at
     without room to drift about within `radius_m`.
     """
@@ -72,7 +72,7 @@ def _near(fence: Fence, way: Stretch) -> tuple[Zone, ...]:
 
 
 def _fault(fence: Fence, way: Stretch, onwards: Stretch) -> Work[str | None]:
-    """What the fence has against one straight piece of a mission and the turn at its end."""
+    """Why the fence forbids one straight piece of a mission or the turn at its end."""
     limits, (text, a, b, speed_mps, _) = fence.limits, way
     yield 1 + len(fence.zones) // BOXES
     room_m = stopping_m(limits, speed_mps)
@@ -93,7 +93,7 @@ def _fault(fence: Fence, way: Stretch, onwards: Stretch) -> Work[str | None]:
 
 
 def _stops(a: Point, b: Point, onwards: Stretch, room_m: float) -> Iterator[Point]:
-    """Where a boat that came from a and turns in b could come to rest."""
+    """Where a boat that came from a and turns at b could come to rest."""
     came_rad = math.atan2(b[1] - a[1], b[0] - a[0])
     turn_rad = geodesy.wrap(math.atan2(onwards.b[1] - onwards.a[1], onwards.b[0] - onwards.a[0]) - came_rad)
     steps = math.ceil(abs(turn_rad) / TURN_STEP_RAD)
@@ -113,7 +113,7 @@ def _legs(plan: Plan) -> Iterator[Stretch]:
 
 
 def _pieces(plan: Plan) -> Iterator[Stretch]:
-    """The straight pieces of the path to follow, arcs in chords; the same circle is not gone round twice."""
+    """The straight pieces of the path to follow, arcs in chords; a circle is checked only once."""
     for number, piece in enumerate(plan.path, 1):
         name = f"piece {number} of the path"
         end_mps = 0.0 if number == len(plan.path) else piece.speed_mps

@@ -1,5 +1,5 @@
-"""How the boat's parts reach what is outside: CAN buses and serial lines, which are handed to them. At sea they are real,
-elsewhere those who run the vehicle give their own.
+"""Links to the outside: CAN buses and serial lines, handed to the boat's parts. At sea they are real; lock step, replay
+and tests hand in their own.
 """
 
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 
 
 class Readable(Protocol):
-    """What is waited for: a CAN socket or a serial line."""
+    """An input to wait for: a CAN socket or a serial line."""
 
     def fileno(self) -> int: ...
     def rebind(self) -> bool: ...  # take up an input that failed; True when it can be used
@@ -18,17 +18,17 @@ class Readable(Protocol):
 class ReadableLine(Readable, Protocol):
     """A serial line, as delfim.serialline has it. Nothing here waits or raises."""
 
-    t_ns: int  # since 1970, when that was read which `read` gave last
+    t_ns: int  # since 1970: when the data of the last `read` came
 
-    def read(self) -> bytes: ...  # what has come; empty: nothing
-    def write(self, data: bytes) -> bool: ...  # False where it was not taken whole
+    def read(self) -> bytes: ...  # received data; empty: none
+    def write(self, data: bytes) -> bool: ...  # False when not all was taken
 
 
 class Links(NamedTuple):
-    """Whoever opens a link keeps it open, takes it up again after a failure, and closes it. Both raise DelfimError."""
+    """Opens links. The caller keeps a link open, reopens it after a failure, and closes it. Both methods raise DelfimError."""
 
     bus: Callable[[str, tuple[CanAddress, ...]], CanSocket]
-    """A socket on an interface that never blocks and receives what the filters accept: none, nothing."""
+    """A socket on an interface: never blocks, receives what the filters accept; without filters, nothing."""
 
     line: Callable[[str, int], ReadableLine]
     """The serial line of a device, at this speed in baud."""

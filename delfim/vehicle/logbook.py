@@ -1,4 +1,4 @@
-"""The vehicle's state log: a record a cycle, and what happened in the sidecar beside it (docs/log-format.md)."""
+"""The vehicle's state log: a record a cycle, and events in the sidecar beside it (docs/log-format.md)."""
 
 import msgspec
 
@@ -34,12 +34,12 @@ class Logbook:
         self._writer.put(record.values(self._fields, state, now_s))
 
     def event(self, event: str, **what: object) -> None:
-        """Into the sidecar: what happened that is no record."""
+        """Write an event into the sidecar."""
         self._log.note(event_line(self._clock, event, **what))
 
     def command(self, command: Commands, refused: str | None, state: State, written: bytes | None = None) -> None:
-        """A word of the console and what became of it; `written`: its JSON, where somebody took the time to make it. Those that
-        only ask or only say that somebody is there are not kept."""
+        """Log a command of the console and its outcome; `written`: its JSON, where it exists already. Queries and signs of life
+        are not kept."""
         if not isinstance(command, Alive | TellState | Watch):
             value = command if written is None else msgspec.Raw(written)
             what = {"event": "command", "at_s": state.console_s, "value": value, "refused": refused or ""}
@@ -56,7 +56,7 @@ class Logbook:
             self.event("note", value=text)
 
     def watch(self, state: State) -> None:
-        """Called after each look of the watchdog: when it was, where something was noted since the one before."""
+        """Called after each check of the watchdog: logs its time when something was noted since the one before."""
         if self._noted:
             self._noted = False
             self.event("watchdog", at_s=state.watchdog_s)

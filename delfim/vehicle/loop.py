@@ -1,13 +1,13 @@
 """The critical program. `VehicleLoop` is figure 3-8 of the thesis: five inputs, each with the list of what it sets off.
 
     navigation readable -> read -> control -> propulsion -> guest -> log      (profiled t0..t5)
-    sensor readable     -> what it says into the state, the health of the other nodes among it
+    sensor readable     -> its values into the state, among them the health of the other nodes
     console command     -> command -> control -> propulsion -> state back
     guest readable      -> set point, obeyed in GREX mode only
     watchdog due        -> failsafe -> stop, hold or home -> propulsion
 
-The handlers are plain functions: no await, no wait, no exception for bad input. Who calls them, an event loop or a replay
-in lock step, is not their business; clock, sockets and log are handed in.
+The handlers are plain functions: no await, no wait, no exception for bad input. They do not know whether an event loop or a
+replay in lock step calls them; clock, sockets and log are handed in.
 """
 
 import math
@@ -29,8 +29,8 @@ from delfim.vehicle.sensors import Sensor
 from delfim.vehicle.state import Profile, StartConditions, State, StateLog
 from delfim.vehicle.troubles import Inputs
 
-REPEAT_S = 0.5  # a propeller that heard nothing for PROPELLER_TIMEOUT_S stops itself, and that would hide the cause
-COLD_CYCLES = 10  # after the start, which figures do not count: 2 s at 5 Hz
+REPEAT_S = 0.5  # a propeller without commands for PROPELLER_TIMEOUT_S stops itself, which would hide the cause
+COLD_CYCLES = 10  # after the start, left out of the figures: 2 s at 5 Hz
 LOCAL = "local"  # the operator at the local command socket
 
 
@@ -81,8 +81,8 @@ class VehicleLoop:
         sensor.read(self.state, self.clock.monotonic_s())
 
     def on_command(self, command: console.Commands, operator: str = LOCAL) -> str | None:
-        """A command of a console: carried out at once, propellers included. Returns why it was refused, or None. Who commanded
-        last is the operator, and must go on being heard."""
+        """A command of a console: carried out at once, propellers included. Returns why it was refused, or None. The last to
+        command is the operator, whose silence is a trouble."""
         now_s, state = self.clock.monotonic_s(), self.state
         if isinstance(command, console.TellState | console.Watch):  # onlookers do not keep the boat sailing
             return None
@@ -118,7 +118,7 @@ class VehicleLoop:
         self.state.namesakes = words
 
     def on_watchdog(self, computer: StartConditions | None = None) -> None:
-        """Due ten times a second: what has gone wrong, and what is done about it. `computer`: as it is now."""
+        """Due ten times a second: detect troubles and act on them. `computer`: its present state."""
         state = self.state
         state.computer, state.guest_connected = computer or state.computer, self.guest.is_connected
         now_s = state.watchdog_s = self.clock.monotonic_s()
@@ -134,10 +134,10 @@ class VehicleLoop:
             helm.fall_back(action, reason, now_s)
         helm.fade(now_s)
         if now_s - state.navigation_s > REPEAT_S:
-            again = STOP if state.mode is Mode.IDLE else state.actuation  # no navigation cycle says it
+            again = STOP if state.mode is Mode.IDLE else state.actuation  # no navigation cycle repeats it
             state.actuation = self.propulsion.send(again, now_s)
 
-    # What they do.
+    # The work of the handlers.
 
     def take(self, source: Source, fix: Fix) -> bool:
         """A fix into the state; False when it is not used."""
@@ -148,7 +148,7 @@ class VehicleLoop:
         return taken
 
     def _after(self, now_s: float) -> None:
-        """What a cycle leaves to do once the propellers have their command."""
+        """The rest of a cycle, once the propellers have their command."""
         state = self.state
         if "position" in state.motion.has:
             self.helm.track.add(state.motion.north_m, state.motion.east_m)
@@ -164,6 +164,6 @@ class VehicleLoop:
         return console.snapshot(self.state, self.clock.monotonic_s(), more)
 
     def follow(self, other: "VehicleLoop") -> None:
-        """Be in the mode that another vehicle is in, with its set points and its memory."""
+        """Copy another vehicle's mode, set points and memory."""
         self.state.mode, self.state.setpoint, self.helm.memory = other.state.mode, other.state.setpoint, other.helm.memory
         self.state.origin = other.state.origin

@@ -1,7 +1,7 @@
 """Mission files: TOML, versioned, checked before anything moves (`docs/missions.md`).
 
-A mission says where; how fast and how near is the boat's matter unless the mission says it. `digest` names a mission's content,
-so that an upload can be read back and compared.
+A mission gives places; speeds and radii are the vehicle's unless the mission gives them. `digest` identifies the content, so
+that an upload can be read back and compared.
 """
 
 import contextlib
@@ -26,7 +26,7 @@ LEG_MIN_M, LEG_MAX_M = 0.5, 20_000.0
 FAR_MAX_M = LEG_MAX_M  # a mission's places from the boat, and the point that any mode goes to first
 RADIUS_MIN_M, RADIUS_MAX_M = 2.0, 5_000.0
 HOLD_MAX_S = 86_400.0  # at a waypoint
-ROW = 4  # comparisons, in time, of a waypoint or a piece of the path
+ROW = 4  # time for a waypoint or a piece of the path, counted in comparisons
 ROWS = 1000  # waypoints, and pieces of the path, at most
 JOINT_M = 1.0  # an arc's stated radius and the distance from its beginning to its centre agree within this
 
@@ -37,7 +37,7 @@ Title = Annotated[str, tables.text(r"[^\x00-\x1f\x7f]{1,64}", "1 to 64 character
 
 
 class Waypoint(tables.Table, frozen=True):
-    """A place to go to, and to stay at for a while. 0 for speed and acceptance radius: as the vehicle's file says."""
+    """A place to go to, and to stay at for a while. Speed or acceptance radius 0: the value of the vehicle's file."""
 
     latitude_deg: Latitude
     longitude_deg: Longitude
@@ -79,15 +79,15 @@ def parse_mission(text: str, file: str = "mission") -> Mission:
 
 
 def read_mission(text: str, file: str = "mission") -> Mission:
-    """The mission in a file's text; what `fault` looks at is not looked at yet. Raises ConfigError."""
+    """The mission in a file's text, before the checks of `fault`. Raises ConfigError."""
     try:
         tree = parse_toml(text)
     except FormatError as error:
         raise ConfigError(file, "file", str(error)) from None
-    with contextlib.suppress(msgspec.ValidationError):  # the whole tree has the better words for it
+    with contextlib.suppress(msgspec.ValidationError):  # checking the whole tree gives the better message
         for key, kind in (("waypoint", Waypoint), ("path", PathPoint)):
             rows = tree.get(key)
-            if isinstance(rows, list) and len(rows) <= ROWS:  # row by row, for another thread waits for each
+            if isinstance(rows, list) and len(rows) <= ROWS:  # row by row: other threads wait only for one row
                 tree[key] = [msgspec.convert(row, kind) for row in rows]
     return tables.decode(tree, Mission, file)
 
@@ -137,7 +137,7 @@ def digest(mission: Mission) -> str:
 
 def plan(mission: Mission, origin: geodesy.Origin, control: config.ControlTable) -> Work[Plan]:
     """The mission in the local plane, speeds and radii filled in. A mission without a path gets the one that connects its
-    waypoints (thesis chapter 4, key P). Raises ConfigError where this boat, here, cannot do it.
+    waypoints (thesis chapter 4, key P). Raises ConfigError where the boat cannot do it from here.
     """
     for key, row in _rows(mission):
         yield ROW

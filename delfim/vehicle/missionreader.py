@@ -1,5 +1,5 @@
-"""A mission's text, read in a process of its own: to read TOML keeps the interpreter busy for many milliseconds, and for hours
-with a text that was made for it. The process has bounds, and ends when nobody wants the mission any more.
+"""Reads a mission's text in a process of its own: parsing TOML keeps the interpreter busy for many milliseconds, and for hours
+with a text made for that purpose. The process has bounds, and ends when the mission is no longer wanted.
 
 `python -m delfim.vehicle.missionreader CPU_S` reads the text from its standard input. It writes the tables, one JSON object a
 line behind the name of its table, and the boat puts them together in slices; or it writes the reason and ends with WRONG.
@@ -21,9 +21,9 @@ PROGRAM: Final = (sys.executable, "-m", "delfim.vehicle.missionreader")
 CPU_S: Final = 10  # the largest mission takes half a second, and on a slow board ten times that
 MEMORY_BYTES: Final = 1 << 28
 NICE: Final = 10
-ROW, ZONE = 4, 20  # comparisons, in time, of a line with a row or with a zone
-WRONG: Final = 3  # the exit code of a text that is no mission
-_head = msgspec.json.Decoder(tuple[str, config.Ring])  # the mission's name, and the polygon that it does not leave
+ROW, ZONE = 4, 20  # time for a line with a row or with a zone, counted in comparisons
+WRONG: Final = 3  # exit code for a text that is not a mission
+_head = msgspec.json.Decoder(tuple[str, config.Ring])  # the mission's name, and its keep-in polygon
 _waypoint, _path, _zone = (msgspec.json.Decoder(kind) for kind in (Waypoint, PathPoint, config.KeepOut))
 
 
@@ -36,7 +36,7 @@ class Reading:
         self._is_wanted = True
 
     def lines(self) -> list[bytes] | DelfimError:
-        """What the process wrote, or why there is no mission. For a worker: it waits."""
+        """The output of the process, or why there is no mission. It waits: call it in a worker."""
         with subprocess.Popen(self._program, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as self._child:
             if not self._is_wanted:
                 self._child.kill()
@@ -48,14 +48,14 @@ class Reading:
         return told.splitlines()
 
     def cancel(self) -> None:
-        """Nobody wants it any more."""
+        """End the process: the mission is no longer wanted."""
         self._is_wanted = False
         if self._child is not None:
             self._child.kill()
 
 
 def written(mission: Mission) -> Iterator[bytes]:
-    """A mission as its lines."""
+    """The output lines of a mission."""
     yield _line("mission", (mission.name, mission.fence.keep_in))
     for name, rows in (("waypoint", mission.waypoint), ("path", mission.path), ("zone", mission.fence.keep_out)):
         for row in rows:
@@ -63,7 +63,7 @@ def written(mission: Mission) -> Iterator[bytes]:
 
 
 def gathered(lines: list[bytes]) -> Work[Mission]:
-    """The mission of its lines."""
+    """The mission put together from its lines."""
     head, *rows = lines
     name, keep_in = _head.decode(head.partition(b" ")[2])
     found: dict[bytes, list[Any]] = {b"waypoint": [], b"path": [], b"zone": []}

@@ -1,4 +1,4 @@
-"""Where navigation comes from: inputs of one kind or another, each of which puts together complete navigation messages.
+"""Navigation sources: each input puts together complete navigation messages.
 
 Sources stand in order of preference; a message of a less preferred source counts only while every better one is silent. To add
 a source: a file in `delfim/vehicle/sources/` with a function `open_source`, and its name in `SourceName` of `delfim/config.py`
@@ -14,11 +14,11 @@ from delfim.messages import Navigation
 from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.state import Motion, State
 
-FRAMES_PER_READ = 64  # bounds one call on a flooded input; what is left stays readable
+FRAMES_PER_READ = 64  # bounds one call on a flooded input; the rest stays readable
 
 
 class Fix(NamedTuple):
-    """One navigation message and when the last of it arrived."""
+    """One navigation message and when its last frame arrived."""
 
     navigation: Navigation
     t0_ns: int  # the kernel's stamp, or when it was read
@@ -59,10 +59,10 @@ def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, li
     n, last = fix.navigation, state.navigation
     if last is not None and n.counter == last.counter and n.utc_ns == last.utc_ns and state.source == source.name:
         state.count("navigation_repeated")
-        source.heard_s = state.navigation_s  # what says the same again is silent: the next source may speak
+        source.heard_s = state.navigation_s  # a source that repeats itself counts as silent: the next one may be used
         return False
     if n.latitude_rad is not None and n.longitude_rad is not None:
-        if not (abs(n.latitude_rad) < math.pi / 2 and abs(n.longitude_rad) <= math.tau):  # nor what is no number
+        if not (abs(n.latitude_rad) < math.pi / 2 and abs(n.longitude_rad) <= math.tau):  # nor is NaN
             state.count("navigation_malformed")
             return False
         if state.origin is None:
@@ -91,7 +91,7 @@ def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, li
 
 
 def _jumped(state: State, limits: config.NavigationTable, north_m: float, east_m: float, now_s: float) -> bool:
-    """Whether the boat would have to move impossibly fast to be here. After a silence anything may be true."""
+    """Whether the boat would have to move impossibly fast to be here. After a silence any position is accepted."""
     age_s = now_s - state.navigation_s
     if age_s > limits.stale_s or "position" not in state.motion.has:
         return False

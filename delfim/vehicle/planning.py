@@ -154,7 +154,7 @@ class Plans:
         self.go_on()
 
     def go_on(self) -> None:
-        """A slice of what takes its time."""
+        """A slice of long work."""
         if self._laying is not None and self._laying.step():
             self.fence, self._laying = self._laying.result, None
         self._track.look_back()

@@ -1,6 +1,6 @@
-"""Propulsion: what all actuators are commanded.
+"""Propulsion: the command to all actuators.
 
-The limit is applied in the statement that sends: nothing leaves here that is not finite, within value and rate.
+The limit is applied in the statement that sends: every value that leaves here is finite and within its limits.
 """
 
 from delfim import config
@@ -23,7 +23,7 @@ class Propulsion:
         self._sent_s = 0.0
 
     def send(self, wanted: Actuation, now_s: float) -> Actuation:
-        """Command the actuators; returns what was sent. What a bus or a line does not take is counted, never waited for."""
+        """Command the actuators; returns what was sent. A command not taken is counted; nothing waits."""
         dt_s = min(max(now_s - self._sent_s, 0.0), 1.0)
         sent = self._sent = limited(wanted, self._sent, self._limits, dt_s)
         self._sent_s = now_s
@@ -38,6 +38,6 @@ class Propulsion:
             raise Refused("reset refused: the CAN bus did not take the frame")
 
     def disconnect(self, sides: tuple[str, ...]) -> None:
-        """Take the power of these sides, for good: an actuator there does not obey."""
+        """Cut the power of these sides for good: an actuator there does not obey."""
         for actuator in self.actuators:
             actuator.disconnect(sides)

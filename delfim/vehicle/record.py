@@ -1,4 +1,4 @@
-"""What the state log holds of each cycle: one row a field, in the order of the record. SI units; NaN is unknown."""
+"""The fields of the state log's record of a cycle: one row a field, in the order of the record. SI units; NaN is unknown."""
 
 import math
 from collections.abc import Callable
@@ -106,7 +106,7 @@ FIELDS = (
     Field("port_voltage", "f", "V", "batteries", _of_batteries(Node.BATTERIES_PORT, "voltage_v")),
     Field("starboard_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_STARBOARD, "charge")),
     Field("port_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_PORT, "charge")),
-    # With the black box and the commands in the sidecar, all that it takes to repeat the cycle bit by bit.
+    # With the black box and the commands in the sidecar, these suffice to replay the cycle bit by bit.
     Field("console_s", "d", "s", "time since boot of the console's last word", lambda s, now_s: s.console_s),
     Field("guest_s", "d", "s", "time since boot of the guest's last reference", lambda s, now_s: s.guest_s),
     Field("guest_heading", "d", "rad", "last asked for by the guest", lambda s, now_s: _known(s.setpoint.guest_heading_rad)),
@@ -116,7 +116,7 @@ FIELDS = (
 
 
 def fields(settings: config.Vehicle) -> tuple[Field, ...]:
-    """Those of every boat, and what the sensors of this one measure."""
+    """The fields of every boat, then those of this boat's sensors."""
     stale_s = settings.sensors.stale_s
     return FIELDS + tuple(
         Field(name, "d", unit, text, _measured(name, stale_s)) for name, unit, text in sensors.values(settings)

@@ -1,9 +1,9 @@
-"""The critical path gone through without effect, shortly before navigation is due.
+"""Warm-up: the critical path without effect, shortly before navigation is due.
 
 Between two cycles a processor forgets much of what the path needs (docs/decisions/0002-warm-and-in-one-call.md). So the vehicle
 has a twin: the same classes, the same code, state of its own, and a mirror for a socket. When a window opens the twin is
-shown what the vehicle heard last, and does what the vehicle would. While the window waits, it does parts of that again and
-again: waiting alone would let them get cold.
+fed the vehicle's last message and does what the vehicle would. While the window waits, it repeats parts of that, because
+the caches would get cold in waiting.
 """
 
 from itertools import count, cycle
@@ -21,7 +21,7 @@ from delfim.vehicle.state import NoLog, State
 
 
 class Rehearsal:
-    """For `NavigationLoop.set_rehearsal`. Never raises for what navigation says."""
+    """For `NavigationLoop.set_rehearsal`. Never raises, whatever navigation says."""
 
     def __init__(self, boat: VehicleLoop, outlets: tuple[CanSocket, ...], mirror: Many) -> None:
         """`outlets` are the sockets by which the actuators are commanded, `mirror` that of a socket like one of them."""
@@ -39,7 +39,7 @@ class Rehearsal:
         heard = self._boat.state.navigation
         if heard is None:
             return
-        self._messages = cycle([_frames(heard._replace(counter=next(self._numbers))) for _ in range(2)])  # one twice is no news
+        self._messages = cycle([_frames(heard._replace(counter=next(self._numbers))) for _ in range(2)])  # repeats are ignored
         self._twin.follow(self._boat)
         self._tell(next(self._messages))
         self._twin.on_navigation(self._source)
@@ -66,7 +66,7 @@ def _frames(navigation: Navigation) -> list[tuple[int, bytes]]:
 
 
 class _NoLine:
-    """A serial line that takes all and says nothing."""
+    """A serial line that takes all data and gives none."""
 
     t_ns = 0
 

@@ -1,5 +1,5 @@
-"""Plans that somebody sent, looked at in slices of the loop's time: one at a time, the newest. Nothing changes before all of it
-was looked at; then the plan is obeyed, or refused, and whoever sent it hears which.
+"""Review of plans in slices of the loop's time: one plan at a time, the newest. Nothing changes before the review is complete;
+then the plan is obeyed or refused, and its sender is told which.
 """
 
 import asyncio
@@ -14,9 +14,9 @@ from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mission import Mission
 from delfim.vehicle.missionreader import Reading, gathered
 
-AGAIN = 3  # times that a plan is looked at anew because the boat's settings changed meanwhile
+AGAIN = 3  # times that a review is repeated because the boat's settings changed meanwhile
 QUIET = console.Alive | console.TellState | console.Watch
-Answer = Callable[[str | None], None]  # with the reason why not, or None
+Answer = Callable[[str | None], None]  # called with the reason of a refusal, or None
 Obey = Callable[[console.Commands, str], str | None]
 T = TypeVar("T")
 
@@ -30,7 +30,7 @@ class Review(NamedTuple):
 
 
 class Reviews:
-    """`obey` carries a command out that was looked at, as any other."""
+    """`obey` carries out a reviewed command as it does any other."""
 
     def __init__(self, boat: VehicleLoop, obey: Obey, loop: asyncio.AbstractEventLoop) -> None:
         self._boat, self._obey, self._loop = boat, obey, loop
@@ -39,7 +39,7 @@ class Reviews:
         self._written: tuple[console.Plan, bytes] | None = None
 
     def begin(self, operator: str, command: console.Plan, answer: Answer) -> None:
-        """Look at this plan, in place of one that is being looked at. `answer` is called once, at the earliest at once."""
+        """Review this plan instead of the present one. `answer` is called once, possibly before this returns."""
         self.cancel("a newer plan replaced it")
         self._now = review = Review(command, operator, answer)
         if not isinstance(command, console.LoadMission):
@@ -47,7 +47,7 @@ class Reviews:
             return
         try:
             text = self._boat.helm.plans.text(command)
-        except Refused:  # the boat says so
+        except Refused:  # the vehicle gives the reason
             self._end(review)
             return
         self._reading = Reading(text)
@@ -59,14 +59,14 @@ class Reviews:
         return self._written[1] if self._written is not None and self._written[0] is command else None
 
     def hear(self, command: console.Commands, operator: str) -> None:
-        """A command was obeyed, or refused: a stop, or somebody else who commands, ends what is being looked at."""
+        """A command was obeyed or refused: a stop, or a command of another operator, ends the review."""
         if isinstance(command, console.Stop | console.ShutDown):
             self.cancel("a stop was commanded")
         elif self._now is not None and operator != self._now.operator and not isinstance(command, QUIET):
             self.cancel(f"{operator} commands now")
 
     def cancel(self, reason: str) -> None:
-        """Whatever is being looked at is not wanted any more."""
+        """End the present review, if there is one."""
         if (review := self._now) is not None:
             self._now = None
             if self._reading is not None:

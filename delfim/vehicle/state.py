@@ -1,4 +1,4 @@
-"""The words of the vehicle: modes, what control sees, what it is asked for, what it answers. SI units, no behaviour."""
+"""The vehicle's data: modes, inputs of control, set points, its outputs. SI units, no behaviour."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
@@ -9,7 +9,7 @@ from delfim.modes import Mode
 
 
 class Actuation(NamedTuple):
-    """What the propellers are asked for: revolutions per minute, positive ahead. `run` False is motor off."""
+    """The command of the propellers: revolutions per minute, positive ahead. `run` False is motor off."""
 
     starboard_rpm: float
     port_rpm: float
@@ -68,7 +68,7 @@ class Plan(NamedTuple):
 
 
 class Setpoint(NamedTuple):
-    """What operator, guest and mission ask for; each mode takes its part."""
+    """The set points of operator, guest and mission; each mode uses its part."""
 
     speed_mps: float = 0.0
     heading_rad: float = 0.0
@@ -84,7 +84,7 @@ class Setpoint(NamedTuple):
 
 
 class Reference(NamedTuple):
-    """Where control is going, for console and log. None where the mode has no such thing."""
+    """Where control is going, for console and log. None: the mode has no such value."""
 
     heading_rad: float | None = None
     speed_mps: float | None = None
@@ -119,11 +119,11 @@ class Profile(NamedTuple):
 
 
 class StartConditions(NamedTuple):
-    """What the checks need to know of the computer."""
+    """The state of the computer that the checks need."""
 
-    is_starting: bool = False  # nobody would notice if this program hung
-    last_shutdown: str = ""  # what was wrong with the end of the run before, in words; empty: nothing, or not known
-    image: str = ""  # what is special about the image that was started, in words; empty: nothing
+    is_starting: bool = False  # no dead-man watches this program yet
+    last_shutdown: str = ""  # the fault of the last shutdown, in words; empty: none, or not known
+    image: str = ""  # why the started image needs attention, in words; empty: it does not
 
 
 @dataclass(slots=True)
@@ -133,13 +133,13 @@ class State:
     mode: Mode = Mode.IDLE
     reason: str = "started"  # why the boat is in this mode, in words
     mode_s: float = -1e9  # monotonic time it entered the mode
-    armed: bool = False  # the boat left idle, or may; propellers turn in no other state
+    armed: bool = False  # the boat left idle, or may; the propellers turn only when armed
     navigation: Navigation | None = None
     source: str = ""  # where navigation came from
     navigation_s: float = -1e9  # monotonic time it arrived
-    changed_s: float = -1e9  # and of the last that said something else than the one before
+    changed_s: float = -1e9  # monotonic time of the last that differed from the one before
     jumped_s: float = -1e9  # monotonic time of the last position that no boat could have reached
-    jumping_s: float = -1e9  # and of the first of that run
+    jumping_s: float = -1e9  # monotonic time of the first of that run
     jumped_m: float = 0.0  # how far it was
     origin: Origin | None = None  # of the local plane: the first position, unless a mission was loaded before
     motion: Motion = NOWHERE
@@ -148,9 +148,9 @@ class State:
     actuation: Actuation = field(default_factory=lambda: Actuation(0.0, 0.0, False))  # as sent
     sysstat: dict[str, tuple[SystemStatus, float]] = field(default_factory=dict)  # by node: last report, its time
     measured: dict[str, tuple[float, float]] = field(default_factory=dict)  # by sensors: last value, its time
-    operator: str = ""  # the console that commands: whose silence is a trouble; empty: none yet
+    operator: str = ""  # the console that commands; its silence is a trouble; empty: none yet
     console_s: float = -1e9  # monotonic time of the last word of the console
-    namesakes: str = ""  # that two consoles have one number, in words; empty: they do not
+    namesakes: str = ""  # the notice that two consoles have one number; empty: they do not
     manual_s: float = -1e9
     guest_s: float = -1e9
     watchdog_s: float = -1e9  # when the watchdog looked last
@@ -158,7 +158,7 @@ class State:
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
     computer: StartConditions = field(default_factory=StartConditions)  # that this program runs on
     cycles: int = 0
-    counts: dict[str, int] = field(default_factory=dict)  # what was refused, dropped, repaired, by name
+    counts: dict[str, int] = field(default_factory=dict)  # number of inputs refused, dropped, repaired, by name
     profile: Profile = field(default_factory=Profile)
 
     def count(self, name: str, by: int = 1) -> None:
@@ -167,7 +167,7 @@ class State:
 
 
 class StateLog(Protocol):
-    """Where a cycle's record goes."""
+    """The log that takes a cycle's record."""
 
     def write(self, state: State, now_s: float) -> None: ...
     def note(self, text: str) -> None: ...  # an event, in words

@@ -1,21 +1,21 @@
-"""The driven track, remembered for the way home: bounded, and without the loops."""
+"""The driven track, remembered for the way home: bounded, with its loops cut."""
 
 import math
 
 from delfim import config
 
 Point = tuple[float, float]  # north_m, east_m
-SWEPT = 32  # squares of forgotten points that one call clears
-BACK = 16  # older points that one look for a harbour is at
+SWEPT = 32  # squares of removed points that one call clears
+BACK = 16  # older points that one search for a harbour examines
 
 
 class Track:
     """Points of the driven track, `spacing_m` apart, oldest first, and where on it the way home ends.
 
-    Loops are cut: where the boat comes back to within half a spacing of an older point, what lies between is forgotten. What
-    remains was driven, and driving home along it shortens it. (Half a spacing is not more than a beam: no wall fits between.)
-    When there are `points` of them, every second one is dropped and the spacing doubles. What a call costs does not grow with
-    the track but for that rare thinning, which the vehicle's file bounds by `points`.
+    Loops are cut: where the boat comes back to within half a spacing of an older point, the points between are removed. All
+    the rest was driven, and driving home along it shortens it. (Half a spacing is not more than a beam: no wall fits between.)
+    When there are `points` of them, every second one is dropped and the spacing doubles. The cost of a call does not grow with
+    the track except for that rare thinning, which the vehicle's file bounds by `points`.
     """
 
     def __init__(self, home: config.HomeTable) -> None:
@@ -24,7 +24,7 @@ class Track:
         self._cells: dict[tuple[int, int], int] = {}  # newest point in each square of side _cut_m; some are forgotten ones
         self._forgotten: list[Point] = []
         self._harbours, self._near_m = tuple[Point, ...](), 0.0
-        self._end, self._unseen = 0, 0  # where the way home ends; points, the oldest, that were not held against the harbours
+        self._end, self._unseen = 0, 0  # where the way home ends; how many old points were not searched
 
     def add(self, north_m: float, east_m: float) -> None:
         """The boat is here now; metres in the local plane."""
@@ -44,19 +44,19 @@ class Track:
         return tuple(self._points)
 
     def way_home(self) -> tuple[Point, ...]:
-        """The track from the last harbour that it passed, as far as it was looked at."""
+        """The track from the last harbour that it passed, as far as the search has come."""
         return tuple(self._points[self._end :])
 
     def end(self) -> Point | None:
-        """Of the way home."""
+        """The points of the way home."""
         return self._points[self._end] if self._points else None
 
     def call_at(self, harbours: tuple[Point, ...], near_m: float) -> None:
-        """Other harbours. `look_back` finds out which of them were passed."""
+        """Set other harbours. `look_back` finds which of them the track passed."""
         self._harbours, self._near_m, self._end, self._unseen = harbours, near_m, 0, len(self._points)
 
     def look_back(self) -> None:
-        """At some of the older points, newest first, whether a harbour is near. Call it now and then."""
+        """Search some of the older points, newest first, for a harbour nearby. Call it now and then."""
         for _ in range(min(BACK, self._unseen) if self._harbours else 0):
             self._unseen -= 1
             if self._passes(self._points[self._unseen]):
@@ -67,7 +67,7 @@ class Track:
         return any(math.dist(point, harbour) <= self._near_m for harbour in self._harbours)
 
     def _cut(self, north_m: float, east_m: float) -> None:
-        """Forget what lies after the oldest point that the boat stands on."""
+        """Remove the points after the oldest one that the boat stands on."""
         row, column = self._cell(north_m, east_m)
         last = len(self._points) - 1
         keep = last
@@ -85,7 +85,7 @@ class Track:
             self._end, self._unseen = 0, keep + 1
 
     def _sweep(self) -> None:
-        """Clear squares of points that were forgotten: few at a time, for a loop may have been long."""
+        """Clear squares of removed points, few at a time: a loop may have been long."""
         for _ in range(min(SWEPT, len(self._forgotten))):
             cell = self._cell(*self._forgotten.pop())
             index = self._cells.get(cell, -1)

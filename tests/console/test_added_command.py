@@ -24,7 +24,7 @@ ROWS = {
         "    | Take | Arm | Reset | Set | TellState | Watch | ShutDown\n": "    | Bell\n",
     },
     "vehicle/helm.py": {
-        '        """That the console is there, or commands, the loop has noted."""\n': (
+        '        """Nothing: the loop has already noted that the console is there, or commands."""\n': (
             '\n    def _ring(self, command: console.Bell, now_s: float) -> None:\n        self.state.count("bells")\n'
         ),
         "    console.ShutDown: Helm._halt,\n": "    console.Bell: Helm._ring,\n",

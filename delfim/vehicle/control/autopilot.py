@@ -8,7 +8,7 @@ Thrust goes with the square of revolutions. So the two parts are added as thrust
 turned into revolutions in the end: the same gains turn the boat alike at rest and at full speed (`docs/control.md`).
 
 When both together exceed `rpm_max` the differential is kept and the common part gives way: a boat that holds its heading and
-is slow is safe, the other one is not. Speed falls with the cosine of the heading error, so that the
+is slow is safe; a boat off its heading is not. Speed falls with the cosine of the heading error, so that the
 boat turns first; an order ahead never runs both propellers astern.
 """
 
@@ -19,7 +19,7 @@ from delfim.geodesy import wrap
 from delfim.vehicle.control.memory import Integrals, Settings
 from delfim.vehicle.state import Actuation, Motion
 
-STAYS_RADPS = math.radians(3.0)  # the heading integral gathers errors that stay, not those that are being turned away
+STAYS_RADPS = math.radians(3.0)  # the heading integral takes lasting errors, not those that the boat is turning away
 TURNING_RAD = 0.5  # beyond this heading error the speed integral waits: the boat is turning, not slowed by the sea
 
 
@@ -84,11 +84,11 @@ def _revolutions(thrust: float, propulsion: config.PropulsionTable) -> float:
 
 
 def clamp(value: float, low: float, high: float) -> float:
-    """`value` within low..high. What is not a number stays what it is, for the gate that sends to refuse."""
+    """`value` within low..high. NaN stays NaN, for the last gate to refuse."""
     return low if value < low else high if value > high else value
 
 
 def _saturated(value: float, low: float, high: float) -> tuple[float, float]:
-    """The value within its bounds, and what was cut off with its sign turned: an error of the other sign may integrate."""
+    """The value within its bounds, and the excess with its sign turned: an error of the other sign may integrate."""
     within = clamp(value, low, high)
     return within, within - value

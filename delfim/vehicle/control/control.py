@@ -22,13 +22,13 @@ SPIN = 1e3  # rad and rad/s
 
 
 class Program(Protocol):
-    """What a mode's file provides."""
+    """The names that a mode's file provides."""
 
     NEEDS: frozenset[str]  # of "position", "heading", "velocity"
     SENTENCE: str  # for the operator
 
     def lacks(self, setpoint: Setpoint) -> str | None:
-        """What the set point lacks for this mode, in words; None when nothing."""
+        """What the mode needs and the set point does not have, in words; None: nothing is missing."""
 
     def enter(self, motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory: ...
 
@@ -50,7 +50,7 @@ def admit(mode: Mode, has: frozenset[str], setpoint: Setpoint) -> str | None:
 
 
 def enter(mode: Mode, motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
-    """A mode's memory at its beginning. Never raises: what is not plausible is told by the first step."""
+    """A mode's memory at its beginning. Never raises: the first step reports implausible inputs."""
     try:
         return MODES[mode].enter(motion, setpoint, settings) if _plausible(motion) else Memory()
     except (ValueError, ArithmeticError):

@@ -1,4 +1,4 @@
-"""GREX: the guest computer's heading and speed (thesis 3.4). A guest that asked for nothing gets a boat that stands still."""
+"""GREX: the guest computer's heading and speed (thesis 3.4). Without a set point the boat stands still."""
 
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.memory import Memory, Settings

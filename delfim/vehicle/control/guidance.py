@@ -6,7 +6,7 @@ gamma is the tangent of the path at its nearest point, y the cross-track error (
 lookahead distance, sigma the integral gain: Borhaug, Pavlov and Pettersen, "Integral LOS control for path following of
 underactuated marine surface vessels in the presence of constant ocean currents", IEEE CDC 2008; see also Fossen and Lekkas,
 Int. J. Adaptive Control and Signal Processing 31, 2017. crab is the measured angle from heading to course over ground,
-smoothed: it answers a new leg within seconds, and the integral is left with what it does not see.
+smoothed: it answers a new leg within seconds, and the integral removes the remaining error.
 """
 
 import math
@@ -19,8 +19,8 @@ from delfim.vehicle.state import Actuation, Motion, Reference, Waypoint
 
 CRAB_MAX_RAD = math.radians(60.0)
 NEAR = 0.25  # farther off the path than this part of the lookahead, the integral would only wind up
-COURSE_MPS = 0.4  # below this speed ahead over ground a course says nothing of the heading it takes
-CREEP_MPS = 0.3  # slowest approach to where the boat will stop
+COURSE_MPS = 0.4  # below this speed ahead over ground the course does not tell the crab angle
+CREEP_MPS = 0.3  # slowest approach to the point where the boat will stop
 
 
 def course_to_steer(

@@ -1,4 +1,4 @@
-"""Heading: hold a heading at a speed. Works without position; without velocity the speed is what the revolutions give."""
+"""Heading: hold a heading at a speed. Works without position; without velocity, speed follows from the revolutions alone."""
 
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.memory import Memory, Settings

@@ -1,5 +1,5 @@
-"""Home: back along the driven track, newest point first, then hold. A straight line home may lead through a pier; the way the
-boat came does not."""
+"""Home: back along the driven track, newest point first, then hold. A straight line home may lead through a pier; the driven
+track does not."""
 
 from delfim.vehicle.control.autopilot import entered
 from delfim.vehicle.control.guidance import leg

@@ -1,4 +1,4 @@
-"""Manual: each propeller as the operator says, as a part of the most it may give."""
+"""Manual: the operator sets each propeller's thrust as a fraction of its maximum."""
 
 from delfim.vehicle.control.autopilot import clamp
 from delfim.vehicle.control.memory import Memory, Settings

@@ -1,4 +1,4 @@
-"""What the modes keep from one step to the next, and what they are given. All of it immutable: state goes in and comes out."""
+"""The memory and the settings of the modes. All of it immutable: state goes in and comes out."""
 
 from typing import NamedTuple
 
@@ -24,7 +24,7 @@ class Course(NamedTuple):
     """The guidance's memory."""
 
     crab_rad: float = 0.0  # course over ground minus heading, smoothed
-    shift_m: float = 0.0  # what the integral adds to the cross-track error
+    shift_m: float = 0.0  # offset that the integral adds to the cross-track error
 
 
 class Memory(NamedTuple):

@@ -1,7 +1,7 @@
 """Path following: lines and arcs, with a cross-track error bounded as `docs/control.md` states.
 
-A boat that is not on the path goes to where it begins; one that is, within the acceptance radius, goes on from the first piece
-it stands on: that is how a path is resumed after a hold. At a corner the boat leaves a line early by R tan(angle / 2), where
+A boat off the path goes to its beginning; a boat on it, within the acceptance radius, continues from the first piece that it
+stands on: so a path is resumed after a hold. At a corner the boat leaves a line early by R tan(angle / 2), where
 a turn of radius R begins that ends on the next one.
 """
 
@@ -41,7 +41,7 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 
 
 def _far(piece: Line | Arc, north_m: float, east_m: float, reach_m: float) -> bool:
-    """Whether a piece is certainly out of reach: a path has up to a thousand."""
+    """Whether a piece is certainly out of reach: a quick test, because a path has up to a thousand pieces."""
     if isinstance(piece, Arc):
         return abs(math.hypot(north_m - piece.north_m, east_m - piece.east_m) - piece.radius_m) > reach_m
     a, b = (piece.north_m, piece.to_north_m) if piece.north_m < piece.to_north_m else (piece.to_north_m, piece.north_m)

@@ -1,4 +1,4 @@
-"""What the boat measures beside navigation, a file each, named as in `sensors.names` of the vehicle's file.
+"""Sensors other than navigation, a file each, named as in `sensors.names` of the vehicle's file.
 
 To add a sensor: a file here with `VALUES` and a function `open_sensor(settings, links)`, and its name in `SensorName` of
 `delfim/config.py` (CONTRIBUTING.md, "How to add a sensor").
@@ -13,7 +13,7 @@ from delfim.vehicle.state import State
 
 
 class Value(NamedTuple):
-    """A number of a sensor: in `State.measured` by this name, shown with its age, and a field of the state log."""
+    """A number that a sensor measures: in `State.measured` under this name, shown with its age, a field of the state log."""
 
     name: str  # with its unit: depth_m
     unit: str
@@ -26,14 +26,14 @@ class Sensor(Protocol):
     name: str  # as in `sensors.names`
     input: Readable  # to be read when it is readable
 
-    def read(self, state: State, now_s: float) -> None: ...  # all that waits, into the state
+    def read(self, state: State, now_s: float) -> None: ...  # all waiting input, into the state
 
 
 def open_sensors(settings: config.Vehicle, links: Links) -> tuple[Sensor, ...]:
-    """A sensor's file is loaded when it is asked for. Raises DelfimError."""
+    """Opens a sensor, and loads its file only then. Raises DelfimError."""
     return tuple(import_module(f"{__name__}.{name}").open_sensor(settings, links) for name in settings.sensors.names)
 
 
 def values(settings: config.Vehicle) -> tuple[Value, ...]:
-    """Those of all sensors of the boat."""
+    """The values of all sensors of the boat."""
     return tuple(each for name in settings.sensors.names for each in import_module(f"{__name__}.{name}").VALUES)

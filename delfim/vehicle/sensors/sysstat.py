@@ -11,7 +11,7 @@ from delfim.vehicle.links import Links
 from delfim.vehicle.sensors import Value
 from delfim.vehicle.state import State
 
-VALUES: tuple[Value, ...] = ()  # what of it is logged is in record.py
+VALUES: tuple[Value, ...] = ()  # record.py has the logged fields
 FRAMES_PER_READ = 64
 NAMES = {
     Node.GPS: "gps",

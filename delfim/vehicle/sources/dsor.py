@@ -10,7 +10,7 @@ from delfim.vehicle.links import Links
 from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State
 
-LOOKS = 8  # for the next frame of a message, 20 us in all: many an adapter hands over its frames in a burst
+LOOKS = 8  # for the next frame of a message, 20 us in all: many adapters deliver frames in bursts
 
 
 class DsorNavigation:
@@ -25,7 +25,7 @@ class DsorNavigation:
         self._receiver = Receiver(Node.VEHICLE, lambda message: message.id == NAVIGATION_ID)
 
     def read(self, now_s: float) -> Fix | None:
-        """The next complete message, None when there is none yet. What is behind it stays readable. Malformed ones are
+        """The next complete message, None when there is none yet. Later frames stay readable. Malformed ones are
         counted."""
         feed, fix, looks = self._receiver.feed, None, 0
         for _ in range(FRAMES_PER_READ):

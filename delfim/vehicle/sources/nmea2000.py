@@ -38,7 +38,7 @@ class Nmea2000Navigation:
         return fix
 
     def report(self, now_s: float) -> dict[str, object]:
-        """Who is believed for what, who talks, what was refused."""
+        """Which device is used for which data, which devices send, and counts of refused messages."""
         told: dict[str, object] = msgspec.to_builtins(self._source.status(now_s)._asdict(), str_keys=True)
         return told
 
