@@ -195,7 +195,7 @@ def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
         directory.mkdir(parents=True, exist_ok=True)
         unclean = mark.exists()
         mark.touch()
-    except OSError:  # no disk: the check of the log says so
+    except OSError:  # no disk: the check of the log reports it
         return ""
 
     def ended() -> None:

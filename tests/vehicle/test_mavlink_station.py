@@ -334,7 +334,7 @@ def test_reset_reaches_the_bus_in_idle_only(sea):
     assert sea.console.command(246, 1)[0] == DENIED, "this computer does not restart on request"
 
 
-# Questions.
+# Requests.
 
 
 @pytest.mark.parametrize("number", [0, 1, 2500, 31010, 65535])

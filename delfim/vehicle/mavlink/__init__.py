@@ -1,1 +1,1 @@
-"""The console's link of the vehicle: MAVLink 2 over UDP. What is said and understood: docs/mavlink.md."""
+"""The console's link of the vehicle: MAVLink 2 over UDP. All messages: docs/mavlink.md."""

@@ -1,4 +1,4 @@
-"""What a console may ask for once: who this is, which modes there are, where home is."""
+"""Answers to single requests of a console: the vehicle's version, its modes, the home position."""
 
 import math
 from collections.abc import Callable, Iterable

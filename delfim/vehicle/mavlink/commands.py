@@ -1,7 +1,7 @@
-"""What consoles may ask by COMMAND_LONG and COMMAND_INT: one row a command, a function of a few lines each.
+"""Commands of consoles by COMMAND_LONG and COMMAND_INT: one row a command, a function of a few lines each.
 
 A row turns numbers into the console's words (`delfim/vehicle/console.py`); the vehicle obeys those or says why not. The
-numbers of other autopilots are never guessed at: PX4's code for "hold" is our number for something that moves the boat.
+numbers of other autopilots are never guessed: PX4's code for "hold" is our number for something that moves the boat.
 """
 
 import math
@@ -18,12 +18,12 @@ ACCEPTED: Final = int(dialect.MAV_RESULT_ACCEPTED)
 LATER: Final = int(dialect.MAV_RESULT_TEMPORARILY_REJECTED)
 DENIED: Final = int(dialect.MAV_RESULT_DENIED)
 UNSUPPORTED: Final = int(dialect.MAV_RESULT_UNSUPPORTED)
-SMART_RTL: Final = 12  # ArduRover's number for a way home along the driven track, which is what ours is
+SMART_RTL: Final = 12  # ArduRover's number for a way home along the driven track, as ours is
 CHANGE_MODE: Final = int(dialect.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
 PLACE: Final = ("latitude_deg", "longitude_deg")
 NOWHERE: Final = 0x7FFFFFFF  # of an integer position: not given
 
-PX4: Final[dict[tuple[float, float], console.Commands]] = {  # main mode, sub mode: what MAVSDK says to whom it does not know
+PX4: Final[dict[tuple[float, float], console.Commands]] = {  # main mode, sub mode: MAVSDK sends these to an unknown autopilot
     (4, 3): console.Stop(),  # "hold" must never move the boat
     (4, 4): console.SetMode("play"),
     (4, 5): console.SetMode("home"),
@@ -31,7 +31,7 @@ PX4: Final[dict[tuple[float, float], console.Commands]] = {  # main mode, sub mo
 
 
 class Order(NamedTuple):
-    """A command as it came: seven numbers, the position among them in degrees; NaN where it is not given."""
+    """A command as it came: seven numbers, positions in degrees; NaN: not given."""
 
     command: int
     p: tuple[float, ...]
@@ -41,12 +41,12 @@ class Order(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """What it takes to understand an order."""
+    """The vehicle's data needed to understand an order."""
 
     leg: Callable[[int], int]  # of an item of the mission; raises FormatError
     speed_max_mps: float
     mode: Mode  # that the boat is in
-    guided_waits: bool  # as ArduRover does: mode 15 waits for a point, and does not go to the first waypoint
+    guided_waits: bool  # as in ArduRover: mode 15 waits for a point, and does not go to the first waypoint
 
 
 def order(message: Message) -> Order:
@@ -60,13 +60,13 @@ def order(message: Message) -> Order:
 
 
 def stops(o: Order) -> bool:
-    """Whether this is a stop, in one way or another: right whenever it comes, and however often."""
+    """Whether this is a stop in any form: valid whenever it comes, and however often."""
     asked = o.p[1] == Mode.IDLE if o.command == dialect.MAV_CMD_DO_SET_MODE else not o.p[0]
     return asked and o.command in (dialect.MAV_CMD_DO_SET_MODE, dialect.MAV_CMD_COMPONENT_ARM_DISARM)
 
 
 def _mode(o: Order, boat: Terms) -> console.Commands:
-    """DO_SET_MODE. Raises FormatError for what is not ours; nothing must be changed then."""
+    """DO_SET_MODE. Raises FormatError for a mode that is not ours, which must change nothing."""
     base, custom, sub = o.p[:3]
     if sub:
         if (custom, sub) not in PX4:
@@ -108,8 +108,8 @@ def _heading(o: Order, boat: Terms) -> console.Commands:
 
 
 def _goto(o: Order, boat: Terms) -> console.Commands:
-    """DO_REPOSITION. Without a position it is the present one, where the boat holds. Raises Refused where the boat is in a mode
-    that it must not leave for this."""
+    """DO_REPOSITION. Without a position it is the present one, where the boat holds. Raises Refused if the boat must not
+    leave its mode for this."""
     if o.frame not in GLOBAL:
         raise FormatError(f"a position in frame {o.frame} has no latitude and longitude")
     if math.isinf(o.p[0]):
@@ -123,7 +123,7 @@ def _goto(o: Order, boat: Terms) -> console.Commands:
 
 
 def _speed(o: Order, boat: Terms) -> console.Commands:
-    """m/s where there are some; otherwise %, of the boat's top speed; -2 is the plan's own."""
+    """In m/s if given, otherwise in % of the boat's top speed; -2 is the plan's own speed."""
     if o.p[1] == -2.0:
         return console.SetSpeed(None)
     if o.p[1] >= 0.0:

@@ -1,5 +1,5 @@
-"""The consoles of one vehicle: who commands, and what is asked. Whatever changes anything goes through `obey`, in the console's
-words, and so into the log.
+"""The consoles of one vehicle: which one commands, and their requests. Every change goes through `obey` as a console's command,
+and so into the log.
 """
 
 import math
@@ -22,8 +22,8 @@ Review = Callable[[str, console.Plan, Callable[[str | None], None]], None]
 
 
 class Consoles:
-    """`obey` carries out a command of a console that is named, and returns why not, or None. `review` has a plan obeyed once
-    it was looked at; without it that is done at once."""
+    """`obey` carries out a command of a named console; it returns the reason of a refusal, or None. `review` has a plan obeyed
+    after its review; without `review` a plan is obeyed at once."""
 
     def __init__(
         self,
@@ -50,7 +50,7 @@ class Consoles:
         self.counts[name] = self.counts.get(name, 0) + 1
 
     def tick(self, now_s: float) -> None:
-        """What is new is told, and what is over forgotten."""
+        """Tell what changed, and forget consoles that are gone."""
         self.tell_news()
         self.missions.tick(now_s)
         if self.boat.state.namesakes and now_s - self._namesakes_s > HEARD_S:
@@ -61,8 +61,8 @@ class Consoles:
         self._news.tell(self.commander)
 
     def ask(self, source: Speaker, command: console.Commands) -> str | None:
-        """A command of a console that must be the one that commands. Whoever asks first commands; so does the next one when the
-        one before was silent for long. Anybody may stop the boat. Returns why not, or None."""
+        """Obey a command if this console commands. The first console to ask commands; so does the next one when the one before
+        was silent for long. Any console may stop the boat. Returns the reason of a refusal, or None."""
         if (reason := self._own(source, command)) is not None:
             return reason
         refused = self._obey(command, source.name)
@@ -70,7 +70,7 @@ class Consoles:
         return refused
 
     def propose(self, source: Speaker, command: console.Commands, answer: Callable[[str | None], None]) -> None:
-        """The same for a plan, which takes a while to be looked at: `answer` gets what came of it."""
+        """The same for a plan, whose review takes a while: `answer` gets its outcome."""
 
         def done(refused: str | None) -> None:
             self.tell_news()
@@ -84,7 +84,7 @@ class Consoles:
             self._review(source.name, command, done)
 
     def _own(self, source: Speaker, command: console.Commands) -> str | None:
-        """Whoever commands is the owner from now on. Returns why this console may not command."""
+        """The console that commands becomes the owner. Returns why this one may not command, or None."""
         if self.commander != source and not isinstance(command, console.Stop):
             if (reason := self.refusal(source, isinstance(command, console.Take))) is not None:
                 return reason
@@ -94,7 +94,7 @@ class Consoles:
         return None
 
     def refusal(self, source: Speaker, takes: bool = False) -> str | None:
-        """Why this console may not command, in words. `takes`: it says that it takes over."""
+        """Why this console may not command, in words. `takes`: the command is to take over."""
         if source.component == GUEST:
             return "the guest computer may not command: use a console"
         lost = self.clock.monotonic_s() - self._owner_s > self.boat.helm.settings.failsafe.console_silent.after_s
@@ -110,7 +110,7 @@ class Consoles:
         return self.commander.system if self.commander is not None else 0
 
     def alive(self, source: Speaker, address: Address) -> None:
-        """A console was heard that may be the one that commands, or have the number of another one."""
+        """A console was heard. It may be the one that commands, or use the number of another one."""
         now_s = self.clock.monotonic_s()
         if source == self.commander:
             self._owner_s = now_s
@@ -123,13 +123,13 @@ class Consoles:
             self.boat.on_namesakes(self.boat.state.namesakes or words)
 
     def give_up(self, source: Speaker) -> None:
-        """This console commands no longer."""
+        """This console no longer commands."""
         if self.commander == source:
             self.commander = None
             self.tell_news()
 
     def param(self, peer: Peer, name: str) -> Message:
-        """PARAM_VALUE, with what is in force for this peer."""
+        """PARAM_VALUE, with the value in force for this peer."""
         if name == params.PROFILE:
             return params.message(name, float(telemetry.PROFILES.index(peer.profile)))
         return params.message(name, params.value(self.boat.helm.settings, params.BY_NAME[name]))

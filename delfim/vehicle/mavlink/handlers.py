@@ -1,4 +1,4 @@
-"""What consoles say to the vehicle, message by message, and what they get for it: docs/mavlink.md, "To the vehicle"."""
+"""Handlers of the messages that consoles send, one a message, and their answers: docs/mavlink.md, "To the vehicle"."""
 
 import math
 from collections.abc import Callable
@@ -18,7 +18,7 @@ from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.telemetry import NEVER_S
 from delfim.vehicle.mavlink.wire import GUEST, Message, Speaker, dialect
 
-AGAIN_S: Final = 10.0  # a command that is repeated within this time for want of an answer gets the one it had
+AGAIN_S: Final = 10.0  # a command repeated within this time, because its answer was lost, gets the same answer
 INTERVAL_MIN_S: Final = 0.1
 NAK, UNKNOWN_COMMAND = 129, 7  # of MAVLink FTP
 
@@ -28,7 +28,7 @@ def _heartbeat(consoles: Consoles, peer: Peer, source: Speaker, message: Message
 
 
 def _command(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """COMMAND_LONG, COMMAND_INT: answered always; one that is repeated is not carried out again, a stop apart."""
+    """COMMAND_LONG, COMMAND_INT: always answered; a repeated one is not carried out again, except a stop."""
     now_s, order = consoles.clock.monotonic_s(), commands.order(message)
     same, before = repr((source, order.command, order.p)), peer.answered
     if order.confirmation and before and before[0] == same and now_s - before[1] < AGAIN_S and not commands.stops(order):
@@ -38,9 +38,9 @@ def _command(consoles: Consoles, peer: Peer, source: Speaker, message: Message) 
     answer = dialect.MAVLink_command_ack_message(order.command, result, 0xFF, 0, *source.party)
     if order.command not in _REQUESTS:
         peer.answered = same, now_s, answer
-    if reason:  # before the answer, so that whoever hears that knows why
+    if reason:  # before the answer, so that its reader knows why
         consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
-    told = [telemetry.heartbeat(consoles.view())] if commands.stops(order) else []  # a stop is over when the boat says idle
+    told = [telemetry.heartbeat(consoles.view())] if commands.stops(order) else []  # consoles wait for idle
     consoles.peers.tell(peer, [answer, *told])
 
 
@@ -66,7 +66,7 @@ def _ordered(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Or
 
 
 def _set_mode(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """SET_MODE, of old programs: no answer exists but the heartbeat."""
+    """SET_MODE of old programs: the heartbeat is its only answer."""
     if message.target_system == consoles.system:
         order = commands.Order(dialect.MAV_CMD_DO_SET_MODE, (message.base_mode, message.custom_mode, 0.0), consoles.system)
         _, reason = _ordered(consoles, peer, source, order)
@@ -75,7 +75,7 @@ def _set_mode(consoles: Consoles, peer: Peer, source: Speaker, message: Message)
 
 
 def _manual(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """Thrust in manual mode, and nowhere else: a stream that did not end must not change a mode."""
+    """Thrust, in manual mode only: a stream that did not end must not change the mode."""
     if message.target != consoles.system or consoles.boat.state.mode is not Mode.MANUAL or source != consoles.commander:
         consoles.count("manual_ignored")
         return
@@ -134,13 +134,13 @@ def _clear(consoles: Consoles, peer: Peer, source: Speaker, message: Message) ->
 
 
 def _old_item(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """MISSION_ITEM, MISSION_WRITE_PARTIAL_LIST, MISSION_REQUEST_PARTIAL_LIST: there is a better way to say it."""
+    """MISSION_ITEM, MISSION_WRITE_PARTIAL_LIST, MISSION_REQUEST_PARTIAL_LIST: refused, newer messages do the same."""
     unsupported = dialect.MAV_MISSION_UNSUPPORTED
     consoles.peers.tell(peer, [dialect.MAVLink_mission_ack_message(*source.party, unsupported, message.mission_type)])
 
 
 def _may(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> bool:
-    """Whether this console may change a plan; it is told why not."""
+    """Whether this console may change a plan; if not, it is told why."""
     reason = consoles.refusal(source) if message.target_system == consoles.system else "a plan must address this vehicle"
     if reason:
         consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
@@ -166,7 +166,7 @@ def _param_read(consoles: Consoles, peer: Peer, source: Speaker, message: Messag
 
 
 def _param_set(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """The answer is the value that is in force; where that is not the one asked for, a text says why."""
+    """The answer is the value in force; if that is not the requested one, a text says why."""
     name, number = params.named(message.param_id), message.param_value
     if name not in params.NAMES:
         consoles.peers.tell(peer, [params.error(source.party, name, -1, dialect.MAV_PARAM_ERROR_DOES_NOT_EXIST)])
@@ -205,11 +205,11 @@ def _text_read(consoles: Consoles, peer: Peer, source: Speaker, message: Message
         consoles.peers.tell(peer, [params.error(source.party, name, index, missing)])
 
 
-# Questions.
+# Requests.
 
 
 def _ftp(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """FILE_TRANSFER_PROTOCOL: not here; `delfim log fetch` is."""
+    """FILE_TRANSFER_PROTOCOL: refused; `delfim log fetch` fetches files."""
     payload = [*message.payload]
     number = payload[0] + 256 * payload[1] + 1
     nak = [number & 0xFF, number >> 8 & 0xFF, payload[2], NAK, 1, payload[3], 0, 0, 0, 0, 0, 0, UNKNOWN_COMMAND]
@@ -222,7 +222,7 @@ def _logs(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> 
 
 
 def _log(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """LOG_REQUEST_DATA: of a log that is not here."""
+    """LOG_REQUEST_DATA: refused, because there is no such log."""
     consoles.peers.tell(peer, [dialect.MAVLink_log_data_message(message.id, message.ofs, 0, [0] * 90)])
 
 
@@ -252,7 +252,7 @@ def _request(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Or
 
 
 def _interval_of(consoles: Consoles, peer: Peer, number: int) -> Message:
-    """MESSAGE_INTERVAL: -1 is not sent, 0 not known."""
+    """MESSAGE_INTERVAL: -1 means not sent, 0 not known."""
     rows = [row for row in telemetry.ROWS if row.id == number]
     interval_us = round(peer.interval_s(rows[0]) * 1e6) or -1 if rows else 0
     return dialect.MAVLink_message_interval_message(number & 0xFFFF, interval_us)
@@ -276,7 +276,7 @@ def _take(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Order
 
 
 def _interval(consoles: Consoles, peer: Peer, source: Speaker, order: commands.Order) -> int:
-    """SET_MESSAGE_INTERVAL: of what this peer gets. 0: as its profile says; below: not at all."""
+    """SET_MESSAGE_INTERVAL, for this peer alone. 0: the interval of its profile; negative: not at all."""
     number, interval_us = order.p[:2]
     if number not in [row.id for row in telemetry.ROWS] or not math.isfinite(interval_us):
         return UNSUPPORTED
@@ -298,7 +298,7 @@ def _high_latency(consoles: Consoles, peer: Peer, source: Speaker, order: comman
 
 
 class _Line(NamedTuple):
-    """One console, as the mission protocol sees it."""
+    """One console, as seen by the mission protocol."""
 
     consoles: Consoles
     peer: Peer

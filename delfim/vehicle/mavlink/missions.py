@@ -1,7 +1,7 @@
 """MAVLink's mission protocol, the vehicle's side: uploads item by item, downloads, checksums.
 
-An upload changes nothing before its last item has come and all of it makes sense. A download needs no memory: each item is
-asked for by its number. Both get through any loss: the vehicle asks again, and answers again what was answered
+An upload changes nothing before its last item has come and the plan is valid. A download needs no memory: each item is
+requested by its number. Both survive lost frames: the vehicle repeats its requests and its answers
 (mavlink.io/en/services/mission.html).
 """
 
@@ -27,7 +27,7 @@ UNSUPPORTED: Final = int(dialect.MAV_MISSION_UNSUPPORTED)
 
 
 class ConsoleLine(Protocol):
-    """What the protocol needs of the station, for one console."""
+    """The interface of the protocol to the station, for one console."""
 
     def tell(self, message: Message) -> None: ...
     def tell_all(self, message: Message) -> None: ...
@@ -36,7 +36,7 @@ class ConsoleLine(Protocol):
 
 
 class IncomingItems:
-    """One that is under way: how many items came, and when the next one was asked for."""
+    """An upload under way: how many items came, and when the next one was requested."""
 
     def __init__(self, line: ConsoleLine, source: Speaker, kind: int, count: int, now_s: float) -> None:
         self.line, self.source, self.kind, self.count = line, source, kind, count
@@ -47,7 +47,7 @@ class IncomingItems:
 
 
 class Done(NamedTuple):
-    """An upload that ended: what was said, in case that it was not heard."""
+    """An upload that ended: its answer, kept in case it was lost."""
 
     source: Speaker
     kind: int
@@ -56,23 +56,23 @@ class Done(NamedTuple):
 
 
 class Missions:
-    """`home_first`: item 0 is the home position, as ArduPilot and its consoles have it."""
+    """`home_first`: item 0 is the home position, as with ArduPilot and its consoles."""
 
     def __init__(self, boat: VehicleLoop, home_first: bool) -> None:
         self._boat, self._home_first = boat, home_first
         self._upload: IncomingItems | None = None
         self._done: Done | None = None
-        self._frames = dict.fromkeys(KINDS, plans.PLACED)  # of places: as they were sent, so they are told
+        self._frames = dict.fromkeys(KINDS, plans.PLACED)  # of places: told in the frame in which they were sent
         self._told = dict.fromkeys(KINDS, plans.NOTHING)
-        self._telling: tuple[int, Sliced[plans.Told]] | None = None  # what is being made ready to be told
+        self._telling: tuple[int, Sliced[plans.Told]] | None = None  # the plan that is being prepared for download
         self._summing: Sliced[int] | None = None
-        self._summed: tuple[tuple[plans.Told, ...], int | None] = (), None  # of which plans, and their checksum
+        self._summed: tuple[tuple[plans.Told, ...], int | None] = (), None  # the plans that were summed up, and their checksum
         self._due: list[Callable[[], None]] = []  # once all of it is
 
-    # What is on board.
+    # The plans aboard.
 
     def step(self) -> bool:
-        """A slice of making ready what is told of the plans. Returns whether there is more to do."""
+        """One slice of preparing the plans for download. Returns whether there is more to do."""
         if self._telling is None and self._summing is None:
             kind = next((kind for kind in KINDS if self._told[kind].plan is not self._plan(kind)), None)
             if kind is not None:
@@ -95,7 +95,7 @@ class Missions:
         return True
 
     def _is_summed(self) -> bool:
-        """Whether the checksum of all plans is that of those which are told."""
+        """Whether the checksum of all plans covers the present ones."""
         plans_summed, known = self._summed
         return known is not None and all(a is b for a, b in zip(plans_summed, self._told.values(), strict=True))
 
@@ -112,7 +112,7 @@ class Missions:
         return plans.mission_items(boat.helm.plans.mission) if boat.helm.plans.mission is not None else iter(())
 
     def own(self, kind: int) -> plans.Told | None:
-        """The boat's plan of a type. None: it is being made ready, which takes a moment; whoever asked asks again."""
+        """The boat's plan of a type. None: it is still being prepared; the console asks again."""
         for _ in KINDS:  # small ones take a slice each
             if self._told[kind].plan is not self._plan(kind):
                 self.step()
@@ -136,11 +136,11 @@ class Missions:
         return known.leg_of(max(number - self._home_first, 0))
 
     def number(self, leg: int) -> int:
-        """The item that a leg leads to, as far as it is known."""
+        """The item that a leg leads to, if known yet."""
         known = self.own(MISSION)
         return (0 if known is None else known.item_of(leg)) + self._home_first
 
-    # Down.
+    # Download.
 
     def listed(self, line: ConsoleLine, source: Speaker, message: Message) -> None:
         """MISSION_REQUEST_LIST"""
@@ -174,10 +174,10 @@ class Missions:
         rest = i.p1, i.p2, i.p3, i.p4, i.x, i.y, i.z, kind
         line.tell(dialect.MAVLink_mission_item_int_message(*source.party, number, i.frame, i.command, int(current), 1, *rest))
 
-    # Up.
+    # Upload.
 
     def counted(self, line: ConsoleLine, source: Speaker, message: Message, now_s: float) -> None:
-        """MISSION_COUNT: an upload begins, in place of one that was under way."""
+        """MISSION_COUNT: an upload begins and replaces one under way."""
         kind, count = message.mission_type, message.count
         if kind not in KINDS or count > ITEMS:
             refused = UNSUPPORTED if kind not in KINDS else dialect.MAV_MISSION_NO_SPACE
@@ -188,7 +188,7 @@ class Missions:
         self._next(self._upload, now_s)
 
     def item(self, line: ConsoleLine, source: Speaker, message: Message, now_s: float) -> None:
-        """MISSION_ITEM_INT. What was not asked for is heard a second time, or too late."""
+        """MISSION_ITEM_INT. An item that was not requested is a repeat, or late."""
         upload, done = self._upload, self._done
         if upload is None or (upload.source, upload.kind) != (source, message.mission_type):
             if done is not None and (source, message.mission_type, message.seq) == (done.source, done.kind, done.last):
@@ -221,7 +221,7 @@ class Missions:
             self._next(upload, now_s)
 
     def _next(self, upload: IncomingItems, now_s: float) -> None:
-        """Ask for the next item; when there is none, take what came."""
+        """Ask for the next item; after the last one, accept the plan."""
         upload.asked_s = now_s
         if upload.came < upload.count:
             upload.line.tell(dialect.MAVLink_mission_request_int_message(*upload.source.party, upload.came, upload.kind))
@@ -242,7 +242,7 @@ class Missions:
         self._clear(line, source, kind, KINDS if kind == ALL else (kind,), None)
 
     def _clear(self, line: ConsoleLine, source: Speaker, kind: int, left: tuple[int, ...], refused: str | None) -> None:
-        """One type after the other; the answer when all are done."""
+        """Clear one type after the other; the answer follows the last."""
         if left:
             line.ask(_CLEAR[left[0]], lambda why: self._clear(line, source, kind, left[1:], refused or why))
         else:
@@ -276,7 +276,7 @@ class Missions:
             return
 
         def tell() -> None:
-            for each in (*KINDS, ALL) if kind == ALL else (kind, ALL):  # first, so that whoever hears the answer knows
+            for each in (*KINDS, ALL) if kind == ALL else (kind, ALL):  # before the answer, so that its reader knows
                 if (known := self.checksum(each)) is not None:
                     line.tell_all(dialect.MAVLink_mission_checksum_message(each, known))
             line.tell(dialect.MAVLink_mission_ack_message(*source.party, OK, kind))

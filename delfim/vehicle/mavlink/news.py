@@ -1,4 +1,4 @@
-"""What is new aboard, in words to every console: another mode, troubles, who commands, a waypoint that was reached."""
+"""News in words to every console: changes of mode, troubles, changes of command, waypoints reached."""
 
 import math
 from typing import Final
@@ -9,20 +9,20 @@ from delfim.vehicle.mavlink.missions import Missions
 from delfim.vehicle.mavlink.peers import Peers
 from delfim.vehicle.mavlink.wire import Speaker, dialect
 
-TOLD_AGAIN_S: Final = 2.0  # a trouble that lasts, at the earliest
+TOLD_AGAIN_S: Final = 2.0  # earliest repetition of a lasting trouble
 
 
 class News:
-    """What was told last, and what is to be told since."""
+    """Remembers the last news, and tells the changes."""
 
     def __init__(self, boat: VehicleLoop, peers: Peers, missions: Missions) -> None:
         self._boat, self._peers, self._missions = boat, peers, missions
         self._said: tuple[Mode, str, tuple[tuple[str, str], ...], Speaker | None, str] | None = None
-        self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last words, and when
+        self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last text, and when it was told
         self._leg_now: tuple[object, int] = None, 0
 
     def tell(self, commander: Speaker | None) -> None:
-        """Changes of mode and troubles, in words, and a heartbeat at once where the mode is another one."""
+        """Changes of mode and troubles, in words, and a heartbeat at once when the mode changed."""
         self._tell_reached()
         state, say = self._boat.state, self._peers.say
         troubles = tuple((notice.name, notice.action) for notice in state.notices)
@@ -44,8 +44,8 @@ class News:
             self._peers.hurry(dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT)
 
     def _tell_troubles(self) -> None:
-        """Each when it begins or is answered in another way, and again when it has lasted twice as long: "for 1.0 s" does
-        not stand on a screen while it is a minute."""
+        """Tell each trouble when it begins or its action changes, and again when it has lasted twice as long: a screen must
+        not show "for 1.0 s" after a minute."""
         now_s, told, self._told = self._boat.clock.monotonic_s(), self._told, {}
         for notice in self._boat.state.notices:
             trouble = notice.name, notice.action
@@ -57,7 +57,7 @@ class News:
             self._told[trouble] = words, at_s
 
     def _tell_reached(self) -> None:
-        """A waypoint of the mission is behind the boat: its item, to everybody."""
+        """The boat reached a waypoint of the mission: tell its item to everybody."""
         state = self._boat.state
         plan, leg = (state.setpoint.plan, state.reference.leg) if state.mode is Mode.PLAY else (None, 0)
         was, self._leg_now = self._leg_now, (plan, leg)

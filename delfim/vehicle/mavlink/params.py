@@ -14,11 +14,11 @@ class Param(NamedTuple):
     name: str  # up to 16 characters
     key: str  # of the vehicle's file
     unit: str
-    choices: tuple[str, ...] = ()  # words, by their number
+    choices: tuple[str, ...] = ()  # words, numbered from 0
 
 
 # The link's own; then what `config.CHANGEABLE` lets change.
-PROFILE: Final = "LINK_PROFILE"  # of whoever asks: 0 lean, 1 radio, 2 wifi
+PROFILE: Final = "LINK_PROFILE"  # of the asking peer: 0 lean, 1 radio, 2 wifi
 PARAMS: Final = (
     Param("LOSS_TIMEOUT", "failsafe.console_silent.after_s", "s"),
     Param("LOSS_ACTION", "failsafe.console_silent.action", "", ("warn", "hold", "home", "stop")),
@@ -45,14 +45,14 @@ PARAMS: Final = (
     Param("HOME_SPEED", "control.home.speed_mps", "m/s"),
 )
 BOAT_NAME: Final = "BOAT_NAME"  # the parameters that are texts; read only
-BOAT_RUN: Final = "BOAT_RUN"  # drawn at the start: two addresses that tell the same one are one boat
+BOAT_RUN: Final = "BOAT_RUN"  # drawn at the start: two addresses with the same value are one boat
 TEXTS: Final = (BOAT_NAME, BOAT_RUN)
 NAMES: Final = (PROFILE, *(param.name for param in PARAMS))
 BY_NAME: Final = {param.name: param for param in PARAMS}
 
 
 def value(settings: config.Vehicle, param: Param) -> float:
-    """As it is now."""
+    """The parameter's present value."""
     table: Any = settings
     for part in param.key.split("."):
         table = getattr(table, part)
@@ -60,7 +60,7 @@ def value(settings: config.Vehicle, param: Param) -> float:
 
 
 def command(name: str, number: float) -> console.Commands:
-    """The command that changes a parameter. Raises FormatError for a number that means nothing."""
+    """The command that changes a parameter. Raises FormatError for a number outside its choices."""
     param = BY_NAME[name]
     if not param.choices:
         return console.Set(param.key, single(number))
@@ -70,12 +70,12 @@ def command(name: str, number: float) -> console.Commands:
 
 
 def named(text: bytes | str) -> str:
-    """A parameter's name as it came."""
+    """The name in a parameter message."""
     return (text if isinstance(text, str) else text.decode("ascii", "replace")).partition("\0")[0]
 
 
 def single(number: float) -> float:
-    """What a single-precision number was meant to be: 0.1, and not 0.10000000149."""
+    """The decimal number that a single-precision one stands for: 0.1, not 0.10000000149."""
     return float(f"{number:.7g}")
 
 
@@ -91,5 +91,5 @@ def text(name: str, value: str) -> Message:
 
 
 def error(to: tuple[int, int], name: str, index: int, code: int) -> Message:
-    """PARAM_ERROR, to whoever asked for what is not there."""
+    """PARAM_ERROR, the answer to a request for an unknown parameter."""
     return dialect.MAVLink_param_error_message(*to, name.encode("ascii", "replace")[:16], index, code)

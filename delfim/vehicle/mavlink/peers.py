@@ -1,4 +1,4 @@
-"""Whoever listens to the vehicle by MAVLink: addresses, what each was told, and words to all of them."""
+"""Peers: the addresses that listen to the vehicle by MAVLink, the messages told to each, and texts to all of them."""
 
 import math
 from collections import deque
@@ -13,22 +13,22 @@ from delfim.vehicle.mavlink.telemetry import Profile, TelemetryRow
 from delfim.vehicle.mavlink.wire import Address, Message, Sender, Speaker, dialect
 
 PEERS: Final = 16  # at once
-HEARD_S: Final = 15.0  # a peer silent for longer is told only that the boat exists; one that came by itself is forgotten
+HEARD_S: Final = 15.0  # a peer silent for longer gets only the heartbeat; one not in the vehicle's file is forgotten
 PACKED_BYTES: Final = 1200  # several messages share a datagram up to this size
 TEXT_BYTES: Final = 50
 SAID_BYTES: Final = 4 * TEXT_BYTES  # of a reason, however long it is
 
 
 class Peer:
-    """An address that listens, and what it has been told."""
+    """An address that listens, and the messages it was told."""
 
     def __init__(self, address: Address, sender: Sender, profile: Profile, configured: bool) -> None:
         self.address, self.sender, self.profile, self.configured = address, sender, profile, configured
-        self.source: Speaker | None = None  # who speaks from there
+        self.source: Speaker | None = None  # the sender at this address
         self.heard_s = -math.inf
         self.asked_s: dict[int, float] = {}  # intervals that it asked for, by message
         self.due_s: dict[int, float] = {}
-        self.told: dict[int, object] = {}  # what it knows already, by message
+        self.told: dict[int, object] = {}  # last value told, by message
         self.params: deque[str] = deque(maxlen=len(params.NAMES))  # to be told, a few a tick
         self.answered: tuple[str, float, Message] | None = None  # the last command, when, and its answer
 
@@ -37,8 +37,8 @@ class Peer:
 
 
 class Peers:
-    """All of them. `send` takes a datagram and its address; `signing` is None where there is no key; `count` counts what is
-    refused."""
+    """All of them. `send` takes a datagram and its address; `signing` is None without a key; `count` counts
+    refusals."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class Peers:
             self.at((host.strip("[]"), int(port)), None, configured=True)
 
     def at(self, address: Address, commander: Speaker | None, configured: bool = False) -> Peer | None:
-        """The peer at an address; None where there are too many and none gives way."""
+        """The peer at an address; None if there are too many and none can be dropped."""
         if address not in self.known:
             if len(self.known) >= PEERS and not self._makes_room(commander):
                 self._count("peers_full")
@@ -69,7 +69,7 @@ class Peers:
         return self.known[address]
 
     def _makes_room(self, commander: Speaker | None) -> bool:
-        """The peer that was silent for longest is forgotten; none of the vehicle's file, and not the one that commands."""
+        """Forget the peer silent for longest, but none of the vehicle's file and not the one that commands."""
         others = [peer for peer in self.known.values() if not peer.configured and peer.source != commander]
         if not others:
             return False
@@ -78,7 +78,7 @@ class Peers:
         return True
 
     def forget_silent(self, now_s: float) -> None:
-        """Those that came by themselves and are gone."""
+        """Forget silent peers that are not in the vehicle's file."""
         for peer in [peer for peer in self.known.values() if not peer.configured and now_s - peer.heard_s > HEARD_S]:
             del self.known[peer.address]
 
@@ -94,14 +94,14 @@ class Peers:
             self._send(packed, peer.address)
 
     def tell_all(self, messages: list[Message]) -> None:
-        """To every console that is there."""
+        """Send messages to every console that is present."""
         now_s = self._clock.monotonic_s()
         for peer in self.known.values():
             if now_s - peer.heard_s <= HEARD_S:
                 self.tell(peer, messages)
 
     def say(self, severity: int, text: str) -> None:
-        """Words to every console that is there."""
+        """Send a text to every console that is present."""
         self._text_id = self._text_id % 0xFFFF + 1
         data = text.encode("ascii", "replace")[:SAID_BYTES]
         chunks = [data[at : at + TEXT_BYTES] for at in range(0, max(len(data), 1), TEXT_BYTES)]

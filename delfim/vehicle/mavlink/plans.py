@@ -1,7 +1,7 @@
 """Missions, fences and harbours as MAVLink's items, and back: pure functions, for both ends of the link.
 
-A mission is the same at both ends when the checksum of its items is: MISSION_CHECKSUM tells it. What an item cannot say is
-refused by the number of the item, and never left out in silence.
+A mission is the same at both ends when the checksum of its items is: MISSION_CHECKSUM tells it. An item that cannot be
+translated is refused by its number, never left out in silence.
 """
 
 import math
@@ -22,10 +22,10 @@ from delfim.vehicle.mission import ROWS, Mission, PathPoint, Waypoint
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255  # MAV_MISSION_TYPE
 ITEMS: Final = 2000  # of a plan, at most
 HARBOURS: Final = 100
-BLOCK_BYTES, BLOCK = 8192, 50  # that are summed up at a time, and what it costs in comparisons
-ITEM: Final = 4  # comparisons, in time, that one item costs
+BLOCK_BYTES, BLOCK = 8192, 50  # summed up at a time, and their cost in comparisons
+ITEM: Final = 4  # the cost of one item, in comparisons
 WAYPOINT: Final = int(dialect.MAV_CMD_NAV_WAYPOINT)
-WAIT: Final = int(dialect.MAV_CMD_NAV_LOITER_TIME)  # a waypoint to wait at, in other words
+WAIT: Final = int(dialect.MAV_CMD_NAV_LOITER_TIME)  # another item for a waypoint to wait at
 DELAY: Final = int(dialect.MAV_CMD_NAV_DELAY)  # wait where the boat is
 SPEED: Final = int(dialect.MAV_CMD_DO_CHANGE_SPEED)
 PATH: Final = int(dialect.MAV_CMD_WAYPOINT_USER_1)  # a piece of the path: turn_deg, radius_m, speed_mps
@@ -33,8 +33,8 @@ KEEP_IN: Final = int(dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION)
 KEEP_OUT: Final = int(dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION)
 CIRCLE_OUT: Final = int(dialect.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION)
 HARBOUR: Final = int(dialect.MAV_CMD_NAV_RALLY_POINT)
-GLOBAL: Final = frozenset({0, 3, 5, 6, 10, 11})  # frames with latitude and longitude; height means nothing to a boat
-PLACED: Final = int(dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # of an item that nobody has sent: every program knows it
+GLOBAL: Final = frozenset({0, 3, 5, 6, 10, 11})  # frames with latitude and longitude; a boat ignores the height
+PLACED: Final = int(dialect.MAV_FRAME_GLOBAL_RELATIVE_ALT_INT)  # frame of items that no console sent: every program knows it
 USUAL_SPEED: Final = -2.0  # of SPEED: the vehicle's own
 _CHECKED: Final = struct.Struct("<BHB4fiif")
 
@@ -101,8 +101,8 @@ def home_item(latitude_rad: float, longitude_rad: float) -> Item:
 
 
 class MissionDraft:
-    """A mission, item by item as they come. What makes no sense is refused at its item, before any other is asked for:
-    FormatError with its number, Unsupported where it makes sense and is nothing for this boat."""
+    """A mission, item by item as they come. A bad item is refused at once, before the next is requested: FormatError with its
+    number, or Unsupported for a valid item that this boat cannot do."""
 
     def __init__(self) -> None:
         self.waypoints: list[Waypoint] = []
@@ -126,15 +126,15 @@ class MissionDraft:
             raise FormatError(f"item {number}: more than {ROWS} waypoints, or pieces of the path")
 
     def done(self, name: str, zones: config.Zones) -> Mission:
-        """What a mission file would say."""
+        """The mission as its file would have it."""
         if not self.waypoints:
             raise FormatError("a mission needs a waypoint")
         return Mission(version=1, name=name, waypoint=tuple(self.waypoints), path=tuple(self.path), fence=zones)
 
 
 class ZonesDraft:
-    """Zones, item by item. Raises FormatError with the number of the item that cannot be understood. Whether a polygon crosses
-    itself is not its matter."""
+    """Zones, item by item. Raises FormatError with the number of the item that cannot be understood. It does not check
+    whether a polygon crosses itself."""
 
     def __init__(self) -> None:
         self._keep_in: tuple[tuple[float, float], ...] = ()
@@ -206,7 +206,7 @@ Draft = MissionDraft | ZonesDraft | RallyDraft
 
 
 class Told(NamedTuple):
-    """A plan as it is told: its items, the numbers of those that are waypoints, and all of it as it is summed up."""
+    """A plan as it is told: its items, the numbers of its waypoint items, and its bytes for the checksum."""
 
     plan: object
     items: list[Item]
@@ -273,7 +273,7 @@ def _piece(number: int, item: Item) -> PathPoint:
 
 
 def _name(command: int) -> str:
-    """As the protocol's documents name it."""
+    """The command's name in the protocol's documents."""
     known = dialect.enums["MAV_CMD"].get(command)
     return f"{known.name.removeprefix('MAV_CMD_')} ({command})" if known else f"command {command}"
 
@@ -285,7 +285,7 @@ def _asked_mps(number: int, item: Item) -> float:
 
 
 def _number(number: int, value: float) -> float:
-    """As a person would write it: what travelled as a float has seven digits. Raises FormatError for what is not finite."""
+    """Rounded as a person would write it: a float has seven digits. Raises FormatError for values that are not finite."""
     if not math.isfinite(value):
         raise FormatError(f"item {number}: {value} is not a number")
     return round(value, 3)

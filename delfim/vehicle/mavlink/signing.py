@@ -1,7 +1,7 @@
-"""Signed MAVLink 2 frames: who may speak, nothing twice, nothing late (mavlink.io/en/guide/message_signing.html).
+"""Signed MAVLink 2 frames: only holders of the key, no frame twice or late (mavlink.io/en/guide/message_signing.html).
 
 A signature is the first 48 bits of SHA-256 over key and frame, with a time stamp that only grows: authentication, not secrecy.
-Hashing a frame takes about a microsecond, so that it is done in the loop.
+Hashing a frame takes about a microsecond, so the loop does it.
 """
 
 import hashlib
@@ -36,7 +36,7 @@ class FrameVerdict(NamedTuple):
 
 
 class Signing:
-    """What has been heard of whom, and the stamp of what is sent. `stamps`: the last of each speaker in the run before."""
+    """The time stamps heard of each speaker, and the next one to send. `stamps`: each speaker's last in the run before."""
 
     def __init__(self, key: bytes, clock: Clock, stamps: dict[Stream, int]) -> None:
         self.key, self._clock = key, clock
@@ -45,12 +45,12 @@ class Signing:
         self._ahead_s: dict[Stream, tuple[float, float]] = {}  # least delay, clocks' difference included; and when
 
     def stamp(self) -> int:
-        """For the next frame that is sent: this clock's time, and more than the one before."""
+        """The stamp of the next frame to send: this clock's time, but later than the stamp before."""
         self._sent = max(self._sent + 1, self._now())
         return self._sent
 
     def judge(self, frame: bytes) -> FrameVerdict:
-        """A frame as it came. One that is well is remembered, and will not be well again."""
+        """A frame as it came. A valid frame is remembered, and is not valid a second time."""
         if not frame[2] & 1:
             return FrameVerdict("unsigned")
         signature = hashlib.sha256(self.key + frame[:-6]).digest()[:6]
@@ -108,7 +108,7 @@ def read_stamps(path: str | Path) -> dict[Stream, int]:
 
 
 def write_stamps(path: str | Path, stamps: dict[Stream, int]) -> None:
-    """Whole or not at all. Raises OSError."""
+    """Write the file whole or not at all. Raises OSError."""
     fresh = Path(f"{path}.new")
     fresh.write_bytes(msgspec.json.encode(list(stamps.items())))
     fresh.replace(path)

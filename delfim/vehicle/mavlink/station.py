@@ -1,7 +1,7 @@
-"""The vehicle as a MAVLink system: frames in, and what is due out.
+"""The vehicle as a MAVLink system: frames in, due messages out.
 
 No sockets and no waiting: datagrams come in by `receive` and are worked off a few frames at a `turn`; `begin` and `serve` hand
-what is due to `send`. A request is answered when it comes, and so is one that nobody understands.
+what is due to `send`. Every request is answered when it comes, unknown ones too.
 """
 
 import math
@@ -41,7 +41,7 @@ class Station:
         self.consoles = Consoles(boat, obey, send, signing, review)
         self._clock, self._signing, self._command_age_s = boat.clock, signing, self.consoles.settings.command_age_s
         self._pending: deque[tuple[bytes, Address]] = deque()
-        self._serving: list[tuple[Peer, int]] = []  # whom to tell what is due, and from which row on
+        self._serving: list[tuple[Peer, int]] = []  # peers to serve, and the row where each continues
         self._ticks = 0
 
     # In.
@@ -58,7 +58,7 @@ class Station:
             self._pending.append((frame, address))
 
     def turn(self) -> bool:
-        """Work off some frames, and go on with what is to be told of plans. Returns whether there is more."""
+        """Handle some frames, and continue preparing plans. Returns whether there is more."""
         for _ in range(min(FRAMES, len(self._pending))):
             fault = self._frame(*self._pending.popleft())
             if fault:
@@ -67,7 +67,7 @@ class Station:
         return more or bool(self._pending)
 
     def _frame(self, frame: bytes, address: Address) -> str:
-        """Returns what was wrong with it, to be counted; nothing where it was for somebody else."""
+        """Returns the fault of the frame, to be counted; empty if it was addressed to another system."""
         fault, age_s = self._judged(frame, address)
         if fault:
             return fault
@@ -92,8 +92,8 @@ class Station:
         return ""
 
     def _judged(self, frame: bytes, address: Address) -> FrameVerdict:
-        """Whoever has a key may speak; where there is none, whoever is on this computer. A key binds this computer, too: other
-        programs run on it, and a shell of somebody else."""
+        """Holders of the key may speak; without a key, programs on this computer. With a key they need it too: other programs
+        and other users' shells run here."""
         if self._signing is not None:
             return self._signing.judge(frame)
         return FrameVerdict("" if _loopback(address[0]) else "unsigned")
@@ -101,13 +101,13 @@ class Station:
     # Out.
 
     def tick(self) -> None:
-        """What is due now, to everybody, at once."""
+        """Send all due messages to everybody, at once."""
         self.begin()
         while self.serve():
             pass
 
     def begin(self) -> None:
-        """What is due now is to be told by `serve`. Call it some twenty times a second."""
+        """Queue the due messages for `serve`. Call it about twenty times a second."""
         self._ticks += 1
         self.consoles.tick(self._clock.monotonic_s())
         peers = self.consoles.peers.known.values()
@@ -125,7 +125,7 @@ class Station:
         return False
 
     def _params(self, peer: Peer) -> list[Message]:
-        """Of the list that it asked for: slowly, where the link is slow."""
+        """Tell parameters of the list that the peer requested: slowly on a slow link."""
         count = 5 if peer.profile == "wifi" else 1 if self._ticks % SLOWLY == 0 else 0
         return [self.consoles.param(peer, peer.params.popleft()) for _ in range(min(count, len(peer.params)))]
 
@@ -146,7 +146,7 @@ def _due(peer: Peer, row: TelemetryRow, view: TelemetryView) -> list[Message]:
 
 
 def _meant(message: Message, system: int) -> bool:
-    """Whether a message is for this vehicle, or for all: those that change something look again."""
+    """Whether a message is for this vehicle, or for all: handlers that change something check again."""
     return getattr(message, "target_system", 0) in (0, system) and getattr(message, "target_component", 0) in (0, 1)
 
 

@@ -1,7 +1,7 @@
 """The station's UDP socket on the vehicle's loop: one datagram a callback, a few frames a callback, low delay asked for.
 
-A defect here must not stop the boat: the callbacks are the loop's own, which logs an exception and goes on. The consoles then
-hear nothing, and their silence is a trouble that the failsafe knows.
+A defect here must not stop the boat: the callbacks are the loop's own, which logs an exception and goes on. The vehicle then
+hears no console, and their silence is a trouble of the failsafe.
 """
 
 import asyncio
@@ -20,7 +20,7 @@ from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mavlink.wire import DATAGRAM_BYTES, Address
 
 TICK_S: Final = 0.05
-STAMPS_S: Final = 10.0  # between two writings of the time stamps: the most that can be heard again after a crash
+STAMPS_S: Final = 10.0  # between two writes of the time stamps: after a crash, frames of this time could be replayed
 LOWDELAY: Final = 0x10  # IPTOS_LOWDELAY (thesis 2.11)
 BUFFER_BYTES: Final = 1 << 17
 
@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 
 class MavlinkLink:
-    """The consoles' link while it is entered. Raises OSError where the address cannot be had, ConfigError for a bad key."""
+    """The consoles' link as a context. Raises OSError if the address cannot be bound, ConfigError for a bad key."""
 
     def __init__(
         self,
@@ -102,12 +102,12 @@ class MavlinkLink:
     def _send(self, datagram: bytes, address: Address) -> None:
         try:
             self._socket.sendto(datagram, address)
-        except OSError:  # no route, a full queue: a console that is there asks again
+        except OSError:  # no route, a full queue: the console asks again
             self._unsent += 1
 
     @staticmethod
     def _write(path: Path, stamps: dict[tuple[int, int, int], int]) -> None:
-        with contextlib.suppress(OSError):  # no disk: the check of the log says so
+        with contextlib.suppress(OSError):  # no disk: the check of the log reports it
             write_stamps(path, stamps)
 
 

@@ -1,7 +1,7 @@
-"""What the vehicle tells its consoles: one row a message, with its interval on each kind of link.
+"""The messages that the vehicle sends by itself: one row a message, with its interval on each kind of link.
 
-A row that is `fresh` is sent only where something new was measured since the last time: a console sees the age of what it shows
-by when it came. Angles, speeds and lengths leave here in MAVLink's units; what is not known, as its mark for unknown.
+A `fresh` row is sent only after a new measurement: a console knows the age of a value by when it came.
+Angles, speeds and lengths leave here in MAVLink's units, unknown values as MAVLink marks them.
 """
 
 import math
@@ -37,7 +37,7 @@ _STARBOARD: Final = NAMES[Node.PROPELLER_STARBOARD], NAMES[Node.BATTERIES_STARBO
 
 
 class TelemetryView(NamedTuple):
-    """What a row sees."""
+    """The data that a row is made from."""
 
     boat: VehicleLoop
     settings: Mavlink
@@ -55,7 +55,7 @@ class TelemetryRow(NamedTuple):
     radio_s: float
     wifi_s: float
     make: Callable[[TelemetryView], Iterable[Message]]
-    fresh: Callable[[TelemetryView], object] | None = None  # sent where this is another one than the last time
+    fresh: Callable[[TelemetryView], object] | None = None  # sent only when this differs from the last time
 
     def interval_s(self, profile: Profile) -> float:
         return (self.lean_s, self.radio_s, self.wifi_s)[PROFILES.index(profile)]
@@ -106,13 +106,13 @@ def rpm(view: TelemetryView) -> Iterator[Message]:
 
 
 def thrust(view: TelemetryView) -> Iterator[Message]:
-    """In force, as pulses that two motors would get, port and starboard: 1000 is full astern, 1500 stop, 2000 full ahead."""
+    """Thrust in force as servo pulses, port and starboard: 1000 is full astern, 1500 stop, 2000 full ahead."""
     port, starboard = (_STILL + round(_AHEAD * part) for part in _thrust(view))
     yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, port, starboard, 0, 0, 0, 0, 0, 0)
 
 
 def status(view: TelemetryView) -> Iterator[Message]:
-    """Health: of navigation, propellers and batteries, and whether the boat would leave idle."""
+    """Health of navigation, propellers and batteries, and whether the boat could leave idle."""
     boat = view.boat
     checks = boat.helm.checks()
     lines = {line.name: line.ok for line in checks}
@@ -121,7 +121,7 @@ def status(view: TelemetryView) -> Iterator[Message]:
     health |= dialect.MAV_SYS_STATUS_SENSOR_BATTERY if lines["battery"] else 0
     health |= dialect.MAV_SYS_STATUS_PREARM_CHECK if boat.helm.unfit(checks) is None else 0
     near = any(notice.name == "fence" for notice in boat.state.notices)
-    health |= 0 if near else dialect.MAV_SYS_STATUS_GEOFENCE  # without a fence, too: MAVProxy takes anything else for a breach
+    health |= 0 if near else dialect.MAV_SYS_STATUS_GEOFENCE  # set without a fence, too: MAVProxy reads 0 as a breach
     present = _SENSORS | dialect.MAV_SYS_STATUS_PREARM_CHECK
     present |= dialect.MAV_SYS_STATUS_GEOFENCE if boat.helm.plans.fence is not None else 0
     least, name = charge(boat.state)
@@ -208,7 +208,7 @@ def current(view: TelemetryView) -> Iterator[Message]:
 
 
 def checksum(view: TelemetryView) -> Iterator[Message]:
-    """Of all plans: a console that has read other ones reads again."""
+    """The checksum of all plans: a console that has other plans reads them again."""
     if (known := view.checksum(ALL)) is not None:
         yield dialect.MAVLink_mission_checksum_message(ALL, known)
 
@@ -278,7 +278,7 @@ ROWS: Final = (
 
 
 def _thrust(view: TelemetryView) -> tuple[float, float]:
-    """In force of port and starboard, as a part of the most: -1..1."""
+    """Thrust in force of port and starboard, as a fraction of the maximum: -1..1."""
     sent, most = view.boat.state.actuation, view.boat.helm.settings.propulsion.rpm_max
     return (sent.port_rpm / most, sent.starboard_rpm / most) if sent.run else (0.0, 0.0)
 

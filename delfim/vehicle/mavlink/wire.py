@@ -1,6 +1,6 @@
 """MAVLink 2 on the wire: a datagram cut into frames, a frame into a message, and back.
 
-The codec is pymavlink's generated dialect, alone. Its parser is not used: it keeps bytes from one datagram to the next, and it
+The codec is pymavlink's generated dialect only. Its parser is not used: it keeps bytes from one datagram to the next, and it
 remembers the time stamp of a signed frame before it knows that the signature is right, so that a forgery would silence the
 console. Both are done here and in `signing.py`.
 """
@@ -15,26 +15,26 @@ from delfim.errors import FormatError
 MARKER: Final = 0xFD
 SIGNED: Final = 0x01  # the one incompatibility flag that exists
 GUEST: Final = 191  # component of the guest computer, which gives set points in GREX mode and commands nothing
-DATAGRAM_BYTES: Final = 2048  # longer ones are cut off by the socket and therefore malformed
+DATAGRAM_BYTES: Final = 2048  # the socket cuts longer ones, which makes them malformed
 _LEAST, _SIGNATURE = 12, 13
 
 dialect: Final[Any] = development
-Message = Any  # a class a message, generated; pymavlink has no types
+Message = Any  # pymavlink generates a class for each message, without types
 
 
 Address = tuple[str, int]
 
 
 class Speaker(NamedTuple):
-    """Who sent a frame. Two programs may call themselves by the same numbers; what they speak by is not the same."""
+    """The sender of a frame. Two programs may use the same numbers, but their links differ."""
 
     system: int
     component: int
-    link: int | Address  # of a signed frame the number of its link, of another one where it came from
+    link: int | Address  # of a signed frame its link number, otherwise its address
 
     @property
     def party(self) -> tuple[int, int]:
-        """Whom an answer is for."""
+        """The addressee of an answer."""
         return self.system, self.component
 
     @property
@@ -43,7 +43,7 @@ class Speaker(NamedTuple):
 
 
 def frames(datagram: bytes) -> tuple[list[bytes], bool]:
-    """The frames of a datagram, in order, and whether all of it was frames."""
+    """The frames of a datagram, in order, and whether nothing was left over."""
     found: list[bytes] = []
     at, size = 0, len(datagram)
     while at < size:
@@ -63,7 +63,7 @@ def link_of(frame: bytes) -> int:
 
 
 def decode(frame: bytes) -> Message | None:
-    """The message in a frame; None for one of which the number is not known here. Raises FormatError for a wrong checksum."""
+    """The message in a frame; None for an unknown message number. Raises FormatError for a wrong checksum."""
     try:
         message = _codec.decode(bytearray(frame))
     except dialect.MAVError as error:
@@ -80,7 +80,7 @@ class Sender:
         self._signing.secret_key, self._signing.sign_outgoing = key, key is not None
 
     def pack(self, message: Message) -> bytes:
-        """The frame of a message. Raises struct.error where a field does not fit: a defect of who made it."""
+        """The frame of a message. Raises struct.error if a field does not fit: a defect of the caller."""
         if self._signing.sign_outgoing:
             self._signing.timestamp = self._stamp()
         frame: bytes = message.pack(self._codec)
