@@ -320,7 +320,7 @@ def test_running_nodes_break_by_command(tmp_path: Path):
             json.dumps("x").encode(),
         ):
             assert not answered(place, nonsense)["ok"]
-        assert bycommand.tell(boat, "end").startswith("all faults are over")
+        assert bycommand.tell(boat, "end").startswith("all faults ended")
         asked = subprocess.run(
             [sys.executable, "-m", "delfim", "fault", "--for", "2", *words, str(vehicle), "sensor_bad", "gps"],
             capture_output=True,
