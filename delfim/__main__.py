@@ -1,6 +1,6 @@
-"""The command line, `delfim COMMAND ...`: which command is meant, and what its failures look like.
+"""The command line, `delfim COMMAND ...`: finds the command, runs it and reports its failure.
 
-A failure that a person can mend is one line on standard error, with exit code 2.
+A failure that the user can put right is one line on standard error, with exit code 2.
 """
 
 import argparse
@@ -14,7 +14,7 @@ from delfim.commands import GROUPS, SENTENCES, Formatter
 from delfim.errors import DelfimError, PermanentFailure, Refused, did_you_mean, in_words
 
 EXIT_REFUSED, EXIT_WRONG, EXIT_PERMANENT = 1, 2, 100  # 100 tells the supervisor: do not start me again
-FORMATS = ("asammdf", "pyarrow", "scipy")  # packages of delfim[formats]; those of delfim[ground] are all others
+FORMATS = ("asammdf", "pyarrow", "scipy")  # packages of delfim[formats]; all others are of delfim[ground]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -52,18 +52,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def listing() -> str:
-    """All commands, by what people do with them."""
+    """All commands, by task."""
     lines = ["usage: delfim COMMAND ...", "", "The onboard software of an autonomous surface vehicle."]
     for group, commands in GROUPS.items():
         lines += ["", f"{group}:", *(f"  {name:10} {sentence}" for name, sentence in commands.items())]
-    return "\n".join([*lines, "", "delfim COMMAND --help tells the options of a command, delfim --version its version."])
+    return "\n".join([*lines, "", "delfim COMMAND --help lists the options of a command, delfim --version prints the version."])
 
 
 def parsed(words: Sequence[str]) -> tuple[ModuleType, argparse.Namespace]:
-    """The command and what is asked of it. Raises DelfimError for a command that does not exist, SystemExit for options."""
+    """The command and its options. Raises DelfimError for an unknown command, SystemExit for wrong options."""
     name, *rest = words
     if name not in SENTENCES:
-        raise DelfimError(f"there is no command {name!r}{did_you_mean(name, SENTENCES)}; delfim alone lists them")
+        raise DelfimError(f"there is no command {name!r}{did_you_mean(name, SENTENCES)}; delfim alone lists all")
     command = importlib.import_module(f"delfim.commands.{name}")
     parser = argparse.ArgumentParser(prog=f"delfim {name}", description=SENTENCES[name], formatter_class=Formatter)
     command.options(parser)

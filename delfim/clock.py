@@ -1,4 +1,4 @@
-"""Time, in one place. Whoever needs the time is handed a clock; nobody asks the operating system behind its back.
+"""Time, in one place. Code that needs the time is given a clock and never asks the operating system itself.
 
 Two times exist: `monotonic_s` for ages and intervals, which never steps, and `time_ns` for stamps that people and the
 kernel share (CLOCK_REALTIME), which steps when the GPS sets it.
@@ -21,9 +21,9 @@ class SystemClock:
 
 
 class WakefulClock:
-    """Of a computer that may be put to sleep, as a laptop is: `monotonic_s` goes on meanwhile. `time.monotonic` stands still on
-    Linux and macOS: what was said before the sleep would be as if said just now. CLOCK_BOOTTIME counts it on Linux,
-    CLOCK_MONOTONIC on macOS, and `time.monotonic` on Windows.
+    """The clock of a computer that may sleep, such as a laptop: `monotonic_s` counts the sleep. `time.monotonic` does not on
+    Linux and macOS: old data would look fresh after the sleep. CLOCK_BOOTTIME counts it on Linux, CLOCK_MONOTONIC on macOS,
+    and `time.monotonic` on Windows.
     """
 
     time_ns = staticmethod(time.time_ns)

@@ -4,19 +4,19 @@ from collections.abc import Iterable
 from typing import Final
 
 LINE_MAX: Final = 600  # characters; the longest message of ours has half of that
-_TAIL: Final = 200  # characters of them behind what is left out: reasons are at the end
+_TAIL: Final = 200  # characters kept of its end: that is where reasons are
 
 
 class DelfimError(Exception):
-    """What a person can read and act on; the command line prints it without a traceback. Its text is one line, whatever the
-    words from outside hold that it repeats."""
+    """An error that a person can read and act on; the command line prints it without a traceback. Its text is one line, even
+    if it repeats text from outside."""
 
     def __str__(self) -> str:
         return one_line(super().__str__())
 
 
 class ConfigError(DelfimError):
-    """A vehicle file or mission file that is not obeyed. Carries what a tired person needs to mend it."""
+    """A vehicle file or mission file that is refused. Names file, key, reason and allowed values."""
 
     def __init__(self, file: str, key: str, reason: str, allowed: str = "") -> None:
         self.file, self.key, self.reason, self.allowed = file, key, reason, allowed
@@ -24,7 +24,7 @@ class ConfigError(DelfimError):
 
 
 class FormatError(DelfimError, ValueError):
-    """Bytes or text from outside that do not mean anything: a malformed frame, message, command or log."""
+    """Bytes or text from outside that cannot be understood: a malformed frame, message, command or log."""
 
 
 class BusError(DelfimError, OSError):
@@ -40,7 +40,7 @@ class PermanentFailure(DelfimError):
 
 
 def one_line(text: str) -> str:
-    """A text that a terminal, a log or a page can be given: nothing that does not print, and of a long one both ends."""
+    """The text made fit for a terminal, a log or a page: unprintable characters escaped, and only both ends if it is long."""
     if len(text) > LINE_MAX:
         text = f"{text[: LINE_MAX - _TAIL]} ... {text[-_TAIL:]}"
     if text.isprintable():
@@ -49,7 +49,7 @@ def one_line(text: str) -> str:
 
 
 def in_words(error: BaseException) -> str:
-    """What went wrong, for people: ours as it is, the system's without its number, and of a defect its kind, too."""
+    """The error for people: our own as it is, the system's without its number, a defect with its kind."""
     if isinstance(error, DelfimError):
         return str(error)
     if isinstance(error, OSError) and error.strerror:
@@ -58,8 +58,8 @@ def in_words(error: BaseException) -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """ "; did you mean this?" where something known looks like the word, otherwise nothing."""
-    from difflib import get_close_matches  # for mistakes alone
+    """ "; did you mean this?" if a known word resembles this one, otherwise empty."""
+    from difflib import get_close_matches  # loaded only for a mistake
 
     near = get_close_matches(word, list(known), 1)
     return f"; did you mean {near[0]}?" if near else ""

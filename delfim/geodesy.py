@@ -53,7 +53,7 @@ def compass(angle_rad: float) -> float:
 
 
 def polygon_fault(corners: Sequence[tuple[float, float]]) -> Generator[int, None, str | None]:
-    """Why corners, in any unit, enclose no area that a person can have meant, in words; None where they do. Work in slices
+    """Why corners, in any unit, are not a usable polygon, in words; None if they are. Work in slices
     (delfim/slices.py): sides are compared with each other."""
     if len(corners) < 3:
         return f"a polygon of {len(corners)} corners: it needs three"

@@ -1,4 +1,4 @@
-"""What the boat's CAN nodes say to each other: identifiers, layouts, units. Little endian throughout.
+"""The messages of the boat's CAN nodes: identifiers, layouts, units. Little endian throughout.
 
 Frames of up to 8 bytes stand in `etc/delfimx.dbc` too, and a test holds the two against each other. Longer messages travel
 as DSOR segmented messages (`docs/dsor.md`). A number that a node does not know is sent as the largest value of its field
@@ -73,7 +73,7 @@ class Status(IntEnum):
 
 
 class Fault(IntFlag):
-    """Why a node is not good; shown to people as words."""
+    """The faults of a node; shown to people as words."""
 
     OVERHEATED = 1 << 0
     OVERCURRENT = 1 << 1
@@ -153,7 +153,7 @@ def unpack_navigation(data: bytes) -> Navigation:
 
 
 class PropellerCommand(NamedTuple):
-    """What a propeller node is told each navigation cycle. The same bytes serve both sides; only the identifier differs."""
+    """The command to a propeller node, each navigation cycle. The same bytes serve both sides; only the identifier differs."""
 
     rpm: int  # reference, positive ahead
     run: bool  # False: motor off, whatever rpm says
@@ -308,9 +308,9 @@ def pack_reset(node: int) -> bytes:
 
 
 def unpack_reset(data: bytes) -> int:
-    """The node that is meant. Raises FormatError for what is no reset."""
+    """The node to reset. Raises FormatError if this is not a reset."""
     if len(data) != RESET_COMMAND.size or RESET_COMMAND.unpack(data)[1] != RESET_WORD:
-        raise FormatError(f"no reset: {data.hex()}")
+        raise FormatError(f"not a reset: {data.hex()}")
     return int(data[0])
 
 
@@ -318,7 +318,7 @@ TIME: Final = struct.Struct("<Q")  # the time frame: UTC, ns since 1970
 
 
 class Shutdown(NamedTuple):
-    """An order to end everything."""
+    """An order to shut everything down."""
 
     reboot: bool  # start again afterwards, instead of waiting for the power to be cut
 

@@ -1,4 +1,4 @@
-"""What comes from outside is bounded before it is read: a file by its size, JSON and TOML by their depth and numbers."""
+"""Input from outside is bounded before it is read: a file by its size, JSON and TOML by their depth and numbers."""
 
 import json
 import os
@@ -12,7 +12,7 @@ import msgspec
 
 from delfim.errors import FormatError
 
-UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)  # what msgspec raises for JSON that is none
+UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)  # raised by msgspec for invalid JSON
 TEXT_BYTES: Final = 1 << 20  # of a file that people write: settings, a mission, a scenario
 _DEEP: Final = re.compile(  # a dotted key, which takes the square of its length to be read as TOML
     r"""(?<![.\w"'-])(?:(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){64}"""
@@ -22,7 +22,7 @@ _KINDS: Final = ((stat.S_ISFIFO, "a pipe"), (stat.S_ISCHR, "a device"), (stat.S_
 
 
 def read_file(path: str | Path, bytes_max: int = TEXT_BYTES) -> bytes:
-    """All of a file. Raises OSError, in words for one that is too large, and for what would never end or never begin."""
+    """All of a file. Raises OSError, in words if it is too large, or a pipe or device that might never end or never begin."""
     status = os.stat(path)
     for is_kind, name in _KINDS:
         if is_kind(status.st_mode):
@@ -30,7 +30,7 @@ def read_file(path: str | Path, bytes_max: int = TEXT_BYTES) -> bytes:
     if status.st_size > bytes_max:
         raise OSError(0, f"{status.st_size} bytes: files of more than {bytes_max} are not read", str(path))
     with open(path, "rb") as file:
-        return file.read(status.st_size)  # what is written meanwhile comes later
+        return file.read(status.st_size)  # not what is appended meanwhile
 
 
 def read_text(path: str | Path) -> str:

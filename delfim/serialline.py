@@ -1,4 +1,4 @@
-"""A serial line: raw, never waited for, opened anew when its adapter comes back."""
+"""A serial line: raw, non-blocking, reopened when its adapter comes back."""
 
 import os
 import select

@@ -1,4 +1,4 @@
-"""Work in slices: what would hold the loop for longer than a callback may is a generator, and has a slice of it at a time.
+"""Work in slices: work that would hold the loop for longer than a callback may is a generator that runs a slice at a time.
 
 The generator yields how much it has done since it last yielded, in comparisons (about a microsecond each), and returns what
 it found. Work is counted and no clock is read, so that a run in lock step comes out the same each time.
@@ -27,27 +27,27 @@ class Sliced(Generic[T]):
         self._work, self.spent = work, 0
 
     def step(self, most: int = SLICE) -> bool:
-        """A slice of it. Returns whether it is done. Raises what the work raises; the work gets Refused where it has no end."""
+        """Runs a slice. Returns whether the work is done. Raises what the work raises; endless work gets Refused."""
         until = self.spent + most
         try:
             while self.spent < until:
                 self.spent += next(self._work)
             if self.spent > MOST:
-                self._work.throw(Refused(f"more than {MOST:,} comparisons: fewer zones, corners, waypoints or pieces would do"))
+                self._work.throw(Refused(f"more than {MOST:,} comparisons: use fewer zones, corners, waypoints or pieces"))
         except StopIteration as end:
             self.result = end.value
             return True
         return False
 
     def finish(self) -> T:
-        """All that is left of it at once, for who has the time."""
+        """Does all that is left at once, for a caller that may take the time."""
         while not self.step():
             pass
         return self.result
 
 
 class Remains:
-    """What nobody needs any more, let go of a little at a time: to free all that a large plan is made of takes longer than a
+    """Garbage that is freed a little at a time: to free all that a large plan is made of takes longer than a
     callback may."""
 
     def __init__(self) -> None:
@@ -59,5 +59,5 @@ class Remains:
             self._things.extend(parts)
 
     def let_go(self) -> None:
-        """Of some; of more where there is much, so that nobody can make it grow for ever. Call it now and then."""
+        """Frees some; more if there is much, so that nobody can make it grow for ever. Call it now and then."""
         del self._things[-max(LET_GO, len(self._things) // 20) :]

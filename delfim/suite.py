@@ -1,8 +1,8 @@
-"""The composition root: which services there are, which of them a vehicle's file runs, and in which process.
+"""The composition root: the services, the ones that a vehicle's file enables, and the process of each.
 
 SERVICES is the suite, one row a service. To add one: write its coroutine in a file of its own, add a row, add a test. A row
 names its coroutine, and only the process that runs it loads it, before its loop turns: the supervisor needs none of them.
-What is large and can wait is loaded `late`, while the loop carries the boat already.
+A large service that can wait is loaded `late`, while the loop already controls the boat.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ from delfim.services.privileges import real_time
 from delfim.services.supervisor import Supervisor
 
 SHUTDOWN_LOOK_S = 0.1
-Start = Callable[[Any], Awaitable[None]]  # a service's coroutine: with the runtime, until it is cancelled
+Start = Callable[[Any], Awaitable[None]]  # a service's coroutine: takes the runtime, runs until it is cancelled
 
 
 class Service(NamedTuple):
@@ -34,12 +34,12 @@ class Service(NamedTuple):
     entry: str  # module:coroutine
     place: Literal["runtime", "process"] = "runtime"
     budget_s: float | None = None  # of one callback; None: the vehicle's file says it
-    late: bool = False  # loaded beside the vehicle that sails already
+    late: bool = False  # loaded while the vehicle already sails
     uvloop: bool = True  # in a process of its own, where it is installed
     when: Callable[[config.Vehicle], object] = lambda settings: True  # whether the vehicle's file has work for it
 
     def loaded(self) -> Start:
-        """What the runtime runs. Where a package is missing, a service that says so: the others go on without it."""
+        """The coroutine for the runtime. If a package is missing, one that reports it: the other services go on."""
         module, _, name = self.entry.partition(":")
         try:
             start: Start = getattr(importlib.import_module(module), name)
@@ -52,7 +52,7 @@ class Service(NamedTuple):
         return start
 
     def loading(self) -> Start:
-        """The same, for a loop that is not to wait: it is loaded when it starts."""
+        """The same for a loop that must not wait: the service is loaded when it starts."""
 
         async def start(runtime: Any) -> None:
             with contextlib.suppress(ModuleNotFoundError):  # the next line says so
@@ -79,7 +79,7 @@ SERVICES = (
 
 
 def services(settings: config.Vehicle) -> list[Service]:
-    """The rows that this vehicle's file enables, each with its place. Raises PermanentFailure for a name that is none."""
+    """The rows that this vehicle's file enables, each with its place. Raises PermanentFailure for an unknown service name."""
     known = {row.name for row in SERVICES}
     for name in settings.services:
         if name not in known:
@@ -121,7 +121,7 @@ def supervise(
     file: str, overrides: Sequence[str], program: Sequence[str] = (sys.executable, "-m", "delfim"), *, init: bool = False
 ) -> int:
     """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
-    `program` is what is started with `run FILE`. init: as the machine's first process, which ends with the machine."""
+    `program` is started with `run FILE`. init: as the machine's first process, which ends with the machine."""
     settings = config.load(file, overrides)
     command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
     programs = [Supervised("runtime", command, critical=True)]
@@ -158,9 +158,9 @@ def supervise(
 
 
 def _above(fifo_priority: int) -> None:
-    """A runtime that loops for ever in real time must not keep the processor from who would end it."""
+    """A runtime that loops for ever in real time must not keep the processor from the supervisor, which would end it."""
     if fifo_priority:
-        with contextlib.suppress(OSError):  # not permitted: the runtime is not either, and says so
+        with contextlib.suppress(OSError):  # not permitted: the runtime is not either, and logs it
             real_time(fifo_priority + 1)
 
 
@@ -185,7 +185,7 @@ def _last_act(settings: config.Vehicle, reason: str, tell: Callable[[bool, Seque
 
 
 def shut_down(file: str, overrides: Sequence[str], word: shutdown.Word) -> int:
-    """`delfim shutdown`: has the supervisor end everything, and says what comes of it. Returns 0 when the power may be cut.
+    """`delfim shutdown`: has the supervisor end everything, and prints the outcome. Returns 0 when the power may be cut.
     Raises DelfimError where no supervisor runs."""
     settings = config.load(file, overrides)
     place, record = settings.runtime.run_directory, shutdown.record_path(settings.runtime.run_directory)
@@ -216,6 +216,6 @@ def _told(record: Path, since_s: float, last: str) -> str:
 
 
 def rescue(error: Exception) -> None:
-    """The machine's first process must not end: what is wrong is said, and whoever is at its console may mend it."""
-    print(f"delfim: {error}\ndelfim: the boat does not sail; this is a shell", file=sys.stderr)
+    """The machine's first process must not end: it prints the error and gives whoever is at its console a shell."""
+    print(f"delfim: {error}\ndelfim: the boat cannot start; this is a shell to repair it", file=sys.stderr)
     os.execv("/bin/sh", ("/bin/sh",))

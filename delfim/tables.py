@@ -29,8 +29,8 @@ def text(pattern: str, words: str, **extra: str) -> msgspec.Meta:
 
 
 def shown(table: Table) -> dict[str, Any]:
-    """All keys and values for everybody to read, JSON-ready and fit for `decode`; instead of a secret, what its declaration
-    says (`extra={"shown": ...}`)."""
+    """All keys and values for everybody to read, JSON-ready and fit for `decode`; a secret is replaced by the text in its
+    declaration (`extra={"shown": ...}`)."""
     fields: dict[str, Any] = _shown(table, type(table))
     return fields
 
@@ -96,7 +96,7 @@ def decode(tree: dict[str, object], kind: type[T], file: str) -> T:
 
 
 def complaints(tree: object, kind: type[Table], file: str) -> Iterator[ConfigError]:
-    """Everything that is wrong with a table from parsed TOML."""
+    """All faults of a table from parsed TOML."""
     return (ConfigError(file, wrong.key.lstrip("."), wrong.reason, wrong.allowed) for wrong in _wrong(tree, kind, ""))
 
 
@@ -107,7 +107,7 @@ class Wrong(NamedTuple):
 
 
 def _wrong(value: Any, hint: Any, key: str) -> Iterator[Wrong]:
-    """What is wrong with a value: with its parts, or else with the whole. msgspec stops at the first mistake."""
+    """The faults of a value: of its parts, or else of the whole. msgspec stops at the first one."""
     refused, parts = _refused(value, hint, key), list[Wrong]()
     if refused is None:
         return
@@ -116,7 +116,7 @@ def _wrong(value: Any, hint: Any, key: str) -> Iterator[Wrong]:
         parts = list(_wrong_in_table(value, kind, key))
     elif isinstance(value, dict) and get_origin(kind) is dict:
         name, each = get_args(kind)
-        parts = [Wrong(f"{key}.{word}", "no name for a table", allowed(name)) for word in value if _refused(word, name, key)]
+        parts = [Wrong(f"{key}.{word}", "not a name for a table", allowed(name)) for word in value if _refused(word, name, key)]
         parts += [wrong for word, one in value.items() for wrong in _wrong(one, each, f"{key}.{word}")]
     elif isinstance(value, list) and get_origin(kind) is tuple:
         hints = get_args(kind)
@@ -140,7 +140,7 @@ def _wrong_in_table(value: dict[str, Any], kind: type[Table], key: str) -> Itera
 
 
 def _bare(hint: Any) -> Any:
-    """A type without its range, and without the None of what may be missing."""
+    """A type without its range, and without the None of an optional value."""
     while get_origin(hint) is Annotated:
         hint = get_args(hint)[0]
     if isinstance(hint, UnionType) or get_origin(hint) is Union:
@@ -149,7 +149,7 @@ def _bare(hint: Any) -> Any:
 
 
 def _refused(value: object, hint: Any, key: str) -> Wrong | None:
-    """Why a value as a whole is refused, in words; None where it is not."""
+    """Why a value as a whole is refused, in words; None if it is accepted."""
     try:
         msgspec.convert(value, hint)
     except msgspec.ValidationError as error:
@@ -160,7 +160,7 @@ def _refused(value: object, hint: Any, key: str) -> Wrong | None:
             return Wrong(key, f"{told} is {got}, not {wanted}", allowed(hint))
         if re.match("Expected|Invalid|Integer|Number|Object", text):
             return Wrong(key, f"{_told(value)} is not allowed", allowed(hint))
-        return Wrong(key, text)  # the words of a table that looks at itself
+        return Wrong(key, text)  # from the table's own check
     return None
 
 

@@ -2,8 +2,8 @@
 
 It stands on aioftp, which brings connections, replies and passive sockets, and adds what clients ask for and aioftp does not
 have (AUTH, FEAT, SIZE, MDTM, NLST, NOOP, OPTS, options of LIST), a jail, uploads that are whole or not there, hashed passwords,
-patience with those who guess, and bounds. Files are read and written by two workers. Active mode is not spoken: a server that
-connects to where it is told can be sent anywhere. How it is used: docs/ftpd.md.
+delays after wrong passwords, and bounds. Files are read and written by two workers. Active mode is not spoken: a server that
+connects where a client tells it to can be sent anywhere. How to use it: docs/ftpd.md.
 """
 
 import asyncio
@@ -25,14 +25,14 @@ from delfim.services.ftpfiles import FtpFiles
 from delfim.services.runtime import Runtime
 from delfim.services.uploads import NoRoom
 
-IDLE_S: Final = 300.0  # without a word from somebody who is logged in
+IDLE_S: Final = 300.0  # without a command of a client that is logged in
 HANDSHAKE_S: Final = 10.0  # of TLS
 LOGIN_S: Final = 30.0  # from the connection to the login
 WRONG_MAX: Final = 3  # passwords of one connection
 LINE_BYTES: Final = 4096
 BEFORE_LOGIN: Final = ("user", "pass", "quit", "auth", "feat", "help", "noop", "opts", "pbsz", "prot", "clnt", "syst")
 FEATURES: Final = ("EPSV", "MDTM", "MLST type*;size*;modify*;", "PASV", "REST STREAM", "SIZE", "TVFS", "UTF8")
-NOBODY: Final = hashed("", b"nobody")  # compared with where there is no such user: both take the same time
+NOBODY: Final = hashed("", b"nobody")  # compared with if the user is unknown: both take the same time
 
 log = logging.getLogger(__name__)
 T = TypeVar("T")
@@ -40,7 +40,7 @@ Words = Callable[[Any, str], Awaitable[bool]]
 
 
 class Users(aioftp.AbstractUserManager):
-    """Those of the vehicle's file. That a name is unknown is said as late as that a password is wrong."""
+    """The users of the vehicle's file. An unknown name is refused as late as a wrong password."""
 
     def __init__(self, users: dict[str, config.FtpUser], work: Callable[..., Awaitable[Any]]) -> None:
         super().__init__()
@@ -49,7 +49,7 @@ class Users(aioftp.AbstractUserManager):
         self._unknown = aioftp.User("", base_path="/")
 
     async def get_user(self, login: str) -> tuple[Any, aioftp.User | None, str]:
-        return self.GetUserResponse.PASSWORD_REQUIRED, self._known.get(login, self._unknown), "password, please"
+        return self.GetUserResponse.PASSWORD_REQUIRED, self._known.get(login, self._unknown), "password required"
 
     async def authenticate(self, user: aioftp.User, password: str) -> bool:
         known = self._users.get(user.login or "")
@@ -144,7 +144,7 @@ class FtpServer(aioftp.Server):
         line = await self._line(connection, stream)
         if not line:
             return "", ""
-        telnet = b"\xff\xf2\xf4"  # what some clients send ahead of ABOR
+        telnet = b"\xff\xf2\xf4"  # some clients send this ahead of ABOR
         name, _, rest = line.lstrip(telnet).decode("utf-8", "surrogateescape").strip("\r\n").partition(" ")
         name = name.lower() or "?"
         if name != "abor":
@@ -154,7 +154,7 @@ class FtpServer(aioftp.Server):
         return name, rest
 
     async def _line(self, connection: Any, stream: Any) -> bytes:
-        """Empty when there is none: the client went away, said nothing for too long, or talks nonsense."""
+        """Empty if there is none: the client left, was silent for too long, or talks nonsense."""
         while True:
             is_in = connection.future.logged.done()
             left_s = IDLE_S if is_in else connection.since_s + LOGIN_S - self._clock.monotonic_s()
@@ -167,7 +167,7 @@ class FtpServer(aioftp.Server):
                     return line
             except TimeoutError:
                 if connection.idle.is_set():
-                    connection.response("421", "nothing was said for too long")
+                    connection.response("421", "no command for too long")
                     return b""
             except (ValueError, OSError):  # a line without end; a broken connection
                 return b""
@@ -186,12 +186,12 @@ class FtpServer(aioftp.Server):
         return False
 
     def _in_turn(self, name: str, command: Words) -> Words:
-        """A command with its turn, and with words for what can go wrong."""
+        """A command that waits for its turn and answers its failures in words."""
 
         async def carried_out(connection: Any, rest: Any) -> bool:
             try:
                 if name in ("user", "pass") and not connection.is_secret:
-                    connection.response("530", "first AUTH TLS: no password in the clear")
+                    connection.response("530", "send AUTH TLS first: no password in the clear")
                     return True
                 if name not in BEFORE_LOGIN and not connection.future.logged.done():
                     connection.response("530", "log in first")
@@ -201,7 +201,7 @@ class FtpServer(aioftp.Server):
                 return True
             except (DelfimError, OSError) as error:
                 code = "452" if isinstance(error, NoRoom) else "550"
-                connection.response(code, getattr(error, "strerror", None) or str(error) or "it broke off")
+                connection.response(code, getattr(error, "strerror", None) or str(error) or "failed")
                 return True
             finally:
                 connection.idle.set()
@@ -214,7 +214,7 @@ class FtpServer(aioftp.Server):
 
     async def pass_(self, connection: Any, rest: str) -> bool:
         if not connection.future.user.done() or connection.future.logged.done():
-            connection.response("503", "first a name")
+            connection.response("503", "send USER first")
             return True
         address, name = connection.client_host, connection.name
         await asyncio.sleep(self.patience.pause_s(address, self._clock.monotonic_s()))
@@ -230,7 +230,7 @@ class FtpServer(aioftp.Server):
         connection.response("530", "wrong name or password")
         return bool(connection.wrong < WRONG_MAX)
 
-    # Small words.
+    # Small commands.
 
     async def feat(self, connection: Any, rest: str) -> bool:
         connection.response("211", ("Features:", *FEATURES, *(("AUTH TLS", "PBSZ", "PROT") if self._tls else ()), "End"), True)
@@ -251,13 +251,13 @@ class FtpServer(aioftp.Server):
 
     async def rest(self, connection: Any, rest: str) -> bool:
         connection.offset = int(rest) if rest.isdecimal() and len(rest) < 19 else 0
-        connection.response(*("350", f"from {connection.offset}") if rest.isdecimal() else ("501", "how many bytes?"))
+        connection.response(*("350", f"from {connection.offset}") if rest.isdecimal() else ("501", "not a number of bytes"))
         return True
 
     async def auth(self, connection: Any, rest: str) -> bool:
-        """From here on it is TLS. What was said before must not be taken for something said within it."""
+        """From here on it is TLS. Commands that came before must not be taken for commands within it."""
         if self._tls is None or connection.is_secret or rest.upper() not in ("TLS", "TLS-C", "SSL"):
-            connection.response(*("502", "there is no TLS here") if self._tls is None else ("503", "once, AUTH TLS"))
+            connection.response(*("502", "TLS is not set up") if self._tls is None else ("503", "AUTH TLS, only once"))
             return True
         stream = connection.command_connection
         stream.writer.transport.pause_reading()
@@ -267,7 +267,7 @@ class FtpServer(aioftp.Server):
                 stream.writer.transport.abort()
                 return False
         try:
-            await self.write_response(stream, "234", "go on")
+            await self.write_response(stream, "234", "begin TLS")
             await stream.writer.start_tls(self._tls, ssl_handshake_timeout=HANDSHAKE_S)
         except OSError as error:
             log.warning("ftpd: no TLS with %s: %s", connection.client_host, error)
@@ -277,7 +277,7 @@ class FtpServer(aioftp.Server):
 
     async def prot(self, connection: Any, rest: Any) -> bool:
         wanted = "P" if self._tls else "C"
-        connection.response(*("200", "ok") if rest.upper() == wanted else ("536", f"only {wanted}"))
+        connection.response(*("200", "ok") if rest.upper() == wanted else ("536", f"only PROT {wanted}"))
         connection.is_data_secret |= rest.upper() == "P"
         return True
 
@@ -291,7 +291,7 @@ class FtpServer(aioftp.Server):
         return await super().epsv(connection, "")
 
     async def _start_passive_server(self, connection: Any, handler_callback: Any) -> asyncio.Server:
-        """Only who holds the control connection may connect."""
+        """Only the client of the control connection may connect."""
 
         async def connected(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
             if _address(writer) != connection.client_host:
@@ -326,7 +326,7 @@ def _address(writer: asyncio.StreamWriter) -> str:
 
 
 def _tls(certificate: str) -> ssl.SSLContext | None:
-    """Raises PermanentFailure where the file is not there or is none."""
+    """Raises PermanentFailure if the file is missing or not a certificate with its key."""
     if not certificate:
         return None
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)

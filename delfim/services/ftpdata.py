@@ -1,4 +1,4 @@
-"""The data connection of FTP: a transfer from its announcement to its end, and how it is aborted."""
+"""The data connection of FTP: a transfer from its announcement to its end or abort."""
 
 import asyncio
 import contextlib
@@ -14,19 +14,19 @@ BLOCK_BYTES: Final = 64 << 10
 
 
 class Answered(DelfimError):
-    """The client was told."""
+    """The client has had its answer."""
 
 
 @contextlib.asynccontextmanager
 async def carried(connection: Any) -> AsyncIterator[Any]:
-    """A transfer: announced, carried by the data connection, and told how it ended."""
+    """A transfer: announced, carried by the data connection, and its end answered."""
     if not connection.is_data_secret:
-        connection.response("521", "first PROT P")
+        connection.response("521", "send PROT P first")
         raise Answered
     if not connection.future.passive_server.done():
-        connection.response("425", "first PASV or EPSV")
+        connection.response("425", "send PASV or EPSV first")
         raise Answered
-    connection.response("150", "here it comes")
+    connection.response("150", "transfer begins")
     connection.aborted, connection.awaited = False, True
     try:
         async with asyncio.timeout(DATA_S):
@@ -42,10 +42,10 @@ async def carried(connection: Any) -> AsyncIterator[Any]:
         stream.writer.close()
         async with asyncio.timeout(STALL_S):
             await stream.writer.wait_closed()
-        connection.response("226", "that was all")
+        connection.response("226", "transfer complete")
     except (DelfimError, OSError) as error:
         full = isinstance(error, NoRoom)
-        connection.response("452" if full else "426", str(error) if full else "it broke off")
+        connection.response("452" if full else "426", str(error) if full else "transfer broken off")
         raise Answered from None
     finally:
         stream.writer.transport.abort()

@@ -28,7 +28,7 @@ log = logging.getLogger(__name__)
 
 
 class FtpFiles:
-    """Inside of a jail, for all connections. `work` does in a worker what blocks. Raises DelfimError, OSError."""
+    """Inside of a jail, for all connections. `work` runs blocking calls in a worker. Raises DelfimError, OSError."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock, work: Callable[..., Awaitable[Any]]) -> None:
         self.uploads = Uploads(settings.ftpd.root, settings.log)
@@ -118,7 +118,7 @@ class FtpFiles:
         return True
 
     async def stor(self, connection: Any, rest: Any, append: bool = False) -> bool:
-        """Into a file beside, and under its name when all of it is on the disk. What breaks off stays beside, to be resumed."""
+        """Into a part file, renamed when all of it is on the disk. A broken upload leaves its part, to be resumed."""
         path, offset = self._writable(connection, rest), self._offset(connection)
         fd, at = await self._work(_part, self.uploads, path, offset, append)
         began = at
@@ -156,12 +156,12 @@ class FtpFiles:
         path = self._writable(connection, rest)
         await self._work(self.uploads.apply, path, os.fstat)
         connection.rename_from = path
-        connection.response("350", "to what?")
+        connection.response("350", "send RNTO")
         return True
 
     async def rnto(self, connection: Any, rest: Any) -> bool:
         if not connection.future.rename_from.done():
-            connection.response("503", "first RNFR")
+            connection.response("503", "send RNFR first")
             return True
         source = connection.rename_from
         del connection.rename_from
@@ -174,25 +174,25 @@ class FtpFiles:
         return True
 
     def _path(self, connection: Any, rest: str) -> str:
-        """What the client means, from the root."""
+        """The client's path, from the root."""
         return os.path.normpath(os.path.join("/", str(connection.current_directory), rest))
 
     def _real(self, connection: Any, rest: str) -> str:
         return self._jail.real(self._path(connection, rest))
 
     def _writable(self, connection: Any, rest: str) -> str:
-        """What the client means, from the root, for those who may write. Raises DelfimError."""
+        """The client's path, from the root, for users who may write. Raises DelfimError."""
         if not self._users[connection.user.login or ""].upload:
-            raise DelfimError("you may not write")
+            raise DelfimError("this user may not write")
         return self._path(connection, rest)
 
     def _offset(self, connection: Any) -> int:
-        """What REST said, once."""
+        """The offset that REST set; it counts once."""
         offset: int = connection.offset if connection.future.offset.done() else 0
         connection.offset = 0
         return offset
 
-    # What blocks, and is done by a worker.
+    # Blocking calls, run by a worker.
 
     def _status(self, real: str) -> os.stat_result:
         """Of a file, or of its part that is here until the rest comes."""
@@ -204,7 +204,7 @@ class FtpFiles:
             raise
 
     def _listed(self, real: str, line: Callable[[str, os.stat_result], str], pattern: str = "*") -> list[str]:
-        """A line for each entry, or for the file itself. Links that lead out are not there."""
+        """A line for each entry, or for the file itself. Links that lead out are left out."""
         if not os.path.isdir(real):
             return [line(os.path.basename(real), os.stat(real))]
         found = []
@@ -224,14 +224,14 @@ class FtpFiles:
 
 
 def _part(uploads: Uploads, path: str, offset: int, append: bool) -> tuple[int, int]:
-    """The part of an upload, open and locked, and where to go on writing. What is there under the name stays until all of the
-    new is. Raises DelfimError, OSError."""
+    """The part of an upload, open and locked, and where to go on writing. A file of that name stays until all of the
+    new one is there. Raises DelfimError, OSError."""
     fd = uploads.open(path + PART, os.O_RDWR | os.O_CREAT)
     try:
         try:
             fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise DelfimError("somebody else is writing it") from None
+            raise DelfimError("another client is writing it") from None
         if (append or offset) and not os.fstat(fd).st_size:
             with contextlib.suppress(FileNotFoundError):
                 uploads.copy(path, fd)
@@ -247,7 +247,7 @@ def _part(uploads: Uploads, path: str, offset: int, append: bool) -> tuple[int, 
 
 
 def _without_options(rest: str) -> str:
-    """`LIST -la folder`: clients speak to servers as if they were ls."""
+    """`LIST -la folder`: clients speak to servers as if they were `ls`."""
     words = rest.split(" ")
     while words and words[0].startswith("-"):
         words.pop(0)

@@ -1,9 +1,9 @@
 """httpd: the boat's page (thesis 3.3), live; the same as JSON and for Prometheus; the logs to take away. It changes nothing.
 
-A cooperative service: what is slow is done elsewhere, the look at the computer in a child (`delfim.services.computer`), files
+A cooperative service: slow work is done elsewhere, the look at the computer in a child (`delfim.services.computer`), files
 in two workers. The vehicle is asked over its local command socket, and only while somebody looks, so that the page is the same
-from the runtime and from a process of its own. Nobody is waited for: connections, headers, idle time and what is not read are
-bounded. How it is used: docs/httpd.md.
+from the runtime and from a process of its own. No client is waited for: connections, headers, idle time and unread data are
+bounded. How to use it: docs/httpd.md.
 """
 
 import asyncio
@@ -74,7 +74,7 @@ class HttpConnection(web.RequestHandler):
         self._door, self._address = door, ""
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        transport = cast(asyncio.Transport, transport)  # uvloop's are none by descent
+        transport = cast(asyncio.Transport, transport)  # uvloop's transports do not inherit asyncio.Transport
         address = str((transport.get_extra_info("peername") or ("",))[0])
         if not self._door.enter(address):
             transport.write(b"HTTP/1.1 503 Busy\r\nRetry-After: 5\r\nContent-Length: 0\r\nConnection: close\r\n\r\n")
@@ -96,7 +96,7 @@ class HttpConnection(web.RequestHandler):
     def handle_error(
         self, request: web.BaseRequest, status: int = 500, exc: BaseException | None = None, message: str | None = None
     ) -> web.StreamResponse:
-        """A visitor's own mistakes are told to nobody else: he could fill the log with them."""
+        """A visitor's own mistakes are not logged: he could fill the log with them."""
         if status >= 500:
             return super().handle_error(request, status, exc, message)
         refused = web.Response(status=status, text=message)
@@ -105,7 +105,7 @@ class HttpConnection(web.RequestHandler):
 
 
 class Site:
-    """What is answered. One method a place."""
+    """The answers. One method a place."""
 
     def __init__(self, settings: config.Vehicle, board: Board) -> None:
         self._board, self._console = board, settings.httpd.console
@@ -127,11 +127,11 @@ class Site:
     async def answer(self, request: web.BaseRequest) -> web.StreamResponse:
         self._board.requests += 1
         if not _is_ours(request.headers.get("Host", "")):
-            return _refused(403, "Open this page by the boat's address.")
+            return _refused(403, "Open this page by the boat's IP address.")
         path = unquote(request.rel_url.raw_path, errors="surrogateescape")
         if request.method not in ("GET", "HEAD"):
-            refusal = _refused(405, "Here is only something to read.", {"Allow": "GET, HEAD"})
-            refusal.force_close()  # and what was to be uploaded is not read
+            refusal = _refused(405, "This page is read-only.", {"Allow": "GET, HEAD"})
+            refusal.force_close()  # and its body is not read
             return refusal
         if place := self._places.get(path):
             return await place(request)
@@ -142,7 +142,7 @@ class Site:
                 return await self._logs(request, path.removeprefix("/logs"))
             except (DelfimError, OSError):
                 pass
-        return _refused(404, "There is nothing here.")
+        return _refused(404, "No such page.")
 
     async def _boat(self, request: web.BaseRequest) -> web.StreamResponse:
         return _html(document.live(await self._board.sections(), _every_s(request), self._console))
@@ -202,11 +202,11 @@ class Site:
     async def _send(self, request: web.BaseRequest, file: files.OpenFile, path: str) -> web.StreamResponse:
         asked = request.headers.get("Range")
         if request.headers.get("If-Range", file.tag) != file.tag:
-            asked = None  # it has grown or is another one: all of it
+            asked = None  # it has grown or is another one: send all of it
         try:
             part = files.byte_range(asked, file.bytes)
         except FormatError:
-            return _refused(416, "Not so long.", {"Content-Range": f"bytes */{file.bytes}"})
+            return _refused(416, "The file is shorter.", {"Content-Range": f"bytes */{file.bytes}"})
         start, stop = part or (0, file.bytes)
         response = web.StreamResponse(status=206 if part else 200, headers=HEADERS)
         response.headers["Content-Type"] = "application/octet-stream"
@@ -227,7 +227,7 @@ class Site:
             except TimeoutError:
                 if request.transport is not None:
                     request.transport.abort()
-                raise ConnectionResetError("nobody reads") from None
+                raise ConnectionResetError("the client does not read") from None
         return response
 
     async def _work(self, do: Callable[..., T], *arguments: Any) -> T:

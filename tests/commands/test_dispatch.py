@@ -41,7 +41,7 @@ def test_help_is_in_whole_sentences_and_shows_defaults(name, capsys):
 
 def test_a_command_that_does_not_exist_is_one_line_with_a_proposal(capsys):
     assert main(["chekc"]) == 2
-    assert capsys.readouterr().err == "delfim: there is no command 'chekc'; did you mean check?; delfim alone lists them\n"
+    assert capsys.readouterr().err == "delfim: there is no command 'chekc'; did you mean check?; delfim alone lists all\n"
 
 
 @pytest.mark.parametrize(

@@ -227,4 +227,4 @@ def test_a_vehicle_file_that_is_wrong_leaves_a_shell_and_no_panic(boat: Boat) ->
     boat.says("\n[nonsense]\n")
     with boat.booted() as g:
         g.wait_for("nonsense: unknown key", FOREVER_S)
-        g.wait_for("the boat does not sail; this is a shell", FOREVER_S)
+        g.wait_for("the boat cannot start; this is a shell to repair it", FOREVER_S)

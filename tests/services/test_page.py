@@ -77,7 +77,7 @@ def test_without_vehicle_and_computer_the_page_says_so():
     found = {name: "".join(section.itertext()) for name, section in rendered(report(None)).items()}
     assert "No answer" in found["head"]
     assert "the vehicle does not answer" in found["warnings"]
-    assert "not looked at yet" in found["computer"]
+    assert "no data yet" in found["computer"]
 
 
 def test_the_figures_of_a_service_are_tables():

@@ -1,1 +1,1 @@
-"""What httpd shows: the words of its interface, sections, figures and metrics, as pure functions; and the page's own files."""
+"""The pages of httpd: the words of its interface, sections, figures, metrics, as pure functions; and the page's own files."""

@@ -1,6 +1,6 @@
-"""The words of the interface: what the vehicle says, what the computer says, and their schema. SI units, the unit in the name.
+"""The words of the interface: the vehicle's, the computer's, and their schema. SI units, the unit in the name.
 
-The vehicle's words are those of `delfim.vehicle.console.snapshot`. What is not named here is left out, what is missing there
+The vehicle's words are those of `delfim.vehicle.console.snapshot`. A field that is not named here is left out, a missing one
 has its default, so that a page and a vehicle of two versions understand each other.
 """
 
@@ -14,7 +14,7 @@ class Facts(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Reference(Facts, frozen=True):
-    """Where the boat is going."""
+    """The boat's references: where it is going."""
 
     heading_deg: float | None = None
     speed_mps: float | None = None
@@ -84,7 +84,7 @@ class Check(Facts, frozen=True):
 
 
 class Notice(Facts, frozen=True):
-    """A trouble, and what the boat does about it."""
+    """A trouble, and the boat's response."""
 
     name: str
     reason: str
@@ -93,7 +93,7 @@ class Notice(Facts, frozen=True):
 
 
 class State(Facts, frozen=True):
-    """What the vehicle says of itself."""
+    """The vehicle's report of itself."""
 
     mode: str
     reason: str
@@ -117,7 +117,7 @@ class State(Facts, frozen=True):
     guest_connected: bool = False
     age_s: dict[str, float | None] = {}  # of every input; null: never heard
     sysstat: dict[str, Node] = {}
-    counts: dict[str, int] = {}  # what was refused, dropped, repaired
+    counts: dict[str, int] = {}  # inputs that were refused, dropped or repaired
     latency: Latency = Latency()
     log: LogStatus = LogStatus()
     services: dict[str, Service] = {}
@@ -137,7 +137,7 @@ class Disk(Facts, frozen=True):
     path: str
     total_bytes: int = 0
     free_bytes: int = 0
-    full_in_s: float | None = None  # until the guard has to make room, at the present rate; null: it is not filling
+    full_in_s: float | None = None  # until the guard must make room, at the present rate; null: it is not filling
 
 
 class Network(Facts, frozen=True):
@@ -169,7 +169,7 @@ class Bus(Facts, frozen=True):
 
 
 class Process(Facts, frozen=True):
-    """A process. Its arguments are not shown: they may hold what is nobody's business."""
+    """A process. Its arguments are not shown: they may hold secrets."""
 
     pid: int
     name: str
@@ -188,7 +188,7 @@ class Time(Facts, frozen=True):
 
 
 class Computer(Facts, frozen=True):
-    """What a look at the computer found."""
+    """A sample of the computer."""
 
     uptime_s: float = 0.0
     cpu: tuple[float, ...] = ()  # busy share of each processor since the last look, 0..1

@@ -1,4 +1,4 @@
-"""What the page shows: the vehicle's state, asked for over its local socket, and the computer, which a child looks at."""
+"""The data of the page: the vehicle's state, asked for over its local socket, and the computer's, sampled by a child."""
 
 import asyncio
 import contextlib
@@ -15,8 +15,8 @@ from delfim.services.runtime import Runtime
 from delfim.services.web import page
 from delfim.services.web.api import Computer, Report, Server, Service, State
 
-ANSWER_S: Final = 2.0  # that the vehicle has to answer
-FRESH_S: Final = 0.9  # what is younger is not asked for again
+ANSWER_S: Final = 2.0  # for the vehicle's answer
+FRESH_S: Final = 0.9  # a younger answer is used again
 WAY_MAX: Final = 160  # points: their line takes 60 µs to write
 ANSWER_BYTES: Final = 1 << 20  # of the vehicle or the child, at most
 
@@ -43,7 +43,7 @@ class Feed(asyncio.Protocol):
                 return _ANSWER.decode(await self._answer).state
         except (OSError, TimeoutError) as error:
             self.close()
-            reason = error.strerror if isinstance(error, OSError) and error.strerror else "it says nothing"
+            reason = error.strerror if isinstance(error, OSError) and error.strerror else "no answer in time"
             raise DelfimError(f"the vehicle does not answer: {reason}") from None
         except msgspec.DecodeError as error:
             raise DelfimError(f"the vehicle's answer is not understood: {error}") from None
@@ -54,13 +54,13 @@ class Feed(asyncio.Protocol):
             self._transport = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)  # uvloop's are none by descent
+        self._transport = cast(asyncio.Transport, transport)  # uvloop's transports do not inherit asyncio.Transport
         self._buffer.clear()
 
     def connection_lost(self, exc: Exception | None) -> None:
         self._transport = None
         if self._answer is not None and not self._answer.done():
-            self._answer.set_exception(ConnectionResetError(0, "it went away"))
+            self._answer.set_exception(ConnectionResetError(0, "it closed the connection"))
 
     def data_received(self, data: bytes) -> None:
         self._buffer += data
@@ -80,7 +80,7 @@ _COMPUTER: Final = msgspec.json.Decoder(Computer)
 
 
 class Lookout(asyncio.SubprocessProtocol):
-    """The child that looks at the computer, and what it saw last."""
+    """The child that samples the computer, and its last sample."""
 
     def __init__(self, settings: config.Vehicle, clock_s: Callable[[], float]) -> None:
         words = (settings.log.directory, settings.log.free_bytes_min, settings.runtime.run_directory, settings.httpd.scan_s)
@@ -143,7 +143,7 @@ class Trail:
 
 
 class Board:
-    """What all visitors see: asked for and rendered once, whoever looks, and never while nobody does."""
+    """The data for all visitors: asked for and rendered once for all of them, and never while there is none."""
 
     def __init__(self, runtime: Runtime, look: Lookout, door: Door) -> None:
         self._runtime, self._look, self._door = runtime, look, door

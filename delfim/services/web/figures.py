@@ -104,7 +104,7 @@ def thrust(rpm: float, maximum: float) -> str:
 
 
 def compass(heading_deg: float | None, wanted_deg: float | None) -> str:
-    """A rose, north up: the boat as a hull, where it is to point as a mark on the rim."""
+    """A rose, north up: the boat as a hull, the wanted heading as a mark on the rim."""
     ticks = "".join(
         f'<path class="{"grid" if deg else "north"}" d="M50 3V{8 if deg % 90 else 12}" transform="rotate({deg} 50 50)"/>'
         for deg in range(0, 360, 30)

@@ -30,7 +30,7 @@ class Entry(NamedTuple):
 
 
 def meaning(path: str, entry: Entry) -> str:
-    """What a name in the logs says (docs/log-format.md), in words; nothing for any other name."""
+    """The meaning of a name in the logs (docs/log-format.md), in words; empty for any other name."""
     if entry.is_directory:
         if _DAY.fullmatch(entry.name):
             return f"{int(entry.name[6:])} {_MONTHS[int(entry.name[4:6]) - 1]} {entry.name[:4]}"
@@ -68,8 +68,8 @@ def is_directory(jail: Jail, path: str) -> bool:
 
 
 def entries(jail: Jail, path: str) -> tuple[list[Entry], bool]:
-    """What is in a directory, newest names first, directories before files; and whether that is all. What leads out of the
-    jail is not listed. Raises DelfimError, OSError."""
+    """The entries of a directory, newest names first, directories before files; and whether that is all. Links out of the
+    jail are not listed. Raises DelfimError, OSError."""
     found = []
     with os.scandir(jail.real(path)) as scan:
         for each in scan:

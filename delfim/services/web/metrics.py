@@ -1,4 +1,4 @@
-"""/metrics: what is known as Prometheus reads it (text exposition format 0.0.4). Base units, names as its guide asks for."""
+"""/metrics: the data in the form of Prometheus (text exposition format 0.0.4). Base units, names as its guide asks for."""
 
 from collections.abc import Iterable, Iterator
 from typing import Final, NamedTuple
@@ -35,12 +35,12 @@ def _vehicle(report: Report) -> Iterator[Metric]:
         return
     ages = [({"input": name}, age) for name, age in vehicle.age_s.items() if age is not None]
     yield Metric("delfim_mode", "gauge", "The present mode is 1.", [({"mode": vehicle.mode}, 1)])
-    yield Metric("delfim_input_age_seconds", "gauge", "Age of each input; what was never heard is missing.", ages)
+    yield Metric("delfim_input_age_seconds", "gauge", "Age of each input; an input that was never heard is missing.", ages)
     yield Metric("delfim_notices", "gauge", "Troubles the failsafe sees.", [({}, len(vehicle.notices))])
     faulty = [({"node": name}, float(node.status != "good")) for name, node in vehicle.sysstat.items()]
     yield Metric("delfim_node_bad", "gauge", "Whether a CAN node reports anything but good.", faulty)
     events = [({"event": name}, float(n)) for name, n in vehicle.counts.items()]
-    yield Metric("delfim_events_total", "counter", "What was refused, dropped or repaired.", events)
+    yield Metric("delfim_events_total", "counter", "Inputs that were refused, dropped or repaired.", events)
     for name, value, text in (
         ("delfim_heading_degrees", vehicle.heading_deg, "True heading."),
         ("delfim_speed_metres_per_second", vehicle.speed_mps, "Speed over ground."),

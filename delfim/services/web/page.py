@@ -1,6 +1,6 @@
-"""The page: each section is a function of what is known to HTML. The server sends a section again when its HTML has changed.
+"""The page: each section is a function from the data to HTML. The server sends a section again when its HTML has changed.
 
-Whatever comes from outside is escaped here. What a person must know first stands first, in words.
+All text from outside is escaped here. The most important news stands first, in words.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -14,12 +14,12 @@ from delfim.services.web.api import Computer, Network, Node, Report, Service, St
 from delfim.services.web.wording import as_told, gauges, number, rate, size, span, tile, worded
 
 HURT: Final = ("stop", "disconnect")  # actions of the failsafe that end the sailing
-OWN_WILL: Final = ("operator", "started", "")  # reasons to lie idle that nobody has to look at
+OWN_WILL: Final = ("operator", "started", "")  # reasons to lie idle that need no attention
 GONE: Final = "the vehicle does not answer"
 
 
 class PageView(NamedTuple):
-    """What all sections are made from."""
+    """The data of all sections."""
 
     report: Report
     settings: config.Vehicle
@@ -59,7 +59,7 @@ def mood(vehicle: State) -> str:
 
 
 def warnings(view: PageView) -> str:
-    """All that a person should look at now, worst first."""
+    """Everything that needs attention now, worst first."""
     found = list(troubles(view))
     if not found:
         return '<p class="well">Nothing to report.</p>'
@@ -124,7 +124,7 @@ def _asked(speed_mps: float | None) -> str:
 
 
 def where(view: PageView) -> str:
-    """The way, where the boat is, and where it is steering."""
+    """The track, the boat, and the point that it steers for."""
     vehicle = view.report.vehicle
     if vehicle is None or vehicle.latitude_deg is None or vehicle.longitude_deg is None:
         return '<p class="none">its position is not known</p>'
@@ -133,7 +133,7 @@ def where(view: PageView) -> str:
     here = vehicle.latitude_deg, vehicle.longitude_deg
     return (
         f"{figures.chart(view.way, here, vehicle.heading_deg, there)}"
-        '<p class="small">Its way since this page was first opened. The dashed line leads to where it is steering.</p>'
+        '<p class="small">Its track since this page was first opened. The dashed line leads to the point it steers for.</p>'
     )
 
 
@@ -247,7 +247,7 @@ def _service(view: PageView, name: str, service: Service) -> str:
 
 
 def _figures(figures: dict[str, Any]) -> str:
-    """A service's own: a row each. What it has of several things, as of buses, is a table with a row for each of them."""
+    """A service's own figures: a row each. Figures of several things, such as buses, are a table with a row for each."""
     rows, tables = [], []
     for key, value in figures.items():
         if isinstance(value, dict) and value and all(isinstance(each, dict) for each in value.values()):
@@ -292,7 +292,7 @@ def buses(view: PageView) -> str:
 def computer(view: PageView) -> str:
     found = view.report.computer
     if found is None:
-        return '<p class="none">not looked at yet</p>'
+        return '<p class="none">no data yet</p>'
     used = found.memory.total_bytes - found.memory.available_bytes
     rows = [(f"CPU {n}", share, 1.0, f"{share:.0%}") for n, share in enumerate(found.cpu)]
     rows.append(("Memory", used, found.memory.total_bytes, f"{size(used)} of {size(found.memory.total_bytes)}"))
@@ -305,12 +305,12 @@ def computer(view: PageView) -> str:
 def disk(view: PageView) -> str:
     found, vehicle = view.report.computer, view.report.vehicle
     if found is None or found.disk is None:
-        return '<p class="none">not looked at yet, or not there</p>'
+        return '<p class="none">no data yet, or no such disk</p>'
     space = found.disk
     used = space.total_bytes - space.free_bytes
     full = "not filling" if space.full_in_s is None else f"full in {span(space.full_in_s)} at this rate"
     keep = view.settings.log.free_bytes_min
-    then = "then the oldest days go" if view.settings.log.when_full == "delete-oldest" else "then logging stops"
+    then = "then the oldest days are deleted" if view.settings.log.when_full == "delete-oldest" else "then logging stops"
     log = ""
     if vehicle is not None:
         status = vehicle.log
@@ -326,7 +326,7 @@ def disk(view: PageView) -> str:
 def networks(view: PageView) -> str:
     found = view.report.computer
     if found is None:
-        return '<p class="none">not looked at yet</p>'
+        return '<p class="none">no data yet</p>'
     up = "".join(_network(name, each) for name, each in found.networks.items() if each.up)
     down = ", ".join(escape(name) for name, each in found.networks.items() if not each.up and each.received_bytes)
     return f'<ul class="services">{up}</ul>' + (f'<p class="small">No longer up: {down}</p>' if down else "")
@@ -347,8 +347,8 @@ def clock(view: PageView) -> str:
     told = [f"{now:%Y-%m-%d}"]
     if report.computer is not None:
         time = report.computer.time
-        error = f", right to {span(time.error_s)}" if time.error_s is not None else ""
-        told.append(f"the kernel’s clock is {'kept right by a source' + error if time.synchronised else 'running free'}")
+        error = f", accurate to {span(time.error_s)}" if time.error_s is not None else ""
+        told.append(f"the kernel’s clock is {'synchronised' + error if time.synchronised else 'not synchronised'}")
     age_s = vehicle.age_s.get("navigation") if vehicle else None
     if vehicle is not None and vehicle.utc_ns and age_s is not None:
         off_s = (report.utc_ns - vehicle.utc_ns) / 1e9 - age_s
@@ -361,7 +361,7 @@ def clock(view: PageView) -> str:
 def processes(view: PageView) -> str:
     found = view.report.computer
     if found is None:
-        return '<p class="none">not looked at yet</p>'
+        return '<p class="none">no data yet</p>'
     rows = "".join(
         f"<tr><td>{each.pid}</td><th>{escape(each.name)}</th><td>{each.cpu:.1%}</td><td>{size(each.memory_bytes)}</td>"
         f"<td>{each.nice}</td></tr>"

@@ -40,7 +40,7 @@ def listing(path: str, found: list[files.Entry], is_all: bool) -> str:
         link = f'<a href="{quote(os.fsencode("./" + each.name), safe="./")}{slash}">{escape(readable(each.name))}{slash}</a>'
         what = escape(files.meaning(path, each))
         rows.append(f'<tr><th>{link}</th><td class="what">{what}</td><td>{length}</td><td>{at:%Y-%m-%d %H:%M:%S}</td></tr>')
-    head = '<thead><tr><th>name</th><td class="what">what it is</td><td>size</td><td>last written, UTC</td></tr></thead>'
+    head = '<thead><tr><th>name</th><td class="what">content</td><td>size</td><td>last written, UTC</td></tr></thead>'
     more = "" if is_all else f'<p class="small">The first {files.ENTRIES_MAX}; the rest over FTP or SFTP.</p>'
     table = document.table([head, *rows]) if rows else '<p class="none">empty</p>'
     return document.plain(f"Logs {readable(path)}", f'<p class="trail">{_trail(path)}</p>{table}{more}')
