@@ -1,7 +1,7 @@
 """Any bus of python-can as a transport of CanSocket: exotic adapters, and python-can's own virtual buses.
 
 python-can cannot be waited on alike for all adapters, so a thread receives, filters, and hands each frame through a pair of
-local sockets: readable like any socket, bounded by its buffer, and what does not fit is dropped and counted. Stamps are taken
+local sockets: readable like any socket, bounded by its buffer, and overflow is dropped and counted. Stamps are taken
 as the frame leaves python-can: an adapter's own clock has an epoch of its own. Not for the critical loop.
 """
 
@@ -27,7 +27,7 @@ _STOP_CHECK_S = 0.1
 
 
 def to_message(arb: int, data: bytes, t_ns: int = 0) -> can.Message:
-    """A frame as python-can has it. Raises FormatError beyond 8 bytes of data."""
+    """A frame as a python-can message. Raises FormatError beyond 8 bytes of data."""
     if len(data) > 8:
         raise FormatError(f"{len(data)} bytes of data do not fit a CAN frame of 8")
     return can.Message(
@@ -42,7 +42,7 @@ def to_message(arb: int, data: bytes, t_ns: int = 0) -> can.Message:
 
 
 def from_message(message: can.Message) -> tuple[int, bytes]:
-    """Arbitration field and data of a message. Raises FormatError for CAN FD and for what cannot be on a bus."""
+    """Arbitration field and data of a message. Raises FormatError for CAN FD and for impossible frames."""
     if message.is_fd or message.dlc > 8:
         raise FormatError("a CAN FD frame")
     if message.is_error_frame:
@@ -98,7 +98,7 @@ class PythonCan:
             raise BusError(f"{self.name}: {error}") from None
 
     def rehearse(self) -> None:
-        """python-can has no way to send nowhere."""
+        """Nothing: python-can cannot send without a frame on the bus."""
 
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         for address in addresses:
@@ -138,9 +138,9 @@ class PythonCan:
                     message = self._bus.recv(_STOP_CHECK_S)
                     if message is not None:
                         self._deliver(message)
-        except Exception as error:  # adapters raise what their vendors' libraries raise, and a silent thread helps nobody
+        except Exception as error:  # vendors' libraries raise any exception, and a thread must not die unseen
             self._failure = f"{self.name}: {error or type(error).__name__}"
-            with contextlib.suppress(OSError):  # only to wake the reader; where there is no room it is awake
+            with contextlib.suppress(OSError):  # only to wake the reader; if there is no room it is awake
                 self._input.send(b"")
 
     def _deliver(self, message: can.Message) -> None:

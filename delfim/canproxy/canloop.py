@@ -4,13 +4,13 @@ The bus is a UDP multicast group on the loopback interface; group and port follo
 the bus has a receiving socket bound to the group, on which a classic BPF program applies the acceptance filters before the
 kernel delivers anything, and a sending socket, whose source port tells the others and the program who sent.
 
-What it does not simulate: bit rate, arbitration, bus load, acknowledgement, errors. Every frame arrives at once, in order of
+It does not simulate bit rate, arbitration, bus load, acknowledgement or errors. Every frame arrives at once, in order of
 sending, at every other socket that accepts it and has room. A full receive queue loses frames, and `dropped` counts them.
 
     datagram, network byte order:  count u32 | arbitration field u32 | length u8 | data 8 bytes, zero padded
 
-`count` numbers the frames of one sender and one arbitration field. (The kernel's own drop counter cannot serve: on UDP
-sockets it counts what the BPF program refuses as well.)
+`count` numbers the frames of one sender and one arbitration field. (The kernel's own drop counter is no use: on UDP
+sockets it also counts frames that the BPF program refuses.)
 """
 
 import errno
@@ -35,15 +35,15 @@ _DATAGRAM = struct.Struct("!IIB8s")
 _SENDER = struct.Struct("!2xH12x")  # struct sockaddr_in
 _STAMP = struct.Struct("@16xqq")  # struct cmsghdr, struct timespec
 _ANCILLARY_BYTES = socket.CMSG_SPACE(TIMESPEC.size)
-_COUNTED_MAX = 4096  # arbitration fields whose numbering is remembered
+_COUNTED_MAX = 4096  # arbitration fields whose numbering is kept
 _LOOPBACK = socket.inet_aton("127.0.0.1")
 _SO_ATTACH_FILTER, _IP_MULTICAST_ALL = 26, 49  # asm-generic/socket.h, linux/in.h
 _UDP_HEADER_BYTES = 8
 _LINGER_S = 1.0
 
 _new = tuple.__new__  # a third of the time of Frame(...)
-_ports_of_this_process: set[int] = set()  # those of closed sockets too, for a while
-_closed_ports: dict[int, float] = {}  # and when that was, s: frames that came by them may still be queued
+_ports_of_this_process: set[int] = set()  # also those of closed sockets, for a while
+_closed_ports: dict[int, float] = {}  # when each closed, s: its frames may still be queued
 
 
 def stable_index(name: str) -> int:
@@ -106,7 +106,7 @@ class CanLoop:
         self._sent: dict[int, int] = {}
         self._seen: dict[int, int] = {}
         self._addresses: tuple[CanAddress, ...] = ()
-        self._joined = False  # a socket that only sends costs the senders nothing
+        self._joined = False  # a send-only socket costs the other senders nothing
         self._input = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._output = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._recvmsg = self._input.recvmsg
@@ -135,7 +135,7 @@ class CanLoop:
         self._input.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         if sys.platform == "linux":
             self._input.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-            self._input.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)  # not what the group gets on other interfaces
+            self._input.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)  # not the group's datagrams on other interfaces
         else:
             self._input.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEPORT, 1)
         set_receive_buffer(self._input, receive_buffer_bytes)
@@ -150,7 +150,7 @@ class CanLoop:
         return self._input.fileno()
 
     def close(self) -> None:
-        self._taken = self._given = self._nothing = None  # their descriptors may soon be somebody else's
+        self._taken = self._given = self._nothing = None  # their descriptors may soon be reused
         self._input.close()
         self._output.close()
         if port := getattr(self, "_port", 0):
@@ -164,7 +164,7 @@ class CanLoop:
             if address.ifindex not in (0, self.ifindex):
                 raise BusError(f"{self.name} has index {self.ifindex}: it receives no frames of interface {address.ifindex}")
         if not self._kernel_filter and not self._addresses:
-            self.receive()  # throws away what came while nothing was to be received
+            self.receive()  # discards frames that came before the bind
         if self._kernel_filter:
             rows = filter_program(addresses, self._port, self._error_frames)
             code = array("B", b"".join(struct.pack("=HBBI", *row) for row in rows))
@@ -261,7 +261,7 @@ class CanLoop:
         return given.send(len(messages))
 
     def rehearse(self) -> None:
-        """Empty datagrams: they go all the way to the sockets of the bus, and every filter refuses them."""
+        """Send empty datagrams: they reach the sockets of the bus, and every filter refuses them."""
         if self._nothing is not None:
             self._nothing.send(REHEARSED)
 
@@ -286,7 +286,7 @@ class CanLoop:
             self.dropped += missed
 
     def _accepted(self, raw: bytes, port: int) -> bool:
-        """What `filter_program` does in the kernel."""
+        """The Python equivalent of `filter_program`."""
         if len(raw) != _DATAGRAM.size or raw[8] > 8 or port == self._port:
             return False
         arb = int.from_bytes(raw[4:8], "big")

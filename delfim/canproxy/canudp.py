@@ -1,7 +1,7 @@
 """IP over CAN (thesis 5.3.3): a TUN device, canip0, whose UDP datagrams travel as DSOR messages between nodes of the bus.
 
-The DSOR header has room for destination port and address only. What else a datagram's headers need is rebuilt where it
-arrives; `docs/canip.md` lists every field. Everything but UDP in IPv4 is dropped and counted. Linux only.
+The DSOR header has room for destination port and address only. The receiver rebuilds the rest of a datagram's
+headers; `docs/canip.md` lists every field. Everything but UDP in IPv4 is dropped and counted. Linux only.
 """
 
 import asyncio
@@ -24,7 +24,7 @@ from delfim.errors import DelfimError, FormatError, PermanentFailure, Refused
 UDP_MAX: Final = 65_507  # bytes of data that fit a datagram of IPv4
 TTL: Final = 64
 PACKETS_PER_READ: Final = 4
-WAITING_MAX: Final = 16  # datagrams to one node, the one under way included; a node that is off holds up nobody else
+WAITING_MAX: Final = 16  # datagrams to one node, the one under way included; a dead node delays no other
 
 _IPV4: Final = struct.Struct("!BBHHHBBHII")
 _UDP: Final = struct.Struct("!HHHH")
@@ -38,7 +38,7 @@ _IFF_UP: Final = 1
 
 
 def parsed(packet: bytes) -> tuple[int, int, bytes]:
-    """(destination address, destination port, data) of a UDP datagram. Raises FormatError with the reason why it is none."""
+    """(destination address, destination port, data) of a UDP datagram. Raises FormatError with the reason for other packets."""
     if len(packet) < _IPV4.size or packet[0] >> 4 != 4:
         raise FormatError("not IPv4")
     head, _, length, _, fragment, _, protocol, _, _, destination = _IPV4.unpack_from(packet)
@@ -57,7 +57,7 @@ def parsed(packet: bytes) -> tuple[int, int, bytes]:
 
 def rebuilt(message: Message, source: int, identification: int) -> bytes:
     """The packet of a UDP message (`port` and `address` given), from an address. Source port and UDP checksum are zero, "not
-    known" (RFC 768): the CRC of the DSOR message has seen to the data. Raises FormatError where it is too large for UDP."""
+    known" (RFC 768): the CRC of the DSOR message protects the data. Raises FormatError if it is too large for UDP."""
     if len(message.data) > UDP_MAX:
         raise FormatError("too large for UDP")
     assert message.address is not None
@@ -110,7 +110,7 @@ class CanIp:
         self._dsor.close()
 
     def on_packets(self) -> None:
-        """A few packets from the device to the bus. Raises DelfimError where there is no device any more."""
+        """A few packets from the device to the bus. Raises DelfimError if the device is gone."""
         for _ in range(PACKETS_PER_READ):
             try:
                 packet = os.read(self._tun, 65_536)
@@ -145,7 +145,7 @@ class CanIp:
         self.counts["not acknowledged" if outcome.failure else "delivered"] += 1
 
     def _deliver(self, message: Message) -> None:
-        """Into the device, as the thesis' driver does it. A packet that the kernel does not take is lost, as on any network."""
+        """Into the device, as the thesis' driver does it. A packet that the kernel refuses is lost, as on any network."""
         try:
             self._identification += 1
             os.write(self._tun, rebuilt(message, self._addresses.get(message.source, self._source), self._identification))
@@ -158,7 +158,7 @@ class CanIp:
 
 def open_tun(name: str, address: str, mtu: int) -> int:
     """Make the TUN device, give it its address ("192.168.1.2/24"; empty: somebody else does) and MTU, and set it up. It goes
-    away when the descriptor is closed. Raises PermanentFailure where that cannot be done here, DelfimError otherwise."""
+    away when the descriptor is closed. Raises PermanentFailure if this system cannot do it, DelfimError otherwise."""
     try:
         tun = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)
     except OSError as error:

@@ -1,8 +1,8 @@
 """recvmmsg(2) and sendmmsg(2), which Python does not have: many datagrams by one system call.
 
-For the critical loop and for those who read whole buses. A call from Python to the kernel costs as much as what the kernel
+For the critical loop and for readers of whole buses. A call from Python to the kernel costs as much as what the kernel
 does in it; six frames by one call take 5 us where six calls take 11 (docs/decisions/0002-warm-and-in-one-call.md). The calls
-are made without letting go of the interpreter's lock: they never wait, and who lets go may get it back milliseconds later.
+are made without releasing the interpreter's lock: they never wait, and releasing the lock may cost milliseconds.
 """
 
 import ctypes
@@ -75,7 +75,7 @@ class MessageBatch:
         return taken
 
     def send(self, count: int) -> int:
-        """Send the first rows, each whatever became of the one before, and without waiting. Returns how many could not be."""
+        """Send the first rows without waiting; a failed one does not stop the rest. Returns how many failed."""
         first = unsent = 0
         while first < count:
             sent: int = self._sendmmsg(self._fd, self._at[first], self._counts[count - first], _DONTWAIT)
@@ -86,7 +86,7 @@ class MessageBatch:
 
 
 class Mirror(MessageBatch):
-    """Messages that no system call carries: those given last are those taken next."""
+    """Messages without a system call: the last ones sent are the next ones received."""
 
     _waiting = 0
 
@@ -100,5 +100,5 @@ class Mirror(MessageBatch):
 
 
 def _address(buffer: bytearray) -> int:
-    """Where it lies; it can neither grow nor go from then on. 0 for an empty one."""
+    """The address of a buffer, which must not grow or be freed from then on. 0 for an empty one."""
     return ctypes.addressof(ctypes.c_char.from_buffer(buffer)) if buffer else 0

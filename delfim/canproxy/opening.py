@@ -16,8 +16,8 @@ def open_can(
     "python-can:INTERFACE:CHANNEL[@BITRATE]"    an adapter that python-can knows
     "socketcand:HOST:PORT:BUS"                  a bus behind cantcpd, or another socketcand server
 
-    `receive_buffer_bytes` bounds the queue of received frames (a frame takes about 800 bytes of it), as far as the system lets
-    it. `error_frames` lets the frames through by which a controller reports its own state; see `bus_state`.
+    `receive_buffer_bytes` bounds the queue of received frames (a frame takes about 800 bytes of it), as far as the system
+    permits. `error_frames` lets the frames through by which a controller reports its own state; see `bus_state`.
     `batch` is how many frames `receive_many` takes by one call to the kernel, where it can.
     """
     kind, _, name = interface.partition(":")
@@ -39,7 +39,7 @@ def open_can(
 
 
 def open_bound(settings: config.Can, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
-    """A socket that never blocks and receives what the filters accept: none, nothing. Raises BusError."""
+    """A socket that never blocks and receives what the filters accept; without filters, nothing. Raises BusError."""
     can = open_can(interface, receive_buffer_bytes=settings.receive_buffer_bytes)
     can.setblocking(False)
     if filters:

@@ -16,7 +16,7 @@ from delfim.frames import CAN_ERR, CAN_IDE, Frame
 
 
 def addresses(filters: typechecking.CanFilters) -> tuple[CanAddress, ...]:
-    """The acceptance filters that mean what python-can's do: set bits of `can_mask` must match, remote frames pass too."""
+    """The acceptance filters equivalent to python-can's: set bits of `can_mask` must match, remote frames pass too."""
     accepted = []
     for entry in filters:
         number, mask, formats = entry["can_id"], entry["can_mask"], entry.get("extended")

@@ -1,7 +1,7 @@
 """A bus behind a socketcand server (cantcpd, or the reference one) as a transport of CanSocket.
 
-What socketcand does not carry is missing here: remote and error frames, filters (frames are filtered after reception), and any
-word about a frame that the server refused to send. A connection that broke is taken up again by `rebind`, on the same file
+socketcand does not carry remote and error frames, filters (frames are filtered after reception), or any report of a frame
+that the server refused to send. `rebind` restores a broken connection on the same file
 descriptor.
 """
 
@@ -53,7 +53,7 @@ class Remote:
         self._addresses = addresses
 
     def receive(self) -> Frame | None:
-        """One element at a time is taken from the kernel, so that the descriptor stays readable while there are others."""
+        """Take one element at a time from the kernel, so that the descriptor stays readable while there are others."""
         while (element := self._element()) is not None:
             try:
                 frame = parse_frame(element.decode("ascii", "replace").split() or [""])
@@ -77,7 +77,7 @@ class Remote:
         self._push()
 
     def rehearse(self) -> None:
-        """There is no frame that a server would not take for one."""
+        """Nothing: the server would send any frame to the bus."""
 
     def rebind(self) -> bool:
         if not self._failed:
@@ -112,7 +112,7 @@ class Remote:
         return connection
 
     def _element(self) -> bytes | None:
-        """What stands in the next `< ... >`; None where none is complete."""
+        """The content of the next `< ... >`; None if none is complete."""
         while True:
             try:
                 seen = self._socket.recv(PEEK_BYTES, socket.MSG_PEEK)
@@ -139,7 +139,7 @@ class Remote:
             raise self._failure(error.strerror or str(error)) from None
 
     def _failure(self, why: str) -> BusError:
-        """The failure is told once: a socket on which nothing comes takes the place of the broken one."""
+        """Report the failure once: a socket without traffic replaces the broken one."""
         self._failed = True
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
             silent.setblocking(False)
@@ -148,7 +148,7 @@ class Remote:
 
 
 def _element_of(connection: socket.socket) -> bytes:
-    """The next element, byte by byte: what follows it is read later."""
+    """The next element, read byte by byte so that the bytes after it stay."""
     element = b""
     while not element.endswith(b">") and len(element) < ELEMENT_BYTES:
         byte = connection.recv(1)

@@ -1,7 +1,7 @@
 """CAN sockets as chapter 5.2 of the thesis proposes them: one class over Linux SocketCAN, canloop, python-can or TCP.
 
 `opening.open_can` opens one by the name of its interface; `bind` sets the acceptance filters, `connect` the arbitration field
-of `send`; `receive` is the way in for the critical loop. Each transport's file says what it cannot do. CAN FD is not spoken.
+of `send`; `receive` is the way in for the critical loop. Each transport's file states its limits. CAN FD is not supported.
 """
 
 import errno
@@ -16,17 +16,17 @@ from typing import Final, NamedTuple, Protocol, Self, runtime_checkable
 
 from delfim.frames import CAN_ANY, CAN_ERR, Frame
 
-BATCH: Final = 6  # frames: a navigation message
-REHEARSED: Final = 4  # frames: a command of the propulsion
+BATCH: Final = 6  # frames of a navigation message
+REHEARSED: Final = 4  # frames of a propulsion command
 _FULL_RETRY_S: Final = 0.0005  # the kernel has no event for room in an interface's queue; a frame at 1 Mbit/s takes 0.13 ms
 
 
 class CanAddress(NamedTuple):
-    """`struct sockaddr_can` of thesis 5.2.2: what to accept in `bind`, what and where to send in `connect` and `sendto`."""
+    """`struct sockaddr_can` of thesis 5.2.2: the filter of `bind`, the identifier and interface of `connect` and `sendto`."""
 
     arb: int = 0  # arbitration field of thesis figure 5-5, see delfim.frames
     mask: int = 0  # of arb; set bits are "don't care" (5.2.4); ignored in sending
-    ifindex: int = 0  # interface; 0 for all that the socket was opened on
+    ifindex: int = 0  # interface; 0: all those that the socket was opened on
 
 
 ANYTHING: Final = CanAddress(mask=CAN_ANY)  # every data and remote frame, both formats
@@ -38,12 +38,12 @@ def accepts(address: CanAddress, arb: int) -> bool:
 
 
 class Transport(Protocol):
-    """What carries the frames of a CanSocket. Nothing here ever blocks."""
+    """The transport that carries the frames of a CanSocket. No method blocks."""
 
     name: str
     ifindex: int  # 0 where frames come by several interfaces
     dropped: int
-    outlets: Callable[[], Sequence[int]] | None  # the interfaces that ifindex 0 stands for in sending, where they are several
+    outlets: Callable[[], Sequence[int]] | None  # the interfaces that ifindex 0 sends to, if several
 
     def fileno(self) -> int: ...
     def filter(self, addresses: tuple[CanAddress, ...]) -> None: ...
@@ -56,7 +56,7 @@ class Transport(Protocol):
 
 @runtime_checkable
 class Many(Protocol):
-    """A transport that takes and gives many frames by one system call."""
+    """A transport that sends and receives many frames by one system call."""
 
     def receive_many(self) -> list[Frame]: ...
     def send_many(self, messages: Sequence[tuple[int, bytes]]) -> int: ...
@@ -87,8 +87,8 @@ class CanSocket:
 
     Sockets start blocking, as Python's do. MSG_DONTWAIT, `setblocking(False)` and timeouts mean what they mean there:
     BlockingIOError (EAGAIN) when nothing is queued or the transmit queue is full, TimeoutError after a time-out. Other flags
-    are not supported. Whatever goes wrong with the bus is a BusError with a reason in words; after one, call `rebind` every
-    now and then until it says True.
+    are not supported. A bus that fails raises BusError with a reason in words; after one, call `rebind` now and
+    then until it returns True.
     """
 
     receive: Callable[[], Frame | None]
@@ -99,11 +99,11 @@ class CanSocket:
     """The hot path for messages of several frames: up to a batch of those that are queued, at once. Raises BusError."""
 
     send_many: Callable[[Sequence[tuple[int, bytes]]], int]
-    """The hot path for up to BATCH frames (arbitration field, data): queues them in their order without waiting, each
-    whatever became of the one before. Returns how many the bus did not take."""
+    """The hot path for up to BATCH frames (arbitration field, data): queues them in their order without waiting, and a
+    failed frame does not stop the rest. Returns how many the bus did not take."""
 
     rehearse: Callable[[], None]
-    """Go the way of sending as far as it goes without a frame on the bus, so that caches are warm when it matters."""
+    """Run the sending code as far as possible without a frame on the bus, so that its caches are warm."""
 
     def __init__(self, transport: Transport) -> None:
         self._transport = transport
@@ -120,8 +120,8 @@ class CanSocket:
             self.send_many = partial(send_each, self._send_now)
 
     def mirror(self) -> Many | None:
-        """For rehearsals: the same code on buffers of its own, which receives what it sends and never reaches the bus. None
-        where the transport takes and gives one frame at a time."""
+        """For the warm-up: the same code on buffers of its own, which receives its own frames and never reaches the bus. None
+        for a transport that handles one frame at a time."""
         transport = self._transport
         return transport.mirror() if isinstance(transport, Many) and transport.outlets is None else None
 
@@ -205,7 +205,7 @@ class CanSocket:
         return frame
 
     def rebind(self) -> bool:
-        """Take up a bus that failed, on the same file descriptor and with the same filters. True when it can be used."""
+        """Reopen a bus that failed, on the same file descriptor and with the same filters. True when it can be used."""
         return self._transport.rebind()
 
     def setblocking(self, flag: bool) -> None:

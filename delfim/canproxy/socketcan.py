@@ -1,6 +1,6 @@
 """Linux SocketCAN as a transport of CanSocket: PF_CAN, SOCK_RAW, CAN_RAW, with filters, stamps and drop count of the kernel.
 
-An interface that goes down or away is reported once by the kernel, as a BusError here; `rebind` takes it up again.
+The kernel reports once, here as a BusError, that an interface went down or disappeared; `rebind` reopens it.
 """
 
 import errno
@@ -18,7 +18,7 @@ from delfim.canproxy.socket import BATCH, REHEARSED, CanAddress, receive_each
 from delfim.errors import BusError
 from delfim.frames import CAN_ERR, CAN_FRAME, CAN_IDE, CAN_RTR, Frame, from_can_id, to_can_frame, to_can_id
 
-# asm-generic/socket.h, linux/can/raw.h, linux/if_arp.h, linux/sockios.h: what Python 3.11 does not name
+# asm-generic/socket.h, linux/can/raw.h, linux/if_arp.h, linux/sockios.h: constants that Python 3.11 lacks
 SO_RCVBUFFORCE: Final = 33
 SO_TIMESTAMPNS: Final = 35
 _SO_RXQ_OVFL = 40
@@ -39,7 +39,7 @@ _EXTENDED_BITS = 0x3FFFF << 3  # of the arbitration field, 0 in standard format 
 
 
 def set_receive_buffer(sock: socket.socket, size_bytes: int) -> None:
-    """As large as asked for where permitted, else as large as net.core.rmem_max lets it be."""
+    """Set the buffer as large as asked for if permitted, else as net.core.rmem_max allows."""
     try:
         sock.setsockopt(socket.SOL_SOCKET, SO_RCVBUFFORCE, size_bytes)
     except OSError:
@@ -53,7 +53,7 @@ def kernel_filters(address: CanAddress) -> list[tuple[int, int]]:
     """
     match = ~address.mask & 0xFFFFFFFF
     if match & CAN_ERR and address.arb & CAN_ERR:
-        return []  # asks for error frames, which no acceptance filter lets through
+        return []  # accepts error frames only, which no acceptance filter passes
     remote = _RTR if match & CAN_RTR else 0
     flags = remote if address.arb & CAN_RTR else 0
     standard = (address.arb >> 21 & match >> 21 & _STANDARD | flags, match >> 21 & _STANDARD | remote | _EFF)
@@ -102,7 +102,7 @@ class SocketCan:
         return self._socket.fileno()
 
     def close(self) -> None:
-        self._taken = self._given = self._nothing = None  # their descriptor may soon be somebody else's
+        self._taken = self._given = self._nothing = None  # their descriptor may soon be reused
         self._socket.close()
 
     def receive(self) -> Frame | None:
@@ -168,7 +168,7 @@ class SocketCan:
             raise self._failure(error) from None
 
     def rehearse(self) -> None:
-        """The kernel looks the interface up and refuses 15 bytes, for a frame has 16."""
+        """The kernel looks up the interface, then refuses 15 bytes because a frame has 16."""
         if self._nothing is not None:
             self._nothing.send(REHEARSED)
 
@@ -200,11 +200,11 @@ class SocketCan:
             up = not self._bound_name or bool(self._interface(_SIOCGIFFLAGS, self._bound_name) & _IFF_UP)
         except OSError:
             return False
-        self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)  # what was wrong is known: do not report it again
+        self._socket.getsockopt(socket.SOL_SOCKET, socket.SO_ERROR)  # the error is known: do not report it again
         return up
 
     def _bind(self) -> None:
-        """The kernel forgets the filters of an interface that went away, so they are set with every bind."""
+        """Set the filters again with every bind: the kernel forgets those of an interface that disappeared."""
         entries = b"".join(_FILTER.pack(*entry) for entry in self._filters)
         self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, entries)
         self._socket.setsockopt(socket.SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, self._error_mask)
@@ -244,7 +244,7 @@ def _index(name: str) -> int:
     try:
         return socket.if_nametoindex(name)
     except OSError:
-        return 0  # a frame that outlived its interface
+        return 0  # the frame's interface is gone
 
 
 _RESTART_REASONS: Final = {

@@ -4,9 +4,9 @@
     server  < frame 123 1262304000.000123 1122AABB >             client  < send 123 4 11 22 AA BB >
 
 One connection has one bus. It begins without, `open` leads into BCM mode, and from there it changes between BCM, RAW and
-CONTROL. What is accepted beyond what the reference server does (socketcand, linux-can) is what real clients send: elements
+CONTROL. Beyond the reference server (socketcand, linux-can) it accepts the input of real clients: elements
 split, merged or with newlines between, and SavvyCAN's hexadecimal numbers, which come as wide as a signed 64-bit integer.
-Neither CAN FD, remote frames nor ISO-TP are spoken. Every command, with the clients it is for: docs/cantcpd.md.
+CAN FD, remote frames and ISO-TP are not supported. docs/cantcpd.md lists every command and the clients that use it.
 """
 
 from collections.abc import Callable, Collection, Iterator
@@ -35,19 +35,19 @@ class Reply(NamedTuple):
 
 
 class Open(NamedTuple):
-    """Answered by who opens the bus: OK, or NO_SUCH_BUS and the end of the connection."""
+    """The server opens the bus and answers OK, or NO_SUCH_BUS and ends the connection."""
 
     bus: str
 
 
 class Enter(NamedTuple):
-    """Another mode: jobs and subscriptions of the one before end. To be answered with OK in a write of its own."""
+    """Change the mode: jobs and subscriptions of the old one end. Answer OK in a write of its own."""
 
     mode: Mode
 
 
 class Close(NamedTuple):
-    """The bus, not the connection."""
+    """Close the bus, not the connection."""
 
 
 class Transmit(NamedTuple):
@@ -64,7 +64,7 @@ class Cycle(NamedTuple):
 
 
 class Update(NamedTuple):
-    """Other data for a cycle; nothing where there is none."""
+    """Replace the data of a cycle; no effect without one."""
 
     arb: int
     data: bytes
@@ -87,7 +87,7 @@ class Unsubscribe(NamedTuple):
 
 
 class TellTraffic(NamedTuple):
-    """Tell traffic each `period_s`; 0: no longer."""
+    """Report the traffic each `period_s`; 0: stop."""
 
     period_s: float
 
@@ -103,7 +103,7 @@ Action = Reply | Open | Enter | Close | Transmit | Cycle | Update | Delete | Sub
 
 @dataclass(slots=True)
 class Splitter:
-    """Elements `< ... >` out of a stream that is cut anywhere. What is between them does not matter unless it is no blank."""
+    """Elements `< ... >` out of a stream that is cut anywhere. Only blanks may stand between them."""
 
     malformed: int = 0
     _rest: bytes = b""
@@ -150,11 +150,11 @@ class SocketcandSession:
 
     @property
     def malformed(self) -> int:
-        """Elements that meant nothing, and commands with wrong arguments. These get no answer."""
+        """Number of unknown elements, and of commands with wrong arguments. These get no answer."""
         return self._malformed + self._splitter.malformed
 
     def feed(self, data: bytes) -> Iterator[Action]:
-        """What these bytes ask for, in order. Never raises; a Hangup is the last."""
+        """The actions that these bytes ask for, in order. Never raises; a Hangup is the last."""
         for words in self._splitter.feed(data):
             try:
                 action = self._closed(words) if self.mode == "closed" else self._opened(words)
@@ -169,7 +169,7 @@ class SocketcandSession:
         if words[0] == "open" and len(words) == 2 and words[1] in self._buses:
             self.mode = "bcm"
             return Open(words[1])
-        if words[0] in self._buses:  # bit timing and controller modes are the vehicle's, not a client's
+        if words[0] in self._buses:  # bit timing and controller modes belong to the vehicle, not to a client
             return Reply(UNKNOWN)
         return Hangup(NO_SUCH_BUS)
 
@@ -260,7 +260,7 @@ def _only_identifier(words: list[str]) -> int:
 
 
 def _identifier(word: str) -> int:
-    """Eight digits or more are an extended identifier; only its low 29 bits are meant."""
+    """Eight digits or more are an extended identifier; only its low 29 bits count."""
     number = _hexadecimal(word)
     return extended(number & 0x1FFFFFFF) if len(word) >= 8 else standard(number)
 

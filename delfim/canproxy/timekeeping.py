@@ -1,7 +1,7 @@
 """The time on the bus (dsor-time and dsor-rtime of thesis 5.3.3): a frame with UTC at the start of each second.
 
-As master this computer sends it each second. As redundant it listens, takes over when the master falls silent and is quiet
-again from the master's next frame on. `docs/timed.md` says when, and why the redundant one speaks a little late.
+As master this computer sends it each second. As redundant it listens, takes over when the master falls silent, and stops
+again at the master's next frame. `docs/timed.md` says when, and why the redundant one sends a little late.
 """
 
 import ctypes
@@ -18,21 +18,21 @@ from delfim.errors import BusError
 from delfim.frames import Frame
 from delfim.messages import TIME, TIME_FRAME
 
-REDUNDANT_DELAY_S: Final = 0.01  # after the start of a second: a master that is back was first
+REDUNDANT_DELAY_S: Final = 0.01  # after the start of a second, so that a returning master is first
 FRAMES_PER_READ: Final = 16
-RECENT: Final = 600  # seconds of which the jitter is shown
+RECENT: Final = 600  # seconds shown in the jitter figures
 _SECOND_NS: Final = 1_000_000_000
-_ASTRAY_NS: Final = 500_000_000  # so far from the start of a second nothing is sent: the clock stepped
+_ASTRAY_NS: Final = 500_000_000  # farther from the start of a second nothing is sent: the clock stepped
 
 log = logging.getLogger(__name__)
 
 
 class Timekeeper:
-    """Whether, and what, to send. Times are handed in; `tick` is called each second, `delay_s` after its start.
+    """Decides whether to send the time. Times are handed in; `tick` is called each second, `delay_s` after its start.
 
     heard        frames of another master
     sent         frames of this computer
-    takeovers    times that the redundant one began to speak
+    takeovers    times that the redundant one began to send
     """
 
     def __init__(self, mode: Literal["master", "redundant"], takeover_s: float, now_s: float) -> None:
@@ -43,7 +43,7 @@ class Timekeeper:
         self._late_s: deque[float] = deque(maxlen=RECENT)
 
     def hear(self, frame: Frame, now_s: float) -> None:
-        """A frame came; those that are no time frames mean nothing."""
+        """A frame came; all but time frames are ignored."""
         if frame.arb != TIME_FRAME or len(frame.data) != TIME.size:
             return
         self.heard += 1
@@ -51,7 +51,7 @@ class Timekeeper:
         self.is_speaking = self._mode == "master"
 
     def tick(self, now_s: float, utc_ns: int) -> Frame | None:
-        """The frame to send at once, if one is due: it says the time of now, jitter included."""
+        """The frame to send at once, if one is due: it carries the present time, jitter included."""
         if not self.is_speaking and now_s - self._heard_s >= self._takeover_s:
             self.is_speaking = True
             self.takeovers += 1
@@ -93,7 +93,7 @@ class SecondTimer:
         return self._fd
 
     def passed(self, utc_ns: int) -> bool:
-        """To be called when readable: whether a second began. False where the clock was stepped, and the timer is set anew."""
+        """Call when readable: whether a second began. False after a step of the clock; the timer is then set again."""
         try:
             os.read(self._fd, 8)
         except BlockingIOError:
@@ -118,7 +118,7 @@ class SecondTimer:
 
 class TimeService:
     """Timekeeper, timer and a socket bound to TIME_FRAME, together: `on_frames` when `can` is readable, `on_second` when
-    `timer` is. A bus that fails is counted, and taken up again each second.
+    `timer` is. A bus that fails is counted, and reopened each second.
 
     failures  frames that the bus did not take, and failed reads
     """
@@ -143,13 +143,13 @@ class TimeService:
     def on_second(self) -> None:
         if not self._timer.passed(self._clock.time_ns()):
             return
-        self.on_frames()  # what waited while this program did not run
+        self.on_frames()  # frames that waited while this program did not run
         was_speaking = self._keeper.is_speaking
         frame = self._keeper.tick(self._clock.monotonic_s(), self._clock.time_ns())
         if frame is not None:
             try:
                 self._can.sendmsg(frame)
-            except OSError:  # a BusError or a full queue: the time cannot wait
+            except OSError:  # a BusError or a full queue: a late time is useless
                 self.failures += 1
                 self._can.rebind()
         if self._keeper.is_speaking and not was_speaking:

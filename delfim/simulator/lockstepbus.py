@@ -38,7 +38,7 @@ class LockstepBus:
         return socket
 
     def bound(self, *filters: CanAddress) -> CanSocket:
-        """A socket that receives what the filters accept: none, nothing."""
+        """A socket that receives what the filters accept; without filters, nothing."""
         socket = self.socket()
         if filters:
             socket.bind(*filters)

@@ -1,4 +1,4 @@
-"""Who may watch the buses by TCP, who may transmit, and what nobody may: by address and identifier (the vehicle's file)."""
+"""Access to the buses by TCP: which addresses may watch and transmit, and which identifiers are barred (the vehicle's file)."""
 
 import ipaddress
 
@@ -7,7 +7,7 @@ from delfim.frames import CAN_IDE, extended, standard
 
 
 class Access:
-    """Who may watch, who may transmit, and what nobody may."""
+    """The networks that may watch and transmit, and the barred identifiers."""
 
     def __init__(self, settings: config.Cantcpd) -> None:
         self._watch = [ipaddress.ip_network(network) for network in settings.watch]

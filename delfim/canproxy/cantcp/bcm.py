@@ -1,5 +1,5 @@
-"""What the kernel's broadcast manager (CAN_BCM) does, for one client and in user space: cyclic transmission, and reception
-that is thinned by time and by content. Time is handed in.
+"""The kernel's broadcast manager (CAN_BCM) for one client, in user space: cyclic transmission, and reception limited by
+rate and by change of content. Time is handed in.
 """
 
 import heapq
@@ -9,12 +9,12 @@ from itertools import count
 from math import inf
 from typing import Final
 
-JOBS_MAX: Final = 256  # cycles of one client, and subscriptions of one client
+JOBS_MAX: Final = 256  # cycles, and subscriptions, of one client
 
 
 @dataclass(slots=True)
 class _Row:
-    """What is remembered for a subscription, or for each multiplexed row of one."""
+    """The memory of a subscription, or of each multiplexed row of one."""
 
     mask: int
     content: int | None = None  # last seen under the mask
@@ -27,7 +27,7 @@ class Subscription:
 
     masks, 64-bit numbers over the data as it comes: none, every frame counts; one, a frame counts when the data under the mask
     changed; more, the first says which bits choose the row of a multiplexed frame, and each other one is a row: its bits under
-    the first mask are what chooses it, all its bits are the mask under which a change counts.
+    the first mask choose it, all its bits are the mask under which a change counts.
     """
 
     def __init__(self, interval_s: float, masks: tuple[int, ...]) -> None:
@@ -35,7 +35,7 @@ class Subscription:
         self._rows = [_Row(mask) for mask in (masks[1:] if len(masks) > 1 else masks or (0,))]
 
     def offer(self, text: bytes, data: bytes, now_s: float) -> bytes | None:
-        """A frame came. Returns the text where it is to be told now; otherwise it waits, or does not count."""
+        """A frame came. Returns the text if it is to be sent now; otherwise it waits, or does not count."""
         content = int.from_bytes(data.ljust(8, b"\0"), "big")
         row = next((row for row in self._rows if not (content ^ row.mask) & self._multiplex), None)
         if row is None or (self._by_content and row.content == content & row.mask):
@@ -49,7 +49,7 @@ class Subscription:
 
     @property
     def due_s(self) -> float:
-        """When the first waiting text is to be told; infinite where none waits."""
+        """When the first waiting text is due; infinite if none waits."""
         return min((row.told_s + self._interval_s for row in self._rows if row.waiting is not None), default=inf)
 
     def take(self, now_s: float) -> Iterator[bytes]:
@@ -67,24 +67,24 @@ class _Cycle:
 
 
 class Cycles:
-    """Frames that are sent again and again, by arbitration field. A cycle that was late does not catch up."""
+    """Frames sent cyclically, by arbitration field. A late cycle does not catch up."""
 
     def __init__(self) -> None:
         self._cycles: dict[int, _Cycle] = {}
         self._due: list[
             tuple[float, int, int, _Cycle]
-        ] = []  # heap of due time, number, arb; what was replaced goes when it is due
+        ] = []  # heap of due time, number, arb; replaced entries are removed when due
         self._numbers = count()
 
     def __len__(self) -> int:
         return len(self._cycles)
 
     def add(self, arb: int, data: bytes, interval_s: float, now_s: float) -> bool:
-        """Begin at once, in place of what this arbitration field had. False where there are JOBS_MAX others."""
+        """Begin at once, replacing the cycle of this arbitration field. False if there are JOBS_MAX others."""
         if arb not in self._cycles and len(self._cycles) >= JOBS_MAX:
             return False
         cycle = self._cycles[arb] = _Cycle(data, interval_s)
-        if len(self._due) >= 4 * JOBS_MAX:  # a client replaces faster than time goes by
+        if len(self._due) >= 4 * JOBS_MAX:  # a client replaces cycles faster than they become due
             self._due = [entry for entry in self._due if self._cycles.get(entry[2]) is entry[3]]
             heapq.heapify(self._due)
         heapq.heappush(self._due, (now_s, next(self._numbers), arb, cycle))
@@ -106,7 +106,7 @@ class Cycles:
         return self._due[0][0] if self._due else inf
 
     def take(self, now_s: float, count_max: int) -> Iterator[tuple[int, bytes]]:
-        """What is due, (arbitration field, data), at most so many."""
+        """The due frames, (arbitration field, data), at most this many."""
         while count_max and self._due and self._due[0][0] <= now_s:
             due_s, _, arb, cycle = heapq.heappop(self._due)
             if self._cycles.get(arb) is cycle:

@@ -21,13 +21,13 @@ from delfim.frames import identifier
 
 INPUT_BYTES: Final = 512  # of a client's commands in one call: 40 frames to send
 HOLD_S: Final = 0.02  # from the answer to `rawmode` to the first frame: clients compare what they read with "< ok >"
-RETRY_S: Final = 0.001  # that a client waits while the bus takes no frames ...
-GIVE_UP_S: Final = 1.0  # ... and after which its frame is lost
+RETRY_S: Final = 0.001  # a client waits this long while the bus takes no frames ...
+GIVE_UP_S: Final = 1.0  # ... and after this its frame is lost
 WRITE_BYTES: Final = 1 << 14  # handed to the kernel ahead of a client
-SEND_BUFFER_BYTES: Final = 1 << 16  # of the kernel: what waits here cannot be dropped any more, and gets old on a slow radio
+SEND_BUFFER_BYTES: Final = 1 << 16  # of the kernel: frames in it can no longer be dropped, and get old on a slow radio
 STATISTICS_S_MIN: Final = 0.1
 KEEPALIVE_S: Final = 10
-ADDRESSES_MAX: Final = 64  # whose counts are kept when their clients have left
+ADDRESSES_MAX: Final = 64  # their counts are kept after their clients have left
 _LOWDELAY: Final = 0x10  # IPTOS_LOWDELAY
 _TCP_INFO_RTT: Final = 68  # offset of tcpi_rtt, microseconds (linux/tcp.h)
 
@@ -50,7 +50,7 @@ class Client(asyncio.BufferedProtocol):
         self._bus: SharedBus | None = None
         self._may_transmit = False
         self._cycles = Cycles()
-        self._statistics_s = inf  # between two tellings
+        self._statistics_s = inf  # between two reports
         self._timers = Timers()
         self._alive_s = self.since_s = self._loop.time()  # when it last took or said something; when it came
 
@@ -73,7 +73,7 @@ class Client(asyncio.BufferedProtocol):
         peer = transport.get_extra_info("socket")
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         peer.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BUFFER_BYTES)
-        peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # who vanished with the radio gives his place free
+        peer.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # frees the place of a client whose radio failed
         for option in (socket.TCP_KEEPIDLE, socket.TCP_KEEPINTVL):
             peer.setsockopt(socket.IPPROTO_TCP, option, KEEPALIVE_S)
         peer.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPCNT, 3)
@@ -129,7 +129,7 @@ class Client(asyncio.BufferedProtocol):
         self._transport.abort()
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: mode, bus, what waits, and counts of what was sent, dropped and refused."""
+        """JSON-ready: mode, bus, waiting frames, and counts of sent, dropped and refused ones."""
         return {
             "bus": self._bus.name if self._bus else "",
             "mode": self.session.mode,
@@ -141,10 +141,10 @@ class Client(asyncio.BufferedProtocol):
     def _warn(self, text: str) -> None:
         self._clients.warn(f"{self.name} {text}")
 
-    # What it asks for.
+    # Its requests.
 
     def _work(self) -> None:
-        """Do what is asked for, in order, until the bus is full. Answers that may share a write do: nothing is cheaper."""
+        """Carry out requests in order, until the bus is full. Answers share a write where they may: that is cheapest."""
         replies: list[bytes] = []
         while self._todo and not self._transport.is_closing():
             action = self._todo[0]
@@ -159,7 +159,7 @@ class Client(asyncio.BufferedProtocol):
             self._outbox.reply(b"".join(replies))
 
     def _do(self, action: socketcand.Action, replies: list[bytes]) -> bool:
-        """False where it has to be tried again."""
+        """False when it must be tried again."""
         if isinstance(action, socketcand.Transmit):
             return self._transmit(action.arb, action.data)
         if isinstance(action, (socketcand.Open, socketcand.Enter, socketcand.Hangup)) and replies:
@@ -226,7 +226,7 @@ class Client(asyncio.BufferedProtocol):
         self._transport.close()
 
     def _end_jobs(self) -> None:
-        """Jobs and subscriptions belong to a mode, and frames that still wait to the one before."""
+        """End jobs, subscriptions and waiting frames: they belong to the mode before."""
         if self._bus:
             self._bus.quiet(self._ear)
         self._cycles.clear()
@@ -240,7 +240,7 @@ class Client(asyncio.BufferedProtocol):
             self.counts["refused"] += 1
 
     def _allowed(self, arb: int) -> bool:
-        """Whether this client may send this identifier; where not, that is counted, and logged once."""
+        """Whether this client may send this identifier; a refusal is counted, and logged once."""
         if self._may_transmit and not self._clients.access.is_barred(arb):
             return True
         why = f"{identifier(arb):X} is barred" if self._may_transmit else "its network may only watch"
@@ -250,7 +250,7 @@ class Client(asyncio.BufferedProtocol):
         return False
 
     def _transmit(self, arb: int, data: bytes) -> bool:
-        """False where the bus is full and there is still time."""
+        """False when the bus is full and there is time to try again."""
         if self._bus and self._allowed(arb):
             try:
                 self._bus.transmit(arb, data, self._ear)
@@ -291,7 +291,7 @@ class Client(asyncio.BufferedProtocol):
 
 
 class Clients:
-    """Those who are connected: who may come in beside them, and what is remembered of those who left."""
+    """The connected clients, the limits for new ones, and the counts of those that left."""
 
     def __init__(self, settings: config.Cantcpd) -> None:
         self.settings, self.access = settings, Access(settings)
@@ -301,7 +301,7 @@ class Clients:
         self._is_warned = False
 
     def refusal(self, host: str) -> str:
-        """Why a connection from there is refused; empty where it is not. Who has opened no bus gives way, the oldest first."""
+        """Why a connection from there is refused; empty: it is not. Clients without an open bus give way, the oldest first."""
         why = "" if self.access.may_watch(host) else "not in cantcpd.watch"
         here = [client for client in self.inside if not client.is_leaving]
         beside = [client for client in here if client.host == host]
@@ -315,25 +315,25 @@ class Clients:
             else:
                 idle.abort()
                 self.refused += 1
-                break  # and a place is free
+                break  # one place is free now
         self.refused += bool(why)
         return why
 
     def keep(self, client: Client) -> None:
-        """The counts of one who leaves."""
+        """Keep the counts of a client that leaves."""
         kept = self.left.pop(client.host, Counter())
         self.left[client.host] = kept + client.counts + Counter(malformed=client.session.malformed, clients=1)
         if len(self.left) > ADDRESSES_MAX:
             del self.left[next(iter(self.left))]
 
     def warn(self, text: str) -> None:
-        """Log what strangers can cause: once between two polls, or they would fill the log."""
+        """Log an event that strangers can cause, only once between two polls: they must not fill the log."""
         if not self._is_warned:
             log.warning("cantcpd: %s", text)
         self._is_warned = True
 
     def poll(self, now_s: float) -> None:
-        """Closes those that stalled."""
+        """Close clients that stalled."""
         self._is_warned = False
         for client in list(self.inside):
             if why := client.stalled(now_s, self.settings.stall_s):
@@ -342,7 +342,7 @@ class Clients:
 
 
 def _round_trip_s(peer: Any) -> float:
-    """Of a TCP connection, as the kernel measures it; 0 where it does not tell."""
+    """Round-trip time of a TCP connection, as measured by the kernel; 0: unknown."""
     try:
         info = peer.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, 104)
         return float(struct.unpack_from("=I", info, _TCP_INFO_RTT)[0]) / 1e6

@@ -1,4 +1,4 @@
-"""What one client is sent: replies, and frames in a bounded queue, of which the oldest are lost."""
+"""The output to one client: replies, and frames in a bounded queue that drops the oldest."""
 
 import asyncio
 from collections import Counter, deque
@@ -7,7 +7,7 @@ from math import inf
 
 
 class Outbox:
-    """Writes at once unless the kernel takes no more; then frames wait, and what does not fit is lost for this client alone."""
+    """Writes at once unless the kernel takes no more; then frames wait, and the overflow is lost for this client alone."""
 
     def __init__(
         self, transport: asyncio.Transport, queue_bytes: int, counts: Counter[str], warn: Callable[[str], None]
@@ -17,10 +17,10 @@ class Outbox:
         self.is_held = False  # frames wait until this is over
         self._transport, self._queue_bytes, self._counts, self._warn = transport, queue_bytes, counts, warn
         self._queue: deque[tuple[bytes, int]] = deque()  # text, and the number of frames in it
-        self._soon: asyncio.Handle | None = None  # they are written then
+        self._soon: asyncio.Handle | None = None  # the write of waiting frames
 
     def put(self, text: bytes, frames: int) -> None:
-        """Frames: soon written, or lost. Soon, because so many writes at once would make a long callback."""
+        """Queue frames, to be written soon or lost: many writes at once would make a long callback."""
         self._queue.append((text, frames))
         self.queued_bytes += len(text)
         while self.queued_bytes > self._queue_bytes:
@@ -33,7 +33,7 @@ class Outbox:
             self._soon = asyncio.get_running_loop().call_soon(self.flush)
 
     def reply(self, text: bytes) -> None:
-        """After the frames that came before, unless these are held."""
+        """Queue a reply behind earlier frames, unless these are held."""
         if self.is_full:
             self.put(text, 0)
         else:
@@ -54,13 +54,13 @@ class Outbox:
 
 
 class Timers:
-    """Jobs to be done later, each of them once."""
+    """Jobs for later, each done once."""
 
     def __init__(self) -> None:
         self._timers: dict[Callable[[], None], asyncio.TimerHandle] = {}
 
     def at(self, job: Callable[[], None], when_s: float) -> None:
-        """See to a job then, or earlier where that was said before; infinite: as said before."""
+        """Do a job at this time, or at an earlier one set before; infinite: keep the time set before."""
         timer = self._timers.get(job)
         if when_s < inf and (timer is None or timer.when() > when_s):
             if timer:

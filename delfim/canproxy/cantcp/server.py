@@ -2,11 +2,11 @@
 and sends for them.
 
 A bus has one socket for all its clients, open while there are any. A frame becomes text once. Every client has a bounded queue
-of its own: what it does not take in time is lost for it alone, oldest first, and counted. No callback takes longer for a slow
+of its own: frames not taken in time are lost for it alone, oldest first, and counted. No callback takes longer for a slow
 client, for one that floods, or for a full bus.
 
-Who transmits is decided by address and identifier (the vehicle's file); what is refused is counted and logged, without an
-answer, for python-can's reader ends at one. What was sent is on the bus, and so in the black box. The protocol itself:
+Address and identifier decide who may transmit (the vehicle's file); refused frames are counted and logged, but not answered,
+because python-can's reader ends at an answer. Sent frames are on the bus, and so in the black box. The protocol itself:
 delfim.canproxy.socketcand; how to connect the usual programs: docs/cantcpd.md.
 """
 
@@ -46,17 +46,17 @@ class CanServer:
             for interface in interfaces
         }
         self._beacon, self._polls = settings.beacon, 0
-        self._silent: set[str] = set()  # interfaces on which announcing failed
+        self._silent: set[str] = set()  # interfaces where the beacon failed
 
     def connection(self) -> Client:
         return Client(self.clients, self.buses, socketcand.SocketcandSession(self.buses))
 
     def slcan_connection(self) -> Client:
-        """For the first of the buses: slcan has no word for others."""
+        """A connection to the first bus: slcan cannot name others."""
         return Client(self.clients, self.buses, slcan.SlcanSession(next(iter(self.buses))))
 
     def poll(self, port: int) -> None:
-        """Take up buses that failed, close clients that stalled, announce `port` on the LAN."""
+        """Reopen buses that failed, close clients that stalled, announce `port` on the LAN."""
         for bus in self.buses.values():
             bus.poll()
         self.clients.poll(asyncio.get_running_loop().time())
@@ -100,5 +100,5 @@ class CanServer:
 
 
 def bus_name(interface: str) -> str:
-    """By which clients open an interface: what follows its last colon, 16 characters at most."""
+    """The name by which clients open an interface: the part after its last colon, 16 characters at most."""
     return re.sub(r"[^A-Za-z0-9_.-]", "-", interface.rpartition(":")[2])[:16]

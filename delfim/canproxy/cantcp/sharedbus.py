@@ -1,4 +1,4 @@
-"""A bus that clients share: one socket, open while there are any; each frame becomes text once, whoever hears it."""
+"""A bus that clients share: one socket, open while there are clients; each frame becomes text once for all of them."""
 
 import asyncio
 import logging
@@ -14,7 +14,7 @@ from delfim.errors import BusError
 from delfim.frames import CAN_ERR, CAN_RTR, Frame
 
 FRAMES_A_CALL: Final = 32
-GATHER_S: Final = 0.005  # frames that come so soon after others travel together: one write, not one each
+GATHER_S: Final = 0.005  # frames that follow others within this time share one write
 
 TextOf = Callable[[Frame], bytes]
 
@@ -22,20 +22,20 @@ log = logging.getLogger(__name__)
 
 
 class Readers(Protocol):
-    """What is needed of the runtime: to be called when a descriptor is readable, on this service's account."""
+    """The part of the runtime used here: it calls back when a descriptor is readable, on this service's account."""
 
     def reader(self, fd: int, handler: Callable[[], object]) -> None: ...
     def remove_reader(self, fd: int) -> None: ...
 
 
 class Ear:
-    """How one client hears a bus: all frames as text, or those that it subscribed to."""
+    """The frames that one client gets of a bus: all as text, or those that it subscribed to."""
 
     def __init__(
         self, text_of: TextOf, put: Callable[[bytes, int], None], at: Callable[[Callable[[], None], float], None]
     ) -> None:
         self.text_of, self.put = text_of, put
-        self.watches: dict[int, Subscription] = {}  # by arbitration field; the bus sees to it
+        self.watches: dict[int, Subscription] = {}  # by arbitration field; kept by the bus
         self._at = at
 
     def offer(self, frame: Frame, text: bytes, now_s: float) -> None:
@@ -56,7 +56,7 @@ class Ear:
 
 
 class SharedBus:
-    """One bus: its socket, and those who opened it."""
+    """One bus: its socket, and the clients that opened it."""
 
     def __init__(self, name: str, interface: str, readers: Readers, clock: Clock, receive_buffer_bytes: int) -> None:
         self.name, self.interface = name, interface
@@ -68,7 +68,7 @@ class SharedBus:
         self._readers, self._clock = readers, clock
         self._ears: set[Ear] = set()
         self._can: CanSocket | None = None
-        self._sent: list[tuple[Frame, Ear]] = []  # not yet told to the others
+        self._sent: list[tuple[Frame, Ear]] = []  # not yet passed on to the others
         self._later: asyncio.Handle | None = None  # the next look at a busy bus; None: woken by its first frame
 
     def join(self, ear: Ear) -> None:
@@ -92,7 +92,7 @@ class SharedBus:
             self.close()
 
     def quiet(self, ear: Ear) -> None:
-        """No frames any more for this one."""
+        """Stop the frames to this client."""
         self.raw = [other for other in self.raw if other is not ear]
         for arb in list(ear.watches):
             self.unwatch(ear, arb)
@@ -119,7 +119,7 @@ class SharedBus:
             self._sent.clear()
 
     def poll(self) -> None:
-        """Call about once a second: takes up a bus that failed."""
+        """Call about once a second: reopens a bus that failed."""
         if self.failure and self._can and self._can.rebind():
             log.warning("cantcpd: %s is back", self.name)
             self.failure = ""
@@ -146,13 +146,13 @@ class SharedBus:
             self._later = asyncio.get_running_loop().call_soon(self._look)
 
     def _wake(self) -> None:
-        """The first frame after a silence is told at once."""
+        """Pass on the first frame after a silence at once."""
         if self._can:
             self._readers.remove_reader(self._can.fileno())
             self._look()
 
     def _look(self) -> None:
-        """Tell what came, and look again soon while it is busy: a wake-up for every frame would cost more than the frames."""
+        """Pass on waiting frames, and poll again soon while the bus is busy: a wake-up for every frame would cost more."""
         loop = asyncio.get_running_loop()
         frames = self._receive()
         if self._sent:
@@ -182,7 +182,7 @@ class SharedBus:
         return frames
 
     def _tell(self, frames: list[Frame], now_s: float) -> None:
-        told = [frame for frame in frames if not frame.arb & (CAN_RTR | CAN_ERR)]  # socketcand has no others
+        told = [frame for frame in frames if not frame.arb & (CAN_RTR | CAN_ERR)]  # socketcand carries no others
         self.received += len(told)
         self.received_bytes += sum(len(frame.data) for frame in told)
         if self.raw and told:
@@ -196,7 +196,7 @@ class SharedBus:
             self._tell_watchers(told, now_s)
 
     def _tell_sent(self, frames: list[Frame], now_s: float) -> None:
-        """As `_tell`, with what clients sent, in order of time; nobody hears his own."""
+        """As `_tell`, merged in order of time with the clients' own frames, which their senders do not get."""
         sent, self._sent = self._sent, []
         authors = {id(frame): ear for frame, ear in sent}
         everything = sorted([*frames, *(frame for frame, _ in sent)], key=lambda frame: frame.t_ns)

@@ -1,11 +1,11 @@
-"""slcan over TCP: the text protocol of serial CAN adapters (Lawicel's CANUSB), for programs that know nothing better.
+"""slcan over TCP: the text protocol of serial CAN adapters (Lawicel's CANUSB), for programs without another one.
 
     client  O             \\r   open                        server  \\r
-    client  t12321122     \\r   send 123 with 11 22         server  \\r, or \\a where it means nothing
+    client  t12321122     \\r   send 123 with 11 22         server  \\r, or \\a for an unknown line
     server  T1FFFFFFF0    \\r   an extended frame without data
 
 The same text in, actions out as in delfim.canproxy.socketcand, whose actions these are. A connection has the one bus that its
-port stands for. Bit rates are the vehicle's: they are accepted and ignored. Neither remote frames, CAN FD nor time stamps.
+port stands for. Bit rates are the vehicle's: they are accepted and ignored. No remote frames, CAN FD or time stamps.
 """
 
 from collections.abc import Iterator
@@ -33,7 +33,7 @@ def raw_text(frame: Frame) -> bytes:
 
 
 class SlcanSession:
-    """One connection as the server sees it. `bus` is the name of the one that it is for."""
+    """One connection as the server sees it, to the bus of this name."""
 
     greeting, accepted, refused = b"", b"", REFUSED  # `O` is answered as every command
     opens_late = True  # a bridge to a serial port connects before a program opens the port
@@ -41,11 +41,11 @@ class SlcanSession:
 
     def __init__(self, bus: str) -> None:
         self.mode: Mode = "closed"
-        self.malformed = 0  # lines that meant nothing
+        self.malformed = 0  # unknown lines
         self._bus, self._rest, self._is_too_long = bus, b"", False
 
     def feed(self, data: bytes) -> Iterator[Action]:
-        """What these bytes ask for, in order. Never raises."""
+        """The actions that these bytes ask for, in order. Never raises."""
         *lines, self._rest = (self._rest + data.replace(b"\n", b"")).split(b"\r")
         for line in lines:
             try:

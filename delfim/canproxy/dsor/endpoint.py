@@ -1,5 +1,5 @@
 """Both ends of the DSOR protocol on a CAN socket, and the addresses of thesis 5.2.6. It never waits, and has neither thread nor
-task: whoever owns it calls `step`.
+task: its owner calls `step`.
 """
 
 import heapq
@@ -15,9 +15,9 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import FormatError, Refused
 from delfim.frames import Frame
 
-PRIORITY: Final = 0x80  # where nobody says which: in the middle
-ANY_ID: Final = -1  # to bind to: all segmented messages, whatever their identifier
-INBOX_MAX: Final = 64  # whole messages that wait to be taken; while so many wait no further one is begun
+PRIORITY: Final = 0x80  # the default: in the middle
+ANY_ID: Final = -1  # in `bind`: segmented messages of any identifier
+INBOX_MAX: Final = 64  # whole messages that wait to be taken; while this many wait, no new one is begun
 OUTBOX_MAX: Final = 256  # frames and broadcast messages that wait for the bus
 _FRAMES_PER_STEP: Final = 16  # in, and out: bounds one call on a flooded bus
 _FULL_RETRY_S: Final = 0.001  # the kernel has no event for room in an interface's queue
@@ -33,8 +33,8 @@ class CanSegm(NamedTuple):
 
 
 class CanPort(NamedTuple):
-    """`struct sockaddr_canport`: a message to a port of a node. The node is used as in CanSegm. The port that a message comes
-    from does not travel: a received message names its source node with the port that it came to."""
+    """`struct sockaddr_canport`: a message to a port of a node. The node is used as in CanSegm. The sending port is not
+    transmitted: a received message has its source node with the port that it came to."""
 
     port: int  # 16 bits: 512 * node + port number 0..511
     priority: int = PRIORITY
@@ -48,7 +48,7 @@ Address = CanSegm | CanPort
 
 
 def message_to(address: Address, source: int, data: bytes) -> Message:
-    """The message that says `data` to an address. Raises FormatError."""
+    """The message that carries `data` to an address. Raises FormatError."""
     if isinstance(address, CanSegm):
         return Message(address.priority, source, address.node, address.id, data)
     if not 0 <= address.port <= 0xFFFF:
@@ -57,15 +57,15 @@ def message_to(address: Address, source: int, data: bytes) -> Message:
 
 
 def source_of(message: Message) -> Address:
-    """Where a received message came from, such that a message to this address is an answer."""
+    """The address that an answer to a received message goes to."""
     if message.port is None:
         return CanSegm(message.priority, message.source, message.id)
     return CanPort(message.source << 9 | message.port & 511, message.priority)
 
 
 class Endpoint:
-    """Both ends of the protocol for one node, on a CAN socket of its own. Whoever owns it calls `step` when `can` is readable
-    and when `next_due_s` has come, and takes what is in `inbox` and `outcomes`.
+    """Both ends of the protocol for one node, on a CAN socket of its own. Its owner calls `step` when `can` is readable
+    and when `next_due_s` has come, and empties `inbox` and `outcomes`.
 
     inbox     whole messages; bounded, because headers are not answered while INBOX_MAX wait
     outcomes  how addressed messages ended, the latest `sending_max`
@@ -73,7 +73,7 @@ class Endpoint:
     """
 
     def __init__(self, can: CanSocket, node: int, sending_max: int = 64) -> None:
-        """Raises FormatError for a node that is none, BusError."""
+        """Raises FormatError for a node out of range, BusError."""
         if not 0 <= node < BROADCAST:
             raise FormatError(f"node {node} is outside 0..{BROADCAST - 1}")
         self.can, self.node = can, node
@@ -85,20 +85,20 @@ class Endpoint:
         self._outbox: list[tuple[int, bool, int, Iterator[Frame]]] = []
         """A heap: by priority; at the same one broadcast messages last, for a peer's patience is short; then first come."""
         self._serial = self._broadcasts = 0
-        self._held: Frame | None = None  # found the bus's queue full
+        self._held: Frame | None = None  # the frame that found the bus's queue full
         self._flush_s = inf
         can.setblocking(False)
         can.bind(CanAddress(*ack_filter(node)))
 
     def listen(self, wanted: Callable[[Message], bool]) -> None:
         """Receive the messages to this node and to everybody that are wanted; `wanted` sees them without data. Others are not
-        answered: somebody else on this node may want them. Raises BusError."""
+        answered: another program on this node may want them. Raises BusError."""
         self._wanted = wanted
         filters = (ack_filter(self.node), message_filter(destination=self.node), message_filter(destination=BROADCAST))
         self.can.bind(*(CanAddress(*each) for each in filters))
 
     def start(self, message: Message, now_s: float) -> None:
-        """Begin to send. Raises Refused where too many messages wait, FormatError, BusError."""
+        """Begin to send. Raises Refused if too many messages wait, FormatError, BusError."""
         if message.destination != BROADCAST:
             frames = iter(self._sender.start(message, now_s))
         else:
@@ -119,7 +119,7 @@ class Endpoint:
         return self._held is not None or bool(self._outbox)
 
     def step(self, now_s: float) -> None:
-        """Read what came, up to a bound, and send what is due. Raises BusError; the frame that it concerned is lost."""
+        """Read waiting frames, up to a bound, and send due ones. Raises BusError; the frame that caused it is lost."""
         try:
             for _ in range(_FRAMES_PER_STEP):
                 frame = self.can.receive()
@@ -150,7 +150,7 @@ class Endpoint:
 
     def _put(self, priority: int, is_broadcast: bool, frames: Iterator[Frame]) -> None:
         if len(self._outbox) >= OUTBOX_MAX:
-            self.errors["outbox full"] += 1  # whoever waits for an answer repeats
+            self.errors["outbox full"] += 1  # the other node repeats its frame
             return
         heapq.heappush(self._outbox, (priority, is_broadcast, self._serial, frames))
         self._serial += 1

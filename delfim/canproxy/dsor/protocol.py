@@ -49,7 +49,7 @@ class Outcome(NamedTuple):
     """How a message of a Sender ended."""
 
     message: Message
-    failure: str = ""  # empty: the destination has it, intact; otherwise why nobody knows whether it has
+    failure: str = ""  # empty: it was delivered intact; otherwise why that is not known
 
 
 # The arbitration field, from the top: priority 8, kind 2, source 7, destination 7, sequence 5, three flags.
@@ -103,7 +103,7 @@ def message_filter(source: int | None = None, destination: int | None = None) ->
 
 
 def ack_filter(node: int) -> tuple[int, int]:
-    """(arb, mask) for the acknowledgements to a node: what a Sender must hear. Raises FormatError."""
+    """(arb, mask) for the acknowledgements to a node, which a Sender must receive. Raises FormatError."""
     return dsor_arb(0, Kind.ACK, 0, node, 0), 0xFF << PRIORITY_AT | 0x7F << SOURCE_AT | 31 << SEQUENCE_AT
 
 
@@ -114,7 +114,7 @@ def segments(message: Message, number: int) -> list[Frame]:
 
 
 def iter_segments(message: Message, number: int) -> Iterator[Frame]:
-    """The same one by one, for who has no time to cut 65,535 bytes at once. Raises FormatError at once."""
+    """The same frames one by one, for callers that cannot spend the time on 65,535 bytes. Raises FormatError at once."""
     header, stream = encoded(message)
     arb = dsor_arb(message.priority, Kind.HEADER, message.source, message.destination, number & 31)
     body = arb & STREAM | BODY_FRAME

@@ -1,4 +1,4 @@
-"""The receiving end of the DSOR protocol: frames and time in, whole messages and acknowledgements out. Whoever owns the socket
+"""The receiving end of the DSOR protocol: frames and time in, whole messages and acknowledgements out. The owner of the socket
 feeds the frames and sends the replies.
 """
 
@@ -33,7 +33,7 @@ REASSEMBLY_TIMEOUT_S: Final = 1.0
 
 
 class _Assembly:
-    """A message of which the header was heard. `stream` begins with the header, as the CRC does."""
+    """A message whose header was received. `stream` begins with the header, as the CRC does."""
 
     __slots__ = ("announced", "answered", "header", "heard_s", "missing", "next", "number", "stream")
 
@@ -46,7 +46,7 @@ class _Assembly:
 
 
 class _Received(NamedTuple):
-    """The last message of a stream. While it is remembered, a header of it or of one of the 15 before it is a late one."""
+    """The last message of a stream. While it is remembered, its header or one of the 15 headers before it counts as late."""
 
     number: int
     header: bytes
@@ -57,13 +57,13 @@ class Receiver:
     """Puts messages to `node` and to everybody together. One per user of messages; several may serve one node.
 
     `accept` sees each announced message without its data and says whether it is received here; None receives all. A message
-    that is not accepted is not answered: somebody else on this node may want it.
+    that is not accepted is not answered: another program on this node may want it.
 
-    replies  acknowledgements that the caller sends, at most 64; when they are not taken the oldest is lost
+    replies  acknowledgements that the caller sends, at most 64; if the caller does not take them the oldest is lost
     errors   reason in words -> count
 
-    Memory is bounded: `open_max` messages under way, each of at most 64 KiB; the one that is silent for longest makes
-    room for a new one.
+    Memory is bounded: `open_max` messages under way, each of at most 64 KiB; a new one replaces the one that is silent
+    for longest.
     """
 
     def __init__(
@@ -91,7 +91,7 @@ class Receiver:
         return bool(self._open)
 
     def feed(self, frame: Frame, now_s: float) -> Message | None:
-        """The message that this frame completes. Never raises; frames of no concern are passed over."""
+        """The message that this frame completes. Never raises; other frames are ignored."""
         arb = frame.arb
         kind = arb & FRAME_TYPE
         if kind == BODY_FRAME:
@@ -137,7 +137,7 @@ class Receiver:
         is_late = last is not None and last.number - number & 31 < 16
         if not accepted:
             if not is_late:
-                self._last.pop(stream, None)  # what follows on this stream is for somebody else
+                self._last.pop(stream, None)  # the next frames on this stream are for another node
         elif assembly and (number, header) == (assembly.number, assembly.header) and (assembly.answered or not assembly.next):
             assembly.heard_s = now_s
             self._acknowledge(arb, Ack.HEADER, number, assembly.next)
@@ -171,7 +171,7 @@ class Receiver:
         return Message(priority, source, destination, identifier, data, t_ns, port, address)
 
     def _misplaced(self, arb: int, assembly: _Assembly) -> None:
-        """A body frame that is not the one that is due: repeated, too long or short, late, or the one before it was lost."""
+        """A body frame other than the expected one: repeated, too long or short, late, or after a lost one."""
         sequence = arb >> SEQUENCE_AT & 31
         if assembly.next and sequence == assembly.next - 1 & 31:
             self.errors["duplicate"] += 1
@@ -179,7 +179,7 @@ class Receiver:
         elif sequence == assembly.next & 31:
             self._drop(arb & STREAM, "wrong length")
         elif assembly.answered:
-            self.errors["out of order"] += 1  # delayed on its way; the sender repeats what is due
+            self.errors["out of order"] += 1  # delayed on its way; the sender repeats the expected one
         else:
             self._drop(arb & STREAM, "out of order")
 
@@ -201,7 +201,7 @@ class Receiver:
         self._acknowledge(stream | number << SEQUENCE_AT, Ack.REFUSED, number, 0)
 
     def _acknowledge(self, arb: int, kind: Ack, number: int, segment: int) -> None:
-        """`segment` is the index of the one that is wanted next."""
+        """`segment` is the index of the next expected segment."""
         if is_broadcast(arb):
             return
         if len(self.replies) == self.replies.maxlen:

@@ -1,4 +1,4 @@
-"""The sending end of the DSOR protocol: messages, acknowledgements and time in, frames out. Whoever owns the socket sends the
+"""The sending end of the DSOR protocol: messages, acknowledgements and time in, frames out. The socket's owner sends the
 frames and feeds the acknowledgements.
 """
 
@@ -69,9 +69,9 @@ class _Transfer:
 
 class MessageSender:
     """Sends messages of `node`, each frame after the acknowledgement of the one before. Messages of different priority or to
-    different nodes travel side by side, those of the same wait for each other.
+    different nodes travel side by side, others wait for each other.
 
-    A broadcast message is not acknowledged: `start` returns all of its frames, and that is that.
+    A broadcast message is not acknowledged: `start` returns all of its frames, and nothing follows.
 
     outcomes  how each addressed message ended, to be taken after each call; the latest `queue_max`
     """
@@ -95,7 +95,7 @@ class MessageSender:
         return min((queue[0].due_s for queue in self._streams.values()), default=math.inf)
 
     def start(self, message: Message, now_s: float) -> list[Frame]:
-        """Takes a message; returns what is to be sent now. Raises Refused when `queue_max` messages are under way or waiting,
+        """Takes a message; returns the frames to send now. Raises Refused when `queue_max` messages are under way or waiting,
         FormatError for a message that does not fit or of another node."""
         if message.source != self._node:
             raise FormatError(f"node {self._node:#04x} does not send messages of node {message.source:#04x}")
@@ -110,7 +110,7 @@ class MessageSender:
         return [self._begin(stream, transfer, now_s)] if len(queue) == 1 else []
 
     def feed(self, frame: Frame, now_s: float) -> list[Frame]:
-        """What is to be sent after an acknowledgement. Never raises; other frames are passed over."""
+        """The frames to send after an acknowledgement. Never raises; other frames are ignored."""
         queue = self._streams.get(frame.arb & STREAM)
         if queue is None or frame.arb & FRAME_TYPE != ACK_FRAME or len(frame.data) != ACK_DATA.size:
             return []
@@ -124,10 +124,10 @@ class MessageSender:
         if kind == Ack.BODY and not waiting_header and segment == transfer.segment + 1:
             if segment < transfer.count:
                 return [self._send(transfer, segment, now_s)]
-            return self._restart(transfer, now_s)  # the receiver awaits more: it heard another header
+            return self._restart(transfer, now_s)  # the receiver expects more: it received another header
         if kind == Ack.COMPLETE and segment == transfer.count and transfer.whole:
             return self._end(transfer, "", now_s)
-        if kind == Ack.COMPLETE and waiting_header and not transfer.whole:  # the number is one of before this node was started
+        if kind == Ack.COMPLETE and waiting_header and not transfer.whole:  # the number is from before this node was started
             self._numbers[frame.arb & STREAM] = transfer.number = transfer.number + 16 & 31
             return self._restart(transfer, now_s)
         if kind == Ack.REFUSED and not waiting_header:

@@ -1,4 +1,4 @@
-"""Sockets for DSOR messages (thesis 5.2.6) over any CAN socket: a blocking face for programs, one for an asyncio loop.
+"""Sockets for DSOR messages (thesis 5.2.6) over any CAN socket: a blocking one for programs, one for an asyncio loop.
 
 `DsorSocket` is used like a UDP socket: bind, connect, sendto, recvfrom. `DsorTransport` calls back. There is no thread and no
 task: a blocking socket answers the bus while a call of it is under way, and at no other time.
@@ -22,14 +22,14 @@ from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanSocket
 from delfim.errors import BusError, Refused
 
-REBIND_S: Final = 1.0  # a bus that failed is looked after so often
+REBIND_S: Final = 1.0  # pause between attempts to reopen a bus that failed
 
 
 class DsorSocket:
     """A socket for messages of one node, blocking unless told otherwise; the calls mean what they mean for UDP.
 
-    An addressed message is *delivered* when `sendto` returns: the other node has it whole and intact. Where that cannot be
-    said, BusError tells why. Broadcast messages are on their way to the bus then, and nobody knows who hears them.
+    An addressed message is *delivered* when `sendto` returns: the other node has it whole and intact. If that is not
+    known, BusError tells why. Broadcast messages are then only queued for the bus; nothing tells who receives them.
     With MSG_DONTWAIT, a time-out of 0, or after TimeoutError, a message stays under way: it goes on while later calls run,
     and its end is in `outcomes`.
 
@@ -72,8 +72,8 @@ class DsorSocket:
         return self.sendto(data, self._peer, flags)
 
     def sendto(self, data: bytes, address: Address, flags: int = 0) -> int:
-        """Send 0 to 65,535 bytes; returns their number. Raises FormatError for what does not fit, BusError with the reason
-        where the message was not acknowledged, TimeoutError, BlockingIOError where too many messages are under way."""
+        """Send 0 to 65,535 bytes; returns their number. Raises FormatError if it does not fit, BusError with the reason
+        if it was not acknowledged, TimeoutError, BlockingIOError if too many messages are under way."""
         message = message_to(address, self.node, data)
         deadline_s = self._deadline_s(flags)
         self.step()
@@ -110,15 +110,15 @@ class DsorSocket:
         return self._end.inbox.popleft()
 
     def step(self) -> float:
-        """What can be done without waiting; for a program with a loop of its own, which calls it when `fileno` is readable and
-        after so many seconds as it returns. Raises BusError."""
+        """Do what needs no waiting. A program with a loop of its own calls it when `fileno` is readable and after the
+        number of seconds that it returns. Raises BusError."""
         now_s = time.monotonic()
         self._end.step(now_s)
         self._collect(None)
         return max(0.0, self._end.next_due_s - now_s)
 
     def rebind(self) -> bool:
-        """Take up a bus that failed. True when it can be used."""
+        """Reopen a bus that failed. True when it can be used."""
         return self._end.can.rebind()
 
     def setblocking(self, flag: bool) -> None:
@@ -178,7 +178,7 @@ class DsorTransport:
     on_message  called with each whole message that `wanted` accepted
     on_outcome  called with the end of each addressed message
 
-    A bus that fails is counted in `errors` and taken up again; what was under way then is told by its outcome.
+    A failed bus is counted in `errors` and reopened; the outcomes report the messages under way.
     """
 
     def __init__(
@@ -202,7 +202,7 @@ class DsorTransport:
         loop.add_reader(can.fileno(), self._step)
 
     def send(self, message: Message) -> None:
-        """Begin to send a message of this node. Raises Refused where too many wait, FormatError."""
+        """Begin to send a message of this node. Raises Refused if too many wait, FormatError."""
         try:
             self._end.start(message, self._loop.time())
         except BusError:
@@ -210,7 +210,7 @@ class DsorTransport:
         self._arm()
 
     def close(self) -> None:
-        """Nothing is called any more; what was under way is forgotten."""
+        """Stop all callbacks; messages under way are dropped."""
         self._loop.remove_reader(self._end.can.fileno())
         if self._timer:
             self._timer.cancel()
@@ -235,7 +235,7 @@ class DsorTransport:
             self._rebind_s = self._loop.time() + REBIND_S
 
     def _arm(self) -> None:
-        """The timer may ring too early, which is harmless, but never too late."""
+        """The timer may fire too early, which is harmless, but never too late."""
         due_s = min(self._end.next_due_s, self._rebind_s)
         if self._timer:
             if self._timer.when() <= due_s:

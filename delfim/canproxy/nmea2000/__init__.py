@@ -5,5 +5,5 @@ destination in their low byte; the ones read here are all broadcast. Messages of
 fast packets. Field layouts are those documented by the canboat project; the largest three values of a field mean not
 available, error and reserved, and all arrive as None.
 
-What this does not do: claim an address, answer requests, or send anything by itself. It listens.
+It only listens: it claims no address, answers no requests and sends nothing.
 """

@@ -1,4 +1,4 @@
-"""Which of several devices on an NMEA 2000 bus is believed."""
+"""Chooses which of several devices on an NMEA 2000 bus is used."""
 
 from typing import Generic, TypeVar
 
@@ -6,7 +6,7 @@ T = TypeVar("T")
 
 
 class Newest(Generic[T]):
-    """The newest value of one kind from each address, and whose counts: the first of the preferred addresses whose value is
+    """The newest value of one kind from each address, and the chosen address: the first preferred one whose value is
     fresh; else the present one while it is fresh; else the lowest fresh address. At most 256 addresses exist."""
 
     def __init__(self, preferred: tuple[int, ...], limit_s: float) -> None:
@@ -15,14 +15,14 @@ class Newest(Generic[T]):
         self._order: tuple[int, ...] = preferred  # preferred, then the present one
 
     def put(self, address: int, value: T | None, now_s: float) -> None:
-        """None: the source says that it does not know, which ends what it said before."""
+        """File a value. None: the source says that it has none, which cancels its last value."""
         if value is None:
             self._values.pop(address, None)
         else:
             self._values[address] = value, now_s
 
     def choose(self, now_s: float) -> int | None:
-        """The address that counts now, None when none is fresh."""
+        """The address chosen now, None when none is fresh."""
         values, oldest_s = self._values, now_s - self._limit_s
         for address in self._order:
             held = values.get(address)
@@ -37,7 +37,7 @@ class Newest(Generic[T]):
         return address
 
     def get(self, now_s: float) -> T | None:
-        """The value that counts now."""
+        """The value of the chosen address."""
         address = self.choose(now_s)
         return None if address is None else self._values[address][0]
 

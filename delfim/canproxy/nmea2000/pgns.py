@@ -10,7 +10,7 @@ from delfim.errors import FormatError
 from delfim.frames import Frame, extended
 
 TAU: Final = math.tau
-ADDRESS_MAX: Final = 251  # 252 and 253 are reserved, 254 cannot claim an address, 255 is everybody
+ADDRESS_MAX: Final = 251  # 252 and 253 are reserved, 254 has no address, 255 is broadcast
 
 SYSTEM_TIME: Final = 126992
 HEADING: Final = 127250
@@ -58,7 +58,7 @@ class GnssPosition(NamedTuple):
 
 
 class VesselHeading(NamedTuple):
-    """PGN 127250, usually 10 Hz, 1e-4 rad: what the sensor reads, and what to add to it."""
+    """PGN 127250, usually 10 Hz, 1e-4 rad: the sensor's reading, and the corrections to add."""
 
     heading_rad: float | None  # 0..2 pi
     deviation_rad: float | None  # east positive; sensor to magnetic
@@ -75,7 +75,7 @@ class RateOfTurn(NamedTuple):
 class Attitude(NamedTuple):
     """PGN 127257, usually 1 Hz, 1e-4 rad; pitch positive bow up, roll positive starboard down."""
 
-    yaw_rad: float | None  # of no stated reference: never used as a heading
+    yaw_rad: float | None  # its reference is not stated: never used as a heading
     pitch_rad: float | None
     roll_rad: float | None
 
@@ -99,7 +99,7 @@ _DEGREES_1E7: Final = math.radians(1e-7)
 _DEGREES_1E16: Final = math.radians(1e-16)
 _RATE_RADPS: Final = 1e-6 / 32
 _DAY_NS: Final = 86_400_000_000_000
-_I16, _I32, _I64 = 0x7FFF, 0x7FFFFFFF, 0x7FFFFFFFFFFFFFFF  # not available; two less is the first value without meaning
+_I16, _I32, _I64 = 0x7FFF, 0x7FFFFFFF, 0x7FFFFFFFFFFFFFFF  # not available; the first reserved value is two less
 _U16, _U32 = 0xFFFF, 0xFFFFFFFF
 _CIRCLE: Final = 62_832  # 2 pi in 1e-4 rad, rounded up: some senders do not wrap before they round
 _REFERENCES: Final = (NorthReference.TRUE, NorthReference.MAGNETIC, None, None)
@@ -115,7 +115,7 @@ def _signed(raw: int, unavailable: int, limit: int, unit: float, name: str) -> f
 
 
 def _circle(raw: int, name: str) -> float | None:
-    """A field of 0..2 pi in 1e-4 rad. Raises FormatError for what is no angle."""
+    """A field of 0..2 pi in 1e-4 rad. Raises FormatError beyond that."""
     if raw < _CIRCLE:
         return raw * 1e-4
     if raw == _CIRCLE:
@@ -294,7 +294,7 @@ def decode(pgn: int, data: bytes) -> Message:
 
 def encode(message: Message, source: int, sequence: int = 0) -> list[Frame]:
     """The frames of a message as the device at address `source` sends them: one, or the seven of a fast packet with the
-    sequence number 0..7 (one up each message). Values that `decode` would not take are sent as not available. Raises
+    sequence number 0..7 (one up each message). Values that `decode` would refuse are sent as not available. Raises
     FormatError for an address outside 0..251."""
     if not 0 <= source <= ADDRESS_MAX:
         raise FormatError(f"address {source} is outside 0..{ADDRESS_MAX}")

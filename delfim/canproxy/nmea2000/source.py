@@ -1,4 +1,4 @@
-"""A navigation source made of an NMEA 2000 bus: each kind of data has its device and its age (docs/nmea2000.md)."""
+"""Navigation from an NMEA 2000 bus: each kind of data has its device and its age (docs/nmea2000.md)."""
 
 import math
 from collections import Counter
@@ -28,14 +28,14 @@ from delfim.errors import FormatError
 from delfim.frames import CAN_IDE, Frame, extended
 from delfim.messages import Navigation
 
-# Limits of age for kinds that a healthy bus carries less often than positions; all others are held to the vehicle's `stale_s`.
+# Limits of age for kinds that a healthy bus carries less often than positions; all others have the vehicle's `stale_s`.
 SLOW_S: Final = 2.5  # attitude, GNSS quality and time come once a second
 VARIATION_S: Final = 60.0  # some devices send it every ten seconds, and it changes by a minute of arc in a day's sail
-STANDSTILL_MPS: Final = 0.1  # receivers name no course at rest; an unknown course at up to this speed is a velocity of zero
+STANDSTILL_MPS: Final = 0.1  # receivers give no course at rest; an unknown course up to this speed means zero velocity
 
 
 class KindStatus(NamedTuple):
-    """Who is believed for one kind of data. None, None: nobody (for variation: the vehicle's file)."""
+    """The device used for one kind of data. None, None: no device (for variation: the vehicle's file)."""
 
     source: int | None
     age_s: float | None
@@ -61,14 +61,14 @@ class _Quality(NamedTuple):
     hdop: float | None
 
 
-# delfim.messages.Navigation.fix by GNSS method. What is reckoned, typed in or simulated is no fix: it must not drive a boat.
+# delfim.messages.Navigation.fix by GNSS method. Reckoned, typed or simulated positions are no fix: none may drive a boat.
 _FIX: Final = {1: 3, 2: 4, 3: 3, 4: 5, 5: 6}
-_UNSTATED: Final = _Quality(2, 0, None)  # a position of which nothing else is said has two dimensions
+_UNSTATED: Final = _Quality(2, 0, None)  # a position without quality data counts as two-dimensional
 
 
 class Nmea2000Source:
-    """A navigation source made of an NMEA 2000 bus. Each kind of data has a chosen source and an age of its own; what is older
-    than its limit is None in the message. Limits: `stale_s`; attitude, quality and time at least `SLOW_S`; variation
+    """A navigation source made of an NMEA 2000 bus. Each kind of data has a chosen source and an age of its own; a value
+    older than its limit is None in the message. Limits: `stale_s`; attitude, quality and time at least `SLOW_S`; variation
     `VARIATION_S`. The rules are in docs/nmea2000.md."""
 
     # (arb, mask) to bind a socket to, set mask bits = don't care: the PGNs read here, at any priority, from any address.
@@ -79,7 +79,7 @@ class Nmea2000Source:
         self._configured_variation_rad = math.radians(settings.variation_deg)
         self._stale_s = stale_s
         self._position: Newest[tuple[float, float]] = Newest(preferred, stale_s)
-        self._talking: Newest[bool] = Newest(preferred, stale_s)  # says something of position, if only that it has none
+        self._talking: Newest[bool] = Newest(preferred, stale_s)  # sends positions, even if only to say that it has none
         self._velocity: Newest[tuple[float, float]] = Newest(preferred, stale_s)
         self._heading: Newest[float] = Newest(preferred, stale_s)
         self._rate: Newest[float] = Newest(preferred, stale_s)
@@ -106,7 +106,7 @@ class Nmea2000Source:
 
     def feed(self, frame: Frame, now_s: float) -> Navigation | None:
         """A navigation message when this frame brings a new position of the chosen source, with the newest of everything
-        else. While no source has a position, the source that says so is passed on: position None, fix 0. Never raises."""
+        else. While no source has a position, the message has position None and fix 0. Never raises."""
         arb, data = frame.arb, frame.data
         if arb & 7 != CAN_IDE:
             self._errors["not an extended data frame"] += 1
@@ -170,7 +170,7 @@ class Nmea2000Source:
     def _place(
         self, address: int, latitude_rad: float | None, longitude_rad: float | None, t_ns: int, now_s: float
     ) -> Navigation | None:
-        """A position, or the word of a receiver that it has none: the navigation message if the address is the chosen one."""
+        """File a position, or a receiver's report that it has none; returns the message if the address is the chosen one."""
         quality = self._quality.of(address, now_s) or _UNSTATED
         position = None
         if latitude_rad is not None and longitude_rad is not None and quality.fix:
@@ -203,7 +203,7 @@ class Nmea2000Source:
         )
 
     def _true_heading(self, address: int, h: VesselHeading, now_s: float) -> float | None:
-        """Sensor + deviation = magnetic, + variation = true; the compass' own variation first."""
+        """Sensor + deviation = magnetic, + variation = true; the compass's own variation first."""
         if h.heading_rad is None or h.reference is None:
             return None
         if h.reference is NorthReference.TRUE:
@@ -233,14 +233,14 @@ class Nmea2000Source:
         self._time.put(address, None if utc_ns is None else utc_ns - round(now_s * 1e9), now_s)
 
     def _utc_ns(self, address: int, t_ns: int, now_s: float) -> int:
-        """The bus' time now, by the source of the position if it tells the time; else this computer's stamp of the frame."""
+        """The bus's time now, by the source of the position if it tells the time; else this computer's stamp of the frame."""
         offset_ns = self._time.of(address, now_s)
         if offset_ns is None:
             offset_ns = self._time.get(now_s)
         return t_ns if offset_ns is None else offset_ns + round(now_s * 1e9)
 
     def status(self, now_s: float) -> SourceStatus:
-        """Who is believed, who talks, what was refused: for the statistics page."""
+        """Devices used, devices heard and refused messages, for the statistics page."""
         kinds = {}
         for name, newest in self._kinds.items():
             chosen = newest.choose(now_s)
