@@ -1,1 +1,1 @@
-"""The boat without the boat: a model of the hull, the other CAN nodes, a guest computer, lock-step and live simulation."""
+"""Simulation of the boat: a model of the hull, the other CAN nodes, a guest computer, in lock step and in real time."""

@@ -1,7 +1,7 @@
-"""Where a simulated boat lies: its number, folder, bus, ports and boat's number, none of them shared with another simulation.
+"""The berth of a simulated boat: its number, folder, bus, ports and boat's number, none of them shared with another one.
 
-The first simulation of a computer has what the vehicle's file says. The next ones have numbers: a folder `run/sim-2`, a bus
-`canloop:can0-2`, ports ten above. A port that any other program has is passed over. What the operator named himself is taken
+The first simulation of a computer uses the values of the vehicle's file. The next have numbers: a folder `run/sim-2`, a bus
+`canloop:can0-2`, ports ten above. A port that another program uses is skipped. A value that the operator gave is taken
 as it is.
 """
 
@@ -22,12 +22,12 @@ from delfim.errors import DelfimError
 
 SIMULATED: Final = "run/sim"  # the folder of the first one
 NUMBERS: Final = 20  # simulations on one computer at most
-PORTS: Final = 10  # that lie between those of two simulations
+PORTS: Final = 10  # distance between the ports of two simulations
 PAGE, BOATS = "127.0.0.1:8765", "127.0.0.1:14550"  # of the console, where it is free
 
 
 class Berth:
-    """What one simulation has for itself."""
+    """The resources of one simulation."""
 
     def __init__(self, number: int, folder: Path) -> None:
         self.number, self.folder = number, folder
@@ -45,12 +45,12 @@ class Berth:
         return wanted
 
     def interface(self, wanted: str) -> str:
-        """The bus of this simulation; one of the kernel is as it is named."""
+        """The bus of this simulation; a kernel interface keeps its name."""
         return f"{wanted}-{self.number}" if self.number > 1 and wanted.startswith("canloop:") else wanted
 
 
 class BerthSettings(NamedTuple):
-    """A simulated boat's overrides of its file, and what of them people are told."""
+    """A simulated boat's overrides of its file, and the part of them that is shown."""
 
     overrides: list[str]
     boat_id: int
@@ -59,8 +59,8 @@ class BerthSettings(NamedTuple):
 
 @contextlib.contextmanager
 def berth(folder: str | None) -> Iterator[Berth]:
-    """The next free one, as long as the context lasts; in this folder, or in one after its number. Raises DelfimError where
-    the folder is another simulation's."""
+    """The next free berth, held as long as the context lasts; in this folder, or in one named by its number. Raises DelfimError
+    if another simulation has the folder."""
     with contextlib.ExitStack() as held:
         for number in count(1):
             if number > NUMBERS:
@@ -121,7 +121,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
 
 
 def found(folder: str | None) -> Path:
-    """The folder of the simulation that is meant. Raises DelfimError where several run and none was named."""
+    """The folder of the running simulation. Raises DelfimError if several run and none was named."""
     if folder is not None:
         return Path(folder)
     running = [place for place in folders() if _answers(place / "command")]
@@ -131,14 +131,14 @@ def found(folder: str | None) -> Path:
 
 
 def folders() -> list[Path]:
-    """Those of all simulations of this folder, whether they run or not."""
+    """The folders of all simulations below this one, running or not."""
     there = [place for place in Path(SIMULATED).parent.glob("sim*") if re.fullmatch("sim(-[0-9]+)?", place.name)]
     return sorted(there, key=lambda place: (len(place.name), place.name))
 
 
 @contextlib.contextmanager
 def _numbered(number: int) -> Iterator[bool]:
-    """Whether the number was free. It is a name in the network of this computer, as buses and ports are, and ends with us."""
+    """Whether the number was free. It is a name in this computer's network namespace, released when the program ends."""
     with socket.socket(socket.AF_UNIX) as name:
         try:
             name.bind(f"\0delfim simulation {number}")
@@ -150,7 +150,7 @@ def _numbered(number: int) -> Iterator[bool]:
 
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[bool]:
-    """Whether nobody else has the folder, which is made. Raises OSError."""
+    """Make the folder; whether it is free. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     handle = os.open(folder / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
     try:
@@ -163,10 +163,10 @@ def _locked(folder: Path) -> Iterator[bool]:
 
 
 def _is_free(host: str, port: int, kind: int) -> bool:
-    """Where anything else is wrong with the address, who wants it says so."""
+    """Whether the port is free. Other faults of the address are reported by its user."""
     with socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, kind) as door:
         if kind == socket.SOCK_STREAM:
-            door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # connections that linger are no neighbours
+            door.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)  # lingering connections do not occupy the port
         try:
             door.bind((host, port))
         except OSError as error:

@@ -1,7 +1,7 @@
 """Faults by command, `delfim fault`: a datagram of JSON over a local socket, answered with a line of words.
 
 Two programs listen in the run directory: that of the nodes, and, where the vehicle's file says `simulation.faults`, the boat's
-own, for what breaks around its loop: the log, the guest, the operator's words.
+own, for faults around its loop: the log, the guest, the operator's commands.
 """
 
 import asyncio
@@ -21,9 +21,9 @@ from delfim.simulator.faults import ABOARD, Broken, FaultyGuest, FaultyLog, faul
 from delfim.vehicle.state import State, StateLog
 
 ANSWER_S: Final = 2.0
-WORDS_BYTES: Final = 1024  # of a request to break something
+WORDS_BYTES: Final = 1024  # of a request for a fault
 TICK_S: Final = 0.1
-BOAT, NODES = "faults", "nodes"  # who listens: the names of their sockets
+BOAT, NODES = "faults", "nodes"  # the names of the sockets of both programs
 
 
 def place(settings: config.Vehicle, name: str) -> str:
@@ -32,17 +32,17 @@ def place(settings: config.Vehicle, name: str) -> str:
 
 
 def tell(settings: config.Vehicle, kind: str, where: str = "", value: float | None = None, for_s: float | None = None) -> str:
-    """Ask a running simulation to break; what it says. Raises Refused with its reason, DelfimError where nobody listens."""
+    """Ask a running simulation for a fault; returns its answer. Raises Refused with its reason, DelfimError if none runs."""
     words = json.dumps({"kind": kind, "where": where, "value": value, "for_s": for_s}).encode()
     if kind == "end":
-        with contextlib.suppress(DelfimError):  # the nodes alone, on a bus with something else
+        with contextlib.suppress(DelfimError):  # only the nodes run, with another vehicle on the bus
             _told(place(settings, BOAT), words)
     return _told(place(settings, BOAT if kind in ABOARD else NODES), words)
 
 
 def _told(path: str, words: bytes) -> str:
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:
-        asking.bind("")  # an address of the kernel's choice, so that the answer finds back
+        asking.bind("")  # the kernel chooses an address for the answer
         asking.settimeout(ANSWER_S)
         try:
             asking.sendto(words, path)
@@ -69,7 +69,7 @@ def listening(path: str) -> Iterator[socket.socket]:
 
 
 def obey(requests: socket.socket, broken: Broken, name: str, clock: Clock) -> None:
-    """All requests that wait. Nothing that comes in raises."""
+    """Handle all waiting requests. Bad ones do not raise."""
     while True:
         try:
             data, sender = requests.recvfrom(WORDS_BYTES)
@@ -79,7 +79,7 @@ def obey(requests: socket.socket, broken: Broken, name: str, clock: Clock) -> No
             answer = {"ok": True, "text": _break(broken, name, data, clock.monotonic_s())}
         except FormatError as error:
             answer = {"ok": False, "text": str(error)}
-        with contextlib.suppress(OSError):  # gone, or does not read
+        with contextlib.suppress(OSError):  # the sender is gone, or does not read
             requests.sendto(json.dumps(answer).encode(), sender)
 
 
@@ -102,7 +102,7 @@ def _break(broken: Broken, name: str, data: bytes, now_s: float) -> str:
 
 
 class Aboard(Broken):
-    """What breaks in the boat's own program. Used where the program runs on a desk, within a running event loop."""
+    """Faults in the boat's own program. Used ashore, within a running event loop."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
         super().__init__()
@@ -133,5 +133,5 @@ class Aboard(Broken):
 
     @property
     def deaf(self) -> str | None:
-        """Why the operator is not heard; None: he is."""
+        """Why the operator's commands are not heard; None: they are."""
         return "not heard: console_lost" if "console_lost" in self.on else None

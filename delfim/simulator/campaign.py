@@ -1,7 +1,7 @@
-"""Campaigns: many short runs of mixed faults, drawn from a seed, watched for what must never happen.
+"""Campaigns: many short runs of mixed faults, drawn from a seed, checked against the invariants of `watch`.
 
-A run is an ordinary afternoon gone wrong: a boat with a fence and a mission, an operator who goes to and fro, and up to five
-faults that come, overlap and mostly go.
+A run has a boat with a fence and a mission, an operator who changes his mind, and up to five faults that begin, overlap and
+mostly end.
 """
 
 import math
@@ -18,8 +18,8 @@ from delfim.simulator.scenario import FaultAt, Scenario, ScenarioGuest, settings
 from delfim.simulator.trial import Result, sail
 
 MIXED: Final = "mixed"
-START_S, QUIET_S = 8.0, 15.0  # nothing breaks before all is well, and the last faults are over before the end
-HALF_M: Final = 65.0  # of the fence's sides from where the boat starts
+START_S, QUIET_S = 8.0, 15.0  # no fault before the boat is ready, nor at the end
+HALF_M: Final = 65.0  # distance of the fence's sides from the start
 
 
 def mixed(seed: int, here: config.Simulation) -> Scenario:
@@ -51,7 +51,7 @@ def mixed(seed: int, here: config.Simulation) -> Scenario:
 
 
 def _place(here: config.Simulation, north_m: float, east_m: float) -> list[float]:
-    """[latitude_deg, longitude_deg] of a point so far from where the boat starts."""
+    """[latitude_deg, longitude_deg] of a point at this distance from the start."""
     at = geodesy.origin(math.radians(here.latitude_deg), math.radians(here.longitude_deg))
     return [round(math.degrees(angle), 7) for angle in geodesy.from_plane(at, north_m, east_m)]
 
@@ -64,7 +64,7 @@ def _mission(here: config.Simulation) -> str:
 
 
 def _orders(random: Random, seconds: float, place: Callable[[float, float], list[float]]) -> list[dict[str, Any]]:
-    """An operator who wants something else each half minute; being refused is in order."""
+    """An operator who gives another command each half minute; refusals are allowed."""
     orders: list[dict[str, Any]] = []
     at_s = START_S / 2
     while at_s < seconds - 5.0:
@@ -94,7 +94,7 @@ def _fault(random: Random, seconds: float) -> FaultAt:
 
 
 def sail_mixed(vehicle: str | Path, seed: int, overrides: tuple[str, ...] = ()) -> Result:
-    """The run of a seed with a vehicle's file. Raises ConfigError. That an order is refused is no failure here."""
+    """The run of a seed with a vehicle's file. Raises ConfigError. A refused order is not a failure here."""
     here = config.load(vehicle, overrides).simulation
     scenario = mixed(seed, here)
     return sail(scenario, settings_of(scenario, vehicle, overrides), seed, _mission(here), patient=False)

@@ -2,7 +2,7 @@
 
 python -m delfim.simulator.dryrun FILE [--set KEY=VALUE]... reads a mission's text from standard input and prints one JSON
 object: `end` in words, `well`, `time_s`, `distance_m`, `track` as [latitude_deg, longitude_deg] once a second or less often. A
-process of its own, so that who asked does not wait: an hour's mission takes four seconds.
+process of its own, so that the caller need not wait: an hour's mission takes four seconds.
 """
 
 import argparse

@@ -1,7 +1,7 @@
 """A model in another program, in any language, over UDP (thesis 3.6.2, figure 3-16).
 
-The other program sends where the boat is and how it moves, whenever it likes; each datagram is answered with what the
-propellers do now. Motors, batteries and all CAN nodes stay ours, so the vehicle is the same as ever.
+The other program sends position and motion of the boat, at any time; the answer to each datagram is the present state of the
+propellers. Motors, batteries and all CAN nodes stay in this program, so the vehicle sees no difference.
 `docs/external-model.md` has the protocol and an example that a test runs.
 """
 
@@ -18,7 +18,7 @@ from delfim.geodesy import origin
 from delfim.outside import UNREADABLE
 from delfim.simulator.model import Hull, Model
 
-SILENT_S = 1.0  # a model that says nothing for so long is as sensors that say nothing
+SILENT_S = 1.0  # a model silent for longer counts as silent sensors
 DATAGRAMS = 16  # taken at once
 
 Finite = Annotated[float, msgspec.Meta(gt=-1e7, lt=1e7)]
@@ -39,7 +39,7 @@ _decode = msgspec.json.Decoder(Moved).decode
 
 
 class ExternalModel(Model):
-    """The world as another program tells it. `listen` is HOST:PORT; raises DelfimError where it cannot be had."""
+    """The world modelled by another program. `listen` is HOST:PORT; raises DelfimError if it cannot be bound."""
 
     def __init__(self, hull: Hull, clock: Clock, listen: str, latitude_rad: float, longitude_rad: float) -> None:
         super().__init__(hull, Sea(), 0, latitude_rad, longitude_rad, 0.0)
@@ -59,22 +59,22 @@ class ExternalModel(Model):
         return self._clock.monotonic_s() - self._heard_s < SILENT_S
 
     def fileno(self) -> int:
-        """Readable when the other program spoke: `listen` then."""
+        """Readable when the other program sent: call `listen` then."""
         return self._socket.fileno()
 
     def advance(self, dt_s: float) -> None:
-        """Only motors and batteries are ours."""
+        """Advance motors and batteries, the only parts modelled here."""
         self._turn(self.starboard, dt_s)
         self._turn(self.port, dt_s)
         self.time_s += dt_s
         self.listen()
 
     def listen(self) -> None:
-        """Take what the other program sent, and answer it. What means nothing is counted."""
+        """Take the other program's datagrams and answer them. Malformed ones are counted."""
         for _ in range(DATAGRAMS):
             try:
                 data, peer = self._socket.recvfrom(2048)
-            except OSError:  # nothing more; or nobody heard our last answer
+            except OSError:  # no more datagrams; or the last answer was not received
                 return
             try:
                 self._take(_decode(data))

@@ -1,7 +1,7 @@
-"""Faults by command: what breaks on a boat, put into the modelled nodes, their bus, and, in lock step, everything around.
+"""Faults by command: failures of a boat, put into the modelled nodes, their bus, and, in lock step, everything around.
 
-`Faults` stands between the nodes and whoever steps them, and looks like the nodes. Without a fault it only passes on. Chance is
-drawn from its own seed, so the same faults at the same times give the same bytes.
+`Faults` wraps the nodes and has their interface. Without a fault it only passes calls on. Random numbers come
+from its own seed, so the same faults at the same times give the same bytes.
 """
 
 import math
@@ -49,7 +49,7 @@ WHERE: Final = {
     **dict.fromkeys(("sensor_bad", "sensor_silent"), SENSORS),
     **dict.fromkeys(("thruster_dead", "thruster_stuck", "thruster_reversed", "battery_sag"), SIDES),
 }
-VALUES: Final = {  # default, and what it is
+VALUES: Final = {  # default, and its meaning
     "navigation_jumping": (40.0, "metres to the north"),
     "frames_dropped": (0.3, "part of all frames"),
     "frames_duplicated": (0.3, "part of all frames"),
@@ -58,12 +58,12 @@ VALUES: Final = {  # default, and what it is
     "clock_stepped": (60.0, "seconds"),
 }
 LATE_MAX: Final = 4096  # frames under way at once
-HANGS_S: Final = 5.0  # a log that was not written for so long says so
+HANGS_S: Final = 5.0  # a log reports that it was not written for this long
 
 
 class Breakage(NamedTuple):
-    """What breaks, where, how much, and for how long. What a propeller or a battery loses comes back when the time has passed,
-    but for charge."""
+    """A failure: its kind, place, amount and duration. A propeller or battery recovers when the time has passed, but lost
+    charge does not return."""
 
     kind: str
     where: str = ""
@@ -87,36 +87,36 @@ def fault(kind: str, where: str = "", value: float | None = None, for_s: float |
 
 
 class Broken:
-    """What is broken now, and until when."""
+    """The present faults, and when each ends."""
 
     def __init__(self) -> None:
-        self.on: dict[str, float] = {}  # kinds that are there now, with their value
-        self.faults: dict[tuple[str, str], float] = {}  # kind and place of each that is there, and when it ends
+        self.on: dict[str, float] = {}  # present kinds, with their value
+        self.faults: dict[tuple[str, str], float] = {}  # kind and place of each present fault, and when it ends
 
     def begin(self, broken: Breakage, now_s: float) -> None:
-        """It breaks now; the same fault at the same place replaces the one before."""
+        """Begin a fault; the same kind at the same place replaces the one before."""
         self.faults[broken.kind, broken.where] = now_s + broken.for_s
         self.on[broken.kind] = broken.value
         self._set(broken.kind, broken.where, broken.value, True)
 
     def end(self, kind: str, where: str = "") -> None:
-        """It is whole again."""
+        """End a fault."""
         if self.faults.pop((kind, where), None) is not None:
             self._set(kind, where, 0.0, False)
             if not any(other == kind for other, _ in self.faults):
                 del self.on[kind]
 
     def expire(self, now_s: float) -> None:
-        """End those whose time is over."""
+        """End the faults whose time is over."""
         for key in [key for key, end_s in self.faults.items() if now_s >= end_s]:
             self.end(*key)
 
     def _set(self, kind: str, where: str, value: float, on: bool) -> None:
-        """What a fault changes where it begins and ends."""
+        """Apply the effect of a fault when it begins or ends."""
 
 
 class Faults(Broken):
-    """Nodes that break when they are told to."""
+    """Nodes that fail by command."""
 
     def __init__(self, nodes: Nodes, seed: int) -> None:
         super().__init__()
@@ -127,17 +127,17 @@ class Faults(Broken):
 
     @property
     def busy(self) -> bool:
-        """Whether anything is not as the nodes would have it."""
+        """Whether any fault is present."""
         return bool(self.faults or self._late or self._late_heard)
 
     @property
     def due_s(self) -> float:
-        """When `step` has something to do again."""
+        """When `step` is due next."""
         late = [queue[0][0] for queue in (self._late, self._late_heard) if queue]
         return min(self.nodes.due_s, *self.faults.values(), *late, math.inf)
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
-        """As of the nodes."""
+        """As in `Nodes`."""
         if not self.busy:
             return self.nodes.step(now_s, utc_ns)
         self.expire(now_s)
@@ -149,7 +149,7 @@ class Faults(Broken):
         return [] if "bus_off" in self.on else frames
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """As of the nodes."""
+        """As in `Nodes`."""
         if not self.on:
             self.nodes.feed(frame, now_s)
         elif "bus_off" not in self.on:
@@ -157,7 +157,7 @@ class Faults(Broken):
                 self.nodes.feed(heard, now_s)
 
     def _disturbed(self, frames: Iterable[Frame], late: deque[tuple[float, Frame]], now_s: float) -> list[Frame]:
-        """What arrives of these frames now."""
+        """The frames that arrive now, given these."""
         drop, double = self.on.get("frames_dropped", 0.0), self.on.get("frames_duplicated", 0.0)
         if drop:
             frames = [frame for frame in frames if self._random.random() >= drop]
@@ -169,7 +169,7 @@ class Faults(Broken):
         return list(frames)
 
     def _set(self, kind: str, where: str, value: float, on: bool) -> None:
-        """What a fault changes in the nodes and the model."""
+        """Apply the effect of a fault to the nodes and the model."""
         navigation = self.nodes.navigation
         match kind:
             case "navigation_silent":
@@ -199,7 +199,7 @@ class Faults(Broken):
 
 
 class FaultyGuest(Guest):
-    """The link to a guest computer that may be lost (`guest_lost`): what it says does not arrive."""
+    """A link to a guest computer that may be lost (`guest_lost`): its lines do not arrive."""
 
     def __init__(self, state: State, clock: Clock, faults: Broken) -> None:
         super().__init__(state, clock)

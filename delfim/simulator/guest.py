@@ -1,7 +1,7 @@
 """A guest computer, as GREX was on DelfimX (thesis 3.4): it hears navigation from the vehicle and asks for headings.
 
-The vehicle is the TCP server; both directions are JSON, one object a line (`delfim/vehicle/grex.py`). What to ask is a pure
-function of what was heard, `reference`, so that a lock-step simulation can be its own guest. The guest always asks; the vehicle
+The vehicle is the TCP server; both directions are JSON, one object a line (`delfim/vehicle/grex.py`). `reference` is a pure
+function of navigation to set points, so that a lock-step simulation can be its own guest. The guest always asks; the vehicle
 obeys in GREX mode only.
 """
 
@@ -17,13 +17,13 @@ from delfim.errors import FormatError
 
 _log = logging.getLogger(__name__)
 
-LINE_BYTES: Final = 4096  # longer lines are no navigation: the connection is given up
-SILENCE_S: Final = 5.0  # as is one on which nothing comes
+LINE_BYTES: Final = 4096  # a longer line is not navigation: the connection is closed
+SILENCE_S: Final = 5.0  # a silent connection is closed too
 BACKOFF_S: Final = (0.1, 5.0)  # first and longest pause before a new connection
 
 
 class Heard(msgspec.Struct, frozen=True):
-    """One line of the vehicle. None is unknown; further keys are for later guests."""
+    """One line of the vehicle. None is unknown; other keys are for later guests."""
 
     utc_ns: int
     mode: str
@@ -42,7 +42,7 @@ class Asked(NamedTuple):
 
 
 class Circle(NamedTuple):
-    """Round and round a point, clockwise; anticlockwise with a negative radius."""
+    """Circles round a point, clockwise; anticlockwise with a negative radius."""
 
     latitude_deg: float
     longitude_deg: float
@@ -51,7 +51,7 @@ class Circle(NamedTuple):
 
 
 class Zigzag(NamedTuple):
-    """So many degrees to either side of a course, to starboard first, a leg every `leg_s` of UTC."""
+    """A zigzag of this many degrees to either side of a course, to starboard first, a leg every `leg_s` of UTC."""
 
     course_deg: float
     amplitude_deg: float = 30.0
@@ -73,7 +73,7 @@ _decode = msgspec.json.Decoder(Heard).decode
 
 
 def heard(line: bytes) -> Heard:
-    """Raises FormatError for a line that is no navigation."""
+    """Raises FormatError for a line that is not navigation."""
     try:
         return _decode(line)
     except msgspec.DecodeError as error:
@@ -81,7 +81,7 @@ def heard(line: bytes) -> Heard:
 
 
 def reference(plan: Plan, at: Heard, start_ns: int) -> Asked | None:
-    """What a guest with this plan asks for now; None while it does not know enough. `start_ns` is when it began, UTC."""
+    """The set point of a guest with this plan; None while it does not know enough. `start_ns` is when it began, UTC."""
     if isinstance(plan, Circle):
         return _around(plan, at)
     leg = int((at.utc_ns - start_ns) / 1e9 // plan.leg_s)
@@ -91,7 +91,7 @@ def reference(plan: Plan, at: Heard, start_ns: int) -> Asked | None:
 
 
 def _around(plan: Circle, at: Heard) -> Asked | None:
-    """Along the tangent, and towards the circle by how far the boat is off it: a vector field (Nelson et al. 2007)."""
+    """Along the tangent, and towards the circle in proportion to the distance from it: a vector field (Nelson et al. 2007)."""
     if at.latitude_deg is None or at.longitude_deg is None:
         return None
     centre = geodesy.origin(math.radians(plan.latitude_deg), math.radians(plan.longitude_deg))
@@ -108,8 +108,8 @@ def written(asked: Asked) -> bytes:
 
 
 async def guest(host: str, port: int, plan: Plan, *, backoff_s: tuple[float, float] = BACKOFF_S) -> None:
-    """Run a guest until it is cancelled. It answers every line of navigation; when the vehicle is not there or goes away it
-    tries again, with pauses that double. Its plan starts with the first line that it hears and goes on after a break."""
+    """Run a guest until it is cancelled. It answers every line of navigation; without a vehicle it tries
+    again, with an exponential back-off. Its plan starts with the first line that it hears and goes on after a break."""
     pause_s, start_ns = backoff_s[0], 0
     while True:
         try:
@@ -127,7 +127,7 @@ async def guest(host: str, port: int, plan: Plan, *, backoff_s: tuple[float, flo
                 writer.close()
         except TimeoutError:
             why = f"the vehicle was silent or did not read for {SILENCE_S:.0f} s"
-        except (OSError, ValueError) as error:  # not there, gone, a line too long, or no navigation (FormatError)
+        except (OSError, ValueError) as error:  # no vehicle, connection lost, a line too long, or not navigation (FormatError)
             why = str(error)
         _log.info("guest of %s:%d: %s; again in %.3g s", host, port, why, pause_s)
         await asyncio.sleep(pause_s)

@@ -1,4 +1,4 @@
-"""A serial line inside one process, for lock-step simulation and replay: what is put there is read, piece by piece."""
+"""A serial line inside one process, for lock-step simulation and replay: data put there is read piece by piece."""
 
 from collections import deque
 from typing import Final
@@ -9,7 +9,7 @@ PIECES_MAX: Final = 1024  # beyond, the oldest ones are lost
 
 
 class LockstepLine:
-    """The boat's end is that of delfim.vehicle.links.Line; the other end is `put` and `written`."""
+    """The boat's end is a delfim.vehicle.links.Line; the other end is `put` and `written`."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock, self.t_ns = clock, 0

@@ -1,7 +1,7 @@
 """Lock-step simulation: the real loop, control, console words and state log, a modelled world, and a clock that jumps.
 
 Nothing waits and nothing runs beside: navigation is due, the nodes speak, the handlers are called, the clock is advanced. The
-same seed gives the same bytes. What is left out is what only real time has: the event loop, sockets, processes.
+same seed gives the same bytes. It leaves out event loop, sockets and processes, which exist only in real time.
 """
 
 from collections.abc import Callable, Iterator
@@ -21,7 +21,7 @@ from delfim.vehicle.state import State, StateLog
 
 CONSOLE_S: Final = 1.0  # the operator's console speaks this often
 WATCHDOG_S: Final = 0.1
-BURST: Final = 16  # navigation messages at most that come at once, when something was late
+BURST: Final = 16  # most navigation messages that come at once, after a delay
 
 
 class Lockstep:
@@ -58,22 +58,22 @@ class Lockstep:
         return self.clock.monotonic_s()
 
     def command(self, command: console.Commands) -> str | None:
-        """A word of the operator; why it was refused, or None."""
+        """Give a command of the operator; returns why it was refused, or None."""
         return self.vehicle.on_command(command)
 
     def breaks(self, broken: Breakage) -> None:
-        """Something breaks now."""
+        """Begin a fault now."""
         if broken.kind == "clock_stepped":
             self.clock.step(broken.value)
         self.faults.begin(broken, self.elapsed_s)
 
     def guest_says(self, line: bytes) -> None:
-        """A line of the guest computer, while it is there."""
+        """Send a line of the guest computer, unless its link is lost."""
         if "guest_lost" not in self.faults.on:
             self.vehicle.on_guest(line)
 
     def cycle(self) -> None:
-        """One navigation period: the nodes speak, the loop has its turn, time passes."""
+        """One navigation period: the nodes send, the loop runs, time passes."""
         clock, world, vehicle, faults = self.clock, self._world, self.vehicle, self.faults
         now_s = clock.monotonic_s()
         nodes = faults if faults.busy else self.nodes
@@ -81,7 +81,7 @@ class Lockstep:
         self.bus.off = "bus_off" in faults.on
         for frame in frames:
             world.sendmsg(frame)
-        for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is served again
+        for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is read again
             for source in vehicle.sources:
                 vehicle.on_navigation(source)
         for sensor in self._sensors:
@@ -97,7 +97,7 @@ class Lockstep:
         clock.advance(self._cycle_s)
 
     def cycles(self, seconds: float) -> Iterator[State]:
-        """Cycles until so many seconds have passed; the state after each."""
+        """Run cycles for this many seconds; yields the state after each."""
         until_s = self.elapsed_s + seconds
         while self.elapsed_s < until_s:
             self.cycle()

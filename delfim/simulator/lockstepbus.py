@@ -1,8 +1,8 @@
 """A CAN bus inside one process for lock-step simulation: no kernel, no threads, and the same frames every time.
 
-What it does not simulate: bit rate, arbitration, bus load, errors but bus-off, latency. A frame is in the queues of all other
+Not simulated: bit rate, arbitration, bus load, latency, errors other than bus-off. A frame is in the queues of all other
 sockets that accept it when `sendto` returns, stamped with the clock that was handed in; sockets of the bus never become
-readable for a selector (`fileno` is -1), so whoever steps the simulation asks them.
+readable for a selector (`fileno` is -1), so the simulation polls them at each step.
 """
 
 from collections import deque
@@ -14,7 +14,7 @@ from delfim.clock import Clock
 from delfim.errors import BusError, FormatError
 from delfim.frames import Frame
 
-QUEUE_MAX: Final = 1024  # frames that a socket holds; those beyond are dropped and counted, as the kernel does
+QUEUE_MAX: Final = 1024  # frames that a socket holds; more are dropped and counted, as by the kernel
 _IFINDEX: Final = 1
 _ROUTES_MAX: Final = 4096
 
@@ -24,12 +24,12 @@ class LockstepBus:
 
     def __init__(self, clock: Clock, name: str = "lockstep", queue_max: int = QUEUE_MAX) -> None:
         self.clock, self.name, self.queue_max = clock, name, queue_max
-        self.off = False  # as after too many errors: nothing is sent, nothing comes
+        self.off = False  # bus-off, as after too many errors: nothing is sent or received
         self._ends: list[_End] = []
         self._routes: dict[int, tuple[_End, ...]] = {}  # by arbitration field: the ends that accept it
 
     def socket(self, computer: str = "vehicle") -> CanSocket:
-        """A socket, not bound and not blocking: who waited here would wait for ever. Frames between sockets of the same
+        """A socket, not bound and not blocking: waiting here would never end. Frames between sockets of the same
         `computer` are marked `sent_here`."""
         end = _End(self, computer)
         self._ends.append(end)
@@ -103,7 +103,7 @@ class _End:
         bus.deliver(self, arb, bytes(data))
 
     def rehearse(self) -> None:
-        """Nothing is cold here."""
+        """Nothing: there are no caches to warm."""
 
     def rebind(self) -> bool:
         return self._bus is not None

@@ -28,7 +28,7 @@ AMBIENT_C: Final = 16.0
 
 
 class Hull(NamedTuple):
-    """A twin-propeller catamaran. The defaults are of the WAM-V 16 class, the size of DelfimX.
+    """A twin-propeller catamaran. The defaults describe the WAM-V 16 class, the size of DelfimX.
 
     VRX      wamv_base.urdf, wamv_gazebo_dynamics_plugin.xacro and wamv_aft_thrusters.xacro of the VRX simulator
              (Bingham et al., "Toward Maritime Robotic Simulation in Gazebo", OCEANS 2019)
@@ -57,9 +57,9 @@ class Hull(NamedTuple):
     thrust_per_j: float = 0.35  # ... and its loss per advance ratio
     torque: float = 0.045
     torque_per_j: float = 0.03
-    astern: float = 0.6  # part of the thrust that is left astern
+    astern: float = 0.6  # fraction of the thrust left astern
     hull_efficiency: float = 0.95  # wake and thrust deduction
-    rpm_max: float = 1400.0  # what a motor controller obeys at most
+    rpm_max: float = 1400.0  # limit of the motor controller
     rpm_per_s_max: float = 1000.0  # assumed
     motor_s: float = 0.3  # assumed: time constant of the motor under control
     coast_s: float = 0.8  # assumed: of the motor without current
@@ -74,7 +74,7 @@ class Hull(NamedTuple):
 
 
 def hull_of(boat: BoatTable) -> Hull:
-    """The default hull with the length of the vehicle's file and propellers under the middle of hulls that far apart."""
+    """The default hull with the length and beam of the vehicle's file, and a propeller under the middle of each hull."""
     return Hull(length_m=boat.length_m, propeller_m=0.42 * boat.beam_m)
 
 
@@ -105,7 +105,7 @@ class Drive:
 
 
 class Model:
-    """The world of one boat. `command` what the motor controllers shall do, `advance` the time, read the attributes.
+    """The world of one boat. `command` the motor controllers, `advance` the time, read the attributes.
 
     It starts adrift: without motion through the water. The same hull, sea, seed, commands and steps give the same bytes.
     """
@@ -114,7 +114,7 @@ class Model:
         self.hull = hull
         self.origin = origin(latitude_rad, longitude_rad)
         self.time_s = 0.0
-        self.north_m = self.east_m = 0.0  # of where it started
+        self.north_m = self.east_m = 0.0  # from where it started
         self.heading_rad = heading_rad % math.tau  # 0..2 pi, true north
         self.surge_mps = self.sway_mps = 0.0  # through the water, positive ahead and to starboard
         self.yaw_rate_radps = 0.0  # positive to starboard
@@ -131,7 +131,7 @@ class Model:
         self._roll_phase, self._pitch_phase = self._random.uniform(0.0, math.tau), self._random.uniform(0.0, math.tau)
 
     def command(self, side: Side, rpm: float, run: bool) -> None:
-        """The reference of a side's motor controller, which limits it. What is no number is motor off."""
+        """The reference of a side's motor controller, which limits it. NaN is motor off."""
         drive = self.starboard if side == "starboard" else self.port
         drive.run = run and math.isfinite(rpm)
         drive.reference_rpm = min(max(rpm, -self.hull.rpm_max), self.hull.rpm_max) if drive.run else 0.0
@@ -147,7 +147,7 @@ class Model:
 
     @property
     def alive(self) -> bool:
-        """False when nobody knows where the boat is: a model in another program that is silent."""
+        """False when the position is unknown: the model is in another program that is silent."""
         return True
 
     @property
@@ -180,7 +180,7 @@ class Model:
 
     @property
     def wind_north_mps(self) -> float:
-        """Where the air goes to, over ground, with the gust of this moment."""
+        """Velocity of the air over ground, with the present gust."""
         return self._mean_north_mps + self._gust_north_mps
 
     @property
@@ -204,7 +204,7 @@ class Model:
             self._gust_east_mps = keep * self._gust_east_mps + self._random.gauss(0.0, new)
 
     def _turn(self, drive: Drive, h: float) -> float:
-        """Motor, and what it costs the batteries; returns the mean rpm of the step."""
+        """Motor, and its load on the batteries; returns the mean rpm of the step."""
         hull, before_rpm = self.hull, drive.rpm
         driven, reference_rpm = drive.run and drive.powered, drive.reference_rpm
         if drive.fault is not None:
@@ -243,7 +243,7 @@ class Model:
     def _accelerations(
         self, u: float, v: float, r: float, heading: float, starboard_rpm: float, port_rpm: float
     ) -> tuple[float, float, float]:
-        """Of surge, sway and yaw, for velocities through the water. Letters are those of Fossen 2011."""
+        """Accelerations of surge, sway and yaw, for velocities through the water. Letters are those of Fossen 2011."""
         hull = self.hull
         m11, m22 = hull.mass_kg + hull.added_surge_kg, hull.mass_kg + hull.added_sway_kg
         y = hull.propeller_m
@@ -266,14 +266,14 @@ class Model:
         return surge_n / m11, sway_n / m22, yaw_nm / (hull.inertia_kgm2 + hull.added_yaw_kgm2)
 
     def _thrust(self, rpm: float, inflow_mps: float) -> float:
-        """Of one propeller, N. `inflow_mps` is the speed of the propeller ahead through the water."""
+        """Thrust of one propeller, N. `inflow_mps` is the speed of the propeller ahead through the water."""
         hull, n, d = self.hull, rpm / 60.0, self.hull.propeller_diameter_m
         bollard = hull.thrust * d * n * abs(n) * (1.0 if n > 0.0 else hull.astern)
         return WATER * d**3 * hull.hull_efficiency * (bollard - hull.thrust_per_j * abs(n) * inflow_mps)
 
 
 def _faulty(drive: Drive) -> tuple[bool, float]:
-    """Whether a drive with a fault is driven, and to what rpm."""
+    """Whether a drive with a fault is driven, and its rpm."""
     if drive.fault == "stuck":
         return drive.powered, drive.rpm
     return drive.run and drive.powered and drive.fault != "dead", -drive.reference_rpm

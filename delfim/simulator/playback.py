@@ -1,4 +1,4 @@
-"""The black box played back onto a bus, at any speed: for tools that look at a bus, and nodes on a desk."""
+"""Plays the black box back onto a bus, at any speed: for bus monitors, and for nodes on a test bench."""
 
 import time
 from collections.abc import Callable, Iterable
@@ -20,7 +20,7 @@ def play(
     now_s: Callable[[], float] = time.monotonic,
     wait_s: Callable[[float], None] = time.sleep,
 ) -> tuple[int, float]:
-    """Send frames with the distances in time that they had, `speed` times as fast; 0: as fast as the bus takes them. Error
+    """Send frames at their recorded intervals, `speed` times as fast; 0: as fast as the bus takes them. Error
     frames are not sent. `only` is "received" or "sent". Returns (frames sent, worst lateness, s). Raises BusError."""
     count, late_s, begin_s, begin_ns = 0, 0.0, 0.0, 0
     with open_can(interface) as socket:

@@ -50,7 +50,7 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
                 model.listen()
             try:
                 _turn(nodes, bus, clock)
-            except BusError:  # the bus went away; boats survive that, so do we
+            except BusError:  # the bus failed; boats survive that, so do the nodes
                 select.select([], [], [], BUS_RETRY_S)
                 bus.rebind()
             obey(requests, nodes, NODES, clock)
@@ -58,7 +58,7 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
 
 
 def _external(settings: config.Vehicle, clock: SystemClock) -> ExternalModel | None:
-    """The model in another program, where the vehicle's file names an address for it."""
+    """The model in another program, if the vehicle's file gives its address."""
     there = settings.simulation
     if not there.external:
         return None
@@ -70,7 +70,7 @@ def _turn(nodes: Faults, bus: CanSocket, clock: SystemClock) -> None:
     now_s = clock.monotonic_s()
     while (frame := bus.receive()) is not None:
         nodes.feed(frame, now_s)
-    stepped_ns = round(nodes.on.get("clock_stepped", 0.0) * 1e9)  # this computer's clock belongs to others, too
+    stepped_ns = round(nodes.on.get("clock_stepped", 0.0) * 1e9)  # other programs use this computer's clock, too
     for frame in nodes.step(now_s, clock.time_ns() - stepped_ns):
         with contextlib.suppress(BlockingIOError):  # a full transmit queue: a real node loses the frame too
             bus.sendmsg(frame)

@@ -1,9 +1,9 @@
-"""A day at sea once more: the recorded frames and commands through the real loop, at the recorded times, and the propulsion
-frames that come out compared bit by bit with those that the black box holds.
+"""Replay of a day at sea: the recorded frames and commands go through the real loop, at the recorded times, and its propulsion
+frames are compared bit by bit with those in the black box.
 
-What decides a cycle is in the logs: frames in the black box; the time of each cycle and of the watchdog's last look, the
-console's and the guest's last words in the state log; commands and settings in its sidecar. A run is repeated from its start,
-because the loop remembers: integrators, ramps, the driven track. Not recorded is the order of inputs within a few microseconds.
+The logs hold all inputs of a cycle: frames in the black box; the times of each cycle, of the watchdog's last check and of
+the last words of console and guest in the state log; commands and settings in its sidecar. A run is repeated from its start,
+because the loop remembers: integrators, ramps, the driven track. The order of inputs within a few microseconds is not recorded.
 """
 
 import heapq
@@ -40,9 +40,9 @@ from delfim.vehicle.loop import REPEAT_S
 from delfim.vehicle.state import NoLog, State
 
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
-TICK_S: Final = 0.1  # of the watchdog; looks of which the time is not recorded are put in between
-LATER_NS: Final = 50_000_000  # the black box may have its stamp of a frame so much later than the vehicle
-SHOWN: Final = 10  # differences
+TICK_S: Final = 0.1  # of the watchdog; checks without a recorded time are put in between
+LATER_NS: Final = 50_000_000  # the black box may stamp a frame this much later than the vehicle
+SHOWN: Final = 10  # differences shown
 NEVER_S: Final = -1e8
 MOMENTS: Final = ("monotonic_s", "watchdog_s", "console_s", "guest_s")  # columns
 SILENT_MAX_S: Final = 3.0 * 3600.0  # without a record, in all
@@ -60,7 +60,7 @@ class RerunResult(NamedTuple):
     cycles: int
     frames: int  # compared
     differences: list[Difference]
-    refusals: list[str]  # commands that were refused then and not now, or the other way round
+    refusals: list[str]  # commands refused then and not now, or the reverse
 
     @property
     def exact(self) -> bool:
@@ -75,15 +75,15 @@ class RerunResult(NamedTuple):
 
 
 class BusInput(NamedTuple):
-    """A frame of a bus, or what one read of a serial line gave."""
+    """A frame of a bus, or the data of one read of a serial line."""
 
-    name: str  # of the bus or line, as its log is called
+    name: str  # of the bus or line, as in its log's name
     t_ns: int
     what: Frame | bytes
 
 
 class Due(NamedTuple):
-    """Something that happened to the loop."""
+    """A recorded event of the loop."""
 
     t_ns: int
     kind: str  # "command", "navigation", "watchdog", "guess"
@@ -92,18 +92,18 @@ class Due(NamedTuple):
 
 
 class GuestReference(NamedTuple):
-    """The guest's reference; not a number where it never gave one."""
+    """The guest's set point; NaN before its first."""
 
     heading_rad: float
     speed_mps: float
 
 
 class Contact(NamedTuple):
-    """Somebody was heard."""
+    """A word of the console or the guest."""
 
     at_s: float  # monotonic
     key: str  # of the state: "console_s", "guest_s"
-    asked: GuestReference | None  # None: it was the console
+    asked: GuestReference | None  # None: from the console
 
 
 class Recalled:
@@ -120,7 +120,7 @@ class Recalled:
 
 
 class Rerun:
-    """The loop, its inputs on buses and lines without time, and what it sends. What it sends in `span` is compared."""
+    """The loop, its inputs on in-memory buses and lines, and its output. Output within `span` is compared."""
 
     def __init__(
         self, settings: config.Vehicle, recorded: Iterable[BusInput], start_s: float, first_ns: int, span: Span
@@ -129,7 +129,7 @@ class Rerun:
         self.clock, self.log, self.state = Recalled(), NoLog(), State()
         self.clock.now_s = start_s
         self._interface = device(settings.can.interface)
-        self._buses, self._world = dict[str, LockstepBus](), dict[str, CanSocket]()  # by what their logs are called
+        self._buses, self._world = dict[str, LockstepBus](), dict[str, CanSocket]()  # by the names of their logs
         self._lines = dict[str, LockstepLine]()
         self._heard = self._bus(self._interface).socket("onlooker")
         self._heard.bind(*(CanAddress(arb) for arb in COMMANDS))
@@ -154,7 +154,7 @@ class Rerun:
         return self._lines.setdefault(device(name), LockstepLine(self.clock))
 
     def _split(self, recorded: Iterable[BusInput]) -> None:
-        """What the vehicle sent into groups, everything else is its input."""
+        """Sort the vehicle's frames into groups; all others are its input."""
         group: list[tuple[int, bytes]] = []
         for heard in recorded:
             frame = heard.what
@@ -168,7 +168,7 @@ class Rerun:
             self.recorded[-1] = self.recorded[-1][0], tuple(group)
 
     def cut(self, last_ns: int) -> None:
-        """The power went, and the last cycle logged was then: what one log still has and the other has not is not compared."""
+        """The power failed after this last logged cycle: frames that only one log still has are not compared."""
         whole_ns = [t_ns for t_ns, group in self.recorded if len(group) == len(COMMANDS)]
         self._span = self._span._replace(to_ns=min(self._span.to_ns, last_ns, *whole_ns[-1:]))
 
@@ -194,7 +194,7 @@ class Rerun:
                 source.heard_s = NEVER_S
 
     def step(self, due: Due) -> None:
-        """One thing that happened, after all that the vehicle sent before it for reasons that were not recorded."""
+        """Replay one event, after the vehicle's earlier frames whose cause was not recorded."""
         while self.recorded and self.recorded[0][0] < due.t_ns:
             self._unexplained()
         self.feed(due.t_ns)
@@ -203,7 +203,7 @@ class Rerun:
             self._navigate(due)
         elif due.kind == "command":
             self._command(due)
-        elif due.kind == "watchdog" or due.at_s - self.state.navigation_s <= REPEAT_S:  # beyond, it sends: that is recorded
+        elif due.kind == "watchdog" or due.at_s - self.state.navigation_s <= REPEAT_S:  # beyond, it sends, which is recorded
             self.vehicle.on_watchdog()
         self._compare(due.t_ns)
 
@@ -211,7 +211,7 @@ class Rerun:
         self.clock.now_ns, self.clock.now_s = t_ns, at_s
 
     def _unexplained(self) -> None:
-        """A command that no cycle gave: a look of the watchdog in idle, or the end."""
+        """A propulsion command outside a cycle: a check of the watchdog in idle, or the end."""
         t_ns, group = self.recorded[0]
         self.feed(t_ns)
         self.clock.now_s += (t_ns - self.clock.now_ns) / 1e9 if self.clock.now_ns else 0.0
@@ -222,7 +222,7 @@ class Rerun:
             self._judge(t_ns, group, ())
 
     def _navigate(self, due: Due) -> None:
-        """The cycle of a record. The last frame may have got its stamp in the black box after the vehicle had read it."""
+        """The cycle of a record. The black box may have stamped its last frame after the vehicle read it."""
         self._ask(due.what)
         while not any(self.vehicle.on_navigation(source) for source in self.vehicle.sources):
             if not self._inputs or self._inputs[0].t_ns > due.t_ns + LATER_NS:
@@ -231,13 +231,13 @@ class Rerun:
             self._at(due.t_ns, due.at_s)
 
     def hear(self, word: Contact) -> None:
-        """The console or the guest said something."""
+        """Replay a word of the console or the guest."""
         setattr(self.state, word.key, word.at_s)
         if word.asked:
             self._ask(word.asked)
 
     def _ask(self, asked: GuestReference) -> None:
-        """What the guest asks for from now on; not a number where it never did."""
+        """Set the guest's set point from now on; NaN: it has none."""
         heading = None if asked.heading_rad != asked.heading_rad else asked.heading_rad
         self.state.setpoint = self.state.setpoint._replace(guest_heading_rad=heading, guest_speed_mps=asked.speed_mps)
 
@@ -252,7 +252,7 @@ class Rerun:
             self.refusals.append(f"{_time(due.t_ns)}  {name}: {then} then, {now} now")
 
     def _compare(self, t_ns: int) -> bool:
-        """What was just sent with what was sent then. False where nothing was sent."""
+        """Compare the frames just sent with the recorded ones. False if none were sent."""
         made = list[tuple[int, bytes]]()
         while (frame := self._heard.receive()) is not None:
             made.append((frame.arb, frame.data))
@@ -273,7 +273,7 @@ class Rerun:
                 self.differences.append(Difference(t_ns, then, now))
 
     def finish(self, ended: bool) -> None:
-        """What was sent after the last record; where the program ended in order, its last word was a stop."""
+        """Compare the frames after the last record; a program that ended in order sent a stop last."""
         while len(self.recorded) > ended:
             self._unexplained()
         if self.recorded:
@@ -283,8 +283,8 @@ class Rerun:
 
 
 def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAYS) -> RerunResult:
-    """Repeat a run, all of it, and compare what came of it in this time. Raises DelfimError where the logs do not hold what it
-    takes, or nothing that could be compared."""
+    """Replay a whole run and compare its output in this time. Raises DelfimError if the logs are incomplete or have nothing
+    to compare."""
     state_files = [file for file in files if file.id == "state"]
     told = [event for event in tree.events(state_files) if "monotonic_s" in event]
     told = [event for event in told if "at_s" in event or event["event"] in ("start", "end")]
@@ -316,7 +316,7 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
 
 
 def _heard(boxes: Sequence[LogFile], files: Sequence[LogFile]) -> Iterator[BusInput]:
-    """All that the black boxes of buses and lines hold, by time."""
+    """All entries of the black boxes of buses and lines, by time."""
     of_buses = (BusInput(name, frame.t_ns, frame) for name, frame in frames(boxes))
     of_lines = (BusInput(*piece) for piece in pieces(file for file in files if file.suffix.startswith(SUFFIX)))
     return heapq.merge(of_buses, sorted(of_lines, key=_when), key=_when)
@@ -337,7 +337,7 @@ def _asked(columns: Any) -> Iterator[GuestReference]:
 
 
 def _words_of(columns: Any) -> Iterator[Contact]:
-    """Each time at which somebody spoke, with what the guest had asked for by the cycle that followed."""
+    """Each time that a console or guest was heard, with the guest's set point in the following cycle."""
     for key in ("console_s", "guest_s"):
         before_s = NEVER_S
         for at_s, asked in zip(columns[key].tolist(), _asked(columns), strict=True):
@@ -353,7 +353,7 @@ def _commands(told: Iterable[dict[str, Any]]) -> Iterator[Due]:
 
 
 def _looks(columns: Any, told: Iterable[dict[str, Any]]) -> Iterator[Due]:
-    """Of the watchdog: those of which the time is recorded, and between them those that must have been."""
+    """Checks of the watchdog: those with a recorded time, and between them those that must have happened."""
     known = {event["at_s"]: _wall_ns(event) for event in told if event["event"] == "watchdog"}
     for t1, now_s, at_s in zip(*(columns[key].tolist() for key in ("t1", "monotonic_s", "watchdog_s")), strict=True):
         known.setdefault(at_s, t1 - round((now_s - at_s) * 1e9))
@@ -375,7 +375,7 @@ def _wall_ns(event: dict[str, Any]) -> int:
 
 
 def _ahead(then: Group, now: Group) -> bool:
-    """Whether the recorded command is a later one than this: the one in between is missing in the black box."""
+    """Whether the recorded command is later than this one, so that the black box lacks one between."""
     return bool(then) and 0 < then[0][1][-1] - now[0][1][-1] & 0xFF < 0x80
 
 

@@ -1,4 +1,4 @@
-"""Scenarios: what an operator does, what breaks, and what must come of it, in a text file. `docs/scenarios.md` has the format
+"""Scenarios: an operator's commands, the faults and the expected results, in a text file. `docs/scenarios.md` has the format
 by example; `delfim.simulator.trial` sails it.
 """
 
@@ -26,20 +26,20 @@ class FaultAt(tables.Table, frozen=True):
     kind: str
     where: str = ""
     value: float | None = None
-    for_s: float | None = None  # to the end where not given
+    for_s: float | None = None  # to the end if not given
 
 
 class Expect(tables.Table, frozen=True):
-    """What must come of it: a mode, a notice, propellers that stand still, or waypoints reached."""
+    """An expected result: a mode, a notice, stopped propellers, or waypoints reached."""
 
     mode: str = ""
     notice: str = ""  # a trouble's name
     propellers: Literal["", "stopped"] = ""
-    waypoints: Annotated[int, msgspec.Meta(ge=0)] = 0  # of the mission, passed within their radius
+    waypoints: Annotated[int, msgspec.Meta(ge=0)] = 0  # number of the mission's waypoints passed within their radius
     reason: str = ""  # contained in the reason of the mode or the notice
-    after: float | str = 0.0  # a time in s, a kind of fault, or a word of the operator; its last occurrence
-    within_s: float = math.inf  # of that
-    at_end: bool = False  # and then to the end of the run
+    after: float | str = 0.0  # a time in s, a kind of fault, or a command of the operator; its last occurrence
+    within_s: float = math.inf  # after that
+    at_end: bool = False  # and until the end of the run
     never: bool = False  # not at all after that
 
     def __post_init__(self) -> None:
@@ -48,7 +48,7 @@ class Expect(tables.Table, frozen=True):
 
 
 class ScenarioGuest(tables.Table, frozen=True):
-    """What the guest computer asks for, twice a second."""
+    """The guest computer's set point, sent twice a second."""
 
     heading_deg: float
     speed_mps: float
@@ -63,7 +63,7 @@ class Scenario(tables.Table, frozen=True):
     mission: str = ""  # a mission file, beside this one
     vehicle: dict[str, Any] = msgspec.field(default_factory=dict)  # tables laid over the vehicle's file
     guest: ScenarioGuest | None = None
-    command: tuple[dict[str, Any], ...] = ()  # the operator's words with `at_s`, and `held_s` or `refused` (class Order)
+    command: tuple[dict[str, Any], ...] = ()  # the operator's commands with `at_s`, and `held_s` or `refused` (class Order)
     fault: tuple[FaultAt, ...] = ()
     expect: tuple[Expect, ...] = ()
 
@@ -95,12 +95,12 @@ def _laid_over(tree: dict[str, Any], upper: dict[str, Any]) -> dict[str, Any]:
 
 
 class OperatorWord(NamedTuple):
-    """A word of the operator."""
+    """A command of the operator."""
 
     at_s: float
     command: console.Commands
-    refused: str = ""  # it must be, in these words; empty: it must not
-    held_s: float = 0.0  # once obeyed it is given again twice a second for so long, as by a stick that is pushed
+    refused: str = ""  # it must be refused, in these words; empty: it must be obeyed
+    held_s: float = 0.0  # once obeyed, it is repeated twice a second for this time, like a pushed joystick
 
     @classmethod
     def of(cls, words: dict[str, Any]) -> Self:
@@ -110,7 +110,7 @@ class OperatorWord(NamedTuple):
         is_timed = all(isinstance(each, float | int) and 0.0 <= each <= DAY_S for each in (at_s, held_s))
         if not is_timed or not isinstance(refused, str):
             raise FormatError("a command needs at_s in seconds, up to a day; held_s is in seconds too, and refused is text")
-        command = json.dumps(rest, default=str).encode()  # no command holds a date
+        command = json.dumps(rest, default=str).encode()  # a command has no dates
         return cls(float(at_s), console.parse(command), refused, float(held_s))
 
 

@@ -1,6 +1,6 @@
-"""A scenario sailed in lock step, and what came of it held against what was expected.
+"""A scenario sailed in lock step, and its results compared with the expected ones.
 
-Beside that, every run is watched for what must never happen (`delfim.simulator.watch`).
+Every run is also checked against the invariants of `delfim.simulator.watch`.
 """
 
 import math
@@ -20,14 +20,14 @@ from delfim.simulator.watch import TURNS_RPM, Onlooker
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, StateLog
 
-RETRY_S: Final = 1.0  # an operator who was refused asks again so often ...
-PATIENCE_S: Final = 15.0  # ... and gives up after so long
+RETRY_S: Final = 1.0  # a refused operator repeats the order at this interval ...
+PATIENCE_S: Final = 15.0  # ... and gives up after this time
 GUEST_S: Final = 0.5
 HELD_S: Final = 0.5
 
 
 class Event(NamedTuple):
-    """Something that happened."""
+    """An event of a run."""
 
     t_s: float
     kind: Literal["command", "fault", "mode", "notice", "propellers"]
@@ -37,12 +37,12 @@ class Event(NamedTuple):
 
 class Result(NamedTuple):
     events: list[Event]
-    failures: list[str]  # in words; empty when all is as it must be
+    failures: list[str]  # in words; empty: the run passed
     elapsed_s: float
 
 
 class Recorder:
-    """What happened, as events."""
+    """The run's history, as events."""
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self.events = run, list[Event]()
@@ -70,7 +70,7 @@ class Recorder:
             self.events.append(Event(now_s, "propellers", "stopped" if stopped else "turning"))
 
     def passes(self) -> None:
-        """How near the boat, in truth, came to each waypoint."""
+        """How near the boat's true position came to each waypoint."""
         state, model = self._run.state, self._run.nodes.model
         plan, origin = state.setpoint.plan, state.origin
         if plan is None or origin is None:
@@ -94,7 +94,7 @@ def sail(
     patient: bool = True,
 ) -> Result:
     """One run. `mission` is the text of the scenario's mission file. The same seed gives the same bytes. An operator who is not
-    patient gives an order once and takes a refusal for an answer.
+    patient gives an order once and accepts a refusal.
     """
     run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()))
     watch, recorder, operator = Onlooker(run), Recorder(run), Operator(run, scenario, mission, patient)
@@ -119,7 +119,7 @@ def sail(
 
 
 class Operator:
-    """Who gives a scenario's orders: each until it is obeyed, or refused as it should be, or given up."""
+    """Gives a scenario's orders: each until it is obeyed, refused as expected, or given up."""
 
     def __init__(self, run: Lockstep, scenario: Scenario, mission: str, patient: bool) -> None:
         self._run, self._patience_s = run, PATIENCE_S if patient else 0.0
@@ -132,7 +132,7 @@ class Operator:
         self.failures: list[str] = []
 
     def speak(self, recorder: Recorder) -> None:
-        """What is due now."""
+        """Give the orders that are due now."""
         now_s = self._run.elapsed_s
         if self._held is not None and now_s >= self._again_s:
             self._again_s = now_s + HELD_S
@@ -167,7 +167,7 @@ class Operator:
 
 
 def _missed(expected: Expect, recorder: Recorder, end_s: float) -> str | None:
-    """What a run lacks of what was expected, in words."""
+    """Why a run misses an expected result, in words; None: it does not."""
     if expected.waypoints:
         reached = sum(away_m <= 1.0 for away_m in recorder.nearest_m)
         return None if reached >= expected.waypoints else f"{reached} of {expected.waypoints} waypoints reached"
@@ -205,6 +205,6 @@ def run_file(path: str | Path, vehicle: str | Path, seed: int, overrides: tuple[
 
 
 def report(result: Result) -> list[str]:
-    """What happened and what it is worth, a line each."""
+    """The events and the verdict, a line each."""
     lines = [f"{e.t_s:7.1f} s  {e.kind:10} {e.name}{f'  {e.text}' if e.text else ''}" for e in result.events]
     return lines + [f"FAILED: {words}" for words in result.failures]

@@ -1,4 +1,4 @@
-"""What must never happen to a boat in lock step, whatever breaks."""
+"""Invariants: what must never happen to a boat in lock step, whatever fails."""
 
 import math
 from typing import Final
@@ -9,16 +9,16 @@ from delfim.vehicle.fence import Fence
 from delfim.vehicle.state import State
 from delfim.vehicle.zones import clearance_m
 
-TURNS_RPM: Final = 120.0  # a propeller that gives thrust worth the name
-COAST_S: Final = 4.0  # until a stopped one does not any more
-ASTRAY_S: Final = 12.0  # the same where it does not obey: seen, disconnected, coasted
-BLIND_S: Final = 0.5  # beyond its limit, for the watchdog to come round
-NOISE_M: Final = 1.5  # between where the boat is and where it can know itself to be
-DECEIVED_M: Final = 3.0  # a boat that is told to be farther off than this cannot keep a fence
+TURNS_RPM: Final = 120.0  # above this a propeller gives relevant thrust
+COAST_S: Final = 4.0  # time in which a stopped one comes to rest
+ASTRAY_S: Final = 12.0  # the same for one that does not obey: detected, disconnected, coasted
+BLIND_S: Final = 0.5  # time beyond the limit until the watchdog acts
+NOISE_M: Final = 1.5  # between the true and the measured position
+DECEIVED_M: Final = 3.0  # with a larger error of position a boat cannot keep its fence
 
 
 class Onlooker:
-    """`look` after each cycle."""
+    """Call `look` after each cycle."""
 
     def __init__(self, run: Lockstep) -> None:
         self._run, self._model, self._settings = run, run.nodes.model, run.settings
@@ -42,7 +42,7 @@ class Onlooker:
             self._fenced(around, state, idle)
 
     def _adrift(self, idle: bool, now_s: float) -> None:
-        """Propellers that give thrust for a boat that nobody steers. A bus that is away is not the boat's fault."""
+        """Propellers give thrust while nothing steers the boat. A failed bus is not the boat's fault."""
         model, on = self._model, self._run.faults.on
         turns = max(abs(model.starboard.rpm), abs(model.port.rpm)) > TURNS_RPM
         if not (idle and turns) or "bus_off" in on or any(kind.startswith("frames_") for kind in on):
@@ -54,7 +54,7 @@ class Onlooker:
             self._fail("adrift under power")
 
     def _fenced(self, around: Fence, state: State, idle: bool) -> None:
-        """A boat that obeys, knows where it is and drives must not leave its fence; one that was stopped drifts."""
+        """A boat that obeys, knows its position and drives must not leave its fence; a stopped boat may drift."""
         model, origin = self._model, state.origin
         if origin is None:
             return

@@ -1,7 +1,7 @@
 """The other nodes of the boat (thesis figure 3-2) around a model, a file a kind, named in NODES.
 
 Every node is a clocked object without socket or task: `step(now_s, utc_ns)` returns the frames that it puts on the bus now,
-`feed(frame, now_s)` is what it hears, `due_s` when it has something to say again. `now_s` is monotonic and never goes back.
+`feed(frame, now_s)` hands it a frame, `due_s` is when it sends next. `now_s` is monotonic and never goes back.
 """
 
 import math
@@ -15,7 +15,7 @@ from delfim.simulator.model import Model, hull_of
 from delfim.simulator.nodes.navigation import NavigationNode
 
 NODES: Final = ("gps", "navigation", "propeller", "batteries")  # files of this folder; `nodes` in it makes those of its kind
-STALL_S: Final = 1.0  # a longer pause of the whole simulator does not exist in the world that it models
+STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 
 
 class SimulatedNode(Protocol):
@@ -29,7 +29,7 @@ class SimulatedNode(Protocol):
 
 @runtime_checkable
 class Reporting(Protocol):
-    """A node that reports its health, and what a fault makes of it."""
+    """A node that reports its health, which a fault may change."""
 
     bad: bool
     silent: bool
@@ -52,21 +52,21 @@ class Nodes:
 
     @property
     def hears(self) -> tuple[CanAddress, ...]:
-        """What a socket binds to that serves the nodes."""
+        """The filters of a socket that serves the nodes."""
         return tuple(map(CanAddress, self._hearing))
 
     @property
     def due_s(self) -> float:
-        """When `step` has something to do again."""
+        """When `step` is due next."""
         return min(node.due_s for node in self.named.values())
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """A frame of the bus; what is for no node is passed over."""
+        """Feed a frame of the bus to its nodes."""
         for node in self._hearing.get(frame.arb, ()):
             node.feed(frame, now_s)
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
-        """Let the world come to `now_s`; returns the frames that the nodes send then, as they win the bus."""
+        """Advance the world to `now_s`; returns the frames that the nodes send then, in order of arbitration."""
         if self._stepped_s is not None and now_s > self._stepped_s:
             self.model.advance(min(now_s - self._stepped_s, STALL_S))
         self._stepped_s = now_s

@@ -26,7 +26,7 @@ EMPTY_CHARGE: Final = 0.05
 
 
 class BatteriesNode:
-    """One bank: it obeys its contactor command, starts with an open contactor, and knows what it gave."""
+    """One bank: it obeys its contactor command, starts with an open contactor, and counts its charge."""
 
     def __init__(self, model: Model, side: Side) -> None:
         self._drive = model.starboard if side == "starboard" else model.port

@@ -37,7 +37,7 @@ class GpsNode:
         self._number = 0
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """It hears nothing."""
+        """It ignores all frames."""
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         second, rest_ns = divmod(utc_ns, _SECOND_NS)

@@ -39,7 +39,7 @@ class NavigationNode:
         self._counter = 0
         self.silent = False
         self.jump_m = 0.0  # error of the position, to the north
-        self.frozen = False  # the sensors say what they said
+        self.frozen = False  # the sensors repeat their values
         self.repeating = False  # the node sends its last message again and again
         self._said: Navigation | None = None
 
@@ -48,7 +48,7 @@ class NavigationNode:
         return self._period.due_s
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """It hears nothing."""
+        """It ignores all frames."""
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         if not self._period.passed(now_s) or self.silent or not self._model.alive:
@@ -67,7 +67,7 @@ class NavigationNode:
         return segments(message, self._counter)
 
     def measured(self, utc_ns: int) -> Navigation:
-        """What the sensors say. The position's error is a first-order Gauss-Markov process, as a receiver's is."""
+        """The sensors' values. The position's error is a first-order Gauss-Markov process, as a receiver's is."""
         model, noise, gauss = self._model, self._noise, self._random.gauss
         new_m = noise.position_m * math.sqrt(1.0 - self._keep * self._keep)
         self._north_m = self._keep * self._north_m + gauss(0.0, new_m)

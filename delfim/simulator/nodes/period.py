@@ -1,4 +1,4 @@
-"""When a node has something to say again, and whether a reset is meant for it."""
+"""When a node sends next, and whether a reset is addressed to it."""
 
 import math
 from typing import Final
@@ -7,11 +7,11 @@ from delfim.errors import FormatError
 from delfim.messages import Node, unpack_reset
 
 TOLERANCE_S: Final = 1e-6  # sums of tenths are never exact
-RESTART_S: Final = 1.0  # of a node, during which it says nothing
+RESTART_S: Final = 1.0  # duration of a node's restart, in which it is silent
 
 
 class Period:
-    """Due at once, then each `period_s`. What was missed is left out and the phase is kept."""
+    """Due at once, then each `period_s`. Missed periods are skipped and the phase is kept."""
 
     __slots__ = ("_period_s", "due_s")
 
@@ -20,7 +20,7 @@ class Period:
         self.due_s = -math.inf
 
     def reset(self, data: bytes, node: Node, now_s: float) -> None:
-        """Say nothing for as long as a start takes, where a reset means this node. What is no reset changes nothing."""
+        """Be silent for the time of a restart, if a reset is addressed to this node. Other frames change nothing."""
         try:
             number = unpack_reset(data)
         except FormatError:

@@ -28,7 +28,7 @@ PROPELLER_STATUS_S: Final = 0.2
 class PropellerNode:
     """A motor controller. It obeys its commands and stops by itself when no new one comes for PROPELLER_TIMEOUT_S.
 
-    A command whose counter stands still is obeyed and does not count as new: a frozen sender must not keep a motor running.
+    A command with an unchanged counter is obeyed but does not count as new: a frozen sender must not keep a motor running.
     """
 
     def __init__(self, model: Model, side: Side) -> None:
