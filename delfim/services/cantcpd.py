@@ -1,4 +1,4 @@
-"""cantcpd: CAN over TCP; whoever may watches the buses, and sends (docs/cantcpd.md)."""
+"""cantcpd: CAN over TCP; clients with permission watch the buses, and send (docs/cantcpd.md)."""
 
 import asyncio
 import contextlib
@@ -9,7 +9,7 @@ from delfim.services.runtime import Runtime
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled. Raises OSError where an address cannot be had."""
+    """Until it is cancelled. Raises OSError if it cannot listen on an address."""
     settings, loop = runtime.config, asyncio.get_running_loop()
     interfaces = settings.cantcpd.buses or settings.buses
     with contextlib.ExitStack() as links:

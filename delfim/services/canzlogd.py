@@ -9,7 +9,7 @@ from delfim.canproxy.socket import ANYTHING, bus_state
 from delfim.logging.blackbox import FRAMES_A_CALL, BlackBox
 from delfim.services.runtime import Runtime
 
-GATHER_S = 0.005  # that frames wait for others on their way into the black box; the kernel has stamped them already
+GATHER_S = 0.005  # frames wait this long for others before they go into the black box; the kernel has already stamped them
 
 
 async def serve(runtime: Runtime) -> None:

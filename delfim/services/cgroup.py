@@ -1,6 +1,6 @@
 """Memory and processor limits of a program, by the kernel's control groups (cgroup v2). Standard library only.
 
-Where there are none (another kernel, no rights), the program runs without limits, and one line in the log says so.
+If there are none (another kernel, no rights), the program runs without limits, and one line in the log says so.
 """
 
 import contextlib
@@ -17,7 +17,7 @@ log = logging.getLogger(__name__)
 
 
 class Limits(NamedTuple):
-    """What a program and all it starts may have together. 0: no limit."""
+    """The limits of a program together with all that it starts. 0: no limit."""
 
     memory_bytes: int = 0
     cpu: float = 0.0  # processors, 0.5 is half of one
@@ -41,7 +41,7 @@ class Limits(NamedTuple):
             _warn_once(f"{error.filename}: {error.strerror}")
 
     def exceeded(self, name: str, root: Path = ROOT) -> str:
-        """Why the kernel ended the program since it was last asked, in words; empty where it did not."""
+        """Why the kernel ended the program since it was last asked, in words; empty if it did not."""
         if not self.memory_bytes:
             return ""
         group = root / OURS / name

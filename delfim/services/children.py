@@ -1,4 +1,4 @@
-"""The programs of the supervisor: how one is started with a pipe to beat on, and where a silent one stands."""
+"""The programs of the supervisor: starting one with a pipe to beat on, and finding out where a silent one stands."""
 
 import logging
 import os
@@ -31,7 +31,7 @@ class Supervised(NamedTuple):
 
 @dataclass(slots=True)
 class Child:
-    """A program and what became of it. Times are monotonic unless they say otherwise."""
+    """A program and its state. Times are monotonic unless they say otherwise."""
 
     program: Supervised
     state: Literal["waiting", "running", "stopped", "failed"] = "waiting"
@@ -42,9 +42,9 @@ class Child:
     pause_s: float = 0.0  # before its last start
     restarts: int = 0
     reason: str = ""  # of its last end or silence, in words
-    is_silent: bool = False  # beats no more, and is not critical
+    is_silent: bool = False  # silent, and not critical
     verdict: str = ""  # why it is or was killed by us
-    kill_s: float = inf  # when it is killed, silent as it is
+    kill_s: float = inf  # when it is killed for its silence
     since_s: float = 0.0  # monotonic, of the last change of state
 
     def spawn(self) -> None:

@@ -1,4 +1,4 @@
-"""A look at the computer, again and again: processors, memory, disk, networks, CAN controllers, processes, clock.
+"""Samples the computer again and again: processors, memory, disk, networks, CAN controllers, processes, clock.
 
 `python -m delfim.services.computer LOG-DIRECTORY FREE-BYTES-MIN RUN-DIRECTORY SECONDS` is a niced child of httpd: looking at
 all processes takes milliseconds that a cooperative service does not have. It writes one JSON object a line, a `Computer`,
@@ -38,7 +38,7 @@ _NAME: Final = struct.Struct("16s24x")
 
 
 class ComputerLook:
-    """What the last look found and the next one needs: rates are differences."""
+    """The counters of the last sample, for the next one: rates are differences."""
 
     def __init__(self, directory: str, free_bytes_min: int, run_directory: str, root: Path = Path("/")) -> None:
         self._directory, self._free_bytes_min = directory, free_bytes_min
@@ -52,7 +52,7 @@ class ComputerLook:
         self._free: deque[tuple[float, int]] = deque()
 
     def look(self, now_s: float, time_ns: int) -> Computer:
-        """One look, `now_s` by the monotonic clock. What cannot be read has its default."""
+        """One sample, `now_s` by the monotonic clock. A value that cannot be read has its default."""
         elapsed_s = max(now_s - self._at_s, 1e-3)
         self._at_s = now_s
         processes = self._processes(elapsed_s)
@@ -177,7 +177,7 @@ def process(stat: str) -> tuple[int, str, int, int, int, int]:
 
 
 def program(name: str, words: list[str]) -> str:
-    """A process' name; of a Python program its own, not the interpreter's. Other arguments are nobody's business."""
+    """A process' name; of a Python program its own, not the interpreter's. Other arguments may be secret."""
     if not name.startswith("python"):
         return name
     if "-m" in words[1:-1]:
@@ -239,7 +239,7 @@ def programs(state: str, now_s: float) -> tuple[dict[str, Service], str]:
 
 
 def service(process: Service, told: str) -> Service:
-    """What the supervisor knows of a process, and what its service says of itself as long as it is that process."""
+    """The supervisor's data of a process, and its service's own report if it comes from that process."""
     try:
         own = msgspec.json.decode(told, type=Service)
     except msgspec.DecodeError:
@@ -267,7 +267,7 @@ class _Timex(ctypes.Structure):
 
 
 def clock(time_ns: int) -> Time:
-    """What the kernel knows of its own clock; it is only asked."""
+    """The kernel's data of its own clock; nothing is set."""
     state = _Timex()
     unsynchronised = 0x40  # STA_UNSYNC of sys/timex.h
     if ctypes.CDLL(None).adjtimex(ctypes.byref(state)) < 0 or state.status & unsynchronised:

@@ -1,4 +1,4 @@
-"""Who may come in: connections counted by address, wrong passwords slowed, passwords kept as what cannot be turned back.
+"""Access control: connections counted by address, delays after wrong passwords, passwords kept as hashes.
 
 httpd, ftpd and sshd share this. All tables are bounded.
 """
@@ -15,7 +15,7 @@ from typing import Final
 from delfim.errors import FormatError
 
 IPTOS_THROUGHPUT: Final = 0x08  # after the console's packets on the radio (thesis 2.11)
-UNSENT_BYTES: Final = 32 << 10  # in the kernel: what is new must not wait behind what is old
+UNSENT_BYTES: Final = 32 << 10  # in the kernel: new data must not wait behind old
 PAUSE_S: Final = 1.0  # after the first wrong word; doubles with each
 PAUSE_MAX_S: Final = 30.0
 FORGIVEN_S: Final = 600.0  # without a wrong word
@@ -24,7 +24,7 @@ SCRYPT: Final = {"n": 1 << 14, "r": 8, "p": 1, "dklen": 32}  # RFC 7914; 16 MiB 
 
 
 class Door:
-    """Connections that are open, and those that were sent away."""
+    """Connections that are open, and those that were refused."""
 
     def __init__(self, connections: int, connections_per_address: int) -> None:
         self._connections, self._per_address = connections, connections_per_address
@@ -69,7 +69,7 @@ class Patience:
 
 
 def hashed(password: str, salt: bytes | None = None) -> str:
-    """What stands in a vehicle's file for a password. Takes some 50 ms."""
+    """A password's hash, for a vehicle's file. Takes some 50 ms."""
     salt = os.urandom(16) if salt is None else salt
     digest = hashlib.scrypt(password.encode("utf-8", "surrogateescape"), salt=salt, **SCRYPT)
     return f"scrypt:{base64.b64encode(salt).decode()}:{base64.b64encode(digest).decode()}"
@@ -83,11 +83,11 @@ def matches(password: str, kept: str) -> bool:
             raise ValueError
         return hmac.compare_digest(hashed(password, base64.b64decode(salt, validate=True)), kept)
     except (ValueError, binascii.Error):
-        raise FormatError("a password that `delfim password` did not write") from None
+        raise FormatError("this is not a password from `delfim password`") from None
 
 
 def bulk(link: socket.socket, stall_s: float) -> None:
-    """Options of a connection that carries much: behind the console, little in the kernel, given up when nobody reads."""
+    """Options of a connection that carries much: behind the console, little in the kernel, closed if nobody reads."""
     link.setsockopt(socket.IPPROTO_IP, socket.IP_TOS, IPTOS_THROUGHPUT)
     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NOTSENT_LOWAT, UNSENT_BYTES)
     link.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(1000 * stall_s))

@@ -1,4 +1,4 @@
-"""Garbage is collected as the interpreter would, but in quiet time; where there is none, when it is long overdue."""
+"""Collects garbage as the interpreter would, but in quiet time; if there is none, when it is long overdue."""
 
 import asyncio
 import gc
@@ -9,7 +9,7 @@ from delfim.services.window import NavigationWindow
 
 COLLECT_EVERY_S: Final = 0.1  # garbage is looked for so often ...
 COLLECT_QUIET_S: Final = 0.002  # ... and collected when no navigation is due for so long ...
-OVERDUE: Final = 10  # ... or when there is so many times more than the interpreter would have let be
+OVERDUE: Final = 10  # ... or when there is this many times more than the interpreter's threshold
 
 
 class Collector:

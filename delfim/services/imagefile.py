@@ -36,7 +36,7 @@ class ImagePart(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Manifest(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What an image is. `format` is 1."""
+    """The manifest of an image. `format` is 1."""
 
     format: Literal[1]
     version: Annotated[str, msgspec.Meta(pattern=r"^[0-9A-Za-z][0-9A-Za-z.+_-]{0,63}\Z")]
@@ -64,9 +64,9 @@ def parse_manifest(text: bytes) -> Manifest:
 
 
 def verify_signature(message: bytes, armoured: bytes, signers: tuple[str, ...]) -> str:
-    """Who of the signers (public keys, as ssh-keygen writes them) signed it. Format: PROTOCOL.sshsig of OpenSSH.
+    """Returns the signer (of these public keys, as ssh-keygen writes them). Format: PROTOCOL.sshsig of OpenSSH.
 
-    Raises FormatError for what is no signature, and Refused where it is not one of theirs or not of this message.
+    Raises FormatError if it is not a signature, Refused if it is not one of theirs or not of this message.
     """
     from cryptography.exceptions import InvalidSignature
     from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
@@ -84,11 +84,11 @@ def verify_signature(message: bytes, armoured: bytes, signers: tuple[str, ...]) 
 
 
 def _parse_signature(armoured: bytes, message: bytes) -> tuple[bytes, bytes, bytes]:
-    """The public key, what was signed in place of the message, the signature. Raises FormatError."""
+    """The public key, the data signed in place of the message, the signature. Raises FormatError."""
     begin, end = b"-----BEGIN SSH SIGNATURE-----", b"-----END SSH SIGNATURE-----"
     text = armoured.strip()
     if not text.startswith(begin) or not text.endswith(end):
-        raise FormatError(f"{SIGNATURE}: no SSH signature")
+        raise FormatError(f"{SIGNATURE}: not an SSH signature")
     blob = _decoded(text[len(begin) : -len(end)])
     if not blob.startswith(b"SSHSIG\0\0\0\x01"):
         raise FormatError(f"{SIGNATURE}: an unknown version")
@@ -121,7 +121,7 @@ def _strings(blob: bytes, count: int) -> list[bytes]:
         found.append(blob[at + 4 : at + 4 + length])
         at += 4 + length
     if at != len(blob):
-        raise FormatError(f"{SIGNATURE}: more than there should be")
+        raise FormatError(f"{SIGNATURE}: extra data after its end")
     return found
 
 
@@ -146,22 +146,22 @@ def pack(bundle: Path, parts: dict[str, Path], version: str, key: Path) -> None:
 def verify(bundle: Path, signers: tuple[str, ...], into: Path | None = None) -> SignedImage:
     """Read all of an image, and write its files into a folder where one is given; they are on the disk when this returns.
 
-    Raises FormatError for what is no image, Refused where signature or digest are wrong, OSError.
+    Raises FormatError if it is not an image, Refused if signature or digest are wrong, OSError.
     """
     with bundle.open("rb") as file:
         try:
             members = _members(file)
         except (tarfile.TarError, UnicodeError) as error:
-            raise FormatError(f"{bundle.name}: no image: {error}") from None
+            raise FormatError(f"{bundle.name}: not an image: {error}") from None
         manifest, signature = (_paper(file, name, *members[name]) for name in (MANIFEST, SIGNATURE))
         image = SignedImage(manifest, signature, signers)
         for name in PARTS:
             offset, size = members[name]
             if size != image.manifest.files[name].bytes:
-                raise Refused(f"{name}: not as long as its manifest says: the upload is not whole")
+                raise Refused(f"{name}: not as long as its manifest says: upload it again")
             file.seek(offset)
             if _copied(file, size, into / name if into else None) != image.manifest.files[name].sha256:
-                raise Refused(f"{name}: its digest is not that of its manifest")
+                raise Refused(f"{name}: damaged, its digest is not that of its manifest: upload it again")
         return image
 
 
@@ -175,23 +175,23 @@ def _members(file: IO[bytes]) -> dict[str, tuple[int, int]]:
         file.seek(at)
         header = tarfile.TarInfo.frombuf(file.read(tarfile.BLOCKSIZE), "utf-8", "strict")
         if header.name != name or not header.isreg() or header.size < 0:
-            raise FormatError(f"no image: {name} is not where it should be")
+            raise FormatError(f"not an image: {name} is not where it should be")
         found[name] = at + tarfile.BLOCKSIZE, header.size
         padding = -header.size % tarfile.BLOCKSIZE
         at += tarfile.BLOCKSIZE + header.size + padding
         file.seek(at - padding)
         if any(file.read(padding)):
-            raise FormatError(f"no image: there is something behind {name}")
+            raise FormatError(f"not an image: extra data after {name}")
     file.seek(at)
     rest = file.read(tarfile.RECORDSIZE + 1)
     if len(rest) > tarfile.RECORDSIZE or any(rest):
-        raise FormatError(f"no image: it must hold {', '.join(MEMBERS)}, in this order, and nothing else")
+        raise FormatError(f"not an image: it must hold {', '.join(MEMBERS)}, in this order, and nothing else")
     return found
 
 
 def _paper(file: IO[bytes], name: str, offset: int, size: int) -> bytes:
     if size > PAPER_BYTES:
-        raise FormatError(f"no image: {name} has more than {PAPER_BYTES} bytes")
+        raise FormatError(f"not an image: {name} has more than {PAPER_BYTES} bytes")
     file.seek(offset)
     return file.read(size)
 

@@ -1,9 +1,9 @@
-"""A directory that no path leads out of: not by `..`, not by a link, not by one that is put there between look and opening.
+"""A directory that no path leads out of: not by `..`, not by a link, not by a link that is put there between check and opening.
 
 A file is opened, made and removed by its name in a folder that is open already: a path that is walked twice may lead elsewhere
 the second time, and this process may have more rights than whoever puts links there.
 
-What begins with a dot is not there: keys may lie beside the logs. httpd, ftpd and sshd open files through it. Everything here
+Names with a dot in front are hidden: keys may lie beside the logs. httpd, ftpd and sshd open files through it. Everything here
 blocks on the disk: call it in a worker.
 """
 
@@ -53,7 +53,7 @@ class Jail:
             raise DelfimError("not a plain file")  # the root itself
         fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
-            if not self._holds(os.readlink(f"/proc/self/fd/{fd}")):  # between look and opening a link was put there
+            if not self._holds(os.readlink(f"/proc/self/fd/{fd}")):  # a link was put there between check and opening
                 raise DelfimError("outside of what may be seen")
             yield fd, name
         finally:

@@ -1,4 +1,4 @@
-"""logd: what the nodes of the bus say in words, to files (thesis 2.10)."""
+"""logd: writes the log messages of the bus's nodes to files (thesis 2.10)."""
 
 import asyncio
 import contextlib

@@ -1,6 +1,6 @@
 """No CAN sockets for this process and all that it starts, for good: a filter of system calls (seccomp).
 
-Linux lets every user send on every CAN bus, and there is no right to take away: so whoever has a shell could command the
+Linux lets every user send on every CAN bus, and there is no right to take away: so anyone with a shell could command the
 propellers. Here `socket(AF_CAN)` is answered with "permission denied". Standard library only.
 """
 
@@ -22,7 +22,7 @@ MACHINES: Final = {
 }
 ALLOW: Final = 0x7FFF_0000
 DENY: Final = 0x0005_0000 | errno.EACCES
-KILL: Final = 0x8000_0000  # what speaks another machine's language has other numbers
+KILL: Final = 0x8000_0000  # programs of another architecture have other numbers
 LOAD, EQUAL, AT_LEAST, RETURN = 0x20, 0x15, 0x35, 0x06  # instructions (linux/bpf_common.h)
 NUMBER, ARCHITECTURE, FIRST_ARGUMENT = 0, 4, 16  # offsets (linux/seccomp.h), on machines with the low byte first
 SET_MODE_FILTER, ALL_THREADS = 1, 1

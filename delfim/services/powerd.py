@@ -1,6 +1,6 @@
-"""powerd: hears that the power is to be cut, and has everything ended in order (thesis 3.3).
+"""powerd: learns that the power will be cut, and has everything ended in order (thesis 3.3).
 
-It listens for the shutdown frame, looks at a button and at the batteries, and hands what it hears to the supervisor, which ends
+It listens for the shutdown frame, looks at a button and at the batteries, and hands each order to the supervisor, which ends
 the programs, the vehicle first, unmounts the log partition and acknowledges: docs/powerd.md. All it knows comes from the
 bus, so that it does the same in the runtime and in a process of its own.
 """
@@ -62,7 +62,7 @@ class Button:
         self.reason = "" if path else "none"  # why it cannot be read, in words
 
     def pressed(self) -> bool:
-        """Whether it is, now. What cannot be read is not pressed, and is tried again."""
+        """Whether it is pressed now. A button that cannot be read is not pressed, and is tried again."""
         if not self._path:
             return False
         try:
@@ -94,7 +94,7 @@ class Button:
 
 
 class Powerd:
-    """What was heard so far. `order` and `reason` are set when the power is to be cut."""
+    """The state of the inputs. `order` and `reason` are set when the power is to be cut."""
 
     def __init__(self, settings: config.PowerdTable, clock: Clock) -> None:
         self._settings, self._clock = settings, clock
@@ -176,7 +176,7 @@ async def serve(runtime: Runtime) -> None:
         acted, begun = asyncio.Event(), pack_shutdown_acknowledge(ShutdownAcknowledge(ShutdownStage.BEGUN, 0))
 
         def act() -> None:
-            """At each order, so that one that was repeated is acknowledged again."""
+            """For each order: a repeated one is acknowledged again."""
             with contextlib.suppress(OSError):  # a bus that is full or gone: the computer ends all the same
                 can.sendto(begun, CanAddress(SHUTDOWN_ACKNOWLEDGE))
             if not acted.is_set():
@@ -198,4 +198,4 @@ def ask(runtime: Runtime, word: shutdown.Word, reason: str) -> None:
     try:
         shutdown.request(shutdown.socket_path(runtime.config.runtime.run_directory), word, reason)
     except OSError as error:
-        runtime.stop(f"{reason}; no supervisor to end the rest: {error.strerror}")
+        runtime.stop(f"{reason}; no supervisor to end the other programs: {error.strerror}")

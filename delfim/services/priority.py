@@ -32,7 +32,7 @@ EPOLL_TICK_S: Final = 0.001
 
 @dataclass(slots=True)
 class Account:
-    """What the callbacks of one service cost. Times are wall time: what the loop waits, not what the processor works."""
+    """The cost of one service's callbacks. Times are wall time: the loop's waiting, not the processor's work."""
 
     name: str
     budget_s: float  # of one callback
@@ -51,12 +51,12 @@ class Account:
         self.busy_s, self.longest_s, self.over_budget = 0.0, 0.0, 0
 
 
-# Whoever registers a callback or starts a task in this context pays for it, and for all that comes of it.
+# A callback or task is charged to the context in which it was registered, and so is all that comes of it.
 ACCOUNT: Final[ContextVar[Account]] = ContextVar("ACCOUNT")
 
 
 class Practice(Protocol):
-    """The critical path without effect. It must not raise."""
+    """The critical path without effect, to warm the caches. It must not raise."""
 
     def whole(self) -> None: ...  # when a window opens, where it is over before the message is due
     def part(self) -> None: ...  # between two looks of a window that waits: a message waits for it, so it takes microseconds
@@ -88,7 +88,7 @@ class NavigationSelector(selectors.EpollSelector):
 
 
 class NavigationFirst:
-    """What happens between two callbacks: the one before is charged, navigation is served, the window is kept."""
+    """The work between two callbacks: the one before is charged, navigation is served, the window is kept."""
 
     def __init__(self, window: NavigationWindow, clock: Clock, account: Account) -> None:
         self.window = window
@@ -141,7 +141,7 @@ class NavigationFirst:
         return now_s
 
     def resume(self) -> None:
-        """After the loop has looked for work. What it does with what it found is on its own account."""
+        """After the loop has looked for work. Handling the results goes to its own account."""
         now_s = self._clock_s()
         ready = self._poll(0.0, 4)
         if ready or now_s >= self.window.opens_s:
@@ -184,7 +184,7 @@ class NavigationFirst:
     def _practise(self, step: Callable[[], None]) -> None:
         try:
             step()
-        except Exception:  # a defect that costs warmth and must cost no more: there are no more rehearsals
+        except Exception:  # a defect that must cost no more than warm caches: rehearsals end here
             self.rehearsal = None
             logging.getLogger(__name__).exception("rehearsal of the critical path")
         self._practised_s = self._clock_s()
@@ -239,7 +239,7 @@ class NavigationLoop(asyncio.SelectorEventLoop):
         self._first.add(fd, handler, failed)
 
     def set_rehearsal(self, rehearsal: Practice | None) -> None:
-        """What keeps the caches warm for navigation."""
+        """Sets the rehearsal that keeps the caches warm for navigation."""
         self._first.rehearsal = rehearsal
 
     def remove_navigation(self, fd: int) -> None:

@@ -1,4 +1,4 @@
-"""What a process asks the kernel for: scheduler, processors, memory. What it may not have costs one warning."""
+"""Requests of a process to the kernel: scheduler, processors, memory. A refused one costs one warning."""
 
 import ctypes
 import logging
@@ -15,7 +15,7 @@ log = logging.getLogger(__name__)
 
 
 def set_privileges(settings: config.RuntimeTable) -> None:
-    """Those that hold from the start."""
+    """The requests that hold from the start."""
     sys.setswitchinterval(SWITCH_S)
     if settings.nice:
         asked(f"nice = {settings.nice}", lambda: os.setpriority(os.PRIO_PROCESS, 0, settings.nice))

@@ -1,7 +1,7 @@
 """The runtime: one process, one loop, navigation first; the vehicle and the services as cooperative tasks of it.
 
-A service is a name and a coroutine function that runs until it is cancelled. Returning is finishing,
-raising is being started again after a pause, raising PermanentFailure is staying down; the reason is kept and shown.
+A service is a name and a coroutine function that runs until it is cancelled. If it returns, it has finished; if it raises,
+it is restarted after a pause, but after PermanentFailure it stays down; the reason is kept and shown.
 Services start in the order given and are stopped one after the other in reverse order.
 
 How to add a service, and what the figures of `report` mean: docs/runtime.md.
@@ -32,10 +32,10 @@ from delfim.services.privileges import asked, real_time, set_privileges
 from delfim.services.supervisor import EXIT_PERMANENT, last_deadman
 from delfim.services.window import NavigationWindow
 
-BEAT_S: Final = 0.1  # the longest time between two beats of a loop that is well
-SETTLE_S: Final = 1.0  # a service is starting for so long; what its callbacks cost counts afterwards
-STOP_S: Final = 1.0  # that a service has to end after its cancellation
-TELL_S: Final = 1.0  # a process of its own says so often how its service is
+BEAT_S: Final = 0.1  # the longest time between two beats of a healthy loop
+SETTLE_S: Final = 1.0  # a service is starting for this long; the cost of its callbacks counts afterwards
+STOP_S: Final = 1.0  # time for a service to end after its cancellation
+TELL_S: Final = 1.0  # a process of its own reports its service this often
 
 State = Literal["starting", "running", "waiting", "failed", "stopped"]
 
@@ -43,7 +43,7 @@ log = logging.getLogger(__name__)
 
 
 class LoadedService(NamedTuple):
-    """What is to run."""
+    """A service to run."""
 
     name: str
     start: Callable[["Runtime"], Awaitable[None]]  # runs until cancelled
@@ -52,7 +52,7 @@ class LoadedService(NamedTuple):
 
 @dataclass(slots=True)
 class ServiceStatus:
-    """What is known of a service. `since_s` is the monotonic time of the last change of state."""
+    """The state of a service. `since_s` is the monotonic time of the last change of state."""
 
     name: str
     place: str
@@ -136,7 +136,7 @@ class Runtime:
             self._first.remove_navigation(fd)
 
     def rehearsal(self, rehearsal: Practice | None) -> None:
-        """What keeps the caches warm for navigation: the critical path without effect."""
+        """Sets the rehearsal that keeps the caches warm for navigation: the critical path without effect."""
         self._first.set_rehearsal(rehearsal)
 
     def reader(self, fd: int, handler: Callable[[], object], pause_s: float = 0.0) -> None:
@@ -278,7 +278,7 @@ class Runtime:
         return self._loop
 
     async def _serve(self, row: LoadedService) -> None:
-        """One service: started, and started again when it fails, until it is stopped."""
+        """One service: started, and restarted when it fails, until it is stopped."""
         status, limits = self.status[row.name], self.config.supervisor
         pause_s = limits.backoff_s
         began_s = self.clock.monotonic_s()
@@ -286,7 +286,7 @@ class Runtime:
             if self.clock.monotonic_s() - began_s > limits.backoff_max_s:
                 pause_s = limits.backoff_s
             if status.told != status.reason:  # and not each time that nothing has changed
-                log.error("%s: %s; tried again, after %g s at most", row.name, status.reason, limits.backoff_max_s)
+                log.error("%s: %s; retried within %g s", row.name, status.reason, limits.backoff_max_s)
                 status.told = status.reason
             await asyncio.sleep(pause_s)
             pause_s = min(2 * pause_s, limits.backoff_max_s)
@@ -314,7 +314,7 @@ class Runtime:
             settled.cancel()
         reason = in_words(error)
         if not isinstance(error, DelfimError | OSError) and reason != status.told:
-            log.error("%s: a defect", row.name, exc_info=error)
+            log.error("%s: defect in the program", row.name, exc_info=error)
         if isinstance(error, PermanentFailure):
             log.error("%s: %s; not started again", row.name, reason)
             self._change(status, "failed", reason)
@@ -333,7 +333,7 @@ class Runtime:
             status.told = ""
 
     def _failed(self) -> Callable[[Exception], None]:
-        """What a callback of the calling service does with its exception. Raises LookupError outside a service."""
+        """The handler of exceptions in callbacks of the calling service. Raises LookupError outside a service."""
         name = ACCOUNT.get().name
 
         def failed(error: Exception) -> None:
@@ -355,7 +355,7 @@ class Runtime:
         if all(task.done() for task in self._tasks.values()):
             self.stop("all services have ended")
 
-    # What the loop itself does.
+    # The loop's own work.
 
     def _be_real_time(self) -> None:
         """Not earlier: on a slow computer with one processor the threads that read the libraries would never get it."""
@@ -376,12 +376,12 @@ class Runtime:
         try:
             os.write(self._beat_fd, b".")
         except BlockingIOError:
-            pass  # the supervisor is slow, not gone
+            pass  # the supervisor is slow, not dead
         except OSError:
             self.stop("the supervisor is gone")
 
     def _tell(self, files: dict[str, int]) -> None:
-        """Say how the services are: the page is in another process. The files were open before one became another user."""
+        """Report the services: the page is in another process. The files were opened before the process changed its user."""
         self._loop.call_later(TELL_S, self._tell, files)
         for name, status in self.status.items():
             if files[name] >= 0:
@@ -391,7 +391,7 @@ class Runtime:
 
 
 def _status_file(path: Path) -> int:
-    """A descriptor, -1 where it cannot be had."""
+    """A descriptor, -1 if it cannot be opened."""
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)

@@ -1,6 +1,6 @@
-"""The last act: whoever still uses the log partition is ended, it is unmounted, and then the power may be cut (thesis 3.3).
+"""The last act: programs that use the log partition are ended, it is unmounted, and then the power may be cut (thesis 3.3).
 
-Played by the supervisor, after all its programs have ended. Standard library only; Linux only. Why here: docs/powerd.md.
+The supervisor runs it, after all its programs have ended. Standard library only; Linux only. Why here: docs/powerd.md.
 """
 
 import ctypes
@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
 LOOK_S: Final = 0.05  # between two looks at the users
-KILL_S: Final = 2.0  # that the kernel has to end what was killed
+KILL_S: Final = 2.0  # for the kernel to end killed processes
 ATTEMPT_S: Final = 20.0  # for an attempt, beyond what its users may take: a disk that hangs must not hang the rest
 AGAIN_S: Final = 1.0  # between two attempts
 TELL_S: Final = 0.2  # between two frames that say it is safe
@@ -62,12 +62,12 @@ def socket_path(run_directory: str | Path) -> Path:
 
 
 def record_path(run_directory: str | Path) -> Path:
-    """What became of the last shutdown, as JSON: reason, at_s (since boot), stage "safe" or "held", holders. A restart of the
+    """The outcome of the last shutdown, as JSON: reason, at_s (since boot), stage "safe" or "held", holders. A restart of the
     computer takes it away."""
     return Path(run_directory) / "shutdown.json"
 
 
-# Who is there.
+# Users of the partition.
 
 
 def users(mount: str, proc: Path = Path("/proc")) -> list[User]:
@@ -122,7 +122,7 @@ def _unescaped(place: str) -> str:
 
 
 def devices(mount: str, root: Path = Path("/")) -> list[str]:
-    """What in the kernel itself uses files below this place: loop devices and swap files."""
+    """Users of files below this place in the kernel itself: loop devices and swap files."""
     files = [(path.parts[-3], _read(path).strip()) for path in (root / "sys/block").glob("loop*/loop/backing_file")]
     files += [("swap", line.split()[0]) for line in _read(root / "proc/swaps").splitlines()[1:] if line]
     return [f"{name} uses {path}" for name, path in files if path.startswith(mount + "/")]
@@ -139,8 +139,8 @@ def _read(path: Path) -> str:
 
 
 def release(mount: str, end_s: float) -> list[str]:
-    """End the users of a mounted file system, sync it and unmount it, or at least make it read-only. Returns what is in the
-    way; empty: nothing, or nothing was mounted there."""
+    """End the users of a mounted file system, sync it and unmount it, or at least make it read-only. Returns the
+    obstacles; empty: none, or nothing was mounted there."""
     if not mounts(mount):
         os.sync()
         return []
@@ -165,7 +165,7 @@ def release(mount: str, end_s: float) -> list[str]:
 
 
 def _ended(mount: str, number: signal.Signals, patience_s: float) -> list[User]:
-    """Send a signal to each user once, also to those that come. Returns who is left after so long."""
+    """Send a signal to each user once, also to those that come. Returns the users left after this time."""
     told: set[int] = set()
     until_s = time.monotonic() + patience_s
     while (found := users(mount)) and time.monotonic() < until_s:

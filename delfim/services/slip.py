@@ -1,4 +1,4 @@
-"""SLIP, RFC 1055: packets in a stream of bytes. The line has no checksum; what is in the packets has to have one."""
+"""SLIP, RFC 1055: packets in a stream of bytes. The line has no checksum; the packets must have their own."""
 
 from collections.abc import Iterator
 from typing import Final

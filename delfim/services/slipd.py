@@ -1,7 +1,7 @@
 """slipd: the radio's serial line as a network interface, for as long as there is a radio (thesis 2.11, 3.3).
 
 It opens the serial port, gives it the kernel's (C)SLIP line discipline, names and addresses the interface, watches the carrier,
-and builds everything anew after whatever went wrong: carrier gone, hang-up, adapter unplugged, refusal of the kernel. Where the
+and builds everything anew after any failure: carrier gone, hang-up, adapter unplugged, refusal of the kernel. Where the
 kernel has no SLIP, a TUN device and the codecs of slip.py and vj.py stand behind the same interface, interactive traffic first.
 Every event is logged with its reason. docs/slipd.md.
 """
@@ -32,7 +32,7 @@ from delfim.services.vj import Compressor, Decompressor
 LOOK_S: Final = 0.25  # how often carrier and interface are looked at
 RETRY_MAX_S: Final = 2.0
 QUEUE_MAX: Final = 10  # packets of each kind; a longer queue is only delay
-AHEAD_S: Final = 0.02  # that the line is given before it has sent what it has
+AHEAD_S: Final = 0.02  # given to the line before it has sent the data it has
 IPTOS_LOWDELAY: Final = 0x10
 _N_TTY, _N_SLIP = 0, 1
 _SIOCGIFNAME, _SIOCSIFENCAP = 0x8910, 0x8926
@@ -68,7 +68,7 @@ def carrier_source(text: str) -> Carrier:
 
 
 class SerialRadio:
-    """The link through its ups and downs. `open_line` attaches an interface to an open port."""
+    """The link, reopened when it is lost. `open_line` attaches an interface to an open port."""
 
     def __init__(self, settings: config.Slipd, clock: Clock, open_line: Callable[[int], RadioLine]) -> None:
         self._settings, self._clock, self._open_line = settings, clock, open_line
@@ -243,13 +243,13 @@ class TunLine:
         for frame in self._deframer.feed(data):
             packet = self._decompressor.decompress(frame) if self._decompressor else frame
             if packet is not None:
-                with contextlib.suppress(OSError):  # what is no packet the kernel refuses
+                with contextlib.suppress(OSError):  # the kernel refuses anything but a packet
                     os.write(self._tun, packet)
         if self._decompressor and self._deframer.errors != errors:
             self._decompressor.damaged()
 
     def _send(self) -> None:
-        """As much as the line takes now: what waits in the port's buffer or in the modem's cannot be overtaken."""
+        """As much as the line takes now: data in the port's or the modem's buffer cannot be overtaken."""
         self._timer, now_s = None, self._loop.time()
         try:
             while self._rest or self._is_free(now_s):

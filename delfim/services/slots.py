@@ -3,8 +3,8 @@
 The boot partition holds `a/` and `b/`, each with kernel, initramfs and the signed manifest that names their digests, and
 `grub/grubenv`, three words that boot loader and boat share: `slot` is started, except that `trial`, when it is set, is started
 once in its place: the boot loader clears it first and leaves it in `tried`. So whatever a new image does, even if it never
-reaches its first program, the next start is that of the old one. Only `confirm` makes it stay. Whoever calls knows that the
-boat is not under way. How it is used: docs/image.md.
+reaches its first program, the next start is that of the old one. Only `confirm` makes it stay. The caller makes sure that the
+boat is not under way. How to use it: docs/image.md.
 """
 
 import contextlib
@@ -32,7 +32,7 @@ Slot = Literal["a", "b"]
 
 
 class Environment(msgspec.Struct, frozen=True):
-    """What boot loader and boat tell each other: slots, "" for none."""
+    """The words that boot loader and boat share: slots, "" for none."""
 
     slot: str = "a"
     trial: str = ""
@@ -89,7 +89,7 @@ class Slots:
             return None
 
     def damage(self, slot: str) -> str:
-        """What is wrong with the files of a slot, read from the disk; "" when nothing is."""
+        """The damage to the files of a slot, read from the disk; "" if there is none."""
         try:
             manifest = self.manifest(slot)
             for name, part in manifest.files.items() if manifest else ():
@@ -116,7 +116,7 @@ class Slots:
         for name, text in ((SIGNATURE, image.signature), (MANIFEST, image.paper)):
             _replace(folder / name, text)
         if damage := self.damage(slot):
-            raise Refused(f"slot {slot}: {damage}: the disk does not keep what is written to it")
+            raise Refused(f"slot {slot}: {damage}: the disk does not keep written data; replace it")
         self._write(Environment(environment.slot, trial=slot))
         return slot, image
 
@@ -131,7 +131,7 @@ class Slots:
         if running == environment.slot and not environment.tried:
             raise Refused(f"slot {running} is confirmed already")
         if running not in (environment.slot, environment.tried):
-            raise Refused(f"slot {running} was overwritten since it was started: start anew, then confirm")
+            raise Refused(f"slot {running} was overwritten since it was started: restart the computer, then confirm")
         self._write(Environment(running, environment.trial))
 
     def _write(self, environment: Environment) -> None:
@@ -146,7 +146,7 @@ def parse_environment(text: bytes) -> Environment:
     if len(text) != ENVIRONMENT_BYTES or lines[0] != ENVIRONMENT_HEAD.strip() or environment.slot not in SLOTS:
         raise FormatError("grubenv is damaged: it names no slot")
     if not {environment.trial, environment.tried} <= {*SLOTS, ""}:
-        raise FormatError("grubenv is damaged: it names a slot that is none")
+        raise FormatError("grubenv is damaged: it names an unknown slot")
     return environment
 
 
@@ -181,7 +181,7 @@ def _digest_of_disk(path: Path) -> str:
         return hashlib.file_digest(file, "sha256").hexdigest()
 
 
-# What the running boat knows without the partition.
+# Known to the running boat without the partition.
 
 
 def started(command_line: str) -> tuple[str, str]:
@@ -192,11 +192,11 @@ def started(command_line: str) -> tuple[str, str]:
 
 
 def notice(slot: str, tried: str) -> str:
-    """What the operator should know about this start, in words; "" when it is an ordinary one."""
+    """A notice to the operator about this start, in words; "" for an ordinary one."""
     if not slot or not tried:
         return ""
     if slot == tried:
-        return f"the image in slot {slot} is on trial: confirm it, or the next start is that of the other one"
+        return f"the image in slot {slot} is on trial: confirm it, or the next start is of the other slot"
     return f"rolled back: the image in slot {tried} was tried and not confirmed; slot {slot} runs again"
 
 

@@ -1,9 +1,9 @@
 """sshd: programs on the boat with their input and output here, a shell, files (the thesis' rshd, 2.8, 3.3; RFC 4251-4254).
 
 It stands on asyncssh. Public keys only; the host key is ed25519, made at the first start and kept; of key exchanges those that
-cost the loop little. All is done as one user of the system, whom the process becomes before it serves anybody. Nothing is
-forwarded. Whoever comes and whatever is run is logged. Files are read and written by two workers, inside of a jail. How it is
-used: docs/sshd.md.
+cost the loop little. All runs as one user of the system; the process becomes that user before it serves a client. Nothing is
+forwarded. Every login and every command is logged. Files are read and written by two workers, inside of a jail. How to use
+it: docs/sshd.md.
 """
 
 import asyncio
@@ -41,7 +41,7 @@ log = logging.getLogger(__name__)
 
 
 class Daemon:
-    """What all connections share."""
+    """The data that all connections share."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
         table = settings.sshd
@@ -174,7 +174,7 @@ async def serve(runtime: Runtime) -> None:
     settings = runtime.config
     status = runtime.status.get("sshd")
     if settings.sshd.user and status is not None and status.place == "runtime":
-        raise PermanentFailure("sshd.user: the vehicle cannot become another user; say services.sshd.place = 'process'")
+        raise PermanentFailure("sshd.user: the vehicle cannot become another user; write services.sshd.place = 'process'")
     daemon = Daemon(settings, runtime.clock)
     acceptor = await daemon.listen()
     address = "ssh://{}:{}".format(*acceptor.sockets[0].getsockname()[:2])
@@ -188,7 +188,7 @@ async def serve(runtime: Runtime) -> None:
 
 
 def _public(name: str, lines: tuple[str, ...]) -> frozenset[bytes]:
-    """Raises PermanentFailure for what is no public key."""
+    """Raises PermanentFailure for a line that is not a public key."""
     try:
         return frozenset(asyncssh.import_public_key(line).public_data for line in lines)
     except asyncssh.KeyImportError as error:
@@ -236,4 +236,4 @@ def _without_can() -> None:
     try:
         forbid_can()
     except OSError as error:
-        log.warning("sshd: whoever has a shell can send on the CAN buses: %s", error.strerror)
+        log.warning("sshd: every user with a shell can send on the CAN buses: %s", error.strerror)

@@ -18,7 +18,7 @@ from delfim.services.uploads import NoRoom, Uploads
 
 READ_BYTES: Final = 32 << 10  # of a file, at once: more drives the vehicle out of the processor's cache
 
-asyncssh.sftp.MAX_SFTP_READ_LEN = READ_BYTES  # what clients are told; there is no other way to say it
+asyncssh.sftp.MAX_SFTP_READ_LEN = READ_BYTES  # the answer to clients; the protocol has no other
 log = logging.getLogger(__name__)
 
 
@@ -34,7 +34,7 @@ def _in_worker(name: str) -> Any:
 
 @contextlib.contextmanager
 def _told() -> Iterator[None]:
-    """A refusal as SFTP can say it: an OSError."""
+    """A refusal in SFTP's form: an OSError."""
     try:
         yield
     except DelfimError as error:
@@ -44,7 +44,7 @@ def _told() -> Iterator[None]:
 def _apply(fd: int, attrs: asyncssh.SFTPAttrs) -> None:
     """Size, rights and times of a file. Raises OSError."""
     if attrs.uid is not None or attrs.gid is not None:
-        raise PermissionError(errno.EACCES, "files stay their owner's")
+        raise PermissionError(errno.EACCES, "the owner of a file cannot be changed")
     if attrs.size is not None:
         os.truncate(f"/proc/self/fd/{fd}", attrs.size)
     if attrs.permissions is not None:
@@ -60,7 +60,7 @@ class _File(io.FileIO):
 
 
 class SftpFiles(asyncssh.SFTPServer):
-    """SFTP and SCP inside of the jail. Every call is a worker's; no link can be made, and those that lead out are not there."""
+    """SFTP and SCP inside of the jail. Every call is a worker's; no link can be made, and links that lead out are hidden."""
 
     def __init__(self, channel: Any, jail: Jail, uploads: Uploads, workers: ThreadPoolExecutor) -> None:
         super().__init__(channel, chroot=os.fsencode(jail.root))
@@ -108,7 +108,7 @@ class SftpFiles(asyncssh.SFTPServer):
     def _named(self, path: bytes) -> list[asyncssh.SFTPName]:
         found = []
         for name in (b".", b"..", *sorted(os.listdir(self.map_path(path)))):
-            with contextlib.suppress(OSError):  # what leads out, and what just went
+            with contextlib.suppress(OSError):  # links that lead out, and files just deleted
                 status = os.stat(self.map_path(os.path.join(path, name)))
                 found.append(asyncssh.SFTPName(name, attrs=asyncssh.SFTPAttrs.from_local(status)))
         return found
@@ -161,7 +161,7 @@ class SftpFiles(asyncssh.SFTPServer):
     async def rename(self, oldpath: bytes, newpath: bytes) -> None:
         """As `posix_rename`, but nothing is replaced."""
         if await self.work(lambda: os.path.lexists(self.map_path(newpath))):
-            raise asyncssh.SFTPFileAlreadyExists("there is such a file")
+            raise asyncssh.SFTPFileAlreadyExists("a file of this name exists")
         await self.posix_rename(oldpath, newpath)
 
     def symlink(self, oldpath: bytes, newpath: bytes) -> None:
@@ -188,5 +188,5 @@ class SftpFiles(asyncssh.SFTPServer):
 
 
 def _normal(path: bytes) -> str:
-    """What a client means, from the root; ".." ends there."""
+    """The client's path, from the root; ".." ends there."""
     return os.path.normpath(os.path.join("/", os.fsdecode(path)))

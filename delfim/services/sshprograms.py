@@ -19,7 +19,7 @@ import asyncssh
 
 from delfim import config
 
-HANG_UP_S: Final = 2.0  # that programs have to end when their client went away or the first of them has ended
+HANG_UP_S: Final = 2.0  # for programs to end after their client left or the first of them ended
 LEAVE_S: Final = 2.0  # before SIGHUP: `setsid program &` on a slow computer has not left the session when its shell ends
 LOOK_S: Final = 0.02  # between two looks whether they have
 BLOCK_BYTES: Final = 64 << 10
@@ -89,7 +89,7 @@ class _Pipe:
 
 
 class Programs:
-    """All that run for clients."""
+    """All programs that run for clients."""
 
     def __init__(self, table: config.Sshd) -> None:
         self.sessions = self.commands = 0  # that run now; that were started
@@ -110,7 +110,7 @@ class Programs:
             "a shell" if process.command is None else repr(process.command)
         )  # so that no command looks like a line of the log
         if process.subsystem is not None or self.sessions >= self._table.sessions:
-            process.stderr.write(b"too many programs are running\n" if process.subsystem is None else b"there is only sftp\n")
+            process.stderr.write(b"too many programs are running\n" if process.subsystem is None else b"only sftp is there\n")
             process.exit(1)
             return
         self.sessions += 1
@@ -165,7 +165,7 @@ class Programs:
         sinks: dict[_Pipe, "asyncssh.SSHWriter[bytes]"],
         theirs: contextlib.ExitStack,
     ) -> int:
-        """What the client says goes in and what the program says comes out, until the program has ended and all of it is sent,
+        """Carries input and output between client and program, until the program has ended and all its output is sent,
         or the client has gone. Returns the exit status, or the negative number of the signal that ended the program."""
         self._children.add(child)
         process.on_signal = functools.partial(_signal, child)
@@ -233,7 +233,7 @@ async def _pour(pipe: _Pipe, sink: "asyncssh.SSHWriter[bytes]") -> None:
 
 
 async def _feed(process: SshProcess, child: asyncio.subprocess.Process, pipe: _Pipe, *, is_terminal: bool) -> None:
-    """What the client says. What the program does not want to read is thrown away."""
+    """The client's input. Input that the program does not read is dropped."""
     while True:
         try:
             data = await process.stdin.read(BLOCK_BYTES)

@@ -17,7 +17,7 @@ from delfim.vehicle.links import Links
 
 
 class PropellerStop:
-    """Called, it stops all actuators. What could not be told is opened anew the next time."""
+    """When called, stops all actuators. A link that failed is opened anew the next time."""
 
     def __init__(self, settings: config.Vehicle) -> None:
         self._settings, self._names = settings, settings.propulsion.actuators
@@ -27,7 +27,7 @@ class PropellerStop:
         self._bus: CanSocket | None = None
 
     def __call__(self) -> None:
-        """Raises DelfimError where one of them was not told; the others were."""
+        """Raises DelfimError if one of them could not be told; the others were told."""
         refused = list[str]()
         for name in self._names:
             try:
@@ -44,7 +44,7 @@ class PropellerStop:
     def tell(self, is_safe: bool, holders: Sequence[str]) -> None:
         """At the end of a shutdown: a stop once more, and whether the power may be cut."""
         stage = ShutdownStage.SAFE if is_safe else ShutdownStage.HELD
-        with contextlib.suppress(OSError, DelfimError):  # a bus that takes nothing is no reason to go on
+        with contextlib.suppress(OSError, DelfimError):  # a full bus must not hold up the shutdown
             self()
             if self._bus is None:
                 self._bus = open_can(self._settings.can.interface)

@@ -1,12 +1,12 @@
 """The supervisor: the parent of all programs, and the dead-man. It fits for PID 1.
 
-It starts the programs, each in a session of its own, and starts again what died. Every program is told `--beat-fd N`, the
+It starts the programs, each in a session of its own, and restarts those that die. Every program is told `--beat-fd N`, the
 write end of a pipe. The critical one beats on it; when the beat stops, whatever the reason, the supervisor itself stops the
 propellers, has the program write into the pipe where its threads stand and die of it, kills it STACKS_S later if it did not,
 and starts it again. A program whose pipe breaks knows that the supervisor is gone.
 
-It ends on a signal or on a word at its socket (delfim.services.shutdown), the critical program first; what comes then is the
-caller's. What it does not do: dependencies, logs. It never waits for anything but time and its children.
+It ends on a signal or on a word at its socket (delfim.services.shutdown), the critical program first; the caller does
+the rest. It does not handle dependencies or logs. It never waits for anything but time and its children.
 """
 
 import json
@@ -32,11 +32,11 @@ EXIT_PERMANENT: Final = 100  # of a program: do not start me again
 START_S: Final = 60.0  # a critical program may take so long to its first beat: a slow board reads it from a slow card
 HEAD_START_S: Final = 5.0  # the others wait so long for its first beat: until then it has the processor to itself
 STOP_EVERY_S: Final = 0.1  # between two stop frames while nothing beats
-STACKS_S: Final = 0.1  # that a silent program has to write where its threads stand, while stop frames are sent already
+STACKS_S: Final = 0.1  # for a silent program to write where its threads stand, while stop frames are already sent
 TICK_S: Final = 0.1  # the longest wait: the hardware watchdog is stroked so often, and who wakes later has been kept from it
-END_CRITICAL_S: Final = 5.0  # that the critical program has to end in order
-END_S: Final = 2.0  # that another program has
-KILL_S: Final = 1.0  # that the kernel has to end what was killed
+END_CRITICAL_S: Final = 5.0  # for the critical program to end in order
+END_S: Final = 2.0  # for another program
+KILL_S: Final = 1.0  # for the kernel to end killed processes
 REQUEST_BYTES: Final = 4096
 
 # Which signal ends what: of the machine's first process as busybox' poweroff and reboot, ctrl-alt-del and a UPS send them.
@@ -60,13 +60,13 @@ log = logging.getLogger(__name__)
 class Supervisor:
     """`run_forever` does it all.
 
-    stop: sends frames that stop the propellers; what it raises is logged and does not matter.
+    stop: sends frames that stop the propellers; its exceptions are logged, and the rest goes on.
     state_file: JSON for the other programs, replaced at each change.
     watchdog: device, "" for none; where it does not exist there is none.
     requests: UNIX socket for "off REASON" and the like; None for none.
     init: the first process of a machine. It ends only when it is told to.
 
-    `word` and `reason` say afterwards what ended it; "" where it ended by itself.
+    `word` and `reason` name afterwards the request that ended it; "" if it ended by itself.
     """
 
     def __init__(
@@ -135,7 +135,7 @@ class Supervisor:
             log.warning("supervisor: %s: %s", word, reason)
             self._asked(cast(Word, word), reason)
         else:
-            log.error("supervisor: a request that is none: %r", word[:20])
+            log.error("supervisor: not a request: %r", word[:20])
 
     def _done(self) -> bool:
         if self.word or self._init:
@@ -224,8 +224,8 @@ class Supervisor:
         return child.start_s + START_S if child.beat_s is None else child.beat_s + self._deadman_s
 
     def _watch_beat(self) -> None:
-        """What is critical and silent is stopped at once, asked where it stands, and killed. Silence of what is not critical is
-        only told."""
+        """A silent critical program is stopped at once, asked where it stands, and killed. Silence of another program is
+        only logged."""
         now_s, child = time.monotonic(), self._critical
         for each in self._children:
             late = each is not child and each.beat_s is not None and now_s - each.beat_s > self._deadman_s
@@ -242,8 +242,8 @@ class Supervisor:
         os.kill(child.pid, STACKS_SIGNAL)
 
     def _finish(self, child: Child, otherwise: str) -> None:
-        """Kill what did not die of the question, and all its group; tell where it stood, or how it was. All stacks go into the
-        log."""
+        """Kill a program that survived the question, and all its group; log where it stood, or its state, and all
+        stacks."""
         child.kill_s = inf
         with suppress(ProcessLookupError):
             os.killpg(child.pid, signal.SIGKILL)
@@ -268,7 +268,7 @@ class Supervisor:
         try:
             self._stop()
             self._stop_error = ""
-        except Exception as error:  # whatever is wrong with the bus, killing and starting again go on
+        except Exception as error:  # whatever fails on the bus, killing and restarting go on
             if str(error) != self._stop_error:
                 log.error("stop frames: %s", error)
                 self._stop_error = str(error)
@@ -295,8 +295,8 @@ class Supervisor:
         self._watchdog.stroke(b"\0")
 
     def _excuse(self, wait_s: float) -> None:
-        """A turn that took longer than its wait: the computer stood still, or gave the processor to others. Who could not beat
-        then is not silent; what we could not hear is not known."""
+        """A turn that took longer than its wait: the computer stood still, or gave the processor to others. Programs that
+        could not beat then are not silent; beats that we could not hear are unknown."""
         now_s = time.monotonic()
         lost_s, self._turn_s = max(0.0, now_s - self._turn_s - wait_s), now_s
         for child in self._children:
@@ -334,7 +334,7 @@ class Supervisor:
             if child.pid and now_s > until_s and not child.verdict:
                 self._kill(child, f"did not end in {patience_s:g} s")
 
-    # What others see.
+    # The state for other programs.
 
     def _change(self, child: Child, state: Literal["waiting", "running", "stopped", "failed"]) -> None:
         child.state, child.since_s = state, time.monotonic()
@@ -360,7 +360,7 @@ class Supervisor:
 
 
 def _listening(path: Path) -> socket.socket | None:
-    """The socket for requests; None where it cannot be had: signals remain."""
+    """The socket for requests; None if it cannot be opened: signals remain."""
     path.unlink(missing_ok=True)
     listening = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
     try:

@@ -27,7 +27,7 @@ class NoRoom(DelfimError):
 
 
 class Uploads:
-    """The folder, changed by name, and its room. Paths are as clients see them. Raises DelfimError for those elsewhere."""
+    """The folder, changed by name, and its room. Paths are as clients see them. Raises DelfimError for paths elsewhere."""
 
     def __init__(self, root: str, limits: config.LogTable) -> None:
         self._limits = limits
@@ -35,7 +35,7 @@ class Uploads:
         self._jail = Jail(self.folder)
         self._lock = threading.Lock()
         self._left_bytes = 0  # that may be written before the next look
-        self._pending_bytes = 0  # that others are writing just now, and a look does not see
+        self._pending_bytes = 0  # being written by others just now, and not seen by a look
 
     def prepare(self) -> None:
         """Make the folder. Who may only read does not need it."""
@@ -68,7 +68,7 @@ class Uploads:
             os.rmdir(name, dir_fd=folder)
 
     def rename(self, source: str, target: str) -> None:
-        """The new name is on the disk when this is over, and what stood under it is gone."""
+        """The new name is on the disk when this returns, and replaces a file of that name."""
         with self._jail.at(self._inner(source)) as (old, name), self._jail.at(self._inner(target)) as (new, new_name):
             os.rename(name, new_name, src_dir_fd=old, dst_dir_fd=new)
             os.fsync(new)
@@ -112,7 +112,7 @@ class Uploads:
         before = f"/{self._limits.upload_folder}/"
         path = os.path.normpath(path)
         if not path.startswith(before):
-            raise DelfimError(f"writing is only possible in {before.rstrip('/')}")
+            raise DelfimError(f"you can only write in {before.rstrip('/')}")
         if not path.isprintable():  # no program that lists it could show it
             raise DelfimError("a name must be of printable characters, in UTF-8")
         return path.removeprefix(before)
@@ -123,7 +123,7 @@ class Uploads:
             return
         disk = os.statvfs(self.folder)
         if used(self.folder)[1] >= self._limits.upload_names_max:
-            raise NoRoom(f"there are {self._limits.upload_names_max} uploads")
+            raise NoRoom(f"there are {self._limits.upload_names_max} uploads already: delete some")
         if disk.f_files and disk.f_favail < disk.f_files * INODES_SHARE:
             raise NoRoom("the disk has no room for more files")
 
@@ -142,5 +142,5 @@ class Uploads:
         room = upload_room(self.folder, self._limits.upload_bytes_max)
         left = min(free, room) - self._pending_bytes
         if left < size:
-            raise NoRoom("the disk is full" if free < size else "the uploads have used up their room")
+            raise NoRoom("the disk is full" if free < size else "the uploads have used up their room: delete some")
         self._left_bytes = min(left, max(size, LOOK_BYTES))

@@ -40,7 +40,7 @@ MAINTAIN_EVERY = 10
 
 
 class Breakable(Protocol):
-    """What `delfim fault` can break in this program; `delfim.simulator.bycommand` has it."""
+    """The faults that `delfim fault` can inject into this program; `delfim.simulator.bycommand` has them."""
 
     @property
     def deaf(self) -> str | None: ...  # why the operator is not heard; None: he is
@@ -49,7 +49,7 @@ class Breakable(Protocol):
 
 
 class OpenedLinks:
-    """The boat's links to the outside, for as long as the service runs: kept up, and what comes by a serial line logged. A CAN
+    """The boat's links to the outside, for as long as the service runs: kept open, and the input of serial lines logged. A CAN
     bus has its black box elsewhere."""
 
     def __init__(self, runtime: Runtime, links: contextlib.ExitStack) -> None:
@@ -97,7 +97,7 @@ async def serve(runtime: Runtime) -> None:
 
         opened = OpenedLinks(runtime, links)
         boat, sensors, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
-        links.callback(boat.helm.stop, "shutdown")  # first of all that is undone
+        links.callback(boat.helm.stop, "shutdown")  # undone first of all
         for source in boat.sources:
             links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))
             links.enter_context(runtime.publishing(source.name, partial(_figures, source, clock)))
@@ -175,12 +175,12 @@ async def _attend(
 
 
 def _stamps(settings: config.Vehicle) -> Path:
-    """The file of the time stamps of what was signed."""
+    """The file of the time stamps of signed messages."""
     return Path(settings.log.directory) / "mavlink-stamps"
 
 
 def _breakable(runtime: Runtime, links: contextlib.ExitStack) -> Breakable | None:
-    """What `delfim fault` can break in this program. None at sea: nothing of it is loaded there."""
+    """The faults that `delfim fault` can inject into this program. None at sea: nothing of it is loaded there."""
     if not runtime.config.simulation.faults:
         return None
     from delfim.simulator.bycommand import Aboard
@@ -189,7 +189,7 @@ def _breakable(runtime: Runtime, links: contextlib.ExitStack) -> Breakable | Non
 
 
 def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
-    """What was wrong with the end of the run before, in words, told by a mark that lies among the logs while a run goes on."""
+    """The fault at the end of the last run, in words: a mark stays among the logs if a run did not end in order."""
     mark = directory / "running"
     try:
         directory.mkdir(parents=True, exist_ok=True)
@@ -203,15 +203,15 @@ def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
             mark.unlink()
 
     links.callback(ended)
-    return "the run before did not end in order: a crash, or the power was cut" if unclean else ""
+    return "the last run did not end in order: it crashed, or the power was cut" if unclean else ""
 
 
 async def _guest_server(boat: VehicleLoop, listen: str) -> Callable[[], object]:
-    """Returns what ends it. A boat without its guest sails: where the address cannot be had, the log says so."""
+    """Returns the function that ends it. A boat without its guest sails: if it cannot listen, the log says so."""
     try:
         return (await asyncio.get_running_loop().create_server(lambda: boat.guest, *config.address(listen))).close
     except OSError as error:
-        logging.getLogger(__name__).error("guest: nobody can connect on %s: %s", listen, error.strerror)
+        logging.getLogger(__name__).error("guest: cannot listen on %s: %s", listen, error.strerror)
         return bool
 
 
@@ -220,12 +220,12 @@ def _figures(source: Source, clock: Clock) -> dict[str, object]:
 
 
 def _socket_path(name: str) -> str:
-    """The path for a new UNIX socket; what a run that was killed left there is removed. Raises DelfimError when a vehicle is
+    """The path for a new UNIX socket; the socket of a killed run is removed. Raises DelfimError when a vehicle is
     running there: two must not answer to one name."""
     path = Path(name)
     path.parent.mkdir(parents=True, exist_ok=True)
     with socket.socket(socket.AF_UNIX) as knock:
         if knock.connect_ex(name) == 0:
-            raise DelfimError(f"another vehicle answers on {name}")
+            raise DelfimError(f"another vehicle already answers on {name}: end it first")
     path.unlink(missing_ok=True)
     return name

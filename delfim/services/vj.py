@@ -1,7 +1,7 @@
 """TCP/IP header compression, RFC 1144 ("VJ"), as the kernel's CSLIP speaks it: 40 bytes of header become three to five.
 
-A Compressor at one end and a Decompressor at the other remember the last header of up to 16 connections; what is sent is what
-changed. After a damaged packet the Decompressor tosses what it cannot tell, until TCP itself repeats a packet uncompressed.
+A Compressor at one end and a Decompressor at the other remember the last header of up to 16 connections; only changes are
+sent. After a damaged packet the Decompressor drops packets, until TCP itself repeats a packet uncompressed.
 """
 
 import struct
@@ -31,7 +31,7 @@ class _TcpIpHeader:
         self.raw = packet[: self.size]
 
     def constant(self) -> bytes:
-        """What must not change: version, type of service, fragments, time to live, options, and the length of both headers."""
+        """The constant fields: version, type of service, fragments, time to live, options, and the length of both headers."""
         raw, tcp = self.raw, self.tcp
         return raw[:2] + raw[6:10] + raw[20:tcp] + raw[tcp + 12 : tcp + 13] + raw[tcp + 20 :]
 
@@ -57,7 +57,7 @@ class Compressor:
         self._last = -1
 
     def compress(self, packet: bytes) -> bytes:
-        """What goes onto the line for this packet."""
+        """The bytes on the line for this packet."""
         if not _compressible(packet):
             return packet
         new = _TcpIpHeader(packet)
@@ -88,7 +88,7 @@ class Compressor:
 
 
 def _changes(old: _TcpIpHeader, new: _TcpIpHeader) -> tuple[int, bytes] | None:
-    """(what changed, by how much), None where it cannot be said in short."""
+    """(changed fields, by how much), None if there is no short form."""
     if old.constant() != new.constant() or (old.flags ^ new.flags) & ~(_PSH | _URG):
         return None
     mask, said = 0, []
@@ -125,7 +125,7 @@ def _number(value: int, zero: bool = False) -> bytes:
 
 
 class Decompressor:
-    """The receiving end. `errors` counts what had to be tossed."""
+    """The receiving end. `errors` counts the packets that were dropped."""
 
     def __init__(self) -> None:
         self.errors = 0

@@ -1,4 +1,4 @@
-"""The hardware watchdog: it starts the machine again when nobody strokes it any more."""
+"""The hardware watchdog: it restarts the machine when nobody feeds it any more."""
 
 import logging
 import os
@@ -7,7 +7,7 @@ log = logging.getLogger(__name__)
 
 
 class Watchdog:
-    """A device, "" for none; where it does not exist there is none."""
+    """A device, "" for none; if it does not exist there is none."""
 
     def __init__(self, device: str) -> None:
         self._fd = -1

@@ -15,7 +15,7 @@ HOLD_MAX_S: Final = 0.01  # the longest time that the loop is ever held
 
 
 class Rhythm:
-    """Period and phase of one source, from its last arrivals alone: what is old is forgotten, whatever it was.
+    """Period and phase of one source, from its last arrivals alone: older ones are forgotten.
 
     Order statistics throughout: a late, missing or additional message moves them little. Drift is followed.
     """
@@ -127,7 +127,7 @@ class NavigationWindow:
     def close(self, opened_s: float, now_s: float) -> None:
         """The loop is let go, now."""
         self.spent_s += now_s - opened_s
-        self._credit_s = max(self._credit_s - (now_s - opened_s), -HOLD_MAX_S)  # a computer that slept owes no windows for it
+        self._credit_s = max(self._credit_s - (now_s - opened_s), -HOLD_MAX_S)  # no windows are owed for time asleep
         if self._is_open and self._due:
             self._is_open = False
             if opened_s < self._closes_s:
@@ -161,7 +161,7 @@ class NavigationWindow:
 
 
 def _median(values: list[float]) -> float:
-    """The upper median: no mean of two, which would belong to neither."""
+    """The upper of the two middle values: their mean would belong to neither."""
     return sorted(values)[len(values) // 2]
 
 

@@ -100,10 +100,10 @@ def test_what_fails_again_and_again_is_told_once_and_when_it_goes(
 
     ran(LoadedService("can", failing))
     assert [record.getMessage() for record in caplog.records if record.getMessage().startswith("can: ")] == [
-        "can: there is no interface can0; tried again, after 0.04 s at most",
-        "can: can0 is down; tried again, after 0.04 s at most",
-        "can: a defect",
-        "can: KeyError: 'heading'; tried again, after 0.04 s at most",
+        "can: there is no interface can0; retried within 0.04 s",
+        "can: can0 is down; retried within 0.04 s",
+        "can: defect in the program",
+        "can: KeyError: 'heading'; retried within 0.04 s",
         "can: runs again",
     ]
 
@@ -125,7 +125,7 @@ def test_the_reason_of_a_failure_is_kept_in_words(caplog: pytest.LogCaptureFixtu
     ran(LoadedService("failing", failing), LoadedService("defective", defective), LoadedService("looking", looking))
     assert reasons == ["can0: bus-off", "KeyError: 'heading'", ""]
     with_traceback = {record.message for record in caplog.records if record.exc_info}
-    assert with_traceback == {"defective: a defect"}
+    assert with_traceback == {"defective: defect in the program"}
 
 
 def test_a_permanent_failure_is_final_and_others_go_on() -> None:

@@ -154,7 +154,7 @@ def test_nothing_is_changed_elsewhere(disk, path):
         lambda: uploads.rename("/upload/mine", path),
         lambda: uploads.apply(path, os.close),
     ):
-        with pytest.raises(DelfimError, match="only possible in /upload"):
+        with pytest.raises(DelfimError, match="you can only write in /upload"):
             do()
     assert sorted(str(found.relative_to(disk)) for found in disk.rglob("*")) == [
         "20260101", "20260101/x.log", "upload", "upload/mine",
