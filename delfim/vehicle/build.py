@@ -1,4 +1,4 @@
-"""The boat put together, for the runtime, lock step, replay, warm-up and tests: what differs between them is handed in."""
+"""The boat put together, for the runtime, lock step, replay, warm-up and tests; each hands in its clock, links and log."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -1,6 +1,6 @@
-"""What is looked at before the boat leaves idle, a line and a reason each: the page that is read on the quay.
+"""The checks before the boat leaves idle, a line and a reason each: the page to read on the quay.
 
-The one door asks the same lines: what the page shows in order, the door does not refuse.
+The one door uses the same lines: it does not refuse a boat that the page shows in order.
 """
 
 from typing import NamedTuple
@@ -13,7 +13,7 @@ from delfim.vehicle.state import State
 from delfim.vehicle.troubles import Inputs, Trigger, charge
 
 EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
-HEARD_S = 5.0  # a console that was silent for longer is no link
+HEARD_S = 5.0  # a console silent for longer counts as lost
 
 
 class Check(NamedTuple):
@@ -22,9 +22,7 @@ class Check(NamedTuple):
     reason: str  # in words, for either answer
 
 
-ADVISORY = frozenset(
-    {"clock", "mission", "link", "last shutdown", "image"}
-)  # told, and in nobody's way: no mode needs the time
+ADVISORY = frozenset({"clock", "mission", "link", "last shutdown", "image"})  # shown, but they forbid no mode
 
 
 def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: int) -> list[Check]:
@@ -58,7 +56,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
 
 
 def refusal(rules: Rules, mode: Mode, lines: list[Check]) -> str | None:
-    """The reason of the first line that keeps the boat from entering a mode; None when none does."""
+    """The reason of the first line that forbids a mode; None if none does."""
     for line in lines:
         if not line.ok and line.name not in ADVISORY and not _allowed(rules, line.name, mode):
             return line.reason
@@ -66,7 +64,7 @@ def refusal(rules: Rules, mode: Mode, lines: list[Check]) -> str | None:
 
 
 def _allowed(rules: Rules, name: str, mode: Mode) -> bool:
-    """A boat outside its fence is driven back by hand; one with its last charge does what the table lets it do."""
+    """A boat outside its fence may be driven back by hand; with low batteries the failsafe table decides."""
     if name == "fence":
         return mode is Mode.MANUAL
     if name == "battery":
@@ -75,7 +73,7 @@ def _allowed(rules: Rules, name: str, mode: Mode) -> bool:
 
 
 def _clock(rules: Rules, state: State, age_s: float, time_ns: int) -> Check:
-    """The log's times are worth what this clock is worth; navigation's UTC comes from satellites."""
+    """The log's times depend on this clock; navigation's UTC comes from satellites."""
     if time_ns < EARLIEST_NS:
         return Check("clock", False, "the computer's clock was never set")
     n = state.navigation

@@ -1,7 +1,7 @@
 """The local command socket: the console's words over a UNIX socket, one JSON object a line, each answered with the state.
 
-`{"command": "watch"}` turns a connection into a stream of states, newest only: a reader that is slow misses some and delays
-nobody.
+`{"command": "watch"}` turns a connection into a stream of states, newest only: a slow reader misses some and delays
+no other.
 """
 
 import asyncio
@@ -14,13 +14,13 @@ from delfim.vehicle.loop import LOCAL
 from delfim.vehicle.reviews import Reviews
 
 LINE_BYTES = 1 << 17  # a part of a mission's text fits, however it is escaped
-STOPS = (b'"stop"', b'"shutdown"')  # words that end the review of a plan, however much waits behind it
+STOPS = (b'"stop"', b'"shutdown"')  # commands that end the review of a plan, even from the end of the queue
 BACKLOG_BYTES = 1 << 16
 
 
 class CommandServer:
-    """All connections of the local command socket. `obey` carries out a command and returns why not, or None; `reviews`
-    does the same with a plan once it was looked at."""
+    """All connections of the local command socket. `obey` carries out a command and returns the reason of a refusal, or None;
+    `reviews` does the same with a plan after its review."""
 
     def __init__(
         self,
@@ -37,7 +37,7 @@ class CommandServer:
         return Connection(self)
 
     def publish(self) -> None:
-        """The present state to every watching connection that keeps up."""
+        """Send the present state to every watching connection that keeps up."""
         watching = [client for client in self.clients if client.watching and not client.behind()]
         if watching:
             line = console.answer(None, self.snapshot())
@@ -60,7 +60,7 @@ class Connection(asyncio.Protocol):
         self.watching = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        self._transport = cast(asyncio.Transport, transport)  # uvloop's are none by descent
+        self._transport = cast(asyncio.Transport, transport)  # uvloop's transports do not inherit from it
         if len(self._server.clients) >= self._server.clients_max:
             self.write(console.answer("too many connections", {}))
             transport.close()
@@ -81,7 +81,7 @@ class Connection(asyncio.Protocol):
             self._transport.pause_reading()
 
     def _line(self) -> None:
-        """Carry out one line; more of them, after whatever else is due."""
+        """Carry out one line; further ones follow after other due callbacks."""
         self._is_due = False
         end = self._buffer.find(b"\n")
         if end > LINE_BYTES or (end < 0 and len(self._buffer) > LINE_BYTES) or self.behind():
@@ -113,7 +113,7 @@ class Connection(asyncio.Protocol):
             self._loop.call_soon(self._line)
 
     def behind(self) -> bool:
-        """Whether the other side does not read what it is sent."""
+        """Whether the other side does not read its answers."""
         return self._transport is None or self._transport.get_write_buffer_size() > BACKLOG_BYTES
 
     def write(self, line: bytes) -> None:

@@ -1,7 +1,7 @@
-"""The guest computer (grex.c in the thesis): navigation out, heading references in, obeyed only in GREX mode.
+"""The guest computer (grex.c in the thesis): navigation out, set points in, obeyed only in GREX mode.
 
 The vehicle is the TCP server. Both directions are JSON, one object a line (`docs/guest.md`). One guest at a time: a new
-connection replaces the one before, because a guest that restarted must not wait for its own ghost.
+connection replaces the one before, so that a restarted guest need not wait for its old connection to end.
 """
 
 import asyncio
@@ -15,13 +15,13 @@ from delfim.clock import Clock
 from delfim.outside import UNREADABLE
 from delfim.vehicle.state import State
 
-LINE_BYTES = 1024  # longer input is no reference
-LINES_A_CALL = 8  # the newest of what came at once; the guest asks twice a second
-BACKLOG_BYTES = 16384  # a guest that does not read loses the newest, not the vehicle
+LINE_BYTES = 1024  # longer input is not a set point
+LINES_A_CALL = 8  # the newest of the lines that came at once; the guest sends two a second
+BACKLOG_BYTES = 16384  # a guest that does not read loses the newest lines; the vehicle does not wait
 
 
 class HeadingReference(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the guest may ask for: a heading, 0..360 degrees true, and a speed in m/s."""
+    """A set point of the guest: a heading, 0..360 degrees true, and a speed in m/s."""
 
     heading_deg: float
     speed_mps: float = 0.0
@@ -32,13 +32,13 @@ _encode = msgspec.json.Encoder().encode
 
 
 class Guest(asyncio.Protocol):
-    """The link to the guest. `send` after each critical path; `on_line` is called with what it says."""
+    """The link to the guest. `send` after each critical path; `on_line` is called with its lines."""
 
     def __init__(self, state: State, clock: Clock) -> None:
         self._state, self._clock = state, clock
         self._transport: asyncio.Transport | None = None
         self._buffer = b""
-        self.on_line: Callable[[bytes], None] = lambda line: None  # where lines go: the loop's fifth input
+        self.on_line: Callable[[bytes], None] = lambda line: None  # takes the lines: the loop's fifth input
         self.is_connected = False
 
     def send(self) -> None:
@@ -67,7 +67,7 @@ class Guest(asyncio.Protocol):
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         if self._transport is not None:
             self._transport.abort()
-        self._transport, self._buffer = cast(asyncio.Transport, transport), b""  # uvloop's are none by descent
+        self._transport, self._buffer = cast(asyncio.Transport, transport), b""  # uvloop's transports do not inherit from it
         self.is_connected = True
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -96,7 +96,7 @@ class Guest(asyncio.Protocol):
 
 
 def reference(line: bytes) -> HeadingReference | None:
-    """What a line asks for; None for one that is malformed or not finite."""
+    """The set point in a line; None if it is malformed or not finite."""
     try:
         asked = _decode(line if len(line) <= LINE_BYTES else b"")
     except UNREADABLE:

@@ -267,7 +267,7 @@ class Helm:
         self.state.armed = True
 
     def _set(self, command: console.Set, now_s: float) -> None:
-        """A value of the tables that may change while the boat sails. Raises Refused with what is allowed."""
+        """A value of the tables that may change while the boat sails. Raises Refused with the allowed values."""
         try:
             self.settings = settings = config.changed(self.settings, command.key, command.value)
         except ConfigError as error:

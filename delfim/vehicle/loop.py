@@ -1,4 +1,4 @@
-"""The critical program. `VehicleLoop` is figure 3-8 of the thesis: five inputs, each with the list of what it sets off.
+"""The critical program. `VehicleLoop` is figure 3-8 of the thesis: five inputs, each with the actions it triggers.
 
     navigation readable -> read -> control -> propulsion -> guest -> log      (profiled t0..t5)
     sensor readable     -> its values into the state, among them the health of the other nodes
@@ -99,7 +99,7 @@ class VehicleLoop:
         return None
 
     def on_guest(self, line: bytes) -> None:
-        """A line of the guest computer. One that is no reference is counted."""
+        """A line of the guest computer. A malformed one is counted."""
         if (asked := reference(line)) is None:
             self.state.count("guest_malformed")
         else:
@@ -114,7 +114,7 @@ class VehicleLoop:
         )
 
     def on_namesakes(self, words: str) -> None:
-        """Consoles that call themselves by one number, in words; empty: there are none."""
+        """Two consoles with one number, in words; empty: there are none."""
         self.state.namesakes = words
 
     def on_watchdog(self, computer: StartConditions | None = None) -> None:

@@ -1,4 +1,4 @@
-"""Mission, zones and harbours of the boat: looked at in slices before they become the plan, and laid into the local plane."""
+"""Mission, zones and harbours of the boat: checked in slices before they become the plan, and laid into the local plane."""
 
 import math
 from typing import NamedTuple
@@ -17,7 +17,7 @@ from delfim.vehicle.track import Track
 
 
 class Looked(NamedTuple):
-    """What came of looking at a plan: what it would change, or what is wrong with it. It holds while `basis` does."""
+    """The result of checking a plan: its changes, or why it is refused. Valid as long as `basis` does not change."""
 
     command: console.Plan
     basis: tuple[object, ...]
@@ -26,11 +26,11 @@ class Looked(NamedTuple):
     plan: Plan | None = None
     origin: geodesy.Origin | None = None
     around: fence.Fence | None = None
-    lost: str | None = None  # why the present mission is to be forgotten
+    lost: str | None = None  # why the present mission is to be removed
 
 
 class Plans:
-    """What is aboard. `look` and `accept` are the two halves of loading a plan: nothing changes before the second."""
+    """The plans aboard. `look` checks a plan, `accept` loads it: nothing changes before the second."""
 
     def __init__(self, fence_settings: config.FenceTable, limits: Settings, state: State, track: Track, log: StateLog) -> None:
         self.limits = limits  # the helm's, which may change
@@ -41,7 +41,7 @@ class Plans:
         self._fence, self._state, self._track, self._log = fence_settings, state, track, log
         self._laying: Sliced[fence.Fence | None] | None = None  # of the fence into the plane
         self._looked: Looked | None = None
-        self._text = ""  # of a mission, so far
+        self._text = ""  # of a mission, as received so far
         self.remains = Remains()  # of plans
 
     def gather(self, part: console.LoadMission) -> None:
@@ -49,13 +49,13 @@ class Plans:
         self._text = self.text(part)
 
     def text(self, part: console.LoadMission) -> str:
-        """A mission's text as far as this part of it. Raises Refused."""
+        """A mission's text up to and including this part. Raises Refused."""
         if part.at != (len(self._text) if part.at else 0):
             raise Refused("mission refused: a part of its text is missing; send it again from the start")
         return self._text + part.text if part.at else part.text
 
     def look(self, command: console.Plan, mission: Mission | None = None) -> Work[None]:
-        """What is right and wrong with a plan, for the command that is to follow. `mission`: what its text said, once read."""
+        """Check a plan before its command is obeyed. `mission`: read from its text already."""
         basis = self._basis()
         try:
             self.spare("fence" if isinstance(command, console.SetFence) else "mission")
@@ -71,7 +71,7 @@ class Plans:
         self._looked = looked
 
     def has_looked(self, command: console.Plan) -> bool:
-        """Whether it was looked at, and the boat is what it was then."""
+        """Whether the plan was checked and the boat has not changed since."""
         looked = self._looked
         return (
             looked is not None
@@ -95,7 +95,7 @@ class Plans:
         return Looked(command, basis, None, mission, planned, origin, around)
 
     def _look_at_zones(self, command: console.SetFence) -> Work[Looked]:
-        """Other zones of the mission. Without a position there is no plane yet, and no mission in it."""
+        """Check new zones of the mission. Without a position there is no plane yet, and no mission in it."""
         origin, basis = self._state.origin, self._basis()
         yield from config.polygons(command.zones, "zones")
         if origin is None:
@@ -107,7 +107,7 @@ class Plans:
         return Looked(command, basis, around=around, lost=why)
 
     def accept(self, command: console.Plan) -> None:
-        """What was looked at becomes the plan; at once where nobody looked before."""
+        """The checked plan becomes the present one; a plan not checked yet is checked now, at once."""
         self.spare("fence" if isinstance(command, console.SetFence) else "mission")
         if not self.has_looked(command):
             Sliced(self.look(command)).finish()
@@ -134,7 +134,7 @@ class Plans:
         self.mission, self.zones, self.fence, self._laying = looked.mission, looked.mission.fence, looked.around, None
 
     def _leave(self, old: Looked | None) -> None:
-        """What is going to be replaced."""
+        """Free the parts that will be replaced."""
         if old is None:
             return
         if old.around is not None:
@@ -147,7 +147,7 @@ class Plans:
             self.remains.add(old.mission.waypoint, old.mission.path, keep_in, *(each.polygon for each in keep_out))
 
     def found(self, origin: geodesy.Origin) -> None:
-        """There is a local plane from now on: the fence is laid into it, slice by slice."""
+        """A local plane exists from now on: lay the fence into it, slice by slice."""
         self._state.origin = origin
         self._laying = Sliced(fence.survey(self._fence, self.zones, origin))
         self.call_at()
@@ -161,7 +161,7 @@ class Plans:
         self.remains.let_go()
 
     def call_at(self) -> None:
-        """The harbours into the plane."""
+        """Lay the harbours into the plane."""
         if (at := self._state.origin) is not None:
             harbours = tuple(geodesy.to_plane(at, math.radians(place[0]), math.radians(place[1])) for place in self.rally)
             self._track.call_at(harbours, self.limits.control.path.acceptance_m)
@@ -172,6 +172,6 @@ class Plans:
         self.mission, self._state.setpoint = None, self._state.setpoint._replace(plan=None, leg=0)
 
     def spare(self, what: str) -> None:
-        """Raises Refused while the mission is under the boat."""
+        """Raises Refused while the boat sails the mission."""
         if self._state.mode in (Mode.PLAY, Mode.PATH):
             raise Refused(f"{what} refused: the mission is being played; stop or hold first")

@@ -33,7 +33,7 @@ class Propulsion:
         return sent
 
     def reset(self, node: int) -> None:
-        """Ask a node of the bus, or all of them, to start again. Raises Refused where the bus does not take the frame."""
+        """Ask a node of the bus, or all of them, to start again. Raises Refused if the bus does not take the frame."""
         if self._nodes.send_many(((RESET, pack_reset(node)),)):
             raise Refused("reset refused: the CAN bus did not take the frame")
 

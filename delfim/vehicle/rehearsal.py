@@ -1,6 +1,6 @@
 """Warm-up: the critical path without effect, shortly before navigation is due.
 
-Between two cycles a processor forgets much of what the path needs (docs/decisions/0002-warm-and-in-one-call.md). So the vehicle
+Between two cycles caches lose much of the path's code and data (docs/decisions/0002-warm-and-in-one-call.md). So the vehicle
 has a twin: the same classes, the same code, state of its own, and a mirror for a socket. When a window opens the twin is
 fed the vehicle's last message and does what the vehicle would. While the window waits, it repeats parts of that, because
 the caches would get cold in waiting.
@@ -35,7 +35,7 @@ class Rehearsal:
         self._parts = cycle((self._hear, self._command, *(outlet.rehearse for outlet in outlets)))
 
     def whole(self) -> None:
-        """The path from end to end, sending included, with what was heard last. About 0.15 ms, the first time in a while."""
+        """The path from end to end, sending included, with the last message heard. About 0.15 ms, the first time in a while."""
         heard = self._boat.state.navigation
         if heard is None:
             return

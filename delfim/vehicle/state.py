@@ -17,7 +17,7 @@ class Actuation(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Navigation as control sees it: metres in the local plane, rad, m/s over ground. `has` names what is known; the
+    """Navigation as control sees it: metres in the local plane, rad, m/s over ground. `has` names the known parts; the
     other fields are zero and must not be used."""
 
     has: frozenset[str]  # of "position", "heading", "velocity"
@@ -103,7 +103,7 @@ class Notice(NamedTuple):
     name: str  # of the trouble, as in the vehicle's file
     reason: str  # in words
     since_s: float  # monotonic time it began
-    action: str  # what is being done: "warn", "hold", "home", "stop", "disconnect"
+    action: str  # in force: "warn", "hold", "home", "stop", "disconnect"
 
 
 class Profile(NamedTuple):

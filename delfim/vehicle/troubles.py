@@ -1,7 +1,7 @@
-"""What can go wrong: a function a trouble, which says of the present state what is wrong, and its row in `Trigger`.
+"""Troubles: a function for each, which returns its reason in the present state or None, and its row in `Trigger`.
 
-How long it must last and what is then done stands in the class of its name in `delfim/config.py`. Those that have an age of
-their own look at their `after_s` themselves: their class is a `config.Silence`.
+The class of its name in `delfim/config.py` gives how long it must last and the actions. Troubles with an age of their own
+compare it with `after_s` themselves: their class is a `config.Silence`.
 """
 
 from collections.abc import Callable, Container
@@ -16,7 +16,7 @@ from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import State
 
 TURNING_RPM: Final = 50.0  # below this a propeller moves no boat
-FRESH_S: Final = 1.0  # an older report of a propeller is no measurement
+FRESH_S: Final = 1.0  # an older report of a propeller does not count
 CHARGE_BACK: Final = 0.02  # a battery is low until it has this much more
 SIDES: Final = ("starboard", "port")
 _PROPELLERS: Final = tuple(zip(SIDES, ("propeller_starboard", "propeller_port"), strict=True))
@@ -24,14 +24,14 @@ _BATTERIES: Final = (sysstat.NAMES[Node.BATTERIES_STARBOARD], sysstat.NAMES[Node
 
 
 class Inputs(NamedTuple):
-    """What there is to look at beside the state."""
+    """Inputs of the troubles other than the state."""
 
     log_reason: str  # why the log is not written, in words; empty while it is
     fence: Fence | None  # None: there is none
 
 
 class Look(NamedTuple):
-    """What a trouble is judged by."""
+    """The data that a trouble is judged by."""
 
     settings: config.Vehicle
     state: State
@@ -115,8 +115,8 @@ def log(look: Look) -> str | None:
 
 
 class Trigger(IntEnum):
-    """The troubles, named as in the vehicle's file, with their numbers, which are bits in the log, and what sees them. Of two
-    that ask for the same action the first one gives the reason."""
+    """The troubles, named as in the vehicle's file, with their numbers (bits in the log) and detecting functions. Of two
+    with the same action the first one gives the reason."""
 
     sees: Callable[[Look], str | None]
 
@@ -141,12 +141,12 @@ class Trigger(IntEnum):
 
 
 def troubles(look: Look) -> list[tuple[Trigger, str]]:
-    """What is wrong at this moment, with its reason in words."""
+    """The present troubles, with their reasons in words."""
     return [(trigger, reason) for trigger in Trigger if (reason := trigger.sees(look))]
 
 
 def charge(state: State) -> tuple[float, str]:
-    """Of the emptier side, 0..1, and its name; (1, "") where no side tells."""
+    """Charge of the emptier side, 0..1, and its name; (1, "") if no side reports."""
     least, name = 1.0, ""
     for batteries in _BATTERIES:
         report = state.sysstat.get(batteries)
@@ -164,7 +164,7 @@ def _low(look: Look, limit: float, trigger: Trigger) -> str | None:
 
 
 def unfollowed(limits: config.ThrusterAstray, state: State, now_s: float) -> tuple[str, ...]:
-    """The sides whose propeller does not turn as commanded. One that does not report its revolutions is not among them."""
+    """The sides whose propeller does not turn as commanded. Propellers without a report do not count."""
     sent, reports = state.actuation, state.sysstat
     astray: tuple[str, ...] = ()
     for side, node in _PROPELLERS:

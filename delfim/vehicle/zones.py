@@ -1,7 +1,7 @@
 """Zones that the boat stays in or out of: plane geometry in metres, no clock, no state.
 
 A clearance is the distance to the edge of a zone, positive where the boat may be, negative where it may not. A zone has up to
-100 corners, so it is looked at by parts: those that are far away cost one look at their box.
+100 corners, so it is checked in parts: those that are far away cost one comparison with their box.
 """
 
 import math
@@ -13,7 +13,7 @@ from delfim import geodesy
 Point = tuple[float, float]  # north_m, east_m
 Box = tuple[float, float, float, float]  # south_m, west_m, north_m, east_m
 
-PART: Final = 8  # sides of a zone that are looked at together
+PART: Final = 8  # sides of a zone that share a box
 
 
 class Side(NamedTuple):
@@ -28,7 +28,7 @@ class Side(NamedTuple):
 
 
 class Part(NamedTuple):
-    """Some sides of a polygon, one after the other, and what they lie in."""
+    """Some consecutive sides of a polygon, and the box around them."""
 
     box: Box
     sides: tuple[Side, ...]
@@ -43,7 +43,7 @@ class Zone(NamedTuple):
     north_m: float = 0.0  # centre of the circle
     east_m: float = 0.0
     radius_m: float = 0.0
-    box: Box = (-math.inf, -math.inf, math.inf, math.inf)  # that it lies in
+    box: Box = (-math.inf, -math.inf, math.inf, math.inf)  # around the zone
     parts: tuple[Part, ...] = ()
 
 
@@ -105,8 +105,8 @@ def may(zone: Zone, north_m: float, east_m: float) -> bool:
 
 
 def least(zone: Zone, a: Point, b: Point, within_m: float = math.inf) -> tuple[float, int]:
-    """Smallest clearance on the way from a to b in a straight line, and how many comparisons it took. Exact where it is
-    positive and less than `within_m`, else infinite; not positive where the way leads through what is forbidden.
+    """Smallest clearance on the way from a to b in a straight line, and how many comparisons it took. Exact if it is
+    positive and less than `within_m`, else infinite; not positive if the way leads through forbidden water.
     """
     by = b[0] - a[0], b[1] - a[1]
     if not zone.keep_in and apart(zone.box, a, b, within_m):
@@ -131,7 +131,7 @@ def least(zone: Zone, a: Point, b: Point, within_m: float = math.inf) -> tuple[f
 
 
 def apart(box: Box, a: Point, b: Point, room_m: float) -> bool:
-    """Whether the way from a to b keeps that far away from all that lies in a box. False, at worst, where it does."""
+    """Whether the way from a to b surely keeps this far from everything in a box; False where that is uncertain."""
     south, west, north, east = box
     (a_n, a_e), (b_n, b_e) = a, b
     if (a_n if a_n > b_n else b_n) < south - room_m or (a_n if a_n < b_n else b_n) > north + room_m:

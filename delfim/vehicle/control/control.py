@@ -88,7 +88,7 @@ def control(
 
 
 def _plausible(motion: Motion) -> bool:
-    """False for what is not finite, too: every comparison with it is false."""
+    """False also for a value that is not finite: every comparison with it is false."""
     return (
         -FAR_M < motion.north_m < FAR_M
         and -FAR_M < motion.east_m < FAR_M
@@ -101,7 +101,7 @@ def _plausible(motion: Motion) -> bool:
 
 def limited(wanted: Actuation, previous: Actuation, propulsion: config.PropulsionTable, dt_s: float) -> Actuation:
     """The last, dumb gate: `wanted` within `rpm_max`, and changed from `previous` by no more than `rpm_per_s_max` allows.
-    A stop is immediate; what is not finite is a stop.
+    A stop is immediate; a value that is not finite is a stop.
     """
     if not wanted.run or not math.isfinite(wanted.starboard_rpm + wanted.port_rpm + dt_s):
         return STOP

@@ -53,9 +53,9 @@ def leg(
 ) -> tuple[Memory, Reference, Actuation, bool]:
     """One step along the line from where the leg began to its waypoint; True when the waypoint is reached.
 
-    Reached is: within the acceptance radius, or just passed abeam within twice of it, so that a narrow miss is not repeated.
+    Reached means within the acceptance radius, or just passed abeam within twice that, so that a narrow miss is not repeated.
     A wide miss starts a new line from here. On the last leg the boat slows down so that it can stop. The operator's
-    speed, where there is one, goes before the waypoint's.
+    speed, if set, overrides the waypoint's.
     """
     bearing_rad, cross_m, left_m = along(motion, memory.north_m, memory.east_m, to.north_m, to.east_m)
     distance_m = math.hypot(cross_m, left_m)

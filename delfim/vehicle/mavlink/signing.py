@@ -28,7 +28,7 @@ Stream = tuple[int, int, int]  # link, system, component
 
 
 class FrameVerdict(NamedTuple):
-    """`fault` names what is wrong with a frame, as it is counted; empty: nothing. `age_s`: how much longer than the fastest
+    """`fault` names the error of a frame, under which it is counted; empty: none. `age_s`: how much longer than the fastest
     frame of its speaker it was on the way."""
 
     fault: str

@@ -72,7 +72,7 @@ def decode(frame: bytes) -> Message | None:
 
 
 class Sender:
-    """One direction of one link: numbers and, with a key, signs what goes out. `stamp` gives the time stamp of a signature."""
+    """One direction of one link: numbers frames and, with a key, signs them. `stamp` gives the time stamp of a signature."""
 
     def __init__(self, system: int, component: int, key: bytes | None, stamp: Callable[[], int]) -> None:
         self._codec = dialect.MAVLink(None, system, component)
