@@ -1,6 +1,6 @@
 """canzlogd: the black box. Every frame of every bus, as it was on the bus, in candump's format, deflated (thesis 3.3).
 
-One log a bus, `DIRECTORY/YYYYMMDD/can0/hhmmss.log.gz`, its id the name of the interface. What is no frame goes to the sidecar:
+One log a bus, `DIRECTORY/YYYYMMDD/can0/hhmmss.log.gz`, its id the name of the interface. All but frames goes to the sidecar:
 a line of JSON for each start, loss of frames, change of the bus, step of the wall clock and trouble of the log itself.
 """
 
@@ -22,7 +22,7 @@ STEP_S: Final = 0.5  # a wall clock that differs by more from where it should be
 
 
 class RecordedSocket(Protocol):
-    """What is needed of a CAN socket; delfim.canproxy.socket.CanSocket is one."""
+    """The interface of a CAN socket, as needed here; delfim.canproxy.socket.CanSocket has it."""
 
     name: str
 
@@ -43,7 +43,7 @@ def device(interface: str) -> str:
 
 
 class RecordedBus:
-    """The log of one bus, and what was last said in its sidecar."""
+    """The log of one bus, and the last notes in its sidecar."""
 
     def __init__(self, socket: RecordedSocket, limits: Limits, clock: Clock) -> None:
         self.socket, self.clock = socket, clock
@@ -58,15 +58,15 @@ class RecordedBus:
         return self.log.note(event_line(self.clock, event, **what))
 
     def tell(self, event: str, value: object, empty: object) -> None:
-        """Note a value when it is another than the one noted last; `empty` needs no first note."""
+        """Note a value if it differs from the one noted last; `empty` needs no first note."""
         if value != self.told.get(event, empty) and self.note(event, value=value):
             self.told[event] = value
 
 
 class BlackBox:
-    """Logs what the sockets receive. Sockets never block, and are bound to ANYTHING with error frames let through.
+    """Logs the frames that the sockets receive. Sockets never block, and are bound to ANYTHING with error frames let through.
 
-    `bus_state` tells of an error frame in which state the controller is, as delfim.canproxy.socket.bus_state does.
+    `bus_state` returns the controller's state from an error frame, as delfim.canproxy.socket.bus_state does.
     """
 
     def __init__(
@@ -128,7 +128,7 @@ class BlackBox:
 
     def close(self) -> None:
         for bus in self._buses.values():
-            for _ in range(LAST_CALLS):  # the last frames of a boat that stops are among those that are still queued
+            for _ in range(LAST_CALLS):  # the last frames before the end are still queued
                 if self.on_readable(bus.socket) < FRAMES_A_CALL:
                     break
             bus.note("end")

@@ -4,7 +4,7 @@
     (1262304000.000123) can0 123#R7 T              remote frame with its data length code, sent by this computer
     (1262304000.000123) can0 20000004#00040000 R   error frame: the class with bit 0x20000000, the controller's data
 
-Stamps are cut to microseconds. Whatever is no CAN 2.0 frame (comments, CAN FD) is not read. Facts from can-utils' lib.h.
+Stamps are cut to microseconds. Lines other than CAN 2.0 frames (comments, CAN FD) are not read. Facts from can-utils' lib.h.
 """
 
 import re
@@ -35,7 +35,7 @@ def format_line(frame: Frame, device: str) -> str:
 
 
 def parse_line(line: str) -> tuple[str, Frame]:
-    """Device and frame of a line. Raises FormatError where it holds no CAN 2.0 frame."""
+    """Device and frame of a line. Raises FormatError if it holds no CAN 2.0 frame."""
     match = _LINE.fullmatch(line)
     if not match:
         raise FormatError(f"not a frame in candump's format: {line.strip()[:80]!r}")

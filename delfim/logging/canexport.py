@@ -1,4 +1,4 @@
-"""The black box in the formats of others: plain candump text, and through python-can Vector's ASC and BLF and ASAM's MF4."""
+"""The black box in other formats: plain candump text, and through python-can Vector's ASC and BLF and ASAM's MF4."""
 
 from collections.abc import Iterable
 from datetime import UTC, datetime
@@ -23,11 +23,11 @@ def write(frames: Iterable[tuple[str, Frame]], file: Path, form: str) -> int:
     import can
 
     if form == "mf4":
-        import asammdf  # noqa: F401  python-can would say less
+        import asammdf  # noqa: F401  python-can's own message would say less
 
     first, rest = next(iter(frames := iter(frames)), None), frames
     if first is None:
-        raise DelfimError("there is no frame in this time")
+        raise DelfimError("the black box has no frame in this time")
     begin_s = first[1].t_ns / 1e9
     writer = _asc(file, begin_s) if form == "asc" else _mf4(file, begin_s) if form == "mf4" else can.BLFWriter(str(file))
     channels: dict[str, int] = {}

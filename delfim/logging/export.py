@@ -1,4 +1,4 @@
-"""State logs in the formats of others: CSV, Parquet, GPX, KML, MCAP (Foxglove, Lichtblick) and MAT (Octave, MATLAB, scipy).
+"""State logs in formats of other programs: CSV, Parquet, GPX, KML, MCAP (Foxglove, Lichtblick) and MAT (Octave, MATLAB, scipy).
 
 Numbers stay in SI units and radians, as they were logged, except in CSV and where the format itself has degrees.
 """
@@ -26,7 +26,7 @@ Events = Iterable[Mapping[str, Any]]  # of the sidecars
 
 
 def to_csv(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
-    """For people and spreadsheets: a line a record, names with units in the first, degrees, modes by name; what is not known is
+    """For people and spreadsheets: a line a record, names with units in the first, degrees, modes by name; unknown values are
     empty. The first column is the time in UTC."""
     its = units(schema)
     heads = [f"{name} [{_DEGREES.get(its.get(name, ''), its[name])}]" if its.get(name) else name for name in columns]
@@ -57,7 +57,7 @@ def to_parquet(columns: Columns, schema: Schema, events: Events, file: Path) -> 
     from pyarrow import parquet
 
     told = {name: {"unit": unit, "description": words} for name, _, unit, words in schema.rows}
-    arrays = [arrow.array(column, from_pandas=True) for column in columns.values()]  # what is not known is null, not NaN
+    arrays = [arrow.array(column, from_pandas=True) for column in columns.values()]  # unknown values are null, not NaN
     fields = [arrow.field(name, array.type, metadata=told.get(name)) for name, array in zip(columns, arrays, strict=True)]
     stamps = arrow.array(columns[TIME]).cast(arrow.timestamp("ns", tz="UTC"))
     table = arrow.Table.from_arrays([stamps, *arrays], schema=arrow.schema([arrow.field("utc", stamps.type), *fields]))
@@ -165,7 +165,7 @@ def _positions(columns: Columns) -> Iterator[tuple[int, float, float]]:
 
 
 def _mode_changes(columns: Columns, events: Events) -> Iterator[tuple[int, float, float, str]]:
-    """(time, latitude, longitude, mode and reason) of what the sidecar tells, at the position known then."""
+    """(time, latitude, longitude, mode and reason) of the sidecar's changes of mode, at the position known then."""
     import numpy as np
 
     points = list(_positions(columns))

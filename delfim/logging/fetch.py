@@ -1,8 +1,8 @@
 """Logs from a boat over a slow radio: ftp://, ftps:// (RFC 959, 3659, 4217) or sftp:// (needs asyncssh), state logs first.
 
-A file that is here in full is not fetched again; one that is here in part goes on where it stopped (NAME.part), also after the
-link was lost. Arrived, its size is compared and a gzip file's checksums verified; one that is damaged is fetched once more from
-its beginning, and is what the boat has when both times agree. One that lacks its end was cut by the power or is still written.
+A file that is here in full is not fetched again; one that is here in part goes on where it stopped (NAME.part), also after a
+lost link. On arrival its size is compared and a gzip file's checksums are verified; a damaged one is fetched once more from
+its beginning, and accepted if both copies agree. One that lacks its end was cut by a power failure or is still being written.
 """
 
 import asyncio
@@ -41,7 +41,7 @@ class RemoteFile(NamedTuple):
 
 
 class LogSource(Protocol):
-    """Where files come from. Every method raises OSError or EOFError when the link is lost."""
+    """A source of files. Every method raises OSError or EOFError when the link is lost."""
 
     def entries(self) -> list[RemoteFile]: ...
     def read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None: ...
@@ -51,12 +51,12 @@ class LogSource(Protocol):
 class Fetched(NamedTuple):
     fetched: list[str]  # paths
     bytes: int
-    cut: list[str]  # of these, what is cut on the boat too: delfim log repair
+    cut: list[str]  # of these, the ones that are cut on the boat too: delfim log repair
 
 
 def fetch(url: str, directory: Path, ids: Sequence[str], span: Span, *, summary: bool) -> tuple[Fetched, float]:
-    """Fetch what is not here yet, the state logs first. `summary`: only them and the sidecars. Returns what came, and how long
-    it took, s. Raises DelfimError."""
+    """Fetch the files that are not here yet, state logs first. `summary`: only them and the sidecars. Returns the outcome, and
+    how long it took, s. Raises DelfimError."""
     began_s = time.monotonic()
     connect = opener(url)
     try:
@@ -88,8 +88,8 @@ def wanted(entries: Sequence[RemoteFile], ids: Sequence[str], span: Span, *, sum
 def transfer(
     connect: Callable[[], LogSource], entries: Sequence[RemoteFile], directory: Path, tell: Callable[[str], object]
 ) -> Fetched:
-    """Fetch these files where they are not here in full. A lost link is taken up again. Raises DelfimError when that does not
-    help; what came so far stays for the next time."""
+    """Fetch these files where they are not here in full. A lost link is taken up again. Raises DelfimError if that fails;
+    the data received so far stays for the next time."""
     due = [entry for entry in entries if _size(directory / entry.path) != entry.size]
     total = sum(entry.size - _here(directory / entry.path, entry.size) for entry in due)
     tell(f"{len(due)} files to fetch, {total / 1e6:.1f} MB; {len(entries) - len(due)} are here")
@@ -135,13 +135,13 @@ class _Link:
                 try:
                     self._boat = self._boat or self._connect()
                     self._boat.read(path, before, sink)
-                    lost = "it ended early" if file.tell() < size else ""
+                    lost = "the transfer ended early" if file.tell() < size else ""
                 except (OSError, EOFError, ftplib.Error) as error:
                     lost = str(error) or type(error).__name__
                     self._drop()
                 attempts = 0 if file.tell() > before else attempts + 1
                 if lost and attempts >= ATTEMPTS:
-                    raise DelfimError(f"{path}: {lost}; the same command goes on where this one stopped")
+                    raise DelfimError(f"{path}: {lost}; run the same command again to go on from here")
             file.truncate(size)  # it grew meanwhile
             file.flush()
             os.fsync(file.fileno())
@@ -171,7 +171,7 @@ def _fetched(link: _Link, entry: RemoteFile, target: Path, count: Callable[[byte
         how = _condition(part)
         if how == "damaged" and part.read_bytes() != first:
             part.unlink()
-            raise DelfimError(f"{entry.path}: arrives damaged, each time in another way")
+            raise DelfimError(f"{entry.path}: arrives damaged, differently each time; try again on a better link")
     os.utime(part, ns=(entry.changed_ns, entry.changed_ns))
     os.replace(part, target)
     return not how
@@ -202,7 +202,7 @@ def _rank(entry: RemoteFile) -> int:
 
 
 def opener(url: str) -> Callable[[], LogSource]:
-    """A function that connects to what the URL names. Raises DelfimError for another kind of URL."""
+    """A function that connects to the URL. Raises DelfimError for another kind of URL."""
     parts = urlsplit(url)
     if parts.scheme not in ("ftp", "ftps", "sftp") or not parts.hostname:
         raise DelfimError(f"{url}: write ftp://, ftps:// or sftp://[USER[:PASSWORD]@]HOST[:PORT]/DIRECTORY")

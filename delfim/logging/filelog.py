@@ -14,14 +14,14 @@ from delfim.logging import guard
 from delfim.logging.liblog import LogSettings, LogStatus
 
 FLUSH_S: Final = 0.6  # with the writer's rhythm and a slow disk's own time a power cut costs less than a second
-UNPOLLED_S: Final = 1.0  # so late a `put` does what a `poll` should have done: who has a critical path polls beside it
-MEMBER_S: Final = 10.0  # of log in a gzip member: what is behind a damaged one can be found again
+UNPOLLED_S: Final = 1.0  # after this a `put` does the work of a missing `poll`: code with a critical path polls beside it
+MEMBER_S: Final = 10.0  # of log in a gzip member: the log after a damaged one can be found again
 PENDING_BYTES: Final = 1 << 18  # deflated and not yet written
 SAME_SECOND: Final = 1000  # files of one name and second
 
 
 class FileLog:
-    """`write` and `zwrite`. With `durable` it is the child's: what is flushed is on the disk, and so is the file's name.
+    """`write` and `zwrite`. With `durable`, for the child, flushed data is on the disk, and so is the file's name.
 
     On ext2 a synced file whose directory is not synced is lost to its name after a power cut, so both are.
     """
@@ -93,7 +93,7 @@ class FileLog:
         return self._stem + self._suffix if self._stem else ""
 
     def _attend(self, now_s: float) -> None:
-        """What was put reaches the file; a file that is too large or too old ends; what went wrong is tried again."""
+        """Writes waiting records to the file, ends a file that is too large or too old, and retries after a failure."""
         self._due_s = now_s + FLUSH_S
         if self._fd < 0:
             if self._reason:
@@ -188,7 +188,7 @@ class FileLog:
         return True
 
     def _look(self, now_s: float) -> None:
-        """What the file itself does not show: somebody deleted it, or the disk is filling up."""
+        """Notices what the file does not show: that it was deleted, or that the disk is filling up."""
         try:
             if os.fstat(self._fd).st_nlink == 0:
                 raise OSError(errno.ENOENT, "the file was deleted", self._file())
@@ -198,7 +198,7 @@ class FileLog:
             self._fail(error)
 
     def _make_room(self) -> None:
-        """Raises OSError when less is free than must be."""
+        """Raises OSError if less is free than the settings demand."""
         directory, free_bytes_min = self._settings.directory, self._settings.free_bytes_min
         words = f"less than {free_bytes_min} bytes are free"
         if self._settings.when_full == "delete-oldest":
@@ -223,7 +223,7 @@ class FileLog:
             self._close()
 
     def _fail(self, error: OSError) -> None:
-        """Give the file up where its last whole record ends. What waited is lost."""
+        """Give the file up at the end of its last whole record. Waiting records are lost."""
         self._reason = f"{error.filename or self._file() or self._settings.directory}: {error.strerror}"
         self._dropped += self._waiting
         self._waiting, self._stream = 0, None

@@ -1,10 +1,10 @@
 """The free-space guard: whole days of logs are deleted, oldest first, until enough of the disk is free.
 
-Uploads have room of their own: what they may still take counts as taken already. So which days go, and when, depends on the
+Uploads have room of their own: the bytes that they may still take count as taken. So which days go, and when, depends on the
 logs alone, and no upload costs a log.
 
-Never deleted: the days that the caller names, a day with a file named KEEP in it, a day in which a log is being written. Who
-writes in a day holds a shared lock (flock) on its directory, and the kernel gives it back however the writer ends.
+Never deleted: the days that the caller names, a day with a file named KEEP in it, a day in which a log is being written. The
+writer of a log holds a shared lock (flock) on the day's directory, and the kernel releases it however the writer ends.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ _DAY: Final = re.compile(r"[0-9]{8}")
 
 
 def free_bytes(directory: str) -> int:
-    """What an unprivileged program may still write on the disk of this directory. Raises OSError."""
+    """Bytes that an unprivileged program may still write on the disk of this directory. Raises OSError."""
     disk = os.statvfs(directory)
     return disk.f_bavail * disk.f_frsize
 
@@ -56,7 +56,7 @@ def used(folder: str) -> tuple[int, int]:
 
 
 def make_room(directory: str, free_bytes_min: int, spared: Collection[str]) -> None:
-    """Delete days (directories YYYYMMDD) until so many bytes are free or no day is left that may go. Raises OSError.
+    """Delete days (directories YYYYMMDD) until so many bytes are free or no day is left to delete. Raises OSError.
 
     Blocks for as long as the disk takes, and while another process makes room in the same directory.
     """

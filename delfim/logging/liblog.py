@@ -1,7 +1,7 @@
 """liblog: logs that never hold up the program that writes them (thesis 2.10).
 
     DIRECTORY/YYYYMMDD/id/hhmmss.suffix            UTC of creation; hhmmss-1, -2, ... where the name is taken; .gz if deflated
-    DIRECTORY/YYYYMMDD/id/hhmmss.meta.jsonl        its sidecar: what happened and is no record
+    DIRECTORY/YYYYMMDD/id/hhmmss.meta.jsonl        its sidecar: events beside the records
 
 Three ways to write, one interface:
 
@@ -10,7 +10,7 @@ Three ways to write, one interface:
     zpipe     through a pipe to a niced child (delfim.logging.writer) that deflates, writes and syncs; the caller never waits
 
 A file is ended past a size or an age, and whenever writing failed; none is ever opened twice. A log that cannot write drops
-and counts what it is given, says why, tries again about once a second, and is itself again when the disk is. No method raises.
+and counts its records, says why, retries about once a second, and recovers when the disk does. No method raises.
 """
 
 import json
@@ -23,7 +23,7 @@ WhenFull = Literal["delete-oldest", "stop"]
 
 
 class LogStatus(NamedTuple):
-    """How a log fares. The numbers count from its opening: what was put is in `records`, in `dropped`, or under way."""
+    """How a log fares. The numbers count from its opening: every record put is in `records`, in `dropped`, or under way."""
 
     writable: bool
     reason: str  # why it is not, in words; empty while it is
@@ -51,16 +51,16 @@ class Log(Protocol):
         """Readable when `poll` has something to read; -1 where there is no writer."""
 
     def close(self, timeout_s: float = 2.0) -> None:
-        """Flush and end. A writer that takes longer is killed, and what it had not written counts as dropped."""
+        """Flush and end. A writer that takes longer is killed, and its unwritten records count as dropped."""
 
 
 def event_line(clock: Clock, event: str, **what: object) -> bytes:
-    """A line for a sidecar: what happened, when, and more words about it (JSON-ready)."""
+    """A line for a sidecar: the event, its time, and details (JSON-ready)."""
     return json.dumps({"t_ns": clock.time_ns(), "monotonic_s": clock.monotonic_s(), "event": event} | what).encode() + b"\n"
 
 
 class LogSettings(NamedTuple):
-    """Of a log and its files, as a writer is told them; delfim.logging.openlog says what they mean."""
+    """The settings of a log and its files, as given to a writer; delfim.logging.openlog explains them."""
 
     directory: str
     id: str

@@ -1,6 +1,6 @@
-"""The black box of a serial line: what was read and when, as delfim.logging.nodelog writes messages, a piece a line of JSON.
+"""The black box of a serial line: the data read and its time, a line of JSON for each read, as delfim.logging.nodelog.
 
-Nobody can read a serial line beside the program that uses it, so that program hands over what it reads.
+Nobody can read a serial line beside the program that uses it, so that program hands over the data it reads.
 """
 
 from collections import deque
@@ -23,7 +23,7 @@ WAITING: Final = 1024  # pieces between two calls of `write`
 
 
 class Piece(NamedTuple):
-    """What one read gave."""
+    """The data of one read."""
 
     name: str  # of the line, as its log is called
     t_ns: int
@@ -45,7 +45,7 @@ class LineLog:
         self._waiting.append(Piece(self.id, t_ns, data))
 
     def write(self) -> None:
-        """Hand over to the disk what waits."""
+        """Hand over the waiting pieces to the disk."""
         if self._waiting:
             count = len(self._waiting)
             self.lost += 0 if self._log.put(b"".join(line(piece.t_ns, piece.data) for piece in self._waiting)) else count
@@ -63,7 +63,7 @@ class LineLog:
 
 
 def pieces(files: Iterable[LogFile]) -> Iterator[Piece]:
-    """What these logs hold. Lines that mean nothing are left out."""
+    """The pieces in these logs. Unreadable lines are left out."""
     for file in files:
         for told in read_log(file.path)[0].splitlines():
             try:

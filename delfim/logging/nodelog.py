@@ -1,7 +1,7 @@
-"""logd: what the nodes of the bus have to say in words. Their DSOR segmented log messages, a log a node (thesis 3.3).
+"""logd: logs the DSOR segmented log messages of the bus's nodes, a log for each node (thesis 3.3).
 
-A message is a line of JSON in `DIRECTORY/YYYYMMDD/gps/hhmmss.jsonl.gz`: when its last frame came, and its bytes as text or,
-where they are none, in hexadecimal.
+A message is a line of JSON in `DIRECTORY/YYYYMMDD/gps/hhmmss.jsonl.gz`: when its last frame came, and its bytes as text, or in
+hexadecimal if they are not text.
 """
 
 import json
@@ -29,7 +29,7 @@ class NodeMessage(Protocol):
 
 
 class NodeReceiver(Protocol):
-    """What puts frames together; delfim.canproxy.dsor.receiver.Receiver is one."""
+    """Assembles frames; delfim.canproxy.dsor.receiver.Receiver is one."""
 
     replies: deque[Frame]
 
@@ -38,7 +38,7 @@ class NodeReceiver(Protocol):
 
 
 class NodeSocket(Protocol):
-    """What is needed of a CAN socket; delfim.canproxy.socket.CanSocket is one."""
+    """The interface of a CAN socket, as needed here; delfim.canproxy.socket.CanSocket has it."""
 
     receive: Callable[[], Frame | None]  # raises BusError
 
@@ -112,7 +112,7 @@ class LogMessages:
 
 
 def line(t_ns: int, data: bytes) -> bytes:
-    """What was said, as a line of JSON."""
+    """A message as a line of JSON."""
     try:
         what = {"text": data.decode()}
     except UnicodeDecodeError:

@@ -17,12 +17,12 @@ def open_log(
     header: bytes = b"",
     nice: int = 10,
 ) -> Log:
-    """Open a log; where that fails the log's status says why, and it tries on.
+    """Open a log; if that fails the log's status says why, and it retries.
 
     `header` starts every file. A file ends past `file_bytes` on disk or `file_s`. The guard keeps `free_bytes_min` of the disk
     free by deleting the oldest days, or stops the log (`when_full`), and leaves uploads their own room; see
-    delfim.logging.guard. With "zpipe" the child lives by the computer's own clock, and `clock` only tells how long it has been
-    silent.
+    delfim.logging.guard. With "zpipe" the child lives by the computer's own clock, and `clock` only measures its
+    silence.
     """
     settings = LogSettings(
         limits.directory,

@@ -14,7 +14,7 @@ from delfim.clock import Clock
 from delfim.logging.liblog import LogSettings, LogStatus
 
 PIPE_BYTES: Final = (4 << 20, 1 << 20)  # asked for in this order: the privileged may exceed pipe-max-size, 1 MiB
-SILENT_S: Final = 5.0  # a writer that does not report for so long hangs on its disk
+SILENT_S: Final = 5.0  # a writer without a report for this long hangs on its disk
 LENGTH: Final = struct.Struct("=I")  # before each message in the pipe; the highest bit marks a line for the sidecar
 NOTE: Final = 1 << 31
 
@@ -51,7 +51,7 @@ class PipeLog:
         if self._reason or self._closed:
             reason = self._reason or "closed"
         elif silent_s > SILENT_S:
-            reason = f"the writer has not reported for {silent_s:.0f} s: its disk hangs"
+            reason = f"the log's writer has not reported for {silent_s:.0f} s: the disk hangs"
         return LogStatus(
             not reason,
             reason,
@@ -106,7 +106,7 @@ class PipeLog:
         self._child: subprocess.Popen[bytes] | None = None
         command = [sys.executable, "-m", "delfim.logging.writer", self._id]
         try:
-            # A session of its own: what ends the parent's group ends the parent, and then the pipe lets the child finish.
+            # A session of its own: a signal to the parent's group ends the parent alone, and the child finishes the pipe.
             child = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=self._report_end, bufsize=0, start_new_session=True)
         except OSError as error:
             self._reason = f"the writer cannot be started: {error.strerror}"
@@ -153,7 +153,7 @@ class PipeLog:
         self._heard_s = self._clock.monotonic_s()
 
     def _bury(self) -> None:
-        """The child is dead: what it had not reported as written is lost."""
+        """The child is dead: records that it had not reported as written are lost."""
         self._listen()
         self._close_pipe()
         said, before = self._said, self._before

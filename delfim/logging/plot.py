@@ -28,7 +28,7 @@ def draw(columns: Columns, waypoints: Sequence[Waypoint], title: str, folder: Pa
     track(columns, waypoints, title, files["track"])
     speeds(columns, f"{title}: speeds", files["speeds"])
     rpm(columns, f"{title}: propellers", files["rpm"])
-    references(columns, f"{title}: references and what became of them", files["references"])
+    references(columns, f"{title}: references and response", files["references"])
     latency(columns, f"{title}: critical path, t0 to t4", files["latency"])
     return list(files.values())
 
@@ -87,7 +87,7 @@ def rpm(columns: Columns, title: str, file: Path) -> None:
 
 
 def references(columns: Columns, title: str, file: Path) -> None:
-    """Heading and speed as they were asked for and as they were, and the distance from the line."""
+    """Heading and speed, references and actual values, and the cross-track error."""
     figure, (above, middle, below) = _sheet((10, 8), 3)
     heading, asked, speed, off = _arrays(columns, "heading", "reference_heading", "reference_speed", "cross_track")
     north, east = _arrays(columns, "north_speed", "east_speed")

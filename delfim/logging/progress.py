@@ -1,4 +1,4 @@
-"""A progress bar for what takes longer than two seconds, on a terminal. Needs rich there; elsewhere nothing is shown."""
+"""A progress bar for work that takes longer than two seconds, on a terminal. Needs rich there; elsewhere nothing is shown."""
 
 import sys
 import time
@@ -11,7 +11,7 @@ T = TypeVar("T")
 
 
 def progress(what: str, total: float, *, bytes: bool = False) -> Callable[[float], None]:  # noqa: A002
-    """A function that is told how much is done; the bar shows share and time left, and for bytes the rate."""
+    """A function to call with the work done so far; the bar shows share and time left, and for bytes the rate."""
     if not sys.stderr.isatty():
         return lambda done: None
     from rich.console import Console

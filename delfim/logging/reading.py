@@ -1,4 +1,4 @@
-"""Reading log files, on any computer: the writers need Linux, those who look at logs afterwards do not."""
+"""Reading log files, on any computer: the writers need Linux, the readers do not."""
 
 import zlib
 from collections.abc import Iterable, Iterator
@@ -8,16 +8,16 @@ from typing import Any, Final, NamedTuple
 from delfim.errors import FormatError
 from delfim.outside import parse_json, read_file
 
-LOG_BYTES: Final = 1 << 27  # of a log that is read, inflated or not: what is larger was made to fill a memory
+LOG_BYTES: Final = 1 << 27  # of a log that is read, inflated or not: a larger one was made to exhaust memory
 STEP: Final = 1 << 12  # bytes of a member that are inflated at a time
 MOMENT_MAX_S: Final = 1e10  # of a clock
 
 
 class Member(NamedTuple):
-    """What can be read of a part of a gzip file."""
+    """The readable part of a gzip member."""
 
     content: bytes
-    end: int  # where the next one begins, or this one makes no sense any more
+    end: int  # where the next one begins, or the damage of this one
     trouble: str  # "": whole; "cut", "damaged"
 
 
@@ -27,8 +27,8 @@ def raw(path: str | Path) -> bytes:
 
 
 def member(data: bytes, at: int, before: int = 0) -> Member:
-    """The gzip member that begins there, up to its end or its damage: in large steps, then byte by byte. `before` is what the
-    members before it held."""
+    """The gzip member that begins there, up to its end or its damage: in large steps, then byte by byte. `before` is the
+    content of the members before it."""
     stream, content, step = zlib.decompressobj(wbits=31), bytearray(), STEP
     content_max = LOG_BYTES - before
     while at < len(data):
@@ -49,7 +49,7 @@ def member(data: bytes, at: int, before: int = 0) -> Member:
 
 
 def read_log(path: str | Path) -> tuple[bytes, str]:
-    """What a log file holds, deflated or not, and what is wrong with it, in words; empty when nothing is. Raises OSError.
+    """The content of a log file, deflated or not, and its damage in words; empty if there is none. Raises OSError.
 
     A file that a power cut left without its end gives everything up to the last flush.
     """
@@ -67,7 +67,7 @@ def read_log(path: str | Path) -> tuple[bytes, str]:
 
 
 def read_events(path: str | Path) -> Iterator[dict[str, Any]]:
-    """What a sidecar tells, a line each; lines that mean nothing are left out: the power may have gone in the middle of one.
+    """The events of a sidecar, a line each; unreadable lines are left out: the power may have failed in the middle of one.
     Raises OSError."""
     for line in raw(path).splitlines():
         try:
@@ -79,7 +79,7 @@ def read_events(path: str | Path) -> Iterator[dict[str, Any]]:
 
 
 def _is_event(told: dict[str, Any]) -> bool:
-    """Whether it has its time and name, and of what is known only what its readers understand."""
+    """Whether it has its time and name, and known fields only of the types that readers understand."""
     moments = [told[key] for key in ("monotonic_s", "at_s") if key in told]
     words = [told.get("event")] + [told[key] for key in ("refused",) if key in told]
     if not all(isinstance(word, str) for word in words):

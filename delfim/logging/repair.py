@@ -1,7 +1,7 @@
-"""What a power cut left: log files made whole again, for readers that insist on it. Nothing that can be read is lost.
+"""Repairs log files after a power cut, for readers that need whole files. No readable data is lost.
 
-A file keeps, byte by byte, every gzip member that is whole. What can be read of a cut or damaged one follows as a member of
-its own, up to its last whole record, and so does what lies behind the damage. The original stays, unless told otherwise.
+A file keeps, byte by byte, every gzip member that is whole. The readable part of a cut or damaged one follows as a member of
+its own, up to its last whole record, and so does the data behind the damage. The original stays, unless told otherwise.
 """
 
 import os
@@ -20,12 +20,12 @@ MEMBER: Final = b"\x1f\x8b\x08" + bytes(5)  # how a member of ours begins: no na
 
 class Repair(NamedTuple):
     path: str
-    complaint: str  # what is wrong, in words; empty when nothing is
+    complaint: str  # the damage in words; empty if there is none
     target: str  # where the whole file is now; empty where none was needed
 
 
 class GzipPiece(NamedTuple):
-    """A part of a gzip file: a whole member, or what can be read of another, or bytes that mean nothing."""
+    """A part of a gzip file: a whole member, the readable part of another, or unreadable bytes."""
 
     raw: bytes
     content: bytes
@@ -50,10 +50,10 @@ def repair(file: LogFile, *, in_place: bool = False) -> list[Repair]:
 
 
 def mended(data: bytes, suffix: str) -> tuple[bytes, str]:
-    """A log file's bytes made whole, and what was wrong with them, in words; empty where nothing was."""
+    """A log file's bytes made whole, and their damage in words; empty if there was none."""
     if not suffix.endswith(".gz"):
         kept = _records(suffix)(data)
-        return kept, "" if kept == data else f"{len(data) - len(kept)} bytes of its end are no whole record"
+        return kept, "" if kept == data else f"{len(data) - len(kept)} bytes at its end are an incomplete record"
     trim = _records(suffix.removesuffix(".gz"))
     parts, troubles = [], []
     for piece in pieces(data):
@@ -79,14 +79,14 @@ def pieces(data: bytes) -> Iterator[GzipPiece]:
         else:
             following = data.find(MEMBER, at + 1)
             end, how = (following, "damaged") if following >= 0 else (len(data), how)
-            if end < len(data):  # what reads on beyond the next one's head is not its content
+            if end < len(data):  # data beyond the next one's head is not its content
                 content, _, _ = member(data[at:end], 0)
             yield GzipPiece(data[at:end], content, f"{how} after {len(content)} bytes of the member at {at}")
         at = end
 
 
 def _records(suffix: str) -> Callable[[bytes], bytes]:
-    """A function that keeps the whole records of what it is given, called with one part of a file after the other."""
+    """A function that keeps the whole records of its input, called with one part of a file after the other."""
     if suffix != ".state":
         return _frames if suffix == ".log" else _lines
     size = 0
@@ -106,7 +106,7 @@ def _records(suffix: str) -> Callable[[bytes], bytes]:
 
 
 def _frames(content: bytes) -> bytes:
-    """Whole lines of candump. Before a damage some may have become something else; they are not kept."""
+    """Whole lines of candump. Just before a damage some may be garbled; they are not kept."""
     return b"".join(line for line in content.splitlines(keepends=True) if _is_frame(line))
 
 
@@ -134,7 +134,7 @@ def _beside(path: str) -> str:
 
 
 def _write(path: str, data: bytes, like: os.stat_result) -> None:
-    """A file that is there whole or not at all, with the times of the one that it stands for."""
+    """A file that is there whole or not at all, with the times of the original."""
     part = path + ".part"
     with open(part, "wb") as file:
         file.write(data)

@@ -1,4 +1,4 @@
-"""The state log: records of fixed size behind a header that explains them, so that reading needs nothing of ours.
+"""The state log: records of fixed size behind a header that explains them, so that reading needs no code of ours.
 
     DELFIM STATE 1
     {"record_bytes": 17, "byte_order": "little", "fields": [{"name": "heading", "code": "f", "unit": "rad", ...}, ...], ...}
@@ -29,7 +29,7 @@ logger = logging.getLogger(__name__)
 
 
 class Schema:
-    """What a record is made of.
+    """The fields of a record.
 
     `rows` are (name, code, unit, description), codes out of CODES. Raises FormatError for other codes and a name used twice.
     `started_ns`, since 1970, is when the program started; 0 where unknown.
@@ -47,7 +47,7 @@ class Schema:
 
     @property
     def header(self) -> bytes:
-        """What every file starts with. Its second line is padded with blanks, so that records start at a multiple of 64."""
+        """The header of every file. Its second line is padded with blanks, so that records start at a multiple of 64."""
         told = {
             "record_bytes": self.struct.size,
             "byte_order": "little",
@@ -63,21 +63,21 @@ class Schema:
         """The schema at the head of a file, and where its records start. Raises FormatError."""
         end = content.find(b"\n", len(MAGIC)) + 1
         if not content.startswith(MAGIC) or not end:
-            raise FormatError("not a state log: it starts with another header, or not even with a whole one")
+            raise FormatError("not a state log: it starts with another header, or with an incomplete one")
         try:
             told = parse_json(content[len(MAGIC) : end])
             rows = [(str(f["name"]), str(f["code"]), str(f["unit"]), str(f["description"])) for f in told["fields"]]
             schema = cls(rows, boat=str(told["boat"]), started_ns=int(told["started_ns"]))
             fits = told["record_bytes"] == schema.struct.size and told["byte_order"] == "little"
         except (ValueError, TypeError, KeyError, OverflowError) as error:
-            raise FormatError(f"the header of this state log means nothing: {type(error).__name__}") from None
+            raise FormatError(f"the header of this state log is unreadable: {type(error).__name__}") from None
         if not fits:
             raise FormatError("the header of this state log contradicts itself")
         return schema, end
 
 
 class StateWriter:
-    """Packs records and puts them. `rejected` counts those that do not fit the schema, `reason` says why the last did not."""
+    """Packs records and puts them. `rejected` counts those that do not fit the schema, `reason` is that of the last."""
 
     def __init__(self, put: Callable[[bytes], bool], schema: Schema) -> None:
         self.rejected, self.reason = 0, ""
@@ -97,7 +97,7 @@ class StateWriter:
 class StateFile(NamedTuple):
     schema: Schema
     records: Iterator[tuple[Any, ...]]  # values in the order of the schema
-    complaint: str  # what is wrong with the file, in words: cut, damaged, its last record incomplete; empty when nothing is
+    complaint: str  # the file's damage in words: cut, damaged, its last record incomplete; empty if there is none
 
 
 def read_state(path: str | Path) -> StateFile:
@@ -116,7 +116,7 @@ def read_state(path: str | Path) -> StateFile:
 def columns(paths: Iterable[str | Path]) -> dict[str, list[Any]]:
     """The records of several files, oldest first, as one list a field. NaN where a file does not have a field.
 
-    What is wrong with a file is logged as a warning; a file without a readable header is left out. Raises OSError.
+    Damage to a file is logged as a warning; a file without a readable header is left out. Raises OSError.
     """
     result: dict[str, list[Any]] = {}
     count = 0

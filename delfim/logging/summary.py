@@ -1,4 +1,4 @@
-"""The quick summary of a run: how far, how fast, in which modes, what went wrong, and how long the critical path took."""
+"""The quick summary of a run: distance, speed, modes, troubles, and latency of the critical path."""
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
@@ -14,9 +14,9 @@ if TYPE_CHECKING:
 
 
 STAGES: Final = ("poll", "navigation", "control", "propulsion", "log")
-GAP: Final = 2.5  # periods without a record that are told
-EVENTS_MAX: Final = 20  # told in full
-QUIET: Final = ("start", "end", "command", "watchdog")  # events that are no trouble
+GAP: Final = 2.5  # periods without a record that are reported
+EVENTS_MAX: Final = 20  # reported in full
+QUIET: Final = ("start", "end", "command", "watchdog")  # events that are not troubles
 
 
 def summary(files: Sequence[LogFile], span: Span, modes: dict[int, str]) -> dict[str, Any]:
@@ -49,7 +49,7 @@ def text(told: dict[str, Any]) -> str:
     rows = [
         ("boat", told["boat"]),
         ("time", f"{told['from']} to {told['to']} UTC, {told['duration_s']:.0f} s, {told['cycles']} cycles"),
-        ("track", f"{told['track_m']:.0f} m; speed {speed['mean']:.2f} m/s mean, {speed['max']:.2f} m/s most"),
+        ("track", f"{told['track_m']:.0f} m; speed {speed['mean']:.2f} m/s mean, {speed['max']:.2f} m/s maximum"),
         ("modes", ", ".join(f"{name} {seconds:.0f} s" for name, seconds in told["modes_s"].items())),
         ("batteries", ", ".join(f"{side} down to {volt:.1f} V" for side, volt in told["batteries"].items()) or "unknown"),
         ("critical path", _path(path)),
@@ -163,7 +163,7 @@ def _commands(events: Iterable[dict[str, Any]]) -> dict[str, int]:
 
 
 def _events(events: Iterable[dict[str, Any]]) -> list[str]:
-    """What the sidecars tell that is no command, oldest first, and the refused commands."""
+    """The events of the sidecars, oldest first, with only the refused ones of the commands."""
     told = []
     for event in sorted(events, key=lambda each: each["t_ns"]):
         words = " ".join(str(event[key]) for key in ("value", "reason") if event.get(key) not in (None, ""))

@@ -26,16 +26,16 @@ logger = logging.getLogger(__name__)
 
 
 class Columns(dict[str, "NDArray[Any]"]):
-    """Columns by the names of their fields. Whoever needs one that no file has is told in words."""
+    """Columns by the names of their fields. A field that no file has is refused in words."""
 
     def __missing__(self, name: str) -> "NDArray[Any]":
         raise FormatError(f"these state logs have no field {name}")
 
 
 def table(files: Iterable[LogFile], span: Span = ALWAYS) -> tuple[Columns, Schema]:
-    """The records of state logs in this time, and the schema of the newest file. What is wrong with a file is logged.
+    """The records of state logs in this time, and the schema of the newest file. Damage to a file is logged.
 
-    Raises DelfimError where there is no record at all.
+    Raises DelfimError if there is no record at all.
     """
     import numpy as np
 
@@ -108,12 +108,12 @@ def _frames(files: Iterable[LogFile], span: Span) -> Iterator[tuple[str, Frame]]
         except FormatError:
             wrong += 1
     if wrong:
-        logger.warning("%d lines of the black box are no frames and were left out", wrong)
+        logger.warning("%d lines of the black box are not frames and were left out", wrong)
 
 
 def _complain(file: LogFile, complaint: str) -> None:
-    if complaint and not is_running(file, time.time_ns()):  # what is being written has no end yet
-        logger.warning("%s (delfim log repair mends it)", complaint)
+    if complaint and not is_running(file, time.time_ns()):  # a file being written has no end yet
+        logger.warning("%s (delfim log repair puts it right)", complaint)
 
 
 def _text(file: LogFile) -> list[str]:

@@ -1,4 +1,4 @@
-"""What lies in a log tree: files, runs, and which of them a person means. Nothing is read but names, sizes and sidecars.
+"""The content of a log tree: files, runs, and the choice among them. Nothing is read but names, sizes and sidecars.
 
 A run is what one program logged from its start to its end, of one id. It begins with the sidecar's `start`, or after a pause
 for logs that have none, and it ended in order when its last sidecar says `end`.
@@ -19,8 +19,8 @@ from delfim.errors import DelfimError, FormatError
 from delfim.logging.reading import read_events
 from delfim.outside import parse_json
 
-PLACES: Final = ("/log", "run/sim*/log")  # where logs are looked for when nothing is named
-DEPTH: Final = 2  # folders below the one that is named in which a tree may lie
+PLACES: Final = ("/log", "run/sim*/log")  # searched for logs if no path is named
+DEPTH: Final = 2  # folders below the named one in which a tree may lie
 PAUSE_S: Final = 60  # between the files of one run
 LATE_S: Final = 2  # a file may hold records so much older or younger than its name and its time say
 RUNNING_S: Final = 5  # a log is written at least this often
@@ -75,14 +75,14 @@ class Run(NamedTuple):
 
     @property
     def name(self) -> str:
-        """By which a person calls it: 20100101-093000."""
+        """The run's name for people: 20100101-093000."""
         return time.strftime("%Y%m%d-%H%M%S", time.gmtime(self.begin_ns // _SECOND))
 
 
 def files(paths: Iterable[str | Path]) -> list[LogFile]:
     """The log files under these paths (a tree, a day, an id's folder, or files), in order. Where a file was repaired, its copy.
 
-    Raises DelfimError where there is no such path, or what is named is no log file.
+    Raises DelfimError if there is no such path, or if it is not a log file.
     """
     found: list[LogFile] = []
     for path in map(str, paths):
@@ -116,7 +116,7 @@ def runs(files: Iterable[LogFile], now_ns: int) -> list[Run]:
 
 
 def choose(found: Sequence[LogFile], name: str | None, now_ns: int) -> list[Run]:
-    """The runs that belong together under a name or its beginning, "last" being the newest one, None all.
+    """The runs of one time, chosen by a name or its beginning; "last" is the newest one, None all.
 
     To a state log belong the logs of other ids from the same time. Raises DelfimError where there is none.
     """
@@ -141,7 +141,7 @@ def within(chosen: Iterable[Run], span: Span) -> list[LogFile]:
 
 
 def events(files: Iterable[LogFile], span: Span = ALWAYS) -> Iterator[dict[str, Any]]:
-    """What the sidecars of these files tell, each with its file's `id`, file by file. Lines that mean nothing are left out."""
+    """The events in the sidecars of these files, each with its file's `id`, file by file. Unreadable lines are left out."""
     for file in sorted(files):
         if not file.sidecar:
             continue
@@ -172,18 +172,18 @@ def instant(text: str, zero_ns: int, option: str = "time") -> int:
         return since // timedelta(microseconds=1) * 1000
     except (ValueError, OverflowError):
         raise FormatError(
-            f"{option} {text!r} is no time: write 2010-01-01T09:30:00 or 09:30:00 (UTC), or +90 (seconds)"
+            f"{option} {text!r} is not a time: write 2010-01-01T09:30:00 or 09:30:00 (UTC), or +90 (seconds)"
         ) from None
 
 
 def default_place() -> str:
-    """The tree that is meant when none is named: the boat's, or else the newest of a simulation. Raises DelfimError."""
+    """The default tree: the boat's, or else the newest of a simulation. Raises DelfimError."""
     for pattern in PLACES:
         ends_ns = {place: [file.end_ns for file in _walk(place)] for place in glob.glob(pattern) if os.access(place, os.R_OK)}
         held = {place: max(ends) for place, ends in ends_ns.items() if ends}
         if held:
             return max(held, key=held.__getitem__)
-    raise DelfimError(f"no logs in {' or '.join(PLACES)}: name their directory")
+    raise DelfimError(f"no logs in {' or '.join(PLACES)}: name their folder")
 
 
 def is_log(day: str, name: str) -> bool:
@@ -215,11 +215,11 @@ def _walk(place: str, depth: int = DEPTH) -> Iterator[LogFile]:
 
 
 def _folder(folder: str, only: str = "") -> Iterator[LogFile]:
-    """The files in an id's folder, or one of them. Raises FormatError for one that is no log."""
+    """The files in an id's folder, or one of them. Raises FormatError for a file that is not a log."""
     day, id_ = folder.rsplit("/", 2)[-2:]
     entries = {entry.name: entry for entry in os.scandir(folder)}
     if only and not (_NAME.fullmatch(only) and _DAY.fullmatch(day)):
-        raise FormatError(f"{folder}/{only} is no log file: they are named YYYYMMDD/id/hhmmss.suffix")
+        raise FormatError(f"{folder}/{only} is not a log file: they are named YYYYMMDD/id/hhmmss.suffix")
     midnight_ns = begins(day, "000000") if _DAY.fullmatch(day) else 0
     for name in [only] if only else entries:
         match = _NAME.fullmatch(name)
@@ -245,7 +245,7 @@ def _folder(folder: str, only: str = "") -> Iterator[LogFile]:
 
 
 def _starts(file: LogFile, before_ns: int) -> bool:
-    """Whether a run begins with this file; the one before it was written last at `before_ns`."""
+    """Whether a run begins with this file; the file before it was last written at `before_ns`."""
     if file.begin_ns - before_ns > PAUSE_S * _SECOND:
         return True
     if not file.sidecar:
@@ -255,7 +255,7 @@ def _starts(file: LogFile, before_ns: int) -> bool:
 
 
 def _end(last: LogFile, now_ns: int) -> tuple[End, int]:
-    """How and when a run ended whose last file this is."""
+    """How and when the run with this last file ended."""
     if last.sidecar:
         with open(last.sidecar, "rb") as sidecar:
             sidecar.seek(-min(200, os.fstat(sidecar.fileno()).st_size), os.SEEK_END)
@@ -268,7 +268,7 @@ def _end(last: LogFile, now_ns: int) -> tuple[End, int]:
 
 
 def is_running(file: LogFile, now_ns: int) -> bool:
-    """Whether it was written just now. After a step of the clock it may seem to be of tomorrow."""
+    """Whether it was written just now. After a step of the clock its time may lie in the future."""
     return abs(now_ns - file.end_ns) < RUNNING_S * _SECOND
 
 

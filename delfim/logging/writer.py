@@ -3,8 +3,8 @@
 In the pipe, byte order of the machine: length u32, then so many bytes. The first message is JSON, the log's settings; every
 other one is a record, or with the length's highest bit set a line for the sidecar. A report is a line of JSON, a LogStatus.
 
-It ends when the pipe does: whatever became of the parent, what it had put is written first. So it ignores the signals by which
-terminals and init scripts end things.
+It ends when the pipe does: even if the parent has died, its records are written first. So it ignores the signals by which
+terminals and init scripts end programs.
 """
 
 import contextlib
@@ -29,7 +29,7 @@ REASON_MAX: Final = 1000  # characters; a report fits into PIPE_BUF and is writt
 
 
 class PipeMessages:
-    """Cuts what comes through the pipe into messages, however it was split on the way."""
+    """Cuts the bytes from the pipe into messages, however they were split on the way."""
 
     def __init__(self) -> None:
         self._buffer = bytearray()
@@ -107,7 +107,7 @@ class Writer:
         if status == self._reported and now_s < self._report_s:
             return
         line = json.dumps(status._replace(reason=status.reason[:REASON_MAX])._asdict()) + "\n"
-        with contextlib.suppress(OSError):  # nobody reads them: the next one says it all again
+        with contextlib.suppress(OSError):  # nobody reads reports: the next one repeats it all
             os.write(sys.stdout.fileno(), line.encode())
             self._reported, self._report_s = status, now_s + REPORT_S
 

@@ -145,7 +145,7 @@ def test_without_a_path_the_logs_that_are_there_are_taken_and_named(place, tmp_p
     (tmp_path / "log").mkdir()
     monkeypatch.setattr(tree, "PLACES", (str(tmp_path / "log"), "run/sim*/log"))
     assert main(["log", "ls"]) == 2
-    assert "name their directory" in capsys.readouterr().err
+    assert "name their folder" in capsys.readouterr().err
     for name in ("sim", "sim-2"):
         shutil.copytree(place, tmp_path / "run" / name / "log")
     for file in (tmp_path / "run/sim-2/log").rglob("*.state*"):
@@ -182,6 +182,6 @@ def test_what_is_written_just_now_is_running_everywhere(place, tmp_path, capsys,
     assert main(["log", "ls", *words]) == 0
     assert capsys.readouterr().out.splitlines()[1].endswith("cut")
     assert main(["log", "cat", *words]) == 0
-    assert "delfim log repair mends it" in caplog.messages[0]
+    assert "delfim log repair puts it right" in caplog.messages[0]
     assert main(["log", "repair", *words]) == 0
     assert capsys.readouterr().out.endswith("1 files checked, 1 mended\n")

@@ -100,7 +100,7 @@ def test_a_dead_link_is_given_up_with_a_word_of_hope(tmp_path):
             raise TimeoutError("timed out")
 
     dead = Dead(FILES)
-    with pytest.raises(DelfimError, match="timed out; the same command goes on where this one stopped"):
+    with pytest.raises(DelfimError, match="timed out; run the same command again to go on from here"):
         transfer(dead.connect, dead.entries(), tmp_path, quiet)
     assert dead.connected == ATTEMPTS
 

@@ -113,7 +113,7 @@ def test_a_tree_a_day_a_folder_and_a_file_may_be_named(root):
     with pytest.raises(DelfimError, match="No such file"):
         tree.files([root / "no"])
     (root / "notes.txt").write_text("")
-    with pytest.raises(FormatError, match="is no log file"):
+    with pytest.raises(FormatError, match="is not a log file"):
         tree.files([root / "notes.txt"])
 
 

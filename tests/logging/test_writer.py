@@ -119,7 +119,7 @@ def test_a_writer_that_stands_still_never_holds_up_the_caller(tmp_path, pipe_log
     assert log.status().dropped == 1001
     clock.advance(6.0)
     log.poll()
-    assert log.status().reason == "the writer has not reported for 6 s: its disk hangs"
+    assert log.status().reason == "the log's writer has not reported for 6 s: the disk hangs"
     os.kill(pid(log), signal.SIGCONT)
     until(log, lambda: log.status().records == len(taken))
     assert log.status().writable
