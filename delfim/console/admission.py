@@ -1,4 +1,4 @@
-"""Who may open the page, by a token; and the number by which boats know this console from others, which comes of it."""
+"""The token that opens the page, and the console's number, which is derived from it: boats tell consoles apart by it."""
 
 import hashlib
 import hmac
@@ -24,16 +24,16 @@ LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 
 
 class Admission:
-    """Without a token one is drawn."""
+    """Checks every request. Draws a token if none is given."""
 
     def __init__(self, token: str = "") -> None:
         self.token = token or secrets.token_urlsafe(TOKEN_BYTES)
 
     @web.middleware
     async def admit(self, request: web.Request, handler: Callable[[web.Request], Any]) -> web.StreamResponse:
-        """Who knows the token, which is in the address that the console prints, and then in a cookie. A page of another site
-        may not speak for its visitor. On this computer only its own names count: of another its owner may say that it is here.
-        """
+        """Admits requests with the token, which is in the address that the console prints, and then in a cookie. A page of
+        another site may not act for its visitor. On loopback only this computer's own names count: the owner of any other name
+        could point it here."""
         host, (own, port) = request.headers.get("Host", ""), _end(request)
         if own.is_loopback and host.lower() not in {f"{name}:{port}" for name in (bracketed(own), *LOOPBACK)}:
             raise web.HTTPForbidden(text=f"this console is at http://{bracketed(own)}:{port}/\n")
@@ -62,13 +62,13 @@ def bracketed(address: IPv4Address | IPv6Address) -> str:
 
 
 def own_number(token: str) -> int:
-    """Of this console, by which boats know it from others: drawn with its token, and kept with it."""
+    """The number of this console, derived from its token: boats tell consoles apart by it."""
     return NUMBERS[hashlib.sha256(token.encode()).digest()[0] % len(NUMBERS)]
 
 
 def kept_token(file: Path) -> str:
-    """What lets a browser in, the same at each start: a page that is open finds its console again. Where no file can be, it is
-    the token of this run."""
+    """The token, the same at each start, so that an open page finds its console again. If no file can be written, it holds for
+    this run only."""
     with suppress(OSError, FormatError):
         if _TOKEN.fullmatch(token := read_text(file).strip()):
             return token

@@ -1,4 +1,4 @@
-"""What the console knows of a boat, and how old each part of it is. Messages in, one JSON-ready dictionary out."""
+"""The console's knowledge of a boat, with the age of each part. Messages in, one JSON-ready dictionary out."""
 
 import math
 from collections import deque
@@ -13,34 +13,34 @@ from delfim.vehicle.mavlink.params import BOAT_NAME
 COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
 SILENT_S: Final = 3.5
 LOSS_SPAN_S: Final = 20.0
-CHECKSUM_S: Final = 6.0  # so long a boat has to tell the checksum of its plans before they are read
+CHECKSUM_S: Final = 6.0  # the time for a boat to send the checksum of its plans before they are read
 NAME_MAX: Final = 32
 TRACK_MAX: Final = 36_000  # points: ten hours at one a second
 UNKNOWN_HEADING: Final = 65535
 
 
 class Boat:
-    """One boat. `receive` takes whatever it says; nothing in it can harm."""
+    """One boat. `receive` takes any of its messages; none can do harm."""
 
     def __init__(self, number: int, now_s: float) -> None:
         self.number, self.name = number, f"boat {number}"
         self.colour = COLOURS[number % len(COLOURS)]
         self.heard_s = now_s
         self.mode, self.armed = "", False
-        self.modes: dict[int, str] = {mode: mode.name.lower() for mode in Mode}  # until the boat has told its own
+        self.modes: dict[int, str] = {mode: mode.name.lower() for mode in Mode}  # until the boat has sent its own
         self.has_told_modes = False
         self._modes_told: dict[int, tuple[int, str]] = {}  # by their place in its list
         self.commander = 0  # number of the console that commands; 0: none
-        self.used = False  # the operator did something with it
-        self.twins: list[str] = []  # addresses of all boats that have this number, where it is more than one
+        self.used = False  # the operator has commanded it
+        self.twins: list[str] = []  # addresses of all boats that have this number, if there is more than one
         self.asked: str | None = None
         self.asked_s = -math.inf
         self.at_s: dict[str, float] = {}  # when each group of values was heard last
         self.values: dict[str, Any] = {}
         self.reference: dict[str, Any] = {}
-        self.reason, self.words = "", Words()  # what it said last
+        self.reason, self.words = "", Words()  # its last text
         self.reason_s = -math.inf  # when
-        self.target_is_new = False  # it came after the last word about steering
+        self.target_is_new = False  # a target came after the last message about steering
         self.failsafe, self.ready = "", False
         self.link, self.signed = "udp", False
         self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
@@ -48,8 +48,8 @@ class Boat:
         self.synced_s = -math.inf
         self.released = False
         self.profile = "wifi"
-        self.asks = 0  # how often it was asked for its name and its modes
-        self.checksum: int | None = None  # of the plans aboard, as the boat tells it
+        self.asks = 0  # requests for its name and its modes
+        self.checksum: int | None = None  # of the plans aboard, as the boat sends it
         self.read: int | None = None  # the same, when they were read
         self.read_due_s = now_s + CHECKSUM_S
         self._since_s, self._bytes = now_s, 0
@@ -58,7 +58,7 @@ class Boat:
         self._missing = 0
 
     def receive(self, message: Any, now_s: float, utc_s: float) -> None:
-        """A message of this boat's, whatever it is."""
+        """Takes any message of this boat."""
         self.heard_s = now_s
         self._count(message, now_s)
         handler = _HANDLERS.get(message.get_type())
@@ -73,18 +73,18 @@ class Boat:
         return self.name == f"boat {self.number}"
 
     def enter(self, number: int) -> None:
-        """What the mode before steered for is not what this one steers for."""
+        """Enters a mode; the target of the mode before is forgotten."""
         mode = self.modes.get(number, f"mode {number}")
         if mode != self.mode:
             self.reference |= _NOWHERE
             self.mode = mode
 
     def age_s(self, kind: str, now_s: float) -> float | None:
-        """Since a message of this kind; None where there was none."""
+        """Time since a message of this kind; None if there was none."""
         return None if kind not in self.at_s else round(now_s - self.at_s[kind], 2)
 
     def learn_mode(self, place: int, count: int, number: int, name: str) -> None:
-        """One of the modes that the boat has: when all are there, they are the list. The mode of STOP is idle, however the boat
+        """Takes one of the boat's modes; once all are known, they become the list. The mode of STOP is idle, whatever the boat
         calls it."""
         self._modes_told[place] = number, name
         places = range(1, count + 1)
@@ -93,7 +93,7 @@ class Boat:
             self.has_told_modes = True
 
     def snapshot(self, now_s: float) -> dict[str, Any]:
-        """Everything for the page."""
+        """The boat as the page shows it."""
         v = self.values
         self._forget(now_s)
         ages = {"heard": round(now_s - self.heard_s, 2)} | {
@@ -140,12 +140,12 @@ class Boat:
         }
 
     def _count(self, message: Any, now_s: float) -> None:
-        """Sequence numbers and bytes."""
+        """Counts sequence numbers and bytes."""
         component, sequence = message.get_srcComponent(), message.get_seq()
         ahead = (sequence - self._seen.get(component, sequence - 1)) & 0xFF
         if 0 < ahead < 128:
             self._seen[component] = sequence
-        missing = ahead - 1 if 0 < ahead < 128 else -1 if ahead else 0  # one that was overtaken had counted as missing
+        missing = ahead - 1 if 0 < ahead < 128 else -1 if ahead else 0  # a frame that comes late had counted as missing
         size = len(message.get_msgbuf())
         self._arrivals.append((now_s, size, missing))
         self._bytes += size
@@ -153,7 +153,7 @@ class Boat:
         self._forget(now_s)
 
     def _forget(self, now_s: float) -> None:
-        """What is older than twenty seconds counts no more."""
+        """Drops arrivals older than twenty seconds."""
         arrivals = self._arrivals
         while arrivals and arrivals[0][0] < now_s - LOSS_SPAN_S:
             _, size, missing = arrivals.popleft()
@@ -166,13 +166,13 @@ class Boat:
         return round(100.0 * missing / (heard + missing), 1) if heard else 0.0
 
     def _extend(self, utc_s: float) -> None:
-        """The past track, a point a second."""
+        """Adds to the past track, a point a second."""
         latitude_deg, longitude_deg = self.values.get("latitude_deg"), self.values.get("longitude_deg")
         if latitude_deg is not None and longitude_deg is not None and (not self.track or utc_s - self.track[-1][0] >= 1.0):
             self.track.append((round(utc_s, 1), latitude_deg, longitude_deg))
 
     def _ghost(self, now_s: float) -> dict[str, float] | None:
-        """Where a silent boat would be on its last course, and how far off that may be."""
+        """The estimated position of a silent boat on its last course, and the error of it."""
         silent_s, v = now_s - self.heard_s, self.values
         if silent_s < SILENT_S or v.get("latitude_deg") is None:
             return None
@@ -204,7 +204,7 @@ _PLAIN: Final = (
 
 _REFERENCE: Final = ("heading_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
 _NOWHERE: Final = dict.fromkeys(_REFERENCE[:-1])  # the leg is kept
-_GROUPS: Final = {"HIGH_LATENCY2": ("HIGH_LATENCY2", "GLOBAL_POSITION_INT", "SYS_STATUS")}  # which it says all at once
+_GROUPS: Final = {"HIGH_LATENCY2": ("HIGH_LATENCY2", "GLOBAL_POSITION_INT", "SYS_STATUS")}  # one message has all of them
 
 
 def _heartbeat(boat: Boat, m: Any) -> None:
@@ -259,7 +259,7 @@ def _gps(boat: Boat, m: Any) -> None:
 
 
 def _navigation(boat: Boat, m: Any) -> None:
-    """The place follows in a message of its own. When none came since the last time, the boat keeps a heading only."""
+    """The target's position comes in another message. If none came since the last time, the boat only keeps a heading."""
     if not boat.target_is_new:
         boat.reference |= _NOWHERE
     boat.target_is_new = False
@@ -305,7 +305,7 @@ def _checksum(boat: Boat, m: Any) -> None:
 
 
 def _lean(boat: Boat, m: Any) -> None:
-    """HIGH_LATENCY2: everything in one message, for radios on which a byte counts."""
+    """HIGH_LATENCY2: everything in one message, for radios on which every byte counts."""
     boat.commander = m.custom0 & 0xFF
     boat.enter(m.custom_mode)
     boat.reference["heading_deg"] = m.target_heading * 2.0

@@ -1,4 +1,4 @@
-"""The page in a window of its own, without tabs whose shortcuts would take the keys, where there is a browser for that."""
+"""Opens the page in a window of its own, without tabs whose shortcuts would take the keys, if a browser can do that."""
 
 import os
 import shutil
@@ -20,8 +20,8 @@ CHROMIUM: Final = (
 
 
 def show(url: str) -> None:
-    """In an application window of Chromium, or in whatever browser the computer prefers; nowhere where there is no screen, as
-    what would be found there is a browser for terminals. It outlives the console.
+    """Opens an application window of Chromium, or else the computer's preferred browser; none without a screen, where only a
+    browser for terminals would be found. It outlives the console.
     """
     if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
         return

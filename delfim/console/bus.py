@@ -57,7 +57,7 @@ def opened(texts: Sequence[str], links: contextlib.ExitStack) -> list[ListenedBu
 
 
 def frames(sources: Sequence[ListenedBus], silence_s: float | None = None) -> Iterator[tuple[ListenedBus, Frame]]:
-    """What the buses bring and the filters let pass, until there was none for `silence_s`."""
+    """The frames of the buses that pass the filters, until none came for `silence_s`."""
     poll = select.poll()
     by_fd = {source.can.fileno(): source for source in sources}
     for fd in by_fd:
@@ -99,7 +99,7 @@ def dump(asked: argparse.Namespace) -> int:
 
 
 class Show:
-    """Where frames go, and how they look there."""
+    """The output of frames, and their format there."""
 
     def __init__(self, asked: argparse.Namespace) -> None:
         self.width = 0

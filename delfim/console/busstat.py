@@ -1,4 +1,4 @@
-"""`delfim can stat`: how busy a bus is and with what, how its controller fares, and what was lost on the way."""
+"""`delfim can stat`: the load of a bus by identifier, the state of its controller, and lost frames."""
 
 import argparse
 import contextlib
@@ -33,7 +33,7 @@ class IdentifierRow:
 
 @dataclass(slots=True)
 class Statistics:
-    """What was seen of a bus. `report` ends an interval."""
+    """The counts of a bus. `report` ends an interval."""
 
     rows: dict[int, IdentifierRow] = field(default_factory=dict)
     frames: int = 0
@@ -65,7 +65,7 @@ class Statistics:
         row.data = frame.data
 
     def report(self, elapsed_s: float, bitrate: int, dropped: int, link: dict[str, Any]) -> dict[str, Any]:
-        """JSON-ready; rates and loads are those since the report before. `link` is what the kernel says of the controller."""
+        """JSON-ready; rates and loads are those since the report before. `link` is the kernel's state of the controller."""
         room_bits = bitrate * elapsed_s
         rows = [
             {
@@ -97,7 +97,7 @@ class Statistics:
 
 
 def parse_link(text: str) -> dict[str, Any]:
-    """What `ip -details -statistics -json link show` says of a CAN controller; empty where it says nothing."""
+    """The CAN controller in the output of `ip -details -statistics -json link show`; empty if it has none."""
     try:
         (link,) = json.loads(text)
         info = link["linkinfo"]
@@ -120,7 +120,7 @@ def parse_link(text: str) -> dict[str, Any]:
 
 
 def link_of(interface: str) -> dict[str, Any]:
-    """What the kernel says of an interface; empty for a bus that is no interface of this computer."""
+    """The kernel's state of an interface; empty for a bus that is no interface of this computer."""
     if ":" in interface or interface == "any":
         return {}
     with contextlib.suppress(OSError, subprocess.TimeoutExpired):
@@ -169,7 +169,7 @@ def stat(asked: argparse.Namespace) -> int:
 
 
 def _collect(can: CanSocket, statistics: Statistics, until_s: float) -> None:
-    """Everything that comes until then."""
+    """Counts every frame until then."""
     while (left_s := until_s - time.monotonic()) > 0:
         can.settimeout(left_s)
         with contextlib.suppress(TimeoutError):

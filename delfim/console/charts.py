@@ -1,7 +1,7 @@
-"""The operator's own charts: images that know where they lie, and MBTiles, from one folder; served to the page.
+"""The operator's own charts: georeferenced images and MBTiles from one folder, served to the page.
 
-An image that lies north up in degrees is served as it is; any other is drawn anew once, by a process of its own
-(`delfim.console.warp`), when a page asks for it first.
+An image that lies north up in degrees is served as it is; a child process (`delfim.console.warp`)
+redraws any other one, once, when a page first asks for it.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ _AGE: Final = {"Cache-Control": "max-age=3600"}
 
 
 class Charts:
-    """What lies in the folder when the console starts. `faults` says what was left out, and why."""
+    """The charts in the folder when the console starts. `faults` lists the files left out, and why."""
 
     def __init__(self, folder: Path | None) -> None:
         self.backgrounds: list[dict[str, Any]] = []

@@ -54,13 +54,13 @@ def _is_table(hint: Any) -> bool:
 
 
 def _sentence(table: type) -> str:
-    """The class's docstring on one line; nothing where it has none of its own."""
+    """The class's docstring on one line; empty if it has none of its own."""
     text = table.__dict__.get("__doc__") or ""
     return " ".join(text.split())
 
 
 def _comments(table: type) -> dict[str, str]:
-    """Of the class and of those that it extends; the nearest one counts. The keys of the modes are not written one by one."""
+    """The comments of the class and of those that it extends; the nearest one counts. Keys of modes have no comments."""
     found = {mode.name.lower(): f'in {mode.name.lower()} mode; "same": as `action`' for mode in Mode}
     for each in reversed([kind for kind in table.__mro__ if issubclass(kind, tables.Table)]):
         with contextlib.suppress(OSError):  # made by a function: there are no lines

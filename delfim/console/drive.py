@@ -1,7 +1,7 @@
-"""`delfim drive`: the boat from the command line, one command at a time or as a prompt.
+"""`delfim drive`: drives the boat from the command line, by single commands or at a prompt.
 
 A prompt tells the vehicle each second that somebody is there; a single command does not, so that a boat driven by single
-commands stops when the console's time-out ends. That is the dead-man and it is meant.
+commands stops when the console's time-out ends. This dead-man is intended.
 """
 
 import contextlib
@@ -22,7 +22,7 @@ PROMPT = "delfim> "
 
 
 class Word(NamedTuple):
-    """A command: what it does, what must be said with it, and what may be (two words in one: both or neither)."""
+    """A command: its effect, the arguments that it needs, and optional ones (two words in one: both or neither)."""
 
     does: str
     needs: tuple[str, ...] = ()
@@ -38,20 +38,20 @@ class Word(NamedTuple):
 
 WORDS: dict[str, Word] = {
     "state": Word("show the state"),
-    "checks": Word("what is in order for the start, and what is not"),
+    "checks": Word("show the checks before the start"),
     "stop": Word("idle, propellers off"),
     "manual": Word("thrust of each propeller, -1 to 1", ("starboard", "port")),
     "heading": Word("hold a true heading", ("heading_deg",), ("speed_mps",)),
-    "speed": Word("change the speed; without one, the plan's own again", (), ("speed_mps",)),
-    "goto": Word("go to a position; without one, to the first waypoint", (), ("latitude_deg longitude_deg", "speed_mps")),
-    "play": Word("play the mission, from a leg on; the first is 1", (), ("leg",)),
+    "speed": Word("change the speed; without a number, back to the plan's own", (), ("speed_mps",)),
+    "goto": Word("go to a position, or else to the first waypoint", (), ("latitude_deg longitude_deg", "speed_mps")),
+    "play": Word("play the mission, from a leg; the first is 1", (), ("leg",)),
     "mission": Word("load a mission file", ("file",)),
     "mode": Word("enter a mode by name", ("name",)),
-    "shutdown": Word("stop and end everything, so that the power may be cut"),
+    "shutdown": Word("stop and shut the computer down, so that the power may be cut"),
     "reboot": Word("stop, and start the computer again"),
-    "help": Word("these lines; with a command, its own", (), ("command",)),
+    "help": Word("show all commands, or one", (), ("command",)),
 }
-ENTERED = tuple(mode.name.lower() for mode in Mode if mode.name.lower() not in WORDS)  # by their names alone
+ENTERED = tuple(mode.name.lower() for mode in Mode if mode.name.lower() not in WORDS)  # commands by the mode's name alone
 
 
 def usage(verb: str = "") -> str:
@@ -64,7 +64,7 @@ def usage(verb: str = "") -> str:
 def command(words: list[str]) -> dict[str, Any]:
     """The command for a line of words: "heading 90 1.5". Raises FormatError in words."""
     verb, *rest = words
-    if verb not in WORDS and not rest:  # the boat knows its modes
+    if verb not in WORDS and not rest:  # it may be a mode that only the boat knows
         return {"command": "mode", "mode": verb}
     word = Word("enter that mode") if verb in ENTERED else WORDS.get(verb)
     if word is None:
@@ -95,7 +95,7 @@ def _number(name: str, text: str, where: str) -> float | int:
 
 
 def line(state: dict[str, Any]) -> str:
-    """A state on one line, for people."""
+    """The state on one line."""
     reference = state["reference"]
 
     leg = f"{reference['leg'] + 1}/{state['legs']}" if state["legs"] else "-"
@@ -112,13 +112,13 @@ def line(state: dict[str, Any]) -> str:
 
 
 def checks(state: dict[str, Any]) -> list[str]:
-    """The checks before the start and the present troubles, a line each, for people."""
+    """The checks before the start and the present troubles, a line each."""
     lines = [f"{'ok ' if check['ok'] else 'NOT'}  {check['name']:13}  {check['reason']}" for check in state["checks"]]
     return lines + [f"     {n['name']}: {n['reason']} (for {n['age_s']:.0f} s): {n['action']}" for n in state["notices"]]
 
 
 def once(link: Link, words: list[str], out: TextIO) -> None:
-    """One command, its state printed. Raises Refused."""
+    """Sends one command and prints the state. Raises Refused."""
     asked = command(words[:1] if words[0] == "help" else words)
     if words[0] == "help":
         print(usage(*words[1:2]), file=out)
@@ -134,7 +134,7 @@ def once(link: Link, words: list[str], out: TextIO) -> None:
 
 
 def prompt(link: Link, texts: Iterator[str], out: TextIO) -> None:
-    """Commands until there are no more."""
+    """Reads and sends commands until the input ends."""
     print(usage(), file=out)
     for text in texts:
         if text.strip() in ("quit", "exit"):
@@ -142,13 +142,13 @@ def prompt(link: Link, texts: Iterator[str], out: TextIO) -> None:
         try:
             if words := shlex.split(text):
                 once(link, words, out)
-        except (DelfimError, ValueError) as error:  # ValueError: a quotation mark without its other one
+        except (DelfimError, ValueError) as error:  # ValueError: an unclosed quotation mark
             print(error, file=out)
 
 
 def _typed() -> Iterator[str]:
-    """Lines of a terminal, with what was typed before (arrow keys) and the end of a word (Tab)."""
-    import readline  # which not every Python has, and nobody else needs
+    """Lines of a terminal, with history (arrow keys) and completion (Tab)."""
+    import readline  # not every Python has it, and only this needs it
 
     every = sorted((*WORDS, *ENTERED, "quit"))
 
@@ -165,7 +165,7 @@ def _typed() -> Iterator[str]:
 
 
 def _alive(socket: str, ended: threading.Event) -> None:
-    """Tell the vehicle that somebody is there, until that ends; by itself, because the prompt waits for the keyboard."""
+    """Tells the vehicle that somebody is there, in a thread of its own, because the prompt waits for the keyboard."""
     with contextlib.suppress(DelfimError), Link(socket) as link:
         while not ended.wait(ALIVE_S):
             with contextlib.suppress(Refused):
@@ -180,7 +180,7 @@ def _file(path: str) -> str:
 
 
 def run(socket: str, words: list[str]) -> None:
-    """The command line's entry: words given, one command; none, a prompt on standard input."""
+    """The command line's entry: one command if words are given, or else a prompt on standard input."""
     with Link(socket) as link:
         if words:
             once(link, words, sys.stdout)

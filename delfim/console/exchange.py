@@ -1,4 +1,4 @@
-"""The plans of all boats: those on the screen, those aboard, and what is on its way between the two."""
+"""The plans of all boats: those on the screen, those aboard, and the transfers between the two."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
@@ -18,7 +18,7 @@ SAID: Final = (*ASKED, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK")  # by
 
 
 def planned(boat: Boat, missions: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
-    """What the page shows of the missions of a boat: the one that is "here", and the one that was read from "aboard"."""
+    """A boat's missions for the page: the one that is "here", and the one that was read from "aboard"."""
     here, aboard = missions.get("here"), missions.get("aboard")
     shown = aboard or here
     if shown is None:
@@ -28,17 +28,17 @@ def planned(boat: Boat, missions: Mapping[str, dict[str, Any]]) -> dict[str, Any
     told = {"name": shown["name"], "count": len(shown["waypoints"]), "digest": shown["digest"], "state": state}
     item = boat.reference.get("leg")
     told["current"] = plan.waypoint_of(shown, item) if item is not None else None
-    return {"mission": told, **{key: (aboard or NO_ZONES).get(key) for key in NO_ZONES}}  # the boat keeps no zone of the plan
+    return {"mission": told, **{key: (aboard or NO_ZONES).get(key) for key in NO_ZONES}}  # zones of the plan are not aboard yet
 
 
 class Exchange:
-    """`send` puts a message on the way to a boat; `tell` speaks to the pages."""
+    """`send` sends a message to a boat; `tell` informs the pages."""
 
     def __init__(self, send: Callable[[int, Any], None], tell: Callable[[dict[str, Any]], None]) -> None:
         self.missions: dict[int, dict[str, dict[str, Any]]] = {}  # by boat: "here" and "aboard"
         self._send, self._tell = send, tell
         self._transfers: dict[int, OutgoingItems | Download] = {}
-        self._reading = set[int]()  # boats whose plans are read though nobody asked
+        self._reading = set[int]()  # boats whose plans are read without a request
 
     def forget(self, number: int) -> None:
         self.missions.pop(number, None)
@@ -46,7 +46,7 @@ class Exchange:
         self._reading.discard(number)
 
     def receive(self, boat: Boat, message: Any, now_s: float) -> None:
-        """One of SAID."""
+        """Takes one of the messages in SAID."""
         under_way = self._transfers.get(boat.number)
         if under_way is not None and message.mission_type == under_way.kind:
             wanted = ("MISSION_COUNT", "MISSION_ITEM_INT") if isinstance(under_way, Download) else ASKED
@@ -58,7 +58,7 @@ class Exchange:
             each.tick(now_s)
 
     def read(self, boat: Boat, now_s: float) -> None:
-        """The plans aboard, where others are known or none, so that pages can draw what is sailed."""
+        """Reads the plans aboard if they are unknown or have changed, so that pages can draw the mission that is sailed."""
         known = "aboard" in self.missions.get(boat.number, {}) and boat.read == boat.checksum
         if known or boat.number in self._transfers or now_s < boat.read_due_s or now_s - boat.heard_s > SILENT_S:
             return
@@ -67,11 +67,11 @@ class Exchange:
         self._reading.add(boat.number)
 
     def put(self, number: int, mission: dict[str, Any]) -> None:
-        """The plan on the screen for a boat. Raises FormatError."""
+        """Takes the plan on the screen for a boat. Raises FormatError."""
         self.missions.setdefault(number, {})["here"] = plan.with_digest(mission)
 
     def upload(self, boat: Boat, answer: Answer) -> None:
-        """The plan on the screen to the boat, and back again to compare. Raises Refused."""
+        """Sends the plan on the screen to the boat, and reads it back to compare. Raises Refused."""
         number = boat.number
         mission = self.missions.get(number, {}).get("here")
         if mission is None:
@@ -97,7 +97,7 @@ class Exchange:
         next_kind(0)
 
     def download(self, boat: Boat, answer: Answer) -> None:
-        """The mission that is on board. Raises Refused."""
+        """Reads the mission aboard. Raises Refused."""
         number = boat.number
         self._begin(number)
         groups: list[Sequence[Item]] = []
@@ -123,7 +123,7 @@ class Exchange:
         next_kind(MISSION)
 
     def progress(self) -> list[dict[str, Any]]:
-        """Of the transfers that are under way."""
+        """The progress of the transfers."""
         return [
             {"t": "progress", "boat": n, "what": each.what, "part": round((_done(each) + each.part) / 3, 3)}
             for n, each in self._transfers.items()
@@ -132,10 +132,10 @@ class Exchange:
     def _begin(self, number: int) -> None:
         if number in self._transfers and number not in self._reading:
             raise Refused("a mission is being sent or read: wait until that has ended")
-        self._reading.discard(number)  # which nobody asked for: it begins again when this one is over
+        self._reading.discard(number)  # that reading begins again when this transfer is over
 
     def _over(self, number: int, what: str) -> None:
-        """Nothing is under way any more, well or not."""
+        """The transfer has ended, well or not."""
         self._tell({"t": "progress", "boat": number, "what": what, "part": 1.0})
 
     def _aboard(self, boat: Boat, mission: dict[str, Any]) -> None:
@@ -156,5 +156,5 @@ class Exchange:
 
 
 def _done(each: OutgoingItems | Download) -> int:
-    """How many types of items are over before this one."""
+    """The number of types of items before this one."""
     return ORDER.index(each.kind) if isinstance(each, OutgoingItems) else each.kind

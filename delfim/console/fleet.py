@@ -1,8 +1,8 @@
-"""All boats, and everything that is said to them: the truth of the console. No socket and no clock in here.
+"""All boats, and every message to them: the state of the console. No socket and no clock in here.
 
 The dead-man chain (docs/console.md): the page's input is passed on as it comes and never repeated; when none came for INPUT_S
-the boat is told zero once, and then nothing, so that its own time-out counts. A boat or page that comes back moves nothing,
-and neither does a console that slept: what pages said before or meanwhile is refused, but for stop.
+the boat gets zero once, and then nothing, so that its own time-out counts. A boat or page that comes back moves nothing,
+and neither does a console that slept: it refuses older messages of pages, but for stop.
 """
 
 import math
@@ -22,9 +22,9 @@ from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN
 
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
-ASKS: Final = 12  # a minute: for what a boat tells once
+ASKS: Final = 12  # for a minute: requests for name and modes
 INPUT_S: Final = 0.6
-DEAF_S: Final = 1.0  # after a sleep, to what pages say: so long a page has to see that it was released
+DEAF_S: Final = 1.0  # after a sleep messages of pages are refused for so long: a page must see that it was released
 BOATS_MAX: Final = 32
 PEERS_MAX: Final = 64
 COMPLAIN_S: Final = 60.0
@@ -32,12 +32,12 @@ AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
 UNUSED: Final = 32767  # of an axis in MANUAL_CONTROL
 PROFILES: Final = ("lean", "radio", "wifi")  # values of the parameter that chooses
 PROFILE: Final = b"LINK_PROFILE"
-REASON_S: Final = 0.5  # a refusal and its reason come apart
+REASON_S: Final = 0.5  # a refusal and its reason come in separate messages
 Tell = Callable[[dict[str, Any]], None]
 
 
 class AskedProfile(NamedTuple):
-    """A link profile that was asked for and not yet confirmed."""
+    """A link profile that is requested and not yet confirmed."""
 
     name: str
     answer: Answer
@@ -46,7 +46,7 @@ class AskedProfile(NamedTuple):
 
 
 class Fleet:
-    """`transmit` puts bytes on the way to an address; `tell` speaks to the pages."""
+    """`transmit` sends bytes to an address; `tell` informs the pages."""
 
     def __init__(
         self, clock: Clock, transmit: Callable[[Address, bytes], None], tell: Tell, key: Key | None = None, me: int = SYSTEM
@@ -55,7 +55,7 @@ class Fleet:
         self.boats: dict[int, Boat] = {}
         self._exchange = Exchange(self._send, tell)
         self.missions = self._exchange.missions
-        self.record: Callable[[bytes], None] = lambda frame: None  # every frame that came well or went
+        self.record: Callable[[bytes], None] = lambda frame: None  # every valid frame received, and every frame sent
         self._clock, self._transmit, self._tell, self._key = clock, transmit, tell, key
         self._peers: dict[Address, Codec] = {}
         self._ways = Ways()
@@ -64,20 +64,20 @@ class Fleet:
         self._ticked_s, self._deaf_until_s, self._slept_s = clock.monotonic_s(), -math.inf, 0.0
         self._beat_s = self._complained_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
-        self._refused: dict[int, tuple[float, int, int]] = {}  # by boat: until when the reason is waited for, command, result
+        self._refused: dict[int, tuple[float, int, int]] = {}  # by boat: end of the wait for the reason, command, result
         self._profiles: dict[int, AskedProfile] = {}
 
-    # What comes from the boats.
+    # Messages from the boats.
 
     def receive(self, address: Address, data: bytes) -> None:
-        """Bytes of a link, as they come."""
+        """Takes bytes of a link, as they come."""
         codec = self._peers.pop(address, None)
         if codec is None:
             if len(self._peers) >= PEERS_MAX:
                 kept = set(self._ways.routes.values())
                 del self._peers[next((each for each in self._peers if each not in kept), next(iter(self._peers)))]
             codec = Codec(self._key, stream=address_kind(address) == "serial", me=self.me)
-        self._peers[address] = codec  # behind all others: the one that was silent for longest gives way
+        self._peers[address] = codec  # last in order: the first one was silent for longest and gives way
         for message in codec.decode(data):
             self.record(bytes(message.get_msgbuf()))
             self._take(address, message)
@@ -103,7 +103,7 @@ class Fleet:
             handler(self, boat, message, now_s)
 
     def _has_room(self, now_s: float) -> bool:
-        """For one boat more. One that is silent, that nobody vouches for and that the operator never used gives way to it."""
+        """Whether one more boat fits. A silent boat that is unsigned and that the operator never used gives way to it."""
         if len(self.boats) < BOATS_MAX:
             return True
         silent = [boat for boat in self.boats.values() if not (boat.used or boat.signed) and now_s - boat.heard_s > SILENT_S]
@@ -118,7 +118,7 @@ class Fleet:
         return True
 
     def _complain(self, number: int, address: Address, now_s: float) -> None:
-        """Another console calls itself by our number, and a boat may take one for the other."""
+        """Warns that another console uses our number: a boat may take one for the other."""
         if now_s - self._complained_s > COMPLAIN_S:
             self._complained_s = now_s
             where = in_words(address)
@@ -126,7 +126,7 @@ class Fleet:
             self._tell({"t": "text", "boat": None, "severity": 2, "text": words, "at_s": self._utc_s()})
 
     def _say(self, number: int, severity: int, text: str) -> None:
-        """To the pages, of a boat."""
+        """Shows a message about a boat on the pages."""
         self._tell({"t": "text", "boat": number, "severity": severity, "text": text, "at_s": self._utc_s()})
 
     def _on_ack(self, boat: Boat, message: Any, now_s: float) -> None:
@@ -182,12 +182,12 @@ class Fleet:
     def _on_mission(self, boat: Boat, message: Any, now_s: float) -> None:
         self._exchange.receive(boat, message, now_s)
 
-    # What time brings.
+    # Timed work.
 
     def tick(self) -> None:
         """Due ten times a second or more."""
         now_s = self._clock.monotonic_s()
-        if now_s - self._ticked_s > INPUT_S:  # what pages said meanwhile is old, and they are to learn of it
+        if now_s - self._ticked_s > INPUT_S:  # messages of pages are old by now, and the pages must know
             self._slept_s, self._deaf_until_s = now_s - self._ticked_s, now_s + DEAF_S
             self.release_all("the console's computer slept")
         self._ticked_s = now_s
@@ -224,7 +224,7 @@ class Fleet:
         boat.twins = twins
 
     def _ask_once(self, boat: Boat) -> None:
-        """Name and modes until they are known, but not for ever of a boat that tells neither."""
+        """Asks for name and modes until they are known, up to ASKS times."""
         boat.asks += 1
         if boat.asks > ASKS:
             return
@@ -243,11 +243,11 @@ class Fleet:
             for number, boat in sorted(self.boats.items())
         ]
 
-    # What the operator wants.
+    # Requests of the operator.
 
     def command(self, number: int, word: str, words: dict[str, Any], answer: Answer) -> None:
-        """A word of the page. Raises Refused for what cannot be asked; otherwise `answer` is called once, when the boat has
-        answered or has not."""
+        """Sends a command of the page. Raises Refused if it cannot be sent; otherwise calls `answer` once, with the boat's
+        answer or at the end of the wait."""
         boat, now_s = self._use(number), self._clock.monotonic_s()
         row = row_of(word, boat.modes) if word != "profile" else None
         stop = row is not None and row.mode == "idle"
@@ -267,12 +267,12 @@ class Fleet:
         self._requests.begin(number, asked, answer, now_s, stop=stop)
 
     def _item(self, number: int, waypoint: int) -> int:
-        """To play from a waypoint on is to play from its item on, where the mission aboard is known. Raises FormatError."""
+        """The number of a waypoint's item, to play from, if the mission aboard is known. Raises FormatError."""
         aboard = self.missions.get(number, {}).get("aboard")
         return waypoint if aboard is None or not aboard["waypoints"] else plan.item_of(aboard, waypoint)
 
     def input(self, number: int, count: int, port_pct: float, starboard_pct: float) -> None:
-        """Thrust of a boat in manual, now. An input that was overtaken is ignored."""
+        """Sends thrust to a boat in manual at once. An input older than the last one is ignored."""
         boat = self._use(number)
         last, _ = self._inputs.get(number, (-1, 0.0))
         now_s = self._clock.monotonic_s()
@@ -285,11 +285,11 @@ class Fleet:
         self._thrust(number, port_pct, starboard_pct)
 
     def _asleep_s(self, now_s: float) -> float:
-        """How long this computer slept, if it does or did just now: so old may be what is heard from a page."""
+        """How long this computer slept, if it has just woken up: a page's message may be that old."""
         return self._slept_s if now_s < self._deaf_until_s else now_s - self._ticked_s
 
     def release(self, number: int, why: str) -> None:
-        """Nobody steers this boat any more: zero once, then silence."""
+        """Ends thrust by hand: zero once, then silence."""
         if self._inputs.pop(number, None) is None:
             return
         self._thrust(number, 0.0, 0.0)
@@ -302,25 +302,25 @@ class Fleet:
             self.release(number, why)
 
     def put(self, number: int, mission: dict[str, Any]) -> None:
-        """The plan on the screen for a boat. Raises FormatError, Refused."""
+        """Takes the plan on the screen for a boat. Raises FormatError, Refused."""
         boat = self._boat(number)
         self._exchange.put(number, mission)
         boat.used = True
 
     def upload(self, number: int, answer: Answer) -> None:
-        """The plan on the screen to the boat, and back again to compare. Raises Refused."""
+        """Sends the plan on the screen to the boat, and reads it back to compare. Raises Refused."""
         self._exchange.upload(self._boat(number), answer)
 
     def download(self, number: int, answer: Answer) -> None:
-        """The mission that is on board. Raises Refused."""
+        """Reads the mission aboard. Raises Refused."""
         self._exchange.download(self._boat(number), answer)
 
     def progress(self) -> list[dict[str, Any]]:
-        """Of the missions that are under way."""
+        """The progress of mission transfers."""
         return self._exchange.progress()
 
     def _use(self, number: int) -> Boat:
-        """The operator does something with it. Raises Refused."""
+        """The boat, marked as used by the operator. Raises Refused."""
         boat = self._boat(number)
         boat.used = True
         return boat
@@ -340,7 +340,7 @@ class Fleet:
         self._choose(boat.number, now_s)
 
     def _choose(self, number: int, now_s: float) -> None:
-        """Say it, say it again, give it up."""
+        """Sends the request, repeats it, or gives it up."""
         chosen = self._profiles[number]
         if now_s - chosen.begun_s > LIFE_S:
             del self._profiles[number]
@@ -360,7 +360,7 @@ class Fleet:
             self._put(self._ways.routes[number], message)
 
     def _send_all(self, number: int, message: Any) -> None:
-        """Also to whoever else speaks by this number."""
+        """Sends also to other boats that use this number."""
         for address in self._ways.to_stop(number, self._clock.monotonic_s()):
             self._put(address, message)
 
@@ -376,7 +376,7 @@ class Fleet:
 
 
 def address_kind(address: Address) -> str:
-    """Of which kind a link is: what its addresses begin with."""
+    """The kind of a link: the first word of its addresses."""
     return address[0] if isinstance(address, tuple) else "udp"
 
 

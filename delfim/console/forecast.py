@@ -1,4 +1,4 @@
-"""A mission sailed in the simulator before it is sailed for real, in a process of its own."""
+"""The dry run: sails a mission in the simulator, in a process of its own."""
 
 import json
 import subprocess
@@ -14,8 +14,8 @@ LIMIT_S: Final = 60.0
 
 
 def dry_run(vehicle: Path, plan: dict[str, Any], start: tuple[float, float] | None) -> dict[str, Any]:
-    """What `delfim.simulator.dryrun` says of a plan of the page, from where the boat is. Blocks for seconds; never raises for
-    what the plan says."""
+    """The result of `delfim.simulator.dryrun` for a plan of the page, from the boat's position. Blocks for seconds; never
+    raises for a bad plan."""
     command = [sys.executable, "-m", "delfim.simulator.dryrun", str(vehicle)]
     if start is not None:
         command += ["--set", f"simulation.latitude_deg={start[0]!r}", "--set", f"simulation.longitude_deg={start[1]!r}"]

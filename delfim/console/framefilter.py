@@ -2,7 +2,7 @@
 
     can0,123:7FF,400~700,#FFFFFFFF      interface, then filters: match, match not, error frames of these classes
 
-What is not done: CAN FD, colours, binary and swapped data. Facts from can-utils (candump.c, lib.c).
+Not supported: CAN FD, colours, binary and swapped data. Facts from can-utils (candump.c, lib.c).
 """
 
 import re
@@ -102,7 +102,7 @@ def long_text(frame: Frame, *, wide: bool, ascii_too: bool) -> str:
 
 
 def decoder(file: str) -> Callable[[Frame], str]:
-    """What a frame means after a CAN database, in words; "" where it is not in there. Raises DelfimError."""
+    """Describes a frame by a CAN database; "" if it is not in there. Raises DelfimError."""
     try:
         import cantools  # of the extra "ground": a boat does without
     except ImportError:

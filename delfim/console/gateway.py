@@ -1,6 +1,6 @@
-"""The gateway between the boats and the page, one process on the operator's computer: what pages are told, and what they ask.
+"""The gateway between the boats and the page, one process on the operator's computer: informs pages, answers their requests.
 
-What is said on the WebSocket stands in docs/console.md. All that decides anything about a boat is in `Fleet`.
+The messages of the WebSocket stand in docs/console.md. Every decision about a boat is in `Fleet`.
 """
 
 import asyncio
@@ -34,7 +34,7 @@ from delfim.errors import DelfimError, FormatError, Refused
 PAGE: Final = Path(__file__).with_name("page")
 SHOW_TICKS: Final = 2  # ten times a second
 CHUNK: Final = 500  # points of a track in one message
-BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses what is not the newest
+BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses older states
 PAGES_MAX: Final = 8
 DRY_RUNS_MAX: Final = 2
 QUEUE_MAX: Final = 1000  # messages to one of them
@@ -42,7 +42,7 @@ MESSAGE_BYTES: Final = 1 << 20
 
 
 def encoded(message: Any) -> str:
-    """JSON, in which a number that is not finite is null: a browser takes nothing else."""
+    """JSON, with null for numbers that are not finite: browsers take no others."""
     return msgspec.json.encode(message).decode()
 
 
@@ -52,7 +52,7 @@ class Page:
     def __init__(self, link: web.WebSocketResponse, request: web.Request) -> None:
         self._link, self._request = link, request
         self.queue: asyncio.Queue[str | None] = asyncio.Queue(maxsize=QUEUE_MAX + 1)  # None: the end
-        self.steers: set[int] = set()  # boats that this page gives input to
+        self.steers: set[int] = set()  # boats that this page drives by hand
 
     def tell(self, message: dict[str, Any]) -> None:
         transport = self._request.transport
@@ -65,14 +65,14 @@ class Page:
         self.queue.put_nowait(None)
 
     async def write(self) -> None:
-        """Until the connection ends."""
+        """Sends until the connection ends."""
         with suppress(ConnectionError):
             while (text := await self.queue.get()) is not None:
                 await self._link.send_str(text)
 
 
 class Gateway:
-    """The pages, and what they may ask."""
+    """Serves the pages."""
 
     def __init__(
         self,
@@ -103,8 +103,8 @@ class Gateway:
             self.fleet = Fleet(clock, self._transmit, self.tell, key, self.me)
             if self.session is not None:
                 self.fleet.record = self.session.put
-        self._complaints: dict[str, str] = {}  # what was said of links and files, not to say it again
-        self.heard_on: list[str] = [*self.radios]  # where boats are, in words
+        self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
+        self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
         self._clock, self._library, self._pages = clock, Library(missions), set[Page]()
         self._vehicle, self._dry_runs = vehicle, 0
         self._ticks = 0
@@ -117,7 +117,7 @@ class Gateway:
             self.app.router.add_static("/", PAGE)
 
     def close(self) -> None:
-        """After the last tick."""
+        """Called after the last tick."""
         for each in self.radios.values():
             each.close()
         if self.session is not None:
@@ -125,7 +125,7 @@ class Gateway:
         self.charts.close()
 
     def tell(self, message: dict[str, Any]) -> None:
-        """To every page."""
+        """Sends to every page."""
         for page in self._pages:
             page.tell(message)
 
@@ -143,13 +143,13 @@ class Gateway:
                 self.tell(progress)
 
     def _complain(self, name: str, reason: str) -> None:
-        """Once for each reason."""
+        """Tells the pages once for each reason."""
         if reason != self._complaints.get(name, ""):
             self._complaints[name] = reason
             self.tell(self._text(f"{name}: {reason or 'works again'}"))
 
     def _text(self, words: str) -> dict[str, Any]:
-        """A warning that is no boat's."""
+        """A warning of the console itself."""
         return {"t": "text", "boat": None, "severity": 4, "text": words, "at_s": self._utc_s()}
 
     def _receive(self, address: Any, data: bytes) -> None:
@@ -228,10 +228,10 @@ class Gateway:
                 page.tell({"t": "track", "boat": number, "start": at == 0, "points": points})
 
     def _hear(self, page: Page, text: str) -> None:
-        """A message of a page. What it gets wrong it is told."""
+        """Takes a message of a page, and answers a wrong one with the reason."""
         sequence: Any = None
         try:
-            asked = json.loads(text)  # which knows infinity: the number of the message is found all the same
+            asked = json.loads(text)  # it accepts infinity, so that the message's number is found all the same
             sequence = asked.get("seq") if isinstance(asked, dict) else None
             self._ask(page, msgspec.convert(asked, said.Message), asked, partial(_answer, page, sequence))
         except DelfimError as error:
@@ -267,7 +267,7 @@ class Gateway:
                 self._mission(page, asked, words.get("mission"), answer)
 
     def _stop_all(self, answer: Callable[[bool, str], None]) -> None:
-        """Answered when every boat has answered, or one has not."""
+        """Answers when all boats have stopped, or one has failed to."""
         fleet = self.fleet
         fleet.release_all("stop")
         waiting = set(fleet.boats)
@@ -307,7 +307,7 @@ class Gateway:
                 answer(True, "")
             case "load":
                 mission = self._library.load(asked.name)
-                if number:  # a plan may be made before a boat is heard
+                if number:  # 0: a plan made before a boat is heard
                     fleet.put(number, mission)
                 page.tell({"t": "mission", "boat": number, "where": "here", "mission": mission})
                 answer(True, "")
@@ -352,6 +352,6 @@ def _time_line(replay: TapePlayer) -> dict[str, Any]:
 
 
 def _chunks(points: list[tuple[float, float, float]]) -> Iterator[list[tuple[float, float, float]]]:
-    """Of a track; one at least."""
+    """A track in chunks; one at least."""
     for at in range(0, max(len(points), 1), CHUNK):
         yield points[at : at + CHUNK]

@@ -1,4 +1,4 @@
-"""Where the pixels of a chart lie: a world file, control points, or the tags of a GeoTIFF.
+"""The position of a chart's pixels: from a world file, control points, or the tags of a GeoTIFF.
 
 chart.png  chart.pgw     a world file (six lines); in degrees, or in the plane that chart.toml names: epsg = 32629
 chart.png  chart.toml    two or more control points: [[point]] column, row, latitude_deg, longitude_deg
@@ -71,7 +71,7 @@ class Placed(NamedTuple):
         return (e * (x - c) - b * (y - f)) / area, (a * (y - f) - d * (x - c)) / area
 
     def extent(self) -> tuple[float, float, float, float]:
-        """West, south, east, north in degrees: what holds all of it."""
+        """West, south, east, north in degrees: the box around all of it."""
         width, height = self.size
         steps = [n / 16 for n in range(17)]
         edge = [(s * width, r) for s in steps for r in (0, height)] + [(c, s * height) for s in steps for c in (0, width)]
@@ -80,7 +80,7 @@ class Placed(NamedTuple):
 
 
 def placed(image: Path) -> Placed:
-    """Where an image lies. Raises ConfigError with the reason where nothing says so, or says nonsense."""
+    """The position of an image. Raises ConfigError with the reason if there is none, or it is implausible."""
     size, tags = _header(image)
     beside = _beside(image)
     worlds = image.with_suffix(WORLD_FILES[image.suffix.lower()]), image.with_suffix(".wld")

@@ -23,7 +23,7 @@ class Library:
         return sorted(path.stem for path in self._folder.glob("*.toml"))
 
     def load(self, name: str) -> dict[str, Any]:
-        """For the page. Raises Refused with the reason."""
+        """The mission as the page has it. Raises Refused with the reason."""
         try:
             mission = load_mission(self._file(name))
             return page_of(mission.name, mission.waypoint, mission.path, mission.fence)
@@ -31,7 +31,7 @@ class Library:
             raise Refused(str(error)) from None
 
     def save(self, plan: dict[str, Any]) -> None:
-        """Whole or not at all. Raises Refused."""
+        """Writes it whole or not at all. Raises Refused."""
         file, text = self._file(str(plan["name"])), canonical(written(plan))
         try:
             self._folder.mkdir(parents=True, exist_ok=True)

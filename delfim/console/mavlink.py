@@ -1,6 +1,6 @@
 """MAVLink 2 as the console speaks it: bytes to messages and back, signed where there is a key.
 
-Frames and signatures are the vehicle's (`delfim.vehicle.mavlink`): both ends judge alike. What a boat says and obeys:
+Frames and signatures are the vehicle's (`delfim.vehicle.mavlink`): both ends judge alike. The messages of a boat:
 docs/mavlink.md.
 """
 
@@ -27,7 +27,7 @@ _SENT: Final = (
 
 
 class Key:
-    """A signing key in a file of 64 hexadecimal digits, and beside it the time stamps of what was signed with it, which
+    """A signing key in a file of 64 hexadecimal digits, and beside it the time stamps of its last signatures, which
     never go back, not even over a restart. Raises ConfigError.
     """
 
@@ -42,7 +42,7 @@ class Key:
         self._due_s = self._clock.monotonic_s()
 
     def stamp(self) -> int:
-        """For the next frame that is sent: ticks of 10 us since 2015, as the clock runs."""
+        """The time stamp of the next frame: ticks of 10 us since 2015, as the clock runs."""
         stamp = self._signing.stamp()
         self._signing.stamps[_SENT] = stamp
         if self._clock.monotonic_s() >= self._due_s:
@@ -51,7 +51,7 @@ class Key:
         return stamp
 
     def fault(self, frame: bytes) -> str:
-        """What is wrong with the signature of a frame that came; empty: nothing. A frame is well once."""
+        """The fault of a received frame's signature, empty if it is valid. A frame is valid once."""
         return self._signing.judge(frame).fault
 
 
@@ -65,7 +65,7 @@ class Codec:
         self.encode = wire.Sender(me, COMPONENT, secret, stamp).pack
 
     def decode(self, data: bytes) -> Iterator[Any]:
-        """The messages in these bytes. Whatever else is in them is passed over, byte by byte: no noise hides a whole frame."""
+        """The messages in these bytes. Other bytes are skipped one by one: no noise hides a whole frame."""
         rest, at = self._rest + data, 0
         while (at := rest.find(wire.MARKER, at)) >= 0 and at + _HEAD <= len(rest):
             end = at + _LEAST + rest[at + 1] + (_SIGNATURE if rest[at + 2] & wire.SIGNED else 0)
@@ -82,7 +82,7 @@ class Codec:
         self._rest = rest[at:] if self._stream and at >= 0 else b""
 
     def _message(self, frame: bytes) -> Any:
-        """None for what is damaged, not known, or not signed as it must be."""
+        """None for a damaged or unknown message, or one without a valid signature."""
         try:
             message = wire.decode(frame)
         except FormatError:

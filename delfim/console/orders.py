@@ -1,8 +1,8 @@
-"""What an operator may order, word by word: one row a word, with the numbers that it takes and the MAVLink command that it is;
-and the name of each mode that the boat has.
+"""The operator's commands: one row for each word, with the numbers that it takes and its MAVLink command; the names of the
+boat's modes are commands, too.
 
-A word that has no row, a number that the word does not take, one that is missing or is none: refused in words. Nothing is left
-out in silence, and nothing is guessed.
+An unknown word, an unknown or missing argument and an argument that is no number are refused with the reason. Nothing is
+ignored in silence, and nothing is guessed.
 """
 
 from collections.abc import Callable, Mapping

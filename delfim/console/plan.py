@@ -1,6 +1,6 @@
 """A plan of the page (docs/console.md) as the tables of a mission file and as MAVLink's items, and back.
 
-What an item is, `delfim.vehicle.mavlink.plans` says for both ends of the link.
+`delfim.vehicle.mavlink.plans` defines the items for both ends of the link.
 """
 
 import contextlib
@@ -24,7 +24,7 @@ KINDS: Final = (plans.MISSION, plans.FENCE, plans.RALLY)
 
 
 def page_of(name: str, waypoints: Iterable[Waypoint], path: Iterable[PathPoint], zones: config.Zones) -> dict[str, Any]:
-    """For the page, without a home. The path that it may have is for the vehicle and is carried along."""
+    """A mission as the page has it, without a home. A path is only carried along, for the vehicle."""
     circles = [each for each in zones.keep_out if each.centre]
     return {
         "name": name,
@@ -37,7 +37,7 @@ def page_of(name: str, waypoints: Iterable[Waypoint], path: Iterable[PathPoint],
 
 
 def tables_of(plan: Mapping[str, Any]) -> Mission:
-    """What a mission file would say; home is not in it. Ranges are for whoever takes it to look at. Raises FormatError."""
+    """The tables of a mission file, without home. The reader of the file checks the ranges. Raises FormatError."""
     try:
         circles = ((_place(each), float(each["radius_m"])) for each in plan.get("obstacles") or ())
         keep_out = tuple(config.KeepOut(centre=(place,), radius_m=radius_m) for place, radius_m in circles)
@@ -54,7 +54,7 @@ def tables_of(plan: Mapping[str, Any]) -> Mission:
 
 
 def written(plan: Mapping[str, Any]) -> Mission:
-    """The same, checked as a file is. Raises Refused with the reason."""
+    """The text of a mission file, checked like one. Raises Refused with the reason."""
     try:
         return parse_mission(canonical(tables_of(plan)), str(plan["name"]))
     except DelfimError as error:
@@ -62,14 +62,14 @@ def written(plan: Mapping[str, Any]) -> Mission:
 
 
 def items_of(plan: Mapping[str, Any]) -> list[list[Item]]:
-    """Of each type: waypoints and path, fence and obstacles, home. Raises FormatError."""
+    """The items of each type: waypoints and path, fence and obstacles, home. Raises FormatError."""
     tables, home = tables_of(plan), plan.get("home")
     harbours = [_place(home)] if home else []
     return [list(plans.mission_items(tables)), list(plans.fence_items(tables.fence)), list(plans.rally_items(harbours))]
 
 
 def mission_of(name: str, groups: Sequence[Sequence[Item]]) -> dict[str, Any]:
-    """The inverse, with its digest. What a boat has aboard that the page cannot show is left out."""
+    """The inverse, with its digest. Items that the page cannot show are left out."""
     mission, zones, rally = plans.MissionDraft(), plans.ZonesDraft(), plans.RallyDraft()
     drafts: tuple[plans.Draft, ...] = mission, zones, rally
     for draft, items in zip(drafts, groups, strict=True):
@@ -84,18 +84,18 @@ def mission_of(name: str, groups: Sequence[Sequence[Item]]) -> dict[str, Any]:
 
 
 def item_in(m: Any) -> Item:
-    """Of a MISSION_ITEM_INT. A number that is not finite stands for "as usual", which is 0 here."""
+    """The item of a MISSION_ITEM_INT. A number that is not finite means "default", which is 0 here."""
     one, two, three, four, z = (each if math.isfinite(each) else 0.0 for each in (m.param1, m.param2, m.param3, m.param4, m.z))
     return Item(m.command, one, two, three, four, m.x, m.y, z, m.frame)
 
 
 def with_digest(plan: dict[str, Any]) -> dict[str, Any]:
-    """A plan that is kept: it is compared often, and a long one takes 30 ms."""
+    """A plan with its digest, because it is compared often, and the digest of a long one takes 30 ms."""
     return plan | {"digest": digest(plan)}
 
 
 def digest(plan: Mapping[str, Any]) -> str:
-    """A name of what a plan says, its title apart."""
+    """A hash of a plan without its title."""
     said = [
         [(i.command, *(round(p, 3) for p in (i.p1, i.p2, i.p3, i.p4)), i.x, i.y) for i in items] for items in items_of(plan)
     ]
@@ -103,7 +103,7 @@ def digest(plan: Mapping[str, Any]) -> str:
 
 
 def item_of(plan: Mapping[str, Any], waypoint: int) -> int:
-    """The number of a waypoint's item, from 0. Raises FormatError where there is no such waypoint."""
+    """The number of a waypoint's item, from 0. Raises FormatError if there is no such waypoint."""
     places = _places(plan)
     if not 0 <= waypoint < len(places):
         raise FormatError(f"no waypoint {waypoint}: the mission has {len(places)}")

@@ -1,4 +1,4 @@
-"""A serial radio: MAVLink on a stream of bytes, without datagrams. The frames are found in it by the codec, at each 0xFD anew.
+"""A serial radio: MAVLink on a stream of bytes, without datagrams. The codec finds the frames in it, each time at a 0xFD.
 
 A thread waits for bytes, because that is the one way that works on Linux, macOS and Windows; it only reads and hands over. The
 port may go and come back: it is opened again every two seconds.
@@ -33,7 +33,7 @@ class Radio:
         self._thread = threading.Thread(target=self._run, name=f"radio {device}", daemon=True)
 
     def start(self) -> None:
-        """On the loop that is to be told."""
+        """Starts on the loop that gets the bytes."""
         self._loop = asyncio.get_running_loop()
         self._thread.start()
 
@@ -43,7 +43,7 @@ class Radio:
             self._thread.join(AGAIN_S)
 
     def send(self, data: bytes) -> None:
-        """Now or never: what does not fit is dropped, and whoever needs an answer says it again."""
+        """Sends at once or never: a frame that does not fit is dropped, and requests are repeated until they are answered."""
         port = self._port
         try:
             if port is None or port.out_waiting * BITS_PER_BYTE > self._baud * BACKLOG_S or (port.write(data) or 0) < len(data):

@@ -1,4 +1,4 @@
-"""A recorded run instead of boats: it stands where `Fleet` stands, shows what was known at each time, and commands nothing."""
+"""A recorded run in place of boats: it takes the place of `Fleet`, shows the state known at each time, and commands nothing."""
 
 import math
 from bisect import bisect_right
@@ -21,7 +21,7 @@ TRACK_MAX: Final = 4000  # points of a whole track
 
 
 class TapePlayer:
-    """Plays from its beginning at the rate of life. `moved` is called when time jumped: tracks are other ones then."""
+    """Plays from the beginning in real time. `moved` is called when time has jumped, because the tracks change then."""
 
     def __init__(self, tapes: Sequence[Tape], clock: Clock, tell: Callable[[dict[str, Any]], None]) -> None:
         self.from_s, self.to_s = min(tape.from_s for tape in tapes), max(tape.to_s for tape in tapes)
@@ -34,7 +34,7 @@ class TapePlayer:
         self.seek(self.from_s)
 
     def seek(self, at_s: float) -> None:
-        """Everything as it was known then."""
+        """Jumps to the state known at this time."""
         self.at_s = min(max(at_s, self.from_s), self.to_s)
         self.boats.clear()
         for tape in self._tapes:
@@ -43,7 +43,7 @@ class TapePlayer:
         self.moved()
 
     def steer(self, at_s: float | None, rate: float | None) -> None:
-        """What the page asks of the time line; a rate of 0 stands still. Raises FormatError."""
+        """Sets time and rate as the page asks; a rate of 0 pauses. Raises FormatError."""
         rate = self.rate if rate is None else rate
         if not 0.0 <= rate <= RATE_MAX or (at_s is not None and not math.isfinite(at_s)):
             raise FormatError(f"replay: a rate is 0 to {RATE_MAX:.0f} and a time is a number")
@@ -52,7 +52,7 @@ class TapePlayer:
             self.seek(at_s)
 
     def tick(self) -> None:
-        """Due often: plays what has become due."""
+        """Called often: plays up to the present."""
         now_s = self._clock.monotonic_s()
         from_s, self.at_s = self.at_s, min(self.at_s + (now_s - self._played_s) * self.rate, self.to_s)
         self._played_s = now_s
@@ -69,7 +69,7 @@ class TapePlayer:
         ]
 
     def _show_missions(self) -> None:
-        """What was aboard at this time, which pages draw as the plan; they are told of what changed."""
+        """Sends the pages the mission aboard at this time, if it has changed; they draw it as the plan."""
         for number, missions in [each for tape in self._tapes for each in tape.missions.items()]:
             known = bisect_right(missions, self.at_s, key=lambda each: each[0])
             before = self.missions.pop(number, {}).get("aboard")
@@ -81,25 +81,25 @@ class TapePlayer:
                 self._tell({"t": "mission", "boat": number, "where": "here", "mission": shown})
 
     def events(self) -> list[dict[str, Any]]:
-        """For marks on the time line: what was said, the gravest of it where it is too much, in order of time."""
+        """Messages for the marks on the time line, in order of time; of too many, the gravest ones."""
         texts = sorted((text for tape in self._tapes for text in tape.texts), key=lambda text: text.severity)
         return [text._asdict() for text in sorted(texts[:EVENTS_MAX])]
 
     def tracks(self) -> dict[int, Track]:
-        """By boat, from the first recording to the last, at most TRACK_MAX points of each."""
+        """The track of each boat, from the first recording to the last, at most TRACK_MAX points each."""
         whole: dict[int, Track] = {}
         for tape in self._tapes:
             for number, track in tape.tracks.items():
                 whole[number] = sorted([*whole.get(number, ()), *track])
         return {number: track[:: len(track) // TRACK_MAX + 1] for number, track in whole.items()}
 
-    # What only boats that are there can do.
+    # These need real boats.
 
     def progress(self) -> list[dict[str, Any]]:
         return []
 
     def receive(self, address: Any, data: bytes) -> None:
-        """Boats that speak now are not part of it."""
+        """Real boats are not part of a replay."""
 
     def release(self, number: int, why: str) -> None:
         """Nothing is steered."""
@@ -125,8 +125,8 @@ class TapePlayer:
 
 def open_tapes(paths: Sequence[Path]) -> list[Tape]:
     """The recordings in files and folders: every .tlog, and the state logs, those of one boat together. A state log that had
-    just begun when the power was cut has no header, and is left out. Raises DelfimError where nothing is to be replayed, or a
-    session means nothing."""
+    just begun when the power was cut has no header, and is left out. Raises DelfimError if there is nothing to replay, or a
+    session cannot be read."""
     reason = "nothing to replay: no .tlog, .state or .state.gz"
     files = [file for path in paths for file in (sorted(path.rglob("*")) if path.is_dir() else [path])]
     tapes: list[Tape] = []

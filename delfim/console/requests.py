@@ -1,7 +1,7 @@
-"""What was asked of a boat and not yet answered: repeated until it answers, or until it is too old to be meant any more.
+"""Commands without an answer yet: repeated until the boat answers, or until they are too old.
 
-A stop is repeated five times a second for as long as it takes (a minute at most): it is right whenever it arrives. It is over
-when the boat has answered and then says that it is idle: the answer alone may be that of a mode that was asked for before.
+A stop is repeated five times a second for as long as it takes (a minute at most): it is right whenever it arrives. It ends
+when the boat has answered and then reports idle: the answer alone may belong to an earlier request for a mode.
 """
 
 from collections.abc import Callable
@@ -12,7 +12,7 @@ from delfim.console.mavlink import mavlink
 from delfim.console.orders import CommandLong
 
 REPEAT_S: Final = 1.0
-LIFE_S: Final = 4.0  # a command that arrives later than this is not what the operator means any more
+LIFE_S: Final = 4.0  # the operator no longer means a command that arrives later
 STOP_REPEAT_S: Final = 0.2
 STOP_LIFE_S: Final = 60.0
 
@@ -40,7 +40,7 @@ class Request:
 
 
 class Requests:
-    """All of them. `send` puts a message on the way to a boat, `send_all` to whoever speaks by its number."""
+    """All requests. `send` sends a message to a boat, `send_all` to every address that uses its number."""
 
     def __init__(self, send: Callable[[int, Any], None], send_all: Callable[[int, Any], None]) -> None:
         self._send, self._send_all = send, send_all
@@ -66,7 +66,7 @@ class Requests:
         self._repeat(request, now_s)
 
     def acknowledged(self, boat: int, command: int, result: int, reason: str, frame: int) -> None:
-        """The boat answered by the frame of this number. `reason` is what it said last, in words."""
+        """The boat answered by the frame of this number. `reason` is its last text."""
         for request in [each for each in self._waiting if each.boat == boat and each.order.command == command]:
             if result == mavlink.MAV_RESULT_IN_PROGRESS:
                 continue
@@ -84,7 +84,7 @@ class Requests:
                 self._end(request, True, "")
 
     def tick(self, now_s: float) -> None:
-        """Due often: repeats what was not answered, and gives up what is too old."""
+        """Called often: repeats requests without an answer, and gives up old ones."""
         for request in list(self._waiting):
             if now_s - request.begun_s > (STOP_LIFE_S if request.is_stop else LIFE_S):
                 said = "no answer from the boat" if request.answered is None else "the boat took the stop but is not idle"

@@ -1,4 +1,4 @@
-"""What a page may say, message by message: docs/console.md. What is not so is refused in words, by `msgspec`."""
+"""The messages of a page: docs/console.md. `msgspec` refuses anything else with the reason."""
 
 from typing import Annotated, Literal
 
@@ -11,13 +11,13 @@ Real = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]  # and finite
 
 
 class Said(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="t", tag=str.lower):
-    """`seq` is the number under which the answer is wanted."""
+    """`seq` is the number that the answer carries."""
 
     seq: int | None = None
 
 
 class Command(Said, frozen=True, forbid_unknown_fields=False):
-    """The rest are the numbers that the command takes: `delfim.console.orders`."""
+    """Other fields are the numbers of the command: `delfim.console.orders`."""
 
     boat: Number | Literal["all"]
     command: str
@@ -69,7 +69,7 @@ class PathPoint(Place, frozen=True):
 
 
 class Plan(msgspec.Struct, frozen=True):
-    """A mission, as docs/console.md has it. Whatever else is in it is the page's own."""
+    """A mission, as docs/console.md has it. Other fields are the page's own."""
 
     name: Annotated[str, msgspec.Meta(max_length=200)]
     waypoints: Annotated[list[Waypoint], msgspec.Meta(max_length=1000)]

@@ -1,4 +1,4 @@
-"""`delfim console`: the gateway with its sockets, until it is ended."""
+"""`delfim console`: runs the gateway with its sockets."""
 
 import argparse
 import asyncio
@@ -28,7 +28,7 @@ TICK_S: Final = 0.05
 
 
 async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str, int], ready: Callable[[str], None]) -> None:
-    """Until cancelled; without `boats` no UDP is heard. Raises ConfigError for an address that cannot be had."""
+    """Serves until cancelled; without `boats` no UDP socket is opened. Raises ConfigError for an unavailable address."""
     loop = asyncio.get_running_loop()
     visits = logging.getLogger(f"{__name__}.visits")
     visits.addFilter(_is_news)
@@ -58,7 +58,7 @@ async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str
 
 
 def _is_news(record: logging.LogRecord) -> bool:
-    """What a visitor sends that is no HTTP is none: he could fill the terminal with it."""
+    """Malformed HTTP is no news: a visitor could fill the terminal with it."""
     return not (record.exc_info and isinstance(record.exc_info[1], HttpProcessingError))
 
 
@@ -102,7 +102,7 @@ def run(asked: argparse.Namespace) -> int:
             show(url)
 
     async def until_ended() -> None:
-        """In order: zero to what is steered, the session to the disk."""
+        """Ends in order: zero thrust to boats driven by hand, the session to the disk."""
         serving = asyncio.current_task()
         assert serving is not None
         with suppress(NotImplementedError):  # on Windows Ctrl-C is raised instead
@@ -123,4 +123,4 @@ def _address(option: str, text: str) -> tuple[str, int]:
             raise ValueError
         return host, int(port)
     except ValueError:
-        raise ConfigError(option, text, "no address", "ADDRESS:PORT") from None
+        raise ConfigError(option, text, "not an address", "ADDRESS:PORT") from None

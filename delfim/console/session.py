@@ -1,5 +1,5 @@
-"""What was said on all links in a session, as ground stations keep it (.tlog): time in us since 1970, 8 bytes, big-endian, then
-the MAVLink frame. MAVExplorer, Mission Planner, QGroundControl and `delfim console --replay` read it.
+"""The record of a session, all frames of all links, as ground stations keep it (.tlog): time in us since 1970, 8 bytes,
+big-endian, then the MAVLink frame. MAVExplorer, Mission Planner, QGroundControl and `delfim console --replay` read it.
 """
 
 import struct
@@ -11,11 +11,11 @@ from delfim.clock import Clock
 
 STAMP: Final = struct.Struct(">Q")
 FLUSH_S: Final = 1.0
-PENDING_BYTES: Final = 1 << 20  # what comes while the disk is full, and more, is dropped and counted
+PENDING_BYTES: Final = 1 << 20  # frames beyond that, as when the disk is full, are dropped and counted
 
 
 class Session:
-    """The file of this session, begun with the first frame. `reason` says why nothing is written, empty while all is well."""
+    """The file of this session, begun with the first frame. `reason` says why nothing is written, or is empty."""
 
     def __init__(self, folder: Path, clock: Clock) -> None:
         self.dropped, self.reason = 0, ""
@@ -26,7 +26,7 @@ class Session:
         self._due_s = 0.0
 
     def put(self, frame: bytes) -> None:
-        """A frame that came or went."""
+        """Takes a frame that was received or sent."""
         if len(self._pending) + len(frame) > PENDING_BYTES:
             self.dropped += 1
             return
@@ -34,7 +34,7 @@ class Session:
         self._pending += frame
 
     def tick(self) -> None:
-        """Due often: once a second what was put goes to the disk."""
+        """Called often: writes the frames to the disk once a second."""
         now_s = self._clock.monotonic_s()
         if now_s >= self._due_s:
             self._due_s = now_s + FLUSH_S
@@ -57,7 +57,7 @@ class Session:
         self.reason = ""
 
     def _create(self) -> Path:
-        """A name that nobody has. Raises OSError."""
+        """Creates a file with a new name. Raises OSError."""
         self._stem.parent.mkdir(parents=True, exist_ok=True)
         number = 0
         while True:

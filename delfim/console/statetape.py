@@ -1,4 +1,4 @@
-"""The state log of a vehicle as a tape: what the console would have shown of the boat at any time of it."""
+"""The state log of a vehicle as a tape: the boat as the console would have shown it at any time."""
 
 import contextlib
 import math
@@ -18,7 +18,7 @@ STATE_S: Final = 0.1  # between records that are shown
 
 
 class LogRow(NamedTuple):
-    """What a state log shows of a boat at a time."""
+    """A boat at one time of a state log."""
 
     at_s: float
     mode: int
@@ -28,7 +28,7 @@ class LogRow(NamedTuple):
 
 
 class States:
-    """The state logs of one boat. Its number is what their sidecars say, or else `number`. Raises OSError; FormatError where
+    """The state logs of one boat. Its number is that of their sidecars, or else `number`. Raises OSError; FormatError if
     there is no record."""
 
     def __init__(self, files: Sequence[Path], number: int) -> None:
@@ -126,7 +126,7 @@ def _row(at_s: float, told: dict[str, Any]) -> LogRow:
 
 
 def _events(file: Path) -> Iterator[dict[str, Any]]:
-    """What the sidecar of a log tells, where it has one."""
+    """The events in the sidecar of a log, if it has one."""
     sidecar = file.with_name(file.name.partition(".")[0] + ".meta.jsonl")
     with contextlib.suppress(OSError):
         yield from read_events(sidecar)

@@ -1,6 +1,6 @@
-"""What was recorded, as something that can be played: a session of the console (.tlog), or the state log of a vehicle.
+"""Recordings that can be played: a session of the console (.tlog), or the state log of a vehicle.
 
-Both are tapes: they know from when to when they reach and where each boat was, and bring boats to what was known at a time.
+Both are tapes: they know their begin and end and the track of each boat, and set boats to the state known at a time.
 """
 
 import contextlib
@@ -21,7 +21,7 @@ from delfim.outside import read_file
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
 
 SESSION_BYTES: Final = 1 << 30  # of a session that is replayed: a boat's day has a tenth of that
-BEFORE_S: Final = 30.0  # so far back lies everything that is said from time to time, lean links apart
+BEFORE_S: Final = 30.0  # every periodic message comes at least once in this time, lean links apart
 _V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
 _SHOWS_PLACE: Final = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2)
 _TOLD_ONCE: Final = (mavlink.MAVLINK_MSG_ID_PARAM_EXT_VALUE, mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES)  # when the boat was found
@@ -33,7 +33,7 @@ Missions = list[tuple[float, dict[str, Any]]]  # when it was known, in order of 
 
 
 class Text(NamedTuple):
-    """Something that a boat said in words."""
+    """A text message of a boat."""
 
     at_s: float
     boat: int
@@ -42,7 +42,7 @@ class Text(NamedTuple):
 
 
 def between(texts: Sequence[Text], from_s: float, to_s: float) -> Sequence[Text]:
-    """What was said after one time and until another."""
+    """The texts after one time and until another."""
     return texts[bisect_right(texts, from_s, key=_at) : bisect_right(texts, to_s, key=_at)]
 
 
@@ -54,19 +54,19 @@ class Tape(Protocol):
     from_s: float  # since 1970
     to_s: float
     tracks: dict[int, Track]  # by boat: (at_s, latitude_deg, longitude_deg), a point a second
-    missions: dict[int, Missions]  # by boat: what was read from aboard
-    texts: list[Text]  # what was said, in order of time
-    complaint: str  # what is wrong with the recording, in words; empty when nothing is
+    missions: dict[int, Missions]  # by boat: the missions read from it
+    texts: list[Text]  # in order of time
+    complaint: str  # the fault of the recording; empty if there is none
 
     def seek(self, boats: dict[int, Boat], at_s: float) -> None:
-        """Bring boats that know nothing to what was known at that time."""
+        """Set new boats to the state known at that time."""
 
     def play(self, boats: dict[int, Boat], from_s: float, to_s: float) -> Sequence[Text]:
-        """Bring boats from what was known at one time to what was known at a later one, and what was said between."""
+        """Advance boats from the state known at one time to that of a later one; the texts between them."""
 
 
 class TlogTape:
-    """A .tlog. Raises FormatError where no frame can be read at all, OSError."""
+    """A .tlog. Raises FormatError if no frame can be read, OSError."""
 
     def __init__(self, file: Path) -> None:
         self._data = read_file(file, SESSION_BYTES)
@@ -78,7 +78,7 @@ class TlogTape:
         self.texts: list[Text] = []
         self._read: dict[tuple[int, int], tuple[int, list[Item]]] = {}  # by boat and type: how many, and those so far
         self._words: dict[int, Words] = {}  # by boat
-        self._known: dict[int, Boat] = {}  # what was told once: name and modes
+        self._known: dict[int, Boat] = {}  # sent once: name and modes
         self.complaint = ""
         self.from_s = self.to_s = -math.inf
         at = 0
@@ -102,7 +102,7 @@ class TlogTape:
             seen = bisect_right(track, (at_s, math.inf, math.inf))
             if not seen:
                 continue
-            if number not in boats:  # silent since: what it said last
+            if number not in boats:  # silent since: its last messages
                 silent: dict[int, Boat] = {}
                 self.play(silent, track[seen - 1][0] - 5.0, track[seen - 1][0] + 1.0)
                 boats |= {each: boat for each, boat in silent.items() if each == number}
@@ -129,7 +129,7 @@ class TlogTape:
         return between(self.texts, from_s, to_s)
 
     def _remember(self, at_s: float, start: int, end: int) -> None:
-        """A point of the track, once a second; names, missions, and what was said."""
+        """Keeps a point of the track each second; names, missions, texts."""
         if not self._of_boat(start):
             return
         if self._number(start) == mavlink.MAVLINK_MSG_ID_STATUSTEXT:
@@ -160,13 +160,13 @@ class TlogTape:
             self.texts.append(Text(at_s, number, message.severity, text))
 
     def _remember_mission(self, at_s: float, message: Any) -> None:
-        """What a boat says when it is asked for its mission: of each type a count, and as many items in their order."""
+        """Collects a boat's answer to a request for its mission: a count for each type, and as many items in their order."""
         if message is None:
             return
         number, kind = message.get_srcSystem(), message.mission_type
         if message.get_type() == "MISSION_COUNT":
             self._read[number, kind] = message.count, []
-            if kind == MISSION:  # first of all: fence and home of the reading before belong to that
+            if kind == MISSION:  # it comes first: fence and home before it belong to the previous reading
                 self._read[number, FENCE] = self._read[number, RALLY] = -1, []
         count, items = self._read.get((number, kind), (0, []))
         if message.get_type() == "MISSION_ITEM_INT" and message.seq == len(items) < count:
@@ -178,8 +178,8 @@ class TlogTape:
             self.missions.setdefault(number, []).append((at_s, mission_of("aboard", [group for _, group in groups])))
 
     def _frames(self, at: int) -> Iterator[tuple[float, int, int]]:
-        """(time, start, end) of the frames from a place on, up to the first that is damaged. Time never goes back: a computer's
-        clock may."""
+        """(time, start, end) of the frames from a place on, up to the first damaged one. Time never goes back, though a
+        computer's clock may."""
         data, size, last_s = self._data, len(self._data), -math.inf
         while at + STAMP.size + 12 <= size:
             at_s, start = STAMP.unpack_from(data, at)[0] / 1e6, at + STAMP.size
@@ -208,7 +208,7 @@ class TlogTape:
         return int.from_bytes(data[start + 7 : start + 10], "little") if data[start] == _V2 else data[start + 5]
 
     def _message(self, start: int, end: int) -> Any:
-        """None for what is damaged or not known."""
+        """None for a damaged or unknown frame."""
         with contextlib.suppress(mavlink.MAVError, struct.error):
             return self._mav.decode(bytearray(self._data[start:end]))
         return None

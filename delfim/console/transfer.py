@@ -13,10 +13,10 @@ from delfim.vehicle.mavlink.plans import FENCE, ITEMS, MISSION, RALLY, Item
 
 REPEAT_S: Final = 1.5
 TIMEOUT_S: Final = 60.0
-ORDER: Final = (FENCE, RALLY, MISSION)  # a mission that a new fence cuts is forgotten aboard: it comes after
+ORDER: Final = (FENCE, RALLY, MISSION)  # the boat forgets a mission that a new fence cuts, so the mission comes last
 
 
-Ended = Callable[[str], None]  # with the reason, empty when all went well
+Ended = Callable[[str], None]  # with the reason; empty on success
 
 
 class OutgoingItems:
@@ -33,7 +33,7 @@ class OutgoingItems:
         self._due_s = 0.0
 
     def tick(self, now_s: float) -> None:
-        """Announce, or repeat what was not answered."""
+        """Announces the transfer, or repeats the last message without an answer."""
         if self._heard_s is None:
             self._heard_s = now_s
         if now_s - self._heard_s > TIMEOUT_S:
@@ -47,7 +47,7 @@ class OutgoingItems:
         if message.get_type() == "MISSION_ACK":
             well = message.type == mavlink.MAV_MISSION_ACCEPTED
             if well and self._asked_for < len(self._items) - 1:
-                return  # it was overtaken: of an upload before this one
+                return  # a late answer to an earlier upload
             self._ended("" if well else f"refused: {_result(message.type)}")
         elif 0 <= message.seq < len(self._items):
             self._asked_for = message.seq
@@ -94,7 +94,7 @@ class Download:
         self._heard_s = now_s
         kind = message.get_type()
         if kind == "MISSION_ACK":
-            if message.type != mavlink.MAV_MISSION_ACCEPTED:  # which is of an upload, and was overtaken
+            if message.type != mavlink.MAV_MISSION_ACCEPTED:  # acceptance is a late answer to an upload
                 self._ended(f"refused: {_result(message.type)}")
         elif kind == "MISSION_COUNT" and self._count < 0:
             if message.count > ITEMS:

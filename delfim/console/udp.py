@@ -10,7 +10,7 @@ IPTOS_LOWDELAY: Final = 0x10
 
 
 class Udp(asyncio.DatagramProtocol):
-    """One UDP socket for all boats: whoever speaks to it is answered there."""
+    """One UDP socket for all boats: answers go to the address that a boat sends from."""
 
     def __init__(self, receive: Callable[[Any, bytes], None]) -> None:
         self._receive = receive
@@ -25,7 +25,7 @@ class Udp(asyncio.DatagramProtocol):
         self._receive(("udp", *address[:2]), data)
 
     def error_received(self, exc: Exception) -> None:
-        """Nobody at the other end, now: the ages say it."""
+        """Nobody listens at the other end now: the ages on the page show it."""
 
     def send(self, address: Any, data: bytes) -> None:
         if self._transport is not None:

@@ -1,4 +1,4 @@
-"""The live view in a terminal: the track as a chart of dots beside what the boat knows, asks and suffers."""
+"""The live view in a terminal: the track as a chart of dots beside the boat's state, set points and troubles."""
 
 import math
 from collections import deque
@@ -98,7 +98,7 @@ class View:
 
 
 def warnings(state: dict[str, Any]) -> list[tuple[str, Text]]:
-    """What a person should know now: why the boat stopped, what is bad, what was refused or lost."""
+    """The present warnings: the reason of a stop, faults, refusals and losses."""
     found = []
     if state["mode"] == "idle":
         found.append(("idle", Text(state["reason"], style="yellow")))

@@ -1,5 +1,5 @@
-"""`python -m delfim.console.warp IMAGE PNG`: an image that lies askew, or in another plane, drawn anew with north up and rows
-that are parallels, as pages show it. A process of its own: it takes seconds.
+"""`python -m delfim.console.warp IMAGE PNG`: redraws an image that is rotated, or in another plane, with north up and rows
+that are parallels, as pages show it. A process of its own, because it takes seconds.
 """
 
 import math

@@ -1,7 +1,7 @@
-"""By which addresses boats are heard. One number is one boat: where two speak by one number, the one that was first is shown,
-the other is refused and told of, and a stop goes to both.
+"""The addresses of boats. One number is one boat: if two boats use one number, the first one is shown, the other one is
+refused and reported, and a stop goes to both.
 
-Two addresses are one boat when they tell the same run (PARAM_EXT `BOAT_RUN`): it may have a wireless network and a radio.
+Two addresses are one boat if they report the same run (PARAM_EXT `BOAT_RUN`): it may have a wireless network and a radio.
 """
 
 import math
@@ -14,7 +14,7 @@ from delfim.modes import Mode
 from delfim.vehicle.mavlink.params import BOAT_RUN
 
 Address = Any  # of a link; hashable
-DOUBT_S: Final = 2.0  # so long an address has to show that it is the same boat
+DOUBT_S: Final = 2.0  # the time for an address to show that it is the same boat
 ANOTHER_S: Final = 15.0  # after this silence of the boat another one may have its number
 STOP_S: Final = 60.0  # an address that was heard within this time is told to stop
 ASK_S: Final = 1.0
@@ -23,7 +23,7 @@ WAYS_MAX: Final = 8  # of one number
 
 @dataclass(slots=True)
 class Way:
-    """An address that speaks by a number."""
+    """An address that uses a number."""
 
     since_s: float
     heard_s: float
@@ -33,14 +33,14 @@ class Way:
 
 
 class Ways:
-    """Of all numbers. `routes` is where each boat is."""
+    """The addresses of all numbers. `routes` has the address of each boat."""
 
     def __init__(self) -> None:
         self.routes: dict[int, Address] = {}
         self._ways: dict[int, dict[Address, Way]] = {}
 
     def hear(self, number: int, address: Address, message: Any, now_s: float) -> bool:
-        """Whether it is the boat that speaks, or somebody else by its number."""
+        """Whether the address is the boat, or another one with its number."""
         way = self._way(number, address, now_s)
         if message.get_type() in ("HEARTBEAT", "HIGH_LATENCY2"):
             way.mode = message.custom_mode
@@ -53,7 +53,7 @@ class Ways:
         return False
 
     def twins(self, number: int, now_s: float) -> list[Address]:
-        """The addresses of all boats that speak by this number now, the one that is shown first; none where it is one."""
+        """The addresses of all boats that use this number now, the one that is shown first; empty if there is only one."""
         ways, route = self._ways[number], self.routes[number]
         boat = ways[route]
         others = [
@@ -67,7 +67,7 @@ class Ways:
         return [route, *others] if others and now_s - boat.heard_s < ANOTHER_S else []
 
     def to_ask(self, now_s: float) -> Iterator[tuple[int, Address]]:
-        """Numbers and addresses that have to say which run they are, each once in a while."""
+        """Numbers and addresses to ask for their run, each once in a while."""
         for number, ways in self._ways.items():
             for address, way in ways.items() if len(ways) > 1 else ():
                 if not way.run and now_s - way.heard_s < SILENT_S and now_s - way.asked_s >= ASK_S:
@@ -75,12 +75,12 @@ class Ways:
                     yield number, address
 
     def to_stop(self, number: int, now_s: float) -> list[Address]:
-        """Everybody who may be this boat."""
+        """Every address that may be this boat."""
         ways, route = self._ways[number], self.routes[number]
         return [address for address, way in ways.items() if address == route or now_s - way.heard_s < STOP_S]
 
     def are_idle(self, number: int, now_s: float) -> bool:
-        """Whether all of them say so."""
+        """Whether all of them report idle."""
         return all(self._ways[number][address].mode == Mode.IDLE for address in self.to_stop(number, now_s))
 
     def forget(self, number: int) -> None:
@@ -98,10 +98,10 @@ class Ways:
 
 
 def _patience_s(boat: Way, other: Way) -> float:
-    """How long a boat may be silent before somebody else at another address is taken for it."""
+    """How long a boat may be silent before another address is taken for it."""
     return ANOTHER_S if boat.run and other.run else SILENT_S
 
 
 def in_words(address: Address) -> str:
-    """Of a link, as an operator knows it."""
+    """The name of a link, as an operator knows it."""
     return ":".join(map(str, address[1:])) if isinstance(address, tuple) else str(address)

@@ -1,4 +1,4 @@
-"""What boats say in words: long texts come in pieces (STATUSTEXT `id` and `chunk_seq`), each of which may be lost."""
+"""Texts of boats: long ones come in pieces (STATUSTEXT `id` and `chunk_seq`), each of which may be lost."""
 
 from typing import Any, Final
 

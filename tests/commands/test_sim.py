@@ -290,7 +290,7 @@ def test_lockstep_sails_the_whole_mission_and_repeats_itself_byte_for_byte(tmp_p
         (("fault", VEHICLE, "--sim", "end"), "no simulation answers at run/sim/nodes"),
         (("sim", VEHICLE, "--output", f"{VEHICLE}/nobody"), "nobody: Not a directory"),
         (("supervise", VEHICLE, "--set", f"runtime.run_directory='{VEHICLE}/nobody'"), "nobody: Not a directory"),
-        (("console", "--no-browser", "--page", "127.0.0.1:65536"), "--page: 127.0.0.1:65536: no address"),
+        (("console", "--no-browser", "--page", "127.0.0.1:65536"), "--page: 127.0.0.1:65536: not an address"),
     ],
 )
 def test_mistakes_are_one_line_on_standard_error(tmp_path, words, reason):
