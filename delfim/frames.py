@@ -33,7 +33,7 @@ class Frame(NamedTuple):
 
     arb: int
     data: bytes = b""
-    t_ns: int = 0  # kernel's receive time, CLOCK_REALTIME; 0 where it was never received
+    t_ns: int = 0  # kernel's receive time, CLOCK_REALTIME; 0 if it was never received
     ifindex: int = 0  # interface it came by; 0 where unknown
     sent_here: bool = False  # sent by a socket of this computer (MSG_DONTROUTE)
 

@@ -2,7 +2,7 @@
 
 The bus is a UDP multicast group on the loopback interface; group and port follow from the name of the bus. Every socket of
 the bus has a receiving socket bound to the group, on which a classic BPF program applies the acceptance filters before the
-kernel delivers anything, and a sending socket, whose source port tells the others and the program who sent.
+kernel delivers anything, and a sending socket, whose source port identifies the sender.
 
 It does not simulate bit rate, arbitration, bus load, acknowledgement or errors. Every frame arrives at once, in order of
 sending, at every other socket that accepts it and has room. A full receive queue loses frames, and `dropped` counts them.
@@ -157,7 +157,7 @@ class CanLoop:
             _closed_ports[port] = time.monotonic()
 
     def rebind(self) -> bool:
-        return True  # the loopback interface keeps its memberships, whatever happens to it
+        return True  # the loopback interface always keeps its memberships
 
     def filter(self, addresses: tuple[CanAddress, ...]) -> None:
         for address in addresses:

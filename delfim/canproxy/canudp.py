@@ -80,7 +80,7 @@ class CanIp:
     """Carries datagrams between the TUN device `tun` (a file descriptor that does not block) and the bus, both ways. Call
     `on_packets` when the device is readable.
 
-    counts  what happened to datagrams, in words -> number: "sent", "delivered", "received", and why others were dropped
+    counts  outcome of datagrams -> number: "sent", "delivered", "received", and the reasons for dropping others
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, tun: int, can: CanSocket, settings: config.Canip) -> None:
@@ -157,7 +157,7 @@ class CanIp:
 
 
 def open_tun(name: str, address: str, mtu: int) -> int:
-    """Make the TUN device, give it its address ("192.168.1.2/24"; empty: somebody else does) and MTU, and set it up. It goes
+    """Make the TUN device, give it its address ("192.168.1.2/24"; empty: set elsewhere) and MTU, and set it up. It goes
     away when the descriptor is closed. Raises PermanentFailure if this system cannot do it, DelfimError otherwise."""
     try:
         tun = os.open("/dev/net/tun", os.O_RDWR | os.O_NONBLOCK | os.O_CLOEXEC)

@@ -85,7 +85,7 @@ def send_each(send: Callable[[int, bytes], object], messages: Sequence[tuple[int
 class CanSocket:
     """A CAN socket. It receives nothing before `bind`, and never the frames it sent itself.
 
-    Sockets start blocking, as Python's do. MSG_DONTWAIT, `setblocking(False)` and timeouts mean what they mean there:
+    Sockets start blocking, as Python's do. MSG_DONTWAIT, `setblocking(False)` and timeouts mean the same as there:
     BlockingIOError (EAGAIN) when nothing is queued or the transmit queue is full, TimeoutError after a time-out. Other flags
     are not supported. A bus that fails raises BusError with a reason in words; after one, call `rebind` now and
     then until it returns True.
@@ -151,7 +151,7 @@ class CanSocket:
         self._peer = address
 
     def send(self, data: bytes, flags: int = 0) -> int:
-        """Send up to 8 bytes where `connect` said. Raises OSError (EDESTADDRREQ) where it did not."""
+        """Send up to 8 bytes where `connect` said. Raises OSError (EDESTADDRREQ) without it."""
         if self._peer is None:
             raise OSError(errno.EDESTADDRREQ, os.strerror(errno.EDESTADDRREQ))
         return self.sendto(data, self._peer, flags)
@@ -212,7 +212,7 @@ class CanSocket:
         self._timeout_s = None if flag else 0.0
 
     def settimeout(self, timeout_s: float | None) -> None:
-        """None: block; 0: do not; otherwise raise TimeoutError after so many seconds."""
+        """None: block; 0: do not; otherwise raise TimeoutError after this many seconds."""
         self._timeout_s = timeout_s
 
     def close(self) -> None:
@@ -242,10 +242,10 @@ class CanSocket:
 
 
 class BusState(NamedTuple):
-    """What an error frame says about the controller that sent it."""
+    """The state of a controller, from its error frame."""
 
     state: str  # "error active", "error warning", "error passive", "bus off" or "restarted"
-    transmit_errors: int | None = None  # the controller's error counters, 0..255, where it tells them
+    transmit_errors: int | None = None  # the controller's error counters, 0..255, if it reports them
     receive_errors: int | None = None
 
 

@@ -212,7 +212,7 @@ class SocketCan:
         self._socket.bind((self._bound_name,))
 
     def _interface(self, request: int, name: str) -> int:
-        """The 16-bit answer to an interface ioctl(2); 0 where there is no such interface."""
+        """The 16-bit answer to an interface ioctl(2); 0 without such an interface."""
         try:
             answer: bytes = fcntl.ioctl(self._socket, request, struct.pack("16s24x", name.encode()))
         except OSError:

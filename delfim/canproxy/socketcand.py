@@ -136,7 +136,7 @@ def raw_text(frame: Frame) -> bytes:
 
 
 class SocketcandSession:
-    """One connection as the server sees it. `buses` are the names that can be opened."""
+    """One connection as the server sees it. `buses` are the names that may be opened."""
 
     greeting, accepted, refused = HI, OK, NO_SUCH_BUS
     opens_late = False  # clients open a bus as soon as they are greeted

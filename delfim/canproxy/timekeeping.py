@@ -80,7 +80,7 @@ class SecondTimer:
     _ABSTIME, _CANCEL_ON_SET = 1, 2
 
     def __init__(self, delay_s: float, utc_ns: int) -> None:
-        """Raises BusError where the system has no such timers."""
+        """Raises BusError if the system has no such timers."""
         self._libc = ctypes.CDLL(None, use_errno=True)
         self._delay_ns = round(delay_s * 1e9)
         try:

@@ -51,8 +51,8 @@ WHERE: Final = {
 }
 VALUES: Final = {  # default, and its meaning
     "navigation_jumping": (40.0, "metres to the north"),
-    "frames_dropped": (0.3, "part of all frames"),
-    "frames_duplicated": (0.3, "part of all frames"),
+    "frames_dropped": (0.3, "fraction of all frames"),
+    "frames_duplicated": (0.3, "fraction of all frames"),
     "frames_late": (0.5, "seconds"),
     "battery_sag": (0.15, "charge that is left, 0 to 1"),
     "clock_stepped": (60.0, "seconds"),

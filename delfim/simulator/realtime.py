@@ -1,4 +1,4 @@
-"""The boat's other nodes in real time, on whatever bus the vehicle's file names: `delfim nodes`.
+"""The boat's other nodes in real time, on the bus of the vehicle's file: `delfim nodes`.
 
 One process, one socket, one loop: wait until a node has something to say or a command arrives. The vehicle cannot tell it from
 the real nodes, on a loopback bus or on a real one.

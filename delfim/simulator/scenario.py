@@ -119,7 +119,7 @@ def fault_of(asked: FaultAt) -> Breakage:
 
 
 def mission_of(scenario: Scenario, path: str | Path) -> str:
-    """The text of the mission beside a scenario file, empty where it names none. Raises ConfigError."""
+    """The text of the mission beside a scenario file, empty if it names none. Raises ConfigError."""
     if not scenario.mission:
         return ""
     place = Path(path).parent / scenario.mission

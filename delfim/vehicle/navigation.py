@@ -37,13 +37,13 @@ class Source(Protocol):
 
 
 def open_sources(settings: config.Vehicle, links: Links, state: State) -> tuple[Source, ...]:
-    """The vehicle's sources in order of preference. A source's file is loaded when it is asked for. Raises DelfimError."""
+    """The vehicle's sources in order of preference. A source's file is loaded only when it is used. Raises DelfimError."""
     names = settings.navigation.sources
     return tuple(import_module(f"{__package__}.sources.{name}").open_source(settings, links, state) for name in names)
 
 
 def preferred(source: Source, sources: tuple[Source, ...], now_s: float, stale_s: float) -> bool:
-    """Whether every source before this one is silent."""
+    """Whether every preferred source is silent."""
     for better in sources:
         if better is source:
             return True
@@ -53,7 +53,7 @@ def preferred(source: Source, sources: tuple[Source, ...], now_s: float, stale_s
 
 
 def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, limits: config.NavigationTable) -> bool:
-    """A fix into the state; False when it is not used: a better source speaks, or no boat moves that fast."""
+    """A fix into the state; False when it is not used: a better source is heard, or no boat moves that fast."""
     if not preferred(source, sources, fix.received_s, limits.stale_s):
         return False
     n, last = fix.navigation, state.navigation
@@ -62,7 +62,7 @@ def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, li
         source.heard_s = state.navigation_s  # a source that repeats itself counts as silent: the next one may be used
         return False
     if n.latitude_rad is not None and n.longitude_rad is not None:
-        if not (abs(n.latitude_rad) < math.pi / 2 and abs(n.longitude_rad) <= math.tau):  # nor is NaN
+        if not (abs(n.latitude_rad) < math.pi / 2 and abs(n.longitude_rad) <= math.tau):  # refuses NaN, too
             state.count("navigation_malformed")
             return False
         if state.origin is None:

@@ -135,12 +135,12 @@ class State:
     mode_s: float = -1e9  # monotonic time it entered the mode
     armed: bool = False  # the boat left idle, or may; the propellers turn only when armed
     navigation: Navigation | None = None
-    source: str = ""  # where navigation came from
-    navigation_s: float = -1e9  # monotonic time it arrived
+    source: str = ""  # the source of navigation
+    navigation_s: float = -1e9  # monotonic time of the last message
     changed_s: float = -1e9  # monotonic time of the last that differed from the one before
     jumped_s: float = -1e9  # monotonic time of the last position that no boat could have reached
     jumping_s: float = -1e9  # monotonic time of the first of that run
-    jumped_m: float = 0.0  # how far it was
+    jumped_m: float = 0.0  # length of the jump
     origin: Origin | None = None  # of the local plane: the first position, unless a mission was loaded before
     motion: Motion = NOWHERE
     setpoint: Setpoint = field(default_factory=Setpoint)
@@ -153,10 +153,10 @@ class State:
     namesakes: str = ""  # the notice that two consoles have one number; empty: they do not
     manual_s: float = -1e9
     guest_s: float = -1e9
-    watchdog_s: float = -1e9  # when the watchdog looked last
+    watchdog_s: float = -1e9  # when the watchdog ran last
     guest_connected: bool = False
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
-    computer: StartConditions = field(default_factory=StartConditions)  # that this program runs on
+    computer: StartConditions = field(default_factory=StartConditions)  # the computer at the program's start
     cycles: int = 0
     counts: dict[str, int] = field(default_factory=dict)  # number of inputs refused, dropped, repaired, by name
     profile: Profile = field(default_factory=Profile)
@@ -176,7 +176,7 @@ class StateLog(Protocol):
 
 
 class NoLog:
-    """A log that keeps nothing; `why` is the reason that it gives."""
+    """A log that keeps nothing; `why` is its reason."""
 
     why = ""
 

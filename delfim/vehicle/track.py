@@ -21,13 +21,13 @@ class Track:
     def __init__(self, home: config.HomeTable) -> None:
         self._spacing_m, self._cut_m, self._most = home.spacing_m, home.spacing_m / 2.0, home.points
         self._points: list[Point] = []
-        self._cells: dict[tuple[int, int], int] = {}  # newest point in each square of side _cut_m; some are forgotten ones
+        self._cells: dict[tuple[int, int], int] = {}  # newest point in each square of side _cut_m; some were removed
         self._forgotten: list[Point] = []
         self._harbours, self._near_m = tuple[Point, ...](), 0.0
         self._end, self._unseen = 0, 0  # where the way home ends; how many old points were not searched
 
     def add(self, north_m: float, east_m: float) -> None:
-        """The boat is here now; metres in the local plane."""
+        """Add the boat's present place; metres in the local plane."""
         self._cut(north_m, east_m)
         self._sweep()
         if self._points and math.dist(self._points[-1], (north_m, east_m)) < self._spacing_m:

@@ -17,7 +17,7 @@ PART: Final = 8  # sides of a zone that share a box
 
 
 class Side(NamedTuple):
-    """A side of a polygon: from a point, by so much, to a point. (Start and step do not add up to the end, to the last bit.)"""
+    """A side of a polygon: start, step and end. (Start and step do not add up to the end, to the last bit.)"""
 
     north_m: float
     east_m: float
@@ -90,7 +90,7 @@ def _edge_m(sides: Sequence[Side], north_m: float, east_m: float) -> float:
 
 
 def may(zone: Zone, north_m: float, east_m: float) -> bool:
-    """Whether the boat may be there, as far as a polygon is concerned."""
+    """Whether a polygon permits the boat at a point."""
     south, west, north, east = zone.box
     inside = False
     if south <= north_m <= north and west <= east_m <= east:
@@ -144,7 +144,7 @@ def apart(box: Box, a: Point, b: Point, room_m: float) -> bool:
 
 
 def _from_segment(a: Point, by: Point, p: Point) -> float:
-    """Distance of p from the segment that begins in a and goes `by` so much."""
+    """Distance of p from the segment that begins at a and extends by `by`."""
     off_n, off_e = p[0] - a[0], p[1] - a[1]
     length2 = by[0] * by[0] + by[1] * by[1]
     t = min(max((off_n * by[0] + off_e * by[1]) / length2, 0.0), 1.0) if length2 else 0.0

@@ -110,7 +110,7 @@ class Client(asyncio.BufferedProtocol):
         self._outbox.flush()
 
     def stalled(self, now_s: float, stall_s: float) -> str:
-        """Why this client is closed; empty where it is not."""
+        """Why this client is closed; empty: it is not."""
         if (self._outbox.is_full or self.is_leaving) and now_s - self._alive_s > stall_s:
             return f"took nothing for {stall_s:g} s"
         if self.is_idle and not self.session.opens_late and now_s - self.since_s > stall_s:

@@ -72,7 +72,7 @@ class SharedBus:
         self._later: asyncio.Handle | None = None  # the next look at a busy bus; None: woken by its first frame
 
     def join(self, ear: Ear) -> None:
-        """Raises BusError where the bus cannot be opened."""
+        """Raises BusError if the bus cannot be opened."""
         if self._can is None:
             can = open_can(self.interface, receive_buffer_bytes=self._receive_buffer_bytes, batch=FRAMES_A_CALL)
             try:

@@ -84,7 +84,7 @@ class SlcanSession:
 
 
 def _frame(line: str) -> tuple[int, bytes]:
-    """Arbitration field and data of "t", three digits, a length and so many bytes, or "T" and eight digits. Raises
+    """Arbitration field and data of "t", three digits, a length and that many bytes, or "T" and eight digits. Raises
     FormatError."""
     digits = 8 if line[0] == "T" else 3
     try:

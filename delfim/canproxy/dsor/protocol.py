@@ -40,7 +40,7 @@ class Message(NamedTuple):
     destination: int  # node, 0..0x7F
     id: int  # 32 bits; 0 in messages to a port
     data: bytes  # 0..65535 bytes
-    t_ns: int = 0  # kernel's receive time of the last frame, CLOCK_REALTIME; 0 where it was never received
+    t_ns: int = 0  # kernel's receive time of the last frame, CLOCK_REALTIME; 0 if it was never received
     port: int | None = None  # 0..511 of a node, 0..65535 of UDP
     address: int | None = None  # IPv4, most significant byte first as people write it
 
@@ -145,7 +145,7 @@ def _packed_header(message: Message) -> bytes:
 
 
 def read_header(arb: int, header: bytes) -> tuple[int, Message] | None:
-    """(length, message without its data) of a header frame; None where there is no such header."""
+    """(length, message without its data) of a header frame; None if it is not one."""
     priority, source, destination = arb >> PRIORITY_AT & 0xFF, arb >> SOURCE_AT & 0x7F, arb >> DESTINATION_AT & 0x7F
     if source == BROADCAST:
         return None

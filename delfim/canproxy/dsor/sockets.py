@@ -26,7 +26,7 @@ REBIND_S: Final = 1.0  # pause between attempts to reopen a bus that failed
 
 
 class DsorSocket:
-    """A socket for messages of one node, blocking unless told otherwise; the calls mean what they mean for UDP.
+    """A socket for messages of one node, blocking unless told otherwise; the calls mean the same as for UDP.
 
     An addressed message is *delivered* when `sendto` returns: the other node has it whole and intact. If that is not
     known, BusError tells why. Broadcast messages are then only queued for the bus; nothing tells who receives them.
@@ -66,7 +66,7 @@ class DsorSocket:
         self._peer = address
 
     def send(self, data: bytes, flags: int = 0) -> int:
-        """Send where `connect` said. Raises OSError (EDESTADDRREQ) where it did not."""
+        """Send where `connect` said. Raises OSError (EDESTADDRREQ) without it."""
         if self._peer is None:
             raise OSError(errno.EDESTADDRREQ, os.strerror(errno.EDESTADDRREQ))
         return self.sendto(data, self._peer, flags)
@@ -125,7 +125,7 @@ class DsorSocket:
         self._timeout_s = None if flag else 0.0
 
     def settimeout(self, timeout_s: float | None) -> None:
-        """None: block; 0: do not; otherwise raise TimeoutError after so many seconds."""
+        """None: block; 0: do not; otherwise raise TimeoutError after this many seconds."""
         self._timeout_s = timeout_s
 
     def close(self) -> None:
@@ -138,7 +138,7 @@ class DsorSocket:
         self.close()
 
     def _deadline_s(self, flags: int) -> float:
-        """When a call has to end; -infinity where it must not wait."""
+        """When a call has to end; -infinity if it must not wait."""
         if flags & MSG_DONTWAIT or self._timeout_s == 0:
             return -inf
         return inf if self._timeout_s is None else time.monotonic() + self._timeout_s

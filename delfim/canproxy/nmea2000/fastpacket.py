@@ -48,7 +48,7 @@ class FastPacket:
         return (first[2:] + b"".join([frames[number][1:] for number in range(1, needed)]))[: first[1]]
 
     def _flight(self, source: int, data: bytes, now_s: float) -> _Flight:
-        """The message that a frame belongs to, cleared of what cannot be completed any more."""
+        """The message that a frame belongs to, started afresh if the old one can no longer be completed."""
         flights = self._flights.setdefault(source, [])
         sequence = data[0] >> 5
         for flight in flights:

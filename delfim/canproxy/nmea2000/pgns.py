@@ -189,7 +189,7 @@ def _read_time(_sid: int, _source: int, days: int, time: int) -> SystemTime:
 
 
 def _raw(value: float | None, unit: float, low: int, high: int, unavailable: int) -> int:
-    """A field's integer; not available where the value is None, not a number or outside what `decode` takes."""
+    """A field's integer; not available if the value is None, NaN or outside the range of `decode`."""
     scaled = math.nan if value is None else value / unit
     if not math.isfinite(scaled):
         return unavailable

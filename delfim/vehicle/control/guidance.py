@@ -18,7 +18,7 @@ from delfim.vehicle.control.memory import Course, Memory, Settings
 from delfim.vehicle.state import Actuation, Motion, Reference, Waypoint
 
 CRAB_MAX_RAD = math.radians(60.0)
-NEAR = 0.25  # farther off the path than this part of the lookahead, the integral would only wind up
+NEAR = 0.25  # farther off the path than this fraction of the lookahead, the integral would only wind up
 COURSE_MPS = 0.4  # below this speed ahead over ground the course does not tell the crab angle
 CREEP_MPS = 0.3  # slowest approach to the point where the boat will stop
 

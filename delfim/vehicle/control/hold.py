@@ -15,7 +15,7 @@ from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
 NEEDS = frozenset({"position", "heading", "velocity"})
 SENTENCE = "Stays where it is."
 
-STOPPING_S = 3.0  # the boat needs about this long to lose its way: the point is taken that far ahead
+STOPPING_S = 3.0  # the boat needs about this long to stop: the point is set that far ahead
 ASTERN_RAD = math.radians(120.0)  # a point this far round is behind
 ASTERN_RADII = 3.0  # and is backed to when this close
 APPROACH_S = 5.0  # speed is distance over this

@@ -17,8 +17,8 @@ from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import ALL, FENCE, ITEMS, MISSION, RALLY, Item
 from delfim.vehicle.mavlink.wire import Message, Speaker, dialect
 
-AGAIN_S: Final = 1.0  # after this silence the next item is asked for again ...
-GIVE_UP_S: Final = 20.0  # ... until nothing came for so long
+AGAIN_S: Final = 1.0  # after this silence the next item is requested again ...
+GIVE_UP_S: Final = 20.0  # ... until nothing came for this long
 KINDS: Final = (MISSION, FENCE, RALLY)
 OK: Final = int(dialect.MAV_MISSION_ACCEPTED)
 INVALID: Final = int(dialect.MAV_MISSION_INVALID)
@@ -67,7 +67,7 @@ class Missions:
         self._telling: tuple[int, Sliced[plans.Told]] | None = None  # the plan that is being prepared for download
         self._summing: Sliced[int] | None = None
         self._summed: tuple[tuple[plans.Told, ...], int | None] = (), None  # the plans that were summed up, and their checksum
-        self._due: list[Callable[[], None]] = []  # once all of it is
+        self._due: list[Callable[[], None]] = []  # jobs that wait until all plans are prepared
 
     # The plans aboard.
 
@@ -119,7 +119,7 @@ class Missions:
         return known if (known := self._told[kind]).plan is self._plan(kind) else None
 
     def checksum(self, kind: int) -> int | None:
-        """None: as with `own`."""
+        """The boat's plan of a type; None as with `own`."""
         known = [self.own(each) for each in (KINDS if kind == ALL else (kind,))]
         if None in known:
             return None

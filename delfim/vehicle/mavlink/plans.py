@@ -42,7 +42,7 @@ T = TypeVar("T", bound=tables.Table)
 
 
 class Unsupported(FormatError):
-    """An item for something that this boat does not do."""
+    """A valid item that this boat cannot do."""
 
 
 class Item(NamedTuple):
@@ -60,7 +60,7 @@ class Item(NamedTuple):
 
 
 def mission_items(tables: Mission) -> Iterator[Item]:
-    """Waypoints with a change of speed before those that have another one; then the pieces of the path, where there is one."""
+    """Waypoints with a change of speed before those that have another one; then the pieces of the path, if any."""
     speed_mps = 0.0
     for waypoint in tables.waypoint:
         if waypoint.speed_mps != speed_mps:
@@ -74,7 +74,7 @@ def mission_items(tables: Mission) -> Iterator[Item]:
 
 
 def places(speeds_mps: Iterable[float]) -> Iterator[int]:
-    """The numbers of those items that are waypoints, by the waypoints' speeds."""
+    """The numbers of the waypoint items, derived from the waypoints' speeds."""
     number, before_mps = 0, 0.0
     for speed_mps in speeds_mps:
         number += speed_mps != before_mps
@@ -212,7 +212,7 @@ class Told(NamedTuple):
     items: list[Item]
     waypoints: list[int]
     packed: bytearray
-    checksum: int  # of it alone
+    checksum: int  # of this plan alone
 
     def leg_of(self, number: int) -> int:
         """The leg that leads to an item, or to the first waypoint after it. Raises FormatError where there is none."""
@@ -243,8 +243,8 @@ def told(plan: object, items: Iterable[Item], frame: int) -> Work[Told]:
 
 
 def checksum(packed: Iterable[bytearray]) -> Work[int]:
-    """Of MISSION_CHECKSUM: the CRC-32 of MAVLink FTP (no inversion) over frame, command, autocontinue (1) and the parameters
-    as they travel in MISSION_ITEM_INT, little endian."""
+    """MISSION_CHECKSUM's value: the CRC-32 of MAVLink FTP (no inversion) over frame, command, autocontinue (1) and the
+    parameters as they travel in MISSION_ITEM_INT, little endian."""
     crc = 0xFFFFFFFF
     for data in packed:
         for at in range(0, len(data), BLOCK_BYTES):
@@ -304,7 +304,7 @@ def _fields(number: int, item: Item) -> dict[str, float]:
 
 
 def _row(number: int, kind: type[T], **fields: object) -> T:
-    """A row of a mission file, in range. Raises FormatError."""
+    """A row of a mission file, checked. Raises FormatError."""
     try:
         return tables.decode({**fields}, kind, f"item {number}")
     except ConfigError as error:

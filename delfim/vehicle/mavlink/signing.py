@@ -20,7 +20,7 @@ from delfim.outside import UNREADABLE, read_file
 KEY_BYTES: Final = 32
 EPOCH_NS: Final = 1_420_070_400_000_000_000  # time stamps count 10 us since 2015
 PER_S: Final = 100_000  # of them
-NEW_STREAM_S: Final = 60.0  # a speaker not heard before may be so far behind this clock
+NEW_STREAM_S: Final = 60.0  # a new speaker may be this far behind this clock
 STREAMS: Final = 64  # speakers at most
 DRIFT: Final = 1e-4  # of two clocks against each other, generously
 
@@ -99,7 +99,7 @@ def read_key(path: str | Path) -> bytes:
 
 
 def read_stamps(path: str | Path) -> dict[Stream, int]:
-    """The last stamps of the run before; none where there is no such file, or nothing readable in it."""
+    """The last stamps of the run before; none if the file is missing or unreadable."""
     try:
         rows = msgspec.json.decode(read_file(path), type=list[tuple[Stream, int]])
     except (OSError, *UNREADABLE):

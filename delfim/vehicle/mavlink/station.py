@@ -23,11 +23,11 @@ from delfim.vehicle.mavlink.wire import Address, Message, Speaker, dialect
 FRAMES: Final = 2  # of a turn
 PENDING: Final = 256  # frames that wait; beyond, they are dropped
 ROWS_AT_ONCE: Final = 3  # messages that one peer is told in one call
-SLOWLY: Final = 5  # ticks from one parameter to the next where the link is slow
+SLOWLY: Final = 5  # ticks from one parameter to the next on a slow link
 
 
 class Station:
-    """`send` takes a datagram and its address. `signing` is None where there is no key. `obey` and `review` are those of
+    """`send` takes a datagram and its address. `signing` is None without a key. `obey` and `review` are those of
     `Consoles`."""
 
     def __init__(

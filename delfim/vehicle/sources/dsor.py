@@ -10,7 +10,7 @@ from delfim.vehicle.links import Links
 from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State
 
-LOOKS = 8  # for the next frame of a message, 20 us in all: many adapters deliver frames in bursts
+LOOKS = 8  # polls for the next frame of a message, 20 us in all: many adapters deliver frames in bursts
 
 
 class DsorNavigation:

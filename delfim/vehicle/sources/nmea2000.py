@@ -21,7 +21,7 @@ class Nmea2000Navigation:
         self.heard_s = -1e9
 
     def read(self, now_s: float) -> Fix | None:
-        """As `DsorNavigation.read`: a fix whenever the chosen position source spoke."""
+        """As `DsorNavigation.read`: a fix for each message of the chosen position source."""
         fix = None
         for _ in range(FRAMES_PER_READ):
             try:
