@@ -122,8 +122,8 @@ def test_mistakes_are_one_line(log, capsys, tmp_path, place):
     for words, reason in (
         (("info", "--run", "2011"), "no run 2011"),
         (("cat", "--fields", "nonsense"), "no field nonsense; there are monotonic_s"),
-        (("cat", "--from", "soon"), "--from 'soon' is no time"),
-        (("cat", "--to", "later"), "--to 'later' is no time"),
+        (("cat", "--from", "soon"), "--from 'soon' is not a time"),
+        (("cat", "--to", "later"), "--to 'later' is not a time"),
         (("cat", "--from", "2011-01-01T00:00:00"), "nothing was logged in this time; the logs are from 2010-01-01 00:00:00 to"),
         (("cat", "--id", "lockstep", "--from", "+10.01", "--to", "+10.02"), "nothing was logged in this time"),
         (("cat", "--events", "--from", "+30", "--to", "+30.1"), "nothing was logged in this time"),
