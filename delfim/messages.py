@@ -164,7 +164,7 @@ PROPELLER_COMMAND: Final = struct.Struct("<hBB")
 
 
 def pack_propeller_command(c: PropellerCommand) -> bytes:
-    """A reference that is no number or fits no field is sent as motor off."""
+    """A reference that is not a number or does not fit the field is sent as motor off."""
     rpm = _scaled(c.rpm, 1, _I16_UNKNOWN)
     return PROPELLER_COMMAND.pack(*((0, False) if rpm == _I16_UNKNOWN else (rpm, c.run)), c.counter & 0xFF)
 

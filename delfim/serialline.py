@@ -14,17 +14,17 @@ READ_BYTES: Final = 4096
 
 
 class SerialLine:
-    """A port from its opening on. Raises DelfimError where it cannot be opened; later `trouble` says what is wrong with it."""
+    """A port from its opening on. Raises DelfimError if it cannot be opened; later `trouble` names its fault."""
 
     def __init__(
         self, device: str, baud: int, clock: Clock, heard: Callable[[int, bytes], object] = lambda t_ns, data: None
     ) -> None:
-        """`heard` is told all that is read, with the time."""
+        """`heard` is called with all data that is read, and its time."""
         self.device, self.t_ns = device, 0
         self._baud, self._time_ns, self._heard = baud, clock.time_ns, heard
         self.trouble = ""
         self._port = -1
-        self._ready = select.epoll()  # to wait for: it stays the same when the port is opened anew
+        self._ready = select.epoll()  # to wait for: it stays the same when the port is reopened
         try:
             self._open()
         except OSError as error:
@@ -36,7 +36,7 @@ class SerialLine:
         return self._ready.fileno()
 
     def read(self) -> bytes:
-        """What has come since the last call, and in `t_ns` when it was read; empty: nothing."""
+        """The data since the last call, its time in `t_ns`; empty: none."""
         if self._port < 0:
             return b""
         try:

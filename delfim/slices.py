@@ -9,7 +9,7 @@ from typing import Final, Generic, TypeVar
 
 from delfim.errors import Refused
 
-SLICE: Final = 100  # comparisons of one callback: a part of what it may take, for computers that are slower
+SLICE: Final = 100  # comparisons of one callback: a part of its budget, for slower computers
 MOST: Final = 5_000_000  # comparisons of one piece of work, after which it is given up
 
 LET_GO: Final = 400  # objects of a few numbers that are freed at a time
@@ -27,7 +27,7 @@ class Sliced(Generic[T]):
         self._work, self.spent = work, 0
 
     def step(self, most: int = SLICE) -> bool:
-        """Runs a slice. Returns whether the work is done. Raises what the work raises; endless work gets Refused."""
+        """Runs a slice. Returns whether the work is done. Exceptions of the work pass; endless work gets Refused."""
         until = self.spent + most
         try:
             while self.spent < until:

@@ -83,7 +83,7 @@ def services(settings: config.Vehicle) -> list[Service]:
     known = {row.name for row in SERVICES}
     for name in settings.services:
         if name not in known:
-            raise PermanentFailure(f"services.{name}: there is no such service; there are {', '.join(sorted(known))}")
+            raise PermanentFailure(f"services.{name}: there is no such service; known are {', '.join(sorted(known))}")
     asked = {row.name: settings.services.get(row.name, config.ServiceTable()) for row in SERVICES}
     enabled = [(row, asked[row.name]) for row in SERVICES if asked[row.name].enabled and row.when(settings)]
     rows = [row if one.place == "default" else row._replace(place=one.place) for row, one in enabled]

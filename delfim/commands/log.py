@@ -113,7 +113,7 @@ def _cat(asked: argparse.Namespace) -> int:
 
 
 def _cat_lines(chosen: Selection, *, events: bool) -> Iterator[str]:
-    """The events, or the frames of the black boxes by time, or what nodes said: lines of JSON that begin with their time."""
+    """The events, or the frames of the black boxes by time, or the nodes' messages: lines of JSON that begin with the time."""
     if events:
         told = sorted(tree.events(chosen.files, chosen.span), key=lambda each: each["t_ns"])
         yield from (json.dumps(event) + "\n" for event in told)
@@ -221,7 +221,7 @@ def _repair(asked: argparse.Namespace) -> int:
             if result.complaint:
                 mended += 1
                 print(f"{result.path}: {result.complaint} -> {result.target}")
-    print(f"{len(chosen.files)} files checked, {mended} mended")
+    print(f"{len(chosen.files)} files checked, {mended} repaired")
     return 0
 
 

@@ -131,7 +131,7 @@ def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mis
 
 
 def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Berth) -> tuple[list[str], str, str]:
-    """The console's words, where it hears boats, and where its page is. What it keeps lies beside the simulation's own. A boat
+    """The console's words, its address for boats, and that of its page. Its files lie beside the simulation's own. A boat
     that has a key hears nobody without it."""
     place, boats = its.folder.resolve() / "console", asked.boats or its.address(BOATS, udp=True)
     page = asked.page or its.address(PAGE)
@@ -142,7 +142,7 @@ def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Berth) ->
 
 
 def _announced(console: "subprocess.Popen[bytes]") -> str:
-    """The address that the console tells as soon as it listens. Raises DelfimError when it does not."""
+    """The address that the console prints as soon as it listens. Raises DelfimError if it does not."""
     assert console.stdout is not None
     ready, _, _ = select.select([console.stdout], [], [], START_S)
     told = console.stdout.readline().decode(errors="replace").strip() if ready else ""
@@ -161,7 +161,7 @@ class Voyage:
         self._played_s: float | None = None
         self._last: dict[str, Any] | None = None  # state
         self.address, self.end = "", ""
-        self.troubles = dict[str, str]()  # what the boat suffered: the last words about each
+        self.troubles = dict[str, str]()  # troubles of the boat: the last words about each
 
     def sail(self, boat: "subprocess.Popen[bytes]") -> None:
         """Load the mission, play it as soon as the boat is fit, and watch until it ends; with a console until Ctrl-C. Raises

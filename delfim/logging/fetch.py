@@ -122,7 +122,7 @@ class _Link:
         self._drop()
 
     def read(self, path: str, part: Path, size: int, count: Callable[[bytes], None]) -> None:
-        """The rest of a file, appended to what is here of it."""
+        """The rest of a file, appended to the part that is here."""
         attempts = 0
         with part.open("ab") as file:
             while file.tell() < size:

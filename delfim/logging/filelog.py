@@ -150,7 +150,7 @@ class FileLog:
         return deflated
 
     def _written(self, record: bytes, now_s: float) -> bool:
-        """A plain record to the file: nothing but its system call, for a caller who waits."""
+        """A plain record to the file: nothing but its system call, for a caller that waits."""
         try:
             _write_all(self._fd, record)
         except OSError as error:

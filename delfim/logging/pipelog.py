@@ -101,7 +101,7 @@ class PipeLog:
     def _start(self) -> None:
         now_s = self._clock.monotonic_s()
         self._again_s, self._heard_s = now_s + 1.0, now_s
-        self._sent, self._rest, self._fd = 0, b"", -1  # records this child was sent; what the pipe did not take of the last one
+        self._sent, self._rest, self._fd = 0, b"", -1  # records this child was sent; the unsent end of the last
         self._said = LogStatus(False, self._reason or "the writer is starting", "", 0, 0, 0)
         self._child: subprocess.Popen[bytes] | None = None
         command = [sys.executable, "-m", "delfim.logging.writer", self._id]

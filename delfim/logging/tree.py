@@ -1,6 +1,6 @@
 """The content of a log tree: files, runs, and the choice among them. Nothing is read but names, sizes and sidecars.
 
-A run is what one program logged from its start to its end, of one id. It begins with the sidecar's `start`, or after a pause
+A run is the log of one program from its start to its end, of one id. It begins with the sidecar's `start`, or after a pause
 for logs that have none, and it ended in order when its last sidecar says `end`.
 """
 

@@ -83,7 +83,7 @@ class Child:
 
 
 def stood(stacks: str) -> str:
-    """The innermost calls of the main thread, in words, from what faulthandler wrote of all threads; empty where it did not."""
+    """The innermost calls of the main thread, in words, from faulthandler's dump of all threads; empty if there is none."""
     _, _, last = stacks.rpartition("hread 0x")
     calls = re.findall(r'File "[^"]*?((?:[^"/]+/)?[^"/]+)", line (\d+) in (\S+)', last)[:FRAMES]
     return "it stood in " + ", called by ".join(f"{name} ({file}:{line})" for file, line, name in calls) if calls else ""

@@ -194,7 +194,7 @@ def temperature_c(root: Path) -> float | None:
 
 
 def can_bus(link: dict[str, Any]) -> tuple[str, Bus, int]:
-    """Name, counters, and bits seen so far of an interface as `ip -d -s -j link` tells it. What is sent counts, too."""
+    """Name, counters, and bits seen so far of an interface from `ip -d -s -j link`. Sent frames count, too."""
     details, counters = link.get("linkinfo", {}), link.get("stats64", {})
     data, errors = details.get("info_data", {}), details.get("info_xstats", {})
     received, sent = counters.get("rx", {}), counters.get("tx", {})
@@ -291,7 +291,7 @@ def _addresses(name: str) -> list[str]:
 
 
 def _links(root: Path) -> list[dict[str, Any]]:
-    """The CAN interfaces, as iproute2 tells them; none where there are none or no iproute2."""
+    """The CAN interfaces, from iproute2; none if there are none or no iproute2."""
     types = (root / "sys/class/net").glob("*/type")
     if not any(_read(each).strip() == "280" for each in types):
         return []

@@ -1,6 +1,6 @@
 """ftpd: the logs over FTP, and files for the boat into a staging area (RFC 959, 2428, 3659, 4217; thesis 2.8, 3.3).
 
-It stands on aioftp, which brings connections, replies and passive sockets, and adds what clients ask for and aioftp does not
+It stands on aioftp, which brings connections, replies and passive sockets, and adds what clients need and aioftp does not
 have (AUTH, FEAT, SIZE, MDTM, NLST, NOOP, OPTS, options of LIST), a jail, uploads that are whole or not there, hashed passwords,
 delays after wrong passwords, and bounds. Files are read and written by two workers. Active mode is not spoken: a server that
 connects where a client tells it to can be sent anywhere. How to use it: docs/ftpd.md.

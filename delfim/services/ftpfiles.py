@@ -215,7 +215,7 @@ class FtpFiles:
         return found
 
     def _list_line(self, name: str, status: os.stat_result) -> str:
-        """As `ls -l` writes it, which is what programs expect: the time of day for half a year, then the year."""
+        """As `ls -l` writes it, for programs that parse it: the time of day for half a year, then the year."""
         at = datetime.fromtimestamp(status.st_mtime, UTC)
         is_new = abs(self._clock.time_ns() / 1e9 - status.st_mtime) < HALF_A_YEAR_S
         when = f"{at:%H:%M}" if is_new else f" {at:%Y}"

@@ -1,7 +1,7 @@
 """A directory that no path leads out of: not by `..`, not by a link, not by a link that is put there between check and opening.
 
 A file is opened, made and removed by its name in a folder that is open already: a path that is walked twice may lead elsewhere
-the second time, and this process may have more rights than whoever puts links there.
+the second time, and this process may have more rights than the user who puts links there.
 
 Names with a dot in front are hidden: keys may lie beside the logs. httpd, ftpd and sshd open files through it. Everything here
 blocks on the disk: call it in a worker.

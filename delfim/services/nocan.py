@@ -13,7 +13,7 @@ from typing import Final
 AF_CAN: Final = 29
 IO_URING_SETUP: Final = 425  # the same everywhere; io_uring opens sockets past every filter
 X32: Final = 0x4000_0000  # x86-64's second set of numbers
-# machine: architecture as the kernel tells it (linux/audit.h), the numbers of socket and seccomp
+# machine: architecture in the kernel's numbers (linux/audit.h), the numbers of socket and seccomp
 MACHINES: Final = {
     "x86_64": (0xC000_003E, 41, 317),
     "aarch64": (0xC000_00B7, 198, 277),

@@ -52,7 +52,7 @@ log = logging.getLogger(__name__)
 
 
 class Button:
-    """A power button: an input device that sends KEY_POWER, or a file whose first characters tell."""
+    """A power button: an input device that sends KEY_POWER, or a file whose first characters show it."""
 
     def __init__(self, path: str, text: str) -> None:
         self._path, self._text = path, text.encode()
@@ -78,7 +78,7 @@ class Button:
         return self.is_pressed
 
     def _keys(self) -> bool:
-        """What the device's queue says at its end."""
+        """The state at the end of the device's queue."""
         state = self.is_pressed
         with contextlib.suppress(BlockingIOError):
             while data := os.read(self._fd, EVENTS_BYTES):

@@ -1,6 +1,6 @@
 """Strict priority for navigation in an asyncio loop (thesis 2.7, 3.4), by two mechanisms.
 
-Navigation first: `NavigationLoop` looks at the navigation sockets between any two callbacks, whatever these are (readers,
+Navigation first: `NavigationLoop` looks at the navigation sockets between any two callbacks of any kind (readers,
 tasks, timers, protocols, completions of workers). From the moment a frame is readable, at most one other callback runs
 before its handler does. For all others the loop stays what it is: first come, first served, nobody starves.
 
@@ -8,7 +8,7 @@ Navigation window: navigation is periodic. `NavigationWindow` (delfim.services.w
 shortly before, the loop runs nothing else and polls without sleeping until the message is there or the window ends. No callback
 is under way then.
 
-Between two callbacks is also where their time is measured: `Account` says what each service cost. Linux only (epoll). Why
+Between two callbacks is also where their time is measured: `Account` holds the cost of each service. Linux only (epoll). Why
 it is made like this, with figures: docs/decisions/0001-navigation-first.md.
 """
 
@@ -100,7 +100,7 @@ class NavigationFirst:
         self._since_s = self._clock_s()
         self._is_fresh = False  # navigation was looked at, and nothing ran since
         self.rehearsal: Practice | None = None
-        self._rehearsal_s = 0.0  # what is left to the message when another one begins
+        self._rehearsal_s = 0.0  # time left to the message when another one begins
         self._practised_s = self._since_s  # when the last practice was over, which is the window's time and no service's
 
     def fileno(self) -> int:
@@ -175,7 +175,7 @@ class NavigationFirst:
         if self.rehearsal is None or self._poll(0.0, 1):
             return now_s
         if now_s + self._rehearsal_s > until_s:
-            self._rehearsal_s *= 0.5  # one that was interrupted is not for ever the measure
+            self._rehearsal_s *= 0.5  # an interrupted one must not be the measure for ever
             return now_s
         self._practise(self.rehearsal.whole)
         self._rehearsal_s = 2.0 * (self._practised_s - now_s)

@@ -186,7 +186,7 @@ class Runtime:
 
     def load(self, module: str) -> asyncio.Future[ModuleType]:
         """A large library, read beside the loop while the boat comes up: it costs the path some milliseconds, once. Its objects
-        stay for good, so that no collection looks at them. What a service asks for in its first step is read before the first
+        stay for good, so that no collection looks at them. A service's libraries for its first step are read before the first
         beat: a slow computer may take its time for it. Raises ImportError."""
         loading = asyncio.get_running_loop().run_in_executor(None, importlib.import_module, module)
         loading.add_done_callback(self._loaded)

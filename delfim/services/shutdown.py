@@ -18,7 +18,7 @@ from typing import Final, Literal, NamedTuple
 
 LOOK_S: Final = 0.05  # between two looks at the users
 KILL_S: Final = 2.0  # for the kernel to end killed processes
-ATTEMPT_S: Final = 20.0  # for an attempt, beyond what its users may take: a disk that hangs must not hang the rest
+ATTEMPT_S: Final = 20.0  # for an attempt, beyond the users' time: a disk that hangs must not hang the rest
 AGAIN_S: Final = 1.0  # between two attempts
 TELL_S: Final = 0.2  # between two frames that say it is safe
 _MS_RDONLY, _MS_REMOUNT = 1, 32  # sys/mount.h
@@ -195,7 +195,7 @@ def _bounded(mount: str, end_s: float) -> list[str]:
     def attempt() -> None:
         try:
             found[:] = release(mount, end_s)
-        except Exception as error:  # whatever it is, the rest goes on
+        except Exception as error:  # after any failure the rest goes on
             found[:] = [f"{mount}: {error}"]
 
     thread = threading.Thread(target=attempt, daemon=True)
@@ -217,7 +217,7 @@ def last_act(
     """Make it safe to cut the power, and tell so. Returns whether it is.
 
     mount: the log partition's, "" for none. end_s: that its users have after SIGTERM. held_s: after that long in vain it is
-    given up. told_s: the outcome is told for so long. tell: gets the outcome so far and what is in the way; never raises.
+    given up. told_s: the outcome is told for so long. tell: gets the outcome so far and the obstacles; never raises.
     record: a file for the outcome.
     """
     until_s = time.monotonic() + held_s

@@ -8,7 +8,7 @@ PACKET_MAX: Final = 2048  # longer ones are noise
 
 
 def framed(packet: bytes) -> bytes:
-    """The packet between two ENDs: the first flushes what noise there was on the line."""
+    """The packet between two ENDs: the first flushes noise on the line."""
     return END + packet.replace(ESC, ESC_ESC).replace(END, ESC_END) + END
 
 

@@ -82,7 +82,7 @@ class Slots:
             raise Refused(f"{self._environment} is not there: this computer has no slots (docs/image.md)") from None
 
     def manifest(self, slot: str) -> Manifest | None:
-        """Of what is in a slot, None where nothing whole is. Raises FormatError."""
+        """The manifest of the image in a slot, None if no whole one is there. Raises FormatError."""
         try:
             return parse_manifest(read_file(self._directory / slot / MANIFEST, PAPER_BYTES))
         except FileNotFoundError:
@@ -94,7 +94,7 @@ class Slots:
             manifest = self.manifest(slot)
             for name, part in manifest.files.items() if manifest else ():
                 if _digest_of_disk(self._directory / slot / name) != part.sha256:
-                    return f"{name} is not what was installed"
+                    return f"{name} is not the installed file"
         except (OSError, FormatError) as error:
             return str(error)
         return "" if manifest else "empty"
@@ -107,7 +107,7 @@ class Slots:
         environment = self.environment()
         slot = SLOTS[environment.slot == SLOTS[0]]
         folder = self._directory / slot
-        self._write(Environment(environment.slot))  # what is overwritten now is tried no more
+        self._write(Environment(environment.slot))  # the slot that is overwritten now is no longer on trial
         folder.mkdir(exist_ok=True)
         for name in MEMBERS:
             (folder / name).unlink(missing_ok=True)
@@ -175,7 +175,7 @@ def _sync(folder: Path) -> None:
 
 
 def _digest_of_disk(path: Path) -> str:
-    """Not of what the kernel still has in memory, as far as it lets go of that."""
+    """From the disk, not from the kernel's cache, as far as the kernel drops it."""
     with path.open("rb") as file:
         os.posix_fadvise(file.fileno(), 0, 0, os.POSIX_FADV_DONTNEED)
         return hashlib.file_digest(file, "sha256").hexdigest()

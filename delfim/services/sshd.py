@@ -196,12 +196,12 @@ def _public(name: str, lines: tuple[str, ...]) -> frozenset[bytes]:
 
 
 def _host_key(path: str) -> asyncssh.SSHKey:
-    """The boat's key; made where there is none. Raises OSError, PermanentFailure for a file that is no key."""
+    """The boat's key; made if there is none. Raises OSError, PermanentFailure for a file that is not a key."""
     try:
         return asyncssh.read_private_key(path)
     except FileNotFoundError:
         pass
-    except (asyncssh.KeyImportError, ValueError, re.error) as error:  # it makes patterns of what it reads
+    except (asyncssh.KeyImportError, ValueError, re.error) as error:  # it turns the text into patterns
         raise PermanentFailure(f"sshd.host_key: {path}: {error}") from None
     key = asyncssh.generate_private_key("ssh-ed25519")
     os.makedirs(os.path.dirname(path), mode=0o700, exist_ok=True)

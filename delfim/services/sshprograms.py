@@ -68,7 +68,7 @@ class _Pipe:
             self.fd = -1
 
     async def read(self) -> bytes:
-        """Empty when all who could write have closed it."""
+        """Empty when all writers have closed it."""
         while True:
             try:
                 return os.read(self.fd, BLOCK_BYTES)
@@ -259,7 +259,7 @@ def _resize(terminal: _Pipe, size: tuple[int, int, int, int]) -> None:
 
 
 def _signal(child: asyncio.subprocess.Process, number: int) -> None:
-    """To a program and what it runs in the foreground."""
+    """To a program and its foreground children."""
     if child.returncode is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child.pid, number)

@@ -1,6 +1,6 @@
 """The supervisor: the parent of all programs, and the dead-man. It fits for PID 1.
 
-It starts the programs, each in a session of its own, and restarts those that die. Every program is told `--beat-fd N`, the
+It starts the programs, each in a session of its own, and restarts those that die. Every program gets `--beat-fd N`, the
 write end of a pipe. The critical one beats on it; when the beat stops, whatever the reason, the supervisor itself stops the
 propellers, has the program write into the pipe where its threads stand and die of it, kills it STACKS_S later if it did not,
 and starts it again. A program whose pipe breaks knows that the supervisor is gone.
@@ -33,13 +33,13 @@ START_S: Final = 60.0  # a critical program may take so long to its first beat: 
 HEAD_START_S: Final = 5.0  # the others wait so long for its first beat: until then it has the processor to itself
 STOP_EVERY_S: Final = 0.1  # between two stop frames while nothing beats
 STACKS_S: Final = 0.1  # for a silent program to write where its threads stand, while stop frames are already sent
-TICK_S: Final = 0.1  # the longest wait: the hardware watchdog is stroked so often, and who wakes later has been kept from it
+TICK_S: Final = 0.1  # the longest wait: the hardware watchdog is fed this often, and a later wake-up was forced on us
 END_CRITICAL_S: Final = 5.0  # for the critical program to end in order
 END_S: Final = 2.0  # for another program
 KILL_S: Final = 1.0  # for the kernel to end killed processes
 REQUEST_BYTES: Final = 4096
 
-# Which signal ends what: of the machine's first process as busybox' poweroff and reboot, ctrl-alt-del and a UPS send them.
+# The effect of each signal: for the machine's first process as busybox' poweroff and reboot, ctrl-alt-del and a UPS send them.
 SIGNALS: Final[dict[int, Word]] = {
     signal.SIGTERM: "end",
     signal.SIGINT: "end",
@@ -62,7 +62,7 @@ class Supervisor:
 
     stop: sends frames that stop the propellers; its exceptions are logged, and the rest goes on.
     state_file: JSON for the other programs, replaced at each change.
-    watchdog: device, "" for none; where it does not exist there is none.
+    watchdog: device, "" for none; if it does not exist there is none.
     requests: UNIX socket for "off REASON" and the like; None for none.
     init: the first process of a machine. It ends only when it is told to.
 
@@ -276,7 +276,7 @@ class Supervisor:
     # Time.
 
     def _wait(self) -> None:
-        """For a beat, a death, a signal, or what is due next."""
+        """For a beat, a death, a signal, or the next deadline."""
         now_s = time.monotonic()
         due_s = [self._due_s(child) for child in self._children if child.state == "waiting"]
         due_s += [now_s + TICK_S, self._deadline_s(), inf if self._stop_due_s is None else self._stop_due_s]

@@ -38,7 +38,7 @@ class Uploads:
         self._pending_bytes = 0  # being written by others just now, and not seen by a look
 
     def prepare(self) -> None:
-        """Make the folder. Who may only read does not need it."""
+        """Make the folder. Users who may only read do not need it."""
         try:
             os.makedirs(self.folder, exist_ok=True)
         except OSError as error:

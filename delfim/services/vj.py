@@ -107,7 +107,7 @@ def _changes(old: _TcpIpHeader, new: _TcpIpHeader) -> tuple[int, bytes] | None:
     if mask == 0 and not (new.length != old.length and carried == 0):
         return None  # the same again: a repetition, or a window probe
     if mask in (_SPECIAL_I, _SPECIAL_D):
-        return None  # what happens to look like the short forms
+        return None  # changes that happen to look like the short forms
     if mask == _NEW_S | _NEW_A and seq == ack == carried:
         mask, said = _SPECIAL_I, []
     elif mask == _NEW_S and seq == carried:
@@ -120,7 +120,7 @@ def _changes(old: _TcpIpHeader, new: _TcpIpHeader) -> tuple[int, bytes] | None:
 
 
 def _number(value: int, zero: bool = False) -> bytes:
-    """One byte for 1..255; three for what is larger, and for 0 where that can be."""
+    """One byte for 1..255; three for larger values, and for 0 where that is possible."""
     return b"\0" + struct.pack("!H", value) if value >= 256 or (zero and value == 0) else bytes([value])
 
 

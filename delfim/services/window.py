@@ -5,7 +5,7 @@ from itertools import accumulate, pairwise
 from math import inf
 from typing import Final
 
-ARRIVALS: Final = 16  # the rhythm of a source is that of so many last messages
+ARRIVALS: Final = 16  # the rhythm of a source is taken from this many last messages
 ARRIVALS_MIN: Final = 5  # fewer say nothing
 MISSES_MAX: Final = 3  # windows in a row without their message; then there are none until messages come again
 FORGET_PERIODS: Final = 4.0  # a source silent for so long starts anew
@@ -92,7 +92,7 @@ class NavigationWindow:
         self._due: Rhythm | None = None  # and its rhythm
         self._closes_s = -inf
         self._is_open = False
-        self._credit_s, self._credit_at_s = HOLD_MAX_S, inf  # what may be spent now, and when that was reckoned
+        self._credit_s, self._credit_at_s = HOLD_MAX_S, inf  # the budget left, and when it was computed
 
     def arrived(self, source: int, at_s: float) -> None:
         """A navigation message was completed, at this time."""

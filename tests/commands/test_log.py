@@ -113,9 +113,9 @@ def test_repair_finds_what_is_cut_and_leaves_the_original(log, place, tmp_path):
     os.utime(copy / "000000.log.gz", (0, 0))
     printed = log("repair", path=tmp_path / "copy")
     assert "000000-repaired.log.gz" in printed
-    assert printed.endswith("1 files checked, 1 mended\n")
+    assert printed.endswith("1 files checked, 1 repaired\n")
     assert (copy / "000000.log.gz").read_bytes() == data
-    assert log("repair", path=tmp_path / "copy").endswith("1 files checked, 0 mended\n")
+    assert log("repair", path=tmp_path / "copy").endswith("1 files checked, 0 repaired\n")
 
 
 def test_mistakes_are_one_line(log, capsys, tmp_path, place):
@@ -184,4 +184,4 @@ def test_what_is_written_just_now_is_running_everywhere(place, tmp_path, capsys,
     assert main(["log", "cat", *words]) == 0
     assert "delfim log repair puts it right" in caplog.messages[0]
     assert main(["log", "repair", *words]) == 0
-    assert capsys.readouterr().out.endswith("1 files checked, 1 mended\n")
+    assert capsys.readouterr().out.endswith("1 files checked, 1 repaired\n")

@@ -99,7 +99,7 @@ class State(Facts, frozen=True):
     reason: str
     boat: str = "boat"
     cycle: int = 0
-    utc_ns: int = 0  # navigation's clock, 0 where it tells none
+    utc_ns: int = 0  # navigation's clock, 0 if it sends none
     source: str = ""  # of navigation
     latitude_deg: float | None = None
     longitude_deg: float | None = None
@@ -183,7 +183,7 @@ class Time(Facts, frozen=True):
     """The computer's clock."""
 
     utc_ns: int = 0
-    synchronised: bool = False  # the kernel is told by some source that its clock is right
+    synchronised: bool = False  # some source keeps the kernel's clock right
     error_s: float | None = None  # at most, as that source says
 
 
