@@ -238,7 +238,8 @@ def test_its_bus_is_a_bus_of_python_can_and_the_shutdown_frame_ends_it(boat: Boa
         bus.send(can.Message(arbitration_id=0x0C8, data=bytes.fromhex("FE5AF10F00"), is_extended_id=False))
         boat.console.wait_for(acknowledged(ShutdownStage.BEGUN), 60)
     boat.console.wait_for(acknowledged(ShutdownStage.SAFE), 60)
-    assert boat.process.wait(60) == 0
+    code = boat.process.wait(60)
+    assert code == 0, (boat.process.stdout.read() if boat.process.stdout else b"").decode(errors="replace")[-6000:]
     check = ["e2fsck", "-n", "-f", str(boat.folder / "log.img")]
     done = subprocess.run(check, capture_output=True, text=True, env={"PATH": PATH}, check=False)
     assert done.returncode == 0, done.stdout
