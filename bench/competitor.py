@@ -17,7 +17,7 @@ import importlib
 import os
 import signal
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, Final
 
 from bench.load import Ports, rows
@@ -36,14 +36,16 @@ class PlainRuntime(Runtime):
     def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
         super().__init__(settings, clock, alone=True)
 
-    def navigation(self, fd: int, handler: Callable[[], bool]) -> None:
-        asyncio.get_running_loop().add_reader(fd, handler)
+    @contextlib.contextmanager
+    def navigating(self, fd: int, handler: Callable[[], bool]) -> Iterator[None]:
+        self.reader(fd, handler)
+        try:
+            yield
+        finally:
+            self.remove_reader(fd)
 
     def reader(self, fd: int, handler: Callable[[], object], pause_s: float = 0.0) -> None:
         asyncio.get_running_loop().add_reader(fd, handler)
-
-    def remove_navigation(self, fd: int) -> None:
-        asyncio.get_running_loop().remove_reader(fd)
 
     def remove_reader(self, fd: int) -> None:
         asyncio.get_running_loop().remove_reader(fd)
