@@ -638,7 +638,7 @@ def test_the_sender_refuses_what_it_cannot_send() -> None:
         sender.start(NAVIGATION, 0.0)
     sender.start(TO_VEHICLE, 0.0)
     sender.start(TO_VEHICLE, 0.0)
-    with pytest.raises(Refused, match="2 messages are waiting"):
+    with pytest.raises(Refused, match="2 messages are already waiting"):
         sender.start(TO_VEHICLE, 0.0)
 
 

@@ -247,7 +247,7 @@ def test_the_hint_goes_when_it_was_used_and_does_not_come_again(visit: Callable[
         await it.page.press("Escape")
         await it.page.press("F1")
         text = await it.page.value("document.getElementById('card').innerText")
-        assert "where the boat is steering to" in text
+        assert "where the boat is steering" in text
         assert "Play mission" in text
         await it.page.open(it.url, width=1200, height=760, scale=1.0)
         await it.page.until("delfim.online()")

@@ -250,8 +250,8 @@ def test_a_stop_behind_a_plan_does_not_wait_for_it(boat, tmp_path):
 
     def talk() -> None:
         with Link(tmp_path / "command", 20.0) as link:
-            for part in ({"command": "upload", "mission": json.loads(LONG)}, {"command": "stop"}):
-                link._socket.sendall(json.dumps(part).encode() + b"\n")
+            both = {"command": "upload", "mission": json.loads(LONG)}, {"command": "stop"}
+            link._socket.sendall(b"".join(json.dumps(part).encode() + b"\n" for part in both))  # the end of one with the other
             told.extend(link._reply() for _ in range(2))
 
     asyncio.run(both())
