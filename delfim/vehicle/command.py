@@ -73,9 +73,9 @@ class Connection(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         began = max(len(self._buffer) - len(STOPS[-1]), 0)
         self._buffer += data
-        if self._under_review and any(self._buffer.find(word, began) >= 0 for word in STOPS):
-            self._server.reviews.cancel("a stop was commanded after it")
-        elif not self._is_due and not self._under_review:
+        if self._under_review:
+            self._heed_stop(began)
+        elif not self._is_due:
             self._line()
         if self._transport is not None and len(self._buffer) > LINE_BYTES:
             self._transport.pause_reading()
@@ -100,8 +100,14 @@ class Connection(asyncio.Protocol):
         if isinstance(command, console.Plan) and not (isinstance(command, console.LoadMission) and command.more):
             self._under_review = True
             self._server.reviews.begin(LOCAL, command, self._answer)
+            self._heed_stop(0)
         else:
             self._answer(self._server.obey(command))
+
+    def _heed_stop(self, began: int) -> None:
+        """A stop that waits behind a plan under review ends the review."""
+        if self._under_review and any(self._buffer.find(word, began) >= 0 for word in STOPS):
+            self._server.reviews.cancel("a stop was commanded after it")
 
     def _answer(self, reason: str | None) -> None:
         self._under_review = False
