@@ -110,7 +110,7 @@ def page(loop: str, boats: int) -> float:
     """Share of a processor in % of the console's gateway: so many boats ten times a second, and one page that looks on."""
     with tempfile.TemporaryDirectory() as folder:
         heard, shown = free_port(), free_port()
-        folders = [word for name in ("missions", "charts", "sessions") for word in (f"--{name}", f"{folder}/{name}")]
+        folders = [word for name in ("missions", "charts", "sessions", "token") for word in (f"--{name}", f"{folder}/{name}")]
         words = ["--boats", f"127.0.0.1:{heard}", "--page", f"127.0.0.1:{shown}", "--no-browser", *folders]
         with program(loop, "console", *words) as pid:
             answering(shown)
@@ -118,7 +118,7 @@ def page(loop: str, boats: int) -> float:
             sailing = threading.Thread(target=speak, args=(heard, boats, ended))
             sailing.start()
             try:
-                return looked_on(pid, shown)
+                return looked_on(pid, f"http://127.0.0.1:{shown}/ws?token={Path(folder, 'token').read_text().strip()}")
             finally:
                 ended.set()
                 sailing.join()
@@ -139,11 +139,11 @@ def speak(port: int, boats: int, ended: threading.Event) -> None:
                 link.sendto(data, ("127.0.0.1", port))
 
 
-def looked_on(pid: int, port: int) -> float:
+def looked_on(pid: int, address: str) -> float:
     import asyncio
 
     async def look() -> float:
-        async with aiohttp.ClientSession() as session, session.ws_connect(f"http://127.0.0.1:{port}/ws") as socket_:
+        async with aiohttp.ClientSession() as session, session.ws_connect(address) as socket_:
             until_s = time.monotonic() + 2.0
             while time.monotonic() < until_s:
                 await socket_.receive()
