@@ -10,10 +10,10 @@ ROOT = Path(__file__).parents[1]
 
 
 class Enlarged:
-    """The copy. `place` holds its folder `delfim`."""
+    """The copy. `place` holds its folder `delfim`; with `env` as its environment, `python -m delfim` is this copy."""
 
     def __init__(self, place: Path) -> None:
-        self.place = place
+        self.place, self.env = place, os.environ | {"PYTHONPATH": str(place)}
         shutil.copytree(ROOT / "delfim", place / "delfim", ignore=shutil.ignore_patterns("node_modules", "__pycache__"))
 
     def file(self, path: str, text: str) -> None:
@@ -21,14 +21,13 @@ class Enlarged:
         assert not (self.place / path).exists()
         (self.place / path).write_text(text)
 
-    def row(self, path: str, before: str, row: str) -> None:
-        """Something in front of what stands there once."""
+    def row(self, path: str, beside: str, row: str, *, behind: bool = False) -> None:
+        """Something in front of a text that stands there once, or behind it."""
         text = (self.place / path).read_text()
-        assert text.count(before) == 1, f"{path} has {text.count(before)} times {before!r}"
-        (self.place / path).write_text(text.replace(before, row + before))
+        assert text.count(beside) == 1, f"{path} has {text.count(beside)} times {beside!r}"
+        (self.place / path).write_text(text.replace(beside, beside + row if behind else row + beside))
 
     def told(self, *words: str) -> str:
         """What `delfim WORDS` prints."""
-        there = os.environ | {"PYTHONPATH": str(self.place)}
         command = [sys.executable, "-m", "delfim", *words]
-        return subprocess.run(command, env=there, check=True, stdout=subprocess.PIPE, text=True, timeout=120).stdout
+        return subprocess.run(command, env=self.env, check=True, stdout=subprocess.PIPE, text=True, timeout=120).stdout

@@ -51,8 +51,7 @@ def test_a_new_node_hears_and_answers_on_the_bus(tmp_path):
     with open_can(bus) as ear:
         ear.bind(CanAddress(standard(0x161)))
         ear.settimeout(0.2)
-        there = os.environ | {"PYTHONPATH": str(copy.place)}
-        nodes = subprocess.Popen([sys.executable, "-m", "delfim", *words], env=there)
+        nodes = subprocess.Popen([sys.executable, "-m", "delfim", *words], env=copy.env)
         try:
             while True:  # until it runs
                 ear.sendto(b"", CanAddress(standard(0x160)))

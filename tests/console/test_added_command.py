@@ -15,29 +15,29 @@ import pytest
 from delfim.vehicle.mavlink import wire
 from tests.console.chain import PATIENCE_S, Sea, operating, ordered
 from tests.console.scenes import choose
-from tests.extended import extended
+from tests.enlarged import Enlarged
 
 NUMBER = 31010  # MAV_CMD_USER_1
 ROWS = {
-    "vehicle/console.py": {
+    "delfim/vehicle/console.py": {
         "    reboot: bool = False\n": '\n\nclass Bell(Command, frozen=True):\n    """The bell, once."""\n',
         "    | Take | Arm | Reset | Set | TellState | Watch | ShutDown\n": "    | Bell\n",
     },
-    "vehicle/helm.py": {
+    "delfim/vehicle/helm.py": {
         '        """Nothing: the loop has already noted that the console is there, or commands."""\n': (
             '\n    def _ring(self, command: console.Bell, now_s: float) -> None:\n        self.state.count("bells")\n'
         ),
         "    console.ShutDown: Helm._halt,\n": "    console.Bell: Helm._ring,\n",
     },
-    "vehicle/mavlink/commands.py": {
+    "delfim/vehicle/mavlink/commands.py": {
         "    dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reset,\n": f"    {NUMBER}: lambda o, boat: console.Bell(),\n"
     },
-    "console/orders.py": {
+    "delfim/console/orders.py": {
         'title="Reset the peripherals", key="R"),\n': (
             f'    "bell": OrderRow(lambda n: CommandLong({NUMBER}, ()), title="Ring the bell", key="B"),\n'
         )
     },
-    "vehicle/record.py": {
+    "delfim/vehicle/record.py": {
         "lambda s, now_s: s.watchdog_s),\n": (
             '    Field("bells", "I", "", "times that the bell was rung", lambda s, now_s: s.counts.get("bells", 0)),\n'
         )
@@ -60,12 +60,11 @@ class Sailed(NamedTuple):
 def sailed(tmp_path_factory: pytest.TempPathFactory) -> Sailed:
     """The bell was rung in all ways, under way, and the boats are in harbour again."""
     folder = tmp_path_factory.mktemp("added-command")
-    env = extended(folder / "program", {}, ROWS)
-
-    def delfim(*words: str) -> str:
-        return subprocess.run(
-            [sys.executable, "-m", "delfim", *words], env=env, capture_output=True, text=True, check=True
-        ).stdout
+    program = Enlarged(folder / "program")
+    for path, rows in ROWS.items():
+        for beside, row in rows.items():
+            program.row(path, beside, row, behind=True)
+    env = program.env
 
     async def voyage() -> list[int]:
         async with operating(folder, env=env, gateway_env=env) as sea:
@@ -73,7 +72,7 @@ def sailed(tmp_path_factory: pytest.TempPathFactory) -> Sailed:
             sea.nothing_amiss()
             return rung
 
-    return Sailed(folder / "1/log", asyncio.run(voyage()), delfim)
+    return Sailed(folder / "1/log", asyncio.run(voyage()), program.told)
 
 
 async def _rung(sea: Sea, env: dict[str, str]) -> list[int]:

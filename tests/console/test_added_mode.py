@@ -12,7 +12,7 @@ import pytest
 from delfim.vehicle.mavlink import wire
 from tests.console.chain import PATIENCE_S, Boat, Sea, operating, ordered, shown_mode
 from tests.console.scenes import choose
-from tests.extended import extended
+from tests.enlarged import Enlarged
 from tests.services.browser import Page
 
 FILE = '''"""Dance: turns in place."""
@@ -38,7 +38,6 @@ def step(
     return memory, Reference(), Actuation(60.0, -60.0, True)
 '''
 NUMBER = 42
-ROW = {"    GREX = 101\n": f"    DANCE = {NUMBER}\n"}
 OTHER = 199  # another console
 SET_MODE, CONTROL = 176, 32100
 
@@ -52,9 +51,11 @@ Sail = Callable[[Story], None]
 def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
     """Runs a story."""
     folder = tmp_path_factory.mktemp("added-mode")
-    env = extended(folder / "program", {"vehicle/control/dance.py": FILE}, {"modes.py": ROW})
+    program = Enlarged(folder / "program")
+    program.file("delfim/vehicle/control/dance.py", FILE)
+    program.row("delfim/modes.py", "    GREX = 101\n", f"    DANCE = {NUMBER}\n", behind=True)
     with asyncio.Runner() as runner:
-        afternoon = operating(folder, 'failsafe.console_silent.dance="hold"', env=env)
+        afternoon = operating(folder, 'failsafe.console_silent.dance="hold"', env=program.env)
         sea = runner.run(afternoon.__aenter__())
 
         async def told(story: Story) -> None:
