@@ -26,7 +26,7 @@ SOURCE = Path(__file__).parents[2] / "delfim/console/web/src"
 METHOD = re.compile(r"^(?:  )?(?:(?:private|async|export|function) )*(\w+)\(.*\{$")
 TELLS = re.compile(
     r"(?:actions\.(?=(?:stop|stopAll|mode|command|speed|faster|turn|headTo|setSpeed|setThrust|profile|mission)\()"
-    r"|screen\.(?=enterMode\()|this\.(?=(?:sail|send)\(boat\b))(\w+\((?:[^()]|\([^()]*\))*\))"
+    r"|screen\.(?=enterMode\()|this\.(?:planning\.)?(?=(?:sail|send)\(boat\b))(\w+\((?:[^()]|\([^()]*\))*\))"
 )
 PASSED_ON = {"mode(boat, mode)", "command(boat.id, name)"}  # where the page has come to from one of the ways
 NAMED = re.compile(r'command\("([^"]+)", "\w+"')  # of the menu that makes its entries by a function
@@ -282,27 +282,27 @@ ROWS: dict[str, Row] = {
     "menus.more: command(boat.id, command": Row(menu("More", "Reset the peripherals"), "reset", {"command": "reset"}),
     "menus.more: Take control": Row(taken, "take", {"command": "take"}),
     "menus.more: Link:: profile(boat.id, name": Row(profile),
-    "menus.mission: Send to the boat: send(boat": Row(menu("Mission", "Send to the boat"), told={"command": "upload"}),
-    'menus.fetch: mission(boat.id, "download"': Row(fetched),
-    'menus.dryRun: mission(boat.id, "dryrun"': Row(dry_run),
-    'menus.save: mission(boat.id, "save", name': Row(saved),
-    'menus.save: mission(boat.id, "list"': Row(loaded),
-    'menus.stored: mission(boat.id, "load", name': Row(loaded),
-    'menus.here: Send: command(boat.id, "goto_point"': Row(
+    "planning.mission: Send to the boat: send(boat": Row(menu("Mission", "Send to the boat"), told={"command": "upload"}),
+    'planning.fetch: mission(boat.id, "download"': Row(fetched),
+    'planning.dryRun: mission(boat.id, "dryrun"': Row(dry_run),
+    'planning.save: mission(boat.id, "save", name': Row(saved),
+    'planning.save: mission(boat.id, "list"': Row(loaded),
+    'planning.stored: mission(boat.id, "load", name': Row(loaded),
+    'planning.here: Send: command(boat.id, "goto_point"': Row(
         on_map(-30.0, -30.0, "Send boat2 here"), "goto_point", {"command": "goto", "place": (-30.0, -30.0)}
     ),
-    'menus.waypoint: Play from here: sail(boat, "play", index': Row(
+    'planning.waypoint: Play from here: sail(boat, "play", index': Row(
         on_map(*PLACES[2], "Play from here"), "play", {"command": "play", "leg": 2}
     ),
-    'menus.waypoint: Go to this point: command(boat.id, "goto_point"': Row(
+    'planning.waypoint: Go to this point: command(boat.id, "goto_point"': Row(
         on_map(*PLACES[1], "Go to this point"), "goto_point", {"command": "goto", "place": PLACES[1]}
     ),
-    'menus.home: Go home: mode(boat, "home"': Row(on_map(*HOME, "Go home"), "home", GO_HOME),
+    'planning.home: Go home: mode(boat, "home"': Row(on_map(*HOME, "Go home"), "home", GO_HOME),
     # What another plan than the one aboard needs first.
-    'menus.send: mission(boat.id, "upload"': Row(sent_first, "play", {"command": "play", "leg": 0}),
-    "menus.replace: send(boat": Row(sent_first, told={"command": "upload"}),
-    'menus.replace: command(boat.id, "hold"': Row(held_first, "hold", {"command": "mode", "mode": "hold"}),
-    'menus.sail: command(boat.id, "play"': Row(held_first, "play", {"command": "play", "leg": 1}),
+    'planning.send: mission(boat.id, "upload"': Row(sent_first, "play", {"command": "play", "leg": 0}),
+    "planning.replace: send(boat": Row(sent_first, told={"command": "upload"}),
+    'planning.replace: command(boat.id, "hold"': Row(held_first, "hold", {"command": "mode", "mode": "hold"}),
+    'planning.sail: command(boat.id, "play"': Row(held_first, "play", {"command": "play", "leg": 1}),
     # By touch: the same entries, opened by a finger.
     "touch: stop": Row(finger("stop"), "stop", STOP),
     "touch: stop all": Row(finger("stop-all"), "stop", STOP),

@@ -15,6 +15,7 @@ import { Menus } from "./menus";
 import { Messages } from "./messages";
 import { understood } from "./mission";
 import { Net } from "./net";
+import { Planning } from "./planning";
 import { Plans } from "./plans";
 import { Popup } from "./popup";
 import { Replay } from "./replay";
@@ -39,9 +40,10 @@ const keyCard = card(document.body, state);
 const chart = new Chart(element("map"), element("scale"), { click, press, hover });
 const fleet = new Fleet(chart, state);
 const plans = new Plans(chart, state, (mission) => edit(state.planning, mission));
-const menus = new Menus(popup, state, actions, chart, fleet, plans, messages, sound, edit, undo, () => keyCard.toggle());
+const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo);
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, messages, sound, () => keyCard.toggle());
 const hints = new Hints(element("hint"), element("nobody"), state, popup);
-const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && menus.add(place) });
+const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
 const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close(), nobody);
 const replay = new Replay(element("replay"), state, actions);
@@ -53,7 +55,7 @@ new Keys(state, actions, {
     hints.used();
     keyCard.toggle();
   },
-  enterMode: (boat, mode) => menus.sail(boat, mode),
+  enterMode: (boat, mode) => planning.sail(boat, mode),
   nobody,
   aim: () => {
     moved = true;

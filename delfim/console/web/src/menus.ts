@@ -1,33 +1,21 @@
-// The pop-up menus of a boat, a waypoint, an obstacle, the fence, and the bare map.
+// The menus of a boat and of the bare map: modes, commands, view and screen.
 import type { Actions } from "./actions";
 import type { Chart, Pixel } from "./chart";
 import type { Fleet } from "./fleet";
-import { bearing, bearing_deg, distance_m, duration, metres, position } from "./geo";
+import { bearing, position } from "./geo";
 import { KEYED } from "./keys";
 import type { Messages } from "./messages";
 import * as M from "./mission";
 import { setTheme, theme } from "./palette";
+import { NONE } from "./planning";
+import type { Planning } from "./planning";
 import type { Handle, Plans } from "./plans";
 import type { Entry, Field, Item, Popup } from "./popup";
 import type { Sound } from "./sound";
-import { NOBODY } from "./state";
 import type { State } from "./state";
-import type { Boat, Mission, Mode, Place, Waypoint } from "./wire";
+import type { Boat, Mode, Place } from "./wire";
 
-const AMONG_MISSION: ReadonlySet<Mode> = new Set(["play", "path", "goto"]); // modes that sail the mission aboard
 const IN_MORE: ReadonlySet<Mode> = new Set(["hold", "home"]);
-const NO_BOAT = "no boat has been heard";
-/** Stands for the boat while none is heard, so that a mission can be planned. */
-const NONE: Boat = {
-  ...{ id: NOBODY, name: "", colour: "", latitude_deg: null, longitude_deg: null, heading_deg: null, course_deg: null, speed_mps: null },
-  ...{ mode: null, asked: null, modes: [], armed: false, owner: true, commander: 0, twins: [], ready: false, reason: "", failsafe: "", rpm: [null, null], thrust_pct: [null, null] },
-  ...{ speed_pct: null, battery_v: null, battery_pct: null, roll_deg: null, pitch_deg: null, satellites: null, fix: null, reference: null },
-  ...{ home: null, fence: [], obstacles: [], ghost: null, released: false },
-  age_s: { heard: null, position: null, attitude: null, rpm: null, battery: null },
-  link: { kind: "", profile: "", rtt_ms: null, loss_pct: null, bytes_per_s: null, signed: false },
-  mission: { name: "", count: 0, current: null, state: "none", digest: null },
-};
-const ASIDE: Pixel = [Infinity, 60]; // a form that changes the plan must not cover it
 const PROFILES = ["lean", "radio", "wifi"];
 
 export class Menus {
@@ -38,16 +26,15 @@ export class Menus {
     private readonly chart: Chart,
     private readonly fleet: Fleet,
     private readonly plans: Plans,
+    private readonly planning: Planning,
     private readonly messages: Messages,
     private readonly sound: Sound,
-    private readonly edit: (boat: number, mission: Mission) => void,
-    private readonly undo: () => void,
     private readonly card: () => void,
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
     if (this.state.replaying) return this.popup.menu(at, { title: boat.name, colour: boat.colour }, this.view(boat.latitude_deg === null ? null : (boat as Place)));
-    const enter = (mode: Mode, title: string): Item => ({ title, tick: boat.mode === mode, do: () => this.sail(boat, mode) });
+    const enter = (mode: Mode, title: string): Item => ({ title, tick: boat.mode === mode, do: () => this.planning.sail(boat, mode) });
     const keyed = KEYED.filter(({ mode }) => boat.modes.includes(mode));
     const others = boat.modes.filter((mode) => !IN_MORE.has(mode) && !keyed.some((each) => each.mode === mode));
     const modes = [...keyed.map(({ key, mode, title }) => ({ ...enter(mode, title), key })), ...others.map((mode) => enter(mode, capital(mode)))];
@@ -61,85 +48,19 @@ export class Menus {
         ? { title: "Thrust…", key: "0 … 8", do: () => this.thrustForm(boat, at) }
         : { title: "Speed…", key: "0 … 8", do: () => this.speedForm(boat, at) },
       "line",
-      { title: "Mission", sub: () => this.mission(boat) },
+      { title: "Mission", sub: () => this.planning.mission(boat) },
       { title: "More", sub: () => this.more(boat) },
     ]);
-  }
-
-  /** Enter a mode. If it sails the mission aboard and the plan on the screen differs, the operator is asked which one. */
-  sail(boat: Boat, mode: Mode, from?: number): void {
-    const begin = () => {
-      if (from === undefined) void this.actions.mode(boat, mode);
-      else void this.actions.command(boat.id, "play", { leg: from });
-    };
-    const plan = this.state.plan(boat.id).mission;
-    const compared = this.state.compared(boat);
-    if (!AMONG_MISSION.has(mode) || !plan.waypoints.length || compared === "same") return begin();
-    const verb = mode === "play" ? "play it" : mode === "path" ? "follow it" : "go to its waypoint 1";
-    const { name, count } = boat.mission;
-    const other = compared === "none" || !count ? "no mission is aboard" : from !== undefined && "its waypoints differ from the plan’s";
-    this.popup.menu(this.chart.middle()[1], { title: boat.name, colour: boat.colour, note: "The plan is not aboard" }, [
-      {
-        title: `${isSailing(boat) ? "Hold, send" : "Send"} the plan, then ${verb}`,
-        note: `${plan.name} · ${plan.waypoints.length} waypoints, the dashed line`,
-        do: () => void this.replace(boat).then((well) => well && begin()),
-      },
-      {
-        title: "Sail the mission aboard instead",
-        ...(compared === "unknown" ? { note: "it has not been read yet" } : { note: `${name === M.UNNAMED ? "" : `${name} · `}${count} waypoints, the solid line` }),
-        refuse: compared !== "unknown" && other,
-        do: begin,
-      },
-      { title: "Cancel" },
-    ]);
-  }
-
-  /** The boat holds its position while the mission that it sails is replaced. */
-  private async replace(boat: Boat): Promise<boolean> {
-    return (!isSailing(boat) || (await this.actions.command(boat.id, "hold")).ok) && (await this.send(boat));
-  }
-
-  private async send(boat: Boat): Promise<boolean> {
-    return (await this.actions.mission(boat.id, "upload")).ok;
   }
 
   /** The menu of the bare map. */
   map(place: Place, at: Pixel): void {
     const boat = this.state.replaying ? null : (this.state.boat ?? NONE);
-    this.popup.menu(at, { title: position(place) }, [...(boat ? this.here(boat, place) : []), ...this.view(place)]);
+    this.popup.menu(at, { title: position(place) }, [...(boat ? this.planning.here(boat, place) : []), ...this.view(place)]);
   }
 
   handle(handle: Handle, at: Pixel): void {
-    const boat = this.state.boat ?? NONE;
-    if (handle.kind === "waypoint") this.waypoint(boat, handle.index, at);
-    else if (handle.kind === "obstacle") this.obstacle(boat, handle.index, at);
-    else if (handle.kind === "corner") this.corner(boat, handle.index, at);
-    else if (handle.kind === "home") this.home(boat, at);
-    else this.map(handle.place, at);
-  }
-
-  /** A waypoint at the end of the plan. */
-  add(place: Place): void {
-    this.change(this.state.boat ?? NONE, (each) => M.insertWaypoint(each, each.waypoints.length, place));
-  }
-
-  private change(boat: Boat, change: (mission: Mission) => Mission): void {
-    this.edit(boat.id, change(this.state.plan(boat.id).mission));
-  }
-
-  /** A form that shows its numbers on the map at once; OK puts them into the plan. */
-  private shape(boat: Boat, title: string, fields: Field[], made: (mission: Mission, values: number[]) => Mission): void {
-    const before = this.state.plan(boat.id).mission;
-    let next = before;
-    const live = (values: number[]) => {
-      next = made(before, values);
-      this.plans.preview(next);
-      return `${next.waypoints.length} waypoints · ${metres(M.length_m(next))}`;
-    };
-    this.popup.form(ASIDE, title, fields, live, (ok) => {
-      this.plans.preview(null);
-      if (ok) this.edit(boat.id, next);
-    });
+    if (!this.planning.handle(handle, at)) this.map(handle.place, at);
   }
 
   private headingForm(boat: Boat, at: Pixel): void {
@@ -197,94 +118,6 @@ export class Menus {
     ];
   }
 
-  private mission(boat: Boat): Entry[] {
-    const { mission, undoable } = this.state.plan(boat.id);
-    const none = mission.waypoints.length ? undefined : "the plan has no waypoints";
-    const nobody = boat.id === NOBODY ? NO_BOAT : undefined;
-    const others = this.state.boats.filter((each) => each.id !== boat.id);
-    return [
-      { title: "Send to the boat", note: this.compared(boat), refuse: nobody ?? none ?? (isSailing(boat) && "the boat is sailing a mission: hold or stop it first"), do: () => void this.send(boat) },
-      { title: "Read from the boat", refuse: nobody, do: () => this.fetch(boat) },
-      { title: "Dry run", refuse: none, note: "in the simulator: time and distance", do: () => this.dryRun(boat) },
-      "line",
-      { title: "Save", note: mission.name, refuse: none, do: () => this.save(boat, mission.name) },
-      { title: "Save under a new name…", refuse: none, do: () => this.saveAs(boat) },
-      { title: "Load", sub: () => this.stored(boat) },
-      "line",
-      { title: "Undo", key: "Ctrl Z", refuse: undoable ? undefined : "nothing to undo", do: this.undo },
-      { title: "All waypoints…", refuse: none, do: () => this.allForm(boat) },
-      { title: "Reverse the order", refuse: none, do: () => this.change(boat, (each) => ({ ...each, waypoints: reversed(each.waypoints) })) },
-      { title: "Copy to another boat", refuse: others.length ? undefined : "there is no other boat", sub: () => others.map((other) => this.copy(boat, other)) },
-      { title: "New mission", note: "empty; undo brings this one back", do: () => this.edit(boat.id, M.empty(newName("Mission", this.state.names))) },
-    ];
-  }
-
-  private fetch(boat: Boat): void {
-    this.state.fetching.add(boat.id);
-    void this.actions.mission(boat.id, "download").then((answer) => !answer.ok && this.state.fetching.delete(boat.id));
-  }
-
-  private compared(boat: Boat): string {
-    const words = { same: "the boat has this plan", differs: "the boat has another mission", unknown: "the boat’s mission is not known", none: "no mission aboard" };
-    return boat.id === NOBODY ? "" : words[this.state.compared(boat)];
-  }
-
-  private copy(from: Boat, to: Boat): Item {
-    return { title: to.name, colour: to.colour, do: () => this.edit(to.id, this.state.plan(from.id).mission) };
-  }
-
-  private stored(boat: Boat): Entry[] {
-    const { names } = this.state;
-    if (!names.length) return [{ title: "No mission is stored", refuse: "save one first" }];
-    return names.map((name) => ({ title: name, do: () => void this.actions.mission(boat.id, "load", name) }));
-  }
-
-  private saveAs(boat: Boat): void {
-    const { names } = this.state;
-    const note = (name: string) => (names.includes(name) ? "A mission of this name exists: Save replaces it." : "");
-    this.popup.name("Save under a new name", newName(this.state.plan(boat.id).mission.name, names), note, (name) => this.save(boat, name));
-  }
-
-  private save(boat: Boat, name: string): void {
-    if (name !== this.state.plan(boat.id).mission.name) this.change(boat, (mission) => ({ ...mission, name }));
-    void this.actions.mission(boat.id, "save", name).then((answer) => {
-      if (answer.ok) this.messages.say(boat.id || null, 6, `saved: ${name}`);
-      void this.actions.mission(boat.id, "list");
-    });
-  }
-
-  private dryRun(boat: Boat): void {
-    this.messages.say(boat.id || null, 6, "dry run started");
-    void this.actions.mission(boat.id, "dryrun");
-  }
-
-  private allForm(boat: Boat): void {
-    const first = this.state.plan(boat.id).mission.waypoints[0]!;
-    this.shape(boat, "All waypoints", [speedField(first.speed_mps), acceptanceField(first.acceptance_m)], (mission, [speed, acceptance]) =>
-      M.setAll(mission, { speed_mps: speed!, acceptance_m: acceptance! }),
-    );
-  }
-
-  private here(boat: Boat, place: Place): Entry[] {
-    const { mission, undoable } = this.state.plan(boat.id);
-    const best = M.bestIndex(mission, place);
-    const size = mission.waypoints.length;
-    const insert = (index: number) => () => this.change(boat, (each) => M.insertWaypoint(each, index, place));
-    const go: Entry[] = [{ title: `Send ${boat.name} here`, colour: boat.colour, do: () => void this.actions.command(boat.id, "goto_point", { ...place }) }, "line"];
-    const entries: Entry[] = [
-      ...(boat.id === NOBODY ? [] : go),
-      { title: "Add waypoint", note: size ? `as the last, number ${size + 1}` : "the first", do: insert(size) },
-    ];
-    if (best < size) entries.push({ title: "Insert waypoint", note: `between ${best} and ${best + 1}`, do: insert(best) });
-    entries.push(
-      { title: "Pattern", sub: () => this.patterns(boat, place) },
-      { title: "Fence, obstacle, home", sub: () => this.marks(boat, place) },
-      { title: "Mission", sub: () => this.mission(boat) },
-    );
-    if (undoable) entries.push({ title: "Undo", key: "Ctrl Z", do: this.undo });
-    return [...entries, "line"];
-  }
-
   private view(place: Place | null): Entry[] {
     const entries: Entry[] = [
       { title: "Ruler from here", refuse: place ? undefined : "the boat’s position is not known", do: () => this.plans.measure(place) },
@@ -330,161 +163,6 @@ export class Menus {
       return { title: text, note: `${at.toLocaleTimeString("en-GB")} ${its?.name ?? ""}`, ...(its ? { colour: its.colour } : {}) };
     });
   }
-
-  private patterns(boat: Boat, place: Place): Entry[] {
-    const heading = M.mainHeading_deg(this.state.plan(boat.id).mission);
-    const from_deg = boat.latitude_deg === null ? 0 : bearing_deg(place, boat as Place);
-    const onto = (mission: Mission, fresh: Waypoint[]): Mission => ({ ...mission, waypoints: [...mission.waypoints, ...fresh] });
-    const number = (title: string, value: number, least: number, step = 5): Field => ({ title, unit: "m", value, step, least, most: 2000 });
-    const side: Field = { title: "Turning to", unit: "", value: 1, step: 1, least: 0, most: 1, zero: "port", show: () => "starboard" };
-    return [
-      {
-        title: "Lawn-mower…",
-        do: () =>
-          this.shape(
-            boat,
-            "Lawn-mower",
-            [
-              number("Length", 100, 10),
-              number("Width", 60, 0),
-              number("Spacing", 15, 2, 1),
-              { title: "Along", unit: "°", value: heading, step: 5, least: 0, most: 360, around: true, show: bearing },
-            ],
-            (mission, [length, width, spacing, along]) => onto(mission, M.lawnMower(place, length!, width!, spacing!, along!)),
-          ),
-      },
-      {
-        title: "Circle…",
-        do: () =>
-          this.shape(boat, "Circle", [number("Radius", 40, 5), side], (mission, [radius, turn]) =>
-            onto(mission, M.circle(place, radius!, from_deg, turn === 1)),
-          ),
-      },
-      {
-        title: "Spiral…",
-        do: () =>
-          this.shape(boat, "Spiral", [number("Radius", 40, 5), number("Spacing", 10, 2, 1), side], (mission, [radius, spacing, turn]) =>
-            onto(mission, M.spiral(place, radius!, spacing!, from_deg, turn === 1)),
-          ),
-      },
-    ];
-  }
-
-  private marks(boat: Boat, place: Place): Entry[] {
-    const { mission } = this.state.plan(boat.id);
-    const fence: Item = mission.fence.length
-      ? { title: "Fence corner here", do: () => this.change(boat, (each) => M.insertCorner(each, place)) }
-      : {
-          title: "Fence around here…",
-          do: () =>
-            this.shape(boat, "Fence", [{ title: "Side", unit: "m", value: 200, step: 10, least: 20, most: 5000 }], (each, [side]) =>
-              M.squareFence(each, place, side!),
-            ),
-        };
-    return [
-      fence,
-      { title: "Obstacle here…", do: () => this.obstacleForm(boat, mission.obstacles.length, place, 10) },
-      { title: "Set home here", do: () => this.change(boat, (each) => ({ ...each, home: { ...place } })) },
-    ];
-  }
-
-  private waypoint(boat: Boat, index: number, at: Pixel): void {
-    const { mission } = this.state.plan(boat.id);
-    const [its, last] = [mission.waypoints[index]!, mission.waypoints.length - 1];
-    const before = mission.waypoints[index - 1];
-    const middle = (a: Place, b: Place): Place => ({ latitude_deg: (a.latitude_deg + b.latitude_deg) / 2, longitude_deg: (a.longitude_deg + b.longitude_deg) / 2 });
-    const shift = (by: -1 | 1, refuse: boolean): Item => ({
-      title: by < 0 ? "Earlier in the order" : "Later in the order",
-      refuse: refuse ? (by < 0 ? "it is the first" : "it is the last") : undefined,
-      do: () => this.change(boat, (each) => M.reorderWaypoint(each, index, by)),
-    });
-    const note = before ? `${bearing(bearing_deg(before, its))}  ${metres(distance_m(before, its))}` : position(its);
-    this.popup.menu(at, { title: `Waypoint ${index + 1}`, colour: boat.colour, note }, [
-      { title: "Speed, acceptance, stay…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
-      { title: "Leg to it", refuse: before ? undefined : "it is the first", note: "as path following sails it", sub: () => this.legs(boat, index) },
-      "line",
-      { title: "Insert before", refuse: before ? undefined : "it is the first", do: () => this.change(boat, (each) => M.insertWaypoint(each, index, middle(before!, its))) },
-      {
-        title: "Insert after",
-        refuse: index < last ? undefined : "it is the last",
-        do: () => this.change(boat, (each) => M.insertWaypoint(each, index + 1, middle(its, each.waypoints[index + 1]!))),
-      },
-      shift(-1, index === 0),
-      shift(1, index === last),
-      { title: "Delete", do: () => this.change(boat, (each) => M.deleteWaypoint(each, index)) },
-      "line",
-      { title: "Play from here", refuse: boat.id === NOBODY && NO_BOAT, do: () => this.sail(boat, "play", index) },
-      { title: "Go to this point", refuse: boat.id === NOBODY && NO_BOAT, do: () => void this.actions.command(boat.id, "goto_point", { latitude_deg: its.latitude_deg, longitude_deg: its.longitude_deg }) },
-    ]);
-  }
-
-  private legs(boat: Boat, index: number): Entry[] {
-    const turn = this.state.plan(boat.id).mission.waypoints[index]!.turn;
-    return [
-      { title: "Straight", tick: !turn, do: () => this.change(boat, (each) => M.setWaypoint(each, index, { turn: null })) },
-      { title: "Half circle to starboard", tick: turn?.clockwise === true, do: () => this.change(boat, (each) => M.halfCircle(each, index, true)) },
-      { title: "Half circle to port", tick: turn?.clockwise === false, do: () => this.change(boat, (each) => M.halfCircle(each, index, false)) },
-    ];
-  }
-
-  private waypointForm(boat: Boat, index: number): void {
-    const its = this.state.plan(boat.id).mission.waypoints[index]!;
-    const fields = [speedField(its.speed_mps), acceptanceField(its.acceptance_m), stayField(its.hold_s)];
-    this.shape(boat, `Waypoint ${index + 1}`, fields, (mission, [speed, acceptance, stay]) =>
-      M.setWaypoint(mission, index, { speed_mps: speed!, acceptance_m: acceptance!, hold_s: stay! }),
-    );
-  }
-
-  private obstacle(boat: Boat, index: number, at: Pixel): void {
-    const its = this.state.plan(boat.id).mission.obstacles[index]!;
-    this.popup.menu(at, { title: "Obstacle", note: `radius ${metres(its.radius_m)}` }, [
-      { title: "Radius…", do: () => this.obstacleForm(boat, index, its, its.radius_m) },
-      { title: "Delete", do: () => this.change(boat, (each) => M.deleteObstacle(each, index)) },
-    ]);
-  }
-
-  private obstacleForm(boat: Boat, index: number, place: Place, radius_m: number): void {
-    const field: Field = { title: "Radius", unit: "m", value: radius_m, step: 1, least: 1, most: 1000 };
-    this.shape(boat, "Obstacle", [field], (mission, [radius]) =>
-      M.setObstacle(mission, index, { latitude_deg: place.latitude_deg, longitude_deg: place.longitude_deg, radius_m: radius! }),
-    );
-  }
-
-  private corner(boat: Boat, index: number, at: Pixel): void {
-    this.popup.menu(at, { title: `Fence corner ${index + 1}` }, [
-      { title: "Delete the corner", do: () => this.change(boat, (each) => M.deleteCorner(each, index)) },
-      { title: "Delete the fence", do: () => this.change(boat, (each) => ({ ...each, fence: [] })) },
-    ]);
-  }
-
-  private home(boat: Boat, at: Pixel): void {
-    this.popup.menu(at, { title: "Home", colour: boat.colour }, [
-      { title: "Go home", do: () => void this.actions.mode(boat, "home") },
-      { title: "Delete", do: () => this.change(boat, (each) => ({ ...each, home: null })) },
-    ]);
-  }
 }
 
 const capital = (word: string): string => word.charAt(0).toUpperCase() + word.slice(1);
-const isSailing = ({ mode }: Boat): boolean => mode === "play" || mode === "path";
-const speedField = (value: number): Field => ({ title: "Speed", unit: "m/s", value, step: 0.1, least: 0, most: 10, zero: "the boat’s own" });
-const acceptanceField = (value: number): Field => ({ title: "Acceptance", unit: "m", value, step: 0.5, least: 0, most: 100, zero: "the boat’s own" });
-const stayField = (value: number): Field => ({ title: "Stay", unit: "s", value, step: 10, least: 0, most: 86400, zero: "go on at once" });
-
-function waypointWords({ speed_mps, acceptance_m, hold_s }: Waypoint): string {
-  const words = [speed_mps && `${speed_mps.toFixed(1)} m/s`, acceptance_m && `within ${metres(acceptance_m)}`, hold_s && `stay ${duration(hold_s)}`];
-  return words.filter(Boolean).join(" · ") || "as the boat’s file says";
-}
-
-function reversed(waypoints: Waypoint[]): Waypoint[] {
-  const turns = waypoints.slice(1).map(({ turn }) => turn && { ...turn, clockwise: !turn.clockwise });
-  return waypoints.toReversed().map((each, i) => ({ ...each, turn: i ? turns.at(-i)! : null }));
-}
-
-/** "Survey", "Survey 2", "Survey 3" … */
-function newName(name: string, taken: string[]): string {
-  const stem = name.replace(/ \d+$/, "");
-  let number = 2;
-  while (taken.includes(`${stem} ${number}`)) number++;
-  return taken.includes(stem) || stem === name ? `${stem} ${number}` : stem;
-}
