@@ -603,6 +603,7 @@ class Simulation(Table, frozen=True):
     longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = -9.2153  # where it starts
     heading_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] = 0.0  # how it lies at start
     mission: str = ""  # played by `delfim sim`, beside the vehicle's file
+    noise: bool = True  # false: the sensors measure exactly, whatever the next three say
     position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position
     heading_noise_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.5  # standard deviation of the heading
     speed_noise_mps: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.03  # standard deviation of the speed

@@ -342,6 +342,7 @@ def _shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Show]:
 def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> int:
     """The same mission as fast as the machine can; the state log's bytes depend on file, mission and seed alone."""
     from delfim.logging.statelog import columns
+    from delfim.simulator.external import SteppedModel
     from delfim.simulator.lockstep import Lockstep
 
     output = Path(asked.output or SIMULATED)
@@ -350,7 +351,12 @@ def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Miss
     shutil.rmtree(log, ignore_errors=True)
     settings = config.load(asked.file, [*asked.set, f'log.directory="{log}"', 'log.state_method="write"'])
     started = time.monotonic()
-    run = Lockstep(settings, asked.seed, lambda clock: Logbook(settings, clock))
+    model = SteppedModel.of(settings)
+    if model is not None:
+        print(f"delfim: waits for the model at {settings.simulation.external}", flush=True)
+        model.begin()
+        started = time.monotonic()
+    run = Lockstep(settings, asked.seed, lambda clock: Logbook(settings, clock), model)
     end = run.sail(canonical(mission), asked.for_s or LOCKSTEP_S)
     run.close()
     wall_s = time.monotonic() - started

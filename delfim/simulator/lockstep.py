@@ -13,6 +13,7 @@ from delfim.modes import Mode
 from delfim.simulator.faults import Breakage, Faults, FaultyLog
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
+from delfim.simulator.model import Model
 from delfim.simulator.nodes import nodes_of
 from delfim.vehicle import console
 from delfim.vehicle.build import build
@@ -25,14 +26,17 @@ BURST: Final = 16  # most navigation messages that come at once, after a delay
 
 
 class Lockstep:
-    """A boat and its world, stepped by navigation cycles. `log` is made for the clock of the simulation, as the loop's is."""
+    """A boat and its world, stepped by navigation cycles. `log` is made for the clock of the simulation, as the loop's is.
+    Without a `model` the vehicle's file describes it."""
 
-    def __init__(self, settings: config.Vehicle, seed: int, make_log: Callable[[ManualClock], StateLog]) -> None:
+    def __init__(
+        self, settings: config.Vehicle, seed: int, make_log: Callable[[ManualClock], StateLog], model: Model | None = None
+    ) -> None:
         self.settings = settings
         self.clock = ManualClock()
         bus = self.bus = LockstepBus(self.clock)
         self._world = bus.socket("nodes")
-        self.nodes = nodes_of(settings, seed)
+        self.nodes = nodes_of(settings, seed, model)
         self._world.bind(*self.nodes.hears)
         self.faults = Faults(self.nodes, seed)
         self.state = State()

@@ -147,8 +147,11 @@ class Model:
 
     @property
     def alive(self) -> bool:
-        """False when the position is unknown: the model is in another program that is silent."""
+        """False when there is nothing to measure: the model is in another program that has sent nothing new."""
         return True
+
+    def taken(self) -> None:
+        """Navigation was made from the present state."""
 
     @property
     def starboard_rpm(self) -> float:

@@ -5,7 +5,6 @@ the real nodes, on a loopback bus or on a real one.
 """
 
 import contextlib
-import math
 import select
 import signal
 from types import FrameType
@@ -18,7 +17,6 @@ from delfim.errors import BusError
 from delfim.simulator.bycommand import NODES, listening, obey, place
 from delfim.simulator.external import ExternalModel
 from delfim.simulator.faults import Faults
-from delfim.simulator.model import hull_of
 from delfim.simulator.nodes import nodes_of
 
 BUS_RETRY_S = 0.5
@@ -36,7 +34,7 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
     with open_can(settings.can.interface) as bus, listening(place(settings, NODES)) as requests:
         bus.setblocking(False)
         clock, poll = SystemClock(), select.poll()
-        model = _external(settings, clock)
+        model = ExternalModel.of(settings)
         if model is not None:
             poll.register(model.fileno(), select.POLLIN)
         nodes = Faults(nodes_of(settings, seed, model), seed)
@@ -53,17 +51,10 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
             except BusError:  # the bus failed; boats survive that, so do the nodes
                 select.select([], [], [], BUS_RETRY_S)
                 bus.rebind()
+            if model is not None:
+                model.settle()
             obey(requests, nodes, NODES, clock)
     return 0
-
-
-def _external(settings: config.Vehicle, clock: SystemClock) -> ExternalModel | None:
-    """The model in another program, if the vehicle's file gives its address."""
-    there = settings.simulation
-    if not there.external:
-        return None
-    hull, start = hull_of(settings.boat), (math.radians(there.latitude_deg), math.radians(there.longitude_deg))
-    return ExternalModel(hull, clock, there.external, *start)
 
 
 def _turn(nodes: Faults, bus: CanSocket, clock: SystemClock) -> None:

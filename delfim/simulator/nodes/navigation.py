@@ -22,6 +22,7 @@ class Noise(NamedTuple):
     position_m: float  # per axis, of an error that wanders
     heading_rad: float  # white
     speed_mps: float  # per axis, white
+    yaw_rate_radps: float = YAW_RATE_NOISE_RADPS  # white
 
 
 class NavigationNode:
@@ -45,13 +46,16 @@ class NavigationNode:
 
     @property
     def due_s(self) -> float:
-        return self._period.due_s
+        return self._period.due_s if self._model.alive else math.inf
 
     def feed(self, frame: Frame, now_s: float) -> None:
         """It ignores all frames."""
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
-        if not self._period.passed(now_s) or self.silent or not self._model.alive:
+        if not self._model.alive or not self._period.passed(now_s):
+            return []
+        self._model.taken()
+        if self.silent:
             return []
         said = self._said
         if said is None or not (self.frozen or self.repeating):
@@ -80,7 +84,7 @@ class NavigationNode:
             model.north_mps + gauss(0.0, noise.speed_mps),
             model.east_mps + gauss(0.0, noise.speed_mps),
             model.heading_rad + gauss(0.0, noise.heading_rad),
-            model.yaw_rate_radps + gauss(0.0, YAW_RATE_NOISE_RADPS),
+            model.yaw_rate_radps + gauss(0.0, noise.yaw_rate_radps),
             model.roll_rad,
             model.pitch_rad,
             FIX,
@@ -92,5 +96,7 @@ class NavigationNode:
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, NavigationNode]:
     there = settings.simulation
-    noise = Noise(there.position_noise_m, math.radians(there.heading_noise_deg), there.speed_noise_mps)
+    noise = Noise(0.0, 0.0, 0.0, 0.0)
+    if there.noise:
+        noise = Noise(there.position_noise_m, math.radians(there.heading_noise_deg), there.speed_noise_mps)
     return {"navigation": NavigationNode(model, settings.navigation.rate_hz, noise, seed)}
