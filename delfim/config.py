@@ -4,7 +4,7 @@
 """
 
 from collections.abc import Sequence
-from ipaddress import IPv4Address, IPv4Interface, ip_network
+from ipaddress import IPv4Address, IPv4Interface, ip_address, ip_network
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
 
@@ -71,6 +71,15 @@ def address(text: str) -> tuple[str, int]:
     """Host and port of an `Endpoint` or a `Listen`."""
     host, _, port = text.rpartition(":")
     return host.strip("[]"), int(port)
+
+
+def is_loopback(text: str) -> bool:
+    """Whether only this computer reaches an `Endpoint` or a `Listen`."""
+    host = address(text)[0]
+    try:
+        return ip_address(host).is_loopback
+    except ValueError:  # a name
+        return host == "localhost"
 
 
 class BoatTable(Table, frozen=True):
@@ -377,7 +386,15 @@ class GuestTable(Table, frozen=True):
     """The guest computer's TCP server (GREX in the thesis)."""
 
     enabled: bool = False  # serve a guest
-    listen: Endpoint = "127.0.0.1:4747"  # address and port; only loopback is safe without a guard
+    listen: Endpoint = "127.0.0.1:4747"  # address and port; beyond this computer it needs a key
+    networks: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
+    key: str = ""  # file of the key, from `delfim console --keygen FILE`: a guest must prove that it has it; "": it need not
+
+    def __post_init__(self) -> None:
+        for network in self.networks:
+            ip_network(network)
+        if self.enabled and not self.key and not is_loopback(self.listen):
+            raise ValueError("a guest on another computer needs a key; make one with: delfim console --keygen FILE")
 
 
 class Cantcpd(Table, frozen=True):

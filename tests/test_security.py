@@ -24,6 +24,7 @@ from delfim.console.link import Link
 from delfim.console.mavlink import mavlink
 from delfim.errors import DelfimError
 from delfim.services.door import hashed
+from delfim.vehicle.mavlink.signing import new_key
 
 pytestmark = [
     pytest.mark.timeout(120),
@@ -71,6 +72,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
     with contextlib.ExitStack() as held:
         free = [held.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in SERVICES]
         ports = {name: each.getsockname()[1] for name, each in zip(SERVICES, free, strict=True)}
+    new_key(folder / "guest.key")
     file = folder / "boat.toml"
     file.write_text(
         (ROOT / "etc/delfimx.toml").read_text()
@@ -80,6 +82,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
     settings = [f'simulation.{name}="127.0.0.1:{ports[name]}"' for name in ("httpd", "ftpd", "sshd")]
     settings += ['mavlink.listen="127.0.0.1:0"', "mavlink.peers=[]"]
     settings += [f'cantcpd.listen=["127.0.0.1:{ports["cantcpd"]}"]', f'guest.listen="127.0.0.1:{ports["guest"]}"']
+    settings += [f'guest.key="{folder / "guest.key"}"']
     settings += [f'simulation.interface="canloop:open-{os.getpid()}"', "failsafe.console_silent.after_s=600.0"]
     words = [word for setting in settings for word in ("--set", setting)]
     with (folder / "said").open("w") as said:
@@ -139,6 +142,23 @@ def test_it_listens_where_the_file_says_and_nowhere_else(boat: Boat) -> None:
     host, _, port = boat.state()["mavlink"]["listen"].partition(":")
     assert found == {("udp", host, int(port)), *(("tcp", "127.0.0.1", port) for port in boat.ports.values())}
     assert host == "127.0.0.1"
+
+
+def test_the_guests_door_opens_to_the_key_alone(boat: Boat) -> None:
+    with socket.create_connection(("127.0.0.1", boat.ports["guest"]), 10) as stranger:
+        lines = stranger.makefile("rb")
+        assert set(json.loads(lines.readline())) == {"challenge"}
+        stranger.sendall(b'{"heading_deg": 90, "speed_mps": 2.0}\n')
+        assert lines.read() == b""
+    assert boat.state()["counts"]["guest_refused"] == 1
+    assert boat.state()["age_s"]["guest"] is None
+    words = [sys.executable, "-m", "delfim", "guest", str(boat.folder / "boat.toml")]
+    words += ["--set", f'guest.listen="127.0.0.1:{boat.ports["guest"]}"', "--set", f'guest.key="{boat.folder / "guest.key"}"']
+    with subprocess.Popen(words) as guest:
+        try:
+            until(lambda: boat.state()["age_s"]["guest"] is not None)
+        finally:
+            guest.terminate()
 
 
 def test_slow_visitors_of_all_daemons_leave_the_boat_sailing_and_the_others_served(boat: Boat) -> None:
@@ -212,7 +232,12 @@ def test_no_secret_is_in_a_log_on_a_page_or_in_a_list_of_processes(boat: Boat) -
     pages = b"".join(map(boat.page, ("/", "/checks", "/metrics", "/api/state", "/api/schema", "/logs/")))
     processes = b"".join(Path(f"/proc/{pid}/cmdline").read_bytes() for pid in family(boat.pid))
     host_key = boat.folder / "out/ssh_host_ed25519"
-    secret_lines = host_key.read_bytes().splitlines()[1:-1] + (boat.folder / "friend").read_bytes().splitlines()[1:-1]
+    guest_key = (boat.folder / "guest.key").read_bytes().strip()
+    secret_lines = [
+        guest_key,
+        *host_key.read_bytes().splitlines()[1:-1],
+        *(boat.folder / "friend").read_bytes().splitlines()[1:-1],
+    ]
     files = [path for path in (boat.folder / "out").rglob("*") if path.is_file() and path != host_key]
     logged = b"".join(_content(path) for path in files) + (boat.folder / "said").read_bytes()
     assert b"wrong password for 'ana' from 127.0.0.1" in logged

@@ -15,7 +15,10 @@ def run(asked: argparse.Namespace) -> int:
 
     from delfim.config import address, load
     from delfim.simulator.guest import Zigzag, guest
+    from delfim.vehicle.mavlink.signing import read_key
 
-    listen = address(load(asked.file, asked.set).guest.listen)
-    asyncio.run(guest(*listen, Zigzag(course_deg=asked.course, amplitude_deg=30.0, leg_s=20.0, speed_mps=1.2)))
+    table = load(asked.file, asked.set).guest
+    key = read_key(table.key) if table.key else None
+    zigzag = Zigzag(course_deg=asked.course, amplitude_deg=30.0, leg_s=20.0, speed_mps=1.2)
+    asyncio.run(guest(*address(table.listen), zigzag, key=key))
     return 0

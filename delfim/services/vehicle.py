@@ -7,7 +7,6 @@ import contextlib
 import logging
 import os
 import socket
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -16,10 +15,11 @@ from delfim import config
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
-from delfim.errors import DelfimError
+from delfim.errors import ConfigError, DelfimError
 from delfim.logging.linelog import LineLog
 from delfim.serialline import SerialLine
 from delfim.services import powerd, slots
+from delfim.services.guestdoor import GuestDoor
 from delfim.services.runtime import Runtime
 from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
@@ -146,8 +146,7 @@ async def _attend(
     links.callback((await loop.create_unix_server(commands.connection, _socket_path(settings.console.socket))).close)
     os.chmod(settings.console.socket, 0o660)
     if settings.guest.enabled:
-        links.callback(boat.guest.close)
-        links.callback(await _guest_server(boat, settings.guest.listen))
+        await _serve_guest(boat, settings.guest, links)
     measure()
     ticks, computer = 0, boat.state.computer
     while True:
@@ -206,13 +205,16 @@ def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
     return "the last run did not end in order: it crashed, or the power was cut" if unclean else ""
 
 
-async def _guest_server(boat: VehicleLoop, listen: str) -> Callable[[], object]:
-    """Returns the function that ends it. A boat without its guest sails: if it cannot listen, the log says so."""
+async def _serve_guest(boat: VehicleLoop, table: config.GuestTable, links: contextlib.ExitStack) -> None:
+    """A boat without its guest sails: if it cannot listen or has no key, the log says so."""
     try:
-        return (await asyncio.get_running_loop().create_server(lambda: boat.guest, *config.address(listen))).close
+        door = GuestDoor(table, boat.guest, boat.state, boat.clock)
+        links.callback(door.close)
+        links.callback((await asyncio.get_running_loop().create_server(door.visitor, *config.address(table.listen))).close)
+    except ConfigError as error:
+        logging.getLogger(__name__).error("guest: no guest can connect: %s", error)
     except OSError as error:
-        logging.getLogger(__name__).error("guest: cannot listen on %s: %s", listen, error.strerror)
-        return bool
+        logging.getLogger(__name__).error("guest: cannot listen on %s: %s", table.listen, error.strerror)
 
 
 def _figures(source: Source, clock: Clock) -> dict[str, object]:

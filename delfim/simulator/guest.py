@@ -14,6 +14,7 @@ import msgspec
 
 from delfim import geodesy
 from delfim.errors import FormatError
+from delfim.vehicle.grex import proof
 
 _log = logging.getLogger(__name__)
 
@@ -69,7 +70,15 @@ class Script(NamedTuple):
 
 Plan = Circle | Zigzag | Script
 
+
+class Challenge(msgspec.Struct, frozen=True):
+    """The first line of a vehicle that asks for a key."""
+
+    challenge: str
+
+
 _decode = msgspec.json.Decoder(Heard).decode
+_decode_challenge = msgspec.json.Decoder(Challenge).decode
 
 
 def heard(line: bytes) -> Heard:
@@ -102,26 +111,40 @@ def _around(plan: Circle, at: Heard) -> Asked | None:
     return Asked(math.degrees(geodesy.compass(course)), plan.speed_mps)
 
 
+def answered(line: bytes, key: bytes) -> bytes:
+    """The line that answers the vehicle's challenge, its first line where it asks for a key. Raises FormatError."""
+    try:
+        return msgspec.json.encode({"proof": proof(key, _decode_challenge(line).challenge)}) + b"\n"
+    except msgspec.DecodeError as error:
+        raise FormatError(f"the vehicle asks for no key: {error}") from None
+
+
 def written(asked: Asked) -> bytes:
     """The line to the vehicle."""
     return msgspec.json.encode(asked._asdict()) + b"\n"
 
 
-async def guest(host: str, port: int, plan: Plan, *, backoff_s: tuple[float, float] = BACKOFF_S) -> None:
-    """Run a guest until it is cancelled. It answers every line of navigation; without a vehicle it tries
-    again, with an exponential back-off. Its plan starts with the first line that it hears and goes on after a break."""
+async def guest(
+    host: str, port: int, plan: Plan, *, key: bytes | None = None, backoff_s: tuple[float, float] = BACKOFF_S
+) -> None:
+    """Run a guest until it is cancelled. With a key it proves it first. It answers every line of navigation; without a vehicle
+    it tries again, with an exponential back-off. Its plan starts with the first line that it hears and goes on after a break.
+    """
     pause_s, start_ns = backoff_s[0], 0
     while True:
         try:
             reader, writer = await asyncio.open_connection(host, port, limit=LINE_BYTES)
             try:
-                while line := await asyncio.wait_for(reader.readline(), SILENCE_S):
+                if key is not None:
+                    writer.write(answered(await _line(reader), key))
+                while line := await _line(reader):
                     at = heard(line)
                     start_ns = start_ns or at.utc_ns
                     pause_s = backoff_s[0]
                     if (asked := reference(plan, at, start_ns)) is not None:
                         writer.write(written(asked))
-                        await asyncio.wait_for(writer.drain(), SILENCE_S)
+                        async with asyncio.timeout(SILENCE_S):
+                            await writer.drain()
                 why = "the vehicle closed the connection"
             finally:
                 writer.close()
@@ -132,3 +155,9 @@ async def guest(host: str, port: int, plan: Plan, *, backoff_s: tuple[float, flo
         _log.info("guest of %s:%d: %s; again in %.3g s", host, port, why, pause_s)
         await asyncio.sleep(pause_s)
         pause_s = min(2.0 * pause_s, backoff_s[1])
+
+
+async def _line(reader: asyncio.StreamReader) -> bytes:
+    """The next line; empty at the end. Raises TimeoutError. Not by wait_for, which may lose a cancellation."""
+    async with asyncio.timeout(SILENCE_S):
+        return await reader.readline()

@@ -1,10 +1,12 @@
 """The guest computer (grex.c in the thesis): navigation out, set points in, obeyed only in GREX mode.
 
 The vehicle is the TCP server. Both directions are JSON, one object a line (`docs/guest.md`). One guest at a time: a new
-connection replaces the one before, so that a restarted guest need not wait for its old connection to end.
+connection replaces the one before, so that a restarted guest need not wait for its old connection to end. The service that
+listens decides who may be the guest (`delfim/services/guestdoor.py`).
 """
 
 import asyncio
+import hmac
 import math
 from collections.abc import Callable
 from typing import cast
@@ -93,6 +95,11 @@ class Guest(asyncio.Protocol):
     def close(self) -> None:
         if self._transport is not None:
             self._transport.close()
+
+
+def proof(key: bytes, challenge: str) -> str:
+    """The guest's answer to the vehicle's challenge: HMAC-SHA256 (RFC 2104) of its text, 64 hexadecimal digits."""
+    return hmac.new(key, challenge.encode(), "sha256").hexdigest()
 
 
 def reference(line: bytes) -> HeadingReference | None:

@@ -19,7 +19,7 @@ from delfim.modes import Mode
 from delfim.vehicle import console, failsafe
 from delfim.vehicle.control.control import admit
 from delfim.vehicle.failsafe import Action
-from delfim.vehicle.grex import Guest, HeadingReference, reference
+from delfim.vehicle.grex import Guest, reference
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.latency import Latency
 from delfim.vehicle.navigation import Fix, Source, take
@@ -99,15 +99,11 @@ class VehicleLoop:
         return None
 
     def on_guest(self, line: bytes) -> None:
-        """A line of the guest computer. A malformed one is counted."""
-        if (asked := reference(line)) is None:
-            self.state.count("guest_malformed")
-        else:
-            self.on_reference(asked)
-
-    def on_reference(self, asked: HeadingReference) -> None:
-        """The guest's set point, by its own link or by MAVLink: obeyed in GREX mode only."""
+        """A line of the guest computer: its set point, obeyed in GREX mode only. A malformed one is counted."""
         state = self.state
+        if (asked := reference(line)) is None:
+            state.count("guest_malformed")
+            return
         state.guest_s = self.clock.monotonic_s()
         state.setpoint = state.setpoint._replace(
             guest_heading_rad=math.radians(asked.heading_deg % 360.0), guest_speed_mps=max(asked.speed_mps, 0.0)

@@ -79,13 +79,18 @@ def test_a_mode_is_entered_by_its_number_and_seen_within_a_tick(sea, number, mod
 
 def test_grex_is_entered_when_its_guest_speaks(sea):
     assert sea.console.mode(101)[0] == LATER
-    guest = Console(sea.station, sea.radio, system=1, address=("127.0.0.1", 4001))
-    guest.party = (1, 191)
-    guest.sender = type(guest.sender)(1, 191, None, lambda: 0)
-    guest.say("set_position_target_global_int", 0, 1, 1, 6, 0, 0, 0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    sea.vehicle.on_guest(b'{"heading_deg": 90, "speed_mps": 1.5}')
     assert sea.console.mode(101)[0] == ACCEPTED
-    assert sea.state.setpoint.guest_heading_rad == pytest.approx(math.pi / 2)
-    assert sea.state.setpoint.guest_speed_mps == pytest.approx(1.5)
+
+
+def test_the_guest_has_one_entrance_and_mavlink_is_none(sea):
+    """Every console has the key of MAVLink, and any of them could call itself component 191."""
+    impostor = Console(sea.station, sea.radio, system=1, address=("127.0.0.1", 4001))
+    impostor.party = (1, 191)
+    impostor.sender = type(impostor.sender)(1, 191, None, lambda: 0)
+    impostor.say("set_position_target_global_int", 0, 1, 1, 6, 0, 0, 0, 0.0, 0.0, 1.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    assert sea.state.setpoint.guest_heading_rad is None
+    assert sea.console.mode(101)[0] == LATER
 
 
 @pytest.mark.parametrize(("number", "sub"), [(4, 1), (4, 2), (4, 6), (6, 1), (1, 1), (10, 4), (101, 3)])

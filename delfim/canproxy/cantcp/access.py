@@ -1,26 +1,35 @@
 """Access to the buses by TCP: which addresses may watch and transmit, and which identifiers are barred (the vehicle's file)."""
 
 import ipaddress
+from collections.abc import Iterable
 
 from delfim import config
 from delfim.frames import CAN_IDE, extended, standard
+
+
+class Networks:
+    """Networks of the vehicle's file; `host in networks` for the address of a peer, as a socket tells it."""
+
+    def __init__(self, networks: Iterable[str]) -> None:
+        self._networks = [ipaddress.ip_network(network) for network in networks]
+
+    def __contains__(self, host: str) -> bool:
+        address = _address(host)
+        return any(address in network for network in self._networks)
 
 
 class Access:
     """The networks that may watch and transmit, and the barred identifiers."""
 
     def __init__(self, settings: config.Cantcpd) -> None:
-        self._watch = [ipaddress.ip_network(network) for network in settings.watch]
-        self._transmit = [ipaddress.ip_network(network) for network in settings.transmit]
+        self._watch, self._transmit = Networks(settings.watch), Networks(settings.transmit)
         self._barred = [_range(text) for text in settings.barred]
 
     def may_watch(self, host: str) -> bool:
-        address = _address(host)
-        return any(address in network for network in self._watch)
+        return host in self._watch
 
     def may_transmit(self, host: str) -> bool:
-        address = _address(host)
-        return any(address in network for network in self._transmit)
+        return host in self._transmit
 
     def is_barred(self, arb: int) -> bool:
         return any(low <= arb <= high and not (arb ^ low) & CAN_IDE for low, high in self._barred)

@@ -7,7 +7,6 @@ from typing import Final, NamedTuple
 from delfim.errors import FormatError, Refused
 from delfim.modes import Mode
 from delfim.vehicle import console
-from delfim.vehicle.grex import HeadingReference
 from delfim.vehicle.mavlink import commands, params, telemetry
 from delfim.vehicle.mavlink.answers import ANSWERS
 from delfim.vehicle.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
@@ -16,7 +15,7 @@ from delfim.vehicle.mavlink.missions import KINDS
 from delfim.vehicle.mavlink.peers import Peer
 from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.telemetry import NEVER_S
-from delfim.vehicle.mavlink.wire import GUEST, Message, Speaker, dialect
+from delfim.vehicle.mavlink.wire import Message, Speaker, dialect
 
 AGAIN_S: Final = 10.0  # a command repeated within this time, because its answer was lost, gets the same answer
 INTERVAL_MIN_S: Final = 0.1
@@ -87,16 +86,6 @@ def _manual(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -
     refused = consoles.ask(source, console.Manual(starboard, port))
     if refused:
         consoles.count("manual_refused")
-
-
-def _guest(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """SET_POSITION_TARGET_GLOBAL_INT of the guest computer: a course and a speed, obeyed in GREX mode only."""
-    if source.party != (consoles.system, GUEST) or not math.isfinite(message.vx + message.vy):
-        consoles.count("unknown")
-        return
-    heading_deg = math.degrees(math.atan2(message.vy, message.vx)) % 360.0
-    speed_mps = math.hypot(message.vx, message.vy)
-    consoles.boat.on_reference(HeadingReference(heading_deg, speed_mps))
 
 
 def _set_current(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
@@ -334,7 +323,6 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_MANUAL_CONTROL: _manual,
     dialect.MAVLINK_MSG_ID_TIMESYNC: _timesync,
     dialect.MAVLINK_MSG_ID_PING: _ping,
-    dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: _guest,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _listed,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_INT: _requested,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST: _requested,

@@ -14,7 +14,7 @@ from delfim.errors import FormatError
 
 MARKER: Final = 0xFD
 SIGNED: Final = 0x01  # the one incompatibility flag that exists
-GUEST: Final = 191  # component of the guest computer, which gives set points in GREX mode and commands nothing
+GUEST: Final = 191  # component of a computer on board: it commands nothing, and is the guest by its own door alone
 DATAGRAM_BYTES: Final = 2048  # the socket cuts longer ones, which makes them malformed
 _LEAST, _SIGNATURE = 12, 13
 
