@@ -677,8 +677,18 @@ class Vehicle(Table, frozen=True):
 def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
     """The vehicle's file, checked, with "key.key=TOML value" overrides laid over it. Raises ConfigError."""
     settings = decode(read_toml(path, overrides), Vehicle, str(path))
+    _lines_apart(settings, str(path))
     Sliced(polygons(settings.fence, str(path))).finish()
     return settings
+
+
+def _lines_apart(vehicle: Vehicle, file: str) -> None:
+    """A serial line has one reader: two would each get a part of what comes. Raises ConfigError."""
+    readers: dict[str, str] = {}
+    for key, device in {"slipd.device": vehicle.slipd.device, **vehicle.outside("device")}.items():
+        if device and device in readers:
+            raise ConfigError(file, key, f"{device} is read by {readers[device]} already, and a serial line has one reader")
+        readers[device] = key
 
 
 def polygons(zones: Zones, file: str) -> Work[None]:

@@ -1,6 +1,8 @@
 """A new source of navigation on a serial line: one file, one row, and its table. It drives the boat like any other."""
 
 import os
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,7 +12,7 @@ import pytest
 from delfim.console.link import Link
 from delfim.errors import DelfimError
 from tests.afloat import running
-from tests.enlarged import Enlarged
+from tests.enlarged import ROOT, Enlarged
 
 COMPASS = '''"""A satellite compass: a line of text a message, latitude and longitude and heading in rad, a number."""
 
@@ -125,6 +127,15 @@ def test_a_new_source_on_a_serial_line_drives_the_boat_and_its_log_is_repeated(t
     told = enlarged.told("log", "replay", str(tmp_path / "log"))
     assert "all the same, bit by bit" in told, told
     assert int(told.split()[0]) > 3, "cycles"
+
+
+def test_a_serial_line_has_one_reader(tmp_path, enlarged):
+    values = ("can.interface='canloop:x'", "navigation.sources=['compass']", "compass.device='/dev/ttyUSB0'")
+    words = [word for value in (*values, "slipd.device='/dev/ttyUSB0'") for word in ("--set", value)]
+    command = [sys.executable, "-m", "delfim", "check", str(ROOT / "etc/delfimx.toml"), *words]
+    refused = subprocess.run(command, env=enlarged.env, capture_output=True, text=True, timeout=120)
+    assert refused.returncode, refused.stdout
+    assert "compass.device: /dev/ttyUSB0 is read by slipd.device already" in refused.stderr, refused.stderr
 
 
 def test_a_line_that_was_lost_is_taken_up_again(tmp_path, enlarged):

@@ -8,6 +8,7 @@ import subprocess
 import sysconfig
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -50,10 +51,20 @@ def _lines(paths: list[Path], words: re.Pattern[str]) -> list[str]:
     ]
 
 
+@cache
+def _tree(path: Path) -> ast.Module:
+    return ast.parse(path.read_text())
+
+
+@cache
+def _walked(path: Path) -> list[tuple[str, ast.AST]]:
+    name = path.relative_to(ROOT)
+    return [(f"{name}:{getattr(node, 'lineno', 0)}", node) for node in ast.walk(_tree(path))]
+
+
 def _nodes(paths: list[Path]) -> Iterator[tuple[str, ast.AST]]:
     for path in paths:
-        for node in ast.walk(ast.parse(path.read_text())):
-            yield f"{path.relative_to(ROOT)}:{getattr(node, 'lineno', 0)}", node
+        yield from _walked(path)
 
 
 def test_a_function_fits_on_one_screen() -> None:
@@ -139,7 +150,7 @@ def _stopwatches(function: ast.AST) -> Iterator[int]:
 def test_tests_do_not_assert_how_long_something_took() -> None:
     """A busy machine is no failure: hand in a clock, wait for the event, or make it a row of the benchmark."""
     tests = [path for path in PROGRAMS if path.is_relative_to(ROOT / "tests")]
-    found = {f"{path.relative_to(ROOT)}:{line}" for path in tests for line in _stopwatches(ast.parse(path.read_text()))}
+    found = {f"{path.relative_to(ROOT)}:{line}" for path in tests for line in _stopwatches(_tree(path))}
     assert found == set()
 
 
@@ -186,7 +197,7 @@ def test_logging_is_the_standard_one() -> None:
 
 def test_every_public_module_says_what_it_does() -> None:
     public = [path for path in MODULES if not path.name.startswith("_") or path.name == "__init__.py"]
-    assert [str(path.relative_to(ROOT)) for path in public if not ast.get_docstring(ast.parse(path.read_text()))] == []
+    assert [str(path.relative_to(ROOT)) for path in public if not ast.get_docstring(_tree(path))] == []
 
 
 def test_every_document_is_reachable_from_the_readme() -> None:

@@ -66,7 +66,7 @@ class FileLog:
                 _write_all(fd, line)
                 if self._durable:
                     os.fsync(fd)
-                    _sync_directory(os.path.dirname(path))
+                    sync_directory(os.path.dirname(path))
             finally:
                 os.close(fd)
         except OSError:
@@ -141,7 +141,7 @@ class FileLog:
             raise OSError(errno.EEXIST, "all names of this second are taken", name)
         if self._durable:
             for path in (folder, day, directory):
-                _sync_directory(path)
+                sync_directory(path)
 
     def _deflated(self, data: bytes, now_s: float) -> bytes:
         if self._stream is None:
@@ -254,7 +254,8 @@ def _write_all(fd: int, data: bytes | bytearray) -> None:
         written = os.write(fd, data)
 
 
-def _sync_directory(path: str) -> None:
+def sync_directory(path: str | os.PathLike[str]) -> None:
+    """A name that was made or changed in it survives a power cut. Raises OSError."""
     fd = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(fd)

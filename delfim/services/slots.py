@@ -20,6 +20,7 @@ import msgspec
 
 from delfim import config
 from delfim.errors import FormatError, Refused
+from delfim.logging.filelog import sync_directory
 from delfim.outside import read_file
 from delfim.services.imagefile import MANIFEST, MEMBERS, PAPER_BYTES, SIGNATURE, Manifest, SignedImage, parse_manifest, verify
 
@@ -111,7 +112,7 @@ class Slots:
         folder.mkdir(exist_ok=True)
         for name in MEMBERS:
             (folder / name).unlink(missing_ok=True)
-        _sync(folder)
+        sync_directory(folder)
         image = verify(bundle, signers, folder)
         for name, text in ((SIGNATURE, image.signature), (MANIFEST, image.paper)):
             _replace(folder / name, text)
@@ -163,15 +164,7 @@ def _replace(path: Path, text: bytes) -> None:
         file.flush()
         os.fsync(file.fileno())
     new.replace(path)
-    _sync(path.parent)
-
-
-def _sync(folder: Path) -> None:
-    fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
-    try:
-        os.fsync(fd)
-    finally:
-        os.close(fd)
+    sync_directory(path.parent)
 
 
 def _digest_of_disk(path: Path) -> str:

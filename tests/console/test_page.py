@@ -209,7 +209,7 @@ def test_a_page_that_is_left_releases_and_does_not_resume(sail: Sail, event: str
         await page.value(f"{target}.dispatchEvent(new Event('{event}'))")
         await gateway.until(lambda m: m["t"] == "release" and m["boat"] == 1)
         gateway.forget()
-        await shown(page, gateway, f"{text_of(1, '.speed')} === 'released'")
+        await shown(page, gateway, f"{text_of(1, '.speed')} === 'thrust 0'")
         for _ in range(20):
             await gateway.frame()
             await asyncio.sleep(0.02)
@@ -256,7 +256,7 @@ def test_thrust_that_the_gateway_let_go_waits_for_the_operator(sail: Sail) -> No
         await page.press("4")
         await gateway.until(is_input(40, 40))
         gateway.boat(1)["released"] = True
-        await shown(page, gateway, f"{text_of(1, '.speed')} === 'released'")
+        await shown(page, gateway, f"{text_of(1, '.speed')} === 'thrust 0'")
         await page.press("1")
         await gateway.until(is_input(10, 10))
 
@@ -272,7 +272,7 @@ def test_after_a_lost_gateway_nothing_moves_by_itself(sail: Sail) -> None:
         await page.until("!document.getElementById('offline').hidden")
         gateway.forget()
         await shown(page, gateway, "document.getElementById('offline').hidden")
-        await shown(page, gateway, f"{text_of(1, '.speed')} === 'released'")
+        await shown(page, gateway, f"{text_of(1, '.speed')} === 'thrust 0'")
         assert [m for m in gateway.said if m["t"] == "input"] == []
 
     sail(story)

@@ -58,6 +58,7 @@ states = st.builds(
     reference=st.builds(api.Reference, heading_deg=numbers, speed_mps=numbers, distance_m=numbers, cross_track_m=numbers),
     age_s=st.dictionaries(words, numbers, max_size=3),
     sysstat=st.dictionaries(words, st.builds(api.Node, status=words, faults=st.tuples(words), charge=numbers), max_size=2),
+    measured=st.dictionaries(words, numbers, max_size=2),
     counts=st.dictionaries(words, st.integers(0, 9), max_size=2),
     services=st.dictionaries(
         words, st.builds(api.Service, state=words, reason=words, figures=st.dictionaries(words, words, max_size=1)), max_size=2
@@ -90,6 +91,11 @@ def test_the_figures_of_a_service_are_tables():
     assert single == [["frames lost", "0"], ["clients", "none"]]
     assert several == [["buses", "received", "failure"], ["can<0>", "7", "none"], ["b", "8", "none"]]
     assert not set("{}'") & set("".join(section.itertext()))
+
+
+def test_the_value_of_a_sensor_stands_beside_its_age():
+    vehicle = msgspec.structs.replace(VEHICLE, age_s={"depth_m": 0.3}, measured={"depth_m": 7.5})
+    assert "".join(rendered(report(vehicle))["inputs"].itertext()).startswith("depth m7.500.3 s")
 
 
 def test_a_network_that_never_was_up_is_no_news():

@@ -117,6 +117,7 @@ class State(Facts, frozen=True):
     guest_connected: bool = False
     age_s: dict[str, float | None] = {}  # of every input; null: never heard
     sysstat: dict[str, Node] = {}
+    measured: dict[str, float | None] = {}  # by sensors, by their names with units; null: not finite
     counts: dict[str, int] = {}  # inputs that were refused, dropped or repaired
     latency: Latency = Latency()
     log: LogStatus = LogStatus()

@@ -156,7 +156,8 @@ def inputs(view: PageView) -> str:
         used = name != "guest" or vehicle.guest_connected
         kind = "" if not used else "bad" if age_s is None or age_s > limit_s else "warn" if age_s > 0.6 * limit_s else "good"
         node = vehicle.sysstat.get(name)
-        told = f'<span class="more">{_node(node)}</span>' if node else ""
+        said = _node(node) if node else number(vehicle.measured[name], ".2f") if name in vehicle.measured else ""
+        told = f'<span class="more">{said}</span>' if said else ""
         text = "never heard" if age_s is None else span(age_s)
         rows.append(
             f'<tr class="{kind}"><th>{worded(name)}{told}</th><td class="gauge">{figures.bar(age_s or 0.0, limit_s, kind)}</td>'

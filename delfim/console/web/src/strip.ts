@@ -137,7 +137,7 @@ class Chip {
     const hand = drive.hand(boat.id);
     const speed = boat.speed_mps === null ? "" : `${boat.speed_mps.toFixed(1)} m/s`;
     const [port, starboard] = boat.thrust_pct.map((each) => (each === null ? "–" : Math.round(each)));
-    if (hand) text(this.speed, hand.silent ? "released" : `P ${hand.port_pct} · S ${hand.starboard_pct} %`);
+    if (hand) text(this.speed, hand.silent ? "thrust 0" : `P ${hand.port_pct} · S ${hand.starboard_pct} %`);
     else if (boat.mode === "manual") text(this.speed, `P ${port} · S ${starboard} %`);
     else if (boat.mode === "idle" || boat.mode === null) text(this.speed, speed);
     else text(this.speed, `${actions.speed_pct(boat)} % · ${speed}`);
