@@ -371,7 +371,7 @@ class Console(Table, frozen=True):
 
 
 class Mavlink(Table, frozen=True):
-    """The console's link: MAVLink 2 over UDP (docs/mavlink.md)."""
+    """The console's link: MAVLink 2 over UDP, and over a serial radio if there is one (docs/mavlink.md)."""
 
     enabled: bool = True  # serve it
     listen: Listen = "127.0.0.1:14555"  # address and port; port 0: any
@@ -380,6 +380,12 @@ class Mavlink(Table, frozen=True):
     key: str = ""  # file of the key, from `delfim console --keygen FILE`: only its holders are heard; "": only this computer
     autopilot: Literal["generic", "ardurover"] = "generic"  # the autopilot that the boat claims to be to other programs
     command_age_s: Seconds = 3.0  # a signed command that is older on arrival is refused
+    serial: Annotated[str, text("(/[^ ]+)?", "/DEVICE, or empty")] = ""  # the port of a radio as SiK's; it needs a key
+    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 57_600  # of that port
+
+    def __post_init__(self) -> None:
+        if self.serial and not self.key:
+            raise ValueError("anybody may be heard on a radio: it needs a key; make one with: delfim console --keygen FILE")
 
 
 class GuestTable(Table, frozen=True):
@@ -660,6 +666,10 @@ class Vehicle(Table, frozen=True):
     image: Image = Image()
     services: dict[Name, ServiceTable] = msgspec.field(default_factory=dict)
     simulation: Simulation = Simulation()
+
+    def __post_init__(self) -> None:
+        if self.mavlink.serial and self.mavlink.serial == self.slipd.device:
+            raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
 
     def outside(self, key: Literal["interface", "device"]) -> dict[str, str]:
         """The buses or serial lines of the boat's nodes and of the parts that are chosen by name, by their keys: a part has

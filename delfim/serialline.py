@@ -1,5 +1,6 @@
 """A serial line: raw, non-blocking, reopened when its adapter comes back."""
 
+import contextlib
 import os
 import select
 import termios
@@ -17,16 +18,22 @@ class SerialLine:
     """A port from its opening on. Raises DelfimError if it cannot be opened; later `trouble` names its fault."""
 
     def __init__(
-        self, device: str, baud: int, clock: Clock, heard: Callable[[int, bytes], object] = lambda t_ns, data: None
+        self,
+        device: str,
+        baud: int,
+        clock: Clock,
+        heard: Callable[[int, bytes], object] = lambda t_ns, data: None,
+        may_lack: bool = False,
     ) -> None:
-        """`heard` is called with all data that is read, and its time."""
+        """`heard` is called with all data that is read, and its time. `may_lack`: the port is first opened by `rebind`."""
         self.device, self.t_ns = device, 0
         self._baud, self._time_ns, self._heard = baud, clock.time_ns, heard
-        self.trouble = ""
+        self.trouble = "not open yet" if may_lack else ""
         self._port = -1
         self._ready = select.epoll()  # to wait for: it stays the same when the port is reopened
         try:
-            self._open()
+            if not may_lack:
+                self._open()
         except OSError as error:
             self._ready.close()
             raise DelfimError(f"{device}: {error.strerror}") from None
@@ -35,12 +42,12 @@ class SerialLine:
         """Readable when there is something to read."""
         return self._ready.fileno()
 
-    def read(self) -> bytes:
+    def read(self, most: int = READ_BYTES) -> bytes:
         """The data since the last call, its time in `t_ns`; empty: none."""
         if self._port < 0:
             return b""
         try:
-            data = os.read(self._port, READ_BYTES)
+            data = os.read(self._port, most)
         except BlockingIOError:
             return b""
         except OSError as error:
@@ -55,13 +62,17 @@ class SerialLine:
 
     def write(self, data: bytes) -> bool:
         """False where the line did not take all of it; it is not sent again."""
+        return self.put(data) == len(data)
+
+    def put(self, data: bytes) -> int:
+        """How many of the bytes the line took."""
         try:
-            return self._port >= 0 and os.write(self._port, data) == len(data)
+            return os.write(self._port, data) if self._port >= 0 else 0
         except BlockingIOError:
-            return False
+            return 0
         except OSError as error:
             self._lost(str(error.strerror))
-            return False
+            return 0
 
     def rebind(self) -> bool:
         """Open a port that was lost. True when it can be used."""
@@ -70,6 +81,8 @@ class SerialLine:
                 self._open()
             except OSError as error:
                 self.trouble = str(error.strerror)
+            except DelfimError as error:
+                self.trouble = str(error)
         return self._port >= 0
 
     def close(self) -> None:
@@ -86,6 +99,8 @@ class SerialLine:
         self.trouble = why
         if self._port >= 0:
             self._ready.unregister(self._port)
+            with contextlib.suppress(termios.error):  # closing a line that stalls would wait for its output, up to 30 s
+                termios.tcflush(self._port, termios.TCOFLUSH)
             os.close(self._port)
             self._port = -1
 

@@ -42,7 +42,8 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     for key, bus in vehicle.outside("interface").items():
         if ":" not in bus and not Path("/sys/class/net", bus).exists():
             yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not"
-    files = {"mavlink.key": vehicle.mavlink.key, "slipd.device": vehicle.slipd.device} | vehicle.outside("device")
+    files = {"mavlink.key": vehicle.mavlink.key, "mavlink.serial": vehicle.mavlink.serial}
+    files |= {"slipd.device": vehicle.slipd.device} | vehicle.outside("device")
     for key, path in files.items():
         if path and not Path(path).exists():
             yield f"{key}: there is no file {path} on this computer"

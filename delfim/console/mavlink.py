@@ -18,7 +18,6 @@ mavlink: Final = wire.dialect
 SYSTEM: Final = 250  # of a console that has no other number; QGroundControl and MAVProxy call themselves 255
 COMPONENT: Final = mavlink.MAV_COMP_ID_MISSIONPLANNER
 STAMPS_S: Final = 10.0  # between two writings of the time stamps
-_HEAD, _LEAST, _SIGNATURE = 3, 12, 13  # bytes: what tells the length of a frame; around the payload; signed
 _SENT: Final = (
     0,
     SYSTEM,
@@ -60,26 +59,15 @@ class Codec:
 
     def __init__(self, key: Key | None = None, *, stream: bool = False, me: int = SYSTEM) -> None:
         self.counts = {"heard": 0, "refused": 0}
-        self._key, self._stream, self._rest = key, stream, b""
+        self._key, self._stream, self._cutter = key, stream, wire.Cutter()
         secret, stamp = (None, _no_stamp) if key is None else (key.secret, key.stamp)
         self.encode = wire.Sender(me, COMPONENT, secret, stamp).pack
 
     def decode(self, data: bytes) -> Iterator[Any]:
         """The messages in these bytes. Other bytes are skipped one by one: no noise hides a whole frame."""
-        rest, at = self._rest + data, 0
-        while (at := rest.find(wire.MARKER, at)) >= 0 and at + _HEAD <= len(rest):
-            end = at + _LEAST + rest[at + 1] + (_SIGNATURE if rest[at + 2] & wire.SIGNED else 0)
-            if end > len(rest):
-                if self._stream and not rest[at + 2] & ~wire.SIGNED:
-                    break
-                at += 1
-                continue
-            frame = rest[at:end]
-            message = self._message(frame)
-            if message is not None:
-                yield message
-            at = end if message is not None or not self._stream else at + 1
-        self._rest = rest[at:] if self._stream and at >= 0 else b""
+        cutter = self._cutter if self._stream else wire.Cutter()
+        messages = [self._message(frame) for frame in cutter.cut(data) if frame[0] == wire.MARKER]
+        return (message for message in messages if message is not None)
 
     def _message(self, frame: bytes) -> Any:
         """None for a damaged or unknown message, or one without a valid signature."""

@@ -107,4 +107,4 @@ def test_noise_between_frames_hides_none_of_them(noise: list[bytes]) -> None:
 def test_bytes_that_mean_nothing_are_bounded_and_harmless(data: bytes) -> None:
     codec = Codec(stream=True)
     assert list(codec.decode(data)) == []
-    assert len(codec._rest) <= 292
+    assert len(codec._cutter.rest) <= 292

@@ -56,6 +56,8 @@ class Peers:
         for listen in settings.peers:
             host, _, port = listen.rpartition(":")
             self.at((host.strip("[]"), int(port)), None, configured=True)
+        if settings.serial and (radio := self.at((settings.serial, settings.baud), None, configured=True)):
+            radio.profile = "lean" if settings.profile == "lean" else "radio"
 
     def at(self, address: Address, commander: Speaker | None, configured: bool = False) -> Peer | None:
         """The peer at an address; None if there are too many and none can be dropped."""

@@ -23,12 +23,13 @@ from delfim.vehicle.mavlink.wire import Address, Message, Speaker, dialect
 FRAMES: Final = 2  # of a turn
 PENDING: Final = 256  # frames that wait; beyond, they are dropped
 ROWS_AT_ONCE: Final = 3  # messages that one peer is told in one call
+_GROUPS: Final = range(0, len(telemetry.ROWS), ROWS_AT_ONCE)
 SLOWLY: Final = 5  # ticks from one parameter to the next on a slow link
 
 
 class Station:
     """`send` takes a datagram and its address. `signing` is None without a key. `obey` and `review` are those of
-    `Consoles`."""
+    `Consoles`. `is_ready`: whether the line to an address has room for telemetry; a heartbeat and answers go all the same."""
 
     def __init__(
         self,
@@ -37,7 +38,9 @@ class Station:
         send: Callable[[bytes, Address], object],
         signing: Signing | None,
         review: Review | None = None,
+        is_ready: Callable[[Address], bool] = lambda address: True,
     ) -> None:
+        self._is_ready = is_ready
         self.consoles = Consoles(boat, obey, send, signing, review)
         self._clock, self._signing, self._command_age_s = boat.clock, signing, self.consoles.settings.command_age_s
         self._pending: deque[tuple[bytes, Address]] = deque()
@@ -110,16 +113,18 @@ class Station:
         """Queue the due messages for `serve`. Call it about twenty times a second."""
         self._ticks += 1
         self.consoles.tick(self._clock.monotonic_s())
-        peers = self.consoles.peers.known.values()
-        self._serving = [(peer, rows) for peer in peers for rows in range(0, len(telemetry.ROWS), ROWS_AT_ONCE)]
+        first = self._ticks % len(_GROUPS)  # another one each time: a slow line has room for some only
+        groups = (*_GROUPS[first:], *_GROUPS[:first])
+        self._serving = [(peer, rows) for peer in self.consoles.peers.known.values() for rows in groups]
 
     def serve(self) -> bool:
         """Tell one peer some of it. Returns whether there is more to tell."""
         while self._serving:
             peer, at = self._serving.pop()
-            view = self.consoles.view()
-            due = [message for row in telemetry.ROWS[at : at + ROWS_AT_ONCE] for message in _due(peer, row, view)]
-            if messages := [*due, *(self._params(peer) if at == 0 else ())]:
+            is_ready, view = self._is_ready(peer.address), self.consoles.view()
+            rows = telemetry.ROWS[at : at + (ROWS_AT_ONCE if is_ready else at == 0)]
+            due = [message for row in rows for message in _due(peer, row, view)]
+            if messages := [*due, *(self._params(peer) if at == 0 and is_ready else ())]:
                 self.consoles.peers.tell(peer, messages)
                 return bool(self._serving)
         return False

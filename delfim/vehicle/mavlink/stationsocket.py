@@ -1,4 +1,5 @@
-"""The station's UDP socket on the vehicle's loop: one datagram a callback, a few frames a callback, low delay asked for.
+"""The station's UDP socket and serial line on the vehicle's loop: one datagram a callback, a few frames a callback, low delay
+asked for.
 
 A defect here must not stop the boat: the callbacks are the loop's own, which logs an exception and goes on. The vehicle then
 hears no console, and their silence is a trouble of the failsafe.
@@ -17,6 +18,7 @@ from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.consoles import Obey, Review
 from delfim.vehicle.mavlink.signing import Signing, read_key, read_stamps, write_stamps
 from delfim.vehicle.mavlink.station import Station
+from delfim.vehicle.mavlink.stationserial import StationSerial
 from delfim.vehicle.mavlink.wire import DATAGRAM_BYTES, Address
 
 TICK_S: Final = 0.05
@@ -42,13 +44,17 @@ class MavlinkLink:
         self._loop, self._board, self._stamps = asyncio.get_running_loop(), board, stamps
         self._signing = Signing(read_key(settings.key), boat.clock, read_stamps(stamps)) if settings.key else None
         self._socket = _bound(settings.listen)
-        self.station = Station(boat, obey, self._send, self._signing, review)
+        self._serial = StationSerial(settings, boat.clock, self._came) if settings.serial else None
+        self._opening: asyncio.Future[None] | None = None
+        self.station = Station(boat, obey, self._send, self._signing, review, self._is_ready)
         self._unsent = 0
         self._timer: asyncio.TimerHandle | None = None
         self._written_s = self._loop.time()
 
     def __enter__(self) -> Self:
         self._loop.add_reader(self._socket.fileno(), self._readable)
+        if self._serial is not None:
+            self._loop.add_reader(self._serial.fileno(), self._serial.readable)
         self._board["mavlink"] = self.report
         self._tick()
         return self
@@ -59,6 +65,9 @@ class MavlinkLink:
         del self._board["mavlink"]
         self._loop.remove_reader(self._socket.fileno())
         self._socket.close()
+        if self._serial is not None:
+            self._loop.remove_reader(self._serial.fileno())
+            self._serial.close()
         if self._signing is not None:
             self._write(self._stamps, self._signing.stamps)
 
@@ -66,6 +75,7 @@ class MavlinkLink:
         """JSON-ready."""
         host, port = self._socket.getsockname()[:2]
         consoles = self.station.consoles
+        serial = {} if self._serial is None else {"serial": self._serial.report()}
         peers = [f"{host}:{port}" for host, port in consoles.peers.known]
         return {
             "listen": f"{host}:{port}",
@@ -74,13 +84,17 @@ class MavlinkLink:
             "peers": peers,
             "unsent": self._unsent,
             "counts": dict(consoles.counts),
-        }
+        } | serial
 
     def _readable(self) -> None:
         with contextlib.suppress(BlockingIOError, ConnectionError):
             datagram, address = self._socket.recvfrom(DATAGRAM_BYTES)
             self.station.receive(datagram, address[:2])
             self._turn()
+
+    def _came(self, frame: bytes, address: Address) -> None:
+        self.station.receive(frame, address)
+        self._loop.call_soon(self._turn)
 
     def _turn(self) -> None:
         if self.station.turn():
@@ -95,11 +109,19 @@ class MavlinkLink:
         self.station.begin()
         self._loop.call_soon(self._turn)
         self._loop.call_soon(self._serve)
+        if self._serial is not None and self._serial.is_due() and (self._opening is None or self._opening.done()):
+            self._opening = self._loop.run_in_executor(None, self._serial.open)
         if self._signing is not None and self._loop.time() - self._written_s > STAMPS_S:
             self._written_s = self._loop.time()
             self._loop.run_in_executor(None, self._write, self._stamps, dict(self._signing.stamps))
 
+    def _is_ready(self, address: Address) -> bool:
+        return self._serial is None or address != self._serial.address or self._serial.is_ready()
+
     def _send(self, datagram: bytes, address: Address) -> None:
+        if self._serial is not None and address == self._serial.address:
+            self._serial.send(datagram)
+            return
         try:
             self._socket.sendto(datagram, address)
         except OSError:  # no route, a full queue: the console asks again
