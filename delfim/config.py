@@ -40,6 +40,7 @@ Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_lengt
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 ActionName = Literal["warn", "hold", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "home", "stop"]
+EndMode = Literal["hold", "idle"]
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
 CORNERS, ZONES = 100, 100  # of a polygon, and to keep out of, at most
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
@@ -156,6 +157,12 @@ class PathTable(Table, frozen=True):
     acceptance_m: Metres = 5.0  # a waypoint is reached within this radius unless it names its own
 
 
+class GotoTable(Table, frozen=True):
+    """The end of "go to": hold, whose propellers start again whenever the boat drifts off, or idle, which is a stop."""
+
+    end: EndMode = "hold"  # unless the command names its own
+
+
 class HoldTable(Table, frozen=True):
     """Station keeping."""
 
@@ -175,6 +182,7 @@ class ControlTable(Table, frozen=True):
     heading: HeadingTable = HeadingTable()
     speed: SpeedTable = SpeedTable()
     path: PathTable = PathTable()
+    goto: GotoTable = GotoTable()
     hold: HoldTable = HoldTable()
     home: HomeTable = HomeTable()
 

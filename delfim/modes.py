@@ -15,7 +15,7 @@ class Mode(IntEnum):
     IDLE = 4
     HOLD = 5
     PLAY = 10
-    HOME = 11
+    HOME = 12  # SMART_RTL: back along the driven track, not straight
     GOTO = 15
     PATH = 100
     GREX = 101

@@ -72,7 +72,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
     [
         # unknown keys
         (BOAT + "lenght_m = 3", "boat.lenght_m", "unknown key; did you mean length_m?", ""),
-        (BOAT + "[control.sonar]", "control.sonar", "unknown key", "heading, speed, path, hold, home"),
+        (BOAT + "[control.sonar]", "control.sonar", "unknown key", "heading, speed, path, goto, hold, home"),
         (
             BOAT + "[services.httpd]\ncolour = 1",
             "services.httpd.colour",

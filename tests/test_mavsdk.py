@@ -80,9 +80,13 @@ async def sailed(path: Path) -> list[str]:
             return abs(v.north_m_s) + abs(v.east_m_s) > 0.3
 
         await until(moving)
-        await action.hold()
-        modes.append(mode())
-        await mission.start_mission()
+        for pause in (mission.pause_mission, action.hold):
+            await pause()
+            modes.append(mode())
+            await mission.start_mission()
+            modes.append(mode())
+        with Link(path) as link:
+            assert link.ask("state")["reason"] == "operator continues"
         await action.return_to_launch()
         modes.append(mode())
         await action.disarm()
@@ -132,7 +136,7 @@ def test_connect_watch_upload_download_start_hold_return_disarm(tmp_path):
     """And what was sailed so repeats bit by bit from its logs: nothing moved the boat that is not in them."""
     with running(tmp_path, PORT) as path:
         modes = asyncio.run(asyncio.wait_for(sailed(path), 90))
-    assert modes == ["idle", "play", "idle", "home", "idle"]
+    assert modes == ["idle", "play", "hold", "play", "hold", "play", "home", "idle"]
     words = [sys.executable, "-m", "delfim", "log", "replay", str(tmp_path / "log")]
     replayed = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert "all the same, bit by bit" in replayed.stdout, replayed

@@ -10,8 +10,9 @@ import shlex
 import sys
 import threading
 from collections.abc import Iterator
-from typing import Any, NamedTuple, TextIO
+from typing import Any, NamedTuple, TextIO, get_args
 
+from delfim.config import EndMode
 from delfim.console.link import Link
 from delfim.errors import DelfimError, FormatError, Refused, in_words
 from delfim.modes import Mode
@@ -43,8 +44,14 @@ WORDS: dict[str, Word] = {
     "manual": Word("thrust of each propeller, -1 to 1", ("starboard", "port")),
     "heading": Word("hold a true heading", ("heading_deg",), ("speed_mps",)),
     "speed": Word("change the speed; without a number, back to the plan's own", (), ("speed_mps",)),
-    "goto": Word("go to a position, or else to the first waypoint", (), ("latitude_deg longitude_deg", "speed_mps")),
+    "goto": Word(
+        "go to a position, or else to the first waypoint; there hold, whose propellers start again, or idle, which is a stop",
+        (),
+        ("latitude_deg longitude_deg", "speed_mps", "end"),
+    ),
     "play": Word("play the mission, from a leg; the first is 1", (), ("leg",)),
+    "pause": Word("hold here; continue goes on from here"),
+    "continue": Word("go on with what a hold interrupted, from where it was"),
     "mission": Word("load a mission file", ("file",)),
     "mode": Word("enter a mode by name", ("name",)),
     "shutdown": Word("stop and shut the computer down, so that the power may be cut"),
@@ -66,6 +73,7 @@ def command(words: list[str]) -> dict[str, Any]:
     verb, *rest = words
     if verb not in WORDS and not rest:  # it may be a mode that only the boat knows
         return {"command": "mode", "mode": verb}
+    end = {"end": rest.pop()} if verb == "goto" and rest and rest[-1] in get_args(EndMode) else {}
     word = Word("enter that mode") if verb in ENTERED else WORDS.get(verb)
     if word is None:
         raise FormatError(f"no command {verb!r}; there are {', '.join([*WORDS, *ENTERED])}")
@@ -81,7 +89,7 @@ def command(words: list[str]) -> dict[str, Any]:
             return {"command": verb, "text": _file(said["file"])}
         case "mode":
             return {"command": verb, "mode": said["name"]}
-    return {"command": verb} | {name: _number(name, text, word.shape(verb)) for name, text in said.items()}
+    return {"command": verb} | {name: _number(name, text, word.shape(verb)) for name, text in said.items()} | end
 
 
 def _number(name: str, text: str, where: str) -> float | int:
@@ -89,9 +97,10 @@ def _number(name: str, text: str, where: str) -> float | int:
     with contextlib.suppress(ValueError):
         if name == "leg" and int(text) >= 1:
             return int(text) - 1
-        if name != "leg" and math.isfinite(float(text)):
+        if name not in ("leg", "end") and math.isfinite(float(text)):
             return float(text)
-    raise FormatError(f"{name} must be {'a whole number from 1 on' if name == 'leg' else 'a number'}, not {text!r}: {where}")
+    kind = {"leg": "a whole number from 1 on", "end": "hold or idle"}.get(name, "a number")
+    raise FormatError(f"{name} must be {kind}, not {text!r}: {where}")
 
 
 def line(state: dict[str, Any]) -> str:

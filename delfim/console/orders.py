@@ -32,8 +32,8 @@ class OrderRow(NamedTuple):
     mode: str = ""  # that the boat enters by it
     needs: tuple[str, ...] = ()
     takes: tuple[str, ...] = ()  # and these, where they are known
-    title: str = ""  # in the page's menu, where that offers it as it is
-    key: str = ""  # that does the same
+    title: str = ""  # in the page's menu "More", where that offers it as it is
+    key: str = ""  # of the page's keyboard
 
 
 def row_of(word: str, modes: Mapping[int, str]) -> OrderRow:
@@ -93,6 +93,14 @@ def _play(n: Numbers) -> CommandLong:
     return CommandLong(mavlink.MAV_CMD_MISSION_START, (leg, 0.0))
 
 
+def _pause(n: Numbers) -> CommandLong:
+    return CommandLong(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, (0.0,))
+
+
+def _continue(n: Numbers) -> CommandLong:
+    return CommandLong(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, (1.0,))
+
+
 def _arm(n: Numbers) -> CommandLong:
     return CommandLong(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,))
 
@@ -115,10 +123,12 @@ ORDERS: Final[dict[str, OrderRow]] = {
     "heading_to": OrderRow(_heading, "heading", needs=("heading_deg",)),
     "goto_point": OrderRow(_goto_point, "goto", needs=("latitude_deg", "longitude_deg"), takes=("speed_mps",)),
     "play": OrderRow(_play, "play", takes=("leg",)),
+    "pause": OrderRow(_pause, "hold", key="B"),
+    "continue": OrderRow(_continue, key="C"),
     "speed": OrderRow(_speed, takes=("speed_mps", "speed_pct")),
     "arm": OrderRow(_arm),
     "disarm": OrderRow(_disarm, "idle"),
     "reset": OrderRow(_reset, takes=("component",), title="Reset the peripherals", key="R"),
     "take": OrderRow(_take),
 }
-OFFERED: Final = [{"command": word, "title": row.title, "key": row.key} for word, row in ORDERS.items() if row.title]
+OFFERED: Final = [{"command": word, "title": row.title, "key": row.key} for word, row in ORDERS.items() if row.title or row.key]

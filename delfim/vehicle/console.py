@@ -70,15 +70,25 @@ class SetSpeed(Command, frozen=True, tag="speed"):
 
 
 class Goto(Command, frozen=True):
-    """Go to a position, or to the mission's first waypoint when none is given; enters goto mode."""
+    """Go to a position, or to the mission's first waypoint when none is given; enters goto mode. `end`: the mode in which the
+    boat stays there; hold starts the propellers again and again, idle is a stop. None: as the vehicle's file says."""
 
     latitude_deg: Latitude | None = None
     longitude_deg: Longitude | None = None
     speed_mps: Speed | None = None
+    end: config.EndMode | None = None
 
     def __post_init__(self) -> None:
         if (self.latitude_deg is None) != (self.longitude_deg is None):  # one alone is a mistake, not the first waypoint
             raise FormatError("goto needs a latitude and a longitude, or neither")
+
+
+class Pause(Command, frozen=True):
+    """Hold here, or idle where the boat cannot hold; remembers the place in mission, path or way."""
+
+
+class Continue(Command, frozen=True):
+    """Go on with the mode that a hold interrupted, a failsafe's hold too, from where it was."""
 
 
 class LoadMission(Command, frozen=True, tag="mission"):
@@ -160,7 +170,8 @@ class ShutDown(Command, frozen=True):
 
 
 Commands = (
-    Alive | Stop | SetMode | Manual | Heading | SetSpeed | Goto | LoadMission | Upload | Play | Leg | Unload | SetFence | Rally
+    Alive | Stop | SetMode | Manual | Heading | SetSpeed | Goto | Pause | Continue
+    | LoadMission | Upload | Play | Leg | Unload | SetFence | Rally
     | Take | Arm | Reset | Set | TellState | Watch | ShutDown
 )  # fmt: skip
 KINDS: dict[str, type[Command]] = {str(kind.__struct_config__.tag): kind for kind in get_args(Commands)}  # by their words

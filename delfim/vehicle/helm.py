@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from delfim import config, geodesy
 from delfim.clock import Clock
@@ -11,7 +11,7 @@ from delfim.modes import Mode, mode_named
 from delfim.slices import Sliced
 from delfim.vehicle import console, failsafe, fence
 from delfim.vehicle.checks import Check, checks, refusal
-from delfim.vehicle.control.control import MODES, Settings, admit, first
+from delfim.vehicle.control.control import MODES, Memory, Settings, admit, first
 from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.failsafe import Action
@@ -19,12 +19,20 @@ from delfim.vehicle.mission import FAR_MAX_M
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Reference, Setpoint, State, StateLog, Waypoint
+from delfim.vehicle.state import Actuation, Plan, Reference, Setpoint, State, StateLog, Waypoint
 from delfim.vehicle.track import Track
 from delfim.vehicle.troubles import Inputs, unfollowed
 from delfim.vehicle.zones import Point
 
 PUSHED_S = 1.0  # manual commands at shorter intervals are one push of the joystick
+
+
+class Paused(NamedTuple):
+    """A mode that a hold interrupted."""
+
+    mode: Mode
+    memory: Memory
+    plan: Plan | None
 
 
 class Helm:
@@ -39,6 +47,7 @@ class Helm:
         self.plans = Plans(settings.fence, self.limits, state, self.track, log)
         self.rules, self.troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
+        self.paused: Paused | None = None
         self._seeking: Sliced[Point] | None = None  # the search for a better place to hold
         self._controlled_s = clock.monotonic_s()
 
@@ -106,18 +115,33 @@ class Helm:
             (north_m, east_m), self._seeking = self._seeking.result, None
             self.memory = self.memory._replace(north_m=north_m, east_m=east_m)
 
-    def enter(self, mode: Mode, reason: str) -> None:
+    def finish(self) -> None:
+        """The mode has reached its end: hold, or idle if the boat cannot hold or was told to stop there."""
+        state, end = self.state, f"{self.state.mode.name.lower()} done"
+        reason = admit(Mode.HOLD, state.motion.has, state.setpoint)
+        if reason is not None:
+            self.stop(f"{end}, cannot hold: {reason}")
+        elif state.mode is Mode.GOTO and state.setpoint.end == "idle":
+            self.stop(end)
+        else:
+            self.enter(Mode.HOLD, end)
+
+    def enter(self, mode: Mode, reason: str, resumed: Memory | None = None) -> None:
+        """`resumed`: the mode goes on with this memory."""
         state = self.state
         if mode is Mode.IDLE and state.mode is Mode.IDLE and state.reason == reason:
             return
+        self._remember(mode)
         self.memory, self._seeking = begin(mode, state.motion, state.setpoint, self.limits), None
+        if resumed is not None:
+            self.memory = resumed._replace(integrals=self.memory.integrals)
         waits = mode is Mode.GOTO and state.setpoint.target is None
         if (mode is Mode.HOLD or waits) and self.plans.fence is not None:
             here, radius_m = (self.memory.north_m, self.memory.east_m), self.settings.control.hold.radius_m
             self._seeking = Sliced(fence.place_to_hold(self.plans.fence, here, self.track.points(), radius_m))
             self._seek()
         if (
-            mode is Mode.PATH and self.memory.leg > 0 and state.setpoint.plan is not None
+            mode is Mode.PATH and resumed is None and self.memory.leg > 0 and state.setpoint.plan is not None
         ):  # otherwise the boat would skip pieces without a word
             pieces = len(state.setpoint.plan.path)
             reason = f"{reason}; begins at piece {self.memory.leg + 1} of {pieces}, the first that the boat stands on"
@@ -127,18 +151,28 @@ class Helm:
         state.mode, state.reason, state.reference = mode, reason, Reference()
         self._log.note(f"{mode.name.lower()}: {reason}")
 
-    def _request(self, mode: Mode, setpoint: Setpoint, now_s: float) -> None:
+    def _remember(self, entered: Mode) -> None:
+        """A hold remembers the mode that it interrupts; every other mode forgets it. Play that was left begins with its leg."""
+        state = self.state
+        if entered is not Mode.HOLD:
+            self.paused = None
+        elif state.mode not in (Mode.IDLE, Mode.MANUAL, Mode.HOLD) and not state.reference.done:
+            self.paused = Paused(state.mode, self.memory, state.setpoint.plan)
+        if state.mode is Mode.PLAY and entered is not Mode.PLAY and not state.reference.done:
+            state.setpoint = state.setpoint._replace(leg=self.memory.leg)
+
+    def _request(self, mode: Mode, setpoint: Setpoint, now_s: float, resumed: Memory | None = None) -> None:
         """The one door: enter the mode the operator asks for, with its set points. Raises Refused; nothing has changed then."""
         state = self.state
         if mode is Mode.HOME:
             setpoint = setpoint._replace(track=self.track.way_home())
-        if mode is not state.mode:
+        if mode is not state.mode and resumed is None:
             setpoint = setpoint._replace(override_mps=None)
         if mode is not Mode.IDLE:
             reason = refusal(self.rules, mode, self.checks()) or admit(mode, state.motion.has, setpoint)
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
                 reason = "no set point from the guest"
-            memory = begin(mode, state.motion, setpoint, self.limits)
+            memory = begin(mode, state.motion, setpoint, self.limits) if resumed is None else resumed
             if reason is None:
                 reason = self._too_far(first(mode, memory, setpoint))
             if reason is None and self.plans.fence is not None:
@@ -147,7 +181,7 @@ class Helm:
                 raise Refused(f"{mode.name.lower()} refused: {reason}")
         state.setpoint = setpoint
         self.troubles, self.taken = failsafe.overruled(self.troubles), False
-        self.enter(mode, "operator")
+        self.enter(mode, "operator" if resumed is None else "operator continues", resumed)
 
     def _too_far(self, to: Point | None) -> str | None:
         """Why the point that a mode goes to first is too far away, in words."""
@@ -172,6 +206,9 @@ class Helm:
             setpoint = self._onwards()
         elif wanted is Mode.GOTO:  # waits for a point
             setpoint = setpoint._replace(target=None)
+        elif wanted is Mode.PLAY and self.paused is not None and self.paused.mode is Mode.PLAY:
+            self._continue(None, now_s)
+            return
         self._request(wanted, setpoint, now_s)
 
     def _head(self, command: console.Heading, now_s: float) -> None:
@@ -187,7 +224,32 @@ class Helm:
 
     def _go(self, command: console.Goto, now_s: float) -> None:
         target = self._target(command.latitude_deg, command.longitude_deg, command.speed_mps)
-        self._request(Mode.GOTO, self.state.setpoint._replace(target=target), now_s)
+        end = command.end or self.settings.control.goto.end
+        self._request(Mode.GOTO, self.state.setpoint._replace(target=target, end=end), now_s)
+
+    def _pause(self, command: console.Pause, now_s: float) -> None:
+        """Never refused under way: where the boat cannot hold, it stops."""
+        state = self.state
+        if state.mode is Mode.IDLE:
+            raise Refused("pause refused: the boat is idle")
+        if state.mode is Mode.HOLD:
+            return
+        why = f"operator paused {state.mode.name.lower()}"
+        mode, reason = failsafe.fallback(Action.HOLD, why, state.motion.has, state.setpoint)
+        self.troubles, self.taken = failsafe.overruled(self.troubles), False
+        self.enter(mode, reason)
+
+    def _continue(self, command: console.Continue | None, now_s: float) -> None:
+        paused, setpoint = self.paused, self.state.setpoint
+        if paused is None:
+            raise Refused("continue refused: nothing is paused")
+        mode, memory = paused.mode, paused.memory
+        if mode in (Mode.PLAY, Mode.PATH) and paused.plan is not setpoint.plan:
+            raise Refused("continue refused: the mission has changed since the pause; choose the mode again")
+        afresh = mode is Mode.HOME or (
+            mode is Mode.PLAY and setpoint.leg != memory.leg
+        )  # the track grew; another leg was chosen
+        self._request(mode, setpoint, now_s, None if afresh else memory)
 
     def _load(self, command: console.Plan, now_s: float) -> None:
         if isinstance(command, console.LoadMission) and command.more:
@@ -287,6 +349,8 @@ _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] 
     console.Heading: Helm._head,
     console.SetSpeed: Helm._set_speed,
     console.Goto: Helm._go,
+    console.Pause: Helm._pause,
+    console.Continue: Helm._continue,
     console.LoadMission: Helm._load,
     console.Upload: Helm._load,
     console.Play: Helm._play,

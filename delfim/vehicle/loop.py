@@ -17,7 +17,6 @@ from delfim.clock import Clock
 from delfim.errors import DelfimError
 from delfim.modes import Mode
 from delfim.vehicle import console, failsafe
-from delfim.vehicle.control.control import admit
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.grex import Guest, reference
 from delfim.vehicle.helm import Helm
@@ -149,14 +148,18 @@ class VehicleLoop:
         if "position" in state.motion.has:
             self.helm.track.add(state.motion.north_m, state.motion.east_m)
         if state.reference.done:
-            end = f"{state.mode.name.lower()} done"
-            reason = admit(Mode.HOLD, state.motion.has, state.setpoint)
-            self.helm.enter(Mode.HOLD, end) if reason is None else self.helm.stop(f"{end}, cannot hold: {reason}")
+            self.helm.finish()
 
     def snapshot(self, extra: dict[str, object]) -> dict[str, object]:
         """The state for the console, JSON-ready."""
         lines = [line._asdict() for line in self.helm.checks()]
-        more = {"checks": lines, "latency": self.latency.summary(), **extra}
+        paused = self.helm.paused
+        more = {
+            "checks": lines,
+            "latency": self.latency.summary(),
+            "paused": paused.mode.name.lower() if paused else None,
+            **extra,
+        }
         return console.snapshot(self.state, self.clock.monotonic_s(), more)
 
     def follow(self, other: "VehicleLoop") -> None:

@@ -90,7 +90,9 @@ FIELDS = (
     Field("yaw_rate", "f", "rad/s", "positive to starboard", _of_navigation("yaw_rate_radps")),
     Field("roll", "f", "rad", "positive to starboard", _of_navigation("roll_rad")),
     Field("pitch", "f", "rad", "positive bow up", _of_navigation("pitch_rad")),
-    Field("fix", "B", "", "0 none, 4 differential, 5 and 6 RTK", lambda s, now_s: s.navigation.fix if s.navigation else 0),
+    Field(
+        "fix", "B", "", "0 none, 4 differential, 5 RTK, 6 RTK float", lambda s, now_s: s.navigation.fix if s.navigation else 0
+    ),
     Field("satellites", "B", "", "in use", lambda s, now_s: s.navigation.satellites if s.navigation else 0),
     Field("reference_heading", "f", "rad", "heading set point of control", _of_reference("heading_rad")),
     Field("reference_speed", "f", "m/s", "speed set point of control", _of_reference("speed_mps")),

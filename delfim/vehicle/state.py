@@ -81,6 +81,7 @@ class Setpoint(NamedTuple):
     guest_speed_mps: float = 0.0
     track: tuple[tuple[float, float], ...] = ()  # driven so far, oldest first: the way home
     override_mps: float | None = None  # the operator's speed in place of the plan's, while the mode lasts
+    end: str = "hold"  # the mode at the end of goto: hold or idle
 
 
 class Reference(NamedTuple):

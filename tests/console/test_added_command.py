@@ -34,7 +34,7 @@ ROWS = {
     },
     "delfim/console/orders.py": {
         'title="Reset the peripherals", key="R"),\n': (
-            f'    "bell": OrderRow(lambda n: CommandLong({NUMBER}, ()), title="Ring the bell", key="B"),\n'
+            f'    "bell": OrderRow(lambda n: CommandLong({NUMBER}, ()), title="Ring the bell", key="L"),\n'
         )
     },
     "delfim/vehicle/record.py": {
@@ -88,7 +88,7 @@ async def _rung(sea: Sea, env: dict[str, str]) -> list[int]:
     await page.press("Enter")
     await choose(page, "More", "Ring the bell")
     await heard()
-    await page.press("b")
+    await page.press("l")
     await heard()
     console = wire.Sender(OTHER, 190, None, lambda: 0)
     sea.radios[0].say(console.pack(ordered(1, CONTROL, 0.0, 1.0)) + console.pack(ordered(1, NUMBER)))

@@ -181,6 +181,12 @@ async def loaded(sea: Sea, page: Page, boat: Boat) -> None:
     await badge(page, "same")
 
 
+async def continued(sea: Sea, page: Page, boat: Boat) -> None:
+    await keys("h", "b")(sea, page, boat)
+    await shown_mode(page, 2, "hold")
+    await menu("Continue")(sea, page, boat)
+
+
 async def sent_first(sea: Sea, page: Page, boat: Boat) -> None:
     """Another plan is drawn, and played; the one before is sent again afterwards."""
     await other_plan(sea, page, boat)
@@ -227,6 +233,7 @@ def heading(turned_deg: float) -> dict[str, Any]:
 
 
 STOP = {"command": "stop"}
+PAUSE, CONTINUE = {"command": "pause"}, {"command": "continue"}
 MODES = {
     "I": ("Idle", "idle", STOP),
     "M": ("Manual", "manual", {"command": "mode", "mode": "manual"}),
@@ -257,6 +264,8 @@ ROWS: dict[str, Row] = {
     "keys.arrow: turn(boat, which(event), -1": Row(keys("h", "ArrowLeft"), "heading_to", heading(-1.0)),
     'main.planned: mission(boat, "put"': Row(put),
     "menus.boat: Stop: stop(boat.id": Row(menu("Stop"), "stop", STOP),
+    "menus.boat: Pause: hold here": Row(menu("Pause: hold here", after=("h",)), "pause", PAUSE),
+    "menus.boat: Continue": Row(continued, "continue", CONTINUE),
     **{f"menus.boat: {title}": Row(menu(title), word, what) for title, word, what in MODES.values()},
     'menus.headingForm: command(boat.id, "heading"': Row(
         menu("Heading…", form=("ArrowRight", "ArrowRight", "Enter")), "heading", heading(10.0)
@@ -303,6 +312,8 @@ ROWS: dict[str, Row] = {
     "planning.replace: send(boat": Row(sent_first, told={"command": "upload"}),
     'planning.replace: command(boat.id, "hold"': Row(held_first, "hold", {"command": "mode", "mode": "hold"}),
     'planning.sail: command(boat.id, "play"': Row(held_first, "play", {"command": "play", "leg": 1}),
+    "key: B": Row(keys("h", "b"), "pause", PAUSE),
+    "key: C": Row(keys("h", "b", "c"), "continue", CONTINUE),
     # By touch: the same entries, opened by a finger.
     "touch: stop": Row(finger("stop"), "stop", STOP),
     "touch: stop all": Row(finger("stop-all"), "stop", STOP),
@@ -310,12 +321,18 @@ ROWS: dict[str, Row] = {
 
 
 def test_every_way_has_a_row_and_every_row_is_a_way() -> None:
-    assert {each for each in ROWS if not each.startswith("touch")} == ways()
+    assert {each for each in ROWS if not each.startswith(("touch", "key: "))} == ways()
 
 
 def test_each_word_of_the_gateway_is_said_by_the_page() -> None:
     modes = {mode.name.lower() for mode in Mode}
     assert set(ORDERS) | modes == {row.word for row in ROWS.values() if row.word}
+
+
+def test_a_key_does_one_thing() -> None:
+    modes = re.findall(r'\{ key: "(\w)", mode:', (SOURCE / "keys.ts").read_text())
+    pressed = ["W", *modes, *(row.key for row in ORDERS.values() if row.key)]
+    assert len(pressed) == len(set(pressed)) > 9
 
 
 async def told(boat: Boat, count: int) -> None:

@@ -120,7 +120,7 @@ def test_a_failsafe_is_shown_with_what_its_trouble_has_become(sea: Sea) -> None:
         ("path", {}, (176, 1, 100, 0)),
         ("grex", {}, (176, 1, 101, 0)),
         ("hold", {}, (176, 1, 5, 0)),
-        ("home", {}, (176, 1, 11, 0)),
+        ("home", {}, (176, 1, 12, 0)),
         ("play", {"leg": 3}, (300, 3, 0, 0)),
         ("heading_to", {"heading_deg": 450.0}, (43002, 1, 90, 0)),
         ("goto_point", {"latitude_deg": 38.7, "longitude_deg": -9.2}, (192, -1, 1, 0)),

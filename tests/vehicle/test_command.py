@@ -98,6 +98,9 @@ def test_nobody_there(tmp_path):
         Link(tmp_path / "nowhere")
 
 
+GOTO = {"command": "goto", "latitude_deg": 38.69, "longitude_deg": -9.21}
+
+
 @pytest.mark.parametrize(
     ("words", "asked"),
     [
@@ -109,7 +112,12 @@ def test_nobody_there(tmp_path):
         ("play", {"command": "play"}),
         ("play 1", {"command": "play", "leg": 0}),
         ("goto", {"command": "goto"}),
-        ("goto 38.69 -9.21", {"command": "goto", "latitude_deg": 38.69, "longitude_deg": -9.21}),
+        ("goto 38.69 -9.21", GOTO),
+        ("goto idle", {"command": "goto", "end": "idle"}),
+        ("goto 38.69 -9.21 1.5 idle", {**GOTO, "speed_mps": 1.5, "end": "idle"}),
+        ("goto 38.69 -9.21 hold", {**GOTO, "end": "hold"}),
+        ("pause", {"command": "pause"}),
+        ("continue", {"command": "continue"}),
         ("speed", {"command": "speed"}),
         ("manual 0.5 -0.5", {"command": "manual", "starboard": 0.5, "port": -0.5}),
     ],
@@ -126,7 +134,8 @@ def test_words_of_the_prompt(words, asked):
         ("heading", "heading_deg is missing: heading heading_deg [speed_mps]"),
         ("heading north", "heading_deg must be a number, not 'north': heading heading_deg [speed_mps]"),
         ("heading nan", "heading_deg must be a number, not 'nan'"),
-        ("goto 38.69", "longitude_deg is missing: goto [latitude_deg longitude_deg] [speed_mps]"),
+        ("goto 38.69", "longitude_deg is missing: goto [latitude_deg longitude_deg] [speed_mps] [end]"),
+        ("goto 38.69 -9.21 1.5 drift", "end must be hold or idle, not 'drift'"),
         ("manual 1", "port is missing: manual starboard port"),
         ("manual 1 1 1", "'1' is too much: manual starboard port"),
         ("hold here", "'here' is too much: hold"),

@@ -37,6 +37,7 @@ TABLE = [  # command, its numbers, what kind of a command it is
     (43002, (1, 90.0), ORDER),
     (192, (-1, 1, 0, NAN, 38.6930, -9.2150), ORDER),
     (178, (1, 0.5), ORDER),
+    (193, (0,), ORDER),
     (246, (0, 0, 1), ORDER),
     (32100, (0, 1), TAKE),
     (511, (33, 1e6), ASK),

@@ -14,6 +14,7 @@ from delfim.vehicle.mavlink.wire import dialect
 from tests.vehicle.mavlink_console import Console, Radio, newest, texts
 
 ACCEPTED, LATER, DENIED, UNSUPPORTED = 0, 1, 2, 3
+SMART_RTL = 12
 MISSION = """
 version = 1
 name = "test"
@@ -106,12 +107,53 @@ def test_no_such_mode(sea, number):
     assert sea.state.mode is Mode.IDLE
 
 
-def test_mavsdks_hold_stops_and_never_moves_the_boat(sea):
-    sea.console.mode(3)
-    assert sea.console.mode(4, 3)[0] == ACCEPTED
+@pytest.mark.parametrize("number", [0, 4])
+def test_mavsdks_hold_never_starts_the_propellers(sea, number):
+    sea.console.mode(number)
+    for _ in range(2):
+        assert sea.console.mode(4, 3)[0] == ACCEPTED
+        assert sea.state.mode is Mode.IDLE
+
+
+@pytest.mark.parametrize(
+    ("pause", "resume"), [((193, 0), (193, 1)), ((176, 1, 4, 3), (176, 1, 4, 4)), ((176, 1, 5), (176, 1, 10))]
+)
+def test_a_mission_is_paused_and_goes_on_where_it_was(sea, pause, resume):
+    """By the command, by MAVSDK's modes of another autopilot, and by the boat's own."""
+    sea.vehicle.on_command(console.LoadMission(MISSION))
+    sea.console.command(300, 2)
+    for _ in range(2):
+        assert sea.console.command(*pause)[0] == ACCEPTED
+        assert sea.state.mode is Mode.HOLD
+    told = newest(sail(sea, 1.1), "MISSION_CURRENT")
+    assert (told.seq, told.mission_state) == (2, dialect.MISSION_STATE_PAUSED)
+    assert sea.console.command(*resume)[0] == ACCEPTED
+    assert (sea.state.mode, sea.state.reference.leg) == (Mode.PLAY, 1)
+    assert newest(sail(sea, 1.1), "MISSION_CURRENT").mission_state == dialect.MISSION_STATE_ACTIVE
+
+
+def test_a_mission_that_an_ardurovers_hold_stopped_goes_on_at_its_leg(boat):
+    sea = afloat(boat, autopilot="ardurover")
+    sea.vehicle.on_command(console.LoadMission(MISSION))
+    sea.console.command(300, 2)
+    assert sea.state.reference.leg == 1
+    sea.console.mode(4)
     assert sea.state.mode is Mode.IDLE
-    assert sea.console.mode(4, 3)[0] == ACCEPTED
+    sea.console.mode(10)
+    assert (sea.state.mode, sea.state.reference.leg) == (Mode.PLAY, 1)
+
+
+@pytest.mark.parametrize(("number", "result"), [(1, LATER), (2, DENIED), (math.nan, DENIED)])
+def test_what_is_not_paused_does_not_go_on(sea, number, result):
+    assert sea.console.command(193, number)[0] == result
     assert sea.state.mode is Mode.IDLE
+
+
+def test_the_end_of_go_to_is_a_parameter(sea):
+    sea.console.say("param_set", 1, 1, b"GOTO_END", 1.0, 9)
+    sea.console.command(192, -1, 1, 0, math.nan, 38.6925, -9.2150)
+    sail(sea, 0.4)
+    assert (sea.state.mode, sea.state.reason) == (Mode.IDLE, "goto done")
 
 
 @pytest.mark.parametrize("number", [176, 400, 300, 43002, 192, 178, 246, 20, 224])
@@ -128,6 +170,8 @@ def test_what_names_no_vehicle_or_another_one_moves_nothing(sea, number, target)
 def test_home_is_a_mode_and_a_command(sea, ask):
     assert sea.console.command(*ask)[0] == ACCEPTED
     assert sea.state.mode is Mode.HOME
+    sea.station.tick()
+    assert newest(sea.console.listen(), "HEARTBEAT").custom_mode == SMART_RTL, "the way that it came, not the straight one"
 
 
 def test_the_old_way_to_set_a_mode(sea):

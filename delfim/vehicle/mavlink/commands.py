@@ -18,14 +18,14 @@ ACCEPTED: Final = int(dialect.MAV_RESULT_ACCEPTED)
 LATER: Final = int(dialect.MAV_RESULT_TEMPORARILY_REJECTED)
 DENIED: Final = int(dialect.MAV_RESULT_DENIED)
 UNSUPPORTED: Final = int(dialect.MAV_RESULT_UNSUPPORTED)
-SMART_RTL: Final = 12  # ArduRover's number for a way home along the driven track, as ours is
+RTL: Final = 11  # ArduRover's number for the straight way home: this boat takes the way that it came, and tells so
 CHANGE_MODE: Final = int(dialect.MAV_DO_REPOSITION_FLAGS_CHANGE_MODE)
 PLACE: Final = ("latitude_deg", "longitude_deg")
 NOWHERE: Final = 0x7FFFFFFF  # of an integer position: not given
 
 PX4: Final[dict[tuple[float, float], console.Commands]] = {  # main mode, sub mode: MAVSDK sends these to an unknown autopilot
-    (4, 3): console.Stop(),  # "hold" must never move the boat
-    (4, 4): console.SetMode("play"),
+    (4, 3): console.Pause(),  # but a boat at rest or driven by hand stops: "hold" must not start its propellers
+    (4, 4): console.SetMode("play"),  # goes on with a paused mission
     (4, 5): console.SetMode("home"),
 }
 
@@ -71,10 +71,11 @@ def _mode(o: Order, boat: Terms) -> console.Commands:
     if sub:
         if (custom, sub) not in PX4:
             raise FormatError(f"mode {custom:g}/{sub:g} is another autopilot's: choose one of this boat's modes")
-        return PX4[custom, sub]
+        asked = PX4[custom, sub]
+        return console.Stop() if isinstance(asked, console.Pause) and boat.mode in (Mode.IDLE, Mode.MANUAL) else asked
     if not (math.isfinite(base) and int(base) & dialect.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED):
         raise FormatError("ask for the mode by its custom number")
-    if custom == SMART_RTL:
+    if custom == RTL:
         return console.SetMode("home")
     if custom not in list(Mode):
         raise FormatError(f"no mode {custom:g}")
@@ -122,6 +123,13 @@ def _goto(o: Order, boat: Terms) -> console.Commands:
     return console.asked(console.Goto, **place, speed_mps=o.p[0] if o.p[0] > 0.0 else None)
 
 
+def _pause(o: Order, boat: Terms) -> console.Commands:
+    """DO_PAUSE_CONTINUE"""
+    if o.p[0] not in (0.0, 1.0):
+        raise FormatError(f"0 pauses, 1 continues; {o.p[0]:g} does nothing")
+    return console.Continue() if o.p[0] else console.Pause()
+
+
 def _speed(o: Order, boat: Terms) -> console.Commands:
     """In m/s if given, otherwise in % of the boat's top speed; -2 is the plan's own speed."""
     if o.p[1] == -2.0:
@@ -154,6 +162,7 @@ COMMANDS: Final[dict[int, Callable[[Order, Terms], console.Commands]]] = {
     dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH: _home,
     dialect.MAV_CMD_GUIDED_CHANGE_HEADING: _heading,
     dialect.MAV_CMD_DO_REPOSITION: _goto,
+    dialect.MAV_CMD_DO_PAUSE_CONTINUE: _pause,
     dialect.MAV_CMD_DO_CHANGE_SPEED: _speed,
     dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reset,
 }

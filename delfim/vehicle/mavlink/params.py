@@ -40,6 +40,7 @@ PARAMS: Final = (
     Param("PATH_I", "control.path.integral_gain", "m/s"),
     Param("PATH_CRAB_TIME", "control.path.crab_s", "s"),
     Param("WP_RADIUS", "control.path.acceptance_m", "m"),
+    Param("GOTO_END", "control.goto.end", "", ("hold", "idle")),
     Param("HOLD_RADIUS", "control.hold.radius_m", "m"),
     Param("HOLD_SPEED", "control.hold.speed_mps", "m/s"),
     Param("HOME_SPEED", "control.home.speed_mps", "m/s"),

@@ -202,7 +202,9 @@ def current(view: TelemetryView) -> Iterator[Message]:
     playing = state.mode is Mode.PLAY
     done = state.mode is Mode.HOLD and state.reason == "play done"
     leg = state.reference.leg if playing else state.setpoint.leg
-    now = dialect.MISSION_STATE_ACTIVE if playing else dialect.MISSION_STATE_NOT_STARTED
+    paused = view.boat.helm.paused
+    still = dialect.MISSION_STATE_PAUSED if paused and paused.mode is Mode.PLAY else dialect.MISSION_STATE_NOT_STARTED
+    now = dialect.MISSION_STATE_ACTIVE if playing else still
     doing = dialect.MISSION_STATE_COMPLETE if done else now
     yield dialect.MAVLink_mission_current_message(view.item(leg), len(plan.waypoints), doing)
 

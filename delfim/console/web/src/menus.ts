@@ -34,12 +34,15 @@ export class Menus {
 
   boat(boat: Boat, at: Pixel): void {
     if (this.state.replaying) return this.popup.menu(at, { title: boat.name, colour: boat.colour }, this.view(boat.latitude_deg === null ? null : (boat as Place)));
+    const command = this.commands(boat);
     const enter = (mode: Mode, title: string): Item => ({ title, tick: boat.mode === mode, do: () => this.planning.sail(boat, mode) });
     const keyed = KEYED.filter(({ mode }) => boat.modes.includes(mode));
     const others = boat.modes.filter((mode) => !IN_MORE.has(mode) && !keyed.some((each) => each.mode === mode));
     const modes = [...keyed.map(({ key, mode, title }) => ({ ...enter(mode, title), key })), ...others.map((mode) => enter(mode, capital(mode)))];
     this.popup.menu(at, { title: boat.name, colour: boat.colour }, [
       { title: "Stop", key: "Space", do: () => this.actions.stop(boat.id) },
+      command("Pause: hold here", "pause", boat.mode === "idle" && "the boat is idle", "B"),
+      command("Continue", "continue", boat.mode !== "hold" && "nothing is paused", "C"),
       "line",
       ...modes,
       "line",
@@ -100,18 +103,23 @@ export class Menus {
     this.popup.form(at, `${boat.name}: thrust`, [field("Port", thrust[0]), field("Starboard", thrust[1])], live, done);
   }
 
-  private more(boat: Boat): Entry[] {
-    const command = (title: string, name: "arm" | "disarm" | "take" | "hold" | "home", refuse?: string | false): Item => ({
+  private commands(boat: Boat) {
+    return (title: string, name: string, refuse?: string | false, key?: string): Item => ({
       title,
+      ...(key && { key }),
       refuse: refuse || undefined,
       do: () => void this.actions.command(boat.id, name),
     });
+  }
+
+  private more(boat: Boat): Entry[] {
+    const command = this.commands(boat);
     return [
-      { title: "Hold this position", do: () => void this.actions.mode(boat, "hold") },
-      { title: "Go home", refuse: boat.home ? undefined : "no home aboard: set one in the plan and send it", do: () => void this.actions.mode(boat, "home") },
+      { title: "Hold this position", note: "thrusters start again when it drifts off", do: () => void this.actions.mode(boat, "hold") },
+      { title: "Go home", note: "back along the way it came, then hold", refuse: boat.home ? undefined : "no home aboard: set one in the plan and send it", do: () => void this.actions.mode(boat, "home") },
       "line",
       boat.armed ? command("Disarm", "disarm") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
-      ...this.state.orders.map(({ command, title, key }): Item => ({ title, ...(key && { key }), do: () => void this.actions.command(boat.id, command) })),
+      ...this.state.orders.filter(({ title }) => title).map(({ command, title, key }): Item => ({ title, ...(key && { key }), do: () => void this.actions.command(boat.id, command) })),
       command("Take control", "take", boat.owner && "this console is in control"),
       "line",
       ...PROFILES.map((name): Item => ({ title: `Link: ${name}`, tick: boat.link.profile === name, do: () => void this.actions.profile(boat.id, name) })),

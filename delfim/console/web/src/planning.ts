@@ -11,6 +11,7 @@ import type { State } from "./state";
 import type { Boat, Mission, Mode, Place, Waypoint } from "./wire";
 
 const AMONG_MISSION: ReadonlySet<Mode> = new Set(["play", "path", "goto"]); // modes that sail the mission aboard
+const HOLDS_THERE = "then hold: thrusters start again"; // unless the boat's file has control.goto.end = "idle"
 const NO_BOAT = "no boat has been heard";
 /** Stands for the boat while none is heard, so that a mission can be planned. */
 export const NONE: Boat = {
@@ -181,7 +182,7 @@ export class Planning {
     const best = M.bestIndex(mission, place);
     const size = mission.waypoints.length;
     const insert = (index: number) => () => this.change(boat, (each) => M.insertWaypoint(each, index, place));
-    const go: Entry[] = [{ title: `Send ${boat.name} here`, colour: boat.colour, do: () => void this.actions.command(boat.id, "goto_point", { ...place }) }, "line"];
+    const go: Entry[] = [{ title: `Send ${boat.name} here`, colour: boat.colour, note: HOLDS_THERE, do: () => void this.actions.command(boat.id, "goto_point", { ...place }) }, "line"];
     const entries: Entry[] = [
       ...(boat.id === NOBODY ? [] : go),
       { title: "Add waypoint", note: size ? `as the last, number ${size + 1}` : "the first", do: insert(size) },
@@ -279,7 +280,7 @@ export class Planning {
       { title: "Delete", do: () => this.change(boat, (each) => M.deleteWaypoint(each, index)) },
       "line",
       { title: "Play from here", refuse: boat.id === NOBODY && NO_BOAT, do: () => this.sail(boat, "play", index) },
-      { title: "Go to this point", refuse: boat.id === NOBODY && NO_BOAT, do: () => void this.actions.command(boat.id, "goto_point", { latitude_deg: its.latitude_deg, longitude_deg: its.longitude_deg }) },
+      { title: "Go to this point", note: HOLDS_THERE, refuse: boat.id === NOBODY && NO_BOAT, do: () => void this.actions.command(boat.id, "goto_point", { latitude_deg: its.latitude_deg, longitude_deg: its.longitude_deg }) },
     ]);
   }
 
