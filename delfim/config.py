@@ -38,6 +38,10 @@ SensorName = Literal["sysstat"]  # files in delfim/vehicle/sensors
 Actuators = Annotated[tuple[ActuatorName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(ActuatorName)))]
 Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(SourceName)))]
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
+OTHER_NODES = (0x01, 0x02, 0x10, 0x11, 0x20, 0x21)  # of `messages.Node`
+TAKEN_VEHICLES = (0x40, 0xA0)  # commands to actuators, and reset, have these identifiers
+DsorVehicle = Annotated[int, msgspec.Meta(ge=0, le=0xF0, multiple_of=16)]
+BitRate = Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)]
 ActionName = Literal["warn", "hold", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "home", "stop"]
 EndMode = Literal["hold", "idle"]
@@ -96,7 +100,16 @@ class Can(Table, frozen=True):
     """The bus of the boat's own nodes: a Linux interface, `canloop:NAME`, or `python-can:INTERFACE:CHANNEL[@BITRATE]`."""
 
     interface: Interface = "can0"  # the bus
+    bitrate_bps: BitRate = 500_000  # of a Linux interface, which the first process sets up (docs/boot.md)
+    node: DsorNode = 0  # of this computer in the DSOR protocol; 0 is the gateway of DelfimX
+    vehicle: DsorVehicle = 0xC0  # identifier of the time frame, a multiple of 16; 192 (0xC0) is DelfimX
     receive_buffer_bytes: Annotated[int, msgspec.Meta(ge=4096, le=64 << 20)] = 1 << 20  # of each socket
+
+    def __post_init__(self) -> None:
+        if self.node in OTHER_NODES:
+            raise ValueError(f"node {self.node} is another one of the boat")
+        if self.vehicle in TAKEN_VEHICLES:
+            raise ValueError(f"frames of vehicle {self.vehicle:#04x} would be commands to propellers or nodes")
 
 
 class NavigationTable(Table, frozen=True):
@@ -113,6 +126,7 @@ class Nmea2000(Table, frozen=True):
     """A bus of off-the-shelf sensors. Of several that send the same value, the first in `preferred_sources` is used."""
 
     interface: Interface = "can1"  # the bus of the sensors
+    bitrate_bps: BitRate = 250_000  # of a Linux interface, as NMEA 2000 has it
     preferred_sources: tuple[Annotated[int, msgspec.Meta(ge=0, le=251)], ...] = ()  # addresses, best first; empty: any
     variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while the bus sends none
 
@@ -448,7 +462,6 @@ class Canip(Table, frozen=True):
     device: DeviceName = "canip0"  # the device's name
     address: str = "192.168.1.2/24"  # of the device, IPv4 with prefix length; empty: set by another program
     mtu: Annotated[int, msgspec.Meta(ge=576, le=65_535)] = 65_535  # larger datagrams come as fragments, which are dropped
-    node: DsorNode = 0  # of this computer
     priority: Annotated[int, msgspec.Meta(ge=0, le=255)] = 192  # of datagrams on the bus; 0 is the most urgent
     source: str = "192.168.1.1"  # IPv4 source address of datagrams from nodes that are not among the peers
     peers: dict[Name, CanipPeer] = msgspec.field(default_factory=dict)
@@ -685,6 +698,16 @@ class Vehicle(Table, frozen=True):
         parts = ("can", *self.navigation.sources, *self.sensors.names, *self.propulsion.actuators)
         tables = {name: getattr(self, name, None) for name in parts}
         return {f"{name}.{key}": getattr(table, key) for name, table in tables.items() if hasattr(table, key)}
+
+    @property
+    def bit_rates(self) -> dict[str, int]:
+        """The Linux interfaces among the buses of the boat, with their bit rates in bit/s."""
+        rates = dict[str, int]()
+        for key, interface in self.outside("interface").items():
+            if ":" not in interface:
+                table = getattr(self, key.partition(".")[0])
+                rates.setdefault(interface, getattr(table, "bitrate_bps", self.can.bitrate_bps))
+        return rates
 
     @property
     def buses(self) -> tuple[str, ...]:

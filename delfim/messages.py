@@ -31,13 +31,19 @@ class Node(IntEnum):
 
 PROPELLER_TIMEOUT_S: Final = 1.0
 
+
+def time_frame(vehicle: int) -> int:
+    """Arbitration field of a vehicle's time frame. `vehicle`: its DSOR identifier, 0x00 to 0xF0, bits 4 to 7 (thesis 3.2)."""
+    return standard(vehicle)
+
+
 # Standard format frames, most urgent first.
 PROPELLER_STARBOARD: Final = standard(0x040)
 PROPELLER_PORT: Final = standard(0x041)
 BATTERIES_STARBOARD: Final = standard(0x042)
 BATTERIES_PORT: Final = standard(0x043)
 RESET: Final = standard(0x0A0)  # a node, or all of them, starts again
-TIME_FRAME: Final = standard(0x0C0)  # DSOR vehicle 0xC0 (thesis 3.2): UTC at the start of each second
+TIME_FRAME: Final = time_frame(0xC0)  # UTC at the start of each second; of DSOR vehicle 0xC0 (thesis 3.2)
 SHUTDOWN: Final = standard(0x0C8)  # to every computer of the boat: end in order, the power will be cut (thesis 3.3)
 SHUTDOWN_ACKNOWLEDGE: Final = standard(0x0C9)  # how far the vehicle's computer is with it
 

@@ -19,6 +19,7 @@ from delfim import config
 from delfim.errors import DelfimError, FormatError, PermanentFailure
 from delfim.outside import parse_json, read_file
 from delfim.services import cgroup, shutdown
+from delfim.services.buses import bring_up
 from delfim.services.children import STACKS_SIGNAL, Supervised
 from delfim.services.privileges import real_time
 from delfim.services.supervisor import Supervisor
@@ -123,6 +124,8 @@ def supervise(
     """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
     `program` is started with `run FILE`. init: as the machine's first process, which ends with the machine."""
     settings = config.load(file, overrides)
+    if init:
+        bring_up(settings.bit_rates)
     command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
     programs = [Supervised("runtime", command, critical=True)]
     programs += [

@@ -64,6 +64,13 @@ def read_toml(path: str | Path, overrides: Sequence[str] = ()) -> dict[str, Any]
     return tree
 
 
+def read_override(override: str) -> dict[str, Any]:
+    """The tables of one "key.key=TOML value". Raises ConfigError."""
+    tree = dict[str, Any]()
+    _override(tree, override)
+    return tree
+
+
 def _override(tree: dict[str, Any], override: str) -> None:
     key, equals, value = override.partition("=")
     try:

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim import config, tables
-from delfim.config import ServiceTable, Vehicle
+from delfim import config, frames, messages, tables
+from delfim.config import OTHER_NODES, TAKEN_VEHICLES, ServiceTable, Vehicle
 from delfim.errors import ConfigError
 from delfim.tables import Table
 
@@ -185,6 +185,33 @@ def test_text_needs_no_quotes_in_an_override(tmp_path: Path) -> None:
     vehicle = config.load(file, words)
     assert (vehicle.boat.name, vehicle.can.interface, vehicle.boat.id) == ("Argo", "canloop:can1", 3)
     assert (vehicle.log.directory, vehicle.httpd.listen) == ("/tmp/my log", "127.0.0.1:1")
+
+
+@pytest.mark.parametrize(
+    ("text", "reason"),
+    [
+        ("[can]\nnode = 0x10", "node 16 is another one of the boat"),
+        ("[can]\nvehicle = 0x40", "frames of vehicle 0x40 would be commands to propellers or nodes"),
+        ("[can]\nvehicle = 0xA0", "frames of vehicle 0xa0 would be commands to propellers or nodes"),
+        ("[can]\nvehicle = 0xC1", "193 is not allowed"),
+        ("[can]\nbitrate_bps = 9_999", "9999 is not allowed"),
+    ],
+)
+def test_numbers_on_the_bus_that_belong_to_others_are_refused(tmp_path: Path, text: str, reason: str) -> None:
+    assert refused(tmp_path, BOAT + text).reason == reason
+
+
+def test_every_other_node_and_every_command_is_known_to_be_taken() -> None:
+    assert set(OTHER_NODES) == set(messages.Node) - {messages.Node.VEHICLE, messages.Node.BROADCAST}
+    commands = (messages.PROPELLER_STARBOARD, messages.PROPELLER_PORT, messages.BATTERIES_STARBOARD, messages.BATTERIES_PORT)
+    assert set(TAKEN_VEHICLES) == {frames.identifier(arb) & 0xF0 for arb in (*commands, messages.RESET)}
+
+
+def test_each_linux_interface_has_its_bit_rate(tmp_path: Path) -> None:
+    assert load(tmp_path, BOAT).bit_rates == {"can0": 500_000}
+    both = load(tmp_path, BOAT + '[navigation]\nsources = ["nmea2000", "dsor"]\n[can]\nbitrate_bps = 1_000_000')
+    assert both.bit_rates == {"can0": 1_000_000, "can1": 250_000}
+    assert load(tmp_path, BOAT + '[can]\ninterface = "canloop:x"').bit_rates == {}
 
 
 def test_everything_that_is_wrong_is_told_at_once() -> None:

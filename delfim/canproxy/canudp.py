@@ -83,10 +83,10 @@ class CanIp:
     counts  outcome of datagrams -> number: "sent", "delivered", "received", and the reasons for dropping others
     """
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, tun: int, can: CanSocket, settings: config.Canip) -> None:
-        """Both stay the caller's to close, after `close`. Raises BusError, FormatError."""
+    def __init__(self, loop: asyncio.AbstractEventLoop, tun: int, can: CanSocket, settings: config.Canip, node: int) -> None:
+        """`node` is this computer's. Both stay the caller's to close, after `close`. Raises BusError, FormatError."""
         self.counts: Counter[str] = Counter()
-        self._tun, self._settings = tun, settings
+        self._tun, self._settings, self._node = tun, settings, node
         self._nodes = {int(IPv4Address(peer.address)): peer.node for peer in settings.peers.values()}
         self._addresses = {node: address for address, node in self._nodes.items()}
         self._everybody = {0xFFFFFFFF}
@@ -98,7 +98,7 @@ class CanIp:
         self._dsor = DsorTransport(
             loop,
             can,
-            settings.node,
+            node,
             wanted=lambda message: message.address is not None,
             on_message=self._deliver,
             on_outcome=self._ended,
@@ -136,7 +136,7 @@ class CanIp:
             raise Refused("no node has the address")
         if self._waiting[node] >= WAITING_MAX:
             raise Refused("too many wait")
-        self._dsor.send(Message(self._settings.priority, self._settings.node, node, 0, data, port=port, address=address))
+        self._dsor.send(Message(self._settings.priority, self._node, node, 0, data, port=port, address=address))
         if node != BROADCAST:
             self._waiting[node] += 1
 

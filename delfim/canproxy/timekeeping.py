@@ -35,7 +35,8 @@ class Timekeeper:
     takeovers    times that the redundant one began to send
     """
 
-    def __init__(self, mode: Literal["master", "redundant"], takeover_s: float, now_s: float) -> None:
+    def __init__(self, mode: Literal["master", "redundant"], takeover_s: float, now_s: float, arb: int = TIME_FRAME) -> None:
+        self._arb = arb
         self.delay_s = REDUNDANT_DELAY_S if mode == "redundant" else 0.0
         self.heard = self.sent = self.takeovers = 0
         self.is_speaking = mode == "master"
@@ -44,7 +45,7 @@ class Timekeeper:
 
     def hear(self, frame: Frame, now_s: float) -> None:
         """A frame came; all but time frames are ignored."""
-        if frame.arb != TIME_FRAME or len(frame.data) != TIME.size:
+        if frame.arb != self._arb or len(frame.data) != TIME.size:
             return
         self.heard += 1
         self._heard_s = now_s
@@ -60,7 +61,7 @@ class Timekeeper:
             return None
         self._late_s.append(late_ns / 1e9)
         self.sent += 1
-        return Frame(TIME_FRAME, TIME.pack(utc_ns))
+        return Frame(self._arb, TIME.pack(utc_ns))
 
     def report(self) -> dict[str, object]:
         """JSON-ready. `late_s`: how late the frames of the last ten minutes were handed to the bus."""
@@ -117,7 +118,7 @@ class SecondTimer:
 
 
 class TimeService:
-    """Timekeeper, timer and a socket bound to TIME_FRAME, together: `on_frames` when `can` is readable, `on_second` when
+    """Timekeeper, timer and a socket bound to the time frame, together: `on_frames` when `can` is readable, `on_second` when
     `timer` is. A bus that fails is counted, and reopened each second.
 
     failures  frames that the bus did not take, and failed reads

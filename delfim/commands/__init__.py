@@ -24,6 +24,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
         "log": "List, sum up, plot, export, replay, repair and fetch logs (docs/logs.md).",
     },
     "Describe a boat": {
+        "commission": "Make the files of a boat for the sea: its vehicle's file, keys and users (docs/sea.md).",
         "check": "Check a vehicle's file and list all its faults.",
         "describe": "List every key of a vehicle's file with its default, range and meaning.",
         "password": "Ask for a password and print its hash, for a vehicle's file.",

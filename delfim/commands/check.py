@@ -13,10 +13,16 @@ TOLD = 50  # faults listed for one file
 
 def options(parser: argparse.ArgumentParser) -> None:
     vehicle_file(parser)
+    parser.add_argument(
+        "--sea",
+        action="store_true",
+        help="List who may do what from where; refuse what lets a stranger move the boat or write.",
+    )
 
 
 def run(asked: argparse.Namespace) -> int:
-    """Returns 2 if the file has faults. A warning is not one: another computer may have the device that this one lacks."""
+    """Returns 2 if the file has faults, 1 if the boat must not go to sea with it. A warning is neither: another computer may
+    have the device that this one lacks."""
     from delfim import tables
     from delfim.suite import services
 
@@ -27,11 +33,28 @@ def run(asked: argparse.Namespace) -> int:
         print(*(f"  {str(each).removeprefix(f'{asked.file}: ')}" for each in wrong[:TOLD]), sep="\n", file=sys.stderr)
         return 2
     vehicle = config.load(asked.file, asked.set)
-    services(vehicle)
+    running = [row.name for row in services(vehicle)]
     for doubt in _doubts(asked.file, vehicle):
         print(f"delfim: warning: {doubt}", file=sys.stderr)
+    if asked.sea and _at_sea(vehicle, running):
+        return 1
     print(f"{asked.file}: {vehicle.boat.name}: nothing is wrong with this file")
     return 0
+
+
+def _at_sea(vehicle: config.Vehicle, running: list[str]) -> bool:
+    """Prints the boat's doors. Whether it must not go to sea with them."""
+    from delfim.services.doors import doors
+
+    found = doors(vehicle, running)
+    titles = {"anyone": "Open to anyone:", "known": "Behind a key or a password:", "here": "On this computer alone:"}
+    for reach, title in titles.items():
+        rows = [f"  {door.service:8} {door.place:24} {door.who}: {door.may}" for door in found if door.reach == reach]
+        print(title, *(rows or ["  nothing"]), sep="\n")
+    faults = [door.fault for door in found if door.fault]
+    if faults:
+        print("delfim: the boat must not go to sea like this:", *(f"  {fault}" for fault in faults), sep="\n", file=sys.stderr)
+    return bool(faults)
 
 
 def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:

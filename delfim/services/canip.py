@@ -11,12 +11,12 @@ from delfim.services.runtime import Runtime
 
 async def serve(runtime: Runtime) -> None:
     """Until it is cancelled."""
-    settings = runtime.config.canip
+    settings, bus = runtime.config.canip, runtime.config.can
     tun = open_tun(settings.device, settings.address, settings.mtu)
     with contextlib.ExitStack() as links:
         links.callback(os.close, tun)
-        can = links.enter_context(open_can(runtime.config.can.interface))
-        carrier = CanIp(asyncio.get_running_loop(), tun, can, settings)
+        can = links.enter_context(open_can(bus.interface))
+        carrier = CanIp(asyncio.get_running_loop(), tun, can, settings, bus.node)
         links.callback(carrier.close)
         links.enter_context(runtime.reading(tun, carrier.on_packets))
         links.enter_context(runtime.publishing("canip", carrier.report))

@@ -19,7 +19,7 @@ async def serve(runtime: Runtime) -> None:
     filters = tuple(CanAddress(*message_filter(source=node)) for node in names)
     with contextlib.ExitStack() as links:
         can = links.enter_context(open_bound(settings.can, settings.can.interface, filters))
-        receiver = Receiver(Node.VEHICLE, lambda message: message.id == LOG_ID and message.port is None)
+        receiver = Receiver(settings.can.node, lambda message: message.id == LOG_ID and message.port is None)
         log = LogMessages(can, receiver, names, settings.log, runtime.clock)
         links.callback(log.close)
         links.enter_context(runtime.reading(can.fileno(), log.on_readable))

@@ -6,7 +6,7 @@ import contextlib
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress
 from delfim.canproxy.timekeeping import SecondTimer, Timekeeper, TimeService
-from delfim.messages import TIME_FRAME
+from delfim.messages import time_frame
 from delfim.services.runtime import Runtime
 
 
@@ -14,9 +14,10 @@ async def serve(runtime: Runtime) -> None:
     """Until it is cancelled."""
     settings, clock, can_settings = runtime.config.timed, runtime.clock, runtime.config.can
     assert settings.mode != "off"
-    keeper = Timekeeper(settings.mode, settings.takeover_s, clock.monotonic_s())
+    frame = time_frame(can_settings.vehicle)
+    keeper = Timekeeper(settings.mode, settings.takeover_s, clock.monotonic_s(), frame)
     with contextlib.ExitStack() as links:
-        can = links.enter_context(open_bound(can_settings, can_settings.interface, (CanAddress(TIME_FRAME),)))
+        can = links.enter_context(open_bound(can_settings, can_settings.interface, (CanAddress(frame),)))
         timer = SecondTimer(keeper.delay_s, clock.time_ns())
         links.callback(timer.close)
         service = TimeService(keeper, timer, can, clock)

@@ -23,7 +23,7 @@ from delfim.canproxy.timekeeping import REDUNDANT_DELAY_S, SecondTimer, Timekeep
 from delfim.clock import ManualClock, SystemClock
 from delfim.errors import BusError
 from delfim.frames import Frame, standard
-from delfim.messages import TIME, TIME_FRAME
+from delfim.messages import TIME, TIME_FRAME, time_frame
 
 ROOT = Path(__file__).parents[2]
 BUS = "canloop:timed"
@@ -46,6 +46,15 @@ def test_the_master_says_the_time_each_second() -> None:
     start = ManualClock().time_ns()
     assert sent == [frame(start), frame(start + 1_000_100_000), frame(start + 2_000_200_000)]
     assert keeper.report()["late_s"] == {"p50": 0.0001, "p99": 0.0002, "worst": 0.0002}
+
+
+def test_each_vehicle_has_a_time_frame_of_its_own() -> None:
+    keeper = Timekeeper("redundant", 2.5, 0.0, time_frame(0xD0))
+    keeper.hear(frame(0), 0.5)
+    assert keeper.report()["heard"] == 0, "another vehicle's"
+    keeper.hear(Frame(standard(0x0D0), TIME.pack(0)), 0.5)
+    assert keeper.report()["heard"] == 1
+    assert keeper.tick(4.01, 4 * S + 10_000_000) == Frame(standard(0x0D0), TIME.pack(4 * S + 10_000_000))
 
 
 def test_a_master_does_not_yield() -> None:

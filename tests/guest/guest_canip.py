@@ -48,8 +48,8 @@ def service(namespace: str, address: str, node: int, peer: str) -> "subprocess.P
         f'can.interface="{namespace}"',
         "canip.enabled=true",
         f'canip.address="{address}/24"',
-        f"canip.node={node}",
-        f'canip.peers={{other={{address="{peer}",node={3 - node}}}}}',
+        f"can.node={node}",
+        f'canip.peers={{other={{address="{peer}",node={7 - node}}}}}',
     )
     words = [word for override in overrides for word in ("--set", override)]
     command = [sys.executable, "-m", "delfim", "run", "etc/delfimx.toml", "--service", "canip", *words]
@@ -65,7 +65,7 @@ def ends() -> Iterator[tuple[socket.socket, socket.socket]]:
         run(f"ip netns add {name}")
         run(f"ip link set {name} netns {name}")
         run(f"ip -n {name} link set {name} up txqueuelen 1000")
-    services = [service("first", FIRST, 1, SECOND), service("second", SECOND, 2, FIRST)]
+    services = [service("first", FIRST, 3, SECOND), service("second", SECOND, 4, FIRST)]
     deadline_s = time.monotonic() + 60.0
     for name, address in (("first", FIRST), ("second", SECOND)):
         while address not in run(f"ip -n {name} -o address") or ",UP" not in run(f"ip -n {name} -o link"):

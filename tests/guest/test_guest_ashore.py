@@ -129,7 +129,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
     image = boat_image.build()
     folder = tmp_path_factory.mktemp("ashore")
     words = [f"initrd={image}/initramfs-guest.gz", f"ubd0={log_partition(folder)}", "vec0:transport=tap,ifname=tap0,depth=128"]
-    init = [f"VEHICLE={FILE}", "MODULES=vcan,can-raw", "LOG=/dev/ubda", "CAN=vcan0", "NET=vec0", f"ADDRESS={BOAT}/24"]
+    init = [f"VEHICLE={FILE}", "MODULES=vcan,can-raw", "LOG=/dev/ubda", "NET=vec0", f"ADDRESS={BOAT}/24"]
     console = ["con=null", "con0=fd:0,fd:1", "quiet", "selinux=0", f"uml_dir={folder}"]
     with network():
         process = subprocess.Popen(

@@ -8,8 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from delfim import config, messages
+from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.frames import Frame, extended
-from delfim.messages import Fault, Node, Status
+from delfim.messages import NAVIGATION_ID, Fault, Navigation, Node, Status, pack_navigation
 from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.loop import COLD_CYCLES
@@ -303,3 +304,13 @@ def test_a_rehearsal_goes_the_whole_way_sends_nothing_and_changes_nothing(boat):
     assert (boat.vehicle.helm.memory, boat.vehicle.propulsion._sent, boat.state) == before
     twin = rehearsal._twin
     assert (twin.state.cycles, twin.state.mode, twin.state.actuation.run) == (3 + 2, Mode.HEADING, True)
+
+
+@pytest.mark.parametrize("node", [0, 5])
+def test_navigation_for_this_computers_node_is_taken_and_for_another_one_not(make_boat, node):
+    boat = make_boat(can=config.Can(node=5))
+    still = Navigation(boat.clock.time_ns(), 0.6, -0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3, 9, 0.9, 1)
+    message = Message(0x20, Node.NAVIGATION, node, NAVIGATION_ID, pack_navigation(still))
+    for frame in segments(message, 1):
+        boat.nodes.sendmsg(frame)
+    assert boat.vehicle.on_navigation(boat.source) is (node == 5)

@@ -10,12 +10,12 @@ from delfim.messages import (
     GPS_SYSSTAT_ID,
     SYSSTAT_PRIORITY,
     TIME,
-    TIME_FRAME,
     Fault,
     GpsStatus,
     Node,
     Status,
     pack_gps_status,
+    time_frame,
 )
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.navigation import FIX, HDOP, SATELLITES
@@ -30,7 +30,8 @@ class GpsNode:
 
     hears = ()
 
-    def __init__(self) -> None:
+    def __init__(self, vehicle: int = 0xC0) -> None:
+        self._time_frame = time_frame(vehicle)
         self.due_s = -math.inf
         self.silent = self.bad = False
         self._second: int | None = None
@@ -48,8 +49,8 @@ class GpsNode:
         self._number += 1
         status = GpsStatus(*(_BAD if self.bad else _GOOD), FIX, SATELLITES, HDOP, utc_ns)
         message = Message(SYSSTAT_PRIORITY, Node.GPS, Node.BROADCAST, GPS_SYSSTAT_ID, pack_gps_status(status))
-        return [Frame(TIME_FRAME, TIME.pack(utc_ns)), *segments(message, self._number)]
+        return [Frame(self._time_frame, TIME.pack(utc_ns)), *segments(message, self._number)]
 
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, GpsNode]:
-    return {"gps": GpsNode()}
+    return {"gps": GpsNode(settings.can.vehicle)}

@@ -27,9 +27,9 @@ class SystemStatus:
 
     name = "sysstat"
 
-    def __init__(self, socket: CanSocket) -> None:
+    def __init__(self, socket: CanSocket, node: int = Node.VEHICLE) -> None:
         self.input = socket
-        self._segmented = Receiver(Node.VEHICLE, lambda message: message.id == GPS_SYSSTAT_ID)
+        self._segmented = Receiver(node, lambda message: message.id == GPS_SYSSTAT_ID)
 
     def read(self, state: State, now_s: float) -> None:
         """Malformed reports are counted."""
@@ -55,7 +55,7 @@ class SystemStatus:
 
 def open_sensor(settings: config.Vehicle, links: Links) -> SystemStatus:
     plain, segmented = CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK), CanAddress(*message_filter(source=Node.GPS))
-    return SystemStatus(links.bus(settings.can.interface, (plain, segmented)))
+    return SystemStatus(links.bus(settings.can.interface, (plain, segmented)), settings.can.node)
 
 
 def wrong(state: State, required: config.Sysstat, now_s: float) -> str | None:

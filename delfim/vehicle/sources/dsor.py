@@ -18,11 +18,11 @@ class DsorNavigation:
 
     name = "dsor"
 
-    def __init__(self, socket: CanSocket, state: State) -> None:
+    def __init__(self, socket: CanSocket, state: State, node: int = Node.VEHICLE) -> None:
         self.input, self._state = socket, state
         self.heard_s = -1e9
         self._receive_many = socket.receive_many
-        self._receiver = Receiver(Node.VEHICLE, lambda message: message.id == NAVIGATION_ID)
+        self._receiver = Receiver(node, lambda message: message.id == NAVIGATION_ID)
 
     def read(self, now_s: float) -> Fix | None:
         """The next complete message, None when there is none yet. Later frames stay readable. Malformed ones are
@@ -61,5 +61,5 @@ class DsorNavigation:
 
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> DsorNavigation:
-    node = CanAddress(*message_filter(source=Node.NAVIGATION))
-    return DsorNavigation(links.bus(settings.can.interface, (node,)), state)
+    navigation = CanAddress(*message_filter(source=Node.NAVIGATION))
+    return DsorNavigation(links.bus(settings.can.interface, (navigation,)), state, settings.can.node)

@@ -1,0 +1,124 @@
+"""The doors of a boat, as its vehicle's file opens them: what listens where, who is let in, and what one can do there.
+
+`delfim check --sea` prints them. A door has a fault where somebody beyond this computer could move the boat or write to it
+without a key or a password.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from ipaddress import ip_network
+from typing import Final, Literal, NamedTuple
+
+from delfim import config
+
+EVERY: Final = "every program of this computer"
+
+
+class Entrance(NamedTuple):
+    """One door. `reach`: open to anyone who gets there, to those who are known, or to this computer alone."""
+
+    service: str
+    place: str  # ADDRESS:PORT, a serial line, a file
+    reach: Literal["anyone", "known", "here"]
+    who: str
+    may: str
+    fault: str = ""  # why the boat must not go to sea like this; empty: it may
+
+
+def doors(settings: config.Vehicle, running: Collection[str]) -> list[Entrance]:
+    """All doors of a boat, those that anyone may use first. `running`: the services that its file enables."""
+    found = [*_console(settings), *_guest(settings)]
+    for name, of_service in SERVICES.items():
+        if name in running:
+            found += of_service(settings)
+    order = ("anyone", "known", "here")
+    return sorted(found, key=lambda door: order.index(door.reach))
+
+
+def _console(settings: config.Vehicle) -> Iterator[Entrance]:
+    here = "programs of this computer that may open the file"
+    fault = "simulation.faults lets `delfim fault` break the boat's log and links" if settings.simulation.faults else ""
+    yield Entrance("vehicle", settings.console.socket, "here", here, "command the boat", fault)
+    mavlink = settings.mavlink
+    if mavlink.enabled and mavlink.key:
+        for place in (f"{mavlink.listen} UDP", *([mavlink.serial] if mavlink.serial else [])):
+            yield Entrance("mavlink", place, "known", f"holders of {mavlink.key}", "watch and command the boat")
+    elif mavlink.enabled:
+        yield Entrance(
+            "mavlink",
+            f"{mavlink.listen} UDP",
+            "here",
+            f"{EVERY}, for there is no key",
+            "command the boat",
+        )
+
+
+def _guest(settings: config.Vehicle) -> Iterator[Entrance]:
+    table, may = settings.guest, "be the guest computer, which steers in mode grex"
+    if table.enabled and table.key:
+        who = f"holders of {table.key} in {_networks(table.networks)}"
+        yield Entrance("guest", table.listen, "known", who, may)
+    elif table.enabled:
+        yield Entrance("guest", table.listen, "here", f"{EVERY}, for there is no key", may)
+
+
+def _cantcpd(settings: config.Vehicle) -> Iterator[Entrance]:
+    table = settings.cantcpd
+    for listen in (*table.listen, *table.slcan):
+        watching, sending = _beyond(table.watch), [each for each in _beyond(table.transmit) if _beyond(table.watch)]
+        if config.is_loopback(listen) or not watching:
+            yield Entrance("cantcpd", listen, "here", EVERY, "read the buses and send frames")
+            continue
+        fault = f"cantcpd.transmit: anyone in {_networks(sending)} may send frames, which move the boat" if sending else ""
+        may = "read the buses and send frames" if sending else "read the buses"
+        yield Entrance("cantcpd", listen, "anyone", f"anyone in {_networks(watching)}", may, fault)
+
+
+def _httpd(settings: config.Vehicle) -> Iterator[Entrance]:
+    yield _open("httpd", settings.httpd.listen, "read the boat's page and its logs")
+
+
+def _slipd(settings: config.Vehicle) -> Iterator[Entrance]:
+    table = settings.slipd
+    place = f"{table.device}, {table.address}"
+    yield Entrance("slipd", place, "anyone", "anyone with such a radio on its frequency", "reach the doors of this list")
+
+
+def _canip(settings: config.Vehicle) -> Iterator[Entrance]:
+    table = settings.canip
+    yield Entrance(
+        "canip", f"{table.device}, {table.address}", "anyone", "nodes of the bus", "reach the UDP doors of this list"
+    )
+
+
+def _ftpd(settings: config.Vehicle) -> Iterator[Entrance]:
+    table = settings.ftpd
+    writers = [name for name, user in table.users.items() if user.upload]
+    may = f"read {table.root}" + (f"; upload: {', '.join(writers)}" if writers else "")
+    how = "by password, over TLS" if table.certificate else "by password, in the clear"
+    in_clear = not table.certificate and not config.is_loopback(table.listen)
+    fault = "ftpd: whoever hears a password may upload; name a certificate (ftpd.certificate)" if in_clear and writers else ""
+    yield Entrance("ftpd", table.listen, "known", f"{', '.join(table.users)}, {how}", may, fault)
+
+
+def _sshd(settings: config.Vehicle) -> Iterator[Entrance]:
+    table = settings.sshd
+    may = f"run programs as {table.user or 'the user that started Delfim'}, read and write files"
+    yield Entrance("sshd", table.listen, "known", f"{', '.join(table.users)}, by key", may)
+
+
+SERVICES = {"httpd": _httpd, "cantcpd": _cantcpd, "slipd": _slipd, "canip": _canip, "ftpd": _ftpd, "sshd": _sshd}
+
+
+def _open(service: str, listen: str, may: str) -> Entrance:
+    if config.is_loopback(listen):
+        return Entrance(service, listen, "here", EVERY, may)
+    return Entrance(service, listen, "anyone", "anyone who reaches this address", may)
+
+
+def _beyond(networks: Sequence[str]) -> list[str]:
+    """Those that reach beyond this computer."""
+    return [each for each in networks if not ip_network(each).is_loopback]
+
+
+def _networks(networks: Sequence[str]) -> str:
+    return ", ".join(networks) or "no network"
