@@ -2,22 +2,27 @@
 
 Frames with a forged signature for the MAVLink port; connections to cantcpd that say nothing, from many addresses; clients that
 open a bus there and leave; commands to cantcpd that mean nothing, or are barred; connections to ftpd, as many as it takes. The
-same seed sends the same.
+same seed sends the same. Within the benchmark itself runs a payload program that floods.
 """
 
 import contextlib
 import json
+import os
 import select
 import socket
+import subprocess
 import sys
 import time
 from collections import deque
-from collections.abc import Callable, Generator
+from collections.abc import Callable, Generator, Iterator, Sequence
+from pathlib import Path
 from random import Random
 from typing import Final
 
+from bench.critical_path import running, until
 from bench.fuzz import SYSTEM
-from bench.load import Ports
+from bench.load import IDLE, Ports
+from delfim.errors import DelfimError
 from delfim.vehicle.mavlink.wire import dialect
 
 BURST_S: Final = 0.002
@@ -97,6 +102,43 @@ KINDS: Final[dict[str, tuple[Kind, float]]] = {  # and how many a second
     "nonsense to cantcpd": (_nonsense, 5000.0),
     "connections to ftpd": (_visitors, 300.0),
 }
+
+
+PAYLOAD: Final = "a payload that floods"
+SHOUTS: Final = ("/bin/sh", "-c", """while :; do echo '{"x": 1}'; echo noise >&2; done""")
+
+
+@contextlib.contextmanager
+def payload(asked: Sequence[str], file: str, place: Path) -> Iterator[list[int]]:
+    """A program that says as much as it can, carried as the supervisor has it done; afterwards the list holds how many lines
+    were dropped. `place` has the vehicle's command socket in its folder "delfim"."""
+    own, dropped = place / "payload", list[int]()
+    settings = [*asked, f"payload.shouts.command={json.dumps(SHOUTS)}", f'console.socket="{place}/delfim/command"']
+    settings += [f'runtime.run_directory="{own}"', f'log.directory="{own}"']
+    words = [word for each in settings for word in ("--set", each)]
+    beat, told = os.pipe()
+    command = [*IDLE, sys.executable, "-m", "delfim", "run", file, "--service", "payload", "--beat-fd", str(told), *words]
+
+    def lines() -> int:
+        """Raises OSError, ValueError, KeyError while it has said nothing."""
+        figures = json.loads((own / "service-payload.json").read_text())["figures"]
+        return int(figures["lines"]["shouts"]["dropped"])
+
+    def shouting() -> None:
+        with contextlib.suppress(ValueError, KeyError, FileNotFoundError):
+            if lines():
+                return
+        raise DelfimError("nothing was shouted yet")
+
+    with running(command, pass_fds=(told,), stderr=subprocess.DEVNULL):
+        try:
+            until(shouting, PAYLOAD)
+            before = lines()
+            yield dropped
+            dropped.append(lines() - before)
+        finally:
+            os.close(told)
+            os.close(beat)
 
 
 def main() -> int:

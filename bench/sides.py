@@ -27,7 +27,7 @@ from bench import report
 from bench.critical_path import Slice, Team, build, running
 from bench.disk import Disk, leave_mounts
 from bench.downloads import Downloads
-from bench.floods import KINDS
+from bench.floods import KINDS, PAYLOAD, payload
 from bench.load import ASHORE, prepare
 from bench.onlooker import Onlooker
 from delfim.console.link import Link
@@ -174,10 +174,12 @@ def run_floods(asked: argparse.Namespace) -> int:
         senders = {kind: links.enter_context(_clients("bench.floods", kind, str(doors.ports["ftpd"]))) for kind in KINDS}
         for number in range(rounds):
             order = list(KINDS)
-            for kind in ("", *(order if number % 2 else reversed(order)), ""):
+            for kind in ("", *(order if number % 2 else reversed(order)), PAYLOAD, ""):
                 _say(f"{kind or 'no flood'}, round {number + 1} of {rounds}")
-                turns[kind].append(_turn(team, look, senders.get(kind), seconds))
-                sent[kind] += turns[kind][-1].slice.served.get("sent", 0)
+                shouts = payload(asked.set, asked.file, place) if kind == PAYLOAD else contextlib.nullcontext(list[int]())
+                with shouts as dropped:
+                    turns[kind].append(_turn(team, look, senders.get(kind), seconds))
+                sent[kind] += turns[kind][-1].slice.served.get("sent", 0) + sum(dropped)
         mode, reason = team.state["mode"], team.state["reason"]
     rows = [row | {"sent": sent[row["case"]]} for row in _rows(turns, "no flood")]
     _write(asked, "floods", rows, mode=mode)

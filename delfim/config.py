@@ -625,6 +625,22 @@ class ServiceTable(Table, frozen=True):
     cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
 
 
+class PayloadTable(Table, frozen=True):
+    """An outside program: started and supervised, given navigation, its values logged and shown (docs/payloads.md)."""
+
+    command: Annotated[tuple[str, ...], msgspec.Meta(min_length=1, max_length=32)]  # absolute path, and words
+    user: str = "nobody"  # system user that runs it, not root; where the suite itself is not run by root, that user
+    memory_max_mb: Annotated[int, msgspec.Meta(ge=1, le=1 << 20)] = 128  # of all; without control groups, of each process
+    cpu_max: Annotated[float, msgspec.Meta(gt=0.0, le=1024.0)] = 0.5  # processors, of what nobody else wants
+    processes_max: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # processes and threads at once
+
+    def __post_init__(self) -> None:
+        if not self.command[0].startswith("/"):
+            raise ValueError("command: the program's absolute path comes first, as /log/programs/sonar")
+        if self.user == "root":
+            raise ValueError("user: a payload does not run as root")
+
+
 class Sea(Table, frozen=True):
     """The simulator's weather. As sailors say it, wind is named by where it comes from, current by where it goes."""
 
@@ -685,6 +701,7 @@ class Vehicle(Table, frozen=True):
     runtime: RuntimeTable = RuntimeTable()
     supervisor: SupervisorTable = SupervisorTable()
     image: Image = Image()
+    payload: dict[Name, PayloadTable] = msgspec.field(default_factory=dict)
     services: dict[Name, ServiceTable] = msgspec.field(default_factory=dict)
     simulation: Simulation = Simulation()
 

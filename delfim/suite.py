@@ -75,6 +75,7 @@ SERVICES = (
     Service("ftpd", "delfim.services.ftpd:serve", place="process", when=lambda settings: settings.ftpd.users),
     Service("sshd", "delfim.services.sshd:serve", place="process", when=lambda settings: settings.sshd.users, uvloop=False),
     Service("powerd", "delfim.services.powerd:serve"),
+    Service("payload", "delfim.services.payload:serve", place="process", when=lambda settings: settings.payload, uvloop=False),
     Service("vehicle", "delfim.services.vehicle:serve"),
 )
 

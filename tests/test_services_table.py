@@ -25,7 +25,13 @@ def test_the_vehicle_starts_last_and_stops_first() -> None:
 
 
 @pytest.mark.parametrize(
-    ("service", "override"), [("canip", "canip.enabled=true"), ("timed", 'timed.mode="redundant"'), ("logd", "logd.nodes=[1]")]
+    ("service", "override"),
+    [
+        ("canip", "canip.enabled=true"),
+        ("timed", 'timed.mode="redundant"'),
+        ("logd", "logd.nodes=[1]"),
+        ("payload", 'payload.sonar.command=["/log/programs/sonar"]'),
+    ],
 )
 def test_some_services_run_only_where_their_own_table_asks_for_them(service: str, override: str) -> None:
     assert service not in names()

@@ -1,6 +1,7 @@
 """`delfim check`: lists the faults of a vehicle's file, and the devices and files it names that this computer lacks."""
 
 import argparse
+import os
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -70,6 +71,9 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     for key, path in files.items():
         if path and not Path(path).exists():
             yield f"{key}: there is no file {path} on this computer"
+    for name, payload in vehicle.payload.items():
+        if not os.access(payload.command[0], os.X_OK):
+            yield f"payload.{name}.command: there is no program {payload.command[0]} on this computer"
     if vehicle.simulation.mission:
         try:
             load_mission(config.mission_place(file, vehicle))

@@ -22,10 +22,10 @@ class Limits(NamedTuple):
     memory_bytes: int = 0
     cpu: float = 0.0  # processors, 0.5 is half of one
 
-    def hold(self, name: str, pid: int, root: Path = ROOT) -> None:
-        """Put a process under these limits. Never raises."""
+    def hold(self, name: str, pid: int, root: Path = ROOT) -> bool:
+        """Put a process under these limits. Never raises; returns whether the kernel keeps them."""
         if not (self.memory_bytes or self.cpu):
-            return
+            return True
         group = root / OURS / name
         try:
             if not (root / "cgroup.controllers").exists():
@@ -39,6 +39,13 @@ class Limits(NamedTuple):
             (group / "cgroup.procs").write_text(str(pid))
         except OSError as error:
             _warn_once(f"{error.filename}: {error.strerror}")
+            return False
+        return True
+
+    def end(self, name: str, root: Path = ROOT) -> None:
+        """Kill all processes under these limits, those too that left their session."""
+        with contextlib.suppress(OSError):  # no such group, or a kernel older than 5.14
+            (root / OURS / name / "cgroup.kill").write_text("1")
 
     def exceeded(self, name: str, root: Path = ROOT) -> str:
         """Why the kernel ended the program since it was last asked, in words; empty if it did not."""

@@ -89,6 +89,11 @@ def stood(stacks: str) -> str:
     return "it stood in " + ", called by ".join(f"{name} ({file}:{line})" for file, line, name in calls) if calls else ""
 
 
+def ended(code: int) -> str:
+    """How a program ended, in words, from its exit code; negative: the signal."""
+    return f"exit code {code}" if code >= 0 else f"killed by signal {-code} ({signal.strsignal(-code)})"
+
+
 def process_state(pid: int) -> str:
     """As the kernel says it, such as "T (stopped)"."""
     try:

@@ -18,10 +18,10 @@ from typing import Any, Final
 import asyncssh
 
 from delfim import config
+from delfim.services import processes
 
 HANG_UP_S: Final = 2.0  # for programs to end after their client left or the first of them ended
 LEAVE_S: Final = 2.0  # before SIGHUP: `setsid program &` on a slow computer has not left the session when its shell ends
-LOOK_S: Final = 0.02  # between two looks whether they have
 BLOCK_BYTES: Final = 64 << 10
 SIGNALS: Final = signal.Signals.__members__  # by name
 PATH: Final = f"/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin:{Path(sys.executable).parent}"  # delfim, too
@@ -99,7 +99,7 @@ class Programs:
     async def close(self) -> None:
         """See to it that none stays behind."""
         for child in self._children:
-            _end(child.pid, signal.SIGKILL)
+            processes.end(child.pid, signal.SIGKILL)
         await asyncio.gather(*(child.wait() for child in self._children))
 
     async def run(self, process: "asyncssh.SSHServerProcess[bytes]") -> None:
@@ -177,11 +177,11 @@ class Programs:
                 await asyncio.wait((gone, over), return_when=asyncio.FIRST_COMPLETED)
                 for task in (gone, feeding, over):
                     task.cancel()
-            await _empty(child.pid, LEAVE_S)
-            _end(child.pid, signal.SIGHUP)
-            await _empty(child.pid, HANG_UP_S)
+            await processes.empty(child.pid, LEAVE_S)
+            processes.end(child.pid, signal.SIGHUP)
+            await processes.empty(child.pid, HANG_UP_S)
         finally:
-            _end(child.pid, signal.SIGKILL)
+            processes.end(child.pid, signal.SIGKILL)
             self._children.discard(child)
         return await child.wait()
 
@@ -263,29 +263,3 @@ def _signal(child: asyncio.subprocess.Process, number: int) -> None:
     if child.returncode is None:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(child.pid, number)
-
-
-def _end(session: int, number: int) -> None:
-    """To all of a session, in the background too, and when the program that began it has ended."""
-    for pid in _session(session):
-        with contextlib.suppress(ProcessLookupError, PermissionError):  # one that has become another user is not ours to end
-            os.kill(pid, number)
-
-
-async def _empty(session: int, within_s: float) -> None:
-    """Until nobody lives in a session any more, at most so long."""
-    for _ in range(round(within_s / LOOK_S)):
-        if not _session(session):
-            return
-        await asyncio.sleep(LOOK_S)
-
-
-def _session(session: int) -> list[int]:
-    """Processes that live in a session."""
-    found = []
-    for name in os.listdir("/proc"):
-        with contextlib.suppress(OSError, ValueError):  # gone meanwhile, or no process
-            state, _, _, sid, *_ = Path("/proc", str(int(name)), "stat").read_text().rpartition(")")[2].split()
-            if int(sid) == session and state != "Z":
-                found.append(int(name))
-    return found

@@ -24,7 +24,7 @@ from typing import Final, Literal, cast, get_args
 
 from delfim.errors import FormatError
 from delfim.outside import parse_json, read_file
-from delfim.services.children import STACKS_SIGNAL, Child, Supervised, process_state, stood
+from delfim.services.children import STACKS_SIGNAL, Child, Supervised, ended, process_state, stood
 from delfim.services.shutdown import Word
 from delfim.services.watchdog import Watchdog
 
@@ -178,8 +178,7 @@ class Supervisor:
             for child in self._children:
                 if child.pid == pid:
                     code = os.waitstatus_to_exitcode(status)
-                    reason = f"exit code {code}" if code >= 0 else f"killed by signal {-code} ({signal.strsignal(-code)})"
-                    self._died(child, code, child.program.limits.exceeded(child.program.name) or reason)
+                    self._died(child, code, child.program.limits.exceeded(child.program.name) or ended(code))
 
     def _died(self, child: Child, code: int, reason: str) -> None:
         now_s = time.monotonic()

@@ -45,12 +45,14 @@ def test_a_single_mistake_is_a_line(check):
 def test_what_is_not_on_this_computer_is_a_warning(check, tmp_path):
     text = (
         '[boat]\nname = "x"\n[can]\ninterface = "can77"\n[mavlink]\nkey = "/no/such/key"\n[simulation]\nmission = "away.toml"\n'
+        '[payload.sonar]\ncommand = ["/no/such/sonar"]\n'
     )
     code, out, err = check(text)
     assert (code, out) == (0, "boat.toml: x: nothing is wrong with this file\n")
     assert err.splitlines() == [
         "delfim: warning: can.interface: this computer has no can77; the boat needs it, `delfim sim` does not",
         "delfim: warning: mavlink.key: there is no file /no/such/key on this computer",
+        "delfim: warning: payload.sonar.command: there is no program /no/such/sonar on this computer",
         "delfim: warning: boat.toml: simulation.mission: there is no file away.toml; put it beside the vehicle's file",
     ]
     assert main(["sim", str(tmp_path / "boat.toml"), "--lockstep"]) == 2

@@ -18,7 +18,7 @@ def root(tmp_path: Path) -> Path:
 
 
 def test_limits_are_written_and_the_process_with_them(root: Path) -> None:
-    Limits(64 << 20, 0.5).hold("sshd", 123, root)
+    assert Limits(64 << 20, 0.5).hold("sshd", 123, root)
     group = root / "delfim/sshd"
     found = {path.name: path.read_text() for path in group.iterdir()}
     assert found == {
@@ -48,7 +48,7 @@ def test_no_limits_no_group(root: Path) -> None:
 def test_where_there_are_no_control_groups_one_line_says_so(root: Path, caplog: pytest.LogCaptureFixture) -> None:
     (root / "cgroup.controllers").unlink()
     with caplog.at_level(logging.WARNING):
-        Limits(1 << 20).hold("sshd", 1, root)
+        assert not Limits(1 << 20).hold("sshd", 1, root)
         Limits(1 << 20).hold("ftpd", 2, root)
     assert [record.message for record in caplog.records] == [
         f"memory and processor limits: {root}: no control groups here; going on without them"
@@ -68,6 +68,15 @@ def test_why_it_was_killed(root: Path, events: str, reason: str) -> None:
     limits.hold("sshd", 1, root)
     (root / "delfim/sshd/memory.events").write_text(events)
     assert limits.exceeded("sshd", root) == reason
+
+
+def test_all_that_live_under_limits_end_together(root: Path) -> None:
+    limits = Limits(1 << 20)
+    limits.end("sshd", root)
+    assert not (root / "delfim/sshd").exists()
+    limits.hold("sshd", 1, root)
+    limits.end("sshd", root)
+    assert (root / "delfim/sshd/cgroup.kill").read_text() == "1"
 
 
 def test_without_a_group_nothing_is_known(root: Path) -> None:

@@ -198,3 +198,10 @@ def test_style_and_script_are_what_the_policy_lets_run():
         assert f"<{tag}>{text}</{tag}>" in whole
         assert document._digest(text) in document.POLICY
     assert not re.search(r'\sstyle="|\son[a-z]+="', whole), "the policy would refuse it"
+
+
+def test_the_troubles_of_a_services_parts_are_to_look_at() -> None:
+    figures = {"troubles": {"sonar": "waiting: exit code 1: <no port>"}}
+    computer = api.Computer(supervisor={"payload": api.Service(state="running", figures=figures)})
+    shown = rendered(report(VEHICLE, computer))["warnings"]
+    assert "payload sonar waiting: exit code 1: <no port>" in "".join(shown.itertext())

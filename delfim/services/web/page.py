@@ -87,6 +87,8 @@ def troubles(view: PageView) -> Iterable[tuple[str, str, str]]:
     for name, service in [*report.services.items(), *(computer.supervisor if computer else {}).items()]:
         if service.state in ("waiting", "failed") or service.reason == "does not answer":
             yield "bad", name, f"{service.state}: {service.reason}"
+        for part, words in service.figures.get("troubles", {}).items():
+            yield "bad", f"{name} {part}", str(words)
     if vehicle is not None:
         for name, count in vehicle.counts.items():
             yield "note", worded(name), f"{count} times"

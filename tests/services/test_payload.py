@@ -1,0 +1,396 @@
+"""Payload programs: the shipped examples, and programs that flood, crash, eat, fork, and do not read."""
+
+import asyncio
+import contextlib
+import errno
+import gzip
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
+import tempfile
+import urllib.request
+from collections.abc import AsyncIterator, Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from delfim import config
+from delfim.clock import SystemClock
+from delfim.errors import ConfigError
+from delfim.services import payload, processes
+from delfim.services.payloadlines import LINE_BYTES, VALUES, BoundedLines, lines, values
+from delfim.services.runtime import LoadedService, Runtime
+from delfim.services.web.api import State
+from tests.afloat import running
+from tests.services.boat import STATE, served, vehicle, vehicle_file
+
+ROOT = Path(__file__).parents[2]
+PYTHON = "/usr/bin/python3" if os.getuid() == 0 else sys.executable  # one that nobody in particular may run
+as_root = pytest.mark.skipif(os.getuid() != 0, reason="only root can become another user")
+needs_python = pytest.mark.skipif(not os.access(PYTHON, os.X_OK), reason=f"needs {PYTHON}")
+SOUNDER = (PYTHON, "-c", (ROOT / "etc/payloads/sounder.py").read_text())
+REPORTS_AND_WAITS = ("/bin/sh", "-c", """while read line; do echo '{"well": true}'; done""")
+
+
+class Suite:
+    """The service with its programs, and a vehicle that they hear of."""
+
+    def __init__(self, runtime: Runtime, state: dict[str, Any], publish: Callable[[], None]) -> None:
+        self._runtime, self._publish, self.state = runtime, publish, state
+
+    @property
+    def figures(self) -> dict[str, Any]:
+        return dict(self._runtime.board["payload"]())
+
+    async def until(self, condition: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+        """Sail on until the figures are so."""
+        async with asyncio.timeout(60):
+            while not condition(figures := self.figures):
+                self.state["cycle"] += 1
+                self.state["utc_ns"] += 200_000_000
+                self._publish()
+                await asyncio.sleep(0.02)
+        return figures
+
+
+@contextlib.asynccontextmanager
+async def carried(tmp_path: Path, **programs: tuple[str, ...] | config.PayloadTable) -> AsyncIterator[Suite]:
+    tables = {
+        name: each if isinstance(each, config.PayloadTable) else config.PayloadTable(command=each)
+        for name, each in programs.items()
+    }
+    quick = config.SupervisorTable(backoff_s=0.01, backoff_max_s=0.1)
+    settings = vehicle_file(tmp_path, payload=tables, supervisor=quick)
+    state = STATE | {"course_deg": 90.0}
+    async with vehicle(settings, state) as commands, served(settings, payload.serve, "payload") as runtime:
+        yield Suite(runtime, state, commands.publish)
+
+
+def run(test: Callable[[], Any]) -> None:
+    asyncio.run(test())
+
+
+def logged(tmp_path: Path, name: str) -> list[dict[str, Any]]:
+    """The log of a program that has ended."""
+    (file,) = tmp_path.glob(f"log/*/payload-{name}/*.jsonl.gz")
+    return [json.loads(line) for line in gzip.decompress(file.read_bytes()).splitlines()]
+
+
+def living(words: str) -> list[int]:
+    """Shells that have these words among their own."""
+    found = []
+    for place in Path("/proc").glob("[0-9]*"):
+        with contextlib.suppress(OSError):
+            told = (place / "cmdline").read_bytes()
+            if told.startswith(b"/bin/sh") and words.encode() in told:
+                found.append(int(place.name))
+    return found
+
+
+@pytest.fixture
+def open_folder() -> Iterator[Path]:
+    """A folder that every user may read."""
+    with tempfile.TemporaryDirectory(prefix="payload-") as folder:
+        os.chmod(folder, 0o755)
+        yield Path(folder)
+
+
+@needs_python
+def test_the_example_in_python_reports_a_depth_that_is_logged_and_shown(tmp_path: Path) -> None:
+    async def test() -> None:
+        async with carried(tmp_path, sounder=SOUNDER) as suite:
+            figures = await suite.until(lambda it: it["lines"]["sounder"]["reported"] > 3)
+            assert 9.0 <= figures["values"]["sounder depth_m"]["value"] <= 15.0
+            assert figures["values"]["sounder bottom"]["value"] in ("mud", "sand")
+            assert figures["values"]["sounder depth_m"]["age_s"] >= 0.0
+            assert figures["troubles"] == {}
+            assert figures["programs"]["sounder"]["state"] == "running"
+
+    run(test)
+    told = logged(tmp_path, "sounder")
+    assert len(told) > 3
+    assert json.loads(told[0]["text"]).keys() == {"depth_m", "bottom"}
+
+
+@pytest.mark.skipif(not shutil.which("cc"), reason="needs a C compiler")
+def test_the_example_in_c_measures_the_way(tmp_path: Path, open_folder: Path) -> None:
+    program, warnings = open_folder / "way", ("-Wall", "-Wextra", "-Werror")
+    subprocess.run(("cc", "-O2", *warnings, "-o", program, ROOT / "etc/payloads/way.c", "-lm"), check=True)
+    program.chmod(0o755)
+
+    async def test() -> None:
+        async with carried(tmp_path, way=(str(program),)) as suite:
+            figures = await suite.until(lambda it: it["lines"]["way"]["reported"] > 5)
+            assert figures["values"]["way fastest_mps"]["value"] == 1.31
+            assert figures["values"]["way way_m"]["value"] > 0.5
+
+    run(test)
+
+
+def test_a_program_that_crashes_is_started_again_and_says_why_and_the_other_runs_on(tmp_path: Path) -> None:
+    async def test() -> None:
+        crash = ("/bin/sh", "-c", "echo no instrument there >&2; exit 3")
+        async with carried(tmp_path, camera=crash, well=REPORTS_AND_WAITS) as suite:
+            figures = await suite.until(lambda it: it["programs"]["camera"]["restarts"] >= 3 and it["values"])
+            assert figures["last_ends"] == {"camera": "exit code 3: no instrument there"}
+            assert figures["troubles"]["camera"].endswith("exit code 3: no instrument there")
+            assert figures["programs"]["well"]["restarts"] == 0
+
+    run(test)
+
+
+def test_a_flood_is_slowed_down_dropped_and_counted_and_one_that_does_not_read_loses_lines(tmp_path: Path) -> None:
+    async def test() -> None:
+        flood = ("/bin/sh", "-c", """while :; do echo '{"x": 1}'; echo noise >&2; done""")
+        async with carried(tmp_path, flood=flood, well=REPORTS_AND_WAITS) as suite:
+            much = await suite.until(lambda it: it["lines"]["flood"]["dropped"] > 1000 and it["lines"]["flood"]["unread"] > 10)
+            assert much["values"]["flood x"]["value"] == 1
+            before = much["lines"]["well"]["reported"]
+            await suite.until(lambda it: it["lines"]["well"]["reported"] > before + 5)
+
+    run(test)
+    assert len(logged(tmp_path, "flood")) >= 1
+
+
+def test_what_is_not_a_line_of_values_is_refused_and_counted(tmp_path: Path) -> None:
+    async def test() -> None:
+        says = (
+            "/bin/sh",
+            "-c",
+            "echo nonsense; echo '{}'; echo '{\"depth_m\": 1e400}'; echo '{\"a b\": 1}'; echo '{\"d\": 2}'; cat >/dev/null",
+        )
+        async with carried(tmp_path, strange=says) as suite:
+            figures = await suite.until(lambda it: it["values"])
+            assert figures["lines"]["strange"]["refused"] == 4
+            assert list(figures["values"]) == ["strange d"]
+
+    run(test)
+
+
+@as_root
+@needs_python
+def test_it_is_another_user_without_can_sockets_or_a_way_to_more_rights(tmp_path: Path) -> None:
+    look = """
+import json, os, resource, socket, sys
+try: told = {"can": socket.socket(29, 3, 1) and 0}
+except OSError as error: told = {"can": error.errno}
+status = dict(line.split(":\\t", 1) for line in open("/proc/self/status").read().splitlines())
+told |= {"user": os.getuid(), "groups": len(os.getgroups()), "idle": os.sched_getscheduler(0)}
+told |= {"first": int(open("/proc/self/oom_score_adj").read())}
+told |= {"new_rights": int(status["NoNewPrivs"]) == 0, "files": len(os.listdir("/proc/self/fd")), "names": len(os.environ)}
+told |= {"core": resource.getrlimit(resource.RLIMIT_CORE)[0], "session": os.getsid(0) == os.getpid(), "place": os.getcwd()}
+print(json.dumps(told), flush=True)
+sys.stdin.read()
+"""
+
+    async def test() -> None:
+        async with carried(tmp_path, look=(PYTHON, "-c", look)) as suite:
+            told = {name: each["value"] for name, each in (await suite.until(lambda it: it["values"]))["values"].items()}
+            assert told["look can"] == errno.EACCES
+            assert (told["look user"], told["look groups"]) == (65534, 1)
+            assert (told["look idle"], told["look first"], told["look core"]) == (os.SCHED_IDLE, 1000, 0)
+            assert (told["look new_rights"], told["look session"], told["look place"]) == (False, True, "/")
+            assert told["look files"] == 4, "standard ones, and the folder that it looks at"
+            assert told["look names"] <= 7, "nothing of the boat's environment"
+
+    run(test)
+
+
+@needs_python
+def test_one_that_wants_more_memory_than_its_own_fails_alone(tmp_path: Path) -> None:
+    async def test() -> None:
+        eats = config.PayloadTable(command=(PYTHON, "-c", "x = [bytearray(1 << 20) for _ in range(512)]"), memory_max_mb=64)
+        async with carried(tmp_path, eats=eats) as suite:
+            figures = await suite.until(lambda it: it["programs"]["eats"]["restarts"])
+            assert "MemoryError" in figures["last_ends"]["eats"] or "more than its 64 MB" in figures["last_ends"]["eats"]
+
+    run(test)
+
+
+def test_one_that_forks_for_ever_stays_within_its_number_and_none_is_left_behind(tmp_path: Path) -> None:
+    mark = f"forks-{os.getpid()}"
+
+    async def test() -> None:
+        bomb = ("/bin/sh", "-c", "while :; do while :; do sleep 1; done & done", mark)
+        async with carried(tmp_path, bomb=bomb, well=REPORTS_AND_WAITS) as suite:
+            before = (await suite.until(lambda it: living(mark)))["lines"]["well"]["reported"]
+            await suite.until(lambda it: it["lines"]["well"]["reported"] > before + 5)
+            assert len(living(mark)) <= 16
+
+    run(test)
+    assert living(mark) == []
+
+
+def test_all_of_a_program_ends_with_it_its_children_in_the_background_too(tmp_path: Path) -> None:
+    mark = f"leaves-{os.getpid()}"
+
+    async def test() -> None:
+        leaves = ("/bin/sh", "-c", "(while :; do sleep 1; done) & echo '{\"on\": 1}'; read line; exit 5", mark)
+        async with carried(tmp_path, leaves=leaves) as suite:
+            figures = await suite.until(lambda it: it["programs"]["leaves"]["restarts"] >= 2)
+            assert figures["last_ends"]["leaves"] == "exit code 5"
+            assert len(living(mark)) <= 3
+
+    run(test)
+    assert living(mark) == []
+
+
+@as_root
+@pytest.mark.parametrize("user", ["no-such-user", "toor"])
+def test_without_an_unprivileged_user_it_does_not_run_and_is_not_tried_again(tmp_path: Path, user: str) -> None:
+    async def test() -> None:
+        async with carried(tmp_path, lost=config.PayloadTable(command=("/bin/true",), user=user)) as suite:
+            figures = await suite.until(lambda it: it["programs"]["lost"]["state"] == "failed")
+            assert figures["troubles"]["lost"] == f"failed: exit code 100: user: there is no {user}"
+
+    run(test)
+
+
+def test_a_program_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
+    async def test() -> None:
+        async with carried(tmp_path, late=("/no/such/program",)) as suite:
+            figures = await suite.until(lambda it: it["programs"]["late"]["restarts"] >= 2)
+            assert figures["last_ends"]["late"] == "exit code 127: /no/such/program: No such file or directory"
+
+    run(test)
+
+
+def test_without_the_vehicle_the_programs_run_and_the_page_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(payload, "AGAIN_S", 0.01)
+
+    async def test() -> None:
+        tables = {"well": config.PayloadTable(command=("/bin/sh", "-c", """echo '{"on": 1}'; cat >/dev/null"""))}
+        async with served(vehicle_file(tmp_path, payload=tables), payload.serve, "payload") as runtime:
+            async with asyncio.timeout(60):
+                while not (figures := dict(runtime.board["payload"]()))["values"]:
+                    await asyncio.sleep(0.01)
+            assert figures["troubles"] == {"navigation": "the vehicle does not answer: No such file or directory"}
+
+    run(test)
+
+
+def test_the_vehicle_itself_starts_no_programs(tmp_path: Path) -> None:
+    runtime = Runtime(vehicle_file(tmp_path, payload={"x": config.PayloadTable(command=("/bin/true",))}), SystemClock())
+    runtime.main([LoadedService("payload", payload.serve)])
+    assert "services.payload.place = 'process'" in runtime.status["payload"].reason
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        ('payload.x.command=["sonar"]', "absolute path"),
+        ("payload.x.command=[]", "payload.x.command"),
+        ('payload.x.user="nobody"', "payload.x.command"),
+        ('payload.x={command=["/bin/true"], user="root"}', "does not run as root"),
+    ],
+)
+def test_what_a_vehicles_file_may_not_say(words: str, reason: str) -> None:
+    with pytest.raises(ConfigError, match=reason):
+        config.load(ROOT / "etc/delfimx.toml", [words])
+
+
+SAILS = State(
+    mode="play", reason="operator", cycle=7, utc_ns=5, speed_mps=2.0, course_deg=90.0, heading_deg=91.0, mission="Doca"
+)
+
+
+def test_a_program_is_told_events_and_navigation_as_the_guest_is() -> None:
+    first = [json.loads(line) for line in lines(SAILS, None)]
+    assert first[0] == {"event": "mode", "mode": "play", "reason": "operator"}
+    assert first[1] == {
+        "utc_ns": 5, "latitude_deg": None, "longitude_deg": None, "heading_deg": 91.0, "north_mps": 0.0, "east_mps": 2.0,
+        "mode": "play", "mission": "Doca", "leg": 0,
+    }  # fmt: skip
+    assert list(lines(SAILS, SAILS)) == [], "no new navigation"
+    hold = State(mode="hold", reason="x" * 5000, cycle=8, mission="Doca")
+    told = list(lines(hold, SAILS))
+    assert [json.loads(line).get("mode") for line in told] == ["hold", "hold"]
+    assert max(map(len, told)) < 4096
+    other = State(mode="hold", reason="", cycle=8, mission="Tejo")
+    assert [json.loads(line) for line in lines(other, hold)] == [{"event": "leg", "mission": "Tejo", "leg": 0}]
+
+
+@pytest.mark.parametrize(
+    ("line", "found"),
+    [
+        (
+            b'{"depth_m": 3, "bottom": "mud", "on": true, "none": null}',
+            {"depth_m": 3, "bottom": "mud", "on": True, "none": None},
+        ),
+        (b"", None),
+        (b"[1]", None),
+        (b"{}", None),
+        (b'{"x": [1]}', None),
+        (b'{"x": NaN}', None),
+        (b'{"x": 1e300}', None),
+        (b'{"x": 99999999999999999999999999}', None),
+        (b'{"x": "%s"}' % (b"y" * 65), None),
+        (b'{"x": "\\u001b[2J"}', None),
+        (b'{"1x": 1}', None),
+        (b'{"x": 1, %s}' % b" " * LINE_BYTES, None),
+        (json.dumps({f"x{n}": n for n in range(VALUES + 1)}).encode(), None),
+        (b"\xff", None),
+    ],
+)
+def test_which_lines_are_values(line: bytes, found: object) -> None:
+    assert values(line) == found
+
+
+def test_lines_are_let_through_at_their_rate_whole_and_bounded() -> None:
+    tap = BoundedLines(10.0, 3)
+    assert tap.feed(b"a\nb", 0.0) == [b"a"]
+    assert tap.feed(b"c\nd\ne\nf\n", 0.0) == [b"bc", b"d"]
+    assert tap.dropped == 2
+    assert tap.feed(b"g\nh\n", 0.1) == [b"g"]
+    assert tap.dropped == 3
+    for _ in range(10):
+        assert tap.feed(b"x" * LINE_BYTES, 1.0) == []
+    assert [len(line) for line in tap.feed(b"\ny\n", 1.0)] == [LINE_BYTES + 1, 1]
+
+
+def test_a_session_is_counted_and_ended_together() -> None:
+    with subprocess.Popen(("/bin/sh", "-c", "sleep 100 & sleep 100 & wait"), start_new_session=True) as program:
+        while len(processes.members(program.pid)) < 3:
+            pass
+        assert processes.usage()[program.pid].processes == 3
+        assert processes.usage()[program.pid].memory_bytes > 0
+        processes.kill(program.pid)
+        assert processes.members(program.pid) == []
+
+
+def test_with_the_whole_suite_a_flood_is_seen_on_the_page_and_nobody_outlives_the_service(tmp_path: Path) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    mark = f"floods-{os.getpid()}"
+    flood = f"""while :; do echo '{{"x": 1}}'; done # {mark}"""
+    values = (
+        f"payload.flood.command={json.dumps(['/bin/sh', '-c', flood])}",
+        f'httpd.listen="127.0.0.1:{port}"',
+        "mavlink.enabled=false",
+    )
+
+    def shown() -> dict[str, Any]:
+        try:
+            with urllib.request.urlopen(f"http://127.0.0.1:{port}/api/state") as page:
+                state = json.load(page)
+        except OSError:  # it does not run yet
+            return {}
+        return dict(((state["computer"] or {}).get("supervisor") or {}).get("payload", {}))
+
+    with running(tmp_path, 14550, *values):
+        while not shown().get("figures", {}).get("lines", {}).get("flood", {}).get("dropped"):
+            pass
+        (before,) = living(mark)
+        os.kill(shown()["pid"], 9)
+        while before in living(mark):
+            pass
+        while not (again := shown().get("figures", {})).get("values") or not living(mark):
+            pass
+        assert again["values"]["flood x"]["value"] == 1
+        assert again["programs"]["flood"]["state"] == "running"
+    assert living(mark) == []
