@@ -618,12 +618,21 @@ def test_an_old_variation_gives_way_to_the_configured_one() -> None:
         assert said(bus, 2, LISBON, now_s).heading_rad == pytest.approx(expected_rad)
 
 
-def test_without_time_on_the_bus_the_stamp_of_the_frame_counts() -> None:
+def test_without_time_on_the_bus_there_is_none() -> None:
+    """The stamp of the frame is the computer's own time: a clock compared with that would always be right."""
     bus = source()
-    assert said(bus, 2, LISBON, 0.0, t_ns=123).utc_ns == 123
+    assert said(bus, 2, LISBON, 0.0, t_ns=123).utc_ns == 0
     say(bus, 9, SystemTime(86_400_000_000_000), 1.0)
     assert said(bus, 2, LISBON, 1.5, t_ns=123).utc_ns == 86_400_500_000_000
-    assert said(bus, 2, LISBON, 4.0, t_ns=123).utc_ns == 123
+    assert said(bus, 2, LISBON, 4.0, t_ns=123).utc_ns == 0
+
+
+@pytest.mark.parametrize(("by", "known"), [(0, True), (1, True), (2, True), (5, False), (0xF5, False)])
+def test_the_time_of_a_devices_own_crystal_is_no_time(by: int, known: bool) -> None:
+    data = bytearray(encode(SystemTime(86_400_000_000_000), 1)[0].data)
+    data[1] = by
+    assert (decode(pgns.SYSTEM_TIME, bytes(data)) == SystemTime(86_400_000_000_000)) is known
+    assert known or decode(pgns.SYSTEM_TIME, bytes(data)) == SystemTime(None)
 
 
 def test_counter_wraps() -> None:

@@ -89,7 +89,7 @@ class Variation(NamedTuple):
 class SystemTime(NamedTuple):
     """PGN 126992, usually 1 Hz, 0.1 ms."""
 
-    utc_ns: int | None
+    utc_ns: int | None  # None, too, where it comes from the device's own crystal
 
 
 Message = PositionRapid | CourseSpeed | GnssPosition | VesselHeading | RateOfTurn | Attitude | Variation | SystemTime
@@ -100,6 +100,7 @@ _DEGREES_1E16: Final = math.radians(1e-16)
 _RATE_RADPS: Final = 1e-6 / 32
 _DAY_NS: Final = 86_400_000_000_000
 _I16, _I32, _I64 = 0x7FFF, 0x7FFFFFFF, 0x7FFFFFFFFFFFFFFF  # not available; the first reserved value is two less
+_LOCAL_CRYSTAL = 5  # source of a system time: a clock of the device's own
 _U16, _U32 = 0xFFFF, 0xFFFFFFFF
 _CIRCLE: Final = 62_832  # 2 pi in 1e-4 rad, rounded up: some senders do not wrap before they round
 _REFERENCES: Final = (NorthReference.TRUE, NorthReference.MAGNETIC, None, None)
@@ -184,8 +185,9 @@ def _read_variation(_sid: int, _source: int, _age_days: int, variation: int, _re
     return Variation(_signed(variation, _I16, 31_416, 1e-4, "variation in rad"))
 
 
-def _read_time(_sid: int, _source: int, days: int, time: int) -> SystemTime:
-    return SystemTime(_utc_ns(days, time))
+def _read_time(_sid: int, source: int, days: int, time: int) -> SystemTime:
+    utc_ns = _utc_ns(days, time)
+    return SystemTime(None if source & 0xF == _LOCAL_CRYSTAL else utc_ns)
 
 
 def _raw(value: float | None, unit: float, low: int, high: int, unavailable: int) -> int:

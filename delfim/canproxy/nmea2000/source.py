@@ -133,14 +133,14 @@ class Nmea2000Source:
             self._errors[f"PGN {pgn}: malformed"] += 1
             self._last_error = f"PGN {pgn} of source {address}: {error}"
             return None
-        return self._take(address, message, frame.t_ns, now_s)
+        return self._take(address, message, now_s)
 
-    def _take(self, address: int, message: Message, t_ns: int, now_s: float) -> Navigation | None:
+    def _take(self, address: int, message: Message, now_s: float) -> Navigation | None:
         """File a message under its kind; positions go on to the vehicle."""
         match message:
             case PositionRapid(latitude_rad, longitude_rad):
                 self._rapid_s[address] = now_s
-                return self._place(address, latitude_rad, longitude_rad, t_ns, now_s)
+                return self._place(address, latitude_rad, longitude_rad, now_s)
             case VesselHeading():
                 self._heading.put(address, self._true_heading(address, message, now_s), now_s)
             case RateOfTurn(rate_radps):
@@ -151,25 +151,23 @@ class Nmea2000Source:
                 known = pitch_rad is not None or roll_rad is not None
                 self._attitude.put(address, message if known else None, now_s)
             case GnssPosition():
-                return self._gnss(address, message, t_ns, now_s)
+                return self._gnss(address, message, now_s)
             case Variation(variation_rad):
                 self._variation.put(address, variation_rad, now_s)
             case SystemTime(utc_ns):
                 self._set_time(address, utc_ns, now_s)
         return None
 
-    def _gnss(self, address: int, g: GnssPosition, t_ns: int, now_s: float) -> Navigation | None:
+    def _gnss(self, address: int, g: GnssPosition, now_s: float) -> Navigation | None:
         """Quality and time of a receiver; its position too unless it sends the rapid one."""
         self._set_time(address, g.utc_ns, now_s)
         fix = _UNSTATED.fix if g.method is None else _FIX.get(g.method, 0)
         self._quality.put(address, _Quality(fix, g.satellites or 0, g.hdop), now_s)
         if now_s - self._rapid_s.get(address, -math.inf) <= self._stale_s:
             return None
-        return self._place(address, g.latitude_rad, g.longitude_rad, t_ns, now_s)
+        return self._place(address, g.latitude_rad, g.longitude_rad, now_s)
 
-    def _place(
-        self, address: int, latitude_rad: float | None, longitude_rad: float | None, t_ns: int, now_s: float
-    ) -> Navigation | None:
+    def _place(self, address: int, latitude_rad: float | None, longitude_rad: float | None, now_s: float) -> Navigation | None:
         """File a position, or a receiver's report that it has none; returns the message if the address is the chosen one."""
         quality = self._quality.of(address, now_s) or _UNSTATED
         position = None
@@ -187,7 +185,7 @@ class Nmea2000Source:
         _, pitch_rad, roll_rad = self._attitude.get(now_s) or (None, None, None)
         self._counter = self._counter + 1 & 0xFF
         return Navigation(
-            self._utc_ns(address, t_ns, now_s),
+            self._utc_ns(address, now_s),
             latitude_rad,
             longitude_rad,
             north_mps,
@@ -232,12 +230,13 @@ class Nmea2000Source:
     def _set_time(self, address: int, utc_ns: int | None, now_s: float) -> None:
         self._time.put(address, None if utc_ns is None else utc_ns - round(now_s * 1e9), now_s)
 
-    def _utc_ns(self, address: int, t_ns: int, now_s: float) -> int:
-        """The bus's time now, by the source of the position if it tells the time; else this computer's stamp of the frame."""
+    def _utc_ns(self, address: int, now_s: float) -> int:
+        """The bus's time now, by the source of the position if it tells the time; 0 while nobody does: the computer's own clock
+        is not compared with itself."""
         offset_ns = self._time.of(address, now_s)
         if offset_ns is None:
             offset_ns = self._time.get(now_s)
-        return t_ns if offset_ns is None else offset_ns + round(now_s * 1e9)
+        return 0 if offset_ns is None else offset_ns + round(now_s * 1e9)
 
     def status(self, now_s: float) -> SourceStatus:
         """Devices used, devices heard and refused messages, for the statistics page."""
