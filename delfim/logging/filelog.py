@@ -18,6 +18,8 @@ UNPOLLED_S: Final = 1.0  # after this a `put` does the work of a missing `poll`:
 MEMBER_S: Final = 10.0  # of log in a gzip member: the log after a damaged one can be found again
 PENDING_BYTES: Final = 1 << 18  # deflated and not yet written
 SAME_SECOND: Final = 1000  # files of one name and second
+MISNAMED_S: Final = 3600.0  # a wall clock that steps by more makes the file's name wrong ...
+NOTED_S: Final = 3.0  # ... and the file ends when the step has been noted beside it
 
 
 class FileLog:
@@ -37,6 +39,7 @@ class FileLog:
         self._size = self._kept = 0  # of the file, in whole records: bytes, records
         self._bytes = self._records = self._dropped = 0  # of the files before it: bytes, records; of all
         self._due_s = -math.inf
+        self._wall_s = clock.time_ns() / 1e9 - clock.monotonic_s()
         self._open(clock.monotonic_s())
 
     def put(self, record: bytes) -> bool:
@@ -93,8 +96,11 @@ class FileLog:
         return self._stem + self._suffix if self._stem else ""
 
     def _attend(self, now_s: float) -> None:
-        """Writes waiting records to the file, ends a file that is too large or too old, and retries after a failure."""
+        """Writes waiting records to the file, ends a file that is too old or misnamed, and retries after a failure."""
         self._due_s = now_s + FLUSH_S
+        was_s, self._wall_s = self._wall_s, self._clock.time_ns() / 1e9 - now_s
+        if abs(self._wall_s - was_s) > MISNAMED_S:
+            self._end_s = min(self._end_s, now_s + NOTED_S)
         if self._fd < 0:
             if self._reason:
                 self._open(now_s)

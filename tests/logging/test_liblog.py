@@ -149,6 +149,25 @@ def test_a_stepping_wall_clock_loses_nothing(tmp_path, file_log, clock, step_s):
     assert all(read_log(path)[1] == "" for path in files(tmp_path / "log"))
 
 
+def test_a_file_from_before_the_clock_was_set_ends_and_its_follower_has_the_right_name(tmp_path, file_log, clock):
+    """The step is noted beside the file that it made wrong."""
+    clock.step(-40 * 365.25 * 86_400.0)
+    log = file_log(deflate=True)
+    for number in range(20):
+        if number == 3:
+            clock.step(56 * 365.25 * 86_400.0)
+        log.put(record(number))
+        log.poll()
+        clock.advance(0.5)
+        if number == 5:
+            log.note(b"stepped\n")
+    log.close()
+    assert names(tmp_path / "log") == ["19700101/gps/000000.log.gz", "20260101/gps/000005.log.gz"]
+    assert [read_log(path)[1] for path in files(tmp_path / "log")] == ["", ""]
+    assert numbers(tmp_path / "log") == list(range(20))
+    assert (tmp_path / "log/19700101/gps/000000.meta.jsonl").read_text() == "stepped\n"
+
+
 def test_notes_go_to_the_sidecar_of_the_file(tmp_path, file_log, clock):
     log = file_log(file_s=10.0, durable=True)
     log.put(b"one\n")
