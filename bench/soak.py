@@ -85,11 +85,11 @@ class Boat:
         quiet = {"stdout": subprocess.DEVNULL, "stderr": (self.place / "said").open("w")}
         try:
             self._all.callback(quiet["stderr"].close)  # type: ignore[attr-defined]
-            for command in ("nodes", "supervise"):
+            for command in self._commands():
                 program = [sys.executable, "-m", "delfim", command, self._asked.file, *words]
                 self._suite = self._all.enter_context(running(program, **quiet))
             with until(lambda: Link(self.place / "command"), "its command socket") as link:
-                until(lambda: link.ask("mode", mode="hold"), "hold")
+                self._begin(link)
             for name, port in self.ports.items():
                 until(lambda port=port: socket.create_connection(("127.0.0.1", port), 1.0).close(), name)
         except BaseException:
@@ -99,6 +99,12 @@ class Boat:
 
     def __exit__(self, *_: object) -> None:
         self._all.close()
+
+    def _commands(self) -> tuple[str, ...]:
+        return "nodes", "supervise"
+
+    def _begin(self, link: Link) -> None:
+        until(lambda: link.ask("mode", mode="hold"), "hold")
 
     def _overrides(self) -> list[str]:
         place, listening = self.place, {name: f"127.0.0.1:{port}" for name, port in self.ports.items()}

@@ -1,11 +1,13 @@
 """Time, in one place. Code that needs the time is given a clock and never asks the operating system itself.
 
 Two times exist: `monotonic_s` for ages and intervals, which never steps, and `time_ns` for stamps that people and the
-kernel share (CLOCK_REALTIME), which steps when the GPS sets it.
+kernel share (CLOCK_REALTIME), which steps when it is set (docs/clock.md).
 """
 
 import time
-from typing import Protocol
+from typing import Final, Protocol
+
+MADE_NS: Final = 1_767_225_600_000_000_000  # 2026-01-01, the year of this version: no time before it is the present
 
 
 class Clock(Protocol):

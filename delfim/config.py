@@ -371,6 +371,12 @@ class Checks(Table, frozen=True):
     clock_s: Seconds = 5.0  # largest difference between the computer's clock and that of navigation
 
 
+class ClockTable(Table, frozen=True):
+    """The computer's clock: set in idle, kept right under way."""
+
+    set: Literal["auto", "never"] = "auto"  # auto: by this program, unless another one keeps it or the bus is simulated
+
+
 class Sensors(Table, frozen=True):
     """The sensors of the boat beside navigation."""
 
@@ -683,6 +689,7 @@ class Vehicle(Table, frozen=True):
     failsafe: Failsafe = Failsafe()
     fence: FenceTable = FenceTable()
     checks: Checks = Checks()
+    clock: ClockTable = ClockTable()
     sensors: Sensors = Sensors()
     sysstat: Sysstat = Sysstat()
     console: Console = Console()

@@ -18,7 +18,7 @@ from typing import Any, Literal, NamedTuple
 from delfim import config
 from delfim.errors import DelfimError, FormatError, PermanentFailure
 from delfim.outside import parse_json, read_file
-from delfim.services import cgroup, shutdown
+from delfim.services import cgroup, kernelclock, shutdown
 from delfim.services.buses import bring_up
 from delfim.services.children import STACKS_SIGNAL, Supervised
 from delfim.services.privileges import real_time
@@ -125,6 +125,7 @@ def supervise(
     """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
     `program` is started with `run FILE`. init: as the machine's first process, which ends with the machine."""
     settings = config.load(file, overrides)
+    kernelclock.set_from_battery(settings.clock.set, settings.buses)
     if init:
         bring_up(settings.bit_rates)
     command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
@@ -154,6 +155,7 @@ def supervise(
         )
         code = supervisor.run_forever()
         if supervisor.word in ("off", "reboot"):
+            kernelclock.write_battery(settings.clock.set, settings.buses)
             is_safe = _last_act(settings, supervisor.reason, stop.tell)
             code = 0 if is_safe else 1
             if init:

@@ -13,7 +13,7 @@ from collections import deque
 from typing import Final, Literal
 
 from delfim.canproxy.socket import CanSocket
-from delfim.clock import Clock
+from delfim.clock import MADE_NS, Clock
 from delfim.errors import BusError
 from delfim.frames import Frame
 from delfim.messages import TIME, TIME_FRAME
@@ -142,7 +142,7 @@ class TimeService:
             log.warning("timed: another node sends the time again; this one stops sending")
 
     def on_second(self) -> None:
-        if not self._timer.passed(self._clock.time_ns()):
+        if not self._timer.passed(self._clock.time_ns()) or self._clock.time_ns() < MADE_NS:  # a clock that was never set
             return
         self.on_frames()  # frames that waited while this program did not run
         was_speaking = self._keeper.is_speaking

@@ -5,7 +5,6 @@ all processes takes milliseconds that a cooperative service does not have. It wr
 and ends with its standard input. Linux only.
 """
 
-import ctypes
 import fcntl
 import json
 import os
@@ -24,6 +23,7 @@ import msgspec
 
 from delfim.errors import FormatError
 from delfim.outside import parse_json
+from delfim.services.kernelclock import KernelClock
 from delfim.services.web.api import Bus, Computer, Disk, Memory, Network, Process, Service, Time
 
 PROCESSES: Final = 15  # shown
@@ -252,27 +252,14 @@ def service(process: Service, told: str) -> Service:
     return msgspec.structs.replace(own, restarts=process.restarts + own.restarts, reason=reason or process.reason)
 
 
-class _Timex(ctypes.Structure):
-    """The beginning of `struct timex` (adjtimex(2)), and room for the rest."""
-
-    _fields_ = (
-        ("modes", ctypes.c_uint),
-        ("offset", ctypes.c_long),
-        ("freq", ctypes.c_long),
-        ("maxerror", ctypes.c_long),
-        ("esterror", ctypes.c_long),
-        ("status", ctypes.c_int),
-        ("rest", ctypes.c_char * 256),
-    )
-
-
 def clock(time_ns: int) -> Time:
     """The kernel's data of its own clock; nothing is set."""
-    state = _Timex()
-    unsynchronised = 0x40  # STA_UNSYNC of sys/timex.h
-    if ctypes.CDLL(None).adjtimex(ctypes.byref(state)) < 0 or state.status & unsynchronised:
+    try:
+        state = KernelClock().read()
+    except OSError:
         return Time(utc_ns=time_ns)
-    return Time(utc_ns=time_ns, synchronised=True, error_s=state.maxerror / 1e6)
+    synchronised = state.synchronised
+    return Time(utc_ns=time_ns, synchronised=synchronised, error_s=state.maxerror / 1e6 if synchronised else None)
 
 
 def _is_up(link: Path) -> bool:

@@ -17,9 +17,12 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.errors import ConfigError, DelfimError
 from delfim.logging.linelog import LineLog
+from delfim.messages import TIME_FRAME
 from delfim.serialline import SerialLine
-from delfim.services import powerd, slots
+from delfim.services import kernelclock, powerd, slots
+from delfim.services.clockkeeping import ClockKeeping
 from delfim.services.guestdoor import GuestDoor
+from delfim.services.kernelclock import KernelClock
 from delfim.services.runtime import Runtime
 from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
@@ -148,7 +151,7 @@ async def _attend(
     if settings.guest.enabled:
         await _serve_guest(boat, settings.guest, links)
     measure()
-    ticks, computer = 0, boat.state.computer
+    ticks, computer, keeping = 0, boat.state.computer, _clock_keeping(runtime, opened, log)
     while True:
         await asyncio.sleep(WATCHDOG_S)
         ticks += 1
@@ -168,9 +171,22 @@ async def _attend(
             measure()
         if ticks % MAINTAIN_EVERY == 0:
             log.poll()
-            if computer.image:  # until somebody confirms it
-                computer = computer._replace(image=slots.present_notice(settings.runtime.run_directory))
+            image = slots.present_notice(settings.runtime.run_directory) if computer.image else ""  # until somebody confirms it
+            computer = computer._replace(image=image, clock=keeping.look(boat.state))
             opened.maintain()
+
+
+def _clock_keeping(runtime: Runtime, opened: OpenedLinks, log: Logbook) -> ClockKeeping:
+    """The look at other programs takes milliseconds, which the service has while it starts."""
+    settings = runtime.config
+    why_not = kernelclock.left_alone(settings.clock.set, settings.buses)
+    frames = opened.bus(settings.can.interface, (CanAddress(TIME_FRAME),))
+    battery_ns = kernelclock.battery_ns()
+
+    def stepped(by_s: float, source: str) -> None:
+        log.event("clock step", value=by_s, source=source)
+
+    return ClockKeeping(KernelClock(), runtime.clock, why_not, frames, stepped, battery_ns)
 
 
 def _stamps(settings: config.Vehicle) -> Path:

@@ -74,14 +74,16 @@ def _allowed(rules: Rules, name: str, mode: Mode) -> bool:
 
 def _clock(rules: Rules, state: State, age_s: float, time_ns: int) -> Check:
     """The log's times depend on this clock; navigation's UTC comes from satellites."""
+    told, n = state.computer.clock, state.navigation
+    kept = f"; {told.kept}" + (f", compared with {told.source}" if told.source else "") if told.kept else ""
+    more = kept + (f"; {told.fault}" if told.fault else "")
     if time_ns < EARLIEST_NS:
-        return Check("clock", False, "the computer's clock was never set")
-    n = state.navigation
+        return Check("clock", False, f"the computer's clock was never set{more}")
     if n is None or not n.utc_ns:
-        return Check("clock", True, "navigation gives no time to compare with")
+        return Check("clock", not told.fault, f"navigation gives no time to compare with{more}")
     off_s = (time_ns - n.utc_ns) / 1e9 - age_s
-    ok = abs(off_s) <= rules.settings.checks.clock_s
-    return Check("clock", ok, f"the computer's clock is {off_s:+.1f} s off navigation's")
+    ok = abs(off_s) <= rules.settings.checks.clock_s and not told.fault
+    return Check("clock", ok, f"the computer's clock is {off_s:+.1f} s off navigation's{more}")
 
 
 def _fence(state: State, inputs: Inputs) -> Check:

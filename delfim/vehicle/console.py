@@ -291,6 +291,7 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
         },
         "measured": {name: value for name, (value, _) in state.measured.items()},
         "sysstat": {name: _status(report) for name, (report, _) in state.sysstat.items()},
+        "clock": state.computer.clock._asdict(),
         "notices": [
             {"name": n.name, "reason": n.reason, "age_s": _age(now_s, n.since_s), "action": n.action} for n in state.notices
         ],

@@ -119,12 +119,22 @@ class Profile(NamedTuple):
     t5: int = 0  # guest and log served
 
 
+class ClockStatus(NamedTuple):
+    """Where the computer's clock has its time from."""
+
+    kept: str = ""  # who keeps it, or why nobody does, in words; empty: nobody has looked yet
+    source: str = ""  # whose time it has, or is compared with; empty: none was heard
+    off_s: float | None = None  # the clock minus that time; None: it is not heard now
+    fault: str = ""  # why a time is not taken, in words
+
+
 class StartConditions(NamedTuple):
     """The state of the computer that the checks need."""
 
     is_starting: bool = False  # no dead-man watches this program yet
     last_shutdown: str = ""  # the fault of the last shutdown, in words; empty: none, or not known
     image: str = ""  # why the started image needs attention, in words; empty: it does not
+    clock: ClockStatus = ClockStatus()
 
 
 @dataclass(slots=True)

@@ -20,7 +20,7 @@ from delfim.canproxy import timekeeping
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.canproxy.timekeeping import REDUNDANT_DELAY_S, SecondTimer, Timekeeper, TimeService
-from delfim.clock import ManualClock, SystemClock
+from delfim.clock import MADE_NS, ManualClock, SystemClock
 from delfim.errors import BusError
 from delfim.frames import Frame, standard
 from delfim.messages import TIME, TIME_FRAME, time_frame
@@ -223,7 +223,7 @@ def service(mode: Literal["master", "redundant"], can: CanSocket, clock: ManualC
 def test_frames_that_waited_count_before_the_second(buses: tuple[CanSocket, CanSocket]) -> None:
     """A program that stood still for five seconds must not take over from a master that it did not listen to."""
     can, other = buses
-    clock = ManualClock()
+    clock = ManualClock(time_ns=MADE_NS)
     quiet = service("redundant", can, clock)
     clock.advance(5.0)
     other.sendmsg(frame(0))
@@ -240,7 +240,7 @@ def test_frames_that_waited_count_before_the_second(buses: tuple[CanSocket, CanS
 
 def test_a_bus_that_fails_is_counted_and_taken_up(buses: tuple[CanSocket, CanSocket], monkeypatch: pytest.MonkeyPatch) -> None:
     can, other = buses
-    clock, rebound = ManualClock(), []
+    clock, rebound = ManualClock(time_ns=MADE_NS), []
 
     def fail(*_: object) -> None:
         raise BusError("gone")
@@ -256,6 +256,17 @@ def test_a_bus_that_fails_is_counted_and_taken_up(buses: tuple[CanSocket, CanSoc
     clock.advance(1.0)
     master.on_second()
     assert other.recvmsg().data == TIME.pack(clock.time_ns())
+
+
+def test_a_clock_that_was_never_set_is_not_sent(buses: tuple[CanSocket, CanSocket]) -> None:
+    can, other = buses
+    clock = ManualClock(time_ns=MADE_NS - S)
+    master = service("master", can, clock)
+    master.on_second()
+    clock.advance(1.0)
+    master.on_second()
+    assert master.report()["sent"] == 1
+    assert other.recvmsg().data == TIME.pack(MADE_NS)
 
 
 async def until(condition: Callable[[], bool]) -> None:

@@ -9,7 +9,7 @@ from delfim.frames import Frame
 from delfim.messages import BatteriesStatus, Fault, Node, Status
 from delfim.modes import Mode
 from delfim.vehicle import console
-from delfim.vehicle.state import StartConditions
+from delfim.vehicle.state import ClockStatus, StartConditions
 
 AROUND = config.FenceTable(keep_in=((38.692, -9.216), (38.693, -9.216), (38.693, -9.214), (38.692, -9.214)))
 
@@ -62,6 +62,19 @@ def test_a_clock_that_was_never_set_is_no_clock(boat):
     boat.ready()
     boat.clock.step(-40 * 365 * 86_400.0)
     assert lines(boat)["clock"] == (False, "the computer's clock was never set")
+
+
+def test_the_line_says_who_keeps_the_clock_and_why_a_time_is_not_taken(boat):
+    boat.ready()
+    kept = ClockStatus("kept by this program", "the time frame", 0.0, "")
+    boat.state.computer = StartConditions(clock=kept)
+    words = "the computer's clock is +0.0 s off navigation's; kept by this program, compared with the time frame"
+    assert lines(boat)["clock"] == (True, words)
+    boat.state.computer = StartConditions(clock=kept._replace(fault="the time frame jumps by +1.4 s: it is not taken"))
+    assert lines(boat)["clock"] == (False, f"{words}; the time frame jumps by +1.4 s: it is not taken")
+    boat.clock.step(-40 * 365 * 86_400.0)
+    boat.state.computer = StartConditions(clock=ClockStatus("kept by chronyd"))
+    assert lines(boat)["clock"] == (False, "the computer's clock was never set; kept by chronyd")
 
 
 @pytest.mark.parametrize("off_s", [-40 * 365 * 86_400.0, -1024 * 7 * 86_400.0, -86_400.0, 6.0, 1024 * 7 * 86_400.0])

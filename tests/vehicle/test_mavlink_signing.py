@@ -50,6 +50,25 @@ def sea(boat):
     return Sea(boat)
 
 
+def test_a_boat_whose_clock_is_set_is_heard_from_then_on_and_hears_all_the_time():
+    """Before that its stamps are of 1970, and nobody who knows better takes them for new."""
+    ashore, aboard = ManualClock(), ManualClock()
+    ashore.step(SIXTEEN_YEARS_S)
+    aboard.step(-40 * 365.25 * 86_400.0)
+    console, boat = Signing(KEY, ashore, {}), Signing(KEY, aboard, {})
+
+    def said(by: Signing, system: int) -> bytes:
+        return wire.Sender(system, 190, KEY, by.stamp).pack(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+
+    for number in range(10):
+        if number == 5:
+            aboard.step((ashore.time_ns() - aboard.time_ns()) / 1e9)
+        assert boat.judge(said(console, 250)).fault == ""
+        assert console.judge(said(boat, 1)).fault == ("replayed" if number < 5 else "")
+        ashore.advance(1.0)
+        aboard.advance(1.0)
+
+
 def untouched(sea) -> bool:
     return sea.boat.state.mode is Mode.IDLE and not sea.station.consoles.owner and AFAR not in sea.station.consoles.peers.known
 

@@ -92,6 +92,15 @@ class Notice(Facts, frozen=True):
     action: str = "warn"
 
 
+class KeptClock(Facts, frozen=True):
+    """Where the computer's clock has its time from."""
+
+    kept: str = ""  # who keeps it, or why nobody does, in words
+    source: str = ""  # whose time it has, or is compared with; empty: none was heard
+    off_s: float | None = None  # the clock minus that time; null: it is not heard now
+    fault: str = ""  # why a time is not taken, in words
+
+
 class State(Facts, frozen=True):
     """The vehicle's report of itself."""
 
@@ -125,6 +134,7 @@ class State(Facts, frozen=True):
     checks: tuple[Check, ...] = ()
     notices: tuple[Notice, ...] = ()
     deadman: dict[str, Any] = {}
+    clock: KeptClock = KeptClock()
 
 
 class Memory(Facts, frozen=True):

@@ -48,6 +48,10 @@ def _vehicle(report: Report) -> Iterator[Metric]:
         ("delfim_longitude_degrees", vehicle.longitude_deg, "WGS 84."),
     ):
         yield Metric(name, "gauge", text, [] if value is None else [({}, value)])
+    clock = vehicle.clock
+    off = [] if clock.off_s is None else [({"source": clock.source}, clock.off_s)]
+    yield Metric("delfim_clock_offset_seconds", "gauge", "The computer's clock minus the time of its source.", off)
+    yield Metric("delfim_clock_fault", "gauge", "Whether a time is not taken.", [({}, bool(clock.fault))])
     rpm = [({"side": "port"}, vehicle.port_rpm), ({"side": "starboard"}, vehicle.starboard_rpm)]
     yield Metric("delfim_propeller_rpm", "gauge", "As commanded.", rpm)
     charged = [({"node": name}, node.charge) for name, node in vehicle.sysstat.items() if node.charge is not None]

@@ -358,6 +358,10 @@ def clock(view: PageView) -> str:
         told.append(f"{off_s:+.1f} s off navigation’s, by {escape(vehicle.source)}")
     else:
         told.append("navigation gives no time to compare with")
+    if vehicle is not None and (kept := vehicle.clock).kept:
+        source = f", compared with {kept.source}" if kept.source else ""
+        off = f", {kept.off_s:+.3f} s off it" if kept.off_s is not None else ""
+        told += [escape(f"{kept.kept}{source}{off}"), *([f"<b>{escape(kept.fault)}</b>"] if kept.fault else [])]
     return f'<p class="big">{now:%H:%M:%S} <small>UTC</small></p><p class="small">{" · ".join(told)}</p>'
 
 
