@@ -23,7 +23,8 @@ from typing import Any, Final
 from bench.load import Ports, rows
 from delfim import config, suite
 from delfim.clock import Clock, SystemClock
-from delfim.services.priority import Practice
+from delfim.logging import systemlog
+from delfim.services.priority import Practice, speaker
 from delfim.services.runtime import LoadedService, Runtime
 
 KINDS: Final = ("delfim", "apart", "services", "asyncio", "uvloop")
@@ -84,7 +85,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     parser.add_argument("--set", action="append", default=[])
     asked = parser.parse_args(arguments)
     settings = config.load(asked.file, asked.set)
-    suites = {row.name: LoadedService(row.name, row.loaded(), row.budget_s) for row in suite.services(settings)}
+    systemlog.begin(settings.runtime.run_directory, "runtime", {}, speaker)
+    inside = [row for row in suite.services(settings) if row.place == "runtime"]
+    suites = {row.name: LoadedService(row.name, row.loaded(), row.budget_s) for row in inside}
     boat = suites.pop("vehicle")
     others = [*suites.values(), *rows(Ports(*map(int, asked.ports.split(","))))]
     services = {"apart": [boat], "services": others}.get(asked.kind, [*others, boat])

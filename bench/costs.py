@@ -8,7 +8,9 @@ with the best of some repetitions; a computer that is five times slower has five
 import argparse
 import gc
 import json
+import logging
 import math
+import os
 import time
 from collections.abc import Callable, Iterator
 from functools import partial
@@ -17,6 +19,8 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from delfim import config, geodesy
+from delfim.clock import SystemClock
+from delfim.logging.systemlog import SystemHandler
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.slices import Sliced
@@ -95,7 +99,7 @@ def rows(settings: config.Vehicle) -> list[Row]:
         pass
     boat = sea.vehicle
     largest = console.Upload(mission(boat, zones(boat)))
-    return [*_plans(boat, largest), *_fences(boat), *_voyage(boat, largest), *_consoles(boat, largest)]
+    return [*_plans(boat, largest), *_fences(boat), *_voyage(boat, largest), *_consoles(boat, largest), *_words()]
 
 
 def zones(boat: VehicleLoop) -> config.Zones:
@@ -133,6 +137,17 @@ def _ring(boat: VehicleLoop, north_m: float, east_m: float, radius_m: float) -> 
     for i in range(config.CORNERS):
         turn = math.tau * i / config.CORNERS
         yield _place(boat, north_m + radius_m * math.cos(turn), east_m + radius_m * math.sin(turn))
+
+
+def _words() -> list[Row]:
+    """A message for the system log, as many lines of it as a deep stack has, none of them printable."""
+    with open(os.devnull, "wb") as nothing:
+        handler = SystemHandler(
+            os.dup(nothing.fileno()), "bench", SystemClock(), levels={"": logging.INFO}, terminal=os.dup(nothing.fileno())
+        )
+    message = "\n".join(["\x01" * 900] * 30)
+    record = logging.LogRecord("delfim", logging.ERROR, __file__, 0, "%s", (message,), None)
+    return [Row("message of 30 lines for the system log", _once(lambda: handler.emit(record)))]
 
 
 def _slices(work: Any) -> Callbacks:

@@ -26,7 +26,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from bench import report
-from bench.load import ASHORE, ELSEWHERE, Ports, prepare
+from bench.load import ASHORE, ELSEWHERE, IDLE, Ports, prepare
 from bench.report import Cycle
 from delfim import config
 from delfim.canproxy.canloop import group_of
@@ -269,6 +269,8 @@ class Team:
             self._launch(*self._competitor("services"))
         until(lambda: socket.create_connection(("127.0.0.1", self.ports.commands), timeout=1.0).close(), "its services")
         if not self._is_c:
+            words = self._arguments[:1] + self._arguments[2:]
+            self._launch(*IDLE, sys.executable, "-m", "delfim", "run", *words, "--service", "syslogd")
             self._steer()
 
     def _competitor(self, kind: str) -> list[str]:

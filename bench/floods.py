@@ -1,8 +1,9 @@
 """Who floods the boat's doors: `python -m bench.floods KIND PORT`, PORT being that of ftpd.
 
 Frames with a forged signature for the MAVLink port; connections to cantcpd that say nothing, from many addresses; clients that
-open a bus there and leave; commands to cantcpd that mean nothing, or are barred; connections to ftpd, as many as it takes. The
-same seed sends the same. Within the benchmark itself runs a payload program that floods.
+open a bus there and leave; commands to cantcpd that mean nothing, or are barred; connections to ftpd, as many as it takes; and
+lines that the runtime's own loop has to log. The same seed sends the same. Within the benchmark itself runs a payload program
+that floods.
 """
 
 import contextlib
@@ -15,6 +16,7 @@ import sys
 import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
+from itertools import count
 from pathlib import Path
 from random import Random
 from typing import Final
@@ -94,6 +96,13 @@ def _nonsense(random: Random, ports: Ports, bus: str, _: int) -> Generator[None,
             yield
 
 
+def _words(_: Random, ports: Ports, __: str, ___: int) -> Generator[None, None, None]:
+    with socket.create_connection(("127.0.0.1", ports.commands), TIMEOUT_S) as link:
+        for number in count():
+            link.sendall(f"log {number}\n".encode())
+            yield
+
+
 Kind = Callable[[Random, Ports, str, int], Generator[None, None, None]]
 KINDS: Final[dict[str, tuple[Kind, float]]] = {  # and how many a second
     "forged frames": (_forged, 3500.0),
@@ -101,6 +110,7 @@ KINDS: Final[dict[str, tuple[Kind, float]]] = {  # and how many a second
     "short visits to cantcpd": (_visits, 300.0),
     "nonsense to cantcpd": (_nonsense, 5000.0),
     "connections to ftpd": (_visitors, 300.0),
+    "lines for the system log": (_words, 1000.0),
 }
 
 

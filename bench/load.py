@@ -2,14 +2,15 @@
 
 Two monitors read every frame of the bus from cantcpd, somebody downloads a log from httpd, somebody polls its page twenty
 times a second, and somebody runs a program every second. The program is run by a row of the benchmark's own, because sshd has a
-process to itself, where it would not be in anybody's way. The clients run in an idle process, and on one processor, as all that
-other computers do: `python -m bench.load`.
+process to itself, where it would not be in anybody's way. The same row logs a line for each "log ..." that it is sent. The
+clients run in an idle process, and on one processor, as all that other computers do: `python -m bench.load`.
 """
 
 import asyncio
 import contextlib
 import http.client
 import json
+import logging
 import os
 import socket
 import sys
@@ -30,6 +31,7 @@ ELSEWHERE: Final = ("taskset", "-c", str(max(os.sched_getaffinity(0))))  # other
 IDLE: Final = ("chrt", "--idle", "0")
 ASHORE: Final = (*ELSEWHERE, *IDLE)  # a client's work is another computer's, and has time
 
+log = logging.getLogger("delfim.bench")
 Handler = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Awaitable[None]]
 
 
@@ -70,7 +72,10 @@ async def _serve(handler: Handler, port: int) -> None:
 
 
 async def _command(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
-    while await reader.readline():
+    while line := await reader.readline():
+        if line.startswith(b"log "):
+            log.info("as long as a line of the system log usually is: %s", line)
+            continue
         child = await asyncio.create_subprocess_exec(*PROGRAM, stdout=asyncio.subprocess.PIPE)
         output, _ = await child.communicate()
         writer.write(output)

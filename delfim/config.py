@@ -629,6 +629,7 @@ class ServiceTable(Table, frozen=True):
     place: Literal["default", "runtime", "process"] = "default"  # runtime: its loop; process: a process of idle priority
     memory_max_mb: Megabytes = 0  # of its process and all that it starts; beyond, it is restarted; 0: no limit
     cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
+    log: Literal["debug", "info", "warning", "error"] = "info"  # the least level of its words that the system log keeps
 
 
 class PayloadTable(Table, frozen=True):

@@ -7,7 +7,9 @@ A large service that can wait is loaded `late`, while the loop already controls 
 
 import contextlib
 import faulthandler
+import hashlib
 import importlib
+import logging
 import os
 import sys
 import time
@@ -15,8 +17,9 @@ from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from delfim import config
+from delfim import __version__, config
 from delfim.errors import DelfimError, FormatError, PermanentFailure
+from delfim.logging import systemlog
 from delfim.outside import parse_json, read_file
 from delfim.services import cgroup, kernelclock, shutdown
 from delfim.services.buses import bring_up
@@ -25,6 +28,7 @@ from delfim.services.privileges import real_time
 from delfim.services.supervisor import Supervisor
 
 SHUTDOWN_LOOK_S = 0.1
+log = logging.getLogger(__name__)
 Start = Callable[[Any], Awaitable[None]]  # a service's coroutine: takes the runtime, runs until it is cancelled
 
 
@@ -65,6 +69,7 @@ class Service(NamedTuple):
 
 # In the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
 SERVICES = (
+    Service("syslogd", "delfim.services.syslogd:serve", place="process", uvloop=False),
     Service("canzlogd", "delfim.services.canzlogd:serve"),
     Service("logd", "delfim.services.logd:serve", when=lambda settings: settings.logd.nodes),
     Service("cantcpd", "delfim.services.cantcpd:serve"),
@@ -92,6 +97,8 @@ def services(settings: config.Vehicle) -> list[Service]:
     for row in rows:
         if row.name == "vehicle" and row.place == "process":
             raise PermanentFailure("services.vehicle: the vehicle runs in the runtime, which the dead-man watches")
+        if row.name == "syslogd" and row.place == "runtime":
+            raise PermanentFailure("services.syslogd: it waits for the disk, which the runtime must not")
         if row.place == "runtime" and (asked[row.name].memory_max_mb or asked[row.name].cpu_max):
             raise PermanentFailure(f'services.{row.name}: memory_max_mb and cpu_max need place = "process"')
     return rows
@@ -105,7 +112,7 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
 
     from delfim.clock import SystemClock
     from delfim.eventloop import new_event_loop
-    from delfim.services import runtime
+    from delfim.services import priority, runtime
 
     settings = config.load(file, overrides)
     rows = services(settings)
@@ -113,6 +120,7 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     if not wanted:
         raise PermanentFailure(f"{file}: no service {service!r} is enabled")
     alone = service is not None
+    systemlog.begin(settings.runtime.run_directory, service or "runtime", _levels(settings), priority.speaker)
     starts = [row.loading() if row.late and not alone else row.loaded() for row in wanted]  # the loop has no time to do it
     loaded = [runtime.LoadedService(row.name, start, row.budget_s) for row, start in zip(wanted, starts, strict=True)]
     new_loop = (new_event_loop if wanted[0].uvloop else asyncio.new_event_loop) if alone else None
@@ -137,6 +145,8 @@ def supervise(
     ]
     place = Path(settings.runtime.run_directory)
     place.mkdir(parents=True, exist_ok=True)
+    systemlog.begin(str(place), "supervisor", _levels(settings))
+    log.info("delfim %s starts %s, sha256 %s, with %s", *_started(file, overrides))
     _above(settings.runtime.fifo_priority)
     from delfim.services.stop import PropellerStop
 
@@ -161,6 +171,22 @@ def supervise(
             if init:
                 shutdown.leave(supervisor.word)
     return code
+
+
+def _levels(settings: config.Vehicle) -> dict[str, str]:
+    """The least level of each service whose words the system log keeps."""
+    return {name: table.log for name, table in settings.services.items()}
+
+
+def _started(file: str, overrides: Sequence[str]) -> tuple[str, str, str, str]:
+    """Version, file, its digest, and the keys that the command line replaced: their values may be secret."""
+    keys = ", ".join(each.partition("=")[0] for each in overrides)
+    return (
+        __version__,
+        file,
+        hashlib.sha256(read_file(file)).hexdigest(),
+        f"other values of {keys}" if keys else "its own values",
+    )
 
 
 def _above(fifo_priority: int) -> None:

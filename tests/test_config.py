@@ -77,7 +77,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             BOAT + "[services.httpd]\ncolour = 1",
             "services.httpd.colour",
             "unknown key",
-            "enabled, place, memory_max_mb, cpu_max",
+            "enabled, place, memory_max_mb, cpu_max, log",
         ),
         # missing parts
         ("", "boat", "missing", ""),
@@ -124,7 +124,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             BOAT + "[services]\nhttpd = 3",
             "services.httpd",
             "3 is a whole number, not a table",
-            "a table of enabled, place, memory_max_mb, cpu_max",
+            "a table of enabled, place, memory_max_mb, cpu_max, log",
         ),
     ],
 )

@@ -115,6 +115,38 @@ def test_a_runtime_that_hangs_loses_the_propellers_and_comes_back(suite, how):
     assert suite.runtime_pid() != pid
 
 
+def test_the_system_log_tells_all_of_it(suite):
+    """As `delfim log cat system` prints it afterwards: in order, although four programs wrote it, one of which was killed."""
+    pid = suite.runtime_pid()
+    suite.hang.write_text("python")
+    suite.asked("heading", heading_deg=90.0)
+    os.kill(pid, signal.SIGUSR1)
+    suite.stopped(time.monotonic())
+    while suite.runtime_pid() == pid or suite.asked("state")["mode"] != "idle":
+        pass
+    suite.asked("stop")
+    suite.supervisor.send_signal(signal.SIGTERM)
+    suite.supervisor.wait(60)
+    told = subprocess.run(
+        [sys.executable, "-m", "delfim", "log", "cat", "system", str(suite.folder / "log")], capture_output=True, text=True
+    )
+    lines = iter(told.stdout.splitlines())
+    for words in (
+        r"info     supervisor\[\d+\]: delfim .* starts .*/etc/delfimx.toml, sha256 [0-9a-f]{64}, with other values of can",
+        r"info     supervisor\[\d+\]: runtime: started as process",
+        r"info     vehicle\[\d+\]: mode manual: operator",
+        r'info     vehicle\[\d+\]: command of local: {"command":"heading","heading_deg":90.0.*}: done',
+        r"critical supervisor\[\d+\]: runtime: beat stopped for .*; it stood in hang",
+        r"critical supervisor\[\d+\]:   \| .*hanging.py.* in hang",
+        r"error    supervisor\[\d+\]: runtime: beat stopped for .*; started again in 0 s",
+        r"info     supervisor\[\d+\]: runtime: started as process",
+        r'info     vehicle\[\d+\]: command of local: {"command":"stop"}: done',
+        r"warning  runtime\[\d+\]: stopping: SIGTERM",
+        r"info     supervisor\[\d+\]: runtime: ended",
+    ):
+        assert any(re.search(words, line) for line in lines), f"{words}\n{told.stdout}"
+
+
 @pytest.mark.parametrize("suite", [("taskset", "-c", str(min(os.sched_getaffinity(0))))], indirect=True)
 def test_a_runtime_that_hangs_in_real_time_does_not_keep_the_processor_from_its_supervisor(suite):
     pid = suite.runtime_pid()

@@ -18,13 +18,14 @@ from typing import NamedTuple
 from delfim.commands import Formatter
 from delfim.errors import DelfimError
 from delfim.frames import Frame
-from delfim.logging import tree
+from delfim.logging import systemlines, tree
 from delfim.logging.progress import progress, tracked
 from delfim.logging.tree import LogFile, Run, Span
 
 STATE_FORMATS = ("csv", "parquet", "gpx", "kml", "mcap", "mat")
 BOX_FORMATS = ("log", "asc", "blf", "mf4")
 
+SYSTEM = "system"  # the id of the words of the programs
 WRITTEN_NS = 60_000_000_000  # a file on the boat that was changed so recently, by our clock, is being written
 
 
@@ -98,8 +99,14 @@ def _ls(asked: argparse.Namespace) -> int:
 
 
 def _cat(asked: argparse.Namespace) -> int:
+    if asked.path[:1] == [SYSTEM] and not os.path.exists(SYSTEM):
+        asked.id, asked.path = [SYSTEM], asked.path[1:]
     asked.id = asked.id or ([] if asked.events else ["state"])
     chosen = _selection(asked)
+    if asked.id == [SYSTEM] and not asked.events:
+        for line in systemlines.texts(chosen.runs, chosen.span, asked.level):
+            print(line)
+        return 0
     if not asked.events and not chosen.black_box() and chosen.state():
         _cat_state(chosen, asked.fields)
         return 0
@@ -332,7 +339,8 @@ def options(parser: argparse.ArgumentParser) -> None:
         return one
 
     ls = reader("ls", _ls, "List the runs: day, id, files, duration, size, and whether they ended in order.")
-    cat = reader("cat", _cat, "Print a log as text: the state as a table, the black box as candump's lines, or the events.")
+    cat = reader("cat", _cat, "Print a log as text: state, black box, events (--events), or, as `cat system`, the system log.")
+    cat.add_argument("--level", choices=systemlines.LEVELS, default="debug", help="Print the system log from this level on.")
     cat.add_argument("--fields", metavar="NAME,...", help="Print only these fields of the state.")
     cat.add_argument("--events", action="store_true", help="Print commands, changes of mode and losses, as lines of JSON.")
     info = reader("info", _info, "Sum up a run: track, modes, warnings, latency.")
@@ -345,9 +353,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     told = f"{', '.join(STATE_FORMATS)}: the state; {', '.join(BOX_FORMATS)}: the black box."
     export.add_argument("format", choices=[*STATE_FORMATS, *BOX_FORMATS], metavar="FORMAT", help=told)
     export.add_argument("--output", metavar="FILE", help="Write this file (default: one named after the run).")
-    words = (
-        "Replay a run through the vehicle's program and compare its commands bit by bit; or send its frames onto a bus (--bus)."
-    )
+    words = "Replay a run through the vehicle's program and compare its commands bit by bit; or send its frames (--bus)."
     replay = reader("replay", _replay, words)
     replay.add_argument("--vehicle", metavar="FILE", help="Use this vehicle's file instead of the settings in the log.")
     replay.add_argument("--bus", metavar="INTERFACE", help="Send the black box onto this bus, as vcan0 or canloop:can0.")

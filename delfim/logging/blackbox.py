@@ -4,6 +4,7 @@ One log a bus, `DIRECTORY/YYYYMMDD/can0/hhmmss.log.gz`, its id the name of the i
 a line of JSON for each start, loss of frames, change of the bus, step of the wall clock and trouble of the log itself.
 """
 
+import logging
 import re
 from collections.abc import Callable, Iterable
 from typing import Final, Protocol
@@ -19,6 +20,8 @@ from delfim.logging.openlog import open_log
 FRAMES_A_CALL: Final = 64  # a fraction of a millisecond; the loop calls again while frames are queued
 LAST_CALLS: Final = 100
 STEP_S: Final = 0.5  # a wall clock that differs by more from where it should be has stepped
+
+words = logging.getLogger(__name__)
 
 
 class RecordedSocket(Protocol):
@@ -61,6 +64,7 @@ class RecordedBus:
         """Note a value if it differs from the one noted last; `empty` needs no first note."""
         if value != self.told.get(event, empty) and self.note(event, value=value):
             self.told[event] = value
+            words.warning("%s: %s: %s", self.device, event, "no more" if value == empty else value)
 
 
 class BlackBox:
@@ -101,6 +105,8 @@ class BlackBox:
         """Call about once a second: keeps the logs going, takes up buses that failed, writes the sidecars."""
         offset_s = self._wall_offset_s()
         step_s, self._offset_s = offset_s - self._offset_s, offset_s
+        if abs(step_s) > STEP_S:
+            words.warning("the wall clock stepped by %+.3f s", step_s)
         for bus in self._buses.values():
             bus.log.poll()
             if bus.error and bus.socket.rebind():

@@ -24,7 +24,15 @@ def open_log(
     delfim.logging.guard. With "zpipe" the child lives by the computer's own clock, and `clock` only measures its
     silence.
     """
-    settings = LogSettings(
+    settings = log_settings(limits, id, suffix, header)
+    if method == "zpipe":
+        return PipeLog(settings, clock, nice)
+    return FileLog(settings, clock, deflate=method == "zwrite")
+
+
+def log_settings(limits: Limits, id: str, suffix: str, header: bytes = b"") -> LogSettings:  # noqa: A002
+    """The settings of a log, from those of all logs."""
+    return LogSettings(
         limits.directory,
         id,
         suffix,
@@ -36,6 +44,3 @@ def open_log(
         limits.upload_folder,
         limits.upload_bytes_max,
     )
-    if method == "zpipe":
-        return PipeLog(settings, clock, nice)
-    return FileLog(settings, clock, deflate=method == "zwrite")

@@ -25,8 +25,10 @@ from delfim.errors import FormatError
 from delfim.outside import parse_json
 from delfim.services.kernelclock import KernelClock
 from delfim.services.web.api import Bus, Computer, Disk, Memory, Network, Process, Service, Time
+from delfim.services.web.saidlines import last_lines
 
 PROCESSES: Final = 15  # shown
+LINES: Final = 10  # of the system log
 TREND_S: Final = 600.0  # the disk's rate is a mean over so long ...
 TREND_MIN_S: Final = 30.0  # ... and not told before so long
 NICE: Final = 10
@@ -75,6 +77,7 @@ class ComputerLook:
             time=clock(time_ns),
             supervisor=supervisor,
             deadman=deadman,
+            log=last_lines(str(self._supervisor.parent), LINES),
         )
 
     def _processors(self) -> tuple[float, ...]:

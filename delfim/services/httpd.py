@@ -23,19 +23,21 @@ from aiohttp import web
 
 from delfim import config
 from delfim.errors import DelfimError, FormatError
+from delfim.logging import systemlog
 from delfim.logging.tree import readable
 from delfim.services.door import Door, bulk
 from delfim.services.jail import Jail
 from delfim.services.runtime import Runtime
-from delfim.services.web import api, document, files, metrics
+from delfim.services.web import api, document, files, metrics, saidlines
 from delfim.services.web.board import Board, Lookout
-from delfim.services.web.subpages import checks_page, listing
+from delfim.services.web.subpages import checks_page, listing, system_page
 
 EVERY_S: Final = (1.0, 60.0)  # between two events of a page
 IDLE_S: Final = 15.0  # for a request to arrive, and between two of them
 STALL_S: Final = 20.0  # a client that reads nothing for so long is gone
 AGAIN_S: Final = 5.0  # before a look at the computer that failed is tried again
 CHUNK_BYTES: Final = 64 << 10  # of a file
+SLICE: Final = 50  # lines of the system log that a callback looks at
 BACKLOG: Final = 16
 HEADERS: Final = {
     "Cache-Control": "no-store",
@@ -109,15 +111,17 @@ class Site:
 
     def __init__(self, settings: config.Vehicle, board: Board) -> None:
         self._board, self._console = board, settings.httpd.console
-        self._jail = Jail(settings.log.directory)
+        self._jail, self._run_directory = Jail(settings.log.directory), settings.runtime.run_directory
         self._workers = ThreadPoolExecutor(2, "httpd")
         self._places: dict[str, Callable[[web.BaseRequest], Awaitable[web.StreamResponse]]] = {
             "/": self._boat,
             "/events": self._events,
             "/checks": self._checks,
+            "/system": self._system,
             "/metrics": self._metrics,
             "/api/state": self._state,
             "/api/checks": self._api_checks,
+            "/api/system": self._api_system,
             "/api/schema": self._schema,
         }
 
@@ -182,6 +186,25 @@ class Site:
     async def _api_checks(self, request: web.BaseRequest) -> web.StreamResponse:
         vehicle = (await self._board.report()).vehicle
         return _json(_encode(vehicle.checks if vehicle else ()))
+
+    async def _system(self, request: web.BaseRequest) -> web.StreamResponse:
+        return _html(system_page(*await self._said(request)))
+
+    async def _api_system(self, request: web.BaseRequest) -> web.StreamResponse:
+        return _json(_encode((await self._said(request))[1]))
+
+    async def _said(self, request: web.BaseRequest) -> tuple[saidlines.Wanted, list[api.LogLine]]:
+        """The last lines of the system log that a visitor wants."""
+        query = request.rel_url.query
+        wanted, found = saidlines.wanted(query.get("level", ""), query.get("text", "")), list[api.LogLine]()
+        for count, line in enumerate(saidlines.parsed(await self._work(systemlog.recent, self._run_directory))):
+            if count % SLICE == 0:
+                await asyncio.sleep(0)
+            if line is not None and wanted.has(line):
+                found.append(line)
+                if len(found) == saidlines.LINES_MAX:
+                    break
+        return wanted, found
 
     async def _schema(self, request: web.BaseRequest) -> web.StreamResponse:
         return _json(json.dumps(await self._work(api.schema)).encode())

@@ -55,6 +55,12 @@ class Account:
 ACCOUNT: Final[ContextVar[Account]] = ContextVar("ACCOUNT")
 
 
+def speaker() -> str:
+    """The service whose callback this is; empty for none."""
+    account = ACCOUNT.get(None)
+    return account.name if account else ""
+
+
 class Practice(Protocol):
     """The critical path without effect, to warm the caches. It must not raise."""
 

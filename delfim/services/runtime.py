@@ -225,7 +225,7 @@ class Runtime:
     def stop(self, reason: str) -> None:
         """End in order: every service, the last of the table first."""
         if not self._stop_reason:
-            log.warning("runtime: stopping: %s", reason)
+            log.log(logging.WARNING if self._place == "runtime" else logging.INFO, "%s: stopping: %s", self._place, reason)
             self._stop_reason = reason
             self._stopping.set()
 
@@ -328,9 +328,8 @@ class Runtime:
     def _settled(self, status: ServiceStatus) -> None:
         self._change(status, "running", status.reason)
         status.account.reset()
-        if status.told:
-            log.info("%s: runs again", status.name)
-            status.told = ""
+        log.info("%s: %s", status.name, "runs again" if status.told else "runs")
+        status.told = ""
 
     def _failed(self) -> Callable[[Exception], None]:
         """The handler of exceptions in callbacks of the calling service. Raises LookupError outside a service."""
@@ -348,6 +347,7 @@ class Runtime:
         task.cancel()
         ended, _ = await asyncio.wait([task], timeout=STOP_S)
         if ended and status.state not in ("failed", "stopped"):
+            log.info("%s: ended", name)
             self._change(status, "stopped", self._stop_reason)
         return bool(ended)
 

@@ -164,6 +164,7 @@ class Supervisor:
         except OSError as error:
             self._died(child, 1, f"cannot be started: {error.strerror}")
         else:
+            log.info("%s: started as process %d", child.program.name, child.pid)
             self._change(child, "running")
 
     def _reap(self) -> None:
@@ -190,6 +191,7 @@ class Supervisor:
             self._stop_due_s = now_s
         in_order = code == 0 and not child.verdict and not (self._init and child.program.critical)
         if self._is_ending or in_order:
+            log.info("%s: ended: %s", child.program.name, child.reason)
             self._change(child, "stopped")
         elif code == EXIT_PERMANENT:
             log.error("%s: %s: not to be started again", child.program.name, child.reason)
@@ -249,7 +251,9 @@ class Supervisor:
         stacks = child.stacks()
         child.verdict += f"; {stood(stacks) or f'it did not say where it stood: {otherwise}'}"
         self._deadman = {"reason": child.verdict, "at_s": time.monotonic()}
-        log.critical("%s: %s\n%s", child.program.name, child.verdict, stacks)
+        log.critical("%s: %s", child.program.name, child.verdict)
+        for thread in filter(None, stacks.split("\n\n")):
+            log.critical("%s", thread)
 
     def _noted(self, child: Child, reason: str, *, is_silent: bool) -> None:
         child.reason, child.is_silent = reason, is_silent

@@ -41,6 +41,8 @@ PUBLISH_EVERY = 2  # watchdog ticks
 MEASURE_EVERY = 5
 MAINTAIN_EVERY = 10
 
+words = logging.getLogger(__name__)  # `log` is the state log here
+
 
 class Breakable(Protocol):
     """The faults that `delfim fault` can inject into this program; `delfim.simulator.bycommand` has them."""
@@ -93,7 +95,7 @@ async def serve(runtime: Runtime) -> None:
         last_shutdown = _last_shutdown(Path(settings.log.directory), links)
         image = slots.present_notice(settings.runtime.run_directory)
         state = State(computer=StartConditions(runtime.is_starting(), last_shutdown, image))
-        log = Logbook(settings, clock)
+        log = Logbook(settings, clock, words.log)
         links.callback(log.close)
         broken = _breakable(runtime, links)
         record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
@@ -139,7 +141,7 @@ async def _attend(
         reviews.hear(command, operator)
         if isinstance(command, ShutDown) and refused is None:
             powerd.ask(runtime, "reboot" if command.reboot else "off", "command of the console")
-        log.command(command, refused, boat.state, reviews.written(command))
+        log.command(command, refused, boat.state, operator, reviews.written(command))
         return refused
 
     mavlink = runtime.load("delfim.vehicle.mavlink.stationsocket") if settings.mavlink.enabled else None
@@ -228,9 +230,9 @@ async def _serve_guest(boat: VehicleLoop, table: config.GuestTable, links: conte
         links.callback(door.close)
         links.callback((await asyncio.get_running_loop().create_server(door.visitor, *config.address(table.listen))).close)
     except ConfigError as error:
-        logging.getLogger(__name__).error("guest: no guest can connect: %s", error)
+        words.error("guest: no guest can connect: %s", error)
     except OSError as error:
-        logging.getLogger(__name__).error("guest: cannot listen on %s: %s", table.listen, error.strerror)
+        words.error("guest: cannot listen on %s: %s", table.listen, error.strerror)
 
 
 def _figures(source: Source, clock: Clock) -> dict[str, object]:

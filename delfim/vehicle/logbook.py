@@ -1,5 +1,9 @@
 """The vehicle's state log: a record a cycle, and events in the sidecar beside it (docs/log-format.md)."""
 
+import logging
+from collections.abc import Callable
+from typing import Final
+
 import msgspec
 
 from delfim import __version__, config, tables
@@ -9,14 +13,17 @@ from delfim.logging.openlog import open_log
 from delfim.logging.statelog import Schema, StateWriter
 from delfim.modes import Mode
 from delfim.vehicle import record
-from delfim.vehicle.console import Alive, Commands, TellState, Watch
+from delfim.vehicle.console import Alive, Commands, Manual, TellState, Watch
 from delfim.vehicle.state import State
+
+COMMAND_MAX: Final = 160  # characters of a command in the system log; all of it is in the sidecar
+ORDERLY: Final = ("operator", "shutdown")  # begin the reasons of changes of mode that were meant to be
 
 
 class Logbook:
-    """The vehicle's state log: a record a cycle."""
+    """The vehicle's state log: a record a cycle. `say` is told of commands, modes and troubles, too, as a logger's `log` is."""
 
-    def __init__(self, settings: config.Vehicle, clock: Clock) -> None:
+    def __init__(self, settings: config.Vehicle, clock: Clock, say: Callable[..., object] = lambda *words: None) -> None:
         self._fields = record.fields(settings)
         schema = Schema(
             [(f.name, f.code, f.unit, f.description) for f in self._fields],
@@ -28,6 +35,7 @@ class Logbook:
         self._writer = StateWriter(self._log.put, schema)
         self.status, self.poll = self._log.status, self._log.poll
         self._noted = False
+        self._say, self._manual = say, ""  # why the last manual command was refused
         self.event("start", version=__version__, settings=tables.shown(settings))
 
     def write(self, state: State, now_s: float) -> None:
@@ -37,14 +45,22 @@ class Logbook:
         """Write an event into the sidecar."""
         self._log.note(event_line(self._clock, event, **what))
 
-    def command(self, command: Commands, refused: str | None, state: State, written: bytes | None = None) -> None:
-        """Log a command of the console and its outcome; `written`: its JSON, where it exists already. Queries and signs of life
+    def command(
+        self, command: Commands, refused: str | None, state: State, operator: str = "", written: bytes | None = None
+    ) -> None:
+        """Log a command of an operator and its outcome; `written`: its JSON, where it exists already. Queries and signs of life
         are not kept."""
         if not isinstance(command, Alive | TellState | Watch):
-            value = command if written is None else msgspec.Raw(written)
-            what = {"event": "command", "at_s": state.console_s, "value": value, "refused": refused or ""}
+            value = msgspec.json.encode(command) if written is None else written
+            what = {"event": "command", "at_s": state.console_s, "value": msgspec.Raw(value), "refused": refused or ""}
             times = {"t_ns": self._clock.time_ns(), "monotonic_s": self._clock.monotonic_s()}
             self._log.note(msgspec.json.encode(times | what) + b"\n")
+            level = logging.INFO
+            if isinstance(command, Manual):  # ten a second: in the system log only when the answer changes
+                level = logging.INFO if refused and refused != self._manual else logging.DEBUG
+                self._manual = refused or ""
+            outcome = f"refused: {refused}" if refused else "done"
+            self._say(level, "command of %s: %s: %s", operator, value[:COMMAND_MAX].decode(errors="replace"), outcome)
 
     def note(self, text: str) -> None:
         """An event of the loop, in words; "hold: fence ahead" is a change of mode with its reason."""
@@ -52,8 +68,11 @@ class Logbook:
         mode, _, reason = text.partition(": ")
         if mode.upper() in Mode.__members__:
             self.event("mode", value=mode, reason=reason)
+            is_orderly = reason.startswith(ORDERLY) or reason.endswith(" done")
+            self._say(logging.INFO if is_orderly else logging.WARNING, "mode %s", text)
         else:
             self.event("note", value=text)
+            self._say(logging.INFO if text.endswith(": over") else logging.WARNING, "%s", text)
 
     def watch(self, state: State) -> None:
         """Called after each check of the watchdog: logs its time when something was noted since the one before."""

@@ -3,6 +3,7 @@ then the plan is obeyed or refused, and its sender is told which.
 """
 
 import asyncio
+import logging
 from collections.abc import Callable
 from functools import partial
 from typing import NamedTuple, TypeVar
@@ -19,6 +20,8 @@ QUIET = console.Alive | console.TellState | console.Watch
 Answer = Callable[[str | None], None]  # called with the reason of a refusal, or None
 Obey = Callable[[console.Commands, str], str | None]
 T = TypeVar("T")
+
+log = logging.getLogger(__name__)
 
 
 class Review(NamedTuple):
@@ -71,7 +74,12 @@ class Reviews:
             self._now = None
             if self._reading is not None:
                 self._reading.cancel()
-            review.answer(f"refused: {reason}")
+            self._refuse(review, f"refused: {reason}")
+
+    def _refuse(self, review: Review, reason: str) -> None:
+        """A plan that never comes to be obeyed."""
+        log.info("plan of %s: %s", review.operator, reason)
+        review.answer(reason)
 
     def _was_read(self, review: Review, lines: list[bytes] | DelfimError) -> None:
         if review is not self._now:
@@ -79,7 +87,7 @@ class Reviews:
         self._reading = None
         if isinstance(lines, DelfimError):
             self._now = None
-            review.answer(str(lines))
+            self._refuse(review, str(lines))
             return
         self._work(review, Sliced(gathered(lines)), lambda mission: self._loop.call_soon(self._look, review, mission))
 

@@ -351,5 +351,5 @@ def test_black_box_and_page_work_in_processes_of_their_own_and_a_guest_steers(tm
     assert set(modes[-1]["services"]) == {"cantcpd", "powerd", "vehicle"}, "the others are not in this process"
     assert seen["vehicle"]["mode"] == "grex"
     assert set(seen["services"]) >= {"vehicle", "httpd"}
-    assert set(seen["computer"]["supervisor"]) == {"runtime", "canzlogd", "httpd"}
+    assert set(seen["computer"]["supervisor"]) == {"runtime", "syslogd", "canzlogd", "httpd"}
     assert list((tmp_path / "out").glob("log/*/*/*.log.gz")), "and works"

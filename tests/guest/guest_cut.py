@@ -36,6 +36,14 @@ with open_can("vcan0") as bus:
         number += 1
         time.sleep(0.05)
 """
+SPEAKER = """
+import logging, time
+from delfim.logging.systemlog import begin
+begin("/run/delfim", "speaker", {})
+while True:
+    logging.getLogger("delfim.speaker").info("as long as what a program usually says")
+    time.sleep(0.05)
+"""
 SETTINGS = {
     "can.interface": '"vcan0"',
     "console.socket": '"/run/delfim/command"',
@@ -82,7 +90,7 @@ def growing() -> bool:
     """Whether this boot's logs of all kinds are on the disk."""
     begun = os.stat(f"{FOLDER}/begun").st_mtime
     new = [path for path in LOG.glob("*/*/*.gz") if path.stat().st_mtime > begun and path.stat().st_size > 500]
-    return {path.parent.name for path in new} >= {"state", "vcan0", "gps"}
+    return {path.parent.name for path in new} >= {"state", "vcan0", "gps", "system"}
 
 
 def main() -> None:
@@ -96,6 +104,7 @@ def main() -> None:
     delfim("nodes")
     delfim("supervise")
     until(heading, "the boat never became fit")
+    start(sys.executable, "-c", SPEAKER)
     start("cangen", "vcan0", "-g", f"{1000 / float(FRAMES_PER_S):.3f}", "-i")
     until(growing, "the logs do not grow")
 

@@ -60,7 +60,7 @@ def test_a_power_cut_costs_a_second_and_no_human(disk, tmp_path, cut, request):
     for file in found:
         repair(file)
     lost_s = {}
-    for id_ in ("state", "vcan0", "gps"):
+    for id_ in ("state", "vcan0", "gps", "system"):
         its = [file for file in files([place]) if file.id == id_]
         assert its
         for file in its:
@@ -98,6 +98,6 @@ def last_s(file: LogFile) -> float:
     if file.id == "state":
         return max((t1 / 1e9 for t1 in columns([file.path]).get("t1", [])), default=0.0)
     lines = read_log(file.path)[0].decode().splitlines()
-    if file.id == "gps":
+    if file.id in ("gps", "system"):
         return max((json.loads(line)["t_ns"] / 1e9 for line in lines), default=0.0)
     return max((parse_line(line)[1].t_ns / 1e9 for line in lines[-3:]), default=0.0)

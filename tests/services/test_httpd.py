@@ -3,6 +3,8 @@
 import asyncio
 import contextlib
 import copy
+import html
+import json
 import os
 import re
 import shutil
@@ -26,7 +28,33 @@ from delfim.services.web import api, board, page
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 from tests.services.browser import PROGRAM, browser
 
-PLACES = ("/", "/checks", "/logs/", "/metrics", "/api/state", "/api/checks", "/api/schema")
+PLACES = ("/", "/checks", "/system", "/logs/", "/metrics", "/api/state", "/api/checks", "/api/system", "/api/schema")
+SAID = (
+    ("debug", "cantcpd", "127.0.0.1:4000 left"),
+    ("info", "supervisor", "runtime: started as process 17"),
+    ("warning", "ftpd", "wrong password for 'Ana <b>' from 10.0.0.9"),
+    ("critical", "supervisor", "runtime: beat stopped for 1.0 s: dead-man; it stood in hang"),
+    ("critical", "supervisor", "  | File \\x1b[31m, line 3 in hang"),
+    ("warning", "ftpd", "ana logged in from 10.0.0.9"),
+)
+
+
+def said(settings: config.Vehicle) -> None:
+    """The last lines of the system log, two of which are none."""
+    lines = [
+        {
+            "t_ns": 1_795_231_735_093_121_524 + n,
+            "monotonic_s": 5.0 + n,
+            "level": level,
+            "pid": 17,
+            "service": service,
+            "text": text,
+        }
+        for n, (level, service, text) in enumerate(SAID)
+    ]
+    texts = [json.dumps(line) for line in lines]
+    (Path(settings.runtime.run_directory) / "system.1.jsonl").write_text("\n".join([*texts[:2], "{torn", ""]))
+    (Path(settings.runtime.run_directory) / "system.jsonl").write_text("\n".join([*texts[2:], '{"t_ns": -1}', ""]))
 
 
 class Site:
@@ -178,6 +206,49 @@ def test_words_from_outside_are_not_markup(tmp_path):
                 assert "<script>alert" not in text
                 assert "<img" not in text
                 assert "<b>&.log" not in text
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize(
+    ("asked", "found"),
+    [
+        ("", (5, 4, 3, 2, 1)),
+        ("?level=debug", (5, 4, 3, 2, 1, 0)),
+        ("?level=warning&text=FTPD", (5, 2)),
+        ("?level=error", (4, 3)),
+        ("?text=10.0.0.9", (5, 2)),
+        ("?level=nonsense&text=no%20such%20thing", ()),
+    ],
+)
+def test_the_system_log_is_shown_by_level_and_text_newest_first(tmp_path, asked, found):
+    async def main():
+        async with site(tmp_path) as boat:
+            said(boat.settings)
+            told = json.loads((await boat.get(f"/api/system{asked}"))[2])
+            assert [(line["level"], line["service"]) for line in told] == [SAID[n][:2] for n in found]
+            text = html.unescape((await boat.get(f"/system{asked}"))[2].decode())
+            assert re.findall(r"</b> (.*?)</li>", text) == [line["text"] for line in told]
+
+    asyncio.run(main())
+
+
+def test_words_from_outside_in_the_system_log_are_neither_markup_nor_control(tmp_path):
+    async def main():
+        async with site(tmp_path) as boat:
+            line = {
+                "t_ns": 1,
+                "monotonic_s": 1.0,
+                "level": "info",
+                "pid": 1,
+                "service": "<b>",
+                "text": "\x1b[2J<img src=x>\r\u202e",
+            }
+            (tmp_path / "system.jsonl").write_text(json.dumps(line) + "\n")
+            page = (await boat.get("/system?text=%3Cimg%20src%3Dx%3E"))[2].decode()
+            assert "<img" not in page
+            assert "<b>&lt;b&gt;</b> \\x1b[2J&lt;img src=x&gt;\\x0d\\x202e</li>" in page
+            assert json.loads((await boat.get("/api/system"))[2])[0]["text"].isprintable()
 
     asyncio.run(main())
 
@@ -594,6 +665,28 @@ def test_a_browser_shows_the_page_alive_and_says_when_it_is_not(tmp_path):
                 assert len(await page.picture()) > 50_000
             await page.until("document.body.classList.contains('stale')")
             assert "No connection" in await page.value("document.getElementById('late').textContent")
+
+    asyncio.run(main())
+
+
+@pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
+def test_a_person_looks_for_a_line_of_the_system_log(tmp_path):
+    async def main():
+        async with browser(tmp_path / "browser") as page, site(tmp_path) as boat:
+            said(boat.settings)
+            await page.open(boat.url, width=390, height=844)
+            lines = "Array.from(document.querySelectorAll('.log li'), each => each.textContent)"
+            await page.until("document.querySelectorAll('#log li').length === 5")
+            assert "ftpd ana logged in from 10.0.0.9" in (await page.value(lines))[0]
+            await page.call("Runtime.evaluate", expression="document.querySelector('#log a').click()")
+            await page.until("document.querySelector('form') !== null")
+            filled = "document.querySelector('select').value = 'warning', document.querySelector('input').value = 'ana'"
+            await page.call("Runtime.evaluate", expression=f"{filled}, document.querySelector('button').click()")
+            await page.until(f"{lines}.length === 2")
+            assert ["wrong password" in line for line in await page.value(lines)] == [False, True]
+            assert await page.value("document.querySelector('input').value") == "ana", "what was asked for stands there"
+            assert await page.value("document.documentElement.scrollWidth") == 390, "nothing sticks out on a phone"
+            assert page.complaints == []
 
     asyncio.run(main())
 

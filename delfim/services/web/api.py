@@ -4,7 +4,7 @@ The vehicle's words are those of `delfim.vehicle.console.snapshot`. A field that
 has its default, so that a page and a vehicle of two versions understand each other.
 """
 
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -198,6 +198,17 @@ class Time(Facts, frozen=True):
     error_s: float | None = None  # at most, as that source says
 
 
+class LogLine(Facts, frozen=True):
+    """A line of the system log (docs/log-format.md)."""
+
+    t_ns: Annotated[int, msgspec.Meta(ge=0, lt=1 << 62)]
+    monotonic_s: float
+    level: str
+    pid: int
+    service: str
+    text: str
+
+
 class Computer(Facts, frozen=True):
     """A sample of the computer."""
 
@@ -214,6 +225,7 @@ class Computer(Facts, frozen=True):
     time: Time = Time()
     supervisor: dict[str, Service] = {}  # its processes
     deadman: str = ""  # its last event, in words
+    log: tuple[LogLine, ...] = ()  # the last lines of the system log, newest first
 
 
 class Server(Facts, frozen=True):

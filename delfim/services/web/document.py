@@ -15,6 +15,7 @@ SCRIPT: Final = (_HERE / "script.js").read_text(encoding="utf-8")
 LINKS: Final = (
     ("/", "Boat"),
     ("/checks", "Before the start"),
+    ("/system", "System log"),
     ("/logs/", "Logs"),
     ("/api/state", "JSON"),
     ("/metrics", "Metrics"),
@@ -32,7 +33,7 @@ def _digest(text: str) -> str:
 # Only our own style and script: a script smuggled in by a log's name or a reason is not run.
 POLICY: Final = (
     f"default-src 'none'; style-src {_digest(STYLE)}; script-src {_digest(SCRIPT)}; connect-src 'self'; img-src data:; "
-    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    "base-uri 'none'; form-action 'self'; frame-ancestors 'none'"
 )
 
 

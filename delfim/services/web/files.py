@@ -18,6 +18,7 @@ _KINDS: Final = {
     ".meta.jsonl": "events beside the log",
     ".log": "frames, as candump writes them",
     ".log.gz": "frames, as candump writes them, compressed",
+    ".jsonl.gz": "messages, as lines of JSON, compressed",
 }
 _RANGE: Final = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 
@@ -36,7 +37,9 @@ def meaning(path: str, entry: Entry) -> str:
             return f"{int(entry.name[6:])} {_MONTHS[int(entry.name[4:6]) - 1]} {entry.name[:4]}"
         if _DAY.fullmatch(path.strip("/")) is None:
             return ""
-        return "each cycle of the boat’s state" if entry.name == "state" else "each frame of this bus"
+        return {"state": "each cycle of the boat’s state", "system": "the words of the programs"}.get(
+            entry.name, "each frame of this bus"
+        )
     time = _TIME.match(entry.name)
     kind = next((words for ending, words in _KINDS.items() if entry.name.endswith(ending)), "")
     began = f"from {time[1]}:{time[2]}:{time[3]}" if time else ""

@@ -10,8 +10,8 @@ from typing import Any, Final, NamedTuple
 
 from delfim import config
 from delfim.services.web import figures
-from delfim.services.web.api import Computer, Network, Node, Report, Service, State
-from delfim.services.web.wording import as_told, gauges, number, rate, size, span, tile, worded
+from delfim.services.web.api import Network, Node, Report, Service, State
+from delfim.services.web.wording import as_told, gauges, last_words, number, rate, size, span, tile, worded
 
 HURT: Final = ("stop", "disconnect")  # actions of the failsafe that end the sailing
 OWN_WILL: Final = ("operator", "started", "")  # reasons to lie idle that need no attention
@@ -374,12 +374,9 @@ def processes(view: PageView) -> str:
         f"<td>{each.nice}</td></tr>"
         for each in found.processes
     )
+    shown = f"The busiest {len(found.processes)} of {found.process_count}."
     names = "<tr><th>id</th><th>name</th><th>cpu</th><th>memory</th><th>nice</th></tr>"
-    return f'<table class="processes"><thead>{names}</thead>{rows}</table><p class="small">{_busiest(found)}</p>'
-
-
-def _busiest(found: Computer) -> str:
-    return f"The busiest {len(found.processes)} of {found.process_count}."
+    return f'<table class="processes"><thead>{names}</thead>{rows}</table><p class="small">{shown}</p>'
 
 
 # The page, in its order.
@@ -397,4 +394,5 @@ SECTIONS: Final = (
     Section("networks", "Network", networks, 5.0, 2),
     Section("clock", "Clock", clock, 1.0, 2),
     Section("processes", "Processes", processes, 5.0, 2),
+    Section("log", "System log", lambda view: last_words(view.report.computer), 5.0, 2),
 )

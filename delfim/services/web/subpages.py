@@ -5,10 +5,12 @@ from datetime import UTC, datetime
 from html import escape
 from urllib.parse import quote
 
+from delfim.logging.systemlines import LEVELS
 from delfim.logging.tree import readable
 from delfim.services.web import document, files, page
-from delfim.services.web.api import Report
-from delfim.services.web.wording import size
+from delfim.services.web.api import LogLine, Report
+from delfim.services.web.saidlines import LINES_MAX, TEXT_MAX, Wanted
+from delfim.services.web.wording import loglines, size
 
 
 def checks_page(report: Report) -> str:
@@ -29,6 +31,19 @@ def checks_page(report: Report) -> str:
     boat = escape(report.vehicle.boat) if report.vehicle else ""
     head = f'<div class="band {mood}"><p>{boat}</p><h1>{title}</h1><p class="why">Before the start</p></div>'
     return document.plain("Before the start", f'{reason}<ul class="lines checks">{rows}</ul>', head)
+
+
+def system_page(asked: Wanted, found: list[LogLine]) -> str:
+    """The last words of the programs, newest first, and what to choose them by."""
+    levels = "".join(f"<option{' selected' if level == asked.level else ''}>{level}</option>" for level in LEVELS)
+    form = (
+        f'<form class="keys"><label>Level <select name="level">{levels}</select></label>'
+        f'<label>Text <input name="text" type="search" maxlength="{TEXT_MAX}" value="{escape(asked.text)}"></label>'
+        "<button>Show</button></form>"
+    )
+    more = f"The last {len(found)}, newest first, times in UTC. " + ("Older ones: " if len(found) < LINES_MAX else "Others: ")
+    link = f'<p class="small">{more}<a href="/logs/">Logs</a>, in the folders named system (delfim log cat system).</p>'
+    return document.plain("System log", f"{form}{loglines(found)}{link}")
 
 
 def listing(path: str, found: list[files.Entry], is_all: bool) -> str:

@@ -1,9 +1,11 @@
 """Figures as people write them, and the small pieces of HTML that hold them."""
 
 from collections.abc import Iterable
+from datetime import UTC, datetime
 from html import escape
 
 from delfim.services.web import figures
+from delfim.services.web.api import Computer, LogLine
 
 
 def tile(name: str, value: str, unit: str, more: str) -> str:
@@ -58,3 +60,19 @@ def as_told(figure: object) -> str:
 
 def worded(name: str) -> str:
     return escape(name.replace("_", " "))
+
+
+def loglines(lines: Iterable[LogLine]) -> str:
+    """Lines of the system log."""
+    kinds = {"debug": "", "info": "", "warning": "warn", "error": "bad", "critical": "bad"}
+    rows = []
+    for line in lines:
+        at = f"{datetime.fromtimestamp(line.t_ns // 10**9, UTC):%m-%d %H:%M:%S}"
+        head = f'<span class="small">{at} {escape(line.level)}</span> <b>{escape(line.service)}</b>'
+        rows.append(f'<li class="{kinds.get(line.level, "bad")}">{head} {escape(line.text)}</li>')
+    return f'<ul class="lines log">{"".join(rows)}</ul>' if rows else '<p class="none">no line</p>'
+
+
+def last_words(computer: Computer | None) -> str:
+    """The end of the system log, newest line first."""
+    return loglines(computer.log if computer else ()) + '<p class="small"><a href="/system">More, by level and text</a></p>'

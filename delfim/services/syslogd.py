@@ -1,0 +1,38 @@
+"""syslogd: writes the words of all programs of the suite to the disk (docs/log-format.md).
+
+It has a process of its own: a slow disk holds up nobody else. The others write into its pipe and do not wait for it
+(delfim.logging.systemlog). It is the first to start beside the runtime and the last to end, so that it hears the others.
+"""
+
+import asyncio
+import logging
+import os
+from pathlib import Path
+
+from delfim import __version__, tables
+from delfim.logging.openlog import log_settings
+from delfim.logging.systemlog import PIPE, open_pipe
+from delfim.logging.systemwriter import ID, SUFFIX, SystemWriter
+from delfim.services.runtime import Runtime
+
+LOOK_S = 0.2  # between two looks into the pipe
+
+log = logging.getLogger(__name__)
+
+
+async def serve(runtime: Runtime) -> None:
+    """Until it is cancelled; then it writes what is left in the pipe."""
+    settings = runtime.config
+    directory = settings.runtime.run_directory
+    pipe = open_pipe(str(Path(directory) / PIPE))
+    start: dict[str, object] = {"version": __version__, "settings": tables.shown(settings)}
+    limits = log_settings(settings.log, ID, SUFFIX)
+    writer = SystemWriter(pipe, limits, directory, runtime.clock, start, lambda words: log.warning("the system log: %s", words))
+    try:
+        with runtime.publishing("syslogd", writer.figures):
+            while True:
+                writer.turn()
+                await asyncio.sleep(LOOK_S)
+    finally:
+        writer.close()
+        os.close(pipe)
