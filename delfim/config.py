@@ -481,6 +481,32 @@ class Canip(Table, frozen=True):
             raise ValueError("two peers have the same address or the same node")
 
 
+class RoutingBus(Table, frozen=True):
+    """A further bus with nodes of the DSOR protocol."""
+
+    interface: Interface  # the bus
+    nodes: Annotated[tuple[DsorNode, ...], msgspec.Meta(min_length=1, max_length=64)]  # that are on it
+    bitrate_bps: BitRate = 500_000  # of a Linux interface, which the first process sets up (docs/boot.md)
+
+
+class Routing(Table, frozen=True):
+    """Messages of the DSOR protocol between buses (docs/dsor.md). Nodes that no bus names are on `can.interface`."""
+
+    everybody: Annotated[tuple[DsorNode, ...], msgspec.Meta(max_length=64)] = ()  # their messages to everybody go to all buses
+    frames_per_s: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 2000  # that go from bus to bus at most; more are lost
+    buses: dict[Name, RoutingBus] = msgspec.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        nodes = [node for bus in self.buses.values() for node in bus.nodes]
+        interfaces = [bus.interface for bus in self.buses.values()]
+        for node in nodes:
+            if nodes.count(node) > 1:
+                raise ValueError(f"node {node:#04x} is named twice: each is on one bus")
+        for interface in interfaces:
+            if interfaces.count(interface) > 1:
+                raise ValueError(f"{interface} is named twice: each bus has one table")
+
+
 class Slipd(Table, frozen=True):
     """The radio's serial line as a network interface."""
 
@@ -698,6 +724,7 @@ class Vehicle(Table, frozen=True):
     guest: GuestTable = GuestTable()
     cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()
+    routing: Routing = Routing()
     timed: Timed = Timed()
     slipd: Slipd = Slipd()
     httpd: Httpd = Httpd()
@@ -720,17 +747,21 @@ class Vehicle(Table, frozen=True):
     def outside(self, key: Literal["interface", "device"]) -> dict[str, str]:
         """The buses or serial lines of the boat's nodes and of the parts that are chosen by name, by their keys: a part has
         its table by its name."""
-        parts = ("can", *self.navigation.sources, *self.sensors.names, *self.propulsion.actuators)
-        tables = {name: getattr(self, name, None) for name in parts}
-        return {f"{name}.{key}": getattr(table, key) for name, table in tables.items() if hasattr(table, key)}
+        return {f"{name}.{key}": getattr(table, key) for name, table in self._parts().items() if hasattr(table, key)}
+
+    def _parts(self) -> dict[str, Table | None]:
+        """The tables of the boat's nodes and parts, by their names in the file."""
+        names = ("can", *self.navigation.sources, *self.sensors.names, *self.propulsion.actuators)
+        routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
+        return {name: getattr(self, name, None) for name in names} | routed
 
     @property
     def bit_rates(self) -> dict[str, int]:
         """The Linux interfaces among the buses of the boat, with their bit rates in bit/s."""
         rates = dict[str, int]()
-        for key, interface in self.outside("interface").items():
+        for table in self._parts().values():
+            interface = getattr(table, "interface", ":")
             if ":" not in interface:
-                table = getattr(self, key.partition(".")[0])
                 rates.setdefault(interface, getattr(table, "bitrate_bps", self.can.bitrate_bps))
         return rates
 
@@ -744,8 +775,20 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
     """The vehicle's file, checked, with "key.key=TOML value" overrides laid over it. Raises ConfigError."""
     settings = decode(read_toml(path, overrides), Vehicle, str(path))
     _lines_apart(settings, str(path))
+    _buses_apart(settings, str(path))
     Sliced(polygons(settings.fence, str(path))).finish()
     return settings
+
+
+def _buses_apart(vehicle: Vehicle, file: str) -> None:
+    """A routed bus is one of its own. Raises ConfigError."""
+    for name, bus in vehicle.routing.buses.items():
+        if bus.interface == vehicle.can.interface:
+            raise ConfigError(file, f"routing.buses.{name}.interface", "this is can.interface: its nodes need no table")
+        if bus.interface == vehicle.nmea2000.interface and "nmea2000" in vehicle.navigation.sources:
+            raise ConfigError(file, f"routing.buses.{name}.interface", "this is the bus of NMEA 2000, which has other frames")
+        if vehicle.can.node in bus.nodes:
+            raise ConfigError(file, f"routing.buses.{name}.nodes", f"node {vehicle.can.node:#04x} is this computer's own")
 
 
 def _lines_apart(vehicle: Vehicle, file: str) -> None:

@@ -30,6 +30,7 @@ def test_the_vehicle_starts_last_and_stops_first() -> None:
         ("canip", "canip.enabled=true"),
         ("timed", 'timed.mode="redundant"'),
         ("logd", "logd.nodes=[1]"),
+        ("router", 'routing.buses.sonars={interface="can1", nodes=[48]}'),
         ("payload", 'payload.sonar.command=["/log/programs/sonar"]'),
     ],
 )

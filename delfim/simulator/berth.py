@@ -95,6 +95,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
     texts = {
         "can.interface": bus,
         **({"nmea2000.interface": sensors} if bus.startswith("canloop:") else {}),
+        **{f"routing.buses.{name}.interface": f"{bus}-{name}" for name in vehicle.routing.buses if bus.startswith("canloop:")},
         "console.socket": f"{place}/command",
         "log.directory": f"{place}/log",
         "runtime.run_directory": str(place),

@@ -1,16 +1,20 @@
 """CAN sockets against the kernel's own SocketCAN. Runs inside the guest, as root, with vcan0 and vcan1 up."""
 
 import itertools
+import os
 import re
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
+from delfim.canproxy.dsor.endpoint import CanPort, CanSegm
+from delfim.canproxy.dsor.sockets import open_dsor
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.canproxy.socketcan import restart
@@ -49,6 +53,41 @@ def sockets(interface: str) -> Iterator[tuple[CanSocket, CanSocket]]:
 
 def test_the_real_interface_is_among_those_tested() -> None:
     assert "vcan0" in INTERFACES  # noqa: F405
+
+
+def test_messages_go_between_two_buses_by_the_router_and_are_answered() -> None:
+    root = Path(__file__).parents[2]
+    table = (
+        "can.interface=vcan0",
+        'routing.buses.sonars={interface="vcan1", nodes=[0x30]}',
+        "runtime.run_directory=/tmp/routed",
+    )
+    words = [word for value in table for word in ("--set", value)]
+    beat, told = os.pipe()
+    command = [sys.executable, "-m", "delfim", "run", str(root / "etc/delfimx.toml"), "--service", "router", *words]
+    environment = os.environ | {"PYTHONPATH": str(root)}
+    with subprocess.Popen([*command, "--beat-fd", str(told)], pass_fds=(told,), env=environment) as router:
+        os.close(told)
+        assert os.read(beat, 1), "it has opened its buses"
+        with open_dsor("vcan1", 0x30) as sonar, open_dsor("vcan0", 2) as other:
+            for each in (sonar, other):
+                each.settimeout(30.0)
+            other.bind(CanPort(512 * 2 + 5))
+            sonar.bind(CanSegm(0, 0x30, 7))
+            got = list[bytes]()
+
+            def answers() -> None:
+                got.append(other.recvfrom(65_535)[0])
+                other.sendto(b"understood", CanSegm(0x80, 0x30, 7))
+
+            thread = threading.Thread(target=answers)
+            thread.start()
+            sonar.sendto(bytes(range(250)) * 4, CanPort(512 * 2 + 5))
+            assert sonar.recvfrom(100)[0] == b"understood"
+            thread.join()
+            assert got == [bytes(range(250)) * 4]
+        router.terminate()
+    os.close(beat)
 
 
 def test_any_hears_all_interfaces_and_names_them() -> None:
