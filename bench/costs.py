@@ -105,8 +105,8 @@ def rows(settings: config.Vehicle) -> list[Row]:
 def zones(boat: VehicleLoop) -> config.Zones:
     """100 zones of 100 corners a hundred metres from each other, within one of as many."""
     places = ((300.0 + 100.0 * (i // 10), 100.0 * (i % 10)) for i in range(config.ZONES))
-    out = tuple(config.KeepOut(polygon=tuple(_ring(boat, n, e, 20.0))) for n, e in places)
-    return config.Zones(keep_in=tuple(_ring(boat, 0.0, 0.0, 5000.0)), keep_out=out)
+    out = tuple(config.Area(polygon=tuple(_ring(boat, n, e, 20.0))) for n, e in places)
+    return config.Zones(keep_in=(config.Area(polygon=tuple(_ring(boat, 0.0, 0.0, 5000.0))),), keep_out=out)
 
 
 def mission(boat: VehicleLoop, around: config.Zones) -> Mission:

@@ -46,7 +46,7 @@ ActionName = Literal["warn", "hold", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "home", "stop"]
 EndMode = Literal["hold", "idle"]
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
-CORNERS, ZONES = 100, 100  # of a polygon, and to keep out of, at most
+CORNERS, ZONES, AREAS = 100, 100, 20  # of a polygon, to keep out of, and to keep in, at most
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
 Endpoint = Annotated[str, text(rf"[^ :]+:{_PORT}", "ADDRESS:PORT, port 0 to 65535")]
 Listen = Annotated[str, text(rf"([^ :]+|\[[0-9A-Fa-f:.]+\]):{_PORT}", "ADDRESS:PORT or [IPv6]:PORT, port 0 to 65535")]
@@ -333,8 +333,8 @@ class Failsafe(Table, frozen=True):
     log: LogNotWritable = LogNotWritable()
 
 
-class KeepOut(Table, frozen=True):
-    """A zone that the boat must stay out of: a polygon or a circle."""
+class Area(Table, frozen=True):
+    """An area that the boat must stay in or out of: a polygon or a circle."""
 
     name: Annotated[str, text(r"[^\x00-\x1f\x7f]{0,64}", "up to 64 characters")] = ""  # for people
     polygon: Ring = ()  # corners, [latitude_deg, longitude_deg]; or
@@ -352,8 +352,8 @@ class Zones(Table, frozen=True):
     """Where the boat may be. A mission's zones come on top of the boat's own: both are obeyed."""
 
     version: Literal[1] = 1  # of this description
-    keep_in: Ring = ()  # corners, [latitude_deg, longitude_deg], of the polygon that the boat does not leave; empty: no limit
-    keep_out: Annotated[tuple[KeepOut, ...], msgspec.Meta(max_length=ZONES)] = ()  # zones that the boat does not enter
+    keep_in: Annotated[tuple[Area, ...], msgspec.Meta(max_length=AREAS)] = ()  # the boat stays in one of these; empty: no limit
+    keep_out: Annotated[tuple[Area, ...], msgspec.Meta(max_length=ZONES)] = ()  # zones that the boat does not enter
 
 
 class FenceTable(Zones, frozen=True):
@@ -802,11 +802,8 @@ def _lines_apart(vehicle: Vehicle, file: str) -> None:
 
 def polygons(zones: Zones, file: str) -> Work[None]:
     """Checks all polygons of a file's fence. Raises ConfigError for the first faulty one."""
-    rings = [
-        ("fence.keep_in", zones.keep_in),
-        *((f"fence.keep_out[{i}]", zone.polygon) for i, zone in enumerate(zones.keep_out)),
-    ]
-    for key, ring in rings:
+    kinds = (("keep_in", zones.keep_in), ("keep_out", zones.keep_out))
+    for key, ring in ((f"fence.{name}[{i}]", area.polygon) for name, areas in kinds for i, area in enumerate(areas)):
         if ring and (wrong := (yield from polygon_fault(ring))) is not None:
             raise ConfigError(file, key, wrong)
 

@@ -313,9 +313,8 @@ def test_the_boats_own_file_is_obeyed() -> None:
 
 
 def test_what_everybody_may_read_holds_no_secret_and_is_still_a_vehicle(tmp_path: Path) -> None:
-    vehicle = load(
-        tmp_path, f'{BOAT}[ftpd.users.ana]\npassword = "scrypt:c2FsdA==:AAAA"\n[fence]\nkeep_in = [[0,0],[0,1],[1,1]]\n'
-    )
+    user = '[ftpd.users.ana]\npassword = "scrypt:c2FsdA==:AAAA"\n'
+    vehicle = load(tmp_path, f"{BOAT}{user}[[fence.keep_in]]\npolygon = [[0,0],[0,1],[1,1]]\n")
     shown = tables.shown(vehicle)
     assert shown["ftpd"]["users"] == {"ana": {"password": "scrypt:hidden:hidden", "upload": False}}
     again = tables.decode(shown, Vehicle, "log")

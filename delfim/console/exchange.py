@@ -12,7 +12,7 @@ from delfim.vehicle.mavlink.plans import MISSION, Item
 
 READ_AGAIN_S: Final = 10.0  # plans that could not be read
 NO_MISSION: Final[dict[str, Any]] = {"name": "", "count": 0, "current": None, "state": "none", "digest": None}
-NO_ZONES: Final[dict[str, Any]] = {"home": None, "fence": [], "obstacles": []}
+NO_ZONES: Final[dict[str, Any]] = {"home": None, "fence": [], "obstacles": [], "zones": []}
 ASKED: Final = ("MISSION_REQUEST", "MISSION_REQUEST_INT")
 SAID: Final = (*ASKED, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK")  # by a boat, of its plans
 

@@ -24,14 +24,19 @@ KINDS: Final = (plans.MISSION, plans.FENCE, plans.RALLY)
 
 
 def page_of(name: str, waypoints: Iterable[Waypoint], path: Iterable[PathPoint], zones: config.Zones) -> dict[str, Any]:
-    """A mission as the page has it, without a home. A path is only carried along, for the vehicle."""
-    circles = [each for each in zones.keep_out if each.centre]
+    """A mission as the page has it, without a home. The page edits one polygon to stay in and the circles to stay out of; it
+    shows the other `zones`, and carries them and the path along."""
+    fence = next((area for area in zones.keep_in if area.polygon), None)
+    circles = [area for area in zones.keep_out if area.centre]
+    others = [("keep_in", area) for area in zones.keep_in if area is not fence]
+    others += [("keep_out", area) for area in zones.keep_out if area.polygon]
     return {
         "name": name,
         "waypoints": [msgspec.to_builtins(each) | {"turn": None} for each in waypoints],
         "path": [msgspec.to_builtins(each) for each in path],
-        "fence": [list(corner) for corner in zones.keep_in],
+        "fence": [list(corner) for corner in fence.polygon] if fence is not None else [],
         "obstacles": [_named(each.centre[0]) | {"radius_m": each.radius_m} for each in circles],
+        "zones": [{"kind": kind} | msgspec.to_builtins(area) for kind, area in others],
         "home": None,
     }
 
@@ -40,16 +45,20 @@ def tables_of(plan: Mapping[str, Any]) -> Mission:
     """The tables of a mission file, without home. The reader of the file checks the ranges. Raises FormatError."""
     try:
         circles = ((_place(each), float(each["radius_m"])) for each in plan.get("obstacles") or ())
-        keep_out = tuple(config.KeepOut(centre=(place,), radius_m=radius_m) for place, radius_m in circles)
+        keep_out = [config.Area(centre=(place,), radius_m=radius_m) for place, radius_m in circles]
         corners = tuple((float(latitude_deg), float(longitude_deg)) for latitude_deg, longitude_deg in plan.get("fence") or ())
+        keep_in = [config.Area(polygon=corners)] if corners else []
+        for zone in plan.get("zones") or ():
+            area = {name: zone[name] for name in config.Area.__struct_fields__ if name in zone}
+            (keep_in if zone["kind"] == "keep_in" else keep_out).append(msgspec.convert(area, config.Area))
         return Mission(
             version=1,
             name=str(plan.get("name", "")),
             waypoint=tuple(_row(Waypoint, each) for each in plan["waypoints"]),
             path=tuple(_row(PathPoint, each) for each in plan.get("path") or ()),
-            fence=config.Zones(keep_in=corners, keep_out=keep_out),
+            fence=config.Zones(keep_in=tuple(keep_in), keep_out=tuple(keep_out)),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, msgspec.ValidationError) as error:
         raise FormatError(f"not a mission: {error}") from None
 
 

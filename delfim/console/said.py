@@ -62,6 +62,16 @@ class Obstacle(Place, frozen=True):
     radius_m: Real
 
 
+class ShownZone(msgspec.Struct, frozen=True):
+    """An area that the page shows and does not edit."""
+
+    kind: Literal["keep_in", "keep_out"]
+    name: Annotated[str, msgspec.Meta(max_length=64)] = ""
+    polygon: Annotated[list[tuple[Real, Real]], msgspec.Meta(max_length=1000)] = []
+    centre: Annotated[list[tuple[Real, Real]], msgspec.Meta(max_length=1)] = []
+    radius_m: Real = 0.0
+
+
 class PathPoint(Place, frozen=True):
     turn_deg: Real | None = None
     radius_m: Real | None = None
@@ -75,6 +85,7 @@ class Plan(msgspec.Struct, frozen=True):
     waypoints: Annotated[list[Waypoint], msgspec.Meta(max_length=1000)]
     fence: Annotated[list[tuple[Real, Real]], msgspec.Meta(max_length=1000)] = []
     obstacles: Annotated[list[Obstacle], msgspec.Meta(max_length=1000)] = []
+    zones: Annotated[list[ShownZone], msgspec.Meta(max_length=200)] = []
     path: Annotated[list[PathPoint], msgspec.Meta(max_length=1000)] | None = None
     home: Place | None = None
 

@@ -39,7 +39,7 @@ def mixed(seed: int, here: config.Simulation) -> Scenario:
         name=f"mixed faults, seed {seed}",
         seconds=seconds,
         vehicle={
-            "fence": {"keep_in": corners, "keep_out": [{"centre": [place(45.0, 0.0)], "radius_m": 10.0}]},
+            "fence": {"keep_in": [{"polygon": corners}], "keep_out": [{"centre": [place(45.0, 0.0)], "radius_m": 10.0}]},
             "failsafe": {"pause_s": random.choice([0.0, 5.0, 15.0])},
             "simulation": {"sea": sea, "heading_deg": random.uniform(0.0, 360.0)},
             "log": {"required": random.random() < 0.5},

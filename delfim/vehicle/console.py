@@ -188,7 +188,8 @@ def written(command: Plan) -> Work[bytes]:
         return _encode(command)
     mission = command.mission if isinstance(command, Upload) else None
     zones = command.zones if isinstance(command, SetFence) else mission.fence if mission else config.Zones()
-    fence = msgspec.structs.asdict(zones) | {"keep_out": (yield from _pieces(zones.keep_out, ZONE))}
+    areas = {"keep_in": (yield from _pieces(zones.keep_in, ZONE)), "keep_out": (yield from _pieces(zones.keep_out, ZONE))}
+    fence = msgspec.structs.asdict(zones) | areas
     if mission is None:
         return _encode({"command": "fence", "zones": fence})
     rows = {"waypoint": (yield from _pieces(mission.waypoint, ROW)), "path": (yield from _pieces(mission.path, ROW))}

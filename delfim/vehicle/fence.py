@@ -1,20 +1,20 @@
 """The fence: where the boat may be (docs/failsafe.md). Pure, in metres of the local plane; no clock, no state.
 
 Zones are not merged into one shape: each is checked by itself, so a gap between two keeps its width. A fence has up to 202
-zones, so the check done ten times a second gives up after LOOKS comparisons, with the safe answer.
+zones, two of them of up to 20 areas to stay in, so the check done ten times a second gives up after LOOKS comparisons, with the
+safe answer.
 """
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from delfim import config, geodesy
 from delfim.modes import Mode
 from delfim.slices import Work
 from delfim.vehicle.state import Motion, Setpoint
-from delfim.vehicle.zones import Point, Zone, circle, clearance_m, least, may, polygon
+from delfim.vehicle.zones import LOOKS, Point, Zone, circle, clearance_m, least, may, polygon, together
 
-LOOKS: Final = 200  # comparisons for one answer, about a microsecond each
 BOXES: Final = 4  # boxes that are compared in the time of one comparison
 RECEDES_M = 0.01  # a boat whose clearance shrinks by no more than this leaves a zone, or goes along it
 
@@ -44,28 +44,29 @@ def survey(
     if unlaid(limits, mission) is None:
         return None
     zones = list(before.zones[: before.own]) if before is not None and before.is_laid else []
-    for zone in _zones("", limits, at) if not zones else ():
-        yield 1 + 2 * len(zone.sides)
-        zones.append(zone)
+    if not zones:
+        zones = yield from _laid("", limits, at)
     own = len(zones)
-    for zone in _zones("mission's ", mission, at):
-        yield 1 + 2 * len(zone.sides)
-        zones.append(zone)
+    zones += yield from _laid("mission's ", mission, at)
     return Fence(tuple(zones), limits, own)
 
 
-def _zones(whose: str, zones: config.Zones, at: geodesy.Origin) -> Iterator[Zone]:
-    def plane(position: tuple[float, float]) -> Point:
-        return geodesy.to_plane(at, math.radians(position[0]), math.radians(position[1]))
+def _laid(whose: str, zones: config.Zones, at: geodesy.Origin) -> Work[list[Zone]]:
+    """The zones in the plane, those to stay in as one."""
+    laid: dict[bool, list[Zone]] = {True: [], False: []}
+    for keep_in, areas in ((True, zones.keep_in), (False, zones.keep_out)):
+        for number, area in enumerate(areas, 1):
+            name = area.name or f"{whose}keep-{'in' if keep_in else 'out'} zone {number}"
+            zone = _zone(f"{whose}keep-in zone" if keep_in and len(areas) == 1 else name, keep_in, area, at)
+            yield 1 + 2 * len(zone.sides)
+            laid[keep_in].append(zone)
+    inside = [together(f"{whose}keep-in zones", laid[True])] if laid[True] else []
+    return [*inside, *laid[False]]
 
-    if zones.keep_in:
-        yield polygon(f"{whose}keep-in zone", True, [plane(corner) for corner in zones.keep_in])
-    for number, zone in enumerate(zones.keep_out, 1):
-        name = zone.name or f"{whose}keep-out zone {number}"
-        if zone.polygon:
-            yield polygon(name, False, [plane(corner) for corner in zone.polygon])
-        else:
-            yield circle(name, plane(zone.centre[0]), zone.radius_m)
+
+def _zone(name: str, keep_in: bool, area: config.Area, at: geodesy.Origin) -> Zone:
+    places = (geodesy.to_plane(at, math.radians(north), math.radians(east)) for north, east in (*area.polygon, *area.centre))
+    return polygon(name, keep_in, list(places)) if area.polygon else circle(name, keep_in, next(places), area.radius_m)
 
 
 def stopping_m(limits: config.FenceTable, speed_mps: float) -> float:
@@ -95,7 +96,7 @@ def ahead(fence: Fence, motion: Motion) -> str | None:
                 return f"{zone.name} {here_m:.1f} m away, velocity unknown"
             if smallest < here_m - RECEDES_M:
                 return f"{zone.name} {max(here_m, 0.0):.1f} m away at {speed_mps:.1f} m/s"
-            left -= len(zone.sides) // 4
+            left -= zone.corners // 4
         if left < 0:
             return f"too many corners of zones close by to watch, {zone.name} among them: simplify the zones"
     return None
@@ -109,8 +110,8 @@ def outside(fence: Fence, north_m: float, east_m: float) -> str | None:
         near = south <= north_m <= north and west <= east_m <= east
         if not near and not zone.keep_in:
             continue
-        if zone.sides and may(zone, north_m, east_m):
-            left -= len(zone.parts)
+        if may(zone, north_m, east_m):
+            left -= len(zone.parts) + len(zone.areas)
             if left < 0:
                 return f"in more zones than can be watched, {zone.name} among them: use fewer zones"
             continue

@@ -10,7 +10,7 @@ from delfim.slices import Work
 from delfim.vehicle.control.path import arc_point
 from delfim.vehicle.fence import BOXES, Fence, stopping_m, through
 from delfim.vehicle.state import Line, Plan
-from delfim.vehicle.zones import Box, Point, Zone, apart, box_of, circle, least
+from delfim.vehicle.zones import Box, Point, Zone, apart, box_of, circle, searched
 
 CHORD_RAD = math.radians(5.0)  # arcs are checked in chords of this angle: 0.1 % of the radius off
 TURN_STEP_RAD = math.radians(15.0)
@@ -34,11 +34,8 @@ def complaint(fence: Fence, plan: Plan, radius_m: float) -> Work[str | None]:
     room_m = radius_m + fence.limits.margin_m
     for number, to in enumerate(plan.waypoints, 1):
         for zone in fence.zones if to.hold_s else ():
-            smallest, looked = least(zone, (to.north_m, to.east_m), (to.north_m, to.east_m), room_m)
-            if smallest < room_m:
+            if (yield from searched(zone, (to.north_m, to.east_m), (to.north_m, to.east_m), room_m)) < room_m:
                 return f"no room to wait at waypoint {number}: {zone.name} is nearer than {room_m:g} m"
-            if looked:
-                yield looked
         yield 1 + len(fence.zones) // BOXES if to.hold_s else 0
     for ways in (_legs(plan), _pieces(plan)):
         way, around, zones = next(ways, None), None, fence.zones
@@ -80,15 +77,12 @@ def _fault(fence: Fence, way: Stretch, onwards: Stretch) -> Work[str | None]:
     for zone in fence.zones:
         if not zone.keep_in and apart(zone.box, a, b, max(limits.mission_margin_m, limits.margin_m + room_m)):
             continue
-        smallest, looked = least(zone, a, b, limits.mission_margin_m)
+        smallest = yield from searched(zone, a, b, limits.mission_margin_m)
         if smallest < limits.mission_margin_m:
             return f"{text} leads {through(zone, smallest)}; missions keep {limits.mission_margin_m:g} m away"
-        yield looked
         for end in ends:
-            smallest, looked = least(zone, b, end, limits.margin_m)
-            if smallest < limits.margin_m:
+            if (yield from searched(zone, b, end, limits.margin_m)) < limits.margin_m:
                 return f"{text} ends at {speed_mps:.1f} m/s without room to stop before {zone.name}"
-            yield looked
     return None
 
 
@@ -121,7 +115,7 @@ def _pieces(plan: Plan) -> Iterator[Stretch]:
             a, b = (piece.north_m, piece.east_m), (piece.to_north_m, piece.to_east_m)
             yield Stretch(name, a, b, end_mps, box_of((a, b)))
             continue
-        around = circle("", (piece.north_m, piece.east_m), piece.radius_m).box
+        around = circle("", False, (piece.north_m, piece.east_m), piece.radius_m).box
         round_rad = math.copysign(min(abs(piece.turn_rad), math.tau), piece.turn_rad)
         from_rad, chords = piece.turn_rad - round_rad, max(1, math.ceil(abs(round_rad) / CHORD_RAD))
         points = (arc_point(piece, from_rad + round_rad * i / chords) for i in range(chords + 1))

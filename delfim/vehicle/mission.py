@@ -119,14 +119,13 @@ def _canonical_fence(fence: config.Zones) -> list[str]:
     if fence == config.Zones():
         return []
     lines = ["", "[fence]", f"version = {fence.version}"]
-    if fence.keep_in:
-        lines.append(f"keep_in = {json.dumps(fence.keep_in)}")
-    for zone in fence.keep_out:
-        lines += ["", "[[fence.keep_out]]"]
-        for field in msgspec.structs.fields(zone):
-            value = getattr(zone, field.name)
-            if value != field.default:
-                lines.append(f"{field.name} = {json.dumps(value, ensure_ascii=False)}")
+    for key, areas in (("keep_in", fence.keep_in), ("keep_out", fence.keep_out)):
+        for area in areas:
+            lines += ["", f"[[fence.{key}]]"]
+            for field in msgspec.structs.fields(area):
+                value = getattr(area, field.name)
+                if value != field.default:
+                    lines.append(f"{field.name} = {json.dumps(value, ensure_ascii=False)}")
     return lines
 
 

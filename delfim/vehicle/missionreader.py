@@ -23,8 +23,16 @@ MEMORY_BYTES: Final = 1 << 28
 NICE: Final = 10
 ROW, ZONE = 4, 20  # time for a line with a row or with a zone, counted in comparisons
 WRONG: Final = 3  # exit code for a text that is not a mission
-_head = msgspec.json.Decoder(tuple[str, config.Ring])  # the mission's name, and its keep-in polygon
-_waypoint, _path, _zone = (msgspec.json.Decoder(kind) for kind in (Waypoint, PathPoint, config.KeepOut))
+_rows = {  # by the tables' names
+    name: msgspec.json.Decoder(kind)
+    for name, kind in (
+        (b"mission", str),
+        (b"waypoint", Waypoint),
+        (b"path", PathPoint),
+        (b"in", config.Area),
+        (b"out", config.Area),
+    )
+}
 
 
 class Reading:
@@ -56,24 +64,22 @@ class Reading:
 
 def written(mission: Mission) -> Iterator[bytes]:
     """The output lines of a mission."""
-    yield _line("mission", (mission.name, mission.fence.keep_in))
-    for name, rows in (("waypoint", mission.waypoint), ("path", mission.path), ("zone", mission.fence.keep_out)):
+    yield _line("mission", mission.name)
+    zones = ("in", mission.fence.keep_in), ("out", mission.fence.keep_out)
+    for name, rows in (("waypoint", mission.waypoint), ("path", mission.path), *zones):
         for row in rows:
             yield _line(name, row)
 
 
 def gathered(lines: list[bytes]) -> Work[Mission]:
     """The mission put together from its lines."""
-    head, *rows = lines
-    name, keep_in = _head.decode(head.partition(b" ")[2])
-    found: dict[bytes, list[Any]] = {b"waypoint": [], b"path": [], b"zone": []}
-    decoders = {b"waypoint": _waypoint, b"path": _path, b"zone": _zone}
-    for line in rows:
+    found: dict[bytes, list[Any]] = {name: [] for name in _rows}
+    for line in lines:
         kind, _, row = line.partition(b" ")
-        yield ZONE if kind == b"zone" else ROW
-        found[kind].append(decoders[kind].decode(row))
-    waypoint, path, zones = (tuple(each) for each in found.values())
-    return Mission(version=1, name=name, waypoint=waypoint, path=path, fence=config.Zones(keep_in=keep_in, keep_out=zones))
+        yield ZONE if kind in (b"in", b"out") else ROW
+        found[kind].append(_rows[kind].decode(row))
+    (name,), waypoint, path, keep_in, keep_out = (tuple(each) for each in found.values())
+    return Mission(version=1, name=name, waypoint=waypoint, path=path, fence=config.Zones(keep_in=keep_in, keep_out=keep_out))
 
 
 def _line(name: str, told: object) -> bytes:

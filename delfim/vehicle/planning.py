@@ -138,13 +138,13 @@ class Plans:
         if old is None:
             return
         if old.around is not None:
-            zones = old.around.zones
+            zones = [area for zone in old.around.zones for area in (zone, *zone.areas)]
             self.remains.add(zones, *(zone.sides for zone in zones), *(zone.parts for zone in zones))
         if old.plan is not None:
             self.remains.add(old.plan.waypoints, old.plan.path)
         if old.mission is not None:
-            keep_in, keep_out = old.mission.fence.keep_in, old.mission.fence.keep_out
-            self.remains.add(old.mission.waypoint, old.mission.path, keep_in, *(each.polygon for each in keep_out))
+            areas = (*old.mission.fence.keep_in, *old.mission.fence.keep_out)
+            self.remains.add(old.mission.waypoint, old.mission.path, *(each.polygon for each in areas))
 
     def found(self, origin: geodesy.Origin) -> None:
         """A local plane exists from now on: lay the fence into it, slice by slice."""

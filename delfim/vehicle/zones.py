@@ -1,19 +1,25 @@
 """Zones that the boat stays in or out of: plane geometry in metres, no clock, no state.
 
 A clearance is the distance to the edge of a zone, positive where the boat may be, negative where it may not. A zone has up to
-100 corners, so it is checked in parts: those that are far away cost one comparison with their box.
+100 corners, so it is checked in parts: those that are far away cost one comparison with their box. Several areas to stay in
+are one zone: the boat is in any of them, and has the clearance that the best of them gives it.
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Final, NamedTuple
 
 from delfim import geodesy
+from delfim.slices import Sliced, Work
 
 Point = tuple[float, float]  # north_m, east_m
 Box = tuple[float, float, float, float]  # south_m, west_m, north_m, east_m
 
+Stretch = tuple[float, float]  # of a straight way, as parts of its length: 0 to 1
+
 PART: Final = 8  # sides of a zone that share a box
+LOOKS: Final = 200  # comparisons for one answer, about a microsecond each
+BARE: Final = 8  # stretches of a way that no area covers; a way with more leads through forbidden water
 
 
 class Side(NamedTuple):
@@ -35,7 +41,7 @@ class Part(NamedTuple):
 
 
 class Zone(NamedTuple):
-    """A polygon to stay in or out of; or, without sides, a circle to stay out of."""
+    """A polygon to stay in or out of; without sides, a circle; or several areas to stay in."""
 
     name: str
     keep_in: bool
@@ -45,6 +51,11 @@ class Zone(NamedTuple):
     radius_m: float = 0.0
     box: Box = (-math.inf, -math.inf, math.inf, math.inf)  # around the zone
     parts: tuple[Part, ...] = ()
+    areas: tuple["Zone", ...] = ()
+
+    @property
+    def corners(self) -> int:
+        return len(self.sides) + sum(len(area.sides) for area in self.areas)
 
 
 def polygon(name: str, keep_in: bool, corners: Sequence[Point]) -> Zone:
@@ -56,10 +67,17 @@ def polygon(name: str, keep_in: bool, corners: Sequence[Point]) -> Zone:
     return Zone(name, keep_in, sides, box=box_of(corners), parts=tuple(parts))
 
 
-def circle(name: str, centre: Point, radius_m: float) -> Zone:
-    """A zone to stay out of."""
+def circle(name: str, keep_in: bool, centre: Point, radius_m: float) -> Zone:
     (n, e), r = centre, radius_m
-    return Zone(name, False, (), n, e, r, (n - r, e - r, n + r, e + r))
+    return Zone(name, keep_in, (), n, e, r, (n - r, e - r, n + r, e + r))
+
+
+def together(name: str, areas: Sequence[Zone]) -> Zone:
+    """Areas to stay in as one zone; a single one is itself."""
+    if len(areas) == 1:
+        return areas[0]
+    souths, wests, norths, easts = zip(*(area.box for area in areas), strict=True)
+    return Zone(name, True, (), box=(min(souths), min(wests), max(norths), max(easts)), areas=tuple(areas))
 
 
 def box_of(points: Sequence[Point]) -> Box:
@@ -69,8 +87,13 @@ def box_of(points: Sequence[Point]) -> Box:
 
 def clearance_m(zone: Zone, north_m: float, east_m: float) -> float:
     """Distance of a point to the zone's edge; negative where the boat may not be."""
+    if zone.areas:
+        holding = [area for area in zone.areas if may(area, north_m, east_m)]
+        inside = holding or [min(zone.areas, key=lambda area: _box_m(area.box, north_m, east_m))]
+        return max(clearance_m(area, north_m, east_m) for area in inside)
     if not zone.sides:
-        return math.hypot(north_m - zone.north_m, east_m - zone.east_m) - zone.radius_m
+        away_m = math.hypot(north_m - zone.north_m, east_m - zone.east_m) - zone.radius_m
+        return -away_m if zone.keep_in else away_m
     away_m = _edge_m(zone.sides, north_m, east_m)
     return away_m if may(zone, north_m, east_m) else -away_m
 
@@ -90,7 +113,11 @@ def _edge_m(sides: Sequence[Side], north_m: float, east_m: float) -> float:
 
 
 def may(zone: Zone, north_m: float, east_m: float) -> bool:
-    """Whether a polygon permits the boat at a point."""
+    """Whether a zone permits the boat at a point."""
+    if zone.areas:
+        return any(may(area, north_m, east_m) for area in zone.areas)
+    if not zone.sides:
+        return (math.hypot(north_m - zone.north_m, east_m - zone.east_m) < zone.radius_m) is zone.keep_in
     south, west, north, east = zone.box
     inside = False
     if south <= north_m <= north and west <= east_m <= east:
@@ -106,13 +133,20 @@ def may(zone: Zone, north_m: float, east_m: float) -> bool:
 
 def least(zone: Zone, a: Point, b: Point, within_m: float = math.inf) -> tuple[float, int]:
     """Smallest clearance on the way from a to b in a straight line, and how many comparisons it took. Exact if it is
-    positive and less than `within_m`, else infinite; not positive if the way leads through forbidden water.
+    positive and less than `within_m`, else infinite; not positive if the way leads through forbidden water. Of several areas,
+    see `searched`; a search that takes more than LOOKS is given up, which the number of comparisons shows.
     """
+    if zone.areas:
+        search = Sliced(_in_areas(zone, a, b, within_m))
+        return (search.result, search.spent) if search.step(LOOKS) else (math.inf, LOOKS + 1)
     by = b[0] - a[0], b[1] - a[1]
     if not zone.keep_in and apart(zone.box, a, b, within_m):
         return math.inf, 0
     if not zone.sides:
-        return _from_segment(a, by, (zone.north_m, zone.east_m)) - zone.radius_m, 1
+        centre = zone.north_m, zone.east_m
+        if zone.keep_in:
+            return zone.radius_m - max(math.dist(a, centre), math.dist(b, centre)), 1
+        return _from_segment(a, by, centre) - zone.radius_m, 1
     looked = len(zone.parts)
     if not (may(zone, *a) and may(zone, *b)):
         return min(clearance_m(zone, *a), clearance_m(zone, *b)), looked + len(zone.sides) // 2
@@ -128,6 +162,92 @@ def least(zone: Zone, a: Point, b: Point, within_m: float = math.inf) -> tuple[f
             smallest = min(smallest, _from_segment(a, by, (n, e)))
         smallest = min(smallest, _from_segment(a, by, part.sides[-1][4:]))
     return smallest if smallest < within_m else math.inf, looked
+
+
+def searched(zone: Zone, a: Point, b: Point, within_m: float) -> Work[float]:
+    """`least`, in slices however many areas there are. Of several areas it is the clearance in the middle and at the ends of
+    each stretch that no area covers with `within_m`: exact in whether it is less than that, which is finite."""
+    if zone.areas:
+        return (yield from _in_areas(zone, a, b, within_m))
+    smallest, looked = least(zone, a, b, within_m)
+    yield looked
+    return smallest
+
+
+def _in_areas(zone: Zone, a: Point, b: Point, within_m: float) -> Work[float]:
+    bare: list[Stretch] = [(0.0, 1.0)]
+    for area in zone.areas if a != b else ():
+        yield 1
+        if not apart(area.box, a, b, 0.0):
+            yield 2 * len(area.sides)
+            for good in _covered(area, a, b, within_m):
+                bare = [rest for each in bare for rest in ((each[0], min(each[1], good[0])), (max(each[0], good[1]), each[1]))]
+                bare = [each for each in bare if each[0] < each[1]]
+            if not bare:
+                return math.inf
+    if len(bare) > BARE:
+        return 0.0
+    smallest = math.inf
+    for t in {t for first, last in bare for t in (first, (first + last) / 2.0, last)}:
+        yield 1 + zone.corners // 4
+        smallest = min(smallest, clearance_m(zone, *_on_way(a, b, t)))
+    return smallest if smallest < within_m else math.inf
+
+
+def _covered(area: Zone, a: Point, b: Point, room_m: float) -> Iterator[Stretch]:
+    """The stretches of a way on which one area gives this much room."""
+    if not area.sides:
+        good = _in_disc(a, b, (area.north_m, area.east_m), area.radius_m - room_m)
+        return iter([good] if good is not None else [])
+    near = (side for part in area.parts if not apart(part.box, a, b, room_m) for side in part.sides)
+    bad = sorted(each for side in near if (each := _near_side(a, b, side, room_m)) is not None)
+    free, at = list[Stretch](), 0.0
+    for first, last in [*bad, (1.0, 1.0)]:
+        if first > at or not bad:
+            free.append((at, max(first, at)))
+        at = max(at, last)
+    return (each for each in free if may(area, *_on_way(a, b, (each[0] + each[1]) / 2.0)))  # the edge is in none of them
+
+
+def _near_side(a: Point, b: Point, side: Side, room_m: float) -> Stretch | None:
+    """The stretch of a way that is nearer than this to a side: a disc at each end, and a rectangle between them."""
+    n, e, by_n, by_e, to_n, to_e = side
+    length_m = math.hypot(by_n, by_e)
+    along, across = (by_n / length_m, by_e / length_m), (-by_e / length_m, by_n / length_m)
+    found = [each for end in ((n, e), (to_n, to_e)) if (each := _in_disc(a, b, end, room_m)) is not None]
+    first, last = 0.0, 1.0
+    for (axis_n, axis_e), least_m, most_m in ((along, 0.0, length_m), (across, -room_m, room_m)):
+        start = (a[0] - n) * axis_n + (a[1] - e) * axis_e
+        step = (b[0] - a[0]) * axis_n + (b[1] - a[1]) * axis_e
+        if step:
+            enter, leave = sorted(((least_m - start) / step, (most_m - start) / step))
+            first, last = max(first, enter), min(last, leave)
+        elif not least_m <= start <= most_m:
+            last = -1.0
+    if first < last:
+        found.append((first, last))
+    return (min(each[0] for each in found), max(each[1] for each in found)) if found else None
+
+
+def _in_disc(a: Point, b: Point, centre: Point, radius_m: float) -> Stretch | None:
+    """The stretch of a way inside a disc."""
+    by_n, by_e, off_n, off_e = b[0] - a[0], b[1] - a[1], a[0] - centre[0], a[1] - centre[1]
+    squared, half = by_n * by_n + by_e * by_e, by_n * off_n + by_e * off_e
+    root2 = half * half - squared * (off_n * off_n + off_e * off_e - radius_m * radius_m)
+    if radius_m <= 0.0 or root2 <= 0.0:
+        return None
+    first, last = max((-half - math.sqrt(root2)) / squared, 0.0), min((-half + math.sqrt(root2)) / squared, 1.0)
+    return (first, last) if first < last else None
+
+
+def _on_way(a: Point, b: Point, t: float) -> Point:
+    return a[0] + t * (b[0] - a[0]), a[1] + t * (b[1] - a[1])
+
+
+def _box_m(box: Box, north_m: float, east_m: float) -> float:
+    """Distance of a point from a box; 0 in it."""
+    south, west, north, east = box
+    return math.hypot(max(south - north_m, 0.0, north_m - north), max(west - east_m, 0.0, east_m - east))
 
 
 def apart(box: Box, a: Point, b: Point, room_m: float) -> bool:

@@ -1,5 +1,6 @@
 """The console against the vehicle itself: its loop, its station, its control; only the sockets between them are left out."""
 
+import json
 import math
 from collections.abc import Callable
 from pathlib import Path
@@ -35,6 +36,13 @@ PLAN = {
     "obstacles": [{"latitude_deg": 38.695, "longitude_deg": -9.218, "radius_m": 12.0}],
     "home": {"latitude_deg": 38.692, "longitude_deg": -9.215},
 }
+
+TRIANGLE = [[38.6960, -9.22], [38.6962, -9.22], [38.6962, -9.2197]]
+ZONES = [
+    {"kind": "keep_in", "name": "", "polygon": [], "centre": [[38.7, -9.215]], "radius_m": 400.0},
+    {"kind": "keep_in", "name": "", "polygon": [[38.68, -9.23], *TRIANGLE[1:]], "centre": [], "radius_m": 0.0},
+    {"kind": "keep_out", "name": "", "polygon": TRIANGLE, "centre": [], "radius_m": 0.0},
+]
 
 
 class Afloat:
@@ -204,12 +212,13 @@ def test_a_refusal_is_told_in_the_vehicles_words(sea: Afloat) -> None:
 
 
 def test_a_mission_comes_back_as_it_went(sea: Afloat) -> None:
-    sea.fleet.put(1, PLAN)
+    sea.fleet.put(1, PLAN | {"zones": ZONES})
     assert sea.do(sea.fleet.upload) == (True, "")
     back = sea.fleet.missions[1]["aboard"]
     assert [w["speed_mps"] for w in back["waypoints"]] == [0.0, 1.25, 1.25, 0.0]
     assert (back["waypoints"][0]["acceptance_m"], back["waypoints"][0]["hold_s"]) == (4.0, 30.0)
-    assert plan.digest(back) == plan.digest(PLAN)
+    assert plan.digest(back) == plan.digest(PLAN | {"zones": ZONES}) != plan.digest(PLAN)
+    assert json.loads(json.dumps(back["zones"])) == ZONES
     assert (back["fence"][2], back["obstacles"], back["home"]) == ([38.70, -9.21], PLAN["obstacles"], PLAN["home"])
     assert sea.shown["mission"]["state"] == "same"
 

@@ -431,6 +431,32 @@ def test_a_mission_that_ends_where_it_begins_shows_both_ends(sail: Sail) -> None
     sail(story)
 
 
+def test_areas_that_the_page_does_not_edit_are_drawn(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        around = {"kind": "keep_in", "name": "", "polygon": [], "centre": [list(place(0, 0))], "radius_m": 150.0}
+        corners = [list(place(*at)) for at in ((40, -100), (100, -100), (100, -40), (40, -40))]
+        rock = {"kind": "keep_out", "name": "", "polygon": corners, "centre": [], "radius_m": 0.0}
+        empty = {"fence": [], "obstacles": [], "home": None}
+        gateway.stored["bay"] = {"name": "bay", "waypoints": waypoints([(0, 0), (0, 60)]), **empty, "zones": [around, rock]}
+        for socket in gateway.sockets:
+            await gateway._mission(socket, {"boat": 1, "do": "load", "name": "bay"})
+        await page.until("delfim.drawn().plan === 2")
+        await settled(page, gateway)
+        taken = await page.call("Page.captureScreenshot", format="png")
+        picture = Image.open(io.BytesIO(base64.b64decode(taken["data"]))).convert("RGB")
+
+        async def seen(north_m: float, east_m: float) -> object:
+            x, y = await pixel(page, north_m, east_m)
+            return picture.getpixel((round(x), round(y)))
+
+        sea = await seen(-60, -60)
+        assert await seen(70, -70) != sea
+        drawn = [[await seen(r * math.cos(i / 50), r * math.sin(i / 50)) != sea for i in range(314)] for r in (150.0, 140.0)]
+        assert sum(drawn[0]) > 100 > sum(drawn[1]), "a dashed circle, and little beside it"
+
+    sail(story)
+
+
 def test_a_refusal_is_said_in_words(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         gateway.refusals["play"] = "no mission aboard"

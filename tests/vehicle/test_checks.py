@@ -11,7 +11,9 @@ from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.state import ClockStatus, StartConditions
 
-AROUND = config.FenceTable(keep_in=((38.692, -9.216), (38.693, -9.216), (38.693, -9.214), (38.692, -9.214)))
+AROUND = config.FenceTable(
+    keep_in=(config.Area(polygon=((38.692, -9.216), (38.693, -9.216), (38.693, -9.214), (38.692, -9.214))),)
+)
 
 
 def lines(boat) -> dict[str, tuple[bool, str]]:

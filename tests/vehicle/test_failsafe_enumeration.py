@@ -71,7 +71,7 @@ VALUES = {
 AGES_S = (0.0, 0.8, 1.2, 1.6)  # of the last navigation message at the end
 UNTOLD = {Trigger.CONTROL, Trigger.NAVIGATION_SILENT, Trigger.BATTERY_LOW}  # by values and ages; a battery is critical here
 TROUBLES = ("none", *(trigger.name.lower() for trigger in Trigger if trigger not in UNTOLD))
-AHEAD = config.Zones(keep_out=(config.KeepOut(centre=((math.degrees(0.675) + 1e-4, math.degrees(-0.16)),), radius_m=10.0),))
+AHEAD = config.Zones(keep_out=(config.Area(centre=((math.degrees(0.675) + 1e-4, math.degrees(-0.16)),), radius_m=10.0),))
 NEEDS = {
     Mode.HEADING: {"heading"},
     Mode.GREX: {"heading"},

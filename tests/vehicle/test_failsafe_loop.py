@@ -94,7 +94,7 @@ def test_a_position_that_is_no_number_is_refused_and_leaves_no_origin(boat, valu
 
 
 def test_a_mission_that_is_refused_leaves_everything_as_it_was(make_boat):
-    rock = config.KeepOut(name="rock", centre=((38.70, -9.215),), radius_m=50.0)
+    rock = config.Area(name="rock", centre=((38.70, -9.215),), radius_m=50.0)
     boat = make_boat(fence=config.FenceTable(keep_out=(rock,)))
     text = 'version = 1\nname = "x"\n[[waypoint]]\nlatitude_deg = 38.70\nlongitude_deg = -9.215\n'
     refused = boat.vehicle.on_command(console.LoadMission(text))
@@ -106,7 +106,7 @@ def test_a_mission_that_is_refused_leaves_everything_as_it_was(make_boat):
 def test_a_missions_fence_is_obeyed_as_soon_as_it_is_loaded(boat):
     text = (
         'version = 1\nname = "x"\n[[waypoint]]\nlatitude_deg = 38.6925\nlongitude_deg = -9.215\n'
-        "[fence]\nkeep_in = [[38.692, -9.216], [38.6926, -9.216], [38.6926, -9.214], [38.692, -9.214]]\n"
+        "[fence]\nkeep_in = [{ polygon = [[38.692, -9.216], [38.6926, -9.216], [38.6926, -9.214], [38.692, -9.214]] }]\n"
     )
     boat.ready()
     assert boat.vehicle.on_command(console.LoadMission(text)) is None
@@ -120,7 +120,7 @@ def test_a_missions_fence_is_obeyed_as_soon_as_it_is_loaded(boat):
 
 def test_holding_near_the_fence_is_where_there_is_room(make_boat):
     zone = ((38.69, -9.216), (38.69265, -9.216), (38.69265, -9.214), (38.69, -9.214))  # ends 16.7 m north of where it starts
-    boat = make_boat(fence=config.FenceTable(keep_in=zone))
+    boat = make_boat(fence=config.FenceTable(keep_in=(config.Area(polygon=zone),)))
     boat.ready()
     boat.vehicle.on_command(console.Heading(0.0, 1.0))
     for metres in range(1, 12):

@@ -15,7 +15,7 @@ from delfim.vehicle.fence import Fence, stopping_m
 from delfim.vehicle.legs import complaint
 from delfim.vehicle.mission import canonical, digest, parse_mission
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
-from delfim.vehicle.zones import Zone, clearance_m, least, polygon
+from delfim.vehicle.zones import LOOKS, Zone, circle, clearance_m, least, polygon, searched, together
 
 LIMITS = config.FenceTable()
 
@@ -106,6 +106,83 @@ def test_the_same_around_a_circle(a, b, radius_m):
     zone = Zone("", False, (), 10.0, -20.0, radius_m)
     ways = [clearance_m(zone, a[0] + (b[0] - a[0]) * i / 200, a[1] + (b[1] - a[1]) * i / 200) for i in range(201)]
     assert least(zone, a, b)[0] == pytest.approx(min(ways), abs=math.dist(a, b) / 200 + 1e-9)
+
+
+# Several areas to stay in.
+
+EAST = polygon("east", True, [(-50.0, 30.0), (50.0, 30.0), (50.0, 130.0), (-50.0, 130.0)])
+POND = circle("pond", True, (0.0, 200.0), 80.0)
+BOTH = together("keep-in zones", [SQUARE, EAST, POND])  # they overlap by 20 m and by 10 m
+discs = st.builds(lambda at, radius_m: circle("", True, at, radius_m), points, st.floats(5.0, 100.0))
+polygons = st.builds(lambda corners: polygon("", True, corners), stars())
+
+
+@settings(deadline=None)
+@given(st.lists(st.one_of(discs, polygons), min_size=2, max_size=6), points, points, st.floats(0.5, 20.0))
+def test_a_way_is_clear_where_one_of_the_areas_clears_each_point(areas, a, b, within_m):
+    zone = together("", areas)
+    smallest, step_m = whole(searched, zone, a, b, within_m), math.dist(a, b) / 200
+    at = [(a[0] + (b[0] - a[0]) * i / 200, a[1] + (b[1] - a[1]) * i / 200) for i in range(201)]
+    least_m = min(max(clearance_m(area, *point) for area in areas) for point in at)
+    if smallest >= within_m:
+        assert least_m >= within_m - step_m - 1e-6
+    else:
+        assert least_m < within_m + step_m + 1e-6
+        assert smallest >= min(clearance_m(zone, *point) for point in at) - step_m - 1e-6
+    assert least(zone, a, b, within_m)[0] in (smallest, math.inf)
+
+
+@pytest.mark.parametrize(
+    ("north_m", "east_m", "north_mps", "east_mps", "stops"),
+    [
+        (0.0, 38.0, 0.0, 2.0, False),  # through the overlap, which no side of a polygon ends
+        (0.0, 122.0, 0.0, 2.0, False),  # the second overlap has 5 m in its middle
+        (0.0, 110.0, 0.0, 0.5, False),
+        (45.0, 38.0, 0.0, 2.0, False),
+        (45.0, 38.0, 2.0, 0.0, True),  # out at the top
+        (0.0, 275.0, 0.0, 2.0, True),
+        (0.0, 275.0, 0.0, -2.0, False),
+        (60.0, 0.0, -1.0, 0.0, False),  # outside, on the way back
+        (60.0, 0.0, 1.0, 0.0, True),
+    ],
+)
+def test_ahead_the_boat_may_go_from_one_area_into_the_next(north_m, east_m, north_mps, east_mps, stops):
+    around = Fence((BOTH,), LIMITS)
+    assert (fence.ahead(around, motion(north_m, east_m, north_mps, east_mps)) is not None) is stops
+
+
+def test_outside_is_outside_of_all_areas():
+    around = Fence((BOTH,), LIMITS)
+    assert fence.outside(around, 0.0, 40.0) is None
+    assert fence.outside(around, 0.0, 279.0) is None
+    assert fence.outside(around, 0.0, 290.0) == "10.0 m outside the keep-in zones"
+    assert fence.outside(around, 60.0, 40.0) == "10.0 m outside the keep-in zones"
+    assert fence.outside(Fence((POND,), LIMITS), 0.0, 290.0) == "10.0 m outside the pond"
+
+
+def test_a_mission_may_lead_from_one_area_into_the_next():
+    def why(*places, areas=BOTH):
+        to = tuple(Waypoint(*place, 1.0, 2.0) for place in places)
+        return whole(complaint, Fence((areas,), LIMITS), Plan("", to, ()), 5.0)
+
+    assert why((0.0, 0.0), (0.0, 90.0)) is None
+    assert why((0.0, 0.0), (0.0, 90.0), areas=together("both", [SQUARE, POND])) == (
+        "the leg to waypoint 2 leads out of the both; missions keep 6 m away"
+    )
+    narrow = "the leg to waypoint 2 leads 5.0 m past keep-in zones; missions keep 6 m away"
+    assert why((0.0, 90.0), (0.0, 200.0)) == narrow, "an overlap of 10 m has 5 m in its middle"
+
+
+def test_many_areas_are_watched_within_bounds():
+    """20 areas of 100 corners, all of them here: the check of the loop gives up with the safe answer, and reviews go on."""
+    ring = [(60.0 * math.cos(math.tau * i / 100), 60.0 * math.sin(math.tau * i / 100)) for i in range(100)]
+    areas = [polygon("", True, [(north + n, east) for north, east in ring]) for n in range(config.AREAS)]
+    zone = together("keep-in zones", areas)
+    a, b = (-200.0, 0.0), (200.0, 0.0)
+    assert least(zone, a, b, 3.0) == (math.inf, LOOKS + 1)
+    assert "too many corners" in (fence.ahead(Fence((zone,), LIMITS), motion(70.0, 0.0, 9.0, 0.0)) or "")
+    assert whole(searched, zone, a, b, 3.0) < 0.0
+    assert max(searched(zone, a, b, 3.0)) <= 2 * config.AREAS * config.CORNERS // 4
 
 
 @settings(deadline=None)
@@ -244,7 +321,14 @@ longitude_deg = -9.21
 
 [fence]
 version = 1
-keep_in = [[38.6, -9.3], [38.8, -9.3], [38.8, -9.1], [38.6, -9.1]]
+
+[[fence.keep_in]]
+polygon = [[38.6, -9.3], [38.8, -9.3], [38.8, -9.1], [38.6, -9.1]]
+
+[[fence.keep_in]]
+name = "the bay"
+centre = [[38.8, -9.2]]
+radius_m = 500.0
 
 [[fence.keep_out]]
 name = "the \\"old\\" pier"
@@ -260,16 +344,17 @@ def test_a_missions_fence_is_part_of_its_text_and_comes_on_top_of_the_boats():
     mission = parse_mission(MISSION)
     assert canonical(mission) == MISSION
     assert digest(mission) != digest(parse_mission(MISSION.replace("30.0", "31.0")))
-    own = config.FenceTable(keep_out=(config.KeepOut(name="buoy", centre=((38.7, -9.25),), radius_m=5.0),))
+    own = config.FenceTable(keep_out=(config.Area(name="buoy", centre=((38.7, -9.25),), radius_m=5.0),))
     at = geodesy.origin(math.radians(38.69), math.radians(-9.21))
     around = whole(fence.survey, own, mission.fence, at)
     assert around is not None
     assert [zone.name for zone in around.zones] == [
         "buoy",
-        "mission's keep-in zone",
+        "mission's keep-in zones",
         'the "old" pier',
         "mission's keep-out zone 2",
     ]
+    assert [area.name for area in around.zones[1].areas] == ["mission's keep-in zone 1", "the bay"]
     assert whole(fence.survey, config.FenceTable(), config.Zones(), at) is None
     unlaid = fence.unlaid(own, config.Zones())
     assert unlaid is not None
@@ -281,8 +366,11 @@ def test_a_missions_fence_is_part_of_its_text_and_comes_on_top_of_the_boats():
     ("wrong", "reason"),
     [
         ("version = 2", "fence.version"),
-        ("keep_in = [[38.6, -9.3], [38.8, -9.1], [38.8, -9.3], [38.6, -9.1]]", "keep_in: the polygon crosses itself"),
-        ("keep_in = [[38.6, -9.3], [38.8, -9.1]]", "a polygon of 2 corners: it needs three"),
+        (
+            "keep_in = [{polygon = [[38.6, -9.3], [38.8, -9.1], [38.8, -9.3], [38.6, -9.1]]}]",
+            "keep_in[0]: the polygon crosses itself",
+        ),
+        ("keep_in = [{polygon = [[38.6, -9.3], [38.8, -9.1]]}]", "a polygon of 2 corners: it needs three"),
         ("keep_out = [{}]", "either a polygon or a centre with a radius"),
         ("keep_out = [{centre = [[38.7, -9.2]]}]", "a circle needs its centre and its radius"),
         ("keep_out = [{centre = [[98.7, -9.2]], radius_m = 3}]", "-89.0 to 89.0"),

@@ -117,8 +117,8 @@ def single(item: Item) -> Item:
 def test_a_fence_and_harbours_come_back_as_they_were_sent():
     ring = ((38.69, -9.22), (38.69, -9.21), (38.70, -9.21))
     zones = config.Zones(
-        keep_in=ring,
-        keep_out=(config.KeepOut(polygon=ring), config.KeepOut(centre=((38.695, -9.215),), radius_m=12.5)),
+        keep_in=(config.Area(polygon=ring), config.Area(centre=((38.7, -9.2),), radius_m=100.0), config.Area(polygon=ring)),
+        keep_out=(config.Area(polygon=ring), config.Area(centre=((38.695, -9.215),), radius_m=12.5)),
     )
     assert drafted(plans.ZonesDraft(), plans.fence_items(zones)).done() == zones
     assert drafted(plans.RallyDraft(), plans.rally_items(ring)).done() == ring
@@ -204,10 +204,11 @@ def test_the_boat_stays_that_long_and_then_goes_on(sea):
         [Item(5001, 2.0, x=1, y=1)] * 2,
         [Item(5002, 101.0, x=n, y=n * n) for n in range(1, 102)],
         [Item(5004, 0.0, x=1, y=1)],
-        [Item(5003, 10.0, x=1, y=1)],
         [Item(5003, 0.0, x=1, y=1)],
-        [Item(5003, 10.0, x=n, y=1) for n in range(1, 102)],
-        [Item(5001, 3.0, x=n, y=n * n) for n in range(1, 7)],
+        [Item(5004, 10.0, x=n, y=1) for n in range(1, 102)],
+        [Item(5003, 10.0, x=n, y=1) for n in range(1, 22)],
+        [Item(5001, 3.0, x=n, y=n * n) for n in range(1, 64)],
+        [Item(5005, 10.0, x=1, y=1)],
     ],
 )
 def test_zones_that_make_no_sense(items):
@@ -374,8 +375,13 @@ NEAR = ((38.6920, -9.2156), (38.6920, -9.2144), (38.6930, -9.2144), (38.6930, -9
 
 
 def test_a_fence_keeps_the_boat_in(sea):
-    assert newest(upload(sea.console, plans.fence_items(config.Zones(keep_in=NEAR)), FENCE), "MISSION_ACK").type == OK
-    assert download(sea.console, FENCE) == list(plans.fence_items(config.Zones(keep_in=NEAR)))
+    assert (
+        newest(
+            upload(sea.console, plans.fence_items(config.Zones(keep_in=(config.Area(polygon=NEAR),))), FENCE), "MISSION_ACK"
+        ).type
+        == OK
+    )
+    assert download(sea.console, FENCE) == list(plans.fence_items(config.Zones(keep_in=(config.Area(polygon=NEAR),))))
     heard = upload(sea.console, items_of(zigzag(20)))
     assert newest(heard, "MISSION_ACK").type == DENIED
     assert "keep-in zone" in texts(heard)
@@ -384,17 +390,17 @@ def test_a_fence_keeps_the_boat_in(sea):
 
 def test_a_mission_that_a_new_fence_crosses_is_forgotten(sea):
     upload(sea.console, items_of(zigzag(20)))
-    upload(sea.console, plans.fence_items(config.Zones(keep_in=NEAR)), FENCE)
+    upload(sea.console, plans.fence_items(config.Zones(keep_in=(config.Area(polygon=NEAR),))), FENCE)
     assert sea.vehicle.helm.plans.mission is None
     assert any("mission was removed" in note for note in sea.boat.log.notes)
 
 
 def test_a_mission_keeps_the_fence_that_came_before_it(sea):
     wide = ((38.68, -9.23), (38.68, -9.20), (38.71, -9.20), (38.71, -9.23))
-    upload(sea.console, plans.fence_items(config.Zones(keep_in=wide)), FENCE)
+    upload(sea.console, plans.fence_items(config.Zones(keep_in=(config.Area(polygon=wide),))), FENCE)
     upload(sea.console, items_of(zigzag(3)))
-    assert sea.vehicle.helm.plans.zones.keep_in == wide
-    assert sea.log[-1].mission.fence.keep_in == wide
+    assert sea.vehicle.helm.plans.zones.keep_in[0].polygon == wide
+    assert sea.log[-1].mission.fence.keep_in[0].polygon == wide
 
 
 def test_the_way_home_ends_at_the_last_harbour_that_was_passed(sea):

@@ -211,7 +211,6 @@ def test_telemetry_is_as_fast_as_the_radio_carries_it(boat, tmp_path, air_bps):
     assert sea.radio.overflown - overflown <= 0.02 * 10 * sea.radio.air_bytes_per_s
     ages_s = [at_s - m.time_boot_ms / 1e3 for at_s, m in sea.heard[before:] if m.get_type() == "GLOBAL_POSITION_INT"]
     carried = sum(len(m.get_msgbuf()) for m in heard) / 10
-    print(f"{air_bps}: {carried:.0f} B/s, {len(ages_s) / 10:.1f}/s, {max(ages_s):.2f} s")
     assert carried >= min(0.6 * sea.radio.air_bytes_per_s, 1500)
     assert max(ages_s) < 2.0
 

@@ -39,7 +39,10 @@ def ring(north_deg: float, east_deg: float, radius_deg: float, corners: int = 10
 def zones(keep_out: int = 100) -> config.Zones:
     """The largest fence that is legal: 100 zones of 100 corners a hundred metres from each other, within one of as many."""
     rows = ((0.002 + 0.001 * (i // 10), 0.002 + 0.001 * (i % 10)) for i in range(keep_out))
-    return config.Zones(keep_in=ring(0.0, 0.0, 0.05), keep_out=tuple(config.KeepOut(polygon=ring(*at, 0.0002)) for at in rows))
+    return config.Zones(
+        keep_in=(config.Area(polygon=ring(0.0, 0.0, 0.05)),),
+        keep_out=tuple(config.Area(polygon=ring(*at, 0.0002)) for at in rows),
+    )
 
 
 def mission(waypoints: int, path: int = 0, around: config.Zones = OPEN) -> Mission:
@@ -143,15 +146,16 @@ def test_the_largest_mission_takes_many_slices_and_the_boat_sails_meanwhile(sea,
 
 
 def test_what_cannot_be_done_is_refused_in_words_and_changes_nothing(sea):
-    inside = config.Zones(keep_out=(config.KeepOut(name="reef", polygon=ring(-0.001, 0.001, 0.0003)),))
+    inside = config.Zones(keep_out=(config.Area(name="reef", polygon=ring(-0.001, 0.001, 0.0003)),))
     answers: list[str | None] = []
     sea.reviews.begin("local", console.Upload(mission(4, 0, inside)), answers.append)
     turn(sea)
     assert answers == ["mission refused: the leg to waypoint 2 leads through reef; missions keep 6 m away"]
-    crossing = config.Zones(keep_in=(*ring(0.0, 0.0, 0.05)[:50], *ring(0.0, 0.0, 0.05)[:49:-1]))
+    crossed = config.Area(polygon=(*ring(0.0, 0.0, 0.05)[:50], *ring(0.0, 0.0, 0.05)[:49:-1]))
+    crossing = config.Zones(keep_in=(crossed,))
     sea.reviews.begin("local", console.SetFence(crossing), answers.append)
     turn(sea)
-    assert "fence.keep_in: the polygon crosses itself" in answers[1]
+    assert "fence.keep_in[0]: the polygon crosses itself" in answers[1]
     assert (sea.state.setpoint.plan, sea.vehicle.helm.plans.mission, sea.vehicle.helm.plans.fence) == (None, None, None)
 
 

@@ -31,6 +31,7 @@ SPEED: Final = int(dialect.MAV_CMD_DO_CHANGE_SPEED)
 PATH: Final = int(dialect.MAV_CMD_WAYPOINT_USER_1)  # a piece of the path: turn_deg, radius_m, speed_mps
 KEEP_IN: Final = int(dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_INCLUSION)
 KEEP_OUT: Final = int(dialect.MAV_CMD_NAV_FENCE_POLYGON_VERTEX_EXCLUSION)
+CIRCLE_IN: Final = int(dialect.MAV_CMD_NAV_FENCE_CIRCLE_INCLUSION)
 CIRCLE_OUT: Final = int(dialect.MAV_CMD_NAV_FENCE_CIRCLE_EXCLUSION)
 HARBOUR: Final = int(dialect.MAV_CMD_NAV_RALLY_POINT)
 GLOBAL: Final = frozenset({0, 3, 5, 6, 10, 11})  # frames with latitude and longitude; a boat ignores the height
@@ -83,13 +84,15 @@ def places(speeds_mps: Iterable[float]) -> Iterator[int]:
 
 
 def fence_items(zones: config.Zones) -> Iterator[Item]:
-    for at in zones.keep_in:
-        yield Item(KEEP_IN, float(len(zones.keep_in)), x=_e7(at[0]), y=_e7(at[1]))
-    for zone in zones.keep_out:
-        for at in zone.polygon:
-            yield Item(KEEP_OUT, float(len(zone.polygon)), x=_e7(at[0]), y=_e7(at[1]))
-        for at in zone.centre:
-            yield Item(CIRCLE_OUT, zone.radius_m, x=_e7(at[0]), y=_e7(at[1]))
+    """Each area to stay in is an inclusion group by itself: the boat must be in one of them."""
+    kinds = (zones.keep_in, KEEP_IN, CIRCLE_IN), (zones.keep_out, KEEP_OUT, CIRCLE_OUT)
+    for areas, corner, circle in kinds:
+        for number, area in enumerate(areas):
+            group = float(number) if corner == KEEP_IN else 0.0
+            for at in area.polygon:
+                yield Item(corner, float(len(area.polygon)), group, x=_e7(at[0]), y=_e7(at[1]))
+            for at in area.centre:
+                yield Item(circle, area.radius_m, group, x=_e7(at[0]), y=_e7(at[1]))
 
 
 def rally_items(points: Iterable[tuple[float, float]]) -> Iterator[Item]:
@@ -137,8 +140,7 @@ class ZonesDraft:
     whether a polygon crosses itself."""
 
     def __init__(self) -> None:
-        self._keep_in: tuple[tuple[float, float], ...] = ()
-        self._keep_out: list[config.KeepOut] = []
+        self._keep_in, self._keep_out = list[config.Area](), list[config.Area]()
         self._first, self._begun, self._corners = Item(0), 0, list[tuple[float, float]]()  # of the polygon that is coming
 
     def add(self, number: int, item: Item) -> None:
@@ -146,30 +148,26 @@ class ZonesDraft:
             self._begin(number, item)
         elif (item.command, item.p1) != (self._first.command, self._first.p1):
             raise self._torn()
-        if item.command == CIRCLE_OUT:
-            self._keep_out.append(
-                _row(number, config.KeepOut, centre=(_place(number, item),), radius_m=_number(number, item.p1))
-            )
+        areas = self._keep_in if item.command in (KEEP_IN, CIRCLE_IN) else self._keep_out
+        if item.command in (CIRCLE_IN, CIRCLE_OUT):
+            areas.append(_row(number, config.Area, centre=(_place(number, item),), radius_m=_number(number, item.p1)))
             return
         self._corners.append(_place(number, item))
         if len(self._corners) < int(item.p1):
             return
         corners, self._corners = tuple(self._corners), []
-        if item.command == KEEP_IN:
-            self._keep_in = corners
-        else:
-            self._keep_out.append(config.KeepOut(polygon=corners))
+        areas.append(config.Area(polygon=corners))
 
     def _begin(self, number: int, item: Item) -> None:
         """The first item of a zone: lengths before anything else."""
-        if item.command not in (CIRCLE_OUT, KEEP_IN, KEEP_OUT):
+        if item.command not in (CIRCLE_IN, CIRCLE_OUT, KEEP_IN, KEEP_OUT):
             raise Unsupported(f"item {number}: {_name(item.command)} is not a zone that this boat knows")
         self._first, self._begun = item, number
-        if item.command == KEEP_IN and self._keep_in:
-            raise FormatError(f"item {number}: a second polygon to stay in")
-        if item.command != KEEP_IN and len(self._keep_out) >= config.ZONES:
+        if item.command in (KEEP_IN, CIRCLE_IN) and len(self._keep_in) >= config.AREAS:
+            raise FormatError(f"item {number}: more than {config.AREAS} areas to stay in")
+        if item.command in (KEEP_OUT, CIRCLE_OUT) and len(self._keep_out) >= config.ZONES:
             raise FormatError(f"item {number}: more than {config.ZONES} zones to stay out of")
-        if item.command == CIRCLE_OUT:
+        if item.command in (CIRCLE_IN, CIRCLE_OUT):
             return
         if int(_number(number, item.p1)) < 3:
             raise self._torn()
@@ -182,7 +180,7 @@ class ZonesDraft:
     def done(self) -> config.Zones:
         if self._corners:
             raise self._torn()
-        return config.Zones(keep_in=self._keep_in, keep_out=tuple(self._keep_out))
+        return config.Zones(keep_in=tuple(self._keep_in), keep_out=tuple(self._keep_out))
 
 
 class RallyDraft:

@@ -1,6 +1,6 @@
 // The boats on the map: symbol, name, past track, course, reference, ghost when silent, and what is aboard: fence, obstacles, home.
 import Feature from "ol/Feature";
-import { Circle, LineString, Point } from "ol/geom";
+import { Circle, type Geometry, LineString, Point } from "ol/geom";
 import Polygon, { circular } from "ol/geom/Polygon";
 import VectorLayer from "ol/layer/Vector";
 import VectorImageLayer from "ol/layer/VectorImage";
@@ -265,7 +265,7 @@ export class Fleet {
 
   /** Fence, obstacles and home aboard: redrawn only when they change. */
   private drawAboard(): void {
-    const key = JSON.stringify(this.state.boats.map(({ id, fence, obstacles, home }) => [id, fence, obstacles, home]));
+    const key = JSON.stringify(this.state.boats.map(({ id, fence, obstacles, zones, home }) => [id, fence, obstacles, zones, home]));
     if (key === this.aboardKey) return;
     this.aboardKey = key;
     this.aboard.clear();
@@ -273,19 +273,27 @@ export class Fleet {
   }
 }
 
-export function keptAboard(kept: Pick<Boat, "fence" | "obstacles" | "home">, planned = false): Feature[] {
+export function keptAboard(kept: Pick<Boat, "fence" | "obstacles" | "zones" | "home">, planned = false): Feature[] {
   const made: Feature[] = [];
   const dash = planned ? { lineDash: [6, 5] } : {};
-  if (kept.fence.length > 2) {
-    const ring = kept.fence.map(([latitude_deg, longitude_deg]) => point({ latitude_deg, longitude_deg }));
-    const fence = new Feature(new LineString([...ring, ring[0]!]));
-    fence.setStyle(cased(palette.danger, 2, planned ? [10, 6] : undefined));
-    made.push(fence);
-  }
-  for (const { latitude_deg, longitude_deg, radius_m } of kept.obstacles) {
-    const area = new Feature(circular([longitude_deg, latitude_deg], radius_m, 48).transform("EPSG:4326", "EPSG:3857"));
-    area.setStyle(new Style({ fill: new Fill({ color: palette.dangerFill }), stroke: new Stroke({ color: palette.danger, width: 1.8, ...dash }) }));
-    made.push(area);
+  const line = (way: Geometry) => {
+    const edge = new Feature(way);
+    edge.setStyle(cased(palette.danger, 2, planned ? [10, 6] : undefined));
+    made.push(edge);
+  };
+  const filled = (area: Geometry) => {
+    const out = new Feature(area);
+    out.setStyle(new Style({ fill: new Fill({ color: palette.dangerFill }), stroke: new Stroke({ color: palette.danger, width: 1.8, ...dash }) }));
+    made.push(out);
+  };
+  const ring = (corners: [number, number][]) => [...corners, corners[0]!].map(([latitude_deg, longitude_deg]) => point({ latitude_deg, longitude_deg }));
+  const disc = ({ latitude_deg, longitude_deg }: Place, radius_m: number) => circular([longitude_deg, latitude_deg], radius_m, 48).transform("EPSG:4326", "EPSG:3857") as Polygon;
+  if (kept.fence.length > 2) line(new LineString(ring(kept.fence)));
+  for (const each of kept.obstacles) filled(disc(each, each.radius_m));
+  for (const { kind, polygon, centre, radius_m } of kept.zones ?? []) {
+    const area = centre.length ? disc({ latitude_deg: centre[0]![0], longitude_deg: centre[0]![1] }, radius_m) : new Polygon([ring(polygon)]);
+    if (kind === "keep_out") filled(area);
+    else line(new LineString(area.getCoordinates()[0]!));
   }
   if (kept.home) {
     const home = new Feature(new Point(point(kept.home)));

@@ -31,6 +31,7 @@ export function same(a: Mission, b: Mission): boolean {
       mission.obstacles.map((each) => [at(each), each.radius_m]),
       mission.home && at(mission.home),
       mission.path ?? [],
+      (mission.zones ?? []).map((each) => [each.kind, each.polygon, each.centre, each.radius_m]),
     ]);
   return words(a) === words(b);
 }
@@ -42,7 +43,7 @@ export function alike(a: Mission, b: Mission): boolean {
 }
 
 /** All numbers of a mission, in units of the rounding on the link. */
-function figures({ waypoints, fence, obstacles, home, path: pieces = [] }: Mission): number[] {
+function figures({ waypoints, fence, obstacles, home, path: pieces = [], zones = [] }: Mission): number[] {
   const at = ({ latitude_deg, longitude_deg }: Place) => [latitude_deg * 1e7, longitude_deg * 1e7];
   const size = (many: unknown[]) => many.length * 1000;
   return [
@@ -54,6 +55,8 @@ function figures({ waypoints, fence, obstacles, home, path: pieces = [] }: Missi
     ...fence.flatMap((each) => at(cornerPlace(each))),
     size(obstacles),
     ...obstacles.flatMap((each) => [...at(each), each.radius_m * 10]),
+    size(zones),
+    ...zones.flatMap((each) => [...[...each.polygon, ...each.centre].flatMap((corner) => at(cornerPlace(corner))), each.radius_m * 10]),
     ...(home ? at(home) : []),
   ];
 }

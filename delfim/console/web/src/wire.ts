@@ -16,6 +16,15 @@ export interface Obstacle extends Place {
   radius_m: number;
 }
 
+/** An area to stay in or out of that the page shows and does not edit: a polygon, or a circle. */
+export interface Zone {
+  kind: "keep_in" | "keep_out";
+  name: string;
+  polygon: [number, number][];
+  centre: [number, number][];
+  radius_m: number;
+}
+
 /** A piece of the path (docs/missions.md): its beginning, the end of a line, or the centre of an arc. */
 export interface PathPoint extends Place {
   turn_deg?: number; // positive to starboard
@@ -28,6 +37,7 @@ export interface Mission {
   waypoints: Waypoint[];
   fence: [number, number][];
   obstacles: Obstacle[];
+  zones?: Zone[];
   home: Place | null;
   path?: PathPoint[]; // of its own, beside the waypoints
 }
@@ -85,6 +95,7 @@ export interface Boat {
   home: Place | null;
   fence: [number, number][];
   obstacles: Obstacle[];
+  zones?: Zone[];
   ghost: (Place & { radius_m: number }) | null;
   released: boolean;
 }
