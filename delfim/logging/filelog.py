@@ -7,6 +7,7 @@ import math
 import os
 import time
 import zlib
+from collections.abc import Callable
 from typing import Any, Final
 
 from delfim.clock import Clock
@@ -18,8 +19,8 @@ UNPOLLED_S: Final = 1.0  # after this a `put` does the work of a missing `poll`:
 MEMBER_S: Final = 10.0  # of log in a gzip member: the log after a damaged one can be found again
 PENDING_BYTES: Final = 1 << 18  # deflated and not yet written
 SAME_SECOND: Final = 1000  # files of one name and second
-MISNAMED_S: Final = 3600.0  # a wall clock that steps by more makes the file's name wrong ...
-NOTED_S: Final = 3.0  # ... and the file ends when the step has been noted beside it
+MISNAMED_S: Final = 3600.0  # a wall clock that steps by more makes the file's name wrong
+_META: Final = ".meta.jsonl"
 
 
 class FileLog:
@@ -39,7 +40,7 @@ class FileLog:
         self._size = self._kept = 0  # of the file, in whole records: bytes, records
         self._bytes = self._records = self._dropped = 0  # of the files before it: bytes, records; of all
         self._due_s = -math.inf
-        self._wall_s = clock.time_ns() / 1e9 - clock.monotonic_s()
+        self._wall_s = clock.time_ns() / 1e9 - clock.monotonic_s()  # UTC minus monotonic time
         self._open(clock.monotonic_s())
 
     def put(self, record: bytes) -> bool:
@@ -62,7 +63,7 @@ class FileLog:
             self._open(self._clock.monotonic_s())
         if self._fd < 0:
             return False
-        path = self._stem + ".meta.jsonl"
+        path = self._stem + _META
         try:
             fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
             try:
@@ -96,11 +97,11 @@ class FileLog:
         return self._stem + self._suffix if self._stem else ""
 
     def _attend(self, now_s: float) -> None:
-        """Writes waiting records to the file, ends a file that is too old or misnamed, and retries after a failure."""
+        """Writes waiting records to the file, ends a file that is too old, and retries after a failure."""
         self._due_s = now_s + FLUSH_S
         was_s, self._wall_s = self._wall_s, self._clock.time_ns() / 1e9 - now_s
-        if abs(self._wall_s - was_s) > MISNAMED_S:
-            self._end_s = min(self._end_s, now_s + NOTED_S)
+        if abs(self._wall_s - was_s) > MISNAMED_S and self._fd >= 0:
+            self._rename()
         if self._fd < 0:
             if self._reason:
                 self._open(now_s)
@@ -115,7 +116,7 @@ class FileLog:
         try:
             os.makedirs(self._settings.directory, exist_ok=True)
             self._make_room()
-            self._create()
+            self._create(self._clock.time_ns(), _new)
             self._reason = ""
         except OSError as error:
             self._fail(error)
@@ -124,10 +125,40 @@ class FileLog:
         self._pending += self._deflated(self._settings.header, now_s) if self._deflate else self._settings.header
         self._flush(now_s)
 
-    def _create(self) -> None:
-        """A new file of a new name, in the day that the wall clock shows."""
+    def _rename(self) -> None:
+        """The file gets the name that it would have if the clock had been right when the file began, its sidecar with it. Where
+        that fails, it keeps its name: a name is not worth a record."""
+        fd, day_fd, stem, day, file = self._fd, self._day_fd, self._stem, self._day, self._file()
+
+        def moved(path: str) -> int:
+            os.close(_new(path))
+            os.replace(file, path)
+            return fd
+
+        try:
+            self._create(round((self._wall_s + self._end_s - self._settings.file_s) * 1e9), moved)
+        except OSError:
+            if self._stem == stem:
+                if self._day_fd != day_fd:
+                    with contextlib.suppress(OSError):
+                        os.close(self._day_fd)
+                self._day_fd, self._day = day_fd, day
+                return
+        with contextlib.suppress(OSError):  # nothing was noted yet
+            os.replace(stem + _META, self._stem + _META)
+        with contextlib.suppress(OSError):
+            os.close(day_fd)
+        folder = os.path.dirname(file)
+        with contextlib.suppress(OSError):  # others are still in it
+            if self._durable:
+                sync_directory(folder)
+            os.rmdir(folder)
+            os.rmdir(os.path.dirname(folder))
+
+    def _create(self, time_ns: int, make: Callable[[str], int]) -> None:
+        """A file of a new name, in the day of this time. `make` makes it, unless it exists, and returns its descriptor."""
         directory, id_ = self._settings.directory, self._settings.id
-        utc = time.gmtime(self._clock.time_ns() // 1_000_000_000)
+        utc = time.gmtime(time_ns // 1_000_000_000)
         self._day = time.strftime("%Y%m%d", utc)
         day = os.path.join(directory, self._day)
         folder = os.path.join(day, id_)
@@ -138,7 +169,7 @@ class FileLog:
         for number in range(SAME_SECOND):
             stem = f"{name}-{number}" if number else name
             try:
-                self._fd = os.open(stem + self._suffix, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+                self._fd = make(stem + self._suffix)
             except FileExistsError:
                 continue
             self._stem = stem
@@ -251,6 +282,10 @@ class FileLog:
         self._bytes += self._size
         self._records += self._kept
         self._size = self._kept = 0
+
+
+def _new(path: str) -> int:
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
 
 
 def _write_all(fd: int, data: bytes | bytearray) -> None:

@@ -30,7 +30,7 @@ def summary(files: Sequence[LogFile], span: Span, modes: dict[int, str]) -> dict
         "boat": schema.boat,
         "from": utc(its.from_ns),
         "to": utc(its.to_ns),
-        "duration_s": round((its.to_ns - its.from_ns) / 1e9, 3),
+        "duration_s": round(float(_steps_s(columns).sum()), 3),
         "cycles": len(columns["t1"]),
         **_way(columns),
         "modes_s": _modes(columns, modes),
@@ -101,11 +101,18 @@ def utc(t_ns: int) -> str:
     return f"{datetime.fromtimestamp(t_ns // 1_000_000_000, UTC):%Y-%m-%d %H:%M:%S}"
 
 
+def _steps_s(columns: Columns) -> Any:
+    """Seconds from each record to the next, by the clock that is never set."""
+    import numpy as np
+
+    return np.diff(columns["monotonic_s"])
+
+
 def track_m(columns: Columns) -> float:
     """Length of the driven track, from the speed over ground: positions carry noise, which would add up."""
     import numpy as np
 
-    dt_s = np.diff(columns["t1"]) / 1e9
+    dt_s = _steps_s(columns)
     moved_m = np.hypot(columns["north_speed"], columns["east_speed"])[1:] * dt_s
     return float(np.nansum(moved_m[(dt_s > 0) & (dt_s < 10 * (np.median(dt_s) if len(dt_s) else 0))]))
 
@@ -123,7 +130,7 @@ def _modes(columns: Columns, names: dict[int, str]) -> dict[str, float]:
     """Seconds in each mode, in the order of the first entry."""
     import numpy as np
 
-    dt_s = np.append(np.diff(columns["t1"]) / 1e9, 0.0)
+    dt_s = np.append(_steps_s(columns), 0.0)
     order = dict.fromkeys(int(mode) for mode in columns["mode"])
     return {names.get(mode, str(mode)): round(float(dt_s[columns["mode"] == mode].sum()), 1) for mode in order}
 
@@ -131,7 +138,7 @@ def _modes(columns: Columns, names: dict[int, str]) -> dict[str, float]:
 def _gaps(columns: Columns) -> dict[str, Any]:
     import numpy as np
 
-    dt_s = np.diff(columns["t1"]) / 1e9
+    dt_s = _steps_s(columns)
     gaps = dt_s[dt_s > GAP * np.median(dt_s)] if len(dt_s) else dt_s
     return {"count": len(gaps), "longest_s": round(float(gaps.max()), 3) if len(gaps) else 0.0}
 

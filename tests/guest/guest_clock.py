@@ -75,6 +75,7 @@ def main() -> None:
         programs = boat.programs()
     files = tree.files([boat.place / "log"])
     stepped = [event for event in tree.events(files) if event["event"] == "clock step"]
+    stepped.sort(key=lambda event: event["monotonic_s"])  # files have the names of their days
     told_s = columns(file.path for file in files if file.id == "state")["monotonic_s"]
     print(
         "REPORT "

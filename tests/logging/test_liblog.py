@@ -149,10 +149,13 @@ def test_a_stepping_wall_clock_loses_nothing(tmp_path, file_log, clock, step_s):
     assert all(read_log(path)[1] == "" for path in files(tmp_path / "log"))
 
 
-def test_a_file_from_before_the_clock_was_set_ends_and_its_follower_has_the_right_name(tmp_path, file_log, clock):
-    """The step is noted beside the file that it made wrong."""
+@pytest.mark.parametrize("durable", [False, True])
+def test_a_file_from_before_the_clock_was_set_gets_its_right_name(tmp_path, file_log, clock, durable):
+    """A run stays one run, wherever it began, and its step is noted beside it."""
     clock.step(-40 * 365.25 * 86_400.0)
-    log = file_log(deflate=True)
+    log = file_log(deflate=True, durable=durable)
+    other = file_log(id="can0")
+    log.note(b"start\n")
     for number in range(20):
         if number == 3:
             clock.step(56 * 365.25 * 86_400.0)
@@ -161,11 +164,23 @@ def test_a_file_from_before_the_clock_was_set_ends_and_its_follower_has_the_righ
         clock.advance(0.5)
         if number == 5:
             log.note(b"stepped\n")
+    assert log.status().file == str(tmp_path / "log/20260101/gps/000000.log.gz")
     log.close()
-    assert names(tmp_path / "log") == ["19700101/gps/000000.log.gz", "20260101/gps/000005.log.gz"]
-    assert [read_log(path)[1] for path in files(tmp_path / "log")] == ["", ""]
-    assert numbers(tmp_path / "log") == list(range(20))
-    assert (tmp_path / "log/19700101/gps/000000.meta.jsonl").read_text() == "stepped\n"
+    assert names(tmp_path / "log") == ["19700101/can0/000000.log", "20260101/gps/000000.log.gz"]
+    assert numbers(tmp_path / "log/20260101/..") == list(range(20))
+    assert (tmp_path / "log/20260101/gps/000000.meta.jsonl").read_text() == "start\nstepped\n"
+    assert not (tmp_path / "log/19700101/gps").exists()
+    other.poll()
+    assert not (tmp_path / "log/19700101").exists(), "nothing is left of it"
+
+
+def test_a_small_step_renames_nothing(tmp_path, file_log, clock):
+    log = file_log()
+    for step_s in (3000.0, -3000.0, 600.0):
+        clock.step(step_s)
+        clock.advance(1.0)
+        log.poll()
+    assert names(tmp_path / "log") == ["20100101/gps/000000.log"]
 
 
 def test_notes_go_to_the_sidecar_of_the_file(tmp_path, file_log, clock):
@@ -323,7 +338,20 @@ def test_nobody_writes_into_a_deleted_file(tmp_path, file_log, clock):
 class Faulty:
     """The os module, some of whose calls fail: number `first` to `first + count - 1` of those that a disk can let fail."""
 
-    CALLS = ("close", "fstat", "fsync", "ftruncate", "makedirs", "open", "statvfs", "unlink", "write")
+    CALLS = (
+        "close",
+        "fstat",
+        "fsync",
+        "ftruncate",
+        "link",
+        "makedirs",
+        "open",
+        "replace",
+        "rmdir",
+        "statvfs",
+        "unlink",
+        "write",
+    )
 
     def __init__(self, first: int, count: int) -> None:
         self.first, self.last, self.calls = first, first + count - 1, 0
@@ -347,7 +375,7 @@ class Faulty:
 
 
 def run_with_faults(directory, monkeypatch, first: int, count: int, **how: bool) -> tuple[Faulty, LogStatus]:
-    """Sixty records over 30 s. The log must be itself again at the end."""
+    """Sixty records over 30 s, and a clock that is set. The log must be itself again at the end."""
     clock, faulty = ManualClock(), Faulty(first, count)
     settings = liblog.LogSettings(str(directory), "gps", ".log", b"", 600, 12.0, 1, "delete-oldest")
     with monkeypatch.context() as patch:
@@ -357,6 +385,8 @@ def run_with_faults(directory, monkeypatch, first: int, count: int, **how: bool)
         for number in range(60):
             log.put(record(number, size=10))
             clock.advance(0.5)
+            if number == 20:
+                clock.step(16 * 365 * 86_400.0)
         after = log.status()
         log.close()
     if faulty.calls >= faulty.last + 30:

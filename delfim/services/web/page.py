@@ -348,10 +348,8 @@ def clock(view: PageView) -> str:
     report, vehicle = view.report, view.report.vehicle
     now = datetime.fromtimestamp(report.utc_ns // 1_000_000_000, UTC)
     told = [f"{now:%Y-%m-%d}"]
-    if report.computer is not None:
-        time = report.computer.time
-        error = f", accurate to {span(time.error_s)}" if time.error_s is not None else ""
-        told.append(f"the kernel’s clock is {'synchronised' + error if time.synchronised else 'not synchronised'}")
+    if report.computer is not None and (error_s := report.computer.time.error_s) is not None:
+        told.append(f"another program keeps it to {span(error_s)}")
     age_s = vehicle.age_s.get("navigation") if vehicle else None
     if vehicle is not None and vehicle.utc_ns and age_s is not None:
         off_s = (report.utc_ns - vehicle.utc_ns) / 1e9 - age_s
