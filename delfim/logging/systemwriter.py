@@ -90,7 +90,7 @@ class SystemWriter:
         """Append to the files of the last lines. They are in memory on a boat, and lost without regret elsewhere."""
         newest, older = (self._directory / name for name in RECENT)
         with contextlib.suppress(OSError), open(newest, "ab") as file:
-            file.writelines(lines)
+            file.write(b"".join(lines)[-RECENT_BYTES:])
             if file.tell() > RECENT_BYTES:
                 newest.replace(older)
 

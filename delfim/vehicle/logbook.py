@@ -60,7 +60,7 @@ class Logbook:
                 level = logging.INFO if refused and refused != self._manual else logging.DEBUG
                 self._manual = refused or ""
             outcome = f"refused: {refused}" if refused else "done"
-            self._say(level, "command of %s: %s: %s", operator, value[:COMMAND_MAX].decode(errors="replace"), outcome)
+            self._say(level, "vehicle: command of %s: %s: %s", operator, value[:COMMAND_MAX].decode(errors="replace"), outcome)
 
     def note(self, text: str) -> None:
         """An event of the loop, in words; "hold: fence ahead" is a change of mode with its reason."""
@@ -69,10 +69,10 @@ class Logbook:
         if mode.upper() in Mode.__members__:
             self.event("mode", value=mode, reason=reason)
             is_orderly = reason.startswith(ORDERLY) or reason.endswith(" done")
-            self._say(logging.INFO if is_orderly else logging.WARNING, "mode %s", text)
+            self._say(logging.INFO if is_orderly else logging.WARNING, "vehicle: mode %s", text)
         else:
             self.event("note", value=text)
-            self._say(logging.INFO if text.endswith(": over") else logging.WARNING, "%s", text)
+            self._say(logging.INFO if text.endswith(": over") else logging.WARNING, "vehicle: %s", text)
 
     def watch(self, state: State) -> None:
         """Called after each check of the watchdog: logs its time when something was noted since the one before."""

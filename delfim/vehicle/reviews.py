@@ -78,7 +78,7 @@ class Reviews:
 
     def _refuse(self, review: Review, reason: str) -> None:
         """A plan that never comes to be obeyed."""
-        log.info("plan of %s: %s", review.operator, reason)
+        log.info("vehicle: plan of %s: %s", review.operator, reason)
         review.answer(reason)
 
     def _was_read(self, review: Review, lines: list[bytes] | DelfimError) -> None:

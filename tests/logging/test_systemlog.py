@@ -266,6 +266,21 @@ def test_while_the_disk_takes_nothing_lines_wait_in_memory_and_then_go_on_it(tmp
     os.close(written.pipe)
 
 
+def test_after_a_flood_the_last_lines_are_the_newest_ones(written, monkeypatch):
+    monkeypatch.setattr("delfim.logging.systemwriter.RECENT_BYTES", 1000)
+    monkeypatch.setattr("delfim.logging.systemlog.RECENT_BYTES", 1000)
+    told = [written.say(f"line {number}") for number in range(100)]
+    written.turn()
+    found = recent(str(written.folder))
+    assert found[0] == told[-1].rstrip()
+    assert sum(map(len, found)) <= 1000
+    written.writer.close()
+
+
+def test_nobody_else_may_write_into_the_pipe(written):
+    assert (written.folder / systemlog.PIPE).stat().st_mode & 0o777 == 0o600
+
+
 def test_memory_is_bounded_and_what_was_forgotten_is_told(tmp_path):
     (tmp_path / "log").write_text("no folder")
     written = Written(tmp_path, tmp_path / "log")
