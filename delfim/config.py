@@ -45,6 +45,7 @@ BitRate = Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)]
 ActionName = Literal["warn", "hold", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "home", "stop"]
 EndMode = Literal["hold", "idle"]
+FixName = Literal["2d", "3d", "differential", "rtk_float", "rtk"]  # from bad to good
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
 CORNERS, ZONES, AREAS = 100, 100, 20  # of a polygon, to keep out of, and to keep in, at most
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
@@ -307,6 +308,18 @@ class ThrusterAstray(Trouble, frozen=True):
     disconnect: bool = True  # if a stopped propeller turns: disconnect its batteries until the program restarts
 
 
+class GnssPoor(Trouble, frozen=True):
+    """Satellite navigation is worse than this. Values that the receiver does not tell are not bad. A mode whose action is more
+    than "warn" is refused."""
+
+    satellites: Annotated[int, msgspec.Meta(ge=0, le=99)] = 5  # fewer in use than this, or ...
+    hdop: Annotated[float, msgspec.Meta(gt=0.0, le=100.0)] = 5.0  # ... a dilution of precision above this, or ...
+    fix: FixName = "2d"  # ... a fix worse than this
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 5.0  # for this long
+    action: ActionName = "warn"
+    manual: ModeAction = "warn"
+
+
 class LogNotWritable(Trouble, frozen=True):
     """The state log is not being written."""
 
@@ -330,6 +343,7 @@ class Failsafe(Table, frozen=True):
     battery_critical: BatteryCritical = BatteryCritical()
     fence: FenceNear = FenceNear()
     thruster: ThrusterAstray = ThrusterAstray()
+    gnss_poor: GnssPoor = GnssPoor()
     log: LogNotWritable = LogNotWritable()
 
 

@@ -19,6 +19,7 @@ class Mode(IntEnum):
     GOTO = 15
     PATH = 100
     GREX = 101
+    COURSE = 102
 
 
 def mode_named(text: str) -> Mode:

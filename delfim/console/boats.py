@@ -202,7 +202,8 @@ _PLAIN: Final = (
 )
 
 
-_REFERENCE: Final = ("heading_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
+_FIXES: Final = {1: "no fix", 2: "2D", 3: "3D", 4: "differential", 5: "RTK float", 6: "RTK"}  # GPS_FIX_TYPE
+_REFERENCE: Final = ("heading_deg", "course_deg", "latitude_deg", "longitude_deg", "cross_track_m", "distance_m", "leg")
 _NOWHERE: Final = dict.fromkeys(_REFERENCE[:-1])  # the leg is kept
 _GROUPS: Final = {"HIGH_LATENCY2": ("HIGH_LATENCY2", "GLOBAL_POSITION_INT", "SYS_STATUS")}  # one message has all of them
 
@@ -255,7 +256,7 @@ def _power(boat: Boat, m: Any) -> None:
 
 
 def _gps(boat: Boat, m: Any) -> None:
-    boat.values |= {"fix": m.fix_type, "satellites": m.satellites_visible if m.satellites_visible != 255 else None}
+    boat.values |= {"fix": _FIXES.get(m.fix_type), "satellites": m.satellites_visible if m.satellites_visible != 255 else None}
 
 
 def _navigation(boat: Boat, m: Any) -> None:
@@ -263,7 +264,10 @@ def _navigation(boat: Boat, m: Any) -> None:
     if not boat.target_is_new:
         boat.reference |= _NOWHERE
     boat.target_is_new = False
-    boat.reference["heading_deg"] = m.nav_bearing % 360
+    boat.reference |= {
+        "heading_deg": m.nav_bearing % 360,
+        "course_deg": m.target_bearing % 360 if boat.mode == Mode.COURSE.name.lower() else None,
+    }
     if boat.reference.get("latitude_deg") is not None:
         cross_m = round(m.xtrack_error, 2) if math.isfinite(m.xtrack_error) else None
         boat.reference |= {"distance_m": m.wp_dist, "cross_track_m": cross_m}

@@ -43,6 +43,7 @@ WORDS: dict[str, Word] = {
     "stop": Word("idle, propellers off"),
     "manual": Word("thrust of each propeller, -1 to 1", ("starboard", "port")),
     "heading": Word("hold a true heading", ("heading_deg",), ("speed_mps",)),
+    "course": Word("steer a true course over ground, in a current too", ("course_deg",), ("speed_mps",)),
     "speed": Word("change the speed; without a number, back to the plan's own", (), ("speed_mps",)),
     "goto": Word(
         "go to a position, or else to the first waypoint; there hold, whose propellers start again, or idle, which is a stop",

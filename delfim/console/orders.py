@@ -73,6 +73,12 @@ def _heading(n: Numbers) -> CommandLong:
     return CommandLong(mavlink.MAV_CMD_GUIDED_CHANGE_HEADING, (1.0, n["heading_deg"] % 360.0, 0.0))
 
 
+def _course(n: Numbers) -> CommandLong:
+    if "course_deg" not in n:
+        return _enter("course", Mode.COURSE).make(n)
+    return CommandLong(mavlink.MAV_CMD_GUIDED_CHANGE_HEADING, (0.0, n["course_deg"] % 360.0, 0.0))
+
+
 def _goto_point(n: Numbers) -> CommandLong:
     latitude, longitude = round(n["latitude_deg"] * 1e7), round(n["longitude_deg"] * 1e7)
     if abs(latitude) > 890_000_000 or abs(longitude) > 1_800_000_000:
@@ -121,6 +127,7 @@ ORDERS: Final[dict[str, OrderRow]] = {
     "stop": _enter("idle", Mode.IDLE),
     "heading": OrderRow(_heading, "heading", takes=("heading_deg",)),
     "heading_to": OrderRow(_heading, "heading", needs=("heading_deg",)),
+    "course": OrderRow(_course, "course", takes=("course_deg",)),
     "goto_point": OrderRow(_goto_point, "goto", needs=("latitude_deg", "longitude_deg"), takes=("speed_mps",)),
     "play": OrderRow(_play, "play", takes=("leg",)),
     "pause": OrderRow(_pause, "hold", key="B"),

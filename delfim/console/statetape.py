@@ -13,6 +13,7 @@ from delfim.console.tape import LAST_S, Missions, Text, Track, between
 from delfim.errors import FormatError
 from delfim.logging.reading import in_order, read_events
 from delfim.logging.statelog import read_state
+from delfim.vehicle.gnss import FIXES
 
 STATE_S: Final = 0.1  # between records that are shown
 
@@ -114,7 +115,7 @@ def _row(at_s: float, told: dict[str, Any]) -> LogRow:
         "battery_v": min(volts, default=None),
         "battery_pct": round(100.0 * min(charges)) if charges else None,
         "satellites": known("satellites"),
-        "fix": known("fix"),
+        "fix": FIXES.get(int(told.get("fix", -1))),
     }
     reference = {
         "heading_deg": compass(degrees("reference_heading")),

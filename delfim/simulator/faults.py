@@ -15,6 +15,7 @@ from delfim.errors import FormatError
 from delfim.frames import Frame
 from delfim.simulator.model import Drive
 from delfim.simulator.nodes import Nodes
+from delfim.simulator.nodes.navigation import SATELLITES
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.state import State, StateLog
 
@@ -38,6 +39,7 @@ Kind = Literal[
     "disk_full",
     "disk_slow",
     "clock_stepped",
+    "gnss_poor",
 ]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
 ABOARD: Final = frozenset(
@@ -56,6 +58,7 @@ VALUES: Final = {  # default, and its meaning
     "frames_late": (0.5, "seconds"),
     "battery_sag": (0.15, "charge that is left, 0 to 1"),
     "clock_stepped": (60.0, "seconds"),
+    "gnss_poor": (4.0, "satellites that are left"),
 }
 LATE_MAX: Final = 4096  # frames under way at once
 HANGS_S: Final = 5.0  # a log reports that it was not written for this long
@@ -180,6 +183,8 @@ class Faults(Broken):
                 navigation.repeating = on
             case "navigation_jumping":
                 navigation.jump_m = value
+            case "gnss_poor":
+                navigation.satellites = min(max(round(value), 0), SATELLITES) if on else SATELLITES
             case "sensor_bad":
                 self.nodes.sensors[where].bad = on
             case "sensor_silent":

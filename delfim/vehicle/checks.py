@@ -6,6 +6,7 @@ The one door uses the same lines: it does not refuse a boat that the page shows 
 from typing import NamedTuple
 
 from delfim.modes import Mode
+from delfim.vehicle import gnss
 from delfim.vehicle.failsafe import Action, Rules
 from delfim.vehicle.fence import outside
 from delfim.vehicle.sensors import sysstat
@@ -44,6 +45,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         Check("computer", not state.computer.is_starting, starting if state.computer.is_starting else "started"),
         Check("navigation", not silent, silent or f"{state.source}, {age_s:.1f} s old"),
         Check("sensors", bad is None, bad or f"{len(rules.settings.sysstat.required)} nodes report good"),
+        _gnss(rules, state),
         _clock(rules, state, age_s, time_ns),
         Check("log", not inputs.log_reason, f"no log, no start: {inputs.log_reason}" if inputs.log_reason else "being written"),
         Check("battery", not critical, level),
@@ -67,9 +69,17 @@ def _allowed(rules: Rules, name: str, mode: Mode) -> bool:
     """A boat outside its fence may be driven back by hand; with low batteries the failsafe table decides."""
     if name == "fence":
         return mode is Mode.MANUAL
+    if name == "gnss":
+        return rules.actions[Trigger.GNSS_POOR][mode] <= Action.WARN
     if name == "battery":
         return rules.actions[Trigger.BATTERY_CRITICAL][mode] < Action.STOP
     return name == "log" and not rules.settings.log.required
+
+
+def _gnss(rules: Rules, state: State) -> Check:
+    n = state.navigation
+    wrong = gnss.poor(rules.table.gnss_poor, n)
+    return Check("gnss", wrong is None, wrong or (gnss.in_words(n.fix, n.satellites, n.hdop) if n is not None else "not heard"))
 
 
 def _clock(rules: Rules, state: State, age_s: float, time_ns: int) -> Check:

@@ -62,6 +62,13 @@ class Heading(Command, frozen=True):
     speed_mps: Speed | None = None
 
 
+class Course(Command, frozen=True):
+    """Steer a true course over ground, in a current too; enters course mode."""
+
+    course_deg: Degrees
+    speed_mps: Speed | None = None
+
+
 class SetSpeed(Command, frozen=True, tag="speed"):
     """Change the speed, keep the mode: it overrides the speeds of mission, path and way home until the next change of mode.
     Without a value, their own speeds apply again."""
@@ -170,7 +177,7 @@ class ShutDown(Command, frozen=True):
 
 
 Commands = (
-    Alive | Stop | SetMode | Manual | Heading | SetSpeed | Goto | Pause | Continue
+    Alive | Stop | SetMode | Manual | Heading | Course | SetSpeed | Goto | Pause | Continue
     | LoadMission | Upload | Play | Leg | Unload | SetFence | Rally
     | Take | Arm | Reset | Set | TellState | Watch | ShutDown
 )  # fmt: skip
@@ -269,11 +276,13 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
         "speed_mps": round(math.hypot(m.north_mps, m.east_mps), 3) if "velocity" in m.has else None,
         "fix": n.fix if n else 0,
         "satellites": n.satellites if n else 0,
+        "hdop": n.hdop if n else None,
         "starboard_rpm": round(state.actuation.starboard_rpm),
         "port_rpm": round(state.actuation.port_rpm),
         "run": state.actuation.run,
         "reference": {
             "heading_deg": _compass_degrees(r.heading_rad),
+            "course_deg": _compass_degrees(r.course_rad),
             "speed_mps": r.speed_mps,
             "cross_track_m": _rounded(r.cross_track_m),
             "distance_m": _rounded(r.distance_m),

@@ -14,6 +14,7 @@ from delfim.vehicle.checks import Check, checks, refusal
 from delfim.vehicle.control.control import MODES, Memory, Settings, admit, first
 from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
+from delfim.vehicle.control.guidance import COURSE_MPS
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.mission import FAR_MAX_M
 from delfim.vehicle.planning import Plans
@@ -202,8 +203,8 @@ class Helm:
         wanted, setpoint = mode_named(command.mode), self.state.setpoint
         if wanted is Mode.MANUAL:  # without thrust until a command comes
             self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
-        elif wanted is Mode.HEADING:
-            setpoint = self._onwards()
+        elif wanted in (Mode.HEADING, Mode.COURSE):
+            setpoint = self._onwards(wanted)
         elif wanted is Mode.GOTO:  # waits for a point
             setpoint = setpoint._replace(target=None)
         elif wanted is Mode.PLAY and self.paused is not None and self.paused.mode is Mode.PLAY:
@@ -211,11 +212,15 @@ class Helm:
             return
         self._request(wanted, setpoint, now_s)
 
-    def _head(self, command: console.Heading, now_s: float) -> None:
-        asked = self._onwards()._replace(heading_rad=math.radians(command.heading_deg % 360.0))
+    def _head(self, command: console.Heading | console.Course, now_s: float) -> None:
+        if isinstance(command, console.Heading):
+            mode, asked_deg = Mode.HEADING, command.heading_deg
+        else:
+            mode, asked_deg = Mode.COURSE, command.course_deg
+        asked = self._onwards(mode)._replace(heading_rad=math.radians(asked_deg % 360.0))
         if command.speed_mps is not None:
             asked = asked._replace(speed_mps=self._speed(command.speed_mps))
-        self._request(Mode.HEADING, asked, now_s)
+        self._request(mode, asked, now_s)
 
     def _set_speed(self, command: console.SetSpeed, now_s: float) -> None:
         speed_mps = self._speed(command.speed_mps)
@@ -275,15 +280,17 @@ class Helm:
     def _hear(self, command: console.Alive | console.Take, now_s: float) -> None:
         """Nothing: the loop has already noted that the console is there, or commands."""
 
-    def _onwards(self) -> Setpoint:
-        """The set points of heading mode until others come: those that it has, or else the boat's heading and present speed;
-        cruising speed for a boat at rest."""
-        state = self.state
-        if state.mode is Mode.HEADING:
+    def _onwards(self, mode: Mode) -> Setpoint:
+        """The set points of heading or course mode until others come: those that it has, or else the boat's heading or course,
+        where it makes one, and present speed; cruising speed for a boat at rest."""
+        state, motion = self.state, self.state.motion
+        if state.mode is mode:
             return state.setpoint
         sails = state.mode not in (Mode.IDLE, Mode.MANUAL, Mode.HOLD)
         speed_mps = state.reference.speed_mps if sails else None
-        return state.setpoint._replace(heading_rad=state.motion.heading_rad, speed_mps=self._speed(speed_mps))
+        makes_one = mode is Mode.COURSE and math.hypot(motion.north_mps, motion.east_mps) > COURSE_MPS
+        ahead_rad = math.atan2(motion.east_mps, motion.north_mps) if makes_one else motion.heading_rad
+        return state.setpoint._replace(heading_rad=ahead_rad, speed_mps=self._speed(speed_mps))
 
     def _speed(self, asked_mps: float | None) -> float:
         """The operator's speed, limited to the boat's; cruising speed if none was given."""
@@ -347,6 +354,7 @@ _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] 
     console.SetMode: Helm._change_mode,
     console.Manual: Helm._push,
     console.Heading: Helm._head,
+    console.Course: Helm._head,
     console.SetSpeed: Helm._set_speed,
     console.Goto: Helm._go,
     console.Pause: Helm._pause,

@@ -71,7 +71,7 @@ class Setpoint(NamedTuple):
     """The set points of operator, guest and mission; each mode uses its part."""
 
     speed_mps: float = 0.0
-    heading_rad: float = 0.0
+    heading_rad: float = 0.0  # in course mode the course over ground
     starboard: float = 0.0  # manual thrust, -1..1 of rpm_max
     port: float = 0.0
     target: Waypoint | None = None  # goto
@@ -96,6 +96,7 @@ class Reference(NamedTuple):
     leg: int = 0
     done: bool = False  # the mode has reached its end: the loop goes to hold
     reason: str = ""  # why control stopped the propellers, in words; empty while it drives
+    course_rad: float | None = None  # over ground
 
 
 class Notice(NamedTuple):

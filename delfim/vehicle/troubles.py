@@ -11,6 +11,7 @@ from typing import Final, NamedTuple, Self
 from delfim import config
 from delfim.messages import BatteriesStatus, Node, PropellerStatus
 from delfim.modes import Mode
+from delfim.vehicle import gnss
 from delfim.vehicle.fence import Fence, ahead, outside
 from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import State
@@ -110,6 +111,10 @@ def fence(look: Look) -> str | None:
     return outside(around, motion.north_m, motion.east_m) if mode is Mode.IDLE else ahead(around, motion)
 
 
+def gnss_poor(look: Look) -> str | None:
+    return gnss.poor(look.settings.failsafe.gnss_poor, look.state.navigation)
+
+
 def log(look: Look) -> str | None:
     return f"log not written: {look.inputs.log_reason}" if look.inputs.log_reason else None
 
@@ -138,6 +143,7 @@ class Trigger(IntEnum):
     FENCE = 10, fence
     BATTERY_LOW = 11, battery_low
     LOG = 12, log
+    GNSS_POOR = 13, gnss_poor
 
 
 def troubles(look: Look) -> list[tuple[Trigger, str]]:

@@ -267,6 +267,9 @@ ROWS: dict[str, Row] = {
     "menus.boat: Pause: hold here": Row(menu("Pause: hold here", after=("h",)), "pause", PAUSE),
     "menus.boat: Continue": Row(continued, "continue", CONTINUE),
     **{f"menus.boat: {title}": Row(menu(title), word, what) for title, word, what in MODES.values()},
+    'menus.headingForm: command(boat.id, "course"': Row(
+        menu("Course over ground…", form=("ArrowRight", "Enter")), "course", {"command": "course"}
+    ),
     'menus.headingForm: command(boat.id, "heading"': Row(
         menu("Heading…", form=("ArrowRight", "ArrowRight", "Enter")), "heading", heading(10.0)
     ),

@@ -123,6 +123,8 @@ def test_a_failsafe_is_shown_with_what_its_trouble_has_become(sea: Sea) -> None:
         ("home", {}, (176, 1, 12, 0)),
         ("play", {"leg": 3}, (300, 3, 0, 0)),
         ("heading_to", {"heading_deg": 450.0}, (43002, 1, 90, 0)),
+        ("course", {}, (176, 1, 102, 0)),
+        ("course", {"course_deg": 450.0}, (43002, 0, 90, 0)),
         ("goto_point", {"latitude_deg": 38.7, "longitude_deg": -9.2}, (192, -1, 1, 0)),
         ("speed", {"speed_pct": 40}, (178, 1, -1, 40)),
         ("speed", {"speed_mps": 1.5}, (178, 1, 1.5, -1)),

@@ -349,9 +349,9 @@ def test_a_menu_is_worked_by_keys_and_shows_the_keys(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         await page.press("Enter")
         assert await page.value("[...document.querySelectorAll('.popup kbd')].map(k => k.textContent)") == [
-            *("Space", "I", "M", "H", "G", "P", "Y", "X", "0 … 8")
+            *("Space", "B", "C", "I", "M", "H", "G", "P", "Y", "X", "0 … 8")
         ]
-        for _ in range(9):
+        for _ in range(11):
             await page.press("ArrowDown")
         await page.press("Enter")
         await page.until("document.querySelector('.field') !== null")
@@ -598,6 +598,30 @@ def test_waypoints_are_ordered_deleted_and_given_speeds(sail: Sail) -> None:
         arc = turned["path"][2]
         assert (close(arc, (0, 0)), round(arc["turn_deg"]), round(arc["radius_m"])) == (True, -180, 72)
         assert not turned["waypoints"][2]["turn"]["clockwise"]
+
+    sail(story)
+
+
+def test_speeds_are_shown_and_taken_in_knots_where_the_operator_chose_them(sail: Sail) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        gateway.boat(1).update(speed_mps=1.5)
+        await shown(page, gateway, f"{text_of(1, '.speed')} === '1.5 m/s'")
+        await page.press("w")
+        await page.press("Enter")
+        await choose(page, "Screen", "Knots")
+        await shown(page, gateway, f"{text_of(1, '.speed')} === '2.9 kn'")
+        mission = {**survey(), "name": "Square", "waypoints": waypoints(SQUARE), "fence": [], "obstacles": [], "home": None}
+        await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": mission})
+        await settled(page, gateway)
+        await page.mouse(await pixel(page, *SQUARE[2]))
+        await choose(page, "Speed, acceptance, stay…")
+        for key in (*["ArrowRight"] * 20, "Enter"):
+            await page.press(key)
+        last = await planned(gateway, lambda w: w[2]["speed_mps"] > 0)
+        assert last["waypoints"][2]["speed_mps"] == 1.029, "2 knots"
+        await page.call("Page.reload")
+        there = "document.querySelector('[data-boat=\"1\"]') !== null"
+        await shown(page, gateway, f"{there} && {text_of(1, '.speed')} === '2.9 kn'")
 
     sail(story)
 

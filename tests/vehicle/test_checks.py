@@ -31,6 +31,7 @@ def test_a_boat_that_nobody_has_heard_of_says_so_line_by_line(boat):
         "computer": (True, "started"),
         "navigation": (False, "no navigation yet"),
         "sensors": (False, "gps has not reported"),
+        "gnss": (True, "not heard"),
         "clock": (True, "navigation gives no time to compare with"),
         "log": (True, "being written"),
         "battery": (True, "no charge reported"),
@@ -49,6 +50,7 @@ def test_a_boat_that_is_ready_says_what_it_knows(boat):
     assert all(ok for ok, _ in known.values())
     assert known["navigation"] == (True, "dsor, 0.0 s old")
     assert known["sensors"] == (True, "5 nodes report good")
+    assert known["gnss"] == (True, "3D, 9 satellites, HDOP 0.9")
     assert known["battery"] == (True, "batteries starboard at 90%")
     assert known["link"] == (True, "console heard 0.0 s ago")
 
@@ -151,3 +153,46 @@ def test_the_state_for_the_console_has_the_lines_and_the_present_troubles(boat):
     notice = next(each for each in state["notices"] if each["name"] == "log")
     assert (notice["reason"], notice["action"]) == ("log not written: disk full", "warn")
     assert notice["age_s"] == pytest.approx(5.9, abs=0.2)
+
+
+@pytest.mark.parametrize(
+    ("told", "limits", "reason"),
+    [
+        ({"satellites": 4}, {}, "4 satellites"),
+        ({"hdop": 5.4}, {}, "HDOP 5.4"),
+        ({"fix": 2, "satellites": 3}, {"fix": "3d"}, "2D fix, 3 satellites"),
+        ({"fix": 6}, {"fix": "rtk"}, "RTK float fix"),
+        ({"fix": 4}, {"fix": "rtk_float"}, "differential fix"),
+        ({"fix": 5}, {"fix": "rtk_float"}, None),
+        ({"fix": 6}, {"fix": "rtk_float"}, None),
+        ({"satellites": 0}, {}, None),  # not told, as by a bus that sends no PGN 129029
+        ({"hdop": None}, {}, None),
+        ({"fix": 2, "satellites": 0, "hdop": None}, {"fix": "rtk"}, None),
+        ({"fix": 9}, {"fix": "rtk"}, None),
+    ],
+)
+def test_poor_satellite_navigation_is_a_line_and_keeps_out_of_a_mode_whose_key_says_so(make_boat, told, limits, reason):
+    boat = make_boat(failsafe=config.Failsafe(gnss_poor=config.GnssPoor(heading="stop", **limits)))
+    boat.ready()
+    boat.navigate(**told)
+    ok, words = lines(boat)["gnss"]
+    assert ok is (reason is None)
+    refused = boat.vehicle.on_command(console.Heading(90.0))
+    if reason is not None:
+        assert words == f"satellite navigation poor: {reason}"
+        assert refused == f"heading refused: {words}"
+    assert (refused is None) is ok
+    assert boat.vehicle.on_command(console.SetMode("hold")) is None, "whose key says to warn"
+
+
+def test_satellite_navigation_that_becomes_poor_does_what_the_table_says(make_boat):
+    boat = make_boat(failsafe=config.Failsafe(gnss_poor=config.GnssPoor(after_s=1.0, heading="hold")))
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(90.0, 1.0))
+    for seconds, mode in ((0.6, Mode.HEADING), (0.8, Mode.HOLD)):
+        for _ in range(round(seconds * 10)):
+            boat.clock.advance(0.1)
+            boat.navigate(satellites=4)
+            boat.vehicle.on_watchdog()
+        assert boat.state.mode is mode
+    assert boat.state.reason == "satellite navigation poor: 4 satellites"

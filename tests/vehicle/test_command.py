@@ -106,6 +106,7 @@ GOTO = {"command": "goto", "latitude_deg": 38.69, "longitude_deg": -9.21}
     [
         ("stop", {"command": "stop"}),
         ("heading 90 1.5", {"command": "heading", "heading_deg": 90.0, "speed_mps": 1.5}),
+        ("course 90 1.5", {"command": "course", "course_deg": 90.0, "speed_mps": 1.5}),
         ("heading 90", {"command": "heading", "heading_deg": 90.0}),
         ("hold", {"command": "mode", "mode": "hold"}),
         ("mode path", {"command": "mode", "mode": "path"}),

@@ -6,6 +6,7 @@ import math
 import pytest
 
 from delfim.config import Sea
+from delfim.geodesy import wrap
 from delfim.modes import Mode
 from delfim.vehicle.control.control import control, enter
 from delfim.vehicle.control.guidance import along
@@ -67,6 +68,24 @@ def test_path_following_in_calm_water_is_better_than_the_sensor() -> None:
     on_lines, on_arcs = path_errors(Boat(), DOCA.path)
     assert errors(on_lines).rms < 0.3
     assert errors(on_arcs).rms < 0.3
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("speed_mps", [0.8, 1.5])
+def test_a_course_over_ground_is_made_good_in_a_current_from_anywhere(seed: int, speed_mps: float) -> None:
+    """Half a metre a second of it; a heading would be carried off by up to 30 degrees."""
+    asked = Setpoint(speed_mps=speed_mps, heading_rad=math.radians(60.0))
+    steady = list(Boat(seed, current(seed, 8)).sail(Mode.COURSE, asked, 90.0))[150:]
+    made = [math.atan2(x.truth.east_mps, x.truth.north_mps) - asked.heading_rad for x in steady]
+    assert max(map(abs, made)) < math.radians(2.0)
+    if seed == 2:  # abeam
+        assert abs(wrap(steady[-1].truth.heading_rad - asked.heading_rad)) > math.radians(10.0), "it crabs"
+
+
+def test_a_boat_too_slow_to_have_a_course_steers_it_as_a_heading() -> None:
+    asked = Setpoint(speed_mps=0.0, heading_rad=math.radians(60.0))
+    lying = list(Boat(1, current(3, 8)).sail(Mode.COURSE, asked, 60.0))[150:]
+    assert max(abs(wrap(x.truth.heading_rad - asked.heading_rad)) for x in lying) < math.radians(5.0)
 
 
 def test_the_integral_takes_away_what_the_measured_course_does_not_see() -> None:

@@ -71,6 +71,9 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             here.guest_s = now_s - 5.1
         case Trigger.FENCE:
             here.motion, inputs = OUTWARDS, Inputs("", FENCE)
+        case Trigger.GNSS_POOR:
+            assert here.navigation is not None
+            here.navigation = here.navigation._replace(satellites=4)
         case Trigger.LOG:
             inputs = Inputs("disk full", None)
     return here, inputs
@@ -100,6 +103,7 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.FENCE: (Action.HOLD, {}),
     Trigger.BATTERY_LOW: (Action.HOLD, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
     Trigger.LOG: (Action.WARN, {}),
+    Trigger.GNSS_POOR: (Action.WARN, {}),
 }
 
 

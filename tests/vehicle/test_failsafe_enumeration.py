@@ -42,6 +42,7 @@ SETTINGS = config.Vehicle(
         battery_critical=config.BatteryCritical(after_s=0.2),
         thruster=config.ThrusterAstray(after_s=0.5),
         log=config.LogNotWritable(after_s=0.2),
+        gnss_poor=config.GnssPoor(after_s=0.2),
     ),
 )
 
@@ -75,6 +76,7 @@ AHEAD = config.Zones(keep_out=(config.Area(centre=((math.degrees(0.675) + 1e-4, 
 NEEDS = {
     Mode.HEADING: {"heading"},
     Mode.GREX: {"heading"},
+    Mode.COURSE: {"heading", "velocity"},
     **{mode: {"position", "heading", "velocity"} for mode in (Mode.HOLD, Mode.PLAY, Mode.HOME, Mode.GOTO, Mode.PATH)},
 }
 
@@ -148,6 +150,8 @@ class Boat:
             trouble == "navigation_frozen",
             1e-3 if trouble == "navigation_jumping" else 0.0,
         )
+        if trouble == "gnss_poor":
+            self.source.says = self.source.says._replace(satellites=3)
         if trouble == "fence":
             self.vehicle.helm.plans.fence = Sliced(fence.survey(SETTINGS.fence, AHEAD, self.state.origin)).finish()
         for tick in range(1, ticks + 1):

@@ -63,6 +63,17 @@ def test_heading_mode_goes_on_as_the_boat_sails(boat, command):
     assert boat.state.setpoint.speed_mps == pytest.approx(0.7)
 
 
+def test_course_mode_goes_on_as_the_boat_is_carried(boat):
+    boat.ready()
+    boat.navigate(north_mps=0.0, east_mps=1.0)
+    assert boat.vehicle.on_command(console.SetMode("course")) is None
+    assert boat.state.setpoint.heading_rad == pytest.approx(math.pi / 2)
+    boat.vehicle.on_command(console.Stop())
+    boat.navigate(north_mps=0.0, east_mps=0.1)
+    assert boat.vehicle.on_command(console.SetMode("course")) is None
+    assert boat.state.setpoint.heading_rad == 0.0, "a boat at rest has no course: the heading"
+
+
 @pytest.mark.parametrize("command", [console.SetMode("heading"), console.Heading(20.0)])
 def test_heading_mode_keeps_the_speed_that_was_asked_for(boat, command):
     boat.ready()

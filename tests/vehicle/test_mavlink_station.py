@@ -101,7 +101,7 @@ def test_another_autopilots_modes_move_nothing(sea, number, sub):
     assert sea.log == []
 
 
-@pytest.mark.parametrize("number", [1, 2, 6, 13, 16, 102, -1, 3.5, math.nan, math.inf])
+@pytest.mark.parametrize("number", [1, 2, 6, 13, 16, 103, -1, 3.5, math.nan, math.inf])
 def test_no_such_mode(sea, number):
     assert sea.console.mode(number)[0] == DENIED
     assert sea.state.mode is Mode.IDLE
@@ -241,9 +241,22 @@ def test_guided_heading_and_position(sea):
     assert sea.state.reference.distance_m == pytest.approx(100.1, abs=0.5)
 
 
+def test_a_course_over_ground_is_another_mode_than_a_heading(sea):
+    sea.boat.navigate(north_mps=1.0, east_mps=0.5)  # set to starboard
+    assert sea.console.command(43002, 0, 90.0)[0] == ACCEPTED
+    assert (sea.state.mode, sea.state.setpoint.heading_rad) == (Mode.COURSE, pytest.approx(math.radians(90.0)))
+    for _ in range(30):
+        sea.boat.clock.advance(0.2)
+        sea.boat.navigate(heading_rad=math.radians(90.0), north_mps=-0.5, east_mps=1.0)
+    assert math.degrees(sea.state.reference.heading_rad) == pytest.approx(90.0 - 26.6, abs=0.5)
+    sea.station.tick()
+    told = newest(sea.console.listen(), "NAV_CONTROLLER_OUTPUT")
+    assert (told.nav_bearing, told.target_bearing) == (63, 90)
+
+
 @pytest.mark.parametrize(
     ("numbers", "words"),
-    [((1, math.nan), "heading_deg must be"), ((0, 90.0), "not a course over ground"), ((2, 90.0), "not a course over ground")],
+    [((1, math.nan), "heading_deg must be"), ((0, math.nan), "course_deg must be"), ((2, 90.0), "2 is neither")],
 )
 def test_what_is_no_heading_is_not_steered(sea, numbers, words):
     result, why = sea.console.command(43002, *numbers)

@@ -117,6 +117,7 @@ class State(Facts, frozen=True):
     speed_mps: float | None = None
     fix: int = 0
     satellites: int = 0
+    hdop: float | None = None
     starboard_rpm: float = 0.0
     port_rpm: float = 0.0
     run: bool = False

@@ -11,7 +11,8 @@ from typing import Any, Final, NamedTuple
 from delfim import config
 from delfim.services.web import figures
 from delfim.services.web.api import Network, Node, Report, Service, State
-from delfim.services.web.wording import as_told, gauges, last_words, number, rate, size, span, tile, worded
+from delfim.services.web.wording import as_told, gauges, knots, last_words, number, rate, size, span, tile, worded
+from delfim.vehicle import gnss
 
 HURT: Final = ("stop", "disconnect")  # actions of the failsafe that end the sailing
 OWN_WILL: Final = ("operator", "started", "")  # reasons to lie idle that need no attention
@@ -102,19 +103,20 @@ def motion(view: PageView) -> str:
         return f'<p class="none">{GONE}</p>'
     reference, most = vehicle.reference, view.settings.propulsion.rpm_max
     wanted = f"to {number(reference.heading_deg, '03.0f')}°" if reference.heading_deg is not None else "&nbsp;"
-    asked = _asked(reference.speed_mps)
+    asked = knots(vehicle.speed_mps) + _asked(reference.speed_mps)
     track = f"{number(reference.cross_track_m, '+.1f')} m off track" if reference.cross_track_m is not None else "&nbsp;"
     sides = "".join(
         f'<div class="side"><b>{side}</b> {figures.thrust(rpm, most)} <span>{rpm:.0f} rpm</span></div>'
         for side, rpm in (("Port", vehicle.port_rpm), ("Starboard", vehicle.starboard_rpm))
     )
+    quality = gnss.in_words(vehicle.fix, vehicle.satellites, vehicle.hdop)
     position = f"{number(vehicle.latitude_deg, '.6f')}, {number(vehicle.longitude_deg, '.6f')}"
     return (
         f'<div class="tiles"><div class="rose">{figures.compass(vehicle.heading_deg, reference.heading_deg)}</div>'
         f"{tile('Heading', number(vehicle.heading_deg, '03.0f'), '°', wanted)}"
         f"{tile('Speed', number(vehicle.speed_mps, '.2f'), 'm/s', asked)}"
         f"{tile('To go', number(reference.distance_m, '.0f'), 'm', track)}</div>{sides}"
-        f'<p class="small">{position} · {vehicle.satellites} satellites · by {escape(vehicle.source or "nobody")}'
+        f'<p class="small">{position} · {quality} · by {escape(vehicle.source or "nobody")}'
         f"{_batteries(vehicle)}</p>"
     )
 

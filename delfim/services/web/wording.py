@@ -12,6 +12,11 @@ def tile(name: str, value: str, unit: str, more: str) -> str:
     return f'<div class="tile"><b>{name}</b><p class="big">{value}<small>{unit}</small></p><p class="small">{more}</p></div>'
 
 
+def knots(speed_mps: float | None) -> str:
+    """A line of its own; none for an unknown speed."""
+    return "" if speed_mps is None else f"{speed_mps * 3600.0 / 1852.0:.1f} kn<br/>"
+
+
 def gauges(rows: Iterable[tuple[str, float, float, str]]) -> str:
     lines = (
         f'<tr><th>{name}</th><td class="gauge">{figures.bar(value, most, "warn" if value > 0.9 * most else "")}</td>'

@@ -40,6 +40,7 @@ class NavigationNode:
         self._counter = 0
         self.silent = False
         self.jump_m = 0.0  # error of the position, to the north
+        self.satellites = SATELLITES
         self.frozen = False  # the sensors repeat their values
         self.repeating = False  # the node sends its last message again and again
         self._said: Navigation | None = None
@@ -88,7 +89,7 @@ class NavigationNode:
             model.roll_rad,
             model.pitch_rad,
             FIX,
-            SATELLITES,
+            self.satellites,
             HDOP,
             self._counter,
         )

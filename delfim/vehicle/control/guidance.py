@@ -14,7 +14,7 @@ import math
 from delfim import config
 from delfim.geodesy import wrap
 from delfim.vehicle.control.autopilot import clamp, steer, surge_mps
-from delfim.vehicle.control.memory import Course, Memory, Settings
+from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
 from delfim.vehicle.state import Actuation, Motion, Reference, Waypoint
 
 CRAB_MAX_RAD = math.radians(60.0)
@@ -24,8 +24,8 @@ CREEP_MPS = 0.3  # slowest approach to the point where the boat will stop
 
 
 def course_to_steer(
-    was: Course, motion: Motion, tangent_rad: float, cross_m: float, path: config.PathTable, dt_s: float
-) -> tuple[Course, float]:
+    was: LineOfSight, motion: Motion, tangent_rad: float, cross_m: float, path: config.PathTable, dt_s: float
+) -> tuple[LineOfSight, float]:
     """The heading that brings the boat onto the path and keeps it there."""
     measured_rad = 0.0
     if surge_mps(motion) > COURSE_MPS:
@@ -37,7 +37,7 @@ def course_to_steer(
     if abs(cross_m) < NEAR * ahead_m:
         shift_m += path.integral_gain * ahead_m * cross_m / (shifted_m * shifted_m + ahead_m * ahead_m) * dt_s
         shift_m = clamp(shift_m, -ahead_m, ahead_m)
-    return Course(crab_rad, shift_m), tangent_rad - math.atan2(shifted_m, ahead_m) - crab_rad
+    return LineOfSight(crab_rad, shift_m), tangent_rad - math.atan2(shifted_m, ahead_m) - crab_rad
 
 
 def along(motion: Motion, north_m: float, east_m: float, to_north_m: float, to_east_m: float) -> tuple[float, float, float]:

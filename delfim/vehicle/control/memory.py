@@ -20,7 +20,7 @@ class Integrals(NamedTuple):
     speed_mps: float = 0.0  # speed asked for, after the ramp
 
 
-class Course(NamedTuple):
+class LineOfSight(NamedTuple):
     """The guidance's memory."""
 
     crab_rad: float = 0.0  # course over ground minus heading, smoothed
@@ -31,7 +31,7 @@ class Memory(NamedTuple):
     """One shape for all modes; a mode uses what it needs and leaves the rest alone."""
 
     integrals: Integrals = Integrals()
-    course: Course = Course()
+    course: LineOfSight = LineOfSight()
     north_m: float = 0.0  # where the present leg began; the point that hold keeps
     east_m: float = 0.0
     leg: int = 0

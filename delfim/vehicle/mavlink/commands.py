@@ -103,8 +103,10 @@ def _home(o: Order, boat: Terms) -> console.Commands:
 
 
 def _heading(o: Order, boat: Terms) -> console.Commands:
+    if o.p[0] == dialect.HEADING_TYPE_COURSE_OVER_GROUND:
+        return console.asked(console.Course, course_deg=o.p[1])
     if o.p[0] != dialect.HEADING_TYPE_HEADING:
-        raise FormatError("the boat steers a heading (1), not a course over ground")
+        raise FormatError(f"0 is a course over ground, 1 a heading; {o.p[0]:g} is neither")
     return console.asked(console.Heading, heading_deg=o.p[1])
 
 

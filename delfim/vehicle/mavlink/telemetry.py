@@ -23,7 +23,7 @@ Profile = Literal["lean", "radio", "wifi"]
 PROFILES: Final[tuple[Profile, ...]] = ("lean", "radio", "wifi")
 COMPONENT: Final = 1
 
-GUIDED: Final = frozenset({Mode.HEADING, Mode.GOTO, Mode.GREX})
+GUIDED: Final = frozenset({Mode.HEADING, Mode.COURSE, Mode.GOTO, Mode.GREX})
 BY_HAND: Final = frozenset({Mode.MANUAL, Mode.IDLE})
 NEVER_S: Final = 0.0  # an interval: not at all
 _U16, _I16, _I8 = 0xFFFF, 0x7FFF, -1
@@ -175,7 +175,7 @@ def steering(view: TelemetryView) -> Iterator[Message]:
     if r.heading_rad is None and r.distance_m is None:
         return
     heading = round(math.degrees(wrap(r.heading_rad or 0.0)))
-    bearing, at = heading, state.motion
+    bearing, at = heading if r.course_rad is None else round(math.degrees(wrap(r.course_rad))), state.motion
     if r.north_m is not None and r.east_m is not None:
         bearing = round(math.degrees(math.atan2(r.east_m - at.east_m, r.north_m - at.north_m)))
     distance = min(round(r.distance_m or 0.0), _U16)

@@ -10,7 +10,7 @@ const STOP_AGAIN_MS = 200;
 const STOP_MOST = 150; // 30 s; then the gateway's own repetition and the boat's own failsafe remain
 
 export type Say = (boat: number | null, severity: number, text: string) => void;
-type More = Partial<Place> & { heading_deg?: number; speed_pct?: number; leg?: number };
+type More = Partial<Place> & { heading_deg?: number; course_deg?: number; speed_pct?: number; leg?: number };
 
 /** The text of a refusal. A boat names the refused command itself: "play refused: no mission loaded". */
 function refusal(what: string, reason: string): string {
@@ -90,13 +90,15 @@ export class Actions {
   turn(boat: Boat, which: Thrusters, by: number): void {
     if (this.byHand(boat)) this.drive.turn(boat.id, which, by);
     else if (which !== "both") this.oneOnly(boat);
-    else if (this.inMode(boat, "heading")) this.headTo(boat, (this.heading_deg(boat) + by + 360) % 360);
-    else this.say(boat.id, 6, "Left and Right work in manual and heading mode only");
+    else if (this.inMode(boat, "heading") || this.inMode(boat, "course")) this.headTo(boat, (this.heading_deg(boat) + by + 360) % 360);
+    else this.say(boat.id, 6, "Left and Right work in manual, heading and course mode only");
   }
 
-  headTo(boat: Boat, heading_deg: number): void {
-    this.wanted_deg.set(boat.id, { deg: heading_deg, at: performance.now() });
-    void this.command(boat.id, "heading_to", { heading_deg });
+  /** In course mode it is a course over ground. */
+  headTo(boat: Boat, deg: number): void {
+    this.wanted_deg.set(boat.id, { deg, at: performance.now() });
+    if (this.inMode(boat, "course")) void this.command(boat.id, "course", { course_deg: deg });
+    else void this.command(boat.id, "heading_to", { heading_deg: deg });
   }
 
   setSpeed(boat: Boat, speed_pct: number): void {
@@ -113,7 +115,8 @@ export class Actions {
   heading_deg(boat: Boat): number {
     const wanted = this.wanted_deg.get(boat.id);
     if (wanted && performance.now() - wanted.at < WANTED_MS) return wanted.deg;
-    return Math.round(boat.reference?.heading_deg ?? boat.heading_deg ?? 0);
+    const course = this.inMode(boat, "course") ? (boat.reference?.course_deg ?? boat.course_deg) : null;
+    return Math.round(course ?? boat.reference?.heading_deg ?? boat.heading_deg ?? 0);
   }
 
   /** Ask the gateway to do something with a boat's plan; the plan is sent along where it is needed. */

@@ -13,9 +13,10 @@ import type { Handle, Plans } from "./plans";
 import type { Entry, Field, Item, Popup } from "./popup";
 import type { Sound } from "./sound";
 import type { State } from "./state";
+import { inKnots, setKnots } from "./units";
 import type { Boat, Mode, Place } from "./wire";
 
-const IN_MORE: ReadonlySet<Mode> = new Set(["hold", "home"]);
+const ELSEWHERE: ReadonlySet<Mode> = new Set(["hold", "home", "course"]); // modes with an entry of their own
 const PROFILES = ["lean", "radio", "wifi"];
 
 export class Menus {
@@ -37,7 +38,7 @@ export class Menus {
     const command = this.commands(boat);
     const enter = (mode: Mode, title: string): Item => ({ title, tick: boat.mode === mode, do: () => this.planning.sail(boat, mode) });
     const keyed = KEYED.filter(({ mode }) => boat.modes.includes(mode));
-    const others = boat.modes.filter((mode) => !IN_MORE.has(mode) && !keyed.some((each) => each.mode === mode));
+    const others = boat.modes.filter((mode) => !ELSEWHERE.has(mode) && !keyed.some((each) => each.mode === mode));
     const modes = [...keyed.map(({ key, mode, title }) => ({ ...enter(mode, title), key })), ...others.map((mode) => enter(mode, capital(mode)))];
     this.popup.menu(at, { title: boat.name, colour: boat.colour }, [
       { title: "Stop", key: "Space", do: () => this.actions.stop(boat.id) },
@@ -46,7 +47,8 @@ export class Menus {
       "line",
       ...modes,
       "line",
-      { title: "Heading…", do: () => this.headingForm(boat, at) },
+      { title: "Heading…", do: () => this.headingForm(boat, at, "heading") },
+      { title: "Course over ground…", do: () => this.headingForm(boat, at, "course") },
       this.actions.byHand(boat)
         ? { title: "Thrust…", key: "0 … 8", do: () => this.thrustForm(boat, at) }
         : { title: "Speed…", key: "0 … 8", do: () => this.speedForm(boat, at) },
@@ -66,8 +68,9 @@ export class Menus {
     if (!this.planning.handle(handle, at)) this.map(handle.place, at);
   }
 
-  private headingForm(boat: Boat, at: Pixel): void {
-    const field: Field = { title: "Heading", unit: "°", value: this.actions.heading_deg(boat), step: 5, least: 0, most: 360, around: true, show: bearing };
+  private headingForm(boat: Boat, at: Pixel, mode: "heading" | "course"): void {
+    const now = mode === "course" && boat.mode !== mode ? Math.round(boat.course_deg ?? boat.heading_deg ?? 0) : this.actions.heading_deg(boat);
+    const field: Field = { title: capital(mode), unit: "°", value: now, step: 5, least: 0, most: 360, around: true, show: bearing };
     let heading = field.value;
     const live = ([value]: number[]) => {
       heading = value!;
@@ -75,10 +78,11 @@ export class Menus {
     };
     const done = (ok: boolean) => {
       if (!ok) return;
-      if (boat.mode === "heading") this.actions.headTo(boat, heading);
-      else void this.actions.command(boat.id, "heading", { heading_deg: heading });
+      if (boat.mode === mode) this.actions.headTo(boat, heading);
+      else if (mode === "heading") void this.actions.command(boat.id, "heading", { heading_deg: heading });
+      else void this.actions.command(boat.id, "course", { course_deg: heading });
     };
-    this.popup.form(at, `${boat.name}: heading`, [field], live, done);
+    this.popup.form(at, `${boat.name}: ${mode}`, [field], live, done);
   }
 
   private speedForm(boat: Boat, at: Pixel): void {
@@ -155,6 +159,7 @@ export class Menus {
     );
     return [
       { title: "Night colours", tick: night, do: change },
+      { title: "Knots", tick: inKnots, do: () => setKnots(!inKnots) },
       { title: "Sound", tick: this.sound.on, do: () => this.sound.toggle() },
       ...charts,
       "line",

@@ -8,6 +8,7 @@ import type { Handle, Plans } from "./plans";
 import type { Entry, Field, Item, Popup } from "./popup";
 import { NOBODY } from "./state";
 import type { State } from "./state";
+import { enteredSpeed_mps, inKnots, shownSpeed, speedUnit, speedWords } from "./units";
 import type { Boat, Mission, Mode, Place, Waypoint } from "./wire";
 
 const AMONG_MISSION: ReadonlySet<Mode> = new Set(["play", "path", "goto"]); // modes that sail the mission aboard
@@ -173,7 +174,7 @@ export class Planning {
   private allForm(boat: Boat): void {
     const first = this.state.plan(boat.id).mission.waypoints[0]!;
     this.shape(boat, "All waypoints", [speedField(first.speed_mps), acceptanceField(first.acceptance_m)], (mission, [speed, acceptance]) =>
-      M.setAll(mission, { speed_mps: speed!, acceptance_m: acceptance! }),
+      M.setAll(mission, { speed_mps: enteredSpeed_mps(speed!), acceptance_m: acceptance! }),
     );
   }
 
@@ -297,7 +298,7 @@ export class Planning {
     const its = this.state.plan(boat.id).mission.waypoints[index]!;
     const fields = [speedField(its.speed_mps), acceptanceField(its.acceptance_m), stayField(its.hold_s)];
     this.shape(boat, `Waypoint ${index + 1}`, fields, (mission, [speed, acceptance, stay]) =>
-      M.setWaypoint(mission, index, { speed_mps: speed!, acceptance_m: acceptance!, hold_s: stay! }),
+      M.setWaypoint(mission, index, { speed_mps: enteredSpeed_mps(speed!), acceptance_m: acceptance!, hold_s: stay! }),
     );
   }
 
@@ -332,12 +333,12 @@ export class Planning {
 }
 
 const isSailing = ({ mode }: Boat): boolean => mode === "play" || mode === "path";
-const speedField = (value: number): Field => ({ title: "Speed", unit: "m/s", value, step: 0.1, least: 0, most: 10, zero: "the boat’s own" });
+const speedField = (value: number): Field => ({ title: "Speed", unit: speedUnit(), value: shownSpeed(value), step: 0.1, least: 0, most: inKnots ? 20 : 10, zero: "the boat’s own" });
 const acceptanceField = (value: number): Field => ({ title: "Acceptance", unit: "m", value, step: 0.5, least: 0, most: 100, zero: "the boat’s own" });
 const stayField = (value: number): Field => ({ title: "Stay", unit: "s", value, step: 10, least: 0, most: 86400, zero: "go on at once" });
 
 function waypointWords({ speed_mps, acceptance_m, hold_s }: Waypoint): string {
-  const words = [speed_mps && `${speed_mps.toFixed(1)} m/s`, acceptance_m && `within ${metres(acceptance_m)}`, hold_s && `stay ${duration(hold_s)}`];
+  const words = [speed_mps && speedWords(speed_mps), acceptance_m && `within ${metres(acceptance_m)}`, hold_s && `stay ${duration(hold_s)}`];
   return words.filter(Boolean).join(" · ") || "as the boat’s file says";
 }
 

@@ -9,6 +9,7 @@ import { palette } from "./palette";
 import { UNNAMED } from "./mission";
 import type { State } from "./state";
 import { age_s, ageWords, freshness, trouble } from "./state";
+import { speedWords } from "./units";
 import type { Boat } from "./wire";
 
 const SPAN_S = 60;
@@ -107,7 +108,7 @@ class Chip {
     GROUPS.forEach((group, i) => {
       const its = age_s(state, boat, group);
       attribute(this.groups[i]!, "data-age", boat.age_s[group] === null ? "none" : freshness(its, group));
-      attribute(this.groups[i]!, "title", `${group}: ${ageWords(its)}`);
+      attribute(this.groups[i]!, "title", `${group}: ${ageWords(its)}${group === "position" && boat.fix ? ` · ${boat.fix}, ${boat.satellites ?? "?"} satellites` : ""}`);
     });
     this.drawMission(boat, state);
     text(this.link, linkWords(boat));
@@ -135,7 +136,7 @@ class Chip {
 
   private drawSpeed(boat: Boat, drive: Drive, actions: Actions): void {
     const hand = drive.hand(boat.id);
-    const speed = boat.speed_mps === null ? "" : `${boat.speed_mps.toFixed(1)} m/s`;
+    const speed = boat.speed_mps === null ? "" : speedWords(boat.speed_mps);
     const [port, starboard] = boat.thrust_pct.map((each) => (each === null ? "–" : Math.round(each)));
     if (hand) text(this.speed, hand.silent ? "thrust 0" : `P ${hand.port_pct} · S ${hand.starboard_pct} %`);
     else if (boat.mode === "manual") text(this.speed, `P ${port} · S ${starboard} %`);

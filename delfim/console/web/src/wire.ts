@@ -73,9 +73,10 @@ export interface Boat {
   roll_deg: number | null;
   pitch_deg: number | null;
   satellites: number | null;
-  fix: string | number | null;
+  fix: string | null;
   reference: {
     heading_deg: number | null;
+    course_deg?: number | null;
     latitude_deg: number | null;
     longitude_deg: number | null;
     cross_track_m: number | null;
