@@ -201,6 +201,45 @@ def test_the_kernel_keeps_the_limits(can_guest: Guest) -> None:
     assert "REPORT -9 killed by the kernel: it needed more than its 32 MB" in result.output
 
 
+CONFINED = """
+import subprocess, sys
+from delfim.services import processes
+from delfim.services.cgroup import Limits
+
+def carried(name, words):
+    command = [sys.executable, "-m", "delfim.services.confine", name, "nobody", "32", "0.5", "8", "/bin/sh", "-c", words]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
+
+eater = carried("payload-eater", "tail /dev/zero; echo alive")
+print("REPORT", eater.communicate()[0], eater.returncode, Limits(32 << 20).exceeded("payload-eater"))
+loose = carried("payload-loose", "setsid sleep 1000 & setsid sleep 1000 & cut -d: -f3 /proc/self/cgroup; sleep 1000")
+print("REPORT in", loose.stdout.readline())
+left = open("/sys/fs/cgroup/delfim/payload-loose/cgroup.procs")
+while len(left.read().split()) < 4:
+    left.seek(0)
+processes.kill(loose.pid)
+loose.wait()
+left.seek(0)
+print("REPORT left", len(left.read().split()))
+Limits(32 << 20).end("payload-loose")
+left.seek(0)
+while left.read():
+    left.seek(0)
+print("REPORT none is left")
+"""
+
+
+def test_a_payload_program_has_its_limits_and_none_of_it_stays_behind(can_guest: Guest) -> None:
+    (can_guest.folder / "confined.py").write_text(CONFINED)
+    run = f"PYTHONPATH={ROOT} python $FOLDER/confined.py"
+    result = can_guest.run(f"mount -t cgroup2 cgroup /sys/fs/cgroup; {run}; umount /sys/fs/cgroup")
+    assert "killed by the kernel: it needed more than its 32 MB" in result.output
+    assert "alive" not in result.output
+    assert "REPORT in b'/delfim/payload-loose\\n'" in result.output
+    assert "REPORT left 2\n" in result.output, "those that left the session"
+    assert "REPORT none is left" in result.output
+
+
 def test_a_boat_without_its_disk_boots_and_says_why_it_stays(boat: Boat) -> None:
     os.truncate(boat.disk, 0)
     os.truncate(boat.disk, 32 << 20)
