@@ -84,7 +84,7 @@ class Payload(asyncio.SubprocessProtocol):
             again = code != EXIT_PERMANENT
             self._change("waiting" if again else "failed", f"{reason}: {self._last_words}" if self._last_words else reason)
             if self.reason != before or not again:
-                log.error("payload %s: %s%s", self.name, self.reason, "" if again else "; not started again")
+                log.error("payload: %s: %s%s", self.name, self.reason, "" if again else "; not started again")
             self._log.note(event_line(self._clock, "end", reason=self.reason))
             if not again:
                 return
@@ -170,7 +170,7 @@ class Payload(asyncio.SubprocessProtocol):
         else:
             for line in self._said.feed(data, now_s):
                 self._last_words = one_line(line.decode(errors="replace"))[:SAID_CHARACTERS]
-                log.warning("payload %s: %s", self.name, self._last_words)
+                log.info("payload: %s: %s", self.name, self._last_words)
         if len(data) >= MUCH_BYTES and self._transport is not None:
             pipe = cast(asyncio.ReadTransport, self._transport.get_pipe_transport(fd))
             pipe.pause_reading()
