@@ -24,6 +24,7 @@ import msgspec
 from delfim.errors import FormatError
 from delfim.outside import parse_json
 from delfim.services.kernelclock import KernelClock
+from delfim.services.processes import PAGE_BYTES, TICKS_PER_S
 from delfim.services.web.api import Bus, Computer, Disk, Memory, Network, Process, Service, Time
 from delfim.services.web.saidlines import last_lines
 
@@ -32,8 +33,6 @@ LINES: Final = 10  # of the system log
 TREND_S: Final = 600.0  # the disk's rate is a mean over so long ...
 TREND_MIN_S: Final = 30.0  # ... and not told before so long
 NICE: Final = 10
-PAGE_BYTES: Final = os.sysconf("SC_PAGE_SIZE")
-TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
 FRAME_OVERHEAD_BITS: Final = 47 + 10  # of a standard CAN frame, and its usual stuff bits
 _SIOCGIFADDR: Final = 0x8915
 _NAME: Final = struct.Struct("16s24x")

@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from delfim import config
 from delfim.clock import SystemClock
@@ -352,6 +354,16 @@ def test_lines_are_let_through_at_their_rate_whole_and_bounded() -> None:
     assert [len(line) for line in tap.feed(b"\ny\n", 1.0)] == [LINE_BYTES + 1, 1]
 
 
+@given(st.lists(st.binary(max_size=3 * LINE_BYTES), max_size=8))
+def test_nothing_that_a_program_writes_is_more_than_a_bounded_line(pieces: list[bytes]) -> None:
+    tap = BoundedLines(5.0, 20)
+    for at_s, piece in enumerate(pieces):
+        for line in tap.feed(piece, float(at_s)):
+            assert len(line) <= LINE_BYTES + 1
+            assert values(line) is None or len(line) <= LINE_BYTES
+        assert len(tap._rest) <= LINE_BYTES + 1
+
+
 def test_a_session_is_counted_and_ended_together() -> None:
     with subprocess.Popen(("/bin/sh", "-c", "sleep 100 & sleep 100 & wait"), start_new_session=True) as program:
         while len(processes.members(program.pid)) < 3:
@@ -362,12 +374,15 @@ def test_a_session_is_counted_and_ended_together() -> None:
         assert processes.members(program.pid) == []
 
 
-def test_with_the_whole_suite_a_flood_is_seen_on_the_page_and_nobody_outlives_the_service(tmp_path: Path) -> None:
+def test_with_the_whole_suite_a_flood_is_seen_on_the_page_and_nobody_outlives_the_service(open_folder: Path) -> None:
+    """It cannot command the vehicle, whose socket it sees."""
+    socket_path = open_folder / "command"
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
         port = free.getsockname()[1]
     mark = f"floods-{os.getpid()}"
-    flood = f"""while :; do echo '{{"x": 1}}'; done # {mark}"""
+    commands = f"""if [ -w {socket_path} ]; then echo '{{"commands": true}}'; else echo '{{"commands": false}}'; fi"""
+    flood = f"""while :; do [ -S {socket_path} ] && {commands}; echo '{{"x": 1}}'; done # {mark}"""
     values = (
         f"payload.flood.command={json.dumps(['/bin/sh', '-c', flood])}",
         f'httpd.listen="127.0.0.1:{port}"',
@@ -382,7 +397,7 @@ def test_with_the_whole_suite_a_flood_is_seen_on_the_page_and_nobody_outlives_th
             return {}
         return dict(((state["computer"] or {}).get("supervisor") or {}).get("payload", {}))
 
-    with running(tmp_path, 14550, *values):
+    with running(open_folder, 14550, *values):
         while not shown().get("figures", {}).get("lines", {}).get("flood", {}).get("dropped"):
             pass
         (before,) = living(mark)
@@ -392,5 +407,6 @@ def test_with_the_whole_suite_a_flood_is_seen_on_the_page_and_nobody_outlives_th
         while not (again := shown().get("figures", {})).get("values") or not living(mark):
             pass
         assert again["values"]["flood x"]["value"] == 1
+        assert again["values"]["flood commands"]["value"] is (os.getuid() != 0)
         assert again["programs"]["flood"]["state"] == "running"
     assert living(mark) == []
