@@ -79,8 +79,19 @@ def mission(here: Path) -> Said:
 
 
 def library(here: Path) -> Said:
+    """The text is read in this process, and not in one of its own for each mutation."""
     from delfim.console.library import Library
+    from delfim.errors import DelfimError
+    from delfim.vehicle.mission import read_mission
+    from delfim.vehicle.missionreader import Reading, written
 
+    def lines(self: Reading) -> list[bytes] | DelfimError:
+        try:
+            return [line.rstrip() for line in written(read_mission(self._text))]
+        except DelfimError as error:
+            return error
+
+    Reading.lines = lines  # type: ignore[method-assign]
     missions = Library(here)
     return [
         words

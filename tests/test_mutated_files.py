@@ -228,7 +228,8 @@ def readers() -> set[str]:
 
 LOGS = {"state log", "black box", "sidecar", "run to repeat", "state log as a tape", "sidecar of a tape"}
 READ_BY = {  # function: the readers above that come by it
-    "tables.py: read_toml": {"vehicle", "mission", "library", "scenario", "control points"},
+    "tables.py: read_toml": {"vehicle", "mission", "scenario", "control points"},
+    "console/library.py: load": {"library"},
     "console/bus.py: logged": {"candump", "candump, deflated"},
     "console/framefilter.py: decoder": {"CAN database"},
     "console/charts.py: _add_tiles": {"MBTiles"},

@@ -33,6 +33,7 @@ class Charts:
     """The charts in the folder when the console starts. `faults` lists the files left out, and why."""
 
     def __init__(self, folder: Path | None) -> None:
+        self.folder = str(folder.resolve()) if folder is not None else "charts"  # for people
         self.backgrounds: list[dict[str, Any]] = []
         self.faults: list[str] = []
         self._images: dict[str, Path] = {}

@@ -6,7 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any, Final
 
-from delfim.console.plan import written
+from delfim.console.plan import checked_tables
 from delfim.errors import DelfimError
 from delfim.vehicle.mission import canonical
 
@@ -20,7 +20,7 @@ def dry_run(vehicle: Path, plan: dict[str, Any], start: tuple[float, float] | No
     if start is not None:
         command += ["--set", f"simulation.latitude_deg={start[0]!r}", "--set", f"simulation.longitude_deg={start[1]!r}"]
     try:
-        mission = canonical(written(plan))
+        mission = canonical(checked_tables(plan))
         child = subprocess.run(command, input=mission, capture_output=True, text=True, timeout=LIMIT_S, check=True)
         answer: dict[str, Any] = json.loads(child.stdout)
         return answer

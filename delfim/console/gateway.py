@@ -19,9 +19,8 @@ from delfim.clock import Clock
 from delfim.console import said
 from delfim.console.admission import Admission, own_number
 from delfim.console.charts import Charts
+from delfim.console.desk import Desk
 from delfim.console.fleet import Fleet
-from delfim.console.forecast import dry_run
-from delfim.console.library import Library
 from delfim.console.mavlink import Key
 from delfim.console.orders import OFFERED
 from delfim.console.radio import radio
@@ -29,14 +28,13 @@ from delfim.console.replay import TapePlayer
 from delfim.console.session import Session
 from delfim.console.tape import Tape
 from delfim.console.udp import Udp
-from delfim.errors import DelfimError, FormatError, Refused
+from delfim.errors import DelfimError, Refused
 
 PAGE: Final = Path(__file__).with_name("page")
 SHOW_TICKS: Final = 2  # ten times a second
 CHUNK: Final = 500  # points of a track in one message
 BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses older states
 PAGES_MAX: Final = 8
-DRY_RUNS_MAX: Final = 2
 QUEUE_MAX: Final = 1000  # messages to one of them
 MESSAGE_BYTES: Final = 1 << 20
 
@@ -105,8 +103,8 @@ class Gateway:
                 self.fleet.record = self.session.put
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
-        self._clock, self._library, self._pages = clock, Library(missions), set[Page]()
-        self._vehicle, self._dry_runs = vehicle, 0
+        self._clock, self._pages = clock, set[Page]()
+        self._desk = Desk(self.fleet, missions, vehicle, self.charts)
         self._ticks = 0
         self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
         self.app.router.add_get("/", self._index)
@@ -201,6 +199,7 @@ class Gateway:
                 "version": __version__,
                 "me": self.me,
                 "backgrounds": self.charts.backgrounds,
+                "charts": self.charts.folder,
                 "boats": fleet.snapshot(),
                 "heard_on": self.heard_on,
                 "orders": OFFERED,
@@ -264,7 +263,7 @@ class Gateway:
                 fleet.steer(asked.at_s, asked.rate)
                 answer(True, "")
             case said.Mission():
-                self._mission(page, asked, words.get("mission"), answer)
+                self._desk.ask(asked, words.get("mission"), page.tell, answer)
 
     def _stop_all(self, answer: Callable[[bool, str], None]) -> None:
         """Answers when all boats have stopped, or one has failed to."""
@@ -283,59 +282,6 @@ class Gateway:
             fleet.command(number, "stop", {}, partial(stopped, number))
         if not fleet.boats:
             answer(False, "no boat has been heard")
-
-    def _mission(
-        self, page: Page, asked: said.Mission, plan: dict[str, Any] | None, answer: Callable[[bool, str], None]
-    ) -> None:
-        fleet, number = self.fleet, asked.boat
-        if plan is None and asked.do in ("put", "dryrun", "save"):
-            raise FormatError(f"{asked.do} needs a mission")
-        match asked.do:
-            case "put":
-                fleet.put(number, plan or {})
-                answer(True, "")
-            case "upload":
-                if plan is not None:
-                    fleet.put(number, plan)
-                fleet.upload(number, answer)
-            case "download" | "compare":
-                fleet.download(number, answer)
-            case "dryrun":
-                self._dry_run(page, number, plan or {}, asked.seq, answer)
-            case "save":
-                self._library.save(plan or {})
-                answer(True, "")
-            case "load":
-                mission = self._library.load(asked.name)
-                if number:  # 0: a plan made before a boat is heard
-                    fleet.put(number, mission)
-                page.tell({"t": "mission", "boat": number, "where": "here", "mission": mission})
-                answer(True, "")
-            case "list":
-                page.tell({"t": "missions", "names": self._library.names()})
-                answer(True, "")
-
-    def _dry_run(
-        self, page: Page, number: int, plan: dict[str, Any], sequence: int | None, answer: Callable[[bool, str], None]
-    ) -> None:
-        if self._vehicle is None:
-            raise Refused("a dry run needs the vehicle's file: start delfim console with --vehicle FILE")
-        if self._dry_runs >= DRY_RUNS_MAX:
-            raise Refused("other dry runs are under way: wait until one has ended")
-        boat = self.fleet.boats.get(number)
-        known = boat is not None and boat.values.get("latitude_deg") is not None
-        start = (boat.values["latitude_deg"], boat.values["longitude_deg"]) if boat is not None and known else None
-        self._dry_runs += 1
-
-        def ended(future: "asyncio.Future[dict[str, Any]]") -> None:
-            self._dry_runs -= 1
-            if not future.cancelled():
-                result = future.result()
-                page.tell({"t": "dryrun", "boat": number, "seq": sequence, **result})
-                answer(result["well"], "" if result["well"] else result["end"])
-
-        loop = asyncio.get_running_loop()
-        loop.run_in_executor(None, dry_run, self._vehicle, plan, start).add_done_callback(ended)
 
     def _utc_s(self) -> float:
         """The time that pages show."""

@@ -3,18 +3,24 @@
 import os
 import re
 from pathlib import Path
-from typing import Any
+from threading import Timer
+from typing import Any, Final
 
-from delfim.console.plan import page_of, written
-from delfim.errors import DelfimError, Refused
-from delfim.vehicle.mission import canonical, load_mission
+from delfim.console.plan import checked_tables, page_of
+from delfim.errors import DelfimError, Refused, in_words
+from delfim.outside import read_text
+from delfim.slices import Sliced
+from delfim.vehicle.mission import canonical, checked
+from delfim.vehicle.missionreader import Reading, gathered
+
+READ_S: Final = 30.0
 
 _NAME = re.compile(r"\w([\w .-]{0,58}[\w-])?")
 _DEVICE = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)  # to Windows, in every folder
 
 
 class Library:
-    """Missions by name. Names are file names, and nothing else."""
+    """Missions by name. Names are file names, and nothing else. To load and to save takes long: call them in a worker."""
 
     def __init__(self, folder: Path) -> None:
         self._folder = folder
@@ -23,23 +29,36 @@ class Library:
         return sorted(path.stem for path in self._folder.glob("*.toml"))
 
     def load(self, name: str) -> dict[str, Any]:
-        """The mission as the page has it. Raises Refused with the reason."""
+        """The mission as the page has it. A process with bounds reads the text: a file may have come from anywhere. Raises
+        Refused with the reason."""
         try:
-            mission = load_mission(self._file(name))
-            return page_of(mission.name, mission.waypoint, mission.path, mission.fence)
-        except DelfimError as error:
-            raise Refused(str(error)) from None
+            reading = Reading(read_text(self._file(name)))
+            limit = Timer(READ_S, reading.cancel)
+            limit.start()
+            try:
+                lines = reading.lines()
+            finally:
+                limit.cancel()
+            if isinstance(lines, DelfimError):
+                raise lines
+            mission = Sliced(gathered(lines)).finish()
+            Sliced(checked(mission)).finish()
+        except (DelfimError, OSError) as error:
+            raise Refused(in_words(error)) from None
+        return page_of(mission.name, mission.waypoint, mission.path, mission.fence)
 
     def save(self, plan: dict[str, Any]) -> None:
         """Writes it whole or not at all. Raises Refused."""
-        file, text = self._file(str(plan["name"])), canonical(written(plan))
         try:
+            file, mission = self._file(str(plan["name"])), checked_tables(plan)
+            Sliced(checked(mission, str(plan["name"]))).finish()
+            text = canonical(mission)
             self._folder.mkdir(parents=True, exist_ok=True)
             new = file.with_suffix(".new")
             new.write_text(text, encoding="utf-8")
             os.replace(new, file)
-        except OSError as error:
-            raise Refused(f"{file}: {error.strerror}") from None
+        except (DelfimError, OSError) as error:
+            raise Refused(in_words(error)) from None
 
     def _file(self, name: str) -> Path:
         if not _NAME.fullmatch(name) or _DEVICE.fullmatch(name):

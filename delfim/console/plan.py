@@ -12,11 +12,11 @@ from typing import Any, Final, TypeVar
 
 import msgspec
 
-from delfim import config
-from delfim.errors import DelfimError, FormatError, Refused
+from delfim import config, tables
+from delfim.errors import FormatError
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import Item
-from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical, parse_mission
+from delfim.vehicle.mission import Mission, PathPoint, Waypoint
 
 LATITUDE_MAX_DEG, LONGITUDE_MAX_DEG = 89.0, 180.0
 Row = TypeVar("Row", Waypoint, PathPoint)
@@ -42,7 +42,7 @@ def page_of(name: str, waypoints: Iterable[Waypoint], path: Iterable[PathPoint],
 
 
 def tables_of(plan: Mapping[str, Any]) -> Mission:
-    """The tables of a mission file, without home. The reader of the file checks the ranges. Raises FormatError."""
+    """The tables of a mission file, without home; ranges are not checked. Raises FormatError."""
     try:
         circles = ((_place(each), float(each["radius_m"])) for each in plan.get("obstacles") or ())
         keep_out = [config.Area(centre=(place,), radius_m=radius_m) for place, radius_m in circles]
@@ -62,19 +62,16 @@ def tables_of(plan: Mapping[str, Any]) -> Mission:
         raise FormatError(f"not a mission: {error}") from None
 
 
-def written(plan: Mapping[str, Any]) -> Mission:
-    """The text of a mission file, checked like one. Raises Refused with the reason."""
-    try:
-        return parse_mission(canonical(tables_of(plan)), str(plan["name"]))
-    except DelfimError as error:
-        raise Refused(str(error)) from None
+def checked_tables(plan: Mapping[str, Any]) -> Mission:
+    """The tables of a mission file, with all numbers in their ranges. Raises FormatError, ConfigError."""
+    return tables.decode(msgspec.to_builtins(tables_of(plan)), Mission, str(plan.get("name", "")))
 
 
 def items_of(plan: Mapping[str, Any]) -> list[list[Item]]:
     """The items of each type: waypoints and path, fence and obstacles, home. Raises FormatError."""
-    tables, home = tables_of(plan), plan.get("home")
+    mission, home = tables_of(plan), plan.get("home")
     harbours = [_place(home)] if home else []
-    return [list(plans.mission_items(tables)), list(plans.fence_items(tables.fence)), list(plans.rally_items(harbours))]
+    return [list(plans.mission_items(mission)), list(plans.fence_items(mission.fence)), list(plans.rally_items(harbours))]
 
 
 def mission_of(name: str, groups: Sequence[Sequence[Item]]) -> dict[str, Any]:

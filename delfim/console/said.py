@@ -92,7 +92,7 @@ class Plan(msgspec.Struct, frozen=True):
 
 class Mission(Said, frozen=True):
     boat: Number
-    do: Literal["put", "upload", "download", "compare", "dryrun", "save", "load", "list"]
+    do: Literal["put", "upload", "download", "compare", "check", "dryrun", "save", "load", "list"]
     mission: Plan | None = None
     name: str = ""
 

@@ -88,12 +88,13 @@ def _line(name: str, told: object) -> bytes:
 
 def main(cpu_s: str) -> int:
     """The process."""
-    import os
-    import resource
+    if sys.platform != "win32":  # there only the console runs, and ends a reading that lasts
+        import os
+        import resource
 
-    os.nice(NICE)
-    resource.setrlimit(resource.RLIMIT_CPU, (int(cpu_s), int(cpu_s)))
-    resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
+        os.nice(NICE)
+        resource.setrlimit(resource.RLIMIT_CPU, (int(cpu_s), int(cpu_s)))
+        resource.setrlimit(resource.RLIMIT_AS, (MEMORY_BYTES, MEMORY_BYTES))
     try:
         sys.stdout.buffer.writelines(written(read_mission(sys.stdin.buffer.read().decode())))
     except ConfigError as error:

@@ -29,6 +29,24 @@ class Looked(NamedTuple):
     lost: str | None = None  # why the present mission is to be removed
 
 
+def laid(
+    mission: Mission,
+    origin: geodesy.Origin,
+    control: config.ControlTable,
+    limits: config.FenceTable,
+    before: fence.Fence | None = None,
+) -> Work[tuple[Plan, fence.Fence | None]]:
+    """A mission in the local plane, and the fence around it: the boat's own zones and the mission's. `before`: a fence in this
+    plane with the boat's own zones. Raises ConfigError, Refused where the boat cannot or must not sail it.
+    """
+    yield from checked(mission)
+    planned = yield from plan(mission, origin, control)
+    around = yield from fence.survey(limits, mission.fence, origin, before)
+    if around is not None and (why := (yield from legs.complaint(around, planned, control.hold.radius_m))) is not None:
+        raise Refused(f"mission refused: {why}")
+    return planned, around
+
+
 class Plans:
     """The plans aboard. `look` checks a plan, `accept` loads it: nothing changes before the second."""
 
@@ -84,14 +102,9 @@ class Plans:
 
     def _look_at_mission(self, command: console.LoadMission | console.Upload, mission: Mission) -> Work[Looked]:
         state, basis = self._state, self._basis()
-        yield from checked(mission)
         first = mission.waypoint[0]
         origin = state.origin or geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
-        planned = yield from plan(mission, origin, self.limits.control)
-        around = yield from fence.survey(self._fence, mission.fence, origin, self.fence)
-        radius_m = self.limits.control.hold.radius_m
-        if around is not None and (why := (yield from legs.complaint(around, planned, radius_m))) is not None:
-            raise Refused(f"mission refused: {why}")
+        planned, around = yield from laid(mission, origin, self.limits.control, self._fence, self.fence)
         return Looked(command, basis, None, mission, planned, origin, around)
 
     def _look_at_zones(self, command: console.SetFence) -> Work[Looked]:

@@ -4,12 +4,14 @@ recording. Boats are a few lines that speak MAVLink; the whole vehicle is met in
 
 import asyncio
 import contextlib
+import io
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
+from PIL import Image
 from pymavlink.dialects.v20 import common as mavlink
 
 from delfim.clock import ManualClock, SystemClock
@@ -70,7 +72,7 @@ class Console:
 
 @contextlib.asynccontextmanager
 async def console(folder: Path, tapes: list[Tape] | None = None) -> AsyncIterator[Console]:
-    gateway = Gateway(SystemClock(), folder / "missions", tapes=tapes or ())
+    gateway = Gateway(SystemClock(), folder / "missions", tapes=tapes or (), charts=folder / "charts")
     ready = asyncio.get_running_loop().create_future()
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
@@ -238,20 +240,77 @@ async def until(it: Console, boat: FakeBoat, commands: int) -> None:
             await asyncio.sleep(0.02)
 
 
-def test_the_hint_goes_when_it_was_used_and_does_not_come_again(visit: Callable[[Story], None]) -> None:
+def test_hints_lead_from_the_first_menu_to_a_mission_and_do_not_come_again(visit: Callable[[Story], None]) -> None:
+    hint = "document.querySelector('#hint:not([hidden]) span')?.textContent ?? ''"
+
     async def story(it: Console) -> None:
-        hint = "document.getElementById('hint').hidden"
-        assert not await it.page.value(hint)
+        async def hinted(words: str) -> None:
+            await it.until(f"({hint}).includes({words!r})")
+
+        await hinted("a menu opens")
         await it.page.mouse((600.0, 300.0))
-        await it.page.until(f"{hint} && !document.querySelector('.popup').hidden")
-        await it.page.press("Escape")
+        await hinted("Draw a mission")
+        await choose(it.page, "Add waypoint")
+        assert await it.page.value("document.getElementById('nobody').classList.contains('aside')"), "the plan is seen"
+        await it.page.mouse((700.0, 200.0))
+        await choose(it.page, "Add waypoint")
+        await hinted("“Save”")
+        boat = it.boat(3)
+        await hinted("“Send to the boat”")
+        await it.page.press("Enter")
+        await choose(it.page, "Mission", "Send to the boat")
+        await hinted("“Play mission”")
+        boat.mode = 10
+        await hinted("stops the boat")
+        await it.page.press(" ")
+        await it.until("document.getElementById('hint').hidden")
         await it.page.press("F1")
         text = await it.page.value("document.getElementById('card').innerText")
         assert "where the boat is steering" in text
         assert "Play mission" in text
         await it.page.open(it.url, width=1200, height=760, scale=1.0)
-        await it.page.until("delfim.online()")
-        assert await it.page.value(hint)
+        await it.until("delfim.online() && document.querySelector('.chip') !== null")
+        assert await it.page.value("document.getElementById('hint').hidden")
+
+    visit(story)
+
+
+def test_hints_end_for_good_when_they_are_closed(visit: Callable[[Story], None]) -> None:
+    async def story(it: Console) -> None:
+        for _ in range(2):
+            await it.page.value("document.querySelector('#hint button').click()")
+            assert await it.page.value("document.getElementById('hint').hidden")
+            await it.page.open(it.url, width=1200, height=760, scale=1.0)
+            await it.page.until("delfim.online()")
+
+    visit(story)
+
+
+@pytest.mark.parametrize("dark", [False, True])
+def test_there_is_land_without_a_network_until_it_would_be_taken_for_a_chart(
+    visit: Callable[[Story], None], dark: bool
+) -> None:
+    async def colours(page: Page, *places: tuple[float, float]) -> list[tuple[int, ...]]:
+        await page.value("new Promise(done => setTimeout(done, 300))")  # the view stands still, and is drawn
+        picture = Image.open(io.BytesIO(await page.picture())).convert("RGB")
+        pixels = [await page.value(f"delfim.pixel{place}") for place in places]
+        return [picture.getpixel((round(x), round(y))) for x, y in pixels]  # type: ignore[misc]
+
+    async def story(it: Console) -> None:
+        page, base = it.page, "document.getElementById('base').textContent"
+        await page.open(it.url, width=1200, height=760, scale=1.0, dark=dark)
+        await page.until("delfim.land() > 1000")
+        await page.value("document.getElementById('nobody').style.display = 'none', 0")
+        await page.value("delfim.fit(35.0, -12.0, 44.0, 2.0)")
+        spain, atlantic, majorca, sea = await colours(page, (40.3, -3.3), (37.3, -10.7), (39.6, 3.1), (38.4, 3.1))
+        assert (spain, atlantic) == (majorca, sea)
+        assert abs(sum(spain) - sum(atlantic)) > 30, "land is seen"
+        words = await page.value(base)
+        assert "Natural Earth" in words
+        assert "not for navigation" in words
+        await page.value("delfim.fit(40.30, -3.31, 40.31, -3.29)")
+        assert await colours(page, (40.303, -3.303)) == [atlantic], "the grid alone"
+        assert f"put charts into the folder {it.folder}" in await page.value(base)
 
     visit(story)
 

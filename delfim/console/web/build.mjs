@@ -1,10 +1,11 @@
 // Bundles the page into the folder named on the command line (../page without one): console.js, console.css, index.html,
-// LICENSES.txt, sources.json.
+// land.bin, LICENSES.txt, sources.json.
 // The same sources and the same lock file give the same bytes.
 import { build } from "esbuild";
 import { createHash } from "node:crypto";
 import { copyFileSync, mkdirSync, readFileSync, readdirSync, writeFileSync } from "node:fs";
 import { join } from "node:path";
+import { land } from "./land.mjs";
 
 const here = import.meta.dirname;
 const out = process.argv[2] ?? join(here, "..", "page");
@@ -22,8 +23,9 @@ const { metafile } = await build({
   metafile: true,
 });
 copyFileSync(join(here, "src/index.html"), join(out, "index.html"));
+writeFileSync(join(out, "land.bin"), land(JSON.parse(readFileSync(join(here, "node_modules/world-atlas/land-10m.json"), "utf8"))));
 
-const packages = new Set();
+const packages = new Set(["world-atlas"]);
 for (const file of Object.keys(metafile.inputs)) {
   const found = file.match(/^node_modules\/((?:@[^/]+\/)?[^/]+)\//);
   if (found) packages.add(found[1]);
@@ -38,6 +40,6 @@ const licences = [...packages].sort().map((name) => {
 writeFileSync(join(out, "LICENSES.txt"), licences.join("\n" + "-".repeat(78) + "\n\n"));
 
 // What it was made of, so that a test can tell a bundle from before the last change.
-const sources = ["build.mjs", "package-lock.json", ...readdirSync(join(here, "src")).map((name) => `src/${name}`)].sort();
+const sources = ["build.mjs", "land.mjs", "package-lock.json", ...readdirSync(join(here, "src")).map((name) => `src/${name}`)].sort();
 const digest = (name) => createHash("sha256").update(readFileSync(join(here, name))).digest("hex");
 writeFileSync(join(out, "sources.json"), JSON.stringify(Object.fromEntries(sources.map((name) => [name, digest(name)])), null, 1) + "\n");

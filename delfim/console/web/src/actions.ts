@@ -3,7 +3,7 @@ import type { Drive, Thrusters } from "./drive";
 import { spoken } from "./mission";
 import type { Answer, Net } from "./net";
 import type { State } from "./state";
-import type { Boat, MissionDeed, Mode, Place } from "./wire";
+import type { Boat, Mission, MissionDeed, Mode, Place } from "./wire";
 
 const WANTED_MS = 2000; // for so long the page shows the value asked for; then the boat's own
 const STOP_AGAIN_MS = 200;
@@ -126,6 +126,18 @@ export class Actions {
     const answer = await this.net.ask({ t: "mission", boat, do: deed, ...more });
     if (!answer.ok) this.say(boat, 3, refusal(deed === "put" ? "plan" : deed, answer.reason));
     return answer;
+  }
+
+  /** Whether the boat would take a plan. Nobody is told but the caller. */
+  check(boat: number, mission: Mission): Promise<Answer> {
+    return this.net.ask({ t: "mission", boat, do: "check", mission: spoken(mission) });
+  }
+
+  /** Save a mission that is nobody's plan. */
+  async keep(mission: Mission): Promise<void> {
+    const answer = await this.net.ask({ t: "mission", boat: 0, do: "save", mission: spoken(mission), name: mission.name });
+    if (answer.ok) this.say(null, 6, `saved: ${mission.name}. A console without --replay loads it`);
+    else this.say(null, 3, refusal("save", answer.reason));
   }
 
   async profile(boat: number, profile: string): Promise<void> {

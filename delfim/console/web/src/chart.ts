@@ -117,6 +117,17 @@ export class Chart {
     this.showGraticule();
   }
 
+  /** Whether any chart is drawn. */
+  get charted(): boolean {
+    return [...this.charts.values()].some((layer) => layer.getVisible());
+  }
+
+  /** Calls back with the zoom whenever that changes. */
+  onZoom(changed: (zoom: number) => void): void {
+    this.view.on("change:resolution", () => changed(this.view.getZoom() ?? 0));
+    changed(this.view.getZoom() ?? 0);
+  }
+
   pixelOf(place: Place): Pixel | null {
     return this.map.getPixelFromCoordinate(point(place)) as Pixel | null;
   }
@@ -195,7 +206,7 @@ export class Chart {
   }
 
   private showGraticule(): void {
-    this.graticule?.setVisible(![...this.charts.values()].some((layer) => layer.getVisible()));
+    this.graticule?.setVisible(!this.charted);
   }
 }
 

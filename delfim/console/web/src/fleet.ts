@@ -56,6 +56,7 @@ export class Fleet {
   private readonly ways = new VectorSource({ useSpatialIndex: true });
   private readonly waysLayer = new VectorImageLayer({ source: this.ways, imageRatio: 2 }); // on the map in a replay only
   private readonly aboard = new VectorSource({ useSpatialIndex: false });
+  private readonly wholes = new Map<number, Place[]>();
   private aboardKey = "";
 
   constructor(
@@ -94,12 +95,18 @@ export class Fleet {
   }
 
   /** The whole track of a recorded run, under the part that was sailed up to the time shown. */
-  whole(points: [number, number, number][]): void {
+  whole(id: number, points: [number, number, number][]): void {
+    this.wholes.set(id, points.map(([, latitude_deg, longitude_deg]) => ({ latitude_deg, longitude_deg })));
     if (!this.ways.getFeatures().length) this.chart.add(this.waysLayer, 2);
     const line = new LineString(points.map(([, latitude_deg, longitude_deg]) => point({ latitude_deg, longitude_deg })));
     const way = new Feature(line);
     way.setStyle(() => cased(palette.soft, 1.2));
     this.ways.addFeature(way);
+  }
+
+  /** The whole track of a boat of a recorded run. */
+  way(id: number): Place[] {
+    return this.wholes.get(id) ?? [];
   }
 
   get wayPoints(): number {
@@ -109,6 +116,7 @@ export class Fleet {
   forgetWays(): void {
     this.chart.map.removeLayer(this.waysLayer);
     this.ways.clear();
+    this.wholes.clear();
   }
 
   /** How many points of a boat's track are kept. */

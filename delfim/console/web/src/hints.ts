@@ -1,31 +1,91 @@
-// Hints for a first-time user: where the menus are, until one was opened, and that no boat is heard yet.
+// The first voyage in five hints, each until it was done once, and the word that no boat is heard yet.
 import { make } from "./dom";
 import type { Popup } from "./popup";
+import { NOBODY } from "./state";
 import type { State } from "./state";
+import type { Boat } from "./wire";
 
-const KEPT = "delfim.hinted";
+const KEPT = "delfim.hinted"; // how many were done
+const SAILS: ReadonlySet<string | null> = new Set(["play", "path", "goto"]);
+const TOUCH = matchMedia("(pointer: coarse)").matches;
+
+interface Hint {
+  words(boat: Boat | null): string;
+  /** Whether it was done; asked again whenever something changes. */
+  done(boat: Boat | null): boolean;
+}
 
 export class Hints {
+  private step = Number(localStorage.getItem(KEPT) ?? 0);
+  private menuOpened = false;
+  private readonly words = make("span");
+  private readonly steps: readonly Hint[] = [
+    {
+      words: () => (TOUCH ? "Tap the map, a boat or a waypoint: a menu opens" : "Click the map, a boat or a waypoint: a menu opens · F1: keys and lines"),
+      done: () => this.menuOpened,
+    },
+    {
+      words: () => "Draw a mission: “Add waypoint” in the menu of a place, two of them or more. Drag one to move it",
+      done: (boat) => this.planned(boat) > 1 || this.aboard(boat),
+    },
+    {
+      words: (boat) => (boat ? "Menu, “Mission”, “Send to the boat”: what is dashed is only on this screen" : "Menu, “Mission”, “Save”: a file on this computer. The first boat that is heard gets the plan, too"),
+      done: (boat) => (boat ? this.aboard(boat) : this.saved),
+    },
+    { words: (boat) => (boat ? `“Play mission” in the boat’s menu${TOUCH ? "" : ", or Y,"} sails what is aboard` : ""), done: (boat) => SAILS.has(boat?.mode ?? null) },
+    { words: (boat) => (boat ? `The red corner${TOUCH ? "" : ", or Space,"} stops the boat at once` : ""), done: (boat) => boat !== null && !SAILS.has(boat.mode) },
+  ];
+
   constructor(
     private readonly hint: HTMLElement,
     nobody: HTMLElement,
-    state: State,
+    private readonly state: State,
     popup: Popup,
   ) {
-    const touch = matchMedia("(pointer: coarse)").matches;
-    hint.append(touch ? "Tap the map, a boat or a waypoint: a menu opens" : "Click the map, a boat or a waypoint: a menu opens · ", ...(touch ? [] : [make("kbd", "F1"), " keys and lines"]));
-    hint.hidden = localStorage.getItem(KEPT) !== null;
+    const close = make("button", "×");
+    close.setAttribute("aria-label", "No more hints");
+    close.tabIndex = -1;
+    close.addEventListener("click", () => this.end());
+    hint.append(this.words, close);
     popup.opened = () => this.used();
-    const draw = () => {
+    state.on(["hello", "boats", "plan", "missions"], () => {
+      this.draw();
       nobody.hidden = !state.hello || state.replaying || state.boats.length > 0;
+      nobody.classList.toggle("aside", this.planned(null) > 0);
       if (!nobody.hidden) nobody.replaceChildren(make("b", state.nobody), make("span", "You can plan a mission now: it becomes the plan of the first boat."));
-    };
-    state.on(["hello", "boats"], draw);
+    });
+    this.draw();
   }
 
-  /** The menu was found: the hint goes away for good. */
+  /** A menu was found. */
   used(): void {
-    this.hint.hidden = true;
-    localStorage.setItem(KEPT, "1");
+    this.menuOpened = true;
+    this.draw();
+  }
+
+  private end(): void {
+    this.step = this.steps.length;
+    this.draw();
+  }
+
+  private draw(): void {
+    const { boat, replaying } = this.state;
+    while (this.steps[this.step]?.done(boat)) this.step++;
+    if (this.step) localStorage.setItem(KEPT, String(this.step));
+    const words = replaying && this.step ? "" : (this.steps[this.step]?.words(boat) ?? "");
+    this.words.textContent = words;
+    this.hint.hidden = !words;
+  }
+
+  private planned(boat: Boat | null): number {
+    return this.state.plans.get(boat?.id ?? NOBODY)?.mission.waypoints.length ?? 0;
+  }
+
+  private get saved(): boolean {
+    return this.state.names.includes(this.state.plan(NOBODY).mission.name);
+  }
+
+  private aboard(boat: Boat | null): boolean {
+    return boat !== null && this.state.compared(boat) === "same";
   }
 }

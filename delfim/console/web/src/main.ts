@@ -5,12 +5,14 @@ import { Actions } from "./actions";
 import { Aim } from "./aim";
 import type { Pixel } from "./chart";
 import { Chart } from "./chart";
+import { Check } from "./check";
 import { Corner, card, dryRunCard, whereWords } from "./corner";
 import { text } from "./dom";
 import { Drive } from "./drive";
 import { Fleet, position } from "./fleet";
 import { Hints } from "./hints";
 import { Keys } from "./keys";
+import { Land } from "./land";
 import { Menus } from "./menus";
 import { Messages } from "./messages";
 import { understood } from "./mission";
@@ -38,6 +40,7 @@ const actions = new Actions(net, state, drive, (boat, severity, words) => messag
 const popup = new Popup(document.body, element("corner"));
 const keyCard = card(document.body, state);
 const chart = new Chart(element("map"), element("scale"), { click, press, hover });
+const land = new Land(chart, state, element("base"));
 const fleet = new Fleet(chart, state);
 const plans = new Plans(chart, state, (mission) => edit(state.planning, mission));
 const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo);
@@ -70,6 +73,7 @@ new Keys(state, actions, {
   replayTakes: (code) => replay.takes(code),
 });
 dryRunCard(element("dryrun"), state);
+new Check(element("check"), state, actions);
 
 let [placed, fitted, moved] = [false, false, false]; // a boat was brought into view; a mission too; the operator has chosen the view
 const lost = new Set<number>();
@@ -95,12 +99,12 @@ function heard(message: Heard): void {
       fleet.forgetWays();
       took(message.boats, state.at_s);
       state.tell("hello");
-      if (!state.replaying) void net.ask({ t: "mission", boat: state.planning, do: "list" });
+      void net.ask({ t: "mission", boat: state.planning, do: "list" });
       return;
     case "boats":
       return took(message.boats, message.at_s);
     case "whole_track":
-      return fleet.whole(message.points);
+      return fleet.whole(message.boat, message.points);
     case "track":
       return fleet.history(message.boat, message.start ?? false, message.points);
     case "text":
@@ -109,7 +113,7 @@ function heard(message: Heard): void {
       return tookMission(message.boat, message.where, understood(message.mission));
     case "missions":
       state.names = message.names;
-      return;
+      return state.tell("missions");
     case "progress":
       if (message.part >= 1) state.progress.delete(message.boat);
       else state.progress.set(message.boat, message);
@@ -257,6 +261,7 @@ Object.assign(window, {
     at_s: () => state.at_s,
     drawn: () => ({ plan: state.plan(state.planning).mission.waypoints.length, aboard: (state.boat && state.aboardOf(state.boat)?.waypoints.length) ?? 0 }),
     online: () => state.hello !== null,
+    land: () => land.polygons,
     ways: () => fleet.wayPoints,
     points: (boat: number) => fleet.points(boat),
     frames: ofLastSecond,

@@ -34,7 +34,10 @@ export class Menus {
   ) {}
 
   boat(boat: Boat, at: Pixel): void {
-    if (this.state.replaying) return this.popup.menu(at, { title: boat.name, colour: boat.colour }, this.view(boat.latitude_deg === null ? null : (boat as Place)));
+    if (this.state.replaying) {
+      const place = boat.latitude_deg === null ? null : (boat as Place);
+      return this.popup.menu(at, { title: boat.name, colour: boat.colour }, [...this.planning.recorded(boat, this.fleet.way(boat.id)), ...this.view(place)]);
+    }
     const command = this.commands(boat);
     const enter = (mode: Mode, title: string): Item => ({ title, tick: boat.mode === mode, do: () => this.planning.sail(boat, mode) });
     const keyed = KEYED.filter(({ mode }) => boat.modes.includes(mode));
@@ -155,8 +158,9 @@ export class Menus {
       this.state.tell("theme");
     };
     const charts = this.state.backgrounds.map(
-      ({ name }): Item => ({ title: `Chart: ${name}`, tick: this.chart.shown(name), do: () => this.chart.toggle(name) }),
+      ({ name }): Item => ({ title: `Chart: ${name}`, tick: this.chart.shown(name), do: () => this.toggle(name) }),
     );
+    if (!charts.length) charts.push({ title: "Charts: none", refuse: `put charts into ${this.state.chartFolder} and start the console again` });
     return [
       { title: "Night colours", tick: night, do: change },
       { title: "Knots", tick: inKnots, do: () => setKnots(!inKnots) },
@@ -167,6 +171,11 @@ export class Menus {
       { title: "Clear the tracks", do: () => this.fleet.clearTracks() },
       { title: "Full screen", do: () => void document.documentElement.requestFullscreen() },
     ];
+  }
+
+  private toggle(chart: string): void {
+    this.chart.toggle(chart);
+    this.state.tell("theme");
   }
 
   private said(): Entry[] {

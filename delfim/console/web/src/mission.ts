@@ -1,11 +1,14 @@
 // A plan for each boat: the working copy of its mission, with undo. Patterns are functions from a form to waypoints.
 import { arc, bearing_deg, carried, distance_m, moved, step, towards } from "./geo";
+import type { Step } from "./geo";
 import type { Mission, Obstacle, PathPoint, Place, Waypoint } from "./wire";
 
 const UNDO_MOST = 200;
 const SPIRAL_STEP_DEG = 20;
 const ARC_DEG = 5;
 const JOINT_M = 1;
+const TRACK_M = 2;
+const WAYPOINTS_MOST = 1000; // of a mission
 
 export const waypoint = (place: Place): Waypoint => ({
   latitude_deg: place.latitude_deg,
@@ -268,6 +271,33 @@ export function spiral(centre: Place, radius: number, spacing: number, from_deg:
     if (out >= spacing / 2) points.push(waypoint(towards(centre, from_deg + i * turn, out)));
   }
   return points;
+}
+
+/** A track as waypoints, as few as keep it within a few metres, and WAYPOINTS_MOST at most. Douglas and Peucker's. */
+export function retraced(track: Place[], within_m = TRACK_M): Waypoint[] {
+  const steps = track.map((each) => step(track[0]!, each));
+  const kept = new Set([0, track.length - 1]);
+  const stack: [number, number][] = [[0, track.length - 1]];
+  for (let part = stack.pop(); part; part = stack.pop()) {
+    const [from, to] = part;
+    let [worst, most_m] = [0, within_m];
+    for (let i = from + 1; i < to; i++) {
+      const off_m = aside_m(steps[i]!, steps[from]!, steps[to]!);
+      if (off_m > most_m) [worst, most_m] = [i, off_m];
+    }
+    if (worst) stack.push([from, worst], [worst, to]);
+    kept.add(worst);
+  }
+  const few = track.filter((_, i) => kept.has(i)).filter((each, i, all) => !i || distance_m(all[i - 1]!, each) > TRACK_M / 2);
+  return few.length > WAYPOINTS_MOST ? retraced(track, 2 * within_m) : few.map(waypoint);
+}
+
+/** How far a point is from the line between two others. */
+function aside_m(point: Step, from: Step, to: Step): number {
+  const [north, east] = [to.north_m - from.north_m, to.east_m - from.east_m];
+  const [up, right] = [point.north_m - from.north_m, point.east_m - from.east_m];
+  const along = Math.max(0, Math.min(1, (up * north + right * east) / (north * north + east * east || 1)));
+  return Math.hypot(up - along * north, right - along * east);
 }
 
 /** The heading of a mission's longest leg, to begin a pattern with. */

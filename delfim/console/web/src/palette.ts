@@ -7,6 +7,7 @@ export interface Palette {
   soft: string;
   halo: string;
   sea: string;
+  land: string;
   line: string;
   accent: string;
   plan: string; // the mission aboard
@@ -25,6 +26,7 @@ const DAY: Palette = {
   soft: "#4d6472",
   halo: "rgba(255,255,255,.85)",
   sea: "#e4edf1",
+  land: "#d8d1bd",
   line: "rgba(30,70,92,.22)",
   accent: "#0a5fa8",
   plan: "#0a5fa8",
@@ -43,6 +45,7 @@ const NIGHT: Palette = {
   soft: "#7d919b",
   halo: "rgba(5,14,20,.85)",
   sea: "#07141c",
+  land: "#1d2524",
   line: "rgba(140,180,200,.16)",
   accent: "#5c9ccc",
   plan: "#5c9ccc",

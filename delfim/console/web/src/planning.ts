@@ -154,8 +154,26 @@ export class Planning {
 
   private saveAs(boat: Boat): void {
     const { names } = this.state;
-    const note = (name: string) => (names.includes(name) ? "A mission of this name exists: Save replaces it." : "");
-    this.popup.name("Save under a new name", newName(this.state.plan(boat.id).mission.name, names), note, (name) => this.save(boat, name));
+    this.popup.name("Save under a new name", newName(this.state.plan(boat.id).mission.name, names), (name) => this.replaces(name), (name) => this.save(boat, name));
+  }
+
+  /** What a recorded boat had aboard and where it sailed, as missions to load elsewhere. */
+  recorded(boat: Boat, track: Place[]): Entry[] {
+    const { mission } = this.state.plan(boat.id);
+    const copy = (title: string, copied: () => Mission, refuse: string | false): Item => ({
+      title,
+      refuse,
+      do: () => this.popup.name("Save as a mission", newName(boat.name, this.state.names), (name) => this.replaces(name), (name) => void this.actions.keep({ ...copied(), name })),
+    });
+    return [
+      copy("Copy its mission…", () => mission, !mission.waypoints.length && "no mission is known at this time"),
+      copy("Copy its track as a mission…", () => ({ ...M.empty(""), waypoints: M.retraced(track) }), track.length < 2 && "no track is recorded"),
+      "line",
+    ];
+  }
+
+  private replaces(name: string): string {
+    return this.state.names.includes(name) ? "A mission of this name exists: Save replaces it." : "";
   }
 
   private save(boat: Boat, name: string): void {

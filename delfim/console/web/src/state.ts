@@ -51,6 +51,11 @@ export class State {
     return `No boat heard on ${this.hello?.heard_on?.join(" or ") || "any link"} yet`;
   }
 
+  /** Where the console looks for charts when it starts. */
+  get chartFolder(): string {
+    return `the folder ${this.hello?.charts ?? "charts"} of the console’s computer`;
+  }
+
   /** Commands of the gateway that need no form. */
   get orders(): Order[] {
     return this.hello?.orders ?? [];

@@ -131,7 +131,7 @@ export interface TimeLine {
 }
 
 export type Heard =
-  | { t: "hello"; version: string; me: number; heard_on?: string[]; orders: Order[]; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
+  | { t: "hello"; version: string; me: number; heard_on?: string[]; charts?: string; orders: Order[]; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "boats"; at_s: number; boats: Boat[] }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
   | { t: "whole_track"; boat: number; points: [number, number, number][] }
@@ -142,7 +142,7 @@ export type Heard =
   | { t: "progress"; boat: number; what: string; part: number }
   | { t: "dryrun"; boat: number; time_s: number; distance_m: number; track: [number, number][] };
 
-export type MissionDeed = "put" | "upload" | "download" | "dryrun" | "save" | "load" | "list" | "compare";
+export type MissionDeed = "put" | "upload" | "download" | "check" | "dryrun" | "save" | "load" | "list" | "compare";
 
 export type Said =
   | ({ t: "command"; boat: number | "all"; command: string } & Partial<Place> & {

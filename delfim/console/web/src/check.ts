@@ -1,0 +1,55 @@
+// The plan as the boat would judge it, asked of the gateway after each change: the boat's own code and file, with no boat needed.
+import type { Actions } from "./actions";
+import { make } from "./dom";
+import { metres } from "./geo";
+import { length_m } from "./mission";
+import type { Answer } from "./net";
+import type { State } from "./state";
+import type { Mission } from "./wire";
+
+export class Check {
+  private asked: Mission | null = null; // the answer to this is shown, or is under way
+  private answer: Answer | null = null;
+  private busy = false;
+
+  constructor(
+    private readonly box: HTMLElement,
+    private readonly state: State,
+    private readonly actions: Actions,
+  ) {
+    state.on(["hello"], () => (this.asked = null)); // the gateway may be another one
+    state.on(["hello", "plan", "selection", "boats"], () => this.look());
+  }
+
+  /** Nothing to say of a plan that is empty, or aboard: that boat has taken it. */
+  private get mission(): Mission | null {
+    const { boat, planning, replaying } = this.state;
+    const { mission } = this.state.plan(planning);
+    return !mission.waypoints.length || replaying || (boat && this.state.compared(boat) === "same") ? null : mission;
+  }
+
+  private look(): void {
+    if (!this.busy && this.mission !== this.asked) {
+      this.asked = this.mission;
+      if (this.asked) void this.ask(this.asked);
+    }
+    this.draw();
+  }
+
+  private async ask(mission: Mission): Promise<void> {
+    this.busy = true;
+    this.answer = await this.actions.check(this.state.planning, mission);
+    this.busy = false;
+    this.look();
+  }
+
+  private draw(): void {
+    const { answer, mission } = this;
+    this.box.hidden = !mission || !answer;
+    if (!mission || !answer) return;
+    const size = `${mission.waypoints.length} waypoint${mission.waypoints.length > 1 ? "s" : ""} · ${metres(length_m(mission))}`;
+    const words = answer.ok ? `in order${answer.reason ? `; ${answer.reason}` : ""}` : answer.reason;
+    this.box.dataset["state"] = answer.ok ? "well" : "wrong";
+    this.box.replaceChildren(make("b", `plan: ${size}`), make("span", words));
+  }
+}
