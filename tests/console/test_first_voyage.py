@@ -164,7 +164,7 @@ async def drawn(you: Visit, boat: Boat) -> None:
     await you.taps(await you.pixel(places[0]))
     await you.sees("Add waypoint")
     await you.picture("menu")
-    await you.page.until("document.getElementById('hint').hidden")
+    await you.sees("The red corner")
     await you.chooses("Mission")
     await you.chooses("New mission")
     for place in places:
