@@ -19,6 +19,7 @@ from delfim.console.orders import ORDERS
 from delfim.modes import Mode
 from delfim.vehicle.mavlink import wire
 from tests.console.chain import PATIENCE_S, VEHICLE, Boat, Sea, operating, ordered, select, shown_mode
+from tests.console.pads import plug, unplug
 from tests.console.scenes import choose
 from tests.services.browser import Page
 
@@ -121,6 +122,20 @@ def finger(name: str) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
         await page.touch("Start", await middle(page, name))
         await page.touch("End")
         await page.call("Emulation.setTouchEmulationEnabled", enabled=False)
+
+    return way
+
+
+def pad(*sticks: dict[str, Any], mode: str = "") -> Callable[[Sea, Page, Boat], Awaitable[object]]:
+    """A gamepad, its stick here and there one after the other, and unplugged again."""
+
+    async def way(sea: Sea, page: Page, boat: Boat) -> None:
+        if mode:
+            await page.press(mode)
+            await page.until(ENTERED)
+        for stick in sticks:
+            await plug(page, **stick)
+        await unplug(page)
 
     return way
 
@@ -262,6 +277,16 @@ ROWS: dict[str, Row] = {
     ),
     "keys.arrow: turn(boat, which(event), 1": Row(keys("h", "ArrowRight"), "heading_to", heading(1.0)),
     "keys.arrow: turn(boat, which(event), -1": Row(keys("h", "ArrowLeft"), "heading_to", heading(-1.0)),
+    "gamepad.look: stop(boat.id": Row(pad({}, {"stop": True}), "stop", STOP),
+    "gamepad.thrust: setThrust(boat, port, starboard": Row(
+        pad({}, {"right": 0.1, "ahead": 0.2}, mode="m"), told={"command": "manual", "port": 0.3, "starboard": 0.1}
+    ),
+    'gamepad.steer: turn(boat, "both", Math.round(right * TURN_DEG': Row(
+        pad({}, {"right": 0.3}, mode="h"), "heading_to", heading(1.0)
+    ),
+    'gamepad.steer: faster(boat, "both", Math.round(ahead * FASTER_PCT': Row(
+        pad({}, {"ahead": 0.3}, mode="h"), "speed", {"command": "speed", "speed_mps": 0.01 * SPEED_MAX}
+    ),
     'main.planned: mission(boat, "put"': Row(put),
     "menus.boat: Stop: stop(boat.id": Row(menu("Stop"), "stop", STOP),
     "menus.boat: Pause: hold here": Row(menu("Pause: hold here", after=("h",)), "pause", PAUSE),

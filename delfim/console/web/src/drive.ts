@@ -88,8 +88,10 @@ export class Drive {
     this.send(id, hand);
   }
 
-  release(why: string): void {
+  /** Let go of one boat, or of all. */
+  release(why: string, only?: number): void {
     for (const [boat, hand] of this.hands) {
+      if (only !== undefined && boat !== only) continue;
       if (!hand.silent) this.net.stream({ t: "release", boat, why });
       this.fall(hand);
     }

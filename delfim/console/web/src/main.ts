@@ -10,6 +10,7 @@ import { Corner, card, dryRunCard, whereWords } from "./corner";
 import { text } from "./dom";
 import { Drive } from "./drive";
 import { Fleet, position } from "./fleet";
+import { Pad } from "./gamepad";
 import { Hints } from "./hints";
 import { Keys } from "./keys";
 import { Land } from "./land";
@@ -74,6 +75,7 @@ new Keys(state, actions, {
 });
 dryRunCard(element("dryrun"), state);
 new Check(element("check"), state, actions);
+new Pad(state, actions, drive, (boat, severity, words) => messages.say(boat, severity, words));
 
 let [placed, fitted, moved] = [false, false, false]; // a boat was brought into view; a mission too; the operator has chosen the view
 const lost = new Set<number>();
