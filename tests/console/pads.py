@@ -1,5 +1,5 @@
-"""A gamepad that is none: Chromium has no way to plug one in here, so `navigator.getGamepads` of the page is replaced. All behind
-it is real: the page, the gateway, the link and the vehicle."""
+"""A gamepad that is none: Chromium has no way to plug one in here, so `navigator.getGamepads` of the page is replaced.
+All behind it is real: the page, the gateway, the link and the vehicle."""
 
 from tests.services.browser import Page
 

@@ -1,5 +1,5 @@
-"""A gamepad at the page, seen at the vehicle. Chromium has none here: tests/console/pads.py stands for it in the page, and what is
-behind that is real."""
+"""A gamepad at the page, seen at the vehicle. Chromium has none here: tests/console/pads.py stands for it in the page, and
+what is behind that is real."""
 
 import asyncio
 import time

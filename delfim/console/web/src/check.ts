@@ -48,7 +48,7 @@ export class Check {
     this.box.hidden = !mission || !answer;
     if (!mission || !answer) return;
     const size = `${mission.waypoints.length} waypoint${mission.waypoints.length > 1 ? "s" : ""} · ${metres(length_m(mission))}`;
-    const words = answer.ok ? `in order${answer.reason ? `; ${answer.reason}` : ""}` : answer.reason;
+    const words = answer.ok ? `in order${answer.reason ? `; ${answer.reason}` : ""}` : answer.reason.replace(/^mission refused: /, "");
     this.box.dataset["state"] = answer.ok ? "well" : "wrong";
     this.box.replaceChildren(make("b", `plan: ${size}`), make("span", words));
   }
