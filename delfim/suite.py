@@ -134,7 +134,6 @@ def supervise(
     """`delfim supervise`: the runtime and the services in processes of their own, restarted when they die; the dead-man.
     `program` is started with `run FILE`. init: as the machine's first process, which ends with the machine."""
     settings = config.load(file, overrides)
-    kernelclock.set_from_battery(settings.clock.set, settings.buses)
     if init:
         bring_up(settings.bit_rates)
     command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
@@ -147,6 +146,7 @@ def supervise(
     place = Path(settings.runtime.run_directory)
     place.mkdir(parents=True, exist_ok=True)
     systemlog.begin(str(place), "supervisor", _levels(settings))
+    kernelclock.set_from_battery(settings.clock.set, settings.buses)  # before any log has a name
     log.info("delfim %s starts %s, sha256 %s, with %s", *_started(file, overrides))
     _above(settings.runtime.fifo_priority)
     from delfim.services.stop import PropellerStop

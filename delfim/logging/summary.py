@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 
 STAGES: Final = ("poll", "navigation", "control", "propulsion", "log")
+STEPPED_NS: Final = 10_000_000_000  # no cycle takes as long: the wall clock was stepped during it
 GAP: Final = 2.5  # periods without a record that are reported
 EVENTS_MAX: Final = 20  # reported in full
 QUIET: Final = ("start", "end", "command", "watchdog")  # events that are not troubles
@@ -84,7 +85,7 @@ def latency(columns: Columns) -> dict[str, Any]:
 def critical_path_us(columns: "Mapping[str, NDArray[Any]]") -> "NDArray[Any]":
     """t0 to t4 of every cycle, us. Cycles during which the wall clock was stepped, and those of no length, are left out."""
     t0, t4 = columns["t0"], columns["t4"]
-    path_us: NDArray[Any] = (t4 - t0)[(t0 > 0) & (t4 > t0)] / 1e3
+    path_us: NDArray[Any] = (t4 - t0)[(t0 > 0) & (t4 > t0) & (t4 - t0 < STEPPED_NS)] / 1e3
     return path_us
 
 
@@ -92,7 +93,7 @@ def stages_us(columns: "Mapping[str, NDArray[Any]]") -> list[float]:
     """Means of the stages of figure 3-11, us."""
     t = [columns[f"t{i}"] for i in range(5)]
     spans = [(t[i], t[i + 1]) for i in range(4)] + [(t[4][:-1], columns["previous_t5"][1:])]
-    lengths = [(end - begin)[(begin > 0) & (end >= begin)] for begin, end in spans]
+    lengths = [(end - begin)[(begin > 0) & (end >= begin) & (end - begin < STEPPED_NS)] for begin, end in spans]
     return [round(float(each.mean()) / 1e3, 2) if len(each) else 0.0 for each in lengths]
 
 

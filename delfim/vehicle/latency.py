@@ -11,6 +11,7 @@ EDGES_US = [*range(1, 501), *accumulate([1.05] * 205, lambda edge, ratio: edge *
 # The bars that are shown: ten a decade from 10 us on, the last one without an upper edge.
 _BARS = [*(bisect_left(EDGES_US, 10.0 * 10.0 ** (k / 10)) for k in range(60)), len(EDGES_US) - 1]
 _BARS_US = [round(float(EDGES_US[last]), 1) for last in _BARS]
+LONGEST_NS = 10_000_000_000  # the end of the histogram; no cycle takes longer without the dead-man
 STAGES = ("poll", "navigation", "control", "propulsion", "log")
 
 
@@ -27,9 +28,9 @@ class Latency:
         self._sums_ns = [0] * len(STAGES)
 
     def add(self, p: Profile) -> None:
-        """One cycle. A path of negative length (the wall clock was stepped in between) is not counted."""
+        """One cycle. An impossible path (the wall clock was stepped in between) is not counted."""
         path_ns = p.t4 - p.t0
-        if path_ns < 0 or p.t0 == 0:
+        if not 0 <= path_ns <= LONGEST_NS or p.t0 == 0:
             return
         if self._skipped:
             self._skipped -= 1

@@ -23,6 +23,7 @@ from bench.soak import TIMEOUT_S, Boat, Visitors
 from delfim.console.link import Link
 from delfim.errors import DelfimError
 from delfim.logging import tree
+from delfim.logging.reading import read_log
 from delfim.logging.statelog import columns
 
 FOLDER = Path(os.environ["FOLDER"])
@@ -127,7 +128,6 @@ def main() -> None:
             visitors.end()
         session.end()
         programs = boat.programs()
-        said = (boat.place / "said").read_text()
     files = tree.files([boat.place / "log"])
     moments = columns(file.path for file in files if file.id == "state")["monotonic_s"]
     report = {
@@ -144,7 +144,7 @@ def main() -> None:
         "files": [os.path.relpath(file.path, boat.place / "log") for file in files],
         "in_order": all(a <= b for a, b in pairwise(moments)),
         "gap_s": max(b - a for a, b in pairwise(sorted(moments))),
-        "said": [line for line in said.splitlines() if "clock" in line],
+        "said": [line for file in files if file.id == "system" for line in read_log(file.path)[0].decode().splitlines()],
     }
     print("REPORT " + json.dumps(report))
 

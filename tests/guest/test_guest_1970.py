@@ -40,6 +40,8 @@ def test_a_board_that_starts_in_1970_gets_its_time_in_idle_and_sails(tmp_path: P
     assert len(report["steps"]) == 2, "and so does the black box"
     assert all(event["value"] > 50 * 365.25 * 86_400.0 for event in report["steps"])
     assert report["gap_s"] < 5.0, "no record is missing in the state log"
+    words = [json.loads(line)["text"] for line in report["said"]]
+    assert [each for each in words if each.startswith("clock: stepped by ")], "and the system log"
     page, metrics, api = report["page"]
     assert "kept by this program, compared with the time frame" in page
     assert 'delfim_clock_offset_seconds{source="the time frame"}' in metrics

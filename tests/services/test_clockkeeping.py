@@ -5,7 +5,10 @@ from collections import deque
 
 import pytest
 
+from delfim.canproxy.nmea2000.pgns import GnssPosition, PositionRapid, SystemTime, encode
+from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.clock import MADE_NS, ManualClock
+from delfim.config import Nmea2000
 from delfim.errors import BusError
 from delfim.frames import Frame, standard
 from delfim.messages import TIME, TIME_FRAME, Navigation
@@ -114,6 +117,21 @@ def test_so_does_navigation_with_a_fix():
     boat.navigated(ENOUGH)
     assert [source for _, source in boat.steps] == ["navigation (dsor)"]
     assert abs(boat.off_s) < 1e-6
+
+
+@pytest.mark.parametrize("pgn", [129029, 126992])
+def test_so_does_nmea_2000(pgn):
+    boat, source = Boat(), Nmea2000Source(Nmea2000(), stale_s=1.0)
+    boat.state.source = "nmea2000"
+    for number in range(20):
+        now_s, utc_ns = boat.clock.monotonic_s() + 0.9, boat.true_ns(0.1)
+        alone = (GnssPosition(utc_ns, 0.67, -0.16, 1, 9, 0.8),)
+        for message in alone if pgn == 129029 else (SystemTime(utc_ns), PositionRapid(0.67, -0.16)):
+            for frame in encode(message, 3, number % 8):
+                navigation = source.feed(frame, now_s)
+        boat.second(navigation=navigation)
+    assert [source for _, source in boat.steps] == ["navigation (nmea2000)"]
+    assert abs(boat.off_s) < 2e-4, "the bus counts tenths of milliseconds"
 
 
 def test_a_navigation_message_without_time_or_that_came_before_is_none():

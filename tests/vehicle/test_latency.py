@@ -34,6 +34,8 @@ def test_a_stepped_clock_is_not_a_latency():
     latency = Latency()
     latency.add(Profile(100, 50, 50, 50, 50, 50))
     latency.add(Profile(0, 50, 50, 50, 50, 50))
+    set_ns = 1_770_000_000_000_000_000
+    latency.add(Profile(100_000_000_000, set_ns, set_ns, set_ns, set_ns, set_ns))  # the frame came in 1970
     assert latency.n == 0
     assert latency.summary()["p99_us"] == 0
 
