@@ -51,9 +51,9 @@ class SystemWriter:
         self._keep(lines)
         self._waiting += lines
         self._waiting_bytes += sum(map(len, lines))
-        self._log.poll()
         if self._log.status().writable:
             self._write()
+        self._log.poll()
         while self._waiting_bytes > WAITING_BYTES:
             self._waiting_bytes -= len(self._waiting.popleft())
             self._forgotten += 1

@@ -13,15 +13,18 @@ from delfim import __version__, tables
 from delfim.logging.openlog import log_settings
 from delfim.logging.systemlog import PIPE, open_pipe
 from delfim.logging.systemwriter import ID, SUFFIX, SystemWriter
+from delfim.logging.writer import step_back
 from delfim.services.runtime import Runtime
 
-LOOK_S = 0.2  # between two looks into the pipe
+LOOK_S = 0.1  # between two looks into the pipe
 
 log = logging.getLogger(__name__)
 
 
 async def serve(runtime: Runtime) -> None:
-    """Until it is cancelled; then it writes what is left in the pipe."""
+    """Until it is cancelled; then it writes what is left in the pipe. It does little, but not only when the processor is idle,
+    as other services beside the runtime: on a busy one it would be seconds late, and a power cut would cost them."""
+    step_back(0)
     settings = runtime.config
     directory = settings.runtime.run_directory
     pipe = open_pipe(str(Path(directory) / PIPE))

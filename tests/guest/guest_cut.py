@@ -23,26 +23,21 @@ while True:
     time.sleep(0.02)
 """
 TALKER = """
-import time
+import logging, time
 from delfim.canproxy.dsor.protocol import BROADCAST, Message, segments
 from delfim.canproxy.opening import open_can
+from delfim.logging.systemlog import begin
 from delfim.messages import LOG_ID, Node
+begin("/run/delfim", "talker", {})
 with open_can("vcan0") as bus:
     number = 0
     while True:
         text = f"fix {number}, as long as a line of a legacy node is".encode()
         for frame in segments(Message(192, Node.GPS, BROADCAST, LOG_ID, text), number):
             bus.sendmsg(frame)
+        logging.getLogger("delfim.talker").info("fix %d, as long as what a program says", number)
         number += 1
         time.sleep(0.05)
-"""
-SPEAKER = """
-import logging, time
-from delfim.logging.systemlog import begin
-begin("/run/delfim", "speaker", {})
-while True:
-    logging.getLogger("delfim.speaker").info("as long as what a program usually says")
-    time.sleep(0.05)
 """
 SETTINGS = {
     "can.interface": '"vcan0"',
@@ -97,6 +92,7 @@ def main() -> None:
     for name, centiseconds in (("writeback", 500), ("expire", 3000)):  # as everywhere but in a guest: the kernel is in no hurry
         Path(f"/proc/sys/vm/dirty_{name}_centisecs").write_text(str(centiseconds))
     LOG.mkdir()
+    Path("/run/delfim").mkdir(parents=True, exist_ok=True)
     subprocess.run(["mount", "-t", "ext2", DEVICE, LOG], check=True)
     Path(f"{FOLDER}/begun").touch()
     start(sys.executable, "-c", HEART, FOLDER)
@@ -104,7 +100,6 @@ def main() -> None:
     delfim("nodes")
     delfim("supervise")
     until(heading, "the boat never became fit")
-    start(sys.executable, "-c", SPEAKER)
     start("cangen", "vcan0", "-g", f"{1000 / float(FRAMES_PER_S):.3f}", "-i")
     until(growing, "the logs do not grow")
 
