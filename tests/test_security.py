@@ -20,10 +20,13 @@ from typing import NamedTuple
 
 import pytest
 
+from delfim import config
 from delfim.console.link import Link
 from delfim.console.mavlink import mavlink
 from delfim.errors import DelfimError
 from delfim.services.door import hashed
+from delfim.services.doors import doors
+from delfim.suite import services
 from delfim.vehicle.mavlink.signing import new_key
 
 pytestmark = [
@@ -142,6 +145,16 @@ def test_it_listens_where_the_file_says_and_nowhere_else(boat: Boat) -> None:
     host, _, port = boat.state()["mavlink"]["listen"].partition(":")
     assert found == {("udp", host, int(port)), *(("tcp", "127.0.0.1", port) for port in boat.ports.values())}
     assert host == "127.0.0.1"
+
+
+def test_every_door_is_in_the_list_of_check_sea(boat: Boat) -> None:
+    listen = {name: f"127.0.0.1:{boat.ports[name]}" for name in SERVICES}
+    listen["mavlink"] = boat.state()["mavlink"]["listen"]
+    words = [f'{name}.listen="{place}"' for name, place in listen.items() if name != "cantcpd"]
+    settings = config.load(boat.folder / "boat.toml", [*words, f'cantcpd.listen=["{listen["cantcpd"]}"]'])
+    told = {door.place.removesuffix(" UDP") for door in doors(settings, [row.name for row in services(settings)])}
+    found = {f"{host}:{port}" for _, host, port in open_to_the_world(family(boat.pid)) if not host.startswith("239.")}
+    assert told - {settings.console.socket} == found
 
 
 def test_the_guests_door_opens_to_the_key_alone(boat: Boat) -> None:

@@ -36,9 +36,9 @@ class Settable(Protocol):
 class ClockKeeping:
     """Call `look` about once a second.
 
-    why_not: why this program must not set the clock, in words; empty: it may. time_frames: a socket bound to TIME_FRAME, which
-    never blocks. stepped: gets the seconds and the source of a step, once it is done. battery_ns: the time of the battery clock
-    at the start.
+    why_not: why this program must not set the clock, in words; empty: it may. time_frames: a socket bound to the boat's time
+    frame, `arb`, which never blocks. stepped: gets the seconds and the source of a step, once it is done. battery_ns: the time
+    of the battery clock at the start.
     """
 
     def __init__(
@@ -49,9 +49,10 @@ class ClockKeeping:
         time_frames: CanSocket,
         stepped: Callable[[float, str], None],
         battery_ns: int | None = None,
+        arb: int = TIME_FRAME,
     ) -> None:
         self._kernel, self._clock, self._time_frames, self._stepped = kernel, clock, time_frames, stepped
-        self._why_not = why_not
+        self._why_not, self._arb = why_not, arb
         self._keeper = ClockKeeper(why_not or OURS)
         self._navigation: Navigation | None = None
         self._told_source, self._told_fault = "", ""
@@ -97,7 +98,7 @@ class ClockKeeping:
                 return
             if frame is None:
                 return
-            if frame.sent_here or frame.arb != TIME_FRAME or len(frame.data) != TIME.size:
+            if frame.sent_here or frame.arb != self._arb or len(frame.data) != TIME.size:
                 continue
             now_s, age_s = self._clock.monotonic_s(), (self._clock.time_ns() - frame.t_ns) / 1e9
             if 0.0 <= age_s <= HEARD_S:  # otherwise it is too old, or the clock was stepped after its stamp

@@ -330,6 +330,7 @@ def _tls(certificate: str) -> ssl.SSLContext | None:
     if not certificate:
         return None
     context = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    context.num_tickets = 0  # unread ones make an uploader's close a reset, which loses the end of his file
     try:
         context.load_cert_chain(certificate)
     except (OSError, ssl.SSLError) as error:

@@ -17,7 +17,7 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.errors import ConfigError, DelfimError
 from delfim.logging.linelog import LineLog
-from delfim.messages import TIME_FRAME
+from delfim.messages import time_frame
 from delfim.serialline import SerialLine
 from delfim.services import kernelclock, powerd, slots
 from delfim.services.clockkeeping import ClockKeeping
@@ -182,13 +182,14 @@ def _clock_keeping(runtime: Runtime, opened: OpenedLinks, log: Logbook) -> Clock
     """The look at other programs takes milliseconds, which the service has while it starts."""
     settings = runtime.config
     why_not = kernelclock.left_alone(settings.clock.set, settings.buses)
-    frames = opened.bus(settings.can.interface, (CanAddress(TIME_FRAME),))
+    arb = time_frame(settings.can.vehicle)
+    frames = opened.bus(settings.can.interface, (CanAddress(arb),))
     battery_ns = kernelclock.battery_ns()
 
     def stepped(by_s: float, source: str) -> None:
         log.event("clock step", value=by_s, source=source)
 
-    return ClockKeeping(KernelClock(), runtime.clock, why_not, frames, stepped, battery_ns)
+    return ClockKeeping(KernelClock(), runtime.clock, why_not, frames, stepped, battery_ns, arb)
 
 
 def _stamps(settings: config.Vehicle) -> Path:

@@ -11,7 +11,7 @@ from delfim.clock import MADE_NS, ManualClock
 from delfim.config import Nmea2000
 from delfim.errors import BusError
 from delfim.frames import Frame, standard
-from delfim.messages import TIME, TIME_FRAME, Navigation
+from delfim.messages import TIME, TIME_FRAME, Navigation, time_frame
 from delfim.modes import Mode
 from delfim.services.clockkeeping import OURS, ClockKeeping
 from delfim.vehicle.clockkeeper import ENOUGH
@@ -54,12 +54,14 @@ class Kernel:
 
 
 class Boat:
-    def __init__(self, why_not: str = "", battery_ns: int | None = None, time_ns: int = 0) -> None:
+    def __init__(
+        self, why_not: str = "", battery_ns: int | None = None, time_ns: int = 0, time_frame: int = TIME_FRAME
+    ) -> None:
         self.clock = ManualClock(monotonic_s=50.0, time_ns=time_ns)
         self.kernel, self.bus, self.state = Kernel(self.clock), Bus(), State(source="dsor")
         self.steps: list[tuple[float, str]] = []
         told = lambda by_s, source: self.steps.append((by_s, source))  # noqa: E731
-        self.keeping = ClockKeeping(self.kernel, self.clock, why_not, self.bus, told, battery_ns)  # type: ignore[arg-type]
+        self.keeping = ClockKeeping(self.kernel, self.clock, why_not, self.bus, told, battery_ns, time_frame)  # type: ignore[arg-type]
 
     def second(self, *, frame: Frame | None = None, navigation: Navigation | None = None) -> None:
         self.clock.advance(1.0)
@@ -108,6 +110,12 @@ def test_time_frames_set_a_clock_that_was_never_set(caplog):
     assert [each.message for each in caplog.records if "stepped" in each.message] == [
         f"clock: stepped by {by_s:+.3f} s to the time of the time frame"
     ]
+
+
+def test_the_time_frame_of_another_vehicle_sets_nothing():
+    boat = Boat(time_frame=time_frame(0xD0))
+    boat.heard(20)
+    assert (boat.steps, boat.told.source) == ([], "")
 
 
 def test_so_does_navigation_with_a_fix():

@@ -546,6 +546,9 @@ def test_ftps_with_curl_lftp_and_pythons_ftplib(tmp_path, certificate):
         )
         await there.tool("lftp", "-c", f"{script} open -u reader,sesame 127.0.0.1:{there.port}; mirror 20260101 copy")
         assert (tmp_path / "copy/a b.log").read_bytes() == CONTENT
+        (tmp_path / "plan").write_bytes(b"north")  # sent and closed before lftp has read anything of this connection
+        await there.tool("lftp", "-c", f"{script} open -u writer,open 127.0.0.1:{there.port}; put -O upload plan")
+        assert (there.staging / "plan").read_bytes() == b"north"
         await asyncio.to_thread(use, there.port)
         assert (there.staging / "new").read_bytes() == CONTENT
 
