@@ -214,7 +214,7 @@ class Voyage:
         """How the mission ended, in words. Where there is a console, its operator goes on."""
         if self._asked.console or state["operator"] != "local":
             return ""
-        if state["mode"] == "hold" and state["reason"] == "play done":
+        if state["reason"].startswith("play done"):
             return f"mission done in {time.monotonic() - self._began_s:.0f} s"
         return f"stopped: {state['reason']}" if state["mode"] == "idle" else ""
 

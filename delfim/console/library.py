@@ -45,7 +45,7 @@ class Library:
             Sliced(checked(mission)).finish()
         except (DelfimError, OSError) as error:
             raise Refused(in_words(error)) from None
-        return page_of(mission.name, mission.waypoint, mission.path, mission.fence)
+        return page_of(mission)
 
     def save(self, plan: dict[str, Any]) -> None:
         """Writes it whole or not at all. Raises Refused."""

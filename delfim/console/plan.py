@@ -7,7 +7,7 @@ import contextlib
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final, TypeVar
 
 import msgspec
@@ -16,24 +16,33 @@ from delfim import config, tables
 from delfim.errors import FormatError
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import Item
-from delfim.vehicle.mission import Mission, PathPoint, Waypoint
+from delfim.vehicle.mission import CARRIED, Mission, PathPoint, PayloadItem, Waypoint
 
 LATITUDE_MAX_DEG, LONGITUDE_MAX_DEG = 89.0, 180.0
 Row = TypeVar("Row", Waypoint, PathPoint)
 KINDS: Final = (plans.MISSION, plans.FENCE, plans.RALLY)
 
 
-def page_of(name: str, waypoints: Iterable[Waypoint], path: Iterable[PathPoint], zones: config.Zones) -> dict[str, Any]:
+def page_of(mission: Mission) -> dict[str, Any]:
     """A mission as the page has it, without a home. The page edits one polygon to stay in and the circles to stay out of; it
-    shows the other `zones`, and carries them and the path along."""
+    shows the other `zones`, and carries them and the path along; actions lie at the waypoint that they follow."""
+    zones, actions = mission.fence, dict[int, list[dict[str, Any]]]()
+    for action in mission.action:
+        row = msgspec.to_builtins(action)
+        actions.setdefault(row.pop("after"), []).append(row)
     fence = next((area for area in zones.keep_in if area.polygon), None)
     circles = [area for area in zones.keep_out if area.centre]
     others = [("keep_in", area) for area in zones.keep_in if area is not fence]
     others += [("keep_out", area) for area in zones.keep_out if area.polygon]
     return {
-        "name": name,
-        "waypoints": [msgspec.to_builtins(each) | {"turn": None} for each in waypoints],
-        "path": [msgspec.to_builtins(each) for each in path],
+        "name": mission.name,
+        "waypoints": [
+            msgspec.to_builtins(each) | {"turn": None} | ({"actions": actions[number]} if number in actions else {})
+            for number, each in enumerate(mission.waypoint, 1)
+        ],
+        "actions": actions.get(0, []),
+        "then": mission.then,
+        "path": [msgspec.to_builtins(each) for each in mission.path],
         "fence": [list(corner) for corner in fence.polygon] if fence is not None else [],
         "obstacles": [_named(each.centre[0]) | {"radius_m": each.radius_m} for each in circles],
         "zones": [{"kind": kind} | msgspec.to_builtins(area) for kind, area in others],
@@ -51,10 +60,16 @@ def tables_of(plan: Mapping[str, Any]) -> Mission:
         for zone in plan.get("zones") or ():
             area = {name: zone[name] for name in config.Area.__struct_fields__ if name in zone}
             (keep_in if zone["kind"] == "keep_in" else keep_out).append(msgspec.convert(area, config.Area))
+        stops = plan["waypoints"]
+        actions = (
+            {"after": after} | dict(each) for after, stop in enumerate((plan, *stops)) for each in stop.get("actions") or ()
+        )
         return Mission(
             version=1,
             name=str(plan.get("name", "")),
-            waypoint=tuple(_row(Waypoint, each) for each in plan["waypoints"]),
+            action=tuple(msgspec.convert(each, PayloadItem) for each in actions),
+            then="home" if plan.get("then") == "home" else "hold",
+            waypoint=tuple(_row(Waypoint, each) for each in stops),
             path=tuple(_row(PathPoint, each) for each in plan.get("path") or ()),
             fence=config.Zones(keep_in=tuple(keep_in), keep_out=tuple(keep_out)),
         )
@@ -86,12 +101,13 @@ def mission_of(name: str, groups: Sequence[Sequence[Item]]) -> dict[str, Any]:
     with contextlib.suppress(FormatError):  # a polygon that is not whole
         fence = zones.done()
     home = [_named(place) for place in rally.done()[:1]]
-    return with_digest(page_of(name, mission.waypoints, mission.path, fence) | {"home": home[0] if home else None})
+    return with_digest(page_of(mission.so_far(name, fence)) | {"home": home[0] if home else None})
 
 
 def item_in(m: Any) -> Item:
     """The item of a MISSION_ITEM_INT. A number that is not finite means "default", which is 0 here."""
-    one, two, three, four, z = (each if math.isfinite(each) else 0.0 for each in (m.param1, m.param2, m.param3, m.param4, m.z))
+    numbers = m.param1, m.param2, m.param3, m.param4, m.z
+    one, two, three, four, z = (each if math.isfinite(each) or m.command in CARRIED else 0.0 for each in numbers)
     return Item(m.command, one, two, three, four, m.x, m.y, z, m.frame)
 
 
@@ -122,7 +138,10 @@ def waypoint_of(plan: Mapping[str, Any], item: int) -> int:
 
 
 def _places(plan: Mapping[str, Any]) -> list[int]:
-    return list(plans.places(float(each.get("speed_mps") or 0.0) for each in plan["waypoints"]))
+    stops = plan["waypoints"]
+    before = [len(each.get("actions") or ()) for each in (plan, *stops[:-1])]
+    speeds_mps = [float(each.get("speed_mps") or 0.0) for each in stops]
+    return list(plans.places(zip(speeds_mps, before, strict=False)))
 
 
 def _row(kind: type[Row], each: Mapping[str, Any]) -> Row:

@@ -29,6 +29,10 @@ def lines(now: State, before: State | None) -> Iterator[bytes]:
         yield _line({"event": "mode", "mode": now.mode, "reason": now.reason[:REASON]})
     if before is not None and (now.mission, now.reference.leg) != (before.mission, before.reference.leg):
         yield _line({"event": "leg", "mission": now.mission, "leg": now.reference.leg})
+    heard = max((each.number for each in before.announced), default=0) if before is not None else 0
+    for action in now.announced if before is not None else ():
+        if action.number > heard:
+            yield _line({"event": "action", "command": action.command, "params": action.params})
     if before is not None and now.cycle == before.cycle:
         return
     north_mps = east_mps = None

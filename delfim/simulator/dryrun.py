@@ -33,7 +33,7 @@ def sail(settings: config.Vehicle, mission: str, limit_s: float = LIMIT_S, seed:
     for state in run.cycles(0.0 if end else limit_s):
         if not begun_s:
             begun_s = run.elapsed_s if run.command(console.Play()) is None else 0.0
-        elif state.mode is Mode.HOLD and state.reason == "play done":
+        elif state.reason.startswith("play done"):
             end = "mission done"
             break
         elif state.mode is Mode.IDLE:

@@ -116,7 +116,7 @@ class Lockstep:
         for state in self.cycles(limit_s):
             if not playing:
                 playing = self.command(console.Play()) is None
-            elif state.mode is Mode.HOLD and state.reason == "play done":
+            elif state.reason.startswith("play done"):
                 return f"mission done in {self.elapsed_s:.0f} s"
             elif state.mode is Mode.IDLE:
                 return f"stopped: {state.reason}"

@@ -200,6 +200,7 @@ def written(command: Plan) -> Work[bytes]:
     if mission is None:
         return _encode({"command": "fence", "zones": fence})
     rows = {"waypoint": (yield from _pieces(mission.waypoint, ROW)), "path": (yield from _pieces(mission.path, ROW))}
+    rows["action"] = yield from _pieces(mission.action, ROW)
     return _encode({"command": "upload", "mission": msgspec.structs.asdict(mission) | rows | {"fence": fence}})
 
 
@@ -292,6 +293,7 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
         },
         "mission": state.setpoint.plan.name if state.setpoint.plan else None,
         "legs": len(state.setpoint.plan.waypoints) if state.setpoint.plan else 0,
+        "announced": [each._asdict() for each in state.announced],
         "guest_connected": state.guest_connected,
         "age_s": {
             "navigation": _age(now_s, state.navigation_s),

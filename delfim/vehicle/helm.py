@@ -10,6 +10,7 @@ from delfim.errors import ConfigError, Refused
 from delfim.modes import Mode, mode_named
 from delfim.slices import Sliced
 from delfim.vehicle import console, failsafe, fence
+from delfim.vehicle.announcing import Announcing
 from delfim.vehicle.checks import Check, checks, refusal
 from delfim.vehicle.control.control import MODES, Memory, Settings, admit, first
 from delfim.vehicle.control.control import control as step
@@ -49,6 +50,7 @@ class Helm:
         self.rules, self.troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
         self.paused: Paused | None = None
+        self._announcing = Announcing(state, log)
         self._seeking: Sliced[Point] | None = None  # the search for a better place to hold
         self._controlled_s = clock.monotonic_s()
 
@@ -109,6 +111,7 @@ class Helm:
         """A slice of long work."""
         self.plans.go_on()
         self._seek()
+        self.state.announced = self._announcing.news(self.plans.mission)
 
     def _seek(self) -> None:
         """The place to hold moves to a better one as soon as that is found."""
@@ -117,8 +120,17 @@ class Helm:
             self.memory = self.memory._replace(north_m=north_m, east_m=east_m)
 
     def finish(self) -> None:
-        """The mode has reached its end: hold, or idle if the boat cannot hold or was told to stop there."""
+        """The mode has reached its end: home if the mission says so, otherwise hold, or idle if the boat cannot hold or was
+        told to stop there."""
         state, end = self.state, f"{self.state.mode.name.lower()} done"
+        if state.mode in (Mode.PLAY, Mode.PATH) and state.setpoint.plan is not None and state.setpoint.plan.then_home:
+            setpoint = state.setpoint._replace(track=self.track.way_home())
+            reason = admit(Mode.HOME, state.motion.has, setpoint)
+            if reason is None:
+                state.setpoint = setpoint
+                self.enter(Mode.HOME, end)
+                return
+            end = f"{end}, cannot go home: {reason}"
         reason = admit(Mode.HOLD, state.motion.has, state.setpoint)
         if reason is not None:
             self.stop(f"{end}, cannot hold: {reason}")

@@ -27,7 +27,19 @@ FAR_MAX_M = LEG_MAX_M  # a mission's places from the boat, and the point that an
 RADIUS_MIN_M, RADIUS_MAX_M = 2.0, 5_000.0
 HOLD_MAX_S = 86_400.0  # at a waypoint
 ROW = 4  # time for a waypoint or a piece of the path, counted in comparisons
-ROWS = 1000  # waypoints, and pieces of the path, at most
+ROWS = 1000  # waypoints, pieces of the path, and actions, at most
+AT_ONCE = 20  # actions at one place
+# Commands of MAVLink (MAV_CMD) that a mission carries for payloads; the boat itself does not move by them.
+CARRIED = frozenset(
+    {
+        *range(181, 185),  # DO_SET_RELAY, DO_REPEAT_RELAY, DO_SET_SERVO, DO_REPEAT_SERVO
+        *(195, 196, 197, 201),  # DO_SET_ROI_LOCATION, DO_SET_ROI_WPNEXT_OFFSET, DO_SET_ROI_NONE, DO_SET_ROI
+        *range(200, 207),  # DO_CONTROL_VIDEO, ROI, DO_DIGICAM_..., DO_MOUNT_..., DO_SET_CAM_TRIGG_DIST
+        *(211, 214, 1000, 1001),  # DO_GRIPPER, DO_SET_CAM_TRIGG_INTERVAL, DO_GIMBAL_MANAGER_...
+        *range(530, 535),  # SET_CAMERA_MODE, _ZOOM, _FOCUS, ...
+        *(2000, 2001, 2003, 2500, 2501, 42600),  # IMAGE_..., DO_TRIGGER_CONTROL, VIDEO_..., DO_WINCH
+    }
+)
 JOINT_M = 1.0  # an arc's stated radius and the distance from its beginning to its centre agree within this
 
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
@@ -44,6 +56,21 @@ class Waypoint(tables.Table, frozen=True):
     speed_mps: MissionSpeed = 0.0  # on the way to it
     acceptance_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0
     hold_s: Annotated[float, msgspec.Meta(ge=0.0, le=HOLD_MAX_S)] = 0.0
+
+
+Number = Annotated[float, msgspec.Meta(ge=-3.5e38, le=3.5e38)] | Literal["nan"]  # of an action; "nan": not given
+
+
+class PayloadItem(tables.Table, frozen=True):
+    """An item of MAVLink for payloads, which the boat carries as it came, and announces at its place."""
+
+    after: Annotated[int, msgspec.Meta(ge=0, le=ROWS)]  # so many waypoints; 0: as the boat sets out for the first
+    command: Annotated[int, msgspec.Meta(ge=0, le=0xFFFF)]  # one of CARRIED
+    params: tuple[Number, Number, Number, Number] = (0.0, 0.0, 0.0, 0.0)  # 1 to 4
+    x: Annotated[int, msgspec.Meta(ge=-(1 << 31), le=(1 << 31) - 1)] = 0  # 5; a latitude in 1e-7 degrees
+    y: Annotated[int, msgspec.Meta(ge=-(1 << 31), le=(1 << 31) - 1)] = 0  # 6; a longitude
+    z: Number = 0.0  # 7
+    frame: Annotated[int, msgspec.Meta(ge=0, le=255)] = 2  # MAV_FRAME; 2: no place
 
 
 class PathPoint(tables.Table, frozen=True):
@@ -65,6 +92,8 @@ class Mission(tables.Table, frozen=True):
     name: Title
     waypoint: Annotated[tuple[Waypoint, ...], msgspec.Meta(min_length=1, max_length=ROWS)]
     path: Annotated[tuple[PathPoint, ...], msgspec.Meta(max_length=ROWS)] = ()
+    action: Annotated[tuple[PayloadItem, ...], msgspec.Meta(max_length=ROWS)] = ()  # in the order of `after`
+    then: Literal["hold", "home"] = "hold"  # at the end of waypoints or path
     fence: config.Zones = config.Zones()
 
 
@@ -85,7 +114,7 @@ def read_mission(text: str, file: str = "mission") -> Mission:
     except FormatError as error:
         raise ConfigError(file, "file", str(error)) from None
     with contextlib.suppress(msgspec.ValidationError):  # checking the whole tree gives the better message
-        for key, kind in (("waypoint", Waypoint), ("path", PathPoint)):
+        for key, kind in (("waypoint", Waypoint), ("path", PathPoint), ("action", PayloadItem)):
             rows = tree.get(key)
             if isinstance(rows, list) and len(rows) <= ROWS:  # row by row: other threads wait only for one row
                 tree[key] = [msgspec.convert(row, kind) for row in rows]
@@ -105,13 +134,15 @@ def save_mission(mission: Mission, path: str | Path) -> None:
 def canonical(mission: Mission) -> str:
     """The one text of a mission: keys that are not at their default, in a fixed order, numbers as short as they round-trip."""
     lines = [f"version = {mission.version}", f"name = {json.dumps(mission.name, ensure_ascii=False)}"]
-    for title, rows in (("waypoint", mission.waypoint), ("path", mission.path)):
+    if mission.then != "hold":
+        lines.append(f"then = {json.dumps(mission.then)}")
+    for title, rows in (("waypoint", mission.waypoint), ("action", mission.action), ("path", mission.path)):
         for row in rows:
             lines += ["", f"[[{title}]]"]
             for field in msgspec.structs.fields(row):
                 value = getattr(row, field.name)
                 if value != field.default:
-                    lines.append(f"{field.name} = {value!r}")
+                    lines.append(f"{field.name} = {json.dumps(value, ensure_ascii=False)}")
     return "\n".join([*lines, *_canonical_fence(mission.fence)]) + "\n"
 
 
@@ -161,7 +192,7 @@ def plan(mission: Mission, origin: geodesy.Origin, control: config.ControlTable)
     for piece in pieces:
         yield ROW
         path.append(piece)
-    return Plan(mission.name, tuple(waypoints), tuple(path))
+    return Plan(mission.name, tuple(waypoints), tuple(path), mission.then == "home")
 
 
 def checked(mission: Mission, file: str = "mission") -> Work[None]:
@@ -176,7 +207,23 @@ def checked(mission: Mission, file: str = "mission") -> Work[None]:
         before = place
     if mission.path:
         yield from _check_path(mission.path, origin, file)
+    yield from _check_actions(mission, file)
     yield from config.polygons(mission.fence, file)
+
+
+def _check_actions(mission: Mission, file: str) -> Work[None]:
+    before, here = 0, 0
+    for index, action in enumerate(mission.action):
+        yield ROW
+        key = f"action[{index}]"
+        if action.command not in CARRIED:
+            raise ConfigError(file, f"{key}.command", "not a command that a mission carries for payloads", "docs/missions.md")
+        if not before <= action.after <= len(mission.waypoint):
+            raise ConfigError(file, f"{key}.after", "not in the order of the mission", f"{before} to {len(mission.waypoint)}")
+        here = here + 1 if action.after == before else 1
+        if here > AT_ONCE:
+            raise ConfigError(file, key, "too many actions at one place", f"up to {AT_ONCE}")
+        before = action.after
 
 
 def _check_path(path: tuple[PathPoint, ...], origin: geodesy.Origin, file: str) -> Work[None]:

@@ -8,14 +8,14 @@ line behind the name of its table, and the boat puts them together in slices; or
 import subprocess
 import sys
 from collections.abc import Iterator
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import msgspec
 
 from delfim import config
 from delfim.errors import ConfigError, DelfimError, FormatError
 from delfim.slices import Work
-from delfim.vehicle.mission import Mission, PathPoint, Waypoint, read_mission
+from delfim.vehicle.mission import Mission, PathPoint, PayloadItem, Waypoint, read_mission
 
 PROGRAM: Final = (sys.executable, "-m", "delfim.vehicle.missionreader")
 CPU_S: Final = 10  # the largest mission takes half a second, and on a slow board ten times that
@@ -26,9 +26,10 @@ WRONG: Final = 3  # exit code for a text that is not a mission
 _rows = {  # by the tables' names
     name: msgspec.json.Decoder(kind)
     for name, kind in (
-        (b"mission", str),
+        (b"mission", tuple[str, Literal["hold", "home"]]),
         (b"waypoint", Waypoint),
         (b"path", PathPoint),
+        (b"action", PayloadItem),
         (b"in", config.Area),
         (b"out", config.Area),
     )
@@ -64,9 +65,9 @@ class Reading:
 
 def written(mission: Mission) -> Iterator[bytes]:
     """The output lines of a mission."""
-    yield _line("mission", mission.name)
+    yield _line("mission", (mission.name, mission.then))
     zones = ("in", mission.fence.keep_in), ("out", mission.fence.keep_out)
-    for name, rows in (("waypoint", mission.waypoint), ("path", mission.path), *zones):
+    for name, rows in (("waypoint", mission.waypoint), ("path", mission.path), ("action", mission.action), *zones):
         for row in rows:
             yield _line(name, row)
 
@@ -78,8 +79,9 @@ def gathered(lines: list[bytes]) -> Work[Mission]:
         kind, _, row = line.partition(b" ")
         yield ZONE if kind in (b"in", b"out") else ROW
         found[kind].append(_rows[kind].decode(row))
-    (name,), waypoint, path, keep_in, keep_out = (tuple(each) for each in found.values())
-    return Mission(version=1, name=name, waypoint=waypoint, path=path, fence=config.Zones(keep_in=keep_in, keep_out=keep_out))
+    ((name, then),), waypoint, path, action, keep_in, keep_out = (tuple(each) for each in found.values())
+    fence = config.Zones(keep_in=keep_in, keep_out=keep_out)
+    return Mission(version=1, name=name, waypoint=waypoint, path=path, action=action, then=then, fence=fence)
 
 
 def _line(name: str, told: object) -> bytes:

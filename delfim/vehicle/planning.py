@@ -157,7 +157,7 @@ class Plans:
             self.remains.add(old.plan.waypoints, old.plan.path)
         if old.mission is not None:
             areas = (*old.mission.fence.keep_in, *old.mission.fence.keep_out)
-            self.remains.add(old.mission.waypoint, old.mission.path, *(each.polygon for each in areas))
+            self.remains.add(old.mission.waypoint, old.mission.path, old.mission.action, *(each.polygon for each in areas))
 
     def found(self, origin: geodesy.Origin) -> None:
         """A local plane exists from now on: lay the fence into it, slice by slice."""

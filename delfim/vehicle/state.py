@@ -65,6 +65,7 @@ class Plan(NamedTuple):
     name: str
     waypoints: tuple[Waypoint, ...]
     path: tuple[Line | Arc, ...]
+    then_home: bool = False  # at the end; otherwise the boat holds
 
 
 class Setpoint(NamedTuple):
@@ -129,6 +130,14 @@ class ClockStatus(NamedTuple):
     fault: str = ""  # why a time is not taken, in words
 
 
+class Announced(NamedTuple):
+    """An action of the mission that the boat has come to (docs/missions.md)."""
+
+    number: int  # of all that were announced, from 1
+    command: int  # MAV_CMD
+    params: tuple[float | None, ...]  # seven; None: not given
+
+
 class StartConditions(NamedTuple):
     """The state of the computer that the checks need."""
 
@@ -168,6 +177,7 @@ class State:
     watchdog_s: float = -1e9  # when the watchdog ran last
     guest_connected: bool = False
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
+    announced: tuple[Announced, ...] = ()  # the newest, oldest first
     computer: StartConditions = field(default_factory=StartConditions)  # the computer at the program's start
     cycles: int = 0
     counts: dict[str, int] = field(default_factory=dict)  # number of inputs refused, dropped, repaired, by name

@@ -20,6 +20,7 @@ from delfim.vehicle import console
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mavlink.wire import Speaker
+from delfim.vehicle.mission import Mission, PayloadItem, Waypoint
 from tests.console.fakeboat import Radio
 
 HOME = ("127.0.0.1", 14550)
@@ -221,6 +222,19 @@ def test_a_mission_comes_back_as_it_went(sea: Afloat) -> None:
     assert json.loads(json.dumps(back["zones"])) == ZONES
     assert (back["fence"][2], back["obstacles"], back["home"]) == ([38.70, -9.21], PLAN["obstacles"], PLAN["home"])
     assert sea.shown["mission"]["state"] == "same"
+
+
+def test_the_page_carries_items_for_payloads_and_the_way_home() -> None:
+    stops = tuple(Waypoint(latitude_deg=38.69 + n / 1000, longitude_deg=-9.21, speed_mps=float(n)) for n in range(3))
+    actions = tuple(PayloadItem(after=after, command=206, params=(25.0, "nan", 1.0, 0.0)) for after in (0, 1, 1, 3))
+    mission = Mission(version=1, name="camera", waypoint=stops, action=actions, then="home")
+    page = plan.page_of(mission)
+    assert plan.tables_of(json.loads(json.dumps(page))) == mission
+    places = [number for number, item in enumerate(plan.items_of(page)[0]) if item.command == 16]
+    assert [plan.item_of(page, n) for n in range(3)] == places
+    assert [plan.waypoint_of(page, each) for each in places] == [0, 1, 2]
+    back = plan.mission_of("camera", plan.items_of(page))
+    assert (back["digest"], back["actions"]) == (plan.digest(page), page["actions"])
 
 
 def test_what_is_saved_is_what_is_loaded(tmp_path: Path) -> None:

@@ -26,7 +26,7 @@ from delfim.errors import ConfigError
 from delfim.services import payload, processes
 from delfim.services.payloadlines import LINE_BYTES, VALUES, BoundedLines, lines, values
 from delfim.services.runtime import LoadedService, Runtime
-from delfim.services.web.api import State
+from delfim.services.web.api import AnnouncedItem, State
 from tests.afloat import running
 from tests.services.boat import STATE, served, vehicle, vehicle_file
 
@@ -314,6 +314,9 @@ def test_a_program_is_told_events_and_navigation_as_the_guest_is() -> None:
     assert max(map(len, told)) < 4096
     other = State(mode="hold", reason="", cycle=8, mission="Tejo")
     assert [json.loads(line) for line in lines(other, hold)] == [{"event": "leg", "mission": "Tejo", "leg": 0}]
+    items = tuple(AnnouncedItem(number, 206, (25.0, None)) for number in (1, 2, 3))
+    before, after = (State(mode="hold", reason="", announced=each) for each in (items[:2], items[1:]))
+    assert [json.loads(line) for line in lines(after, before)] == [{"event": "action", "command": 206, "params": [25.0, None]}]
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,8 @@ from delfim.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
-from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical
+from delfim.vehicle.mission import CARRIED, HOLD_MAX_S, Mission, PathPoint, Waypoint, canonical, parse_mission
+from delfim.vehicle.missionreader import gathered, written
 from tests.vehicle.mavlink_console import Console, messages, newest, texts
 from tests.vehicle.test_mavlink_station import afloat, sail
 
@@ -141,7 +142,7 @@ def test_the_checksum_is_that_of_mavlink_ftp():
     [
         (Item(177, 1.0), UNSUPPORTED, "item 1: DO_JUMP (177) is not something this boat does"),
         (Item(22, x=1, y=1), UNSUPPORTED, "item 1: NAV_TAKEOFF (22)"),
-        (Item(17, x=386_930_000, y=-92_150_000), UNSUPPORTED, "item 1: NAV_LOITER_UNLIM (17)"),
+        (Item(206, math.inf), INVALID, "item 1: inf is not a number"),
         (Item(18, 3.0, x=386_930_000, y=-92_150_000), UNSUPPORTED, "item 1: NAV_LOITER_TURNS (18)"),
         (Item(93, -1.0, 12.0), UNSUPPORTED, "item 1: this boat cannot wait for a time of day"),
         (Item(60_000), UNSUPPORTED, "item 1: command 60000"),
@@ -178,6 +179,86 @@ def test_a_stay_is_said_in_three_ways_and_told_back_in_one(sea):
     heard = upload(sea.console, [Item(16, 10.0, **place), Item(93, 5.0), Item(93, 2.5), Item(19, 30.0, **other)])
     assert newest(heard, "MISSION_ACK").type == OK
     assert download(sea.console) == [Item(16, 17.5, **place), Item(16, 30.0, **other)]
+
+
+HERE, THERE = {"x": 386_925_000, "y": -92_150_000}, {"x": 386_927_000, "y": -92_150_000}
+CAMERA, SERVO = Item(206, 25.0, 0.0, 1.0, math.nan, frame=2), Item(183, 9.0, 1900.0, z=-0.1, frame=2)
+floats = st.floats(width=32, allow_infinity=False, allow_nan=False) | st.just(math.nan)
+integers = st.integers(-(2**31), 2**31 - 1)
+carried = st.builds(
+    Item, st.sampled_from(sorted(CARRIED)), floats, floats, floats, floats, integers, integers, floats, st.integers(0, 21)
+)
+stops = st.builds(lambda x: Item(16, x=386_900_000 + x, y=-92_150_000), st.integers(0, 1000))
+
+
+@given(st.lists(st.one_of(stops, carried), max_size=30), stops, st.booleans())
+def test_items_for_payloads_come_back_to_the_last_bit(items, stop, goes_home):
+    items = [*items, stop, *([Item(20, frame=2)] if goes_home else [])]
+    mission = drafted(plans.MissionDraft(), items).done("any", config.Zones())
+    back = list(plans.mission_items(mission))
+    assert packed(back) == packed(items)
+    assert packed(plans.mission_items(drafted(plans.MissionDraft(), back).done("any", config.Zones()))) == packed(items)
+    assert Sliced(gathered(list(written(mission)))).finish() == mission, "by the process that reads files"
+
+
+def packed(items) -> bytes:
+    return bytes(told(items).packed)
+
+
+def test_a_mission_with_camera_servo_and_the_way_home(sea):
+    """Up, down, sailed: announced once each, at their places, and home at the end."""
+    items = [
+        CAMERA,
+        Item(16, 0.0, 8.0, **HERE),
+        SERVO,
+        CAMERA._replace(p1=0.0),
+        Item(16, 0.0, 40.0, **THERE),
+        SERVO,
+        Item(20, frame=2),
+    ]
+    assert newest(upload(sea.console, items), "MISSION_ACK").type == OK
+    assert packed(download(sea.console)) == packed(items)
+    file = parse_mission(canonical(sea.vehicle.helm.plans.mission))
+    assert packed(plans.mission_items(file)) == packed(items), "the file carries them, too"
+    sea.console.command(300)
+    heard = sail(sea, 3.0)
+    assert [each.command for each in sea.state.announced] == [206, 183, 206, 183]
+    assert sea.state.announced[0] == (1, 206, (25.0, 0.0, 1.0, None, 0.0, 0.0, 0.0))
+    assert "DO_SET_CAM_TRIGG_DIST (206): 25 0 1 - 0 0 0" in texts(heard)
+    assert "home: play done" in texts(heard)
+    sail(sea, 2.0)
+    assert len(sea.state.announced) == 4
+
+
+def test_a_leg_that_goes_on_announces_nothing_again_and_one_begun_anew_does(sea):
+    upload(sea.console, [CAMERA, Item(16, **THERE)])
+    sea.console.command(300)
+    sail(sea, 0.3)
+    sea.console.mode(5)
+    sail(sea, 0.3)
+    sea.console.mode(10)
+    sail(sea, 0.3)
+    assert len(sea.state.announced) == 1
+    sea.console.mode(4)
+    sail(sea, 0.3)
+    sea.console.command(300)
+    sail(sea, 0.3)
+    assert [each.number for each in sea.state.announced] == [1, 2]
+
+
+@pytest.mark.parametrize(
+    ("after", "stays_s", "then"),
+    [([], 0.0, "hold"), ([Item(20)], HOLD_MAX_S, "home"), ([Item(16, **HERE)], HOLD_MAX_S, "hold"), ([SERVO], 0.0, "hold")],
+)
+def test_a_stay_without_end(after, stays_s, then):
+    mission = drafted(plans.MissionDraft(), [Item(16, **HERE), Item(17, **THERE), *after]).done("any", config.Zones())
+    assert (mission.waypoint[1].hold_s, mission.then) == (stays_s, then)
+
+
+@pytest.mark.parametrize("behind", [Item(16, **HERE), SERVO, Item(20), Item(17, **HERE)])
+def test_nothing_follows_the_way_home(behind):
+    with pytest.raises(FormatError, match="item 2: the mission ends with NAV_RETURN_TO_LAUNCH"):
+        drafted(plans.MissionDraft(), [Item(16, **HERE), Item(20), behind])
 
 
 def test_the_boat_stays_that_long_and_then_goes_on(sea):

@@ -41,6 +41,12 @@ ARC = "[[path]]\nlatitude_deg = 38.69\nlongitude_deg = -9.2145\nturn_deg = 90\nr
         (ONE.replace("version = 1", "version = 2"), "version", "1"),
         (ONE.replace("version = 1\n", ""), "version", "missing"),
         (HEAD, "waypoint", "missing"),
+        (ONE + "[[action]]\nafter = 1\ncommand = 177\n", "action[0].command", "not a command that a mission carries"),
+        (ONE + "[[action]]\nafter = 2\ncommand = 206\n", "action[0].after", "0 to 1"),
+        (ONE + "[[action]]\nafter = 1\ncommand = 206\n[[action]]\nafter = 0\ncommand = 206\n", "action[1].after", "1 to 1"),
+        (ONE + "[[action]]\nafter = 0\ncommand = 206\n" * 21, "action[20]", "up to 20"),
+        (ONE + "[[action]]\nafter = 0\ncommand = 206\nparams = [nan, 0, 0, 0]\n", "action[0].params[0]", "nan"),
+        (ONE.replace("version", 'then = "away"\nversion'), "then", "hold, home"),
         (HEAD + "waypoint = []\n", "waypoint", "an empty list is not allowed"),
         (ONE + "speed_kn = 3\n", "waypoint[0].speed_kn", "speed_mps"),
         (ONE + "speed_mps = 99\n", "waypoint[0].speed_mps", "0.0 to 30.0"),
@@ -177,3 +183,13 @@ def test_a_path_is_saved_too() -> None:
     path = (PathPoint(latitude_deg=38.0, longitude_deg=-9.0), PathPoint(latitude_deg=38.001, longitude_deg=-9.0))
     mission = Mission(version=1, name="path", waypoint=(Waypoint(latitude_deg=38.0, longitude_deg=-9.0),), path=path)
     assert parse_mission(canonical(mission)) == mission
+
+
+def test_actions_and_the_way_home_are_part_of_the_text() -> None:
+    text = (
+        ONE.replace("[[", 'then = "home"\n\n[[')
+        + '\n[[action]]\nafter = 1\ncommand = 206\nparams = [25.0, "nan", 1.0, 0.0]\nz = 0.5\n'
+    )
+    mission = parse_mission(text)
+    assert canonical(mission) == text
+    assert digest(mission) != digest(parse_mission(ONE))

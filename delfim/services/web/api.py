@@ -101,6 +101,14 @@ class KeptClock(Facts, frozen=True):
     fault: str = ""  # why a time is not taken, in words
 
 
+class AnnouncedItem(Facts, frozen=True):
+    """An action of the mission that the boat has come to."""
+
+    number: int  # of all that were announced
+    command: int  # MAV_CMD
+    params: tuple[float | None, ...] = ()
+
+
 class State(Facts, frozen=True):
     """The vehicle's report of itself."""
 
@@ -124,6 +132,7 @@ class State(Facts, frozen=True):
     reference: Reference = Reference()
     mission: str | None = None
     legs: int = 0
+    announced: tuple[AnnouncedItem, ...] = ()  # the newest, oldest first
     guest_connected: bool = False
     age_s: dict[str, float | None] = {}  # of every input; null: never heard
     sysstat: dict[str, Node] = {}

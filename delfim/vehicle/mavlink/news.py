@@ -7,6 +7,7 @@ from delfim.modes import Mode
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.missions import Missions
 from delfim.vehicle.mavlink.peers import Peers
+from delfim.vehicle.mavlink.plans import command_name
 from delfim.vehicle.mavlink.wire import Speaker, dialect
 
 TOLD_AGAIN_S: Final = 2.0  # earliest repetition of a lasting trouble
@@ -20,10 +21,12 @@ class News:
         self._said: tuple[Mode, str, tuple[tuple[str, str], ...], Speaker | None, str] | None = None
         self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last text, and when it was told
         self._leg_now: tuple[object, int] = None, 0
+        self._announced = 0
 
     def tell(self, commander: Speaker | None) -> None:
         """Changes of mode and troubles, in words, and a heartbeat at once when the mode changed."""
         self._tell_reached()
+        self._tell_actions()
         state, say = self._boat.state, self._peers.say
         troubles = tuple((notice.name, notice.action) for notice in state.notices)
         said = state.mode, state.reason, troubles, commander, state.namesakes
@@ -56,11 +59,19 @@ class News:
                 words, at_s = notice.reason, now_s
             self._told[trouble] = words, at_s
 
+    def _tell_actions(self) -> None:
+        """Items for payloads that the boat has come to."""
+        for number, command, params in self._boat.state.announced:
+            if number > self._announced:
+                self._announced = number
+                words = " ".join("-" if each is None else f"{each:g}" for each in params)
+                self._peers.say(dialect.MAV_SEVERITY_INFO, f"{command_name(command)}: {words}")
+
     def _tell_reached(self) -> None:
         """The boat reached a waypoint of the mission: tell its item to everybody."""
         state = self._boat.state
         plan, leg = (state.setpoint.plan, state.reference.leg) if state.mode is Mode.PLAY else (None, 0)
         was, self._leg_now = self._leg_now, (plan, leg)
-        done = state.mode is Mode.HOLD and state.reason == "play done" and was[0] is not None
+        done = state.reason.startswith("play done") and was[0] is not None
         if done or (plan is not None and plan is was[0] and leg > was[1]):
             self._peers.tell_all([dialect.MAVLink_mission_item_reached_message(self._missions.number(was[1]))])

@@ -8,8 +8,9 @@ import math
 import struct
 import zlib
 from bisect import bisect_left
+from collections import deque
 from collections.abc import Iterable, Iterator
-from typing import Final, NamedTuple, TypeVar
+from typing import Final, Literal, NamedTuple, TypeVar
 
 import msgspec
 
@@ -17,7 +18,7 @@ from delfim import config, tables
 from delfim.errors import ConfigError, FormatError
 from delfim.slices import Work
 from delfim.vehicle.mavlink.wire import dialect
-from delfim.vehicle.mission import ROWS, Mission, PathPoint, Waypoint
+from delfim.vehicle.mission import CARRIED, HOLD_MAX_S, ROWS, Mission, Number, PathPoint, PayloadItem, Waypoint
 
 MISSION, FENCE, RALLY, ALL = 0, 1, 2, 255  # MAV_MISSION_TYPE
 ITEMS: Final = 2000  # of a plan, at most
@@ -26,6 +27,8 @@ BLOCK_BYTES, BLOCK = 8192, 50  # summed up at a time, and their cost in comparis
 ITEM: Final = 4  # the cost of one item, in comparisons
 WAYPOINT: Final = int(dialect.MAV_CMD_NAV_WAYPOINT)
 WAIT: Final = int(dialect.MAV_CMD_NAV_LOITER_TIME)  # another item for a waypoint to wait at
+STAY: Final = int(dialect.MAV_CMD_NAV_LOITER_UNLIM)
+HOME: Final = int(dialect.MAV_CMD_NAV_RETURN_TO_LAUNCH)
 DELAY: Final = int(dialect.MAV_CMD_NAV_DELAY)  # wait where the boat is
 SPEED: Final = int(dialect.MAV_CMD_DO_CHANGE_SPEED)
 PATH: Final = int(dialect.MAV_CMD_WAYPOINT_USER_1)  # a piece of the path: turn_deg, radius_m, speed_mps
@@ -61,24 +64,35 @@ class Item(NamedTuple):
 
 
 def mission_items(tables: Mission) -> Iterator[Item]:
-    """Waypoints with a change of speed before those that have another one; then the pieces of the path, if any."""
-    speed_mps = 0.0
-    for waypoint in tables.waypoint:
+    """Waypoints, with a change of speed before those that have another one, and the actions between them; the way home, if it
+    ends the mission; then the pieces of the path, if any."""
+    speed_mps, actions = 0.0, deque(tables.action)
+    for number, waypoint in enumerate(tables.waypoint):
+        while actions and actions[0].after <= number:
+            yield _carried(actions.popleft())
         if waypoint.speed_mps != speed_mps:
             speed_mps = waypoint.speed_mps
             yield Item(SPEED, 1.0, speed_mps or USUAL_SPEED, -1.0, frame=int(dialect.MAV_FRAME_MISSION))
         place = _e7(waypoint.latitude_deg), _e7(waypoint.longitude_deg)
         yield Item(WAYPOINT, waypoint.hold_s, waypoint.acceptance_m, 0.0, 0.0, *place)
+    yield from map(_carried, actions)
+    if tables.then == "home":
+        yield Item(HOME, frame=int(dialect.MAV_FRAME_MISSION))
     for piece in tables.path:
         place = _e7(piece.latitude_deg), _e7(piece.longitude_deg)
         yield Item(PATH, piece.turn_deg, piece.radius_m, piece.speed_mps, 0.0, *place)
 
 
-def places(speeds_mps: Iterable[float]) -> Iterator[int]:
-    """The numbers of the waypoint items, derived from the waypoints' speeds."""
+def _carried(action: PayloadItem) -> Item:
+    one, two, three, four, z = (math.nan if isinstance(each, str) else each for each in (*action.params, action.z))
+    return Item(action.command, one, two, three, four, action.x, action.y, z, action.frame)
+
+
+def places(waypoints: Iterable[tuple[float, int]]) -> Iterator[int]:
+    """The numbers of the waypoint items, derived from the waypoints' speeds and the number of actions before each."""
     number, before_mps = 0, 0.0
-    for speed_mps in speeds_mps:
-        number += speed_mps != before_mps
+    for speed_mps, actions in waypoints:
+        number += actions + (speed_mps != before_mps)
         yield number
         number, before_mps = number + 1, speed_mps
 
@@ -110,13 +124,23 @@ class MissionDraft:
     def __init__(self) -> None:
         self.waypoints: list[Waypoint] = []
         self.path: list[PathPoint] = []
+        self.actions: list[PayloadItem] = []
+        self.then: Literal["hold", "home"] = "hold"
         self._speed_mps = 0.0
+        self._stays = False  # at the last waypoint, for ever
 
     def add(self, number: int, item: Item) -> None:
+        if self.then == "home" and item.command not in (SPEED, PATH):
+            raise FormatError(f"item {number}: the mission ends with NAV_RETURN_TO_LAUNCH before it")
         if item.command == SPEED:
             self._speed_mps = _asked_mps(number, item)
-        elif item.command in (WAYPOINT, WAIT):
+        elif item.command in (WAYPOINT, WAIT, STAY):
             self.waypoints.append(_waypoint(number, item, self._speed_mps))
+            self._stays = item.command == STAY
+        elif item.command == HOME:
+            self.then = "home"
+        elif item.command in CARRIED:
+            self.actions.append(_action(number, item, len(self.waypoints)))
         elif item.command == DELAY:
             if not self.waypoints:
                 raise FormatError(f"item {number}: a delay before the first waypoint")
@@ -124,15 +148,22 @@ class MissionDraft:
         elif item.command == PATH:
             self.path.append(_piece(number, item))
         else:
-            raise Unsupported(f"item {number}: {_name(item.command)} is not something this boat does")
-        if max(len(self.waypoints), len(self.path)) > ROWS:
-            raise FormatError(f"item {number}: more than {ROWS} waypoints, or pieces of the path")
+            raise Unsupported(f"item {number}: {command_name(item.command)} is not something this boat does")
+        if max(len(self.waypoints), len(self.path), len(self.actions)) > ROWS:
+            raise FormatError(f"item {number}: more than {ROWS} waypoints, pieces of the path, or actions")
 
     def done(self, name: str, zones: config.Zones) -> Mission:
         """The mission as its file would have it."""
         if not self.waypoints:
             raise FormatError("a mission needs a waypoint")
-        return Mission(version=1, name=name, waypoint=tuple(self.waypoints), path=tuple(self.path), fence=zones)
+        if self._stays and self.then == "hold":  # which is for ever
+            self.waypoints[-1] = msgspec.structs.replace(self.waypoints[-1], hold_s=0.0)
+        return self.so_far(name, zones)
+
+    def so_far(self, name: str, zones: config.Zones) -> Mission:
+        """The mission of the items that came, which may be none."""
+        stops, path, actions = tuple(self.waypoints), tuple(self.path), tuple(self.actions)
+        return Mission(version=1, name=name, waypoint=stops, path=path, action=actions, then=self.then, fence=zones)
 
 
 class ZonesDraft:
@@ -161,7 +192,7 @@ class ZonesDraft:
     def _begin(self, number: int, item: Item) -> None:
         """The first item of a zone: lengths before anything else."""
         if item.command not in (CIRCLE_IN, CIRCLE_OUT, KEEP_IN, KEEP_OUT):
-            raise Unsupported(f"item {number}: {_name(item.command)} is not a zone that this boat knows")
+            raise Unsupported(f"item {number}: {command_name(item.command)} is not a zone that this boat knows")
         self._first, self._begun = item, number
         if item.command in (KEEP_IN, CIRCLE_IN) and len(self._keep_in) >= config.AREAS:
             raise FormatError(f"item {number}: more than {config.AREAS} areas to stay in")
@@ -191,7 +222,7 @@ class RallyDraft:
 
     def add(self, number: int, item: Item) -> None:
         if item.command != HARBOUR:
-            raise Unsupported(f"item {number}: {_name(item.command)} is not a rally point")
+            raise Unsupported(f"item {number}: {command_name(item.command)} is not a rally point")
         if len(self._places) >= HARBOURS:
             raise FormatError(f"item {number}: more than {HARBOURS} rally points")
         self._places.append(_place(number, item))
@@ -232,7 +263,7 @@ def told(plan: object, items: Iterable[Item], frame: int) -> Work[Told]:
     told_items, waypoints, packed = list[Item](), list[int](), bytearray()
     for number, item in enumerate(items):
         yield ITEM
-        i = item._replace(frame=frame) if item.frame in GLOBAL else item
+        i = item._replace(frame=frame) if item.frame in GLOBAL and item.command not in CARRIED else item
         told_items.append(i)
         packed.extend(_CHECKED.pack(i.frame, i.command, 1, i.p1, i.p2, i.p3, i.p4, i.x, i.y, i.z))
         if i.command == WAYPOINT:
@@ -252,9 +283,21 @@ def checksum(packed: Iterable[bytearray]) -> Work[int]:
 
 
 def _waypoint(number: int, item: Item, speed_mps: float) -> Waypoint:
-    hold_s, reach_m = _number(number, item.p1), _number(number, item.p2) if item.command == WAYPOINT else 0.0
+    hold_s = HOLD_MAX_S if item.command == STAY else _number(number, item.p1)
+    reach_m = _number(number, item.p2) if item.command == WAYPOINT else 0.0
     place = _fields(number, item)
     return _row(number, Waypoint, **place, speed_mps=speed_mps, acceptance_m=reach_m, hold_s=hold_s)
+
+
+def _action(number: int, item: Item, after: int) -> PayloadItem:
+    """As it came, to the last bit."""
+    numbers = list[Number]()
+    for value in (item.p1, item.p2, item.p3, item.p4, item.z):
+        if math.isinf(value):
+            raise FormatError(f"item {number}: {value} is not a number")
+        numbers.append("nan" if math.isnan(value) else value)
+    place = {"x": item.x, "y": item.y, "z": numbers[4], "frame": item.frame}
+    return _row(number, PayloadItem, after=after, command=item.command, params=numbers[:4], **place)
 
 
 def _delayed(number: int, item: Item, waypoint: Waypoint) -> Waypoint:
@@ -270,7 +313,7 @@ def _piece(number: int, item: Item) -> PathPoint:
     return _row(number, PathPoint, **_fields(number, item), speed_mps=speed_mps, turn_deg=turn_deg, radius_m=radius_m)
 
 
-def _name(command: int) -> str:
+def command_name(command: int) -> str:
     """The command's name in the protocol's documents."""
     known = dialect.enums["MAV_CMD"].get(command)
     return f"{known.name.removeprefix('MAV_CMD_')} ({command})" if known else f"command {command}"

@@ -200,7 +200,7 @@ def current(view: TelemetryView) -> Iterator[Message]:
         yield dialect.MAVLink_mission_current_message(0, 0, dialect.MISSION_STATE_NO_MISSION)
         return
     playing = state.mode is Mode.PLAY
-    done = state.mode is Mode.HOLD and state.reason == "play done"
+    done = state.reason.startswith("play done")
     leg = state.reference.leg if playing else state.setpoint.leg
     paused = view.boat.helm.paused
     still = dialect.MISSION_STATE_PAUSED if paused and paused.mode is Mode.PLAY else dialect.MISSION_STATE_NOT_STARTED
