@@ -1,4 +1,5 @@
-"""A boat's computer in an emulator: a PC with a BIOS, GRUB on its disk, a boot partition with two slots, another for /log.
+"""A boat's computer in an emulator: a PC with a BIOS, GRUB on its disk, a boot partition with two slots, another for /log; or a
+board of the arm64 architecture.
 
 The disk is laid out without root: boot loader in its first sectors, the file system after the first MiB.
 """
@@ -76,21 +77,29 @@ class Pc:
 @contextmanager
 def pc(*disks: Path, words: tuple[str, ...] = (), memory_mib: int = 768) -> Iterator[Pc]:
     """Power on; at the end the power is cut."""
-    command = [
-        "qemu-system-x86_64",
-        "-accel",
-        "tcg,thread=multi",
-        "-cpu",
-        "max",
-        "-m",
-        str(memory_mib),
-        "-nographic",
-        "-nic",
-        "none",
-    ]
+    machine = "qemu-system-x86_64 -accel tcg,thread=multi -cpu max"
+    with emulated(f"{machine} -m {memory_mib}", disks, words) as computer:
+        yield computer
+
+
+@contextmanager
+def board(image: Path, disk: Path, options: str) -> Iterator[Pc]:
+    """A computer of the arm64 architecture with two CAN cards on one bus, booted into an image without a boot loader.
+
+    Its clock counts its instructions, 1 ns each: however busy this machine is, it is a computer of a thousand million
+    instructions a second."""
+    machine = "qemu-system-aarch64 -M virt -cpu cortex-a72 -icount shift=0,sleep=off -rtc clock=vm -m 768"
+    cards = "-object can-bus,id=bus -device kvaser_pci,canbus=bus -device kvaser_pci,canbus=bus"
+    parts = ("-kernel", str(image / "vmlinuz"), "-initrd", str(image / "initramfs.gz"), "-append", options)
+    with emulated(f"{machine} {cards}", (disk,), parts) as computer:
+        yield computer
+
+
+@contextmanager
+def emulated(machine: str, disks: tuple[Path, ...], words: tuple[str, ...]) -> Iterator[Pc]:
     drives = [word for disk in disks for word in ("-drive", f"file={disk},format=raw,if=virtio")]
     process = subprocess.Popen(
-        [*command, *drives, *words],
+        [*machine.split(), "-nographic", "-nic", "none", *drives, *words],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         stderr=subprocess.STDOUT,

@@ -10,12 +10,12 @@ from pathlib import Path
 
 import pytest
 
-from delfim import config, messages
+from delfim import messages
 from delfim.frames import Frame
-from delfim.logging.candump import format_line, parse_line
+from delfim.logging.candump import parse_line
 from delfim.messages import ShutdownStage
-from delfim.simulator.nodes import nodes_of
 from tests.guest.harness import PATH, ROOT, Guest, GuestError, guest, missing
+from tests.guest.recording import record
 
 pytestmark = pytest.mark.timeout(300)
 SETTINGS = {'interface = "can0"': 'interface = "vcan0"', "required = true": "required = true\nfree_bytes_min = 1_000_000"}
@@ -107,23 +107,10 @@ def acknowledges(g: Guest) -> list[messages.ShutdownAcknowledge]:
     return [messages.unpack_shutdown_acknowledge(frame.data) for frame in dumped(g, messages.SHUTDOWN_ACKNOWLEDGE)]
 
 
-def recorded(boat: Boat, seconds: float) -> Path:
-    """What the other nodes say in so long, for canplayer: on a boat they need no processor of this computer."""
-    settings = config.load(boat.file)
-    nodes, lines = nodes_of(settings, 1), []
-    for cycle in range(round(seconds * settings.navigation.rate_hz)):
-        now_s = cycle / settings.navigation.rate_hz
-        at_ns = round(1_700_000_000e9 + now_s * 1e9)
-        lines += [format_line(frame._replace(t_ns=at_ns), "vcan0") for frame in nodes.step(now_s, at_ns)]
-    file = boat.folder / "nodes.log"
-    file.write_text("\n".join(lines) + "\n")
-    return file
-
-
 def test_from_init_to_the_first_actuation(boat: Boat) -> None:
     """The contract is 5 s. The figure is printed (pytest -rP)."""
     compileall.compile_dir(ROOT / "delfim", quiet=1)  # as on the image; the guest keeps nothing
-    play = recorded(boat, 60.0)
+    play = record(boat.file, boat.folder / "nodes.log", 60.0)
     began = "import time; up, init = (float(open(f).read().split()[0]) for f in ('/proc/uptime', '/run/init'))"
     with boat.booted() as g:
         result = g.run(

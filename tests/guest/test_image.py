@@ -64,6 +64,18 @@ def test_the_same_sources_give_the_same_bytes(image: Path, tmp_path: Path) -> No
     shutil.rmtree(other)
 
 
+def test_the_kernel_is_configured_as_the_document_says(image: Path) -> None:
+    """The reasons and figures of docs/image.md are for this configuration."""
+    options = {
+        "CONFIG_PREEMPT_DYNAMIC=y",
+        "CONFIG_PREEMPT_VOLUNTARY=y",
+        "CONFIG_HZ=250",
+        "CONFIG_NO_HZ_FULL=y",
+        "CONFIG_HIGH_RES_TIMERS=y",
+    }
+    assert options - boat_image.kernel_options(image) == set()
+
+
 class Shell:
     """What a person at the serial port does."""
 
