@@ -14,8 +14,8 @@ from delfim.services.slots import Environment
 from tests.guest import boat_image
 from tests.guest.pc import PATH, Pc, make_disk, pc
 
-pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]  # the first one waits for the image to be built
-BOOT_S = 120.0
+pytestmark = [pytest.mark.long, pytest.mark.timeout(1800)]  # the first one waits for the image to be built
+BOOT_S = 400.0  # a busy machine emulates slowly
 OPTIONS = "console=ttyS0 quiet mitigations=off panic=10"
 SHELL = "rdinit=/bin/sh"  # a shell on the serial port in place of the first program
 PROMPT = "# "
