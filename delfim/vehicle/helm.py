@@ -251,7 +251,8 @@ class Helm:
             raise Refused("pause refused: the boat is idle")
         if state.mode is Mode.HOLD:
             return
-        why = f"operator paused {state.mode.name.lower()}"
+        leg = f" on leg {self.memory.leg + 1}" if state.mode is Mode.PLAY else ""
+        why = f"operator paused {state.mode.name.lower()}{leg}"
         mode, reason = failsafe.fallback(Action.HOLD, why, state.motion.has, state.setpoint)
         self.troubles, self.taken = failsafe.overruled(self.troubles), False
         self.enter(mode, reason)

@@ -199,6 +199,7 @@ async def loaded(sea: Sea, page: Page, boat: Boat) -> None:
 async def continued(sea: Sea, page: Page, boat: Boat) -> None:
     await keys("h", "b")(sea, page, boat)
     await shown_mode(page, 2, "hold")
+    await page.until(ENTERED)
     await menu("Continue")(sea, page, boat)
 
 

@@ -31,7 +31,7 @@ def test_play_goes_on_along_the_line_on_which_it_was_at_the_speed_it_had(boat, w
     helm = under_way(boat)
     before = helm.memory
     assert boat.vehicle.on_command(console.Pause()) is None
-    assert (boat.state.mode, boat.state.reason) == (Mode.HOLD, "operator paused play")
+    assert (boat.state.mode, boat.state.reason) == (Mode.HOLD, "operator paused play on leg 2")
     assert boat.vehicle.snapshot({})["paused"] == "play"
     boat.pass_time(1.0, navigation=False)
     boat.navigate(**ASIDE)

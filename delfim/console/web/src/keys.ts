@@ -11,7 +11,7 @@ export const KEYED: readonly { key: string; mode: Mode; title: string; says: str
   { key: "I", mode: "idle", title: "Idle", says: "thrusters are powered off" },
   { key: "M", mode: "manual", title: "Manual", says: "thrusters are set here" },
   { key: "H", mode: "heading", title: "Heading", says: "follow a heading" },
-  { key: "G", mode: "goto", title: "Go to waypoint 1", says: "then hold, where thrusters start again" },
+  { key: "G", mode: "goto", title: "Go to waypoint 1", says: "then hold: thrusters start again; or idle, if its file says so" },
   { key: "P", mode: "path", title: "Path following", says: "follow the path that connects the waypoints" },
   { key: "Y", mode: "play", title: "Play mission", says: "each waypoint in turn, then hold" },
   { key: "X", mode: "grex", title: "GREX", says: "follow the guest computer" },
@@ -54,11 +54,16 @@ export const CARD: readonly Group[] = [
     [
       ["Space", "stop this boat"],
       ["Shift Space", "stop all boats"],
-      ["B", "pause: hold here; thrusters start again when it drifts off"],
-      ["C", "continue where it was paused"],
     ],
   ],
-  ["Mode", KEYED.map(({ key, title, says }) => [key, `${title}: ${says}`])],
+  [
+    "Mode",
+    [
+      ...KEYED.map(({ key, title, says }) => [key, `${title}: ${says}`] as const),
+      ["B", "Pause: hold here; thrusters start again when it drifts off"],
+      ["C", "Continue where it was paused"],
+    ],
+  ],
   [
     "Speed",
     [

@@ -7,7 +7,7 @@ import { KEYED } from "./keys";
 import type { Messages } from "./messages";
 import * as M from "./mission";
 import { setTheme, theme } from "./palette";
-import { NONE } from "./planning";
+import { HOLDS_THERE, NONE } from "./planning";
 import type { Planning } from "./planning";
 import type { Handle, Plans } from "./plans";
 import type { Entry, Field, Item, Popup } from "./popup";
@@ -39,7 +39,7 @@ export class Menus {
       return this.popup.menu(at, { title: boat.name, colour: boat.colour }, [...this.planning.recorded(boat, this.fleet.way(boat.id)), ...this.view(place)]);
     }
     const command = this.commands(boat);
-    const enter = (mode: Mode, title: string): Item => ({ title, tick: boat.mode === mode, do: () => this.planning.sail(boat, mode) });
+    const enter = (mode: Mode, title: string): Item => ({ title, ...(mode === "goto" && { note: HOLDS_THERE }), tick: boat.mode === mode, do: () => this.planning.sail(boat, mode) });
     const keyed = KEYED.filter(({ mode }) => boat.modes.includes(mode));
     const others = boat.modes.filter((mode) => !ELSEWHERE.has(mode) && !keyed.some((each) => each.mode === mode));
     const modes = [...keyed.map(({ key, mode, title }) => ({ ...enter(mode, title), key })), ...others.map((mode) => enter(mode, capital(mode)))];

@@ -12,7 +12,7 @@ import { enteredSpeed_mps, inKnots, shownSpeed, speedUnit, speedWords } from "./
 import type { Boat, Mission, Mode, Place, Waypoint } from "./wire";
 
 const AMONG_MISSION: ReadonlySet<Mode> = new Set(["play", "path", "goto"]); // modes that sail the mission aboard
-const HOLDS_THERE = "then hold: thrusters start again"; // unless the boat's file has control.goto.end = "idle"
+export const HOLDS_THERE = "then hold: thrusters start again; or idle, if its file says so"; // control.goto.end
 const NO_BOAT = "no boat has been heard";
 /** Stands for the boat while none is heard, so that a mission can be planned. */
 export const NONE: Boat = {
