@@ -242,7 +242,7 @@ def _rpm(boat: Boat, m: Any) -> None:
 
 
 def _servos(boat: Boat, m: Any) -> None:
-    boat.values |= {"port_pct": round((m.servo1_raw - 1500) / 5), "starboard_pct": round((m.servo2_raw - 1500) / 5)}
+    boat.values |= {"port_pct": round((m.servo1_raw - 1500) / 5), "starboard_pct": round((m.servo3_raw - 1500) / 5)}
 
 
 def _hud(boat: Boat, m: Any) -> None:

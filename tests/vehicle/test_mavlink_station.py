@@ -206,6 +206,47 @@ def test_an_axis_that_is_not_there_is_no_thrust(sea, x):
     assert sea.station.consoles.counts["manual_ignored"] == 1
 
 
+def override(sea, steer_us: int, thrust_us: int, target: int = 1, console: Console | None = None) -> tuple[float, float]:
+    """RC_CHANNELS_OVERRIDE with the other channels not held; (port, starboard) in force."""
+    (console or sea.console).say("rc_channels_override", target, 1, steer_us, 65535, thrust_us, *[65535] * 5)
+    return sea.state.setpoint.port, sea.state.setpoint.starboard
+
+
+def test_channels_of_a_hand_set_are_thrust_and_let_go(sea):
+    sea.console.mode(0)
+    assert override(sea, 1650, 1600) == pytest.approx((0.5, -0.1))
+    assert override(sea, 0, 1750) == pytest.approx((0.5, 0.5)), "a channel that nobody holds is in the middle"
+    assert override(sea, 65535, 1250) == pytest.approx((-0.5, -0.5))
+    assert override(sea, 0, 65535) == (0.0, 0.0), "at once"
+    for released in (0, 65535) * 30:
+        sail(sea, 0.1)
+        override(sea, released, released)
+    assert sea.state.mode is Mode.IDLE, "what is released is silence for the dead-man"
+    assert override(sea, 1500, 1700) == (0.0, 0.0)
+    assert sea.state.mode is Mode.IDLE, "and a stream of thrust changes no mode"
+
+
+@pytest.mark.parametrize(("steer_us", "thrust_us"), [(1500, 2001), (999, 1500), (1500, 65534), (1, 1600)])
+def test_a_channel_that_cannot_be_is_no_thrust(sea, steer_us, thrust_us):
+    sea.console.mode(0)
+    assert override(sea, steer_us, thrust_us) == (0.0, 0.0)
+    assert sea.station.consoles.counts["manual_ignored"] == 1
+
+
+def test_channels_are_heard_of_the_console_that_commands_alone(sea):
+    sea.console.mode(0)
+    other = Console(sea.station, sea.radio, 251, ("127.0.0.1", 4001))
+    other.beat()
+    assert override(sea, 1500, 1700, console=other) == (0.0, 0.0)
+    assert override(sea, 1500, 1700, target=2) == (0.0, 0.0)
+    assert override(sea, 1500, 1700) == pytest.approx((0.4, 0.4))
+    sail(sea, 2.5)
+    assert sea.state.setpoint.port == 0.0, "no thrust after 1.8 s of silence"
+    assert override(sea, 1500, 1700) == (0.0, 0.0), "until it was released"
+    override(sea, 1500, 1500)
+    assert override(sea, 1500, 1700) == pytest.approx((0.4, 0.4))
+
+
 @pytest.mark.parametrize("target", [0, 2])
 def test_manual_thrust_that_names_no_vehicle_is_none(sea, target):
     sea.console.mode(0)
@@ -478,7 +519,7 @@ def test_what_is_told_is_what_is(sea):
     assert [m.index for m in heard if m.get_type() == "RAW_RPM"][:2] == [0, 1]
     servos = newest(heard, "SERVO_OUTPUT_RAW")
     rpm = sea.state.actuation
-    assert (servos.servo1_raw, servos.servo2_raw) == (1500 + round(rpm.port_rpm / 2.4), 1500 + round(rpm.starboard_rpm / 2.4))
+    assert (servos.servo1_raw, servos.servo3_raw) == (1500 + round(rpm.port_rpm / 2.4), 1500 + round(rpm.starboard_rpm / 2.4))
     health = newest(heard, "SYS_STATUS")
     assert health.onboard_control_sensors_health & 0x10000000
     geofence = dialect.MAV_SYS_STATUS_GEOFENCE  # there is none, and it is not near

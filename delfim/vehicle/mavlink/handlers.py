@@ -5,9 +5,8 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError, Refused
-from delfim.modes import Mode
 from delfim.vehicle import console
-from delfim.vehicle.mavlink import commands, params, telemetry
+from delfim.vehicle.mavlink import byhand, commands, params, telemetry
 from delfim.vehicle.mavlink.answers import ANSWERS
 from delfim.vehicle.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
 from delfim.vehicle.mavlink.consoles import Consoles
@@ -71,21 +70,6 @@ def _set_mode(consoles: Consoles, peer: Peer, source: Speaker, message: Message)
         _, reason = _ordered(consoles, peer, source, order)
         if reason:
             consoles.peers.say(dialect.MAV_SEVERITY_WARNING, reason)
-
-
-def _manual(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """Thrust, in manual mode only: a stream that did not end must not change the mode."""
-    if message.target != consoles.system or consoles.boat.state.mode is not Mode.MANUAL or source != consoles.commander:
-        consoles.count("manual_ignored")
-        return
-    ahead, turn = (message.z, message.y) if consoles.settings.autopilot == "ardurover" else (message.x, message.r)
-    if not (-1000 <= ahead <= 1000 and -1000 <= turn <= 1000):
-        consoles.count("manual_ignored")
-        return
-    port, starboard = (max(min((ahead + side * turn) / 1000.0, 1.0), -1.0) for side in (1, -1))
-    refused = consoles.ask(source, console.Manual(starboard, port))
-    if refused:
-        consoles.count("manual_refused")
 
 
 def _set_current(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
@@ -320,7 +304,8 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_COMMAND_LONG: _command,
     dialect.MAVLINK_MSG_ID_COMMAND_INT: _command,
     dialect.MAVLINK_MSG_ID_SET_MODE: _set_mode,
-    dialect.MAVLINK_MSG_ID_MANUAL_CONTROL: _manual,
+    dialect.MAVLINK_MSG_ID_MANUAL_CONTROL: byhand.manual,
+    dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE: byhand.channels,
     dialect.MAVLINK_MSG_ID_TIMESYNC: _timesync,
     dialect.MAVLINK_MSG_ID_PING: _ping,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _listed,

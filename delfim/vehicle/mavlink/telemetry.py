@@ -106,9 +106,10 @@ def rpm(view: TelemetryView) -> Iterator[Message]:
 
 
 def thrust(view: TelemetryView) -> Iterator[Message]:
-    """Thrust in force as servo pulses, port and starboard: 1000 is full astern, 1500 stop, 2000 full ahead."""
+    """Thrust in force as servo pulses, 1 port and 3 starboard as ArduRover's skid-steered boats have them: 1000 is full astern,
+    1500 stop, 2000 full ahead."""
     port, starboard = (_STILL + round(_AHEAD * part) for part in _thrust(view))
-    yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, port, starboard, 0, 0, 0, 0, 0, 0)
+    yield dialect.MAVLink_servo_output_raw_message(_boot_us(view), 0, port, 0, starboard, 0, 0, 0, 0, 0)
 
 
 def status(view: TelemetryView) -> Iterator[Message]:
