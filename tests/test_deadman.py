@@ -77,6 +77,7 @@ def suite(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Suite]:
         "runtime.run_directory": f'"{tmp_path}"',
         "supervisor.hardware_watchdog": '""',
         "guest.enabled": "false",
+        "services.vehicle.log": '"debug"',
     }
     words = [word for key, value in settings.items() for word in ("--set", f"{key}={value}")]
     hang = tmp_path / "hang"
@@ -135,6 +136,7 @@ def test_the_system_log_tells_all_of_it(suite):
         r"info     supervisor\[\d+\]: delfim .* starts .*/etc/delfimx.toml, sha256 [0-9a-f]{64}, with other values of can",
         r"info     supervisor\[\d+\]: runtime: started as process",
         r"info     vehicle\[\d+\]: mode manual: operator",
+        r'debug    vehicle\[\d+\]: command of local: {"command":"manual","starboard":0.5,"port":0.5}: done',
         r'info     vehicle\[\d+\]: command of local: {"command":"heading","heading_deg":90.0.*}: done',
         r"critical supervisor\[\d+\]: runtime: beat stopped for .*; it stood in hang",
         r"critical supervisor\[\d+\]:   \| .*hanging.py.* in hang",

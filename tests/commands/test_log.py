@@ -1,5 +1,6 @@
 """`delfim log` as people use it: a sailed minute, the words typed, what is printed and written."""
 
+import gzip
 import json
 import os
 import re
@@ -53,6 +54,38 @@ def test_cat_prints_state_frames_and_events(log):
     told = [json.loads(line) for line in log("cat", "--events").splitlines()]
     assert [event["event"] for event in told][:2] == ["start", "start"]
     assert sum(event["event"] == "command" for event in told) == 6
+
+
+def test_cat_system_prints_what_the_programs_said(log, tmp_path):
+    folder = tmp_path / "boat" / "20100101" / "system"
+    folder.mkdir(parents=True)
+    said = [
+        ("info", "runtime: started as process 7"),
+        ("error", "runtime: killed \x1b[2J"),
+        ("info", "runtime: started as process 9"),
+    ]
+    lines = [
+        {
+            "t_ns": 1_262_304_000_000_000_000 + n * 10**9,
+            "monotonic_s": 5.0 + n,
+            "level": level,
+            "pid": 1,
+            "service": "supervisor",
+        }
+        | {"text": text}
+        for n, (level, text) in enumerate(said)
+    ]
+    (folder / "000000.jsonl.gz").write_bytes(gzip.compress("\n".join(map(json.dumps, lines)).encode()))
+    boat = tmp_path / "boat"
+    assert "20100101-000000  system" in log("ls", path=boat)
+    assert log("cat", "system", path=boat).splitlines() == [
+        "2010-01-01 00:00:00.000000 info     supervisor[1]: runtime: started as process 7",
+        "2010-01-01 00:00:01.000000 error    supervisor[1]: runtime: killed \\x1b[2J",
+        "2010-01-01 00:00:02.000000 info     supervisor[1]: runtime: started as process 9",
+    ]
+    assert len(log("cat", "system", "--level", "warning", path=boat).splitlines()) == 1
+    assert len(log("cat", "system", "--from", "+1.5", path=boat).splitlines()) == 1
+    assert main(["log", "cat", "system", str(tmp_path)]) == 0, "found below the folder that is named"
 
 
 def test_ranges_hold_everywhere(log, tmp_path):
