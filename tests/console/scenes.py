@@ -178,6 +178,7 @@ async def work(page: Page, picture: Picture) -> None:
         day = Day(gateway)
         await day.sail(0.1)
         await opened(page, gateway)
+        await page.value("document.querySelector('#hint button').click()")
         await page.press("Tab")
         await show(page, -150, -300, 180, 260)
         await day.sail(230)

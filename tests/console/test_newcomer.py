@@ -310,7 +310,11 @@ def test_there_is_land_without_a_network_until_it_would_be_taken_for_a_chart(
         assert "not for navigation" in words
         await page.value("delfim.fit(40.30, -3.31, 40.31, -3.29)")
         assert await colours(page, (40.303, -3.303)) == [atlantic], "the grid alone"
-        assert f"put charts into the folder {it.folder}" in await page.value(base)
+        assert await page.value(base) == "No chart here. How to add one: Screen in the menu"
+        await page.mouse((600.0, 300.0))
+        await choose(page, "Screen")
+        await page.until("document.querySelector('.popup').textContent.includes('Night colours')")
+        assert f"put charts into the folder {it.folder}" in await page.value("document.querySelector('.popup').textContent")
 
     visit(story)
 

@@ -57,7 +57,7 @@ export class Land {
 
   /** What is drawn under the mission, and what is not. */
   private tell(): void {
-    const chart = `No chart here: put charts into ${this.state.chartFolder}`;
+    const chart = "No chart here. How to add one: Screen in the menu";
     text(this.words, this.layer.getVisible() && this.polygons ? SOURCE : this.chart.charted || !this.state.hello ? "" : chart);
   }
 }

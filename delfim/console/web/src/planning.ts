@@ -179,7 +179,8 @@ export class Planning {
   private save(boat: Boat, name: string): void {
     if (name !== this.state.plan(boat.id).mission.name) this.change(boat, (mission) => ({ ...mission, name }));
     void this.actions.mission(boat.id, "save", name).then((answer) => {
-      if (answer.ok) this.messages.say(boat.id || null, 6, `saved: ${name}`);
+      const without = this.state.plan(boat.id).mission.home ? "; its home is not in the file" : "";
+      if (answer.ok) this.messages.say(boat.id || null, 6, `saved: ${name}${without}`);
       void this.actions.mission(boat.id, "list");
     });
   }
