@@ -271,6 +271,66 @@ def test_the_ardurover_profile_takes_the_other_axes(boat):
     assert newest(sail(sea, 1.1), "HEARTBEAT").autopilot == 3
 
 
+VELOCITY, PLACE = 0b1101_1110_0111, 0b1101_1111_1100  # of the type mask: what is not ignored
+
+
+def target(
+    sea, mask: int, x: float = 0.0, y: float = 0.0, v: tuple[float, float] = (0.0, 0.0), frame: int = 1, to: int = 1
+) -> list:
+    return sea.console.say("set_position_target_local_ned", 0, to, 1, frame, mask, x, y, 0.0, *v, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
+def test_a_program_steers_by_velocity_and_position_in_the_modes_for_it(sea):
+    target(sea, VELOCITY, v=(0.0, 1.2))
+    assert sea.state.mode is Mode.IDLE, "a stream changes no mode that an operator chose"
+    sea.console.mode(3)
+    before = len(sea.log)
+    for _ in range(5):
+        target(sea, VELOCITY, v=(0.0, 1.2))
+    assert sea.log[before:] == [console.Course(course_deg=90.0, speed_mps=pytest.approx(1.2))], "equal ones count once"
+    assert sea.state.mode is Mode.COURSE
+    target(sea, VELOCITY, v=(-0.5, 0.0))
+    assert sea.log[-1] == console.Course(course_deg=180.0, speed_mps=0.5)
+    target(sea, PLACE, x=30.0, y=-40.0)
+    assert sea.state.mode is Mode.GOTO
+    goal = sea.state.setpoint.target
+    assert (goal.north_m, goal.east_m) == pytest.approx((30.0, -40.0), abs=0.05)
+    latitude, longitude = 386_930_000, -92_150_000
+    sea.console.say("set_position_target_global_int", 0, 1, 1, 6, PLACE, latitude, longitude, 0.0, *[0.0] * 8)
+    assert (sea.log[-1].latitude_deg, sea.log[-1].longitude_deg) == (38.693, -9.215)
+    sea.console.mode(5)
+    target(sea, VELOCITY, v=(0.0, 1.2))
+    assert sea.state.mode is Mode.HOLD
+
+
+@pytest.mark.parametrize(
+    ("mask", "v", "frame", "reason"),
+    [
+        (VELOCITY, (1.0, 0.0), 8, "north and east or latitude and longitude"),
+        (VELOCITY | 0x200, (1.0, 0.0), 1, "a velocity or a position"),
+        (0xFFF & ~0x200, (1.0, 0.0), 1, "needs a velocity or a position"),
+        (VELOCITY, (math.nan, 0.0), 1, "course_deg must be"),
+        (VELOCITY, (1e9, 0.0), 1, "speed_mps must be"),
+        (PLACE, (0.0, 0.0), 6, "north and east or latitude and longitude"),
+    ],
+)
+def test_a_set_point_that_the_boat_cannot_steer_by_is_refused_in_words_once(sea, mask, v, frame, reason):
+    sea.console.mode(3)
+    before = len(sea.log)
+    assert reason in texts(target(sea, mask, v=v, frame=frame))
+    assert texts(target(sea, mask, v=v, frame=frame)) == "", "a stream of them says it once"
+    assert (sea.log[before:], sea.state.mode, sea.station.consoles.counts["guided_refused"]) == ([], Mode.HEADING, 2)
+
+
+def test_set_points_are_heard_of_the_console_that_commands_alone(sea):
+    sea.console.mode(3)
+    target(sea, VELOCITY, v=(0.0, 1.2), to=2)
+    sea.console.party = (251, 190)
+    sea.console.sender = type(sea.console.sender)(251, 190, None, lambda: 0)
+    target(sea, VELOCITY, v=(0.0, 1.2))
+    assert sea.state.mode is Mode.HEADING
+
+
 def test_guided_heading_and_position(sea):
     assert sea.console.command(43002, 1, 123.0)[0] == ACCEPTED
     assert sea.state.mode is Mode.HEADING

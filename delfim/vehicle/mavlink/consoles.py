@@ -37,6 +37,8 @@ class Consoles:
         self.system = boat.helm.settings.boat.id
         self.commander: Speaker | None = None  # the console that commands
         self.counts: dict[str, int] = {}
+        self.guided: console.Commands | None = None  # the last set point, and why the last was refused
+        self.guided_refused: str | None = None
         self.peers = Peers(self.system, self.settings, self.clock, send, signing, self.count)
         self.missions = Missions(boat, self.settings.autopilot == "ardurover")
         self.sequences = Sequences()

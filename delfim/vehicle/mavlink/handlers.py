@@ -10,6 +10,7 @@ from delfim.vehicle.mavlink import byhand, commands, params, telemetry
 from delfim.vehicle.mavlink.answers import ANSWERS
 from delfim.vehicle.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
 from delfim.vehicle.mavlink.consoles import Consoles
+from delfim.vehicle.mavlink.guided import guided
 from delfim.vehicle.mavlink.missions import KINDS
 from delfim.vehicle.mavlink.peers import Peer
 from delfim.vehicle.mavlink.plans import ALL
@@ -306,6 +307,8 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_SET_MODE: _set_mode,
     dialect.MAVLINK_MSG_ID_MANUAL_CONTROL: byhand.manual,
     dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE: byhand.channels,
+    dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: guided,
+    dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: guided,
     dialect.MAVLINK_MSG_ID_TIMESYNC: _timesync,
     dialect.MAVLINK_MSG_ID_PING: _ping,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _listed,
