@@ -1,14 +1,10 @@
 """The boat's image, booted, as it is met from the shore: page, files, commands, its bus, and its end in order."""
 
 import asyncio
-import contextlib
-import ctypes
 import ftplib
 import gzip
 import io
-import os
 import shlex
-import shutil
 import subprocess
 import time
 import urllib.request
@@ -22,13 +18,12 @@ import pytest
 from delfim.messages import ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
 from delfim.services.door import hashed
 from tests.guest import boat_image
+from tests.guest.ashore import BOAT, disk, network, started
 from tests.guest.pc import PATH, Pc
 from tests.services.browser import browser
 
 pytestmark = pytest.mark.timeout(900)  # the first one waits for the image to be built
 BOOT_S = 120.0
-SHORE, BOAT = "10.77.0.1", "10.77.0.2"
-CLONE_NEWNET = 0x40000000
 FILE = "/log/boat.toml"
 PASSWORD, MISTAKE = "by-the-light-of-the-sea", "by-the-light-of-the-moon"
 KEPT = hashed(PASSWORD)
@@ -63,21 +58,6 @@ class Boat(NamedTuple):
         ]
         words = [word for option in options for word in ("-o", option)]
         return ["ssh", "-F", "none", "-i", f"{self.folder}/key", *words, f"ana@{BOAT}", command]
-
-
-@contextlib.contextmanager
-def network() -> Iterator[None]:
-    """This thread in a network of its own, with one end of a wire to the guest in it: tap0."""
-    libc = ctypes.CDLL(None, use_errno=True)
-    with open("/proc/thread-self/ns/net") as ours:
-        if libc.unshare(CLONE_NEWNET):
-            pytest.skip(f"a network of its own needs root: {os.strerror(ctypes.get_errno())}")
-        try:
-            for words in ("link set lo up", "tuntap add tap0 mode tap", f"address add {SHORE}/24 dev tap0", "link set tap0 up"):
-                subprocess.run(["ip", *words.split()], check=True, env={"PATH": PATH})
-            yield
-        finally:
-            assert libc.setns(ours.fileno(), CLONE_NEWNET) == 0
 
 
 def log_partition(folder: Path) -> Path:
@@ -115,11 +95,7 @@ keys = ["{(folder / "key.pub").read_text().strip()}"]
 """
     (folder / "log").mkdir()
     (folder / "log" / "boat.toml").write_text(text)
-    disk = folder / "log.img"
-    disk.touch()
-    os.truncate(disk, 64 << 20)
-    subprocess.run(["mke2fs", "-q", "-t", "ext2", "-d", folder / "log", disk], check=True, env={"PATH": PATH})
-    return disk
+    return disk(folder / "log.img", folder / "log")
 
 
 @pytest.fixture(scope="module")
@@ -128,27 +104,13 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
         pytest.skip(reason)
     image = boat_image.build()
     folder = tmp_path_factory.mktemp("ashore")
-    words = [f"initrd={image}/initramfs-guest.gz", f"ubd0={log_partition(folder)}", "vec0:transport=tap,ifname=tap0,depth=128"]
-    init = [f"VEHICLE={FILE}", "MODULES=vcan,can-raw", "LOG=/dev/ubda", "NET=vec0", f"ADDRESS={BOAT}/24"]
-    console = ["con=null", "con0=fd:0,fd:1", "quiet", "selinux=0", f"uml_dir={folder}"]
-    with network():
-        process = subprocess.Popen(
-            [str(shutil.which("linux.uml", path=PATH)), "mem=768M", *words, *init, *console],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-            env={"PATH": PATH, "HOME": str(folder), "TMPDIR": str(folder)},
-        )
-        try:
-            booted = Boat(Pc(process), folder, process)
-            booted.console.wait_for("ssh://", BOOT_S)
-            booted.ssh(f"setsid delfim nodes {FILE} >/run/nodes 2>&1 </dev/null &")
-            yield booted
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, 9)
-            process.communicate()
+    words = [f"VEHICLE={FILE}", "MODULES=vcan,can-raw"]
+    log = log_partition(folder)
+    with network(), started(folder, image / "initramfs-guest.gz", log, words) as (console, process):
+        booted = Boat(console, folder, process)
+        booted.console.wait_for("ssh://", BOOT_S)
+        booted.ssh(f"setsid delfim nodes {FILE} >/run/nodes 2>&1 </dev/null &")
+        yield booted
 
 
 def test_a_command_has_its_streams_and_its_exit_status(boat: Boat) -> None:

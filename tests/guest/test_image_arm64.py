@@ -16,10 +16,11 @@ from tests.guest.recording import record
 
 pytestmark = [pytest.mark.long, pytest.mark.timeout(1500)]  # the image is built; a busy machine emulates slowly
 PATIENCE_S = 600.0
-OPTIONS = (
-    "console=ttyAMA0 quiet panic=10 LOG=/dev/vda CAN=can0,can1 MODULES=virtio_pci,virtio_blk,kvaser_pci,can-raw rdinit=/bin/sh"
+OPTIONS = "console=ttyAMA0 quiet panic=10 LOG=/dev/vda MODULES=virtio_pci,virtio_blk,kvaser_pci,can-raw rdinit=/bin/sh"
+SET_UP = "until ip link set can1 type can bitrate 500000 && ip link set can1 up; do sleep 0.2; done 2>/dev/null"
+BESIDE = (
+    f"(until [ -e /log/frames ]; do sleep 0.2; done; {SET_UP}; exec python3 /log/guest_actuation.py /log/frames) & exec /init"
 )
-BESIDE = "(until [ -e /log/frames ]; do sleep 0.2; done; exec python3 /log/guest_actuation.py /log/frames) & exec /init"
 
 
 @pytest.fixture(scope="module")
