@@ -87,7 +87,7 @@ def board(image: Path, disk: Path, options: str) -> Iterator[Pc]:
     """A computer of the arm64 architecture with two CAN cards on one bus, booted into an image without a boot loader.
 
     Its clock counts its instructions, 1 ns each: however busy this machine is, it is a computer of a thousand million
-    instructions a second."""
+    instructions a second. While all wait for the disk, the clock runs on."""
     machine = "qemu-system-aarch64 -M virt -cpu cortex-a72 -icount shift=0,sleep=off -rtc clock=vm -m 768"
     cards = "-object can-bus,id=bus -device kvaser_pci,canbus=bus -device kvaser_pci,canbus=bus"
     parts = ("-kernel", str(image / "vmlinuz"), "-initrd", str(image / "initramfs.gz"), "-append", options)

@@ -1,6 +1,6 @@
 """What the kernel's preemption is worth (docs/image.md): python -m tests.guest.wakeups prints the table, in about ten minutes.
 
-The PC is emulated, and its clock counts its instructions, 2 ns each: the host does not matter, nor do memory, disk and wires.
+The PC is emulated, and its clock counts its instructions, 2 ns each: the host matters little; memory, disk and wires do not.
 """
 
 import subprocess
