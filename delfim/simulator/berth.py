@@ -101,6 +101,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "runtime.run_directory": str(place),
         "supervisor.hardware_watchdog": "",
         "mavlink.key": "",
+        "mavlink.serial": "",
         "guest.listen": free("guest.listen", vehicle.guest.listen),
         "mavlink.listen": free("mavlink.listen", vehicle.mavlink.listen, udp=True),
         "httpd.listen": page,

@@ -45,6 +45,14 @@ def test_two_share_nothing():
     assert len(buses) == 4
 
 
+def test_the_boats_radio_is_left_alone_with_its_key():
+    """A file with a serial radio needs a key; its simulation has neither."""
+    file = ['mavlink.key="/keys/mavlink"', 'mavlink.serial="/dev/ttyUSB0"']
+    with berth(None) as its:
+        settings = changed(file + settings_of(changed(file), its, ()).overrides)
+    assert (settings.mavlink.serial, settings.mavlink.key) == ("", "")
+
+
 def test_a_port_of_another_program_is_passed_over():
     with socket.socket() as other, berth(None) as its:
         other.bind(("127.0.0.1", 0))
