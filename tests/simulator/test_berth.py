@@ -50,6 +50,7 @@ def test_the_boats_radio_is_left_alone_with_its_key():
     file = ['mavlink.key="/keys/mavlink"', 'mavlink.serial="/dev/ttyUSB0"']
     with berth(None) as its:
         settings = changed(file + settings_of(changed(file), its, ()).overrides)
+        assert "mavlink.serial" not in " ".join(settings_of(VEHICLE, its, ("mavlink.key", "mavlink.serial")).overrides)
     assert (settings.mavlink.serial, settings.mavlink.key) == ("", "")
 
 
