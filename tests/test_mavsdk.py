@@ -10,10 +10,12 @@ from pathlib import Path
 import pytest
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.action import ActionAsync
+from mavsdk.asyncio.plugins.geofence import GeofenceAsync
 from mavsdk.asyncio.plugins.mission import MissionAsync
 from mavsdk.asyncio.plugins.mission_raw import MissionRawAsync
 from mavsdk.asyncio.plugins.telemetry import TelemetryAsync
 from mavsdk.plugins.action import ActionError
+from mavsdk.plugins.geofence import Circle, FenceType, GeofenceData, Point, Polygon
 from mavsdk.plugins.mission import MissionItem as PlanItem
 from mavsdk.plugins.mission import MissionPlan
 from mavsdk.plugins.mission_raw import MissionItem
@@ -112,11 +114,23 @@ async def planned(path: Path, home: bool) -> None:
 
         await until(fit)
         kind = {"relative_altitude_m": 0.0, "speed_m_s": 1.2, "is_fly_through": True, "acceptance_radius_m": 3.0}
+        north, south = (
+            [Point(38.6890 + n, -9.2200 + e) for n, e in ((a, 0), (a, 0.01), (a + 0.002, 0.01), (a + 0.002, 0))]
+            for a in (0.0015, 0)
+        )
+        areas = [Polygon(corners, FenceType.INCLUSION) for corners in (north, south)]
+        await GeofenceAsync(system).upload_geofence(
+            GeofenceData(areas, [Circle(Point(38.70, -9.22), 300.0, FenceType.INCLUSION)])
+        )
+        await mission.set_return_to_launch_after_mission(True)
+        kind["camera_action"] = PlanItem.CameraAction.TAKE_PHOTO
         places = [PlanItem(*place, **kind) for place in [*PLACES[:1] * home, *PLACES]]
         await mission.upload_mission(MissionPlan(places))
         aboard = (await mission.download_mission()).mission_items[int(home) :]
         assert [(round(each.latitude_deg, 7), round(each.longitude_deg, 7)) for each in aboard] == PLACES
         assert [each.acceptance_radius_m for each in aboard] == [3.0] * 3
+        assert {each.camera_action for each in aboard} == {PlanItem.CameraAction.TAKE_PHOTO}
+        assert await mission.get_return_to_launch_after_mission()
         with pytest.raises(ActionError, match=r"COMMAND_DENIED|UNSUPPORTED"):
             await action.takeoff()
         await asyncio.sleep(1.0)
