@@ -286,7 +286,9 @@ ROWS: dict[str, Row] = {
         pad({}, {"right": 0.3}, mode="h"), "heading_to", heading(1.0)
     ),
     'gamepad.steer: faster(boat, "both", Math.round(ahead * FASTER_PCT': Row(
-        pad({}, {"ahead": 0.3}, mode="h"), "speed", {"command": "speed", "speed_mps": 0.01 * SPEED_MAX}
+        pad({}, {"ahead": 0.3}, mode="h"),
+        "speed",
+        {"command": "speed"},  # how often the page looks meanwhile, and so how much, is the machine's
     ),
     'main.planned: mission(boat, "put"': Row(put),
     "menus.boat: Stop: stop(boat.id": Row(menu("Stop"), "stop", STOP),
