@@ -7,7 +7,7 @@ small beside what is measured.
 Prints, in seconds since /init began: the first frame to a propeller, the first that lets it run.
 """
 
-import contextlib
+import errno
 import json
 import select
 import socket
@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 
 FRAME = struct.Struct("=IB3x8s")  # struct can_frame
-EXTENDED = 0x8000_0000
+EXTENDED, IFF_UP = 0x8000_0000, 1
 PROPELLERS, FLAGS, RUN = (0x040, 0x041), 2, 1  # messages.PropellerCommand: rpm in two bytes, flags, counter
 BUS = "can1"  # at the other end of the boat's can0
 
@@ -39,12 +39,25 @@ def frames() -> list[tuple[float, bytes]]:
 
 
 def bus() -> socket.socket:
-    while True:
-        with contextlib.suppress(OSError):
-            sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-            sock.bind((BUS,))
-            return sock
+    """As soon as it is up: /init loads the card's driver first, and sets its bit rate later."""
+    flags = Path(f"/sys/class/net/{BUS}/flags")
+    while not (flags.exists() and int(flags.read_text(), 16) & IFF_UP):
         time.sleep(0.1)
+    sock = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    sock.bind((BUS,))
+    return sock
+
+
+def send(sock: socket.socket, frame: bytes) -> None:
+    """The card's queue may be full for a moment."""
+    while True:
+        try:
+            sock.send(frame)
+            return
+        except OSError as error:
+            if error.errno != errno.ENOBUFS:
+                raise
+            time.sleep(0.001)
 
 
 def ask_for_a_heading() -> str:
@@ -65,7 +78,7 @@ def main() -> None:
     first = False
     while True:
         while traffic and uptime_s() - began_s >= traffic[0][0]:
-            sock.send(traffic.pop(0)[1])
+            send(sock, traffic.pop(0)[1])
         if select.select([sock], [], [], 0.02)[0]:
             identifier, _, data = FRAME.unpack(sock.recv(FRAME.size))
             if identifier in PROPELLERS:
