@@ -190,8 +190,10 @@ async def loaded(sea: Sea, page: Page, boat: Boat) -> None:
     """What was saved, in place of a plan that has a waypoint more; files hold no home."""
     await saved(sea, page, boat)
     name = next((sea.folder / "missions").glob("*.toml")).stem
+    count = await page.value("delfim.drawn().plan")
     await other_plan(sea, page, boat)
     await menu("Mission", "Load", name)(sea, page, boat)
+    await page.until(f"delfim.drawn().plan === {count}", PATIENCE_S)
     await menu("Mission", "Read from the boat")(sea, page, boat)
     await badge(page, "same")
 
