@@ -13,7 +13,7 @@ from delfim import config, geodesy
 from delfim.modes import Mode
 from delfim.slices import Work
 from delfim.vehicle.state import Motion, Setpoint
-from delfim.vehicle.zones import LOOKS, Point, Zone, circle, clearance_m, least, may, polygon, together
+from delfim.vehicle.zones import LOOKS, Point, Zone, circle, clearance_m, cost, least, may, polygon, together
 
 BOXES: Final = 4  # boxes that are compared in the time of one comparison
 RECEDES_M = 0.01  # a boat whose clearance shrinks by no more than this leaves a zone, or goes along it
@@ -96,7 +96,7 @@ def ahead(fence: Fence, motion: Motion) -> str | None:
                 return f"{zone.name} {here_m:.1f} m away, velocity unknown"
             if smallest < here_m - RECEDES_M:
                 return f"{zone.name} {max(here_m, 0.0):.1f} m away at {speed_mps:.1f} m/s"
-            left -= zone.corners // 4
+            left -= cost(zone, here)
         if left < 0:
             return f"too many corners of zones close by to watch, {zone.name} among them: simplify the zones"
     return None

@@ -19,6 +19,7 @@ Stretch = tuple[float, float]  # of a straight way, as parts of its length: 0 to
 
 PART: Final = 8  # sides of a zone that share a box
 LOOKS: Final = 200  # comparisons for one answer, about a microsecond each
+OVERLAP: Final = 4  # areas at one point whose clearance is compared; of more, the others could only give more room
 BARE: Final = 8  # stretches of a way that no area covers; a way with more leads through forbidden water
 
 
@@ -53,10 +54,6 @@ class Zone(NamedTuple):
     parts: tuple[Part, ...] = ()
     areas: tuple["Zone", ...] = ()
 
-    @property
-    def corners(self) -> int:
-        return len(self.sides) + sum(len(area.sides) for area in self.areas)
-
 
 def polygon(name: str, keep_in: bool, corners: Sequence[Point]) -> Zone:
     """A zone from the corners of a polygon, in either direction."""
@@ -89,13 +86,18 @@ def clearance_m(zone: Zone, north_m: float, east_m: float) -> float:
     """Distance of a point to the zone's edge; negative where the boat may not be."""
     if zone.areas:
         holding = [area for area in zone.areas if may(area, north_m, east_m)]
-        inside = holding or [min(zone.areas, key=lambda area: _box_m(area.box, north_m, east_m))]
+        inside = holding[:OVERLAP] or [min(zone.areas, key=lambda area: _box_m(area.box, north_m, east_m))]
         return max(clearance_m(area, north_m, east_m) for area in inside)
     if not zone.sides:
         away_m = math.hypot(north_m - zone.north_m, east_m - zone.east_m) - zone.radius_m
         return -away_m if zone.keep_in else away_m
     away_m = _edge_m(zone.sides, north_m, east_m)
     return away_m if may(zone, north_m, east_m) else -away_m
+
+
+def cost(zone: Zone, at: Point) -> int:
+    """What `clearance_m` costs here, in comparisons."""
+    return (len(zone.sides) + sum(len(area.sides) for area in zone.areas if not _box_m(area.box, *at))) // 4
 
 
 def _edge_m(sides: Sequence[Side], north_m: float, east_m: float) -> float:
@@ -179,8 +181,9 @@ def _in_areas(zone: Zone, a: Point, b: Point, within_m: float) -> Work[float]:
     for area in zone.areas if a != b else ():
         yield 1
         if not apart(area.box, a, b, 0.0):
-            yield 2 * len(area.sides)
-            for good in _covered(area, a, b, within_m):
+            near = [side for part in area.parts if not apart(part.box, a, b, within_m) for side in part.sides]
+            yield len(area.parts) + 2 * len(near)
+            for good in _covered(area, near, a, b, within_m):
                 bare = [rest for each in bare for rest in ((each[0], min(each[1], good[0])), (max(each[0], good[1]), each[1]))]
                 bare = [each for each in bare if each[0] < each[1]]
             if not bare:
@@ -189,17 +192,17 @@ def _in_areas(zone: Zone, a: Point, b: Point, within_m: float) -> Work[float]:
         return 0.0
     smallest = math.inf
     for t in {t for first, last in bare for t in (first, (first + last) / 2.0, last)}:
-        yield 1 + zone.corners // 4
-        smallest = min(smallest, clearance_m(zone, *_on_way(a, b, t)))
+        at = _on_way(a, b, t)
+        yield 1 + cost(zone, at)
+        smallest = min(smallest, clearance_m(zone, *at))
     return smallest if smallest < within_m else math.inf
 
 
-def _covered(area: Zone, a: Point, b: Point, room_m: float) -> Iterator[Stretch]:
-    """The stretches of a way on which one area gives this much room."""
+def _covered(area: Zone, near: Sequence[Side], a: Point, b: Point, room_m: float) -> Iterator[Stretch]:
+    """The stretches of a way on which one area gives this much room; `near`: its sides that are not surely farther away."""
     if not area.sides:
         good = _in_disc(a, b, (area.north_m, area.east_m), area.radius_m - room_m)
         return iter([good] if good is not None else [])
-    near = (side for part in area.parts if not apart(part.box, a, b, room_m) for side in part.sides)
     bad = sorted(each for side in near if (each := _near_side(a, b, side, room_m)) is not None)
     free, at = list[Stretch](), 0.0
     for first, last in [*bad, (1.0, 1.0)]:

@@ -182,7 +182,18 @@ def test_many_areas_are_watched_within_bounds():
     assert least(zone, a, b, 3.0) == (math.inf, LOOKS + 1)
     assert "too many corners" in (fence.ahead(Fence((zone,), LIMITS), motion(70.0, 0.0, 9.0, 0.0)) or "")
     assert whole(searched, zone, a, b, 3.0) < 0.0
-    assert max(searched(zone, a, b, 3.0)) <= 2 * config.AREAS * config.CORNERS // 4
+    assert max(searched(zone, a, b, 3.0)) <= 1 + config.AREAS * config.CORNERS // 4
+
+
+def test_two_large_areas_are_no_hindrance():
+    """Nor for a boat that is too near to the edge and leaves it."""
+    ring = [(60.0 * math.cos(math.tau * i / 100), 60.0 * math.sin(math.tau * i / 100)) for i in range(100)]
+    around = Fence((together("both", [polygon("", True, [(n + at, e) for n, e in ring]) for at in (0.0, 80.0)]),), LIMITS)
+    for at in (0.0, 30.0, 40.0, 90.0):
+        assert fence.ahead(around, motion(at, 0.0, 2.0, 0.0)) is None
+    assert fence.ahead(around, motion(0.0, 58.5, 0.0, -1.0)) is None
+    assert (fence.ahead(around, motion(0.0, 57.0, 0.0, 1.0)) or "").startswith("both 3.0 m away")
+    assert (fence.ahead(around, motion(139.0, 0.0, 1.0, 0.0)) or "").startswith("both 1.0 m away")
 
 
 @settings(deadline=None)
