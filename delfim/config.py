@@ -534,10 +534,13 @@ class Slipd(Table, frozen=True):
     peer: str = "10.0.0.2"  # of the other end
     mtu: Annotated[int, msgspec.Meta(ge=68, le=1500)] = 296  # the shorter, the sooner an urgent packet is sent
     carrier: Carrier = "none"  # source of carrier detection: none, the modem's line (dcd), or a file
+    station: Annotated[int, msgspec.Meta(ge=0, le=254)] = 0  # number of the boat if several share a frequency; else 0
 
     def __post_init__(self) -> None:
         IPv4Address(self.address)
         IPv4Address(self.peer)
+        if self.station and self.mode == "kernel":
+            raise ValueError("a station speaks when the shore polls it, which the kernel's SLIP does not do: leave mode away")
 
 
 class Timed(Table, frozen=True):

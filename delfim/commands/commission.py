@@ -211,13 +211,7 @@ def _next_steps(output: Path, answers: Mapping[str, str], crew: Sequence[str], n
     boat, user = answers["radio-address"] if answers["radio"] else str(network.ip), crew[0]
     shore, name = output / "shore", answers["name"]
     words = f"VEHICLE={BOAT}/boat.toml NET={answers['interface']} ADDRESS={network}"
-    radio = (
-        f"    sudo delfim run {shore}/boat.toml --service slipd --set slipd.mode=user --set slipd.device=/dev/ttyUSB0 \\\n"
-        f"        --set slipd.address={answers['console']} --set slipd.peer={answers['radio-address']}"
-        " --set runtime.run_directory=/run/shore\n"
-        if answers["radio"]
-        else ""
-    )
+    radio = _shore(config.load(shore / "boat.toml").slipd)
     return f"""{name} is commissioned. All files in {output} are secret; nobody but you can read them.
 
 To the boat, by hand and never over the radio:
@@ -233,3 +227,14 @@ To the operator's computer: {shore}, where you type
 Each user has a key and a password of their own there: {", ".join(crew)}. Give each their two files, boat.crt and known_hosts.
 
 Before it goes into the water: delfim check --sea {output}/boat/boat.toml, and docs/sea.md."""
+
+
+def _shore(line: config.Slipd) -> str:
+    """The command for the radio's other end; empty without a radio."""
+    if not line.device:
+        return ""
+    boat, ashore = (f"{line.address}={line.station}", f"{line.peer}/24") if line.station else (line.address, line.peer)
+    return (
+        f"    sudo delfim shore /dev/ttyUSB0 --boats {boat} --address {ashore} \\\n"
+        f"        --baud {line.baud} --radio-bps {line.radio_bps} --encapsulation {line.encapsulation} --mtu {line.mtu}\n"
+    )

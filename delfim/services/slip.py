@@ -19,6 +19,11 @@ class Deframer:
         self.errors = 0
         self._rest = b""
 
+    @property
+    def is_within(self) -> bool:
+        """Whether a packet has begun and not ended."""
+        return bool(self._rest)
+
     def feed(self, data: bytes) -> Iterator[bytes]:
         """The packets that end in these bytes, empty ones left out. Bounded: a line that never ends a packet is noise."""
         *whole, self._rest = (self._rest + data).split(END)

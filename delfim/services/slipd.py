@@ -3,6 +3,7 @@
 It opens the serial port, gives it the kernel's (C)SLIP line discipline, names and addresses the interface, watches the carrier,
 and builds everything anew after any failure: carrier gone, hang-up, adapter unplugged, refusal of the kernel. Where the
 kernel has no SLIP, a TUN device and the codecs of slip.py and vj.py stand behind the same interface, interactive traffic first.
+A boat that shares its frequency with others speaks only when the shore polls it: polling.py.
 Every event is logged with its reason. docs/slipd.md.
 """
 
@@ -14,7 +15,6 @@ import os
 import socket
 import struct
 import termios
-from collections import deque
 from collections.abc import Callable
 from ipaddress import IPv4Address
 from pathlib import Path
@@ -25,15 +25,16 @@ from delfim.canproxy.canudp import open_tun
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure
 from delfim.serialline import open_port
+from delfim.services.packetqueue import PacketQueue
+from delfim.services.polledline import PolledLine, Talker
+from delfim.services.polling import PolledBoat
 from delfim.services.runtime import Runtime
 from delfim.services.slip import Deframer, framed
 from delfim.services.vj import Compressor, Decompressor
 
 LOOK_S: Final = 0.25  # how often carrier and interface are looked at
 RETRY_MAX_S: Final = 2.0
-QUEUE_MAX: Final = 10  # packets of each kind; a longer queue is only delay
 AHEAD_S: Final = 0.02  # given to the line before it has sent the data it has
-IPTOS_LOWDELAY: Final = 0x10
 _N_TTY, _N_SLIP = 0, 1
 _SIOCGIFNAME, _SIOCSIFENCAP = 0x8910, 0x8926
 _SIOCGIFFLAGS, _SIOCSIFFLAGS, _SIOCSIFADDR, _SIOCSIFDSTADDR, _SIOCSIFMTU = 0x8913, 0x8914, 0x8916, 0x8918, 0x8922
@@ -51,6 +52,7 @@ class RadioLine(Protocol):
 
     def attend(self) -> None: ...  # once, on the service's own behalf, when it is up
     def trouble(self) -> str: ...  # why it is not up any more, in words; empty while it is
+    def silence(self) -> str: ...  # why it is up and carries nothing, in words; empty where that is not known
     def close(self) -> None: ...
 
 
@@ -87,6 +89,9 @@ class SerialRadio:
             if trouble:
                 self.losses += 1
                 self._down(f"lost: {trouble}", now_s)
+            elif (said := self._line.silence() or "up") != self.reason:
+                log.warning("slipd: %s: %s", self._settings.device, said)
+                self.reason, self.since_s = said, now_s
         return self._line is None and now_s >= self._due_s
 
     def attend(self) -> None:
@@ -177,6 +182,9 @@ class KernelLine:
     def trouble(self) -> str:
         return "" if Path("/sys/class/net", self.name).exists() else "the line was hung up"
 
+    def silence(self) -> str:
+        return ""
+
     def close(self) -> None:
         fcntl.ioctl(self._port, termios.TIOCSETD, struct.pack("i", _N_TTY))
 
@@ -187,11 +195,10 @@ class TunLine:
 
     def __init__(self, port: int, settings: config.Slipd, runtime: Runtime, loop: asyncio.AbstractEventLoop) -> None:
         self.name = settings.interface
-        self.dropped = 0
         self._port, self._runtime, self._loop = port, runtime, loop
         self._bytes_per_s, self._free_s = (settings.radio_bps or settings.baud) / 10.0, 0.0  # a byte has 10 bits: 8N1
         self._trouble = ""
-        self._queues: tuple[deque[bytes], deque[bytes]] = deque(), deque()
+        self._outbox = PacketQueue()
         compresses = settings.encapsulation == "cslip"
         self._compressor = Compressor() if compresses else None
         self._decompressor, self._deframer = Decompressor() if compresses else None, Deframer()
@@ -207,6 +214,9 @@ class TunLine:
     def trouble(self) -> str:
         return self._trouble
 
+    def silence(self) -> str:
+        return ""
+
     def close(self) -> None:
         if self._timer is not None:
             self._timer.cancel()
@@ -217,12 +227,7 @@ class TunLine:
     def on_packet(self) -> None:
         """A packet of the network's for the line."""
         with contextlib.suppress(BlockingIOError):
-            packet = os.read(self._tun, 4096)
-            queue = self._queues[0 if len(packet) > 1 and packet[1] & IPTOS_LOWDELAY else 1]
-            if len(queue) < QUEUE_MAX:
-                queue.append(packet)
-            else:
-                self.dropped += 1
+            self._outbox.put(os.read(self._tun, 4096))
             if self._timer is None:
                 self._send()
 
@@ -260,17 +265,17 @@ class TunLine:
         except OSError as error:
             self._trouble = error.strerror or "write failed"
             return
-        if self._rest or any(self._queues):
+        if self._rest or self._outbox:
             self._timer = self._loop.call_later(max(self._free_s - AHEAD_S - now_s, AHEAD_S / 4), self._send)
 
     def _is_free(self, now_s: float) -> bool:
-        if self._free_s - now_s > AHEAD_S or not any(self._queues):
+        if self._free_s - now_s > AHEAD_S or not self._outbox:
             return False
         waiting = struct.unpack("i", fcntl.ioctl(self._port, termios.TIOCOUTQ, bytes(4)))[0]
         return bool(waiting <= AHEAD_S * self._bytes_per_s)
 
     def _next(self, now_s: float) -> bytes:
-        packet = (self._queues[0] or self._queues[1]).popleft()
+        packet = self._outbox.pop()
         data = framed(self._compressor.compress(packet) if self._compressor else packet)
         self._free_s = max(self._free_s, now_s) + len(data) / self._bytes_per_s
         return data
@@ -303,6 +308,9 @@ async def serve(runtime: Runtime) -> None:
         raise PermanentFailure("slipd.device is not set")
 
     def open_line(port: int) -> RadioLine:
+        if settings.station:
+            boat = PolledBoat(settings.station, settings.encapsulation == "cslip", loop.time())
+            return polled(port, settings, boat, runtime, loop)
         if settings.mode != "user":
             try:
                 return KernelLine(port, settings)
@@ -311,6 +319,25 @@ async def serve(runtime: Runtime) -> None:
                     raise
         return TunLine(port, settings, runtime, loop)
 
+    await keep_up(runtime, settings, open_line)
+
+
+def polled(
+    port: int, settings: config.Slipd, talker: Talker, runtime: Runtime, loop: asyncio.AbstractEventLoop, network: str = ""
+) -> PolledLine:
+    """A line of several boats on an open port. `network`: address and prefix of the shore, for a boat has one peer only."""
+    tun = open_tun(settings.interface, network, settings.mtu)
+    try:
+        if not network:
+            address_interface(settings.interface, settings)
+    except OSError:
+        os.close(tun)
+        raise
+    return PolledLine(settings.interface, port, tun, talker, runtime, loop)
+
+
+async def keep_up(runtime: Runtime, settings: config.Slipd, open_line: Callable[[int], RadioLine]) -> None:
+    """The radio's interface, for as long as there is a radio, until it is cancelled."""
     if settings.encapsulation == "cslip":
         with contextlib.suppress(OSError):  # a header whose options change is not compressed (RFC 1144, 3.2.3)
             _TCP_TIMESTAMPS.write_text("0")
@@ -318,6 +345,6 @@ async def serve(runtime: Runtime) -> None:
     with contextlib.closing(radio), runtime.publishing("slipd", radio.report):
         while True:
             if radio.is_due():
-                await loop.run_in_executor(None, radio.retry)  # the kernel may have to load a module
+                await asyncio.get_running_loop().run_in_executor(None, radio.retry)  # the kernel may have to load a module
                 radio.attend()
             await asyncio.sleep(LOOK_S)

@@ -99,6 +99,7 @@ def test_it_says_what_to_copy_where_and_no_secret(tmp_path: Path, capsys: pytest
     told = capsys.readouterr().out
     for words in ("VEHICLE=/log/.boat/boat.toml NET=eth0 ADDRESS=10.77.0.2/24", f"{made}/guest/guest.key", "delfim console"):
         assert words in told
+    assert "sudo delfim shore /dev/ttyUSB0 --boats 10.0.0.1 --address 10.0.0.2 " in told
     for file in ("shore/ana.password", "guest/guest.key", "shore/mavlink.key"):
         assert (made / file).read_text().strip() not in told
 

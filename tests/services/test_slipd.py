@@ -19,7 +19,7 @@ class FakeLine:
     name = "sl9"
 
     def __init__(self) -> None:
-        self.why = ""
+        self.why = self.hush = ""
         self.closed = False
         self.attended = 0
 
@@ -28,6 +28,9 @@ class FakeLine:
 
     def trouble(self) -> str:
         return self.why
+
+    def silence(self) -> str:
+        return self.hush
 
     def close(self) -> None:
         self.closed = True
@@ -74,6 +77,16 @@ def test_it_comes_up_and_stays(bench: Bench) -> None:
     bench.run(10.0)
     assert bench.state() == ("up", "up")
     assert [line.attended for line in bench.lines] == [1]
+
+
+def test_a_line_that_carries_nothing_says_why_and_stays_up(bench: Bench) -> None:
+    bench.run(1.0)
+    bench.lines[0].hush = "no poll for station 1"
+    bench.run(1.0)
+    assert bench.state() == ("up", "no poll for station 1")
+    bench.lines[0].hush = ""
+    bench.run(1.0)
+    assert (bench.state(), bench.radio.report()["losses"], len(bench.lines)) == (("up", "up"), 0, 1)
 
 
 def test_without_carrier_it_waits_and_comes_up_soon_after(bench: Bench) -> None:
