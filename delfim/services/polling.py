@@ -63,21 +63,20 @@ class PolledBoat:
 
     def __init__(self, station: int, compresses: bool, now_s: float) -> None:
         """station: 1 to 254, of no other boat on the frequency."""
-        self.damaged = 0
-        self._link, self._deframer, self._grant = Route(station, compresses), Deframer(), 0
+        self._route, self._deframer, self._grant = Route(station, compresses), Deframer(), 0
         self._polled_s = self._other_s = -math.inf
         self._began_s = now_s
 
     @property
     def dropped(self) -> int:
-        return self._link.outbox.dropped
+        return self._route.outbox.dropped
 
     def offer(self, packet: bytes, now_s: float) -> None:
         """A packet for the shore. While nobody asks for it, it is dropped: it would be stale when it left."""
         if self._is_alone(now_s):
-            self._link.outbox.dropped += 1
+            self._route.outbox.dropped += 1
         else:
-            self._link.outbox.put(packet)
+            self._route.outbox.put(packet)
 
     def heard(self, data: bytes, now_s: float) -> list[bytes]:
         """The packets in these bytes. A poll counts only while nothing was heard after it: the shore waits no longer then."""
@@ -85,13 +84,12 @@ class PolledBoat:
         for body in opened(self._deframer, data):
             self._grant = 0
             if body is None:
-                self.damaged += 1
-                self._link.damaged()
-            elif body[1:2] != self._link.station:
+                self._route.damaged()
+            elif body[1:2] != self._route.station:
                 self._other_s = now_s if body[:1] == POLL else self._other_s
             elif body[:1] == POLL:
                 self._polled(int.from_bytes(body[2:], "big"), now_s)
-            elif body[:1] == DATA and (packet := self._link.packet(body[2:])) is not None:
+            elif body[:1] == DATA and (packet := self._route.packet(body[2:])) is not None:
                 packets.append(packet)
         if self._deframer.is_within:
             self._grant = 0
@@ -102,8 +100,8 @@ class PolledBoat:
         if not self._grant:
             return b""
         grant, self._grant = self._grant, 0
-        frames = self._link.frames(ANSWER, grant - FRAME_MAX)
-        return frames + sealed(DONE, self._link.station, bytes((bool(self._link.outbox),)))
+        frames = self._route.frames(ANSWER, grant - FRAME_MAX)
+        return frames + sealed(DONE, self._route.station, bytes((bool(self._route.outbox),)))
 
     def due_s(self) -> float:
         """When to call `speak` without having heard anything: never."""
@@ -113,7 +111,7 @@ class PolledBoat:
         """Why nothing is carried, in words; empty while the shore polls."""
         if not self._is_alone(now_s) or now_s - self._began_s <= UNPOLLED_S:
             return ""
-        station = self._link.station[0]
+        station = self._route.station[0]
         if now_s - self._other_s <= UNPOLLED_S:
             return f"the shore polls other boats, but not station {station}"
         return f"no poll for station {station}: the shore is out of reach, or does not poll"
@@ -123,7 +121,7 @@ class PolledBoat:
 
     def _polled(self, grant: int, now_s: float) -> None:
         if self._is_alone(now_s):
-            self._link.outbox.clear()
+            self._route.outbox.clear()
         self._grant = min(grant, GRANT_MAX)
         self._polled_s = now_s
 
@@ -132,9 +130,10 @@ class _Peer:
     """A boat, as the shore knows it."""
 
     def __init__(self, name: str, station: int, compresses: bool) -> None:
-        self.name, self.link = name, Route(station, compresses)
+        self.name, self.route = name, Route(station, compresses)
         self.misses = MISSES  # turns without an answer, MISSES at most: away until it has answered
         self.is_busy = False  # packets were carried in its turn
+        self.is_garbled = False  # its last turn had noise and no answer
         self.due_s = self.pause_s = 0.0
 
     @property
@@ -142,16 +141,16 @@ class _Peer:
         return self.misses >= MISSES
 
     def answered(self, has_more: bool, now_s: float) -> None:
-        self.misses = 0
-        if has_more or self.is_busy or self.link.outbox:
+        self.misses, self.is_garbled = 0, False
+        if has_more or self.is_busy or self.route.outbox:
             self.due_s, self.pause_s = now_s, 0.0
         else:
             self._rests(now_s, IDLE_S)
 
-    def missed(self, now_s: float) -> None:
-        self.misses = min(self.misses + 1, MISSES)
+    def missed(self, is_garbled: bool, now_s: float) -> None:
+        self.is_garbled, self.misses = is_garbled, min(self.misses + 1, MISSES)
         if self.is_away:
-            self.link.outbox.clear()
+            self.route.outbox.clear()
         self._rests(now_s, AWAY_S if self.is_away else IDLE_S)
 
     def _rests(self, now_s: float, most_s: float) -> None:
@@ -169,18 +168,19 @@ class PollingShore:
         """boats: the station of each address of four bytes. turnaround_s: from the end of a poll to the end of an answer
         without packets, at most; if it is too short, boats talk over each other. airtime_s: of a turn, each way, or one
         packet's."""
-        self.damaged = self._strangers = 0
+        self._strangers = 0
         self._deframer = Deframer()
         self._peers = {address: _Peer(".".join(map(str, address)), station, compresses) for address, station in boats.items()}
         self._bytes_per_s, self._turnaround_s = bytes_per_s, turnaround_s
         self._least = 2 * (mtu + FRAME_MAX)  # bytes of the longest packet and DONE, every byte escaped
         self._grant = min(max(round(airtime_s * bytes_per_s), self._least), GRANT_MAX)
         self._turn: _Peer | None = None
+        self._is_garbled = False  # a frame of this turn was damaged
         self._ends_s = 0.0
 
     @property
     def dropped(self) -> int:
-        return self._strangers + sum(peer.link.outbox.dropped for peer in self._peers.values())
+        return self._strangers + sum(peer.route.outbox.dropped for peer in self._peers.values())
 
     def offer(self, packet: bytes, now_s: float) -> None:
         """A packet for a boat. If it is for none, or for one that does not answer, it is dropped: it would leave stale."""
@@ -188,9 +188,9 @@ class PollingShore:
         if peer is None:
             self._strangers += 1
         elif peer.is_away:
-            peer.link.outbox.dropped += 1
+            peer.route.outbox.dropped += 1
         else:
-            peer.link.outbox.put(packet)
+            peer.route.outbox.put(packet)
             peer.due_s = min(peer.due_s, now_s)
 
     def heard(self, data: bytes, now_s: float) -> list[bytes]:
@@ -199,12 +199,10 @@ class PollingShore:
         for body in opened(self._deframer, data):
             turn = self._turn
             if body is None:
-                self.damaged += 1
-                for peer in self._peers.values():
-                    peer.link.damaged()
-            elif turn is None or body[1:2] != turn.link.station:
+                self._garbled()
+            elif turn is None or body[1:2] != turn.route.station:
                 continue
-            elif body[:1] == ANSWER and (packet := turn.link.packet(body[2:])) is not None:
+            elif body[:1] == ANSWER and (packet := turn.route.packet(body[2:])) is not None:
                 turn.is_busy = True
                 packets.append(packet)
             elif body[:1] == DONE:
@@ -217,15 +215,15 @@ class PollingShore:
         if self._turn is not None:
             if now_s < self._ends_s:
                 return b""
-            self._turn.missed(now_s)
+            self._turn.missed(self._is_garbled, now_s)
             self._turn = None
         peer = min(self._peers.values(), key=lambda peer: peer.due_s)
         if peer.due_s > now_s:
             return b""
         grant = self._least if peer.is_away else self._grant
-        frames = peer.link.frames(DATA, self._grant - FRAME_MAX)
-        data = frames + sealed(POLL, peer.link.station, grant.to_bytes(2, "big"))
-        self._turn, peer.is_busy = peer, bool(frames)
+        frames = peer.route.frames(DATA, self._grant - FRAME_MAX)
+        data = frames + sealed(POLL, peer.route.station, grant.to_bytes(2, "big"))
+        self._turn, peer.is_busy, self._is_garbled = peer, bool(frames), False
         self._ends_s = now_s + (len(data) + grant) / self._bytes_per_s + self._turnaround_s
         return data
 
@@ -234,8 +232,20 @@ class PollingShore:
         return self._ends_s if self._turn is not None else min(peer.due_s for peer in self._peers.values())
 
     def silence(self, now_s: float) -> str:
-        away = [f"{peer.name} (station {peer.link.station[0]})" for peer in self._peers.values() if peer.is_away]
-        return f"no answer from {', '.join(away)}" if away else ""
+        """Which boats do not answer, in words; empty while all do."""
+        return "; ".join(
+            f"only noise from {peer.name} (station {peer.route.station[0]}): out of reach, or another boat has this station"
+            if peer.is_garbled
+            else f"no answer from {peer.name} (station {peer.route.station[0]})"
+            for peer in self._peers.values()
+            if peer.is_away
+        )
+
+    def _garbled(self) -> None:
+        """A frame was damaged; nobody knows whose."""
+        self._is_garbled = True
+        for peer in self._peers.values():
+            peer.route.damaged()
 
 
 def sealed(kind: bytes, station: bytes, data: bytes) -> bytes:

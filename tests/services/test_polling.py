@@ -14,7 +14,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from delfim.services.packetqueue import IPTOS_LOWDELAY, QUEUE_MAX
-from delfim.services.polling import AWAY_S, DONE, IDLE_S, POLL, UNPOLLED_S, PolledBoat, PollingShore, opened, sealed
+from delfim.services.polling import AWAY_S, DONE, IDLE_S, MISSES, POLL, UNPOLLED_S, PolledBoat, PollingShore, opened, sealed
 from delfim.services.slip import Deframer
 
 BYTES_PER_S: Final = 10_000.0  # 100 kbit/s, 8N1
@@ -197,6 +197,21 @@ def test_a_station_that_the_shore_does_not_know_is_told_so() -> None:
     boat.heard(sealed(POLL, b"\1", b"\x04\0"), 6.0)
     assert boat.speak(6.0) == b""
     assert boat.silence(6.0) == "the shore polls other boats, but not station 7"
+
+
+def test_noise_in_place_of_answers_is_told_from_silence() -> None:
+    """As when two boats have one station: both answer, and destroy each other's answer."""
+    shore, now_s = PollingShore({ADDRESSES[1]: 1}, True, BYTES_PER_S, TURNAROUND_S, 0.1, MTU), 0.0
+    for _ in range(MISSES):
+        shore.speak(now_s)
+        shore.heard(b"\xc0" + bytes(20) + b"x\xc0", now_s + 0.01)
+        now_s = shore.due_s()
+    shore.speak(now_s)
+    assert shore.silence(now_s) == "only noise from 10.0.0.1 (station 1): out of reach, or another boat has this station"
+    now_s = shore.due_s()
+    shore.speak(now_s)
+    shore.heard(sealed(DONE, b"\1", b"\0"), now_s + 0.01)
+    assert shore.silence(now_s) == ""
 
 
 @pytest.mark.parametrize("more", [sealed(POLL, b"\2", b"\x04\0"), sealed(POLL, b"\2", b"\x04\0")[:4], b"\xc0noise\xc0"])
