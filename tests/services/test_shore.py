@@ -101,14 +101,14 @@ def test_two_boats_and_one_shore_share_a_frequency(tmp_path: Path) -> None:
         boat(tmp_path, "one", air.devices[1], address=BOATS[0], station=1),
         boat(tmp_path, "two", air.devices[2], address=BOATS[1], station=2) as two,
     ):
+        air.deaf = {2}
+        two.says("no poll for station 2")
+        shore.says(": no answer from 10.0.0.3 (station 2)")
+        assert fetch(shore, BOATS[0]).communicate(timeout=90)[0] == LOG, "the other boat is served"
+        air.deaf = set()
+        shore.says(": up")
         fetched = [fetch(shore, address) for address in BOATS]
         assert [each.communicate(timeout=90)[0] == LOG for each in fetched] == [True, True]
-        air.deaf = {2}
-        shore.says("no answer from 10.0.0.3 (station 2)")
-        two.says("no poll for station 2")
-        assert fetch(shore, BOATS[0]).communicate(timeout=90)[0] == LOG
-        air.deaf = set()
-        assert fetch(shore, BOATS[1]).communicate(timeout=90)[0] == LOG
         assert air.overlaps == 0, "nobody talked over another one"
 
 
