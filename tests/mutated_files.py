@@ -72,6 +72,11 @@ def vehicle(here: Path) -> Said:
     return command("check", str(here / "boat.toml"))
 
 
+def commissioned(here: Path) -> Said:
+    shutil.rmtree(here / "out", ignore_errors=True)
+    return command("commission", str(here / "boat.toml"), "--yes", "--users", "ana", "--output", str(here / "out"))
+
+
 def mission(here: Path) -> Said:
     from delfim.vehicle.mission import load_mission
 
@@ -123,6 +128,14 @@ def serial_line(here: Path) -> Said:
     from delfim.logging.tree import files
 
     return refused(lambda: list(pieces(files([here / "log" / next(os.walk(here / "log"))[1][0] / "-dev-gnss"]))))
+
+
+def last_lines(here: Path) -> Said:
+    """As the boat's page shows them; those that it must not show are told."""
+    from delfim.services.web import saidlines
+
+    said = [words for told in saidlines.last_lines(str(here), 100) for words in (told.service, told.text)]
+    return [words for words in said if not words.isprintable()]
 
 
 def replayed(here: Path) -> Said:
@@ -282,6 +295,7 @@ BOX_VERBS = (("info",), ("cat", "--id", "lockstep"), ("export", "log", "--output
 
 READERS = {
     "vehicle": Reader("boat.toml", vehicle, TEXT),
+    "vehicle to commission": Reader("boat.toml", commissioned, TEXT),
     "mission": Reader("lake.toml", mission, TEXT),
     "library": Reader("lake.toml", library, TEXT),
     "scenario": Reader("storm.toml", scenario, TEXT),
@@ -303,6 +317,8 @@ READERS = {
     "state log as a tape": Reader("log/*/state/*.state.gz", replayed, deflated((*BINARY, *TEXT))),
     "sidecar of a tape": Reader("log/*/state/*.meta.jsonl", replayed, TEXT),
     "serial line": Reader("log/*/-dev-gnss/*.jsonl", serial_line, TEXT),
+    "system log": Reader("log/*/system/*.jsonl", log_verb("cat", "system"), TEXT),
+    "last lines of the system log": Reader("system.jsonl", last_lines, TEXT),
     "candump": Reader("box.log", can_replay("box.log"), (*BINARY, *TEXT)),
     "candump, deflated": Reader("box.log.gz", can_replay("box.log.gz"), deflated(TEXT)),
     "CAN database": Reader("boat.dbc", database, TEXT),

@@ -73,6 +73,16 @@ def logs(folder: Path) -> None:
     (box,) = (folder / "log").rglob("*.log.gz")
     shutil.copy(box, folder / "box.log.gz")
     (folder / "box.log").write_bytes(gzip.decompress(box.read_bytes())[:60_000])
+    said = b"".join(
+        json.dumps(
+            {"t_ns": t, "monotonic_s": t / 1e9, "level": "info", "pid": 7, "service": "sshd", "text": "ana logged in"}
+        ).encode()
+        + b"\n"
+        for t in range(10**18, 10**18 + 10**11, 10**9)
+    )
+    (folder / "system.jsonl").write_bytes(said)
+    (system := next((folder / "log").iterdir()) / "system/000000.jsonl").parent.mkdir()
+    system.write_bytes(said)
     (line := next((folder / "log").iterdir()) / "-dev-gnss/000000.jsonl").parent.mkdir()
     line.write_bytes(b"".join(nodelog.line(each, b"$GPGGA,%d\r\n" % each + bytes([each])) for each in range(256)))
 
@@ -161,9 +171,18 @@ def images(folder: Path) -> None:
 
 
 SAMPLES = {
-    settings: ("vehicle", "mission", "library", "scenario", "scenario's mission", "mission to send", "CAN database"),
+    settings: (
+        "vehicle",
+        "vehicle to commission",
+        "mission",
+        "library",
+        "scenario",
+        "scenario's mission",
+        "mission to send",
+        "CAN database",
+    ),
     logs: (
-        "serial line",
+        *("serial line", "system log", "last lines of the system log"),
         *("state log, deflated", "black box", "sidecar", "run to repeat", "run to repeat, state", "run to repeat, sidecar"),
         *("state log as a tape", "sidecar of a tape", "serial line", "candump", "candump, deflated"),
     ),
@@ -226,7 +245,7 @@ def readers() -> set[str]:
     return found
 
 
-LOGS = {"state log", "black box", "sidecar", "run to repeat", "state log as a tape", "sidecar of a tape"}
+LOGS = {"system log", "state log", "black box", "sidecar", "run to repeat", "state log as a tape", "sidecar of a tape"}
 READ_BY = {  # function: the readers above that come by it
     "tables.py: read_toml": {"vehicle", "mission", "scenario", "control points"},
     "console/library.py: load": {"library"},
@@ -243,6 +262,7 @@ READ_BY = {  # function: the readers above that come by it
     "logging/reading.py: read_events": LOGS,
     "logging/reading.py: read_log": LOGS,
     "logging/repair.py: repair": {"state log", "black box", "sidecar"},
+    "logging/systemlog.py: recent": {"last lines of the system log"},
     "logging/tree.py: _end": {"sidecar"},
     "logging/tree.py: _starts": {"sidecar"},
     "services/ftpd.py: _tls": {"certificate"},
@@ -251,6 +271,7 @@ READ_BY = {  # function: the readers above that come by it
     "services/slots.py: manifest": {"manifest of a slot"},
     "services/imagefile.py: verify": {"image"},
     "services/sshd.py: _host_key": {"host key"},
+    "services/vehiclefile.py: changed": {"vehicle to commission"},
     "simulator/scenario.py: mission_of": {"scenario's mission"},
     "suite.py: _told": {"supervisor's record"},
     "vehicle/mavlink/signing.py: read_key": {"signing key"},
@@ -262,7 +283,8 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
     *("services/cgroup.py: exceeded", "services/computer.py: _read", "services/shutdown.py: _read"),
     *("services/slipd.py: _counters", "services/slipd.py: carrier_source"),
     *("services/imagefile.py: _digest", "services/slots.py: _digest_of_disk", "services/imagefile.py: pack"),
-    *("services/slots.py: present_notice", "services/sshprograms.py: _session", "services/children.py: process_state"),
+    *("services/slots.py: present_notice", "services/children.py: process_state", "services/processes.py: _all"),
+    *("services/kernelclock.py: _read", "suite.py: _started"),
 }
 
 
