@@ -14,6 +14,7 @@ import msgspec
 
 from delfim import geodesy
 from delfim.errors import FormatError
+from delfim.outside import UNREADABLE
 from delfim.vehicle.grex import proof
 
 _log = logging.getLogger(__name__)
@@ -85,7 +86,7 @@ def heard(line: bytes) -> Heard:
     """Raises FormatError for a line that is not navigation."""
     try:
         return _decode(line)
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         raise FormatError(f"not a line of the vehicle: {error}") from None
 
 
@@ -115,7 +116,7 @@ def answered(line: bytes, key: bytes) -> bytes:
     """The line that answers the vehicle's challenge, its first line where it asks for a key. Raises FormatError."""
     try:
         return msgspec.json.encode({"proof": proof(key, _decode_challenge(line).challenge)}) + b"\n"
-    except msgspec.DecodeError as error:
+    except UNREADABLE as error:
         raise FormatError(f"the vehicle asks for no key: {error}") from None
 
 

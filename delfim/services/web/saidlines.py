@@ -8,6 +8,7 @@ import msgspec
 from delfim.errors import one_line
 from delfim.logging.systemlines import LEVELS
 from delfim.logging.systemlog import recent
+from delfim.outside import UNREADABLE
 from delfim.services.web.api import LogLine
 
 LINES_MAX: Final = 500  # of an answer
@@ -37,7 +38,7 @@ def parsed(lines: Iterable[bytes]) -> Iterator[LogLine | None]:
     for line in lines:
         try:
             told = _LINE.decode(line)
-        except msgspec.DecodeError:
+        except UNREADABLE:
             yield None
         else:
             yield msgspec.structs.replace(told, service=one_line(told.service), text=one_line(told.text))
