@@ -63,7 +63,7 @@ def node(bus: str, number: int) -> Iterator[DsorSocket]:
 
 
 @pytest.mark.parametrize("to", ["segmented", "port"])
-@pytest.mark.parametrize(("there", "number"), [(HOME, 2), (WINCH, 0x40)])
+@pytest.mark.parametrize(("there", "number"), [(HOME, 2), (WINCH, 0x40)], ids=["home", "winch"])
 def test_a_message_reaches_a_node_of_another_bus_and_is_answered(routed: None, there: str, number: int, to: str) -> None:
     sent, got = os.urandom(3000), list[object]()
     here, away = (
