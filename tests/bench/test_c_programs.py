@@ -100,7 +100,8 @@ def test_c_puts_together_what_python_does(programs: dict[str, Path], bus: str, t
     with open_can(f"canloop:{bus}") as world, loop(programs, bus, log):
         world.bind(CanAddress(BATTERIES_PORT))  # the last frame of each answer
         world.settimeout(30.0)
-        for frames in navigation_messages(random.Random(seed), 150):
+        end = segments(Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, bytes(NAVIGATION.size)), 150)
+        for frames in [*navigation_messages(random.Random(seed), 150), end]:
             for frame in frames:
                 message = receiver.feed(frame, 0.0)
                 world.sendmsg(frame)
@@ -108,7 +109,8 @@ def test_c_puts_together_what_python_does(programs: dict[str, Path], bus: str, t
                     expected.append(NAVIGATION.unpack(message.data))
                     world.recvmsg()
     data = columns([log])
-    assert list(zip(*(data[name] for name in FIELDS), strict=True)) == expected
+    heard = list(zip(*(data[name] for name in FIELDS), strict=True))
+    assert heard[: len(expected) - 1] == expected[:-1]  # the program may end before it has written the last record
     assert len(expected) > 30
 
 

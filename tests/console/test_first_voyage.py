@@ -64,6 +64,12 @@ class Visit:
         x, y = await self.page.value(f"(r => [r.x + r.width / 2, r.y + r.height / 2])({element}.getBoundingClientRect())")
         return x, y
 
+    async def taps_the_sea(self, place: tuple[float, float]) -> None:
+        """As soon as no message covers the place any more."""
+        x, y = at = await self.pixel(place)
+        await self.page.until(f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'", PATIENCE_S)
+        await self.taps(at)
+
     async def pixel(self, place: tuple[float, float]) -> tuple[float, float]:
         x, y = await self.page.value(f"delfim.pixel({place[0]}, {place[1]})")
         return x, y
@@ -161,14 +167,14 @@ async def drawn(you: Visit, boat: Boat) -> None:
     here = state["latitude_deg"], state["longitude_deg"]
     places = [(here[0] + north_m * NORTH_M, here[1] + east_m * NORTH_M / 0.78) for north_m, east_m in PLACES]
     await you.page.value(f"delfim.fit({here[0] - 0.0004}, {here[1] - 0.0006}, {here[0] + 0.0007}, {here[1] + 0.0006})")
-    await you.taps(await you.pixel(places[0]))
+    await you.taps_the_sea(places[0])
     await you.sees("Add waypoint")
     await you.picture("menu")
     await you.sees("The red corner")
     await you.chooses("Mission")
     await you.chooses("New mission")
     for place in places:
-        await you.taps(await you.pixel(place))
+        await you.taps_the_sea(place)
         await you.chooses("Add waypoint")
     await you.page.until("delfim.drawn().plan === 3 && delfim.drawn().aboard === 12")
     await you.sees("differs")
