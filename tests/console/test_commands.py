@@ -100,10 +100,12 @@ def menu(
 
 
 def on_map(north_m: float, east_m: float, *titles: str) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
-    """The menu of what is drawn there, or of the bare map."""
+    """The menu of what is drawn there, or of the bare map, as soon as no message covers it."""
 
     async def way(sea: Sea, page: Page, boat: Boat) -> None:
-        await page.mouse(await pixel(page, north_m, east_m))
+        x, y = at = await pixel(page, north_m, east_m)
+        await page.until(f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'", PATIENCE_S)
+        await page.mouse(at)
         await choose(page, *titles)
 
     return way
