@@ -100,8 +100,8 @@ def test_c_puts_together_what_python_does(programs: dict[str, Path], bus: str, t
     with open_can(f"canloop:{bus}") as world, loop(programs, bus, log):
         world.bind(CanAddress(BATTERIES_PORT))  # the last frame of each answer
         world.settimeout(30.0)
-        end = segments(Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, bytes(NAVIGATION.size)), 150)
-        for frames in [*navigation_messages(random.Random(seed), 150), end]:
+        said = Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, bytes(NAVIGATION.size))
+        for frames in [*navigation_messages(random.Random(seed), 150), segments(said, 150)]:
             for frame in frames:
                 message = receiver.feed(frame, 0.0)
                 world.sendmsg(frame)
