@@ -3,7 +3,7 @@
 
 PYTHON ?= python3
 ARGS   ?=
-WORKERS ?= 3
+WORKERS ?= 2
 BESIDE := -n $(WORKERS) --no-loadscope-reorder
 VENV   ?= .venv
 BIN    := $(VENV)/bin
@@ -34,14 +34,14 @@ help: ## list the targets
 run: $(BOAT) ## sail the whole DelfimX in simulation, with the console in the browser
 	$(BIN)/delfim sim etc/delfimx.toml --console $(ARGS)
 
-test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, so many side by side (WORKERS=3)
+test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, so many side by side (WORKERS=2)
 	$(BIN)/pytest $(BESIDE) -m "not long" $(ARGS)
 
-test-long: $(MORE) system ## run the tests that take longest: images, power cuts, failing disks, benchmarks
+test-long: $(MORE) system ## run the tests that take longest: images, power cuts, failing disks, bad neighbours, benchmarks
 	$(BIN)/pytest $(BESIDE) -m long $(ARGS)
 
 fast: $(MORE) ## run the tests that need no guest, with ARGS="..." and WORKERS as for test
-	$(BIN)/pytest $(BESIDE) -m "not long" --ignore tests/guest --ignore tests/test_containers.py $(ARGS)
+	$(BIN)/pytest $(BESIDE) -m "not long" --ignore tests/guest $(ARGS)
 
 seeds: $(READY) ## sail 1,000 runs of mixed faults in lock step (ARGS="--seeds 5000" for more)
 	$(BIN)/pytest tests/simulator/test_scenarios.py -k mixed --timeout 3600 --seeds 1000 $(ARGS)

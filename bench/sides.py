@@ -30,6 +30,7 @@ from bench.downloads import Downloads
 from bench.floods import KINDS, PAYLOAD, payload
 from bench.load import ASHORE, prepare
 from bench.onlooker import Onlooker
+from bench.stalled import Radio
 from delfim.console.link import Link
 from delfim.errors import DelfimError
 from delfim.vehicle.mavlink.signing import new_key
@@ -44,6 +45,7 @@ LOOK_S: Final = 0.25  # between two looks at how the log fares
 SETTLE_S: Final = 2.0  # what a dead writer took along is known by then
 ANSWER_S: Final = 20.0  # a machine with a lot to do answers late, and is asked all the same
 MEND_S: Final = 15.0  # a log that is not written again by then does not come back
+RADIO: Final = "a serial radio that stalls"
 SETTINGS: Final = ("log.free_bytes_min=0",)  # a full disk is met, not avoided
 
 Trouble = Callable[[], object]
@@ -168,18 +170,20 @@ def run_floods(asked: argparse.Namespace) -> int:
     with contextlib.ExitStack() as links:
         key = Path(links.enter_context(tempfile.TemporaryDirectory(prefix="delfim-bench-"))) / "key"
         new_key(key)  # or there would be nothing to forge
-        asked = argparse.Namespace(**vars(asked) | {"set": [*asked.set, f'mavlink.key="{key}"']})
+        radio = links.enter_context(Radio(key))
+        keys = f'mavlink.key="{key}"', f'mavlink.serial="{radio.port}"'
+        asked = argparse.Namespace(**vars(asked) | {"set": [*asked.set, *keys]})
         place, team, look = links.enter_context(_afloat(asked))
         doors = links.enter_context(Downloads(asked.set, asked.file, place / "delfim" / "log", place))
         senders = {kind: links.enter_context(_clients("bench.floods", kind, str(doors.ports["ftpd"]))) for kind in KINDS}
         for number in range(rounds):
             order = list(KINDS)
-            for kind in ("", *(order if number % 2 else reversed(order)), PAYLOAD, ""):
+            for kind in ("", *(order if number % 2 else reversed(order)), PAYLOAD, RADIO, ""):
                 _say(f"{kind or 'no flood'}, round {number + 1} of {rounds}")
-                shouts = payload(asked.set, asked.file, place) if kind == PAYLOAD else contextlib.nullcontext(list[int]())
-                with shouts as dropped:
+                beside = {PAYLOAD: lambda: payload(asked.set, asked.file, place), RADIO: radio.stalled}
+                with beside.get(kind, contextlib.nullcontext)() as counted:
                     turns[kind].append(_turn(team, look, senders.get(kind), seconds))
-                sent[kind] += turns[kind][-1].slice.served.get("sent", 0) + sum(dropped)
+                sent[kind] += turns[kind][-1].slice.served.get("sent", 0) + sum(counted or ())
         mode, reason = team.state["mode"], team.state["reason"]
     rows = [row | {"sent": sent[row["case"]]} for row in _rows(turns, "no flood")]
     _write(asked, "floods", rows, mode=mode)

@@ -20,6 +20,7 @@ from tests.guest.harness import PATH, ROOT, Guest, guest
 
 DOCKERFILE, COMPOSE = ROOT / "docker" / "Dockerfile", ROOT / "docker" / "compose.yaml"
 PODMAN = "podman --storage-driver=vfs --cgroup-manager=cgroupfs --events-backend=none"  # what works wherever it is run
+pytestmark = pytest.mark.long
 KNOWN = {"FROM", "RUN", "WORKDIR", "COPY", "ENV", "VOLUME", "STOPSIGNAL", "ENTRYPOINT", "CMD"}
 
 

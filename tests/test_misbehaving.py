@@ -25,7 +25,7 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.console.link import Link
 from delfim.errors import DelfimError
 
-pytestmark = pytest.mark.timeout(300)
+pytestmark = [pytest.mark.long, pytest.mark.timeout(300)]
 ROOT = Path(__file__).parents[1]
 VEHICLE = str(ROOT / "etc/delfimx.toml")
 PLACES = ("runtime", "process")

@@ -30,7 +30,7 @@ RECENT_BYTES: Final = 1 << 18  # of each
 PIPE_BYTES: Final = 1 << 20
 RATE_HZ: Final = 100.0  # lines that a program may log for long ...
 BURST: Final = 1000.0  # ... and at once, ...
-RESERVE: Final = 200.0  # ... of which so many are for warnings and what is worse
+RESERVES: Final = {logging.DEBUG: 500.0, logging.INFO: 200.0}  # ... of which so many are for what is worse
 MESSAGE_MAX: Final = 1 << 15  # characters of a message ...
 PIECES: Final = 40  # ... and lines: the loop has half a millisecond
 TEXT_MAX: Final = 900  # characters of a line; with four bytes each it is still shorter than PIPE_BUF
@@ -95,7 +95,7 @@ class SystemHandler(logging.Handler):
     def _has_room(self, level: int) -> bool:
         now_s = self._clock.monotonic_s()
         self._room, self._room_s = min(self._room + (now_s - self._room_s) * RATE_HZ, BURST), now_s
-        if self._room < (1.0 if level >= logging.WARNING else RESERVE):
+        if self._room < RESERVES.get(level, 1.0):
             return False
         self._room -= 1.0
         return True

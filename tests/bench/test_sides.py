@@ -11,6 +11,7 @@ from bench import onlooker
 from bench.__main__ import main
 from bench.floods import KINDS, PAYLOAD
 from bench.onlooker import Onlooker, paths_us
+from bench.sides import RADIO
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
@@ -107,7 +108,7 @@ def test_downloads_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFix
 def test_floods_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["floods", "--quick", "--seconds", "1", "--file", VEHICLE, "--output", str(tmp_path)]) == 0
     results = json.loads((tmp_path / "floods.json").read_text())
-    assert sorted(row["case"] for row in results["rows"]) == sorted([*KINDS, PAYLOAD, "no flood"])
+    assert sorted(row["case"] for row in results["rows"]) == sorted([*KINDS, PAYLOAD, RADIO, "no flood"])
     assert all((row["sent"] > 10) == (row["case"] != "no flood") for row in results["rows"])
     assert results["mode"] == "heading"
     assert "p99 with forged frames <= 1.2 x that with no flood" in capsys.readouterr().out

@@ -11,6 +11,7 @@ from tests.guest.harness import guest, missing
 WIRE = "ip link add can0 type vxcan peer name sea0; ip link set can0 up; ip link set sea0 up\n"
 
 
+@pytest.mark.long
 @pytest.mark.timeout(400)
 def test_a_board_that_starts_in_1970_gets_its_time_in_idle_and_sails(tmp_path: Path) -> None:
     """Frames through vxcan come from elsewhere, as those of a real node do; a computer's own time frames are none."""

@@ -22,7 +22,7 @@ from tests.guest.ashore import BOAT, disk, network, started
 from tests.guest.pc import PATH, Pc
 from tests.services.browser import browser
 
-pytestmark = pytest.mark.timeout(900)  # the first one waits for the image to be built
+pytestmark = [pytest.mark.long, pytest.mark.timeout(900)]  # the first one waits for the image to be built
 BOOT_S = 120.0
 FILE = "/log/boat.toml"
 PASSWORD, MISTAKE = "by-the-light-of-the-sea", "by-the-light-of-the-moon"

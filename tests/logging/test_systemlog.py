@@ -148,6 +148,14 @@ def test_a_flood_is_cut_off_counted_and_told_and_leaves_room_for_warnings(progra
     assert len(program.texts()) <= 10.0 * RATE_HZ + 1
 
 
+def test_a_flood_of_debug_lines_leaves_room_for_what_happened(program):
+    program.service = "ftpd"
+    for number in range(5000):
+        program.log.debug("noise %d", number)
+    program.log.info("ana logged in")
+    assert program.texts()[-1] == "ana logged in"
+
+
 def fill(end: int) -> None:
     """Until nothing more goes in."""
     with contextlib.suppress(BlockingIOError):
