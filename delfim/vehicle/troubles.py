@@ -146,9 +146,12 @@ class Trigger(IntEnum):
     GNSS_POOR = 13, gnss_poor
 
 
+_SEEN: Final = tuple((trigger, trigger.sees) for trigger in Trigger)  # ten times a second: no look-ups in an enumeration
+
+
 def troubles(look: Look) -> list[tuple[Trigger, str]]:
     """The present troubles, with their reasons in words."""
-    return [(trigger, reason) for trigger in Trigger if (reason := trigger.sees(look))]
+    return [(trigger, reason) for trigger, sees in _SEEN if (reason := sees(look))]
 
 
 def charge(state: State) -> tuple[float, str]:
