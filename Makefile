@@ -37,8 +37,8 @@ run: $(BOAT) ## sail the whole DelfimX in simulation, with the console in the br
 test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, so many side by side (WORKERS=2)
 	$(BIN)/pytest $(BESIDE) -m "not long" $(ARGS)
 
-test-long: $(MORE) system ## run the tests that take longest: images, power cuts, failing disks, bad neighbours, benchmarks
-	$(BIN)/pytest $(BESIDE) -m long $(ARGS)
+test-long: $(MORE) system ## run the tests that take longest, one after the other: images, power cuts, failing disks, bad neighbours, benchmarks
+	$(BIN)/pytest -n 1 --no-loadscope-reorder -m long $(ARGS)
 
 fast: $(MORE) ## run the tests that need no guest, with ARGS="..." and WORKERS as for test
 	$(BIN)/pytest $(BESIDE) -m "not long" --ignore tests/guest $(ARGS)

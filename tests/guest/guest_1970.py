@@ -43,7 +43,7 @@ class Ashore(Boat):
     def _overrides(self) -> list[str]:
         # A busy host makes everybody late, but by no decades.
         patient = (
-            *("navigation.stale_s=10.0", "failsafe.navigation_silent.after_s=10.0", "sysstat.stale_s=10.0"),
+            *("navigation.stale_s=30.0", "failsafe.navigation_silent.after_s=30.0", "sysstat.stale_s=30.0"),
             "supervisor.deadman_s=60.0",
         )
         doors = 'can.interface="can0"', f'ftpd.certificate="{FOLDER}/tls.pem"', "log.free_bytes_min=0"

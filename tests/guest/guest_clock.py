@@ -13,7 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from bench import critical_path
+from bench import critical_path, soak
 from bench.critical_path import until
 from bench.soak import Boat, Visitors
 from delfim.console.link import Link
@@ -33,7 +33,7 @@ class Sea(Boat):
     def _overrides(self) -> list[str]:
         # A busy host makes everybody late, but by no days.
         patient = (
-            *("navigation.stale_s=10.0", "failsafe.navigation_silent.after_s=10.0", "sysstat.stale_s=10.0"),
+            *("navigation.stale_s=30.0", "failsafe.navigation_silent.after_s=30.0", "sysstat.stale_s=30.0"),
             "supervisor.deadman_s=60.0",
         )
         return [*super()._overrides(), 'can.interface="vcan0"', 'timed.mode="master"', "log.free_bytes_min=0", *patient]
@@ -57,6 +57,7 @@ def told(state: dict[str, Any]) -> dict[str, Any]:
 def main() -> None:
     asked = argparse.Namespace(file="etc/delfimx.toml", set=[])
     critical_path.START_S = 100.0  # type: ignore[misc]  # the guest's only processor may be that of a busy host
+    soak.TIMEOUT_S = 60.0  # type: ignore[misc]
     boot_s = time.time()
     (FOLDER / "boat").mkdir()
     with Sea(asked, FOLDER / "boat") as boat, Link(boat.place / "command") as operator:
