@@ -138,11 +138,7 @@ def canonical(mission: Mission) -> str:
         lines.append(f"then = {json.dumps(mission.then)}")
     for title, rows in (("waypoint", mission.waypoint), ("action", mission.action), ("path", mission.path)):
         for row in rows:
-            lines += ["", f"[[{title}]]"]
-            for field in msgspec.structs.fields(row):
-                value = getattr(row, field.name)
-                if value != field.default:
-                    lines.append(f"{field.name} = {json.dumps(value, ensure_ascii=False)}")
+            lines += _canonical_table(title, row)
     return "\n".join([*lines, *_canonical_fence(mission.fence)]) + "\n"
 
 
@@ -152,12 +148,14 @@ def _canonical_fence(fence: config.Zones) -> list[str]:
     lines = ["", "[fence]", f"version = {fence.version}"]
     for key, areas in (("keep_in", fence.keep_in), ("keep_out", fence.keep_out)):
         for area in areas:
-            lines += ["", f"[[fence.{key}]]"]
-            for field in msgspec.structs.fields(area):
-                value = getattr(area, field.name)
-                if value != field.default:
-                    lines.append(f"{field.name} = {json.dumps(value, ensure_ascii=False)}")
+            lines += _canonical_table(f"fence.{key}", area)
     return lines
+
+
+def _canonical_table(title: str, row: msgspec.Struct) -> list[str]:
+    given = ((field.name, getattr(row, field.name), field.default) for field in msgspec.structs.fields(row))
+    told = (f"{name} = {json.dumps(value, ensure_ascii=False)}" for name, value, default in given if value != default)
+    return ["", f"[[{title}]]", *told]
 
 
 def digest(mission: Mission) -> str:

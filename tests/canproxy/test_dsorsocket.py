@@ -522,7 +522,7 @@ def test_two_processes_on_a_bad_bus(messages: int, bytes_max: int, rates: Rates)
     verdict = exchange(messages, rates, seed=1, bytes_max=bytes_max, bus="testdsor")
     assert verdict.wrong == []
     assert verdict.delivered + verdict.told == messages
-    assert verdict.delivered > 0.5 * messages, verdict  # on a busy computer acknowledgements come too late for some
+    assert verdict.delivered > 0.8 * messages, verdict
     assert verdict.errors["duplicate"] > 0
     with open_can("canloop:testdsor-1") as quiet:
         quiet.bind(ANYTHING)

@@ -33,8 +33,8 @@ def test_a_board_that_starts_in_1970_gets_its_time_in_idle_and_sails(tmp_path: P
     assert [state["notices"] for state in report["sailed"] if state["notices"]] == []
     assert {state["clock"]["fault"] for state in report["sailed"]} == {""}
     assert report["restarts"] == {}
-    served = {kind: count - report["failures"].get(kind, 0) for kind, count in report["visits"].items()}
-    assert min(served.values()) >= 1, report["reasons"]  # idle programs may wait long in a guest of a busy host
+    assert report["failures"] == {}, report["reasons"]
+    assert min(report["visits"].values()) >= 1, report["visits"]
 
     state_step = [event for event in report["steps"] if event.get("source")]
     assert [event["source"] for event in state_step] == ["the time frame"], "the state log notes who stepped"

@@ -22,8 +22,8 @@ def test_the_wall_clock_is_set_by_days_and_decades_and_nobody_notices(can_guest:
     assert {(state["mode"], state["reason"]) for state in states} == {("heading", "operator")}
     assert [notice for state in states for notice in state["notices"]] == []
     assert {name: each["restarts"] for name, each in report["programs"].items() if each["restarts"]} == {}
-    served = {kind: count - report["failures"].get(kind, 0) for kind, count in report["visits"].items()}
-    assert min(served.values()) >= 1, report["reasons"]  # idle programs may wait long in a guest of a busy host
+    assert report["failures"] == {}, report["reasons"]
+    assert min(report["visits"].values()) >= 2, report["visits"]
     assert report["gap_s"] < 5.0, "no record is missing in the state log"
     steps = [round(event["value"] / 86_400.0) for event in report["steps"]]
     assert len(steps) == 6, "each step is in the black box's sidecar"
