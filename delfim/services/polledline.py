@@ -3,12 +3,11 @@
 import asyncio
 import contextlib
 import math
-import os
 from typing import Final, Protocol
 
 from delfim.services.runtime import Runtime
+from delfim.services.tunport import TunPort
 
-READ_BYTES: Final = 4096
 PACKETS_PER_READ: Final = 20
 
 
@@ -29,72 +28,44 @@ class PolledLine:
         self, name: str, port: int, tun: int, talker: Talker, runtime: Runtime, loop: asyncio.AbstractEventLoop
     ) -> None:
         self.name = name
-        self._port, self._tun, self._talker, self._runtime, self._loop = port, tun, talker, runtime, loop
-        self._trouble = ""
-        self._timer: asyncio.TimerHandle | None = None
+        self._ends = TunPort(port, tun, runtime, self._heard, self._on_packets)
+        self._talker, self._loop = talker, loop
 
     def attend(self) -> None:
-        self._runtime.reader(self._tun, self.on_packets)
-        self._runtime.reader(self._port, self.on_bytes)
+        self._ends.attend()
         self._speak()
 
     def trouble(self) -> str:
-        return self._trouble
+        return self._ends.trouble
 
     def silence(self) -> str:
         return self._talker.silence(self._loop.time())
 
     def close(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        for fd in (self._tun, self._port):
-            self._runtime.remove_reader(fd)
-        os.close(self._tun)
+        self._ends.close()
 
-    def on_packets(self) -> None:
-        """Packets of the network's for the line."""
+    def _on_packets(self) -> None:
         self._take()
         self._speak()
 
-    def on_bytes(self) -> None:
-        """Bytes of the line's."""
-        try:
-            data = os.read(self._port, READ_BYTES)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            self._lost(error.strerror or "read failed")
-            return
-        if not data:
-            self._lost("the line was hung up")
-            return
+    def _heard(self, data: bytes) -> None:
         for packet in self._talker.heard(data, self._loop.time()):
-            with contextlib.suppress(OSError):  # the kernel refuses anything but a packet
-                os.write(self._tun, packet)
+            self._ends.deliver(packet)
         self._take()  # answers of this computer to those packets leave in the same turn
         self._speak()
 
     def _take(self) -> None:
         with contextlib.suppress(BlockingIOError):
             for _ in range(PACKETS_PER_READ):
-                self._talker.offer(os.read(self._tun, READ_BYTES), self._loop.time())
+                self._talker.offer(self._ends.packet(), self._loop.time())
 
     def _speak(self) -> None:
         """What a turn sends fits in the port's buffer. If a port stalls, the rest is lost: later is another one's turn."""
-        if self._timer is not None:
-            self._timer.cancel()
-            self._timer = None
-        try:
-            if data := self._talker.speak(self._loop.time()):
-                os.write(self._port, data)
-        except BlockingIOError:
-            pass
-        except OSError as error:
-            self._lost(error.strerror or "write failed")
-            return
-        if (due_s := self._talker.due_s()) < math.inf:
-            self._timer = self._loop.call_at(due_s, self._speak)
-
-    def _lost(self, reason: str) -> None:
-        self._trouble = reason
-        self._runtime.remove_reader(self._port)
+        ends = self._ends
+        if ends.timer is not None:
+            ends.timer.cancel()
+            ends.timer = None
+        if data := self._talker.speak(self._loop.time()):
+            ends.write(data)
+        if not ends.trouble and (due_s := self._talker.due_s()) < math.inf:
+            ends.timer = self._loop.call_at(due_s, self._speak)

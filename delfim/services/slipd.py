@@ -30,6 +30,7 @@ from delfim.services.polledline import PolledLine, Talker
 from delfim.services.polling import PolledBoat
 from delfim.services.runtime import Runtime
 from delfim.services.slip import Deframer, framed
+from delfim.services.tunport import TunPort
 from delfim.services.vj import Compressor, Decompressor
 
 LOOK_S: Final = 0.25  # how often carrier and interface are looked at
@@ -194,85 +195,59 @@ class TunLine:
     takes no more."""
 
     def __init__(self, port: int, settings: config.Slipd, runtime: Runtime, loop: asyncio.AbstractEventLoop) -> None:
-        self.name = settings.interface
-        self._port, self._runtime, self._loop = port, runtime, loop
+        self.name, self._loop = settings.interface, loop
         self._bytes_per_s, self._free_s = (settings.radio_bps or settings.baud) / 10.0, 0.0  # a byte has 10 bits: 8N1
-        self._trouble = ""
         self._outbox = PacketQueue()
         compresses = settings.encapsulation == "cslip"
         self._compressor = Compressor() if compresses else None
         self._decompressor, self._deframer = Decompressor() if compresses else None, Deframer()
         self._rest = b""
-        self._timer: asyncio.TimerHandle | None = None
-        self._tun = open_tun(settings.interface, "", settings.mtu)
+        self._ends = TunPort(port, open_tun(settings.interface, "", settings.mtu), runtime, self._heard, self._on_packet)
         address_interface(self.name, settings)
 
     def attend(self) -> None:
-        self._runtime.reader(self._tun, self.on_packet)
-        self._runtime.reader(self._port, self.on_bytes)
+        self._ends.attend()
 
     def trouble(self) -> str:
-        return self._trouble
+        return self._ends.trouble
 
     def silence(self) -> str:
         return ""
 
     def close(self) -> None:
-        if self._timer is not None:
-            self._timer.cancel()
-        for fd in (self._tun, self._port):
-            self._runtime.remove_reader(fd)
-        os.close(self._tun)
+        self._ends.close()
 
-    def on_packet(self) -> None:
-        """A packet of the network's for the line."""
+    def _on_packet(self) -> None:
         with contextlib.suppress(BlockingIOError):
-            self._outbox.put(os.read(self._tun, 4096))
-            if self._timer is None:
+            self._outbox.put(self._ends.packet())
+            if self._ends.timer is None:
                 self._send()
 
-    def on_bytes(self) -> None:
-        """Bytes of the line's."""
-        try:
-            data = os.read(self._port, 4096)
-        except BlockingIOError:
-            return
-        except OSError as error:
-            self._trouble = error.strerror or "read failed"
-            self._runtime.remove_reader(self._port)
-            return
-        if not data:
-            self._trouble = "the line was hung up"
-            self._runtime.remove_reader(self._port)
+    def _heard(self, data: bytes) -> None:
         errors = self._deframer.errors
         for frame in self._deframer.feed(data):
             packet = self._decompressor.decompress(frame) if self._decompressor else frame
             if packet is not None:
-                with contextlib.suppress(OSError):  # the kernel refuses anything but a packet
-                    os.write(self._tun, packet)
+                self._ends.deliver(packet)
         if self._decompressor and self._deframer.errors != errors:
             self._decompressor.damaged()
 
     def _send(self) -> None:
         """As much as the line takes now: data in the port's or the modem's buffer cannot be overtaken."""
-        self._timer, now_s = None, self._loop.time()
-        try:
-            while self._rest or self._is_free(now_s):
-                self._rest = self._rest or self._next(now_s)
-                self._rest = self._rest[os.write(self._port, self._rest) :]
-        except BlockingIOError:
-            pass
-        except OSError as error:
-            self._trouble = error.strerror or "write failed"
-            return
-        if self._rest or self._outbox:
-            self._timer = self._loop.call_later(max(self._free_s - AHEAD_S - now_s, AHEAD_S / 4), self._send)
+        ends, now_s = self._ends, self._loop.time()
+        ends.timer = None
+        while self._rest or self._is_free(now_s):
+            self._rest = self._rest or self._next(now_s)
+            if not (sent := ends.write(self._rest)):
+                break
+            self._rest = self._rest[sent:]
+        if not ends.trouble and (self._rest or self._outbox):
+            ends.timer = self._loop.call_later(max(self._free_s - AHEAD_S - now_s, AHEAD_S / 4), self._send)
 
     def _is_free(self, now_s: float) -> bool:
         if self._free_s - now_s > AHEAD_S or not self._outbox:
             return False
-        waiting = struct.unpack("i", fcntl.ioctl(self._port, termios.TIOCOUTQ, bytes(4)))[0]
-        return bool(waiting <= AHEAD_S * self._bytes_per_s)
+        return self._ends.unsent() <= AHEAD_S * self._bytes_per_s
 
     def _next(self, now_s: float) -> bytes:
         packet = self._outbox.pop()

@@ -364,3 +364,15 @@ async def operating(
         gateway.end(signal.SIGTERM)
         for radio in radios:
             radio.close()
+
+
+@contextlib.contextmanager
+def afternoon(folder: Path, *more: str, env: dict[str, str] | None = None) -> Iterator[tuple[asyncio.Runner, Sea]]:
+    """`operating` for tests that are no coroutines: what runs them, and the sea."""
+    with asyncio.Runner() as runner:
+        chain = operating(folder, *more, env=env)
+        sea = runner.run(chain.__aenter__())
+        try:
+            yield runner, sea
+        finally:
+            runner.run(chain.__aexit__(None, None, None))

@@ -10,7 +10,7 @@ from collections.abc import Awaitable, Callable, Iterator
 import pytest
 
 from delfim.vehicle.mavlink import wire
-from tests.console.chain import PATIENCE_S, Boat, Sea, operating, ordered, shown_mode
+from tests.console.chain import PATIENCE_S, Boat, Sea, afternoon, ordered, shown_mode
 from tests.console.scenes import choose
 from tests.enlarged import Enlarged
 from tests.services.browser import Page
@@ -54,18 +54,13 @@ def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
     program = Enlarged(folder / "program")
     program.file("delfim/vehicle/control/dance.py", FILE)
     program.row("delfim/modes.py", "    GREX = 101\n", f"    DANCE = {NUMBER}\n", behind=True)
-    with asyncio.Runner() as runner:
-        afternoon = operating(folder, 'failsafe.console_silent.dance="hold"', env=program.env)
-        sea = runner.run(afternoon.__aenter__())
+    with afternoon(folder, 'failsafe.console_silent.dance="hold"', env=program.env) as (runner, sea):
 
         async def told(story: Story) -> None:
             await story(sea, *await sea.at_rest(1))
             sea.nothing_amiss()
 
-        try:
-            yield lambda story: runner.run(told(story))
-        finally:
-            runner.run(afternoon.__aexit__(None, None, None))
+        yield lambda story: runner.run(told(story))
 
 
 async def from_the_page(page: Page) -> None:

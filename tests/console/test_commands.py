@@ -18,7 +18,7 @@ from delfim import config
 from delfim.console.orders import ORDERS
 from delfim.modes import Mode
 from delfim.vehicle.mavlink import wire
-from tests.console.chain import PATIENCE_S, VEHICLE, Boat, Sea, operating, ordered, select, shown_mode
+from tests.console.chain import PATIENCE_S, VEHICLE, Boat, Sea, afternoon, ordered, select, shown_mode
 from tests.console.pads import plug, unplug
 from tests.console.scenes import choose
 from tests.services.browser import Page
@@ -380,14 +380,9 @@ async def told(boat: Boat, count: int) -> None:
 @pytest.fixture(scope="module")
 def sea(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[asyncio.Runner, Sea]]:
     """Two boats, the second with a mission and a home that were drawn and sent."""
-    with asyncio.Runner() as runner:
-        afternoon = operating(tmp_path_factory.mktemp("commands"))
-        its = runner.run(afternoon.__aenter__())
-        try:
-            runner.run(planned(its))
-            yield runner, its
-        finally:
-            runner.run(afternoon.__aexit__(None, None, None))
+    with afternoon(tmp_path_factory.mktemp("commands")) as (runner, its):
+        runner.run(planned(its))
+        yield runner, its
 
 
 async def planned(sea: Sea) -> None:

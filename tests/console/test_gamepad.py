@@ -1,13 +1,12 @@
 """A gamepad at the page, seen at the vehicle. Chromium has none here: tests/console/pads.py stands for it in the page, and
 what is behind that is real."""
 
-import asyncio
 import time
 from collections.abc import Awaitable, Callable, Iterator
 
 import pytest
 
-from tests.console.chain import Boat, Sea, operating, select, turning
+from tests.console.chain import Boat, Sea, afternoon, select, turning
 from tests.console.pads import looked, plug, unplug
 from tests.services.browser import Page
 
@@ -22,9 +21,7 @@ Sail = Callable[[Story], None]
 @pytest.fixture(scope="module")
 def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
     """Runs a story."""
-    with asyncio.Runner() as runner:
-        afternoon = operating(tmp_path_factory.mktemp("gamepad"))
-        sea = runner.run(afternoon.__aenter__())
+    with afternoon(tmp_path_factory.mktemp("gamepad")) as (runner, sea):
 
         async def told(story: Story) -> None:
             await unplug(sea.page)
@@ -32,10 +29,7 @@ def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
             await unplug(sea.page)
             sea.nothing_amiss()
 
-        try:
-            yield lambda story: runner.run(told(story))
-        finally:
-            runner.run(afternoon.__aexit__(None, None, None))
+        yield lambda story: runner.run(told(story))
 
 
 async def by_hand(sea: Sea, number: int = 2) -> tuple[Page, Boat]:

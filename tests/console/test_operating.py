@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from delfim import messages
-from tests.console.chain import Boat, Sea, operating, select, shown_mode, turning
+from tests.console.chain import Boat, Sea, afternoon, select, shown_mode, turning
 from tests.console.scenes import choose
 from tests.services.browser import Page
 
@@ -50,18 +50,13 @@ Sail = Callable[[Story], None]
 @pytest.fixture(scope="module")
 def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
     """Runs a story."""
-    with asyncio.Runner() as runner:
-        afternoon = operating(tmp_path_factory.mktemp("operating"))
-        sea = runner.run(afternoon.__aenter__())
+    with afternoon(tmp_path_factory.mktemp("operating")) as (runner, sea):
 
         async def told(story: Story) -> None:
             await story(sea)
             sea.nothing_amiss()
 
-        try:
-            yield lambda story: runner.run(told(story))
-        finally:
-            runner.run(afternoon.__aexit__(None, None, None))
+        yield lambda story: runner.run(told(story))
 
 
 async def pressed(page: Page, boat: Boat, key: str, mode: str) -> None:
