@@ -1,17 +1,23 @@
 """A serial line: raw, non-blocking, reopened when its adapter comes back."""
 
+import array
 import contextlib
+import fcntl
 import os
 import select
 import termios
 import tty
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Literal
 
 from delfim.clock import Clock
 from delfim.errors import DelfimError
 
 READ_BYTES: Final = 4096
+Form = Literal["8N1", "8E2"]  # data bits, parity, stop bits
+TCGETS2, TCSETS2 = 0x802C542A, 0x402C542B  # asm-generic/ioctls.h: x86, ARM, RISC-V
+BOTHER, RATES = 0o010000, 0o010017  # "the rate is the number itself"; the bits that name a rate (asm-generic/termbits.h)
+OFF_MAX: Final = 0.03  # of a rate: beyond, a byte's last bit is read in its neighbour
 
 
 class SerialLine:
@@ -24,10 +30,11 @@ class SerialLine:
         clock: Clock,
         heard: Callable[[int, bytes], object] = lambda t_ns, data: None,
         may_lack: bool = False,
+        form: Form = "8N1",
     ) -> None:
         """`heard` is called with all data that is read, and its time. `may_lack`: the port is first opened by `rebind`."""
         self.device, self.t_ns = device, 0
-        self._baud, self._time_ns, self._heard = baud, clock.time_ns, heard
+        self._baud, self._form, self._time_ns, self._heard = baud, form, clock.time_ns, heard
         self.trouble = "not open yet" if may_lack else ""
         self._port = -1
         self._ready = select.epoll()  # to wait for: it stays the same when the port is reopened
@@ -90,7 +97,7 @@ class SerialLine:
         self._ready.close()
 
     def _open(self) -> None:
-        self._port = open_port(self.device, self._baud, ignores_modem=True)
+        self._port = open_port(self.device, self._baud, ignores_modem=True, form=self._form)
         self._ready.register(self._port, select.EPOLLIN)
         self.trouble = ""
 
@@ -105,19 +112,35 @@ class SerialLine:
             self._port = -1
 
 
-def open_port(device: str, baud: int, ignores_modem: bool) -> int:
-    """A serial port, raw, at this speed. Raises OSError, DelfimError for a speed that there is not."""
-    speed = getattr(termios, f"B{baud}", None)
-    if speed is None:
-        raise DelfimError(f"no serial port runs at {baud} baud")
+def open_port(device: str, baud: int, ignores_modem: bool, form: Form = "8N1") -> int:
+    """A serial port, raw, at this speed, which may be any that the port can make. Raises OSError, DelfimError for a speed that
+    it cannot."""
     port = os.open(device, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK | os.O_CLOEXEC)
     try:
         tty.setraw(port)
         attributes = termios.tcgetattr(port)
-        attributes[2] = attributes[2] & ~termios.CLOCAL | (termios.CLOCAL if ignores_modem else 0) | termios.CREAD
-        attributes[4] = attributes[5] = speed
+        left = attributes[2] & ~(termios.CLOCAL | termios.CSTOPB)  # the port's last user may have had two stop bits
+        form_bits = termios.PARENB | termios.CSTOPB if form == "8E2" else 0
+        attributes[2] = left | (termios.CLOCAL if ignores_modem else 0) | termios.CREAD | form_bits
+        speed = getattr(termios, f"B{baud}", None)
+        attributes[4] = attributes[5] = termios.B38400 if speed is None else speed
         termios.tcsetattr(port, termios.TCSANOW, attributes)
+        made = baud if speed is not None else _set_rate(port, baud)
     except (OSError, termios.error) as error:
         os.close(port)
         raise OSError(*error.args) from None
+    if abs(made - baud) > OFF_MAX * baud:
+        os.close(port)
+        raise DelfimError(f"{device} does not run at {baud} baud; the nearest rate that it can make is {made}")
     return port
+
+
+def _set_rate(port: int, baud: int) -> int:
+    """A rate without a name in termios, by Linux' struct termios2; returns the rate that the driver made of it."""
+    settings = array.array("I", bytes(44))  # 4 words of flags, the line's discipline and 19 characters, input and output rate
+    fcntl.ioctl(port, TCGETS2, settings)
+    settings[2] = settings[2] & ~(RATES | RATES << 16) | BOTHER
+    settings[9] = settings[10] = baud
+    fcntl.ioctl(port, TCSETS2, settings)
+    fcntl.ioctl(port, TCGETS2, settings)
+    return settings[10]

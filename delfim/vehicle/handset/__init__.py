@@ -1,0 +1,1 @@
+"""The hand-set of a radio control as an operator of the boat."""
