@@ -26,7 +26,7 @@ export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/$(BIN)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test test-long fast seeds check page pictures bench image system guest-shell formats lock clean
+.PHONY: help run test test-long again fast seeds check page pictures bench image system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -39,6 +39,9 @@ test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, s
 
 test-long: $(MORE) system ## run the tests that take longest, one after the other: images, power cuts, failing disks, bad neighbours, benchmarks
 	$(BIN)/pytest -n 1 --no-loadscope-reorder -m long $(ARGS)
+
+again: $(MORE) ## run the tests that failed last, alone
+	$(BIN)/pytest -n 1 --no-loadscope-reorder --last-failed --last-failed-no-failures none -rA $(ARGS)
 
 fast: $(MORE) ## run the tests that need no guest, with ARGS="..." and WORKERS as for test
 	$(BIN)/pytest $(BESIDE) -m "not long" --ignore tests/guest $(ARGS)
