@@ -1,4 +1,5 @@
-"""A new actuator on a serial line: one file, one row, and its table. It is commanded, limited, and stopped by the dead-man."""
+"""A new actuator on a serial line: one file, one row, and its table. It is commanded, limited, told again and again, heard, and
+stopped by the dead-man."""
 
 import contextlib
 import json
@@ -24,20 +25,31 @@ RUDDER = '''"""A rudder behind a serial line, which turns with the difference of
 
 from delfim import config
 from delfim.vehicle.links import Links, ReadableLine
-from delfim.vehicle.state import Actuation
+from delfim.vehicle.state import Actuation, State
 
 
 class Rudder:
     name = "rudder"
+    period_s = 0.1  # it would turn to the middle after 0.15 s without a command
 
     def __init__(self, line: ReadableLine, limits: config.Rudder) -> None:
         self._line, self._limits, self._sent_deg = line, limits, 0.0
+        self.input, self.inputs, self._told = line, (self,), b""
+
+    def read(self, state: State, now_s: float) -> None:
+        self._told += self.input.read()
+        *lines, self._told = self._told[-80:].split(b"\\n")
+        if lines:
+            state.measured["rudder_deg"] = float(lines[-1]), now_s
 
     def send(self, sent: Actuation, now_s: float) -> int:
         wanted_deg = self._limits.deg_per_rpm * (sent.port_rpm - sent.starboard_rpm) if sent.run else 0.0
         most_deg = self._limits.most_deg
         self._sent_deg = min(max(wanted_deg, -most_deg), most_deg)
         return 0 if self._line.write(b"rudder %.1f\\n" % self._sent_deg) else 1
+
+    def repeat(self, now_s: float) -> int:
+        return 0 if self._line.write(b"again %.1f\\n" % self._sent_deg) else 1
 
     def stop(self) -> None:
         if not self._line.write(b"\\nstop\\n"):
@@ -92,6 +104,12 @@ def test_a_new_actuator_is_commanded_and_limited_and_stopped_by_the_dead_man(tmp
         assert max(angles) == 30.0, "of 120 that the revolutions would ask for"
         assert [angle for angle in angles if 0.0 < angle < 30.0], "it turned no faster than the propellers may"
         assert state["rudder"]["sent_deg"] is not None
+        spoken(end, "again")
+        os.write(end, b"29.5\n")
+        with Link(command, 60.0) as link:
+            while "rudder_deg" not in state["measured"]:
+                state = link.ask("state")
+        assert state["measured"]["rudder_deg"] == 29.5
         told = json.loads((tmp_path / "supervisor.json").read_text())
         os.kill(told["programs"]["runtime"]["pid"], signal.SIGSTOP)
         assert spoken(end, "stop") == "stop"

@@ -18,10 +18,9 @@ import time
 from collections.abc import Awaitable, Callable, Iterator, Sequence
 from contextlib import contextmanager
 from contextvars import copy_context
-from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
-from typing import Final, Literal, NamedTuple
+from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.clock import Clock
@@ -29,6 +28,7 @@ from delfim.errors import DelfimError, PermanentFailure, in_words
 from delfim.services.garbage import Collector
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop, Practice
 from delfim.services.privileges import asked, real_time, set_privileges
+from delfim.services.servicestatus import ServiceStatus, Stage
 from delfim.services.supervisor import EXIT_PERMANENT, last_deadman
 from delfim.services.window import NavigationWindow
 
@@ -36,8 +36,6 @@ BEAT_S: Final = 0.1  # the longest time between two beats of a healthy loop
 SETTLE_S: Final = 1.0  # a service is starting for this long; the cost of its callbacks counts afterwards
 STOP_S: Final = 1.0  # time for a service to end after its cancellation
 TELL_S: Final = 1.0  # a process of its own reports its service this often
-
-State = Literal["starting", "running", "waiting", "failed", "stopped"]
 
 log = logging.getLogger(__name__)
 
@@ -48,36 +46,6 @@ class LoadedService(NamedTuple):
     name: str
     start: Callable[["Runtime"], Awaitable[None]]  # runs until cancelled
     budget_s: float | None = None  # of one callback; None: the vehicle's file says it
-
-
-@dataclass(slots=True)
-class ServiceStatus:
-    """The state of a service. `since_s` is the monotonic time of the last change of state."""
-
-    name: str
-    place: str
-    account: Account
-    pid: int
-    since_s: float
-    state: State = "starting"
-    restarts: int = 0
-    reason: str = ""  # of the last end, in words
-    told: str = ""  # the reason in the log, until it runs again
-    failure: Exception | None = None  # raised by a callback and not yet acted upon
-
-    def report(self, now_s: float) -> dict[str, object]:
-        """JSON-ready."""
-        return {
-            "place": self.place,
-            "state": self.state,
-            "for_s": round(now_s - self.since_s, 1),
-            "restarts": self.restarts,
-            "reason": self.reason,
-            "pid": self.pid,
-            "busy_s": round(self.account.busy_s, 3),
-            "longest_callback_s": round(self.account.longest_s, 6),
-            "over_budget": self.account.over_budget,
-        }
 
 
 class Runtime:
@@ -174,6 +142,28 @@ class Runtime:
             yield
         finally:
             self.remove_reader(fd)
+
+    @contextmanager
+    def ticking(self, period_s: float, handler: Callable[[], object]) -> Iterator[None]:
+        """Call `handler` so often, between navigation and in its turn, until the end of the block; a late tick is not made up
+        for. Time and failure as in `navigating`."""
+        failed = self._failed()
+        due: asyncio.TimerHandle
+
+        def tick() -> None:
+            nonlocal due
+            due = self._loop.call_at(max(due.when() + period_s, self._loop.time()), tick)
+            try:
+                handler()
+            except Exception as error:  # a defect of the service: it is restarted, the loop goes on
+                due.cancel()
+                failed(error)
+
+        due = self._loop.call_later(period_s, tick)
+        try:
+            yield
+        finally:
+            due.cancel()
 
     @contextmanager
     def publishing(self, name: str, report: Callable[[], dict[str, object]]) -> Iterator[None]:
@@ -322,7 +312,7 @@ class Runtime:
         self._change(status, "waiting", reason)
         return not self._stop_reason
 
-    def _change(self, status: ServiceStatus, state: State, reason: str) -> None:
+    def _change(self, status: ServiceStatus, state: Stage, reason: str) -> None:
         status.state, status.reason, status.since_s = state, reason, self.clock.monotonic_s()
 
     def _settled(self, status: ServiceStatus) -> None:

@@ -101,19 +101,21 @@ async def serve(runtime: Runtime) -> None:
         record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
 
         opened = OpenedLinks(runtime, links)
-        boat, sensors, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
+        boat, inputs, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
         links.callback(boat.helm.stop, "shutdown")  # undone first of all
         for source in boat.sources:
             links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))
             links.enter_context(runtime.publishing(source.name, partial(_figures, source, clock)))
         for actuator in boat.propulsion.actuators:
+            if actuator.period_s:
+                links.enter_context(runtime.ticking(actuator.period_s, partial(boat.on_outlet, actuator)))
             if actuator.report():
                 links.enter_context(runtime.publishing(actuator.name, actuator.report))
         if mirror := next(filter(None, (outlet.mirror() for outlet in outlets)), None):
             runtime.rehearsal(Rehearsal(boat, outlets, mirror))
             links.callback(runtime.rehearsal, None)
-        for sensor in sensors:
-            links.enter_context(runtime.reading(sensor.input.fileno(), partial(boat.on_sensor, sensor)))
+        for each in inputs:
+            links.enter_context(runtime.reading(each.input.fileno(), partial(boat.on_sensor, each)))
         await _attend(runtime, boat, log, opened, links, broken)
 
 

@@ -44,7 +44,7 @@ class Lockstep:
         record_to = FaultyLog(self.log, self.faults)
         self.lines = dict[str, LockstepLine]()  # by device
         links = Links(lambda _, filters: bus.bound(*filters), self._line)
-        self.vehicle, self._sensors, _ = build(settings, self.clock, self.state, links, record_to)
+        self.vehicle, self._inputs, _ = build(settings, self.clock, self.state, links, record_to)
         self.guest = self.vehicle.guest
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
@@ -88,14 +88,17 @@ class Lockstep:
         for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is read again
             for source in vehicle.sources:
                 vehicle.on_navigation(source)
-        for sensor in self._sensors:
-            vehicle.on_sensor(sensor)
+        for each in self._inputs:
+            vehicle.on_sensor(each)
         if now_s >= self._console_s and "console_lost" not in faults.on:
             self._console_s = now_s + CONSOLE_S
             vehicle.on_command(_ALIVE)
         if now_s >= self._watchdog_s:
             self._watchdog_s = now_s + WATCHDOG_S
             vehicle.on_watchdog()
+        for actuator in vehicle.propulsion.actuators:
+            if actuator.period_s:
+                vehicle.on_outlet(actuator)
         while (frame := world.receive()) is not None:  # type: ignore[assignment]
             nodes.feed(frame, now_s)
         clock.advance(self._cycle_s)

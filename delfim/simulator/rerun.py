@@ -134,7 +134,7 @@ class Rerun:
         self._heard = self._bus(self._interface).socket("onlooker")
         self._heard.bind(*(CanAddress(arb) for arb in COMMANDS))
         links = Links(self._open_bus, self._open_line)
-        self.vehicle, self._sensors, _ = build(settings, self.clock, self.state, links, self.log)
+        self.vehicle, self._reports, _ = build(settings, self.clock, self.state, links, self.log)
         self._heard_ns = first_ns - round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
         self._inputs = deque[BusInput]()
         self.recorded = deque[tuple[int, Group]]()
@@ -186,8 +186,8 @@ class Rerun:
                 self._lines[name].put(what)
         elif name in self._world and not what.error:
             self._world[name].sendto(what.data, CanAddress(what.arb))
-        for sensor in self._sensors:
-            self.vehicle.on_sensor(sensor)
+        for each in self._reports:
+            self.vehicle.on_sensor(each)
         if t_ns < self._heard_ns:
             for source in self.vehicle.sources:
                 source.read(self.clock.now_s)

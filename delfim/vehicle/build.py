@@ -8,11 +8,11 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.grex import Guest
-from delfim.vehicle.links import Links
+from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import open_sources
 from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.sensors import Sensor, open_sensors
+from delfim.vehicle.sensors import open_sensors
 from delfim.vehicle.state import State, StateLog
 
 
@@ -20,7 +20,7 @@ class Built(NamedTuple):
     """The vehicle, its inputs beside navigation, and the sockets by which it sends."""
 
     vehicle: VehicleLoop
-    sensors: tuple[Sensor, ...]  # readable: `vehicle.on_sensor`
+    inputs: tuple[LoopInput, ...]  # sensors, and reports of actuators; readable: `vehicle.on_sensor`
     outlets: tuple[CanSocket, ...]  # of the actuators
 
 
@@ -45,4 +45,5 @@ def build(
     actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.propulsion.actuators)
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.propulsion, state)
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
-    return Built(vehicle, sensors, tuple(outlets))
+    reports = tuple(each for actuator in actuators for each in actuator.inputs)
+    return Built(vehicle, (*sensors, *reports), tuple(outlets))

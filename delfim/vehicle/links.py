@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.vehicle.state import State
 
 
 class Readable(Protocol):
@@ -13,6 +14,14 @@ class Readable(Protocol):
 
     def fileno(self) -> int: ...
     def rebind(self) -> bool: ...  # take up an input that failed; True when it can be used
+
+
+class LoopInput(Protocol):
+    """An input of the loop beside navigation: a sensor, or the reports of an actuator. `read` never raises and never waits."""
+
+    input: Readable  # to be read when it is readable
+
+    def read(self, state: State, now_s: float) -> None: ...  # all waiting input, into the state
 
 
 class ReadableLine(Readable, Protocol):

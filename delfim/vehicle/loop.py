@@ -6,6 +6,8 @@
     guest readable      -> set point, obeyed in GREX mode only
     watchdog due        -> failsafe -> stop, hold or home -> propulsion
 
+Beside them the outlet of an actuator that wants to hear its command more often repeats it while it is young.
+
 The handlers are plain functions: no await, no wait, no exception for bad input. They do not know whether an event loop or a
 replay in lock step calls them; clock, sockets and log are handed in.
 """
@@ -17,18 +19,20 @@ from delfim.clock import Clock
 from delfim.errors import DelfimError
 from delfim.modes import Mode
 from delfim.vehicle import console, failsafe
+from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.grex import Guest, reference
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.latency import Latency
+from delfim.vehicle.links import LoopInput
 from delfim.vehicle.navigation import Fix, Source, take
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.sensors import Sensor
 from delfim.vehicle.state import Profile, StartConditions, State, StateLog
 from delfim.vehicle.troubles import Inputs
 
 REPEAT_S = 0.5  # a propeller without commands for PROPELLER_TIMEOUT_S stops itself, which would hide the cause
+HELD_S = 0.8  # a command stands so long: it comes with navigation, or without it from the watchdog after REPEAT_S
 COLD_CYCLES = 10  # after the start, left out of the figures: 2 s at 5 Hz
 LOCAL = "local"  # the operator at the local command socket
 
@@ -75,8 +79,8 @@ class VehicleLoop:
         self.latency.add(state.profile)
         return True
 
-    def on_sensor(self, sensor: Sensor) -> None:
-        """A sensor readable."""
+    def on_sensor(self, sensor: LoopInput) -> None:
+        """A sensor readable, or the reports of an actuator."""
         sensor.read(self.state, self.clock.monotonic_s())
 
     def on_command(self, command: console.Commands, operator: str = LOCAL) -> str | None:
@@ -131,6 +135,13 @@ class VehicleLoop:
         if now_s - state.navigation_s > REPEAT_S:
             again = STOP if state.mode is Mode.IDLE else state.actuation  # no navigation cycle repeats it
             state.actuation = self.propulsion.send(again, now_s)
+
+    def on_outlet(self, actuator: Actuator) -> None:
+        """Due every `period_s` of an actuator: its command again; one that is older than HELD_S becomes a stop of all."""
+        now_s = self.clock.monotonic_s()
+        if now_s - self.propulsion.sent_s > HELD_S:
+            self.state.actuation = self.propulsion.send(STOP, now_s)
+        self.propulsion.repeat(actuator, now_s)
 
     # The work of the handlers.
 

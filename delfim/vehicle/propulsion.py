@@ -20,17 +20,22 @@ class Propulsion:
         self._nodes, self._limits, self._state = nodes, limits, state
         self._sends = tuple(actuator.send for actuator in actuators)
         self._sent = STOP
-        self._sent_s = 0.0
+        self.sent_s = 0.0  # monotonic time of the last command
 
     def send(self, wanted: Actuation, now_s: float) -> Actuation:
         """Command the actuators; returns what was sent. A command not taken is counted; nothing waits."""
-        dt_s = min(max(now_s - self._sent_s, 0.0), 1.0)
+        dt_s = min(max(now_s - self.sent_s, 0.0), 1.0)
         sent = self._sent = limited(wanted, self._sent, self._limits, dt_s)
-        self._sent_s = now_s
+        self.sent_s = now_s
         for send in self._sends:
             if unsent := send(sent, now_s):
                 self._state.count("propulsion_unsent", unsent)
         return sent
+
+    def repeat(self, actuator: Actuator, now_s: float) -> None:
+        """The last command again, for an actuator whose devices stop sooner than the loop commands."""
+        if unsent := actuator.repeat(now_s):
+            self._state.count("propulsion_unsent", unsent)
 
     def reset(self, node: int) -> None:
         """Ask a node of the bus, or all of them, to start again. Raises Refused if the bus does not take the frame."""

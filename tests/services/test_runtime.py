@@ -53,6 +53,28 @@ async def stopper(runtime: Runtime) -> None:
     runtime.stop("test over")
 
 
+def test_a_service_is_called_at_its_period_and_starts_again_when_a_call_fails() -> None:
+    ticks = list[int]()
+
+    async def ticking(runtime: Runtime) -> None:
+        ended = asyncio.Event()
+
+        def tick() -> None:
+            ticks.append(runtime.status["ticking"].restarts)
+            if len(ticks) == 3:
+                raise ValueError("a defect")
+            if len(ticks) == 6:
+                ended.set()
+
+        with runtime.ticking(0.001, tick):
+            await ended.wait()
+        ticks.append(-1)
+
+    runtime, _ = ran(LoadedService("ticking", ticking))
+    assert ticks == [0, 0, 0, 1, 1, 1, -1], "a tick that failed is the last of its block, and none comes after the end of one"
+    assert runtime.status["ticking"].reason == "finished"
+
+
 def test_it_ends_when_all_services_have() -> None:
     async def brief(runtime: Runtime) -> None:
         await asyncio.sleep(0)

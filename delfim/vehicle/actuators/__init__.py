@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import Protocol
 
 from delfim import config
-from delfim.vehicle.links import Links
+from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.state import Actuation
 
 
@@ -16,8 +16,11 @@ class Actuator(Protocol):
     """An actuator takes its part of a command for all of them. No method waits, and only `stop` raises."""
 
     name: str  # as in `propulsion.actuators`
+    period_s: float | None  # how often its devices want to hear something; None: once per control cycle is enough
+    inputs: tuple[LoopInput, ...]  # what its devices report
 
     def send(self, sent: Actuation, now_s: float) -> int: ...  # limited already; returns how many commands were not taken
+    def repeat(self, now_s: float) -> int: ...  # called every `period_s`: the last command again; returns as `send`
     def stop(self) -> None: ...  # also after another process sent commands; raises OSError when the stop was not taken
     def disconnect(self, sides: tuple[str, ...]) -> None: ...  # cuts the power of these sides for good, where it can
     def report(self) -> dict[str, object]: ...  # JSON-ready figures, empty where there are none

@@ -10,7 +10,7 @@ from delfim.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
 )
-from delfim.vehicle.links import Links
+from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.state import Actuation
 
 
@@ -18,6 +18,8 @@ class Propellers:
     """The starboard and the port propeller, and the batteries of each."""
 
     name = "dsor"
+    period_s: float | None = None  # its nodes wait for PROPELLER_TIMEOUT_S, longer than the loop does between commands
+    inputs: tuple[LoopInput, ...] = ()
 
     def __init__(self, socket: CanSocket) -> None:
         self._socket, self._send_many = socket, socket.send_many
@@ -35,6 +37,9 @@ class Propellers:
                 (BATTERIES_PORT, BATTERIES_COMMAND.pack(port, counter)),
             )
         )
+
+    def repeat(self, now_s: float) -> int:
+        return 0
 
     def stop(self) -> None:
         for arb in (PROPELLER_STARBOARD, PROPELLER_PORT):

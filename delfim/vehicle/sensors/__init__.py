@@ -8,8 +8,7 @@ from importlib import import_module
 from typing import NamedTuple, Protocol
 
 from delfim import config
-from delfim.vehicle.links import Links, Readable
-from delfim.vehicle.state import State
+from delfim.vehicle.links import Links, LoopInput
 
 
 class Value(NamedTuple):
@@ -20,13 +19,8 @@ class Value(NamedTuple):
     description: str
 
 
-class Sensor(Protocol):
-    """An input of the loop. `read` never raises and never waits."""
-
+class Sensor(LoopInput, Protocol):
     name: str  # as in `sensors.names`
-    input: Readable  # to be read when it is readable
-
-    def read(self, state: State, now_s: float) -> None: ...  # all waiting input, into the state
 
 
 def open_sensors(settings: config.Vehicle, links: Links) -> tuple[Sensor, ...]:
