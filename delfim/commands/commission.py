@@ -37,7 +37,7 @@ QUESTIONS: Final = (
     Question("console", "Address of the operator's computer, the other end of the radio where there is one", "slipd.peer"),
     Question("network", "Address of the boat on the payload's network, with its length", default="192.168.1.10/24"),
     Question("interface", "Interface of that network", default="eth0"),
-    Question("users", "Users, who may log in by SSH and fetch and upload files, with commas"),
+    Question("users", "Users, who may log in by SSH and fetch and upload files, with commas; NAME=FILE.pub: has an ssh key"),
 )
 
 
@@ -46,6 +46,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--output", metavar="DIRECTORY", default="commissioned", help="Write the files here; it must not exist."
     )
+    told = "A boat that was commissioned before: its consoles' key is this one's, too, for one console commands both."
+    parser.add_argument("--fleet", metavar="DIRECTORY", help=told)
     parser.add_argument("--yes", action="store_true", help="Ask nothing: what has no option stays as the file has it.")
     for question in QUESTIONS:
         default = question.default or (f"{question.key} of FILE" if question.key else "")
@@ -61,7 +63,7 @@ def run(asked: argparse.Namespace) -> int:
     settings = config.load(asked.file, asked.set)
     answers = {each.option: _answer(each, asked, settings) for each in QUESTIONS}
     crew = _users(answers["users"])
-    network, secrets = _network(answers["network"]), _secrets(answers, crew)
+    network, secrets = _network(answers["network"]), _secrets(answers, crew, _consoles_key(asked.fleet))
     changes = {"boat.name": answers["name"], "boat.id": _number(answers["id"])} | _addresses(answers, network)
     changes |= {key: value for one in asked.set for key, value in _flat(tables.read_override(one))}
     changes |= secrets.settings
@@ -69,7 +71,7 @@ def run(asked: argparse.Namespace) -> int:
     _is_fit(text, asked.file)
     output = Path(asked.output)
     _write(output, text, secrets.files)
-    print(_next_steps(output, answers, crew, network))
+    print(_next_steps(output, answers, list(crew), network))
     return 0
 
 
@@ -98,14 +100,32 @@ def _number(text: str) -> int:
     return int(text)
 
 
-def _users(text: str) -> list[str]:
+def _users(text: str) -> dict[str, str]:
+    """The users, with the public ssh key of those who have one. Raises DelfimError."""
     import re
 
-    names = [name.strip() for name in text.split(",")]
-    for name in names:
+    from delfim.outside import read_file
+    from delfim.services.credentials import public_ssh_key
+
+    users = dict[str, str]()
+    for each in text.split(","):
+        name, _, file = (part.strip() for part in each.partition("="))
         if not re.fullmatch(USER, name):
             raise DelfimError(f"--users {name!r}: not a name (a letter, then letters, digits, _ or -)")
-    return list(dict.fromkeys(names))
+        try:
+            users[name] = public_ssh_key(read_file(Path(file).expanduser())) if file else ""
+        except (OSError, ValueError) as error:
+            raise DelfimError(f"--users {name}: {file} is no public ssh key: {error}") from None
+    return users
+
+
+def _consoles_key(fleet: str | None) -> str:
+    """That of the boat that was commissioned into a folder, or a new one. Raises ConfigError."""
+    from secrets import token_hex
+
+    from delfim.vehicle.mavlink.signing import read_key
+
+    return f"{read_key(Path(fleet) / 'shore/mavlink.key').hex() if fleet else token_hex(32)}\n"
 
 
 def _network(text: str) -> IPv4Interface:
@@ -137,7 +157,7 @@ class Secrets(NamedTuple):
     settings: dict[str, Any]
 
 
-def _secrets(answers: Mapping[str, str], crew: Sequence[str]) -> Secrets:
+def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: str) -> Secrets:
     import datetime
     from secrets import token_hex
 
@@ -148,7 +168,7 @@ def _secrets(answers: Mapping[str, str], crew: Sequence[str]) -> Secrets:
     places = [
         each for each in (answers["radio-address"] if answers["radio"] else "", answers["network"].partition("/")[0]) if each
     ]
-    console_key, guest_key = f"{token_hex(32)}\n", f"{token_hex(32)}\n"
+    guest_key = f"{token_hex(32)}\n"
     host, tls = credentials.ssh_key(boat), credentials.certificate(boat, places, datetime.datetime.now(datetime.UTC))
     known = " ".join(host.public.split()[:2])
     files = {
@@ -167,11 +187,13 @@ def _secrets(answers: Mapping[str, str], crew: Sequence[str]) -> Secrets:
         "ftpd.certificate": f"{BOAT}/ftpd.pem",
         "sshd.host_key": f"{BOAT}/ssh_host_ed25519",
     }
-    for user in crew:
-        key, password = credentials.ssh_key(f"{user}@{boat}"), credentials.password()
-        files |= {f"shore/{user}.key": key.private, f"shore/{user}.password": f"{password}\n"}
+    for user, public in crew.items():
+        password = credentials.password()
+        files[f"shore/{user}.password"] = f"{password}\n"
+        if not public:
+            files[f"shore/{user}.key"], public = credentials.ssh_key(f"{user}@{boat}")
         settings |= {f"ftpd.users.{user}.password": hashed(password), f"ftpd.users.{user}.upload": True}
-        settings |= {f"sshd.users.{user}.keys": [key.public]}
+        settings |= {f"sshd.users.{user}.keys": [public]}
     return Secrets(files, settings)
 
 
@@ -210,6 +232,7 @@ def _write(output: Path, text: str, files: Mapping[str, str]) -> None:
 def _next_steps(output: Path, answers: Mapping[str, str], crew: Sequence[str], network: IPv4Interface) -> str:
     boat, user = answers["radio-address"] if answers["radio"] else str(network.ip), crew[0]
     shore, name = output / "shore", answers["name"]
+    key = f"-i {shore}/{user}.key " if (shore / f"{user}.key").exists() else ""
     words = f"VEHICLE={BOAT}/boat.toml NET={answers['interface']} ADDRESS={network}"
     radio = _shore(config.load(shore / "boat.toml").slipd)
     return f"""{name} is commissioned. All files in {output} are secret; nobody but you can read them.
@@ -220,11 +243,12 @@ To the boat, by hand and never over the radio:
 To the guest computer: {output}/guest/guest.key (docs/guest.md)
 To the operator's computer: {shore}, where you type
 {radio}    delfim console --boats 0.0.0.0:14550 --key {shore}/mavlink.key --vehicle {shore}/boat.toml
-    ssh -i {shore}/{user}.key -o UserKnownHostsFile={shore}/known_hosts {user}@{boat}
+    ssh {key}-o UserKnownHostsFile={shore}/known_hosts {user}@{boat}
     lftp -u {user} -e 'set ftp:ssl-force true; set ssl:ca-file {shore}/boat.crt' {boat}
     delfim can dump socketcand:{boat}:29536:can0
     browser: http://{boat}/
-Each user has a key and a password of their own there: {", ".join(crew)}. Give each their two files, boat.crt and known_hosts.
+Each user has a key (unless they had one) and a password of their own there: {", ".join(crew)}. Give each their files, boat.crt
+and known_hosts.
 
 Before it goes into the water: delfim check --sea {output}/boat/boat.toml, and docs/sea.md."""
 

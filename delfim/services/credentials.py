@@ -7,6 +7,7 @@ from ipaddress import ip_address
 from typing import NamedTuple
 
 from cryptography import x509
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import hashes, serialization
 from cryptography.hazmat.primitives.asymmetric import ec, ed25519
 from cryptography.x509.oid import NameOID
@@ -26,6 +27,15 @@ def ssh_key(comment: str) -> SshKey:
     private = key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.OpenSSH, plain)
     public = key.public_key().public_bytes(serialization.Encoding.OpenSSH, serialization.PublicFormat.OpenSSH)
     return SshKey(private.decode(), f"{public.decode()} {comment}")
+
+
+def public_ssh_key(text: bytes) -> str:
+    """The line of a .pub file, ed25519 or any other kind that sshd takes. Raises ValueError."""
+    try:
+        serialization.load_ssh_public_key(text)
+    except UnsupportedAlgorithm as error:
+        raise ValueError(str(error)) from None
+    return " ".join(text.decode().split())
 
 
 class Certificate(NamedTuple):

@@ -93,6 +93,23 @@ def test_two_boats_share_no_secret(made: Path, tmp_path: Path) -> None:
             assert path.read_bytes() != (tmp_path / "second" / path.relative_to(made)).read_bytes(), path.name
 
 
+def test_the_boats_of_a_fleet_have_one_key_for_their_consoles_and_nothing_else_in_common(made: Path, tmp_path: Path) -> None:
+    second = tmp_path / "second"
+    assert commission(second, *WORDS, "--fleet", str(made)) == 0
+    files = [path.relative_to(made) for path in made.rglob("*") if path.is_file()]
+    same = {each for each in files if (made / each).read_bytes() == (second / each).read_bytes()}
+    assert same == {Path("boat/mavlink.key"), Path("shore/mavlink.key")}
+
+
+def test_a_user_who_has_an_ssh_key_keeps_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    subprocess.run(("ssh-keygen", "-q", "-t", "rsa", "-N", "", "-f", tmp_path / "own"), check=True)
+    made, own = tmp_path / "out", tmp_path / "own.pub"
+    assert commission(made, *WORDS, "--users", f"ana={own}, rui") == 0
+    assert {path.name for path in (made / "shore").iterdir()} == SHORE - {"ana.key"}
+    assert config.load(made / "boat/boat.toml").sshd.users["ana"].keys == (own.read_text().strip(),)
+    assert "    ssh -o UserKnownHostsFile=" in capsys.readouterr().out
+
+
 def test_it_says_what_to_copy_where_and_no_secret(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     made = tmp_path / "out"
     assert commission(made, *WORDS) == 0
@@ -125,6 +142,9 @@ def test_a_boat_without_a_radio(tmp_path: Path) -> None:
         ((*WORDS, "--id", "250"), 2, "boat.id: 250 is not allowed"),
         ((*WORDS, "--id", "two"), 2, "--id two: not a number"),
         ((*WORDS, "--users", "ana,9x"), 2, "'9x': not a name"),
+        ((*WORDS, "--users", f"ana={SEA}"), 2, "delfimx-sea.toml is no public ssh key"),
+        ((*WORDS, "--users", "ana=/nowhere.pub"), 2, "/nowhere.pub is no public ssh key"),
+        ((*WORDS, "--fleet", "/nowhere"), 2, "/nowhere/shore/mavlink.key"),
         ((*WORDS, "--network", "10.77.0.2"), 2, "not ADDRESS/LENGTH"),
         ((*WORDS, "--console", "ashore"), 2, "slipd"),
         ((*WORDS, "--set", 'cantcpd.transmit=["10.77.0.0/24"]'), 1, "anyone in 10.77.0.0/24 may send frames"),
