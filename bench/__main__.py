@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from delfim.commands import Formatter, overrides
 from delfim.errors import DelfimError, in_words
 
-PROGRAMS = ("critical-path", "costs", "sim", "log", "watchers", "datagrams", "floods", "downloads", "disk")
+PROGRAMS = ("critical-path", "costs", "allocation", "sim", "log", "watchers", "datagrams", "floods", "downloads", "disk")
 
 
 def options() -> argparse.ArgumentParser:
@@ -31,11 +31,12 @@ def options() -> argparse.ArgumentParser:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from bench import costs, critical_path, liblog, lockstep, sides, soak
+    from bench import allocation, costs, critical_path, liblog, lockstep, sides, soak
 
     programs = {
         "critical-path": critical_path.run,
         "costs": costs.run,
+        "allocation": allocation.run,
         "sim": lockstep.run,
         "log": liblog.run,
         "watchers": sides.run_watchers,
