@@ -3,10 +3,12 @@
 `load(path)` reads and checks the file. There are no environment variables and no second list of options.
 """
 
-from collections.abc import Sequence
+import math
+from collections.abc import Iterator, Sequence
 from ipaddress import IPv4Address, IPv4Interface, ip_address, ip_network
+from itertools import combinations, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, cast, get_args
+from typing import TYPE_CHECKING, Annotated, ClassVar, Final, Literal, cast, get_args
 
 import msgspec
 
@@ -33,12 +35,19 @@ Interface = Annotated[
 ]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
 SourceName = Literal["dsor", "nmea2000"]  # files in delfim/vehicle/sources
-ActuatorName = Literal["dsor"]  # files in delfim/vehicle/actuators
+DriverName = Literal["dsor"]  # files in delfim/vehicle/actuators
 SensorName = Literal["sysstat"]  # files in delfim/vehicle/sensors
-Actuators = Annotated[tuple[ActuatorName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(ActuatorName)))]
+Place = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]  # m from the middle of the boat
+Newtons = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
+Curve = Annotated[tuple[tuple[Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)], Newtons], ...], msgspec.Meta(max_length=64)]
+Revolutions = Annotated[float, msgspec.Meta(ge=0.0, le=100_000.0)]
+ThrusterName = Annotated[str, text("[a-z][a-z0-9_]{0,15}", "a small letter, then up to 15 small letters, digits or _")]
+Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+DriverAddress = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(SourceName)))]
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 OTHER_NODES = (0x01, 0x02, 0x10, 0x11, 0x20, 0x21)  # of `messages.Node`
+PUSH_MIN = 0.1  # N and N·m: less is nothing
 TAKEN_VEHICLES = (0x40, 0xA0)  # commands to actuators, and reset, have these identifiers
 DsorVehicle = Annotated[int, msgspec.Meta(ge=0, le=0xF0, multiple_of=16)]
 BitRate = Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)]
@@ -132,13 +141,96 @@ class Nmea2000(Table, frozen=True):
     variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while the bus sends none
 
 
-class PropulsionTable(Table, frozen=True):
-    """The actuators. All of them get the same command; each takes its part of it."""
+class Steer(Table, frozen=True):
+    """The turning of a thruster: the whole of it (azimuth; an outboard turns by little), or a rudder in its stream."""
 
-    actuators: Actuators = ("dsor",)  # of the boat
-    rpm_max: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1200  # of either propeller, ahead and astern
-    rpm_per_s_max: Annotated[float, msgspec.Meta(gt=0.0, le=1e5)] = 800.0  # steepest change that is commanded
+    kind: Literal["azimuth", "rudder"]  # a rudder gives side force only while its propeller pushes ahead
+    address: DriverAddress = 0  # of what turns it, as the driver has it
+    angle_max_deg: Annotated[float, msgspec.Meta(ge=5.0, le=180.0)] = 35.0  # to either side; 180: all round
+    rate_dps: Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)] = 30.0  # how fast it turns, degrees a second
+    forbidden_deg: Annotated[tuple[tuple[Degrees, Degrees], ...], msgspec.Meta(max_length=8)] = ()  # no thrust from .. to
+
+    def __post_init__(self) -> None:
+        for start, end in self.forbidden_deg:
+            if start >= end:
+                raise ValueError(f"forbidden_deg: from {start:g} to {end:g} is no sector: the smaller angle comes first")
+        if self.kind == "rudder" and self.angle_max_deg > 60.0:
+            raise ValueError(f"angle_max_deg: a rudder at {self.angle_max_deg:g} degrees brakes; 60 at most")
+
+
+class ThrusterTable(Table, frozen=True):
+    """A thruster: who drives it, where it is, where and how strongly it pushes the boat. Its force follows from the command c
+    by a law, end * ((|c| - dead) / (1 - dead)) ^ power, or by a curve."""
+
+    name: ThrusterName  # in the log, on screens, in `delfim fault`
+    driver: DriverName  # who commands it
+    address: DriverAddress = 0  # as the driver has it: ESC index, controller's number, channel
+    x_m: Place = 0.0  # ahead of the middle of the boat
+    y_m: Place = 0.0  # to starboard of it
+    angle_deg: Degrees = 0.0  # where it pushes the boat: 0 ahead, 90 to starboard
+    thrust_n: tuple[Newtons, Newtons] = (0.0, 0.0)  # at full command astern (0 or less) and ahead (more than 0)
+    power: Annotated[float, msgspec.Meta(ge=0.2, le=4.0)] = 2.0  # of the law: 2 where the command is revolutions, 1 where force
+    dead: Annotated[float, msgspec.Meta(ge=0.0, le=0.9)] = 0.0  # command up to which there is no force
+    curve: Curve = ()  # instead of thrust_n, power and dead: [command, N], from the least command to the greatest
+    rpm_max: Revolutions = 0.0  # that it reports at full command; 0: not known, or the driver's table has it
+    rate_per_s: Annotated[float, msgspec.Meta(gt=0.0, le=100.0)] = 1.0  # steepest change of the command, of full a second
+    reversed: bool = False  # mounted so that what its driver calls ahead pushes astern
+    steer: Steer | None = None  # what turns it; a fixed thruster has none
+
+    def __post_init__(self) -> None:
+        if bool(self.curve) == (self.thrust_n != (0.0, 0.0)):
+            raise ValueError("either thrust_n = [astern, ahead] or a curve")
+        astern, ahead = self.thrust_n
+        if not self.curve and (astern > 0.0 or ahead <= 0.0):
+            raise ValueError(f"thrust_n: [{astern:g}, {ahead:g}] has ahead and astern exchanged: astern comes first, 0 or less")
+        if self.curve:
+            self._check_curve()
+
+    def _check_curve(self) -> None:
+        for (c, _), (after, _) in pairwise(self.curve):
+            if after < c:
+                raise ValueError(f"curve: the command {after:g} comes after {c:g}: they must rise")
+        if self.curve[0][0] not in (-1.0, 0.0) or self.curve[-1][0] != 1.0:
+            raise ValueError("curve: it must go from the command -1, or 0 where it gives nothing astern, to 1")
+        if self.curve[-1][1] < self.curve[0][1]:
+            raise ValueError("curve: ahead and astern are exchanged: the greatest command gives the least force")
+        for (c, n), (after, more) in pairwise(self.curve):
+            if more < n:
+                raise ValueError(f"curve: it is not monotonic: {more:g} N at {after:g} after {n:g} N at {c:g}")
+        if not self.ends_n[0] <= 0.0 < self.ends_n[1]:
+            raise ValueError("curve: force astern, where there is any, has a minus, and there must be some ahead")
+        if (0.0, 0.0) not in self.curve or any(n for c, n in self.curve if c == 0.0):
+            raise ValueError("curve: it needs the point [0, 0], and no other at the command 0: no command, no force")
+
+    @property
+    def ends_n(self) -> tuple[float, float]:
+        """Force at full command astern and ahead, N."""
+        return (self.curve[0][1], self.curve[-1][1]) if self.curve else self.thrust_n
+
+
+class Dsor(Table, frozen=True):
+    """The propellers of DelfimX, on the bus of the boat's own nodes: address 0 is the starboard one, 1 the port one."""
+
+    rpm_max: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1200  # at full command, ahead and astern
+
+
+class PropulsionTable(Table, frozen=True):
+    """The propulsion as a whole."""
+
+    MOVED: ClassVar[dict[str, str]] = {
+        "actuators": "[[thrusters]] with a driver each",
+        "rpm_max": "dsor.rpm_max",
+        "rpm_per_s_max": "rate_per_s of [[thrusters]], as a part of full command a second",
+    }
     speed_per_rpm_mps: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.00196  # straight ahead, calm water
+
+
+# The propellers of DelfimX under the middle of its hulls; their force is that of the simulator's model, at rest.
+DELFIMX: Final = tuple(
+    ThrusterTable(name=name, driver="dsor", address=address, x_m=-2.0, y_m=y_m, thrust_n=(-319.0, 532.0), rate_per_s=0.6667)
+    for address, (name, y_m) in enumerate((("starboard", 1.029), ("port", -1.029)))
+)
+Thrusters = Annotated[tuple[ThrusterTable, ...], msgspec.Meta(min_length=1, max_length=16)]
 
 
 class HeadingTable(Table, frozen=True):
@@ -298,10 +390,11 @@ class FenceNear(Trouble, frozen=True):
 
 
 class ThrusterAstray(Trouble, frozen=True):
-    """A propeller does not turn as commanded, by its own report."""
+    """A thruster does not do as commanded, by its own report: it is dead, stuck, reversed or no longer heard."""
 
     error_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 300.0  # difference that is tolerated: this ...
     error: Fraction = 0.25  # ... plus this part of the command
+    error_deg: Annotated[float, msgspec.Meta(gt=0.0, le=180.0)] = 20.0  # the same of what turns
     idle_rpm: Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)] = 100.0  # tolerated speed of one that was switched off
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 4.0  # for this long
     manual: ModeAction = "warn"
@@ -721,6 +814,47 @@ class Simulation(Table, frozen=True):
     sea: Sea = Sea()
 
 
+def thrusters_fault(rows: Sequence[ThrusterTable]) -> str | None:
+    """Why these thrusters cannot be those of one boat, in words; None: they can."""
+    names, taken = set[str](), dict[tuple[str, str, int], str]()
+    for row in rows:
+        if row.name in names:
+            return f"two have the name {row.name}"
+        names.add(row.name)
+        if row.driver == "dsor" and (row.address > 1 or row.steer is not None):
+            return f"{row.name}: dsor has address 0, starboard, and 1, port, and turns nothing"
+        kinds = [("pushes", row.address)] + ([("turns", row.steer.address)] if row.steer is not None else [])
+        for kind, number in kinds:
+            if (other := taken.setdefault((row.driver, kind, number), row.name)) != row.name:
+                return f"{other} and {row.name} have one address, {number} of {row.driver}"
+    if not any(surge_n > PUSH_MIN for row in rows for surge_n, _, _ in pushes(row)):
+        return "none of them pushes the boat ahead"
+    for side, sign in (("starboard", 1.0), ("port", -1.0)):
+        if _moment(rows, sign) < PUSH_MIN:
+            return f"this boat cannot turn to {side}, except astern: it needs a second thruster, a rudder, or their places"
+    return None
+
+
+def pushes(row: ThrusterTable) -> Iterator[tuple[float, float, float]]:
+    """(surge N, sway N, yaw moment N·m) of a thruster at its full commands, ahead and to either side."""
+    steer, (astern_n, ahead_n) = row.steer, row.ends_n
+    for part in (-1.0, 0.0, 1.0) if steer is not None else (0.0,):
+        turned = math.radians(row.angle_deg + part * (steer.angle_max_deg if steer is not None else 0.0))
+        straight = steer is not None and steer.kind == "rudder"
+        for force_n, angle in ((astern_n, math.radians(row.angle_deg) if straight else turned), (ahead_n, turned)):
+            surge_n, sway_n = force_n * math.cos(angle), force_n * math.sin(angle)
+            yield surge_n, sway_n, row.x_m * sway_n - row.y_m * surge_n
+
+
+def _moment(rows: Sequence[ThrusterTable], sign: float) -> float:
+    """Greatest moment, N·m, to starboard (sign 1) or port (-1) while the thrusters together do not push astern: the least of
+    sum(max(moment + weight * surge)) over all weights, by duality; it lies where two pushes of a thruster weigh the same."""
+    each = [[(0.0, 0.0), *((surge_n, sign * yaw_nm) for surge_n, _, yaw_nm in pushes(row))] for row in rows]
+    pairs = [pair for points in each for pair in combinations(points, 2) if abs(pair[0][0] - pair[1][0]) > PUSH_MIN]
+    weights = [0.0, *(max((m - n) / (q - p), 0.0) for (p, m), (q, n) in pairs)]
+    return min(sum(max(m + weight * p for p, m in points) for points in each) for weight in weights)
+
+
 class Vehicle(Table, frozen=True):
     """The whole file."""
 
@@ -729,6 +863,8 @@ class Vehicle(Table, frozen=True):
     navigation: NavigationTable = NavigationTable()
     nmea2000: Nmea2000 = Nmea2000()
     propulsion: PropulsionTable = PropulsionTable()
+    dsor: Dsor = Dsor()
+    thrusters: Thrusters = DELFIMX
     control: ControlTable = ControlTable()
     failsafe: Failsafe = Failsafe()
     fence: FenceTable = FenceTable()
@@ -760,6 +896,17 @@ class Vehicle(Table, frozen=True):
     def __post_init__(self) -> None:
         if self.mavlink.serial and self.mavlink.serial == self.slipd.device:
             raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
+        if (fault := thrusters_fault(self.thrusters)) is not None:
+            raise ValueError(f"thrusters: {fault}")
+
+    def rpm_max(self, row: ThrusterTable) -> float:
+        """Revolutions per minute of a thruster at full command; 0 where they are not known."""
+        return float(self.dsor.rpm_max) if row.driver == "dsor" else row.rpm_max
+
+    @property
+    def drivers(self) -> tuple[str, ...]:
+        """The drivers of the thrusters, each once, in the order of the rows."""
+        return tuple(dict.fromkeys(row.driver for row in self.thrusters))
 
     def outside(self, key: Literal["interface", "device"]) -> dict[str, str]:
         """The buses or serial lines of the boat's nodes and of the parts that are chosen by name, by their keys: a part has
@@ -768,7 +915,7 @@ class Vehicle(Table, frozen=True):
 
     def _parts(self) -> dict[str, Table | None]:
         """The tables of the boat's nodes and parts, by their names in the file."""
-        names = ("can", *self.navigation.sources, *self.sensors.names, *self.propulsion.actuators)
+        names = ("can", *self.navigation.sources, *self.sensors.names, *self.drivers)
         routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
         return {name: getattr(self, name, None) for name in names} | routed
 

@@ -20,7 +20,8 @@ class ConfigError(DelfimError):
 
     def __init__(self, file: str, key: str, reason: str, allowed: str = "") -> None:
         self.file, self.key, self.reason, self.allowed = file, key, reason, allowed
-        super().__init__(f"{file}: {key}: {reason}" + (f" (allowed: {allowed})" if allowed else ""))
+        place = f"{file}: {key}" if key else file
+        super().__init__(f"{place}: {reason}" + (f" (allowed: {allowed})" if allowed else ""))
 
 
 class FormatError(DelfimError, ValueError):

@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -17,6 +17,8 @@ from delfim.outside import parse_toml, read_text
 
 class Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A table of a TOML file. Unknown keys are refused."""
+
+    MOVED: ClassVar[dict[str, str]] = {}  # keys of the past, and where their meaning is now
 
 
 T = TypeVar("T", bound=Table)
@@ -134,16 +136,22 @@ def _wrong(value: Any, hint: Any, key: str) -> Iterator[Wrong]:
 
 
 def _wrong_in_table(value: dict[str, Any], kind: type[Table], key: str) -> Iterator[Wrong]:
-    hints = get_type_hints(kind, include_extras=True)
+    hints = keys(kind)
     for word, one in value.items():
         if word in hints:
             yield from _wrong(one, hints[word], f"{key}.{word}")
         else:
-            near = did_you_mean(word, hints)
+            near = f"; it is now {kind.MOVED[word]}" if word in kind.MOVED else did_you_mean(word, hints)
             yield Wrong(f"{key}.{word}", f"unknown key{near}", "" if near else ", ".join(hints))
     for field in msgspec.structs.fields(kind):
         if field.required and field.name not in value:
             yield Wrong(f"{key}.{field.name}", "missing")
+
+
+def keys(kind: type[msgspec.Struct]) -> dict[str, Any]:
+    """The keys of a table and their types."""
+    hints = get_type_hints(kind, include_extras=True)
+    return {name: hints[name] for name in kind.__struct_fields__}
 
 
 def _bare(hint: Any) -> Any:

@@ -137,7 +137,7 @@ async def planned(path: Path, home: bool) -> None:
         with Link(path) as link:
             state = link.ask("state")
         assert state["mode"] in ("idle", "goto")
-        assert (state["port_rpm"], state["starboard_rpm"]) == (0, 0)
+        assert [each["thrust"] for each in state["thrusters"].values()] == [0.0, 0.0]
 
 
 @pytest.mark.parametrize("autopilot", ["generic", "ardurover"])

@@ -114,7 +114,7 @@ def test_a_new_source_on_a_serial_line_drives_the_boat_and_its_log_is_repeated(t
     compass = Instrument(device, tmp_path / "command")
     with running(tmp_path, 14550, *values, package=enlarged.place):
         compass.asked("heading", heading_deg=90.0, speed_mps=1.0)
-        state = compass.speak(lambda state: state["run"] and state["starboard_rpm"])
+        state = compass.speak(lambda state: state["run"] and state["thrusters"]["starboard"]["thrust"])
         assert state["source"] == "compass"
         assert state["age_s"]["navigation"] < 1.0
         assert next(line for line in state["checks"] if line["name"] == "navigation")["reason"].startswith("compass, ")

@@ -85,9 +85,9 @@ class Boat:
 
     def report(self, status: Status = Status.GOOD, faults: Fault = WELL, silent: tuple[str, ...] = ()) -> None:
         """Every node reports its health, the starboard propeller as told; those named in `silent` do not. Propellers obey."""
-        sent = self.state.actuation
-        starboard = PropellerStatus(status, faults, round(sent.starboard_rpm), 1.0, 20, 0)
-        port = PropellerStatus(Status.GOOD, WELL, round(sent.port_rpm), 1.0, 20, 0)
+        rpm = [round(1200 * part) for part in self.state.actuation.thrust]
+        starboard = PropellerStatus(status, faults, rpm[0], 1.0, 20, 0)
+        port = PropellerStatus(Status.GOOD, WELL, rpm[1], 1.0, 20, 0)
         batteries = messages.pack_batteries_status(BatteriesStatus(Status.GOOD, WELL, 48.0, 1.0, 0.9, 20))
         reports = {
             Node.PROPELLER_STARBOARD: messages.pack_propeller_status(starboard),

@@ -55,7 +55,7 @@ def under_way(settings: config.Vehicle) -> str:
             return f"cannot find out whether the boat is under way: {error}"
     if state["mode"] != "idle":
         return f"the boat is under way, in mode {state['mode']}"
-    return "a propeller turns" if state["starboard_rpm"] or state["port_rpm"] else ""
+    return "a propeller turns" if any(each["thrust"] for each in state["thrusters"].values()) else ""
 
 
 def verify(settings: config.Vehicle, bundle: Path) -> int:

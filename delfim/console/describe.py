@@ -6,7 +6,7 @@ The meaning is the comment beside the key in `delfim/config.py`, so that there i
 import contextlib
 import inspect
 import re
-from typing import Any, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_origin
 
 import msgspec
 
@@ -26,9 +26,10 @@ def describe() -> str:
         "`delfim describe`.",
     ]
     for name, table in _tables("", config.Vehicle):
-        page += ["", f"## `[{name}]`", "", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
+        heading = f"[[{name}]]" if name == "thrusters" else f"[{name}]"
+        page += ["", f"## `{heading}`", "", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
         comments = _comments(table)
-        hints = get_type_hints(table, include_extras=True)
+        hints = tables.keys(table)
         for field in msgspec.structs.fields(table):
             if not _is_table(hints[field.name]):
                 allowed = tables.allowed(hints[field.name]).replace("|", "\\|")
@@ -39,11 +40,13 @@ def describe() -> str:
 def _tables(prefix: str, kind: Any) -> list[tuple[str, Any]]:
     """(dotted name, class) of every table below a class, depth first."""
     found = []
-    for name, hint in get_type_hints(kind, include_extras=True).items():
+    for name, hint in tables.keys(kind).items():
         if get_origin(hint) is dict:
             found.append((f"{prefix}{name}.NAME", get_args(hint)[1]))
+        elif hint is config.Thrusters:
+            found += [(name, config.ThrusterTable), (f"{name}.steer", config.Steer)]
         elif _is_table(hint):
-            if any(not _is_table(inner) for inner in get_type_hints(hint).values()):
+            if any(not _is_table(inner) for inner in tables.keys(hint).values()):
                 found.append((prefix + name, hint))
             found += _tables(f"{prefix}{name}.", hint)
     return found

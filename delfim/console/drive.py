@@ -113,10 +113,11 @@ def line(state: dict[str, Any]) -> str:
     def show(value: float | None, form: str) -> str:
         return "-" if value is None else format(value, form)
 
+    thrust = " ".join(f"{name} {each['thrust']:.0%}" for name, each in state["thrusters"].items())
     return (
         f"{state['mode']:7} {show(state['latitude_deg'], '.6f')} {show(state['longitude_deg'], '.6f')} "
         f"heading {show(state['heading_deg'], '5.1f')} speed {show(state['speed_mps'], '.2f')} m/s "
-        f"rpm {state['port_rpm']}/{state['starboard_rpm']} leg {leg} "
+        f"{thrust} leg {leg} "
         f"to go {show(reference['distance_m'], '.0f')} m  {state['reason']}"
     )
 

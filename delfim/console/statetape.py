@@ -7,15 +7,20 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+import msgspec
+
+from delfim import config
 from delfim.console.boats import Boat
 from delfim.console.mavlink import mavlink
 from delfim.console.tape import LAST_S, Missions, Text, Track, between
 from delfim.errors import FormatError
 from delfim.logging.reading import in_order, read_events
 from delfim.logging.statelog import read_state
+from delfim.vehicle import thrusters
 from delfim.vehicle.gnss import FIXES
 
 STATE_S: Final = 0.1  # between records that are shown
+Sides = dict[str, list[str]]  # "port" and "starboard": names of thrusters
 
 
 class LogRow(NamedTuple):
@@ -73,6 +78,7 @@ class States:
 
     def _read(self, file: Path) -> None:
         schema, records, complaint = read_state(file)
+        sides = _sides(file)
         self.name, self.complaint = schema.boat or self.name, complaint or self.complaint
         due_s = self._rows[-1].at_s + STATE_S if self._rows else -math.inf
         for record in records:
@@ -80,10 +86,10 @@ class States:
             at_s = told.get("t1", 0) / 1e9
             if due_s - 1e-6 <= at_s < LAST_S and isinstance(told.get("mode"), int):
                 due_s = at_s + STATE_S
-                self._rows.append(_row(at_s, told))
+                self._rows.append(_row(at_s, told, sides))
 
 
-def _row(at_s: float, told: dict[str, Any]) -> LogRow:
+def _row(at_s: float, told: dict[str, Any], sides: Sides) -> LogRow:
     def known(name: str, digits: int = 2) -> float | None:
         value = told.get(name, math.nan)
         return round(value, digits) if math.isfinite(value) else None
@@ -95,8 +101,11 @@ def _row(at_s: float, told: dict[str, Any]) -> LogRow:
     def compass(value: float | None) -> float | None:
         return None if value is None else round(value % 360.0, 1)
 
-    def first(*names: str) -> float | None:
-        return next((value for name in names if (value := known(name, 0)) is not None), None)
+    def mean(names: Sequence[str], times: float, *ends: str) -> float | None:
+        """Of the first known value of each thruster."""
+        each = [next((v for end in ends if (v := known(f"{name}_{end}", 4)) is not None), None) for name in names]
+        values = [value for value in each if value is not None]
+        return round(times * sum(values) / len(values)) if values else None
 
     north_mps, east_mps = known("north_speed", 3), known("east_speed", 3)
     moves = north_mps is not None and east_mps is not None
@@ -110,8 +119,8 @@ def _row(at_s: float, told: dict[str, Any]) -> LogRow:
         "speed_mps": round(math.hypot(north_mps or 0.0, east_mps or 0.0), 2) if moves else None,
         "roll_deg": degrees("roll"),
         "pitch_deg": degrees("pitch"),
-        "port_rpm": first("port_rpm_measured", "port_rpm"),
-        "starboard_rpm": first("starboard_rpm_measured", "starboard_rpm"),
+        **{f"{side}_rpm": mean(names, 1.0, "rpm_measured", "rpm") for side, names in sides.items()},
+        **{f"{side}_pct": mean(names, 100.0, "command") for side, names in sides.items()},
         "battery_v": min(volts, default=None),
         "battery_pct": round(100.0 * min(charges)) if charges else None,
         "satellites": known("satellites"),
@@ -138,6 +147,17 @@ def _number(files: Sequence[Path], number: int) -> int:
         with contextlib.suppress(KeyError, TypeError, ValueError):
             return int(told["settings"]["boat"]["id"])
     return number
+
+
+def _sides(file: Path) -> Sides:
+    """The names of the thrusters of each side, by the settings in the log's sidecar; otherwise those of DelfimX."""
+    rows: Sequence[config.ThrusterTable] = config.DELFIMX
+    for told in _events(file):
+        with contextlib.suppress(KeyError, TypeError, msgspec.ValidationError):
+            rows = msgspec.convert(told["settings"]["thrusters"], config.Thrusters)
+            break
+    port, starboard = thrusters.sides(rows)
+    return {"port": [rows[i].name for i in port], "starboard": [rows[i].name for i in starboard]}
 
 
 def _texts(file: Path, number: int) -> list[Text]:

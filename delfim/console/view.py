@@ -123,12 +123,12 @@ def warnings(state: dict[str, Any]) -> list[tuple[str, Text]]:
 
 def _motion(state: dict[str, Any]) -> list[tuple[str, str | Text]]:
     reference = state["reference"]
-    bars = Text(f"{_bar(state['port_rpm'])} {state['port_rpm']:5}  {state['starboard_rpm']:5} {_bar(state['starboard_rpm'])}")
+    bars = Text("  ".join(f"{name} {_bar(each['thrust'])} {each['thrust']:4.0%}" for name, each in state["thrusters"].items()))
     return [
         ("position", f"{_number(state['latitude_deg'], '.6f')}  {_number(state['longitude_deg'], '.6f')}"),
         ("heading", f"{_number(state['heading_deg'], '.1f')}°  wanted {_number(reference['heading_deg'], '.1f')}°"),
         ("speed", f"{_number(state['speed_mps'], '.2f')} m/s  wanted {_number(reference['speed_mps'], '.2f')}"),
-        ("port / starboard rpm", bars),
+        ("thrust", bars),
         ("to go", f"{_number(reference['distance_m'], '.1f')} m  off track {_number(reference['cross_track_m'], '+.2f')} m"),
         ("batteries", "  ".join(_charge(state, side) for side in ("port", "starboard"))),
     ]
@@ -161,8 +161,8 @@ def _age(age_s: float | None) -> Text:
     return Text(f"{age_s:.1f} s", style="green" if age_s < 1.5 else "yellow" if age_s < 3.5 else "red")
 
 
-def _bar(rpm: int) -> str:
-    return f"{'▁▂▃▄▅▆▇█'[min(abs(rpm) * 8 // 1201, 7)]}" if rpm else "·"
+def _bar(thrust: float) -> str:
+    return f"{'▁▂▃▄▅▆▇█'[min(int(abs(thrust) * 8), 7)]}" if thrust else "·"
 
 
 def _charge(state: dict[str, Any], side: str) -> str:

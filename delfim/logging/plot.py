@@ -77,12 +77,16 @@ def speeds(columns: Columns, title: str, file: Path) -> None:
 
 
 def rpm(columns: Columns, title: str, file: Path) -> None:
-    """Revolutions of both propellers, commanded and measured."""
-    figure, both = _sheet((10, 6), 2)
-    for axes, side in zip(both, ("starboard", "port"), strict=True):
-        commanded, measured = _arrays(columns, f"{side}_rpm", f"{side}_rpm_measured")
-        _lines(axes, columns, {f"{side}, measured": measured, f"{side}, commanded": commanded}, "1/min")
-    both[0].set_title(title, loc="left")
+    """Revolutions of each propeller, commanded and measured; the command of one whose revolutions are not known."""
+    names = [name.removesuffix("_command") for name in columns if name.endswith("_command")] or ["starboard", "port"]
+    figure, sheets = _sheet((10, 1.0 + 2.5 * len(names)), len(names))
+    for axes, name in zip(np.atleast_1d(sheets), names, strict=True):
+        commanded, measured, part = _arrays(columns, f"{name}_rpm", f"{name}_rpm_measured", f"{name}_command")
+        if f"{name}_rpm" in columns or name + "_command" not in columns:
+            _lines(axes, columns, {f"{name}, measured": measured, f"{name}, commanded": commanded}, "1/min")
+        else:
+            _lines(axes, columns, {f"{name}, commanded": part}, "of full command")
+    np.atleast_1d(sheets)[0].set_title(title, loc="left")
     _save(figure, file)
 
 

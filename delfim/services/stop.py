@@ -20,7 +20,7 @@ class PropellerStop:
     """When called, stops all actuators. A link that failed is opened anew the next time."""
 
     def __init__(self, settings: config.Vehicle) -> None:
-        self._settings, self._names = settings, settings.propulsion.actuators
+        self._settings, self._names = settings, settings.drivers
         for name in self._names:
             import_module(f"{actuators.__name__}.{name}")
         self._opened = dict[str, tuple[Actuator, contextlib.ExitStack]]()

@@ -30,8 +30,8 @@ class Onlooker:
         run, state = self._run, self._run.state
         now_s, sent, limits = run.elapsed_s, state.actuation, self._settings
         idle = state.mode is Mode.IDLE
-        fastest = max(abs(sent.starboard_rpm), abs(sent.port_rpm))
-        if not fastest <= limits.propulsion.rpm_max or (fastest and (idle or not sent.run)):
+        fastest = max(map(abs, sent.thrust))
+        if not fastest <= 1.0 or (fastest and (idle or not sent.run)):
             self._fail(f"commanded {sent}")
         if idle and not state.reason:
             self._fail("stopped without a reason")

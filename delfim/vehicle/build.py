@@ -7,6 +7,7 @@ from delfim import config
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.vehicle.actuators import open_actuator
+from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.loop import VehicleLoop
@@ -42,8 +43,8 @@ def build(
         return outlets[-1]
 
     to_actuators = links._replace(bus=outlet)
-    actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.propulsion.actuators)
-    propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.propulsion, state)
+    actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.drivers)
+    propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), GateLimits(settings.thrusters), state)
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
     reports = tuple(each for actuator in actuators for each in actuator.inputs)
     return Built(vehicle, (*sensors, *reports), tuple(outlets))

@@ -278,8 +278,6 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
         "fix": n.fix if n else 0,
         "satellites": n.satellites if n else 0,
         "hdop": n.hdop if n else None,
-        "starboard_rpm": round(state.actuation.starboard_rpm),
-        "port_rpm": round(state.actuation.port_rpm),
         "run": state.actuation.run,
         "reference": {
             "heading_deg": _compass_degrees(r.heading_rad),

@@ -23,7 +23,7 @@ from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation, Plan, Reference, Setpoint, State, StateLog, Waypoint
 from delfim.vehicle.track import Track
-from delfim.vehicle.troubles import Inputs, unfollowed
+from delfim.vehicle.troubles import Inputs, unstopped
 from delfim.vehicle.zones import Point
 
 PUSHED_S = 1.0  # manual commands at shorter intervals are one push of the joystick
@@ -43,7 +43,7 @@ class Helm:
     def __init__(self, settings: config.Vehicle, clock: Clock, state: State, propulsion: Propulsion, log: StateLog) -> None:
         self.settings, self.state = settings, state
         self._clock, self._propulsion, self._log = clock, propulsion, log
-        self.limits = Settings(settings.control, settings.propulsion)
+        self.limits = Settings(settings.control, settings.propulsion, settings.dsor)
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
         self.track = Track(settings.control.home)
         self.plans = Plans(settings.fence, self.limits, state, self.track, log)
@@ -88,7 +88,7 @@ class Helm:
         """Do the failsafe's action, or the next safer one that is possible."""
         state = self.state
         if action is Action.DISCONNECT:
-            self._propulsion.disconnect(unfollowed(self.rules.table.thruster, state, now_s))
+            self._propulsion.disconnect(unstopped(self.settings, state, now_s))
             return
         setpoint = state.setpoint._replace(track=self.track.way_home())
         mode, reason = failsafe.fallback(action, reason, state.motion.has, setpoint)
@@ -354,7 +354,7 @@ class Helm:
             self.settings = settings = config.changed(self.settings, command.key, command.value)
         except ConfigError as error:
             raise Refused(f"set refused: {error.key}: {error.reason}; {error.allowed}") from None
-        self.limits = self.plans.limits = Settings(settings.control, settings.propulsion)
+        self.limits = self.plans.limits = Settings(settings.control, settings.propulsion, settings.dsor)
         if command.key.startswith("failsafe."):
             self.rules = failsafe.Rules(settings)
         else:

@@ -18,7 +18,7 @@ from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError
 from delfim.modes import Mode
-from delfim.vehicle import console, failsafe
+from delfim.vehicle import console, failsafe, thrusters
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.grex import Guest, reference
@@ -54,7 +54,7 @@ class VehicleLoop:
         self.propulsion, self.guest, self.log = propulsion, guest, log
         self.helm = Helm(settings, clock, state, propulsion, log)
         self.latency = Latency(skipped=COLD_CYCLES)
-        guest.on_line = self.on_guest
+        guest.on_line, state.actuation = self.on_guest, propulsion.still
 
     # The five inputs.
 
@@ -168,6 +168,7 @@ class VehicleLoop:
         more = {
             "checks": lines,
             "latency": self.latency.summary(),
+            "thrusters": thrusters.told(self.helm.settings.thrusters, self.state, self.clock.monotonic_s()),
             "paused": paused.mode.name.lower() if paused else None,
             **extra,
         }

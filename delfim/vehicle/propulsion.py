@@ -1,25 +1,23 @@
-"""Propulsion: the command to all actuators.
+"""Propulsion: the command to the drivers of all thrusters.
 
 The limit is applied in the statement that sends: every value that leaves here is finite and within its limits.
 """
 
-from delfim import config
 from delfim.canproxy.socket import CanSocket
 from delfim.errors import Refused
 from delfim.messages import RESET, pack_reset
 from delfim.vehicle.actuators import Actuator
-from delfim.vehicle.control.control import limited
-from delfim.vehicle.safe import STOP
+from delfim.vehicle.gate import GateLimits, limited
 from delfim.vehicle.state import Actuation, State
 
 
 class Propulsion:
-    def __init__(self, actuators: tuple[Actuator, ...], nodes: CanSocket, limits: config.PropulsionTable, state: State) -> None:
+    def __init__(self, actuators: tuple[Actuator, ...], nodes: CanSocket, limits: GateLimits, state: State) -> None:
         """`nodes` is a socket on the bus of the boat's own nodes."""
         self.actuators = actuators
         self._nodes, self._limits, self._state = nodes, limits, state
         self._sends = tuple(actuator.send for actuator in actuators)
-        self._sent = STOP
+        self.still = self._sent = limits.still
         self.sent_s = 0.0  # monotonic time of the last command
 
     def send(self, wanted: Actuation, now_s: float) -> Actuation:
@@ -42,7 +40,7 @@ class Propulsion:
         if self._nodes.send_many(((RESET, pack_reset(node)),)):
             raise Refused("reset refused: the CAN bus did not take the frame")
 
-    def disconnect(self, sides: tuple[str, ...]) -> None:
-        """Cut the power of these sides for good: an actuator there does not obey."""
+    def disconnect(self, names: tuple[str, ...]) -> None:
+        """Cut the power of these thrusters for good: they do not obey."""
         for actuator in self.actuators:
-            actuator.disconnect(sides)
+            actuator.disconnect(names)

@@ -1,11 +1,11 @@
 """The fields of the state log's record of a cycle: one row a field, in the order of the record. SI units; NaN is unknown."""
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 from delfim import config
-from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.messages import BatteriesStatus, Node
 from delfim.vehicle import sensors
 from delfim.vehicle.failsafe import bits
 from delfim.vehicle.sensors.sysstat import NAMES
@@ -38,13 +38,20 @@ def _of_reference(name: str) -> Callable[[State, float], object]:
     return value
 
 
-def _of_propeller(node: Node, name: str) -> Callable[[State, float], object]:
+def _of_thruster(row: str, name: str) -> Callable[[State, float], object]:
     def value(s: State, now_s: float) -> object:
-        report = s.sysstat.get(NAMES[node])
-        known = getattr(report[0], name) if report and isinstance(report[0], PropellerStatus) else None
+        known = getattr(s.thrusters.get(row), name, None)
         return NAN if known is None else known
 
     return value
+
+
+def _sent(index: int, times: float = 1.0) -> Callable[[State, float], object]:
+    return lambda s, now_s: s.actuation.thrust[index] * times if s.actuation.thrust else NAN
+
+
+def _turned(index: int) -> Callable[[State, float], object]:
+    return lambda s, now_s: s.actuation.angle_rad[index] if s.actuation.angle_rad else NAN
 
 
 def _of_batteries(node: Node, name: str) -> Callable[[State, float], object]:
@@ -99,11 +106,7 @@ FIELDS = (
     Field("cross_track", "f", "m", "positive: boat to starboard of the line", _of_reference("cross_track_m")),
     Field("distance", "f", "m", "to the point steered for", _of_reference("distance_m")),
     Field("leg", "H", "", "leg of the mission", lambda s, now_s: s.reference.leg & 0xFFFF),
-    Field("starboard_rpm", "f", "1/min", "commanded", lambda s, now_s: s.actuation.starboard_rpm),
-    Field("port_rpm", "f", "1/min", "commanded", lambda s, now_s: s.actuation.port_rpm),
-    Field("run", "?", "", "propellers enabled", lambda s, now_s: s.actuation.run),
-    Field("starboard_rpm_measured", "f", "1/min", "reported", _of_propeller(Node.PROPELLER_STARBOARD, "rpm")),
-    Field("port_rpm_measured", "f", "1/min", "reported", _of_propeller(Node.PROPELLER_PORT, "rpm")),
+    Field("run", "?", "", "thrusters enabled", lambda s, now_s: s.actuation.run),
     Field("starboard_voltage", "f", "V", "batteries", _of_batteries(Node.BATTERIES_STARBOARD, "voltage_v")),
     Field("port_voltage", "f", "V", "batteries", _of_batteries(Node.BATTERIES_PORT, "voltage_v")),
     Field("starboard_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_STARBOARD, "charge")),
@@ -118,11 +121,23 @@ FIELDS = (
 
 
 def fields(settings: config.Vehicle) -> tuple[Field, ...]:
-    """The fields of every boat, then those of this boat's sensors."""
+    """The fields of every boat, then those of this boat's thrusters and sensors."""
     stale_s = settings.sensors.stale_s
-    return FIELDS + tuple(
-        Field(name, "d", unit, text, _measured(name, stale_s)) for name, unit, text in sensors.values(settings)
-    )
+    thrusters = tuple(each for index, row in enumerate(settings.thrusters) for each in _of_row(settings, index, row))
+    measured = [Field(name, "d", unit, text, _measured(name, stale_s)) for name, unit, text in sensors.values(settings)]
+    return (*FIELDS, *thrusters, *measured)
+
+
+def _of_row(settings: config.Vehicle, index: int, row: config.ThrusterTable) -> Iterator[Field]:
+    name, rpm_max = row.name, settings.rpm_max(row)
+    yield Field(f"{name}_command", "f", "", "commanded, -1..1 of full command", _sent(index))
+    if rpm_max:
+        yield Field(f"{name}_rpm", "f", "1/min", "commanded", _sent(index, rpm_max))
+    yield Field(f"{name}_rpm_measured", "f", "1/min", "reported", _of_thruster(name, "rpm"))
+    yield Field(f"{name}_current", "f", "A", "reported", _of_thruster(name, "current_a"))
+    if row.steer is not None:
+        yield Field(f"{name}_angle", "f", "rad", "commanded, from its own direction, clockwise", _turned(index))
+        yield Field(f"{name}_angle_measured", "f", "rad", "reported", _of_thruster(name, "angle_rad"))
 
 
 def values(fields: tuple[Field, ...], state: State, now_s: float) -> tuple[object, ...]:

@@ -1,5 +1,5 @@
-"""The safe state: both propellers off. The shortest file, on purpose."""
+"""The safe state: all thrusters off, however many there are. The shortest file, on purpose."""
 
 from delfim.vehicle.state import Actuation
 
-STOP = Actuation(starboard_rpm=0.0, port_rpm=0.0, run=False)
+STOP = Actuation(thrust=(), angle_rad=(), run=False)

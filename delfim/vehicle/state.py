@@ -9,11 +9,23 @@ from delfim.modes import Mode
 
 
 class Actuation(NamedTuple):
-    """The command of the propellers: revolutions per minute, positive ahead. `run` False is motor off."""
+    """The command of the thrusters, in the order of their rows in the vehicle's file. `run` False is motors off."""
 
-    starboard_rpm: float
-    port_rpm: float
+    thrust: tuple[float, ...]  # -1..1 of full command, positive ahead: after the thrust curve, what a driver is told
+    angle_rad: tuple[float, ...]  # of those that turn, from the row's own direction, positive clockwise; 0 for the others
     run: bool
+
+
+class ThrusterReport(NamedTuple):
+    """The report of a thruster about itself. None is unknown."""
+
+    heard_s: float  # monotonic time
+    rpm: float | None = None  # positive ahead, whichever way it is mounted
+    current_a: float | None = None
+    voltage_v: float | None = None
+    temperature_c: float | None = None
+    angle_rad: float | None = None  # as in `Actuation`
+    faults: tuple[str, ...] | None = None  # in words
 
 
 class Motion(NamedTuple):
@@ -73,7 +85,7 @@ class Setpoint(NamedTuple):
 
     speed_mps: float = 0.0
     heading_rad: float = 0.0  # in course mode the course over ground
-    starboard: float = 0.0  # manual thrust, -1..1 of rpm_max
+    starboard: float = 0.0  # manual thrust, -1..1 of full command
     port: float = 0.0
     target: Waypoint | None = None  # goto
     plan: Plan | None = None
@@ -166,7 +178,8 @@ class State:
     motion: Motion = NOWHERE
     setpoint: Setpoint = field(default_factory=Setpoint)
     reference: Reference = field(default_factory=Reference)
-    actuation: Actuation = field(default_factory=lambda: Actuation(0.0, 0.0, False))  # as sent
+    actuation: Actuation = field(default_factory=lambda: Actuation((), (), False))  # as sent; before that, empty
+    thrusters: dict[str, ThrusterReport] = field(default_factory=dict)  # by row: its last report
     sysstat: dict[str, tuple[SystemStatus, float]] = field(default_factory=dict)  # by node: last report, its time
     measured: dict[str, tuple[float, float]] = field(default_factory=dict)  # by sensors: last value, its time
     operator: str = ""  # the console that commands; its silence is a trouble; empty: none yet

@@ -4,23 +4,24 @@ The class of its name in `delfim/config.py` gives how long it must last and the 
 compare it with `after_s` themselves: their class is a `config.Silence`.
 """
 
+import math
 from collections.abc import Callable, Container
 from enum import IntEnum
 from typing import Final, NamedTuple, Self
 
 from delfim import config
-from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.geodesy import wrap
+from delfim.messages import BatteriesStatus, Node
 from delfim.modes import Mode
 from delfim.vehicle import gnss
 from delfim.vehicle.fence import Fence, ahead, outside
 from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import State
 
-TURNING_RPM: Final = 50.0  # below this a propeller moves no boat
+TURNING: Final = 0.04  # of full command; below this a propeller moves no boat
+SURE: Final = 0.3  # of full command; above this a propeller turns, whatever its revolutions
 FRESH_S: Final = 1.0  # an older report of a propeller does not count
 CHARGE_BACK: Final = 0.02  # a battery is low until it has this much more
-SIDES: Final = ("starboard", "port")
-_PROPELLERS: Final = tuple(zip(SIDES, ("propeller_starboard", "propeller_port"), strict=True))
 _BATTERIES: Final = (sysstat.NAMES[Node.BATTERIES_STARBOARD], sysstat.NAMES[Node.BATTERIES_PORT])
 
 
@@ -63,7 +64,7 @@ def navigation_frozen(look: Look) -> str | None:
     state, age_s = look.state, look.now_s - look.state.changed_s
     if state.mode is Mode.IDLE or age_s <= look.settings.failsafe.navigation_frozen.after_s:
         return None
-    turns = state.actuation.run and max(abs(state.actuation.starboard_rpm), abs(state.actuation.port_rpm)) > TURNING_RPM
+    turns = state.actuation.run and max(map(abs, state.actuation.thrust), default=0.0) > TURNING
     return f"navigation frozen for {age_s:.1f} s" if turns else None
 
 
@@ -80,8 +81,7 @@ def battery_low(look: Look) -> str | None:
 
 
 def thruster(look: Look) -> str | None:
-    sides = unfollowed(look.settings.failsafe.thruster, look.state, look.now_s)
-    return _astray(look.state, sides) if sides else None
+    return ", ".join(astray(look.settings, look.state, look.now_s).values()) or None
 
 
 def manual_silent(look: Look) -> str | None:
@@ -172,27 +172,44 @@ def _low(look: Look, limit: float, trigger: Trigger) -> str | None:
     return f"{name.replace('_', ' ')} at {least:.0%}" if is_low else None
 
 
-def unfollowed(limits: config.ThrusterAstray, state: State, now_s: float) -> tuple[str, ...]:
-    """The sides whose propeller does not turn as commanded. Propellers without a report do not count."""
-    sent, reports = state.actuation, state.sysstat
-    astray: tuple[str, ...] = ()
-    for side, node in _PROPELLERS:
-        report = reports.get(node)
-        if report is None or now_s - report[1] > FRESH_S or not isinstance(report[0], PropellerStatus) or report[0].rpm is None:
+def astray(settings: config.Vehicle, state: State, now_s: float) -> dict[str, str]:
+    """The thrusters that do not do as commanded, by name, each with the reason in words. One that never reported
+    does not count."""
+    found, sent = dict[str, str](), state.actuation
+    for row, thrust, angle_rad in zip(settings.thrusters, sent.thrust, sent.angle_rad, strict=False):
+        report = state.thrusters.get(row.name)
+        if report is None:
             continue
-        wanted = (sent.starboard_rpm if side == "starboard" else sent.port_rpm) if sent.run else 0.0
-        if abs(report[0].rpm - wanted) > (limits.error_rpm + limits.error * abs(wanted) if sent.run else limits.idle_rpm):
-            astray += (side,)
-    return astray
+        age_s = now_s - report.heard_s
+        if age_s > FRESH_S:
+            if sent.run and age_s > settings.sysstat.stale_s and row.driver != "dsor":  # of whose nodes sysstat tells
+                found[row.name] = f"{row.name} propeller silent for {age_s:.1f} s"
+        elif report.rpm is not None and (words := _revolving(settings, row, thrust if sent.run else None, report.rpm)):
+            found[row.name] = f"{row.name} propeller {words}"
+        elif report.angle_rad is not None and sent.run:
+            off_deg = math.degrees(abs(wrap(report.angle_rad - angle_rad)))
+            if off_deg > settings.failsafe.thruster.error_deg:
+                stands_deg, asked_deg = math.degrees(report.angle_rad), math.degrees(angle_rad)
+                found[row.name] = f"{row.name} thruster stands at {stands_deg:.0f} instead of {asked_deg:.0f} degrees"
+    return found
 
 
-def _astray(state: State, sides: tuple[str, ...]) -> str:
-    def words(side: str) -> str:
-        report = state.sysstat[f"propeller_{side}"][0]
-        measured = report.rpm if isinstance(report, PropellerStatus) else None
-        wanted = (
-            (state.actuation.starboard_rpm if side == "starboard" else state.actuation.port_rpm) if state.actuation.run else 0
-        )
-        return f"{side} propeller turns {measured} instead of {wanted:.0f} rpm"
+def unstopped(settings: config.Vehicle, state: State, now_s: float) -> tuple[str, ...]:
+    """The thrusters that turn although they were switched off."""
+    return () if state.actuation.run else tuple(astray(settings, state, now_s))
 
-    return ", ".join(map(words, sides))
+
+def _revolving(settings: config.Vehicle, row: config.ThrusterTable, thrust: float | None, rpm: float) -> str:
+    """Why a propeller does not turn as commanded, in words; empty: it does. `thrust` None: it is switched off."""
+    limits, most_rpm = settings.failsafe.thruster, settings.rpm_max(row)
+    if thrust is None:
+        return f"turns {rpm:.0f} instead of 0 rpm" if abs(rpm) > limits.idle_rpm else ""
+    if most_rpm:
+        wanted_rpm = thrust * most_rpm
+        is_off = abs(rpm - wanted_rpm) > limits.error_rpm + limits.error * abs(wanted_rpm)
+        return f"turns {rpm:.0f} instead of {wanted_rpm:.0f} rpm" if is_off else ""
+    if abs(thrust) < SURE:
+        return ""
+    if abs(rpm) < 1.0:
+        return f"stands still at {thrust:.0%} thrust"
+    return f"turns {rpm:.0f} rpm at {thrust:.0%} thrust" if rpm * thrust < 0.0 else ""

@@ -54,7 +54,7 @@ def test_the_boat_leaves_idle_and_plays_its_mission(sailed):
     states, _, out, _ = sailed
     assert states[-1]["mode"] == "play"
     assert states[-1]["cycle"] >= 40, "navigation at 5 Hz for 10 s"
-    assert states[-1]["starboard_rpm"] or states[-1]["port_rpm"]
+    assert any(each["thrust"] for each in states[-1]["thrusters"].values())
     assert "time: 10 s sailed" in out
 
 

@@ -14,7 +14,7 @@ from collections.abc import AsyncIterator, Callable, Iterator
 from pathlib import Path
 from typing import Any, NamedTuple, cast
 
-from delfim import config, messages
+from delfim import messages
 from delfim.console.link import Link
 from delfim.errors import DelfimError
 from delfim.logging.candump import parse_line
@@ -25,7 +25,6 @@ from tests.services.browser import Page, browser
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"
 NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
-RPM_MAX = config.load(VEHICLE).propulsion.rpm_max
 PATIENCE_S = 60.0
 BERTHS = ((38.6907, -9.2153), (38.6907, -9.2165))  # a hundred metres apart
 
@@ -118,8 +117,8 @@ def turning(port: int, starboard: int) -> Callable[[dict[str, Any]], bool]:
     """Whether the vehicle commands the propellers to give this, percent."""
 
     def is_so(state: dict[str, Any]) -> bool:
-        asked = (state["port_rpm"], port), (state["starboard_rpm"], starboard)
-        return all(abs(rpm / RPM_MAX - percent / 100) < 0.004 for rpm, percent in asked)
+        asked = ("port", port), ("starboard", starboard)
+        return all(abs(state["thrusters"][name]["thrust"] - percent / 100) < 0.004 for name, percent in asked)
 
     return is_so
 

@@ -35,7 +35,7 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
 ) -> tuple[Memory, Reference, Actuation]:
-    return memory, Reference(), Actuation(60.0, -60.0, True)
+    return memory, Reference(), Actuation((0.05, -0.05), (0.0, 0.0), True)
 '''
 NUMBER = 42
 OTHER = 199  # another console
@@ -69,7 +69,11 @@ async def from_the_page(page: Page) -> None:
 
 
 async def dances(boat: Boat) -> None:
-    await boat.until(lambda state: state["mode"] == "dance" and state["starboard_rpm"] > 0 > state["port_rpm"])
+    await boat.until(
+        lambda state: (
+            state["mode"] == "dance" and state["thrusters"]["starboard"]["thrust"] > 0 > state["thrusters"]["port"]["thrust"]
+        )
+    )
 
 
 def test_it_is_in_the_pages_list_and_entered_from_there(sail: Sail) -> None:

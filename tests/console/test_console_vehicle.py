@@ -352,7 +352,7 @@ def test_thrust_by_hand_reaches_the_propellers_and_ends_with_the_input(sea: Aflo
     sea.run(3.0, each=steer)
     assert sea.shown["thrust_pct"] == [40, 20]
     sea.run(1.5)
-    assert (sea.state.mode, sea.state.actuation.port_rpm) == (Mode.MANUAL, 0.0), "the console said zero"
+    assert (sea.state.mode, sea.state.actuation.thrust[1]) == (Mode.MANUAL, 0.0), "the console said zero"
     sea.run(6.0)
     assert sea.state.mode is Mode.IDLE, "and the boat itself gave up waiting"
 

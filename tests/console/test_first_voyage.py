@@ -195,7 +195,7 @@ async def sent_and_sailed(you: Visit, boat: Boat) -> None:
     await boat.until(lambda state: state["speed_mps"] > 1.0)
     await you.picture("sailed")
     await stop(you)
-    await boat.until(lambda state: state["mode"] == "idle" and state["port_rpm"] == state["starboard_rpm"] == 0)
+    await boat.until(lambda state: state["mode"] == "idle" and not any(each["thrust"] for each in state["thrusters"].values()))
     await you.page.until("document.getElementById('stop').dataset.state === 'idle'", PATIENCE_S)
     await you.picture("stopped")
 

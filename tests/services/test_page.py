@@ -54,7 +54,9 @@ states = st.builds(
     heading_deg=numbers,
     speed_mps=numbers,
     latitude_deg=numbers,
-    starboard_rpm=st.floats(-1e6, 1e6),
+    thrusters=st.dictionaries(
+        words, st.builds(api.ThrusterFacts, thrust=st.floats(-1e6, 1e6), rpm=numbers, faults=st.tuples(words))
+    ),
     reference=st.builds(api.Reference, heading_deg=numbers, speed_mps=numbers, distance_m=numbers, cross_track_m=numbers),
     age_s=st.dictionaries(words, numbers, max_size=3),
     sysstat=st.dictionaries(words, st.builds(api.Node, status=words, faults=st.tuples(words), charge=numbers), max_size=2),

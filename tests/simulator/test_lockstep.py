@@ -18,7 +18,8 @@ from delfim.vehicle.state import State
 
 ROOT = Path(__file__).parents[2]
 MISSION = ROOT / "etc/missions/doca.toml"
-PACK = struct.Struct("<" + "".join(field.code for field in record.FIELDS)).pack
+FIELDS = record.fields(config.load(ROOT / "etc/delfimx.toml"))
+PACK = struct.Struct("<" + "".join(field.code for field in FIELDS)).pack
 CROSS = config.Sea(current_mps=0.5, current_to_deg=250.0, wind_mps=4.0, wind_from_deg=320.0)
 
 
@@ -29,7 +30,7 @@ class Bytes:
         self.data = bytearray()
 
     def write(self, state: State, now_s: float) -> None:
-        self.data += PACK(*record.values(record.FIELDS, state, now_s))
+        self.data += PACK(*record.values(FIELDS, state, now_s))
 
     def note(self, text: str) -> None:
         self.data += text.encode()
@@ -44,7 +45,7 @@ class Bytes:
 def boat(seed: int, sea: config.Sea = CROSS) -> Lockstep:
     settings = config.load(ROOT / "etc/delfimx.toml")
     there = config.Simulation(sea=sea)
-    simulated = config.Vehicle(boat=settings.boat, control=settings.control, propulsion=settings.propulsion, simulation=there)
+    simulated = config.Vehicle(boat=settings.boat, control=settings.control, thrusters=settings.thrusters, simulation=there)
     return Lockstep(simulated, seed, Bytes)
 
 
@@ -130,7 +131,7 @@ class Rows:
         self.rows, self.notes = list[tuple[object, ...]](), list[str]()
 
     def write(self, state: State, now_s: float) -> None:
-        values = zip(record.FIELDS, record.values(record.FIELDS, state, now_s), strict=True)
+        values = zip(FIELDS, record.values(FIELDS, state, now_s), strict=True)
         self.rows.append(tuple(repr(value) for field, value in values if field.name not in BY_THE_WALL_CLOCK))
 
     def note(self, text: str) -> None:

@@ -22,6 +22,7 @@ from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.rerun import rerun
 from delfim.vehicle import console
 from delfim.vehicle.actuators.dsor import Propellers
+from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import Propulsion
@@ -201,7 +202,7 @@ class Sensors:
         sensors.bind(*(CanAddress(arb, mask) for arb, mask in decoder.filters))
         self.source = Nmea2000Navigation(sensors, decoder, self.state)
         guest = Guest(self.state, self.clock)
-        outlet = Propulsion((Propellers(propulsion),), propulsion, settings.propulsion, self.state)
+        outlet = Propulsion((Propellers(settings, propulsion),), propulsion, GateLimits(settings.thrusters), self.state)
         self.boat = VehicleLoop(settings, self.clock, self.state, (self.source,), outlet, guest, self.log)
         with pytest.MonkeyPatch.context() as patch:  # files of the clock of the recording need no child
             patch.setattr(blackbox, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))

@@ -87,7 +87,7 @@ def test_an_expectation_can_be_met_and_can_be_missed(tmp_path, expect, failure):
         (SAILING + "[[command]]\ncommand = 'play'", "command[1]: a command needs at_s"),
         (SAILING + "[[expect]]\nreason = 'x'", "name one of mode, notice, propellers, waypoints"),
         (SAILING + "[[expect]]\nmode = 'idle'\nnotice = 'log'", "name one of mode, notice, propellers, waypoints"),
-        (SAILING + "[vehicle.propulsion]\nrpm_max = -1", "propulsion.rpm_max"),
+        (SAILING + "[vehicle.dsor]\nrpm_max = -1", "dsor.rpm_max"),
         ("mission = 'none.toml'\n" + SAILING, "none.toml"),
         ("vehicle = 2026-11-22\n" + SAILING, "vehicle: 2026-11-22 is a date, not a table (allowed: a table)"),
         ("mission = 2026-11-22\n" + SAILING, "mission: 2026-11-22 is a date, not text"),
@@ -175,10 +175,10 @@ def test_the_watch_sees_propellers_commanded_in_idle():
     list(sailing.cycles(1.0))
     watch.look()
     assert watch.failures == []
-    sailing.state.actuation = sailing.state.actuation._replace(port_rpm=5.0, run=True)
+    sailing.state.actuation = sailing.state.actuation._replace(thrust=(0.0, 0.1), run=True)
     sailing.state.reason = ""
     watch.look()
     assert [words.partition(" at ")[0] for words in watch.failures] == [
-        "commanded Actuation(starboard_rpm=0.0, port_rpm=5.0, run=True)",
+        "commanded Actuation(thrust=(0.0, 0.1), angle_rad=(0.0, 0.0), run=True)",
         "stopped without a reason",
     ]

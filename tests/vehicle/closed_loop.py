@@ -13,19 +13,21 @@ from typing import NamedTuple
 
 import msgspec
 
-from delfim.config import ControlTable, PropulsionTable, Sea, load
+from delfim.config import DELFIMX, ControlTable, Dsor, PropulsionTable, Sea, load
 from delfim.geodesy import Origin, origin, wrap
 from delfim.modes import Mode
-from delfim.simulator.model import Hull, Model
+from delfim.simulator.model import Hull, Model, Side
 from delfim.slices import Sliced
-from delfim.vehicle.control.control import Settings, admit, control, enter, limited
+from delfim.vehicle.control.control import Settings, admit, control, enter
 from delfim.vehicle.control.path import APPROACH, nearest
+from delfim.vehicle.gate import GateLimits, limited
 from delfim.vehicle.mission import load_mission, plan
-from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation, Arc, Line, Motion, Plan, Reference, Setpoint, Waypoint
 from delfim.vehicle.track import Track
 
-SETTINGS = Settings(ControlTable(), PropulsionTable())
+SETTINGS = Settings(ControlTable(), PropulsionTable(), Dsor())
+LIMITS = GateLimits(DELFIMX)
+SIDES: tuple[Side, Side] = ("starboard", "port")
 ALL = frozenset({"position", "heading", "velocity"})
 DT_S = 0.2
 PLACE = load("etc/delfimx.toml").simulation
@@ -87,7 +89,7 @@ class Boat:
         settings: Settings = SETTINGS,
     ) -> None:
         self.model = Model(hull or Hull(), sea or Sea(), seed, START.latitude_rad, START.longitude_rad, heading_rad)
-        self.t_s, self.sent = 0.0, STOP
+        self.t_s, self.sent = 0.0, LIMITS.still
         self.noise, self.rate_sensor, self.settings = noise, rate_sensor, settings
         self._gauss = random.Random(seed).gauss
 
@@ -114,13 +116,13 @@ class Boat:
         for _ in range(round(seconds / DT_S)):
             leg = memory.leg
             memory, reference, wanted = control(mode, memory, seen, setpoint, self.settings, DT_S)
-            self.sent = limited(wanted, self.sent, self.settings.propulsion, DT_S)
+            self.sent = limited(wanted, self.sent, LIMITS, DT_S)
             yield Sample(self.t_s, mode, leg, self.truth(), seen, reference, self.sent)
             if reference.done:
                 mode = Mode.HOLD
                 memory = enter(mode, seen, setpoint, self.settings)
-            self.model.command("starboard", self.sent.starboard_rpm, self.sent.run)
-            self.model.command("port", self.sent.port_rpm, self.sent.run)
+            for side, part in zip(SIDES, self.sent.thrust, strict=True):
+                self.model.command(side, part * self.settings.dsor.rpm_max, self.sent.run)
             self.model.advance(DT_S)
             self.t_s += DT_S
             seen = self.seen()
@@ -205,7 +207,7 @@ def home_errors(boat: Boat) -> tuple[list[float], float, int]:
 
 def tuned(hull: Hull, turning_part: float = 0.5) -> Settings:
     """Gains for another boat, by the recipe of docs/control.md: two trials in calm water with the propellers set by hand."""
-    rpm_max = SETTINGS.propulsion.rpm_max
+    rpm_max = SETTINGS.dsor.rpm_max
     ahead, turning = Boat(hull=hull).model, Boat(hull=hull).model
     rates = []
     for _ in range(600):
@@ -221,7 +223,9 @@ def tuned(hull: Hull, turning_part: float = 0.5) -> Settings:
     heading = replace(control.heading, p_rpm_per_rad=p, d_rpm_per_radps=d, turn_rpm_per_radps=turn, i_rpm_per_rad_s=p / 25.0)
     speed = replace(control.speed, p_rpm_per_mps=0.3 / speed_per_rpm, i_rpm_per_m=0.06 / speed_per_rpm)
     return Settings(
-        replace(control, heading=heading, speed=speed), replace(SETTINGS.propulsion, speed_per_rpm_mps=speed_per_rpm)
+        replace(control, heading=heading, speed=speed),
+        replace(SETTINGS.propulsion, speed_per_rpm_mps=speed_per_rpm),
+        SETTINGS.dsor,
     )
 
 

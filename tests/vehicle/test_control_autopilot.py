@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.config import PropulsionTable, Sea
+from delfim.config import Dsor, Sea
 from delfim.geodesy import wrap
 from delfim.modes import Mode
 from delfim.vehicle.control.autopilot import entered, steer
@@ -14,7 +14,7 @@ from delfim.vehicle.control.memory import Integrals
 from delfim.vehicle.state import Motion, Setpoint
 from tests.vehicle.closed_loop import ALL, DT_S, SETTINGS, Boat, heading_step
 
-RPM_MAX = SETTINGS.propulsion.rpm_max
+RPM_MAX = SETTINGS.dsor.rpm_max
 AT_REST = Motion(ALL, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -53,7 +53,7 @@ def test_without_velocity_the_speed_is_what_the_revolutions_give() -> None:
     integrals = entered(AT_REST)
     for _ in range(50):
         integrals, actuation = steer(integrals, motion._replace(north_mps=0.0), 0.0, 1.0, SETTINGS, DT_S)
-    assert actuation.port_rpm == pytest.approx(1.0 / SETTINGS.propulsion.speed_per_rpm_mps)
+    assert actuation.thrust[1] == pytest.approx(1.0 / SETTINGS.propulsion.speed_per_rpm_mps / RPM_MAX)
     assert integrals.speed_rpm == 0.0
 
 
@@ -70,29 +70,30 @@ def test_saturation_keeps_the_heading(
 ) -> None:
     """Thrust goes with the square of revolutions; the difference of thrust is what turns the boat, whatever the speed wants."""
 
-    def thrust(rpm: float) -> float:
-        return rpm * abs(rpm) / RPM_MAX
+    def turning(thrust: tuple[float, ...]) -> float:
+        starboard, port = (part * abs(part) for part in thrust)
+        return port - starboard
 
     north_mps, east_mps = surge_mps * math.cos(heading_rad), surge_mps * math.sin(heading_rad)
     motion = Motion(ALL, 0.0, 0.0, heading_rad, yaw_radps, north_mps, east_mps)
     _, moving = steer(was, motion, asked_rad, asked_mps, SETTINGS, DT_S)
     _, still = steer(was, motion._replace(has=frozenset({"heading"})), asked_rad, 0.0, SETTINGS, DT_S)
-    assert max(abs(moving.starboard_rpm), abs(moving.port_rpm)) <= RPM_MAX + 1e-6
-    turning = thrust(moving.port_rpm) - thrust(moving.starboard_rpm)
-    assert turning == pytest.approx(thrust(still.port_rpm) - thrust(still.starboard_rpm), abs=1e-6)
+    assert max(map(abs, moving.thrust)) <= 1.0 + 1e-9
+    assert turning(moving.thrust) == pytest.approx(turning(still.thrust), abs=1e-9)
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, 2.2), st.floats(-1.0, 3.0))
 def test_an_order_ahead_never_runs_both_propellers_astern(error_rad: float, asked_mps: float, surge_mps: float) -> None:
     motion = AT_REST._replace(north_mps=surge_mps)
     _, actuation = steer(Integrals(speed_mps=asked_mps), motion, error_rad, asked_mps, SETTINGS, DT_S)
-    assert actuation.starboard_rpm + actuation.port_rpm >= -1e-9
+    assert sum(actuation.thrust) >= -1e-12
 
 
 def test_the_boat_turns_first() -> None:
     _, actuation = steer(Integrals(speed_mps=1.5), AT_REST, math.pi / 2.0 + 0.1, 1.5, SETTINGS, DT_S)
-    assert actuation.port_rpm == pytest.approx(-actuation.starboard_rpm)
-    assert actuation.port_rpm > 0.0
+    starboard, port = actuation.thrust
+    assert port == pytest.approx(-starboard)
+    assert port > 0.0
 
 
 @pytest.mark.parametrize(("heading_deg", "asked_deg"), [(179.0, -179.0), (-179.0, 179.0), (1.0, 359.0), (350.0, 730.0)])
@@ -101,7 +102,8 @@ def test_the_short_way_round(heading_deg: float, asked_deg: float) -> None:
     _, actuation = steer(Integrals(), motion, math.radians(asked_deg), 0.0, SETTINGS, DT_S)
     error_rad = wrap(math.radians(asked_deg - heading_deg))
     assert abs(error_rad) < 0.5
-    assert math.copysign(1.0, actuation.port_rpm - actuation.starboard_rpm) == math.copysign(1.0, error_rad)
+    starboard, port = actuation.thrust
+    assert math.copysign(1.0, port - starboard) == math.copysign(1.0, error_rad)
 
 
 def test_integrals_do_not_wind_up() -> None:
@@ -115,7 +117,7 @@ def test_integrals_do_not_wind_up() -> None:
     for _ in range(500):
         turning, _ = steer(turning, AT_REST._replace(yaw_rate_radps=0.2), 2.0, 1.5, SETTINGS, DT_S)
     assert (turning.heading_rpm, turning.speed_rpm) == (0.0, 0.0)
-    weak = SETTINGS._replace(propulsion=PropulsionTable(rpm_max=100))
+    weak = SETTINGS._replace(dsor=Dsor(rpm_max=100))
     pinned = Integrals()
     for _ in range(500):
         pinned, _ = steer(pinned, AT_REST, 0.3, 0.0, weak, DT_S)
@@ -123,13 +125,13 @@ def test_integrals_do_not_wind_up() -> None:
     saturated = Integrals()
     for _ in range(500):
         saturated, actuation = steer(saturated, AT_REST._replace(north_mps=-3.0), 0.0, 2.2, SETTINGS, DT_S)
-    assert actuation.port_rpm == RPM_MAX
+    assert actuation.thrust[1] == 1.0
     assert saturated.speed_rpm < SETTINGS.control.speed.i_limit_rpm
 
 
 def test_entering_at_speed_changes_no_revolutions_by_a_jump() -> None:
     """From hold or heading at 1.5 m/s into a mode that asks for the same: within 10 % of the steady revolutions at once."""
     boat = Boat(noise=0.0)
-    steady = [x.sent.port_rpm for x in boat.sail(Mode.HEADING, Setpoint(speed_mps=1.5), 90.0)][-1]
-    first = next(iter(boat.sail(Mode.HEADING, Setpoint(speed_mps=1.5), 1.0))).sent.port_rpm
+    steady = [x.sent.thrust[1] for x in boat.sail(Mode.HEADING, Setpoint(speed_mps=1.5), 90.0)][-1]
+    first = next(iter(boat.sail(Mode.HEADING, Setpoint(speed_mps=1.5), 1.0))).sent.thrust[1]
     assert first == pytest.approx(steady, rel=0.1)

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.config import PropulsionTable
 from delfim.modes import Mode
-from delfim.vehicle.control.control import MODES, Memory, admit, control, enter, limited
+from delfim.vehicle.control.control import MODES, Memory, admit, control, enter
+from delfim.vehicle.gate import limited
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import NOWHERE, Actuation, Arc, Line, Motion, Plan, Setpoint, Waypoint
-from tests.vehicle.closed_loop import ALL, DT_S, SETTINGS
+from tests.vehicle.closed_loop import ALL, DT_S, LIMITS, SETTINGS
 
 DOCS = Path(__file__).parents[2] / "docs"
 T = TypeVar("T")
@@ -54,7 +54,7 @@ SETPOINTS = st.builds(
     rows(st.tuples(FLOATS, FLOATS)),
 )
 MOTIONS = st.builds(Motion, st.sampled_from(SUBSETS), *[FLOATS] * 6)
-ACTUATIONS = st.builds(Actuation, FLOATS, FLOATS, st.booleans())
+FRACTIONS = st.tuples(*[st.floats(-1.0, 1.0)] * 2)
 
 
 def test_every_mode_has_a_row_and_says_what_it_is() -> None:
@@ -113,60 +113,27 @@ def test_a_set_point_that_makes_no_sense_stops_or_changes_nothing(mode: Mode, va
     mad = Setpoint(value, value, value, value, Waypoint(*[value] * 5), plan, 0, value, value, ((value, value),) * 2)
     memory = enter(mode, KNOWN, mad, SETTINGS)
     after, reference, actuation = control(mode, memory, KNOWN, mad, SETTINGS, DT_S)
-    assert math.isfinite(actuation.starboard_rpm + actuation.port_rpm)
+    assert math.isfinite(sum(actuation.thrust))
     if reference.reason:
         assert (after, actuation) == (memory, STOP)
 
 
-@given(st.sampled_from(Mode), MOTIONS, SETPOINTS, FLOATS, ACTUATIONS)
+@given(st.sampled_from(Mode), MOTIONS, SETPOINTS, FLOATS, FRACTIONS)
 def test_whatever_comes_what_is_sent_is_finite_and_within_limits(
-    mode: Mode, motion: Motion, setpoint: Setpoint, dt_s: float, previous: Actuation
+    mode: Mode, motion: Motion, setpoint: Setpoint, dt_s: float, previous: tuple[float, float]
 ) -> None:
     memory = enter(mode, motion, setpoint, SETTINGS)
     for seen in (motion, KNOWN):
         memory, _, wanted = control(mode, memory, seen, setpoint, SETTINGS, dt_s)
-        sent = limited(wanted, previous, SETTINGS.propulsion, dt_s)
-        assert abs(sent.starboard_rpm) <= SETTINGS.propulsion.rpm_max
-        assert abs(sent.port_rpm) <= SETTINGS.propulsion.rpm_max
-        assert sent.run or sent == STOP
-
-
-@given(ACTUATIONS, ACTUATIONS, FLOATS)
-def test_the_gate_passes_nothing_else(wanted: Actuation, previous: Actuation, dt_s: float) -> None:
-    sent = limited(wanted, previous, PropulsionTable(), dt_s)
-    assert abs(sent.starboard_rpm) <= 1200.0
-    assert abs(sent.port_rpm) <= 1200.0
-    assert math.isfinite(sent.starboard_rpm + sent.port_rpm)
-
-
-@given(*[st.floats(-1200.0, 1200.0)] * 4, st.floats(0.0, 1.0))
-def test_the_gate_limits_the_rate_and_arrives(starboard: float, port: float, old: float, older: float, dt_s: float) -> None:
-    limits, sent, wanted = PropulsionTable(), Actuation(old, older, True), Actuation(starboard, port, True)
-    after = limited(wanted, sent, limits, dt_s)
-    change = limits.rpm_per_s_max * dt_s + 1e-9
-    assert abs(after.starboard_rpm - old) <= change
-    assert abs(after.port_rpm - older) <= change
-    for _ in range(16):  # 2,400 rpm at 800 rpm/s
-        after = limited(wanted, after, limits, 0.2)
-    assert after == wanted
-
-
-@pytest.mark.parametrize(
-    "wanted", [STOP, Actuation(500.0, 500.0, False), Actuation(math.nan, 0.0, True), Actuation(0.0, math.inf, True)]
-)
-def test_a_stop_is_immediate(wanted: Actuation) -> None:
-    assert limited(wanted, Actuation(1200.0, 1200.0, True), PropulsionTable(), 0.001) == STOP
-
-
-def test_after_a_stop_revolutions_begin_at_zero() -> None:
-    after = limited(Actuation(1000.0, 1000.0, True), Actuation(900.0, 900.0, False), PropulsionTable(), 0.1)
-    assert after == Actuation(80.0, 80.0, True)
+        sent = limited(wanted, Actuation(previous, (0.0, 0.0), True), LIMITS, dt_s)
+        assert max(map(abs, sent.thrust)) <= 1.0
+        assert sent.run or sent == LIMITS.still
 
 
 def test_idle_and_manual_need_nothing() -> None:
     assert control(Mode.IDLE, Memory(), NOWHERE, Setpoint(), SETTINGS, DT_S)[2] == STOP
     asked = Setpoint(starboard=-0.5, port=2.0)
-    assert control(Mode.MANUAL, Memory(), NOWHERE, asked, SETTINGS, DT_S)[2] == Actuation(-600.0, 1200.0, True)
+    assert control(Mode.MANUAL, Memory(), NOWHERE, asked, SETTINGS, DT_S)[2] == Actuation((-0.5, 1.0), (0.0, 0.0), True)
 
 
 def test_a_guest_that_asked_for_nothing_gets_a_stop() -> None:

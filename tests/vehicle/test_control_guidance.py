@@ -209,7 +209,7 @@ def test_hold_stays_within_ten_metres_in_current_and_wind(way_mps: float, to_deg
 
 def test_hold_rests_in_calm_water() -> None:
     samples = list(Boat().sail(Mode.HOLD, Setpoint(), 300.0))
-    assert all(x.sent == (0.0, 0.0, True) for x in samples)
+    assert all(x.sent == ((0.0, 0.0), (0.0, 0.0), True) for x in samples)
 
 
 def test_hold_does_not_circle() -> None:
@@ -224,11 +224,10 @@ def test_hold_backs_up_to_a_point_close_astern() -> None:
     near = HERE._replace(north_m=7.0, north_mps=0.0)
     for _ in range(5):
         memory, _, actuation = control(Mode.HOLD, memory, near, Setpoint(), SETTINGS, DT_S)
-    assert actuation.starboard_rpm < 0.0
-    assert actuation.port_rpm < 0.0
+    assert max(actuation.thrust) < 0.0
     memory = enter(Mode.HOLD, HERE._replace(north_mps=0.0), Setpoint(), SETTINGS)
     _, _, actuation = control(Mode.HOLD, memory, HERE._replace(north_m=50.0, north_mps=0.0), Setpoint(), SETTINGS, DT_S)
-    assert actuation.starboard_rpm * actuation.port_rpm < 0.0  # far astern: turn
+    assert math.prod(actuation.thrust) < 0.0  # far astern: turn
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -13,7 +13,7 @@ from delfim.modes import Mode
 from delfim.vehicle.failsafe import NO_TROUBLE, Action, Rules, Verdict, bits, fallback, news, overruled
 from delfim.vehicle.failsafe import failsafe as look
 from delfim.vehicle.fence import Fence, polygon
-from delfim.vehicle.state import Actuation, Motion, Notice, Reference, Setpoint, State
+from delfim.vehicle.state import Actuation, Motion, Notice, Reference, Setpoint, State, ThrusterReport
 from delfim.vehicle.troubles import Inputs, Trigger
 
 ALL = frozenset({"position", "heading", "velocity"})
@@ -28,12 +28,13 @@ UNDER_WAY = [mode for mode in DRIVING if mode is not Mode.MANUAL]
 def state(mode: Mode, now_s: float = 100.0) -> State:
     """All well at that moment: everything was heard just now."""
     well = (Status.GOOD, Fault(0))
-    here = State(mode=mode, motion=Motion(ALL, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), actuation=Actuation(600.0, 600.0, True))
+    here = State(mode=mode, motion=Motion(ALL, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), actuation=Actuation((0.5, 0.5), (0.0, 0.0), True))
     here.navigation = Navigation(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3, 9, 0.9, 0)
     if mode is Mode.IDLE:
-        here.actuation = Actuation(0.0, 0.0, False)
+        here.actuation = Actuation((0.0, 0.0), (0.0, 0.0), False)
     here.navigation_s = here.changed_s = here.console_s = here.manual_s = here.guest_s = now_s
-    rpm = round(here.actuation.port_rpm)
+    rpm = round(1200.0 * here.actuation.thrust[1])
+    here.thrusters = {name: ThrusterReport(now_s, rpm) for name in ("starboard", "port")}
     here.sysstat = {
         "gps": (GpsStatus(*well, 3, 9, 0.9, 0), now_s),
         "propeller_starboard": (PropellerStatus(*well, rpm, 1.0, 20, 0), now_s),
@@ -62,7 +63,7 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             charge = 0.05 if trigger is Trigger.BATTERY_CRITICAL else 0.2
             here.sysstat["batteries_port"] = BatteriesStatus(Status.GOOD, Fault(0), 44.0, 1.0, charge, 20), now_s
         case Trigger.THRUSTER:
-            here.sysstat["propeller_port"] = PropellerStatus(Status.GOOD, Fault(0), 1100, 1.0, 20, 0), now_s
+            here.thrusters["port"] = ThrusterReport(now_s, 1100.0)
         case Trigger.MANUAL_SILENT:
             here.manual_s = now_s - 5.1
         case Trigger.CONSOLE_SILENT:
@@ -292,8 +293,8 @@ def test_what_cannot_be_done_becomes_the_next_safer_thing(action, has, track, mo
 
 def test_a_report_of_revolutions_that_is_old_or_missing_proves_nothing():
     here, inputs = troubled(Trigger.THRUSTER, Mode.IDLE)
-    for report in ((here.sysstat["propeller_port"][0], 98.0), (here.sysstat["propeller_port"][0]._replace(rpm=None), 100.0)):
-        here.sysstat["propeller_port"] = report
+    for report in (ThrusterReport(98.0, 1100.0), ThrusterReport(100.0)):
+        here.thrusters["port"] = report
         assert look(RULES, NO_TROUBLE, here, inputs, 100.0).memory == {}
 
 

@@ -20,16 +20,18 @@ from delfim.simulator.lockstepbus import LockstepBus
 from delfim.slices import Sliced
 from delfim.vehicle import console, fence
 from delfim.vehicle.actuators.dsor import Propellers
+from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import Fix
 from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.state import Line, NoLog, Plan, State, Waypoint
-from delfim.vehicle.troubles import TURNING_RPM, Trigger
+from delfim.vehicle.state import Actuation, Line, NoLog, Plan, State, ThrusterReport, Waypoint
+from delfim.vehicle.troubles import TURNING, Trigger
 
 SECONDS, NAVIGATION_S = 1.6, 0.2
 HERE = Navigation(0, 0.675, -0.16, 0.5, 0.0, 1.0, 0.0, 0.0, 0.0, 3, 9, 0.9, 0)
 PLAN = Plan("", (Waypoint(50.0, 0.0, 1.5, 5.0), Waypoint(50.0, 50.0, 1.5, 5.0)), (Line(0.0, 0.0, 50.0, 0.0, 1.5),))
+RPM_MAX = config.Dsor().rpm_max
 SETTINGS = config.Vehicle(
     boat=config.BoatTable(name="test"),
     failsafe=config.Failsafe(
@@ -111,7 +113,7 @@ class Boat:
         self.world.bind(ANYTHING)
         self.state, self.source, self.log = State(), Sensors(bus.socket()), NoLog()
         outlet, guest = bus.socket(), Guest(self.state, self.clock)
-        propulsion = Propulsion((Propellers(outlet),), outlet, SETTINGS.propulsion, self.state)
+        propulsion = Propulsion((Propellers(SETTINGS, outlet),), outlet, GateLimits(SETTINGS.thrusters), self.state)
         self.vehicle = VehicleLoop(SETTINGS, self.clock, self.state, (self.source,), propulsion, guest, self.log)
         self.report("none")
         self.vehicle.on_navigation(self.source)
@@ -122,7 +124,7 @@ class Boat:
         state.console_s = state.manual_s = state.guest_s = 0.0
         self.vehicle.helm.enter(mode, "test")
         state.armed = armed
-        propulsion._sent = state.actuation = state.actuation._replace(starboard_rpm=rpm, port_rpm=-rpm, run=rpm != 0.0)
+        propulsion._sent = state.actuation = Actuation((rpm / RPM_MAX, -rpm / RPM_MAX), (0.0, 0.0), rpm != 0.0)
         self.told: set[str] = set()
         self.sent: list[tuple[float, float, float]] = []
         self.hear(0.0)
@@ -133,11 +135,13 @@ class Boat:
         now_s, well, sent = self.clock.monotonic_s(), (Status.GOOD, Fault(0)), self.state.actuation
         gps = (Status.BAD, Fault.HARDWARE) if trouble == "sensor_bad" else well
         charge = 0.05 if trouble == "battery_critical" else 0.9
-        starboard = sent.starboard_rpm - (1000.0 if trouble == "thruster" else 0.0)
+        starboard, port = (RPM_MAX * part for part in sent.thrust)
+        starboard -= 1000.0 if trouble == "thruster" else 0.0
+        self.state.thrusters = {"starboard": ThrusterReport(now_s, starboard), "port": ThrusterReport(now_s, port)}
         self.state.sysstat = {
             "gps": (GpsStatus(*gps, 3, 9, 0.9, 0), now_s),
             "propeller_starboard": (PropellerStatus(*well, round(starboard), 1.0, 20, 0), now_s),
-            "propeller_port": (PropellerStatus(*well, round(sent.port_rpm), 1.0, 20, 0), now_s),
+            "propeller_port": (PropellerStatus(*well, round(port), 1.0, 20, 0), now_s),
             "batteries_starboard": (BatteriesStatus(*well, 48.0, 1.0, 0.9, 20), now_s),
             "batteries_port": (BatteriesStatus(*well, 48.0, 1.0, charge, 20), now_s),
         }
@@ -207,7 +211,6 @@ MODES = [pytest.param(Mode.IDLE, False, id="IDLE, disarmed"), *(pytest.param(mod
 @pytest.mark.parametrize(("mode", "armed"), MODES)
 @pytest.mark.parametrize("rpm", [0.0, 900.0], ids=["at rest", "under way"])
 def test_the_propellers_get_what_they_may_get(mode, armed, rpm):
-    limits = SETTINGS.propulsion
     for (age_s, name), trouble in product(CASES, TROUBLES):
         case = f"navigation {name}, {age_s} s old, trouble {trouble}"
         boat = Boat(mode, rpm, armed=armed)
@@ -215,15 +218,15 @@ def test_the_propellers_get_what_they_may_get(mode, armed, rpm):
         boat.pass_time(age_s, trouble)
         for (before_s, *before), (after_s, *after) in pairwise(boat.sent):
             for old, new in zip(before, after, strict=True):
-                assert abs(new) <= limits.rpm_max, case
-                change = limits.rpm_per_s_max * (after_s - before_s) + 1.0  # rounded twice
+                assert abs(new) <= RPM_MAX, case
+                change = RPM_MAX * SETTINGS.thrusters[0].rate_per_s * (after_s - before_s) + 1.0  # rounded twice
                 assert abs(new - old) <= change or new == 0, f"{case}: {old} to {new} rpm in {after_s - before_s:.1f} s"
         if must_be_zero(mode, age_s, VALUES[name], trouble):
             assert boat.sent[-1][1:] == (0, 0), case
             if mode is not Mode.IDLE and age_s > 1.0:
                 assert boat.state.mode is Mode.IDLE, case
         if trouble == "navigation_frozen":
-            assert max(map(abs, boat.sent[-1][1:])) <= TURNING_RPM, f"{case}: propellers turn"
+            assert max(map(abs, boat.sent[-1][1:])) <= TURNING * RPM_MAX, f"{case}: propellers turn"
         assert boat.state.armed or boat.state.mode is Mode.IDLE, case
         if boat.state.mode is not mode:
             assert boat.state.reason != "test", f"{case}: a reason is stated"

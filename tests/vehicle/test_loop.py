@@ -143,10 +143,10 @@ def test_the_mode_goto_waits_where_it_is_for_a_place(boat):
     assert boat.vehicle.on_command(console.SetMode("goto")) is None
     boat.pass_time(3.0)
     assert boat.state.mode is Mode.GOTO
-    assert boat.state.actuation[:2] == (0.0, 0.0)
+    assert boat.state.actuation.thrust == (0.0, 0.0)
     assert boat.vehicle.on_command(console.Goto(38.6932, -9.2150)) is None
     boat.pass_time(0.5)
-    assert boat.state.actuation.port_rpm > 0.0
+    assert boat.state.actuation.thrust[1] > 0.0
 
 
 @pytest.mark.parametrize(("latitude_deg", "longitude_deg"), [(38.69, 9.2153), (0.0, 0.0), (38.6925, -8.984)])

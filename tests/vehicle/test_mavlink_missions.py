@@ -269,10 +269,10 @@ def test_the_boat_stays_that_long_and_then_goes_on(sea):
     for _ in range(19):
         sea.console.beat()
         sail(sea, 1.0)
-    assert (sea.state.mode, sea.state.reference.leg, sea.state.actuation.starboard_rpm) == (Mode.PLAY, 0, 0.0)
+    assert (sea.state.mode, sea.state.reference.leg, sea.state.actuation.thrust[0]) == (Mode.PLAY, 0, 0.0)
     heard = sail(sea, 3.0)
     assert (sea.state.mode, sea.state.reference.leg) == (Mode.PLAY, 1)
-    assert sea.state.actuation.starboard_rpm > 0.0
+    assert sea.state.actuation.thrust[0] > 0.0
     assert newest(heard, "MISSION_ITEM_REACHED").seq == 0
 
 

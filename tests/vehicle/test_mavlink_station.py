@@ -423,10 +423,10 @@ def test_in_the_ardurover_profile_the_guided_mode_waits_for_a_place(boat):
     assert sea.console.mode(15)[0] == ACCEPTED
     sail(sea, 3.0)
     assert sea.state.mode is Mode.GOTO
-    assert sea.state.actuation[:2] == (0.0, 0.0)
+    assert sea.state.actuation.thrust == (0.0, 0.0)
     assert sea.console.reposition(38.6930, -9.2150, flags=0)[0] == ACCEPTED
     sail(sea, 1.0)
-    assert sea.state.actuation.port_rpm > 0.0
+    assert sea.state.actuation.thrust[1] > 0.0
 
 
 @pytest.mark.parametrize(("percent", "mps"), [(0, 0.0), (10, 0.22), (80, 1.76), (100, 2.2)])
@@ -578,8 +578,8 @@ def test_what_is_told_is_what_is(sea):
     assert newest(heard, "ATTITUDE").yaw == 0.0
     assert [m.index for m in heard if m.get_type() == "RAW_RPM"][:2] == [0, 1]
     servos = newest(heard, "SERVO_OUTPUT_RAW")
-    rpm = sea.state.actuation
-    assert (servos.servo1_raw, servos.servo3_raw) == (1500 + round(rpm.port_rpm / 2.4), 1500 + round(rpm.starboard_rpm / 2.4))
+    starboard, port = sea.state.actuation.thrust
+    assert (servos.servo1_raw, servos.servo3_raw) == (1500 + round(500 * port), 1500 + round(500 * starboard))
     health = newest(heard, "SYS_STATUS")
     assert health.onboard_control_sensors_health & 0x10000000
     geofence = dialect.MAV_SYS_STATUS_GEOFENCE  # there is none, and it is not near
@@ -628,8 +628,8 @@ def test_lean_says_all_in_one(boat):
     one = newest(sail(sea, 2.0), "HIGH_LATENCY2")
     assert (one.latitude, one.longitude, one.custom_mode, one.target_heading) == (386_925_000, -92_150_000, 3, 45)
     assert (one.battery, one.custom0 & 0xFF) == (90, 250)
-    sent = sea.state.actuation
-    assert (one.custom1, one.custom2) == pytest.approx((sent.port_rpm / 12, sent.starboard_rpm / 12), abs=8)
+    starboard, port = sea.state.actuation.thrust
+    assert (one.custom1, one.custom2) == pytest.approx((100 * port, 100 * starboard), abs=8)
 
 
 def test_old_measurements_are_not_sent_again(sea):
@@ -786,19 +786,19 @@ def test_thrust_ends_then_the_mode_and_coming_back_moves_nothing(sea):
     for _ in range(10):
         sea.console.say("manual_control", 1, 500, 0, 0, 0, 0)
         sail(sea, 0.2)
-    assert sea.state.actuation.port_rpm > 500
+    assert sea.state.actuation.thrust[1] > 0.4
     heard = sail(sea, 2.1)
     assert sea.state.mode is Mode.MANUAL
-    assert sea.state.actuation.port_rpm == sea.state.actuation.starboard_rpm == 0.0
+    assert sea.state.actuation.thrust == (0.0, 0.0)
     assert "no thrust: no manual command" in texts(heard)
     for _ in range(5):
         sea.console.say("manual_control", 1, 500, 0, 0, 0, 0)
         sail(sea, 0.2)
-    assert sea.state.actuation.port_rpm == 0.0, "the operator lets go first"
+    assert sea.state.actuation.thrust[1] == 0.0, "the operator lets go first"
     sea.console.say("manual_control", 1, 0, 0, 0, 0, 0)
     sea.console.say("manual_control", 1, 500, 0, 0, 0, 0)
     sail(sea, 1.0)
-    assert sea.state.actuation.port_rpm > 500
+    assert sea.state.actuation.thrust[1] > 0.4
     sea.console.beat()
     sail(sea, 5.2)
     assert sea.state.mode is Mode.IDLE

@@ -37,6 +37,20 @@ class Node(Facts, frozen=True):
     temperature_c: float | None = None
 
 
+class ThrusterFacts(Facts, frozen=True):
+    """Command and report of a thruster. Null: unknown, or it has no such value."""
+
+    thrust: float = 0.0  # commanded, -1..1 of full command
+    angle_deg: float | None = None  # commanded, from its own direction, clockwise
+    rpm: float | None = None
+    current_a: float | None = None
+    voltage_v: float | None = None
+    temperature_c: float | None = None
+    turned_deg: float | None = None  # as reported
+    faults: tuple[str, ...] = ()
+    age_s: float | None = None  # of the report; null: it never reported
+
+
 class Latency(Facts, frozen=True):
     """The critical path from the kernel's receive time of navigation to the propellers' command (thesis figures 3-10, 3-11)."""
 
@@ -126,8 +140,7 @@ class State(Facts, frozen=True):
     fix: int = 0
     satellites: int = 0
     hdop: float | None = None
-    starboard_rpm: float = 0.0
-    port_rpm: float = 0.0
+    thrusters: dict[str, ThrusterFacts] = {}  # in the order of the vehicle's file
     run: bool = False
     reference: Reference = Reference()
     mission: str | None = None

@@ -93,9 +93,9 @@ def bar(value: float, maximum: float, kind: str = "") -> str:
     )
 
 
-def thrust(rpm: float, maximum: float) -> str:
-    """A bar from the middle: ahead to the right, astern to the left."""
-    share = 50 * min(max(rpm / maximum, -1.0), 1.0)
+def thrust(part: float) -> str:
+    """A bar from the middle for -1..1: ahead to the right, astern to the left."""
+    share = 50 * min(max(part, -1.0), 1.0)
     return (
         '<svg class="bar" viewBox="0 0 100 8" preserveAspectRatio="none" aria-hidden="true">'
         f'<rect class="rail" width="100" height="8"/><rect class="fill" x="{50 + min(share, 0):.1f}" '

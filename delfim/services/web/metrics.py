@@ -52,8 +52,11 @@ def _vehicle(report: Report) -> Iterator[Metric]:
     off = [] if clock.off_s is None else [({"source": clock.source}, clock.off_s)]
     yield Metric("delfim_clock_offset_seconds", "gauge", "The computer's clock minus the time of its source.", off)
     yield Metric("delfim_clock_fault", "gauge", "Whether a time is not taken.", [({}, bool(clock.fault))])
-    rpm = [({"side": "port"}, vehicle.port_rpm), ({"side": "starboard"}, vehicle.starboard_rpm)]
-    yield Metric("delfim_propeller_rpm", "gauge", "As commanded.", rpm)
+    rows = vehicle.thrusters.items()
+    thrust = [({"thruster": name}, each.thrust) for name, each in rows]
+    yield Metric("delfim_thruster_command_ratio", "gauge", "As commanded, -1 to 1.", thrust)
+    rpm = [({"thruster": name}, each.rpm) for name, each in rows if each.rpm is not None]
+    yield Metric("delfim_thruster_rpm", "gauge", "As reported.", rpm)
     charged = [({"node": name}, node.charge) for name, node in vehicle.sysstat.items() if node.charge is not None]
     yield Metric("delfim_battery_charge_ratio", "gauge", "0 to 1.", charged)
     yield Metric("delfim_log_records_dropped_total", "counter", "Of the state log.", [({}, vehicle.log.dropped)])

@@ -10,8 +10,21 @@ from typing import Any, Final, NamedTuple
 
 from delfim import config
 from delfim.services.web import figures
-from delfim.services.web.api import Network, Node, Report, Service, State
-from delfim.services.web.wording import as_told, gauges, knots, last_words, number, rate, size, span, tile, worded
+from delfim.services.web.api import Network, Report, Service, State
+from delfim.services.web.wording import (
+    as_told,
+    gauges,
+    knots,
+    last_words,
+    number,
+    of_node,
+    of_thruster,
+    rate,
+    size,
+    span,
+    tile,
+    worded,
+)
 from delfim.vehicle import gnss
 
 HURT: Final = ("stop", "disconnect")  # actions of the failsafe that end the sailing
@@ -101,13 +114,13 @@ def motion(view: PageView) -> str:
     vehicle = view.report.vehicle
     if vehicle is None:
         return f'<p class="none">{GONE}</p>'
-    reference, most = vehicle.reference, view.settings.propulsion.rpm_max
+    reference = vehicle.reference
     wanted = f"to {number(reference.heading_deg, '03.0f')}°" if reference.heading_deg is not None else "&nbsp;"
     asked = knots(vehicle.speed_mps) + _asked(reference.speed_mps)
     track = f"{number(reference.cross_track_m, '+.1f')} m off track" if reference.cross_track_m is not None else "&nbsp;"
-    sides = "".join(
-        f'<div class="side"><b>{side}</b> {figures.thrust(rpm, most)} <span>{rpm:.0f} rpm</span></div>'
-        for side, rpm in (("Port", vehicle.port_rpm), ("Starboard", vehicle.starboard_rpm))
+    rows = "".join(
+        f'<div class="side"><b>{worded(name)}</b> {figures.thrust(each.thrust)} <span>{of_thruster(each)}</span></div>'
+        for name, each in vehicle.thrusters.items()
     )
     quality = gnss.in_words(vehicle.fix, vehicle.satellites, vehicle.hdop)
     position = f"{number(vehicle.latitude_deg, '.6f')}, {number(vehicle.longitude_deg, '.6f')}"
@@ -115,7 +128,7 @@ def motion(view: PageView) -> str:
         f'<div class="tiles"><div class="rose">{figures.compass(vehicle.heading_deg, reference.heading_deg)}</div>'
         f"{tile('Heading', number(vehicle.heading_deg, '03.0f'), '°', wanted)}"
         f"{tile('Speed', number(vehicle.speed_mps, '.2f'), 'm/s', asked)}"
-        f"{tile('To go', number(reference.distance_m, '.0f'), 'm', track)}</div>{sides}"
+        f"{tile('To go', number(reference.distance_m, '.0f'), 'm', track)}</div>{rows}"
         f'<p class="small">{position} · {quality} · by {escape(vehicle.source or "nobody")}'
         f"{_batteries(vehicle)}</p>"
     )
@@ -160,7 +173,7 @@ def inputs(view: PageView) -> str:
         used = name != "guest" or vehicle.guest_connected
         kind = "" if not used else "bad" if age_s is None or age_s > limit_s else "warn" if age_s > 0.6 * limit_s else "good"
         node = vehicle.sysstat.get(name)
-        said = _node(node) if node else number(vehicle.measured[name], ".2f") if name in vehicle.measured else ""
+        said = of_node(node) if node else number(vehicle.measured[name], ".2f") if name in vehicle.measured else ""
         told = f'<span class="more">{said}</span>' if said else ""
         text = "never heard" if age_s is None else span(age_s)
         rows.append(
@@ -177,18 +190,6 @@ def _limit_s(settings: config.Vehicle, name: str) -> float:
         "guest": settings.failsafe.guest_silent.after_s,
     }
     return named.get(name, settings.sysstat.stale_s)
-
-
-def _node(node: Node) -> str:
-    values = (
-        (node.rpm, "{:.0f}\N{NO-BREAK SPACE}rpm"),
-        (node.charge, "{:.0%}"),
-        (node.voltage_v, "{:.1f}\N{NO-BREAK SPACE}V"),
-        (node.current_a, "{:.1f}\N{NO-BREAK SPACE}A"),
-        (node.temperature_c, "{:.0f}\N{NO-BREAK SPACE}°C"),
-    )
-    told = " ".join(form.format(value) for value, form in values if value is not None)
-    return told if node.status == "good" else f"<b>{escape(node.status)} {escape(', '.join(node.faults))}</b> {told}"
 
 
 def latency(view: PageView) -> str:

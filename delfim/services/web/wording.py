@@ -3,9 +3,10 @@
 from collections.abc import Iterable
 from datetime import UTC, datetime
 from html import escape
+from typing import Final
 
 from delfim.services.web import figures
-from delfim.services.web.api import Computer, LogLine
+from delfim.services.web.api import Computer, LogLine, Node, ThrusterFacts
 
 
 def tile(name: str, value: str, unit: str, more: str) -> str:
@@ -81,3 +82,29 @@ def loglines(lines: Iterable[LogLine]) -> str:
 def last_words(computer: Computer | None) -> str:
     """The end of the system log, newest line first."""
     return loglines(computer.log if computer else ()) + '<p class="small"><a href="/system">More, by level and text</a></p>'
+
+
+_MEASURED: Final = {
+    "rpm": "{:.0f}\N{NO-BREAK SPACE}rpm",
+    "turned_deg": "at\N{NO-BREAK SPACE}{:.0f}°",
+    "charge": "{:.0%}",
+    "voltage_v": "{:.1f}\N{NO-BREAK SPACE}V",
+    "current_a": "{:.1f}\N{NO-BREAK SPACE}A",
+    "temperature_c": "{:.0f}\N{NO-BREAK SPACE}°C",
+}
+
+
+def measured(part: Node | ThrusterFacts) -> str:
+    """The values that a node or a thruster reports."""
+    return " ".join(form.format(value) for name, form in _MEASURED.items() if (value := getattr(part, name, None)) is not None)
+
+
+def of_thruster(thruster: ThrusterFacts) -> str:
+    """Its command, and its report."""
+    asked = f"{thruster.thrust:.0%}" + ("" if thruster.angle_deg is None else f" to {thruster.angle_deg:.0f}°")
+    return f"{asked} {measured(thruster)} <b>{escape(', '.join(thruster.faults))}</b>"
+
+
+def of_node(node: Node) -> str:
+    told = measured(node)
+    return told if node.status == "good" else f"<b>{escape(node.status)} {escape(', '.join(node.faults))}</b> {told}"

@@ -1,6 +1,6 @@
-"""The boat's actuators, a file each, named as in `propulsion.actuators` of the vehicle's file.
+"""The drivers of the boat's thrusters, a file each, named as `driver` in `[[thrusters]]` of the vehicle's file.
 
-To add an actuator: a file here with a function `open_actuator(settings, links)`, and its name in `ActuatorName` of
+To add one: a file here with a function `open_actuator(settings, links)`, and its name in `DriverName` of
 `delfim/config.py` (CONTRIBUTING.md, "How to add an actuator"). The supervisor opens it, too, for the dead-man.
 """
 
@@ -13,16 +13,16 @@ from delfim.vehicle.state import Actuation
 
 
 class Actuator(Protocol):
-    """An actuator takes its part of a command for all of them. No method waits, and only `stop` raises."""
+    """A driver takes its rows of a command for all thrusters. No method waits, and only `stop` raises."""
 
-    name: str  # as in `propulsion.actuators`
+    name: str  # as `driver` in the vehicle's file
     period_s: float | None  # how often its devices want to hear something; None: once per control cycle is enough
     inputs: tuple[LoopInput, ...]  # what its devices report
 
     def send(self, sent: Actuation, now_s: float) -> int: ...  # limited already; returns how many commands were not taken
     def repeat(self, now_s: float) -> int: ...  # called every `period_s`: the last command again; returns as `send`
     def stop(self) -> None: ...  # also after another process sent commands; raises OSError when the stop was not taken
-    def disconnect(self, sides: tuple[str, ...]) -> None: ...  # cuts the power of these sides for good, where it can
+    def disconnect(self, names: tuple[str, ...]) -> None: ...  # cuts the power of these thrusters for good, where it can
     def report(self) -> dict[str, object]: ...  # JSON-ready figures, empty where there are none
 
 

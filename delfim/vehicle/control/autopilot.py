@@ -1,4 +1,4 @@
-"""Heading and speed to revolutions: two PI(D) loops that share two propellers.
+"""Heading and speed to revolutions: two PI(D) loops that share two propellers, the first row and the second.
 
     differential = sat(Kp e) + Kd (turn - r) + Kt turn + I_heading    e = wrap(heading asked for - heading), r yaw rate
     n            = u_d / speed_per_rpm + Kp (u_d - u) + I_speed       u speed over ground along the keel
@@ -14,7 +14,6 @@ boat turns first; an order ahead never runs both propellers astern.
 
 import math
 
-from delfim import config
 from delfim.geodesy import wrap
 from delfim.vehicle.control.memory import Integrals, Settings
 from delfim.vehicle.state import Actuation, Motion
@@ -45,7 +44,7 @@ def steer(
     """One step towards a heading and a speed over ground (negative: astern). `turn_radps` is the rate of turn of the path
     itself. Without velocity the speed loop is open: feed-forward alone.
     """
-    heading, speed, propulsion = settings.control.heading, settings.control.speed, settings.propulsion
+    heading, speed, rpm_max = settings.control.heading, settings.control.speed, settings.dsor.rpm_max
     error_rad = wrap(heading_rad - motion.heading_rad)
     change_mps = speed.ramp_mps2 * dt_s
     asked_mps = clamp(clamp(speed_mps, -speed.max_mps, speed.max_mps), was.speed_mps - change_mps, was.speed_mps + change_mps)
@@ -56,7 +55,7 @@ def steer(
         + heading.turn_rpm_per_radps * turn_radps
         + was.heading_rpm
     )
-    differential, spare = _saturated(differential_rpm, -propulsion.rpm_max, propulsion.rpm_max)
+    differential, spare = _saturated(differential_rpm, -rpm_max, rpm_max)
     heading_rpm = was.heading_rpm
     stays = abs(error_rad) < TURNING_RAD and abs(motion.yaw_rate_radps - turn_radps) < STAYS_RADPS
     if stays and error_rad * spare >= 0.0:
@@ -65,22 +64,20 @@ def steer(
 
     wanted_mps = asked_mps * max(math.cos(error_rad), 0.0)
     lag_mps = wanted_mps - surge_mps(motion) if "velocity" in motion.has else 0.0
-    common_rpm = wanted_mps / propulsion.speed_per_rpm_mps + speed.p_rpm_per_mps * lag_mps + was.speed_rpm
-    room = propulsion.rpm_max - abs(differential)
+    common_rpm = wanted_mps / settings.propulsion.speed_per_rpm_mps + speed.p_rpm_per_mps * lag_mps + was.speed_rpm
+    room = rpm_max - abs(differential)
     astern = asked_mps < 0.0
-    common, spare = _saturated(
-        common_rpm * abs(common_rpm) / propulsion.rpm_max, -room if astern else 0.0, 0.0 if astern else room
-    )
+    common, spare = _saturated(common_rpm * abs(common_rpm) / rpm_max, -room if astern else 0.0, 0.0 if astern else room)
     speed_rpm = was.speed_rpm
     if abs(error_rad) < TURNING_RAD and lag_mps * spare >= 0.0:
         speed_rpm = clamp(speed_rpm + speed.i_rpm_per_m * lag_mps * dt_s, -speed.i_limit_rpm, speed.i_limit_rpm)
-    starboard_rpm, port_rpm = _revolutions(common - differential, propulsion), _revolutions(common + differential, propulsion)
-    return Integrals(heading_rpm, speed_rpm, asked_mps), Actuation(starboard_rpm, port_rpm, True)
+    sides = _revolutions(common - differential, rpm_max), _revolutions(common + differential, rpm_max)
+    return Integrals(heading_rpm, speed_rpm, asked_mps), Actuation(sides, (0.0, 0.0), True)
 
 
-def _revolutions(thrust: float, propulsion: config.PropulsionTable) -> float:
-    """The rpm that give a thrust of n |n| / rpm_max."""
-    return math.copysign(math.sqrt(abs(thrust) * propulsion.rpm_max), thrust)
+def _revolutions(thrust: float, rpm_max: float) -> float:
+    """The rpm, as a part of rpm_max, that give a thrust of n |n| / rpm_max."""
+    return math.copysign(math.sqrt(abs(thrust) / rpm_max), thrust)
 
 
 def clamp(value: float, low: float, high: float) -> float:

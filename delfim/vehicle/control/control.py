@@ -1,20 +1,18 @@
-"""The control multiplexer (control.c in the thesis), the one door by which a mode is entered, and the last gate before the
-propellers. Pure functions: no input, no output, no clock, no wait.
+"""The control multiplexer (control.c in the thesis), the one door by which a mode is entered. Pure functions: no input, no
+output, no clock, no wait.
 """
 
 import math
 from importlib import import_module
 from typing import Final, Protocol, cast
 
-from delfim import config
 from delfim.modes import Mode
 from delfim.vehicle.control import path
-from delfim.vehicle.control.autopilot import clamp
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
 
-__all__ = ["MODES", "Memory", "Settings", "admit", "control", "enter", "first", "limited"]
+__all__ = ["MODES", "Memory", "Settings", "admit", "control", "enter", "first"]
 
 FAR_M = 1e7  # a plane position beyond this is nonsense, and so are the numbers below
 FAST_MPS = 100.0
@@ -82,7 +80,7 @@ def control(
         after, reference, actuation = MODES[mode].step(memory, motion, setpoint, settings, dt_s)
     except (ValueError, ArithmeticError):  # an infinite set point; to fail here would leave the propellers as they were
         return memory, Reference(reason="set point makes no sense"), STOP
-    if not math.isfinite(actuation.starboard_rpm + actuation.port_rpm):
+    if not math.isfinite(sum(actuation.thrust)):
         return memory, Reference(reason="set point makes no sense"), STOP
     return after, reference, actuation
 
@@ -96,20 +94,4 @@ def _plausible(motion: Motion) -> bool:
         and -SPIN < motion.yaw_rate_radps < SPIN
         and -FAST_MPS < motion.north_mps < FAST_MPS
         and -FAST_MPS < motion.east_mps < FAST_MPS
-    )
-
-
-def limited(wanted: Actuation, previous: Actuation, propulsion: config.PropulsionTable, dt_s: float) -> Actuation:
-    """The last, dumb gate: `wanted` within `rpm_max`, and changed from `previous` by no more than `rpm_per_s_max` allows.
-    A stop is immediate; a value that is not finite is a stop.
-    """
-    if not wanted.run or not math.isfinite(wanted.starboard_rpm + wanted.port_rpm + dt_s):
-        return STOP
-    change = propulsion.rpm_per_s_max * max(dt_s, 0.0)
-    starboard, port = (previous.starboard_rpm, previous.port_rpm) if previous.run else (0.0, 0.0)
-    rpm_max = propulsion.rpm_max
-    return Actuation(
-        clamp(clamp(wanted.starboard_rpm, starboard - change, starboard + change), -rpm_max, rpm_max),
-        clamp(clamp(wanted.port_rpm, port - change, port + change), -rpm_max, rpm_max),
-        True,
     )

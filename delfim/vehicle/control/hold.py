@@ -44,7 +44,11 @@ def step(
         driving = -1 if behind else 1
     if not driving:
         resting = memory._replace(driving=0, integrals=Integrals(heading_rpm=0.0, speed_rpm=memory.integrals.speed_rpm))
-        return resting, Reference(None, 0.0, None, distance_m, memory.north_m, memory.east_m), Actuation(0.0, 0.0, True)
+        return (
+            resting,
+            Reference(None, 0.0, None, distance_m, memory.north_m, memory.east_m),
+            Actuation((0.0, 0.0), (0.0, 0.0), True),
+        )
     heading_rad = bearing_rad if driving > 0 else wrap(bearing_rad + math.pi)
     speed_mps = driving * min(distance_m / APPROACH_S, hold.speed_mps)
     integrals, actuation = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s)

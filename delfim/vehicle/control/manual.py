@@ -19,6 +19,5 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
 ) -> tuple[Memory, Reference, Actuation]:
-    rpm_max = settings.propulsion.rpm_max
     starboard, port = clamp(setpoint.starboard, -1.0, 1.0), clamp(setpoint.port, -1.0, 1.0)
-    return memory, Reference(), Actuation(rpm_max * starboard, rpm_max * port, True)
+    return memory, Reference(), Actuation((starboard, port), (0.0, 0.0), True)

@@ -10,6 +10,7 @@ class Settings(NamedTuple):
 
     control: config.ControlTable
     propulsion: config.PropulsionTable
+    dsor: config.Dsor
 
 
 class Integrals(NamedTuple):

@@ -10,8 +10,9 @@ from typing import Final, Literal, NamedTuple
 
 from delfim.config import Mavlink
 from delfim.geodesy import compass, from_plane, wrap
-from delfim.messages import BatteriesStatus, Node, PropellerStatus
+from delfim.messages import BatteriesStatus, Node
 from delfim.modes import Mode
+from delfim.vehicle import thrusters
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.plans import ALL
@@ -32,8 +33,7 @@ _STILL: Final = 1500
 _SENSORS: Final = (
     dialect.MAV_SYS_STATUS_SENSOR_GPS | dialect.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
 )
-_PORT: Final = NAMES[Node.PROPELLER_PORT], NAMES[Node.BATTERIES_PORT]
-_STARBOARD: Final = NAMES[Node.PROPELLER_STARBOARD], NAMES[Node.BATTERIES_STARBOARD]
+_BATTERIES: Final = NAMES[Node.BATTERIES_PORT], NAMES[Node.BATTERIES_STARBOARD]
 
 
 class TelemetryView(NamedTuple):
@@ -99,10 +99,11 @@ def attitude(view: TelemetryView) -> Iterator[Message]:
 
 
 def rpm(view: TelemetryView) -> Iterator[Message]:
-    for index, (node, _) in enumerate((_PORT, _STARBOARD)):
-        report = view.boat.state.sysstat.get(node)
-        if report is not None and isinstance(report[0], PropellerStatus) and report[0].rpm is not None:
-            yield dialect.MAVLink_raw_rpm_message(index, float(report[0].rpm))
+    """Means of port, 0, and starboard, 1."""
+    boat = view.boat
+    for index, measured in enumerate(thrusters.revolutions(boat.helm.settings.thrusters, boat.state)):
+        if measured is not None:
+            yield dialect.MAVLink_raw_rpm_message(index, measured)
 
 
 def thrust(view: TelemetryView) -> Iterator[Message]:
@@ -134,7 +135,7 @@ def status(view: TelemetryView) -> Iterator[Message]:
 
 
 def batteries(view: TelemetryView) -> Iterator[Message]:
-    for index, (_, node) in enumerate((_PORT, _STARBOARD)):
+    for index, node in enumerate(_BATTERIES):
         report = _batteries(view, node)
         if report is None:
             continue
@@ -257,7 +258,7 @@ def _measured(view: TelemetryView) -> object:
 
 
 def _reported(view: TelemetryView) -> object:
-    return tuple(view.boat.state.sysstat.get(node, (None, 0.0))[1] for node, _ in (_PORT, _STARBOARD))
+    return tuple(report.heard_s for report in view.boat.state.thrusters.values())
 
 
 # Intervals in seconds: lean, radio, wifi.
@@ -282,8 +283,7 @@ ROWS: Final = (
 
 def _thrust(view: TelemetryView) -> tuple[float, float]:
     """Thrust in force of port and starboard, as a fraction of the maximum: -1..1."""
-    sent, most = view.boat.state.actuation, view.boat.helm.settings.propulsion.rpm_max
-    return (sent.port_rpm / most, sent.starboard_rpm / most) if sent.run else (0.0, 0.0)
+    return thrusters.thrust(view.boat.helm.settings.thrusters, view.boat.state)
 
 
 def _batteries(view: TelemetryView, name: str) -> BatteriesStatus | None:

@@ -1,18 +1,31 @@
 """System status of the other nodes (sysstat.c in the thesis): extended frames and segmented messages, one function."""
 
+from collections.abc import Sequence
+
 from delfim import config
 from delfim.canproxy.dsor.protocol import message_filter
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import BusError, FormatError
 from delfim.frames import CAN_IDE, CAN_RTR, Frame
-from delfim.messages import GPS_SYSSTAT_ID, SYSSTAT_MASK, SYSSTAT_SUBJECT, Fault, Node, Status, sysstat_arb, unpack_sysstat
+from delfim.messages import (
+    GPS_SYSSTAT_ID,
+    SYSSTAT_MASK,
+    SYSSTAT_SUBJECT,
+    Fault,
+    Node,
+    PropellerStatus,
+    Status,
+    sysstat_arb,
+    unpack_sysstat,
+)
 from delfim.vehicle.links import Links
 from delfim.vehicle.sensors import Value
-from delfim.vehicle.state import State
+from delfim.vehicle.state import State, ThrusterReport
 
 VALUES: tuple[Value, ...] = ()  # record.py has the logged fields
 FRAMES_PER_READ = 64
+PROPELLERS = (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT)  # by address of the driver dsor
 NAMES = {
     Node.GPS: "gps",
     Node.PROPELLER_STARBOARD: "propeller_starboard",
@@ -27,8 +40,9 @@ class SystemStatus:
 
     name = "sysstat"
 
-    def __init__(self, socket: CanSocket, node: int = Node.VEHICLE) -> None:
+    def __init__(self, socket: CanSocket, node: int = Node.VEHICLE, rows: Sequence[config.ThrusterTable] = ()) -> None:
         self.input = socket
+        self._rows = {PROPELLERS[row.address]: row for row in rows if row.driver == "dsor"}
         self._segmented = Receiver(node, lambda message: message.id == GPS_SYSSTAT_ID)
 
     def read(self, state: State, now_s: float) -> None:
@@ -40,7 +54,10 @@ class SystemStatus:
                     break
                 node, data = _report(frame, self._segmented, now_s)
                 if data is not None:
-                    state.sysstat[NAMES[Node(node)]] = (unpack_sysstat(node, data), now_s)
+                    status = unpack_sysstat(node, data)
+                    state.sysstat[NAMES[Node(node)]] = (status, now_s)
+                    if isinstance(status, PropellerStatus) and (row := self._rows.get(Node(node))) is not None:
+                        state.thrusters[row.name] = _report_of(row, status, now_s)
             except (FormatError, KeyError, ValueError):
                 state.count("sysstat_malformed")
             except BusError:
@@ -55,7 +72,13 @@ class SystemStatus:
 
 def open_sensor(settings: config.Vehicle, links: Links) -> SystemStatus:
     plain, segmented = CanAddress(sysstat_arb(Node.VEHICLE), SYSSTAT_MASK), CanAddress(*message_filter(source=Node.GPS))
-    return SystemStatus(links.bus(settings.can.interface, (plain, segmented)), settings.can.node)
+    return SystemStatus(links.bus(settings.can.interface, (plain, segmented)), settings.can.node, settings.thrusters)
+
+
+def _report_of(row: config.ThrusterTable, status: PropellerStatus, now_s: float) -> ThrusterReport:
+    rpm = None if status.rpm is None else float(-status.rpm if row.reversed else status.rpm)
+    faults = tuple(named(status.faults))
+    return ThrusterReport(now_s, rpm, status.current_a, temperature_c=status.temperature_c, faults=faults)
 
 
 def wrong(state: State, required: config.Sysstat, now_s: float) -> str | None:
@@ -72,9 +95,12 @@ def wrong(state: State, required: config.Sysstat, now_s: float) -> str | None:
     return None
 
 
+def named(faults: Fault) -> list[str]:
+    return [fault.name.lower().replace("_", " ") for fault in Fault if fault in faults and fault.name]
+
+
 def words(faults: Fault) -> str:
-    named = [fault.name.lower().replace("_", " ") for fault in Fault if fault in faults and fault.name]
-    return ", ".join(named) or "no reason given"
+    return ", ".join(named(faults)) or "no reason given"
 
 
 def _report(frame: Frame, segmented: Receiver, now_s: float) -> tuple[int, bytes | None]:
