@@ -1,10 +1,11 @@
-"""A serial line: raw, non-blocking, reopened when its adapter comes back."""
+"""A serial line: raw, non-blocking, reopened when its adapter comes back; or a socket in the place of one."""
 
 import array
 import contextlib
 import fcntl
 import os
 import select
+import socket
 import termios
 import tty
 from collections.abc import Callable
@@ -18,10 +19,18 @@ Form = Literal["8N1", "8E2"]  # data bits, parity, stop bits
 TCGETS2, TCSETS2 = 0x802C542A, 0x402C542B  # asm-generic/ioctls.h: x86, ARM, RISC-V
 BOTHER, RATES = 0o010000, 0o010017  # "the rate is the number itself"; the bits that name a rate (asm-generic/termbits.h)
 OFF_MAX: Final = 0.03  # of a rate: beyond, a byte's last bit is read in its neighbour
+SOCKETS: Final = ("tcp:", "unix:")
+CONNECT_S: Final = 0.1  # that the first opening of a socket waits: a stop is sent right after it
+SILENT_MS: Final = 3000  # of the other end of TCP, after which the connection is given up and made anew
+SYN_REPEATS: Final = 1  # 3 s until an attempt to connect has failed
 
 
 class SerialLine:
-    """A port from its opening on. Raises DelfimError if it cannot be opened; later `trouble` names its fault."""
+    """A port from its opening on. Raises DelfimError if it cannot be opened; later `trouble` names its fault.
+
+    `device` is a path as /dev/ttyUSB0, "tcp:ADDRESS:PORT", or "unix:PATH" for a local socket of records. Nobody has to listen
+    at a socket when it is opened: that is a trouble, too.
+    """
 
     def __init__(
         self,
@@ -39,7 +48,10 @@ class SerialLine:
         self._port = -1
         self._ready = select.epoll()  # to wait for: it stays the same when the port is reopened
         try:
-            if not may_lack:
+            if device.startswith(SOCKETS):
+                if self.rebind():
+                    select.select([], [self._port], [], CONNECT_S)
+            elif not may_lack:
                 self._open()
         except OSError as error:
             self._ready.close()
@@ -97,7 +109,10 @@ class SerialLine:
         self._ready.close()
 
     def _open(self) -> None:
-        self._port = open_port(self.device, self._baud, ignores_modem=True, form=self._form)
+        if self.device.startswith(SOCKETS):
+            self._port = open_socket(self.device)
+        else:
+            self._port = open_port(self.device, self._baud, ignores_modem=True, form=self._form)
         self._ready.register(self._port, select.EPOLLIN)
         self.trouble = ""
 
@@ -110,6 +125,30 @@ class SerialLine:
                 termios.tcflush(self._port, termios.TCOFLUSH)
             os.close(self._port)
             self._port = -1
+
+
+def open_socket(device: str) -> int:
+    """A socket that connects, or is connected, to "tcp:ADDRESS:PORT" or "unix:PATH". An address is of numbers: nothing waits
+    for names. Raises OSError."""
+    kind, _, place = device.partition(":")
+    host, _, port = place.rpartition(":")
+    address: str | tuple[str, int] = place
+    if kind == "unix":
+        opened = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    else:
+        opened = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
+        opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, SILENT_MS)
+        opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_SYNCNT, SYN_REPEATS)
+        address = (host.strip("[]"), int(port))
+    try:
+        opened.setblocking(False)
+        with contextlib.suppress(BlockingIOError):  # it connects
+            opened.connect(address)
+    except OSError:
+        opened.close()
+        raise
+    return opened.detach()
 
 
 def open_port(device: str, baud: int, ignores_modem: bool, form: Form = "8N1") -> int:
