@@ -21,11 +21,13 @@ log = logging.getLogger(__name__)
 
 class Supervised(NamedTuple):
     """One program. The critical one has the dead-man; there is at most one. The others run on processors that nobody else wants
-    (SCHED_IDLE): being niced does not make the kernel take a processor from them at once when the critical one wakes."""
+    (SCHED_IDLE): being niced does not make the kernel take a processor from them at once when the critical one wakes. A guard,
+    which stops motors, is no less urgent than the critical one: it starts at once, and ends last if it is the first of them."""
 
     name: str
     argv: tuple[str, ...]
     critical: bool = False
+    guard: bool = False
     limits: Limits = Limits()
 
 
@@ -63,7 +65,7 @@ class Child:
         finally:
             os.close(beat)
         program.limits.hold(program.name, self.pid)
-        if not program.critical:
+        if not (program.critical or program.guard):
             try:
                 os.sched_setscheduler(self.pid, os.SCHED_IDLE, os.sched_param(0))
             except OSError as error:

@@ -154,7 +154,7 @@ class Supervisor:
     def _due_s(self, child: Child) -> float:
         """When it is to be started: while the critical program comes up, the others wait."""
         first = self._critical
-        if first is None or child is first or first.state != "running" or first.beat_s is not None:
+        if first is None or child is first or child.program.guard or first.state != "running" or first.beat_s is not None:
             return child.start_s
         return max(child.start_s, first.start_s + HEAD_START_S)
 

@@ -36,7 +36,7 @@ def supervise(text: str) -> int:
         if broken:
             raise OSError("bus-off")
 
-    programs = [children.Supervised(name, tuple(argv), critical) for name, argv, critical in told.pop("programs")]
+    programs = [children.Supervised(name, tuple(argv), *kinds) for name, argv, *kinds in told.pop("programs")]
     files = {name: Path(told.pop(name)) for name in ("state_file", "requests")}
     supervising = supervisor.Supervisor(programs, stop=stop, **files, **told)
     code = supervising.run_forever()

@@ -37,13 +37,13 @@ class Suite:
         self.record, self.state_file = place / "record", place / "state.json"
         self.watchdog, self.requests = place / "watchdog", place / "supervisor"
         self.is_namespace = False  # then nothing survives it, and its process ids are its own
-        self._rows: list[tuple[str, list[str], bool]] = []
+        self._rows: list[tuple[str, list[str], bool, bool]] = []
 
-    def program(self, name: str, *behaviour: str, critical: bool = False) -> None:
-        self._rows.append((name, [*PROGRAM, name, str(self.record), *behaviour], critical))
+    def program(self, name: str, *behaviour: str, critical: bool = False, guard: bool = False) -> None:
+        self._rows.append((name, [*PROGRAM, name, str(self.record), *behaviour], critical, guard))
 
     def command(self, name: str, *argv: str) -> None:
-        self._rows.append((name, list(argv), False))
+        self._rows.append((name, list(argv), False, False))
 
     def start(
         self,
@@ -385,6 +385,19 @@ def test_programs_are_idle_but_the_critical_one_and_have_a_session_of_their_own(
         pid = suite.state()["programs"][name]["pid"]
         assert os.sched_getscheduler(pid) == policy
         assert os.getsid(pid) == pid
+
+
+def test_a_guard_starts_at_once_is_not_idle_and_ends_last(suite: Suite) -> None:
+    suite.program("runtime", "mute", critical=True)
+    suite.program("outlet", guard=True)
+    suite.program("sshd")
+    suite.start(HEAD_START_S=0.5)
+    until(lambda: suite.events("sshd", "beat"))
+    starts = [event.name for event in suite.events(word="start")]
+    assert (set(starts[:2]), starts[2]) == ({"runtime", "outlet"}, "sshd")
+    assert os.sched_getscheduler(suite.state()["programs"]["outlet"]["pid"]) == os.SCHED_OTHER
+    assert suite.terminate() == 0
+    assert [event.name for event in suite.events(word="end")] == ["runtime", "sshd", "outlet"]
 
 
 @pytest.mark.parametrize(("word", "reason"), [("off", "button"), ("reboot", "command of somebody"), ("end", "")])
