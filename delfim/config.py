@@ -15,6 +15,7 @@ import msgspec
 from delfim.errors import ConfigError
 from delfim.geodesy import polygon_fault
 from delfim.modes import Mode
+from delfim.pulses import CHANNELS
 from delfim.slices import Sliced, Work
 from delfim.tables import Table, decode, read_toml, text
 
@@ -25,8 +26,6 @@ Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 Metres = Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)]
 Speed = Annotated[float, msgspec.Meta(gt=0.0, le=30.0)]  # m/s
 Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1e4)]
-Pulse = Annotated[float, msgspec.Meta(ge=800.0, le=2200.0)]  # us, of a channel of a hand-set
-STICK_US = 100.0  # the least way of a stick to either side
 Nice = Annotated[int, msgspec.Meta(ge=-20, le=19)]
 Interface = Annotated[
     str,
@@ -37,7 +36,8 @@ Interface = Annotated[
 ]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
 SourceName = Literal["dsor", "nmea2000"]  # files in delfim/vehicle/sources
-DriverName = Literal["dsor"]  # files in delfim/vehicle/actuators
+DriverName = Literal["dsor", "heron", "mavlink_front_seat", "otter", "pwm", "vesc"]  # files in delfim/vehicle/actuators
+SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboard and a port side; all but dsor mix them
 SensorName = Literal["sysstat"]  # files in delfim/vehicle/sensors
 Place = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]  # m from the middle of the boat
 Newtons = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
@@ -47,6 +47,15 @@ ThrusterName = Annotated[str, text("[a-z][a-z0-9_]{0,15}", "a small letter, then
 Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 DriverAddress = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(SourceName)))]
+Device = Annotated[
+    str,
+    text(
+        rf"(/[^ ]+|tcp:([0-9.]+|\[[0-9A-Fa-f:]+\]):{_PORT})", "a serial port as /dev/ttyUSB0, or tcp:ADDRESS:PORT, in numbers"
+    ),
+]
+Baud = Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)]
+Pulse = Annotated[float, msgspec.Meta(ge=400.0, le=2600.0)]  # us
+PwmNumber = Annotated[str, text("([0-9]|1[0-5])", "0 to 15")]
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 OTHER_NODES = (0x01, 0x02, 0x10, 0x11, 0x20, 0x21)  # of `messages.Node`
 PUSH_MIN = 0.1  # N and N·m: less is nothing
@@ -235,6 +244,68 @@ DELFIMX: Final = tuple(
 Thrusters = Annotated[tuple[ThrusterTable, ...], msgspec.Meta(min_length=1, max_length=16)]
 
 
+class PwmChannel(Table, frozen=True):
+    """The pulses of a motor or a servo. Those of an ESC that only goes ahead have neutral and astern alike."""
+
+    astern_us: Pulse = 1100.0  # full astern; of a servo: as far to port as it goes
+    neutral_us: Pulse = 1500.0  # at rest; an ESC arms by it
+    ahead_us: Pulse = 1900.0  # full ahead; of a servo: as far to starboard as it goes
+
+    def __post_init__(self) -> None:
+        if self.ahead_us == self.neutral_us or (self.ahead_us - self.neutral_us) * (self.astern_us - self.neutral_us) > 0.0:
+            raise ValueError(f"neutral_us: {self.neutral_us:g} is not between {self.astern_us:g} and {self.ahead_us:g}")
+
+    def pulse_us(self, fraction: float) -> float:
+        """The pulse for -1 (astern) to 1 (ahead)."""
+        end_us = self.ahead_us if fraction > 0.0 else self.astern_us
+        return self.neutral_us + min(abs(fraction), 1.0) * (end_us - self.neutral_us)
+
+
+class Pwm(Table, frozen=True):
+    """Motors and servos that are told by pulses: the kernel's PWM, or a PCA9685 (docs/pwm.md)."""
+
+    chip: Annotated[str, text("/[^ ]+", "an absolute path")] = "/sys/class/pwm/pwmchip0"  # or /dev/i2c-1; * as in a shell
+    i2c_address: Annotated[int, msgspec.Meta(ge=0x03, le=0x77)] = 0x40  # of the PCA9685
+    clock_hz: Annotated[float, msgspec.Meta(ge=1e6, le=50e6)] = 25e6  # of the PCA9685, whose own is some percent off
+    rate_hz: Annotated[float, msgspec.Meta(ge=40.0, le=330.0)] = 50.0  # pulses a second
+    arm_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 3.0  # neutral for so long after the start: an ESC arms by it
+    channel: dict[PwmNumber, PwmChannel] = msgspec.field(default_factory=dict)  # those with other pulses than usual
+
+
+class Vesc(Table, frozen=True):
+    """VESC motor controllers, on a bus where nobody else speaks (docs/vesc.md)."""
+
+    interface: Interface = "can1"  # the bus of the controllers
+    bitrate_bps: BitRate = 500_000  # of a Linux interface, as the controllers have it by default
+    command: Literal["rpm", "duty", "current"] = "rpm"  # what they are told; rpm: full command is rpm_max of the row
+    duty_max: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.95  # at full command: part of the battery's voltage
+    current_max_a: Annotated[float, msgspec.Meta(gt=0.0, le=1000.0)] = 20.0  # at full command, in the motor
+    pole_pairs: Annotated[int, msgspec.Meta(ge=1, le=100)] = 7  # of the motors: half of their magnets
+
+
+class OtterTable(Table, frozen=True):
+    """The front seat of an Otter of Maritime Robotics (docs/front-seat.md)."""
+
+    device: Device = "tcp:192.168.53.2:2009"  # the boat's own computer
+    baud: Baud = 115_200  # of a serial port
+
+
+class HeronTable(Table, frozen=True):
+    """The front seat of a Heron of Clearpath, or of a boat that speaks as it does (docs/front-seat.md)."""
+
+    device: Device = "tcp:192.168.1.100:29500"  # the boat's own computer
+    baud: Baud = 115_200  # of a serial port
+
+
+class MavlinkFrontSeat(Table, frozen=True):
+    """The front seat of a boat with ArduRover (docs/front-seat.md)."""
+
+    device: Device = "tcp:127.0.0.1:5760"  # the board, or a router of its messages
+    baud: Baud = 115_200  # of a serial port
+    board: Annotated[int, msgspec.Meta(ge=1, le=255)] = 1  # its SYSID_THISMAV
+    system: Annotated[int, msgspec.Meta(ge=1, le=255)] = 255  # the number that we have there: its SYSID_MYGCS
+
+
 class HeadingTable(Table, frozen=True):
     """Heading autopilot: differential rpm per rad and per rad/s, and an integral against wind."""
 
@@ -415,13 +486,6 @@ class GnssPoor(Trouble, frozen=True):
     manual: ModeAction = "warn"
 
 
-class HandsetSilent(Silence, frozen=True):
-    """Nothing new from the hand-set that the file names. In manual mode by hand-set its thrust ends at once."""
-
-    after_s: Seconds = 1.0  # age of the last
-    action: ActionName = "warn"
-
-
 class LogNotWritable(Trouble, frozen=True):
     """The state log is not being written."""
 
@@ -446,7 +510,6 @@ class Failsafe(Table, frozen=True):
     fence: FenceNear = FenceNear()
     thruster: ThrusterAstray = ThrusterAstray()
     gnss_poor: GnssPoor = GnssPoor()
-    handset_silent: HandsetSilent = HandsetSilent()
     log: LogNotWritable = LogNotWritable()
 
 
@@ -494,51 +557,6 @@ class ClockTable(Table, frozen=True):
     set: Literal["auto", "never"] = "auto"  # auto: by this program, unless another one keeps it or the bus is simulated
 
 
-class Stick(Table, frozen=True):
-    """A stick of the hand-set: its channel, and the pulses of its middle and its ends."""
-
-    channel: Annotated[int, msgspec.Meta(ge=1, le=16)]  # of the receiver
-    low_us: Pulse = 988.0  # astern, or to port
-    middle_us: Pulse = 1500.0  # at rest
-    high_us: Pulse = 2012.0  # ahead, or to starboard
-    reversed: bool = False  # the two ends exchanged
-
-    def __post_init__(self) -> None:
-        if not self.low_us + STICK_US <= self.middle_us <= self.high_us - STICK_US:
-            raise ValueError(f"low_us, middle_us, high_us rise by {STICK_US:g} us or more; reversed exchanges the ends")
-
-
-class Switch(Table, frozen=True):
-    """A switch of the hand-set."""
-
-    channel: Annotated[int, msgspec.Meta(ge=0, le=16)] = 0  # of the receiver; 0: there is no such switch
-    on: Literal["high", "low"] = "high"  # the position that means yes: above 1700 us, or below 1300 us
-
-
-class HandsetTable(Table, frozen=True):
-    """The hand-set of a radio control: it takes the boat from every console (docs/handset.md)."""
-
-    device: Annotated[str, text("(/dev/[^ ]+)?", "/dev/NAME, or empty")] = ""  # serial port of its receiver; empty: no hand-set
-    protocol: Literal["crsf", "sbus"] = "crsf"  # of the receiver; crsf is ExpressLRS and TBS Crossfire
-    baud: Annotated[int, msgspec.Meta(ge=0, le=4_000_000)] = 0  # of the port; 0: the protocol's own, 420,000 or 100,000
-    throttle: Stick = Stick(channel=3)
-    steer: Stick = Stick(channel=1)
-    take: Switch = Switch(channel=5)  # on: the hand-set has the boat
-    kill: Switch = Switch()  # on: the boat is killed
-    neutral: Annotated[float, msgspec.Meta(gt=0.0, le=0.3)] = 0.05  # part of a stick's way around its middle that is no thrust
-    silent_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.5  # a receiver silent for longer is lost
-    mandatory: bool = False  # the boat is killed while the hand-set is lost
-
-    def __post_init__(self) -> None:
-        if not self.take.channel:
-            raise ValueError("take.channel: a hand-set needs a switch that takes the boat")
-        used = [each.channel for each in (self.throttle, self.steer, self.take, self.kill) if each.channel]
-        if len(set(used)) < len(used):
-            raise ValueError("throttle, steer, take and kill are on channels of their own")
-        if self.mandatory and not self.device:
-            raise ValueError("mandatory: name the device of the hand-set")
-
-
 class Sensors(Table, frozen=True):
     """The sensors of the boat beside navigation."""
 
@@ -571,7 +589,7 @@ class Mavlink(Table, frozen=True):
     autopilot: Literal["generic", "ardurover"] = "generic"  # the autopilot that the boat claims to be to other programs
     command_age_s: Seconds = 3.0  # a signed command that is older on arrival is refused
     serial: Annotated[str, text("(/[^ ]+)?", "/DEVICE, or empty")] = ""  # the port of a radio as SiK's; it needs a key
-    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 57_600  # of that port
+    baud: Baud = 57_600  # of that port
 
     def __post_init__(self) -> None:
         if self.serial and not self.key:
@@ -673,7 +691,7 @@ class Slipd(Table, frozen=True):
     """The radio's serial line as a network interface."""
 
     device: Annotated[str, text("(/dev/[^ ]+)?", "/dev/NAME, or empty")] = ""  # the radio's serial port; empty: no radio
-    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 115_200  # of the port
+    baud: Baud = 115_200  # of the port
     radio_bps: Annotated[int, msgspec.Meta(ge=0, le=4_000_000)] = 0  # bit/s, if the radio is slower than its port; else 0
     encapsulation: Literal["slip", "cslip"] = "cslip"  # cslip compresses TCP's headers (RFC 1144); both ends must agree
     mode: Literal["auto", "kernel", "user"] = "auto"  # SLIP of the kernel, of this program; auto: the kernel's if any
@@ -876,9 +894,12 @@ def thrusters_fault(rows: Sequence[ThrusterTable]) -> str | None:
         if row.name in names:
             return f"two have the name {row.name}"
         names.add(row.name)
-        if row.driver == "dsor" and (row.address > 1 or row.steer is not None):
-            return f"{row.name}: dsor has address 0, starboard, and 1, port, and turns nothing"
-        kinds = [("pushes", row.address)] + ([("turns", row.steer.address)] if row.steer is not None else [])
+        if (wrong := driver_fault(row, rows)) is not None:
+            return f"{row.name}: {wrong}"
+        turns = "pushes" if row.driver == "pwm" else "turns"  # the channels of pwm are motors and servos
+        kinds = [("pushes", row.address)] + ([(turns, row.steer.address)] if row.steer is not None else [])
+        if row.steer is not None and kinds[0] == kinds[1]:
+            return f"{row.name}: its motor and what turns it have one address, {row.address} of {row.driver}"
         for kind, number in kinds:
             if (other := taken.setdefault((row.driver, kind, number), row.name)) != row.name:
                 return f"{other} and {row.name} have one address, {number} of {row.driver}"
@@ -887,6 +908,20 @@ def thrusters_fault(rows: Sequence[ThrusterTable]) -> str | None:
     for side, sign in (("starboard", 1.0), ("port", -1.0)):
         if _moment(rows, sign) < PUSH_MIN:
             return f"this boat cannot turn to {side}, except astern: it needs a second thruster, a rudder, or their places"
+    return None
+
+
+def driver_fault(row: ThrusterTable, rows: Sequence[ThrusterTable]) -> str | None:
+    """What the driver of a row cannot do, in words; None: it can drive it."""
+    if row.driver in SIDES and (row.address > 1 or row.steer is not None):
+        return f"{row.driver} has address 0, starboard, and 1, port, and turns nothing"
+    if row.driver in SIDES[1:] and sum(each.driver == row.driver for each in rows) != 2:
+        return f"{row.driver} mixes two sides: it needs two thrusters, address 0 and 1"
+    if row.driver == "vesc" and row.steer is not None:
+        return "a VESC turns its motor and nothing else: it cannot steer"
+    channels = (row.address, 0 if row.steer is None else row.steer.address)
+    if row.driver == "pwm" and max(channels) >= CHANNELS:
+        return f"pwm has the channels 0 to {CHANNELS - 1}, not {max(channels)}"
     return None
 
 
@@ -920,6 +955,11 @@ class Vehicle(Table, frozen=True):
     propulsion: PropulsionTable = PropulsionTable()
     dsor: Dsor = Dsor()
     thrusters: Thrusters = DELFIMX
+    pwm: Pwm = Pwm()
+    vesc: Vesc = Vesc()
+    otter: OtterTable = OtterTable()
+    heron: HeronTable = HeronTable()
+    mavlink_front_seat: MavlinkFrontSeat = MavlinkFrontSeat()
     control: ControlTable = ControlTable()
     failsafe: Failsafe = Failsafe()
     fence: FenceTable = FenceTable()
@@ -929,7 +969,6 @@ class Vehicle(Table, frozen=True):
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
     mavlink: Mavlink = Mavlink()
-    handset: HandsetTable = HandsetTable()
     guest: GuestTable = GuestTable()
     cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()
@@ -954,6 +993,11 @@ class Vehicle(Table, frozen=True):
             raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
         if (fault := thrusters_fault(self.thrusters)) is not None:
             raise ValueError(f"thrusters: {fault}")
+        for row in self.thrusters:
+            if row.driver == "vesc" and self.vesc.command == "rpm" and not row.rpm_max:
+                raise ValueError(
+                    f"thrusters: {row.name}: vesc.command is rpm: rpm_max must say the revolutions at full command"
+                )
 
     def rpm_max(self, row: ThrusterTable) -> float:
         """Revolutions per minute of a thruster at full command; 0 where they are not known."""
@@ -971,7 +1015,7 @@ class Vehicle(Table, frozen=True):
 
     def _parts(self) -> dict[str, Table | None]:
         """The tables of the boat's nodes and parts, by their names in the file."""
-        names = ("can", "handset", *self.navigation.sources, *self.sensors.names, *self.drivers)
+        names = ("can", *self.navigation.sources, *self.sensors.names, *self.drivers)
         routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
         return {name: getattr(self, name, None) for name in names} | routed
 

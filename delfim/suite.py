@@ -17,7 +17,7 @@ from collections.abc import Awaitable, Callable, Sequence
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from delfim import __version__, config
+from delfim import __version__, config, pulses
 from delfim.errors import DelfimError, FormatError, PermanentFailure
 from delfim.logging import systemlog
 from delfim.outside import parse_json, read_file
@@ -128,6 +128,18 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
     return runtime.Runtime(settings, SystemClock(), beat_fd=beat_fd, alone=alone, new_loop=new_loop).main(loaded)
 
 
+def outlet(file: str, overrides: Sequence[str], *, beat_fd: int) -> int:
+    """`delfim outlet`: the pulses of motors that would turn for ever, and nothing else. Raises DelfimError, OSError."""
+    from delfim.services.outlet import serve
+    from delfim.vehicle.actuators.pwm import channels
+
+    settings = config.load(file, overrides)
+    systemlog.begin(settings.runtime.run_directory, "outlet", _levels(settings))
+    _above(settings.runtime.fifo_priority)
+    serve(pulses.socket_path(settings.runtime.run_directory), settings.pwm, channels(settings), beat_fd)
+    return 0
+
+
 def supervise(
     file: str, overrides: Sequence[str], program: Sequence[str] = (sys.executable, "-m", "delfim"), *, init: bool = False
 ) -> int:
@@ -138,6 +150,9 @@ def supervise(
         bring_up(settings.bit_rates)
     command = (*program, "run", file, *(word for one in overrides for word in ("--set", one)))
     programs = [Supervised("runtime", command, critical=True)]
+    if "pwm" in settings.drivers:
+        own = (*program, "outlet", file, *(word for one in overrides for word in ("--set", one)))
+        programs.append(Supervised("outlet", own, guard=True))
     programs += [
         Supervised(row.name, (*command, "--service", row.name), limits=_limits(settings, row.name))
         for row in services(settings)

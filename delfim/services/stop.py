@@ -10,7 +10,7 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import SystemClock
 from delfim.errors import DelfimError, in_words
 from delfim.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
-from delfim.serialline import Form, SerialLine
+from delfim.serialline import SerialLine
 from delfim.vehicle import actuators
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.links import Links
@@ -44,8 +44,9 @@ class PropellerStop:
     def tell(self, is_safe: bool, holders: Sequence[str]) -> None:
         """At the end of a shutdown: a stop once more, and whether the power may be cut."""
         stage = ShutdownStage.SAFE if is_safe else ShutdownStage.HELD
-        with contextlib.suppress(OSError, DelfimError):  # a full bus must not hold up the shutdown
+        with contextlib.suppress(OSError, DelfimError):  # motors that cannot be told any more keep the bus from nothing
             self()
+        with contextlib.suppress(OSError, DelfimError):  # a full bus must not hold up the shutdown
             if self._bus is None:
                 self._bus = open_can(self._settings.can.interface)
                 self._bus.setblocking(False)
@@ -64,7 +65,7 @@ class PropellerStop:
             def bus(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
                 return opening.enter_context(open_bound(self._settings.can, interface, filters))
 
-            def line(device: str, baud: int, form: Form = "8N1") -> SerialLine:
-                return opening.enter_context(contextlib.closing(SerialLine(device, baud, SystemClock(), form=form)))
+            def line(device: str, baud: int) -> SerialLine:
+                return opening.enter_context(contextlib.closing(SerialLine(device, baud, SystemClock())))
 
             return actuators.open_actuator(name, self._settings, Links(bus, line)), opening.pop_all()

@@ -1,0 +1,62 @@
+"""The line to a boat's own computer, its front seat, which has the motors and takes commands in sentences (docs/front-seat.md).
+
+It mixes for itself: what it is asked for is the effort of the starboard and the port side. Two rows of the vehicle's file
+describe them, address 0 starboard and 1 port.
+"""
+
+import errno
+from typing import Final
+
+from delfim import config
+from delfim.nmea0183.proprietary import FieldReader
+from delfim.vehicle.links import ReadableLine
+from delfim.vehicle.state import State
+
+STOPS: Final = 10  # cycles in which a stop is said; then silence, so that the boat's own remote control can have it
+
+
+class FrontSeatLine:
+    """What is said, and what is heard."""
+
+    def __init__(self, name: str, line: ReadableLine, stop: bytes) -> None:
+        """`stop` is the sentence that stops the boat."""
+        self._line, self._name, self._stop = line, name, stop
+        self._reader, self._stops_left = FieldReader(), 0
+
+    def say(self, words: bytes | None) -> bool:
+        """A command; None: stop. False where the line did not take it. Before the first command nothing is said: somebody else
+        may be driving."""
+        if words is None:
+            if self._stops_left == 0:
+                return True
+            self._stops_left -= 1
+            return self._line.write(self._stop)
+        self._stops_left = STOPS
+        return self._line.write(words)
+
+    def stop(self) -> None:
+        """Raises OSError."""
+        if not self._line.write(self._stop):
+            raise OSError(errno.ENOTCONN, f"the {self._name} does not take the stop")
+
+    def heard(self, state: State) -> list[list[str]]:
+        """The fields of each sentence since the last call; malformed ones are counted."""
+        before, found = self._reader.malformed, list[list[str]]()
+        while data := self._line.read():
+            found += self._reader.feed(data)
+        if self._reader.malformed > before:
+            state.count(f"{self._name}_malformed", self._reader.malformed - before)
+        return found
+
+
+class SeatSide:
+    """A row of the vehicle's file: one side of the boat."""
+
+    def __init__(self, index: int, row: config.ThrusterTable) -> None:
+        self.index, self.name, self.sign = index, row.name, -1.0 if row.reversed else 1.0
+
+
+def sides(settings: config.Vehicle, driver: str) -> tuple[SeatSide, SeatSide]:
+    """The rows of the starboard and of the port side; the vehicle's file has both."""
+    rows = {row.address: SeatSide(index, row) for index, row in enumerate(settings.thrusters) if row.driver == driver}
+    return rows[0], rows[1]

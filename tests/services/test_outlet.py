@@ -1,0 +1,319 @@
+"""The outlet: when it lets motors turn, and that they stop. A tree of files stands for the kernel's PWM."""
+
+import contextlib
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from random import Random
+
+import pytest
+
+from delfim import config
+from delfim.errors import DelfimError, FormatError
+from delfim.pulses import (
+    CHANNELS,
+    SILENT_S,
+    WORDS,
+    PulseAnswer,
+    pack_answer,
+    pack_command,
+    socket_path,
+    unpack_answer,
+    unpack_command,
+)
+from delfim.services.outlet import REOPEN_S, Channels, Guard
+from delfim.services.pulseports import SysfsPort, open_port
+from tests.mutations import cut, flipped, spliced
+
+ROOT = Path(__file__).parents[2]
+PATIENCE_S = 60.0
+HALF = (0.5, -0.25, *(0.0,) * (CHANNELS - 2))
+REST = (0.0,) * CHANNELS
+
+
+def told(counter: int, run: bool = True, fractions: tuple[float, ...] = HALF) -> bytes:
+    return pack_command(counter, run, fractions)
+
+
+def test_records_say_what_was_put_in() -> None:
+    assert unpack_command(told(7)) == (7, True, HALF)
+    assert unpack_command(told(1 << 32, False, REST)) == (0, False, REST)
+    answer = PulseAnswer(9, "arming", "no such chip")
+    assert unpack_answer(pack_answer(answer)) == answer
+    assert len(unpack_answer(pack_answer(PulseAnswer(0, "stopped", "x" * 1000))).trouble) == WORDS
+
+
+def test_records_that_are_none_are_refused() -> None:
+    beyond = bytearray(told(1))
+    beyond[5:7] = (10_001).to_bytes(2, "little")
+    for data in (b"", b"x", told(1)[:-1], told(1) + b"x", bytes(beyond)):
+        with pytest.raises(FormatError):
+            unpack_command(data)
+    for data in (b"", b"\0\0\0\0", b"\0\0\0\0\3"):
+        with pytest.raises(FormatError):
+            unpack_answer(data)
+
+
+class Heard:
+    """A guard and its clock."""
+
+    def __init__(self) -> None:
+        self.guard, self.now_s = Guard(), 100.0
+
+    def after(self, s: float, data: bytes = b"", sender: str = "runtime") -> tuple[float, ...] | None:
+        self.now_s += s
+        if data:
+            self.guard.hear(sender, data, self.now_s)
+        return self.guard.fractions(self.now_s)
+
+
+def test_nothing_turns_before_a_command_and_a_command_is_obeyed() -> None:
+    heard = Heard()
+    assert heard.after(0.0) is None
+    assert heard.after(0.0, told(1)) == HALF
+    assert heard.after(SILENT_S / 2, told(2, fractions=REST)) == REST
+
+
+def test_silence_stops_until_there_is_a_new_command() -> None:
+    heard = Heard()
+    assert heard.after(0.0, told(1)) == HALF
+    assert heard.after(SILENT_S - 0.01) == HALF
+    assert heard.after(0.02) is None
+    assert heard.after(0.0, told(1)) is None
+    assert heard.after(0.0, told(2)) == HALF
+
+
+def test_a_sender_that_repeats_itself_keeps_no_motor_running() -> None:
+    heard = Heard()
+    heard.after(0.0, told(1))
+    for _ in range(6):
+        assert heard.after(0.1, told(1)) == HALF
+    assert heard.after(0.11, told(1)) is None
+    assert heard.after(1.0, told(1)) is None
+
+
+def test_the_end_of_the_one_who_commands_stops_and_another_end_does_not() -> None:
+    heard = Heard()
+    heard.after(0.0, told(1))
+    heard.guard.lose("bench")
+    assert heard.after(0.0) == HALF
+    heard.guard.lose("runtime")
+    assert heard.after(0.0) is None
+
+
+def test_anybody_stops_and_the_last_who_commands_holds_the_motors() -> None:
+    heard = Heard()
+    heard.after(0.0, told(1))
+    assert heard.after(0.0, told(0, False, REST), "supervisor") is None
+    assert heard.after(0.0, told(1, fractions=REST), "bench") == REST
+    heard.guard.lose("runtime")
+    assert heard.after(0.0) == REST
+    heard.guard.lose("bench")
+    assert heard.after(0.0) is None
+
+
+def test_garbage_changes_nothing_and_does_not_count_as_speech() -> None:
+    heard = Heard()
+    heard.after(0.0, told(1))
+    random = Random(16)
+    for _ in range(3000):
+        data = random.choice((flipped, cut, spliced))(told(2), random)
+        try:
+            command = unpack_command(data)
+        except FormatError:
+            with pytest.raises(FormatError):
+                heard.guard.hear("noise", data, heard.now_s + 10.0)
+        else:
+            assert all(-1.0 <= each <= 1.0 for each in command.fractions)
+    assert heard.after(0.0) == HALF
+    assert heard.after(SILENT_S + 0.001) is None
+
+
+def test_pulses_of_fractions() -> None:
+    usual, one_way = config.PwmChannel(), config.PwmChannel(astern_us=1000.0, neutral_us=1000.0, ahead_us=2000.0)
+    assert [usual.pulse_us(each) for each in (-2.0, -1.0, -0.5, 0.0, 0.5, 1.0, 2.0)] == [
+        1100,
+        1100,
+        1300,
+        1500,
+        1700,
+        1900,
+        1900,
+    ]
+    assert [one_way.pulse_us(each) for each in (-1.0, 0.0, 0.5)] == [1000, 1000, 1500]
+    assert config.PwmChannel(astern_us=1900.0, ahead_us=1100.0).pulse_us(0.5) == 1300
+    for wrong in ({"neutral_us": 1950.0}, {"ahead_us": 1500.0}):
+        with pytest.raises(ValueError, match="not between"):
+            config.PwmChannel(**wrong)
+
+
+def chip(place: Path, *channels: int) -> Path:
+    """Files for the channels of a PWM chip, as the kernel's driver shows them."""
+    for each in channels:
+        (place / f"pwm{each}").mkdir(parents=True)
+        for name in ("period", "duty_cycle", "enable"):
+            (place / f"pwm{each}" / name).write_text("0\n")
+    return place
+
+
+def pulse_us(place: Path, channel: int) -> int:
+    return int((place / f"pwm{channel}/duty_cycle").read_text().splitlines()[0]) // 1000
+
+
+def test_channels_of_the_kernel_start_with_neutral(tmp_path: Path) -> None:
+    place = chip(tmp_path, 0, 3)
+    port = SysfsPort(place, 50.0, {0: 1500.0, 3: 1000.0})
+    assert [(place / f"pwm3/{name}").read_text() for name in ("period", "enable")] == ["20000000\n", "1\n"]
+    assert (pulse_us(place, 0), pulse_us(place, 3)) == (1500, 1000)
+    port.put({0: 1900.0, 3: 1100.4})
+    assert (pulse_us(place, 0), pulse_us(place, 3)) == (1900, 1100)
+    port.close()
+    (tmp_path / "export").touch()
+    with pytest.raises(OSError, match="pwm5"):  # the kernel makes the folder; here nobody does
+        SysfsPort(place, 50.0, {5: 1500.0})
+    assert (tmp_path / "export").read_text() == "5\n"
+
+
+def test_a_chip_that_is_not_there_is_told_in_words(tmp_path: Path) -> None:
+    with pytest.raises(DelfimError, match=r"pwmchip9 names 0 chips: is the driver"):
+        open_port(config.Pwm(chip=f"{tmp_path}/pwmchip9"), {0: 1500.0})
+    open_port(config.Pwm(chip=f"{chip(tmp_path / 'deep/pwmchip7', 0).parent}/pwmchip*"), {0: 1500.0}).close()
+
+
+class FlakyPort:
+    """Hardware that fails when it is told to."""
+
+    def __init__(self) -> None:
+        self.written, self.fails, self.opened = dict[int, float](), False, 0
+
+    def open(self, pwm: config.Pwm, pulses_us: dict[int, float]) -> "FlakyPort":
+        self.opened += 1
+        self.put(pulses_us)
+        return self
+
+    def put(self, pulses_us: dict[int, float]) -> None:
+        if self.fails:
+            raise OSError(5, "Remote I/O error")
+        self.written = dict(pulses_us)
+
+    def close(self) -> None:
+        pass
+
+
+def test_an_esc_is_armed_by_neutral_and_again_after_a_fault() -> None:
+    port = FlakyPort()
+    channels = Channels(config.Pwm(arm_s=3.0), (0, 1), port.open)
+    channels.put(HALF, 10.0)
+    assert (channels.state, port.written) == ("arming", {0: 1500.0, 1: 1500.0})
+    channels.put(HALF, 13.0)
+    assert (channels.state, port.written) == ("running", {0: 1700.0, 1: 1400.0})
+    port.fails = True
+    channels.put(HALF, 13.1)
+    assert (channels.state, channels.trouble) == ("stopped", "Remote I/O error")
+    channels.put(HALF, 13.2)  # it was opened at 10.0
+    port.fails = False
+    channels.put(HALF, 13.2 + REOPEN_S)
+    assert (channels.state, channels.trouble, port.written) == ("arming", "", {0: 1500.0, 1: 1500.0})
+    channels.put(None, 20.0)
+    assert (channels.state, port.written) == ("stopped", {0: 1500.0, 1: 1500.0})
+
+
+ROWS = ", ".join(
+    f'{{name="{name}", driver="pwm", address={address}, y_m={y_m}, thrust_n=[-50.0, 50.0]}}'
+    for address, name, y_m in ((0, "starboard", 0.5), (3, "port", -0.5))
+)
+
+
+class Outlet:
+    """`delfim outlet` on a tree of files, and somebody who speaks to it."""
+
+    def __init__(self, place: Path, opened: contextlib.ExitStack) -> None:
+        self.chip = chip(place / "pwmchip0", 0, 3)
+        values = (f"thrusters=[{ROWS}]", f'pwm.chip="{self.chip}"', "pwm.arm_s=0.0", f'runtime.run_directory="{place}"')
+        self.beats, beat = os.pipe()
+        words = [word for value in values for word in ("--set", value)]
+        command = [sys.executable, "-m", "delfim", "outlet", str(ROOT / "etc/delfimx.toml"), *words, "--beat-fd", str(beat)]
+        self.process = subprocess.Popen(command, pass_fds=(beat,))
+        opened.callback(self.process.wait, PATIENCE_S)
+        opened.callback(self.process.terminate)
+        os.close(beat)
+        assert os.read(self.beats, 1) == b".", "it beats"
+        self.client = opened.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+        self.client.settimeout(PATIENCE_S)
+        self.client.connect(str(socket_path(str(place))))
+
+    def asked(self, counter: int) -> tuple[str, list[int]]:
+        """A command to run, the state that it answers, and the pulses then."""
+        self.client.send(told(counter))
+        return unpack_answer(self.client.recv(1000)).state, self.pulses()
+
+    def pulses(self) -> list[int]:
+        return [pulse_us(self.chip, each) for each in (0, 3)]
+
+    def stops(self) -> bool:
+        """Waits for neutral."""
+        deadline_s = time.monotonic() + PATIENCE_S
+        while self.pulses() != [1500, 1500]:
+            assert time.monotonic() < deadline_s
+            select.select([], [], [], 0.01)
+        return True
+
+
+@pytest.fixture
+def outlet(tmp_path: Path) -> Iterator[Outlet]:
+    with contextlib.ExitStack() as opened:
+        yield Outlet(tmp_path, opened)
+
+
+def test_a_command_is_a_pulse_and_silence_is_neutral(outlet: Outlet) -> None:
+    assert outlet.pulses() == [1500, 1500]
+    assert outlet.asked(1) == ("running", [1700, 1500])
+    assert outlet.stops()
+    assert outlet.asked(2) == ("running", [1700, 1500])
+
+
+def test_a_frozen_counter_is_silence(outlet: Outlet) -> None:
+    outlet.asked(1)
+    deadline_s = time.monotonic() + PATIENCE_S
+    while outlet.asked(1) != ("stopped", [1500, 1500]):
+        assert time.monotonic() < deadline_s
+    assert outlet.asked(2) == ("running", [1700, 1500])
+
+
+def test_the_end_of_the_connection_is_neutral(outlet: Outlet) -> None:
+    outlet.asked(1)
+    outlet.client.close()
+    assert outlet.stops()
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_signal_is_neutral(outlet: Outlet, number: int) -> None:
+    outlet.asked(1)
+    outlet.process.send_signal(number)
+    assert outlet.process.wait(PATIENCE_S) == 0
+    assert outlet.pulses() == [1500, 1500]
+
+
+def test_the_end_of_the_supervisor_is_neutral(outlet: Outlet) -> None:
+    outlet.asked(1)
+    os.close(outlet.beats)
+    assert outlet.process.wait(PATIENCE_S) == 0
+    assert outlet.pulses() == [1500, 1500]
+
+
+def test_what_nobody_understands_changes_nothing_and_more_clients_than_it_has_room_for_harm_nobody(outlet: Outlet) -> None:
+    outlet.asked(1)
+    with contextlib.ExitStack() as opened:
+        for _ in range(10):
+            other = opened.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
+            with contextlib.suppress(OSError):
+                other.connect(outlet.client.getpeername())
+                other.send(b"x" * 300)
+        assert outlet.asked(2) == ("running", [1700, 1500])
+    assert outlet.asked(3) == ("running", [1700, 1500])

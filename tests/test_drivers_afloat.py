@@ -1,0 +1,154 @@
+"""Each way to motors with the whole boat: commanded, limited, and stopped when the runtime hangs. The motors are played."""
+
+import contextlib
+import json
+import os
+import select
+import signal
+import socket
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Protocol
+
+import pytest
+
+from delfim.canproxy.opening import open_can
+from delfim.canproxy.socket import ANYTHING
+from delfim.console.link import Link
+from delfim.errors import DelfimError
+from tests.afloat import running
+from tests.services.test_outlet import chip, pulse_us
+from tests.vehicle.played_devices import PlayedSeat, PlayedVesc
+
+PATIENCE_S = 60.0
+ROWS = ", ".join(
+    f'{{name="{name}", driver="DRIVER", address={address}, y_m={y_m}, thrust_n=[-50.0, 50.0], rate_per_s=0.5, rpm_max=1500.0}}'
+    for address, name, y_m in ((0, "starboard", 0.5), (1, "port", -0.5))
+)
+
+
+class Motors(Protocol):
+    values: tuple[str, ...]  # of the vehicle's file
+
+    def efforts(self) -> tuple[float, float]: ...  # starboard and port, now
+    def stopped(self) -> bool: ...  # whether somebody told them so, and they did not only miss their commands
+
+
+class VescMotors:
+    def __init__(self, place: Path, opened: contextlib.ExitStack) -> None:
+        name = f"canloop:vesc-{os.getpid()}-{place.name[-8:]}"
+        self.values = (f'vesc.interface="{name}"',)
+        self._bus = opened.enter_context(open_can(name))
+        self._bus.bind(ANYTHING)
+        self._played = (PlayedVesc(0), PlayedVesc(1))
+
+    def efforts(self) -> tuple[float, float]:
+        while (frame := self._bus.receive()) is not None:
+            for each in self._played:
+                each.hear(frame.identifier, frame.data, time.monotonic())
+        starboard, port = (each.effort(time.monotonic()) for each in self._played)
+        return starboard, port
+
+    def stopped(self) -> bool:
+        return self.efforts() == (0.0, 0.0) and all(time.monotonic() - each.heard_s < each.timeout_s for each in self._played)
+
+
+class SeatMotors:
+    """A server as the boat's own computer is one. It takes two connections: the runtime's, and the supervisor's."""
+
+    def __init__(self, name: str, opened: contextlib.ExitStack, stop: str) -> None:
+        self._server = opened.enter_context(socket.create_server(("127.0.0.1", 0)))
+        self.values = (f'{name}.device="tcp:127.0.0.1:{self._server.getsockname()[1]}"',)
+        self._opened, self._ends, self._seat, self._stop = opened, list[socket.socket](), PlayedSeat(3.0), stop
+
+    def efforts(self) -> tuple[float, float]:
+        readable, _, _ = select.select([self._server, *self._ends], [], [], 0.01)
+        for each in readable:
+            if each is self._server:
+                self._ends.append(self._opened.enter_context(self._server.accept()[0]))
+            elif data := each.recv(4096):
+                self._seat.hear(data, time.monotonic())
+                each.sendall(self._seat.report())
+            else:
+                self._ends.remove(each)
+        return self._seat.efforts(time.monotonic())
+
+    def stopped(self) -> bool:
+        self.efforts()
+        return self._seat.said[-1] == self._stop and self.efforts() == (0.0, 0.0)
+
+
+class PwmMotors:
+    def __init__(self, place: Path) -> None:
+        self.place = chip(place / "pwmchip0", 0, 1)
+        self.values = (f'pwm.chip="{self.place}"', "pwm.arm_s=0.2")
+
+    def efforts(self) -> tuple[float, float]:
+        starboard, port = ((pulse_us(self.place, each) - 1500) / 400 for each in (0, 1))
+        return (0.0, 0.0) if starboard < -1.0 else (starboard, port)  # no pulses yet
+
+    def stopped(self) -> bool:
+        return self.efforts() == (0.0, 0.0)
+
+
+MOTORS: dict[str, Callable[[Path, contextlib.ExitStack], Motors]] = {
+    "vesc": VescMotors,
+    "otter": lambda place, opened: SeatMotors("otter", opened, "PMARABT"),
+    "heron": lambda place, opened: SeatMotors("heron", opened, "PYDIR"),
+    "pwm": lambda place, opened: PwmMotors(place),
+}
+
+
+@contextlib.contextmanager
+def afloat(tmp_path: Path, driver: str) -> Iterator[tuple[Motors, Path]]:
+    with contextlib.ExitStack() as opened:
+        motors = MOTORS[driver](tmp_path, opened)
+        values = (
+            f"thrusters=[{ROWS.replace('DRIVER', driver)}]",
+            'sysstat.required=["gps"]',
+            "mavlink.enabled=false",
+            *motors.values,
+        )
+        yield motors, opened.enter_context(running(tmp_path, 14550, *values))
+
+
+def sailed(motors: Motors, command: Path, *, until: tuple[float, float]) -> list[tuple[float, float]]:
+    """The efforts on the way to full ahead and full astern."""
+    seen, deadline_s = [motors.efforts()], time.monotonic() + PATIENCE_S
+    while seen[-1] != pytest.approx(until, abs=0.01):
+        assert time.monotonic() < deadline_s, seen[-1]
+        with contextlib.suppress(DelfimError), Link(command, PATIENCE_S) as link:  # it does not run yet, or is not fit yet
+            link.ask("manual", starboard=until[0], port=until[1])
+        seen.append(motors.efforts())
+    return seen
+
+
+def process(tmp_path: Path, name: str) -> int:
+    return int(json.loads((tmp_path / "supervisor.json").read_text())["programs"][name]["pid"])
+
+
+@pytest.mark.parametrize("driver", MOTORS)
+def test_motors_are_commanded_and_limited_and_stopped_by_the_dead_man(tmp_path: Path, driver: str) -> None:
+    with afloat(tmp_path, driver) as (motors, command):
+        seen = sailed(motors, command, until=(1.0, -1.0))
+        assert [each for each, _ in seen if 0.0 < each < 1.0], "two seconds from rest to full"
+        with Link(command, PATIENCE_S) as link:
+            state = link.ask("state")
+        assert state["counts"].get("propulsion_unsent", 0) < 20, "while its links came up"
+        os.kill(process(tmp_path, "runtime"), signal.SIGSTOP)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not motors.stopped():
+            assert time.monotonic() < deadline_s
+
+
+def test_pulses_stop_at_the_death_of_the_runtime_and_of_the_outlet_and_go_on_when_both_are_back(tmp_path: Path) -> None:
+    with afloat(tmp_path, "pwm") as (motors, command):
+        for name in ("runtime", "outlet"):
+            sailed(motors, command, until=(1.0, -1.0))
+            os.kill(process(tmp_path, name), signal.SIGKILL)
+            deadline_s = time.monotonic() + PATIENCE_S
+            while not motors.stopped():
+                assert time.monotonic() < deadline_s, name
+        sailed(motors, command, until=(0.5, 0.5))
+    assert motors.stopped(), "the end in order"

@@ -1,0 +1,107 @@
+"""Motors that are played, as their makers document them: no real one was at hand. Time is handed in."""
+
+import struct
+
+from pymavlink.dialects.v20 import ardupilotmega
+
+from delfim.nmea0183.framing import framed
+from delfim.nmea0183.proprietary import fields
+
+NEVER = -1e9
+VALUE = struct.Struct(">i")
+
+
+FULL = {0: 0.95e5, 1: 20e3, 3: 1500.0 * 7}  # of a VESC's commands, as the tests' vehicle's file says it
+
+
+class PlayedVesc:
+    """A controller: duty, current or speed, electrical; released when it hears nothing for its time-out."""
+
+    def __init__(self, controller: int, timeout_s: float = 0.5) -> None:
+        self.controller, self.timeout_s = controller, timeout_s
+        self.heard_s, self._effort = NEVER, 0.0
+
+    def hear(self, identifier: int, data: bytes, now_s: float) -> None:
+        kind, controller = identifier >> 8, identifier & 0xFF
+        if controller in (self.controller, 255) and kind in FULL and len(data) >= 4:
+            self.heard_s, self._effort = now_s, VALUE.unpack_from(data)[0] / FULL[kind]
+
+    def effort(self, now_s: float) -> float:
+        """Of full command."""
+        return self._effort if now_s - self.heard_s <= self.timeout_s else 0.0
+
+    def status(self, now_s: float) -> list[tuple[int, bytes]]:
+        """Status 1, 4 and 5: identifier, data. 31.4 degrees, 5.5 A out of the battery, 24.1 V."""
+        rpm, duty = round(self.effort(now_s) * 10_500), round(self.effort(now_s) * 950)
+        return [
+            (9 << 8 | self.controller, struct.pack(">ihh", rpm, 120, duty)),
+            (16 << 8 | self.controller, struct.pack(">hhhh", 314, -990, 55, 0)),
+            (27 << 8 | self.controller, struct.pack(">ihh", 4200, 241, 0)),
+        ]
+
+
+class PlayedSeat:
+    """An Otter or a Heron: it obeys PMARMAN for 3 s, and PYDIR for as long as it likes."""
+
+    def __init__(self, timeout_s: float) -> None:
+        self.timeout_s, self.refused, self.said = timeout_s, 0, list[str]()
+        self._heard_s, self._efforts, self._rest = NEVER, (0.0, 0.0), b""
+
+    def hear(self, data: bytes, now_s: float) -> None:
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        for line in lines:
+            told = fields(line)
+            if told is None:
+                self.refused += 1
+            elif told[0] == "PMARMAN":
+                surge, _, yaw = map(float, told[1:])
+                self._efforts = surge - yaw, surge + yaw
+            elif told[0] == "PYDIR":
+                port, starboard = map(float, told[1:])
+                self._efforts = starboard / 100.0, port / 100.0
+            elif told[0] == "PMARABT":
+                self._efforts = 0.0, 0.0
+            self.said += [told[0]] if told else []
+            self._heard_s = now_s
+
+    def efforts(self, now_s: float) -> tuple[float, float]:
+        """Starboard and port, of full."""
+        return self._efforts if now_s - self._heard_s <= self.timeout_s else (0.0, 0.0)
+
+    def report(self) -> bytes:
+        """What both boats say of their motors: 400 and -300 revolutions, 21 and 22 degrees, 15.2 V."""
+        return b"".join(
+            map(framed, ("PMAROTR,-300,400,22.0,21.0,50,60,110,2", "PMARMOD,M,87", "CPRBS,134213.686,1,15.2,15.1,15.3,0"))
+        )
+
+
+class PlayedRover:
+    """A board with ArduRover, armed and in MANUAL: it obeys its ground station 255 for 3 s, and mixes two sides."""
+
+    def __init__(self) -> None:
+        self.mode, self.armed, self.heartbeats = 0, True, 0
+        self._heard_s, self._efforts = NEVER, (0.0, 0.0)
+        self._parser, self._own = ardupilotmega.MAVLink(None), ardupilotmega.MAVLink(None, 1, 1)
+        self._parser.robust_parsing = True
+
+    def hear(self, data: bytes, now_s: float) -> None:
+        for message in self._parser.parse_buffer(data) or ():
+            if message.get_srcSystem() == 255 and message.get_type() == "MANUAL_CONTROL" and message.target == 1:
+                throttle, steering = message.z / 1000.0, message.y / 1000.0
+                self._heard_s, self._efforts = now_s, (throttle - steering, throttle + steering)
+            self.heartbeats += message.get_type() == "HEARTBEAT"
+
+    def efforts(self, now_s: float) -> tuple[float, float]:
+        """Starboard and port, of full."""
+        obeys = self.armed and self.mode == 0 and now_s - self._heard_s <= 3.0
+        return self._efforts if obeys else (0.0, 0.0)
+
+    def report(self) -> bytes:
+        """Heartbeat and battery: 15.2 V, 4.5 A."""
+        flags = 0x40 | (0x80 if self.armed else 0)
+        told = (
+            ardupilotmega.MAVLink_heartbeat_message(11, 3, flags, self.mode, 4, 3),
+            ardupilotmega.MAVLink_attitude_message(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+            ardupilotmega.MAVLink_sys_status_message(0, 0, 0, 0, 15_200, 450, 80, 0, 0, 0, 0, 0, 0),
+        )
+        return b"".join(each.pack(self._own) for each in told)
