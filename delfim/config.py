@@ -36,7 +36,9 @@ Interface = Annotated[
 ]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
 SourceName = Literal["dsor", "nmea2000"]  # files in delfim/vehicle/sources
-DriverName = Literal["dsor", "heron", "mavlink_front_seat", "otter", "pwm", "vesc"]  # files in delfim/vehicle/actuators
+DriverName = Literal[
+    "dronecan", "dsor", "heron", "mavlink_front_seat", "otter", "pwm", "vesc"
+]  # files in delfim/vehicle/actuators
 SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboard and a port side; all but dsor mix them
 SensorName = Literal["sysstat"]  # files in delfim/vehicle/sensors
 Place = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]  # m from the middle of the boat
@@ -59,6 +61,8 @@ PwmNumber = Annotated[str, text("([0-9]|1[0-5])", "0 to 15")]
 DsorNode = Annotated[int, msgspec.Meta(ge=0, le=126)]
 OTHER_NODES = (0x01, 0x02, 0x10, 0x11, 0x20, 0x21)  # of `messages.Node`
 PUSH_MIN = 0.1  # N and N·m: less is nothing
+ESC_MAX, TURNS_MAX = 20, 15  # motors, and what turns, of one DroneCAN command
+PROTOCOLS = {"can": "DSOR", "routing": "DSOR", "nmea2000": "NMEA 2000", "dronecan": "DroneCAN", "vesc": "VESC"}  # by tables
 TAKEN_VEHICLES = (0x40, 0xA0)  # commands to actuators, and reset, have these identifiers
 DsorVehicle = Annotated[int, msgspec.Meta(ge=0, le=0xF0, multiple_of=16)]
 BitRate = Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)]
@@ -223,6 +227,19 @@ class Dsor(Table, frozen=True):
     """The propellers of DelfimX, on the bus of the boat's own nodes: address 0 is the starboard one, 1 the port one."""
 
     rpm_max: Annotated[int, msgspec.Meta(ge=1, le=10_000)] = 1200  # at full command, ahead and astern
+
+
+class Dronecan(Table, frozen=True):
+    """Motor controllers and servos on a DroneCAN bus (docs/dronecan.md). A thruster's address is the index of its controller
+    (ESC_INDEX), that of what turns it the number of its actuator."""
+
+    interface: Interface = "can1"  # the bus of the motors
+    bitrate_bps: BitRate = 1_000_000  # of a Linux interface, as DroneCAN has it
+    node: Annotated[int, msgspec.Meta(ge=1, le=125)] = 10  # number of this computer; no device may have it
+    rate_hz: Annotated[float, msgspec.Meta(ge=10.0, le=100.0)] = 20.0  # commands a second; most controllers stop after 0.2 s
+    command: Literal["raw", "rpm"] = "raw"  # a part of full power, or revolutions: rpm_max of a thruster at full command
+    steer: Literal["unitless", "position"] = "unitless"  # servos get a part of angle_max_deg, -1 to 1, or the angle in rad
+    numbers: bool = True  # give devices that have no number one
 
 
 class PropulsionTable(Table, frozen=True):
@@ -917,6 +934,10 @@ def driver_fault(row: ThrusterTable, rows: Sequence[ThrusterTable]) -> str | Non
         return f"{row.driver} has address 0, starboard, and 1, port, and turns nothing"
     if row.driver in SIDES[1:] and sum(each.driver == row.driver for each in rows) != 2:
         return f"{row.driver} mixes two sides: it needs two thrusters, address 0 and 1"
+    if row.driver == "dronecan" and row.address >= ESC_MAX:
+        return f"dronecan has motors 0 to {ESC_MAX - 1}, and {row.address} is none of them"
+    if row.driver == "dronecan" and sum(each.driver == row.driver and each.steer is not None for each in rows) > TURNS_MAX:
+        return f"dronecan turns {TURNS_MAX} thrusters at most"
     if row.driver == "vesc" and row.steer is not None:
         return "a VESC turns its motor and nothing else: it cannot steer"
     channels = (row.address, 0 if row.steer is None else row.steer.address)
@@ -954,6 +975,7 @@ class Vehicle(Table, frozen=True):
     nmea2000: Nmea2000 = Nmea2000()
     propulsion: PropulsionTable = PropulsionTable()
     dsor: Dsor = Dsor()
+    dronecan: Dronecan = Dronecan()
     thrusters: Thrusters = DELFIMX
     pwm: Pwm = Pwm()
     vesc: Vesc = Vesc()
@@ -994,10 +1016,9 @@ class Vehicle(Table, frozen=True):
         if (fault := thrusters_fault(self.thrusters)) is not None:
             raise ValueError(f"thrusters: {fault}")
         for row in self.thrusters:
-            if row.driver == "vesc" and self.vesc.command == "rpm" and not row.rpm_max:
-                raise ValueError(
-                    f"thrusters: {row.name}: vesc.command is rpm: rpm_max must say the revolutions at full command"
-                )
+            if row.driver in ("dronecan", "vesc") and getattr(self, row.driver).command == "rpm" and not row.rpm_max:
+                words = f"{row.driver}.command is rpm: rpm_max must say the revolutions at full command"
+                raise ValueError(f"thrusters: {row.name}: {words}")
 
     def rpm_max(self, row: ThrusterTable) -> float:
         """Revolutions per minute of a thruster at full command; 0 where they are not known."""
@@ -1045,12 +1066,17 @@ def load(path: str | Path, overrides: Sequence[str] = ()) -> Vehicle:
 
 
 def _buses_apart(vehicle: Vehicle, file: str) -> None:
-    """A routed bus is one of its own. Raises ConfigError."""
+    """A bus carries one protocol, and a routed one is a bus of its own. Raises ConfigError."""
+    carried = dict[str, str]()  # by interface: the key that named it first
+    for key, interface in vehicle.outside("interface").items():
+        other = carried.setdefault(interface, key)
+        theirs, ours = (PROTOCOLS.get(part, part) for part in (each.partition(".")[0] for each in (other, key)))
+        if theirs != ours:
+            words = f"{interface} carries {theirs} ({other}) already, and this is {ours}; a bus carries one protocol, for the "
+            raise ConfigError(file, key, words + "identifiers of several overlap")
     for name, bus in vehicle.routing.buses.items():
         if bus.interface == vehicle.can.interface:
             raise ConfigError(file, f"routing.buses.{name}.interface", "this is can.interface: its nodes need no table")
-        if bus.interface == vehicle.nmea2000.interface and "nmea2000" in vehicle.navigation.sources:
-            raise ConfigError(file, f"routing.buses.{name}.interface", "this is the bus of NMEA 2000, which has other frames")
         if vehicle.can.node in bus.nodes:
             raise ConfigError(file, f"routing.buses.{name}.nodes", f"node {vehicle.can.node:#04x} is this computer's own")
 

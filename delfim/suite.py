@@ -77,6 +77,13 @@ SERVICES = (
     Service("slipd", "delfim.services.slipd:serve", when=lambda settings: settings.slipd.device),
     Service("canip", "delfim.services.canip:serve", when=lambda settings: settings.canip.enabled),
     Service("router", "delfim.services.router:serve", when=lambda settings: settings.routing.buses),
+    Service(
+        "numbering",
+        "delfim.services.numbering:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: "dronecan" in settings.drivers and settings.dronecan.numbers,
+    ),
     Service("httpd", "delfim.services.httpd:serve", late=True),
     Service("ftpd", "delfim.services.ftpd:serve", place="process", when=lambda settings: settings.ftpd.users),
     Service("sshd", "delfim.services.sshd:serve", place="process", when=lambda settings: settings.sshd.users, uvloop=False),

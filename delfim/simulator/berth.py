@@ -89,12 +89,12 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         return f"[{', '.join(_quoted(free(key, each)) for each in wanted)}]"
 
     bus = simulation.interface if "simulation.interface" in named else its.interface(simulation.interface)
-    sensors = bus if vehicle.nmea2000.interface == vehicle.can.interface else f"{bus}-nmea2000"
+    apart = ("nmea2000", *(name for name in vehicle.drivers if hasattr(getattr(vehicle, name), "interface")))
     boat_id = vehicle.boat.id if "boat.id" in named else (vehicle.boat.id + its.number - 2) % 249 + 1
     page = free("simulation.httpd", simulation.httpd)
     texts = {
         "can.interface": bus,
-        **({"nmea2000.interface": sensors} if bus.startswith("canloop:") else {}),
+        **{f"{name}.interface": f"{bus}-{name}" for name in apart if bus.startswith("canloop:")},
         **{f"routing.buses.{name}.interface": f"{bus}-{name}" for name in vehicle.routing.buses if bus.startswith("canloop:")},
         "console.socket": f"{place}/command",
         "log.directory": f"{place}/log",

@@ -183,7 +183,7 @@ def test_no_more_frames_go_on_than_the_table_allows() -> None:
         (['routing.buses.a={interface="can2", nodes=[]}'], r"routing\.buses\.a\.nodes"),
         (['routing.buses={a={interface="can2", nodes=[1]}, b={interface="can3", nodes=[1]}}'], "node 0x01 is named twice"),
         (['routing.buses={a={interface="can2", nodes=[1]}, b={interface="can2", nodes=[2]}}'], "can2 is named twice"),
-        (['navigation.sources=["nmea2000"]', 'routing.buses.a={interface="can1", nodes=[1]}'], "the bus of NMEA 2000"),
+        (['navigation.sources=["nmea2000"]', 'routing.buses.a={interface="can1", nodes=[1]}'], "can1 carries NMEA 2000"),
     ],
 )
 def test_tables_that_mean_nothing_are_refused(words: list[str], reason: str) -> None:
