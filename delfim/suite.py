@@ -178,6 +178,7 @@ def supervise(
         supervisor = Supervisor(
             programs,
             stop=stop,
+            calm=stop.close,
             deadman_s=limits.deadman_s,
             backoff_s=limits.backoff_s,
             backoff_max_s=limits.backoff_max_s,

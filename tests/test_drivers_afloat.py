@@ -13,10 +13,12 @@ from typing import Protocol
 
 import pytest
 
+from delfim import config
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
 from delfim.console.link import Link
 from delfim.errors import DelfimError
+from delfim.services.stop import PropellerStop
 from tests.afloat import running
 from tests.services.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedSeat, PlayedVesc
@@ -60,23 +62,30 @@ class SeatMotors:
     def __init__(self, name: str, opened: contextlib.ExitStack, stop: str) -> None:
         self._server = opened.enter_context(socket.create_server(("127.0.0.1", 0)))
         self.values = (f'{name}.device="tcp:127.0.0.1:{self._server.getsockname()[1]}"',)
-        self._opened, self._ends, self._seat, self._stop = opened, list[socket.socket](), PlayedSeat(3.0), stop
+        self._opened, self.present, self._seat, self._stop = opened, list[socket.socket](), PlayedSeat(3.0), stop
+        self.connections = 0
 
     def efforts(self) -> tuple[float, float]:
-        readable, _, _ = select.select([self._server, *self._ends], [], [], 0.01)
+        readable, _, _ = select.select([self._server, *self.present], [], [], 0.01)
         for each in readable:
             if each is self._server:
-                self._ends.append(self._opened.enter_context(self._server.accept()[0]))
-            elif data := each.recv(4096):
+                self.connections += 1
+                self.present.append(self._opened.enter_context(self._server.accept()[0]))
+                continue
+            try:
+                data = each.recv(4096)
+            except ConnectionResetError:  # it left without reading what it was told
+                data = b""
+            if data:
                 self._seat.hear(data, time.monotonic())
                 each.sendall(self._seat.report())
             else:
-                self._ends.remove(each)
+                self.present.remove(each)
         return self._seat.efforts(time.monotonic())
 
     def stopped(self) -> bool:
         self.efforts()
-        return self._seat.said[-1] == self._stop and self.efforts() == (0.0, 0.0)
+        return self._seat.said[-1:] == [self._stop] and self.efforts() == (0.0, 0.0)
 
 
 class PwmMotors:
@@ -152,3 +161,26 @@ def test_pulses_stop_at_the_death_of_the_runtime_and_of_the_outlet_and_go_on_whe
                 assert time.monotonic() < deadline_s, name
         sailed(motors, command, until=(0.5, 0.5))
     assert motors.stopped(), "the end in order"
+
+
+def test_the_connection_of_a_stop_ends_with_it() -> None:
+    """A boat's own computer that nobody reads would wait for us; and the next stop needs a connection again."""
+    with contextlib.ExitStack() as opened:
+        motors = SeatMotors("otter", opened, "PMARABT")
+        rows = tuple(
+            config.ThrusterTable(name=name, driver="otter", address=address, y_m=0.5 - address, thrust_n=(-50.0, 50.0))
+            for address, name in enumerate(("starboard", "port"))
+        )
+        device = motors.values[0].partition("=")[2].strip('"')
+        boat = config.Vehicle(boat=config.BoatTable(name="test"), thrusters=rows, otter=config.OtterTable(device=device))
+        with contextlib.closing(PropellerStop(boat)) as stop:
+            for connections in (1, 2):
+                stop()
+                stop()
+                deadline_s = time.monotonic() + PATIENCE_S
+                while not motors.stopped() or motors.connections < connections:
+                    assert time.monotonic() < deadline_s
+                stop.close()
+                while motors.present:
+                    motors.efforts()
+                    assert time.monotonic() < deadline_s

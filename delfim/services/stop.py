@@ -54,10 +54,13 @@ class PropellerStop:
             self._bus.sendto(told, CanAddress(SHUTDOWN_ACKNOWLEDGE))
 
     def close(self) -> None:
+        """Close everything, until the next stop: a front seat whose words nobody reads would wait for us."""
         for _, links in self._opened.values():
             links.close()
+        self._opened.clear()
         if self._bus is not None:
             self._bus.close()
+            self._bus = None
 
     def _open(self, name: str) -> tuple[Actuator, contextlib.ExitStack]:
         with contextlib.ExitStack() as opening:

@@ -61,6 +61,7 @@ class Supervisor:
     """`run_forever` does it all.
 
     stop: sends frames that stop the propellers; its exceptions are logged, and the rest goes on.
+    calm: called when the runtime beats again after stops: what they opened can be closed.
     state_file: JSON for the other programs, replaced at each change.
     watchdog: device, "" for none; if it does not exist there is none.
     requests: UNIX socket for "off REASON" and the like; None for none.
@@ -74,6 +75,7 @@ class Supervisor:
         programs: Sequence[Supervised],
         *,
         stop: Callable[[], None],
+        calm: Callable[[], None] = lambda: None,
         deadman_s: float,
         backoff_s: float,
         backoff_max_s: float,
@@ -84,7 +86,7 @@ class Supervisor:
     ) -> None:
         self._children = [Child(program) for program in sorted(programs, key=lambda program: not program.critical)]
         self._critical = next((child for child in self._children if child.program.critical), None)
-        self._stop, self._stop_error = stop, ""
+        self._stop, self._calm, self._stop_error = stop, calm, ""
         self._deadman_s, self._backoff_s, self._backoff_max_s = deadman_s, backoff_s, backoff_max_s
         self._state_file = state_file
         self._watchdog = Watchdog(watchdog)
@@ -311,8 +313,9 @@ class Supervisor:
         if child.is_silent and child.beat_s is not None:
             self._noted(child, f"did not answer for {now_s - child.beat_s:.1f} s", is_silent=False)
         child.beat_s = now_s
-        if child.program.critical:
+        if child.program.critical and self._stop_due_s is not None:
             self._stop_due_s = None
+            self._calm()
 
     def _end(self) -> None:
         """In order and bounded: the critical program first, which stops the propellers itself; then they are stopped again."""

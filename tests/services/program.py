@@ -38,7 +38,7 @@ def supervise(text: str) -> int:
 
     programs = [children.Supervised(name, tuple(argv), *kinds) for name, argv, *kinds in told.pop("programs")]
     files = {name: Path(told.pop(name)) for name in ("state_file", "requests")}
-    supervising = supervisor.Supervisor(programs, stop=stop, **files, **told)
+    supervising = supervisor.Supervisor(programs, stop=stop, calm=lambda: note(record, "bus", "calm"), **files, **told)
     code = supervising.run_forever()
     print(f"ended by {supervising.word!r}, {supervising.reason!r}", file=sys.stderr)
     return code

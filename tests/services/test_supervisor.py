@@ -135,6 +135,8 @@ def test_a_stalled_runtime_is_stopped_killed_and_started_again(suite: Suite, how
     until(lambda: len(suite.events("runtime", "beat")) == 2)
     stall, stops = suite.events("runtime", "stall")[0], suite.events("bus", "stop")
     again = suite.events("runtime", "start")[1]
+    until(lambda: suite.events("bus", "calm"))
+    assert suite.events("bus", "calm")[0].at_s > again.at_s, "what stops the propellers is kept until the next one beats"
     assert stall.at_s < stops[0].at_s < again.at_s, "stopped before anything else is done"
     runtime, deadman = suite.state()["programs"]["runtime"], suite.state()["deadman"]
     assert runtime["restarts"] >= 1
