@@ -26,6 +26,8 @@ Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 Metres = Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)]
 Speed = Annotated[float, msgspec.Meta(gt=0.0, le=30.0)]  # m/s
 Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1e4)]
+StickPulse = Annotated[float, msgspec.Meta(ge=800.0, le=2200.0)]  # us, of a channel of a hand-set
+STICK_US = 100.0  # the least way of a stick to either side
 Nice = Annotated[int, msgspec.Meta(ge=-20, le=19)]
 Interface = Annotated[
     str,
@@ -503,6 +505,13 @@ class GnssPoor(Trouble, frozen=True):
     manual: ModeAction = "warn"
 
 
+class HandsetSilent(Silence, frozen=True):
+    """Nothing new from the hand-set that the file names. In manual mode by hand-set its thrust ends at once."""
+
+    after_s: Seconds = 1.0  # age of the last
+    action: ActionName = "warn"
+
+
 class LogNotWritable(Trouble, frozen=True):
     """The state log is not being written."""
 
@@ -527,6 +536,7 @@ class Failsafe(Table, frozen=True):
     fence: FenceNear = FenceNear()
     thruster: ThrusterAstray = ThrusterAstray()
     gnss_poor: GnssPoor = GnssPoor()
+    handset_silent: HandsetSilent = HandsetSilent()
     log: LogNotWritable = LogNotWritable()
 
 
@@ -572,6 +582,51 @@ class ClockTable(Table, frozen=True):
     """The computer's clock: set in idle, kept right under way."""
 
     set: Literal["auto", "never"] = "auto"  # auto: by this program, unless another one keeps it or the bus is simulated
+
+
+class Stick(Table, frozen=True):
+    """A stick of the hand-set: its channel, and the pulses of its middle and its ends."""
+
+    channel: Annotated[int, msgspec.Meta(ge=1, le=16)]  # of the receiver
+    low_us: StickPulse = 988.0  # astern, or to port
+    middle_us: StickPulse = 1500.0  # at rest
+    high_us: StickPulse = 2012.0  # ahead, or to starboard
+    reversed: bool = False  # the two ends exchanged
+
+    def __post_init__(self) -> None:
+        if not self.low_us + STICK_US <= self.middle_us <= self.high_us - STICK_US:
+            raise ValueError(f"low_us, middle_us, high_us rise by {STICK_US:g} us or more; reversed exchanges the ends")
+
+
+class Switch(Table, frozen=True):
+    """A switch of the hand-set."""
+
+    channel: Annotated[int, msgspec.Meta(ge=0, le=16)] = 0  # of the receiver; 0: there is no such switch
+    on: Literal["high", "low"] = "high"  # the position that means yes: above 1700 us, or below 1300 us
+
+
+class HandsetTable(Table, frozen=True):
+    """The hand-set of a radio control: it takes the boat from every console (docs/handset.md)."""
+
+    device: Annotated[str, text("(/dev/[^ ]+)?", "/dev/NAME, or empty")] = ""  # serial port of its receiver; empty: no hand-set
+    protocol: Literal["crsf", "sbus"] = "crsf"  # of the receiver; crsf is ExpressLRS and TBS Crossfire
+    baud: Annotated[int, msgspec.Meta(ge=0, le=4_000_000)] = 0  # of the port; 0: the protocol's own, 420,000 or 100,000
+    throttle: Stick = Stick(channel=3)
+    steer: Stick = Stick(channel=1)
+    take: Switch = Switch(channel=5)  # on: the hand-set has the boat
+    kill: Switch = Switch()  # on: the boat is killed
+    neutral: Annotated[float, msgspec.Meta(gt=0.0, le=0.3)] = 0.05  # part of a stick's way around its middle that is no thrust
+    silent_s: Annotated[float, msgspec.Meta(ge=0.1, le=5.0)] = 0.5  # a receiver silent for longer is lost
+    mandatory: bool = False  # the boat is killed while the hand-set is lost
+
+    def __post_init__(self) -> None:
+        if not self.take.channel:
+            raise ValueError("take.channel: a hand-set needs a switch that takes the boat")
+        used = [each.channel for each in (self.throttle, self.steer, self.take, self.kill) if each.channel]
+        if len(set(used)) < len(used):
+            raise ValueError("throttle, steer, take and kill are on channels of their own")
+        if self.mandatory and not self.device:
+            raise ValueError("mandatory: name the device of the hand-set")
 
 
 class Sensors(Table, frozen=True):
@@ -991,6 +1046,7 @@ class Vehicle(Table, frozen=True):
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
     mavlink: Mavlink = Mavlink()
+    handset: HandsetTable = HandsetTable()
     guest: GuestTable = GuestTable()
     cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()
@@ -1036,7 +1092,7 @@ class Vehicle(Table, frozen=True):
 
     def _parts(self) -> dict[str, Table | None]:
         """The tables of the boat's nodes and parts, by their names in the file."""
-        names = ("can", *self.navigation.sources, *self.sensors.names, *self.drivers)
+        names = ("can", "handset", *self.navigation.sources, *self.sensors.names, *self.drivers)
         routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
         return {name: getattr(self, name, None) for name in names} | routed
 

@@ -27,7 +27,7 @@ CLASS = '''class FewSatellites(Trouble, frozen=True):
 def test_a_new_trigger_fires_and_its_reason_is_on_the_state_and_the_boat_does_what_the_table_says(tmp_path):
     copy = Enlarged(tmp_path / "copy")
     copy.row("delfim/vehicle/troubles.py", "class Trigger(IntEnum):", SEES)
-    copy.row("delfim/vehicle/troubles.py", "    LOG = 12, log\n", "    FEW_SATELLITES = 14, few_satellites\n")
+    copy.row("delfim/vehicle/troubles.py", "    LOG = 12, log\n", "    FEW_SATELLITES = 16, few_satellites\n")
     copy.row("delfim/config.py", "class Failsafe(Table, frozen=True):", CLASS)
     copy.row(
         "delfim/config.py",

@@ -16,6 +16,7 @@ from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.clock import ManualClock
 from delfim.frames import Frame
 from delfim.messages import BatteriesStatus, Fault, Navigation, Node, PropellerCommand, PropellerStatus, Status
+from delfim.serialline import Form
 from delfim.simulator.line import LockstepLine
 from delfim.slices import SLICE, Sliced
 from delfim.vehicle import fence
@@ -63,8 +64,12 @@ class Boat:
             return self.sockets[-1]
 
         self.nodes, self.lines = self.sockets[0], dict[str, LockstepLine]()
-        links = Links(open_bus, lambda device, _: self.lines.setdefault(device, LockstepLine(self.clock)))
-        self.vehicle, (self.sensor,), self.outlets = build(settings, self.clock, self.state, links, self.log)
+
+        def open_line(device: str, baud: int, form: Form = "8N1") -> LockstepLine:
+            return self.lines.setdefault(device, LockstepLine(self.clock))
+
+        links = Links(open_bus, open_line)
+        self.vehicle, (self.sensor, *_), self.hands, self.outlets = build(settings, self.clock, self.state, links, self.log)
         self.guest, (self.source,) = self.vehicle.guest, self.vehicle.sources
         self._number = 0
 
@@ -132,7 +137,15 @@ class Boat:
                 self.navigate()
             if tick % 10 == 0:
                 self.report()
+            self.attend()
             self.vehicle.on_watchdog()
+
+    def attend(self) -> None:
+        """The operators aboard are read, and their orders carried out."""
+        for hand in self.hands:
+            self.vehicle.on_sensor(hand)
+            for order in hand.orders(self.state, self.clock.monotonic_s()):
+                self.vehicle.on_command(order, hand.name)
 
 
 @pytest.fixture

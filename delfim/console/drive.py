@@ -41,6 +41,8 @@ WORDS: dict[str, Word] = {
     "state": Word("show the state"),
     "checks": Word("show the checks before the start"),
     "stop": Word("idle, propellers off"),
+    "kill": Word("idle, propellers off, and every mode refused until the kill is cleared"),
+    "clear": Word("end a kill; every switch that says kill must be released before"),
     "manual": Word("thrust of each propeller, -1 to 1", ("starboard", "port")),
     "heading": Word("hold a true heading", ("heading_deg",), ("speed_mps",)),
     "course": Word("steer a true course over ground, in a current too", ("course_deg",), ("speed_mps",)),

@@ -119,6 +119,14 @@ def _reset(n: Numbers) -> CommandLong:
     return CommandLong(mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, (0.0, 0.0, 1.0, n.get("component", 0.0)))
 
 
+def _kill(n: Numbers) -> CommandLong:
+    return CommandLong(mavlink.MAV_CMD_DO_FLIGHTTERMINATION, (1.0,))
+
+
+def _clear(n: Numbers) -> CommandLong:
+    return CommandLong(mavlink.MAV_CMD_DO_FLIGHTTERMINATION, (0.0,))
+
+
 def _take(n: Numbers) -> CommandLong:
     return CommandLong(REQUEST_CONTROL, (0.0, 1.0, 1.0))
 
@@ -136,6 +144,8 @@ ORDERS: Final[dict[str, OrderRow]] = {
     "arm": OrderRow(_arm),
     "disarm": OrderRow(_disarm, "idle"),
     "reset": OrderRow(_reset, takes=("component",), title="Reset the peripherals", key="R"),
+    "kill": OrderRow(_kill, "idle", title="Kill: idle until it is cleared"),
+    "clear": OrderRow(_clear, title="Clear the kill"),
     "take": OrderRow(_take),
 }
 OFFERED: Final = [{"command": word, "title": row.title, "key": row.key} for word, row in ORDERS.items() if row.title or row.key]

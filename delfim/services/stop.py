@@ -10,7 +10,7 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import SystemClock
 from delfim.errors import DelfimError, in_words
 from delfim.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
-from delfim.serialline import SerialLine
+from delfim.serialline import Form, SerialLine
 from delfim.vehicle import actuators
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.links import Links
@@ -68,7 +68,7 @@ class PropellerStop:
             def bus(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
                 return opening.enter_context(open_bound(self._settings.can, interface, filters))
 
-            def line(device: str, baud: int) -> SerialLine:
-                return opening.enter_context(contextlib.closing(SerialLine(device, baud, SystemClock())))
+            def line(device: str, baud: int, form: Form = "8N1") -> SerialLine:
+                return opening.enter_context(contextlib.closing(SerialLine(device, baud, SystemClock(), form=form)))
 
             return actuators.open_actuator(name, self._settings, Links(bus, line)), opening.pop_all()

@@ -7,6 +7,7 @@ import contextlib
 import logging
 import os
 import socket
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Protocol
@@ -18,7 +19,7 @@ from delfim.clock import Clock
 from delfim.errors import ConfigError, DelfimError
 from delfim.logging.linelog import LineLog
 from delfim.messages import time_frame
-from delfim.serialline import SerialLine
+from delfim.serialline import Form, SerialLine
 from delfim.services import kernelclock, powerd, slots
 from delfim.services.clockkeeping import ClockKeeping
 from delfim.services.guestdoor import GuestDoor
@@ -28,6 +29,7 @@ from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Commands, ShutDown
 from delfim.vehicle.grex import Guest
+from delfim.vehicle.hands import Hand
 from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.loop import LOCAL, VehicleLoop
@@ -37,6 +39,7 @@ from delfim.vehicle.reviews import Reviews
 from delfim.vehicle.state import StartConditions, State, StateLog
 
 WATCHDOG_S = 0.1
+HAND_S = 0.02  # a hand-set is read at most this often: two or three of its frames at once
 PUBLISH_EVERY = 2  # watchdog ticks
 MEASURE_EVERY = 5
 MAINTAIN_EVERY = 10
@@ -66,10 +69,10 @@ class OpenedLinks:
         self._inputs.append(socket)
         return socket
 
-    def line(self, device: str, baud: int) -> SerialLine:
+    def line(self, device: str, baud: int, form: Form = "8N1") -> SerialLine:
         log = LineLog(device, self._runtime.config.log, self._runtime.clock)
         self._links.callback(log.close)
-        line = SerialLine(device, baud, self._runtime.clock, log.heard)
+        line = SerialLine(device, baud, self._runtime.clock, log.heard, form=form)
         self._links.callback(line.close)
         self._links.enter_context(self._runtime.publishing(log.id, lambda: {"trouble": line.trouble} | log.report()))
         self._inputs.append(line)
@@ -101,7 +104,7 @@ async def serve(runtime: Runtime) -> None:
         record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
 
         opened = OpenedLinks(runtime, links)
-        boat, inputs, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
+        boat, inputs, hands, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
         links.callback(boat.helm.stop, "shutdown")  # undone first of all
         for source in boat.sources:
             links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))
@@ -114,22 +117,22 @@ async def serve(runtime: Runtime) -> None:
         if mirror := next(filter(None, (outlet.mirror() for outlet in outlets)), None):
             runtime.rehearsal(Rehearsal(boat, outlets, mirror))
             links.callback(runtime.rehearsal, None)
-        for each in inputs:
+        for each in set(inputs).difference(hands):
             links.enter_context(runtime.reading(each.input.fileno(), partial(boat.on_sensor, each)))
-        await _attend(runtime, boat, log, opened, links, broken)
+        await _attend(runtime, boat, hands, log, opened, links, broken)
 
 
 async def _attend(
     runtime: Runtime,
     boat: VehicleLoop,
+    hands: tuple[Hand, ...],
     log: Logbook,
     opened: OpenedLinks,
     links: contextlib.ExitStack,
     broken: Breakable | None,
 ) -> None:
     """Console and guest served, the watchdog stroked, until the service is cancelled."""
-    settings, loop = runtime.config, asyncio.get_running_loop()
-    figures = dict[str, object]()
+    settings, figures = runtime.config, dict[str, object]()
 
     def measure() -> None:  # not for each answer, which would be a long callback
         figures.update({name: report() for name, report in runtime.board.items() if name not in runtime.status})
@@ -139,7 +142,8 @@ async def _attend(
         return boat.snapshot({"boat": settings.boat.name, "log": log.status()._asdict(), **figures})
 
     def obeyed(command: Commands, operator: str = LOCAL) -> str | None:
-        refused = (broken.deaf if broken else None) or boat.on_command(command, operator)
+        deaf = broken.deaf if broken and operator not in aboard else None
+        refused = deaf or boat.on_command(command, operator)
         reviews.hear(command, operator)
         if isinstance(command, ShutDown) and refused is None:
             powerd.ask(runtime, "reboot" if command.reboot else "off", "command of the console")
@@ -147,19 +151,19 @@ async def _attend(
         return refused
 
     mavlink = runtime.load("delfim.vehicle.mavlink.stationsocket") if settings.mavlink.enabled else None
-    reviews = Reviews(boat, obeyed, loop)
+    reviews, aboard = Reviews(boat, obeyed, asyncio.get_running_loop()), {hand.name for hand in hands}
     commands = CommandServer(obeyed, reviews, snapshot, settings.console.clients)
-    links.callback(commands.close)
-    links.callback((await loop.create_unix_server(commands.connection, _socket_path(settings.console.socket))).close)
-    os.chmod(settings.console.socket, 0o660)
+    await _serve_console(commands, settings.console.socket, links)
     if settings.guest.enabled:
         await _serve_guest(boat, settings.guest, links)
+    attend = _attended(runtime, boat, hands, obeyed, links)
     measure()
     ticks, computer, keeping = 0, boat.state.computer, _clock_keeping(runtime, opened, log)
     while True:
         await asyncio.sleep(WATCHDOG_S)
         ticks += 1
         computer = computer._replace(is_starting=runtime.is_starting())
+        attend()
         boat.on_watchdog(computer)
         log.watch(boat.state)
         opened.write()
@@ -178,6 +182,29 @@ async def _attend(
             image = slots.present_notice(settings.runtime.run_directory) if computer.image else ""  # until somebody confirms it
             computer = computer._replace(image=image, clock=keeping.look(boat.state))
             opened.maintain()
+
+
+def _attended(
+    runtime: Runtime,
+    boat: VehicleLoop,
+    hands: tuple[Hand, ...],
+    obey: Callable[[Commands, str], object],
+    links: contextlib.ExitStack,
+) -> Callable[[], None]:
+    """Operators aboard are heard when they speak; call this ten times a second, for their silence is an order, too."""
+
+    def attend(hand: Hand) -> None:
+        boat.on_sensor(hand)
+        for order in hand.orders(boat.state, runtime.clock.monotonic_s()):
+            obey(order, hand.name)
+
+    def attend_all() -> None:
+        for hand in hands:
+            attend(hand)
+
+    for hand in hands:
+        links.enter_context(runtime.reading(hand.input.fileno(), partial(attend, hand), HAND_S))
+    return attend_all
 
 
 def _clock_keeping(runtime: Runtime, opened: OpenedLinks, log: Logbook) -> ClockKeeping:
@@ -224,6 +251,12 @@ def _last_shutdown(directory: Path, links: contextlib.ExitStack) -> str:
 
     links.callback(ended)
     return "the last run did not end in order: it crashed, or the power was cut" if unclean else ""
+
+
+async def _serve_console(commands: CommandServer, path: str, links: contextlib.ExitStack) -> None:
+    links.callback(commands.close)
+    links.callback((await asyncio.get_running_loop().create_unix_server(commands.connection, _socket_path(path))).close)
+    os.chmod(path, 0o660)
 
 
 async def _serve_guest(boat: VehicleLoop, table: config.GuestTable, links: contextlib.ExitStack) -> None:

@@ -10,6 +10,7 @@ from typing import Final
 from delfim import config
 from delfim.clock import ManualClock
 from delfim.modes import Mode
+from delfim.serialline import Form
 from delfim.simulator.faults import Breakage, Faults, FaultyLog
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
@@ -44,12 +45,12 @@ class Lockstep:
         record_to = FaultyLog(self.log, self.faults)
         self.lines = dict[str, LockstepLine]()  # by device
         links = Links(lambda _, filters: bus.bound(*filters), self._line)
-        self.vehicle, self._inputs, _ = build(settings, self.clock, self.state, links, record_to)
+        self.vehicle, self._inputs, self._hands, _ = build(settings, self.clock, self.state, links, record_to)
         self.guest = self.vehicle.guest
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
 
-    def _line(self, device: str, baud: int) -> LockstepLine:
+    def _line(self, device: str, baud: int, form: Form = "8N1") -> LockstepLine:
         return self.lines.setdefault(device, LockstepLine(self.clock))
 
     def close(self) -> None:
@@ -90,6 +91,9 @@ class Lockstep:
                 vehicle.on_navigation(source)
         for each in self._inputs:
             vehicle.on_sensor(each)
+        for hand in self._hands:
+            for order in hand.orders(self.state, now_s):
+                vehicle.on_command(order, hand.name)
         if now_s >= self._console_s and "console_lost" not in faults.on:
             self._console_s = now_s + CONSOLE_S
             vehicle.on_command(_ALIVE)

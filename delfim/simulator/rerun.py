@@ -31,12 +31,13 @@ from delfim.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
 )
+from delfim.serialline import Form
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
-from delfim.vehicle.loop import REPEAT_S
+from delfim.vehicle.loop import LOCAL, REPEAT_S
 from delfim.vehicle.state import NoLog, State
 
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
@@ -134,7 +135,7 @@ class Rerun:
         self._heard = self._bus(self._interface).socket("onlooker")
         self._heard.bind(*(CanAddress(arb) for arb in COMMANDS))
         links = Links(self._open_bus, self._open_line)
-        self.vehicle, self._reports, _ = build(settings, self.clock, self.state, links, self.log)
+        self.vehicle, self._reports, *_ = build(settings, self.clock, self.state, links, self.log)
         self._heard_ns = first_ns - round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
         self._inputs = deque[BusInput]()
         self.recorded = deque[tuple[int, Group]]()
@@ -150,7 +151,7 @@ class Rerun:
     def _open_bus(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
         return self._bus(device(interface)).bound(*filters)
 
-    def _open_line(self, name: str, baud: int) -> LockstepLine:
+    def _open_line(self, name: str, baud: int, form: Form = "8N1") -> LockstepLine:
         return self._lines.setdefault(device(name), LockstepLine(self.clock))
 
     def _split(self, recorded: Iterable[BusInput]) -> None:
@@ -244,7 +245,8 @@ class Rerun:
     def _command(self, due: Due) -> None:
         event = due.what
         self.log.why = event["refused"]
-        refused = self.vehicle.on_command(console.parse(msgspec.json.encode(event["value"]))) or ""
+        command = console.parse(msgspec.json.encode(event["value"]))
+        refused = self.vehicle.on_command(command, event.get("operator", LOCAL)) or ""
         self.log.why = ""
         if bool(refused) != bool(event["refused"]) and self._span.has(due.t_ns):
             name = event["value"]["command"]

@@ -13,6 +13,7 @@ from delfim import config, tables
 from delfim.errors import ConfigError, FormatError, in_words
 from delfim.outside import parse_toml, read_text
 from delfim.simulator.faults import Breakage, fault
+from delfim.simulator.handset import HandsetAt
 from delfim.vehicle import console
 
 DAY_S: Final = 86_400.0
@@ -65,6 +66,7 @@ class Scenario(tables.Table, frozen=True):
     guest: ScenarioGuest | None = None
     command: tuple[dict[str, Any], ...] = ()  # the operator's commands with `at_s`, and `held_s` or `refused` (class Order)
     fault: tuple[FaultAt, ...] = ()
+    handset: tuple[HandsetAt, ...] = ()  # of the boat's hand-set, which `vehicle.handset` then describes
     expect: tuple[Expect, ...] = ()
 
 

@@ -14,6 +14,7 @@ import msgspec
 from delfim import config
 from delfim.clock import ManualClock
 from delfim.modes import Mode
+from delfim.simulator.handset import SimulatedReceiver
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, mission_of, settings_of
 from delfim.simulator.watch import TURNS_RPM, Onlooker
@@ -99,6 +100,8 @@ def sail(
     run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()))
     watch, recorder, operator = Onlooker(run), Recorder(run), Operator(run, scenario, mission, patient)
     broken = deque(sorted(((each.at_s, fault_of(each)) for each in scenario.fault), key=lambda pair: pair[0]))
+    line = run.lines.get(settings.handset.device)
+    receiver = SimulatedReceiver(settings.handset, scenario.handset, line) if line else None
     guest_s = 0.0
     for _ in run.cycles(scenario.seconds):
         while broken and broken[0][0] <= run.elapsed_s:
@@ -109,6 +112,8 @@ def sail(
             guest_s = run.elapsed_s + GUEST_S
             run.guest_says(msgspec.json.encode(scenario.guest))
         operator.speak(recorder)
+        if receiver is not None:
+            receiver.speak(run.elapsed_s)
         watch.look()
         recorder.look()
         if any(expected.waypoints for expected in scenario.expect):

@@ -9,6 +9,8 @@ from delfim.clock import Clock
 from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
+from delfim.vehicle.hands import Hand
+from delfim.vehicle.handset import open_handset
 from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import open_sources
@@ -22,6 +24,7 @@ class Built(NamedTuple):
 
     vehicle: VehicleLoop
     inputs: tuple[LoopInput, ...]  # sensors, and reports of actuators; readable: `vehicle.on_sensor`
+    hands: tuple[Hand, ...]  # operators aboard, who are among the inputs: their orders go to `vehicle.on_command`
     outlets: tuple[CanSocket, ...]  # of the actuators
 
 
@@ -35,6 +38,7 @@ def build(
 ) -> Built:
     """The vehicle of this file. Its sources are `vehicle.sources`. Raises DelfimError where an input cannot be opened."""
     sources = open_sources(settings, links, state)
+    hands: tuple[Hand, ...] = (open_handset(settings.handset, links),) if settings.handset.device else ()
     sensors = open_sensors(settings, links)
     outlets = list[CanSocket]()
 
@@ -47,4 +51,4 @@ def build(
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), GateLimits(settings.thrusters), state)
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
     reports = tuple(each for actuator in actuators for each in actuator.inputs)
-    return Built(vehicle, (*sensors, *reports), tuple(outlets))
+    return Built(vehicle, (*sensors, *hands, *reports), hands, tuple(outlets))

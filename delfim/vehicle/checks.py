@@ -5,13 +5,14 @@ The one door uses the same lines: it does not refuse a boat that the page shows 
 
 from typing import NamedTuple
 
+from delfim import config
 from delfim.modes import Mode
 from delfim.vehicle import gnss
 from delfim.vehicle.failsafe import Action, Rules
 from delfim.vehicle.fence import outside
 from delfim.vehicle.sensors import sysstat
-from delfim.vehicle.state import State
-from delfim.vehicle.troubles import Inputs, Trigger, charge
+from delfim.vehicle.state import HANDSET, State
+from delfim.vehicle.troubles import Inputs, Trigger, charge, handset_missed
 
 EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
 HEARD_S = 5.0  # a console silent for longer counts as lost
@@ -38,10 +39,12 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
     critical = batteries and least <= rules.table.battery_critical.charge
     level = f"{batteries.replace('_', ' ')} at {least:.0%}" if batteries else "no charge reported"
     plan = state.setpoint.plan
+    missed = handset_missed(rules.settings.handset, state.handset, now_s)
     heard_s = now_s - state.console_s
     heard = f"console heard {heard_s:.1f} s ago" if heard_s < 1e8 else "console never heard"
     starting = "the program is still starting and the dead-man does not watch it yet; wait a few seconds"
     return [
+        Check("kill", not state.killed.reason, f"kill: {state.killed.reason}" if state.killed.reason else "none"),
         Check("computer", not state.computer.is_starting, starting if state.computer.is_starting else "started"),
         Check("navigation", not silent, silent or f"{state.source}, {age_s:.1f} s old"),
         Check("sensors", bad is None, bad or f"{len(rules.settings.sysstat.required)} nodes report good"),
@@ -51,6 +54,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         Check("battery", not critical, level),
         _fence(state, inputs),
         Check("mission", True, f"{plan.name}, {len(plan.waypoints)} waypoints" if plan is not None else "none loaded"),
+        Check("hand-set", not missed, missed or _handset(rules.settings.handset, state)),
         Check("link", heard_s < HEARD_S and not state.namesakes, state.namesakes or heard),
         Check("last shutdown", not state.computer.last_shutdown, state.computer.last_shutdown or "no fault known"),
         Check("image", not state.computer.image, state.computer.image or "confirmed, or the computer has no image slots"),
@@ -73,7 +77,16 @@ def _allowed(rules: Rules, name: str, mode: Mode) -> bool:
         return rules.actions[Trigger.GNSS_POOR][mode] <= Action.WARN
     if name == "battery":
         return rules.actions[Trigger.BATTERY_CRITICAL][mode] < Action.STOP
+    if name == "hand-set":
+        return not rules.settings.handset.mandatory
     return name == "log" and not rules.settings.log.required
+
+
+def _handset(settings: config.HandsetTable, state: State) -> str:
+    if not settings.device or state.handset is None:
+        return "the boat has none"
+    radio = "" if state.handset.quality_pct is None else f", radio {state.handset.quality_pct}%"
+    return f"{'has the boat' if state.operator == HANDSET else 'heard'}{radio}"
 
 
 def _gnss(rules: Rules, state: State) -> Check:

@@ -6,7 +6,7 @@ file has the words and their ranges; `command.py` carries them over a local sock
 
 import math
 from collections.abc import Sequence
-from typing import Annotated, Any, TypeVar, get_args
+from typing import Annotated, Any, Literal, TypeVar, get_args
 
 import msgspec
 
@@ -24,6 +24,7 @@ Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
 Longitude = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
 Speed = Annotated[float, msgspec.Meta(ge=0.0, le=30.0)]
 Thrust = Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)]
+Short = Annotated[str, msgspec.Meta(max_length=100)]
 
 
 ZONE, ROW = 10, 1  # time to write one, counted in comparisons
@@ -40,6 +41,25 @@ class Alive(Command, frozen=True):
 
 class Stop(Command, frozen=True):
     """Idle, now."""
+
+
+class Kill(Command, frozen=True):
+    """Stop, and refuse every mode until the kill is cleared. `switch`: by a switch, which now says kill, or no longer does."""
+
+    by: Short = "operator"
+    reason: Short = "commanded"
+    switch: Literal["", "on", "off"] = ""
+
+
+class Clear(Command, frozen=True):
+    """End a kill, once every switch that says kill was released. The boat stays in idle."""
+
+
+class Leave(Command, frozen=True):
+    """Give the boat back: idle, and nobody commands. `lost`: the operator was lost, in words; the mode stays, without thrust by
+    hand, and the next one to command has the boat."""
+
+    lost: Short = ""
 
 
 class SetMode(Command, frozen=True, tag="mode"):
@@ -177,11 +197,12 @@ class ShutDown(Command, frozen=True):
 
 
 Commands = (
-    Alive | Stop | SetMode | Manual | Heading | Course | SetSpeed | Goto | Pause | Continue
+    Alive | Stop | Kill | Clear | Leave | SetMode | Manual | Heading | Course | SetSpeed | Goto | Pause | Continue
     | LoadMission | Upload | Play | Leg | Unload | SetFence | Rally
     | Take | Arm | Reset | Set | TellState | Watch | ShutDown
 )  # fmt: skip
 KINDS: dict[str, type[Command]] = {str(kind.__struct_config__.tag): kind for kind in get_args(Commands)}  # by their words
+Halts = Stop | Kill  # anybody may stop the boat, whoever commands it
 Plan = LoadMission | Upload | SetFence  # checking these takes longer than a callback may
 Kind = TypeVar("Kind", bound=Command)
 _decoder = msgspec.json.Decoder(Commands)
@@ -293,6 +314,8 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
         "legs": len(state.setpoint.plan.waypoints) if state.setpoint.plan else 0,
         "announced": [each._asdict() for each in state.announced],
         "guest_connected": state.guest_connected,
+        "killed": state.killed._asdict(),
+        "handset": state.handset._asdict() if state.handset else None,
         "age_s": {
             "navigation": _age(now_s, state.navigation_s),
             "console": _age(now_s, state.console_s),

@@ -72,6 +72,8 @@ def _lasting_s(table: config.Failsafe, trigger: Trigger) -> float:
 
 
 def _action(table: config.Failsafe, trigger: Trigger, mode: Mode) -> Action:
+    if trigger is Trigger.KILL:  # in idle, too: the worst of all that is shown
+        return Action.STOP
     if mode is Mode.IDLE:
         return Action.DISCONNECT if trigger is Trigger.THRUSTER and table.thruster.disconnect else Action.WARN
     if trigger is Trigger.CONTROL:

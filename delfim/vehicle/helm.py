@@ -9,19 +9,18 @@ from delfim.clock import Clock
 from delfim.errors import ConfigError, Refused
 from delfim.modes import Mode, mode_named
 from delfim.slices import Sliced
-from delfim.vehicle import console, failsafe, fence
+from delfim.vehicle import console, failsafe, fence, kills, setpoints
 from delfim.vehicle.announcing import Announcing
 from delfim.vehicle.checks import Check, checks, refusal
 from delfim.vehicle.control.control import MODES, Memory, Settings, admit, first
 from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
-from delfim.vehicle.control.guidance import COURSE_MPS
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.mission import FAR_MAX_M
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Plan, Reference, Setpoint, State, StateLog, Waypoint
+from delfim.vehicle.state import Actuation, Plan, Reference, Setpoint, State, StateLog
 from delfim.vehicle.track import Track
 from delfim.vehicle.troubles import Inputs, unstopped
 from delfim.vehicle.zones import Point
@@ -55,8 +54,9 @@ class Helm:
         self._controlled_s = clock.monotonic_s()
 
     def stop(self, reason: str) -> None:
-        """Idle and propellers off, now. The reason is shown and logged."""
-        self.enter(Mode.IDLE, reason)
+        """Idle and propellers off, now. The reason is shown and logged; a kill remains the reason until it is cleared."""
+        killed = self.state.killed.reason
+        self.enter(Mode.IDLE, f"kill: {killed}" if killed else reason)
         self.state.actuation = self._propulsion.send(STOP, self._clock.monotonic_s())
 
     def steer(self, now_s: float) -> None:
@@ -102,10 +102,14 @@ class Helm:
         state, silent_s = self.state, now_s - self.state.manual_s
         held = state.setpoint.starboard or state.setpoint.port
         if state.mode is Mode.MANUAL and held and silent_s > self.settings.failsafe.manual_silent.thrust_s:
-            state.setpoint, self.taken = state.setpoint._replace(starboard=0.0, port=0.0), True
-            state.reason = f"no thrust: no manual command for {silent_s:.1f} s"
-            self._log.note(state.reason)
-            state.actuation = self._propulsion.send(STOP, now_s)  # at once; from the next cycle on, none
+            self._release(f"no thrust: no manual command for {silent_s:.1f} s", now_s)
+
+    def _release(self, reason: str, now_s: float) -> None:
+        """No thrust by hand from now on."""
+        state, self.taken = self.state, True
+        state.setpoint, state.reason = state.setpoint._replace(starboard=0.0, port=0.0), reason
+        self._log.note(reason)
+        state.actuation = self._propulsion.send(STOP, now_s)  # at once; from the next cycle on, none
 
     def go_on(self) -> None:
         """A slice of long work."""
@@ -211,12 +215,28 @@ class Helm:
         self.taken = False
         self.stop("operator")
 
+    def _kill(self, command: console.Kill, now_s: float) -> None:
+        self.state.killed = after = kills.killed(self.state.killed, command)
+        if after.reason:
+            self.taken = False
+            self.stop("")
+
+    def _clear(self, command: console.Clear, now_s: float) -> None:
+        self.state.killed = kills.cleared(self.state.killed)
+        self.stop("operator cleared the kill")
+
+    def _leave(self, command: console.Leave, now_s: float) -> None:
+        if not command.lost:
+            self.stop(f"operator gave the boat back: {self.state.operator or 'nobody'}")
+        elif self.state.mode is Mode.MANUAL:
+            self._release(f"no thrust: {command.lost}", now_s)
+
     def _change_mode(self, command: console.SetMode, now_s: float) -> None:
         wanted, setpoint = mode_named(command.mode), self.state.setpoint
         if wanted is Mode.MANUAL:  # without thrust until a command comes
             self.state.manual_s, setpoint = now_s, setpoint._replace(starboard=0.0, port=0.0)
         elif wanted in (Mode.HEADING, Mode.COURSE):
-            setpoint = self._onwards(wanted)
+            setpoint = setpoints.onwards(wanted, self.state, self.settings.control.speed)
         elif wanted is Mode.GOTO:  # waits for a point
             setpoint = setpoint._replace(target=None)
         elif wanted is Mode.PLAY and self.paused is not None and self.paused.mode is Mode.PLAY:
@@ -229,18 +249,19 @@ class Helm:
             mode, asked_deg = Mode.HEADING, command.heading_deg
         else:
             mode, asked_deg = Mode.COURSE, command.course_deg
-        asked = self._onwards(mode)._replace(heading_rad=math.radians(asked_deg % 360.0))
+        speeds = self.settings.control.speed
+        asked = setpoints.onwards(mode, self.state, speeds)._replace(heading_rad=math.radians(asked_deg % 360.0))
         if command.speed_mps is not None:
-            asked = asked._replace(speed_mps=self._speed(command.speed_mps))
+            asked = asked._replace(speed_mps=setpoints.speed(command.speed_mps, speeds))
         self._request(mode, asked, now_s)
 
     def _set_speed(self, command: console.SetSpeed, now_s: float) -> None:
-        speed_mps = self._speed(command.speed_mps)
+        speed_mps = setpoints.speed(command.speed_mps, self.settings.control.speed)
         override_mps = None if command.speed_mps is None else speed_mps
         self.state.setpoint = self.state.setpoint._replace(speed_mps=speed_mps, override_mps=override_mps)
 
     def _go(self, command: console.Goto, now_s: float) -> None:
-        target = self._target(command.latitude_deg, command.longitude_deg, command.speed_mps)
+        target = setpoints.target(command, self.state, self.settings.control)
         end = command.end or self.settings.control.goto.end
         self._request(Mode.GOTO, self.state.setpoint._replace(target=target, end=end), now_s)
 
@@ -293,35 +314,6 @@ class Helm:
     def _hear(self, command: console.Alive | console.Take, now_s: float) -> None:
         """Nothing: the loop has already noted that the console is there, or commands."""
 
-    def _onwards(self, mode: Mode) -> Setpoint:
-        """The set points of heading or course mode until others come: those that it has, or else the boat's heading or course,
-        where it makes one, and present speed; cruising speed for a boat at rest."""
-        state, motion = self.state, self.state.motion
-        if state.mode is mode:
-            return state.setpoint
-        sails = state.mode not in (Mode.IDLE, Mode.MANUAL, Mode.HOLD)
-        speed_mps = state.reference.speed_mps if sails else None
-        makes_one = mode is Mode.COURSE and math.hypot(motion.north_mps, motion.east_mps) > COURSE_MPS
-        ahead_rad = math.atan2(motion.east_mps, motion.north_mps) if makes_one else motion.heading_rad
-        return state.setpoint._replace(heading_rad=ahead_rad, speed_mps=self._speed(speed_mps))
-
-    def _speed(self, asked_mps: float | None) -> float:
-        """The operator's speed, limited to the boat's; cruising speed if none was given."""
-        speeds = self.settings.control.speed
-        return min(speeds.cruise_mps if asked_mps is None else asked_mps, speeds.max_mps)
-
-    def _target(self, latitude_deg: float | None, longitude_deg: float | None, speed_mps: float | None) -> Waypoint:
-        """A free point of the operator; where none is given, the mission's first waypoint."""
-        if latitude_deg is None or longitude_deg is None:
-            plan = self.state.setpoint.plan
-            if plan is None:
-                raise Refused("goto refused: name a point or load a mission")
-            return plan.waypoints[0]
-        if self.state.origin is None:
-            raise Refused("goto refused: no position yet")
-        north_m, east_m = geodesy.to_plane(self.state.origin, math.radians(latitude_deg), math.radians(longitude_deg))
-        return Waypoint(north_m, east_m, self._speed(speed_mps), self.settings.control.path.acceptance_m)
-
     def _choose(self, command: console.Leg, now_s: float) -> None:
         leg = command.leg
         setpoint = self.state.setpoint._replace(leg=leg)
@@ -364,6 +356,9 @@ class Helm:
 _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] = {
     console.Alive: Helm._hear,
     console.Stop: Helm._halt,
+    console.Kill: Helm._kill,
+    console.Clear: Helm._clear,
+    console.Leave: Helm._leave,
     console.SetMode: Helm._change_mode,
     console.Manual: Helm._push,
     console.Heading: Helm._head,

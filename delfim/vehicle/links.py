@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.serialline import Form
 from delfim.vehicle.state import State
 
 
@@ -33,11 +34,15 @@ class ReadableLine(Readable, Protocol):
     def write(self, data: bytes) -> bool: ...  # False when not all was taken
 
 
+class OpenLine(Protocol):
+    def __call__(self, device: str, baud: int, form: Form = "8N1", /) -> ReadableLine: ...
+
+
 class Links(NamedTuple):
     """Opens links. The caller keeps a link open, reopens it after a failure, and closes it. Both methods raise DelfimError."""
 
     bus: Callable[[str, tuple[CanAddress, ...]], CanSocket]
     """A socket on an interface: never blocks, receives what the filters accept; without filters, nothing."""
 
-    line: Callable[[str, int], ReadableLine]
-    """The serial line of a device, at this speed in baud."""
+    line: OpenLine
+    """The serial line of a device, at this speed in baud, in this form."""

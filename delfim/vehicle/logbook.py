@@ -53,6 +53,7 @@ class Logbook:
         if not isinstance(command, Alive | TellState | Watch):
             value = msgspec.json.encode(command) if written is None else written
             what = {"event": "command", "at_s": state.console_s, "value": msgspec.Raw(value), "refused": refused or ""}
+            what["operator"] = operator
             times = {"t_ns": self._clock.time_ns(), "monotonic_s": self._clock.monotonic_s()}
             self._log.note(msgspec.json.encode(times | what) + b"\n")
             level = logging.INFO

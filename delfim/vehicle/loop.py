@@ -28,13 +28,14 @@ from delfim.vehicle.links import LoopInput
 from delfim.vehicle.navigation import Fix, Source, take
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Profile, StartConditions, State, StateLog
+from delfim.vehicle.state import HANDSET, Profile, StartConditions, State, StateLog
 from delfim.vehicle.troubles import Inputs
 
 REPEAT_S = 0.5  # a propeller without commands for PROPELLER_TIMEOUT_S stops itself, which would hide the cause
 HELD_S = 0.8  # a command stands so long: it comes with navigation, or without it from the watchdog after REPEAT_S
 COLD_CYCLES = 10  # after the start, left out of the figures: 2 s at 5 Hz
 LOCAL = "local"  # the operator at the local command socket
+HELD_BY_HAND = "the hand-set has the boat, until its take-over switch gives it back"
 
 
 class VehicleLoop:
@@ -85,19 +86,23 @@ class VehicleLoop:
 
     def on_command(self, command: console.Commands, operator: str = LOCAL) -> str | None:
         """A command of a console: carried out at once, propellers included. Returns why it was refused, or None. The last to
-        command is the operator, whose silence is a trouble."""
+        command is the operator, whose silence is a trouble; while the hand-set is, others may only stop the boat."""
         now_s, state = self.clock.monotonic_s(), self.state
         if isinstance(command, console.TellState | console.Watch):  # onlookers do not keep the boat sailing
             return None
         if isinstance(command, console.Alive) and state.operator not in ("", operator):  # nor do other consoles
             return None
         state.console_s = now_s
+        is_below = state.operator == HANDSET != operator
+        if is_below and not isinstance(command, console.Halts):
+            return f"refused: {HELD_BY_HAND}"
         try:
             self.helm.obey(command, now_s)
         except DelfimError as refusal:
             return str(refusal)
         if not isinstance(command, console.Alive):
-            state.operator = operator
+            if not is_below and not isinstance(command, console.Kill):
+                state.operator = "" if isinstance(command, console.Leave) else operator
             self.helm.steer(now_s)
         return None
 

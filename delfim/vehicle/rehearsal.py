@@ -14,6 +14,7 @@ import msgspec
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.socket import CanSocket, Many
 from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
+from delfim.serialline import Form
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.loop import VehicleLoop
@@ -83,5 +84,5 @@ class _NoLine:
         return True
 
 
-def _no_line(device: str, baud: int) -> ReadableLine:
+def _no_line(device: str, baud: int, form: Form = "8N1") -> ReadableLine:
     return _NoLine()

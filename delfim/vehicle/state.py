@@ -41,6 +41,7 @@ class Motion(NamedTuple):
     east_mps: float
 
 
+HANDSET = "hand-set"  # the operator at the radio control, who is above all others
 NOWHERE = Motion(frozenset(), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -150,6 +151,26 @@ class Announced(NamedTuple):
     params: tuple[float | None, ...]  # seven; None: not given
 
 
+class Killed(NamedTuple):
+    """A kill: the boat is in idle, and every mode is refused until an operator clears it."""
+
+    reason: str = ""  # in words; empty: the boat is not killed
+    by: str = ""  # the switch or operator that killed it
+    held: tuple[str, ...] = ()  # switches that say kill now: they must be released first
+
+
+class HandsetReport(NamedTuple):
+    """What the hand-set says. Sticks are -1 to 1, ahead and to starboard positive."""
+
+    heard_s: float  # monotonic time of the last positions that came from it
+    throttle: float
+    steer: float
+    takes: bool  # the switches
+    kills: bool
+    lost: str = ""  # why its radio is lost, in words; empty: it is not
+    quality_pct: int | None = None  # of its radio; None: the receiver does not tell
+
+
 class StartConditions(NamedTuple):
     """The state of the computer that the checks need."""
 
@@ -182,13 +203,15 @@ class State:
     thrusters: dict[str, ThrusterReport] = field(default_factory=dict)  # by row: its last report
     sysstat: dict[str, tuple[SystemStatus, float]] = field(default_factory=dict)  # by node: last report, its time
     measured: dict[str, tuple[float, float]] = field(default_factory=dict)  # by sensors: last value, its time
-    operator: str = ""  # the console that commands; its silence is a trouble; empty: none yet
+    operator: str = ""  # the console, or HANDSET, that commands; its silence is a trouble; empty: none
     console_s: float = -1e9  # monotonic time of the last word of the console
     namesakes: str = ""  # the notice that two consoles have one number; empty: they do not
     manual_s: float = -1e9
     guest_s: float = -1e9
     watchdog_s: float = -1e9  # when the watchdog ran last
     guest_connected: bool = False
+    handset: HandsetReport | None = None  # None: never heard, or there is none
+    killed: Killed = field(default_factory=Killed)
     notices: tuple[Notice, ...] = ()  # present troubles, worst first
     announced: tuple[Announced, ...] = ()  # the newest, oldest first
     computer: StartConditions = field(default_factory=StartConditions)  # the computer at the program's start

@@ -16,7 +16,7 @@ from delfim.modes import Mode
 from delfim.vehicle import gnss
 from delfim.vehicle.fence import Fence, ahead, outside
 from delfim.vehicle.sensors import sysstat
-from delfim.vehicle.state import State
+from delfim.vehicle.state import HandsetReport, State
 
 TURNING: Final = 0.04  # of full command; below this a propeller moves no boat
 SURE: Final = 0.3  # of full command; above this a propeller turns, whatever its revolutions
@@ -40,6 +40,28 @@ class Look(NamedTuple):
     inputs: Inputs
     present: Container[int]  # the troubles that were there already
     now_s: float
+
+
+def kill(look: Look) -> str | None:
+    return f"kill: {look.state.killed.reason}" if look.state.killed.reason else None
+
+
+def handset_silent(look: Look) -> str | None:
+    told = look.state.handset
+    is_heard = told is not None and look.now_s - told.heard_s <= look.settings.failsafe.handset_silent.after_s
+    return None if is_heard else handset_missed(look.settings.handset, told, look.now_s) or None
+
+
+def handset_missed(settings: config.HandsetTable, told: HandsetReport | None, now_s: float) -> str:
+    """Why the hand-set cannot take the boat, in words; empty: it can, or there is none."""
+    if not settings.device:
+        return ""
+    if told is None:
+        return "hand-set not heard yet"
+    age_s = now_s - told.heard_s
+    if told.lost:
+        return f"hand-set lost for {age_s:.1f} s: {told.lost}"
+    return f"hand-set silent for {age_s:.1f} s" if age_s > settings.silent_s else ""
 
 
 def control(look: Look) -> str | None:
@@ -144,6 +166,8 @@ class Trigger(IntEnum):
     BATTERY_LOW = 11, battery_low
     LOG = 12, log
     GNSS_POOR = 13, gnss_poor
+    KILL = 14, kill  # always a stop
+    HANDSET_SILENT = 15, handset_silent
 
 
 _SEEN: Final = tuple((trigger, trigger.sees) for trigger in Trigger)  # ten times a second: no look-ups in an enumeration

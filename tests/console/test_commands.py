@@ -228,6 +228,13 @@ async def held_first(sea: Sea, page: Page, boat: Boat) -> None:
     await boat.until(lambda state: state["mode"] == "play" and state["reference"]["leg"] == 1)
 
 
+async def killed_and_cleared(sea: Sea, page: Page, boat: Boat) -> None:
+    await menu("More", "Kill: idle until it is cleared")(sea, page, boat)
+    await boat.until(lambda state: state["killed"]["reason"] == "operator: commanded")
+    await menu("More", "Clear the kill")(sea, page, boat)
+    await boat.until(lambda state: not state["killed"]["reason"])
+
+
 async def other_plan(sea: Sea, page: Page, boat: Boat) -> None:
     """With a waypoint more, where none was before."""
     await on_map(next(FREE_M), -50.0, "Add waypoint")(sea, page, boat)
@@ -349,6 +356,9 @@ ROWS: dict[str, Row] = {
     'planning.sail: command(boat.id, "play"': Row(held_first, "play", {"command": "play", "leg": 1}),
     "key: B": Row(keys("h", "b"), "pause", PAUSE),
     "key: C": Row(keys("h", "b", "c"), "continue", CONTINUE),
+    # Entries that the gateway offers, as it offers the reset.
+    "menu: Kill": Row(killed_and_cleared, "kill", {"command": "kill"}),
+    "menu: Clear the kill": Row(killed_and_cleared, "clear", {"command": "clear"}),
     # By touch: the same entries, opened by a finger.
     "touch: stop": Row(finger("stop"), "stop", STOP),
     "touch: stop all": Row(finger("stop-all"), "stop", STOP),
@@ -356,7 +366,7 @@ ROWS: dict[str, Row] = {
 
 
 def test_every_way_has_a_row_and_every_row_is_a_way() -> None:
-    assert {each for each in ROWS if not each.startswith(("touch", "key: "))} == ways()
+    assert {each for each in ROWS if not each.startswith(("touch", "key: ", "menu: "))} == ways()
 
 
 def test_each_word_of_the_gateway_is_said_by_the_page() -> None:

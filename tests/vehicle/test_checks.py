@@ -28,6 +28,7 @@ def charge(boat, part: float) -> None:
 
 def test_a_boat_that_nobody_has_heard_of_says_so_line_by_line(boat):
     assert lines(boat) == {
+        "kill": (True, "none"),
         "computer": (True, "started"),
         "navigation": (False, "no navigation yet"),
         "sensors": (False, "gps has not reported"),
@@ -37,6 +38,7 @@ def test_a_boat_that_nobody_has_heard_of_says_so_line_by_line(boat):
         "battery": (True, "no charge reported"),
         "fence": (True, "none"),
         "mission": (True, "none loaded"),
+        "hand-set": (True, "the boat has none"),
         "link": (False, "console never heard"),
         "last shutdown": (True, "no fault known"),
         "image": (True, "confirmed, or the computer has no image slots"),

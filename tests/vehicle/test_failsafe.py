@@ -13,11 +13,21 @@ from delfim.modes import Mode
 from delfim.vehicle.failsafe import NO_TROUBLE, Action, Rules, Verdict, bits, fallback, news, overruled
 from delfim.vehicle.failsafe import failsafe as look
 from delfim.vehicle.fence import Fence, polygon
-from delfim.vehicle.state import Actuation, Motion, Notice, Reference, Setpoint, State, ThrusterReport
+from delfim.vehicle.state import (
+    Actuation,
+    HandsetReport,
+    Killed,
+    Motion,
+    Notice,
+    Reference,
+    Setpoint,
+    State,
+    ThrusterReport,
+)
 from delfim.vehicle.troubles import Inputs, Trigger
 
 ALL = frozenset({"position", "heading", "velocity"})
-RULES = Rules(config.Vehicle(boat=config.BoatTable(name="test")))
+RULES = Rules(config.Vehicle(boat=config.BoatTable(name="test"), handset=config.HandsetTable(device="/dev/receiver")))
 FENCE = Fence((polygon("square", True, [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]),), config.FenceTable())
 WELL = Inputs("", None)
 OUTWARDS = Motion(ALL, 44.0, 0.0, 0.0, 0.0, 1.5, 0.0)
@@ -32,6 +42,7 @@ def state(mode: Mode, now_s: float = 100.0) -> State:
     here.navigation = Navigation(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 3, 9, 0.9, 0)
     if mode is Mode.IDLE:
         here.actuation = Actuation((0.0, 0.0), (0.0, 0.0), False)
+    here.handset = HandsetReport(now_s, 0.0, 0.0, takes=False, kills=False)
     here.navigation_s = here.changed_s = here.console_s = here.manual_s = here.guest_s = now_s
     rpm = round(1200.0 * here.actuation.thrust[1])
     here.thrusters = {name: ThrusterReport(now_s, rpm) for name in ("starboard", "port")}
@@ -75,6 +86,10 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
         case Trigger.GNSS_POOR:
             assert here.navigation is not None
             here.navigation = here.navigation._replace(satellites=4)
+        case Trigger.KILL:
+            here.killed = Killed("kill switch: pressed")
+        case Trigger.HANDSET_SILENT:
+            here.handset = HandsetReport(now_s - 1.1, 0.0, 0.0, takes=False, kills=False)
         case Trigger.LOG:
             inputs = Inputs("disk full", None)
     return here, inputs
@@ -105,6 +120,8 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.BATTERY_LOW: (Action.HOLD, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
     Trigger.LOG: (Action.WARN, {}),
     Trigger.GNSS_POOR: (Action.WARN, {}),
+    Trigger.KILL: (Action.STOP, {}),
+    Trigger.HANDSET_SILENT: (Action.WARN, {}),
 }
 
 
@@ -124,7 +141,7 @@ def test_every_trouble_in_every_mode_does_what_the_table_says_and_says_why(trigg
 
 @pytest.mark.parametrize("trigger", Trigger, ids=lambda trigger: trigger.name)
 def test_in_idle_nothing_is_done_but_a_runaway_propeller_is_disconnected(trigger):
-    expected = Action.DISCONNECT if trigger is Trigger.THRUSTER else Action.WARN
+    expected = {Trigger.THRUSTER: Action.DISCONNECT, Trigger.KILL: Action.STOP}.get(trigger, Action.WARN)
     assert watched(trigger, Mode.IDLE, 6.0).action in (expected, Action.NONE)
     assert watched(Trigger.THRUSTER, Mode.IDLE, 6.0).action is Action.DISCONNECT
 
@@ -315,6 +332,6 @@ def test_the_log_is_told_what_changed_and_has_a_bit_for_each():
     assert news((first, second), (first,)) == ["fence: over"]
     assert bits((first, second)) == 1 << Trigger.LOG | 1 << Trigger.FENCE
     assert bits(()) == 0
-    assert {trigger.name.lower() for trigger in Trigger} - {"control"} == {
+    assert {trigger.name.lower() for trigger in Trigger} - {"control", "kill"} == {
         name for name in config.Failsafe.__struct_fields__ if name not in ("pause_s", "clear_s")
     }

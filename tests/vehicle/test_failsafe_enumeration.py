@@ -25,7 +25,7 @@ from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import Fix
 from delfim.vehicle.propulsion import Propulsion
-from delfim.vehicle.state import Actuation, Line, NoLog, Plan, State, ThrusterReport, Waypoint
+from delfim.vehicle.state import Actuation, HandsetReport, Line, NoLog, Plan, State, ThrusterReport, Waypoint
 from delfim.vehicle.troubles import TURNING, Trigger
 
 SECONDS, NAVIGATION_S = 1.6, 0.2
@@ -34,6 +34,7 @@ PLAN = Plan("", (Waypoint(50.0, 0.0, 1.5, 5.0), Waypoint(50.0, 50.0, 1.5, 5.0)),
 RPM_MAX = config.Dsor().rpm_max
 SETTINGS = config.Vehicle(
     boat=config.BoatTable(name="test"),
+    handset=config.HandsetTable(device="/dev/receiver"),
     failsafe=config.Failsafe(
         pause_s=0.3,
         navigation_frozen=config.NavigationFrozen(after_s=0.5),
@@ -45,6 +46,7 @@ SETTINGS = config.Vehicle(
         thruster=config.ThrusterAstray(after_s=0.5),
         log=config.LogNotWritable(after_s=0.2),
         gnss_poor=config.GnssPoor(after_s=0.2),
+        handset_silent=config.HandsetSilent(after_s=0.5),
     ),
 )
 
@@ -164,6 +166,11 @@ class Boat:
             self.report(trouble)
             if trouble != "console_silent":
                 self.vehicle.on_command(console.Alive())
+            self.state.handset = HandsetReport(
+                0.0 if trouble == "handset_silent" else now_s, 0.0, 0.0, takes=False, kills=False
+            )
+            if trouble == "kill" and tick == 2:
+                self.vehicle.on_command(console.Kill())
             self.state.manual_s = 0.0 if trouble == "manual_silent" else now_s
             self.state.guest_s = 0.0 if trouble == "guest_silent" else now_s
             if tick % 2 == 0 and tick <= ticks - round(age_s * 10):
@@ -194,6 +201,7 @@ def must_be_zero(mode: Mode, age_s: float, value: Value, trouble: str) -> bool:
     stops = {
         "navigation_jumping": value.missing != "position",
         "sensor_bad": True,
+        "kill": True,
         "manual_silent": mode is Mode.MANUAL,
         "console_silent": mode is Mode.MANUAL,
         "battery_critical": mode not in (Mode.MANUAL, Mode.HOME),

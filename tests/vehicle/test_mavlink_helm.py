@@ -31,6 +31,7 @@ TABLE = [  # command, its numbers, what kind of a command it is
     (176, (1, 4), STOP),
     (400, (1,), ORDER),
     (400, (0,), STOP),
+    (185, (1,), STOP),
     (300, (), ORDER),
     (224, (1,), ORDER),
     (20, (), ORDER),

@@ -143,6 +143,13 @@ def _speed(o: Order, boat: Terms) -> console.Commands:
     return console.asked(console.SetSpeed, speed_mps=o.p[2] / 100.0 * boat.speed_max_mps)
 
 
+def _terminate(o: Order, boat: Terms) -> console.Commands:
+    """DO_FLIGHTTERMINATION"""
+    if o.p[0] not in (0.0, 1.0):
+        raise FormatError(f"1 kills, 0 clears the kill; {o.p[0]:g} does nothing")
+    return console.Kill() if o.p[0] else console.Clear()
+
+
 def _reset(o: Order, boat: Terms) -> console.Commands:
     if o.p[0] or o.p[1] or o.p[2] != 1.0:
         raise FormatError("only the other nodes can be restarted: send 0, 0, 1")
@@ -166,5 +173,6 @@ COMMANDS: Final[dict[int, Callable[[Order, Terms], console.Commands]]] = {
     dialect.MAV_CMD_DO_REPOSITION: _goto,
     dialect.MAV_CMD_DO_PAUSE_CONTINUE: _pause,
     dialect.MAV_CMD_DO_CHANGE_SPEED: _speed,
+    dialect.MAV_CMD_DO_FLIGHTTERMINATION: _terminate,
     dialect.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: _reset,
 }

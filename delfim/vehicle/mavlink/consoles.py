@@ -7,7 +7,7 @@ import secrets
 from collections.abc import Callable
 
 from delfim.vehicle import console
-from delfim.vehicle.loop import VehicleLoop
+from delfim.vehicle.loop import HELD_BY_HAND, VehicleLoop
 from delfim.vehicle.mavlink import params, telemetry
 from delfim.vehicle.mavlink.missions import Missions
 from delfim.vehicle.mavlink.news import News
@@ -16,6 +16,7 @@ from delfim.vehicle.mavlink.sequences import Sequences
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.telemetry import TelemetryView
 from delfim.vehicle.mavlink.wire import GUEST, Address, Message, Speaker
+from delfim.vehicle.state import HANDSET
 
 Obey = Callable[[console.Commands, str], str | None]
 Review = Callable[[str, console.Plan, Callable[[str | None], None]], None]
@@ -64,7 +65,7 @@ class Consoles:
 
     def ask(self, source: Speaker, command: console.Commands) -> str | None:
         """Obey a command if this console commands. The first console to ask commands; so does the next one when the one before
-        was silent for long. Any console may stop the boat. Returns the reason of a refusal, or None."""
+        was silent for long. Any console may stop or kill the boat. Returns the reason of a refusal, or None."""
         if (reason := self._own(source, command)) is not None:
             return reason
         refused = self._obey(command, source.name)
@@ -87,7 +88,7 @@ class Consoles:
 
     def _own(self, source: Speaker, command: console.Commands) -> str | None:
         """The console that commands becomes the owner. Returns why this one may not command, or None."""
-        if self.commander != source and not isinstance(command, console.Stop):
+        if self.commander != source and not isinstance(command, console.Halts):
             if (reason := self.refusal(source, isinstance(command, console.Take))) is not None:
                 return reason
             self.commander = source
@@ -99,6 +100,8 @@ class Consoles:
         """Why this console may not command, in words. `takes`: the command is to take over."""
         if source.component == GUEST:
             return "the guest computer may not command: use a console"
+        if self.boat.state.operator == HANDSET:
+            return HELD_BY_HAND
         lost = self.clock.monotonic_s() - self._owner_s > self.boat.helm.settings.failsafe.console_silent.after_s
         if takes or self.commander in (None, source) or lost:
             return None
@@ -108,7 +111,9 @@ class Consoles:
 
     @property
     def owner(self) -> int:
-        """The system of the console that commands; 0: none."""
+        """The system of the console that commands; the boat's own: its hand-set does; 0: nobody."""
+        if self.boat.state.operator == HANDSET:
+            return self.system
         return self.commander.system if self.commander is not None else 0
 
     def alive(self, source: Speaker, address: Address) -> None:

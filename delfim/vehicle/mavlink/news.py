@@ -9,6 +9,7 @@ from delfim.vehicle.mavlink.missions import Missions
 from delfim.vehicle.mavlink.peers import Peers
 from delfim.vehicle.mavlink.plans import command_name
 from delfim.vehicle.mavlink.wire import Speaker, dialect
+from delfim.vehicle.state import HANDSET
 
 TOLD_AGAIN_S: Final = 2.0  # earliest repetition of a lasting trouble
 
@@ -18,7 +19,7 @@ class News:
 
     def __init__(self, boat: VehicleLoop, peers: Peers, missions: Missions) -> None:
         self._boat, self._peers, self._missions = boat, peers, missions
-        self._said: tuple[Mode, str, tuple[tuple[str, str], ...], Speaker | None, str] | None = None
+        self._said: tuple[Mode, str, tuple[tuple[str, str], ...], str, str] | None = None
         self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last text, and when it was told
         self._leg_now: tuple[object, int] = None, 0
         self._announced = 0
@@ -29,7 +30,8 @@ class News:
         self._tell_actions()
         state, say = self._boat.state, self._peers.say
         troubles = tuple((notice.name, notice.action) for notice in state.notices)
-        said = state.mode, state.reason, troubles, commander, state.namesakes
+        console = commander.name if commander is not None else "no console"
+        said = state.mode, state.reason, troubles, HANDSET if state.operator == HANDSET else console, state.namesakes
         was, self._said = self._said or said, said
         if was[:2] != said[:2]:
             calm = state.reason.startswith("operator") or state.reason.endswith(" done")
@@ -38,9 +40,8 @@ class News:
                 f"{state.mode.name.lower()}: {state.reason}",
             )
         self._tell_troubles()
-        if was[3] != commander:
-            who = commander.name if commander is not None else "no console"
-            say(dialect.MAV_SEVERITY_NOTICE, f"{who} commands")
+        if was[3] != said[3]:
+            say(dialect.MAV_SEVERITY_NOTICE, f"{said[3]} commands")
         if state.namesakes and was[4] != state.namesakes:
             say(dialect.MAV_SEVERITY_ALERT, state.namesakes)
         if was != said:

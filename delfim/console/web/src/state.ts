@@ -155,9 +155,14 @@ export function ageWords(age: number): string {
 export function trouble(boat: Boat): { words: string; grave: boolean } | null {
   if (boat.twins.length) return { words: `number ${boat.id} is used twice: ${boat.twins.join(" and ")}`, grave: true };
   if (boat.failsafe) return { words: boat.failsafe === boat.reason ? saidWords(boat) : boat.failsafe, grave: true };
-  if (!boat.owner) return { words: `console ${boat.commander} is in control`, grave: false };
+  if (!boat.owner) return { words: inControl(boat), grave: false };
   if (!boat.ready) return { words: saidWords(boat) || "not ready", grave: false };
   return null;
+}
+
+/** A boat that is commanded by its own number is in the hands of its hand-set. */
+function inControl({ id, commander }: Boat): string {
+  return commander === id ? "the hand-set is in control" : `console ${commander} is in control`;
 }
 
 /** The boat says its reason once: add how long ago that was. */

@@ -59,7 +59,7 @@ export interface Boat {
   modes: Mode[]; // of this boat
   armed: boolean;
   owner: boolean; // this console commands it, or nobody does
-  commander: number; // the console that does; 0: none
+  commander: number; // the console that does; the boat's own number: its hand-set; 0: none
   twins: string[]; // addresses that use this boat's number, if more than one does
   ready: boolean;
   reason: string;

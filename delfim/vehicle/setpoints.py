@@ -1,0 +1,41 @@
+"""Set points from the words of an operator, completed by the state of the boat."""
+
+import math
+
+from delfim import config, geodesy
+from delfim.errors import Refused
+from delfim.modes import Mode
+from delfim.vehicle.console import Goto
+from delfim.vehicle.control.guidance import COURSE_MPS
+from delfim.vehicle.state import Setpoint, State, Waypoint
+
+
+def speed(asked_mps: float | None, speeds: config.SpeedTable) -> float:
+    """The operator's speed, limited to the boat's; cruising speed if none was given."""
+    return min(speeds.cruise_mps if asked_mps is None else asked_mps, speeds.max_mps)
+
+
+def onwards(mode: Mode, state: State, speeds: config.SpeedTable) -> Setpoint:
+    """The set points of heading or course mode until others come: those that it has, or else the boat's heading or course,
+    where it makes one, and present speed; cruising speed for a boat at rest."""
+    motion = state.motion
+    if state.mode is mode:
+        return state.setpoint
+    sails = state.mode not in (Mode.IDLE, Mode.MANUAL, Mode.HOLD)
+    speed_mps = speed(state.reference.speed_mps if sails else None, speeds)
+    makes_one = mode is Mode.COURSE and math.hypot(motion.north_mps, motion.east_mps) > COURSE_MPS
+    ahead_rad = math.atan2(motion.east_mps, motion.north_mps) if makes_one else motion.heading_rad
+    return state.setpoint._replace(heading_rad=ahead_rad, speed_mps=speed_mps)
+
+
+def target(asked: Goto, state: State, control: config.ControlTable) -> Waypoint:
+    """A free point of the operator; where none is given, the mission's first waypoint. Raises Refused."""
+    if asked.latitude_deg is None or asked.longitude_deg is None:
+        plan = state.setpoint.plan
+        if plan is None:
+            raise Refused("goto refused: name a point or load a mission")
+        return plan.waypoints[0]
+    if state.origin is None:
+        raise Refused("goto refused: no position yet")
+    place = math.radians(asked.latitude_deg), math.radians(asked.longitude_deg)
+    return Waypoint(*geodesy.to_plane(state.origin, *place), speed(asked.speed_mps, control.speed), control.path.acceptance_m)
