@@ -25,7 +25,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
-from bench.critical_path import command_line, family, free_ports, running, until
+from bench.critical_path import command_line, cpu_ns, family, free_ports, running, until
 from delfim.console.link import Link
 from delfim.errors import DelfimError, Refused
 from delfim.services.door import hashed
@@ -36,6 +36,8 @@ GROWN_BYTES: Final = 4 << 20  # of a process, from one third to the next: less i
 GROWN: Final = 3  # descriptors, tasks: less is who just came
 TIMEOUT_S: Final = 30.0
 CROWD: Final = 65536  # bytes of a bus or a log, after which a visitor has seen enough
+LOGS_WRITTEN: Final = 3  # at a time: the bus, the state, the system
+BUSIEST: Final = 6  # that are told
 
 
 class Sample(NamedTuple):
@@ -143,6 +145,15 @@ class Boat:
         found.pop("", None)  # programs that visitors run
         return found
 
+    def processes(self) -> dict[int, str]:
+        """Those of this computer that can be seen, by number: a program of the boat by its name in the supervisor, others by
+        the kernel's."""
+        programs, found = {each["pid"]: name for name, each in self.programs().items()}, {}
+        for pid in (int(name) for name in os.listdir("/proc") if name.isdecimal()):
+            with contextlib.suppress(OSError):
+                found[pid] = programs.get(pid) or Path(f"/proc/{pid}/comm").read_text().strip()
+        return found
+
     def _tasks(self, name: str) -> int:
         if name == "runtime":
             with Link(self.place / "command") as link:
@@ -184,7 +195,7 @@ class Visitors:
                 visit()
             except (OSError, EOFError, ftplib.Error, subprocess.SubprocessError, DelfimError, Refused) as error:
                 self.failures[kind] += 1
-                self.reasons[kind] = f"({error})"
+                self.reasons[kind] = f"({error}; busy then: {busiest(self._boat.processes())})"
 
     def _page(self) -> None:
         for path in ("", "api/state", "metrics", "logs/"):
@@ -211,10 +222,7 @@ class Visitors:
         with contextlib.closing(ftplib.FTP(timeout=TIMEOUT_S)) as ftp:
             ftp.connect("127.0.0.1", self._boat.ports["ftpd"])
             ftp.login("bench", self._boat.password)
-            place = "/"
-            while folders := [name for name, facts in ftp.mlsd(place) if facts["type"] == "dir"]:
-                place += f"{min(folders)}/"
-            with ftp.transfercmd(f"RETR {place}{min(name for name, _ in ftp.mlsd(place))}") as data:
+            with oldest_log(ftp) as data:
                 data.recv(CROWD)  # and away
 
     def _ssh(self) -> None:
@@ -229,6 +237,32 @@ class Visitors:
         told = [word for each in options for word in ("-o", each)]
         command = [program, "-F", "none", "-i", str(self._boat.key), *told, *words]
         subprocess.run(command, check=True, input=said.encode(), capture_output=True, timeout=TIMEOUT_S)
+
+
+def oldest_log(ftp: ftplib.FTP) -> socket.socket:
+    """The data of the log that is first by its name. One that gets its right name by a step of the clock, or is deleted to make
+    room, is gone though it was listed: then the lists are asked for again. Raises ftplib.Error, OSError."""
+    for _ in range(LOGS_WRITTEN):
+        with contextlib.suppress(ftplib.error_perm):
+            return _first_log(ftp)
+    return _first_log(ftp)
+
+
+def _first_log(ftp: ftplib.FTP) -> socket.socket:
+    place = "/"
+    while folders := [name for name, facts in ftp.mlsd(place) if facts["type"] == "dir"]:
+        place += f"{min(folders)}/"
+    return ftp.transfercmd(f"RETR {place}{min((name for name, _ in ftp.mlsd(place)), default='')}")
+
+
+def busiest(processes: dict[int, str], seconds: float = 1.0) -> str:
+    """Which of these processes, by number and name, take most of a processor in the next seconds, each with its share."""
+    began_ns = time.monotonic_ns()
+    before = {pid: cpu_ns(pid) for pid in processes}
+    time.sleep(seconds)
+    passed_ns = time.monotonic_ns() - began_ns
+    shares = sorted(((cpu_ns(pid) - before[pid]) / passed_ns, name) for pid, name in processes.items())
+    return ", ".join(f"{name} {share:.0%}" for share, name in reversed(shares[-BUSIEST:]) if share > 0.0)
 
 
 def grown(samples: list[Sample]) -> dict[str, Any]:

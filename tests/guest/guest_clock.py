@@ -31,10 +31,11 @@ class Sea(Boat):
     """On the kernel's bus, with the time service, under way."""
 
     def _overrides(self) -> list[str]:
-        # A busy host makes everybody late, but by no days.
+        # A busy host makes everybody late, but by no days. The other nodes and the kernel's part of the network run on the
+        # one slow processor, too: beside a runtime in real time they would hardly get it.
         patient = (
             *("navigation.stale_s=30.0", "failsafe.navigation_silent.after_s=30.0", "sysstat.stale_s=30.0"),
-            "supervisor.deadman_s=60.0",
+            *("supervisor.deadman_s=60.0", "runtime.fifo_priority=0"),
         )
         return [*super()._overrides(), 'can.interface="vcan0"', 'timed.mode="master"', "log.free_bytes_min=0", *patient]
 

@@ -1,6 +1,6 @@
 """A guest: a Linux kernel that runs as an ordinary process (User-Mode Linux), with CAN, in two seconds, on any machine.
 
-    with guest(tmp_path, modules=("vcan", "can-raw"), memory_mib=256) as g:
+    with guest(tmp_path, modules=("vcan", "can-raw")) as g:
         result = g.run("candump -n 1 vcan0 & cansend vcan0 123#00; wait", timeout_s=10)
         assert result.code == 0, result.output
 
@@ -27,10 +27,12 @@ ROOT = Path(__file__).parents[2]
 MODULES = ("vcan", "can-raw")
 PATH = f"{os.environ['PATH']}:/usr/sbin:/sbin"
 BOOT_TIMEOUT_S = 60.0
+MEMORY_MIB = 512  # the whole suite and its visitors take 320
+REREAD_PAGES = 10_000  # 40 MB: of programs that run, thrown out for want of memory and read again
 
 
 class GuestError(Exception):
-    """The guest did not come up, or died; the message ends with the last lines of its console."""
+    """The guest did not come up, died, or has too little memory; the message ends with its last words."""
 
 
 class Result(NamedTuple):
@@ -53,13 +55,14 @@ class Guest:
         self.folder = folder
         self._process = process
         self._console = b""
-        self._commands = 0
+        self._commands = self._reread_pages = 0
 
     def run(self, command: str, timeout_s: float = 60.0) -> Result:
         """Run shell command lines and wait for their end; while they run, what they print grows in `folder`/N.out.
 
         A command that takes longer than timeout_s is ended with exit code 124, and the guest goes on.
-        Raises GuestError when the guest itself died or does not answer.
+        Raises GuestError when the guest itself died, does not answer, or had too little memory for the command: its programs
+        then wait for their own pages most of the time, and nothing that they do in that time is worth a look.
         """
         self._commands += 1
         name = str(self._commands)
@@ -72,7 +75,17 @@ class Guest:
             raise self._died("is gone") from None
         self.wait_for(f"GUEST done {name}\r\n", timeout_s + 10.0)
         output = (self.folder / f"{name}.out").read_text(errors="replace")
+        self._check_memory(name, output)
         return Result(int((self.folder / f"{name}.code").read_text()), output)
+
+    def _check_memory(self, name: str, output: str) -> None:
+        """Of a command that has ended."""
+        before, self._reread_pages = self._reread_pages, int((self.folder / f"{name}.memory").read_text().split()[1])
+        if (pages := self._reread_pages - before) > REREAD_PAGES:
+            raise GuestError(
+                f"the guest has too little memory: {pages} pages of files were thrown out and read again meanwhile; "
+                f"give it more memory_mib, or the programs less to hold; output:\n{output[-4000:]}"
+            )
 
     def wait_for(self, words: str, timeout_s: float) -> None:
         """Read the console until it says these words. Raises GuestError at its end or after timeout_s."""
@@ -99,7 +112,7 @@ class Guest:
 
 @contextmanager
 def guest(
-    tmp_path: Path, modules: Sequence[str] = MODULES, memory_mib: int = 256, kernel_args: Sequence[str] = ()
+    tmp_path: Path, modules: Sequence[str] = MODULES, memory_mib: int = MEMORY_MIB, kernel_args: Sequence[str] = ()
 ) -> Iterator[Guest]:
     """Boot a guest whose files lie in tmp_path; with the module vcan it has vcan0 and vcan1, up. It is killed at the end.
 
@@ -172,8 +185,8 @@ def shell() -> int:
         folder = _prepare(Path(name))
         with (folder / "profile").open("a") as profile:
             profile.write(_setup(MODULES) + "\n")
-        command = _command_line(folder, 512, ["MODE=shell", f"TERM={os.environ.get('TERM', 'dumb')}"])
-        code = subprocess.call(command, env=_environment(folder, 512))
+        command = _command_line(folder, MEMORY_MIB, ["MODE=shell", f"TERM={os.environ.get('TERM', 'dumb')}"])
+        code = subprocess.call(command, env=_environment(folder, MEMORY_MIB))
     subprocess.call(["stty", "sane"])
     return code
 

@@ -39,6 +39,7 @@ commands() {
     while read -r number timeout_s; do
         /usr/bin/timeout -k 2 "$timeout_s" /bin/sh -c '. ./profile; . "$FOLDER/$0.sh"' "$number" </dev/null >"$number.out" 2>&1
         echo $? >"$number.code"
+        /bin/busybox grep workingset_refault_file /proc/vmstat >"$number.memory"
         echo "GUEST done $number"
     done
     poweroff -f

@@ -17,7 +17,7 @@ def test_a_board_that_starts_in_1970_gets_its_time_in_idle_and_sails(tmp_path: P
     """Frames through vxcan come from elsewhere, as those of a real node do; a computer's own time frames are none."""
     if reason := missing():
         pytest.skip(reason)
-    with guest(tmp_path, modules=("vxcan", "can-raw"), memory_mib=384) as board:
+    with guest(tmp_path, modules=("vxcan", "can-raw")) as board:
         result = board.run(WIRE + "python tests/guest/guest_1970.py", timeout_s=300.0)
     assert result.code == 0, result.output
     report = json.loads(result.output.split("REPORT ", 1)[1])

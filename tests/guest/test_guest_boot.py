@@ -47,7 +47,7 @@ class Boat:
     @contextmanager
     def booted(self, log: str = "/dev/ubda") -> Iterator[Guest]:
         words = [f"BOAT={ROOT}/etc/init", f"VEHICLE={self.file}", "MODULES=vcan,can-raw,loop", f"LOG={log}"]
-        with guest(self.folder, modules=(), memory_mib=384, kernel_args=(f"ubd0={self.disk}", *words)) as g:
+        with guest(self.folder, modules=(), kernel_args=(f"ubd0={self.disk}", *words)) as g:
             yield g
 
     def check(self) -> str:

@@ -15,7 +15,7 @@ COMMAND = "python -m bench disk --quick --seconds 4 --rates 50 --bus vcan0 --fra
 def test_every_way_in_which_a_log_partition_fails_is_counted_told_and_got_over(tmp_path):
     if reason := missing():
         pytest.skip(reason)
-    with guest(tmp_path, modules=("vcan", "can-raw", "loop"), memory_mib=512) as boat:
+    with guest(tmp_path, modules=("vcan", "can-raw", "loop")) as boat:
         result = boat.run(COMMAND, timeout_s=200.0)
         assert result.code == 0, result.output
         healthy, *troubled = json.loads((boat.folder / "disk.json").read_text())["rows"]

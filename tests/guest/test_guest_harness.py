@@ -36,6 +36,29 @@ def test_a_command_that_hangs_is_ended_and_the_guest_goes_on(can_guest: Guest) -
     assert can_guest.run("echo after") == Result(0, "after\n")
 
 
+HUNGRY = """
+import subprocess, sys
+
+def count(file, word):
+    return next(int(line.split()[1]) for line in open(file) if line.startswith(word))
+
+taken = []
+while count("/proc/vmstat", "workingset_refault_file") < 12_000:
+    subprocess.run([sys.executable, "-c", "import json"])
+    while count("/proc/meminfo", "MemAvailable") > 8 << 10:
+        taken.append(b"\\1" * (1 << 20))
+"""
+
+
+@pytest.mark.skipif(missing() is not None, reason=str(missing()))
+def test_a_guest_whose_programs_are_read_again_and_again_has_too_little_memory(tmp_path: Path) -> None:
+    with guest(tmp_path, modules=(), memory_mib=96) as small:
+        (small.folder / "hungry.py").write_text(HUNGRY)
+        with pytest.raises(GuestError, match=r"too little memory: \d+ pages"):
+            small.run('echo hungry; python "$FOLDER/hungry.py"')
+        assert small.run("echo enough") == Result(0, "enough\n")
+
+
 @pytest.mark.skipif(missing() is not None, reason=str(missing()))
 def test_a_guest_that_dies_is_told_with_its_last_words(tmp_path: Path) -> None:
     with guest(tmp_path, modules=()) as doomed:

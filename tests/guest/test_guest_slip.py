@@ -31,7 +31,7 @@ fi
 
 
 def sailed(tmp_path: Path, encapsulation: str, mode: str, seconds: float) -> dict[str, Any]:
-    with guest(tmp_path, modules=("slip", "tun"), memory_mib=256) as booted:
+    with guest(tmp_path, modules=("slip", "tun")) as booted:
         result = booted.run(f"python tests/guest/guest_slip.py {encapsulation} {mode} {seconds}", timeout_s=60 + 12 * seconds)
         assert result.code == 0, result.output
         report: dict[str, Any] = json.loads(result.output.split("REPORT ", 1)[1])

@@ -73,7 +73,7 @@ def test_a_power_cut_costs_a_second_and_no_human(disk, tmp_path, cut, request):
 
 def power_cut(disk: Path, folder: Path, frames_per_s: int, after_s: float) -> float:
     """Boot, sail, log, and die after so long. Returns the guest's last sign of life: a busy host may have stopped it before."""
-    with guest(folder, memory_mib=384, kernel_args=(f"ubd0={disk}",)) as boat:
+    with guest(folder, kernel_args=(f"ubd0={disk}",)) as boat:
         result = boat.run(f"python tests/guest/guest_cut.py {frames_per_s} /dev/ubda 200_000", timeout_s=90.0)
         assert result.code == 0, result.output
         select.select([], [], [], after_s)

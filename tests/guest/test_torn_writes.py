@@ -105,7 +105,7 @@ def test_torn_and_reordered_writes_cost_a_second_and_no_human(tmp_path: Path, re
             file.truncate(size)
     tool("mke2fs", "-q", "-t", "ext2", "-F", str(disk))
     shutil.copy(disk, base)
-    with guest(tmp_path, memory_mib=384, kernel_args=(f"ubd0={disk}", f"ubd1={log}")) as boat:
+    with guest(tmp_path, kernel_args=(f"ubd0={disk}", f"ubd1={log}")) as boat:
         result = boat.run(RECORD, timeout_s=150.0)
         assert result.code == 0, result.output
     lost, by_force, count = [], 0, CRASHES_A_CUT * request.config.getoption("--cuts")
