@@ -1085,6 +1085,12 @@ class Vehicle(Table, frozen=True):
         """The drivers of the thrusters, each once, in the order of the rows."""
         return tuple(dict.fromkeys(row.driver for row in self.thrusters))
 
+    @property
+    def motor_buses(self) -> tuple[str, ...]:
+        """The interfaces that carry the commands of a driver and nothing else."""
+        buses = self.outside("interface").items()
+        return tuple(interface for key, interface in buses if key.partition(".")[0] in self.drivers)
+
     def outside(self, key: Literal["interface", "device"]) -> dict[str, str]:
         """The buses or serial lines of the boat's nodes and of the parts that are chosen by name, by their keys: a part has
         its table by its name."""

@@ -13,7 +13,8 @@ async def serve(runtime: Runtime) -> None:
     settings, loop = runtime.config, asyncio.get_running_loop()
     interfaces = settings.cantcpd.buses or settings.buses
     with contextlib.ExitStack() as links:
-        server = CanServer(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes)
+        limits, motors = settings.can.receive_buffer_bytes, settings.motor_buses
+        server = CanServer(settings.cantcpd, interfaces, runtime, runtime.clock, limits, motors)
         links.callback(server.close)
         asked = [(address, server.slcan_connection) for address in settings.cantcpd.slcan]
         asked += [(address, server.connection) for address in settings.cantcpd.listen]

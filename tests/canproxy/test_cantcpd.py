@@ -55,8 +55,8 @@ class Loop:
 class Served:
     """A server in a thread of its own, as clients block."""
 
-    def __init__(self, buses: list[str], **settings: Any) -> None:
-        self._settings, self._buses = config.Cantcpd(**settings), buses
+    def __init__(self, buses: list[str], motors: tuple[str, ...] = (), **settings: Any) -> None:
+        self._settings, self._buses, self._motors = config.Cantcpd(**settings), buses, motors
         self._ready, self._never, self._stop = threading.Event(), threading.Event(), asyncio.Event()
         self.defects: list[dict[str, Any]] = []  # exceptions that reached the loop
         self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
@@ -64,7 +64,7 @@ class Served:
     async def _run(self) -> None:
         self.loop = asyncio.get_running_loop()
         self.loop.set_exception_handler(lambda _, context: self.defects.append(context))
-        self.server = CanServer(self._settings, self._buses, Loop(), SystemClock())
+        self.server = CanServer(self._settings, self._buses, Loop(), SystemClock(), motors=self._motors)
         listening = await self.loop.create_server(self.server.connection, "127.0.0.1", 0)
         serial = await self.loop.create_server(self.server.slcan_connection, "127.0.0.1", 0)
         self.port, self.slcan_port = (each.sockets[0].getsockname()[1] for each in (listening, serial))
@@ -611,6 +611,17 @@ def test_barred_identifiers_are_not_sent_by_anybody(served: Served, bus: CanSock
     with Peer(served, f"< open {name} >") as peer:
         peer.say("< send 040 0 >< add 0 1000 043 0 >< send 044 0 >< send 00000040 0 >")
         assert [bus.recvmsg().arb, bus.recvmsg().arb] == [standard(0x44), extended(0x40)]
+
+
+def test_a_bus_of_motors_may_be_watched_and_nobody_sends_there(name: str, bus: CanSocket) -> None:
+    buses = [f"canloop:{name}"]
+    with Served(buses, motors=tuple(buses)) as served, Peer(served, f"< open {name} >") as peer:
+        peer.say("< send 123 0 >< add 0 1000 123 0 >< rawmode >")
+        assert peer.element() == "< ok >"
+        assert served.counts()["refused"] == 2
+        bus.sendto(b"\1", CanAddress(standard(1)))
+        assert peer.frame() == ("001", "01")
+    assert bus.receive() is None
 
 
 @pytest.mark.parametrize("limits", [{"clients": 2}, {"clients_per_address": 2}], ids=lambda limits: next(iter(limits)))

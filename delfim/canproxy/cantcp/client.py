@@ -5,7 +5,7 @@ import logging
 import socket
 import struct
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from math import inf
 from typing import Any, Final, cast
 
@@ -241,9 +241,12 @@ class Client(asyncio.BufferedProtocol):
 
     def _allowed(self, arb: int) -> bool:
         """Whether this client may send this identifier; a refusal is counted, and logged once."""
-        if self._may_transmit and not self._clients.access.is_barred(arb):
+        is_of_motors = self._bus is not None and self._bus.interface in self._clients.motors
+        if self._may_transmit and not is_of_motors and not self._clients.access.is_barred(arb):
             return True
-        why = f"{identifier(arb):X} is barred" if self._may_transmit else "its network may only watch"
+        why = "its network may only watch"
+        if self._may_transmit:
+            why = "the bus of the motors is for the boat alone" if is_of_motors else f"{identifier(arb):X} is barred"
         if not self.counts["refused"]:
             self._warn(f"may not transmit: {why}")
         self.counts["refused"] += 1
@@ -293,8 +296,8 @@ class Client(asyncio.BufferedProtocol):
 class Clients:
     """The connected clients, the limits for new ones, and the counts of those that left."""
 
-    def __init__(self, settings: config.Cantcpd) -> None:
-        self.settings, self.access = settings, Access(settings)
+    def __init__(self, settings: config.Cantcpd, motors: Collection[str] = ()) -> None:
+        self.settings, self.access, self.motors = settings, Access(settings), motors
         self.inside: set[Client] = set()
         self.refused = 0  # connections
         self.left: dict[str, Counter[str]] = {}  # by address: counts of clients that have left

@@ -13,7 +13,7 @@ delfim.canproxy.socketcand; how to connect the usual programs: docs/cantcpd.md.
 import asyncio
 import logging
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Final
 
 from delfim import config
@@ -39,8 +39,10 @@ class CanServer:
         readers: Readers,
         clock: Clock,
         receive_buffer_bytes: int = 1 << 20,
+        motors: Collection[str] = (),
     ) -> None:
-        self.clients = Clients(settings)
+        """`motors` are the interfaces, among these, that carry commands to motors alone: nobody may send there."""
+        self.clients = Clients(settings, motors)
         self.buses: Mapping[str, SharedBus] = {
             bus_name(interface): SharedBus(bus_name(interface), interface, readers, clock, receive_buffer_bytes)
             for interface in interfaces
