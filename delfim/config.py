@@ -25,7 +25,7 @@ Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 Metres = Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)]
 Speed = Annotated[float, msgspec.Meta(gt=0.0, le=30.0)]  # m/s
-Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1e4)]
+Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
 StickPulse = Annotated[float, msgspec.Meta(ge=800.0, le=2200.0)]  # us, of a channel of a hand-set
 STICK_US = 100.0  # the least way of a stick to either side
 Nice = Annotated[int, msgspec.Meta(ge=-20, le=19)]
@@ -115,12 +115,16 @@ def is_loopback(text: str) -> bool:
 
 
 class BoatTable(Table, frozen=True):
-    """Name and size of the boat."""
+    """Name and size of the boat. What is not given of the hull is guessed from its length and beam (docs/propulsion.md)."""
 
     name: Name  # of the boat, in logs and on screens
     id: Annotated[int, msgspec.Meta(ge=1, le=249)] = 1  # on the console's link
     length_m: Metres = 4.5  # over all; the model scales with it
     beam_m: Metres = 2.45  # over all
+    mass_kg: Annotated[float, msgspec.Meta(gt=0.0, le=1e6)] | None = None  # as it sails; without it, 20 kg per m2
+    full_mps: Speed | None = None  # speed at full thrust, calm water; without it, guessed from the length
+    drag_n_per_mps: Gain | None = None  # ahead; with the next one, instead of full_mps
+    drag_n_per_mps2: Gain | None = None  # and with the square of the speed
 
 
 class Can(Table, frozen=True):

@@ -113,8 +113,18 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             "default, runtime, process",
         ),
         # other types
-        ("boat = 3", "boat", "3 is a whole number, not a table", "a table of name, id, length_m, beam_m"),
-        ('[[boat]]\nname = "x"', "boat", "this is a list, not a table", "a table of name, id, length_m, beam_m"),
+        (
+            "boat = 3",
+            "boat",
+            "3 is a whole number, not a table",
+            "a table of name, id, length_m, beam_m, mass_kg, full_mps, drag_n_per_mps, drag_n_per_mps2",
+        ),
+        (
+            '[[boat]]\nname = "x"',
+            "boat",
+            "this is a list, not a table",
+            "a table of name, id, length_m, beam_m, mass_kg, full_mps, drag_n_per_mps, drag_n_per_mps2",
+        ),
         (BOAT + 'length_m = "4"', "boat.length_m", '"4" is text, not a number', "more than 0.0 to 10000.0"),
         (BOAT + "length_m = true", "boat.length_m", "true is true or false, not a number", "more than 0.0 to 10000.0"),
         (BOAT + "length_m = 1979-05-27", "boat.length_m", "1979-05-27 is a date, not a number", "more than 0.0 to 10000.0"),

@@ -40,7 +40,7 @@ def test_rows_are_taken_in_their_order_with_law_or_curve(tmp_path):
         (RIGHT + LEFT.replace("address = 1", "address = 2"), "left: dsor has address 0, starboard, and 1, port"),
         (RIGHT + LEFT.replace('"left"', '"right"'), "two have the name right"),
         (RIGHT + LEFT.replace('"left"', '"Left!"'), 'thrusters[1].name: "Left!" is not allowed (allowed: a small letter'),
-        (RIGHT + LEFT.replace('"dsor"', '"oars"'), 'thrusters[1].driver: "oars" is not allowed (allowed: dsor'),
+        (RIGHT + LEFT.replace('"dsor"', '"oars"'), 'thrusters[1].driver: "oars" is not allowed (allowed: '),
         (RIGHT + LEFT.replace("[-30, 50]", "[50, -30]"), "thrusters[1]: thrust_n: [50, -30] has ahead and astern exchanged"),
         (RIGHT + LEFT.replace("[-30, 50]", "[-30, 0]"), "has ahead and astern exchanged"),
         (RIGHT + LEFT.replace("thrust_n = [-30, 50]", ""), "either thrust_n = [astern, ahead] or a curve"),

@@ -11,7 +11,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     vehicle_file(parser)
     parser.add_argument("kind", metavar="KIND", help=f'One of {", ".join(KINDS)}; or "end", which ends all faults.')
     places = ", ".join(dict.fromkeys(place for its in WHERE.values() for place in its))
-    parser.add_argument("where", metavar="WHERE", nargs="?", default="", help=f"Which part, if there are several: {places}.")
+    which = f"Which part, if there are several: {places}; or a thruster by its name."
+    parser.add_argument("where", metavar="WHERE", nargs="?", default="", help=which)
     parser.add_argument("--value", type=float, help="Size of the fault, for a kind that has one.")
     parser.add_argument("--for", type=seconds, dest="for_s", metavar="SECONDS", help="End the fault after this time.")
     simulated(parser)

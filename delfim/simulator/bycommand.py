@@ -91,7 +91,7 @@ def _break(broken: Broken, name: str, data: bytes, now_s: float) -> str:
             for present in list(broken.faults):
                 broken.end(*present)
             return "all faults ended; lost charge is not restored"
-        asked = fault(kind, **words)
+        asked = fault(kind, **words, thrusters=broken.thrusters)
     except (TypeError, AttributeError, KeyError, ValueError) as error:
         raise FormatError(str(error)) from None
     if (asked.kind in ABOARD) is not (name == BOAT):

@@ -13,7 +13,7 @@ from random import Random
 from typing import Any, Final
 
 from delfim import config, geodesy
-from delfim.simulator.faults import KINDS, VALUES, WHERE
+from delfim.simulator.faults import KINDS, OF_THRUSTERS, VALUES, WHERE
 from delfim.simulator.scenario import FaultAt, Scenario, ScenarioGuest, settings_of
 from delfim.simulator.trial import Result, sail
 
@@ -22,9 +22,10 @@ START_S, QUIET_S = 8.0, 15.0  # no fault before the boat is ready, nor at the en
 HALF_M: Final = 65.0  # distance of the fence's sides from the start
 
 
-def mixed(seed: int, here: config.Simulation) -> Scenario:
+def mixed(seed: int, vehicle: config.Vehicle) -> Scenario:
     """The run of a seed."""
-    random = Random(f"mixed {seed}")
+    random, here = Random(f"mixed {seed}"), vehicle.simulation
+    places = WHERE | dict.fromkeys(OF_THRUSTERS, tuple(row.name for row in vehicle.thrusters))
     seconds = random.uniform(60.0, 120.0)
     place = partial(_place, here)
     corners = [place(n * HALF_M, e * HALF_M) for n, e in ((1, -1), (1, 1), (-1, 1), (-1, -1))]
@@ -46,7 +47,7 @@ def mixed(seed: int, here: config.Simulation) -> Scenario:
         },
         guest=ScenarioGuest(heading_deg=random.uniform(0.0, 360.0), speed_mps=1.5) if random.random() < 0.3 else None,
         command=tuple(_orders(random, seconds, place)),
-        fault=tuple(_fault(random, seconds) for _ in range(random.randint(1, 5))),
+        fault=tuple(_fault(random, seconds, places) for _ in range(random.randint(1, 5))),
     )
 
 
@@ -83,21 +84,21 @@ def _orders(random: Random, seconds: float, place: Callable[[float, float], list
     return orders
 
 
-def _fault(random: Random, seconds: float) -> FaultAt:
+def _fault(random: Random, seconds: float, places: dict[str, tuple[str, ...]]) -> FaultAt:
     kind = random.choice(KINDS)
     at_s = random.uniform(START_S, seconds - QUIET_S - 5.0)
     for_s = random.choice([random.uniform(0.5, 3.0), random.uniform(3.0, 15.0), seconds])
     if not kind.startswith("thruster_"):
         for_s = min(for_s, seconds - QUIET_S - at_s)
     value = VALUES[kind][0] * random.uniform(0.5, 1.5) if kind in VALUES else None
-    return FaultAt(at_s=at_s, kind=kind, where=random.choice(WHERE[kind]) if kind in WHERE else "", value=value, for_s=for_s)
+    return FaultAt(at_s=at_s, kind=kind, where=random.choice(places[kind]) if kind in places else "", value=value, for_s=for_s)
 
 
 def sail_mixed(vehicle: str | Path, seed: int, overrides: tuple[str, ...] = ()) -> Result:
     """The run of a seed with a vehicle's file. Raises ConfigError. A refused order is not a failure here."""
-    here = config.load(vehicle, overrides).simulation
+    here = config.load(vehicle, overrides)
     scenario = mixed(seed, here)
-    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, _mission(here), patient=False)
+    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, _mission(here.simulation), patient=False)
 
 
 def again(vehicle: str, scenario: str, seed: int, overrides: Sequence[str]) -> str:

@@ -10,6 +10,7 @@ import math
 import select
 import socket
 import time
+from collections.abc import Sequence
 from typing import Annotated, Any, Final, Self
 
 import msgspec
@@ -18,7 +19,7 @@ from delfim import config
 from delfim.errors import DelfimError
 from delfim.geodesy import origin
 from delfim.outside import UNREADABLE
-from delfim.simulator.model import Hull, Model, Side, hull_of
+from delfim.simulator.model import Hull, Model, hull_of
 
 DATAGRAMS: Final = 16  # taken at once
 ANSWER_S: Final = 0.1  # a state is answered after this time even if the vehicle commanded nothing
@@ -48,18 +49,25 @@ _decode = msgspec.json.Decoder(Moved).decode
 class ExternalModel(Model):
     """The world modelled by another program. `listen` is HOST:PORT; raises DelfimError if it cannot be bound.
 
-    In real time navigation is made from the first state that comes after it is due. That state is answered as soon as both
-    propellers have been commanded; the states between are answered at once.
+    In real time navigation is made from the first state that comes after it is due. That state is answered as soon as all
+    thrusters have been commanded; the states between are answered at once.
     """
 
-    def __init__(self, hull: Hull, listen: str, latitude_rad: float, longitude_rad: float) -> None:
-        super().__init__(hull, config.Sea(), 0, latitude_rad, longitude_rad, 0.0)
+    def __init__(
+        self,
+        hull: Hull,
+        listen: str,
+        latitude_rad: float,
+        longitude_rad: float,
+        rows: Sequence[config.ThrusterTable] = config.DELFIMX,
+    ) -> None:
+        super().__init__(hull, config.Sea(), 0, latitude_rad, longitude_rad, 0.0, rows)
         self.origin = origin(latitude_rad, longitude_rad)
         self.malformed = 0
         self._fresh = False  # a state came that navigation may be made from
         self._peer: Any = None  # sent the state that is not answered yet
         self._asked_s = 0.0  # when that state came
-        self._idle = set[Side]()  # sides that were not commanded since
+        self._idle = set[str]()  # thrusters that were not commanded since
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
             self._socket.bind(config.address(listen))
@@ -75,7 +83,7 @@ class ExternalModel(Model):
         if not there.external:
             return None
         start = math.radians(there.latitude_deg), math.radians(there.longitude_deg)
-        return cls(hull_of(settings.boat), there.external, *start)
+        return cls(hull_of(settings), there.external, *start, settings.thrusters)
 
     @property
     def alive(self) -> bool:
@@ -88,16 +96,16 @@ class ExternalModel(Model):
         """Readable when the other program sent: call `listen` then."""
         return self._socket.fileno()
 
-    def command(self, side: Side, rpm: float, run: bool) -> None:
-        super().command(side, rpm, run)
-        self._idle.discard(side)
+    def command(self, name: str, rpm: float, run: bool) -> None:
+        super().command(name, rpm, run)
+        self._idle.discard(name)
         if not self._idle:
             self._answer()
 
     def advance(self, dt_s: float) -> None:
         """Advance motors and batteries, the only parts modelled here."""
-        self._turn(self.starboard, dt_s)
-        self._turn(self.port, dt_s)
+        for drive in self.drives.values():
+            self._turn(drive, dt_s)
         self.time_s += dt_s
         if self.time_s - self._asked_s > ANSWER_S:
             self._answer()
@@ -112,7 +120,7 @@ class ExternalModel(Model):
             if (moved := self._read(data)) is not None:
                 self._answer()  # to the state before
                 self._take(moved)
-                self._peer, self._asked_s, self._idle = peer, self.time_s, {"starboard", "port"}
+                self._peer, self._asked_s, self._idle = peer, self.time_s, set(self.drives)
 
     def settle(self) -> None:
         """Call when the nodes have stepped: a state from which no navigation was made is answered now."""
@@ -135,17 +143,28 @@ class ExternalModel(Model):
         self.sway_mps = moved.east_mps * c - moved.north_mps * s
         self.yaw_rate_radps = moved.yaw_rate_radps
 
+    def _work(self) -> dict[str, object]:
+        """The work of the thrusters: revolutions of the propellers of DelfimX; part of full command and angle of any others."""
+        if all(drive.curve is None for drive in self.drives.values()):
+            present: dict[str, object] = {f"{name}_rpm": drive.rpm for name, drive in self.drives.items()}
+            return present | {f"{name}_command_rpm": drive.reference_rpm for name, drive in self.drives.items()}
+        return {
+            "thrusters": {
+                name: {
+                    "part": drive.part,
+                    "angle_deg": math.degrees(drive.angle_rad),
+                    "command": drive.reference_rpm / drive.rpm_max,
+                    "command_deg": math.degrees(drive.reference_rad),
+                }
+                for name, drive in self.drives.items()
+            }
+        }
+
     def _answer(self, **more: float) -> None:
         """Answer the last state, once."""
         peer, self._peer = self._peer, None
         if peer is not None:
-            answer = {
-                "time_s": self.time_s,
-                "starboard_rpm": self.starboard_rpm,
-                "port_rpm": self.port_rpm,
-                "starboard_command_rpm": self.starboard.reference_rpm,
-                "port_command_rpm": self.port.reference_rpm,
-            }
+            answer = {"time_s": self.time_s, **self._work()}
             with contextlib.suppress(OSError):  # it is gone; its silence is noticed
                 self._socket.sendto(msgspec.json.encode(answer | more), peer)
 
@@ -167,13 +186,13 @@ class SteppedModel(ExternalModel):
         self._answer(next_s=0.0)
         self._wait(STEP_S, 0.0)
 
-    def command(self, side: Side, rpm: float, run: bool) -> None:
-        Model.command(self, side, rpm, run)
+    def command(self, name: str, rpm: float, run: bool) -> None:
+        Model.command(self, name, rpm, run)
 
     def advance(self, dt_s: float) -> None:
         """Advance motors and batteries, answer the last state, and take the next one."""
-        self._turn(self.starboard, dt_s)
-        self._turn(self.port, dt_s)
+        for drive in self.drives.values():
+            self._turn(drive, dt_s)
         self.time_s += dt_s
         self._answer(next_s=self.time_s)
         self._wait(STEP_S, self.time_s)

@@ -6,16 +6,16 @@ from its own seed, so the same faults at the same times give the same bytes.
 
 import math
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from random import Random
 from typing import Final, Literal, NamedTuple, get_args
 
 from delfim.clock import Clock
 from delfim.errors import FormatError
 from delfim.frames import Frame
-from delfim.simulator.model import Drive
 from delfim.simulator.nodes import Nodes
 from delfim.simulator.nodes.navigation import SATELLITES
+from delfim.simulator.propulsor import Drive
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.state import State, StateLog
 
@@ -45,12 +45,9 @@ KINDS: Final[tuple[str, ...]] = get_args(Kind)
 ABOARD: Final = frozenset(
     {"console_lost", "guest_lost", "disk_full", "disk_slow"}
 )  # not of the nodes: in the boat's own program
-SIDES: Final = ("starboard", "port")
 SENSORS: Final = ("gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port")
-WHERE: Final = {
-    **dict.fromkeys(("sensor_bad", "sensor_silent"), SENSORS),
-    **dict.fromkeys(("thruster_dead", "thruster_stuck", "thruster_reversed", "battery_sag"), SIDES),
-}
+WHERE: Final = dict.fromkeys(("sensor_bad", "sensor_silent"), SENSORS)
+OF_THRUSTERS: Final = ("thruster_dead", "thruster_stuck", "thruster_reversed", "battery_sag")  # at a row of the vehicle's file
 VALUES: Final = {  # default, and its meaning
     "navigation_jumping": (40.0, "metres to the north"),
     "frames_dropped": (0.3, "fraction of all frames"),
@@ -74,12 +71,18 @@ class Breakage(NamedTuple):
     for_s: float = math.inf
 
 
-def fault(kind: str, where: str = "", value: float | None = None, for_s: float | None = None) -> Breakage:
-    """A fault, checked, with the kind's default value. Raises FormatError in words."""
+def fault(
+    kind: str, where: str = "", value: float | None = None, for_s: float | None = None, thrusters: Collection[str] = ()
+) -> Breakage:
+    """A fault, checked, with the kind's default value; `thrusters` are those of the boat, if it is known. Raises FormatError in
+    words."""
     if kind not in KINDS:
         raise FormatError(f"no fault {kind!r}; choose one of {', '.join(KINDS)}")
     places = WHERE.get(kind, ("",))
-    if where not in places:
+    if kind in OF_THRUSTERS:
+        if not where or (thrusters and where not in thrusters):
+            raise FormatError(f"{kind} needs one of {', '.join(thrusters) or 'the thrusters of the boat'}")
+    elif where not in places:
         raise FormatError(f"{kind} needs one of {', '.join(places)}" if kind in WHERE else f"{kind} takes no place: {where!r}")
     default = VALUES.get(kind, (math.nan, ""))[0]
     if value is not None and (kind not in VALUES or not math.isfinite(value)):
@@ -93,6 +96,7 @@ class Broken:
     """The present faults, and when each ends."""
 
     def __init__(self) -> None:
+        self.thrusters: tuple[str, ...] = ()  # of the boat, by name; empty: not known here
         self.on: dict[str, float] = {}  # present kinds, with their value
         self.faults: dict[tuple[str, str], float] = {}  # kind and place of each present fault, and when it ends
 
@@ -123,7 +127,7 @@ class Faults(Broken):
 
     def __init__(self, nodes: Nodes, seed: int) -> None:
         super().__init__()
-        self.nodes, self.model = nodes, nodes.model
+        self.nodes, self.model, self.thrusters = nodes, nodes.model, tuple(nodes.model.drives)
         self._random = Random(f"faults {seed}")
         self._late: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # when due: to the bus ...
         self._late_heard: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # ... and from it
@@ -199,8 +203,14 @@ class Faults(Broken):
                 drive = self._drive(where)
                 drive.charge = min(drive.charge, max(value, 0.0))
 
-    def _drive(self, side: str) -> Drive:
-        return self.model.starboard if side == "starboard" else self.model.port
+    def begin(self, broken: Breakage, now_s: float) -> None:
+        """Raises FormatError if this boat has no such node."""
+        if broken.kind in WHERE and broken.where not in self.nodes.sensors:
+            raise FormatError(f"{broken.kind}: this boat has no {broken.where}")
+        super().begin(broken, now_s)
+
+    def _drive(self, name: str) -> Drive:
+        return self.model.drives[name]
 
 
 class FaultyGuest(Guest):

@@ -1,4 +1,4 @@
-"""The boat, the sea and the wind of the simulator: surge, sway and yaw of a twin-propeller catamaran (thesis 2.13, 3.6).
+"""The boat, the sea and the wind of the simulator: surge, sway and yaw of a hull with its thrusters (thesis 2.13, 3.6).
 
 Equations: Fossen, Handbook of Marine Craft Hydrodynamics and Motion Control, 2011: rigid body and added mass with velocity
 through the water in an irrotational current of constant speed (8.3), wind (8.1.2), bilinear thruster. `docs/simulator.md`
@@ -8,23 +8,21 @@ Not modelled: waves as a force (roll and pitch are for show), shallow water, win
 """
 
 import math
+from collections.abc import Sequence
 from random import Random
 from typing import Final, Literal, NamedTuple
 
-from delfim.config import BoatTable, Sea
+from delfim.config import DELFIMX, Sea, ThrusterTable, Vehicle
 from delfim.geodesy import from_plane, origin
+from delfim.simulator.propulsor import AMBIENT_C, VOLTAGE_V, W_PER_N, Drive
 
-Side = Literal["starboard", "port"]
-DriveFault = Literal[
-    "dead", "stuck", "reversed"
-]  # gives nothing; keeps its revolutions while it has current; turns the other way
+Side = Literal["starboard", "port"]  # the thrusters of DelfimX
 
 STEP_S: Final = 0.1  # longest integration step; `advance` divides longer times
 WATER: Final = 1025.0  # kg/m3
 AIR: Final = 1.225  # kg/m3
 GUST_S: Final = 5.0  # time constant of the wind's changes, as the VRX simulator has it
-VOLTAGE_V: Final = 48.0  # of a battery bank, half full and at rest
-AMBIENT_C: Final = 16.0
+LENGTH_M, BEAM_M, MASS_KG = 4.5, 2.45, 210.0  # of DelfimX
 
 
 class Hull(NamedTuple):
@@ -73,35 +71,46 @@ class Hull(NamedTuple):
     wind_yaw: float = 0.1  # Fossen
 
 
-def hull_of(boat: BoatTable) -> Hull:
-    """The default hull with the length and beam of the vehicle's file, and a propeller under the middle of each hull."""
-    return Hull(length_m=boat.length_m, propeller_m=0.42 * boat.beam_m)
+def hull_of(vehicle: Vehicle) -> Hull:
+    """The default hull, which is that of DelfimX, in the size of the vehicle's file: forces and masses as those of a hull of
+    its length and mass in like motion (Froude). The drag ahead is the file's where it gives it."""
+    boat, same = vehicle.boat, Hull()
+    long = boat.length_m / LENGTH_M
+    heavy = boat.length_m * boat.beam_m / (LENGTH_M * BEAM_M) if boat.mass_kg is None else boat.mass_kg / MASS_KG
+    side, root = math.sqrt(heavy * long), math.sqrt(long)  # its area under water, and the speed of like motion
+    arms = [abs(row.y_m) for row in vehicle.thrusters if row.driver == "dsor"]
+    hull = Hull(
+        length_m=boat.length_m,
+        mass_kg=same.mass_kg * heavy,
+        inertia_kgm2=same.inertia_kgm2 * heavy * long**2,
+        added_surge_kg=same.added_surge_kg * heavy,
+        added_sway_kg=same.added_sway_kg * heavy,
+        added_yaw_kgm2=same.added_yaw_kgm2 * heavy * long**2,
+        surge_n_per_mps=same.surge_n_per_mps * side * root,
+        surge_n_per_mps2=same.surge_n_per_mps2 * side,
+        sway_n_per_mps=same.sway_n_per_mps * side * root,
+        sway_n_per_mps2=same.sway_n_per_mps2 * side,
+        yaw_nm_per_radps=same.yaw_nm_per_radps * side * root * long**2,
+        yaw_nm_per_radps2=same.yaw_nm_per_radps2 * side * long**3,
+        lift_kg_per_m=same.lift_kg_per_m * heavy / long,
+        lift_m=same.lift_m * long,
+        propeller_m=max(arms, default=same.propeller_m),
+        frontal_m2=same.frontal_m2 * long**2,
+        lateral_m2=same.lateral_m2 * long**2,
+    )
+    return _dragged(hull, vehicle)
 
 
-class Drive:
-    """One side: motor controller, motor, propeller and batteries."""
-
-    __slots__ = ("charge", "connected", "current_a", "fault", "motor_a", "reference_rpm", "rpm", "run", "temperature_c")
-
-    def __init__(self) -> None:
-        self.reference_rpm = 0.0
-        self.run = False
-        self.connected = True  # main contactor; an open one is a motor without current
-        self.rpm = 0.0  # positive ahead
-        self.motor_a = 0.0  # into the motor controller
-        self.current_a = 0.0  # out of the batteries
-        self.charge = 1.0  # 0..1; an empty battery is a motor without current
-        self.temperature_c = AMBIENT_C
-        self.fault: DriveFault | None = None
-
-    @property
-    def powered(self) -> bool:
-        return self.connected and self.charge > 0.0
-
-    @property
-    def voltage_v(self) -> float:
-        """Of the batteries: 42 V empty to 54 V full at rest, and 20 mohm within (assumed)."""
-        return VOLTAGE_V + 12.0 * (self.charge - 0.5) - 0.02 * self.current_a
+def _dragged(hull: Hull, vehicle: Vehicle) -> Hull:
+    """With the drag ahead of the file, or the one that full thrust overcomes at `full_mps`, a fifth of it linear. That says
+    nothing for the propellers of DelfimX, which lose thrust with speed."""
+    boat = vehicle.boat
+    if boat.drag_n_per_mps is not None or boat.drag_n_per_mps2 is not None:
+        return hull._replace(surge_n_per_mps=boat.drag_n_per_mps or 0.0, surge_n_per_mps2=boat.drag_n_per_mps2 or 0.0)
+    if boat.full_mps is None or "dsor" in vehicle.drivers:
+        return hull
+    ahead_n = sum(max(row.ends_n[1] * math.cos(math.radians(row.angle_deg)), 0.0) for row in vehicle.thrusters)
+    return hull._replace(surge_n_per_mps=0.2 * ahead_n / boat.full_mps, surge_n_per_mps2=0.8 * ahead_n / boat.full_mps**2)
 
 
 class Model:
@@ -110,15 +119,26 @@ class Model:
     It starts adrift: without motion through the water. The same hull, sea, seed, commands and steps give the same bytes.
     """
 
-    def __init__(self, hull: Hull, sea: Sea, seed: int, latitude_rad: float, longitude_rad: float, heading_rad: float) -> None:
+    def __init__(
+        self,
+        hull: Hull,
+        sea: Sea,
+        seed: int,
+        latitude_rad: float,
+        longitude_rad: float,
+        heading_rad: float,
+        rows: Sequence[ThrusterTable] = DELFIMX,
+    ) -> None:
         self.hull = hull
+        self.drives = {row.name: Drive(row, hull.rpm_max, hull.rpm_per_s_max) for row in rows}
+        arms = [math.copysign(hull.propeller_m, row.y_m) if row.driver == "dsor" else row.y_m for row in rows]
+        self._arms = list(zip(self.drives.values(), arms, strict=True))  # m to starboard of the middle
         self.origin = origin(latitude_rad, longitude_rad)
         self.time_s = 0.0
         self.north_m = self.east_m = 0.0  # from where it started
         self.heading_rad = heading_rad % math.tau  # 0..2 pi, true north
         self.surge_mps = self.sway_mps = 0.0  # through the water, positive ahead and to starboard
         self.yaw_rate_radps = 0.0  # positive to starboard
-        self.starboard, self.port = Drive(), Drive()
         to, wind_to = math.radians(sea.current_to_deg), math.radians(sea.wind_from_deg) + math.pi
         self.current_north_mps, self.current_east_mps = sea.current_mps * math.cos(to), sea.current_mps * math.sin(to)
         self._mean_north_mps, self._mean_east_mps = sea.wind_mps * math.cos(wind_to), sea.wind_mps * math.sin(wind_to)
@@ -130,11 +150,19 @@ class Model:
         self._wave_rad = 0.009 + 0.006 * sea.wind_mps
         self._roll_phase, self._pitch_phase = self._random.uniform(0.0, math.tau), self._random.uniform(0.0, math.tau)
 
-    def command(self, side: Side, rpm: float, run: bool) -> None:
-        """The reference of a side's motor controller, which limits it. NaN is motor off."""
-        drive = self.starboard if side == "starboard" else self.port
+    def command(self, name: str, rpm: float, run: bool) -> None:
+        """The reference of a thruster's motor controller, which limits it. NaN is motor off."""
+        drive = self.drives[name]
         drive.run = run and math.isfinite(rpm)
-        drive.reference_rpm = min(max(rpm, -self.hull.rpm_max), self.hull.rpm_max) if drive.run else 0.0
+        drive.reference_rpm = min(max(rpm, -drive.rpm_max), drive.rpm_max) if drive.run else 0.0
+
+    def push(self, name: str, part: float, angle_rad: float = 0.0, run: bool = True) -> None:
+        """The same as -1..1 of full command, with the angle of one that turns, as drivers are told. Without `run` it stays
+        where it points."""
+        drive = self.drives[name]
+        if run and drive.row.steer is not None and math.isfinite(angle_rad):
+            drive.reference_rad = angle_rad
+        self.command(name, part * drive.rpm_max, run)
 
     def advance(self, dt_s: float) -> None:
         """Let `dt_s` pass, in equal steps of at most STEP_S."""
@@ -142,7 +170,7 @@ class Model:
         h = dt_s / steps
         self._gust(dt_s)
         for _ in range(steps):
-            self._move(h, self._turn(self.starboard, h), self._turn(self.port, h))
+            self._move(h, [self._turn(drive, h) for drive in self.drives.values()])
         self.time_s += dt_s
 
     @property
@@ -154,12 +182,13 @@ class Model:
         """Navigation was made from the present state."""
 
     @property
-    def starboard_rpm(self) -> float:
-        return self.starboard.rpm
+    def starboard(self) -> Drive:
+        """A propeller of DelfimX."""
+        return self.drives["starboard"]
 
     @property
-    def port_rpm(self) -> float:
-        return self.port.rpm
+    def port(self) -> Drive:
+        return self.drives["port"]
 
     @property
     def north_mps(self) -> float:
@@ -207,19 +236,23 @@ class Model:
             self._gust_east_mps = keep * self._gust_east_mps + self._random.gauss(0.0, new)
 
     def _turn(self, drive: Drive, h: float) -> float:
-        """Motor, and its load on the batteries; returns the mean rpm of the step."""
+        """Motor, what turns it, and their load on the batteries; returns the mean rpm of the step."""
+        if drive.row.steer is not None:
+            drive.turn(h)
         hull, before_rpm = self.hull, drive.rpm
         driven, reference_rpm = drive.run and drive.powered, drive.reference_rpm
         if drive.fault is not None:
-            driven, reference_rpm = _faulty(drive)
+            driven, reference_rpm = drive.failing()
         if driven:
             step = (reference_rpm - drive.rpm) * (1.0 - math.exp(-h / hull.motor_s))
-            most = hull.rpm_per_s_max * h
+            most = drive.rpm_per_s_max * h
             drive.rpm += min(max(step, -most), most)
         else:
             drive.rpm *= math.exp(-h / hull.coast_s)
         motor_a = 0.0
-        if driven:
+        if driven and drive.curve is not None:
+            motor_a = W_PER_N * abs(drive.curve.force(drive.part)) / VOLTAGE_V
+        elif driven:
             n, d = abs(drive.rpm) / 60.0, hull.propeller_diameter_m
             ahead_mps = math.copysign(self.surge_mps, self.surge_mps * drive.rpm)
             torque_nm = WATER * d**4 * n * (hull.torque * n * d - hull.torque_per_j * ahead_mps)
@@ -230,32 +263,29 @@ class Model:
         drive.temperature_c += (AMBIENT_C + 0.01 * motor_a * motor_a - drive.temperature_c) * h / 300.0
         return 0.5 * (before_rpm + drive.rpm)
 
-    def _move(self, h: float, starboard_rpm: float, port_rpm: float) -> None:
+    def _move(self, h: float, rpm: list[float]) -> None:
         """One step by the midpoint rule (second-order Runge-Kutta)."""
         u, v, r, heading = self.surge_mps, self.sway_mps, self.yaw_rate_radps, self.heading_rad
         half = 0.5 * h
-        du, dv, dr = self._accelerations(u, v, r, heading, starboard_rpm, port_rpm)
+        du, dv, dr = self._accelerations(u, v, r, heading, rpm)
         um, vm, rm, at = u + half * du, v + half * dv, r + half * dr, heading + half * r
-        du, dv, dr = self._accelerations(um, vm, rm, at, starboard_rpm, port_rpm)
+        du, dv, dr = self._accelerations(um, vm, rm, at, rpm)
         c, s = math.cos(at), math.sin(at)
         self.surge_mps, self.sway_mps, self.yaw_rate_radps = u + h * du, v + h * dv, r + h * dr
         self.heading_rad = (heading + h * rm) % math.tau
         self.north_m += h * (um * c - vm * s + self.current_north_mps)
         self.east_m += h * (um * s + vm * c + self.current_east_mps)
 
-    def _accelerations(
-        self, u: float, v: float, r: float, heading: float, starboard_rpm: float, port_rpm: float
-    ) -> tuple[float, float, float]:
+    def _accelerations(self, u: float, v: float, r: float, heading: float, rpm: list[float]) -> tuple[float, float, float]:
         """Accelerations of surge, sway and yaw, for velocities through the water. Letters are those of Fossen 2011."""
         hull = self.hull
         m11, m22 = hull.mass_kg + hull.added_surge_kg, hull.mass_kg + hull.added_sway_kg
-        y = hull.propeller_m
-        starboard_n, port_n = self._thrust(starboard_rpm, u - y * r), self._thrust(port_rpm, u + y * r)
+        ahead_n, aside_n, turn_nm = self._pushes(u, r, rpm)
         # A slender body sheds its cross-flow where it ends: astern of the water that it meets.
         a, x, abs_u = hull.lift_kg_per_m, -hull.lift_m, abs(u)
-        surge_n = starboard_n + port_n - (hull.surge_n_per_mps + hull.surge_n_per_mps2 * abs_u) * u + m22 * v * r
-        sway_n = -(hull.sway_n_per_mps + hull.sway_n_per_mps2 * abs(v)) * v - a * (abs_u * v + x * u * r) - m11 * u * r
-        yaw_nm = y * (port_n - starboard_n) - (hull.yaw_nm_per_radps + hull.yaw_nm_per_radps2 * abs(r)) * r
+        surge_n = ahead_n - (hull.surge_n_per_mps + hull.surge_n_per_mps2 * abs_u) * u + m22 * v * r
+        sway_n = aside_n - (hull.sway_n_per_mps + hull.sway_n_per_mps2 * abs(v)) * v - a * (abs_u * v + x * u * r) - m11 * u * r
+        yaw_nm = turn_nm - (hull.yaw_nm_per_radps + hull.yaw_nm_per_radps2 * abs(r)) * r
         yaw_nm -= a * (x * u * v + x * x * abs_u * r) + (m22 - m11) * u * v
         if self._gust_mps or self._mean_north_mps or self._mean_east_mps:
             c, s = math.cos(heading), math.sin(heading)
@@ -268,15 +298,23 @@ class Model:
             yaw_nm -= AIR * hull.wind_yaw * hull.lateral_m2 * hull.length_m * ua * va
         return surge_n / m11, sway_n / m22, yaw_nm / (hull.inertia_kgm2 + hull.added_yaw_kgm2)
 
+    def _pushes(self, u: float, r: float, rpm: list[float]) -> tuple[float, float, float]:
+        """Surge, sway and yaw moment of all thrusters."""
+        surge_n = sway_n = yaw_nm = 0.0
+        for (drive, y), turns in zip(self._arms, rpm, strict=True):
+            if drive.curve is None:
+                push_n = self._thrust(turns, u - y * r)
+                surge_n += push_n
+                yaw_nm -= y * push_n
+            else:
+                x_n, y_n = drive.push_n(turns / drive.rpm_max)
+                surge_n += x_n
+                sway_n += y_n
+                yaw_nm += drive.row.x_m * y_n - y * x_n
+        return surge_n, sway_n, yaw_nm
+
     def _thrust(self, rpm: float, inflow_mps: float) -> float:
         """Thrust of one propeller, N. `inflow_mps` is the speed of the propeller ahead through the water."""
         hull, n, d = self.hull, rpm / 60.0, self.hull.propeller_diameter_m
         bollard = hull.thrust * d * n * abs(n) * (1.0 if n > 0.0 else hull.astern)
         return WATER * d**3 * hull.hull_efficiency * (bollard - hull.thrust_per_j * abs(n) * inflow_mps)
-
-
-def _faulty(drive: Drive) -> tuple[bool, float]:
-    """Whether a drive with a fault is driven, and its rpm."""
-    if drive.fault == "stuck":
-        return drive.powered, drive.rpm
-    return drive.run and drive.powered and drive.fault != "dead", -drive.reference_rpm

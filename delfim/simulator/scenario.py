@@ -4,6 +4,7 @@ by example; `delfim.simulator.trial` sails it.
 
 import json
 import math
+from collections.abc import Collection
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal, NamedTuple, Self
 
@@ -116,8 +117,9 @@ class OperatorWord(NamedTuple):
         return cls(float(at_s), console.parse(command), refused, float(held_s))
 
 
-def fault_of(asked: FaultAt) -> Breakage:
-    return fault(asked.kind, asked.where, asked.value, asked.for_s)
+def fault_of(asked: FaultAt, thrusters: Collection[str] = ()) -> Breakage:
+    """`thrusters`: the names of the boat's. Raises FormatError."""
+    return fault(asked.kind, asked.where, asked.value, asked.for_s, thrusters)
 
 
 def mission_of(scenario: Scenario, path: str | Path) -> str:

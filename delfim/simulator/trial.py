@@ -17,7 +17,7 @@ from delfim.modes import Mode
 from delfim.simulator.handset import SimulatedReceiver
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, mission_of, settings_of
-from delfim.simulator.watch import TURNS_RPM, Onlooker
+from delfim.simulator.watch import TURNS, Onlooker
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, StateLog
 
@@ -65,7 +65,7 @@ class Recorder:
             news = [notice for notice in state.notices if (notice.name, notice.action) not in self._notices]
             self.events += [Event(now_s, "notice", notice.name, f"{notice.reason}: {notice.action}") for notice in news]
             self._notices = present
-        stopped = max(abs(model.starboard.rpm), abs(model.port.rpm)) <= TURNS_RPM
+        stopped = max(abs(drive.part) for drive in model.drives.values()) <= TURNS
         if stopped is not self._stopped:
             self._stopped = stopped
             self.events.append(Event(now_s, "propellers", "stopped" if stopped else "turning"))
@@ -99,7 +99,8 @@ def sail(
     """
     run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()))
     watch, recorder, operator = Onlooker(run), Recorder(run), Operator(run, scenario, mission, patient)
-    broken = deque(sorted(((each.at_s, fault_of(each)) for each in scenario.fault), key=lambda pair: pair[0]))
+    faults = [(each.at_s, fault_of(each, run.faults.thrusters)) for each in scenario.fault]
+    broken = deque(sorted(faults, key=lambda pair: pair[0]))
     line = run.lines.get(settings.handset.device)
     receiver = SimulatedReceiver(settings.handset, scenario.handset, line) if line else None
     guest_s = 0.0

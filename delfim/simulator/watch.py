@@ -9,7 +9,7 @@ from delfim.vehicle.fence import Fence
 from delfim.vehicle.state import State
 from delfim.vehicle.zones import clearance_m
 
-TURNS_RPM: Final = 120.0  # above this a propeller gives relevant thrust
+TURNS: Final = 0.0857  # of full command; above this, 120 rpm of DelfimX, a thruster gives relevant thrust
 COAST_S: Final = 4.0  # time in which a stopped one comes to rest
 ASTRAY_S: Final = 12.0  # the same for one that does not obey: detected, disconnected, coasted
 BLIND_S: Final = 0.5  # time beyond the limit until the watchdog acts
@@ -44,12 +44,12 @@ class Onlooker:
     def _adrift(self, idle: bool, now_s: float) -> None:
         """Propellers give thrust while nothing steers the boat. A failed bus is not the boat's fault."""
         model, on = self._model, self._run.faults.on
-        turns = max(abs(model.starboard.rpm), abs(model.port.rpm)) > TURNS_RPM
+        turns = max(abs(drive.part) for drive in model.drives.values()) > TURNS
         if not (idle and turns) or "bus_off" in on or any(kind.startswith("frames_") for kind in on):
             self._turning_since_s, self._astray = math.inf, False
             return
         self._turning_since_s = min(self._turning_since_s, now_s)
-        self._astray = self._astray or model.starboard.fault is not None or model.port.fault is not None
+        self._astray = self._astray or any(drive.fault for drive in model.drives.values())
         if now_s - self._turning_since_s > (ASTRAY_S if self._astray else COAST_S):
             self._fail("adrift under power")
 
@@ -62,7 +62,7 @@ class Onlooker:
         east_m = (model.longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
         inside = all(clearance_m(zone, north_m, east_m) > -NOISE_M for zone in around.zones)
         deceived = math.dist((north_m, east_m), (state.motion.north_m, state.motion.east_m)) > DECEIVED_M
-        obeys = not model.starboard.fault and not model.port.fault
+        obeys = not any(drive.fault for drive in model.drives.values())
         if self._was_inside and not inside and not idle and obeys and not deceived:
             self._fail(f"outside the fence in mode {state.mode.name.lower()}")
         self._was_inside = inside

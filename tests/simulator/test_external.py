@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import msgspec
 import pytest
 
 from delfim import config
@@ -51,6 +52,24 @@ def test_what_is_told_is_where_the_boat_is_and_the_answer_is_what_the_propellers
     assert (model.north_m, model.east_m) == (10.0, -5.0)
     assert model.heading_rad == pytest.approx(7.0 - math.tau)
     assert (model.north_mps, model.east_mps) == (pytest.approx(0.0, abs=1e-9), pytest.approx(1.5))
+
+
+def test_other_thrusters_are_told_by_name_as_part_of_full_command_with_their_angle():
+    row = config.ThrusterTable(name="motor", driver="dsor", thrust_n=(-50.0, 100.0), steer=config.Steer(kind="azimuth"))
+    msgspec.structs.force_setattr(row, "driver", "other")
+    model = ExternalModel(Hull(), "127.0.0.1:0", 0.67, -0.16, (row,))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other, contextlib.closing(model._socket):
+        other.settimeout(30.0)
+        other.connect(model._socket.getsockname())
+        model.push("motor", 0.5, -0.2)
+        model.advance(10.0)
+        other.send(json.dumps(STILL).encode())
+        model.listen()
+        model.push("motor", -0.25, 0.1)
+        (told,) = json.loads(other.recv(2048))["thrusters"].values()
+    assert told["part"] == pytest.approx(0.5)
+    assert (told["command"], told["command_deg"]) == pytest.approx((-0.25, math.degrees(0.1)))
+    assert told["angle_deg"] == pytest.approx(math.degrees(-0.2))
 
 
 @pytest.mark.parametrize("words", [b"", b"{}", b"[1]", b"\xff", json.dumps(STILL | {"north_m": 1e300}).encode()])

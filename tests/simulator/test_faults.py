@@ -18,7 +18,7 @@ from delfim.frames import Frame
 from delfim.messages import Navigation, Node, Status
 from delfim.modes import Mode
 from delfim.simulator import bycommand
-from delfim.simulator.faults import ABOARD, KINDS, VALUES, WHERE, Faults, FaultyGuest, FaultyLog, fault
+from delfim.simulator.faults import ABOARD, KINDS, OF_THRUSTERS, VALUES, WHERE, Faults, FaultyGuest, FaultyLog, fault
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
 from delfim.vehicle import console
@@ -210,7 +210,7 @@ def test_charge_goes_and_does_not_come_back(world):
 )
 def test_a_fault_that_cannot_be_is_refused_in_words(words, reason):
     with pytest.raises(FormatError) as refused:
-        fault(*words)
+        fault(*words, thrusters=("starboard", "port"))
     assert reason in str(refused.value)
 
 
@@ -219,7 +219,8 @@ def test_a_fault_that_cannot_be_is_refused_in_words(words, reason):
 def test_any_faults_at_any_time_end_without_a_trace(orders):
     world = World()
     for kind, place, for_s, end in orders:
-        where = WHERE[kind][place % len(WHERE[kind])] if kind in WHERE else ""
+        places = ("starboard", "port") if kind in OF_THRUSTERS else WHERE.get(kind, ("",))
+        where = places[place % len(places)]
         world.begin(kind, where, None, for_s)
         world.step()
         if end:
@@ -357,4 +358,4 @@ def answered(place: str, data: bytes) -> dict[str, object]:
 def test_every_kind_has_its_documentation():
     page = (Path(__file__).parents[2] / "docs/scenarios.md").read_text()
     assert [kind for kind in KINDS if f"`{kind}`" not in page] == []
-    assert set(VALUES) | set(WHERE) | ABOARD <= set(KINDS)
+    assert set(VALUES) | set(WHERE) | set(OF_THRUSTERS) | ABOARD <= set(KINDS)

@@ -4,11 +4,12 @@ import math
 import statistics
 from itertools import pairwise
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from delfim.config import BoatTable, Sea
+from delfim.config import BoatTable, Sea, Steer, ThrusterTable, Vehicle, load
 from delfim.geodesy import to_plane
 from delfim.simulator.model import Hull, Model, hull_of
 
@@ -36,7 +37,7 @@ def bytes_of(model: Model) -> tuple[str, ...]:
     numbers = [
         *(model.north_m, model.east_m, model.heading_rad, model.surge_mps, model.sway_mps, model.yaw_rate_radps),
         *(model.latitude_rad, model.longitude_rad, model.north_mps, model.east_mps, model.roll_rad, model.pitch_rad),
-        *(model.wind_north_mps, model.wind_east_mps, model.starboard_rpm, model.port_rpm),
+        *(model.wind_north_mps, model.wind_east_mps, model.starboard.rpm, model.port.rpm),
         *(model.starboard.current_a, model.port.charge, model.starboard.voltage_v, model.port.temperature_c),
     ]
     return tuple(number.hex() for number in numbers)
@@ -158,11 +159,11 @@ def test_it_stops_when_the_motors_are_switched_off() -> None:
     before = model.north_m
     model.command("starboard", 1000, False)
     model.command("port", 1000, False)
-    assert drift(model, 0.8, 0.1).starboard_rpm == pytest.approx(1000 / math.e, rel=0.01)
+    assert drift(model, 0.8, 0.1).starboard.rpm == pytest.approx(1000 / math.e, rel=0.01)
     assert drift(model, 9.2).surge_mps < 0.4
     assert drift(model, 110).surge_mps < 0.001
     assert 3 < model.north_m - before < 8, "stopping distance"
-    assert model.starboard_rpm == pytest.approx(0.0, abs=1e-9)
+    assert model.starboard.rpm == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_motor_follows_its_reference_within_rate_and_limit() -> None:
@@ -171,19 +172,19 @@ def test_a_motor_follows_its_reference_within_rate_and_limit() -> None:
     seen = [0.0]
     for _ in range(100):
         model.advance(0.05)
-        seen.append(model.port_rpm)
+        seen.append(model.port.rpm)
     assert max(after - before for before, after in pairwise(seen)) <= model.hull.rpm_per_s_max * 0.05 + 1e-9
     assert seen == sorted(seen)
     assert seen[-1] == pytest.approx(model.hull.rpm_max, rel=1e-3)
-    assert model.starboard_rpm == 0.0
+    assert model.starboard.rpm == 0.0
 
 
 @pytest.mark.parametrize("rpm", [math.nan, math.inf, -math.inf])
 def test_what_is_no_number_is_motor_off(rpm: float) -> None:
     model = drive(boat(), 800, 800, 10)
     model.command("port", rpm, True)
-    assert drift(model, 20).port_rpm == pytest.approx(0.0, abs=1e-6)
-    assert model.starboard_rpm == pytest.approx(800.0, abs=1.0)
+    assert drift(model, 20).port.rpm == pytest.approx(0.0, abs=1e-6)
+    assert model.starboard.rpm == pytest.approx(800.0, abs=1.0)
 
 
 @pytest.mark.parametrize("failure", ["contactor", "empty"])
@@ -194,9 +195,9 @@ def test_no_current_no_propeller(failure: str) -> None:
     else:
         model.port.charge = 0.0
     drive(model, 800, 800, 10)
-    assert model.port_rpm == 0.0
+    assert model.port.rpm == 0.0
     assert model.port.current_a == 0.0
-    assert model.starboard_rpm == pytest.approx(800.0, abs=1.0)
+    assert model.starboard.rpm == pytest.approx(800.0, abs=1.0)
     assert model.yaw_rate_radps < 0, "turns towards the dead side"
 
 
@@ -294,11 +295,87 @@ def test_it_rolls_and_pitches_more_in_wind_but_never_far() -> None:
     assert 0 < pitch_most < windy_most
 
 
-def test_a_hull_takes_length_and_beam_from_the_vehicles_file() -> None:
-    hull = hull_of(BoatTable(name="other", length_m=6.0, beam_m=3.0))
-    assert hull.length_m == 6.0
-    assert hull.propeller_m == pytest.approx(1.26)
-    assert hull.mass_kg == Hull().mass_kg
+def test_the_hull_of_delfimx_is_the_published_one() -> None:
+    told = hull_of(load("etc/delfimx.toml"))
+    assert told == Hull()._replace(length_m=4.5, propeller_m=1.029)
+
+
+def test_a_hull_of_twice_the_length_and_eight_times_the_mass_moves_as_the_same_boat_slowed_down() -> None:
+    """Froude: at the root of two times the speed its forces are eight times as large."""
+    small, large = (hull_of(Vehicle(boat=BoatTable(name="x", length_m=2.25 * k, mass_kg=50.0 * k**3))) for k in (1.0, 2.0))
+
+    def drag_n(hull: Hull, speed_mps: float) -> float:
+        return (hull.surge_n_per_mps + hull.surge_n_per_mps2 * speed_mps) * speed_mps
+
+    def turn_nm(hull: Hull, rate_radps: float) -> float:
+        return (hull.yaw_nm_per_radps + hull.yaw_nm_per_radps2 * rate_radps) * rate_radps
+
+    assert (large.mass_kg, large.inertia_kgm2) == pytest.approx((8 * small.mass_kg, 32 * small.inertia_kgm2))
+    assert drag_n(large, math.sqrt(2.0)) == pytest.approx(8 * drag_n(small, 1.0))
+    assert turn_nm(large, math.sqrt(0.5)) == pytest.approx(16 * turn_nm(small, 1.0))
+
+
+OUTBOARD = ThrusterTable(
+    name="motor",
+    driver="dsor",
+    x_m=-2.0,
+    thrust_n=(-50.0, 200.0),
+    steer=Steer(kind="azimuth", angle_max_deg=35.0, rate_dps=20.0),
+)
+
+
+def other(row: ThrusterTable, **more: object) -> ThrusterTable:
+    """A row of another driver than that of DelfimX."""
+    row = msgspec.structs.replace(row, **more)
+    msgspec.structs.force_setattr(row, "driver", "other")
+    return row
+
+
+def driven(*rows: ThrusterTable, hull: Hull | None = None) -> Model:
+    return Model(hull or Hull(), CALM, 1, math.radians(38.69), math.radians(-9.21), 0.0, rows)
+
+
+def test_the_curve_of_a_row_gives_its_force_and_the_drag_the_speed() -> None:
+    model = driven(other(OUTBOARD, steer=None), hull=Hull()._replace(surge_n_per_mps=0.0, surge_n_per_mps2=50.0))
+    model.push("motor", 1.0)
+    assert drift(model, 60).surge_mps == pytest.approx(2.0, rel=1e-3)
+    model.push("motor", -1.0)
+    assert drift(model, 60).surge_mps == pytest.approx(-1.0, rel=1e-3)
+
+
+def test_an_outboard_turns_the_boat_at_the_rate_that_it_turns_itself() -> None:
+    model = driven(other(OUTBOARD))
+    model.push("motor", 0.5, math.radians(30.0))
+    drift(model, 1.0)
+    assert math.degrees(model.drives["motor"].angle_rad) == pytest.approx(20.0)
+    drift(model, 5.0)
+    assert math.degrees(model.drives["motor"].angle_rad) == pytest.approx(30.0)
+    assert model.yaw_rate_radps < -0.05, "the stern is pushed to starboard"
+    model.push("motor", 0.0, 0.0, run=False)
+    drift(model, 5.0)
+    assert math.degrees(model.drives["motor"].angle_rad) == pytest.approx(30.0), "a stop leaves it where it points"
+
+
+def test_a_rudder_steers_ahead_and_not_astern() -> None:
+    for part, turns in ((0.5, True), (-0.5, False)):
+        model = driven(other(OUTBOARD, steer=Steer(kind="rudder")))
+        model.push("motor", part, math.radians(30.0))
+        assert (drift(model, 10.0).yaw_rate_radps < -0.01) is turns
+
+
+def test_a_bow_thruster_pushes_aside_and_a_stuck_one_keeps_its_revolutions_and_angle() -> None:
+    model = driven(other(OUTBOARD), other(OUTBOARD, name="bow", x_m=2.0, angle_deg=90.0, steer=None))
+    model.push("bow", 1.0)
+    drift(model, 10.0)
+    assert model.sway_mps > 0.05
+    assert model.yaw_rate_radps > 0.05
+    stuck = model.drives["motor"]
+    stuck.fault = "stuck"
+    model.push("motor", 1.0, 0.5)
+    drift(model, 5.0)
+    assert (stuck.rpm, stuck.angle_rad) == (0.0, 0.0)
+    model.drives["bow"].fault = "reversed"
+    assert drift(model, 10.0).sway_mps < -0.05
 
 
 @given(

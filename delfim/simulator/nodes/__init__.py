@@ -84,7 +84,7 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
     there = settings.simulation
     if model is None:
         start = math.radians(there.latitude_deg), math.radians(there.longitude_deg)
-        model = Model(hull_of(settings.boat), there.sea, seed, *start, math.radians(there.heading_deg))
+        model = Model(hull_of(settings), there.sea, seed, *start, math.radians(there.heading_deg), settings.thrusters)
     named = dict[str, SimulatedNode]()
     for kind in NODES:
         named |= import_module(f"{__name__}.{kind}").nodes(settings, model, seed)

@@ -17,7 +17,7 @@ from delfim.messages import (
     sysstat_arb,
     unpack_batteries_command,
 )
-from delfim.simulator.model import Model, Side
+from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import Period
 
 BATTERIES_STATUS_S: Final = 1.0
@@ -28,11 +28,11 @@ EMPTY_CHARGE: Final = 0.05
 class BatteriesNode:
     """One bank: it obeys its contactor command, starts with an open contactor, and counts its charge."""
 
-    def __init__(self, model: Model, side: Side) -> None:
-        self._drive = model.starboard if side == "starboard" else model.port
+    def __init__(self, model: Model, row: config.ThrusterTable) -> None:
+        self._drive = model.drives[row.name]
         self._drive.connected = False
-        self._node = Node.BATTERIES_STARBOARD if side == "starboard" else Node.BATTERIES_PORT
-        self.hears = (BATTERIES_STARBOARD if side == "starboard" else BATTERIES_PORT, RESET)
+        self._node = (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT)[row.address]
+        self.hears = ((BATTERIES_STARBOARD, BATTERIES_PORT)[row.address], RESET)
         self._status = Period(BATTERIES_STATUS_S)
         self.malformed = 0
         self.silent = self.bad = False
@@ -64,4 +64,5 @@ class BatteriesNode:
 
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, BatteriesNode]:
-    return {"batteries_starboard": BatteriesNode(model, "starboard"), "batteries_port": BatteriesNode(model, "port")}
+    rows = [row for row in settings.thrusters if row.driver == "dsor"]
+    return {("batteries_starboard", "batteries_port")[row.address]: BatteriesNode(model, row) for row in rows}

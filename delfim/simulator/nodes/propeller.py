@@ -19,7 +19,7 @@ from delfim.messages import (
     sysstat_arb,
     unpack_propeller_command,
 )
-from delfim.simulator.model import Model, Side
+from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import TOLERANCE_S, Period
 
 PROPELLER_STATUS_S: Final = 0.2
@@ -31,11 +31,12 @@ class PropellerNode:
     A command with an unchanged counter is obeyed but does not count as new: a frozen sender must not keep a motor running.
     """
 
-    def __init__(self, model: Model, side: Side) -> None:
-        self._model, self._side = model, side
-        self._drive = model.starboard if side == "starboard" else model.port
-        self._node = Node.PROPELLER_STARBOARD if side == "starboard" else Node.PROPELLER_PORT
-        self.hears = (PROPELLER_STARBOARD if side == "starboard" else PROPELLER_PORT, RESET)
+    def __init__(self, model: Model, row: config.ThrusterTable) -> None:
+        self._model, self._name = model, row.name
+        self._drive = model.drives[row.name]
+        self._node = (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT)[row.address]
+        self._sign = -1 if row.reversed else 1
+        self.hears = ((PROPELLER_STARBOARD, PROPELLER_PORT)[row.address], RESET)
         self._status = Period(PROPELLER_STATUS_S)
         self._commanded_s = -math.inf
         self._heard_counter = -1
@@ -60,12 +61,12 @@ class PropellerNode:
             return
         if command.counter != self._heard_counter:
             self._heard_counter, self._commanded_s = command.counter, now_s
-        self._model.command(self._side, command.rpm, command.run and not self._silent(now_s))
+        self._model.command(self._name, self._sign * command.rpm, command.run and not self._silent(now_s))
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         silent, drive = self._silent(now_s), self._drive
         if silent:
-            self._model.command(self._side, 0.0, False)
+            self._model.command(self._name, 0.0, False)
         if not self._status.passed(now_s) or self.silent:
             return []
         faults = Fault.NO_COMMAND if silent else Fault(0)
@@ -75,7 +76,8 @@ class PropellerNode:
             faults |= Fault.HARDWARE
         status = Status.BAD if faults else Status.GOOD
         self._counter += 1
-        report = PropellerStatus(status, faults, round(drive.rpm), drive.motor_a, round(drive.temperature_c), self._counter)
+        rpm = self._sign * round(drive.rpm)
+        report = PropellerStatus(status, faults, rpm, drive.motor_a, round(drive.temperature_c), self._counter)
         return [Frame(sysstat_arb(self._node), pack_propeller_status(report))]
 
     def _silent(self, now_s: float) -> bool:
@@ -83,4 +85,5 @@ class PropellerNode:
 
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, PropellerNode]:
-    return {"propeller_starboard": PropellerNode(model, "starboard"), "propeller_port": PropellerNode(model, "port")}
+    rows = [row for row in settings.thrusters if row.driver == "dsor"]
+    return {("propeller_starboard", "propeller_port")[row.address]: PropellerNode(model, row) for row in rows}
