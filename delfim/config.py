@@ -633,6 +633,19 @@ class HandsetTable(Table, frozen=True):
             raise ValueError("mandatory: name the device of the hand-set")
 
 
+class KillTable(Table, frozen=True):
+    """A kill switch at a pin of the computer, to ground, normally closed: open is pressed, or broken (docs/handset.md)."""
+
+    chip: Annotated[str, text("(/dev/gpiochip[0-9]+)?", "/dev/gpiochipNUMBER, or empty")] = ""  # of the pin; empty: no switch
+    line: Annotated[str, text("[^ ]{0,31}", "a name without blanks, as gpioinfo lists it")] = ""  # name of the pin
+    kills_at: Literal["high", "low"] = "high"  # the level that kills
+    bias: Literal["pull-up", "pull-down", "none"] = "pull-up"  # the pin's own resistor
+
+    def __post_init__(self) -> None:
+        if bool(self.chip) != bool(self.line):
+            raise ValueError("a kill switch needs both its chip and its line")
+
+
 class Sensors(Table, frozen=True):
     """The sensors of the boat beside navigation."""
 
@@ -1051,6 +1064,7 @@ class Vehicle(Table, frozen=True):
     console: Console = Console()
     mavlink: Mavlink = Mavlink()
     handset: HandsetTable = HandsetTable()
+    kill: KillTable = KillTable()
     guest: GuestTable = GuestTable()
     cantcpd: Cantcpd = Cantcpd()
     canip: Canip = Canip()

@@ -66,7 +66,7 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     for key, bus in vehicle.outside("interface").items():
         if ":" not in bus and not Path("/sys/class/net", bus).exists():
             yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not"
-    files = {"mavlink.key": vehicle.mavlink.key, "mavlink.serial": vehicle.mavlink.serial}
+    files = {"mavlink.key": vehicle.mavlink.key, "mavlink.serial": vehicle.mavlink.serial, "kill.chip": vehicle.kill.chip}
     files |= {"slipd.device": vehicle.slipd.device} | vehicle.outside("device")
     for key, path in files.items():
         if path and not Path(path).exists():

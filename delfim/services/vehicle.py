@@ -17,6 +17,7 @@ from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.errors import ConfigError, DelfimError
+from delfim.gpio import Bias, GpioLine, open_gpio
 from delfim.logging.linelog import LineLog
 from delfim.messages import time_frame
 from delfim.serialline import Form, SerialLine
@@ -79,6 +80,11 @@ class OpenedLinks:
         self._logs.append(log)
         return line
 
+    def gpio(self, chip: str, name: str, bias: Bias) -> GpioLine:
+        line = open_gpio(chip, name, bias)
+        self._links.callback(line.close)
+        return line
+
     def write(self) -> None:
         for log in self._logs:
             log.write()
@@ -104,7 +110,9 @@ async def serve(runtime: Runtime) -> None:
         record_to, make_guest = (broken.log(log), broken.guest) if broken else (log, Guest)
 
         opened = OpenedLinks(runtime, links)
-        boat, inputs, hands, outlets = build(settings, clock, state, Links(opened.bus, opened.line), record_to, make_guest)
+        boat, inputs, hands, outlets = build(
+            settings, clock, state, Links(opened.bus, opened.line, opened.gpio), record_to, make_guest
+        )
         links.callback(boat.helm.stop, "shutdown")  # undone first of all
         for source in boat.sources:
             links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))

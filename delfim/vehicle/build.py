@@ -11,6 +11,7 @@ from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
 from delfim.vehicle.handset import open_handset
+from delfim.vehicle.killswitch import KillSwitch
 from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import open_sources
@@ -38,7 +39,7 @@ def build(
 ) -> Built:
     """The vehicle of this file. Its sources are `vehicle.sources`. Raises DelfimError where an input cannot be opened."""
     sources = open_sources(settings, links, state)
-    hands: tuple[Hand, ...] = (open_handset(settings.handset, links),) if settings.handset.device else ()
+    hands = _hands(settings, links)
     sensors = open_sensors(settings, links)
     outlets = list[CanSocket]()
 
@@ -52,3 +53,13 @@ def build(
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
     reports = tuple(each for actuator in actuators for each in actuator.inputs)
     return Built(vehicle, (*sensors, *hands, *reports), hands, tuple(outlets))
+
+
+def _hands(settings: config.Vehicle, links: Links) -> tuple[Hand, ...]:
+    """The operators aboard. Raises DelfimError."""
+    hands, kill = list[Hand](), settings.kill
+    if settings.handset.device:
+        hands.append(open_handset(settings.handset, links))
+    if kill.chip and links.gpio:
+        hands.append(KillSwitch(kill, links.gpio(kill.chip, kill.line, kill.bias)))
+    return tuple(hands)

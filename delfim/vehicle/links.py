@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol
 
 from delfim.canproxy.socket import CanAddress, CanSocket
+from delfim.gpio import Bias, GpioLine
 from delfim.serialline import Form
 from delfim.vehicle.state import State
 
@@ -38,11 +39,17 @@ class OpenLine(Protocol):
     def __call__(self, device: str, baud: int, form: Form = "8N1", /) -> ReadableLine: ...
 
 
+OpenGpio = Callable[[str, str, Bias], GpioLine]  # chip, name of the line, its resistor
+
+
 class Links(NamedTuple):
-    """Opens links. The caller keeps a link open, reopens it after a failure, and closes it. Both methods raise DelfimError."""
+    """Opens links. The caller keeps a link open, reopens it after a failure, and closes it. Each raises DelfimError."""
 
     bus: Callable[[str, tuple[CanAddress, ...]], CanSocket]
     """A socket on an interface: never blocks, receives what the filters accept; without filters, nothing."""
 
     line: OpenLine
     """The serial line of a device, at this speed in baud, in this form."""
+
+    gpio: OpenGpio | None = None
+    """A pin of the computer; None: there are none, as in lock step, and in a replay, whose log has the orders of a switch."""

@@ -20,6 +20,8 @@ from delfim.vehicle.state import HandsetReport, State
 
 TURNING: Final = 0.04  # of full command; below this a propeller moves no boat
 SURE: Final = 0.3  # of full command; above this a propeller turns, whatever its revolutions
+DEAD_V: Final = 5.0  # no battery of a thruster is so low
+_PROPELLERS: Final = (sysstat.NAMES[Node.PROPELLER_STARBOARD], sysstat.NAMES[Node.PROPELLER_PORT])
 FRESH_S: Final = 1.0  # an older report of a propeller does not count
 CHARGE_BACK: Final = 0.02  # a battery is low until it has this much more
 _BATTERIES: Final = (sysstat.NAMES[Node.BATTERIES_STARBOARD], sysstat.NAMES[Node.BATTERIES_PORT])
@@ -43,7 +45,18 @@ class Look(NamedTuple):
 
 
 def kill(look: Look) -> str | None:
-    return f"kill: {look.state.killed.reason}" if look.state.killed.reason else None
+    """The kill, and whether a relay cut the power of the thrusters, which is no fault of theirs then."""
+    reason = look.state.killed.reason
+    return f"kill: {reason}" + ("; the thrusters have no power" if _has_no_power(look) else "") if reason else None
+
+
+def _has_no_power(look: Look) -> bool:
+    """The boat is killed, and all thrusters that ever reported are silent or without voltage."""
+    reports, stale_s = look.state.thrusters.values(), look.settings.sysstat.stale_s
+    is_off = all(
+        look.now_s - each.heard_s > stale_s or (each.voltage_v is not None and each.voltage_v < DEAD_V) for each in reports
+    )
+    return bool(look.state.killed.reason and reports) and is_off
 
 
 def handset_silent(look: Look) -> str | None:
@@ -91,7 +104,7 @@ def navigation_frozen(look: Look) -> str | None:
 
 
 def sensor_bad(look: Look) -> str | None:
-    return sysstat.wrong(look.state, look.settings.sysstat, look.now_s)
+    return sysstat.wrong(look.state, look.settings.sysstat, look.now_s, _PROPELLERS if _has_no_power(look) else ())
 
 
 def battery_critical(look: Look) -> str | None:

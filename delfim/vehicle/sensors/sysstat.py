@@ -1,6 +1,6 @@
 """System status of the other nodes (sysstat.c in the thesis): extended frames and segmented messages, one function."""
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 
 from delfim import config
 from delfim.canproxy.dsor.protocol import message_filter
@@ -81,9 +81,11 @@ def _report_of(row: config.ThrusterTable, status: PropellerStatus, now_s: float)
     return ThrusterReport(now_s, rpm, status.current_a, temperature_c=status.temperature_c, faults=faults)
 
 
-def wrong(state: State, required: config.Sysstat, now_s: float) -> str | None:
-    """The first reason why the boat may not sail, in words: a required node that is silent or bad."""
+def wrong(state: State, required: config.Sysstat, now_s: float, but: Container[str] = ()) -> str | None:
+    """The first reason why the boat may not sail, in words: a required node that is silent or bad, and not among `but`."""
     for name in required.required:
+        if name in but:
+            continue
         report = state.sysstat.get(name)
         if report is None:
             return f"{name.replace('_', ' ')} has not reported"

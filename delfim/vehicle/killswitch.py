@@ -1,0 +1,39 @@
+"""A kill switch at a pin of the computer. It is wired normally closed, so that a broken wire kills, too."""
+
+from collections.abc import Iterator
+from typing import Final
+
+from delfim import config
+from delfim.gpio import GpioLine
+from delfim.vehicle import console
+from delfim.vehicle.hands import change
+from delfim.vehicle.links import Readable
+from delfim.vehicle.state import State
+
+NAME: Final = "kill switch"
+
+
+class KillSwitch:
+    """A `Hand`. The level counts at each look, not only its changes: one may have come before anybody listened."""
+
+    name = NAME
+
+    def __init__(self, settings: config.KillTable, line: GpioLine) -> None:
+        self.input: Readable = line
+        self._line, self._kills_at_high = line, settings.kills_at == "high"
+        self._reason, self._was_touched = "", False
+
+    def read(self, state: State, now_s: float) -> None:
+        level = self._line.read()
+        if level is None:
+            self._reason = f"it cannot be read: {self._line.trouble}"
+            return
+        self._was_touched = self._was_touched or self._kills_at_high in level.was
+        self._reason = "pressed, or its wire is open" if level.is_high is self._kills_at_high else ""
+
+    def orders(self, state: State, now_s: float) -> Iterator[console.Commands]:
+        """A short touch kills; the next look releases."""
+        if self._was_touched and not self._reason:
+            yield console.Kill(NAME, "pressed, or its wire is open", "on")
+        self._was_touched = False
+        yield from change(NAME, self._reason, state)
