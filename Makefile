@@ -63,6 +63,7 @@ page: $(NPM) ## build the console's page from its sources again, as it is shippe
 pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/delfim sim etc/delfimx.toml --lockstep --output run/pictures
 	cp run/pictures/track.png docs/pictures/
+	$(BIN)/python -m tests.vehicle.estimator_trial docs/pictures
 	$(BIN)/python -m tests.guest.figure_2_9 docs/pictures/figure-2-9.png
 	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.scenes docs/pictures

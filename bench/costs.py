@@ -26,6 +26,7 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.slices import Sliced
 from delfim.vehicle import console, fence, missionreader
 from delfim.vehicle.control.control import enter
+from delfim.vehicle.estimator import Estimator
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.station import FRAMES, Station
@@ -99,7 +100,7 @@ def rows(settings: config.Vehicle) -> list[Row]:
         pass
     boat = sea.vehicle
     largest = console.Upload(mission(boat, zones(boat)))
-    return [*_plans(boat, largest), *_fences(boat), *_voyage(boat, largest), *_consoles(boat, largest), *_words()]
+    return [*_plans(boat, largest), *_fences(boat), *_voyage(boat, largest), *_consoles(boat, largest), _estimator(), *_words()]
 
 
 def zones(boat: VehicleLoop) -> config.Zones:
@@ -137,6 +138,24 @@ def _ring(boat: VehicleLoop, north_m: float, east_m: float, radius_m: float) -> 
     for i in range(config.CORNERS):
         turn = math.tau * i / config.CORNERS
         yield _place(boat, north_m + radius_m * math.cos(turn), east_m + radius_m * math.sin(turn))
+
+
+def _estimator() -> Row:
+    """All four values at once, and the motion: more than a step at sea ever has. It is to take 0.1 ms at most."""
+    estimator = Estimator(config.EstimatorTable(antenna_forward_m=1.0), config.NavigationTable(), 3.0)
+    ticks = count()
+
+    def step() -> Callbacks:
+        yield None
+        for _ in range(100):
+            t_s = 0.1 * next(ticks)
+            estimator.rate(t_s, 0.01 * math.sin(t_s))
+            estimator.heading(t_s, 0.01 * t_s)
+            estimator.position(t_s, 0.67 + 1e-8 * t_s, -0.16, 0.1)
+            estimator.velocity(t_s, 0.06, 1e-6 * t_s, 0.1)
+            yield estimator.estimate(t_s)
+
+    return Row("step of the estimator", step)
 
 
 def _words() -> list[Row]:

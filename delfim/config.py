@@ -151,6 +151,25 @@ class NavigationTable(Table, frozen=True):
     stale_s: Seconds = 1.0  # a source silent for longer is not used
     jump_mps: Speed = 15.0  # a position that would need more than this speed is refused ...
     jump_m: Metres = 10.0  # ... unless it is this close
+    estimator: bool = False  # for sources of separate sensors: smooth them and fill their gaps (docs/estimator.md)
+
+    def __post_init__(self) -> None:
+        if self.estimator and set(self.sources) == {"dsor"}:
+            raise ValueError("estimator: the boat's navigation node estimates by itself; leave it away, or name another source")
+
+
+class EstimatorTable(Table, frozen=True):
+    """The estimator's knowledge of the sensors, where `navigation.estimator` is set (docs/estimator.md)."""
+
+    position_m: Annotated[float, msgspec.Meta(ge=0.005, le=100.0)] = 0.5  # standard deviation of a position, per axis
+    velocity_mps: Annotated[float, msgspec.Meta(ge=0.005, le=10.0)] = 0.1  # of a velocity, per axis
+    heading_deg: Annotated[float, msgspec.Meta(ge=0.05, le=90.0)] = 2.0  # of a heading
+    rate_degps: Annotated[float, msgspec.Meta(ge=0.001, le=30.0)] = 0.3  # of the gyro's rate of turn
+    acceleration_mps2: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.3  # of the boat, unforeseen
+    antenna_forward_m: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0  # of the point that shall be steered
+    antenna_starboard_m: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0  # of it
+    position_latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # age of position and velocity when they come
+    heading_latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # age of a heading when it comes
 
 
 class Nmea2000(Table, frozen=True):
@@ -972,6 +991,9 @@ class Simulation(Table, frozen=True):
     position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position
     heading_noise_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.5  # standard deviation of the heading
     speed_noise_mps: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.03  # standard deviation of the speed
+    receiver_hz: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 5.0  # positions a second of a receiver on NMEA 2000; 0: none
+    compass_hz: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 10.0  # headings a second of a compass there; 0: none
+    gyro: bool = True  # that compass tells its rate of turn, too
     external: Annotated[str, text(rf"([^ :]+:{_PORT})?", "ADDRESS:PORT, or empty")] = ""  # of a model in another program
     sea: Sea = Sea()
 
@@ -1045,6 +1067,7 @@ class Vehicle(Table, frozen=True):
     can: Can = Can()
     navigation: NavigationTable = NavigationTable()
     nmea2000: Nmea2000 = Nmea2000()
+    estimator: EstimatorTable = EstimatorTable()
     propulsion: PropulsionTable = PropulsionTable()
     dsor: Dsor = Dsor()
     dronecan: Dronecan = Dronecan()

@@ -37,6 +37,9 @@ class Lockstep:
         self.clock = ManualClock()
         bus = self.bus = LockstepBus(self.clock)
         self._world = bus.socket("nodes")
+        apart = settings.nmea2000.interface
+        sensors = bus if apart == settings.can.interface else LockstepBus(self.clock, "nmea2000")
+        self._sensors = sensors.socket("devices")
         self.nodes = nodes_of(settings, seed, model)
         self._world.bind(*self.nodes.hears)
         self.faults = Faults(self.nodes, seed)
@@ -44,7 +47,7 @@ class Lockstep:
         self.log = make_log(self.clock)
         record_to = FaultyLog(self.log, self.faults)
         self.lines = dict[str, LockstepLine]()  # by device
-        links = Links(lambda _, filters: bus.bound(*filters), self._line)
+        links = Links(lambda name, filters: (sensors if name == apart else bus).bound(*filters), self._line)
         self.vehicle, self._inputs, self._hands, _ = build(settings, self.clock, self.state, links, record_to)
         self.guest = self.vehicle.guest
         self._cycle_s = 1.0 / settings.navigation.rate_hz
@@ -86,6 +89,9 @@ class Lockstep:
         self.bus.off = "bus_off" in faults.on
         for frame in frames:
             world.sendmsg(frame)
+        if self.nodes.devices is not None:
+            for frame in self.nodes.devices.step(now_s, clock.time_ns()):
+                self._sensors.sendmsg(frame)
         for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is read again
             for source in vehicle.sources:
                 vehicle.on_navigation(source)

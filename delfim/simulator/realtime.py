@@ -1,10 +1,12 @@
 """The boat's other nodes in real time, on the bus of the vehicle's file: `delfim nodes`.
 
-One process, one socket, one loop: wait until a node has something to say or a command arrives. The vehicle cannot tell it from
-the real nodes, on a loopback bus or on a real one.
+One process, one loop, a socket for each bus: wait until a node has something to say or a command arrives. The vehicle cannot
+tell it from the real nodes, on a loopback bus or on a real one. Devices of NMEA 2000 are played on a loopback bus only: a real
+one has real devices.
 """
 
 import contextlib
+import math
 import select
 import signal
 from types import FrameType
@@ -14,10 +16,12 @@ from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanSocket
 from delfim.clock import SystemClock
 from delfim.errors import BusError
+from delfim.frames import Frame
 from delfim.simulator.bycommand import NODES, listening, obey, place
 from delfim.simulator.external import ExternalModel
 from delfim.simulator.faults import Faults
-from delfim.simulator.nodes import nodes_of
+from delfim.simulator.nodes import Nodes, nodes_of
+from delfim.simulator.nodes.devices import Devices
 
 BUS_RETRY_S = 0.5
 
@@ -31,23 +35,28 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
 
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, end)
-    with open_can(settings.can.interface) as bus, listening(place(settings, NODES)) as requests:
+    with contextlib.ExitStack() as opened:
+        bus = opened.enter_context(open_can(settings.can.interface))
+        requests = opened.enter_context(listening(place(settings, NODES)))
         bus.setblocking(False)
         clock, poll = SystemClock(), select.poll()
         model = ExternalModel.of(settings)
         if model is not None:
             poll.register(model.fileno(), select.POLLIN)
         nodes = Faults(nodes_of(settings, seed, model), seed)
+        devices = _devices(settings, nodes.nodes, opened)
         bus.bind(*nodes.nodes.hears)
         poll.register(bus.fileno(), select.POLLIN)
         poll.register(requests.fileno(), select.POLLIN)
         while not ended:
-            wait_s = max(nodes.due_s - clock.monotonic_s(), 0.0)
+            wait_s = max(min(nodes.due_s, devices[0].due_s if devices else math.inf) - clock.monotonic_s(), 0.0)
             poll.poll(min(wait_s, 1.0) * 1000.0)
             if model is not None:
                 model.listen()
             try:
                 _turn(nodes, bus, clock)
+                if devices is not None:
+                    _send(devices[1], devices[0].step(clock.monotonic_s(), clock.time_ns()))
             except BusError:  # the bus failed; boats survive that, so do the nodes
                 select.select([], [], [], BUS_RETRY_S)
                 bus.rebind()
@@ -57,11 +66,24 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
     return 0
 
 
+def _devices(settings: config.Vehicle, nodes: Nodes, opened: contextlib.ExitStack) -> tuple[Devices, CanSocket] | None:
+    """The devices of NMEA 2000 and a socket on their bus. Raises BusError."""
+    if nodes.devices is None or not settings.nmea2000.interface.startswith("canloop:"):
+        return None
+    socket = opened.enter_context(open_can(settings.nmea2000.interface))
+    socket.setblocking(False)
+    return nodes.devices, socket
+
+
 def _turn(nodes: Faults, bus: CanSocket, clock: SystemClock) -> None:
     now_s = clock.monotonic_s()
     while (frame := bus.receive()) is not None:
         nodes.feed(frame, now_s)
     stepped_ns = round(nodes.on.get("clock_stepped", 0.0) * 1e9)  # other programs use this computer's clock, too
-    for frame in nodes.step(now_s, clock.time_ns() - stepped_ns):
+    _send(bus, nodes.step(now_s, clock.time_ns() - stepped_ns))
+
+
+def _send(bus: CanSocket, frames: list[Frame]) -> None:
+    for frame in frames:
         with contextlib.suppress(BlockingIOError):  # a full transmit queue: a real node loses the frame too
             bus.sendmsg(frame)

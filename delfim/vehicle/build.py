@@ -7,6 +7,7 @@ from delfim import config
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.vehicle.actuators import open_actuator
+from delfim.vehicle.estimated import between
 from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
@@ -39,6 +40,8 @@ def build(
 ) -> Built:
     """The vehicle of this file. Its sources are `vehicle.sources`. Raises DelfimError where an input cannot be opened."""
     sources = open_sources(settings, links, state)
+    if settings.navigation.estimator:
+        sources = between(sources, settings, state)
     hands = _hands(settings, links)
     sensors = open_sensors(settings, links)
     outlets = list[CanSocket]()

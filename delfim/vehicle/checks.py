@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from delfim import config
 from delfim.modes import Mode
-from delfim.vehicle import gnss
+from delfim.vehicle import gnss, inputhealth
 from delfim.vehicle.failsafe import Action, Rules
 from delfim.vehicle.fence import outside
 from delfim.vehicle.sensors import sysstat
@@ -30,10 +30,6 @@ ADVISORY = frozenset({"clock", "mission", "link", "last shutdown", "image"})  # 
 def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: int) -> list[Check]:
     """All lines, in the order in which they matter. `time_ns`: the computer's clock, since 1970."""
     age_s = now_s - state.navigation_s
-    if age_s > rules.settings.navigation.stale_s:
-        silent = "no navigation yet" if state.navigation is None else f"navigation silent for {age_s:.1f} s"
-    else:
-        silent = ""
     bad = sysstat.wrong(state, rules.settings.sysstat, now_s)
     least, batteries = charge(state)
     critical = batteries and least <= rules.table.battery_critical.charge
@@ -46,7 +42,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
     return [
         Check("kill", not state.killed.reason, f"kill: {state.killed.reason}" if state.killed.reason else "none"),
         Check("computer", not state.computer.is_starting, starting if state.computer.is_starting else "started"),
-        Check("navigation", not silent, silent or f"{state.source}, {age_s:.1f} s old"),
+        _navigation(rules, state, age_s, now_s),
         Check("sensors", bad is None, bad or f"{len(rules.settings.sysstat.required)} nodes report good"),
         _gnss(rules, state),
         _clock(rules, state, age_s, time_ns),
@@ -87,6 +83,19 @@ def _handset(settings: config.HandsetTable, state: State) -> str:
         return "the boat has none"
     radio = "" if state.handset.quality_pct is None else f", radio {state.handset.quality_pct}%"
     return f"{'has the boat' if state.operator == HANDSET else 'heard'}{radio}"
+
+
+def _navigation(rules: Rules, state: State, age_s: float, now_s: float) -> Check:
+    stale_s = rules.settings.navigation.stale_s
+    if age_s > stale_s:
+        return Check(
+            "navigation", False, "no navigation yet" if state.navigation is None else f"navigation silent for {age_s:.1f} s"
+        )
+    inputs = state.inputs.get(state.source, ())
+    if silent := inputhealth.silent(inputs, now_s, stale_s):
+        return Check("navigation", False, silent)
+    wrong = inputhealth.in_words(inputs, now_s, stale_s, rules.table.navigation_frozen.after_s)
+    return Check("navigation", True, f"{state.source}, {age_s:.1f} s old" + (f"; {wrong}" if wrong else ""))
 
 
 def _gnss(rules: Rules, state: State) -> Check:

@@ -29,7 +29,8 @@ class Rehearsal:
         state, clock, settings = State(), boat.clock, boat.helm.settings
         self._boat, self._outlets, self._tell = boat, outlets, mirror.send_many
         link = cast(CanSocket, mirror)
-        dsor = msgspec.structs.replace(settings, navigation=msgspec.structs.replace(settings.navigation, sources=("dsor",)))
+        navigation = msgspec.structs.replace(settings.navigation, sources=("dsor",), estimator=False)
+        dsor = msgspec.structs.replace(settings, navigation=navigation)
         self._twin = build(dsor, clock, state, Links(lambda _, filters: link, _no_line), NoLog()).vehicle
         (self._source,) = self._twin.sources
         self._numbers, self._messages = count(), cycle([list[tuple[int, bytes]]()])

@@ -6,6 +6,7 @@ from typing import NamedTuple, Protocol
 from delfim.geodesy import Origin
 from delfim.messages import Navigation, SystemStatus
 from delfim.modes import Mode
+from delfim.vehicle.inputhealth import InputHealth
 
 
 class Actuation(NamedTuple):
@@ -190,6 +191,7 @@ class State:
     armed: bool = False  # the boat left idle, or may; the propellers turn only when armed
     navigation: Navigation | None = None
     source: str = ""  # the source of navigation
+    inputs: dict[str, tuple[InputHealth, ...]] = field(default_factory=dict)  # of the estimator, by source; others have none
     navigation_s: float = -1e9  # monotonic time of the last message
     changed_s: float = -1e9  # monotonic time of the last that differed from the one before
     jumped_s: float = -1e9  # monotonic time of the last position that no boat could have reached

@@ -13,7 +13,7 @@ from delfim import config
 from delfim.geodesy import wrap
 from delfim.messages import BatteriesStatus, Node
 from delfim.modes import Mode
-from delfim.vehicle import gnss
+from delfim.vehicle import gnss, inputhealth
 from delfim.vehicle.fence import Fence, ahead, outside
 from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import HandsetReport, State
@@ -83,24 +83,32 @@ def control(look: Look) -> str | None:
 
 def navigation_jumping(look: Look) -> str | None:
     state, settings = look.state, look.settings
-    if state.jumped_s - state.jumping_s < settings.failsafe.navigation_jumping.after_s:
-        return None
-    return f"position jumped by {state.jumped_m:.0f} m" if look.now_s - state.jumped_s <= settings.navigation.stale_s else None
+    after_s, stale_s = settings.failsafe.navigation_jumping.after_s, settings.navigation.stale_s
+    if state.jumped_s - state.jumping_s >= after_s and look.now_s - state.jumped_s <= stale_s:
+        return f"position jumped by {state.jumped_m:.0f} m"
+    return inputhealth.jumping(_inputs(state), look.now_s, after_s, stale_s)
+
+
+def _inputs(state: State) -> tuple[inputhealth.InputHealth, ...]:
+    """Of the estimator that made the present navigation; none where no estimator did."""
+    return state.inputs.get(state.source, ())
 
 
 def navigation_silent(look: Look) -> str | None:
-    age_s = look.now_s - look.state.navigation_s
-    if age_s <= look.settings.failsafe.navigation_silent.after_s:
-        return None
+    age_s, after_s = look.now_s - look.state.navigation_s, look.settings.failsafe.navigation_silent.after_s
+    if age_s <= after_s:
+        return inputhealth.silent(_inputs(look.state), look.now_s, after_s)
     return "no navigation yet" if look.state.navigation is None else f"navigation silent for {age_s:.1f} s"
 
 
 def navigation_frozen(look: Look) -> str | None:
-    state, age_s = look.state, look.now_s - look.state.changed_s
-    if state.mode is Mode.IDLE or age_s <= look.settings.failsafe.navigation_frozen.after_s:
-        return None
+    state, age_s, after_s = look.state, look.now_s - look.state.changed_s, look.settings.failsafe.navigation_frozen.after_s
     turns = state.actuation.run and max(map(abs, state.actuation.thrust), default=0.0) > TURNING
-    return f"navigation frozen for {age_s:.1f} s" if turns else None
+    if state.mode is Mode.IDLE or not turns:
+        return None
+    return (
+        f"navigation frozen for {age_s:.1f} s" if age_s > after_s else inputhealth.frozen(_inputs(state), look.now_s, after_s)
+    )
 
 
 def sensor_bad(look: Look) -> str | None:

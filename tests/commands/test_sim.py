@@ -258,10 +258,10 @@ def until_line(process: subprocess.Popen[str], words: str) -> str:
 
 
 def test_a_boat_with_a_second_bus_sails_its_own_mission_and_tells_no_trouble(tmp_path):
-    """That of the sensors is simulated, too, with nobody on it: navigation comes from the next source."""
+    """That of the sensors is simulated, too: a receiver and a compass are on it, and the estimator makes navigation of them."""
     process = delfim("sim", str(ROOT / "etc/sensors.toml"), "--json", cwd=tmp_path)
     state = until(process, lambda state: state["mode"] == "play")
-    assert state["source"] == "dsor"
+    assert state["source"] == "nmea2000"
     out = interrupted(process)
     assert re.search(r"^  troubles +none$", out, re.MULTILINE)
 

@@ -22,6 +22,7 @@ from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.rerun import rerun
 from delfim.vehicle import console
 from delfim.vehicle.actuators.dsor import Propellers
+from delfim.vehicle.estimated import between
 from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
@@ -188,8 +189,8 @@ RECORDING = Path(__file__).parents[1] / "data/nmea2000/raymarine-p70.candump.log
 class Sensors:
     """A boat without simulation: its navigation is a recording of a real boat's NMEA 2000 bus, at its own times."""
 
-    def __init__(self, place: Path) -> None:
-        overrides = ['navigation.sources=["nmea2000"]', "sysstat.required=[]", 'nmea2000.interface="canloop:n2k"']
+    def __init__(self, place: Path, *more: str) -> None:
+        overrides = ['navigation.sources=["nmea2000"]', "sysstat.required=[]", 'nmea2000.interface="canloop:n2k"', *more]
         self.day = Day(place, *overrides)
         settings, self.clock, self.log = self.day.settings, self.day.clock, self.day.log
         self.state = State()
@@ -200,7 +201,8 @@ class Sensors:
             each.bind(ANYTHING)
         decoder, sensors = Nmea2000Source(settings.nmea2000, settings.navigation.stale_s), self.bus.socket()
         sensors.bind(*(CanAddress(arb, mask) for arb, mask in decoder.filters))
-        self.source = Nmea2000Navigation(sensors, decoder, self.state)
+        source = Nmea2000Navigation(sensors, decoder, self.state)
+        self.source = between((source,), settings, self.state)[0] if settings.navigation.estimator else source
         guest = Guest(self.state, self.clock)
         outlet = Propulsion((Propellers(settings, propulsion),), propulsion, GateLimits(settings.thrusters), self.state)
         self.boat = VehicleLoop(settings, self.clock, self.state, (self.source,), outlet, guest, self.log)
@@ -241,10 +243,11 @@ class Sensors:
         self.box.close()
 
 
-def test_a_boat_with_nmea_2000_sensors_is_repeated(tmp_path):
+@pytest.mark.parametrize("more", [(), ("navigation.estimator=true", "navigation.rate_hz=20.0")], ids=["as it is", "estimated"])
+def test_a_boat_with_nmea_2000_sensors_is_repeated(tmp_path, more):
     rows = gzip.decompress(RECORDING.read_bytes()).decode().splitlines()
     frames = [parse_line(row)[1] for row in rows if row.startswith("(")][:8000]
-    boat = Sensors(tmp_path)
+    boat = Sensors(tmp_path, *more)
     boat.sail(frames[:2000])
     boat.command(console.Heading(90.0, 1.0))
     boat.sail(frames[2000:5000])

@@ -2,6 +2,7 @@
 
 import math
 from collections import Counter
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from delfim import config
@@ -103,6 +104,9 @@ class Nmea2000Source:
         self._last_error = ""
         self._fast = FastPacket(self._errors)
         self._counter = 0
+        self.hearer: Callable[[str, tuple[float, ...], int], None] | None = (
+            None  # is told each value of a chosen device, by kind
+        )
 
     def feed(self, frame: Frame, now_s: float) -> Navigation | None:
         """A navigation message when this frame brings a new position of the chosen source, with the newest of everything
@@ -142,11 +146,19 @@ class Nmea2000Source:
                 self._rapid_s[address] = now_s
                 return self._place(address, latitude_rad, longitude_rad, now_s)
             case VesselHeading():
-                self._heading.put(address, self._true_heading(address, message, now_s), now_s)
+                heading_rad = self._true_heading(address, message, now_s)
+                self._heading.put(address, heading_rad, now_s)
+                if heading_rad is not None:
+                    self._tell("heading", address, (heading_rad,), now_s)
             case RateOfTurn(rate_radps):
                 self._rate.put(address, rate_radps, now_s)
+                if rate_radps is not None:
+                    self._tell("rate", address, (rate_radps,), now_s)
             case CourseSpeed():
-                self._velocity.put(address, self._over_ground(address, message, now_s), now_s)
+                velocity = self._over_ground(address, message, now_s)
+                self._velocity.put(address, velocity, now_s)
+                if velocity is not None:
+                    self._tell("velocity", address, velocity, now_s)
             case Attitude(_, pitch_rad, roll_rad):
                 known = pitch_rad is not None or roll_rad is not None
                 self._attitude.put(address, message if known else None, now_s)
@@ -158,6 +170,11 @@ class Nmea2000Source:
                 self._set_time(address, utc_ns, now_s)
         return None
 
+    def _tell(self, kind: str, address: int, value: tuple[float, ...], now_s: float, utc_ns: int | None = None) -> None:
+        """Hand a value over, if it is of the device that is chosen for its kind."""
+        if self.hearer is not None and self._kinds[kind].choose(now_s) == address:
+            self.hearer(kind, value, utc_ns or 0)
+
     def _gnss(self, address: int, g: GnssPosition, now_s: float) -> Navigation | None:
         """Quality and time of a receiver; its position too unless it sends the rapid one."""
         self._set_time(address, g.utc_ns, now_s)
@@ -165,9 +182,11 @@ class Nmea2000Source:
         self._quality.put(address, _Quality(fix, g.satellites or 0, g.hdop), now_s)
         if now_s - self._rapid_s.get(address, -math.inf) <= self._stale_s:
             return None
-        return self._place(address, g.latitude_rad, g.longitude_rad, now_s)
+        return self._place(address, g.latitude_rad, g.longitude_rad, now_s, g.utc_ns)
 
-    def _place(self, address: int, latitude_rad: float | None, longitude_rad: float | None, now_s: float) -> Navigation | None:
+    def _place(
+        self, address: int, latitude_rad: float | None, longitude_rad: float | None, now_s: float, utc_ns: int | None = None
+    ) -> Navigation | None:
         """File a position, or a receiver's report that it has none; returns the message if the address is the chosen one."""
         quality = self._quality.of(address, now_s) or _UNSTATED
         position = None
@@ -180,6 +199,8 @@ class Nmea2000Source:
             chosen = self._talking.choose(now_s)
         if chosen != address:
             return None
+        if position is not None:
+            self._tell("position", address, position, now_s, utc_ns)
         latitude_rad, longitude_rad = position or (None, None)
         north_mps, east_mps = self._velocity.get(now_s) or (None, None)
         _, pitch_rad, roll_rad = self._attitude.get(now_s) or (None, None, None)

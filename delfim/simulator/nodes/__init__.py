@@ -12,6 +12,7 @@ from delfim import config
 from delfim.canproxy.socket import CanAddress
 from delfim.frames import Frame
 from delfim.simulator.model import Model, hull_of
+from delfim.simulator.nodes.devices import Devices, devices_of
 from delfim.simulator.nodes.navigation import NavigationNode
 
 NODES: Final = ("gps", "navigation", "propeller", "batteries")  # files of this folder; `nodes` in it makes those of its kind
@@ -36,10 +37,10 @@ class Reporting(Protocol):
 
 
 class Nodes:
-    """All nodes of a boat around one model, which they advance."""
+    """All nodes of a boat around one model, which they advance; and the devices of its other bus, stepped by the caller."""
 
-    def __init__(self, model: Model, named: dict[str, SimulatedNode]) -> None:
-        self.model, self.named = model, named
+    def __init__(self, model: Model, named: dict[str, SimulatedNode], devices: Devices | None = None) -> None:
+        self.model, self.named, self.devices = model, named, devices
         navigation = named["navigation"]
         assert isinstance(navigation, NavigationNode)
         self.navigation = navigation
@@ -88,4 +89,4 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
     named = dict[str, SimulatedNode]()
     for kind in NODES:
         named |= import_module(f"{__name__}.{kind}").nodes(settings, model, seed)
-    return Nodes(model, named)
+    return Nodes(model, named, devices_of(settings, model, seed))

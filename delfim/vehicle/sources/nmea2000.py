@@ -6,6 +6,7 @@ from delfim import config
 from delfim.canproxy.nmea2000.source import Nmea2000Source
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import BusError
+from delfim.vehicle.estimated import Hearer
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State
@@ -18,7 +19,10 @@ class Nmea2000Navigation:
 
     def __init__(self, socket: CanSocket, source: Nmea2000Source, state: State) -> None:
         self.input, self._source, self._state = socket, source, state
-        self.heard_s = -1e9
+        self.heard_s, self.t_ns = -1e9, 0
+
+    def tell(self, hearer: Hearer) -> None:
+        self._source.hearer = hearer
 
     def read(self, now_s: float) -> Fix | None:
         """As `DsorNavigation.read`: a fix for each message of the chosen position source."""
@@ -31,6 +35,7 @@ class Nmea2000Navigation:
                 break
             if frame is None:
                 break
+            self.t_ns = frame.t_ns
             navigation = self._source.feed(frame, now_s)
             if navigation is not None:
                 fix = Fix(navigation, frame.t_ns, now_s)

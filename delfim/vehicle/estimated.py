@@ -1,0 +1,123 @@
+"""The estimator's place: between a source of separate sensors and the loop (docs/estimator.md).
+
+The source hands over each value as it comes. A message goes to the loop `navigation.rate_hz` times a second, with a value that
+came. As without the estimator, there are messages only while the source hears a receiver, even one that has no position.
+"""
+
+import math
+from typing import Final, Protocol, cast
+
+from delfim import config
+from delfim.messages import Navigation
+from delfim.vehicle.estimator import LATE_MAX_S, Estimator
+from delfim.vehicle.inputhealth import HEADING, POSITION, RATE, VELOCITY
+from delfim.vehicle.navigation import Fix, Source
+from delfim.vehicle.state import State
+
+STEP_S: Final = 0.5  # stamps that differ from the monotonic clock by more than they did come from a clock that was set
+SOONER: Final = 0.8  # of a period: sensors are not punctual
+FIX_2D: Final = 2
+
+
+class Hearer(Protocol):
+    """Takes a value of the chosen device: "position" (latitude, longitude), "velocity" (north, east), "heading" (true), "rate"
+    (positive to starboard); rad, m/s. `utc_ns`: when it was so, 0 where the device does not say."""
+
+    def __call__(self, kind: str, value: tuple[float, ...], utc_ns: int) -> None: ...
+
+
+class SeparateSource(Source, Protocol):
+    """A source that can hand over the values of its sensors one by one."""
+
+    t_ns: int  # the stamp of what it read last
+
+    def tell(self, hearer: Hearer) -> None: ...  # from now on, as they are read
+
+
+class Estimated:
+    """A source whose sensors go through an estimator."""
+
+    def __init__(self, source: SeparateSource, settings: config.Vehicle, state: State) -> None:
+        self.name, self.input, self._source = source.name, source.input, source
+        limits = settings.navigation
+        self.estimator = Estimator(settings.estimator, limits, settings.failsafe.navigation_frozen.after_s)
+        state.inputs[self.name] = self.estimator.inputs
+        self._period_s, self._stale_s = SOONER / limits.rate_hz, limits.stale_s
+        self._zero_ns, self._zero_s, self._now_s = 0, 0.0, 0.0
+        self._newest_s = self._sent_s = -math.inf
+        self._said: Navigation | None = None  # the source's own last message ...
+        self._said_ns = 0  # ... and its stamp
+        self._counter = 0
+        source.tell(self._hear)
+
+    @property
+    def heard_s(self) -> float:
+        return self._source.heard_s
+
+    @heard_s.setter
+    def heard_s(self, at_s: float) -> None:
+        self._source.heard_s = at_s
+
+    def read(self, now_s: float) -> Fix | None:
+        """The motion at the last value that came; None while the next message is not due."""
+        self._now_s, source = now_s, self._source
+        fix = source.read(now_s)
+        if fix is not None:
+            self._said, self._said_ns = fix.navigation, fix.t0_ns
+        at_s = self._newest_s
+        if self._said is None or at_s - self._sent_s < self._period_s or now_s - source.heard_s > self._stale_s:
+            return None
+        self._sent_s = at_s
+        return Fix(self._message(self._said, at_s), source.t_ns, now_s)
+
+    def report(self, now_s: float) -> dict[str, object]:
+        """The source's figures, and the estimator's."""
+        inputs = {
+            each.name: {"age_s": round(now_s - each.heard_s, 1), "heard": each.heard, "refused": each.refused}
+            for each in self.estimator.inputs
+            if each.heard
+        }
+        return {**self._source.report(now_s), "estimator": {**inputs, "begun_again": self.estimator.restarts}}
+
+    def _message(self, said: Navigation, at_s: float) -> Navigation:
+        """The estimate, with what it does not estimate as the source said it last."""
+        self._counter = self._counter + 1 & 0xFF
+        e = self.estimator.estimate(at_s)
+        return said._replace(
+            utc_ns=said.utc_ns + self._source.t_ns - self._said_ns if said.utc_ns else 0,
+            latitude_rad=e.latitude_rad,
+            longitude_rad=e.longitude_rad,
+            north_mps=e.north_mps,
+            east_mps=e.east_mps,
+            heading_rad=e.heading_rad,
+            yaw_rate_radps=e.yaw_rate_radps,
+            fix=0 if e.latitude_rad is None else said.fix or FIX_2D,
+            counter=self._counter,
+        )
+
+    def _hear(self, kind: str, value: tuple[float, ...], utc_ns: int) -> None:
+        at_s, estimator = self._time_s(self._source.t_ns), self.estimator
+        late_s = (self._source.t_ns - utc_ns) / 1e9 if utc_ns else -1.0
+        told_s = late_s if 0.0 <= late_s <= LATE_MAX_S else None  # the clocks agree, or the settings say it
+        if kind == POSITION:
+            estimator.position(at_s, value[0], value[1], told_s)
+        elif kind == VELOCITY:
+            estimator.velocity(at_s, value[0], value[1], told_s)
+        elif kind == HEADING:
+            estimator.heading(at_s, value[0], told_s)
+        elif kind == RATE:
+            estimator.rate(at_s, value[0])
+        self._newest_s = max(self._newest_s, at_s)
+
+    def _time_s(self, t_ns: int) -> float:
+        """A stamp on the axis of the monotonic clock. Stamps are the kernel's: a busy computer makes nothing late, and a
+        replay has the same ones."""
+        at_s = self._zero_s + (t_ns - self._zero_ns) / 1e9
+        if not abs(self._now_s - at_s) <= STEP_S:
+            self._zero_ns, self._zero_s, at_s = t_ns, self._now_s, self._now_s
+        return at_s
+
+
+def between(sources: tuple[Source, ...], settings: config.Vehicle, state: State) -> tuple[Source, ...]:
+    """The sources, each of separate sensors behind an estimator of its own."""
+    return tuple(Estimated(cast(SeparateSource, each), settings, state) if hasattr(each, "tell") else each for each in sources)
