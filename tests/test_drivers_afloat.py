@@ -133,6 +133,12 @@ def sailed(motors: Motors, command: Path, *, until: tuple[float, float]) -> list
     return seen
 
 
+def sailed_mps(command: Path) -> float:
+    """The boat's speed, while it is driven ahead by hand."""
+    with Link(command, PATIENCE_S) as link:
+        return float(link.ask("manual", starboard=0.5, port=0.5)["speed_mps"] or 0.0)
+
+
 def process(tmp_path: Path, name: str) -> int:
     return int(json.loads((tmp_path / "supervisor.json").read_text())["programs"][name]["pid"])
 
@@ -160,6 +166,9 @@ def test_pulses_stop_at_the_death_of_the_runtime_and_of_the_outlet_and_go_on_whe
             while not motors.stopped():
                 assert time.monotonic() < deadline_s, name
         sailed(motors, command, until=(0.5, 0.5))
+        deadline_s = time.monotonic() + PATIENCE_S
+        while sailed_mps(command) < 0.1:  # the files move the boat of the simulator, too
+            assert time.monotonic() < deadline_s
     assert motors.stopped(), "the end in order"
 
 

@@ -322,6 +322,8 @@ class Supervisor:
         self._is_ending = True
         critical = [child for child in self._children if child.program.critical]
         for child in critical + [child for child in reversed(self._children) if not child.program.critical]:
+            if child.program.guard:  # it stops its motors as it ends, and takes no stop any more
+                self._stop_due_s = None
             self._end_child(child, END_CRITICAL_S if child.program.critical else END_S)
             if child.program.critical:
                 self._stop_due_s = time.monotonic()  # until the others have ended, too

@@ -12,13 +12,16 @@ import json
 import os
 import re
 import socket
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Sequence
 from itertools import count
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
+
+import msgspec
 
 from delfim import config
 from delfim.errors import DelfimError
+from delfim.pulses import CHANNELS
 
 SIMULATED: Final = "run/sim"  # the folder of the first one
 NUMBERS: Final = 20  # simulations on one computer at most
@@ -117,8 +120,35 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "runtime.fifo_priority": "0",
         "simulation.faults": "true",
     }
+    if set(vehicle.drivers) != {"dsor"}:
+        texts["pwm.chip"] = f"{place}/pwmchip0"
+        values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": _toml(_by_pulses(vehicle.thrusters))}
     overrides = [f"{key}={_quoted(text)}" for key, text in texts.items()] + [f"{key}={value}" for key, value in values.items()]
     return BerthSettings(overrides, boat_id, page)
+
+
+def _by_pulses(rows: Sequence[config.ThrusterTable]) -> list[Any]:
+    """The rows, with motors of any make but DelfimX's told by pulses, which `simulator/nodes/pulsefiles.py` reads: each maker's
+    device is played in tests. Raises DelfimError for more of them than there are channels."""
+    channels, told = count(), list[Any]()
+    for row in rows:
+        one = msgspec.to_builtins(row)
+        if row.driver != "dsor":
+            one |= {"driver": "pwm", "address": next(channels), "reversed": False}
+            one |= {"steer": one["steer"] | {"address": next(channels)}} if row.steer else {}
+        told.append(one)
+    if next(channels) > CHANNELS:
+        raise DelfimError(f"a simulation has {CHANNELS} channels for motors and what turns them: these thrusters need more")
+    return told
+
+
+def _toml(value: Any) -> str:
+    """A value as TOML has it in one line; what is None is left out."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{key} = {_toml(each)}" for key, each in value.items() if each is not None) + "}"
+    if isinstance(value, list | tuple):
+        return "[" + ", ".join(map(_toml, value)) + "]"
+    return json.dumps(value, ensure_ascii=False)
 
 
 def found(folder: str | None) -> Path:

@@ -50,6 +50,7 @@ class Lockstep:
         links = Links(lambda name, filters: (sensors if name == apart else bus).bound(*filters), self._line)
         self.vehicle, self._inputs, self._hands, _ = build(settings, self.clock, self.state, links, record_to)
         self.guest = self.vehicle.guest
+        self._others = tuple((i, row.name) for i, row in enumerate(settings.thrusters) if row.driver != "dsor")
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
 
@@ -111,6 +112,9 @@ class Lockstep:
                 vehicle.on_outlet(actuator)
         while (frame := world.receive()) is not None:  # type: ignore[assignment]
             nodes.feed(frame, now_s)
+        sent = self.state.actuation
+        for i, name in self._others:  # motors of other makes: their devices are played in tests
+            self.nodes.model.push(name, sent.thrust[i], sent.angle_rad[i], sent.run)
         clock.advance(self._cycle_s)
 
     def cycles(self, seconds: float) -> Iterator[State]:

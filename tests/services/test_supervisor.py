@@ -400,6 +400,7 @@ def test_a_guard_starts_at_once_is_not_idle_and_ends_last(suite: Suite) -> None:
     assert os.sched_getscheduler(suite.state()["programs"]["outlet"]["pid"]) == os.SCHED_OTHER
     assert suite.terminate() == 0
     assert [event.name for event in suite.events(word="end")] == ["runtime", "sshd", "outlet"]
+    assert suite.events("bus", "stop")[-1].at_s < suite.events("outlet", "end")[0].at_s, "there is nobody left to tell"
 
 
 @pytest.mark.parametrize(("word", "reason"), [("off", "button"), ("reboot", "command of somebody"), ("end", "")])

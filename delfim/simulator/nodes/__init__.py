@@ -15,7 +15,8 @@ from delfim.simulator.model import Model, hull_of
 from delfim.simulator.nodes.devices import Devices, devices_of
 from delfim.simulator.nodes.navigation import NavigationNode
 
-NODES: Final = ("gps", "navigation", "propeller", "batteries")  # files of this folder; `nodes` in it makes those of its kind
+# Files of this folder; `nodes` in it makes those of its kind.
+NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 
 
