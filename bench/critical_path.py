@@ -41,11 +41,14 @@ LABELS: Final = {
     "realtime": "the same in real time",
     "delfim": "Delfim",
     "ordinary": "Delfim, not in real time",
+    "dronecan": "Delfim, motors on DroneCAN",
+    "vesc": "Delfim, motors on VESC",
     "apart": "Delfim, services apart",
     "asyncio": "the same on plain asyncio",
     "uvloop": "the same on uvloop",
 }
-OURS: Final = ("delfim", "ordinary", "apart")  # that have a window
+MOTORS: Final = ("dronecan", "vesc")  # drivers in place of the boat's own propellers, on a bus of their own
+OURS: Final = ("delfim", "ordinary", *MOTORS, "apart")  # that have a window
 RATES_HZ: Final = (5.0, 100.0, 500.0)
 LONG_CYCLES: Final = 150_645  # as many as the thesis logged at sea
 REAL_TIME: Final = ("chrt", "--fifo", str(config.RuntimeTable().fifo_priority))  # as this program where its file says nothing
@@ -221,6 +224,11 @@ class Team:
         overrides = [*asked.set, *_overrides(interface, rate_hz, place, self.ports)]
         if key == "ordinary":
             overrides.append("runtime.fifo_priority=0")
+        if key in MOTORS:
+            sides = (("starboard", 0, 1.0), ("port", 1, -1.0))
+            rows = (f'name="{name}", driver="{key}", address={address}, y_m={y_m}' for name, address, y_m in sides)
+            overrides.append(f"thrusters=[{', '.join(f'{{{row}, thrust_n=[-300.0, 500.0], rpm_max=1200.0}}' for row in rows)}]")
+            overrides.append(f'{key}.interface="canloop:{key[:3]}m-{os.getpid()}"')
         self._arguments = [asked.file, ",".join(map(str, self.ports))]
         self._arguments += [word for one in overrides for word in ("--set", one)]
         self.name = interface.rpartition(":")[2]  # as cantcpd has it
@@ -264,7 +272,7 @@ class Team:
         if self._is_c:
             self._launch(*(REAL_TIME if self.key == "realtime" else ()), self._loop, self._bus, str(self._log))
         else:
-            self._launch(*self._competitor("delfim" if self.key == "ordinary" else self.key))
+            self._launch(*self._competitor("delfim" if self.key in ("ordinary", *MOTORS) else self.key))
         if self._is_c or self.key == "apart":
             self._launch(*self._competitor("services"))
         until(lambda: socket.create_connection(("127.0.0.1", self.ports.commands), timeout=1.0).close(), "its services")

@@ -22,6 +22,8 @@ COLOURS: Final = {
     "realtime": "#8a8f98",
     "delfim": "#d1495b",
     "ordinary": "#9b5de5",
+    "dronecan": "#00798c",
+    "vesc": "#7d5a50",
     "apart": "#e8b04a",
     "asyncio": "#2e86ab",
     "uvloop": "#5b9a68",

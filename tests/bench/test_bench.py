@@ -10,7 +10,7 @@ import pytest
 
 from bench import critical_path, liblog
 from bench.__main__ import main
-from bench.critical_path import LABELS, LONG_CYCLES, Plan, Slice
+from bench.critical_path import LABELS, LONG_CYCLES, MOTORS, Plan, Slice
 from bench.report import PERCENTILES, STAGES, Cycle, over_budget
 from delfim.errors import DelfimError
 
@@ -42,7 +42,7 @@ def test_quick_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixture
             assert 0 < known[0] <= known[-1] <= row["worst_us"]
             assert 0 < row["cpu_us"] <= row["cpu_all_us"]
             assert (row["window_share"] is not None) == (row["competitor"] in critical_path.OURS)
-            assert ("canzlogd" in row["over_budget_per_s"]) == (row["competitor"] in ("delfim", "ordinary"))
+            assert ("canzlogd" in row["over_budget_per_s"]) == (row["competitor"] in ("delfim", "ordinary", *MOTORS))
             assert set(row["stages_us"]) == set(STAGES)
             assert sum(row["histogram"]) == row["cycles"]
             assert set(row["ratio"]) == set(row["verdict"]) == set(PERCENTILES)
@@ -86,9 +86,10 @@ def test_every_habit_can_be_broken() -> None:
 
 def test_every_round_lets_c_begin_and_end() -> None:
     plan = Plan((100.0,), ("idle", "full load"), tuple(LABELS), 1.0, 2)
-    assert plan.turns("idle", 0) == ["c", "uvloop", "asyncio", "ordinary", "delfim", "realtime", "c"]
-    assert plan.turns("full load", 1) == ["c", "realtime", "delfim", "ordinary", "apart", "asyncio", "uvloop", "c"]
-    assert plan.slices() == 2 * (7 + 8)
+    assert plan.turns("idle", 0) == ["c", "uvloop", "asyncio", "vesc", "dronecan", "ordinary", "delfim", "realtime", "c"]
+    ours = ["delfim", "ordinary", "dronecan", "vesc", "apart"]
+    assert plan.turns("full load", 1) == ["c", "realtime", *ours, "asyncio", "uvloop", "c"]
+    assert plan.slices() == 2 * (9 + 10)
 
 
 def test_long_run_is_as_long_as_the_one_of_the_thesis() -> None:
