@@ -24,7 +24,7 @@ from delfim.vehicle.helm import Helm
 from delfim.vehicle.navigation import Fix
 from delfim.vehicle.rehearsal import Rehearsal
 from delfim.vehicle.sources.dsor import DsorNavigation
-from delfim.vehicle.state import Actuation
+from delfim.vehicle.state import Wanted
 
 AS_IT_IS, HABITS = "delfim", ("garbage", "log", "names", "practice")
 PERCENTILES = ("p50", "p99", "p999")
@@ -37,7 +37,7 @@ def broken(habit: str) -> None:
     elif habit == "log":
         control = Helm.control
 
-        def log_and_control(helm: Helm, now_s: float) -> Actuation:
+        def log_and_control(helm: Helm, now_s: float) -> Wanted:
             helm._log.write(helm.state, now_s)
             return control(helm, now_s)
 

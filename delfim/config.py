@@ -25,9 +25,9 @@ Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 Metres = Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)]
 Speed = Annotated[float, msgspec.Meta(gt=0.0, le=30.0)]  # m/s
-Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
 StickPulse = Annotated[float, msgspec.Meta(ge=800.0, le=2200.0)]  # us, of a channel of a hand-set
 STICK_US = 100.0  # the least way of a stick to either side
+Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
 Nice = Annotated[int, msgspec.Meta(ge=-20, le=19)]
 Interface = Annotated[
     str,
@@ -274,8 +274,8 @@ class PropulsionTable(Table, frozen=True):
         "actuators": "[[thrusters]] with a driver each",
         "rpm_max": "dsor.rpm_max",
         "rpm_per_s_max": "rate_per_s of [[thrusters]], as a part of full command a second",
+        "speed_per_rpm_mps": "boat.full_mps, the speed at full thrust",
     }
-    speed_per_rpm_mps: Annotated[float, msgspec.Meta(gt=0.0, le=1.0)] = 0.00196  # straight ahead, calm water
 
 
 # The propellers of DelfimX under the middle of its hulls; their force is that of the simulator's model, at rest.
@@ -349,22 +349,37 @@ class MavlinkFrontSeat(Table, frozen=True):
 
 
 class HeadingTable(Table, frozen=True):
-    """Heading autopilot: differential rpm per rad and per rad/s, and an integral against wind."""
+    """Heading autopilot: yaw moment, N m, per rad and per rad/s, and an integral against wind. Gains that are not given follow
+    from the hull and its thrusters."""
 
-    p_rpm_per_rad: Gain = 700.0  # differential for a heading error
-    p_limit_rpm: Gain = 700.0  # limit of that: sets the rate of turn
-    d_rpm_per_radps: Gain = 1000.0  # differential against a rate of turn
-    turn_rpm_per_radps: Gain = 1000.0  # differential that keeps a turn going, on an arc
-    i_rpm_per_rad_s: Gain = 30.0  # integral gain: differential for a heading error that lasts
-    i_limit_rpm: Gain = 150.0  # limit of the integral
+    MOVED: ClassVar[dict[str, str]] = {
+        "p_rpm_per_rad": "p_nm_per_rad",
+        "p_limit_rpm": "p_limit_nm",
+        "d_rpm_per_radps": "d_nm_per_radps",
+        "turn_rpm_per_radps": "turn_nm_per_radps",
+        "i_rpm_per_rad_s": "i_nm_per_rad_s",
+        "i_limit_rpm": "i_limit_nm",
+    }
+    p_nm_per_rad: Gain | None = None  # yaw moment for a heading error
+    p_limit_nm: Gain | None = None  # limit of that: sets the rate of turn
+    d_nm_per_radps: Gain | None = None  # yaw moment against a rate of turn
+    turn_nm_per_radps: Gain | None = None  # yaw moment that keeps a turn going, on an arc
+    i_nm_per_rad_s: Gain | None = None  # integral gain: yaw moment for a heading error that lasts
+    i_limit_nm: Gain | None = None  # limit of the integral
 
 
 class SpeedTable(Table, frozen=True):
-    """Speed controller: feed-forward from `speed_per_rpm_mps`, and an integral against wind and sea."""
+    """Speed controller: surge force, N, from the hull's drag, and an integral against wind and sea. Gains that are not given
+    follow from the hull and its thrusters."""
 
-    p_rpm_per_mps: Gain = 150.0  # common revolutions for a speed error
-    i_rpm_per_m: Gain = 30.0  # integral gain: common revolutions for a speed error that lasts
-    i_limit_rpm: Gain = 400.0  # limit of the integral
+    MOVED: ClassVar[dict[str, str]] = {
+        "p_rpm_per_mps": "p_n_per_mps",
+        "i_rpm_per_m": "i_n_per_m",
+        "i_limit_rpm": "i_limit_n",
+    }
+    p_n_per_mps: Gain | None = None  # surge for a speed error
+    i_n_per_m: Gain | None = None  # integral gain: surge for a speed error that lasts
+    i_limit_n: Gain | None = None  # limit of the integral
     ramp_mps2: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.4  # how fast the speed asked for may change
     cruise_mps: Speed = 1.5  # for a command or a waypoint that names no speed
     max_mps: Speed = 2.2  # highest speed that a mode may ask for

@@ -16,6 +16,7 @@ from delfim.config import OTHER_NODES, TAKEN_VEHICLES, ServiceTable, Vehicle
 from delfim.errors import ConfigError
 from delfim.tables import Table
 
+BOAT_KEYS = ", ".join(config.BoatTable.__struct_fields__)
 BOAT = '[boat]\nname = "delfimx"\n'
 
 
@@ -51,7 +52,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
         sources = ["nmea2000", "dsor"]
         rate_hz = 10
         [control.heading]
-        p_rpm_per_rad = 0
+        p_nm_per_rad = 0
         [runtime]
         cpus = [0, 3]
         [services.httpd]
@@ -62,7 +63,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
     )
     assert vehicle.navigation.sources == ("nmea2000", "dsor")
     assert vehicle.navigation.rate_hz == 10.0
-    assert vehicle.control.heading.p_rpm_per_rad == 0.0
+    assert vehicle.control.heading.p_nm_per_rad == 0.0
     assert vehicle.runtime.cpus == (0, 3)
     assert vehicle.services == {"httpd": ServiceTable(place="process"), "log-guard": ServiceTable(enabled=False)}
 
@@ -113,18 +114,8 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             "default, runtime, process",
         ),
         # other types
-        (
-            "boat = 3",
-            "boat",
-            "3 is a whole number, not a table",
-            "a table of name, id, length_m, beam_m, mass_kg, full_mps, drag_n_per_mps, drag_n_per_mps2",
-        ),
-        (
-            '[[boat]]\nname = "x"',
-            "boat",
-            "this is a list, not a table",
-            "a table of name, id, length_m, beam_m, mass_kg, full_mps, drag_n_per_mps, drag_n_per_mps2",
-        ),
+        ("boat = 3", "boat", "3 is a whole number, not a table", f"a table of {BOAT_KEYS}"),
+        ('[[boat]]\nname = "x"', "boat", "this is a list, not a table", f"a table of {BOAT_KEYS}"),
         (BOAT + 'length_m = "4"', "boat.length_m", '"4" is text, not a number', "more than 0.0 to 10000.0"),
         (BOAT + "length_m = true", "boat.length_m", "true is true or false, not a number", "more than 0.0 to 10000.0"),
         (BOAT + "length_m = 1979-05-27", "boat.length_m", "1979-05-27 is a date, not a number", "more than 0.0 to 10000.0"),

@@ -54,6 +54,9 @@ def test_rows_are_taken_in_their_order_with_law_or_curve(tmp_path):
         (RIGHT + LEFT + 'steer = { kind = "azimuth", forbidden_deg = [[9, 3]] }', "from 9 to 3 is no sector"),
         ("[propulsion]\nrpm_max = 1200", "propulsion.rpm_max: unknown key; it is now dsor.rpm_max"),
         ("[propulsion]\nrpm_per_s_max = 800", "propulsion.rpm_per_s_max: unknown key; it is now rate_per_s of [[thrusters]]"),
+        ("[propulsion]\nspeed_per_rpm_mps = 0.002", "propulsion.speed_per_rpm_mps: unknown key; it is now boat.full_mps"),
+        ("[control.heading]\np_rpm_per_rad = 700", "control.heading.p_rpm_per_rad: unknown key; it is now p_nm_per_rad"),
+        ("[control.speed]\ni_limit_rpm = 400", "control.speed.i_limit_rpm: unknown key; it is now i_limit_n"),
         ('[propulsion]\nactuators = ["dsor"]', "propulsion.actuators: unknown key; it is now [[thrusters]] with a driver"),
     ],
 )

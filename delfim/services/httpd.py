@@ -193,7 +193,7 @@ class Site:
     async def _api_system(self, request: web.BaseRequest) -> web.StreamResponse:
         return _json(_encode((await self._said(request))[1]))
 
-    async def _said(self, request: web.BaseRequest) -> tuple[saidlines.Wanted, list[api.LogLine]]:
+    async def _said(self, request: web.BaseRequest) -> tuple[saidlines.WantedLines, list[api.LogLine]]:
         """The last lines of the system log that a visitor wants."""
         query = request.rel_url.query
         wanted, found = saidlines.wanted(query.get("level", ""), query.get("text", "")), list[api.LogLine]()

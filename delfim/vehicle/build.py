@@ -8,7 +8,6 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
 from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.estimated import between
-from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
 from delfim.vehicle.handset import open_handset
@@ -52,7 +51,7 @@ def build(
 
     to_actuators = links._replace(bus=outlet)
     actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.drivers)
-    propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), GateLimits(settings.thrusters), state)
+    propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.thrusters, state)
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
     reports = tuple(each for actuator in actuators for each in actuator.inputs)
     return Built(vehicle, (*sensors, *hands, *reports), hands, tuple(outlets))

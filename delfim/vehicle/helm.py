@@ -12,15 +12,16 @@ from delfim.slices import Sliced
 from delfim.vehicle import console, failsafe, fence, kills, setpoints
 from delfim.vehicle.announcing import Announcing
 from delfim.vehicle.checks import Check, checks, refusal
-from delfim.vehicle.control.control import MODES, Memory, Settings, admit, first
+from delfim.vehicle.control.control import MODES, Memory, admit, first, lacking, settings_of
 from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
+from delfim.vehicle.control.hull import filled
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.mission import FAR_MAX_M
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Plan, Reference, Setpoint, State, StateLog
+from delfim.vehicle.state import Plan, Reference, Setpoint, State, StateLog, Wanted
 from delfim.vehicle.track import Track
 from delfim.vehicle.troubles import Inputs, unstopped
 from delfim.vehicle.zones import Point
@@ -40,9 +41,9 @@ class Helm:
     """The mode with its memory, the plans, the failsafe's rules, and the one door from mode to mode."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock, state: State, propulsion: Propulsion, log: StateLog) -> None:
-        self.settings, self.state = settings, state
+        self.settings, self.state = filled(settings), state
         self._clock, self._propulsion, self._log = clock, propulsion, log
-        self.limits = Settings(settings.control, settings.propulsion, settings.dsor)
+        self.limits = settings_of(settings)
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
         self.track = Track(settings.control.home)
         self.plans = Plans(settings.fence, self.limits, state, self.track, log)
@@ -63,10 +64,12 @@ class Helm:
         """One step of the mode; its command goes to the propellers."""
         self.state.actuation = self._propulsion.send(self.control(now_s), now_s)
 
-    def control(self, now_s: float) -> Actuation:
+    def control(self, now_s: float) -> Wanted:
         state = self.state
         dt_s = min(now_s - self._controlled_s, 1.0)
         self._controlled_s = now_s
+        if (short := self._propulsion.short) is not None:
+            self.memory = lacking(self.memory, short)
         self.memory, state.reference, wanted = step(state.mode, self.memory, state.motion, state.setpoint, self.limits, dt_s)
         return wanted
 
@@ -346,7 +349,7 @@ class Helm:
             self.settings = settings = config.changed(self.settings, command.key, command.value)
         except ConfigError as error:
             raise Refused(f"set refused: {error.key}: {error.reason}; {error.allowed}") from None
-        self.limits = self.plans.limits = Settings(settings.control, settings.propulsion, settings.dsor)
+        self.limits = self.plans.limits = settings_of(settings)
         if command.key.startswith("failsafe."):
             self.rules = failsafe.Rules(settings)
         else:

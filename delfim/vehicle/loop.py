@@ -138,7 +138,7 @@ class VehicleLoop:
             helm.fall_back(action, reason, now_s)
         helm.fade(now_s)
         if now_s - state.navigation_s > REPEAT_S:
-            again = STOP if state.mode is Mode.IDLE else state.actuation  # no navigation cycle repeats it
+            again = STOP if state.mode is Mode.IDLE else self.propulsion.wanted  # no navigation cycle repeats it
             state.actuation = self.propulsion.send(again, now_s)
 
     def on_outlet(self, actuator: Actuator) -> None:

@@ -1,34 +1,62 @@
-"""Propulsion: the command to the drivers of all thrusters.
+"""Propulsion: forces to the commands of all thrusters, and the commands to their drivers.
 
 The limit is applied in the statement that sends: every value that leaves here is finite and within its limits.
 """
 
+import math
+from collections.abc import Sequence
+
 from delfim.canproxy.socket import CanSocket
+from delfim.config import ThrusterTable
 from delfim.errors import Refused
 from delfim.messages import RESET, pack_reset
 from delfim.vehicle.actuators import Actuator
+from delfim.vehicle.control.allocation import Allocation, Force, Thruster, thruster
 from delfim.vehicle.gate import GateLimits, limited
-from delfim.vehicle.state import Actuation, State
+from delfim.vehicle.safe import STOP
+from delfim.vehicle.state import Actuation, State, Wanted
+from delfim.vehicle.thrusters import AHEAD_DEG, MIDDLE_M
 
 
 class Propulsion:
-    def __init__(self, actuators: tuple[Actuator, ...], nodes: CanSocket, limits: GateLimits, state: State) -> None:
-        """`nodes` is a socket on the bus of the boat's own nodes."""
+    def __init__(self, actuators: tuple[Actuator, ...], nodes: CanSocket, rows: Sequence[ThrusterTable], state: State) -> None:
+        """`nodes` is a socket on the bus of the boat's own nodes, `rows` are the thrusters of the vehicle's file."""
         self.actuators = actuators
-        self._nodes, self._limits, self._state = nodes, limits, state
+        self._nodes, self._limits, self._state = nodes, GateLimits(rows), state
         self._sends = tuple(actuator.send for actuator in actuators)
-        self.still = self._sent = limits.still
+        self.allocation = Allocation([thruster(row) for row in rows])
+        self._allocate = self.allocation.allocate
+        self._commands = tuple(each.curve.command for each in self.allocation.thrusters)
+        self._by_hand = tuple(map(by_hand, self.allocation.thrusters))
+        self.still = self._sent = self._limits.still
         self.sent_s = 0.0  # monotonic time of the last command
+        self.wanted = STOP  # the last command
+        self.short: Force | None = None  # what the thrusters could not give of it
 
-    def send(self, wanted: Actuation, now_s: float) -> Actuation:
+    def send(self, wanted: Wanted, now_s: float) -> Actuation:
         """Command the actuators; returns what was sent. A command not taken is counted; nothing waits."""
-        dt_s = min(max(now_s - self.sent_s, 0.0), 1.0)
-        sent = self._sent = limited(wanted, self._sent, self._limits, dt_s)
+        dt_s, was = min(max(now_s - self.sent_s, 0.0), 1.0), self._sent
+        surge_n, sway_n, yaw_nm, run, hand = self.wanted = wanted
+        if not run:
+            asked, self.short = self.still, None
+        elif hand is not None:
+            asked, self.short = self._driven(*hand), None
+        else:
+            forces, angles, self.short = self._allocate(surge_n, sway_n, yaw_nm, was.angle_rad, dt_s)
+            commands = [command(force_n) for command, force_n in zip(self._commands, forces, strict=True)]
+            asked = Actuation(tuple(commands), tuple(angles), True)
+        sent = self._sent = limited(asked, was, self._limits, dt_s)
         self.sent_s = now_s
         for send in self._sends:
             if unsent := send(sent, now_s):
                 self._state.count("propulsion_unsent", unsent)
         return sent
+
+    def _driven(self, starboard: float, port: float) -> Actuation:
+        """The operator's thrust of both sides, directly."""
+        turn = 0.5 * (port - starboard)
+        thrust = tuple(a * starboard + b * port for a, b, _ in self._by_hand)
+        return Actuation(thrust, tuple(turn * angle_rad for _, _, angle_rad in self._by_hand), True)
 
     def repeat(self, actuator: Actuator, now_s: float) -> None:
         """The last command again, for an actuator whose devices stop sooner than the loop commands."""
@@ -44,3 +72,19 @@ class Propulsion:
         """Cut the power of these thrusters for good: they do not obey."""
         for actuator in self.actuators:
             actuator.disconnect(names)
+
+
+def by_hand(pushes: Thruster) -> tuple[float, float, float]:
+    """The parts that a thruster takes of starboard and of port thrust, and its angle, rad, at a full turn to starboard. What
+    pushes across the boat turns it; in the middle it is the mean of both sides."""
+    along, across = math.cos(pushes.angle_rad), math.sin(pushes.angle_rad)
+    angle_rad = 0.0
+    if pushes.pivot is not None:
+        angle_rad = math.copysign(min(pushes.pivot.angle_max_rad, 0.5 * math.pi), pushes.x_m * along + pushes.y_m * across)
+    if abs(along) < math.cos(math.radians(AHEAD_DEG)):
+        half = math.copysign(0.5, pushes.x_m * across - pushes.y_m * along)
+        return -half, half, angle_rad
+    ahead = math.copysign(1.0, along)
+    if abs(pushes.y_m) < MIDDLE_M:
+        return 0.5 * ahead, 0.5 * ahead, angle_rad
+    return (ahead, 0.0, angle_rad) if pushes.y_m > 0.0 else (0.0, ahead, angle_rad)

@@ -1,5 +1,5 @@
 """The safe state: all thrusters off, however many there are. The shortest file, on purpose."""
 
-from delfim.vehicle.state import Actuation
+from delfim.vehicle.state import Wanted
 
-STOP = Actuation(thrust=(), angle_rad=(), run=False)
+STOP = Wanted(run=False)

@@ -17,6 +17,16 @@ class Actuation(NamedTuple):
     run: bool
 
 
+class Wanted(NamedTuple):
+    """What control asks of all thrusters together. `run` False is motors off."""
+
+    surge_n: float = 0.0  # positive ahead
+    sway_n: float = 0.0  # positive to starboard
+    yaw_nm: float = 0.0  # positive clockwise, to starboard
+    run: bool = True
+    hand: tuple[float, float] | None = None  # manual mode, instead of forces: starboard and port, -1..1 of full command
+
+
 class ThrusterReport(NamedTuple):
     """The report of a thruster about itself. None is unknown."""
 

@@ -23,7 +23,6 @@ from delfim.simulator.rerun import rerun
 from delfim.vehicle import console
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.estimated import between
-from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import Propulsion
@@ -74,11 +73,7 @@ def test_the_same_frames_bit_by_bit(day):
 def test_other_gains_give_other_frames(day, tmp_path):
     folder = copied(day, tmp_path)
     sidecar = folder / "state/000000.meta.jsonl"
-    sidecar.write_text(
-        sidecar.read_text()
-        .replace('"p_rpm_per_rad": 600.0', '"p_rpm_per_rad": 601.0')
-        .replace('"p_rpm_per_rad": 700.0', '"p_rpm_per_rad": 701.0')
-    )
+    sidecar.write_text(sidecar.read_text().replace('"p_nm_per_rad": null', '"p_nm_per_rad": 634.0'))
     result = rerun(logged(tmp_path), None)
     assert not result.exact
     assert len(result.differences) > 10
@@ -204,7 +199,7 @@ class Sensors:
         source = Nmea2000Navigation(sensors, decoder, self.state)
         self.source = between((source,), settings, self.state)[0] if settings.navigation.estimator else source
         guest = Guest(self.state, self.clock)
-        outlet = Propulsion((Propellers(settings, propulsion),), propulsion, GateLimits(settings.thrusters), self.state)
+        outlet = Propulsion((Propellers(settings, propulsion),), propulsion, settings.thrusters, self.state)
         self.boat = VehicleLoop(settings, self.clock, self.state, (self.source,), outlet, guest, self.log)
         with pytest.MonkeyPatch.context() as patch:  # files of the clock of the recording need no child
             patch.setattr(blackbox, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))

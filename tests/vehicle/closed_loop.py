@@ -9,28 +9,29 @@ import math
 import random
 import time
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple, cast
 
 import msgspec
 
-from delfim.config import DELFIMX, ControlTable, Dsor, PropulsionTable, Sea, load
+from delfim.canproxy.socket import CanSocket
+from delfim.config import Sea, Vehicle, load
 from delfim.geodesy import Origin, origin, wrap
 from delfim.modes import Mode
-from delfim.simulator.model import Hull, Model, Side
+from delfim.simulator.model import WATER, Hull, Model, Side
 from delfim.slices import Sliced
-from delfim.vehicle.control.control import Settings, admit, control, enter
+from delfim.vehicle.control.control import admit, control, enter, lacking, settings_of
 from delfim.vehicle.control.path import APPROACH, nearest
-from delfim.vehicle.gate import GateLimits, limited
 from delfim.vehicle.mission import load_mission, plan
-from delfim.vehicle.state import Actuation, Arc, Line, Motion, Plan, Reference, Setpoint, Waypoint
+from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.state import Actuation, Arc, Line, Motion, Plan, Reference, Setpoint, State, Waypoint
 from delfim.vehicle.track import Track
 
-SETTINGS = Settings(ControlTable(), PropulsionTable(), Dsor())
-LIMITS = GateLimits(DELFIMX)
+DELFIMX = load("etc/delfimx.toml")
+SETTINGS = settings_of(DELFIMX)
 SIDES: tuple[Side, Side] = ("starboard", "port")
 ALL = frozenset({"position", "heading", "velocity"})
 DT_S = 0.2
-PLACE = load("etc/delfimx.toml").simulation
+PLACE = DELFIMX.simulation
 START: Origin = origin(math.radians(PLACE.latitude_deg), math.radians(PLACE.longitude_deg))
 DOCA = Sliced(plan(load_mission("etc/missions/doca.toml"), START, SETTINGS.control)).finish()
 LAWNMOWER = Sliced(plan(load_mission("etc/missions/lawnmower.toml"), START, SETTINGS.control)).finish()
@@ -86,11 +87,14 @@ class Boat:
         noise: float = 1.0,
         rate_sensor: bool = True,
         hull: Hull | None = None,
-        settings: Settings = SETTINGS,
+        vehicle: Vehicle = DELFIMX,
+        model: Any = None,
     ) -> None:
-        self.model = Model(hull or Hull(), sea or Sea(), seed, START.latitude_rad, START.longitude_rad, heading_rad)
-        self.t_s, self.sent = 0.0, LIMITS.still
-        self.noise, self.rate_sensor, self.settings = noise, rate_sensor, settings
+        self.model = model or Model(hull or Hull(), sea or Sea(), seed, START.latitude_rad, START.longitude_rad, heading_rad)
+        self.t_s, self.state = DT_S, State()
+        self.noise, self.rate_sensor, self.vehicle = noise, rate_sensor, vehicle
+        self.settings = SETTINGS if vehicle is DELFIMX else settings_of(vehicle)
+        self.propulsion = Propulsion((), cast(CanSocket, None), vehicle.thrusters, self.state)
         self._gauss = random.Random(seed).gauss
 
     def truth(self) -> Motion:
@@ -115,14 +119,17 @@ class Boat:
         memory = enter(mode, seen, setpoint, self.settings)
         for _ in range(round(seconds / DT_S)):
             leg = memory.leg
+            if self.propulsion.short is not None:
+                memory = lacking(memory, self.propulsion.short)
             memory, reference, wanted = control(mode, memory, seen, setpoint, self.settings, DT_S)
-            self.sent = limited(wanted, self.sent, LIMITS, DT_S)
-            yield Sample(self.t_s, mode, leg, self.truth(), seen, reference, self.sent)
+            sent = self.propulsion.send(wanted, self.t_s)
+            self.memory = memory
+            yield Sample(self.t_s, mode, leg, self.truth(), seen, reference, sent)
             if reference.done:
                 mode = Mode.HOLD
                 memory = enter(mode, seen, setpoint, self.settings)
-            for side, part in zip(SIDES, self.sent.thrust, strict=True):
-                self.model.command(side, part * self.settings.dsor.rpm_max, self.sent.run)
+            for side, part in zip(SIDES, sent.thrust, strict=True):
+                self.model.command(side, part * self.vehicle.dsor.rpm_max, sent.run)
             self.model.advance(DT_S)
             self.t_s += DT_S
             seen = self.seen()
@@ -205,28 +212,25 @@ def home_errors(boat: Boat) -> tuple[list[float], float, int]:
     raise AssertionError("home was not reached in 15 minutes")
 
 
-def tuned(hull: Hull, turning_part: float = 0.5) -> Settings:
-    """Gains for another boat, by the recipe of docs/control.md: two trials in calm water with the propellers set by hand."""
-    rpm_max = SETTINGS.dsor.rpm_max
-    ahead, turning = Boat(hull=hull).model, Boat(hull=hull).model
-    rates = []
-    for _ in range(600):
-        for model, starboard, port in ((ahead, 0.6, 0.6), (turning, -turning_part, turning_part)):
-            model.command("starboard", starboard * rpm_max, True)
-            model.command("port", port * rpm_max, True)
-            model.advance(DT_S)
-        rates.append(turning.yaw_rate_radps)
-    speed_per_rpm = ahead.north_mps / (0.6 * rpm_max)
-    turn, lag_s = turning_part**2 * rpm_max / rates[-1], DT_S * sum(rate < 0.63 * rates[-1] for rate in rates)
-    p, d = turn * lag_s * 0.65**2, turn * max(2.0 * 0.65 * lag_s - 1.0, 0.3)
-    control, replace = SETTINGS.control, msgspec.structs.replace
-    heading = replace(control.heading, p_rpm_per_rad=p, d_rpm_per_radps=d, turn_rpm_per_radps=turn, i_rpm_per_rad_s=p / 25.0)
-    speed = replace(control.speed, p_rpm_per_mps=0.3 / speed_per_rpm, i_rpm_per_m=0.06 / speed_per_rpm)
-    return Settings(
-        replace(control, heading=heading, speed=speed),
-        replace(SETTINGS.propulsion, speed_per_rpm_mps=speed_per_rpm),
-        SETTINGS.dsor,
-    )
+def described(hull: Hull, **known: float) -> Vehicle:
+    """The vehicle's file of somebody who has this boat and knows its length, beam, mass, what its propellers give at rest, and
+    `known` of the table [boat]."""
+    replace, rows = msgspec.structs.replace, []
+    full_n = WATER * hull.thrust * hull.hull_efficiency * hull.propeller_diameter_m**4 * (DELFIMX.dsor.rpm_max / 60.0) ** 2
+    for row in DELFIMX.thrusters:
+        y_m = math.copysign(hull.propeller_m, row.y_m)
+        rows.append(replace(row, y_m=y_m, thrust_n=(-hull.astern * full_n, full_n)))
+    told = {"length_m": hull.length_m, "beam_m": hull.propeller_m / 0.42, "mass_kg": hull.mass_kg, "full_mps": None}
+    return replace(DELFIMX, boat=replace(DELFIMX.boat, **(told | known)), thrusters=tuple(rows))
+
+
+def full_mps(hull: Hull) -> float:
+    """Speed at full thrust: one trial in calm water."""
+    model = Boat(hull=hull).model
+    for side in SIDES:
+        model.command(side, DELFIMX.dsor.rpm_max, True)
+    model.advance(60.0)
+    return model.north_mps
 
 
 def control_us(mode: Mode) -> float:
@@ -271,11 +275,11 @@ def main() -> None:
         print("home, current to {:3}: rms {:.1f} max {:.1f} m off the track,".format(degrees, *errors(off)), end=" ")
         print(f"end {end_m:.1f} m from the start, {points} points left")
     for name, hull in OTHERS.items():
-        for how, settings in (("tuned at 0.5", tuned(hull)), ("tuned at 0.2", tuned(hull, 0.2)), ("as it comes", SETTINGS)):
-            over, settled_s, _ = heading_step(Boat(hull=hull, settings=settings), 90.0, 1.5)
-            print(f"{name} boat, {how}: {over:.1f} deg over, settled in {settled_s:.1f} s")
+        for how, vehicle in (("mass", described(hull)), ("mass and speed", described(hull, full_mps=full_mps(hull)))):
+            over, settled_s, _ = heading_step(Boat(hull=hull, vehicle=vehicle), 90.0, 1.5)
+            print(f"{name} boat, known by {how}: {over:.1f} deg over, settled in {settled_s:.1f} s")
             for plan_ in (DOCA, LAWNMOWER):
-                boats = [Boat(seed, current(seed, 8), hull=hull, settings=settings) for seed in range(8)]
+                boats = [Boat(seed, current(seed, 8), hull=hull, vehicle=vehicle) for seed in range(8)]
                 show_path(f"{name}, {plan_.name}", [path_errors(boat, plan_.path) for boat in boats])
     print("control():", ", ".join(f"{mode.name.lower()} {control_us(mode):.1f}" for mode in Mode), "µs")
 

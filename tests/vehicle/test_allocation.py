@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import pytest
 from hypothesis import given, settings
@@ -10,10 +11,20 @@ from hypothesis import strategies as st
 from bench.allocation import BOATS, EIGHT, FOUR, measured
 from delfim.geodesy import wrap
 from delfim.vehicle.control import allocation
-from delfim.vehicle.control.allocation import WEIGHTS, Allocation, Allotted, Pivot, Thruster
+from delfim.vehicle.control.allocation import WEIGHTS, Allocation, Pivot, Thruster
 from delfim.vehicle.control.thrustcurve import Law
 
 DT_S = 0.2
+
+
+class Told(NamedTuple):
+    """The answer of an allocation."""
+
+    forces_n: Sequence[float]
+    angles_rad: Sequence[float]
+    short: tuple[float, float, float] | None
+
+
 TWIN = tuple(Thruster(-1.5, y_m, 0.0, Law(-150.0, 240.0)) for y_m in (0.39, -0.39))
 BOW = (
     *(Thruster(-2.0, y_m, 0.0, Law(-100.0, 250.0)) for y_m in (1.0, -1.0)),
@@ -40,7 +51,7 @@ turning = st.builds(Thruster, places, places, st.floats(-math.pi, math.pi), laws
 requests = st.tuples(st.floats(-3e3, 3e3), st.floats(-3e3, 3e3), st.floats(-5e3, 5e3))
 
 
-def given_by(boat: Sequence[Thruster], told: Allotted) -> tuple[float, float, float]:
+def given_by(boat: Sequence[Thruster], told: Told) -> tuple[float, float, float]:
     """Surge, sway and yaw of these forces, from first principles."""
     surge = sway = yaw = 0.0
     for thruster, force_n, angle_rad in zip(boat, told.forces_n, told.angles_rad, strict=True):
@@ -51,8 +62,8 @@ def given_by(boat: Sequence[Thruster], told: Allotted) -> tuple[float, float, fl
     return surge, sway, yaw
 
 
-def asked(boat: Sequence[Thruster], request: tuple[float, float, float], failed: frozenset[int] = frozenset()) -> Allotted:
-    return Allocation(boat, failed).allocate(*request, [0.0] * len(boat), DT_S)
+def asked(boat: Sequence[Thruster], request: tuple[float, float, float], failed: frozenset[int] = frozenset()) -> Told:
+    return Told(*Allocation(boat, failed).allocate(*request, [0.0] * len(boat), DT_S))
 
 
 @given(st.lists(st.one_of(fixed, turning), min_size=1, max_size=16), requests, st.floats(0.0, 1.0))
@@ -60,7 +71,7 @@ def test_no_boat_gets_more_than_its_limits(boat: list[Thruster], request: tuple[
     """Also over several cycles; and what it is told to be short of is what it is short of."""
     allocation, angles = Allocation(boat), [0.0] * len(boat)
     for _ in range(3):
-        told = allocation.allocate(*request, angles, dt_s)
+        told = Told(*allocation.allocate(*request, angles, dt_s))
         for thruster, force_n, angle_rad, before_rad in zip(boat, told.forces_n, told.angles_rad, angles, strict=True):
             assert thruster.curve.astern_n - 1e-6 <= force_n <= thruster.curve.ahead_n + 1e-6
             if (pivot := thruster.pivot) is None:
@@ -190,7 +201,7 @@ def test_a_propeller_that_steers_pushes_as_much_as_the_turn_needs(boat: Sequence
     for surge_n in (0.0, 1e4):
         told = asked(boat, (surge_n, 0.0, side * 0.5 * most_nm))
         for _ in range(20):
-            told = Allocation(boat).allocate(surge_n, 0.0, side * 0.5 * most_nm, told.angles_rad, DT_S)
+            told = Told(*Allocation(boat).allocate(surge_n, 0.0, side * 0.5 * most_nm, told.angles_rad, DT_S))
         surge, _, yaw = given_by(boat, told)
         assert side * yaw == pytest.approx(0.5 * most_nm, rel=0.03)
         assert surge > 0.0
@@ -208,7 +219,7 @@ def test_a_rudder_does_nothing_astern() -> None:
 def test_an_azimuth_thruster_turns_to_the_force_and_passes_forbidden_sectors_without_thrust() -> None:
     allocation, angles, passed = Allocation(AZIMUTHS), [0.0, 0.0], 0
     for _ in range(40):
-        told = allocation.allocate(-50.0, 20.0, 0.0, angles, DT_S)
+        told = Told(*allocation.allocate(-50.0, 20.0, 0.0, angles, DT_S))
         angles = list(told.angles_rad)
         for angle_rad, force_n in zip(told.angles_rad, told.forces_n, strict=True):
             if math.radians(60.0) < angle_rad < math.radians(120.0):
@@ -217,7 +228,7 @@ def test_an_azimuth_thruster_turns_to_the_force_and_passes_forbidden_sectors_wit
     assert passed > 2
     assert given_by(AZIMUTHS, told) == pytest.approx((-50.0, 20.0, 0.0), abs=0.1)
     for _ in range(40):  # straight to starboard is forbidden: to the nearer edge, each on its own
-        told = allocation.allocate(0.0, 50.0, 0.0, told.angles_rad, DT_S)
+        told = Told(*allocation.allocate(0.0, 50.0, 0.0, told.angles_rad, DT_S))
     assert all(abs(wrap(a - math.radians(e))) < 1e-6 for a, e in zip(told.angles_rad, (120.0, 120.0), strict=True)) or all(
         not math.radians(60.1) < a < math.radians(119.9) for a in told.angles_rad
     )

@@ -6,15 +6,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.config import Dsor, Sea
+from delfim.config import Sea
 from delfim.geodesy import wrap
 from delfim.modes import Mode
-from delfim.vehicle.control.autopilot import entered, steer
-from delfim.vehicle.control.memory import Integrals
+from delfim.vehicle.control.allocation import Allocation, thruster
+from delfim.vehicle.control.autopilot import clamp, entered, steer
+from delfim.vehicle.control.memory import Integrals, Memory, lacking
 from delfim.vehicle.state import Motion, Setpoint
-from tests.vehicle.closed_loop import ALL, DT_S, SETTINGS, Boat, heading_step
+from tests.vehicle.closed_loop import ALL, DELFIMX, DT_S, SETTINGS, Boat, heading_step
 
-RPM_MAX = SETTINGS.dsor.rpm_max
+THRUSTERS = Allocation([thruster(row) for row in DELFIMX.thrusters])
 AT_REST = Motion(ALL, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
@@ -48,13 +49,13 @@ def test_speed_over_ground_is_kept_in_current(to_deg: float) -> None:
     assert all(abs(speed - 1.5) < 0.1 for speed in speeds[150:])
 
 
-def test_without_velocity_the_speed_is_what_the_revolutions_give() -> None:
+def test_without_velocity_the_surge_is_the_drag() -> None:
     motion = AT_REST._replace(has=frozenset({"heading"}), north_mps=9.0)
     integrals = entered(AT_REST)
     for _ in range(50):
-        integrals, actuation = steer(integrals, motion._replace(north_mps=0.0), 0.0, 1.0, SETTINGS, DT_S)
-    assert actuation.thrust[1] == pytest.approx(1.0 / SETTINGS.propulsion.speed_per_rpm_mps / RPM_MAX)
-    assert integrals.speed_rpm == 0.0
+        integrals, wanted = steer(integrals, motion._replace(north_mps=0.0), 0.0, 1.0, SETTINGS, DT_S)
+    assert wanted.surge_n == pytest.approx(SETTINGS.hull.drag_n_per_mps + SETTINGS.hull.drag_n_per_mps2)
+    assert integrals.surge_n == 0.0
 
 
 @given(
@@ -65,68 +66,75 @@ def test_without_velocity_the_speed_is_what_the_revolutions_give() -> None:
     st.floats(-3.0, 3.0),
     st.builds(Integrals, st.floats(-150.0, 150.0), st.floats(-400.0, 400.0), st.floats(-2.2, 2.2)),
 )
-def test_saturation_keeps_the_heading(
+def test_the_yaw_moment_does_not_depend_on_the_speed(
     heading_rad: float, yaw_radps: float, surge_mps: float, asked_rad: float, asked_mps: float, was: Integrals
 ) -> None:
-    """Thrust goes with the square of revolutions; the difference of thrust is what turns the boat, whatever the speed wants."""
-
-    def turning(thrust: tuple[float, ...]) -> float:
-        starboard, port = (part * abs(part) for part in thrust)
-        return port - starboard
-
+    """And the thrusters keep as much of it as they can: the forces of both propellers differ by it."""
     north_mps, east_mps = surge_mps * math.cos(heading_rad), surge_mps * math.sin(heading_rad)
     motion = Motion(ALL, 0.0, 0.0, heading_rad, yaw_radps, north_mps, east_mps)
     _, moving = steer(was, motion, asked_rad, asked_mps, SETTINGS, DT_S)
     _, still = steer(was, motion._replace(has=frozenset({"heading"})), asked_rad, 0.0, SETTINGS, DT_S)
-    assert max(map(abs, moving.thrust)) <= 1.0 + 1e-9
-    assert turning(moving.thrust) == pytest.approx(turning(still.thrust), abs=1e-9)
+    assert moving.yaw_nm == still.yaw_nm
+    forces, _, _ = THRUSTERS.allocate(*moving[:3], (0.0, 0.0), DT_S)
+    given_nm = DELFIMX.thrusters[0].y_m * (forces[1] - forces[0])
+    kept_nm = clamp(moving.yaw_nm, -THRUSTERS.yaw_nm, THRUSTERS.yaw_nm)
+    assert given_nm == pytest.approx(kept_nm, abs=0.02 * THRUSTERS.yaw_nm)
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(0.0, 2.2), st.floats(-1.0, 3.0))
-def test_an_order_ahead_never_runs_both_propellers_astern(error_rad: float, asked_mps: float, surge_mps: float) -> None:
+def test_an_order_ahead_never_asks_for_surge_astern(error_rad: float, asked_mps: float, surge_mps: float) -> None:
     motion = AT_REST._replace(north_mps=surge_mps)
-    _, actuation = steer(Integrals(speed_mps=asked_mps), motion, error_rad, asked_mps, SETTINGS, DT_S)
-    assert sum(actuation.thrust) >= -1e-12
+    assert steer(Integrals(speed_mps=asked_mps), motion, error_rad, asked_mps, SETTINGS, DT_S)[1].surge_n >= 0.0
+    assert steer(Integrals(speed_mps=-asked_mps), motion, error_rad, -asked_mps - 0.1, SETTINGS, DT_S)[1].surge_n <= 0.0
 
 
 def test_the_boat_turns_first() -> None:
-    _, actuation = steer(Integrals(speed_mps=1.5), AT_REST, math.pi / 2.0 + 0.1, 1.5, SETTINGS, DT_S)
-    starboard, port = actuation.thrust
-    assert port == pytest.approx(-starboard)
-    assert port > 0.0
+    _, wanted = steer(Integrals(speed_mps=1.5), AT_REST, math.pi / 2.0 + 0.1, 1.5, SETTINGS, DT_S)
+    assert wanted.surge_n == 0.0
+    assert wanted.yaw_nm == SETTINGS.gains.p_limit_nm
 
 
 @pytest.mark.parametrize(("heading_deg", "asked_deg"), [(179.0, -179.0), (-179.0, 179.0), (1.0, 359.0), (350.0, 730.0)])
 def test_the_short_way_round(heading_deg: float, asked_deg: float) -> None:
     motion = AT_REST._replace(heading_rad=math.radians(heading_deg))
-    _, actuation = steer(Integrals(), motion, math.radians(asked_deg), 0.0, SETTINGS, DT_S)
+    _, wanted = steer(Integrals(), motion, math.radians(asked_deg), 0.0, SETTINGS, DT_S)
     error_rad = wrap(math.radians(asked_deg - heading_deg))
     assert abs(error_rad) < 0.5
-    starboard, port = actuation.thrust
-    assert math.copysign(1.0, port - starboard) == math.copysign(1.0, error_rad)
+    assert math.copysign(1.0, wanted.yaw_nm) == math.copysign(1.0, error_rad)
 
 
 def test_integrals_do_not_wind_up() -> None:
-    """A boat that is held fast: propellers at their limit add nothing, errors that are being turned away add nothing."""
+    """Of a boat that is held fast. An error that is being turned away adds nothing, either."""
     integrals = Integrals()
     for _ in range(5000):
         integrals, _ = steer(integrals, AT_REST, 0.3, 2.2, SETTINGS, DT_S)
-    assert abs(integrals.heading_rpm) <= SETTINGS.control.heading.i_limit_rpm
-    assert abs(integrals.speed_rpm) <= SETTINGS.control.speed.i_limit_rpm
+    assert abs(integrals.yaw_nm) == SETTINGS.gains.i_limit_nm
+    assert abs(integrals.surge_n) == SETTINGS.gains.i_limit_n
     turning = Integrals()
     for _ in range(500):
         turning, _ = steer(turning, AT_REST._replace(yaw_rate_radps=0.2), 2.0, 1.5, SETTINGS, DT_S)
-    assert (turning.heading_rpm, turning.speed_rpm) == (0.0, 0.0)
-    weak = SETTINGS._replace(dsor=Dsor(rpm_max=100))
-    pinned = Integrals()
-    for _ in range(500):
-        pinned, _ = steer(pinned, AT_REST, 0.3, 0.0, weak, DT_S)
-    assert pinned.heading_rpm == 0.0
-    saturated = Integrals()
-    for _ in range(500):
-        saturated, actuation = steer(saturated, AT_REST._replace(north_mps=-3.0), 0.0, 2.2, SETTINGS, DT_S)
-    assert actuation.thrust[1] == 1.0
-    assert saturated.speed_rpm < SETTINGS.control.speed.i_limit_rpm
+    assert (turning.yaw_nm, turning.surge_n) == (0.0, 0.0)
+
+
+def test_what_the_thrusters_cannot_give_stops_the_integral_that_asked_for_it() -> None:
+    """The other one goes on, and each comes back from where it is."""
+    held = Memory(Integrals(20.0, 100.0, 1.5))
+    for short, yaw_waits, surge_waits in (
+        ((0.0, 0.0, 5.0), True, False),
+        ((5.0, 0.0, 0.0), False, True),
+        ((-5.0, 0.0, -5.0), False, False),
+    ):
+        after, _ = steer(lacking(held, short).integrals, AT_REST, 0.1, 1.5, SETTINGS, DT_S)
+        assert (after.yaw_nm == 20.0, after.surge_n == 100.0) == (yaw_waits, surge_waits)
+        assert (after.yaw_short_nm, after.surge_short_n) == (0.0, 0.0)
+
+
+def test_a_boat_that_cannot_keep_up_does_not_wind_up_its_speed() -> None:
+    """Against a current that is faster than the boat, through the thrusters that run at their limit."""
+    boat = Boat(sea=Sea(current_mps=3.5, current_to_deg=180.0))
+    pushes = [boat.memory.integrals.surge_n for _ in boat.sail(Mode.HEADING, Setpoint(speed_mps=2.2), 120.0)]
+    assert pushes[-1] == pytest.approx(pushes[50], abs=1.0)
+    assert pushes[-1] < 0.95 * SETTINGS.gains.i_limit_n
 
 
 def test_entering_at_speed_changes_no_revolutions_by_a_jump() -> None:

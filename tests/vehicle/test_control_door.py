@@ -4,18 +4,19 @@ import itertools
 import math
 import re
 from pathlib import Path
-from typing import TypeVar
+from typing import TypeVar, cast
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from delfim.canproxy.socket import CanSocket
 from delfim.modes import Mode
 from delfim.vehicle.control.control import MODES, Memory, admit, control, enter
-from delfim.vehicle.gate import limited
+from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import NOWHERE, Actuation, Arc, Line, Motion, Plan, Setpoint, Waypoint
-from tests.vehicle.closed_loop import ALL, DT_S, LIMITS, SETTINGS
+from delfim.vehicle.state import NOWHERE, Arc, Line, Motion, Plan, Setpoint, State, Wanted, Waypoint
+from tests.vehicle.closed_loop import ALL, DELFIMX, DT_S, SETTINGS
 
 DOCS = Path(__file__).parents[2] / "docs"
 T = TypeVar("T")
@@ -113,27 +114,29 @@ def test_a_set_point_that_makes_no_sense_stops_or_changes_nothing(mode: Mode, va
     mad = Setpoint(value, value, value, value, Waypoint(*[value] * 5), plan, 0, value, value, ((value, value),) * 2)
     memory = enter(mode, KNOWN, mad, SETTINGS)
     after, reference, actuation = control(mode, memory, KNOWN, mad, SETTINGS, DT_S)
-    assert math.isfinite(sum(actuation.thrust))
+    assert math.isfinite(actuation.surge_n + actuation.yaw_nm)
     if reference.reason:
         assert (after, actuation) == (memory, STOP)
 
 
 @given(st.sampled_from(Mode), MOTIONS, SETPOINTS, FLOATS, FRACTIONS)
 def test_whatever_comes_what_is_sent_is_finite_and_within_limits(
-    mode: Mode, motion: Motion, setpoint: Setpoint, dt_s: float, previous: tuple[float, float]
+    mode: Mode, motion: Motion, setpoint: Setpoint, dt_s: float, before: tuple[float, float]
 ) -> None:
+    propulsion = Propulsion((), cast(CanSocket, None), DELFIMX.thrusters, State())
     memory = enter(mode, motion, setpoint, SETTINGS)
-    for seen in (motion, KNOWN):
+    propulsion.send(Wanted(hand=before), 1.0)
+    for seen, now_s in ((motion, 1.0 + dt_s), (KNOWN, 2.0)):
         memory, _, wanted = control(mode, memory, seen, setpoint, SETTINGS, dt_s)
-        sent = limited(wanted, Actuation(previous, (0.0, 0.0), True), LIMITS, dt_s)
+        sent = propulsion.send(wanted, now_s)
         assert max(map(abs, sent.thrust)) <= 1.0
-        assert sent.run or sent == LIMITS.still
+        assert sent.run or sent.thrust == (0.0, 0.0)
 
 
 def test_idle_and_manual_need_nothing() -> None:
     assert control(Mode.IDLE, Memory(), NOWHERE, Setpoint(), SETTINGS, DT_S)[2] == STOP
     asked = Setpoint(starboard=-0.5, port=2.0)
-    assert control(Mode.MANUAL, Memory(), NOWHERE, asked, SETTINGS, DT_S)[2] == Actuation((-0.5, 1.0), (0.0, 0.0), True)
+    assert control(Mode.MANUAL, Memory(), NOWHERE, asked, SETTINGS, DT_S)[2] == Wanted(hand=(-0.5, 1.0))
 
 
 def test_a_guest_that_asked_for_nothing_gets_a_stop() -> None:

@@ -21,13 +21,13 @@ from tests.vehicle.closed_loop import (
     SETTINGS,
     Boat,
     current,
+    described,
     errors,
     heading_step,
     hold_distances,
     home_errors,
     path_errors,
     play,
-    tuned,
 )
 
 HERE = Motion(ALL, 0.0, 0.0, 0.0, 0.0, 1.5, 0.0)
@@ -224,10 +224,10 @@ def test_hold_backs_up_to_a_point_close_astern() -> None:
     near = HERE._replace(north_m=7.0, north_mps=0.0)
     for _ in range(5):
         memory, _, actuation = control(Mode.HOLD, memory, near, Setpoint(), SETTINGS, DT_S)
-    assert max(actuation.thrust) < 0.0
+    assert actuation.surge_n < 0.0
     memory = enter(Mode.HOLD, HERE._replace(north_mps=0.0), Setpoint(), SETTINGS)
     _, _, actuation = control(Mode.HOLD, memory, HERE._replace(north_m=50.0, north_mps=0.0), Setpoint(), SETTINGS, DT_S)
-    assert math.prod(actuation.thrust) < 0.0  # far astern: turn
+    assert (actuation.surge_n, abs(actuation.yaw_nm)) == (0.0, SETTINGS.gains.p_limit_nm)  # far astern: turn
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -247,12 +247,13 @@ def test_grex_follows_the_guest() -> None:
 
 
 @pytest.mark.parametrize("name", OTHERS)
-def test_the_recipe_tunes_another_boat(name: str) -> None:
-    hull, settings = OTHERS[name], tuned(OTHERS[name])
-    over_deg, settled_s, _ = heading_step(Boat(hull=hull, settings=settings), 90.0, 1.5)
+def test_the_gains_of_another_boat_follow_from_its_description(name: str) -> None:
+    hull = OTHERS[name]
+    vehicle = described(hull)
+    over_deg, settled_s, _ = heading_step(Boat(hull=hull, vehicle=vehicle), 90.0, 1.5)
     assert over_deg < 5.0
     assert settled_s < 15.0
-    runs = [path_errors(Boat(seed, current(seed, 4), hull=hull, settings=settings), DOCA.path) for seed in range(4)]
+    runs = [path_errors(Boat(seed, current(seed, 4), hull=hull, vehicle=vehicle), DOCA.path) for seed in range(4)]
     assert errors([e for _, on_arcs in runs for e in on_arcs]).rms < 0.5
 
 

@@ -20,7 +20,6 @@ from delfim.simulator.lockstepbus import LockstepBus
 from delfim.slices import Sliced
 from delfim.vehicle import console, fence
 from delfim.vehicle.actuators.dsor import Propellers
-from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import Fix
@@ -115,7 +114,7 @@ class Boat:
         self.world.bind(ANYTHING)
         self.state, self.source, self.log = State(), Sensors(bus.socket()), NoLog()
         outlet, guest = bus.socket(), Guest(self.state, self.clock)
-        propulsion = Propulsion((Propellers(SETTINGS, outlet),), outlet, GateLimits(SETTINGS.thrusters), self.state)
+        propulsion = Propulsion((Propellers(SETTINGS, outlet),), outlet, SETTINGS.thrusters, self.state)
         self.vehicle = VehicleLoop(SETTINGS, self.clock, self.state, (self.source,), propulsion, guest, self.log)
         self.report("none")
         self.vehicle.on_navigation(self.source)

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 
 from delfim.config import DELFIMX, Steer, ThrusterTable
 from delfim.vehicle.gate import GateLimits, limited
-from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation
 
 TWO = GateLimits(DELFIMX)
@@ -47,7 +46,7 @@ def test_the_gate_limits_the_rate_and_arrives(asked: tuple[float, float], was: t
 @pytest.mark.parametrize(
     "wanted",
     [
-        STOP,
+        Actuation((), (), False),
         Actuation((0.5, 0.5), (0.0, 0.0), False),
         Actuation((math.nan, 0.0), (0.0, 0.0), True),
         Actuation((0.0, math.inf), (0.0, 0.0), True),
@@ -72,7 +71,7 @@ def test_what_turns_turns_at_its_rate_and_the_short_way_round() -> None:
 
 def test_an_angle_that_is_not_finite_is_a_stop_and_a_stop_leaves_the_angles() -> None:
     was = Actuation((0.3, 0.5), (0.1, 2.0), True)
-    for wanted in (Actuation((0.3, 0.5), (math.nan, 2.0), True), Actuation((0.3, 0.5), (0.1,), True), STOP):
+    for wanted in (Actuation((0.3, 0.5), (math.nan, 2.0), True), Actuation((0.3, 0.5), (0.1,), True), Actuation((), (), False)):
         assert limited(wanted, was, MIXED, 0.1) == Actuation((0.0, 0.0), (0.1, 2.0), False)
 
 

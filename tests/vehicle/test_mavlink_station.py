@@ -8,6 +8,7 @@ import pytest
 from delfim import config, messages
 from delfim.modes import Mode
 from delfim.vehicle import console
+from delfim.vehicle.control.hull import filled
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mavlink.wire import dialect
@@ -29,7 +30,8 @@ waypoint = [
 def afloat(boat, **options: object) -> SimpleNamespace:
     """A boat that is fit, its station, and a console that it has heard."""
     vehicle: VehicleLoop = boat.vehicle
-    vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=config.Mavlink(**options))
+    settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=config.Mavlink(**options))
+    vehicle.helm.settings = filled(settings)
     log: list[console.Commands] = []
 
     def obey(command: console.Commands, operator: str) -> str | None:
@@ -625,7 +627,7 @@ def test_rates_by_profile(boat, profile, positions, beats, most_bytes_per_s):
 def test_lean_says_all_in_one(boat):
     sea = afloat(boat, profile="lean")
     sea.console.command(43002, 1, 90.0)
-    one = newest(sail(sea, 2.0), "HIGH_LATENCY2")
+    one = newest(sail(sea, 2.6), "HIGH_LATENCY2")
     assert (one.latitude, one.longitude, one.custom_mode, one.target_heading) == (386_925_000, -92_150_000, 3, 45)
     assert (one.battery, one.custom0 & 0xFF) == (90, 250)
     starboard, port = sea.state.actuation.thrust
@@ -691,7 +693,9 @@ def test_all_parameters_in_order_and_none_twice(sea):
     sea.console.say("param_request_list", 1, 1)
     values = [m for m in sail(sea, 2.0) if m.get_type() == "PARAM_VALUE"]
     assert [m.param_index for m in values] == list(range(values[0].param_count))
-    assert {m.param_id: m.param_value for m in values}["SPEED_MAX"] == pytest.approx(2.2)
+    told = {m.param_id: m.param_value for m in values}
+    assert told["SPEED_MAX"] == pytest.approx(2.2)
+    assert told["HEAD_P"] == pytest.approx(sea.vehicle.helm.limits.gains.p_nm_per_rad), "as it follows from the hull"
 
 
 def test_a_parameter_is_changed_within_its_range_and_logged(sea):

@@ -24,7 +24,6 @@ from delfim.clock import SystemClock
 from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.actuators.dsor import Propellers
-from delfim.vehicle.gate import GateLimits
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import Propulsion
@@ -82,7 +81,7 @@ def test_a_recorded_boat_drives_the_vehicle_at_its_own_speed_and_silence_stops_i
     with open_can(sensors) as bus, open_can(own) as propulsion:
         bus.bind(*(CanAddress(arb, mask) for arb, mask in decoder.filters))
         source = Nmea2000Navigation(bus, decoder, state)
-        outlet = Propulsion((Propellers(settings, propulsion),), propulsion, GateLimits(settings.thrusters), state)
+        outlet = Propulsion((Propellers(settings, propulsion),), propulsion, settings.thrusters, state)
         boat = VehicleLoop(settings, clock, state, (source,), outlet, Guest(state, clock), NoLog())
         command = [sys.executable, "-c", PLAYER, sensors, str(RECORDING), str(SECONDS)]
         with subprocess.Popen(command, stdin=subprocess.PIPE) as player:

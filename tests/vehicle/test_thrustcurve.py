@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.vehicle.control.thrustcurve import LEAST, Curve, Law, Points, points_fault
+from delfim.vehicle.control.thrustcurve import LEAST, Curve, Law, Points
 
 IDLE = Points([(-1.0, -300.0), (-0.05, -50.0), (-0.05, 0.0), (0.0, 0.0), (0.05, 0.0), (0.05, 60.0), (0.5, 300.0), (1.0, 800.0)])
 laws = st.builds(Law, st.floats(-900.0, -1.0), st.floats(1.0, 900.0), st.floats(0.2, 4.0), st.floats(0.0, 0.9))
@@ -71,21 +71,3 @@ def test_an_engine_in_gear_idles_or_stands() -> None:
     assert IDLE.force(0.05) == 60.0
     assert IDLE.command(180.0) == pytest.approx(0.275)
     assert IDLE.force(0.75) == pytest.approx(550.0)
-
-
-@pytest.mark.parametrize(
-    ("points", "words"),
-    [
-        ([(-1.0, -5.0), (1.0, 10.0)], "needs the point [0, 0]"),
-        ([(0.0, 0.0), (0.5, 4.0), (0.4, 5.0)], "0.4 comes after 0.5"),
-        ([(-1.0, 8.0), (0.0, 0.0), (1.0, -8.0)], "0 N comes after 8 N"),
-        ([(0.0, 0.0), (0.5, 9.0), (1.0, 4.0)], "4 N comes after 9 N"),
-        ([(0.0, 0.0), (0.0, 9.0), (1.0, 20.0)], "step at the command 0"),
-        ([(0.0, 0.0), (1.5, 9.0)], "from -1 to 1"),
-        ([(-1.0, 0.0), (0.0, 0.0)], "no force"),
-    ],
-)
-def test_a_table_that_is_no_thrust_curve_is_refused_in_words(points: list[tuple[float, float]], words: str) -> None:
-    assert words in (points_fault(points) or "")
-    with pytest.raises(ValueError, match="curve"):
-        Points(points)

@@ -16,7 +16,7 @@ TEXT_MAX: Final = 100  # characters of a text to look for
 _LINE: Final = msgspec.json.Decoder(LogLine)
 
 
-class Wanted(NamedTuple):
+class WantedLines(NamedTuple):
     """Lines of this level or worse, with this text in them or in the name of their service, whatever its case."""
 
     level: str = "info"
@@ -28,9 +28,9 @@ class Wanted(NamedTuple):
         return not self.text or self.text.lower() in f"{line.service}: {line.text}".lower()
 
 
-def wanted(level: str, text: str) -> Wanted:
+def wanted(level: str, text: str) -> WantedLines:
     """From the words of a visitor: those that mean nothing have their default."""
-    return Wanted(level if level in LEVELS else Wanted().level, text[:TEXT_MAX])
+    return WantedLines(level if level in LEVELS else WantedLines().level, text[:TEXT_MAX])
 
 
 def parsed(lines: Iterable[bytes]) -> Iterator[LogLine | None]:
@@ -48,7 +48,7 @@ def last_lines(directory: str, count: int) -> tuple[LogLine, ...]:
     """The last lines from the level info on, newest first. Reads files."""
     found = []
     for line in parsed(recent(directory)):
-        if line is not None and Wanted().has(line):
+        if line is not None and WantedLines().has(line):
             found.append(line)
             if len(found) == count:
                 break

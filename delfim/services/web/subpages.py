@@ -9,7 +9,7 @@ from delfim.logging.systemlines import LEVELS
 from delfim.logging.tree import readable
 from delfim.services.web import document, files, page
 from delfim.services.web.api import LogLine, Report
-from delfim.services.web.saidlines import LINES_MAX, TEXT_MAX, Wanted
+from delfim.services.web.saidlines import LINES_MAX, TEXT_MAX, WantedLines
 from delfim.services.web.wording import loglines, size
 
 
@@ -33,7 +33,7 @@ def checks_page(report: Report) -> str:
     return document.plain("Before the start", f'{reason}<ul class="lines checks">{rows}</ul>', head)
 
 
-def system_page(asked: Wanted, found: list[LogLine]) -> str:
+def system_page(asked: WantedLines, found: list[LogLine]) -> str:
     """The last words of the programs, newest first, and what to choose them by."""
     levels = "".join(f"<option{' selected' if level == asked.level else ''}>{level}</option>" for level in LEVELS)
     form = (

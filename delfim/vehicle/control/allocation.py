@@ -16,8 +16,9 @@ import math
 from collections.abc import Sequence
 from typing import Final, NamedTuple
 
+from delfim import config
 from delfim.geodesy import wrap
-from delfim.vehicle.control.thrustcurve import Curve
+from delfim.vehicle.control.thrustcurve import Curve, Law, Points
 
 WEIGHTS: Final = 1.0, 1.0, 3000.0  # surge, sway, yaw; the moment in units of the strongest thruster at the longest arm
 STIFF: Final = 1e4  # how much more the request weighs than the effort
@@ -56,10 +57,20 @@ class Thruster(NamedTuple):
     pivot: Pivot | None = None
 
 
-class Allotted(NamedTuple):
-    forces_n: Sequence[float]  # of each thruster
-    angles_rad: Sequence[float]  # of each thruster, from its middle; zero for what is fixed
-    short: Force | None  # what was asked for minus what the boat gives; None: the boat gives it
+def thruster(row: config.ThrusterTable) -> Thruster:
+    """A row of the vehicle's file."""
+    curve = Points(row.curve) if row.curve else Law(*row.thrust_n, row.power, row.dead)
+    pivot = None
+    if (steer := row.steer) is not None:
+        sectors = tuple((math.radians(begin), math.radians(end)) for begin, end in steer.forbidden_deg)
+        widest_rad, rate_radps = math.radians(steer.angle_max_deg), math.radians(steer.rate_dps)
+        pivot = Pivot(widest_rad, rate_radps, sectors, steer.kind == "rudder")
+    return Thruster(row.x_m, row.y_m, math.radians(row.angle_deg), curve, pivot)
+
+
+# The force of each thruster, N; its angle, rad, from its middle, zero for what is fixed; what was asked for minus what the boat
+# gives, None where it gives it.
+Allotted = tuple[Sequence[float], Sequence[float], Force | None]
 
 
 class Allocation:
@@ -81,6 +92,7 @@ class Allocation:
         self._most = [
             (sum(map(min, each)) / scale, sum(map(max, each)) / scale) for each, scale in zip(ends_of, self._scale, strict=True)
         ]
+        self._within = *self._most[0], *self._most[1], *self._most[2]
         self._is_full = self._gives_each()
         self.surge_n, self.yaw_nm = self._most[0], min(-self._most[2][0], self._most[2][1])  # most astern and ahead; either way
 
@@ -91,7 +103,7 @@ class Allocation:
         """`angles_rad`: where everything points now; `dt_s`: how long it may turn. NaN in, NaN out."""
         if self._turns:
             return self._turned(surge_n, sway_n, yaw_nm, angles_rad, dt_s)
-        (least_x, most_x), (least_y, most_y), (least_n, most_n) = self._most
+        least_x, most_x, least_y, most_y, least_n, most_n = self._within
         if self._is_full and least_x <= surge_n <= most_x and least_y <= sway_n <= most_y and least_n <= yaw_nm <= most_n:
             forces = []
             for x, y, n, low, high in self._quick:
@@ -100,7 +112,7 @@ class Allocation:
                     break
                 forces.append(force_n)
             else:
-                return Allotted(forces, angles_rad, None)
+                return forces, angles_rad, None
         return self._exactly(self._columns, surge_n, sway_n, yaw_nm, angles_rad)
 
     def steerable(self) -> str:
@@ -110,7 +122,7 @@ class Allocation:
         if not self.surge_n[1] > HALF * ahead_n:
             return "nothing pushes the boat ahead"
         for yaw_nm in (turn_nm, -turn_nm):
-            short = self.allocate(ahead_n, 0.0, yaw_nm, [0.0] * len(self.thrusters), math.inf).short or (0.0, 0.0, 0.0)
+            short = self.allocate(ahead_n, 0.0, yaw_nm, [0.0] * len(self.thrusters), math.inf)[2] or (0.0, 0.0, 0.0)
             if not turn_nm or short[2] / yaw_nm > HALF or short[0] > HALF * ahead_n:
                 return "the boat cannot turn to both sides while it goes ahead"
         return ""
@@ -166,11 +178,11 @@ class Allocation:
             n += column[2] * f
         unit_n = self._unit_n
         short = surge_n - x * unit_n, sway_n - y * unit_n, yaw_nm - n * unit_n * self._arm_m
-        return Allotted([f * unit_n for f in forces], angles_rad, short)
+        return [f * unit_n for f in forces], angles_rad, short
 
     def _turned(self, surge_n: float, sway_n: float, yaw_nm: float, angles_rad: Sequence[float], dt_s: float) -> Allotted:
         """Two passes: where to point, then the forces for where everything points after `dt_s`."""
-        free = iter(self._exactly(self._columns, surge_n, sway_n, yaw_nm, angles_rad).forces_n)
+        free = iter(self._exactly(self._columns, surge_n, sway_n, yaw_nm, angles_rad)[0])
         columns, angles = list[Column](), list[float]()
         for thruster, (low, high), angle_rad in zip(self.thrusters, self._ends, angles_rad, strict=True):
             along_n, pivot = next(free), thruster.pivot

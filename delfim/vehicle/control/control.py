@@ -8,11 +8,11 @@ from typing import Final, Protocol, cast
 
 from delfim.modes import Mode
 from delfim.vehicle.control import path
-from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.control.memory import Memory, Settings, lacking, settings_of
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
-__all__ = ["MODES", "Memory", "Settings", "admit", "control", "enter", "first"]
+__all__ = ["MODES", "Memory", "Settings", "admit", "control", "enter", "first", "lacking", "settings_of"]
 
 FAR_M = 1e7  # a plane position beyond this is nonsense, and so are the numbers below
 FAST_MPS = 100.0
@@ -32,7 +32,7 @@ class Program(Protocol):
 
     def step(
         self, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-    ) -> tuple[Memory, Reference, Actuation]: ...
+    ) -> tuple[Memory, Reference, Wanted]: ...
 
 
 MODES: Final[dict[Mode, Program]] = {mode: cast(Program, import_module(f"{__package__}.{mode.name.lower()}")) for mode in Mode}
@@ -41,7 +41,7 @@ MODES: Final[dict[Mode, Program]] = {mode: cast(Program, import_module(f"{__pack
 def admit(mode: Mode, has: frozenset[str], setpoint: Setpoint) -> str | None:
     """The one door: None when the mode may be entered and kept, otherwise why not, in words for a tired operator."""
     program = MODES[mode]
-    if program.NEEDS - has:
+    if not has >= program.NEEDS:
         missing, known = " and no ".join(sorted(program.NEEDS - has)), " and ".join(sorted(has))
         return f"no {missing}: {known} only" if known else f"no {missing}"
     return program.lacks(setpoint)
@@ -67,7 +67,7 @@ def first(mode: Mode, memory: Memory, setpoint: Setpoint) -> tuple[float, float]
 
 def control(
     mode: Mode, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
+) -> tuple[Memory, Reference, Wanted]:
     """One step of a mode, `dt_s` after the one before. Missing inputs and numbers without meaning stop the propellers, leave
     the memory as it was, and say why in the reference.
     """
@@ -77,21 +77,22 @@ def control(
     if reason is not None:
         return memory, Reference(reason=reason), STOP
     try:
-        after, reference, actuation = MODES[mode].step(memory, motion, setpoint, settings, dt_s)
+        after, reference, wanted = MODES[mode].step(memory, motion, setpoint, settings, dt_s)
     except (ValueError, ArithmeticError):  # an infinite set point; to fail here would leave the propellers as they were
         return memory, Reference(reason="set point makes no sense"), STOP
-    if not math.isfinite(sum(actuation.thrust)):
+    if not math.isfinite(wanted.surge_n + wanted.sway_n + wanted.yaw_nm):
         return memory, Reference(reason="set point makes no sense"), STOP
-    return after, reference, actuation
+    return after, reference, wanted
 
 
 def _plausible(motion: Motion) -> bool:
     """False also for a value that is not finite: every comparison with it is false."""
+    _, north_m, east_m, heading_rad, yaw_rate_radps, north_mps, east_mps = motion
     return (
-        -FAR_M < motion.north_m < FAR_M
-        and -FAR_M < motion.east_m < FAR_M
-        and -SPIN < motion.heading_rad < SPIN
-        and -SPIN < motion.yaw_rate_radps < SPIN
-        and -FAST_MPS < motion.north_mps < FAST_MPS
-        and -FAST_MPS < motion.east_mps < FAST_MPS
+        -FAR_M < north_m < FAR_M
+        and -FAR_M < east_m < FAR_M
+        and -SPIN < heading_rad < SPIN
+        and -SPIN < yaw_rate_radps < SPIN
+        and -FAST_MPS < north_mps < FAST_MPS
+        and -FAST_MPS < east_mps < FAST_MPS
     )

@@ -8,7 +8,7 @@ from delfim.geodesy import wrap
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.guidance import course_to_steer
 from delfim.vehicle.control.memory import Memory, Settings
-from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
 NEEDS = frozenset({"heading", "velocity"})
 SENTENCE = "Steers a course over ground at a speed."
@@ -24,9 +24,9 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
+) -> tuple[Memory, Reference, Wanted]:
     asked_rad = setpoint.heading_rad
     course, heading_rad = course_to_steer(memory.course, motion, asked_rad, 0.0, settings.control.path, dt_s)
-    integrals, actuation = steer(memory.integrals, motion, heading_rad, setpoint.speed_mps, settings, dt_s)
+    integrals, wanted = steer(memory.integrals, motion, heading_rad, setpoint.speed_mps, settings, dt_s)
     reference = Reference(wrap(heading_rad), setpoint.speed_mps, course_rad=asked_rad)
-    return memory._replace(integrals=integrals, course=course), reference, actuation
+    return Memory(integrals, course, *memory[2:]), reference, wanted

@@ -6,7 +6,7 @@ from delfim.vehicle.control import hold
 from delfim.vehicle.control.autopilot import entered
 from delfim.vehicle.control.guidance import leg
 from delfim.vehicle.control.memory import Memory, Settings
-from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
 NEEDS = frozenset({"position", "heading", "velocity"})
 SENTENCE = "Goes to a point and holds there; waits where it is until there is one."
@@ -24,9 +24,9 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
+) -> tuple[Memory, Reference, Wanted]:
     target = setpoint.target
     if target is None:
         return hold.step(memory, motion, setpoint, settings, dt_s)
-    memory, reference, actuation, reached = leg(memory, motion, target, True, settings, dt_s, setpoint.override_mps)
-    return memory, reference._replace(done=True) if reached else reference, actuation
+    memory, reference, wanted, reached = leg(memory, motion, target, True, settings, dt_s, setpoint.override_mps)
+    return memory, reference._replace(done=True) if reached else reference, wanted

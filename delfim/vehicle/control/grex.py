@@ -3,7 +3,7 @@
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
 NEEDS = frozenset({"heading"})
 SENTENCE = "Holds the heading and speed that the guest computer asks for."
@@ -19,9 +19,9 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
+) -> tuple[Memory, Reference, Wanted]:
     heading_rad, speed_mps = setpoint.guest_heading_rad, setpoint.guest_speed_mps
     if heading_rad is None:
         return memory, Reference(), STOP
-    integrals, actuation = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s)
-    return memory._replace(integrals=integrals), Reference(heading_rad, speed_mps), actuation
+    integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s)
+    return Memory(integrals, *memory[1:]), Reference(heading_rad, speed_mps), wanted

@@ -15,7 +15,7 @@ from delfim import config
 from delfim.geodesy import wrap
 from delfim.vehicle.control.autopilot import clamp, steer, surge_mps
 from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
-from delfim.vehicle.state import Actuation, Motion, Reference, Waypoint
+from delfim.vehicle.state import Motion, Reference, Wanted, Waypoint
 
 CRAB_MAX_RAD = math.radians(60.0)
 NEAR = 0.25  # farther off the path than this fraction of the lookahead, the integral would only wind up
@@ -50,7 +50,7 @@ def along(motion: Motion, north_m: float, east_m: float, to_north_m: float, to_e
 
 def leg(
     memory: Memory, motion: Motion, to: Waypoint, last: bool, settings: Settings, dt_s: float, override_mps: float | None
-) -> tuple[Memory, Reference, Actuation, bool]:
+) -> tuple[Memory, Reference, Wanted, bool]:
     """One step along the line from where the leg began to its waypoint; True when the waypoint is reached.
 
     Reached means within the acceptance radius, or just passed abeam within twice that, so that a narrow miss is not repeated.
@@ -67,6 +67,6 @@ def leg(
     speed_mps = to.speed_mps if override_mps is None else override_mps
     if last:
         speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * distance_m), CREEP_MPS))
-    integrals, actuation = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s)
+    integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s)
     reference = Reference(wrap(heading_rad), speed_mps, cross_m, distance_m, to.north_m, to.east_m, memory.leg)
-    return memory._replace(integrals=integrals, course=course), reference, actuation, reached
+    return Memory(integrals, course, *memory[2:]), reference, wanted, reached

@@ -2,7 +2,7 @@
 
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.memory import Memory, Settings
-from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
 NEEDS = frozenset({"heading"})
 SENTENCE = "Holds a heading at a speed."
@@ -18,6 +18,6 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
-    integrals, actuation = steer(memory.integrals, motion, setpoint.heading_rad, setpoint.speed_mps, settings, dt_s)
-    return memory._replace(integrals=integrals), Reference(setpoint.heading_rad, setpoint.speed_mps), actuation
+) -> tuple[Memory, Reference, Wanted]:
+    integrals, wanted = steer(memory.integrals, motion, setpoint.heading_rad, setpoint.speed_mps, settings, dt_s)
+    return Memory(integrals, *memory[1:]), Reference(setpoint.heading_rad, setpoint.speed_mps), wanted

@@ -1,4 +1,4 @@
-"""Hold: stay near a point with two propellers and no thrust sideways.
+"""Hold: stay near a point, without thrust sideways.
 
 Inside the radius the boat rests and drifts; outside it drives back, turned to the point, or astern when the point is close
 behind it. Each drive ends near the point, and a drive that would have to turn in place turns first, so the boat never circles.
@@ -10,7 +10,7 @@ import math
 from delfim.geodesy import wrap
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.memory import Integrals, Memory, Settings
-from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
 NEEDS = frozenset({"position", "heading", "velocity"})
 SENTENCE = "Stays where it is."
@@ -32,7 +32,7 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
+) -> tuple[Memory, Reference, Wanted]:
     hold = settings.control.hold
     north_m, east_m = memory.north_m - motion.north_m, memory.east_m - motion.east_m
     distance_m, bearing_rad = math.hypot(north_m, east_m), math.atan2(east_m, north_m)
@@ -43,14 +43,10 @@ def step(
         behind = abs(wrap(bearing_rad - motion.heading_rad)) > ASTERN_RAD and distance_m < ASTERN_RADII * hold.radius_m
         driving = -1 if behind else 1
     if not driving:
-        resting = memory._replace(driving=0, integrals=Integrals(heading_rpm=0.0, speed_rpm=memory.integrals.speed_rpm))
-        return (
-            resting,
-            Reference(None, 0.0, None, distance_m, memory.north_m, memory.east_m),
-            Actuation((0.0, 0.0), (0.0, 0.0), True),
-        )
+        resting = memory._replace(driving=0, integrals=Integrals(surge_n=memory.integrals.surge_n))
+        return resting, Reference(None, 0.0, None, distance_m, memory.north_m, memory.east_m), Wanted()
     heading_rad = bearing_rad if driving > 0 else wrap(bearing_rad + math.pi)
     speed_mps = driving * min(distance_m / APPROACH_S, hold.speed_mps)
-    integrals, actuation = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s)
+    integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s)
     reference = Reference(heading_rad, speed_mps, None, distance_m, memory.north_m, memory.east_m)
-    return memory._replace(driving=driving, integrals=integrals), reference, actuation
+    return memory._replace(driving=driving, integrals=integrals), reference, wanted

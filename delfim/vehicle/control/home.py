@@ -5,7 +5,7 @@ from delfim.vehicle.control.autopilot import entered
 from delfim.vehicle.control.guidance import leg
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint, Waypoint
+from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted, Waypoint
 
 NEEDS = frozenset({"position", "heading", "velocity"})
 SENTENCE = "Goes back along the driven track to where it began, then holds."
@@ -21,15 +21,15 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
+) -> tuple[Memory, Reference, Wanted]:
     if not 0 <= memory.leg < len(setpoint.track):
         return memory, Reference(done=True), STOP
     north_m, east_m = setpoint.track[memory.leg]
     home = settings.control.home
     to = Waypoint(north_m, east_m, home.speed_mps, settings.control.path.acceptance_m)
-    memory, reference, actuation, reached = leg(memory, motion, to, memory.leg == 0, settings, dt_s, setpoint.override_mps)
+    memory, reference, wanted, reached = leg(memory, motion, to, memory.leg == 0, settings, dt_s, setpoint.override_mps)
     if not reached:
-        return memory, reference, actuation
+        return memory, reference, wanted
     if memory.leg == 0:
-        return memory, reference._replace(done=True), actuation
-    return memory._replace(north_m=north_m, east_m=east_m, leg=memory.leg - 1), reference, actuation
+        return memory, reference._replace(done=True), wanted
+    return memory._replace(north_m=north_m, east_m=east_m, leg=memory.leg - 1), reference, wanted

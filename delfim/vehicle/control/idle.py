@@ -2,7 +2,7 @@
 
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
 NEEDS: frozenset[str] = frozenset()
 SENTENCE = "Propellers off."
@@ -18,5 +18,5 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
+) -> tuple[Memory, Reference, Wanted]:
     return memory, Reference(), STOP

@@ -3,22 +3,30 @@
 from typing import NamedTuple
 
 from delfim import config
+from delfim.vehicle.control.hull import Craft, Gains, craft, gains
 
 
 class Settings(NamedTuple):
-    """The tables of the vehicle's file that control obeys."""
+    """What control obeys: the tables of the vehicle's file, and the gains and the hull that follow from them."""
 
     control: config.ControlTable
-    propulsion: config.PropulsionTable
-    dsor: config.Dsor
+    gains: Gains
+    hull: Craft
+
+
+def settings_of(vehicle: config.Vehicle) -> Settings:
+    hull = craft(vehicle)
+    return Settings(vehicle.control, gains(vehicle, hull), hull)
 
 
 class Integrals(NamedTuple):
     """The autopilot's memory."""
 
-    heading_rpm: float = 0.0
-    speed_rpm: float = 0.0
+    yaw_nm: float = 0.0
+    surge_n: float = 0.0
     speed_mps: float = 0.0  # speed asked for, after the ramp
+    yaw_short_nm: float = 0.0  # of the last step: asked for minus what the thrusters give
+    surge_short_n: float = 0.0
 
 
 class LineOfSight(NamedTuple):
@@ -39,3 +47,8 @@ class Memory(NamedTuple):
     swept_rad: float = 0.0  # of the present arc
     driving: int = 0  # hold: 0 rests, 1 comes back ahead, -1 astern
     left_s: float = 0.0  # play: of the time at the waypoint of the present leg, once it is reached
+
+
+def lacking(memory: Memory, short: tuple[float, float, float]) -> Memory:
+    """The memory after a step whose surge, sway and yaw the thrusters could not give: integrals wait."""
+    return memory._replace(integrals=memory.integrals._replace(surge_short_n=short[0], yaw_short_nm=short[2]))

@@ -12,7 +12,7 @@ from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.guidance import CREEP_MPS, along, course_to_steer
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Arc, Line, Motion, Reference, Setpoint
+from delfim.vehicle.state import Arc, Line, Motion, Reference, Setpoint, Wanted
 
 NEEDS = frozenset({"position", "heading", "velocity"})
 SENTENCE = "Follows the mission's lines and arcs, then holds."
@@ -53,7 +53,7 @@ def _far(piece: Line | Arc, north_m: float, east_m: float, reach_m: float) -> bo
 
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
+) -> tuple[Memory, Reference, Wanted]:
     path = setpoint.plan.path if setpoint.plan is not None else ()
     if memory.leg >= len(path):
         return memory, Reference(leg=memory.leg, done=True), STOP
@@ -65,15 +65,15 @@ def step(
     if last:
         speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * max(left_m, 0.0)), CREEP_MPS))
     turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad) if isinstance(piece, Arc) else 0.0
-    integrals, actuation = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
+    integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
     north_m, east_m = _end(piece)
     reference = Reference(wrap(heading_rad), speed_mps, cross_m, max(left_m, 0.0), north_m, east_m, max(memory.leg, 0))
-    after = memory._replace(integrals=integrals, course=course, swept_rad=swept_rad)
+    after = Memory(integrals, course, *memory[2:5], swept_rad)
     if last:
-        return after, reference._replace(done=True) if left_m <= 0.0 else reference, actuation
+        return after, reference._replace(done=True) if left_m <= 0.0 else reference, wanted
     if left_m > _wheel_over_m(tangent_rad, path[memory.leg + 1], speed_mps, settings.control.path.lookahead_m):
-        return after, reference, actuation
-    return after._replace(leg=memory.leg + 1, swept_rad=0.0), reference, actuation
+        return after, reference, wanted
+    return after._replace(leg=memory.leg + 1, swept_rad=0.0), reference, wanted
 
 
 def _approach(memory: Memory, first: Line | Arc) -> Line:

@@ -8,7 +8,7 @@ from delfim.vehicle.control.autopilot import entered
 from delfim.vehicle.control.guidance import leg
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
 NEEDS = frozenset({"position", "heading", "velocity"})
 SENTENCE = "Goes to each waypoint of the mission in turn, stays there where told, then holds."
@@ -29,7 +29,7 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
+) -> tuple[Memory, Reference, Wanted]:
     if setpoint.plan is None:
         return memory, Reference(), STOP
     waypoints = setpoint.plan.waypoints
@@ -38,16 +38,16 @@ def step(
     to = waypoints[memory.leg]
     last = memory.leg + 1 == len(waypoints)
     if memory.left_s > 0.0:
-        memory, reference, actuation = hold.step(memory, motion, setpoint, settings, dt_s)
+        memory, reference, wanted = hold.step(memory, motion, setpoint, settings, dt_s)
         reference, left_s = reference._replace(leg=memory.leg), memory.left_s - dt_s
     else:
         stops = last or to.hold_s > 0.0
-        memory, reference, actuation, reached = leg(memory, motion, to, stops, settings, dt_s, setpoint.override_mps)
+        memory, reference, wanted, reached = leg(memory, motion, to, stops, settings, dt_s, setpoint.override_mps)
         if not reached:
-            return memory, reference, actuation
+            return memory, reference, wanted
         memory, left_s = memory._replace(north_m=to.north_m, east_m=to.east_m), to.hold_s
     if left_s > 0.0:
-        return memory._replace(left_s=left_s), reference, actuation
+        return memory._replace(left_s=left_s), reference, wanted
     if last:
-        return memory, reference._replace(done=True), actuation
-    return memory._replace(leg=memory.leg + 1, driving=0, left_s=0.0), reference, actuation
+        return memory, reference._replace(done=True), wanted
+    return memory._replace(leg=memory.leg + 1, driving=0, left_s=0.0), reference, wanted

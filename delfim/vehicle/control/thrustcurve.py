@@ -7,7 +7,6 @@ table that somebody measured. Both are monotonic, and each has an end of its own
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
-from itertools import pairwise
 from typing import Final, NamedTuple, Protocol
 
 LEAST: Final = 1e-4  # of the largest force: less is no command, so that a motor with a deadband does not start for nothing
@@ -35,13 +34,14 @@ class Law(NamedTuple):
     dead: float = 0.0
 
     def command(self, force_n: float) -> float:
-        end_n = self.ahead_n if force_n > 0.0 else self.astern_n
+        astern_n, ahead_n, power, dead = self
+        end_n = ahead_n if force_n > 0.0 else astern_n
         share = force_n / end_n if end_n else 0.0
         if share < LEAST:
             return 0.0
         if share > 1.0:
             share = 1.0
-        size = self.dead + (1.0 - self.dead) * (math.sqrt(share) if self.power == 2.0 else math.pow(share, 1.0 / self.power))
+        size = dead + (1.0 - dead) * (math.sqrt(share) if power == 2.0 else math.pow(share, 1.0 / power))
         return size if force_n > 0.0 else -size
 
     def force(self, command: float) -> float:
@@ -59,9 +59,7 @@ class Points:
     __slots__ = ("_ahead", "_astern", "ahead_n", "astern_n")
 
     def __init__(self, points: Sequence[tuple[float, float]]) -> None:
-        """Raises ValueError for a table that is none, in words."""
-        if wrong := points_fault(points):
-            raise ValueError(wrong)
+        """A table as `ThrusterTable.curve` of the vehicle's file allows it."""
         self._ahead = _branch([(c, f) for c, f in points if c >= 0.0])
         self._astern = _branch([(-c, -f) for c, f in reversed(points) if c <= 0.0])
         self.ahead_n, self.astern_n = self._ahead[1][-1], -self._astern[1][-1]
@@ -75,22 +73,6 @@ class Points:
         if command != command:
             return command
         return _force(*self._ahead, command) if command > 0.0 else -_force(*self._astern, -command)
-
-
-def points_fault(points: Sequence[tuple[float, float]]) -> str | None:
-    """Why a table is no thrust curve, in words; None: it is one."""
-    if (0.0, 0.0) not in [(c, f) for c, f in points]:
-        return "the curve needs the point [0, 0]: a command of nothing gives no force"
-    for (before, before_n), (command, force_n) in pairwise(points):
-        if command < before:
-            return f"the commands of the curve rise from point to point: {command:g} comes after {before:g}"
-        if force_n < before_n:
-            return f"the forces of the curve rise with the command: {force_n:g} N comes after {before_n:g} N"
-        if command == before == 0.0:
-            return "the curve has a step at the command 0: put it where the motor starts, as 0.05"
-    if not -1.0 <= points[0][0] <= points[-1][0] <= 1.0:
-        return "the commands of the curve go from -1 to 1"
-    return None if points[0][1] < points[-1][1] else "the curve gives no force"
 
 
 def _branch(points: list[tuple[float, float]]) -> tuple[list[float], list[float]]:
