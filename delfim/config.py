@@ -37,12 +37,12 @@ Interface = Annotated[
     ),
 ]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
-SourceName = Literal["dsor", "nmea2000"]  # files in delfim/vehicle/sources
+SourceName = Literal["dsor", "nmea2000", "nmea0183"]  # files in delfim/vehicle/sources
 DriverName = Literal[
     "dronecan", "dsor", "heron", "mavlink_front_seat", "otter", "pwm", "vesc"
 ]  # files in delfim/vehicle/actuators
 SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboard and a port side; all but dsor mix them
-SensorName = Literal["sysstat"]  # files in delfim/vehicle/sensors
+SensorName = Literal["sysstat", "nmea0183"]  # files in delfim/vehicle/sensors
 Place = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]  # m from the middle of the boat
 Newtons = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 Curve = Annotated[tuple[tuple[Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)], Newtons], ...], msgspec.Meta(max_length=64)]
@@ -73,6 +73,7 @@ ModeAction = Literal["same", "warn", "hold", "home", "stop"]
 EndMode = Literal["hold", "idle"]
 FixName = Literal["2d", "3d", "differential", "rtk_float", "rtk"]  # from bad to good
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
+LINES = 8  # of NMEA 0183, at most
 CORNERS, ZONES, AREAS = 100, 100, 20  # of a polygon, to keep out of, and to keep in, at most
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
 Endpoint = Annotated[str, text(rf"[^ :]+:{_PORT}", "ADDRESS:PORT, port 0 to 65535")]
@@ -96,6 +97,20 @@ Identifiers = Annotated[  # one or a range; three digits are a standard identifi
 ]
 PublicKey = Annotated[str, text(r"ssh-ed25519 [A-Za-z0-9+/]+=*( [^\n]*)?\n?", "ssh-ed25519 KEY, as in a .pub file")]
 Carrier = Annotated[str, text("(none|dcd|file:/[^ ]+)", "none, dcd, or file:/PATH")]
+NETWORKED = ("udp:", "tcp:", "tcp-listen:", "gpsd:")  # devices that are none of this computer's
+LineDevice = Annotated[
+    str,
+    text(
+        rf"(/[^ ]+|(udp|tcp|tcp-listen|gpsd):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})",
+        "/DEVICE, or udp:, tcp:, tcp-listen: or gpsd: before ADDRESS:PORT, the address in numbers",
+    ),
+]
+TalkerName = Annotated[
+    str, text("[A-Za-z][A-Za-z0-9_-]{0,31}(:[A-Z0-9]{2})?", "a port's name, or PORT:TALKER with the talker's two letters")
+]
+TransducerName = Annotated[
+    str, text(r"-?[^ ,*$\x00-\x1f-]{0,32}", "the name that the device sends, or - and the name, or empty")
+]
 DeviceName = Annotated[str, text("[a-z][a-z0-9_.-]{0,14}", "a small letter, then up to 14 small letters, digits, _, . or -")]
 
 
@@ -179,6 +194,35 @@ class Nmea2000(Table, frozen=True):
     bitrate_bps: BitRate = 250_000  # of a Linux interface, as NMEA 2000 has it
     preferred_sources: tuple[Annotated[int, msgspec.Meta(ge=0, le=251)], ...] = ()  # addresses, best first; empty: any
     variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while the bus sends none
+
+
+class Nmea0183Port(Table, frozen=True):
+    """A line of NMEA 0183."""
+
+    device: LineDevice  # a serial port, or where its sentences come from over the network
+    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 4800  # of a serial port
+    checksum: bool = True  # a sentence without a checksum is refused; one with a wrong checksum always is
+
+
+class Nmea0183(Table, frozen=True):
+    """Receivers, compasses and sounders on lines of text. Of several that send the same value, the first in `preferred` is
+    used, then the one whose port stands first."""
+
+    preferred: Annotated[tuple[TalkerName, ...], msgspec.Meta(max_length=32)] = ()  # ports, or talkers of one, best first
+    senders: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks from which udp and tcp-listen take sentences
+    variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while nobody sends one; east positive
+    pitch: TransducerName = ""  # name of the XDR transducer that measures it, with - before it if bow up is negative there
+    roll: TransducerName = ""  # likewise; starboard down is positive here
+    ports: dict[Name, Nmea0183Port] = msgspec.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        for network in self.senders:
+            ip_network(network)
+        if len(self.ports) > LINES:
+            raise ValueError(f"ports: {LINES} at most")
+        for each in self.preferred:
+            if each.partition(":")[0] not in self.ports:
+                raise ValueError(f"preferred: there is no port {each.partition(':')[0]}")
 
 
 class Steer(Table, frozen=True):
@@ -1082,6 +1126,7 @@ class Vehicle(Table, frozen=True):
     can: Can = Can()
     navigation: NavigationTable = NavigationTable()
     nmea2000: Nmea2000 = Nmea2000()
+    nmea0183: Nmea0183 = Nmea0183()
     estimator: EstimatorTable = EstimatorTable()
     propulsion: PropulsionTable = PropulsionTable()
     dsor: Dsor = Dsor()
@@ -1125,6 +1170,8 @@ class Vehicle(Table, frozen=True):
     def __post_init__(self) -> None:
         if self.mavlink.serial and self.mavlink.serial == self.slipd.device:
             raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
+        if "nmea0183" in (*self.navigation.sources, *self.sensors.names) and not self.nmea0183.ports:
+            raise ValueError("nmea0183 needs a port: a table [nmea0183.ports.NAME] with its device")
         if (fault := thrusters_fault(self.thrusters)) is not None:
             raise ValueError(f"thrusters: {fault}")
         for row in self.thrusters:
@@ -1156,7 +1203,8 @@ class Vehicle(Table, frozen=True):
         """The tables of the boat's nodes and parts, by their names in the file."""
         names = ("can", "handset", *self.navigation.sources, *self.sensors.names, *self.drivers)
         routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
-        return {name: getattr(self, name, None) for name in names} | routed
+        lines = {f"nmea0183.ports.{name}": port for name, port in self.nmea0183.ports.items() if "nmea0183" in names}
+        return {name: getattr(self, name, None) for name in names} | routed | lines
 
     @property
     def bit_rates(self) -> dict[str, int]:

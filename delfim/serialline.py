@@ -3,6 +3,7 @@
 import array
 import contextlib
 import fcntl
+import math
 import os
 import select
 import socket
@@ -22,6 +23,7 @@ OFF_MAX: Final = 0.03  # of a rate: beyond, a byte's last bit is read in its nei
 SOCKETS: Final = ("tcp:", "unix:")
 CONNECT_S: Final = 0.1  # that the first opening of a socket waits: a stop is sent right after it
 SILENT_MS: Final = 3000  # of the other end of TCP, after which the connection is given up and made anew
+KEEPALIVE_S: Final = 2  # between two questions whether the other end is still there
 SYN_REPEATS: Final = 1  # 3 s until an attempt to connect has failed
 
 
@@ -40,11 +42,14 @@ class SerialLine:
         heard: Callable[[int, bytes], object] = lambda t_ns, data: None,
         may_lack: bool = False,
         form: Form = "8N1",
+        flood_bytes: float = math.inf,
     ) -> None:
-        """`heard` is called with all data that is read, and its time. `may_lack`: the port is first opened by `rebind`."""
+        """`heard` is called with all data that is read, and its time. `may_lack`: the port is first opened by `rebind`.
+        `flood_bytes`: a port that brings more between two calls of `rebind` is closed until then."""
         self.device, self.t_ns = device, 0
         self._baud, self._form, self._time_ns, self._heard = baud, form, clock.time_ns, heard
         self.trouble = "not open yet" if may_lack else ""
+        self._flood_bytes, self._taken = flood_bytes, 0
         self._port = -1
         self._ready = select.epoll()  # to wait for: it stays the same when the port is reopened
         try:
@@ -75,6 +80,9 @@ class SerialLine:
         if data:
             self.t_ns = self._time_ns()
             self._heard(self.t_ns, data)
+            self._taken += len(data)
+            if self._taken > self._flood_bytes:
+                self._lost(f"floods: more than {self._flood_bytes} bytes a second")
         else:
             self._lost("hung up")
         return data
@@ -95,6 +103,7 @@ class SerialLine:
 
     def rebind(self) -> bool:
         """Open a port that was lost. True when it can be used."""
+        self._taken = 0
         if self._port < 0:
             try:
                 self._open()
@@ -139,6 +148,9 @@ def open_socket(device: str) -> int:
         opened = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET, socket.SOCK_STREAM)
         opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, SILENT_MS)
+        opened.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)  # for a line on which nothing is sent
+        opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPIDLE, KEEPALIVE_S)
+        opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_KEEPINTVL, KEEPALIVE_S)
         opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_SYNCNT, SYN_REPEATS)
         address = (host.strip("[]"), int(port))
     try:

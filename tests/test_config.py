@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from delfim import config, frames, messages, tables
 from delfim.config import OTHER_NODES, TAKEN_VEHICLES, ServiceTable, Vehicle
 from delfim.errors import ConfigError
+from delfim.services.doors import doors
 from delfim.tables import Table
 
 BOAT_KEYS = ", ".join(config.BoatTable.__struct_fields__)
@@ -102,11 +103,11 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             BOAT + "[navigation]\nsources = []",
             "navigation.sources",
             "an empty list is not allowed",
-            "1 to 2 of dsor, nmea2000",
+            "1 to 3 of dsor, nmea2000, nmea0183",
         ),
         # not one of the words
         (BOAT + '[log]\nwhen_full = "Panic"', "log.when_full", '"Panic" is not allowed', "delete-oldest, stop"),
-        (BOAT + '[navigation]\nsources = ["gps"]', "navigation.sources[0]", '"gps" is not allowed', "dsor, nmea2000"),
+        (BOAT + '[navigation]\nsources = ["gps"]', "navigation.sources[0]", '"gps" is not allowed', "dsor, nmea2000, nmea0183"),
         (
             BOAT + '[services.ftpd]\n[services.httpd]\nplace = "moon"',
             "services.httpd.place",
@@ -340,3 +341,57 @@ def test_every_key_that_is_named_like_a_secret_is_declared_as_one() -> None:
         if get_origin(hint) is not Annotated or "shown" not in (get_args(hint)[1].extra or ())
     ]
     assert bare == []
+
+
+GNSS = '[navigation]\nsources = ["nmea0183"]\n[nmea0183.ports.gnss]\ndevice = "{}"\n'
+
+
+@pytest.mark.parametrize(
+    "device", ["/dev/serial/by-path/pci-0:1.0-port0", "udp:0.0.0.0:10110", "tcp:[fe80::1]:10110", "gpsd:127.0.0.1:2947"]
+)
+def test_a_line_of_nmea_0183_is_a_port_or_a_place_in_the_network(tmp_path: Path, device: str) -> None:
+    assert load(tmp_path, BOAT + GNSS.format(device)).nmea0183.ports["gnss"].device == device
+
+
+@pytest.mark.parametrize("device", ["ttyUSB0", "udp:10110", "tcp:plotter:10110", "udp:0.0.0.0:70000", "http:127.0.0.1:80"])
+def test_other_lines_of_nmea_0183_are_refused(tmp_path: Path, device: str) -> None:
+    assert refused(tmp_path, BOAT + GNSS.format(device)).key == "nmea0183.ports.gnss.device"
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        ('[nmea0183]\npreferred = ["compas:HC"]', "there is no port compas"),
+        ('[nmea0183]\nsenders = ["10.0.0.300"]', "10.0.0.300"),
+        ('[nmea0183.ports.spare]\ndevice = "/dev/ttyUSB0"', "is read by nmea0183.ports.gnss.device already"),
+        ('[slipd]\ndevice = "/dev/ttyUSB0"', "is read by slipd.device already"),
+        ("".join(f'[nmea0183.ports.p{i}]\ndevice = "/dev/p{i}"\n' for i in range(8)), "ports: 8 at most"),
+    ],
+)
+def test_lines_of_nmea_0183_that_contradict_others_are_refused(tmp_path: Path, more: str, words: str) -> None:
+    assert words in str(refused(tmp_path, BOAT + GNSS.format("/dev/ttyUSB0") + more))
+
+
+def test_nmea_0183_needs_a_line(tmp_path: Path) -> None:
+    assert "needs a port" in str(refused(tmp_path, BOAT + '[sensors]\nnames = ["nmea0183"]'))
+
+
+@pytest.mark.parametrize(
+    ("device", "senders", "reach", "has_fault"),
+    [
+        ("udp:0.0.0.0:10110", "[]", "here", False),
+        ("udp:127.0.0.1:10110", '["10.0.0.0/8"]', "here", False),
+        ("udp:0.0.0.0:10110", '["10.0.0.7"]', "anyone", False),
+        ("tcp-listen:0.0.0.0:10110", '["10.0.0.0/8"]', "anyone", True),
+    ],
+)
+def test_a_line_that_hears_a_network_is_a_door(tmp_path: Path, device: str, senders: str, reach: str, has_fault: bool) -> None:
+    settings = load(tmp_path, BOAT + GNSS.format(device) + f"[nmea0183]\nsenders = {senders}")
+    (door,) = [door for door in doors(settings, ()) if "where it is" in door.may]
+    assert (door.reach, bool(door.fault)) == (reach, has_fault)
+    assert "0.0.0.0:10110" in door.place or reach == "here"
+
+
+def test_a_line_that_this_computer_opens_is_no_door(tmp_path: Path) -> None:
+    settings = load(tmp_path, BOAT + GNSS.format("tcp:10.0.0.7:10110"))
+    assert not [door for door in doors(settings, ()) if "where it is" in door.may]

@@ -66,3 +66,17 @@ def test_a_line_of_an_odd_rate_is_read(terminal):
     os.write(far, b"frame")
     assert line.read() == b"frame"
     line.close()
+
+
+def test_a_port_that_floods_is_closed_until_the_next_look(terminal):
+    far, near = terminal
+    line = SerialLine(near, 4800, SimpleNamespace(time_ns=lambda: 1), flood_bytes=1000)
+    while not line.trouble:
+        os.write(far, bytes(100))
+        line.read()
+    assert line.trouble == "floods: more than 1000 bytes a second"
+    assert line.read() == b""
+    assert line.rebind()
+    os.write(far, b"quiet")
+    assert line.read().endswith(b"quiet")
+    line.close()

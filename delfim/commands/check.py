@@ -69,7 +69,7 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     files = {"mavlink.key": vehicle.mavlink.key, "mavlink.serial": vehicle.mavlink.serial, "kill.chip": vehicle.kill.chip}
     files |= {"slipd.device": vehicle.slipd.device} | vehicle.outside("device")
     for key, path in files.items():
-        if path and not Path(path).exists():
+        if path and not path.startswith(config.NETWORKED) and not Path(path).exists():
             yield f"{key}: there is no file {path} on this computer"
     for name, payload in vehicle.payload.items():
         if not os.access(payload.command[0], os.X_OK):

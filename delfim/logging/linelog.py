@@ -30,12 +30,17 @@ class Piece(NamedTuple):
     data: bytes
 
 
+def line_id(name: str) -> str:
+    """The id of a line's log. Ports by path and lines over the network have colons in their names."""
+    return device(name.replace(":", "-"))
+
+
 class LineLog:
     """Pieces are taken at once and written when there is time."""
 
     def __init__(self, name: str, limits: Limits, clock: Clock) -> None:
-        self.id, self.lost = device(name), 0
-        self._clock, self._log = clock, open_log(limits, device(name), SUFFIX, "zpipe", clock)
+        self.id, self.lost = line_id(name), 0
+        self._clock, self._log = clock, open_log(limits, self.id, SUFFIX, "zpipe", clock)
         self._waiting = deque[Piece](maxlen=WAITING)
         self._log.note(event_line(clock, "start"))
         self.poll = self._log.poll

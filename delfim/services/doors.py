@@ -26,7 +26,7 @@ class Entrance(NamedTuple):
 
 def doors(settings: config.Vehicle, running: Collection[str]) -> list[Entrance]:
     """All doors of a boat, those that anyone may use first. `running`: the services that its file enables."""
-    found = [*_console(settings), *_guest(settings)]
+    found = [*_console(settings), *_guest(settings), *_instruments(settings)]
     for name, of_service in SERVICES.items():
         if name in running:
             found += of_service(settings)
@@ -59,6 +59,23 @@ def _guest(settings: config.Vehicle) -> Iterator[Entrance]:
         yield Entrance("guest", table.listen, "known", who, may)
     elif table.enabled:
         yield Entrance("guest", table.listen, "here", f"{EVERY}, for there is no key", may)
+
+
+def _instruments(settings: config.Vehicle) -> Iterator[Entrance]:
+    """Lines of NMEA 0183 over the network, on which this computer listens."""
+    table, may = settings.nmea0183, "tell the boat where it is"
+    beyond = _beyond(table.senders)
+    for key, device in settings.outside("device").items():
+        if not device.startswith(("udp:", "tcp-listen:")):
+            continue
+        kind, _, place = device.partition(":")
+        place = f"{place} UDP" if kind == "udp" else place
+        if config.is_loopback(place.removesuffix(" UDP")) or not beyond:
+            yield Entrance("vehicle", place, "here", EVERY, may)
+            continue
+        many = [each for each in beyond if ip_network(each).num_addresses > 1]
+        fault = f"nmea0183.senders: anyone in {_networks(many)} may {may}, by {key}; name single addresses" if many else ""
+        yield Entrance("vehicle", place, "anyone", f"anyone with an address in {_networks(beyond)}", may, fault)
 
 
 def _cantcpd(settings: config.Vehicle) -> Iterator[Entrance]:

@@ -20,6 +20,7 @@ from delfim.errors import ConfigError, DelfimError
 from delfim.gpio import Bias, GpioLine, open_gpio
 from delfim.logging.linelog import LineLog
 from delfim.messages import time_frame
+from delfim.networkline import FLOOD_BYTES, LISTENING, NetworkLine
 from delfim.serialline import Form, SerialLine
 from delfim.services import kernelclock, powerd, slots
 from delfim.services.clockkeeping import ClockKeeping
@@ -31,7 +32,7 @@ from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Commands, ShutDown
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
-from delfim.vehicle.links import Links, Readable
+from delfim.vehicle.links import Links, Readable, ReadableLine
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.loop import LOCAL, VehicleLoop
 from delfim.vehicle.navigation import Source
@@ -70,11 +71,20 @@ class OpenedLinks:
         self._inputs.append(socket)
         return socket
 
-    def line(self, device: str, baud: int, form: Form = "8N1") -> SerialLine:
-        log = LineLog(device, self._runtime.config.log, self._runtime.clock)
+    def line(self, device: str, baud: int, form: Form = "8N1") -> ReadableLine:
+        """A sensor's line that cannot be opened now is tried again every second, as one that is lost later."""
+        settings, clock = self._runtime.config, self._runtime.clock
+        log = LineLog(device, settings.log, clock)
         self._links.callback(log.close)
-        line = SerialLine(device, baud, self._runtime.clock, log.heard, form=form)
+        line: SerialLine | NetworkLine
+        if device.startswith(LISTENING):
+            line = NetworkLine(device, settings.nmea0183.senders, clock, log.heard)
+        else:
+            may_lack = device in {port.device for port in settings.nmea0183.ports.values()}
+            line = SerialLine(device, baud, clock, log.heard, may_lack, form, FLOOD_BYTES)
         self._links.callback(line.close)
+        if not line.rebind():
+            words.warning("%s: %s", device, line.trouble)
         self._links.enter_context(self._runtime.publishing(log.id, lambda: {"trouble": line.trouble} | log.report()))
         self._inputs.append(line)
         self._logs.append(log)

@@ -20,7 +20,7 @@ from delfim.errors import DelfimError
 from delfim.frames import Frame
 from delfim.logging import tree
 from delfim.logging.blackbox import device
-from delfim.logging.linelog import SUFFIX, pieces
+from delfim.logging.linelog import SUFFIX, line_id, pieces
 from delfim.logging.reading import MOMENT_MAX_S
 from delfim.logging.summary import utc
 from delfim.logging.table import frames, table
@@ -152,7 +152,7 @@ class Rerun:
         return self._bus(device(interface)).bound(*filters)
 
     def _open_line(self, name: str, baud: int, form: Form = "8N1") -> LockstepLine:
-        return self._lines.setdefault(device(name), LockstepLine(self.clock))
+        return self._lines.setdefault(line_id(name), LockstepLine(self.clock))
 
     def _split(self, recorded: Iterable[BusInput]) -> None:
         """Sort the vehicle's frames into groups; all others are its input."""

@@ -27,7 +27,7 @@ class LoopInput(Protocol):
 
 
 class ReadableLine(Readable, Protocol):
-    """A serial line, as delfim.serialline has it. Nothing here waits or raises."""
+    """A line, as delfim.serialline and delfim.networkline have it. Nothing here waits or raises."""
 
     t_ns: int  # since 1970: when the data of the last `read` came
 
@@ -49,7 +49,7 @@ class Links(NamedTuple):
     """A socket on an interface: never blocks, receives what the filters accept; without filters, nothing."""
 
     line: OpenLine
-    """The serial line of a device, at this speed in baud, in this form."""
+    """The line of a device: a serial port, at this speed in baud, in this form, or one over the network."""
 
     gpio: OpenGpio | None = None
     """A pin of the computer; None: there are none, as in lock step, and in a replay, whose log has the orders of a switch."""

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 
 from delfim.canproxy.nmea2000 import pgns
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
-from delfim.canproxy.nmea2000.newest import Newest
 from delfim.canproxy.nmea2000.pgns import (
     Attitude,
     CourseSpeed,
@@ -30,6 +29,7 @@ from delfim.config import Nmea2000
 from delfim.errors import FormatError
 from delfim.frames import CAN_ERR, Frame, extended, standard
 from delfim.messages import Navigation
+from delfim.newest import Newest
 from tests.canproxy.pgn_of import pgn_of
 
 STALE_S = 1.0
@@ -347,7 +347,7 @@ def test_reassembly_takes_anything_and_stays_bounded(frames: list[tuple[int, byt
 
 
 def test_the_lowest_address_is_chosen_and_kept_while_it_is_fresh() -> None:
-    newest: Newest[str] = Newest((), 1.0)
+    newest: Newest[int, str] = Newest((), 1.0)
     assert newest.choose(0.0) is None
     for address in (30, 20):
         newest.put(address, "old", 0.0)
@@ -363,7 +363,7 @@ def test_the_lowest_address_is_chosen_and_kept_while_it_is_fresh() -> None:
 
 
 def test_preferred_addresses_win_in_order_and_win_back() -> None:
-    newest: Newest[int] = Newest((50, 60), 1.0)
+    newest: Newest[int, int] = Newest((50, 60), 1.0)
     chosen = []
     for now_s, talking in enumerate([(1,), (1, 60), (1, 50, 60), (1, 60), (1, 50), (1,), ()]):
         for address in talking:
@@ -373,7 +373,7 @@ def test_preferred_addresses_win_in_order_and_win_back() -> None:
 
 
 def test_a_source_that_says_it_does_not_know_loses_its_value_at_once() -> None:
-    newest: Newest[int] = Newest((), 1.0)
+    newest: Newest[int, int] = Newest((), 1.0)
     newest.put(1, 11, 0.0)
     newest.put(2, 22, 0.0)
     assert newest.get(0.0) == 11
@@ -387,7 +387,7 @@ def test_a_source_that_says_it_does_not_know_loses_its_value_at_once() -> None:
     st.lists(st.tuples(st.floats(0, 0.7), st.integers(0, 4), st.booleans()), max_size=60),
 )
 def test_choice_keeps_its_rules(preferred: tuple[int, ...], events: list[tuple[float, int, bool]]) -> None:
-    newest: Newest[float] = Newest(preferred, 1.0)
+    newest: Newest[int, float] = Newest(preferred, 1.0)
     said_s: dict[int, float] = {}
     now_s, before = 0.0, None
     for later_s, address, known in events:

@@ -7,7 +7,6 @@ from typing import Any, Final, NamedTuple
 
 from delfim import config
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
-from delfim.canproxy.nmea2000.newest import Newest
 from delfim.canproxy.nmea2000.pgns import (
     ADDRESS_MAX,
     GNSS_POSITION,
@@ -28,6 +27,7 @@ from delfim.canproxy.nmea2000.pgns import (
 from delfim.errors import FormatError
 from delfim.frames import CAN_IDE, Frame, extended
 from delfim.messages import Navigation
+from delfim.newest import Newest
 
 # Limits of age for kinds that a healthy bus carries less often than positions; all others have the vehicle's `stale_s`.
 SLOW_S: Final = 2.5  # attitude, GNSS quality and time come once a second
@@ -79,16 +79,16 @@ class Nmea2000Source:
         preferred, slow_s = settings.preferred_sources, max(stale_s, SLOW_S)
         self._configured_variation_rad = math.radians(settings.variation_deg)
         self._stale_s = stale_s
-        self._position: Newest[tuple[float, float]] = Newest(preferred, stale_s)
-        self._talking: Newest[bool] = Newest(preferred, stale_s)  # sends positions, even if only to say that it has none
-        self._velocity: Newest[tuple[float, float]] = Newest(preferred, stale_s)
-        self._heading: Newest[float] = Newest(preferred, stale_s)
-        self._rate: Newest[float] = Newest(preferred, stale_s)
-        self._attitude: Newest[Attitude] = Newest(preferred, slow_s)
-        self._variation: Newest[float] = Newest(preferred, VARIATION_S)
-        self._quality: Newest[_Quality] = Newest(preferred, slow_s)
-        self._time: Newest[int] = Newest(preferred, slow_s)  # UTC minus monotonic time, ns
-        self._kinds: dict[str, Newest[Any]] = {
+        self._position: Newest[int, tuple[float, float]] = Newest(preferred, stale_s)
+        self._talking: Newest[int, bool] = Newest(preferred, stale_s)  # sends positions, even if only to say that it has none
+        self._velocity: Newest[int, tuple[float, float]] = Newest(preferred, stale_s)
+        self._heading: Newest[int, float] = Newest(preferred, stale_s)
+        self._rate: Newest[int, float] = Newest(preferred, stale_s)
+        self._attitude: Newest[int, Attitude] = Newest(preferred, slow_s)
+        self._variation: Newest[int, float] = Newest(preferred, VARIATION_S)
+        self._quality: Newest[int, _Quality] = Newest(preferred, slow_s)
+        self._time: Newest[int, int] = Newest(preferred, slow_s)  # UTC minus monotonic time, ns
+        self._kinds: dict[str, Newest[int, Any]] = {
             "position": self._position,
             "velocity": self._velocity,
             "heading": self._heading,

@@ -1,27 +1,38 @@
-"""Chooses which of several devices on an NMEA 2000 bus is used."""
+"""Chooses which of several devices that send the same kind of data is used."""
 
-from typing import Generic, TypeVar
+from typing import Any, Generic, Protocol, TypeVar
 
+
+class _Ordered(Protocol):
+    def __lt__(self, other: Any, /) -> bool: ...
+
+
+A = TypeVar("A", bound=_Ordered)  # an address: of a bus, or a name
 T = TypeVar("T")
 
 
-class Newest(Generic[T]):
+class Newest(Generic[A, T]):
     """The newest value of one kind from each address, and the chosen address: the first preferred one whose value is
-    fresh; else the present one while it is fresh; else the lowest fresh address. At most 256 addresses exist."""
+    fresh; else the present one while it is fresh; else the lowest fresh address. The caller bounds the addresses."""
 
-    def __init__(self, preferred: tuple[int, ...], limit_s: float) -> None:
-        self._preferred, self._limit_s = preferred, limit_s
-        self._values: dict[int, tuple[T, float]] = {}
-        self._order: tuple[int, ...] = preferred  # preferred, then the present one
+    def __init__(self, preferred: tuple[A, ...], limit_s: float) -> None:
+        self._limit_s = limit_s
+        self._values: dict[A, tuple[T, float]] = {}
+        self._preferred = preferred
+        self._order: tuple[A, ...] = preferred  # preferred, then the present one
 
-    def put(self, address: int, value: T | None, now_s: float) -> None:
+    def prefer(self, preferred: tuple[A, ...]) -> None:
+        """Another order of preference from now on."""
+        self._preferred = self._order = preferred
+
+    def put(self, address: A, value: T | None, now_s: float) -> None:
         """File a value. None: the source says that it has none, which cancels its last value."""
         if value is None:
             self._values.pop(address, None)
         else:
             self._values[address] = value, now_s
 
-    def choose(self, now_s: float) -> int | None:
+    def choose(self, now_s: float) -> A | None:
         """The address chosen now, None when none is fresh."""
         values, oldest_s = self._values, now_s - self._limit_s
         for address in self._order:
@@ -41,10 +52,10 @@ class Newest(Generic[T]):
         address = self.choose(now_s)
         return None if address is None else self._values[address][0]
 
-    def of(self, address: int, now_s: float) -> T | None:
+    def of(self, address: A, now_s: float) -> T | None:
         """The value of one address, None when it is not fresh."""
         held = self._values.get(address)
         return held[0] if held is not None and held[1] >= now_s - self._limit_s else None
 
-    def age_s(self, address: int, now_s: float) -> float:
+    def age_s(self, address: A, now_s: float) -> float:
         return now_s - self._values[address][1]

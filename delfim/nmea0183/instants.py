@@ -1,0 +1,38 @@
+"""The sentences of one GNSS receiver, put together by the instant that they tell of."""
+
+from delfim.nmea0183.sentences import Located
+
+
+class Instants:
+    """A receiver tells of one instant in several sentences, in an order of its own: GGA first or RMC first, VTG in between.
+    The last of them completes the instant; which one that is, the instants before show. So a position goes on once, with the
+    velocity of the same instant, and without waiting for sentences that say nothing of it."""
+
+    def __init__(self) -> None:
+        self.position: tuple[float, float] | None = None  # rad, of this instant; None: none of its sentences has one, or ...
+        self.has_fix = True  # ... one of them says that there is none
+        self._day_s: float | None = None
+        self._heard: list[str] = []  # formatters of this instant
+        self._last, self._completing = "", ""
+
+    def hear(self, formatter: str, said: Located | None) -> bool:
+        """A sentence with a position, or a VTG (None). Whether it completes the instant."""
+        day_s = None if said is None else said.day_s
+        is_later = day_s is not None and self._day_s is not None and day_s != self._day_s
+        if is_later or formatter in self._heard:
+            self._begin()
+        self._heard.append(formatter)
+        if said is not None:
+            self._day_s = self._day_s if day_s is None else day_s
+            self.has_fix = self.has_fix and said.fix != 0
+            if said.latitude_rad is not None and said.longitude_rad is not None:
+                self.position = said.latitude_rad, said.longitude_rad
+        return self._completing in ("", formatter)
+
+    def _begin(self) -> None:
+        """A new instant. One sentence that was lost, or one that comes with every tenth instant only, changes nothing."""
+        last = self._heard[-1]
+        if last == self._last or not self._completing:
+            self._completing = last
+        self._last, self._heard = last, []
+        self._day_s, self.position, self.has_fix = None, None, True

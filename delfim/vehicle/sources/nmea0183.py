@@ -1,0 +1,84 @@
+"""Receivers, compasses and sounders that speak NMEA 0183, on one line or several (docs/nmea0183.md)."""
+
+import select
+from typing import Final, NamedTuple
+
+from delfim import config
+from delfim.nmea0183.combining import Combined
+from delfim.nmea0183.framing import Sentences
+from delfim.vehicle.links import Links, ReadableLine
+from delfim.vehicle.navigation import Fix
+from delfim.vehicle.state import State
+
+GREETING: Final = b'{"class":"VERSION"'  # of gpsd, whoever connects
+WATCH: Final = b'?WATCH={"enable":true,"nmea":true};\r\n'  # it answers with sentences
+BYTES_PER_READ: Final = 4096  # of a port; bounds one call on a flooded line, and the rest stays readable
+
+
+class Port(NamedTuple):
+    """A line with its name in the vehicle's file."""
+
+    name: str
+    line: ReadableLine
+    sentences: Sentences
+
+
+class AnyPort:
+    """Readable when one of the lines is."""
+
+    def __init__(self, ports: tuple[Port, ...]) -> None:
+        self._ready = select.epoll()
+        for port in ports:
+            if (descriptor := port.line.fileno()) >= 0:  # in lock step nothing waits for a line
+                self._ready.register(descriptor, select.EPOLLIN)
+
+    def fileno(self) -> int:
+        return self._ready.fileno()
+
+    def rebind(self) -> bool:
+        return True  # each line is rebound by itself
+
+
+class Nmea0183Navigation:
+    """All ports of the vehicle's file."""
+
+    name = "nmea0183"
+
+    def __init__(self, ports: tuple[Port, ...], combined: Combined) -> None:
+        self.input, self._ports, self._combined = AnyPort(ports), ports, combined
+        self.heard_s = -1e9
+
+    def read(self, now_s: float) -> Fix | None:
+        """The newest position that is complete, None while there is none. Whatever cannot be read is counted."""
+        fix = None
+        for port in self._ports:
+            taken = 0
+            while taken < BYTES_PER_READ and (data := port.line.read()):
+                taken += len(data)
+                if GREETING in data:
+                    port.line.write(WATCH)
+                for sentence in port.sentences.feed(data):
+                    navigation = self._combined.take(port.name, sentence, now_s)
+                    if navigation is not None:
+                        fix = Fix(navigation, port.line.t_ns, now_s)
+                        self.heard_s = now_s
+        return fix
+
+    def report(self, now_s: float) -> dict[str, object]:
+        """Who is used for which kind of data, who talks, and what each port brought and what of it was refused."""
+        ports = {port.name: {"heard": port.sentences.heard, "refused": port.sentences.refused} for port in self._ports}
+        return {**self._combined.status(now_s), "ports": ports}
+
+
+def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea0183Navigation:
+    return opened(settings, links, state.measured if "nmea0183" in settings.sensors.names else {})
+
+
+def opened(settings: config.Vehicle, links: Links, measured: dict[str, tuple[float, float]]) -> Nmea0183Navigation:
+    """`measured` gets the values beside navigation. Raises DelfimError."""
+    table = settings.nmea0183
+    ports = tuple(
+        Port(name, links.line(port.device.replace("gpsd:", "tcp:"), port.baud), Sentences(port.checksum))
+        for name, port in table.ports.items()
+    )
+    return Nmea0183Navigation(ports, Combined(table, settings.navigation.stale_s, measured))

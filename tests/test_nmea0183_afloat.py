@@ -1,0 +1,185 @@
+"""A boat with a GNSS receiver on one port and a compass on another sails through the real runtime.
+
+The hull is the one of `delfim nodes`; instruments hear where it is and say so in sentences, over ptys or sockets.
+"""
+
+import contextlib
+import os
+import select
+import shutil
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from delfim import config
+from delfim.canproxy.opening import open_bound
+from delfim.console.link import Link
+from delfim.errors import DelfimError
+from delfim.messages import Navigation
+from delfim.nmea0183.framing import framed
+from delfim.nmea0183.speaking import gga, hdt, rmc
+from delfim.vehicle.links import Links
+from delfim.vehicle.sources import dsor
+from delfim.vehicle.state import State
+from tests.afloat import running
+from tests.enlarged import ROOT
+
+PATIENCE_S = 60.0
+
+
+class Pty:
+    """A device that can be pulled out and put back under its name."""
+
+    def __init__(self, name: Path) -> None:
+        self.name = name
+        self.plug()
+
+    def plug(self) -> None:
+        self._end, self._port = os.openpty()
+        os.set_blocking(self._end, False)
+        self.name.symlink_to(os.ttyname(self._port))
+
+    def pull(self) -> None:
+        self.name.unlink()
+        for each in (self._end, self._port):
+            os.close(each)
+
+    def say(self, data: bytes) -> None:
+        with contextlib.suppress(BlockingIOError):  # nobody reads it yet
+            os.write(self._end, data)
+
+
+class Sea:
+    """The simulated hull, heard on its bus, and an operator who looks at the boat that steers it."""
+
+    def __init__(self, command: Path, tmp_path: Path, say: Callable[[Navigation], None]) -> None:
+        bus = f"canloop:afloat-{os.getpid()}-{tmp_path.name[-8:]}"
+        settings = config.Vehicle(boat=config.BoatTable(name="hull"), can=config.Can(interface=bus))
+        links = Links(lambda interface, filters: open_bound(settings.can, interface, filters), lambda *_: None)
+        self._hull, self._command, self._say = dsor.open_source(settings, links, State()), command, say
+
+    def close(self) -> None:
+        self._hull.input.close()
+
+    def asked(self, command: str = "state", **words: object) -> dict[str, Any]:
+        with Link(self._command, 60.0) as link:
+            return link.ask(command, **words)
+
+    def until(self, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
+        """The instruments speak until the state is as wanted."""
+        deadline_s, state = time.monotonic() + PATIENCE_S, None
+        while time.monotonic() < deadline_s:
+            select.select([self._hull.input], [], [], 1.0)
+            if (fix := self._hull.read(time.monotonic())) is not None:
+                self._say(fix.navigation)
+            with contextlib.suppress(DelfimError):  # it does not run yet
+                state = self.asked()
+                if wanted(state):
+                    return state
+        raise AssertionError(f"not in {PATIENCE_S:.0f} s: {state}")
+
+    def sail(self, command: str, **words: object) -> None:
+        """Until the command is carried out."""
+
+        def accepted(_: dict[str, Any]) -> bool:
+            self.asked(command, **words)
+            return True
+
+        self.until(accepted)
+
+
+@contextlib.contextmanager
+def at_sea(tmp_path: Path, say: Callable[[Navigation], None], *values: str) -> Iterator[Sea]:
+    more = (
+        'navigation.sources=["nmea0183"]',
+        "mavlink.enabled=false",
+        "navigation.stale_s=2.5",
+        "checks.clock_s=3600.0",
+        *values,
+    )
+    with running(tmp_path, 14550, *more) as command, contextlib.closing(Sea(command, tmp_path, say)) as sea:
+        yield sea
+
+
+def port(name: str, device: object, baud: int = 38400) -> tuple[str, str]:
+    return f'nmea0183.ports.{name}.device="{device}"', f"nmea0183.ports.{name}.baud={baud}"
+
+
+def replayed(tmp_path: Path) -> str:
+    command = [sys.executable, "-m", "delfim", "log", "replay", str(tmp_path / "log")]
+    return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=120, cwd=ROOT).stdout
+
+
+def test_a_gnss_receiver_and_a_compass_on_two_ports_sail_the_boat(tmp_path):
+    gnss, compass = Pty(tmp_path / "gnss"), Pty(tmp_path / "compass")
+
+    def say(n: Navigation) -> None:
+        compass.say(hdt(n) + framed("SDDPT,7.5,0.3,"))
+        with contextlib.suppress(OSError):  # pulled out
+            gnss.say(gga(n) + rmc(n))
+
+    sensors = 'sensors.names=["sysstat", "nmea0183"]'
+    with at_sea(tmp_path, say, *port("gnss", gnss.name), *port("compass", compass.name, 4800), sensors) as sea:
+        sea.sail("heading", heading_deg=90.0, speed_mps=1.0)
+        state = sea.until(lambda s: s["speed_mps"] and s["speed_mps"] > 0.7 and abs(s["heading_deg"] - 90.0) < 10.0)
+        assert state["source"] == "nmea0183"
+        assert state["fix"] == 3
+        kinds = {name: kind["talker"] for name, kind in state["nmea0183"]["kinds"].items()}
+        assert (kinds["position"], kinds["velocity"], kinds["heading"]) == ("gnss:GN", "gnss:GN", "compass:GN")
+        assert state["measured"]["depth_m"] == 7.5
+        assert state["nmea0183"]["ports"]["gnss"]["refused"] == {}
+
+        gnss.pull()
+        state = sea.until(lambda s: s["mode"] == "idle")
+        assert "navigation silent" in state["reason"]
+        name = "-".join(("", *gnss.name.parts[1:]))
+        assert sea.until(lambda s: s[name]["trouble"])[name]["trouble"] == "No such file or directory"
+        cycle = sea.asked()["cycle"]
+        gnss.plug()
+        sea.until(lambda s: s["cycle"] > cycle + 5 and not s[name]["trouble"])
+        sea.sail("heading", heading_deg=90.0, speed_mps=1.0)
+        sea.until(lambda s: s["run"])
+    told = replayed(tmp_path)
+    assert "all the same, bit by bit" in told, told
+    assert int(told.split()[0]) > 20, "cycles"
+
+
+@pytest.fixture
+def gpsd(tmp_path: Path) -> Iterator[tuple[Pty, int]]:
+    """The daemon on a device of its own, and its port."""
+    if not shutil.which("gpsd"):
+        pytest.skip("needs gpsd")
+    with socket.socket() as any_socket:
+        any_socket.bind(("127.0.0.1", 0))
+        number = any_socket.getsockname()[1]
+    device = Pty(tmp_path / "gpsd-device")
+    words = ("gpsd", "-N", "-n", "-b", "-S", str(number), str(device.name.resolve()))
+    program = subprocess.Popen(words)
+    yield device, number
+    program.terminate()
+    program.wait(10)
+
+
+def test_gpsd_for_the_receiver_and_datagrams_for_the_compass_sail_the_boat(tmp_path, gpsd):
+    receiver, number = gpsd
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as compass:
+        compass.bind(("127.0.0.1", 0))
+        to = ("127.0.0.1", compass.getsockname()[1] % 60_000 + 2000)
+
+        def say(n: Navigation) -> None:
+            receiver.say(gga(n) + rmc(n))
+            compass.sendto(hdt(n), to)
+
+        ports = (*port("gnss", f"gpsd:127.0.0.1:{number}"), *port("compass", f"udp:{to[0]}:{to[1]}"))
+        with at_sea(tmp_path, say, *ports) as sea:
+            sea.sail("heading", heading_deg=90.0, speed_mps=1.0)
+            state = sea.until(lambda s: s["speed_mps"] and s["speed_mps"] > 0.7 and abs(s["heading_deg"] - 90.0) < 10.0)
+            kinds = {name: kind["talker"] for name, kind in state["nmea0183"]["kinds"].items()}
+            assert (kinds["position"], kinds["heading"]) == ("gnss:GN", "compass:GN")
+    assert "all the same, bit by bit" in replayed(tmp_path)
