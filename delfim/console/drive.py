@@ -121,6 +121,7 @@ def line(state: dict[str, Any]) -> str:
         f"heading {show(state['heading_deg'], '5.1f')} speed {show(state['speed_mps'], '.2f')} m/s "
         f"{thrust} leg {leg} "
         f"to go {show(reference['distance_m'], '.0f')} m  {state['reason']}"
+        + (f" ({state['operator']} commands)" if state["operator"] else "")
     )
 
 

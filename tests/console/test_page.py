@@ -387,6 +387,15 @@ def test_a_number_that_is_used_twice_is_a_red_alarm_with_both_addresses(sail: Sa
     sail(story)
 
 
+@pytest.mark.parametrize(("commander", "words"), [(1, "the hand-set is in control"), (250, "console 250 is in control")])
+def test_the_strip_says_who_else_commands(sail: Sail, commander: int, words: str) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        gateway.boat(1).update(owner=False, commander=commander)
+        await shown(page, gateway, f"{text_of(1, '.trouble')} === '{words}'")
+
+    sail(story)
+
+
 def test_a_message_that_cannot_be_taken_costs_itself_alone(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         for text in ('{"t": "boats", "boats": [{"speed_mps": NaN}]}', "[", "null", "17", '{"t": "boats"}', '{"t": "what"}'):

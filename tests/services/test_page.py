@@ -32,6 +32,12 @@ def report(vehicle: api.State | None, computer: api.Computer | None = None) -> a
     return api.Report(utc_ns=now_ns, vehicle=vehicle, reason="", services=services, computer=computer, computer_age_s=None)
 
 
+def test_the_page_says_who_commands_and_why_the_boat_is_killed():
+    killed = msgspec.structs.replace(VEHICLE, mode="idle", reason="kill: hand-set: its kill switch", operator="hand-set")
+    band = "".join(rendered(report(killed))["head"].itertext())
+    assert "kill: hand-set: its kill switch (hand-set commands)" in band
+
+
 networks = st.dictionaries(words, st.builds(api.Network, up=st.booleans(), addresses=st.tuples(words)), max_size=2)
 computers = st.builds(
     api.Computer,

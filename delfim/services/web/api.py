@@ -128,6 +128,7 @@ class State(Facts, frozen=True):
 
     mode: str
     reason: str
+    operator: str = ""  # who commands; empty: nobody
     boat: str = "boat"
     cycle: int = 0
     utc_ns: int = 0  # navigation's clock, 0 if it sends none

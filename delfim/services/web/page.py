@@ -59,7 +59,7 @@ def head(view: PageView) -> str:
         why = f"{vehicle.mission or 'mission'}, leg {vehicle.reference.leg + 1} of {vehicle.legs}: {why}"
     return (
         f'<div class="band {mood(vehicle)}"><p>{name}</p><h1>{escape(vehicle.mode.capitalize())}</h1>'
-        f'<p class="why">{escape(why)}</p></div>'
+        f'<p class="why">{escape(why)}{f" ({escape(vehicle.operator)} commands)" if vehicle.operator else ""}</p></div>'
     )
 
 
