@@ -40,6 +40,7 @@ class Boat:
         self.reference: dict[str, Any] = {}
         self.reason, self.words = "", Words()  # its last text
         self.reason_s = -math.inf  # when
+        self.warning = ""  # its last text that was a warning, while something is wrong
         self.target_is_new = False  # a target came after the last message about steering
         self.failsafe, self.ready = "", False
         self.link, self.signed = "udp", False
@@ -212,7 +213,9 @@ def _heartbeat(boat: Boat, m: Any) -> None:
     boat.enter(m.custom_mode)
     boat.armed = bool(m.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
     boat.signed = bool(m.get_header().incompat_flags & mavlink.MAVLINK_IFLAG_SIGNED)
-    boat.failsafe = (boat.failsafe or boat.reason) if m.system_status == mavlink.MAV_STATE_CRITICAL else ""
+    is_critical = m.system_status == mavlink.MAV_STATE_CRITICAL
+    boat.failsafe = (boat.failsafe or boat.warning or boat.reason) if is_critical else ""
+    boat.warning = boat.warning if is_critical else ""
 
 
 def _position(boat: Boat, m: Any) -> None:

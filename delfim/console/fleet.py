@@ -156,6 +156,7 @@ class Fleet:
         self._texts[boat.number] = now_s, text
         self._say(boat.number, message.severity, text)
         if message.severity <= mavlink.MAV_SEVERITY_WARNING:
+            boat.warning = text
             self._give_reason(boat.number, text)
 
     def _give_reason(self, number: int, text: str) -> None:

@@ -93,6 +93,21 @@ def test_boats_are_found_and_shown_with_the_age_of_each_group(sea: Sea) -> None:
     assert two["ghost"] is None
 
 
+def test_a_trouble_is_shown_though_something_harmless_was_said_after_it(sea: Sea) -> None:
+    boat = sea.boats[1]
+    sea.run(1.0)
+    alarmed = boat._heartbeat()
+    alarmed.system_status = mavlink.MAV_STATE_CRITICAL
+    boat._heartbeat = lambda: alarmed  # type: ignore[method-assign]
+    boat.say(
+        mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_CRITICAL, b"kill: hand-set: its kill switch: stop"),
+        mavlink.MAVLink_statustext_message(mavlink.MAV_SEVERITY_NOTICE, b"no console commands"),
+        alarmed,
+    )
+    sea.run(1.5)
+    assert sea.shown(1)["failsafe"] == "kill: hand-set: its kill switch: stop"
+
+
 def test_a_failsafe_is_shown_with_what_its_trouble_has_become(sea: Sea) -> None:
     boat = sea.boats[1]
     sea.run(1.0)
