@@ -33,6 +33,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
     "On the boat": {
         "supervise": "Run the boat: start, watch and restart its processes, and stop the propellers when the loop stops.",
         "run": "Run the vehicle and the services of its process, without the supervisor.",
+        "actuate": "Turn one thruster on the bench, while a key is held (docs/bench.md).",
         "outlet": "Write the pulses of motors and servos, and stop them when nobody speaks (docs/pwm.md).",
         "shutdown": "Stop the boat and end everything in order, so that the power may be cut (docs/powerd.md).",
         "image": "Look at the boat's image, install a new one and confirm it; the old one is kept (docs/image.md).",

@@ -32,7 +32,7 @@ class PropellerStop:
         for name in self._names:
             try:
                 if name not in self._opened:
-                    self._opened[name] = self._open(name)
+                    self._opened[name] = opened_driver(self._settings, name)
                 self._opened[name][0].stop()
             except (OSError, DelfimError) as error:
                 refused.append(in_words(error))
@@ -62,13 +62,15 @@ class PropellerStop:
             self._bus.close()
             self._bus = None
 
-    def _open(self, name: str) -> tuple[Actuator, contextlib.ExitStack]:
-        with contextlib.ExitStack() as opening:
 
-            def bus(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
-                return opening.enter_context(open_bound(self._settings.can, interface, filters))
+def opened_driver(settings: config.Vehicle, name: str) -> tuple[Actuator, contextlib.ExitStack]:
+    """A driver with links of its own, and what closes them. Raises DelfimError."""
+    with contextlib.ExitStack() as opening:
 
-            def line(device: str, baud: int, form: Form = "8N1") -> SerialLine:
-                return opening.enter_context(contextlib.closing(SerialLine(device, baud, SystemClock(), form=form)))
+        def bus(interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
+            return opening.enter_context(open_bound(settings.can, interface, filters))
 
-            return actuators.open_actuator(name, self._settings, Links(bus, line)), opening.pop_all()
+        def line(device: str, baud: int, form: Form = "8N1") -> SerialLine:
+            return opening.enter_context(contextlib.closing(SerialLine(device, baud, SystemClock(), form=form)))
+
+        return actuators.open_actuator(name, settings, Links(bus, line)), opening.pop_all()
