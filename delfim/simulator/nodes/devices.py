@@ -85,7 +85,7 @@ class Compass:
         self._due = Period(1.0 / (here.compass_hz or LEAST_HZ))
         self.silent, self.frozen = not here.compass_hz, False
         self.jump_rad = 0.0  # error of the heading
-        self.cable_rad_per_a = 0.0  # error of the heading beside the cable of the starboard motor
+        self.cable_rad_per_a = 0.0  # error of the heading beside the cable of the first motor
         self.bias_radps = self.drift_radps2 = 0.0  # of the gyro, and its growth
         self._began_s: float | None = None
         self._said: tuple[float, float] | None = None
@@ -100,7 +100,7 @@ class Compass:
         self._began_s = now_s if self._began_s is None else self._began_s
         model, gauss = self._model, self._random.gauss
         heading_rad = model.heading_rad + gauss(0.0, self._heading_rad) + self.jump_rad
-        heading_rad += self.cable_rad_per_a * model.starboard.motor_a
+        heading_rad += self.cable_rad_per_a * next(iter(model.drives.values())).motor_a
         rate_radps = model.yaw_rate_radps + gauss(0.0, self._rate_radps) + self.bias_radps
         rate_radps += self.drift_radps2 * (now_s - self._began_s)
         if self._said is None or not self.frozen:
