@@ -157,6 +157,8 @@ def _answer(rules: Rules, trigger: Trigger, episode: Episode, state: State, now_
     action, why = rules.actions[trigger][state.mode], episode.reason
     if episode.seen_s != now_s:
         return Action.WARN, why
+    if trigger is Trigger.THRUSTER and state.failed and not state.unsteerable:
+        return Action.WARN, why  # the others carry on
     if action is Action.DISCONNECT and now_s - state.mode_s < rules.lasting_s[trigger]:
         return Action.WARN, why  # it was stopped just now and may still be coming to rest
     if action is not Action.HOME:

@@ -20,6 +20,7 @@ from delfim.errors import DelfimError
 from delfim.modes import Mode
 from delfim.vehicle import console, failsafe, thrusters
 from delfim.vehicle.actuators import Actuator
+from delfim.vehicle.failing import Failing
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.grex import Guest, reference
 from delfim.vehicle.helm import Helm
@@ -54,6 +55,7 @@ class VehicleLoop:
         self.clock, self.state, self.sources = clock, state, sources
         self.propulsion, self.guest, self.log = propulsion, guest, log
         self.helm = Helm(settings, clock, state, propulsion, log)
+        self._failing = Failing(settings, state, propulsion, log)
         self.latency = Latency(skipped=COLD_CYCLES)
         guest.on_line, state.actuation = self.on_guest, propulsion.still
 
@@ -128,6 +130,7 @@ class VehicleLoop:
         now_s = state.watchdog_s = self.clock.monotonic_s()
         helm = self.helm
         helm.go_on()
+        self._failing.look(now_s)
         inputs = Inputs(self.log.reason(), helm.plans.fence)
         helm.troubles, action, reason, notices = failsafe.failsafe(helm.rules, helm.troubles, state, inputs, now_s)
         if notices or state.notices:

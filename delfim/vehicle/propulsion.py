@@ -4,7 +4,7 @@ The limit is applied in the statement that sends: every value that leaves here i
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 
 from delfim.canproxy.socket import CanSocket
 from delfim.config import ThrusterTable
@@ -24,6 +24,7 @@ class Propulsion:
         self.actuators = actuators
         self._nodes, self._limits, self._state = nodes, GateLimits(rows), state
         self._sends = tuple(actuator.send for actuator in actuators)
+        self._names = tuple(row.name for row in rows)
         self.allocation = Allocation([thruster(row) for row in rows])
         self._allocate = self.allocation.allocate
         self._commands = tuple(each.curve.command for each in self.allocation.thrusters)
@@ -62,6 +63,13 @@ class Propulsion:
         """The last command again, for an actuator whose devices stop sooner than the loop commands."""
         if unsent := actuator.repeat(now_s):
             self._state.count("propulsion_unsent", unsent)
+
+    def drop(self, names: Collection[str]) -> str:
+        """Do without these thrusters, and with all others. Returns why the boat cannot be steered then, or nothing."""
+        failed = frozenset(i for i, name in enumerate(self._names) if name in names)
+        self.allocation = self.allocation.without(failed)
+        self._allocate = self.allocation.allocate
+        return self.allocation.steerable() if failed else ""
 
     def reset(self, node: int) -> None:
         """Ask a node of the bus, or all of them, to start again. Raises Refused if the bus does not take the frame."""

@@ -213,6 +213,8 @@ class State:
     reference: Reference = field(default_factory=Reference)
     actuation: Actuation = field(default_factory=lambda: Actuation((), (), False))  # as sent; before that, empty
     thrusters: dict[str, ThrusterReport] = field(default_factory=dict)  # by row: its last report
+    failed: dict[str, str] = field(default_factory=dict)  # thrusters that dropped out, by row, and why; until the boat is idle
+    unsteerable: str = ""  # why the boat cannot be steered without them, in words; empty: it can
     sysstat: dict[str, tuple[SystemStatus, float]] = field(default_factory=dict)  # by node: last report, its time
     measured: dict[str, tuple[float, float]] = field(default_factory=dict)  # by sensors: last value, its time
     operator: str = ""  # the console, or HANDSET, that commands; its silence is a trouble; empty: none

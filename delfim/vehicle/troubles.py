@@ -124,7 +124,9 @@ def battery_low(look: Look) -> str | None:
 
 
 def thruster(look: Look) -> str | None:
-    return ", ".join(astray(look.settings, look.state, look.now_s).values()) or None
+    state = look.state
+    words = ", ".join((astray(look.settings, state, look.now_s) | state.failed).values())
+    return f"{words}: {state.unsteerable}" if words and state.unsteerable else words or None
 
 
 def manual_silent(look: Look) -> str | None:
