@@ -105,6 +105,12 @@ LineDevice = Annotated[
         "/DEVICE, or udp:, tcp:, tcp-listen: or gpsd: before ADDRESS:PORT, the address in numbers",
     ),
 ]
+OutDevice = Annotated[
+    str,
+    text(rf"(/[^ ]+|udp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})", "/DEVICE, or udp:ADDRESS:PORT, the address in numbers"),
+]
+SPOKEN_BYTES = {"RMC": 84, "HDT": 18, "GGA": 72, "VTG": 52, "ROT": 20}  # at most, of each sentence that is told
+SpokenName = Literal["RMC", "HDT", "GGA", "VTG", "ROT"]
 TalkerName = Annotated[
     str, text("[A-Za-z][A-Za-z0-9_-]{0,31}(:[A-Z0-9]{2})?", "a port's name, or PORT:TALKER with the talker's two letters")
 ]
@@ -204,6 +210,22 @@ class Nmea0183Port(Table, frozen=True):
     checksum: bool = True  # a sentence without a checksum is refused; one with a wrong checksum always is
 
 
+class Nmea0183Out(Table, frozen=True):
+    """Navigation told to another instrument, as a receiver tells it. What is unknown is not told."""
+
+    to: OutDevice  # a serial port of its own, or where datagrams go
+    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 4800  # of a serial port
+    sentences: Annotated[tuple[SpokenName, ...], msgspec.Meta(min_length=1, max_length=5)] = ("RMC", "HDT")  # in this order
+    rate_hz: Annotated[float, msgspec.Meta(ge=0.1, le=20.0)] = 1.0  # of each
+
+    def __post_init__(self) -> None:
+        baud = 10.0 * self.rate_hz * sum(SPOKEN_BYTES[name] for name in self.sentences)
+        if not self.to.startswith("udp:") and baud > self.baud:
+            raise ValueError(
+                f"{', '.join(self.sentences)} {self.rate_hz:g} times a second need {baud:.0f} baud: all would be late"
+            )
+
+
 class Nmea0183(Table, frozen=True):
     """Receivers, compasses and sounders on lines of text. Of several that send the same value, the first in `preferred` is
     used, then the one whose port stands first."""
@@ -214,12 +236,13 @@ class Nmea0183(Table, frozen=True):
     pitch: TransducerName = ""  # name of the XDR transducer that measures it, with - before it if bow up is negative there
     roll: TransducerName = ""  # likewise; starboard down is positive here
     ports: dict[Name, Nmea0183Port] = msgspec.field(default_factory=dict)
+    out: dict[Name, Nmea0183Out] = msgspec.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for network in self.senders:
             ip_network(network)
-        if len(self.ports) > LINES:
-            raise ValueError(f"ports: {LINES} at most")
+        if max(len(self.ports), len(self.out)) > LINES:
+            raise ValueError(f"ports and out: {LINES} at most of each")
         for each in self.preferred:
             if each.partition(":")[0] not in self.ports:
                 raise ValueError(f"preferred: there is no port {each.partition(':')[0]}")
@@ -1250,7 +1273,8 @@ def _buses_apart(vehicle: Vehicle, file: str) -> None:
 def _lines_apart(vehicle: Vehicle, file: str) -> None:
     """A serial line has one reader: two would each get a part of what comes. Raises ConfigError."""
     readers: dict[str, str] = {}
-    for key, device in {"slipd.device": vehicle.slipd.device, **vehicle.outside("device")}.items():
+    told = {f"nmea0183.out.{name}.to": out.to for name, out in vehicle.nmea0183.out.items() if out.to.startswith("/")}
+    for key, device in {"slipd.device": vehicle.slipd.device, **vehicle.outside("device"), **told}.items():
         if device and device in readers:
             raise ConfigError(file, key, f"{device} is read by {readers[device]} already, and a serial line has one reader")
         readers[device] = key

@@ -4,6 +4,7 @@ The hull is the one of `delfim nodes`; instruments hear where it is and say so i
 """
 
 import contextlib
+import json
 import os
 import select
 import shutil
@@ -15,6 +16,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import pynmea2
 import pytest
 
 from delfim import config
@@ -111,6 +113,13 @@ def port(name: str, device: object, baud: int = 38400) -> tuple[str, str]:
     return f'nmea0183.ports.{name}.device="{device}"', f"nmea0183.ports.{name}.baud={baud}"
 
 
+def free_port(kind: int = socket.SOCK_STREAM) -> int:
+    with socket.socket(socket.AF_INET, kind) as any_socket:
+        any_socket.bind(("127.0.0.1", 0))
+        number: int = any_socket.getsockname()[1]
+        return number
+
+
 def replayed(tmp_path: Path) -> str:
     command = [sys.executable, "-m", "delfim", "log", "replay", str(tmp_path / "log")]
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=120, cwd=ROOT).stdout
@@ -155,15 +164,66 @@ def gpsd(tmp_path: Path) -> Iterator[tuple[Pty, int]]:
     """The daemon on a device of its own, and its port."""
     if not shutil.which("gpsd"):
         pytest.skip("needs gpsd")
-    with socket.socket() as any_socket:
-        any_socket.bind(("127.0.0.1", 0))
-        number = any_socket.getsockname()[1]
+    number = free_port()
     device = Pty(tmp_path / "gpsd-device")
     words = ("gpsd", "-N", "-n", "-b", "-S", str(number), str(device.name.resolve()))
     program = subprocess.Popen(words)
     yield device, number
     program.terminate()
     program.wait(10)
+
+
+class Listener:
+    """gpsd, which hears the boat by UDP, and the last position that it reports."""
+
+    def __init__(self, number: int) -> None:
+        self._socket = socket.create_connection(("127.0.0.1", number), PATIENCE_S)
+        self._lines = self._socket.makefile("rb")
+        self._socket.sendall(b'?WATCH={"enable":true,"json":true};\n')
+
+    def position(self) -> dict[str, Any]:
+        while (told := json.loads(self._lines.readline())).get("class") != "TPV" or told.get("mode", 0) < 2:
+            pass
+        return told
+
+    def close(self) -> None:
+        self._lines.close()
+        self._socket.close()
+
+
+def test_the_boat_tells_other_instruments_where_it_is(tmp_path):
+    """A sonar on a serial port, read by pynmea2, and gpsd, which takes the boat for a receiver."""
+    if not shutil.which("gpsd"):
+        pytest.skip("needs gpsd")
+    sonar, gnss = Pty(tmp_path / "sonar"), Pty(tmp_path / "gnss")
+    number, place = free_port(), f"udp:127.0.0.1:{free_port(socket.SOCK_DGRAM)}"
+    daemon = subprocess.Popen(("gpsd", "-N", "-n", "-b", "-S", str(number), place.replace("udp:", "udp://")))
+    heard = b""
+
+    def say(n: Navigation) -> None:
+        nonlocal heard
+        gnss.say(gga(n) + rmc(n) + hdt(n))
+        with contextlib.suppress(BlockingIOError):
+            heard += os.read(sonar._end, 4096)
+
+    out = (
+        f'nmea0183.out.sonar={{to="{sonar.name}", baud=38400, sentences=["HDT", "ROT", "RMC"], rate_hz=10.0}}',
+        f'nmea0183.out.plotter={{to="{place}", sentences=["GGA", "RMC", "VTG", "HDT"], rate_hz=5.0}}',
+    )
+    try:
+        with at_sea(tmp_path, say, *port("gnss", gnss.name), *out) as sea:
+            state = sea.until(lambda s: s.get("nmea0183.out.sonar", {}).get("told", 0) > 30 and heard.count(b"RMC") > 5)
+            with contextlib.closing(Listener(number)) as listener:
+                told = listener.position()
+            assert state["nmea0183.out.sonar"]["lost"] == state["nmea0183.out.plotter"]["lost"] == 0
+    finally:
+        daemon.terminate()
+        daemon.wait(10)
+    assert (told["lat"], told["lon"]) == pytest.approx((state["latitude_deg"], state["longitude_deg"]), abs=1e-4)
+    read = [pynmea2.parse(line.decode(), check=True) for line in heard.split(b"\r\n")[1:-1]]
+    assert {each.sentence_type for each in read} == {"HDT", "RMC"}, "the rate of turn is unknown, so it is not told"
+    last = [each for each in read if each.sentence_type == "RMC"][-1]
+    assert (last.latitude, last.longitude) == pytest.approx((state["latitude_deg"], state["longitude_deg"]), abs=1e-4)
 
 
 def test_gpsd_for_the_receiver_and_datagrams_for_the_compass_sail_the_boat(tmp_path, gpsd):

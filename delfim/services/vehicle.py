@@ -27,6 +27,7 @@ from delfim.services.clockkeeping import ClockKeeping
 from delfim.services.guestdoor import GuestDoor
 from delfim.services.kernelclock import KernelClock
 from delfim.services.runtime import Runtime
+from delfim.services.telling import tellers
 from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Commands, ShutDown
@@ -72,7 +73,7 @@ class OpenedLinks:
         return socket
 
     def line(self, device: str, baud: int, form: Form = "8N1") -> ReadableLine:
-        """A sensor's line that cannot be opened now is tried again every second, as one that is lost later."""
+        """A line of NMEA 0183 that cannot be opened now is tried again every second, as one that is lost later."""
         settings, clock = self._runtime.config, self._runtime.clock
         log = LineLog(device, settings.log, clock)
         self._links.callback(log.close)
@@ -80,7 +81,8 @@ class OpenedLinks:
         if device.startswith(LISTENING):
             line = NetworkLine(device, settings.nmea0183.senders, clock, log.heard)
         else:
-            may_lack = device in {port.device for port in settings.nmea0183.ports.values()}
+            table = settings.nmea0183
+            may_lack = device in {*(port.device for port in table.ports.values()), *(out.to for out in table.out.values())}
             line = SerialLine(device, baud, clock, log.heard, may_lack, form, FLOOD_BYTES)
         self._links.callback(line.close)
         if not line.rebind():
@@ -127,6 +129,9 @@ async def serve(runtime: Runtime) -> None:
         for source in boat.sources:
             links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))
             links.enter_context(runtime.publishing(source.name, partial(_figures, source, clock)))
+        for name, teller in tellers(settings, opened.line, links, state, clock):
+            links.enter_context(runtime.ticking(teller.period_s, teller.tell))
+            links.enter_context(runtime.publishing(f"nmea0183.out.{name}", teller.report))
         for actuator in boat.propulsion.actuators:
             if actuator.period_s:
                 links.enter_context(runtime.ticking(actuator.period_s, partial(boat.on_outlet, actuator)))

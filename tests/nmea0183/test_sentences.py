@@ -11,6 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pynmeagps import NMEAReader
 
+from delfim.config import SPOKEN_BYTES
 from delfim.messages import Navigation
 from delfim.nmea0183.framing import LONGEST, NAMES_MAX, Sentences, framed
 from delfim.nmea0183.sentences import (
@@ -366,6 +367,12 @@ def test_a_round_trip_keeps_the_values(n):
     assert said["ROT"].rate_radps == pytest.approx(n.yaw_rate_radps, abs=DEG(0.0051 / 60))
     for movement in (said["VTG"], said["RMC"].movement):
         assert movement.speed_mps == pytest.approx(math.hypot(n.north_mps, n.east_mps), abs=0.0003)
+
+
+@given(NAVIGATION)
+def test_no_sentence_is_longer_than_the_check_of_a_lines_speed_expects(n):
+    for name, speak in SPEAKERS.items():
+        assert len(speak(n._replace(fix=6, satellites=99, hdop=99.9))) <= SPOKEN_BYTES[name]
 
 
 def test_the_unknown_is_not_told():
