@@ -289,9 +289,8 @@ class Team:
 
     def _steer(self) -> None:
         """Put the vehicle into heading mode, in which it stays: its watchdog is told to be patient."""
-        with self._feeding(3.0, 0.0, flood=False) as feeder, until(lambda: Link(self.socket), "its command socket") as link:
+        with until(lambda: Link(self.socket), "its command socket") as link, self._feeding(START_S, 0.0, flood=False):
             until(lambda: link.ask("heading", heading_deg=90.0, speed_mps=1.5), "heading mode")
-            feeder.terminate()
 
     def turn(
         self, seconds: float, clients: "subprocess.Popen[bytes] | None", *, watchers: int = 0, flood: bool | None = None
