@@ -27,6 +27,7 @@ SIMULATED: Final = "run/sim"  # the folder of the first one
 NUMBERS: Final = 20  # simulations on one computer at most
 PORTS: Final = 10  # distance between the ports of two simulations
 PAGE, BOATS = "127.0.0.1:8765", "127.0.0.1:14550"  # of the console, where it is free
+HANDS = ("handset.device", "kill.chip", "kill.line")  # a simulated boat has none of the real one
 
 
 class Berth:
@@ -103,7 +104,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "log.directory": f"{place}/log",
         "runtime.run_directory": str(place),
         "supervisor.hardware_watchdog": "",
-        **{key: "" for key in ("mavlink.key", "mavlink.serial") if key not in named},
+        **{key: "" for key in ("mavlink.key", "mavlink.serial", *HANDS) if key not in named},
         "guest.listen": free("guest.listen", vehicle.guest.listen),
         "mavlink.listen": free("mavlink.listen", vehicle.mavlink.listen, udp=True),
         "httpd.listen": page,
@@ -118,6 +119,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "cantcpd.listen": several("cantcpd.listen", vehicle.cantcpd.listen),
         "cantcpd.slcan": several("cantcpd.slcan", vehicle.cantcpd.slcan),
         "runtime.fifo_priority": "0",
+        **({} if "handset.device" in named else {"handset.mandatory": "false"}),
         "simulation.faults": "true",
     }
     if set(vehicle.drivers) != {"dsor"}:

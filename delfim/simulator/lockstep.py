@@ -7,11 +7,14 @@ same seed gives the same bytes. It leaves out event loop, sockets and processes,
 from collections.abc import Callable, Iterator
 from typing import Final
 
+import msgspec
+
 from delfim import config
 from delfim.clock import ManualClock
 from delfim.modes import Mode
 from delfim.serialline import Form
 from delfim.simulator.faults import Breakage, Faults, FaultyLog
+from delfim.simulator.handset import HandsetAt, SimulatedReceiver
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.model import Model
@@ -28,10 +31,15 @@ BURST: Final = 16  # most navigation messages that come at once, after a delay
 
 class Lockstep:
     """A boat and its world, stepped by navigation cycles. `log` is made for the clock of the simulation, as the loop's is.
-    Without a `model` the vehicle's file describes it."""
+    Without a `model` the vehicle's file describes it. Without rows for its hand-set the boat has none."""
 
     def __init__(
-        self, settings: config.Vehicle, seed: int, make_log: Callable[[ManualClock], StateLog], model: Model | None = None
+        self,
+        settings: config.Vehicle,
+        seed: int,
+        make_log: Callable[[ManualClock], StateLog],
+        model: Model | None = None,
+        handset: tuple[HandsetAt, ...] = (),
     ) -> None:
         self.settings = settings
         self.clock = ManualClock()
@@ -48,7 +56,10 @@ class Lockstep:
         record_to = FaultyLog(self.log, self.faults)
         self.lines = dict[str, LockstepLine]()  # by device
         links = Links(lambda name, filters: (sensors if name == apart else bus).bound(*filters), self._line)
-        self.vehicle, self._inputs, self._hands, _ = build(settings, self.clock, self.state, links, record_to)
+        aboard = settings if handset else msgspec.structs.replace(settings, handset=config.HandsetTable())
+        self.vehicle, self._inputs, self._hands, _ = build(aboard, self.clock, self.state, links, record_to)
+        line = self.lines.get(settings.handset.device)
+        self._receiver = SimulatedReceiver(settings.handset, handset, line) if handset and line else None
         self.guest = self.vehicle.guest
         self._others = tuple((i, row.name) for i, row in enumerate(settings.thrusters) if row.driver != "dsor")
         self._cycle_s = 1.0 / settings.navigation.rate_hz
@@ -96,6 +107,8 @@ class Lockstep:
         for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is read again
             for source in vehicle.sources:
                 vehicle.on_navigation(source)
+        if self._receiver is not None:
+            self._receiver.speak(now_s)
         for each in self._inputs:
             vehicle.on_sensor(each)
         for hand in self._hands:

@@ -14,7 +14,6 @@ import msgspec
 from delfim import config
 from delfim.clock import ManualClock
 from delfim.modes import Mode
-from delfim.simulator.handset import SimulatedReceiver
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, mission_of, settings_of
 from delfim.simulator.watch import TURNS, Onlooker
@@ -97,12 +96,10 @@ def sail(
     """One run. `mission` is the text of the scenario's mission file. The same seed gives the same bytes. An operator who is not
     patient gives an order once and accepts a refusal.
     """
-    run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()))
+    run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()), handset=scenario.handset)
     watch, recorder, operator = Onlooker(run), Recorder(run), Operator(run, scenario, mission, patient)
     faults = [(each.at_s, fault_of(each, run.faults.thrusters)) for each in scenario.fault]
     broken = deque(sorted(faults, key=lambda pair: pair[0]))
-    line = run.lines.get(settings.handset.device)
-    receiver = SimulatedReceiver(settings.handset, scenario.handset, line) if line else None
     guest_s = 0.0
     for _ in run.cycles(scenario.seconds):
         while broken and broken[0][0] <= run.elapsed_s:
@@ -113,8 +110,6 @@ def sail(
             guest_s = run.elapsed_s + GUEST_S
             run.guest_says(msgspec.json.encode(scenario.guest))
         operator.speak(recorder)
-        if receiver is not None:
-            receiver.speak(run.elapsed_s)
         watch.look()
         recorder.look()
         if any(expected.waypoints for expected in scenario.expect):

@@ -54,6 +54,15 @@ def test_the_boats_radio_is_left_alone_with_its_key():
     assert (settings.mavlink.serial, settings.mavlink.key) == ("", "")
 
 
+def test_the_boats_hand_set_and_kill_switch_are_left_alone():
+    file = ['handset.device="/dev/ttyAMA1"', "handset.mandatory=true", 'kill.chip="/dev/gpiochip0"', 'kill.line="KILL"']
+    with berth(None) as its:
+        settings = changed(file + settings_of(changed(file), its, ()).overrides)
+        named = settings_of(changed(file), its, ("handset.device",)).overrides
+    assert (settings.handset.device, settings.handset.mandatory, settings.kill.chip) == ("", False, "")
+    assert not [each for each in named if each.startswith("handset.")]
+
+
 def test_a_port_of_another_program_is_passed_over():
     with socket.socket() as other, berth(None) as its:
         other.bind(("127.0.0.1", 0))

@@ -53,6 +53,17 @@ def test_there_are_scenarios_for_every_fault():
     assert {each.kind for file in SCENARIOS for each in scenario.load_scenario(file).fault} == set(KINDS)
 
 
+def test_a_boat_whose_hand_set_is_mandatory_sails_a_scenario_without_one(tmp_path):
+    handset = '[vehicle.handset]\ndevice = "/dev/receiver"\nmandatory = true\n'
+    result = run(tmp_path, f'{SAILING}\n{handset}\n[[expect]]\nmode = "heading"\nat_end = true\n')
+    assert result.failures == []
+
+
+def test_a_scenario_with_a_hand_set_needs_a_boat_that_has_one(tmp_path):
+    with pytest.raises(ConfigError, match="name its device"):
+        run(tmp_path, f"{SAILING}\n[[handset]]\nat_s = 0\n")
+
+
 @pytest.mark.parametrize(
     ("expect", "failure"),
     [
