@@ -37,6 +37,7 @@ class ThrusterReport(NamedTuple):
     temperature_c: float | None = None
     angle_rad: float | None = None  # as in `Actuation`
     faults: tuple[str, ...] | None = None  # in words
+    refuses: str = ""  # why it does not obey now, in words
 
 
 class Motion(NamedTuple):

@@ -231,6 +231,8 @@ def astray(settings: config.Vehicle, state: State, now_s: float) -> dict[str, st
         if age_s > FRESH_S:
             if sent.run and age_s > settings.sysstat.stale_s and row.driver != "dsor":  # of whose nodes sysstat tells
                 found[row.name] = f"{row.name} propeller silent for {age_s:.1f} s"
+        elif report.refuses and sent.run:
+            found[row.name] = f"{row.name} thruster does not obey: {report.refuses}"
         elif report.rpm is not None and (words := _revolving(settings, row, thrust if sent.run else None, report.rpm)):
             found[row.name] = f"{row.name} propeller {words}"
         elif report.angle_rad is not None and sent.run:

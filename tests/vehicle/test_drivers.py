@@ -289,6 +289,7 @@ def test_a_board_that_does_not_obey_says_why_and_hears_a_ground_station() -> Non
         board.report(1.0)
         driver.inputs[0].read(state, 1.0)
         assert state.thrusters["port"].faults == why
+        assert state.thrusters["port"].refuses == "".join(why or ())
     for tick in range(15):
         driver.repeat(1.0 + 0.2 * tick)
     assert board.efforts(4.0) == (0.0, 0.0)
@@ -326,6 +327,15 @@ def test_a_vesc_is_told_duty_current_or_speed(command: str, full: float) -> None
     sent.clear()
     driver.send(AHEAD._replace(thrust=(0.0, 1.0)), 1.0)
     assert sent[0] == (extended(0), b"\0\0\0\0"), "at rest it is held, whatever it is told otherwise"
+
+
+def test_motors_whose_pulses_cannot_be_written_do_not_obey() -> None:
+    wire, state = Wire(), State()
+    driver = open_actuator("pwm", settings("pwm"), Links(lambda name, filters: None, lambda device, baud: wire))
+    for trouble in ("Remote I/O error", ""):
+        wire.waiting.append(pack_answer(PulseAnswer(1, "stopped", trouble)))
+        driver.inputs[0].read(state, 1.0)
+        assert state.thrusters["starboard"].refuses == trouble
 
 
 def test_a_servo_turns_with_the_angle_of_its_row() -> None:

@@ -53,6 +53,8 @@ def said(now_s: float = 10.0, run: bool = True, **reports: ThrusterReport) -> di
         ("rudder", ThrusterReport(10.0, angle_rad=0.0), "rudder thruster stands at 0 instead of 29 degrees"),
         ("rudder", ThrusterReport(10.0, 2000.0, angle_rad=0.4), ""),
         ("rudder", ThrusterReport(10.0), ""),
+        ("port", ThrusterReport(10.0, refuses="not armed"), "port thruster does not obey: not armed"),
+        ("port", ThrusterReport(10.0, 900.0, faults=("hot",)), ""),
     ],
 )
 def test_each_thruster_is_judged_by_its_own_report(name, report, words):
@@ -65,6 +67,7 @@ def test_one_that_turns_although_it_was_switched_off_is_named_and_nothing_else()
         "bow": ThrusterReport(1.0, 0.0),
         "rudder": ThrusterReport(10.0, angle_rad=0.0),
     }
+    assert said(run=False, bow=ThrusterReport(10.0, refuses="not armed")) == {}
     assert said(run=False, **reports) == {"port": "port propeller turns 500 instead of 0 rpm"}
     assert unstopped(SETTINGS, State(actuation=SENT._replace(run=False), thrusters=reports), 10.0) == ("port",)
     assert unstopped(SETTINGS, State(actuation=SENT, thrusters=reports), 10.0) == ()

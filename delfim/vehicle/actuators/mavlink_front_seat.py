@@ -91,7 +91,11 @@ class ArduRover:
             return
         for side in (self._starboard, self._port):
             state.thrusters[side.name] = ThrusterReport(
-                now_s, current_a=self._current_a, voltage_v=self._voltage_v, faults=self._faults or None
+                now_s,
+                current_a=self._current_a,
+                voltage_v=self._voltage_v,
+                faults=self._faults or None,
+                refuses=", ".join(self._faults),
             )
 
 

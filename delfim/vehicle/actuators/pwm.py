@@ -59,7 +59,7 @@ class Pulses:
                 continue
             faults = (answer.trouble,) if answer.trouble else None
             for name in self._names:
-                state.thrusters[name] = ThrusterReport(now_s, faults=faults)
+                state.thrusters[name] = ThrusterReport(now_s, faults=faults, refuses=answer.trouble)
 
     def report(self) -> dict[str, object]:
         return {"outlet": self._answer.state, "trouble": self._answer.trouble}
