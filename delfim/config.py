@@ -109,7 +109,7 @@ OutDevice = Annotated[
     str,
     text(rf"(/[^ ]+|udp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})", "/DEVICE, or udp:ADDRESS:PORT, the address in numbers"),
 ]
-SPOKEN_BYTES = {"RMC": 84, "HDT": 18, "GGA": 72, "VTG": 52, "ROT": 20}  # at most, of each sentence that is told
+SPOKEN_BYTES = {"RMC": 80, "HDT": 20, "GGA": 72, "VTG": 48, "ROT": 24}  # at most, of each sentence that is told
 SpokenName = Literal["RMC", "HDT", "GGA", "VTG", "ROT"]
 TalkerName = Annotated[
     str, text("[A-Za-z][A-Za-z0-9_-]{0,31}(:[A-Z0-9]{2})?", "a port's name, or PORT:TALKER with the talker's two letters")

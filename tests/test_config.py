@@ -366,7 +366,7 @@ def test_other_lines_of_nmea_0183_are_refused(tmp_path: Path, device: str) -> No
         ('[nmea0183.ports.spare]\ndevice = "/dev/ttyUSB0"', "is read by nmea0183.ports.gnss.device already"),
         ('[slipd]\ndevice = "/dev/ttyUSB0"', "is read by slipd.device already"),
         ('[nmea0183.out.sonar]\nto = "/dev/ttyUSB0"', "is read by nmea0183.ports.gnss.device already"),
-        ('[nmea0183.out.sonar]\nto = "/dev/ttyUSB1"\nrate_hz = 5.0', "RMC, HDT 5 times a second need 5100 baud"),
+        ('[nmea0183.out.sonar]\nto = "/dev/ttyUSB1"\nrate_hz = 5.0', "RMC, HDT 5 times a second need 5000 baud"),
         ('[nmea0183.out.sonar]\nto = "tcp:127.0.0.1:10110"', "nmea0183.out.sonar.to"),
         ("".join(f'[nmea0183.ports.p{i}]\ndevice = "/dev/p{i}"\n' for i in range(8)), "ports and out: 8 at most"),
     ],

@@ -29,7 +29,7 @@ def test_old_and_unknown_navigation_is_not_told():
     teller.tell()
     state.navigation, state.navigation_s = HERE, 100.0
     teller.tell()
-    assert line.written == [b"$GPHDT,028.65,T*38\r\n"]
+    assert line.written == [b"$GPHDT,028.65,T*0C\r\n"]
     state.navigation = HERE._replace(heading_rad=None)
     teller.tell()
     state.navigation, clock.now_s = HERE, 103.0
