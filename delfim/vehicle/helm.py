@@ -66,7 +66,9 @@ class Helm:
 
     def control(self, now_s: float) -> Wanted:
         state = self.state
-        dt_s = min(now_s - self._controlled_s, 1.0)
+        dt_s = now_s - self._controlled_s
+        if dt_s > 1.0:
+            dt_s = 1.0
         self._controlled_s = now_s
         if (short := self._propulsion.short) is not None:
             self.memory = lacking(self.memory, short)

@@ -36,7 +36,9 @@ class Propulsion:
 
     def send(self, wanted: Wanted, now_s: float) -> Actuation:
         """Command the actuators; returns what was sent. A command not taken is counted; nothing waits."""
-        dt_s, was = min(max(now_s - self.sent_s, 0.0), 1.0), self._sent
+        dt_s, was = now_s - self.sent_s, self._sent  # plain statements: this is on the critical path
+        if not 0.0 <= dt_s <= 1.0:
+            dt_s = 1.0 if dt_s > 1.0 else 0.0
         surge_n, sway_n, yaw_nm, run, hand = self.wanted = wanted
         if not run:
             asked, self.short = self.still, None
@@ -44,7 +46,9 @@ class Propulsion:
             asked, self.short = self._driven(*hand), None
         else:
             forces, angles, self.short = self._allocate(surge_n, sway_n, yaw_nm, was.angle_rad, dt_s)
-            commands = [command(force_n) for command, force_n in zip(self._commands, forces, strict=True)]
+            commands: list[float] = []
+            for command, force_n in zip(self._commands, forces, strict=False):
+                commands.append(command(force_n))
             asked = Actuation(tuple(commands), tuple(angles), True)
         sent = self._sent = limited(asked, was, self._limits, dt_s)
         self.sent_s = now_s

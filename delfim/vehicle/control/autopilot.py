@@ -15,6 +15,7 @@ from delfim.vehicle.control.memory import Integrals, Settings
 from delfim.vehicle.state import Motion, Wanted
 
 STAYS_RADPS = math.radians(3.0)  # the heading integral takes lasting errors, not those that the boat is turning away
+AHEAD_RAD = 0.5 * math.pi  # beyond this heading error the boat only turns
 TURNING_RAD = 0.5  # beyond this heading error the speed integral waits: the boat is turning, not slowed by the sea
 
 
@@ -42,28 +43,26 @@ def steer(
     """
     control, gains, hull = settings
     speed, (held_nm, push_n, before_mps, yaw_short_nm, short_n) = control.speed, was
-    error_rad = wrap(heading_rad - motion.heading_rad)
+    p_nm, p_limit_nm, d_nm, turn_nm, i_nm, i_limit_nm, p_n, i_n, i_limit_n = gains
+    has, _, _, at_rad, yaw_radps, north_mps, east_mps = motion
+    error_rad = wrap(heading_rad - at_rad)
     change_mps = speed.ramp_mps2 * dt_s
     asked_mps = clamp(clamp(speed_mps, -speed.max_mps, speed.max_mps), before_mps - change_mps, before_mps + change_mps)
 
-    rate_radps = turn_radps - motion.yaw_rate_radps
-    yaw_nm = (
-        clamp(gains.p_nm_per_rad * error_rad, -gains.p_limit_nm, gains.p_limit_nm)
-        + gains.d_nm_per_radps * rate_radps
-        + gains.turn_nm_per_radps * turn_radps
-        + held_nm
-    )
-    turns_away = abs(error_rad) >= TURNING_RAD
+    rate_radps = turn_radps - yaw_radps
+    yaw_nm = clamp(p_nm * error_rad, -p_limit_nm, p_limit_nm) + d_nm * rate_radps + turn_nm * turn_radps + held_nm
+    off_rad = abs(error_rad)
+    turns_away = off_rad >= TURNING_RAD
     if not turns_away and abs(rate_radps) < STAYS_RADPS and error_rad * yaw_short_nm <= 0.0:
-        held_nm = clamp(held_nm + gains.i_nm_per_rad_s * error_rad * dt_s, -gains.i_limit_nm, gains.i_limit_nm)
+        held_nm = clamp(held_nm + i_nm * error_rad * dt_s, -i_limit_nm, i_limit_nm)
 
-    wanted_mps = asked_mps * max(math.cos(error_rad), 0.0)
-    lag_mps = wanted_mps - surge_mps(motion) if "velocity" in motion.has else 0.0
-    surge_n = (hull.drag_n_per_mps + hull.drag_n_per_mps2 * abs(wanted_mps)) * wanted_mps + gains.p_n_per_mps * lag_mps + push_n
+    wanted_mps = asked_mps * math.cos(error_rad) if off_rad < AHEAD_RAD else 0.0
+    lag_mps = wanted_mps - north_mps * math.cos(at_rad) - east_mps * math.sin(at_rad) if "velocity" in has else 0.0
+    surge_n = (hull.drag_n_per_mps + hull.drag_n_per_mps2 * abs(wanted_mps)) * wanted_mps + p_n * lag_mps + push_n
     if surge_n < 0.0 <= asked_mps or asked_mps < 0.0 < surge_n:
         surge_n, short_n = 0.0, surge_n
     if not turns_away and lag_mps * short_n <= 0.0:
-        push_n = clamp(push_n + gains.i_n_per_m * lag_mps * dt_s, -gains.i_limit_n, gains.i_limit_n)
+        push_n = clamp(push_n + i_n * lag_mps * dt_s, -i_limit_n, i_limit_n)
     return Integrals(held_nm, push_n, asked_mps), Wanted(surge_n, 0.0, yaw_nm)
 
 
