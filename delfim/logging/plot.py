@@ -77,16 +77,22 @@ def speeds(columns: Columns, title: str, file: Path) -> None:
 
 
 def rpm(columns: Columns, title: str, file: Path) -> None:
-    """Revolutions of each propeller, commanded and measured; the command of one whose revolutions are not known."""
+    """Revolutions of each propeller, commanded and measured, or the command of one whose revolutions are not known; angles."""
     names = [name.removesuffix("_command") for name in columns if name.endswith("_command")] or ["starboard", "port"]
-    figure, sheets = _sheet((10, 1.0 + 2.5 * len(names)), len(names))
-    for axes, name in zip(np.atleast_1d(sheets), names, strict=True):
+    turning = [name for name in names if f"{name}_angle" in columns]
+    count = len(names) + len(turning)
+    figure, sheets = _sheet((10, 1.0 + 2.5 * count), count)
+    sheets = np.atleast_1d(sheets)
+    for axes, name in zip(sheets, names, strict=False):
         commanded, measured, part = _arrays(columns, f"{name}_rpm", f"{name}_rpm_measured", f"{name}_command")
         if f"{name}_rpm" in columns or name + "_command" not in columns:
             _lines(axes, columns, {f"{name}, measured": measured, f"{name}, commanded": commanded}, "1/min")
         else:
             _lines(axes, columns, {f"{name}, commanded": part}, "of full command")
-    np.atleast_1d(sheets)[0].set_title(title, loc="left")
+    for axes, name in zip(sheets[len(names) :], turning, strict=True):
+        commanded, measured = map(np.degrees, _arrays(columns, f"{name}_angle", f"{name}_angle_measured"))
+        _lines(axes, columns, {f"{name}, measured": measured, f"{name}, commanded": commanded}, "deg")
+    sheets[0].set_title(title, loc="left")
     _save(figure, file)
 
 

@@ -136,6 +136,7 @@ class Rerun:
         self._heard.bind(*(CanAddress(arb) for arb in COMMANDS))
         links = Links(self._open_bus, self._open_line)
         self.vehicle, self._reports, *_ = build(settings, self.clock, self.state, links, self.log)
+        self._size = 2 * sum(row.driver == "dsor" for row in settings.thrusters)  # frames of one command
         self._heard_ns = first_ns - round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
         self._inputs = deque[BusInput]()
         self.recorded = deque[tuple[int, Group]]()
@@ -170,7 +171,7 @@ class Rerun:
 
     def cut(self, last_ns: int) -> None:
         """The power failed after this last logged cycle: frames that only one log still has are not compared."""
-        whole_ns = [t_ns for t_ns, group in self.recorded if len(group) == len(COMMANDS)]
+        whole_ns = [t_ns for t_ns, group in self.recorded if len(group) == self._size]
         self._span = self._span._replace(to_ns=min(self._span.to_ns, last_ns, *whole_ns[-1:]))
 
     def feed(self, until_ns: int) -> None:
@@ -258,7 +259,7 @@ class Rerun:
         made = list[tuple[int, bytes]]()
         while (frame := self._heard.receive()) is not None:
             made.append((frame.arb, frame.data))
-        groups = [tuple(made[i : i + len(COMMANDS)]) for i in range(0, len(made), len(COMMANDS))]
+        groups = [tuple(made[i : i + self._size]) for i in range(0, len(made), self._size)]
         for group in groups:
             then = self.recorded[0][1] if self.recorded else ()
             if self.recorded and not _ahead(then, group):
@@ -295,6 +296,8 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
         raise DelfimError(f"a replay needs the logs of one run, with one start; these hold {len(starts)} starts")
     recorded = starts[0].get("settings", {})
     settings = config.load(vehicle_file) if vehicle_file else tables.decode(recorded, config.Vehicle, "the log")
+    if "dsor" not in settings.drivers:
+        raise DelfimError("a replay compares the commands to the propellers of DelfimX, and this boat has none of them")
     columns, _ = table(state_files)
     if not all(bool((abs(columns[name]) < MOMENT_MAX_S).all()) for name in MOMENTS):
         raise DelfimError("this state log is damaged: some of its times are not numbers")

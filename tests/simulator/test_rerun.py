@@ -153,6 +153,18 @@ def test_a_run_without_its_start_is_refused(day, tmp_path):
         rerun(logged(tmp_path), None)
 
 
+def test_a_run_of_a_boat_with_other_motors_is_refused_in_words(day, tmp_path):
+    folder = copied(day, tmp_path)
+    sidecar = folder / "state/000000.meta.jsonl"
+    settings = '"driver":"pwm","address":%d'
+    told = sidecar.read_text().replace('"driver": "', '"driver":"')
+    for address in (0, 1):
+        told = re.sub(rf'"driver":"dsor", ?"address": ?{address}', settings % address, told)
+    sidecar.write_text(told)
+    with pytest.raises(DelfimError, match="this boat has none of them"):
+        rerun(logged(tmp_path), None)
+
+
 def test_lines_come_back_as_they_were_written(day):
     box = [file for file in logged(day) if file.id != "state"]
     again = "".join(format_line(frame, name) for name, frame in frames(box))
