@@ -133,6 +133,12 @@ def sailed(motors: Motors, command: Path, *, until: tuple[float, float]) -> list
     return seen
 
 
+def missed(command: Path) -> int:
+    """Commands that no driver's link took, since the start."""
+    with Link(command, PATIENCE_S) as link:
+        return int(link.ask("state")["counts"].get("propulsion_unsent", 0))
+
+
 def sailed_mps(command: Path) -> float:
     """The boat's speed, while it is driven ahead by hand."""
     with Link(command, PATIENCE_S) as link:
@@ -148,9 +154,9 @@ def test_motors_are_commanded_and_limited_and_stopped_by_the_dead_man(tmp_path: 
     with afloat(tmp_path, driver) as (motors, command):
         seen = sailed(motors, command, until=(1.0, -1.0))
         assert [each for each, _ in seen if 0.0 < each < 1.0], "two seconds from rest to full"
-        with Link(command, PATIENCE_S) as link:
-            state = link.ask("state")
-        assert state["counts"].get("propulsion_unsent", 0) < 20, "while its links came up"
+        unsent = missed(command)  # while its links came up
+        sailed(motors, command, until=(0.8, -0.8))
+        assert missed(command) == unsent
         os.kill(process(tmp_path, "runtime"), signal.SIGSTOP)
         deadline_s = time.monotonic() + PATIENCE_S
         while not motors.stopped():
