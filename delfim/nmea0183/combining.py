@@ -74,7 +74,7 @@ class Combined:
         self._heard_s = dict[str, float]()  # by talker
         self._ranks = dict[tuple[str, str], tuple[int, float]]()  # by talker and kind: of the best sentence, and its time
         self._receivers = dict[str, Instants]()
-        self._counter = self.strangers = 0
+        self._counter = self.strangers = self.repeated = 0
 
     def take(self, port: str, sentence: Sentence, now_s: float) -> Navigation | None:
         """A message for the vehicle when this sentence completes a position of the chosen talker. Never raises."""
@@ -191,6 +191,11 @@ class Combined:
     def _placed(self, talker: str, receiver: Instants, now_s: float) -> Navigation | None:
         """The message of a complete instant, if the talker is the chosen one."""
         newest, position = self._newest, receiver.position if receiver.has_fix else None
+        said, before = (receiver.day_s, position), receiver.told
+        if said == before and receiver.day_s is not None:
+            self.repeated += 1  # a frozen receiver is silent, whatever else aboard lives
+            return None
+        receiver.told = said
         newest["position"].put(talker, position, now_s)
         if (newest["position"].choose(now_s) or self._talking.choose(now_s)) != talker:
             return None
@@ -261,4 +266,4 @@ class Combined:
             talker = newest.choose(now_s)
             kinds[kind] = Chosen(talker, None if talker is None else newest.age_s(talker, now_s))._asdict()
         talkers = {talker: now_s - at_s for talker, at_s in sorted(self._heard_s.items())}
-        return {"kinds": kinds, "talkers": talkers, "talkers_too_many": self.strangers}
+        return {"kinds": kinds, "talkers": talkers, "talkers_too_many": self.strangers, "repeated": self.repeated}

@@ -223,7 +223,8 @@ def _gll(f: list[str]) -> Located:
 def _rmc(f: list[str]) -> Located:
     """The navigational status of version 4.1, the last field, is V in most receivers: it is not read."""
     fix = (2 if (mode := _mode(f, 12)) is None else mode) if f[2] == "A" else 0
-    day_s, variation_rad = _day_s(f[1]), _signed(f[10], f[11]) if len(f) > 11 else None
+    has_variation = len(f) > 11 and not f[10].startswith("999")  # a number that some receivers say for "unknown"
+    day_s, variation_rad = _day_s(f[1]), _signed(f[10], f[11]) if has_variation else None
     if not fix:
         return Located(day_s, None, None, 0, movement=Movement(None, None, None))
     latitude_rad, longitude_rad = _position(*f[3:7])

@@ -93,7 +93,17 @@ def test_a_receiver_that_changes_its_order_is_followed():
     boat = Boat()
     for i in range(5):
         boat.hear(gga(i), rmc(i))
-    assert [len(boat.hear(gga(i))) for i in range(5, 10)] == [0, 0, 1, 1, 1]
+    assert [len(boat.hear(gga(i))) for i in range(5, 10)] == [0, 1, 1, 1, 1]
+
+
+def test_a_plotter_that_says_something_else_each_second_is_heard_every_other_second_at_least():
+    boat, told = Boat(), []
+    for i in range(0, 56, 4):
+        for each in ((rmc(i),), (VTG, f"GPGLL,{HERE},1200{i + 1:02d}.00,A,A"), (rmc(i + 2),), (gga(i + 3),)):
+            told.append(len(boat.hear(*each)))
+            boat.now_s += 1.0
+    assert max(told) == 1
+    assert max(b - a for a, b in pairwise(i for i, count in enumerate(told[4:]) if count)) == 2
 
 
 def test_heading_and_position_come_from_different_ports_and_each_has_its_age():

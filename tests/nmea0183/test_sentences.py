@@ -142,6 +142,12 @@ def test_the_navigational_status_of_version_4_1_is_not_read():
     assert one(f"GNRMC,092750.000,A,{HERE},1.02,31.66,280511,,,D,V").fix == 4
 
 
+def test_a_variation_of_999_is_unknown():
+    message = one(f"GPRMC,092750,A,{HERE},1.02,31.66,280511,999.9000,E,D")
+    assert message.variation_rad is None
+    assert message.latitude_rad == pytest.approx(LATITUDE)
+
+
 def test_an_rmc_before_version_2_3_has_no_mode():
     assert one(f"GPRMC,092750,A,{HERE},1.02,31.66,280511,,").fix == 2
 
