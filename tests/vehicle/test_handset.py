@@ -6,13 +6,14 @@ from delfim import config
 from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.loop import HELD_BY_HAND
-from delfim.vehicle.state import HANDSET
+from delfim.vehicle.state import HANDSET, Line, Plan, Waypoint
 from tests.vehicle import receivers
 
 DEVICE = "/dev/receiver"
 TAKE, KILL = 5, 6
 ON, OFF = 2000.0, 1000.0
 AHEAD = {3: 2012.0}
+PLAN = Plan("", (Waypoint(50.0, 0.0, 1.5, 5.0), Waypoint(50.0, 50.0, 1.5, 5.0)), (Line(0.0, 0.0, 50.0, 0.0, 1.5),))
 FREE = {TAKE: OFF, KILL: OFF}
 TAKEN = {TAKE: ON, KILL: OFF}
 
@@ -95,6 +96,21 @@ def test_it_drives_a_boat_that_no_console_ever_spoke_to(hand):
     assert (starboard, port) == (600, 1200)
     hand.hold(TAKEN | {3: 988.0}, 5.0)
     assert thrust(hand) == (-1200, -1200)
+
+
+@pytest.mark.parametrize("mode", Mode, ids=lambda mode: mode.name)
+def test_it_takes_and_kills_the_boat_in_every_mode(make_boat, mode):
+    hand = played(make_boat, "crsf")
+    hand.hold(FREE)
+    state, helm = hand.boat.state, hand.boat.vehicle.helm
+    state.setpoint = state.setpoint._replace(plan=PLAN, track=((-20.0, 0.0),), guest_heading_rad=0.5, guest_speed_mps=1.0)
+    for switches, reached in ((TAKEN, Mode.MANUAL), (FREE | {KILL: ON}, Mode.IDLE)):
+        hand.hold(FREE)
+        state.guest_s = hand.boat.clock.monotonic_s()
+        helm.enter(mode, "test")
+        hand.hold(switches, 0.1)
+        assert state.mode is reached
+    assert state.reason == "kill: hand-set: its kill switch"
 
 
 def test_a_switch_counts_after_three_equal_readings_in_a_row(hand):
