@@ -18,6 +18,7 @@ from delfim.canproxy.dronecan.datatypes import NODE_STATUS, RAW_COMMAND
 from delfim.canproxy.dronecan.transfers import TransferReceiver
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import CanSocket
+from delfim.config import Dronecan
 from delfim.console.link import Link
 from delfim.errors import DelfimError
 from tests.afloat import ROOT, running
@@ -67,7 +68,10 @@ def often(bus: CanSocket) -> int:
     """Commands to the motors between two words of the boat's node on itself, which come each second."""
     commands, words = 0, 0
     while words < 2:
-        kind = bus.recvmsg().identifier >> 8 & 0xFFFF
+        identifier = bus.recvmsg().identifier
+        if identifier & 0x7F != Dronecan().node:  # the controllers speak, too
+            continue
+        kind = identifier >> 8 & 0xFFFF
         words += kind == NODE_STATUS.id
         commands += kind == RAW_COMMAND.id and words == 1
     return commands

@@ -198,7 +198,7 @@ def test_a_report_becomes_that_of_the_thruster():
     bench = Bench()
     bench.say(ESC_STATUS, (*WELL, 0), now_s=5.0)
     assert bench.state.thrusters == {
-        "starboard": ThrusterReport(5.0, 700.0, 3.0, 24.0, pytest.approx(26.85), None, ()),
+        "starboard": ThrusterReport(5.0, 700.0, 3.0, 24.0, 26.85, None, None),
     }
     bench.say(NODE_STATUS, (77, 0, 0, 0, 0), node=21)
     assert bench.driver.report() == {"node": 10, "devices": {"21": {"uptime_s": 77, "health": 0}}, "errors": {}}
@@ -207,7 +207,7 @@ def test_a_report_becomes_that_of_the_thruster():
 def test_a_device_that_knows_nothing_reports_nothing():
     bench = Bench()
     bench.say(ESC_STATUS, (0, math.nan, math.nan, math.nan, 0, 127, 1))
-    assert bench.state.thrusters["port"] == ThrusterReport(5.0, 0.0, None, None, None, None, ())
+    assert bench.state.thrusters["port"] == ThrusterReport(5.0, 0.0, None, None, None, None, None)
 
 
 def test_faults_of_a_controller_are_told_in_words():
@@ -223,7 +223,7 @@ def test_two_controllers_with_one_index_are_named_until_one_of_them_is_silent():
     bench.say(ESC_STATUS, (*WELL, 0), node=21)
     assert bench.state.thrusters["starboard"].faults == ("nodes 20 and 21 are both motor 0",)
     bench.say(ESC_STATUS, (*WELL, 0), node=21, now_s=5.1 + TWINS_S)
-    assert bench.state.thrusters["starboard"].faults == ()
+    assert bench.state.thrusters["starboard"].faults is None
 
 
 def test_what_makes_no_sense_is_counted():

@@ -1,4 +1,4 @@
-"""The vehicle's loop with motors on DroneCAN: rehearsed without a frame on the bus, and the trouble of one that does not obey."""
+"""The loop with motors on DroneCAN: rehearsed without a frame on the bus, and the trouble of a motor that does not obey."""
 
 import pytest
 

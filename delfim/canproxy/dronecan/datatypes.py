@@ -188,7 +188,8 @@ def _share(percent: float) -> float | None:
 
 
 def _celsius(kelvin: float) -> float | None:
-    return kelvin - _KELVIN if math.isfinite(kelvin) and kelvin > 0.0 else None  # devices without a sensor send 0 K, too
+    """Devices without a sensor send 0 K, too."""
+    return round(kelvin - _KELVIN, 2) if math.isfinite(kelvin) and kelvin > 0.0 else None
 
 
 def _vector(values: Sequence[float], name: str) -> tuple[float, float, float]:

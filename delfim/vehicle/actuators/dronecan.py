@@ -158,7 +158,7 @@ class DronecanMotors:
             status.voltage_v,
             status.temperature_c,
             None,
-            tuple(faults),
+            tuple(faults) or None,
         )
 
     def report(self) -> dict[str, object]:
