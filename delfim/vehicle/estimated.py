@@ -9,14 +9,15 @@ from typing import Final, Protocol, cast
 
 from delfim import config
 from delfim.messages import Navigation
-from delfim.vehicle.estimator import LATE_MAX_S, Estimator
-from delfim.vehicle.inputhealth import HEADING, POSITION, RATE, VELOCITY
+from delfim.vehicle.estimator import LATE_MAX_S, Estimate, Estimator
+from delfim.vehicle.inputhealth import HEADING, NEVER_S, POSITION, RATE, VELOCITY
 from delfim.vehicle.navigation import Fix, Source
 from delfim.vehicle.state import State
 
 STEP_S: Final = 0.5  # stamps that differ from the monotonic clock by more than they did come from a clock that was set
 SOONER: Final = 0.8  # of a period: sensors are not punctual
 FIX_2D: Final = 2
+SETTLE_S: Final = 0.5  # after the start: what waited while the program came up has stamps that say nothing of its age
 
 
 class Hearer(Protocol):
@@ -44,9 +45,10 @@ class Estimated:
         state.inputs[self.name] = self.estimator.inputs
         self._period_s, self._stale_s = SOONER / limits.rate_hz, limits.stale_s
         self._zero_ns, self._zero_s, self._now_s = 0, 0.0, 0.0
-        self._newest_s = self._sent_s = -math.inf
+        self._began_s, self._sent_s = math.inf, -math.inf
         self._said: Navigation | None = None  # the source's own last message ...
         self._said_ns = 0  # ... and its stamp
+        self._due: tuple[Estimate, int] | None = None  # the motion for the next message, and the stamp of its newest value
         self._counter = 0
         source.tell(self._hear)
 
@@ -59,16 +61,19 @@ class Estimated:
         self._source.heard_s = at_s
 
     def read(self, now_s: float) -> Fix | None:
-        """The motion at the last value that came; None while the next message is not due."""
-        self._now_s, source = now_s, self._source
-        fix = source.read(now_s)
+        """The motion at the value with which the message was due; None while it is not."""
+        self._now_s, self._due = now_s, None
+        fix = self._source.read(now_s)
+        self._began_s = min(self._began_s, now_s)
+        if now_s - self._began_s < SETTLE_S:
+            self._source.heard_s = NEVER_S
+            return None
         if fix is not None:
             self._said, self._said_ns = fix.navigation, fix.t0_ns
-        at_s = self._newest_s
-        if self._said is None or at_s - self._sent_s < self._period_s or now_s - source.heard_s > self._stale_s:
+        if self._due is None or self._said is None:
             return None
-        self._sent_s = at_s
-        return Fix(self._message(self._said, at_s), source.t_ns, now_s)
+        estimate, t_ns = self._due
+        return Fix(self._message(self._said, estimate, t_ns), t_ns, now_s)
 
     def report(self, now_s: float) -> dict[str, object]:
         """The source's figures, and the estimator's."""
@@ -79,12 +84,11 @@ class Estimated:
         }
         return {**self._source.report(now_s), "estimator": {**inputs, "begun_again": self.estimator.restarts}}
 
-    def _message(self, said: Navigation, at_s: float) -> Navigation:
+    def _message(self, said: Navigation, e: Estimate, t_ns: int) -> Navigation:
         """The estimate, with what it does not estimate as the source said it last."""
         self._counter = self._counter + 1 & 0xFF
-        e = self.estimator.estimate(at_s)
         return said._replace(
-            utc_ns=said.utc_ns + self._source.t_ns - self._said_ns if said.utc_ns else 0,
+            utc_ns=said.utc_ns + t_ns - self._said_ns if said.utc_ns else 0,
             latitude_rad=e.latitude_rad,
             longitude_rad=e.longitude_rad,
             north_mps=e.north_mps,
@@ -96,7 +100,14 @@ class Estimated:
         )
 
     def _hear(self, kind: str, value: tuple[float, ...], utc_ns: int) -> None:
+        """A value. After a silence, as at the start, everything begins with a position: what came before it was perhaps heard,
+        perhaps not, and a replay does not know which."""
         at_s, estimator = self._time_s(self._source.t_ns), self.estimator
+        if not self._now_s - self._source.heard_s <= self._stale_s:
+            if kind != POSITION:
+                return
+            estimator.begin()
+            self._sent_s = -math.inf
         late_s = (self._source.t_ns - utc_ns) / 1e9 if utc_ns else -1.0
         told_s = late_s if 0.0 <= late_s <= LATE_MAX_S else None  # the clocks agree, or the settings say it
         if kind == POSITION:
@@ -107,7 +118,8 @@ class Estimated:
             estimator.heading(at_s, value[0], told_s)
         elif kind == RATE:
             estimator.rate(at_s, value[0])
-        self._newest_s = max(self._newest_s, at_s)
+        if at_s - self._sent_s >= self._period_s:  # now, however many values are read at once: a replay reads others together
+            self._sent_s, self._due = at_s, (estimator.estimate(at_s), self._source.t_ns)
 
     def _time_s(self, t_ns: int) -> float:
         """A stamp on the axis of the monotonic clock. Stamps are the kernel's: a busy computer makes nothing late, and a

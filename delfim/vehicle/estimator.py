@@ -174,6 +174,13 @@ class Estimator:
         self._plane: geodesy.Origin | None = None
         self._at_s = -math.inf
 
+    def begin(self) -> None:
+        """Know nothing again; the axis of time may be another one."""
+        self.course.known = self.turn.known = False
+        self._at_s = -math.inf
+        self.turn.gyro(None)
+        self._runs = dict.fromkeys(KINDS, 0)
+
     def position(self, at_s: float, latitude_rad: float, longitude_rad: float, late_s: float | None = None) -> None:
         """The antenna's position, as it was `late_s` before it came; None: as the settings say."""
         health, course, variance = self.inputs[0], self.course, self._position
