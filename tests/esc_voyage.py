@@ -97,6 +97,8 @@ def voyage(folder: Path, bus: str) -> None:
             onlooker.settimeout(60)
             while often(onlooker) <= 12:  # navigation alone would give five or six; a busy computer may take some time for it
                 pass
+        asked(command, "stop")
+        said(pair, "zero")
         asked(command, "manual", starboard=0.5, port=0.5)
         said(pair, "turns")
         told = json.loads((folder / "supervisor.json").read_text())
