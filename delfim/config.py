@@ -757,7 +757,7 @@ class Sensors(Table, frozen=True):
 class Sysstat(Table, frozen=True):
     """The nodes that must report, and how old a report may be. A bad or silent required node stops the boat."""
 
-    required: tuple[NodeName, ...] = get_args(NodeName)  # nodes that must report
+    required: tuple[NodeName, ...] | None = None  # that must report; without: of navigation and thrusters by "dsor"
     stale_s: Seconds = 5.0  # a node is silent when its last report is older
 
 
@@ -1201,6 +1201,9 @@ class Vehicle(Table, frozen=True):
             if row.driver in ("dronecan", "vesc") and getattr(self, row.driver).command == "rpm" and not row.rpm_max:
                 words = f"{row.driver}.command is rpm: rpm_max must say the revolutions at full command"
                 raise ValueError(f"thrusters: {row.name}: {words}")
+        if self.sysstat.required is None:
+            its = msgspec.structs.replace(self.sysstat, required=self._nodes())
+            msgspec.structs.force_setattr(self, "sysstat", its)
 
     def rpm_max(self, row: ThrusterTable) -> float:
         """Revolutions per minute of a thruster at full command; 0 where they are not known."""
@@ -1216,6 +1219,14 @@ class Vehicle(Table, frozen=True):
         """The interfaces that carry the commands of a driver and nothing else."""
         buses = self.outside("interface").items()
         return tuple(interface for key, interface in buses if key.partition(".")[0] in self.drivers)
+
+    def _nodes(self) -> tuple[NodeName, ...]:
+        """The nodes of DelfimX that this boat has."""
+        sides = {0: "starboard", 1: "port"}
+        beside = [sides[row.address] for row in self.thrusters if row.driver == "dsor"]
+        names = ["gps"] if "dsor" in self.navigation.sources else []
+        names += [f"{part}_{side}" for part in ("propeller", "batteries") for side in beside]
+        return tuple(name for name in get_args(NodeName) if name in names)
 
     def outside(self, key: Literal["interface", "device"]) -> dict[str, str]:
         """The buses or serial lines of the boat's nodes and of the parts that are chosen by name, by their keys: a part has

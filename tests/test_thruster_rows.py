@@ -112,3 +112,18 @@ def test_a_rudder_turns_the_boat_both_ways_and_a_propeller_astern_does_not_use_i
 
 def test_the_rows_survive_the_way_into_a_log_and_back():
     assert msgspec.convert(msgspec.json.decode(msgspec.json.encode(DELFIMX)), config.Thrusters) == DELFIMX
+
+
+@pytest.mark.parametrize(
+    ("source", "driver", "nodes"),
+    [
+        ("dsor", "dsor", ("gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port")),
+        ("dsor", "pwm", ("gps",)),
+        ("nmea2000", "dsor", ("propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port")),
+        ("nmea2000", "pwm", ()),
+    ],
+)
+def test_the_nodes_that_must_report_are_those_that_the_boat_has(tmp_path, source, driver, nodes):
+    text = f'[navigation]\nsources = ["{source}"]\n{RIGHT}{LEFT}'.replace('driver = "dsor"', f'driver = "{driver}"')
+    assert of(tmp_path, text).sysstat.required == nodes
+    assert of(tmp_path, f'{text}\n[sysstat]\nrequired = ["gps"]\n').sysstat.required == ("gps",)

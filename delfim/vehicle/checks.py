@@ -43,7 +43,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         Check("kill", not state.killed.reason, f"kill: {state.killed.reason}" if state.killed.reason else "none"),
         Check("computer", not state.computer.is_starting, starting if state.computer.is_starting else "started"),
         _navigation(rules, state, age_s, now_s),
-        Check("sensors", bad is None, bad or f"{len(rules.settings.sysstat.required)} nodes report good"),
+        Check("sensors", bad is None, bad or f"{len(rules.settings.sysstat.required or ())} nodes report good"),
         _gnss(rules, state),
         _clock(rules, state, age_s, time_ns),
         Check("log", not inputs.log_reason, f"no log, no start: {inputs.log_reason}" if inputs.log_reason else "being written"),

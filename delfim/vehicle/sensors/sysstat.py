@@ -83,7 +83,7 @@ def _report_of(row: config.ThrusterTable, status: PropellerStatus, now_s: float)
 
 def wrong(state: State, required: config.Sysstat, now_s: float, but: Container[str] = ()) -> str | None:
     """The first reason why the boat may not sail, in words: a required node that is silent or bad, and not among `but`."""
-    for name in required.required:
+    for name in required.required or ():
         if name in but:
             continue
         report = state.sysstat.get(name)
