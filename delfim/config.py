@@ -164,6 +164,9 @@ class Can(Table, frozen=True):
             raise ValueError(f"frames of vehicle {self.vehicle:#04x} would be commands to propellers or nodes")
 
 
+ESTIMATED = frozenset({"nmea2000"})  # sources that hand their sensors over one by one (docs/estimator.md)
+
+
 class NavigationTable(Table, frozen=True):
     """Sources in order of preference; the next one is taken when the data of the one before is older than `stale_s`."""
 
@@ -175,8 +178,10 @@ class NavigationTable(Table, frozen=True):
     estimator: bool = False  # for sources of separate sensors: smooth them and fill their gaps (docs/estimator.md)
 
     def __post_init__(self) -> None:
-        if self.estimator and set(self.sources) == {"dsor"}:
-            raise ValueError("estimator: the boat's navigation node estimates by itself; leave it away, or name another source")
+        if self.estimator and not ESTIMATED & set(self.sources):
+            raise ValueError(
+                f"estimator: only for {', '.join(sorted(ESTIMATED))}; these sources make whole messages by themselves"
+            )
 
 
 class EstimatorTable(Table, frozen=True):

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable
 from pathlib import Path
+from typing import get_args
 
 import pytest
 
@@ -206,8 +207,15 @@ def test_a_boat_with_a_navigation_node_has_no_estimator():
     list(run.cycles(5.0))
     assert run.state.inputs == {}
     assert run.nodes.devices is None
-    with pytest.raises(ConfigError, match="estimates by itself"):
-        config.load(ROOT / "etc/delfimx.toml", ["navigation.estimator=true"])
+    for sources in ('["dsor"]', '["nmea0183", "dsor"]'):
+        with pytest.raises(ConfigError, match="only for nmea2000; these sources make whole messages by themselves"):
+            config.load(ROOT / "etc/delfimx.toml", ["navigation.estimator=true", f"navigation.sources={sources}"])
+
+
+def test_the_sources_that_may_be_estimated_are_those_that_tell_their_sensors():
+    for name in get_args(config.SourceName):
+        text = (ROOT / f"delfim/vehicle/sources/{name}.py").read_text()
+        assert ("def tell(self, hearer: Hearer)" in text) == (name in config.ESTIMATED), name
 
 
 def test_the_statistics_page_gets_the_ages_and_counts():
