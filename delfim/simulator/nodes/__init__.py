@@ -16,7 +16,7 @@ from delfim.simulator.nodes.devices import Devices, devices_of
 from delfim.simulator.nodes.navigation import NavigationNode
 
 # Files of this folder; `nodes` in it makes those of its kind.
-NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")
+NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")  # files of this folder, with `nodes` in each
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 
 
