@@ -4,13 +4,16 @@ Names and not numbers: a newer board of the same family may count its lines othe
 """
 
 import array
-import fcntl
 import os
 import struct
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final, Literal, NamedTuple
 
 from delfim.errors import DelfimError
+
+with suppress(ImportError):  # Linux alone has it, and the console's dry run builds a boat on every system
+    import fcntl
 
 Bias = Literal["pull-up", "pull-down", "none"]
 CHIP_INFO, LINE_INFO, GET_LINE, GET_VALUES = 0x8044B401, 0xC100B405, 0xC250B407, 0xC010B40E  # ioctl

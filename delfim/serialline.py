@@ -10,13 +10,13 @@ import socket
 import termios
 import tty
 from collections.abc import Callable
-from typing import Final, Literal
+from typing import Final
 
 from delfim.clock import Clock
 from delfim.errors import DelfimError
+from delfim.serialform import Form
 
 READ_BYTES: Final = 4096
-Form = Literal["8N1", "8E2"]  # data bits, parity, stop bits
 TCGETS2, TCSETS2 = 0x802C542A, 0x402C542B  # asm-generic/ioctls.h: x86, ARM, RISC-V
 BOTHER, RATES = 0o010000, 0o010017  # "the rate is the number itself"; the bits that name a rate (asm-generic/termbits.h)
 OFF_MAX: Final = 0.03  # of a rate: beyond, a byte's last bit is read in its neighbour

@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import io
 import json
+import logging
 import os
 import resource
 import shutil
@@ -75,6 +76,19 @@ def vehicle(here: Path) -> Said:
 def commissioned(here: Path) -> Said:
     shutil.rmtree(here / "out", ignore_errors=True)
     return command("commission", str(here / "boat.toml"), "--yes", "--users", "ana", "--output", str(here / "out"))
+
+
+def users_key(here: Path) -> Said:
+    shutil.rmtree(here / "out", ignore_errors=True)
+    words = ("commission", str(ROOT / "etc/delfimx-sea.toml"), "--yes", "--users", f"ana={here / 'user.pub'}")
+    return command(*words, "--output", str(here / "out"))
+
+
+def numbers(here: Path) -> Said:
+    from delfim.services.numbering import known_numbers, log
+
+    log.propagate, log.handlers = False, [logging.NullHandler()]  # it says what is damaged
+    return refused(lambda: known_numbers(here / "numbers"))
 
 
 def mission(here: Path) -> Said:
@@ -331,6 +345,8 @@ READERS = {
     "image": Reader("new.image", image, BINARY),
     "boot environment": Reader("grub/grubenv", slot, (*BINARY, *TEXT)),
     "manifest of a slot": Reader("a/manifest.json", slot, TEXT),
+    "user's ssh key": Reader("user.pub", users_key, TEXT),
+    "numbers of DroneCAN devices": Reader("numbers", numbers, TEXT),
     "signing key": Reader("key", key, TEXT),
     "stamps": Reader("stamps", stamps, TEXT),
     "host key": Reader("host_key", host_key, TEXT),

@@ -157,6 +157,8 @@ def keys(folder: Path) -> None:
     ]
     subprocess.run([*words, "-keyout", folder / "key.pem", "-out", folder / "cert.pem"], check=True, capture_output=True)
     (folder / "boat.pem").write_bytes(b"".join((folder / name).read_bytes() for name in ("key.pem", "cert.pem")))
+    (folder / "user.pub").write_bytes(asyncssh.generate_private_key("ssh-ed25519").export_public_key("openssh"))
+    (folder / "numbers").write_text(json.dumps({"00" * 15 + "07": 125, "ff" * 16: 20}))
     (folder / "token").write_text("Zm9vYmFyYmF6cXV4cXV1eA\n")
     record = {"stage": "safe", "at_s": 12.5, "holders": ["state", "can0"], "deadman": {"at_s": 1.5, "reason": "silent"}}
     (folder / "record").write_text(json.dumps(record))
@@ -192,7 +194,16 @@ SAMPLES = {
     worlds: ("PNG", "JPEG", "world file"),
     geotiffs: ("GeoTIFF",),
     tiles: ("MBTiles",),
-    keys: ("signing key", "stamps", "host key", "certificate", "supervisor's record", "page's token"),
+    keys: (
+        "user's ssh key",
+        "numbers of DroneCAN devices",
+        "signing key",
+        "stamps",
+        "host key",
+        "certificate",
+        "supervisor's record",
+        "page's token",
+    ),
     images: ("image", "boot environment", "manifest of a slot"),
 }
 
@@ -266,6 +277,8 @@ READ_BY = {  # function: the readers above that come by it
     "logging/tree.py: _end": {"sidecar"},
     "logging/tree.py: _starts": {"sidecar"},
     "services/ftpd.py: _tls": {"certificate"},
+    "commands/commission.py: _users": {"user's ssh key"},
+    "services/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
     "services/supervisor.py: last_deadman": {"supervisor's record"},
     "services/slots.py: environment": {"boot environment"},
     "services/slots.py: manifest": {"manifest of a slot"},
@@ -284,7 +297,7 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
     *("services/slipd.py: _counters", "services/slipd.py: carrier_source"),
     *("services/imagefile.py: _digest", "services/slots.py: _digest_of_disk", "services/imagefile.py: pack"),
     *("services/slots.py: present_notice", "services/children.py: process_state", "services/processes.py: _all"),
-    *("services/kernelclock.py: _read", "suite.py: _started"),
+    *("services/kernelclock.py: _read", "suite.py: _started", "simulator/nodes/pulsefiles.py: _part"),
 }
 
 

@@ -10,7 +10,8 @@ from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import SystemClock
 from delfim.errors import DelfimError, in_words
 from delfim.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
-from delfim.serialline import Form, SerialLine
+from delfim.serialform import Form
+from delfim.serialline import SerialLine
 from delfim.vehicle import actuators
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.links import Links

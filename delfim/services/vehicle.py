@@ -21,7 +21,8 @@ from delfim.gpio import Bias, GpioLine, open_gpio
 from delfim.logging.linelog import LineLog
 from delfim.messages import time_frame
 from delfim.networkline import FLOOD_BYTES, LISTENING, NetworkLine
-from delfim.serialline import Form, SerialLine
+from delfim.serialform import Form
+from delfim.serialline import SerialLine
 from delfim.services import kernelclock, powerd, slots
 from delfim.services.clockkeeping import ClockKeeping
 from delfim.services.guestdoor import GuestDoor

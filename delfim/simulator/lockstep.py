@@ -12,7 +12,7 @@ import msgspec
 from delfim import config
 from delfim.clock import ManualClock
 from delfim.modes import Mode
-from delfim.serialline import Form
+from delfim.serialform import Form
 from delfim.simulator.faults import Breakage, Faults, FaultyLog
 from delfim.simulator.handset import HandsetAt, SimulatedReceiver
 from delfim.simulator.line import LockstepLine

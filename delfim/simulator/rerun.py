@@ -31,7 +31,7 @@ from delfim.messages import (
     PROPELLER_PORT,
     PROPELLER_STARBOARD,
 )
-from delfim.serialline import Form
+from delfim.serialform import Form
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.vehicle import console

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol
 
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.gpio import Bias, GpioLine
-from delfim.serialline import Form
+from delfim.serialform import Form
 from delfim.vehicle.state import State
 
 

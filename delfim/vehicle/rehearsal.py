@@ -14,7 +14,7 @@ import msgspec
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.socket import CanSocket, Many
 from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
-from delfim.serialline import Form
+from delfim.serialform import Form
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.loop import VehicleLoop

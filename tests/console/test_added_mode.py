@@ -18,7 +18,7 @@ from tests.services.browser import Page
 FILE = '''"""Dance: turns in place."""
 
 from delfim.vehicle.control.memory import Memory, Settings
-from delfim.vehicle.state import Actuation, Motion, Reference, Setpoint
+from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
 NEEDS = frozenset({"position", "heading"})
 SENTENCE = "Turns in place."
@@ -34,8 +34,8 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
-) -> tuple[Memory, Reference, Actuation]:
-    return memory, Reference(), Actuation((0.05, -0.05), (0.0, 0.0), True)
+) -> tuple[Memory, Reference, Wanted]:
+    return memory, Reference(), Wanted(yaw_nm=-20.0)
 '''
 NUMBER = 42
 OTHER = 199  # another console
