@@ -141,8 +141,8 @@ class VehicleLoop:
             helm.fall_back(action, reason, now_s)
         helm.fade(now_s)
         if now_s - state.navigation_s > REPEAT_S:
-            again = STOP if state.mode is Mode.IDLE else self.propulsion.wanted  # no navigation cycle repeats it
-            state.actuation = self.propulsion.send(again, now_s)
+            sends = self.propulsion  # no navigation cycle repeats the command
+            state.actuation = sends.send(STOP, now_s) if state.mode is Mode.IDLE else sends.again(now_s)
 
     def on_outlet(self, actuator: Actuator) -> None:
         """Due every `period_s` of an actuator: its command again; one that is older than HELD_S becomes a stop of all."""

@@ -13,7 +13,6 @@ from delfim.messages import RESET, pack_reset
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.control.allocation import Allocation, Force, Thruster, thruster
 from delfim.vehicle.gate import GateLimits, limited
-from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Actuation, State, Wanted
 from delfim.vehicle.thrusters import AHEAD_DEG, MIDDLE_M
 
@@ -31,7 +30,6 @@ class Propulsion:
         self._by_hand = tuple(map(by_hand, self.allocation.thrusters))
         self.still = self._sent = self._limits.still
         self.sent_s = 0.0  # monotonic time of the last command
-        self.wanted = STOP  # the last command
         self.short: Force | None = None  # what the thrusters could not give of it
 
     def send(self, wanted: Wanted, now_s: float) -> Actuation:
@@ -39,7 +37,7 @@ class Propulsion:
         dt_s, was = now_s - self.sent_s, self._sent  # plain statements: this is on the critical path
         if not 0.0 <= dt_s <= 1.0:
             dt_s = 1.0 if dt_s > 1.0 else 0.0
-        surge_n, sway_n, yaw_nm, run, hand = self.wanted = wanted
+        surge_n, sway_n, yaw_nm, run, hand = wanted
         if not run:
             asked, self.short = self.still, None
         elif hand is not None:
@@ -56,6 +54,14 @@ class Propulsion:
             if unsent := send(sent, now_s):
                 self._state.count("propulsion_unsent", unsent)
         return sent
+
+    def again(self, now_s: float) -> Actuation:
+        """The last command once more, as it was sent."""
+        self.sent_s = now_s
+        for send in self._sends:
+            if unsent := send(self._sent, now_s):
+                self._state.count("propulsion_unsent", unsent)
+        return self._sent
 
     def _driven(self, starboard: float, port: float) -> Actuation:
         """The operator's thrust of both sides, directly."""

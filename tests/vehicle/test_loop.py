@@ -56,6 +56,19 @@ def test_heading_command_turns_the_propellers_at_once_and_again_each_cycle(boat)
     assert boat.state.mode is Mode.HEADING
 
 
+def test_without_navigation_the_last_command_is_repeated_as_it_was_sent(boat):
+    """Also while it was still rising: a replay does not know to a microsecond when the watchdog looked."""
+    boat.ready()
+    boat.clock.advance(0.2)
+    boat.navigate()
+    boat.vehicle.on_command(console.Heading(90.0, 1.0))
+    boat.clock.advance(0.1)
+    boat.navigate()
+    rising = boat.propellers()
+    boat.pass_time(0.8, navigation=False)
+    assert [command[:2] for command in boat.propellers()] == [command[:2] for command in rising]
+
+
 @pytest.mark.parametrize("command", [console.SetMode("heading"), console.Heading(90.0)])
 def test_heading_mode_goes_on_as_the_boat_sails(boat, command):
     boat.ready()
