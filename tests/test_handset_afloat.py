@@ -139,12 +139,12 @@ class Afloat:
         self.until(lambda state: {each["thrust"] for each in state["thrusters"].values()} == {part})
 
 
-@pytest.fixture(params=["crsf", "sbus"])
-def afloat(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Afloat]:
-    receiver, console = PlayedReceiver(request.param), CommandingConsole()
+@contextlib.contextmanager
+def afloat_with(protocol: str, tmp_path: Path) -> Iterator[Afloat]:
+    receiver, console = PlayedReceiver(protocol), CommandingConsole()
     values = (
         f'handset.device="{receiver.device}"',
-        f'handset.protocol="{request.param}"',
+        f'handset.protocol="{protocol}"',
         f"handset.kill.channel={KILL}",
         "handset.silent_s=2.0",  # on a busy machine the receiver's thread may have to wait
     )
@@ -158,53 +158,55 @@ def afloat(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Afloat]:
     console.socket.close()
 
 
-def test_a_hand_set_has_the_boat_above_a_console_that_never_stops_commanding_and_the_logs_repeat_it(afloat, tmp_path):
-    receiver, console = afloat.receiver, afloat.console
-    afloat.until(lambda state: state["mode"] == "heading")
-    assert afloat.ask()["operator"] == "console 250"
+@pytest.mark.parametrize("protocol", ["crsf", "sbus"])
+def test_a_hand_set_has_the_boat_above_a_console_that_never_stops_commanding_and_the_logs_repeat_it(protocol, tmp_path):
+    with afloat_with(protocol, tmp_path) as afloat:
+        receiver, console = afloat.receiver, afloat.console
+        afloat.until(lambda state: state["mode"] == "heading")
+        assert afloat.ask()["operator"] == "console 250"
 
-    receiver.pulses_us = TAKEN
-    afloat.until(lambda state: (state["mode"], state["operator"]) == ("manual", "hand-set"))
-    before = console.rejected
-    afloat.waits(lambda: console.rejected > before + 5)
-    afloat.waits(lambda: console.owner == BOAT)
-    assert "hand-set commands" in console.texts
-    assert any(HELD_BY_HAND[:30] in text for text in console.texts)
-    afloat.thrusts(0.0)
-    receiver.pulses_us = TAKEN | AHEAD
-    afloat.thrusts(1.0)
-    assert afloat.ask()["mode"] == "manual"
+        receiver.pulses_us = TAKEN
+        afloat.until(lambda state: (state["mode"], state["operator"]) == ("manual", "hand-set"))
+        before = console.rejected
+        afloat.waits(lambda: console.rejected > before + 5)
+        afloat.waits(lambda: console.owner == BOAT)
+        assert "hand-set commands" in console.texts
+        assert any(HELD_BY_HAND[:30] in text for text in console.texts)
+        afloat.thrusts(0.0)
+        receiver.pulses_us = TAKEN | AHEAD
+        afloat.thrusts(1.0)
+        assert afloat.ask()["mode"] == "manual"
 
-    console.is_silent = True
-    receiver.has_radio = False  # positions go on (SBUS) or stop (CRSF)
-    state = afloat.until(lambda state: state["reason"].startswith("no thrust: hand-set lost: "))
-    assert state["operator"] == ""
-    afloat.thrusts(0.0)
-    receiver.has_radio = True
-    afloat.until(lambda state: state["operator"] == "hand-set")
-    afloat.thrusts(0.0)
-    receiver.pulses_us = TAKEN
-    afloat.until(lambda state: not state["handset"]["throttle"])
-    receiver.pulses_us = TAKEN | AHEAD
-    afloat.thrusts(1.0)
-    receiver.is_cut = True
-    afloat.until(lambda state: state["reason"] == "no thrust: hand-set silent")
-    afloat.until(lambda state: state["mode"] == "idle" and state["reason"].startswith("no manual command for "))
+        console.is_silent = True
+        receiver.has_radio = False  # positions go on (SBUS) or stop (CRSF)
+        state = afloat.until(lambda state: state["reason"].startswith("no thrust: hand-set lost: "))
+        assert state["operator"] == ""
+        afloat.thrusts(0.0)
+        receiver.has_radio = True
+        afloat.until(lambda state: state["operator"] == "hand-set")
+        afloat.thrusts(0.0)
+        receiver.pulses_us = TAKEN
+        afloat.until(lambda state: not state["handset"]["throttle"])
+        receiver.pulses_us = TAKEN | AHEAD
+        afloat.thrusts(1.0)
+        receiver.is_cut = True
+        afloat.until(lambda state: state["reason"] == "no thrust: hand-set silent")
+        afloat.until(lambda state: state["mode"] == "idle" and state["reason"].startswith("no manual command for "))
 
-    receiver.is_cut, receiver.pulses_us, console.is_silent = False, FREE, False
-    afloat.until(lambda state: state["mode"] == "heading")
-    receiver.pulses_us = FREE | {KILL: 2000.0}
-    afloat.until(lambda state: (state["mode"], state["reason"]) == ("idle", "kill: hand-set: its kill switch"))
-    with pytest.raises(Refused, match="hand-set still says kill; release it first"):
+        receiver.is_cut, receiver.pulses_us, console.is_silent = False, FREE, False
+        afloat.until(lambda state: state["mode"] == "heading")
+        receiver.pulses_us = FREE | {KILL: 2000.0}
+        afloat.until(lambda state: (state["mode"], state["reason"]) == ("idle", "kill: hand-set: its kill switch"))
+        with pytest.raises(Refused, match="hand-set still says kill; release it first"):
+            afloat.ask("clear")
+        receiver.pulses_us = FREE
+        afloat.until(lambda state: not state["killed"]["held"])
+        before = console.rejected
+        afloat.waits(lambda: console.rejected > before + 5)
+        assert afloat.ask()["mode"] == "idle"
+        console.is_silent = True
         afloat.ask("clear")
-    receiver.pulses_us = FREE
-    afloat.until(lambda state: not state["killed"]["held"])
-    before = console.rejected
-    afloat.waits(lambda: console.rejected > before + 5)
-    assert afloat.ask()["mode"] == "idle"
-    console.is_silent = True
-    afloat.ask("clear")
-    afloat.until(lambda state: not state["killed"]["reason"])
+        afloat.until(lambda state: not state["killed"]["reason"])
 
     repeated = subprocess.run(
         [sys.executable, "-m", "delfim", "log", "replay", str(tmp_path / "log")],

@@ -163,7 +163,10 @@ def chip(place: Path, *channels: int) -> Path:
 
 
 def pulse_us(place: Path, channel: int) -> int:
-    return int((place / f"pwm{channel}/duty_cycle").read_text().splitlines()[0]) // 1000
+    """A file is empty for a moment while it is written; an attribute of the kernel is not."""
+    while not (lines := (place / f"pwm{channel}/duty_cycle").read_text().splitlines()):
+        pass
+    return int(lines[0]) // 1000
 
 
 def test_channels_of_the_kernel_start_with_neutral(tmp_path: Path) -> None:
