@@ -325,7 +325,7 @@ class Sea:
 
     def nothing_amiss(self) -> None:
         """Nothing was missing on the page, and it asked nobody but the gateway."""
-        assert self.page.complaints == []
+        assert not self.page.complaints, self.page.complaints
         url = self.url.partition("?")[0]
         own = "data:", "about:", url, url.replace("http", "ws")
         assert [each for each in self.page.requests if not each.startswith(own)] == []
