@@ -149,6 +149,7 @@ def process(tmp_path: Path, name: str) -> int:
     return int(json.loads((tmp_path / "supervisor.json").read_text())["programs"][name]["pid"])
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("driver", MOTORS)
 def test_motors_are_commanded_and_limited_and_stopped_by_the_dead_man(tmp_path: Path, driver: str) -> None:
     with afloat(tmp_path, driver) as (motors, command):
@@ -163,6 +164,7 @@ def test_motors_are_commanded_and_limited_and_stopped_by_the_dead_man(tmp_path: 
             assert time.monotonic() < deadline_s
 
 
+@pytest.mark.long
 def test_pulses_stop_at_the_death_of_the_runtime_and_of_the_outlet_and_go_on_when_both_are_back(tmp_path: Path) -> None:
     with afloat(tmp_path, "pwm") as (motors, command):
         for name in ("runtime", "outlet"):

@@ -158,6 +158,7 @@ def afloat_with(protocol: str, tmp_path: Path) -> Iterator[Afloat]:
     console.socket.close()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("protocol", ["crsf", "sbus"])
 def test_a_hand_set_has_the_boat_above_a_console_that_never_stops_commanding_and_the_logs_repeat_it(protocol, tmp_path):
     with afloat_with(protocol, tmp_path) as afloat:

@@ -125,6 +125,7 @@ def replayed(tmp_path: Path) -> str:
     return subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, timeout=120, cwd=ROOT).stdout
 
 
+@pytest.mark.long
 def test_a_gnss_receiver_and_a_compass_on_two_ports_sail_the_boat(tmp_path):
     gnss, compass = Pty(tmp_path / "gnss"), Pty(tmp_path / "compass")
 
@@ -226,6 +227,7 @@ def test_the_boat_tells_other_instruments_where_it_is(tmp_path):
     assert (last.latitude, last.longitude) == pytest.approx((state["latitude_deg"], state["longitude_deg"]), abs=1e-4)
 
 
+@pytest.mark.long
 def test_gpsd_for_the_receiver_and_datagrams_for_the_compass_sail_the_boat(tmp_path, gpsd):
     receiver, number = gpsd
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as compass:

@@ -197,6 +197,7 @@ def test_in_lock_step_the_example_sails_the_same_run_twice_byte_for_byte(languag
     assert runs[0] == runs[1]
 
 
+@pytest.mark.long
 @in_both_languages
 def test_the_example_of_the_documentation_sails_the_whole_suite(language, tmp_path):
     settings = {"simulation.interface": f'"canloop:{language}-{os.getpid()}"', "guest.enabled": "false"}
