@@ -164,7 +164,7 @@ class Can(Table, frozen=True):
             raise ValueError(f"frames of vehicle {self.vehicle:#04x} would be commands to propellers or nodes")
 
 
-ESTIMATED = frozenset({"nmea2000"})  # sources that hand their sensors over one by one (docs/estimator.md)
+ESTIMATED = frozenset({"nmea0183", "nmea2000"})  # sources that hand their sensors over one by one (docs/estimator.md)
 
 
 class NavigationTable(Table, frozen=True):

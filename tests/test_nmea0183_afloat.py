@@ -126,7 +126,8 @@ def replayed(tmp_path: Path) -> str:
 
 
 @pytest.mark.long
-def test_a_gnss_receiver_and_a_compass_on_two_ports_sail_the_boat(tmp_path):
+@pytest.mark.parametrize(("estimator", "silent"), [("false", "navigation silent"), ("true", "position silent")])
+def test_a_gnss_receiver_and_a_compass_on_two_ports_sail_the_boat(tmp_path, estimator, silent):
     gnss, compass = Pty(tmp_path / "gnss"), Pty(tmp_path / "compass")
 
     def say(n: Navigation) -> None:
@@ -134,8 +135,8 @@ def test_a_gnss_receiver_and_a_compass_on_two_ports_sail_the_boat(tmp_path):
         with contextlib.suppress(OSError):  # pulled out
             gnss.say(gga(n) + rmc(n))
 
-    sensors = 'sensors.names=["sysstat", "nmea0183"]'
-    with at_sea(tmp_path, say, *port("gnss", gnss.name), *port("compass", compass.name, 4800), sensors) as sea:
+    more = ('sensors.names=["sysstat", "nmea0183"]', f"navigation.estimator={estimator}")
+    with at_sea(tmp_path, say, *port("gnss", gnss.name), *port("compass", compass.name, 4800), *more) as sea:
         sea.sail("heading", heading_deg=90.0, speed_mps=1.0)
         state = sea.until(lambda s: s["speed_mps"] and s["speed_mps"] > 0.7 and abs(s["heading_deg"] - 90.0) < 10.0)
         assert state["source"] == "nmea0183"
@@ -147,7 +148,7 @@ def test_a_gnss_receiver_and_a_compass_on_two_ports_sail_the_boat(tmp_path):
 
         gnss.pull()
         state = sea.until(lambda s: s["mode"] == "idle")
-        assert "navigation silent" in state["reason"]
+        assert silent in state["reason"]
         name = "-".join(("", *gnss.name.parts[1:]))
         assert sea.until(lambda s: s[name]["trouble"])[name]["trouble"] == "No such file or directory"
         cycle = sea.asked()["cycle"]

@@ -1,6 +1,7 @@
 """Navigation from NMEA 0183 sentences: each kind of data has its talker and its age (docs/nmea0183.md)."""
 
 import math
+from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from delfim import config
@@ -75,6 +76,7 @@ class Combined:
         self._ranks = dict[tuple[str, str], tuple[int, float]]()  # by talker and kind: of the best sentence, and its time
         self._receivers = dict[str, Instants]()
         self._counter = self.strangers = self.repeated = 0
+        self.hearer: Callable[[str, tuple[float, ...], int], None] | None = None  # gets each value of a chosen talker
 
     def take(self, port: str, sentence: Sentence, now_s: float) -> Navigation | None:
         """A message for the vehicle when this sentence completes a position of the chosen talker. Never raises."""
@@ -99,6 +101,7 @@ class Combined:
                 self._heading(talker, message, now_s)
             case Turning(rate_radps):
                 self._put("rate", talker, rate_radps, now_s)
+                self._tell("rate", talker, None if rate_radps is None else (rate_radps,), now_s)
             case DateTime(utc_ns):
                 self._set_time(talker, utc_ns, now_s)
             case ActiveSatellites(dimensions):
@@ -120,6 +123,11 @@ class Combined:
 
     def _put(self, kind: str, talker: str, value: object, now_s: float) -> None:
         self._newest[kind].put(talker, value, now_s)
+
+    def _tell(self, kind: str, talker: str, value: tuple[float, ...] | None, now_s: float) -> None:
+        """Hand a value over, if it is of the talker that is chosen for its kind."""
+        if self.hearer is not None and value is not None and self._newest[kind].choose(now_s) == talker:
+            self.hearer(kind, value, 0)
 
     def _measure(self, kind: str, talker: str, values: dict[str, float], now_s: float) -> None:
         self._put(kind, talker, True, now_s)
@@ -149,6 +157,7 @@ class Combined:
         if heading_rad is None and b.magnetic_rad is not None:
             heading_rad = (b.magnetic_rad + self._variation(talker, now_s)) % math.tau
         self._put("heading", talker, heading_rad, now_s)
+        self._tell("heading", talker, None if heading_rad is None else (heading_rad,), now_s)
 
     def _attitude(self, talker: str, measurements: tuple[Measurement, ...], now_s: float) -> None:
         """(roll_rad, pitch_rad) of the transducers that the file names."""
@@ -166,7 +175,9 @@ class Combined:
         """Position and velocity; the message, when an instant of the chosen receiver is complete."""
         movement = said if isinstance(said, Movement) else said.movement
         if movement is not None:
-            self._put("velocity", talker, self._over_ground(talker, movement, now_s), now_s)
+            velocity = self._over_ground(talker, movement, now_s)
+            self._put("velocity", talker, velocity, now_s)
+            self._tell("velocity", talker, velocity, now_s)
         located = said if isinstance(said, Located) else None
         if located is not None:
             if self._outranked("position", talker, int(formatter == "GLL"), now_s, True):
@@ -199,6 +210,7 @@ class Combined:
         newest["position"].put(talker, position, now_s)
         if (newest["position"].choose(now_s) or self._talking.choose(now_s)) != talker:
             return None
+        self._tell("position", talker, position, now_s)
         quality = newest["quality"].of(talker, now_s) or _UNTOLD
         satellites = newest["dimensions"].of(talker, now_s) or ActiveSatellites(None, None)
         fix = 2 if quality.fix == 3 and satellites.dimensions == 2 else quality.fix

@@ -247,3 +247,16 @@ def test_each_message_has_the_next_counter():
     boat = Boat()
     counters = [n.counter for i in range(40) for n in boat.hear(rmc(i))]
     assert all(b == a + 1 for a, b in pairwise(counters))
+
+
+def test_a_hearer_gets_each_value_of_the_chosen_talkers_as_it_comes():
+    boat, told = Boat(), list[tuple[str, int]]()
+    boat.combined.hearer = lambda kind, value, utc_ns: told.append((kind, len(value)))
+    boat.hear("HEHDT,90.0,T", "TIROT,3.0,A", port="compass")
+    boat.hear(gga(1), rmc(1))
+    boat.hear(gga(1), rmc(1))  # a frozen receiver brings no position
+    boat.hear("HEHDT,,T", "GPRMC,120002.00,V,,,,,,,221126,,,N")
+    boat.hear("HEHDT,95.0,T")  # of the receiver's port, which comes first in the file
+    boat.hear("HEHDT,96.0,T", port="compass")
+    assert [kind for kind, _ in told if kind != "velocity"] == ["heading", "rate", "position", "heading"]
+    assert dict(told) == {"heading": 1, "rate": 1, "position": 2, "velocity": 2}

@@ -1,11 +1,13 @@
 """Receivers, compasses and sounders that speak NMEA 0183, on one line or several (docs/nmea0183.md)."""
 
 import select
+from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.nmea0183.combining import Combined
 from delfim.nmea0183.framing import Sentences
+from delfim.vehicle.estimated import Hearer
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.navigation import Fix
 from delfim.vehicle.state import State
@@ -21,6 +23,18 @@ class Port(NamedTuple):
     name: str
     line: ReadableLine
     sentences: Sentences
+
+
+class Piece(NamedTuple):
+    """The data of one read."""
+
+    t_ns: int
+    port: Port
+    data: bytes
+
+
+def _when(piece: Piece) -> int:
+    return piece.t_ns
 
 
 class AnyPort:
@@ -46,23 +60,32 @@ class Nmea0183Navigation:
 
     def __init__(self, ports: tuple[Port, ...], combined: Combined) -> None:
         self.input, self._ports, self._combined = AnyPort(ports), ports, combined
-        self.heard_s = -1e9
+        self.heard_s, self.t_ns = -1e9, 0
+
+    def tell(self, hearer: Hearer) -> None:
+        self._combined.hearer = hearer
 
     def read(self, now_s: float) -> Fix | None:
         """The newest position that is complete, None while there is none. Whatever cannot be read is counted."""
         fix = None
+        for t_ns, port, data in sorted(self._waiting(), key=_when):
+            self.t_ns = t_ns
+            for sentence in port.sentences.feed(data):
+                navigation = self._combined.take(port.name, sentence, now_s)
+                if navigation is not None:
+                    fix = Fix(navigation, t_ns, now_s)
+                    self.heard_s = now_s
+        return fix
+
+    def _waiting(self) -> Iterator[Piece]:
+        """The data of all lines, which a replay reads together."""
         for port in self._ports:
             taken = 0
             while taken < BYTES_PER_READ and (data := port.line.read()):
                 taken += len(data)
                 if GREETING in data:
                     port.line.write(WATCH)
-                for sentence in port.sentences.feed(data):
-                    navigation = self._combined.take(port.name, sentence, now_s)
-                    if navigation is not None:
-                        fix = Fix(navigation, port.line.t_ns, now_s)
-                        self.heard_s = now_s
-        return fix
+                yield Piece(port.line.t_ns, port, data)
 
     def report(self, now_s: float) -> dict[str, object]:
         """Who is used for which kind of data, who talks, and what each port brought and what of it was refused."""
