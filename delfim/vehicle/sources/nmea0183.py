@@ -25,7 +25,7 @@ class Port(NamedTuple):
     sentences: Sentences
 
 
-class Piece(NamedTuple):
+class LineData(NamedTuple):
     """The data of one read."""
 
     t_ns: int
@@ -33,7 +33,7 @@ class Piece(NamedTuple):
     data: bytes
 
 
-def _when(piece: Piece) -> int:
+def _when(piece: LineData) -> int:
     return piece.t_ns
 
 
@@ -77,7 +77,7 @@ class Nmea0183Navigation:
                     self.heard_s = now_s
         return fix
 
-    def _waiting(self) -> Iterator[Piece]:
+    def _waiting(self) -> Iterator[LineData]:
         """The data of all lines, which a replay reads together."""
         for port in self._ports:
             taken = 0
@@ -85,7 +85,7 @@ class Nmea0183Navigation:
                 taken += len(data)
                 if GREETING in data:
                     port.line.write(WATCH)
-                yield Piece(port.line.t_ns, port, data)
+                yield LineData(port.line.t_ns, port, data)
 
     def report(self, now_s: float) -> dict[str, object]:
         """Who is used for which kind of data, who talks, and what each port brought and what of it was refused."""
