@@ -5,34 +5,49 @@ describe them, address 0 starboard and 1 port.
 """
 
 import errno
+from collections.abc import Callable
 from typing import Final
 
 from delfim import config
 from delfim.nmea0183.proprietary import FieldReader
 from delfim.vehicle.links import ReadableLine
-from delfim.vehicle.state import State
+from delfim.vehicle.state import Actuation, State
 
 STOPS: Final = 10  # cycles in which a stop is said; then silence, so that the boat's own remote control can have it
+
+
+class SeatSide:
+    """A row of the vehicle's file: one side of the boat."""
+
+    def __init__(self, index: int, row: config.ThrusterTable) -> None:
+        self.index, self.name, self.sign = index, row.name, -1.0 if row.reversed else 1.0
+
+    def effort(self, sent: Actuation) -> float:
+        """Positive ahead, as its motor is mounted."""
+        return self.sign * sent.thrust[self.index]
 
 
 class FrontSeatLine:
     """What is said, and what is heard."""
 
-    def __init__(self, name: str, line: ReadableLine, stop: bytes) -> None:
-        """`stop` is the sentence that stops the boat."""
+    def __init__(self, name: str, sides: tuple[SeatSide, SeatSide], line: ReadableLine, stop: bytes) -> None:
+        """`sides` are starboard and port; `stop` is the sentence that stops the boat."""
         self._line, self._name, self._stop = line, name, stop
+        self._starboard, self._port = sides
         self._reader, self._stops_left = FieldReader(), 0
 
-    def say(self, words: bytes | None) -> bool:
-        """A command; None: stop. False where the line did not take it. Before the first command nothing is said: somebody else
-        may be driving."""
-        if words is None:
-            if self._stops_left == 0:
-                return True
+    def send(self, sent: Actuation, words: Callable[[float, float], bytes]) -> int:
+        """A command, or a stop; returns how many rows' commands the line did not take. `words` makes a sentence of the efforts
+        of starboard and port. Before the first command nothing is said: somebody else may be driving."""
+        if sent.run:
+            self._stops_left = STOPS
+            said = words(self._starboard.effort(sent), self._port.effort(sent))
+        elif self._stops_left == 0:
+            return 0
+        else:
             self._stops_left -= 1
-            return self._line.write(self._stop)
-        self._stops_left = STOPS
-        return self._line.write(words)
+            said = self._stop
+        return 0 if self._line.write(said) else 2
 
     def stop(self) -> None:
         """Raises OSError."""
@@ -47,13 +62,6 @@ class FrontSeatLine:
         if self._reader.malformed > before:
             state.count(f"{self._name}_malformed", self._reader.malformed - before)
         return found
-
-
-class SeatSide:
-    """A row of the vehicle's file: one side of the boat."""
-
-    def __init__(self, index: int, row: config.ThrusterTable) -> None:
-        self.index, self.name, self.sign = index, row.name, -1.0 if row.reversed else 1.0
 
 
 def sides(settings: config.Vehicle, driver: str) -> tuple[SeatSide, SeatSide]:

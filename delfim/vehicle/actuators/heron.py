@@ -25,14 +25,10 @@ class Heron:
     def __init__(self, starboard: SeatSide, port: SeatSide, line: ReadableLine) -> None:
         self._starboard, self._port = starboard, port
         self.input, self.inputs = line, (self,)
-        self._seat = FrontSeatLine(self.name, line, STILL)
+        self._seat = FrontSeatLine(self.name, (starboard, port), line, STILL)
 
     def send(self, sent: Actuation, now_s: float) -> int:
-        if not sent.run:
-            return 0 if self._seat.say(None) else 2
-        starboard = self._starboard.sign * sent.thrust[self._starboard.index]
-        port = self._port.sign * sent.thrust[self._port.index]
-        return 0 if self._seat.say(framed(f"PYDIR,{100.0 * port:.1f},{100.0 * starboard:.1f}")) else 2
+        return self._seat.send(sent, _sentence)
 
     def repeat(self, now_s: float) -> int:
         return 0
@@ -57,6 +53,10 @@ class Heron:
 
     def report(self) -> dict[str, object]:
         return {}
+
+
+def _sentence(starboard: float, port: float) -> bytes:
+    return framed(f"PYDIR,{100.0 * port:.1f},{100.0 * starboard:.1f}")
 
 
 def _voltage_v(values: list[str]) -> float | None:

@@ -30,18 +30,14 @@ class ArduRover:
         self.input, self.inputs, self._line = line, (self,), line
         self._codec: Any = dialect.MAVLink(None, table.system, dialect.MAV_COMP_ID_MISSIONPLANNER)
         self._codec.robust_parsing = True  # noise is a message of its own, and raises nothing
-        self._seat = FrontSeatLine(self.name, line, self._packed(0.0, 0.0))
+        self._seat = FrontSeatLine(self.name, (starboard, port), line, self._packed(0.0, 0.0))
         self._ticks = 0
         self._faults: tuple[str, ...] = ("not heard yet",)
         self._voltage_v: float | None = None
         self._current_a: float | None = None
 
     def send(self, sent: Actuation, now_s: float) -> int:
-        if not sent.run:
-            return 0 if self._seat.say(None) else 2
-        starboard = self._starboard.sign * sent.thrust[self._starboard.index]
-        port = self._port.sign * sent.thrust[self._port.index]
-        return 0 if self._seat.say(self._packed((starboard + port) / 2.0, (port - starboard) / 2.0)) else 2
+        return self._seat.send(sent, lambda starboard, port: self._packed((starboard + port) / 2.0, (port - starboard) / 2.0))
 
     def repeat(self, now_s: float) -> int:
         """Its heartbeat, as a ground station, whose loss is its own failsafe; commands come often enough without."""

@@ -25,17 +25,12 @@ class Otter:
     def __init__(self, starboard: SeatSide, port: SeatSide, line: ReadableLine) -> None:
         self._starboard, self._port = starboard, port
         self.input, self.inputs = line, (self,)
-        self._seat = FrontSeatLine(self.name, line, ABORT)
+        self._seat = FrontSeatLine(self.name, (starboard, port), line, ABORT)
         self._mode, self._fuel, self._error, self._error_s = "", "", "", -TROUBLE_S
         self._power_w: float | None = None
 
     def send(self, sent: Actuation, now_s: float) -> int:
-        if not sent.run:
-            return 0 if self._seat.say(None) else 2
-        starboard = self._starboard.sign * sent.thrust[self._starboard.index]
-        port = self._port.sign * sent.thrust[self._port.index]
-        surge, yaw = (starboard + port) / 2.0, (port - starboard) / 2.0  # its mixer: port = surge + yaw
-        return 0 if self._seat.say(framed(f"PMARMAN,{surge:.3f},0.000,{yaw:.3f}")) else 2
+        return self._seat.send(sent, _sentence)
 
     def repeat(self, now_s: float) -> int:
         return 0
@@ -70,6 +65,11 @@ class Otter:
         for side, rpm, temperature_c in ((self._starboard, starboard_rpm, starboard_c), (self._port, port_rpm, port_c)):
             turns = None if rpm is None else side.sign * rpm
             state.thrusters[side.name] = ThrusterReport(now_s, turns, temperature_c=temperature_c, faults=faults)
+
+
+def _sentence(starboard: float, port: float) -> bytes:
+    surge, yaw = (starboard + port) / 2.0, (port - starboard) / 2.0  # its mixer: port = surge + yaw
+    return framed(f"PMARMAN,{surge:.3f},0.000,{yaw:.3f}")
 
 
 def open_actuator(settings: config.Vehicle, links: Links) -> Otter:
