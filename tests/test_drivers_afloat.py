@@ -78,7 +78,7 @@ class SeatMotors:
                 data = b""
             if data:
                 self._seat.hear(data, time.monotonic())
-                each.sendall(self._seat.report())
+                each.sendall(self._seat.report(time.monotonic()))
             else:
                 self.present.remove(each)
         return self._seat.efforts(time.monotonic())

@@ -13,7 +13,7 @@ from delfim.nmea0183.proprietary import FieldReader
 from delfim.vehicle.links import ReadableLine
 from delfim.vehicle.state import Actuation, State
 
-STOPS: Final = 10  # cycles in which a stop is said; then silence, so that the boat's own remote control can have it
+STOPS: Final = 10  # times that a stop is said and taken; then silence, so that the boat's own remote control can have it
 
 
 class SeatSide:
@@ -45,9 +45,12 @@ class FrontSeatLine:
         elif self._stops_left == 0:
             return 0
         else:
-            self._stops_left -= 1
             said = self._stop
-        return 0 if self._line.write(said) else 2
+        if not self._line.write(said):
+            return 2
+        if not sent.run:
+            self._stops_left -= 1
+        return 0
 
     def stop(self) -> None:
         """Raises OSError."""

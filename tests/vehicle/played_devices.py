@@ -15,11 +15,12 @@ FULL = {0: 0.95e5, 1: 20e3, 3: 1500.0 * 7}  # of a VESC's commands, as the tests
 
 
 class PlayedVesc:
-    """A controller: duty, current or speed, electrical; released when it hears nothing for its time-out."""
+    """A controller: duty, current or speed, electrical; released when it hears nothing for its time-out. `slip_rpm` is missing
+    in what it reports."""
 
     def __init__(self, controller: int, timeout_s: float = 0.5) -> None:
         self.controller, self.timeout_s = controller, timeout_s
-        self.heard_s, self._effort = NEVER, 0.0
+        self.heard_s, self.slip_rpm, self._effort = NEVER, 0.0, 0.0
 
     def hear(self, identifier: int, data: bytes, now_s: float) -> None:
         kind, controller = identifier >> 8, identifier & 0xFF
@@ -32,7 +33,7 @@ class PlayedVesc:
 
     def status(self, now_s: float) -> list[tuple[int, bytes]]:
         """Status 1, 4 and 5: identifier, data. 31.4 degrees, 5.5 A out of the battery, 24.1 V."""
-        rpm, duty = round(self.effort(now_s) * 10_500), round(self.effort(now_s) * 950)
+        rpm, duty = round(self.effort(now_s) * 10_500 - 7.0 * self.slip_rpm), round(self.effort(now_s) * 950)
         return [
             (9 << 8 | self.controller, struct.pack(">ihh", rpm, 120, duty)),
             (16 << 8 | self.controller, struct.pack(">hhhh", 314, -990, 55, 0)),
@@ -41,10 +42,11 @@ class PlayedVesc:
 
 
 class PlayedSeat:
-    """An Otter or a Heron: it obeys PMARMAN for 3 s, and PYDIR for as long as it likes."""
+    """An Otter or a Heron: it obeys PMARMAN for 3 s, and PYDIR for as long as it likes. `slip_rpm` is missing in what the
+    starboard motor of the Otter reports."""
 
     def __init__(self, timeout_s: float) -> None:
-        self.timeout_s, self.refused, self.said = timeout_s, 0, list[str]()
+        self.timeout_s, self.refused, self.slip_rpm, self.said = timeout_s, 0, 0.0, list[str]()
         self._heard_s, self._efforts, self._rest = NEVER, (0.0, 0.0), b""
 
     def hear(self, data: bytes, now_s: float) -> None:
@@ -68,11 +70,11 @@ class PlayedSeat:
         """Starboard and port, of full."""
         return self._efforts if now_s - self._heard_s <= self.timeout_s else (0.0, 0.0)
 
-    def report(self) -> bytes:
-        """What both boats say of their motors: 400 and -300 revolutions, 21 and 22 degrees, 15.2 V."""
-        return b"".join(
-            map(framed, ("PMAROTR,-300,400,22.0,21.0,50,60,110,2", "PMARMOD,M,87", "CPRBS,134213.686,1,15.2,15.1,15.3,0"))
-        )
+    def report(self, now_s: float) -> bytes:
+        """What both boats say of their motors: revolutions, 1500 at full effort, 21 and 22 degrees, 15.2 V."""
+        starboard, port = (round(1500.0 * each) for each in self.efforts(now_s))
+        turns = f"PMAROTR,{port},{starboard - self.slip_rpm:.0f},22.0,21.0,50,60,110,2"
+        return b"".join(map(framed, (turns, "PMARMOD,M,87", "CPRBS,134213.686,1,15.2,15.1,15.3,0")))
 
 
 class PlayedRover:

@@ -19,6 +19,7 @@ from delfim.modes import Mode
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.slices import Sliced
 from delfim.vehicle import console, fence
+from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
@@ -107,6 +108,8 @@ class Sensors:
 class Boat:
     """A vehicle in a mode, its propellers at some thrust already, and the list of all it sends."""
 
+    settings = SETTINGS
+
     def __init__(self, mode: Mode, rpm: float, *, armed: bool = True) -> None:
         self.clock = ManualClock()
         bus = LockstepBus(self.clock)
@@ -114,8 +117,8 @@ class Boat:
         self.world.bind(ANYTHING)
         self.state, self.source, self.log = State(), Sensors(bus.socket()), NoLog()
         outlet, guest = bus.socket(), Guest(self.state, self.clock)
-        propulsion = Propulsion((Propellers(SETTINGS, outlet),), outlet, SETTINGS.thrusters, self.state)
-        self.vehicle = VehicleLoop(SETTINGS, self.clock, self.state, (self.source,), propulsion, guest, self.log)
+        propulsion = Propulsion((self.open(outlet),), outlet, self.settings.thrusters, self.state)
+        self.vehicle = VehicleLoop(self.settings, self.clock, self.state, (self.source,), propulsion, guest, self.log)
         self.report("none")
         self.vehicle.on_navigation(self.source)
         state = self.state
@@ -131,14 +134,15 @@ class Boat:
         self.hear(0.0)
         self.sent = [(0.0, rpm, -rpm)]
 
+    def open(self, outlet: CanSocket) -> Actuator:
+        return Propellers(self.settings, outlet)
+
     def report(self, trouble: str) -> None:
         """All nodes, as if they had spoken just now."""
-        now_s, well, sent = self.clock.monotonic_s(), (Status.GOOD, Fault(0)), self.state.actuation
+        now_s, well = self.clock.monotonic_s(), (Status.GOOD, Fault(0))
         gps = (Status.BAD, Fault.HARDWARE) if trouble == "sensor_bad" else well
         charge = 0.05 if trouble == "battery_critical" else 0.9
-        starboard, port = (RPM_MAX * part for part in sent.thrust)
-        starboard -= 1000.0 if trouble == "thruster" else 0.0
-        self.state.thrusters = {"starboard": ThrusterReport(now_s, starboard), "port": ThrusterReport(now_s, port)}
+        starboard, port = self.turn(now_s, trouble)
         self.state.sysstat = {
             "gps": (GpsStatus(*gps, 3, 9, 0.9, 0), now_s),
             "propeller_starboard": (PropellerStatus(*well, round(starboard), 1.0, 20, 0), now_s),
@@ -146,6 +150,13 @@ class Boat:
             "batteries_starboard": (BatteriesStatus(*well, 48.0, 1.0, 0.9, 20), now_s),
             "batteries_port": (BatteriesStatus(*well, 48.0, 1.0, charge, 20), now_s),
         }
+
+    def turn(self, now_s: float, trouble: str) -> tuple[float, float]:
+        """The thrusters report their revolutions, which are these."""
+        starboard, port = (RPM_MAX * part for part in self.state.actuation.thrust)
+        starboard -= 1000.0 if trouble == "thruster" else 0.0
+        self.state.thrusters = {"starboard": ThrusterReport(now_s, starboard), "port": ThrusterReport(now_s, port)}
+        return starboard, port
 
     def pass_time(self, age_s: float, trouble: str) -> None:
         """SECONDS of cycles, watchdogs and words, without navigation for the last `age_s`."""
@@ -158,7 +169,7 @@ class Boat:
         if trouble == "gnss_poor":
             self.source.says = self.source.says._replace(satellites=3)
         if trouble == "fence":
-            self.vehicle.helm.plans.fence = Sliced(fence.survey(SETTINGS.fence, AHEAD, self.state.origin)).finish()
+            self.vehicle.helm.plans.fence = Sliced(fence.survey(self.settings.fence, AHEAD, self.state.origin)).finish()
         for tick in range(1, ticks + 1):
             self.clock.advance(0.1)
             now_s = self.clock.monotonic_s()
