@@ -87,7 +87,8 @@ def voyage(folder: Path, bus: str) -> None:
         while not (state["thrusters"]["starboard"].get("rpm") and state["thrusters"]["port"].get("rpm")):
             state = asked(command, "manual", starboard=0.5, port=-0.25)
         assert state["thrusters"]["starboard"]["rpm"] > 0.0 > state["thrusters"]["port"]["rpm"]
-        assert state["dronecan"]["errors"] == {}
+        errors = state["dronecan"]["errors"]
+        assert not errors.keys() - {"start lost"}, errors  # the boat may begin to listen in the middle of a controller's word
         with urllib.request.urlopen(f"http://127.0.0.1:{PAGE}/api/state") as page:
             shown = json.load(page)["vehicle"]["thrusters"]
         assert shown["starboard"]["voltage_v"] == 24.0

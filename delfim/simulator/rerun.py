@@ -8,7 +8,7 @@ because the loop remembers: integrators, ramps, the driven track. The order of i
 
 import heapq
 from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, Final, NamedTuple
 
@@ -124,11 +124,11 @@ class Rerun:
     """The loop, its inputs on in-memory buses and lines, and its output. Output within `span` is compared."""
 
     def __init__(
-        self, settings: config.Vehicle, recorded: Iterable[BusInput], start_s: float, first_ns: int, span: Span
+        self, settings: config.Vehicle, recorded: Iterable[BusInput], start: Mapping[str, Any], first_ns: int, span: Span
     ) -> None:
-        """`start_s` is the monotonic time of the start, `first_ns` the kernel's stamp of the first message that was used."""
+        """`start` is the event of the start, `first_ns` the kernel's stamp of the first message that was used."""
         self.clock, self.log, self.state = Recalled(), NoLog(), State()
-        self.clock.now_s = start_s
+        self.clock.now_s, self.clock.now_ns = start["monotonic_s"], start["t_ns"]  # the first inputs' stamps count from here
         self._interface = device(settings.can.interface)
         self._buses, self._world = dict[str, LockstepBus](), dict[str, CanSocket]()  # by the names of their logs
         self._lines = dict[str, LockstepLine]()
@@ -181,7 +181,7 @@ class Rerun:
 
     def _deliver(self, heard: BusInput) -> None:
         name, t_ns, what = heard
-        self.clock.now_s += (t_ns - self.clock.now_ns) / 1e9 if self.clock.now_ns else 0.0
+        self.clock.now_s += (t_ns - self.clock.now_ns) / 1e9
         self.clock.now_ns = t_ns
         if isinstance(what, bytes):
             if name in self._lines:
@@ -216,7 +216,7 @@ class Rerun:
         """A propulsion command outside a cycle: a check of the watchdog in idle, or the end."""
         t_ns, group = self.recorded[0]
         self.feed(t_ns)
-        self.clock.now_s += (t_ns - self.clock.now_ns) / 1e9 if self.clock.now_ns else 0.0
+        self.clock.now_s += (t_ns - self.clock.now_ns) / 1e9
         self.clock.now_ns = t_ns
         self.vehicle.on_watchdog()
         if not self._compare(t_ns):
@@ -304,7 +304,7 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     boxes = [file for file in files if file.suffix.startswith(".log")]
     if device(settings.can.interface) not in {file.id for file in boxes}:
         raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
-    run = Rerun(settings, _heard(boxes, files), starts[0]["monotonic_s"], int(columns["t0"][0]), span)
+    run = Rerun(settings, _heard(boxes, files), starts[0], int(columns["t0"][0]), span)
     due = sorted([*_cycles(columns), *_commands(told), *_looks(columns, told)], key=lambda each: each.t_ns)
     ended = any(event["event"] == "end" for event in told)
     if not ended:

@@ -277,7 +277,8 @@ def test_without_the_vehicle_the_programs_run_and_the_page_says_so(tmp_path: Pat
 
 def test_the_vehicle_itself_starts_no_programs(tmp_path: Path) -> None:
     runtime = Runtime(vehicle_file(tmp_path, payload={"x": config.PayloadTable(command=("/bin/true",))}), SystemClock())
-    runtime.main([LoadedService("payload", payload.serve)])
+    with asyncio.Runner(loop_factory=runtime._new_loop) as runner:  # `main` would make the tests' own process a real-time one
+        runner.run(runtime.run([LoadedService("payload", payload.serve)]))
     assert "services.payload.place = 'process'" in runtime.status["payload"].reason
 
 

@@ -2,7 +2,6 @@
 
 import asyncio
 import contextlib
-import gc
 import json
 import os
 import select
@@ -461,6 +460,7 @@ def test_what_is_not_permitted_costs_one_warning_each() -> None:
 
 
 COLLECTING = """
+import gc
 async def littering(runtime):
     print(json.dumps([gc.isenabled(), gc.get_freeze_count() > 10000]))
     for i in range(20):
@@ -477,4 +477,3 @@ Runtime(SETTINGS, SystemClock()).main([LoadedService("littering", littering)])
 def test_garbage_is_collected_by_the_loop_and_not_by_the_interpreter() -> None:
     end = in_a_process(COLLECTING)
     assert end.stdout == "[false, true]\n[true, true]\n", end.stderr
-    assert gc.isenabled()

@@ -18,6 +18,7 @@ from delfim.logging.candump import format_line, parse_line
 from delfim.logging.openlog import open_log
 from delfim.logging.reading import read_log
 from delfim.logging.table import frames, table
+from delfim.modes import Mode
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.rerun import rerun
 from delfim.vehicle import console
@@ -266,3 +267,22 @@ def test_a_boat_with_nmea_2000_sensors_is_repeated(tmp_path, more):
     assert result.exact, result.text()
     assert result.cycles > 100
     assert result.frames > 400
+
+
+@pytest.mark.parametrize("late_s", [0.45, 0.62, 0.79])
+def test_the_instant_at_which_a_position_is_too_old_is_repeated_however_late_the_sensors_begin(tmp_path, late_s):
+    """Its age counts from the first frame, which need not come with the start."""
+    rows = gzip.decompress(RECORDING.read_bytes()).decode().splitlines()
+    frames = [parse_line(row)[1] for row in rows if row.startswith("(")]
+    boat = Sensors(tmp_path, "navigation.estimator=true", "navigation.rate_hz=20.0")
+    boat.clock.advance(late_s)
+    boat.sail(frames[:800])
+    boat.command(console.Heading(90.0, 1.0))
+    boat.sail(frames[800:1200])
+    positions = (129025, 129029)
+    boat.sail([frame for frame in frames[1200:1600] if frame.arb >> 11 & 0x1FFFF not in positions])
+    assert boat.state.mode is Mode.IDLE
+    boat.sail(frames[1600:])
+    boat.end()
+    result = rerun([file for file in logged(tmp_path) if file.id in ("state", "n2k", "lockstep")], None)
+    assert result.exact, result.text()
