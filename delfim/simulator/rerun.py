@@ -6,10 +6,8 @@ the last words of console and guest in the state log; commands and settings in i
 because the loop remembers: integrators, ramps, the driven track. The order of inputs within a few microseconds is not recorded.
 """
 
-import heapq
 from collections import deque
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, Final, NamedTuple
 
 import msgspec
@@ -17,13 +15,12 @@ import msgspec
 from delfim import config, tables
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import DelfimError
-from delfim.frames import Frame
 from delfim.logging import tree
 from delfim.logging.blackbox import device
-from delfim.logging.linelog import SUFFIX, line_id, pieces
+from delfim.logging.linelog import line_id
 from delfim.logging.reading import MOMENT_MAX_S
 from delfim.logging.summary import utc
-from delfim.logging.table import frames, table
+from delfim.logging.table import table
 from delfim.logging.tree import ALWAYS, LogFile, Span
 from delfim.messages import (
     BATTERIES_PORT,
@@ -34,6 +31,19 @@ from delfim.messages import (
 from delfim.serialform import Form
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
+from delfim.simulator.recorded import (
+    NEVER_S,
+    BusInput,
+    Contact,
+    Due,
+    GuestReference,
+    commands,
+    cycles,
+    first_ns,
+    heard,
+    looks,
+    words_of,
+)
 from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
@@ -41,12 +51,9 @@ from delfim.vehicle.loop import LOCAL, REPEAT_S
 from delfim.vehicle.state import NoLog, State
 
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
-TICK_S: Final = 0.1  # of the watchdog; checks without a recorded time are put in between
 LATER_NS: Final = 50_000_000  # the black box may stamp a frame this much later than the vehicle
 SHOWN: Final = 10  # differences shown
-NEVER_S: Final = -1e8
 MOMENTS: Final = ("monotonic_s", "watchdog_s", "console_s", "guest_s")  # columns
-SILENT_MAX_S: Final = 3.0 * 3600.0  # without a record, in all
 
 Group = tuple[tuple[int, bytes], ...]  # the frames of one command of the propellers
 
@@ -75,38 +82,6 @@ class RerunResult(NamedTuple):
         return "\n".join([*lines, *(f"  {words}" for words in self.refusals[:SHOWN])])
 
 
-class BusInput(NamedTuple):
-    """A frame of a bus, or the data of one read of a serial line."""
-
-    name: str  # of the bus or line, as in its log's name
-    t_ns: int
-    what: Frame | bytes
-
-
-class Due(NamedTuple):
-    """A recorded event of the loop."""
-
-    t_ns: int
-    kind: str  # "command", "navigation", "watchdog", "guess"
-    at_s: float  # monotonic
-    what: Any = None
-
-
-class GuestReference(NamedTuple):
-    """The guest's set point; NaN before its first."""
-
-    heading_rad: float
-    speed_mps: float
-
-
-class Contact(NamedTuple):
-    """A word of the console or the guest."""
-
-    at_s: float  # monotonic
-    key: str  # of the state: "console_s", "guest_s"
-    asked: GuestReference | None  # None: from the console
-
-
 class Recalled:
     """The clock of the recorded run."""
 
@@ -124,9 +99,14 @@ class Rerun:
     """The loop, its inputs on in-memory buses and lines, and its output. Output within `span` is compared."""
 
     def __init__(
-        self, settings: config.Vehicle, recorded: Iterable[BusInput], start: Mapping[str, Any], first_ns: int, span: Span
+        self,
+        settings: config.Vehicle,
+        recorded: Iterable[BusInput],
+        start: Mapping[str, Any],
+        first_ns: Mapping[int, int],
+        span: Span,
     ) -> None:
-        """`start` is the event of the start, `first_ns` the kernel's stamp of the first message that was used."""
+        """`start` is the event of the start, `first_ns` the stamp of the first message that was used, by source."""
         self.clock, self.log, self.state = Recalled(), NoLog(), State()
         self.clock.now_s, self.clock.now_ns = start["monotonic_s"], start["t_ns"]  # the first inputs' stamps count from here
         self._interface = device(settings.can.interface)
@@ -137,7 +117,8 @@ class Rerun:
         links = Links(self._open_bus, self._open_line)
         self.vehicle, self._reports, *_ = build(settings, self.clock, self.state, links, self.log)
         self._size = 2 * sum(row.driver == "dsor" for row in settings.thrusters)  # frames of one command
-        self._heard_ns = first_ns - round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
+        before_ns = round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
+        self._heard_ns = [(each, first_ns.get(i, 0) - before_ns) for i, each in enumerate(self.vehicle.sources)]
         self._inputs = deque[BusInput]()
         self.recorded = deque[tuple[int, Group]]()
         self._split(recorded)
@@ -158,10 +139,10 @@ class Rerun:
     def _split(self, recorded: Iterable[BusInput]) -> None:
         """Sort the vehicle's frames into groups; all others are its input."""
         group: list[tuple[int, bytes]] = []
-        for heard in recorded:
-            frame = heard.what
-            if isinstance(frame, bytes) or heard.name != self._interface or frame.arb not in COMMANDS:
-                self._inputs.append(heard)
+        for each in recorded:
+            frame = each.what
+            if isinstance(frame, bytes) or each.name != self._interface or frame.arb not in COMMANDS:
+                self._inputs.append(each)
                 continue
             if not group or frame.data[-1:] != group[-1][1][-1:]:  # the counter
                 group = []
@@ -190,8 +171,8 @@ class Rerun:
             self._world[name].sendto(what.data, CanAddress(what.arb))
         for each in self._reports:
             self.vehicle.on_sensor(each)
-        if t_ns < self._heard_ns:
-            for source in self.vehicle.sources:
+        for source, heard_ns in self._heard_ns:
+            if t_ns < heard_ns:
                 source.read(self.clock.now_s)
                 source.heard_s = NEVER_S
 
@@ -226,7 +207,7 @@ class Rerun:
     def _navigate(self, due: Due) -> None:
         """The cycle of a record. The black box may have stamped its last frame after the vehicle read it."""
         self._ask(due.what)
-        while not any(self.vehicle.on_navigation(source) for source in self.vehicle.sources):
+        while not any(self.vehicle.on_navigation(source) for source in self.vehicle.sources[due.source :]):
             if not self._inputs or self._inputs[0].t_ns > due.t_ns + LATER_NS:
                 break
             self._deliver(self._inputs.popleft())
@@ -304,12 +285,12 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     boxes = [file for file in files if file.suffix.startswith(".log")]
     if device(settings.can.interface) not in {file.id for file in boxes}:
         raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
-    run = Rerun(settings, _heard(boxes, files), starts[0], int(columns["t0"][0]), span)
-    due = sorted([*_cycles(columns), *_commands(told), *_looks(columns, told)], key=lambda each: each.t_ns)
+    run = Rerun(settings, heard(boxes, files), starts[0], first_ns(columns), span)
+    due = sorted([*cycles(columns), *commands(told), *looks(columns, told)], key=lambda each: each.t_ns)
     ended = any(event["event"] == "end" for event in told)
     if not ended:
         run.cut(int(columns["t1"][-1]))
-    spoken = deque(sorted(_words_of(columns), key=lambda word: word.at_s))
+    spoken = deque(sorted(words_of(columns), key=lambda word: word.at_s))
     for each in due:
         while spoken and spoken[0].at_s <= each.at_s:
             run.hear(spoken.popleft())
@@ -318,65 +299,6 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
     if not (run.frames or run.differences):
         raise DelfimError("the boat commanded nothing in this time")
     return RerunResult(run.state.cycles, run.frames, run.differences, run.refusals)
-
-
-def _heard(boxes: Sequence[LogFile], files: Sequence[LogFile]) -> Iterator[BusInput]:
-    """All entries of the black boxes of buses and lines, by time."""
-    of_buses = (BusInput(name, frame.t_ns, frame) for name, frame in frames(boxes))
-    of_lines = (BusInput(*piece) for piece in pieces(file for file in files if file.suffix.startswith(SUFFIX)))
-    return heapq.merge(of_buses, sorted(of_lines, key=_when), key=_when)
-
-
-def _when(heard: BusInput) -> int:
-    return heard.t_ns
-
-
-def _cycles(columns: Any) -> Iterator[Due]:
-    times = zip(columns["t1"].tolist(), columns["monotonic_s"].tolist(), _asked(columns), strict=True)
-    for t1, at_s, asked in times:
-        yield Due(t1, "navigation", at_s, asked)
-
-
-def _asked(columns: Any) -> Iterator[GuestReference]:
-    return map(GuestReference, columns["guest_heading"].tolist(), columns["guest_speed"].tolist())
-
-
-def _words_of(columns: Any) -> Iterator[Contact]:
-    """Each time that a console or guest was heard, with the guest's set point in the following cycle."""
-    for key in ("console_s", "guest_s"):
-        before_s = NEVER_S
-        for at_s, asked in zip(columns[key].tolist(), _asked(columns), strict=True):
-            if at_s > before_s:
-                yield Contact(at_s, key, asked if key == "guest_s" else None)
-            before_s = at_s
-
-
-def _commands(told: Iterable[dict[str, Any]]) -> Iterator[Due]:
-    for event in told:
-        if event["event"] == "command":
-            yield Due(_wall_ns(event), "command", event["at_s"], event)
-
-
-def _looks(columns: Any, told: Iterable[dict[str, Any]]) -> Iterator[Due]:
-    """Checks of the watchdog: those with a recorded time, and between them those that must have happened."""
-    known = {event["at_s"]: _wall_ns(event) for event in told if event["event"] == "watchdog"}
-    for t1, now_s, at_s in zip(*(columns[key].tolist() for key in ("t1", "monotonic_s", "watchdog_s")), strict=True):
-        known.setdefault(at_s, t1 - round((now_s - at_s) * 1e9))
-    times = sorted(at_s for at_s in known if at_s > NEVER_S)
-    silent_s = sum(gap_s for a, b in pairwise(times) if (gap_s := b - a) > 10.0 * TICK_S)
-    if silent_s > SILENT_MAX_S:
-        raise DelfimError(f"the logs do not cover {silent_s / 3600.0:.3g} hours of this run: it cannot be repeated")
-    for i, at_s in enumerate(times):
-        yield Due(known[at_s], "watchdog", at_s)
-        between = round((times[i + 1] - at_s) / TICK_S) if i + 1 < len(times) else 0
-        for k in range(1, between):
-            later_s = k * (times[i + 1] - at_s) / between
-            yield Due(known[at_s] + round(later_s * 1e9), "guess", at_s + later_s)
-
-
-def _wall_ns(event: dict[str, Any]) -> int:
-    at_ns: int = event["t_ns"] - round((event["monotonic_s"] - event["at_s"]) * 1e9)
-    return at_ns
 
 
 def _ahead(then: Group, now: Group) -> bool:

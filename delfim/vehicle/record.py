@@ -30,6 +30,10 @@ def _of_navigation(name: str) -> Callable[[State, float], object]:
     return value
 
 
+def _source(names: tuple[str, ...]) -> Callable[[State, float], object]:
+    return lambda s, now_s: names.index(s.source) if s.source else 0
+
+
 def _of_reference(name: str) -> Callable[[State, float], object]:
     def value(s: State, now_s: float) -> object:
         known = getattr(s.reference, name)
@@ -121,11 +125,14 @@ FIELDS = (
 
 
 def fields(settings: config.Vehicle) -> tuple[Field, ...]:
-    """The fields of every boat, then those of this boat's thrusters and sensors."""
-    stale_s = settings.sensors.stale_s
+    """The fields of every boat, then those of this boat's sources, where there are several, of its thrusters and sensors."""
+    stale_s, sources = settings.sensors.stale_s, settings.navigation.sources
+    source = Field(
+        "source", "B", "", "of navigation: its place in navigation.sources", lambda s, now_s: sources.index(s.source)
+    )
     thrusters = tuple(each for index, row in enumerate(settings.thrusters) for each in _of_row(settings, index, row))
     measured = [Field(name, "d", unit, text, _measured(name, stale_s)) for name, unit, text in sensors.values(settings)]
-    return (*FIELDS, *thrusters, *measured)
+    return (*FIELDS, *([source] if len(sources) > 1 else []), *thrusters, *measured)
 
 
 def _of_row(settings: config.Vehicle, index: int, row: config.ThrusterTable) -> Iterator[Field]:

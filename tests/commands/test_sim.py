@@ -257,13 +257,16 @@ def until_line(process: subprocess.Popen[str], words: str) -> str:
     return next(line for line in process.stdout if re.match(r"0:\d\d:\d\d ", line) and words in line)
 
 
-def test_a_boat_with_a_second_bus_sails_its_own_mission_and_tells_no_trouble(tmp_path):
-    """That of the sensors is simulated, too: a receiver and a compass are on it, and the estimator makes navigation of them."""
+def test_a_boat_with_a_second_bus_sails_its_own_mission_tells_no_trouble_and_is_repeated(tmp_path, typed):
+    """That of the sensors is simulated, too: a receiver and a compass are on it, and the estimator makes navigation of them.
+    Until it does, the boat's own node is the source."""
     process = delfim("sim", str(ROOT / "etc/sensors.toml"), "--json", cwd=tmp_path)
     state = until(process, lambda state: state["mode"] == "play")
     assert state["source"] == "nmea2000"
     out = interrupted(process)
     assert re.search(r"^  troubles +none$", out, re.MULTILINE)
+    code, told, _ = typed("log", "replay", str(tmp_path / "run/sim/log"))
+    assert (code, "all the same, bit by bit" in told) == (0, True), told
 
 
 def test_lockstep_sails_the_whole_mission_and_repeats_itself_byte_for_byte(tmp_path):
