@@ -3,7 +3,7 @@
 import math
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from delfim.console.mavlink import mavlink
 from delfim.console.words import Words
@@ -17,6 +17,15 @@ CHECKSUM_S: Final = 6.0  # the time for a boat to send the checksum of its plans
 NAME_MAX: Final = 32
 TRACK_MAX: Final = 36_000  # points: ten hours at one a second
 UNKNOWN_HEADING: Final = 65535
+MEASURED_MAX: Final = 32  # values of sensors, by name
+
+
+class Measured(NamedTuple):
+    """The last value of a sensor. The boat tells a value again while nothing new was measured: its stamp is then the same."""
+
+    value: float
+    stamp_ms: int  # of the boat
+    at_s: float  # when it was heard first
 
 
 class Boat:
@@ -37,6 +46,7 @@ class Boat:
         self.asked_s = -math.inf
         self.at_s: dict[str, float] = {}  # when each group of values was heard last
         self.values: dict[str, Any] = {}
+        self.measured: dict[str, Measured] = {}
         self.reference: dict[str, Any] = {}
         self.reason, self.words = "", Words()  # its last text
         self.reason_s = -math.inf  # when
@@ -68,6 +78,14 @@ class Boat:
             self.at_s |= dict.fromkeys(_GROUPS.get(message.get_type(), (message.get_type(),)), now_s)
             if message.get_type() in ("GLOBAL_POSITION_INT", "HIGH_LATENCY2"):
                 self._extend(utc_s)
+
+    def measure(self, name: str, value: float, stamp_ms: int) -> None:
+        """Takes a value of a sensor; one that is no number is not known."""
+        was = self.measured.get(name)
+        if not math.isfinite(value):
+            self.measured.pop(name, None)
+        elif (was is None and len(self.measured) < MEASURED_MAX) or (was is not None and was.stamp_ms != stamp_ms):
+            self.measured[name] = Measured(round(value, 3), stamp_ms, self.heard_s)
 
     @property
     def is_unnamed(self) -> bool:
@@ -127,6 +145,9 @@ class Boat:
             "rpm": [v.get("port_rpm"), v.get("starboard_rpm")],
             "thrust_pct": [v.get("port_pct"), v.get("starboard_pct")],
             "reference": {key: self.reference.get(key) for key in _REFERENCE},
+            "measured": {
+                name: {"value": each.value, "age_s": round(now_s - each.at_s, 2)} for name, each in self.measured.items()
+            },
             "age_s": ages,
             "link": {
                 "kind": self.link,
@@ -292,6 +313,15 @@ def _named(boat: Boat, m: Any) -> None:
         boat.commander = m.value
 
 
+def _float(boat: Boat, m: Any) -> None:
+    if m.name != "OVERRIDE" and (name := _printable(m.name)):
+        boat.measure(name, m.value, m.time_boot_ms)
+
+
+def _depth(boat: Boat, m: Any) -> None:
+    boat.measure("depth_m", m.distance, m.time_boot_ms)
+
+
 def _name(boat: Boat, m: Any) -> None:
     if m.param_id == BOAT_NAME:
         boat.name = _printable(m.param_value) or boat.name
@@ -344,6 +374,8 @@ _HANDLERS: Final[dict[str, Callable[[Boat, Any], None]]] = {
     "MISSION_CURRENT": _current,
     "HIGH_LATENCY2": _lean,
     "NAMED_VALUE_INT": _named,
+    "NAMED_VALUE_FLOAT": _float,
+    "WATER_DEPTH": _depth,
     "PARAM_EXT_VALUE": _name,
     "AVAILABLE_MODES": _available,
     "MISSION_CHECKSUM": _checksum,

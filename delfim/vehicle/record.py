@@ -131,7 +131,9 @@ def fields(settings: config.Vehicle) -> tuple[Field, ...]:
         "source", "B", "", "of navigation: its place in navigation.sources", lambda s, now_s: sources.index(s.source)
     )
     thrusters = tuple(each for index, row in enumerate(settings.thrusters) for each in _of_row(settings, index, row))
-    measured = [Field(name, "d", unit, text, _measured(name, stale_s)) for name, unit, text in sensors.values(settings)]
+    measured = [
+        Field(each.name, "d", each.unit, each.description, _measured(each.name, stale_s)) for each in sensors.values(settings)
+    ]
     return (*FIELDS, *([source] if len(sources) > 1 else []), *thrusters, *measured)
 
 

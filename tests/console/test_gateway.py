@@ -22,10 +22,12 @@ from pymavlink.dialects.v20 import common as mavlink
 from delfim.clock import Clock, ManualClock, SystemClock, WakefulClock
 from delfim.console import browser
 from delfim.console.admission import kept_token, own_number
+from delfim.console.boats import MEASURED_MAX, Boat
 from delfim.console.gateway import PAGES_MAX, Gateway
 from delfim.console.replay import open_tapes
 from delfim.console.serving import serve
 from delfim.errors import ConfigError
+from delfim.vehicle.mavlink import ardupilot, wire
 from tests.console.fakeboat import FakeBoat
 
 VEHICLE = Path(__file__).parents[2] / "etc" / "delfimx.toml"
@@ -359,6 +361,7 @@ def test_a_number_that_is_not_finite_is_not_known(tmp_path: Path, number: float)
                 mavlink.MAVLink_position_target_global_int_message(0, 6, 0, 386900000, -92150000, *[number] * 9),
                 mavlink.MAVLink_nav_controller_output_message(number, number, 0, 90, 7, number, number, number),
                 mavlink.MAVLink_named_value_float_message(0, b"OVERRIDE", number),
+                mavlink.MAVLink_named_value_float_message(0, b"aws_mps", number),
                 mavlink.MAVLink_vfr_hud_message(number, number, 0, 33, number, number),
             )
             item = mavlink.MAVLink_mission_item_int_message(
@@ -370,11 +373,35 @@ def test_a_number_that_is_not_finite_is_not_known(tmp_path: Path, number: float)
             await sea.until(page, lambda m: m["t"] == "answer" and m["ok"])
             shown = boat_in(await sea.until(page, lambda m: boat_in(m, 2)), 1)
             assert (shown["roll_deg"], shown["rpm"][0], shown["reference"]["cross_track_m"]) == (None, None, None)
-            assert shown["mission"]["count"] == 1
+            assert (shown["mission"]["count"], shown["measured"]) == (1, {})
             async with sea.session.get(sea.url + "api/boats") as answer:
                 assert len(json.loads(await answer.text(), parse_constant=pytest.fail)) == 2
 
     asyncio.run(main())
+
+
+def test_values_of_sensors_have_the_age_of_their_measurement() -> None:
+    """Depth comes in a message of its own, too; a boat that invents names fills no memory."""
+    boat = Boat(1, 0.0)
+
+    def says(message: Any, now_s: float) -> dict[str, Any]:
+        frame = wire.Sender(1, 1, None, lambda: 0).pack(message)
+        boat.receive(wire.decode(frame), now_s, now_s)
+        shown: dict[str, Any] = boat.snapshot(now_s)["measured"]
+        return shown
+
+    def named(name: bytes, value: float, stamp_ms: int) -> Any:
+        return mavlink.MAVLink_named_value_float_message(stamp_ms, name, value)
+
+    assert says(named(b"aws_mps", 5.0, 100), 1.0) == {"aws_mps": {"value": 5.0, "age_s": 0.0}}
+    assert says(named(b"aws_mps", 5.0, 100), 4.0) == {"aws_mps": {"value": 5.0, "age_s": 3.0}}, "the same measurement"
+    assert says(named(b"OVERRIDE", 1.0, 100), 4.0).keys() == {"aws_mps"}
+    depth = ardupilot.WaterDepth(200, 0, 1, 0, 0, 0.0, 0.0, 0.0, 0.0, 4.25, math.nan)
+    assert says(depth, 4.0)["depth_m"] == {"value": 4.25, "age_s": 0.0}
+    for number in range(99):
+        shown = says(named(b"v%d" % number, 1.0, 1), 5.0)
+    assert len(shown) == MEASURED_MAX
+    assert "aws_mps" not in says(named(b"aws_mps", math.nan, 300), 6.0)
 
 
 def test_stop_for_all_is_answered_when_every_boat_has_answered(tmp_path: Path) -> None:

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.services.web import api, document, figures, page
+from delfim.services.web.metrics import metrics
 from delfim.services.web.page import SECTIONS, PageView, head, mood
 from delfim.services.web.wording import size, span
 from tests.services.boat import STATE
@@ -104,6 +105,7 @@ def test_the_figures_of_a_service_are_tables():
 def test_the_value_of_a_sensor_stands_beside_its_age():
     vehicle = msgspec.structs.replace(VEHICLE, age_s={"depth_m": 0.3}, measured={"depth_m": 7.5})
     assert "".join(rendered(report(vehicle))["inputs"].itertext()).startswith("depth m7.500.3 s")
+    assert 'delfim_measured{value="depth_m"} 7.5\n' in metrics(report(vehicle))
 
 
 def test_a_network_that_never_was_up_is_no_news():

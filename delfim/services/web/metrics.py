@@ -39,6 +39,8 @@ def _vehicle(report: Report) -> Iterator[Metric]:
     yield Metric("delfim_notices", "gauge", "Troubles the failsafe sees.", [({}, len(vehicle.notices))])
     faulty = [({"node": name}, float(node.status != "good")) for name, node in vehicle.sysstat.items()]
     yield Metric("delfim_node_bad", "gauge", "Whether a CAN node reports anything but good.", faulty)
+    measured = [({"value": name}, value) for name, value in vehicle.measured.items() if value is not None]
+    yield Metric("delfim_measured", "gauge", "Last value of each sensor, its name ends with the unit; see its age.", measured)
     events = [({"event": name}, float(n)) for name, n in vehicle.counts.items()]
     yield Metric("delfim_events_total", "counter", "Inputs that were refused, dropped or repaired.", events)
     for name, value, text in (

@@ -169,7 +169,7 @@ def inputs(view: PageView) -> str:
         return f'<p class="none">{GONE}</p>'
     rows = []
     for name, age_s in vehicle.age_s.items():
-        limit_s = _limit_s(view.settings, name)
+        limit_s = _limit_s(view.settings, name, name in vehicle.measured)
         used = name != "guest" or vehicle.guest_connected
         kind = "" if not used else "bad" if age_s is None or age_s > limit_s else "warn" if age_s > 0.6 * limit_s else "good"
         node = vehicle.sysstat.get(name)
@@ -183,13 +183,13 @@ def inputs(view: PageView) -> str:
     return f'<table class="ages">{"".join(rows)}</table><p class="small">A full bar is the limit of the vehicle’s file.</p>'
 
 
-def _limit_s(settings: config.Vehicle, name: str) -> float:
+def _limit_s(settings: config.Vehicle, name: str, is_measured: bool) -> float:
     named = {
         "navigation": settings.navigation.stale_s,
         "console": settings.failsafe.console_silent.after_s,
         "guest": settings.failsafe.guest_silent.after_s,
     }
-    return named.get(name, settings.sysstat.stale_s)
+    return named.get(name, settings.sensors.stale_s if is_measured else settings.sysstat.stale_s)
 
 
 def latency(view: PageView) -> str:

@@ -12,9 +12,10 @@ from delfim.config import Mavlink
 from delfim.geodesy import compass, from_plane, wrap
 from delfim.messages import BatteriesStatus, Node
 from delfim.modes import Mode
-from delfim.vehicle import thrusters
+from delfim.vehicle import sensors, thrusters
 from delfim.vehicle.failsafe import Action
 from delfim.vehicle.loop import VehicleLoop
+from delfim.vehicle.mavlink.ardupilot import WaterDepth, Wind
 from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.wire import Message, dialect
 from delfim.vehicle.sensors.sysstat import NAMES
@@ -30,6 +31,7 @@ NEVER_S: Final = 0.0  # an interval: not at all
 _U16, _I16, _I8 = 0xFFFF, 0x7FFF, -1
 _AHEAD: Final = 500.0  # of pulses between stop and full, us
 _STILL: Final = 1500
+_FLOAT_MAX: Final = 3.4e38
 _SENSORS: Final = (
     dialect.MAV_SYS_STATUS_SENSOR_GPS | dialect.MAV_SYS_STATUS_SENSOR_MOTOR_OUTPUTS | dialect.MAV_SYS_STATUS_SENSOR_BATTERY
 )
@@ -221,10 +223,41 @@ def owner(view: TelemetryView) -> Iterator[Message]:
     yield dialect.MAVLink_named_value_int_message(_boot_ms(view), b"OWNER", view.owner)
 
 
-def override(view: TelemetryView) -> Iterator[Message]:
-    """The operator's speed in place of the plan's; NaN: none."""
-    speed_mps = view.boat.state.setpoint.override_mps
+def floats(view: TelemetryView) -> Iterator[Message]:
+    """The operator's speed in place of the plan's (NaN: none), and the values of sensors, each with the time when it was
+    measured; those of messages of their own, too, because depth and wind need a position or a heading there."""
+    boat = view.boat
+    speed_mps = boat.state.setpoint.override_mps
     yield dialect.MAVLink_named_value_float_message(_boot_ms(view), b"OVERRIDE", math.nan if speed_mps is None else speed_mps)
+    for value in sensors.values(boat.helm.settings):
+        told = _young(view, value.name)
+        if told is not None:
+            yield dialect.MAVLink_named_value_float_message(_ms(boat.state.measured[value.name][1]), value.told, told)
+
+
+def depth(view: TelemetryView) -> Iterator[Message]:
+    """Where the boat is known to be, as ArduPilot does it."""
+    n, depth_m = view.boat.state.navigation, _young(view, "depth_m")
+    if n is None or n.latitude_rad is None or n.longitude_rad is None or depth_m is None:
+        return
+    place, angles = (_e7(n.latitude_rad), _e7(n.longitude_rad), 0.0), (n.roll_rad, n.pitch_rad, n.heading_rad)
+    attitude = (math.nan if each is None else wrap(each) for each in angles)
+    warmth = _young(view, "water_c")
+    yield WaterDepth(_boot_ms(view), 0, 1, *place, *attitude, depth_m, math.nan if warmth is None else warmth)
+
+
+def wind(view: TelemetryView) -> Iterator[Message]:
+    """The true wind, by the heading."""
+    n, from_rad, speed_mps = view.boat.state.navigation, _young(view, "wind_true_rad"), _young(view, "wind_true_mps")
+    if n is not None and n.heading_rad is not None and from_rad is not None and speed_mps is not None:
+        yield Wind(math.degrees(compass(n.heading_rad + from_rad)), speed_mps, 0.0)
+
+
+def _young(view: TelemetryView, name: str) -> float | None:
+    """A value of the sensors, unless it is older than `sensors.stale_s` or none that a message can carry."""
+    value, at_s = view.boat.state.measured.get(name, (math.nan, -math.inf))
+    is_young = view.now_s - at_s <= view.boat.helm.settings.sensors.stale_s
+    return value if is_young and abs(value) < _FLOAT_MAX else None
 
 
 def all_in_one(view: TelemetryView) -> Iterator[Message]:
@@ -257,6 +290,14 @@ def _measured(view: TelemetryView) -> object:
     return view.boat.state.cycles
 
 
+def _sounded(view: TelemetryView) -> object:
+    return view.boat.state.measured.get("depth_m")
+
+
+def _blown(view: TelemetryView) -> object:
+    return view.boat.state.measured.get("wind_true_mps")
+
+
 def _reported(view: TelemetryView) -> object:
     return tuple(report.heard_s for report in view.boat.state.thrusters.values())
 
@@ -276,7 +317,9 @@ ROWS: Final = (
     TelemetryRow(dialect.MAVLINK_MSG_ID_MISSION_CURRENT, NEVER_S, 1.0, 1.0, current),
     TelemetryRow(dialect.MAVLINK_MSG_ID_MISSION_CHECKSUM, 5.0, 5.0, 5.0, checksum),
     TelemetryRow(dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT, NEVER_S, 5.0, 1.0, owner),
-    TelemetryRow(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, NEVER_S, 5.0, 1.0, override),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, NEVER_S, 5.0, 1.0, floats),
+    TelemetryRow(WaterDepth.id, NEVER_S, 1.0, 0.5, depth, _sounded),
+    TelemetryRow(Wind.id, NEVER_S, 5.0, 1.0, wind, _blown),
     TelemetryRow(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
 )
 
@@ -292,7 +335,11 @@ def _batteries(view: TelemetryView, name: str) -> BatteriesStatus | None:
 
 
 def _boot_ms(view: TelemetryView) -> int:
-    return int(view.now_s * 1e3) & 0xFFFFFFFF
+    return _ms(view.now_s)
+
+
+def _ms(time_s: float) -> int:
+    return int(time_s * 1e3) & 0xFFFFFFFF
 
 
 def _boot_us(view: TelemetryView) -> int:

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple
 from pymavlink.dialects.v20 import development
 
 from delfim.errors import FormatError
+from delfim.vehicle.mavlink import ardupilot
 
 MARKER, MARKER_1 = 0xFD, 0xFE  # of MAVLink 2; of MAVLink 1, in which a SiK radio reports about itself
 SIGNED: Final = 0x01  # the one incompatibility flag that exists
@@ -23,6 +24,7 @@ _markers: Final = re.compile(b"[\xfd\xfe]")
 _MIRRORED: Final = bytes(int(f"{byte:08b}"[::-1], 2) for byte in range(256))
 
 dialect: Final[Any] = development
+dialect.mavlink_map.update({each.id: each for each in ardupilot.MESSAGES})
 Message = Any  # pymavlink generates a class for each message, without types
 
 

@@ -12,11 +12,17 @@ from delfim.vehicle.links import Links, LoopInput
 
 
 class Value(NamedTuple):
-    """A number that a sensor measures: in `State.measured` under this name, shown with its age, a field of the state log."""
+    """A number that a sensor measures: in `State.measured` under this name, shown with its age, a field of the state log, and
+    told to consoles."""
 
     name: str  # with its unit: depth_m
     unit: str
     description: str
+    short: str = ""  # its name of up to ten characters for MAVLink; empty: the first ten
+
+    @property
+    def told(self) -> bytes:
+        return (self.short or self.name).encode()[:10]
 
 
 class Sensor(LoopInput, Protocol):

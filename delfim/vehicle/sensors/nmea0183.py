@@ -10,11 +10,11 @@ from delfim.vehicle.state import State
 
 VALUES = (
     Value("depth_m", "m", "below the transducer"),
-    Value("wind_apparent_rad", "rad", "where the apparent wind comes from, clockwise from the bow"),
-    Value("wind_apparent_mps", "m/s", "apparent wind"),
-    Value("wind_true_rad", "rad", "where the true wind comes from, clockwise from the bow"),
-    Value("wind_true_mps", "m/s", "true wind"),
-    Value("position_sigma_m", "m", "standard deviation of the position, as the receiver states it"),
+    Value("wind_apparent_rad", "rad", "where the apparent wind comes from, clockwise from the bow", "awa_rad"),
+    Value("wind_apparent_mps", "m/s", "apparent wind", "aws_mps"),
+    Value("wind_true_rad", "rad", "where the true wind comes from, clockwise from the bow", "twa_rad"),
+    Value("wind_true_mps", "m/s", "true wind", "tws_mps"),
+    Value("position_sigma_m", "m", "standard deviation of the position, as the receiver states it", "sigma_m"),
 )
 
 

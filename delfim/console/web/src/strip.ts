@@ -5,6 +5,7 @@ import type { Actions } from "./actions";
 import { attribute, make, text } from "./dom";
 import type { Drive } from "./drive";
 import { bearing, metres } from "./geo";
+import { measuredWords } from "./measured";
 import { palette } from "./palette";
 import { UNNAMED } from "./mission";
 import type { State } from "./state";
@@ -64,6 +65,7 @@ class Chip {
   private readonly heading = make("span.heading");
   private readonly left = make("span.left");
   private readonly trouble = make("p.trouble");
+  private readonly measured = make("p.measured");
   private readonly link = make("span.link");
   private readonly mission = make("span.mission");
   private readonly badge = make("span.badge");
@@ -80,6 +82,7 @@ class Chip {
       make("div.row.state", this.mode, this.speed),
       make("div.row.going", this.heading, this.left),
       this.trouble,
+      this.measured,
       make("div.row.graphs", this.graphs[0].root, this.graphs[1].root),
       make("div.row.ages", ...this.groups),
       make("div.row.small", this.mission, this.badge),
@@ -105,6 +108,9 @@ class Chip {
     text(this.battery, batteryWords(boat));
     this.battery.classList.toggle("bad", boat.battery_pct !== null && boat.battery_pct < 20);
     this.drawTrouble(boat);
+    const values = measuredWords(boat, Math.max(0, state.frameAge_s - 0.2));
+    text(this.measured, values);
+    this.measured.hidden = !values;
     GROUPS.forEach((group, i) => {
       const its = age_s(state, boat, group);
       attribute(this.groups[i]!, "data-age", boat.age_s[group] === null ? "none" : freshness(its, group));

@@ -74,6 +74,7 @@ export interface Boat {
   pitch_deg: number | null;
   satellites: number | null;
   fix: string | null;
+  measured?: Record<string, { value: number; age_s: number }>; // by sensors, by their names with units
   reference: {
     heading_deg: number | null;
     course_deg?: number | null;
