@@ -1081,6 +1081,7 @@ class Simulation(Table, frozen=True):
     receiver_hz: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 5.0  # positions a second of a receiver on NMEA 2000; 0: none
     compass_hz: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 10.0  # headings a second of a compass there; 0: none
     gyro: bool = True  # that compass tells its rate of turn, too
+    motors: bool = True  # motor controllers answer on buses of DroneCAN and VESC; false: you have your own there
     external: Annotated[str, text(rf"([^ :]+:{_PORT})?", "ADDRESS:PORT, or empty")] = ""  # of a model in another program
     sea: Sea = Sea()
 

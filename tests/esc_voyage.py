@@ -32,7 +32,7 @@ ROWS = ", ".join(
     f'{{name="{name}", driver="dronecan", address={address}, x_m=-2.0, y_m={y_m}, thrust_n=[-300.0, 500.0], rpm_max=1400.0}}'
     for address, (name, y_m) in enumerate((("starboard", 1.0), ("port", -1.0)))
 )
-BOAT = (f"thrusters=[{ROWS}]", 'sysstat.required=["gps"]', "failsafe.thruster.action='warn'")
+BOAT = ("simulation.motors=false", f"thrusters=[{ROWS}]", 'sysstat.required=["gps"]', "failsafe.thruster.action='warn'")
 
 
 @contextlib.contextmanager

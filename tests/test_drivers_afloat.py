@@ -117,6 +117,7 @@ def afloat(tmp_path: Path, driver: str) -> Iterator[tuple[Motors, Path]]:
             f"thrusters=[{ROWS.replace('DRIVER', driver)}]",
             'sysstat.required=["gps"]',
             "mavlink.enabled=false",
+            "simulation.motors=false",
             *motors.values,
         )
         yield motors, opened.enter_context(running(tmp_path, 14550, *values))

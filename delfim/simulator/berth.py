@@ -21,7 +21,9 @@ import msgspec
 
 from delfim import config
 from delfim.errors import DelfimError
+from delfim.logging.blackbox import device
 from delfim.pulses import CHANNELS
+from delfim.simulator.nodes import PLAYED
 
 SIMULATED: Final = "run/sim"  # the folder of the first one
 NUMBERS: Final = 20  # simulations on one computer at most
@@ -93,12 +95,14 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         return f"[{', '.join(_quoted(free(key, each)) for each in wanted)}]"
 
     bus = simulation.interface if "simulation.interface" in named else its.interface(simulation.interface)
-    apart = ("nmea2000", *(name for name in vehicle.drivers if hasattr(getattr(vehicle, name), "interface")))
+    loop = bus if bus.startswith("canloop:") else its.interface(f"canloop:{device(bus)}")  # no motor of a real bus turns
+    motors = [name for name in vehicle.drivers if hasattr(getattr(vehicle, name), "interface")]
     boat_id = vehicle.boat.id if "boat.id" in named else (vehicle.boat.id + its.number - 2) % 249 + 1
     page = free("simulation.httpd", simulation.httpd)
     texts = {
         "can.interface": bus,
-        **{f"{name}.interface": f"{bus}-{name}" for name in apart if bus.startswith("canloop:")},
+        **({"nmea2000.interface": f"{bus}-nmea2000"} if bus.startswith("canloop:") else {}),
+        **{f"{name}.interface": f"{loop}-{name}" for name in motors},
         **{f"routing.buses.{name}.interface": f"{bus}-{name}" for name in vehicle.routing.buses if bus.startswith("canloop:")},
         "console.socket": f"{place}/command",
         "log.directory": f"{place}/log",
@@ -122,7 +126,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         **({} if "handset.device" in named else {"handset.mandatory": "false"}),
         "simulation.faults": "true",
     }
-    if set(vehicle.drivers) != {"dsor"}:
+    if not set(vehicle.drivers) <= set(PLAYED):
         texts["pwm.chip"] = f"{place}/pwmchip0"
         values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": _toml(_by_pulses(vehicle.thrusters))}
     overrides = [f"{key}={_quoted(text)}" for key, text in texts.items()] + [f"{key}={value}" for key, value in values.items()]
@@ -130,12 +134,12 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
 
 
 def _by_pulses(rows: Sequence[config.ThrusterTable]) -> list[Any]:
-    """The rows, with motors of any make but DelfimX's told by pulses, which `simulator/nodes/pulsefiles.py` reads: each maker's
-    device is played in tests. Raises DelfimError for more of them than there are channels."""
+    """The rows, with motors whose devices are not simulated told by pulses, which `simulator/nodes/pulsefiles.py` reads. Raises
+    DelfimError for more of them than there are channels."""
     channels, told = count(), list[Any]()
     for row in rows:
         one = msgspec.to_builtins(row)
-        if row.driver != "dsor":
+        if row.driver not in PLAYED:
             one |= {"driver": "pwm", "address": next(channels), "reversed": False}
             one |= {"steer": one["steer"] | {"address": next(channels)}} if row.steer else {}
         told.append(one)

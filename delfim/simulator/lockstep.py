@@ -18,7 +18,7 @@ from delfim.simulator.handset import HandsetAt, SimulatedReceiver
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.model import Model
-from delfim.simulator.nodes import nodes_of
+from delfim.simulator.nodes import PLAYED, nodes_of
 from delfim.vehicle import console
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
@@ -45,23 +45,24 @@ class Lockstep:
         self.clock = ManualClock()
         bus = self.bus = LockstepBus(self.clock)
         self._world = bus.socket("nodes")
-        apart = settings.nmea2000.interface
-        sensors = bus if apart == settings.can.interface else LockstepBus(self.clock, "nmea2000")
-        self._sensors = sensors.socket("devices")
         self.nodes = nodes_of(settings, seed, model)
+        buses = {settings.can.interface: bus}
+        for each in self.nodes.beside:
+            buses.setdefault(each.interface, LockstepBus(self.clock, each.interface))
+        self._beside = [(each, buses[each.interface].bound(*each.hears, computer="devices")) for each in self.nodes.beside]
         self._world.bind(*self.nodes.hears)
         self.faults = Faults(self.nodes, seed)
         self.state = State()
         self.log = make_log(self.clock)
         record_to = FaultyLog(self.log, self.faults)
         self.lines = dict[str, LockstepLine]()  # by device
-        links = Links(lambda name, filters: (sensors if name == apart else bus).bound(*filters), self._line)
+        links = Links(lambda name, filters: buses.get(name, bus).bound(*filters), self._line)
         aboard = settings if handset else msgspec.structs.replace(settings, handset=config.HandsetTable())
         self.vehicle, self._inputs, self._hands, _ = build(aboard, self.clock, self.state, links, record_to)
         line = self.lines.get(settings.handset.device)
         self._receiver = SimulatedReceiver(settings.handset, handset, line) if handset and line else None
         self.guest = self.vehicle.guest
-        self._others = tuple((i, row.name) for i, row in enumerate(settings.thrusters) if row.driver != "dsor")
+        self._others = tuple((i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in PLAYED)
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
 
@@ -101,9 +102,9 @@ class Lockstep:
         self.bus.off = "bus_off" in faults.on
         for frame in frames:
             world.sendmsg(frame)
-        if self.nodes.devices is not None:
-            for frame in self.nodes.devices.step(now_s, clock.time_ns()):
-                self._sensors.sendmsg(frame)
+        for devices, end in self._beside:
+            for frame in devices.step(now_s, clock.time_ns()):
+                end.sendmsg(frame)
         for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is read again
             for source in vehicle.sources:
                 vehicle.on_navigation(source)
@@ -125,8 +126,11 @@ class Lockstep:
                 vehicle.on_outlet(actuator)
         while (frame := world.receive()) is not None:  # type: ignore[assignment]
             nodes.feed(frame, now_s)
+        for devices, end in self._beside:
+            while (frame := end.receive()) is not None:  # type: ignore[assignment]
+                devices.feed(frame, now_s)
         sent = self.state.actuation
-        for i, name in self._others:  # motors of other makes: their devices are played in tests
+        for i, name in self._others:  # told by pulses, or by a front seat: their devices are played in tests
             self.nodes.model.push(name, sent.thrust[i], sent.angle_rad[i], sent.run)
         clock.advance(self._cycle_s)
 

@@ -37,9 +37,9 @@ class LockstepBus:
         socket.setblocking(False)
         return socket
 
-    def bound(self, *filters: CanAddress) -> CanSocket:
+    def bound(self, *filters: CanAddress, computer: str = "vehicle") -> CanSocket:
         """A socket that receives what the filters accept; without filters, nothing."""
-        socket = self.socket()
+        socket = self.socket(computer)
         if filters:
             socket.bind(*filters)
         return socket

@@ -1,8 +1,8 @@
 """The boat's other nodes in real time, on the bus of the vehicle's file: `delfim nodes`.
 
 One process, one loop, a socket for each bus: wait until a node has something to say or a command arrives. The vehicle cannot
-tell it from the real nodes, on a loopback bus or on a real one. Devices of NMEA 2000 are played on a loopback bus only: a real
-one has real devices.
+tell it from the real nodes, on a loopback bus or on a real one. Devices of NMEA 2000, DroneCAN and VESC are played on loopback
+buses only: a real one has real devices.
 """
 
 import contextlib
@@ -20,8 +20,7 @@ from delfim.frames import Frame
 from delfim.simulator.bycommand import NODES, listening, obey, place
 from delfim.simulator.external import ExternalModel
 from delfim.simulator.faults import Faults
-from delfim.simulator.nodes import Nodes, nodes_of
-from delfim.simulator.nodes.devices import Devices
+from delfim.simulator.nodes import BusDevices, Nodes, nodes_of
 
 BUS_RETRY_S = 0.5
 
@@ -44,19 +43,20 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
         if model is not None:
             poll.register(model.fileno(), select.POLLIN)
         nodes = Faults(nodes_of(settings, seed, model), seed)
-        devices = _devices(settings, nodes.nodes, opened)
+        beside = _beside(nodes.nodes, opened)
         bus.bind(*nodes.nodes.hears)
-        poll.register(bus.fileno(), select.POLLIN)
-        poll.register(requests.fileno(), select.POLLIN)
+        for handle in (bus.fileno(), requests.fileno(), *(socket.fileno() for _, socket in beside)):
+            poll.register(handle, select.POLLIN)
         while not ended:
-            wait_s = max(min(nodes.due_s, devices[0].due_s if devices else math.inf) - clock.monotonic_s(), 0.0)
+            wait_s = max(min(nodes.due_s, *(devices.due_s for devices, _ in beside), math.inf) - clock.monotonic_s(), 0.0)
             poll.poll(min(wait_s, 1.0) * 1000.0)
             if model is not None:
                 model.listen()
             try:
                 _turn(nodes, bus, clock)
-                if devices is not None:
-                    _send(devices[1], devices[0].step(clock.monotonic_s(), clock.time_ns()))
+                for devices, socket in beside:
+                    _listen(devices, socket, clock)
+                    _send(socket, devices.step(clock.monotonic_s(), clock.time_ns()))
             except BusError:  # the bus failed; boats survive that, so do the nodes
                 select.select([], [], [], BUS_RETRY_S)
                 bus.rebind()
@@ -66,21 +66,30 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
     return 0
 
 
-def _devices(settings: config.Vehicle, nodes: Nodes, opened: contextlib.ExitStack) -> tuple[Devices, CanSocket] | None:
-    """The devices of NMEA 2000 and a socket on their bus. Raises BusError."""
-    if nodes.devices is None or not settings.nmea2000.interface.startswith("canloop:"):
-        return None
-    socket = opened.enter_context(open_can(settings.nmea2000.interface))
-    socket.setblocking(False)
-    return nodes.devices, socket
+def _beside(nodes: Nodes, opened: contextlib.ExitStack) -> list[tuple[BusDevices, CanSocket]]:
+    """The devices of other buses, and a socket on each. Raises BusError."""
+    found = list[tuple[BusDevices, CanSocket]]()
+    for devices in nodes.beside:
+        if devices.interface.startswith("canloop:"):
+            socket = opened.enter_context(open_can(devices.interface))
+            socket.setblocking(False)
+            if devices.hears:
+                socket.bind(*devices.hears)
+            found.append((devices, socket))
+    return found
 
 
 def _turn(nodes: Faults, bus: CanSocket, clock: SystemClock) -> None:
     now_s = clock.monotonic_s()
-    while (frame := bus.receive()) is not None:
-        nodes.feed(frame, now_s)
+    _listen(nodes, bus, clock)
     stepped_ns = round(nodes.on.get("clock_stepped", 0.0) * 1e9)  # other programs use this computer's clock, too
     _send(bus, nodes.step(now_s, clock.time_ns() - stepped_ns))
+
+
+def _listen(nodes: Faults | BusDevices, bus: CanSocket, clock: SystemClock) -> None:
+    now_s = clock.monotonic_s()
+    while (frame := bus.receive()) is not None:
+        nodes.feed(frame, now_s)
 
 
 def _send(bus: CanSocket, frames: list[Frame]) -> None:

@@ -33,8 +33,9 @@ def boat(
 
 
 def devices(run: Lockstep) -> Devices:
-    assert run.nodes.devices is not None
-    return run.nodes.devices
+    (there,) = run.nodes.beside
+    assert isinstance(there, Devices)
+    return there
 
 
 def cross_track_m(run: Lockstep) -> float:
@@ -206,7 +207,7 @@ def test_a_boat_with_a_navigation_node_has_no_estimator():
     run = boat(1, NODE)
     list(run.cycles(5.0))
     assert run.state.inputs == {}
-    assert run.nodes.devices is None
+    assert run.nodes.beside == ()
     with pytest.raises(ConfigError, match="only for nmea0183, nmea2000; these sources make whole messages by themselves"):
         config.load(ROOT / "etc/delfimx.toml", ["navigation.estimator=true"])
 

@@ -69,8 +69,8 @@ def test_pulses_in_files_push_the_model(tmp_path: Path) -> None:
     assert pulsefiles.nodes(config.Vehicle(boat=config.BoatTable(name="test"), thrusters=(row,)), model, 1) == {}, "a real chip"
 
 
-def test_motors_of_other_makes_are_told_by_pulses_in_a_simulation(tmp_path: Path) -> None:
-    boat = config.Vehicle(boat=config.BoatTable(name="skiff"), thrusters=rows("vesc"))
+def test_the_motors_of_a_front_seat_are_told_by_pulses_in_a_simulation(tmp_path: Path) -> None:
+    boat = config.Vehicle(boat=config.BoatTable(name="skiff"), thrusters=rows("otter"))
     file = tmp_path / "boat.toml"
     file.write_text(written(boat))
     simulated = config.load(file, settings_of(config.load(file), Berth(1, tmp_path), ()).overrides)
@@ -86,15 +86,15 @@ def test_more_motors_than_channels_are_refused_in_words(tmp_path: Path) -> None:
     many = tuple(
         config.ThrusterTable(
             name=f"t{n}",
-            driver="dronecan",
+            driver="pwm",
             address=n,
             x_m=-1.0,
             thrust_n=(-50.0, 50.0),
-            steer=config.Steer(kind="azimuth", address=n),
+            steer=config.Steer(kind="azimuth", address=n + 8),
         )
-        for n in range(9)
+        for n in range(8)
     )
-    boat = config.Vehicle(boat=config.BoatTable(name="many"), thrusters=many)
+    boat = config.Vehicle(boat=config.BoatTable(name="many"), thrusters=(*many, *rows("otter")))
     with pytest.raises(DelfimError, match="16 channels"):
         settings_of(boat, Berth(1, tmp_path), ())
 

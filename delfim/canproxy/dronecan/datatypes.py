@@ -175,6 +175,15 @@ def node_status(uptime_s: float, health: int = 0, mode: int = 0) -> bytes:
     return pack(NODE_STATUS, (int(uptime_s), health, mode, 0, 0))
 
 
+def esc_status(told: EscStatus) -> bytes:
+    """Status, as a motor controller says it; NaN is unknown, and 127 of a power."""
+    volts, amperes, degrees = (
+        math.nan if each is None else each for each in (told.voltage_v, told.current_a, told.temperature_c)
+    )
+    percent = _UNKNOWN_PERCENT if told.power is None else min(round(100.0 * told.power), 126)
+    return pack(ESC_STATUS, (told.errors, volts, amperes, degrees + _KELVIN, told.rpm, percent, told.motor))
+
+
 def number_request(asked: NumberRequest) -> bytes:
     return pack(ALLOCATION, (asked.node, asked.is_first), tuple(asked.identity))
 

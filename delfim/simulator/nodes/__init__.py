@@ -12,11 +12,12 @@ from delfim import config
 from delfim.canproxy.socket import CanAddress
 from delfim.frames import Frame
 from delfim.simulator.model import Model, hull_of
-from delfim.simulator.nodes.devices import Devices, devices_of
 from delfim.simulator.nodes.navigation import NavigationNode
 
 # Files of this folder; `nodes` in it makes those of its kind.
 NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")  # files of this folder, with `nodes` in each
+OTHER_BUSES: Final = ("devices", "escs", "vescs")  # of other buses, with `devices_of` in each
+PLAYED: Final = ("dsor", "dronecan", "vesc")  # the drivers whose devices are here; all other motors are pushed as told
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 
 
@@ -29,6 +30,18 @@ class SimulatedNode(Protocol):
     def step(self, now_s: float, utc_ns: int) -> list[Frame]: ...
 
 
+class BusDevices(Protocol):
+    """The devices of a bus beside that of the nodes."""
+
+    interface: str  # as the vehicle's file names it
+    hears: tuple[CanAddress, ...]  # empty: they do not listen
+
+    @property
+    def due_s(self) -> float: ...
+    def feed(self, frame: Frame, now_s: float) -> None: ...
+    def step(self, now_s: float, utc_ns: int) -> list[Frame]: ...  # the model was advanced by the nodes
+
+
 @runtime_checkable
 class Reporting(Protocol):
     """A node that reports its health, which a fault may change."""
@@ -38,10 +51,10 @@ class Reporting(Protocol):
 
 
 class Nodes:
-    """All nodes of a boat around one model, which they advance; and the devices of its other bus, stepped by the caller."""
+    """All nodes of a boat around one model, which they advance; and the devices of other buses, stepped by the caller."""
 
-    def __init__(self, model: Model, named: dict[str, SimulatedNode], devices: Devices | None = None) -> None:
-        self.model, self.named, self.devices = model, named, devices
+    def __init__(self, model: Model, named: dict[str, SimulatedNode], beside: tuple[BusDevices, ...] = ()) -> None:
+        self.model, self.named, self.beside = model, named, beside
         navigation = named["navigation"]
         assert isinstance(navigation, NavigationNode)
         self.navigation = navigation
@@ -90,4 +103,5 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
     named = dict[str, SimulatedNode]()
     for kind in NODES:
         named |= import_module(f"{__name__}.{kind}").nodes(settings, model, seed)
-    return Nodes(model, named, devices_of(settings, model, seed))
+    others = (import_module(f"{__name__}.{kind}").devices_of(settings, model, seed) for kind in OTHER_BUSES)
+    return Nodes(model, named, tuple(each for each in others if each is not None))

@@ -19,6 +19,7 @@ from delfim.canproxy.nmea2000.pgns import (
     VesselHeading,
     encode,
 )
+from delfim.canproxy.socket import CanAddress
 from delfim.frames import Frame
 from delfim.geodesy import from_plane
 from delfim.simulator.model import Model
@@ -115,7 +116,10 @@ class Compass:
 class Devices:
     """All devices of the bus."""
 
+    hears: tuple[CanAddress, ...] = ()
+
     def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
+        self.interface = settings.nmea2000.interface
         self.receiver = GnssReceiver(model, settings.simulation, seed)
         self.compass = Compass(model, settings.simulation, seed)
 
@@ -124,11 +128,13 @@ class Devices:
         """When `step` is due next."""
         return min(self.receiver.due_s, self.compass.due_s)
 
+    def feed(self, frame: Frame, now_s: float) -> None:
+        """They listen to nobody."""
+
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         """The frames that they send now; the model was advanced by the nodes."""
         return [*self.compass.step(now_s, utc_ns), *self.receiver.step(now_s, utc_ns)]
 
 
 def devices_of(settings: config.Vehicle, model: Model, seed: int) -> Devices | None:
-    """The devices that the vehicle's file calls for; None: there are none."""
     return Devices(settings, model, seed) if "nmea2000" in settings.navigation.sources else None

@@ -3,11 +3,17 @@
 import math
 from typing import Final
 
+from delfim import config
 from delfim.errors import FormatError
 from delfim.messages import Node, unpack_reset
 
 TOLERANCE_S: Final = 1e-6  # sums of tenths are never exact
 RESTART_S: Final = 1.0  # duration of a node's restart, in which it is silent
+
+
+def patience_s(silent_s: float, settings: config.Vehicle) -> float:
+    """The time-out of a device that a boat in lock step speaks to once in a navigation cycle only."""
+    return max(silent_s, 1.2 / settings.navigation.rate_hz)
 
 
 class Period:

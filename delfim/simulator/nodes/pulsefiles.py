@@ -1,5 +1,5 @@
 """Motors that are told by pulses: a tree of files stands for the computer's PWM chip, and what the outlet writes there moves
-the thrusters of the model. `delfim sim` tells the motors of every make but DelfimX's in this way (docs/simulator.md).
+the thrusters of the model. `delfim sim` tells the motors of front seats in this way, too (docs/simulator.md).
 """
 
 import math

@@ -21,11 +21,11 @@ from delfim.vehicle.state import Actuation, State, ThrusterReport
 
 SET_DUTY, SET_CURRENT, SET_RPM = 0, 1, 3  # commands
 STATUS_1, STATUS_4, STATUS_5 = 9, 16, 27  # what it says of itself
-_VALUE: Final = struct.Struct(">i")
+VALUE: Final = struct.Struct(">i")
 _LIMIT: Final = (1 << 31) - 1
-_SPEED: Final = struct.Struct(">ihh")  # electrical rpm, motor current in 0.1 A, duty in 0.001
-_HEAT: Final = struct.Struct(">hhhh")  # transistors and motor in 0.1 degrees, input current in 0.1 A, position in 0.02 degrees
-_VOLTAGE: Final = struct.Struct(">ih")  # tachometer in sixths of an electrical turn, input in 0.1 V
+SPEED: Final = struct.Struct(">ihh")  # electrical rpm, motor current in 0.1 A, duty in 0.001
+HEAT: Final = struct.Struct(">hhhh")  # transistors and motor in 0.1 degrees, input current in 0.1 A, position in 0.02 degrees
+VOLTAGE: Final = struct.Struct(">ih")  # tachometer in sixths of an electrical turn, input in 0.1 V
 
 
 class VescStatus(NamedTuple):
@@ -54,7 +54,7 @@ def pack_rpm(controller: int, electrical_rpm: float) -> tuple[int, bytes]:
 
 
 def _packed(command: int, controller: int, value: float) -> tuple[int, bytes]:
-    return extended(command << 8 | controller), _VALUE.pack(max(-_LIMIT, min(_LIMIT, round(value))))
+    return extended(command << 8 | controller), VALUE.pack(max(-_LIMIT, min(_LIMIT, round(value))))
 
 
 _PACK: Final = {"duty": pack_duty, "current": pack_current, "rpm": pack_rpm}
@@ -65,13 +65,13 @@ def unpack_status(identifier: int, data: bytes) -> VescStatus | None:
     kind, controller = identifier >> 8, identifier & 0xFF
     try:
         if kind == STATUS_1:
-            rpm, _, _ = _SPEED.unpack_from(data)
+            rpm, _, _ = SPEED.unpack_from(data)
             return VescStatus(controller, electrical_rpm=rpm)
         if kind == STATUS_4:
-            transistors, _, current, _ = _HEAT.unpack_from(data)
+            transistors, _, current, _ = HEAT.unpack_from(data)
             return VescStatus(controller, temperature_c=transistors / 10, current_a=current / 10)
         if kind == STATUS_5:
-            _, voltage = _VOLTAGE.unpack_from(data)
+            _, voltage = VOLTAGE.unpack_from(data)
             return VescStatus(controller, voltage_v=voltage / 10)
     except struct.error:
         raise FormatError(f"status {kind} of a VESC has only {len(data)} bytes") from None
