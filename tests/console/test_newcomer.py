@@ -287,7 +287,7 @@ def test_hints_end_for_good_when_they_are_closed(visit: Callable[[Story], None])
 
 
 @pytest.mark.parametrize("dark", [False, True])
-def test_there_is_land_without_a_network_until_it_would_be_taken_for_a_chart(
+def test_there_are_land_and_harbours_without_a_network_until_they_would_be_taken_for_a_chart(
     visit: Callable[[Story], None], dark: bool
 ) -> None:
     async def colours(page: Page, *places: tuple[float, float]) -> list[tuple[int, ...]]:
@@ -302,14 +302,20 @@ def test_there_is_land_without_a_network_until_it_would_be_taken_for_a_chart(
         await page.until("delfim.land() > 1000")
         await page.value("document.getElementById('nobody').style.display = 'none', 0")
         await page.value("delfim.fit(35.0, -12.0, 44.0, 2.0)")
-        spain, atlantic, majorca, sea = await colours(page, (40.3, -3.3), (37.3, -10.7), (39.6, 3.1), (38.4, 3.1))
+        spain, atlantic, majorca, sea = await colours(page, (40.3, -3.3), (37.3, -10.7), (39.75, 3.0), (38.4, 3.1))
         assert (spain, atlantic) == (majorca, sea)
         assert abs(sum(spain) - sum(atlantic)) > 30, "land is seen"
+        await page.until("delfim.harbours() === 1081")
+        vigo, barcelona = await colours(page, (42.242, -8.726), (41.355, 2.169))
+        assert vigo == barcelona, "harbours are dots"
+        assert vigo not in (spain, atlantic)
         words = await page.value(base)
         assert "Natural Earth" in words
         assert "not for navigation" in words
         await page.value("delfim.fit(40.30, -3.31, 40.31, -3.29)")
         assert await colours(page, (40.303, -3.303)) == [atlantic], "the grid alone"
+        await page.value("delfim.fit(38.695, -9.165, 38.705, -9.155)")
+        assert await colours(page, (38.7002, -9.1602)) == [atlantic], "no harbour either"
         assert await page.value(base) == "No chart here. How to add one: Screen in the menu"
         await page.mouse((600.0, 300.0))
         await choose(page, "Screen")

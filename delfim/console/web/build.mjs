@@ -1,5 +1,5 @@
 // Bundles the page into the folder named on the command line (../page without one): console.js, console.css, index.html,
-// land.bin, LICENSES.txt, sources.json.
+// land.bin, harbours.tsv (Natural Earth's 1:10m ports, public domain), LICENSES.txt, sources.json.
 // The same sources and the same lock file give the same bytes.
 import { build } from "esbuild";
 import { createHash } from "node:crypto";
@@ -23,6 +23,7 @@ const { metafile } = await build({
   metafile: true,
 });
 copyFileSync(join(here, "src/index.html"), join(out, "index.html"));
+copyFileSync(join(here, "harbours.tsv"), join(out, "harbours.tsv"));
 writeFileSync(join(out, "land.bin"), land(JSON.parse(readFileSync(join(here, "node_modules/world-atlas/land-10m.json"), "utf8"))));
 
 const packages = new Set(["world-atlas"]);
@@ -40,6 +41,6 @@ const licences = [...packages].sort().map((name) => {
 writeFileSync(join(out, "LICENSES.txt"), licences.join("\n" + "-".repeat(78) + "\n\n"));
 
 // What it was made of, so that a test can tell a bundle from before the last change.
-const sources = ["build.mjs", "land.mjs", "package-lock.json", ...readdirSync(join(here, "src")).map((name) => `src/${name}`)].sort();
+const sources = ["build.mjs", "harbours.tsv", "land.mjs", "package-lock.json", ...readdirSync(join(here, "src")).map((name) => `src/${name}`)].sort();
 const digest = (name) => createHash("sha256").update(readFileSync(join(here, name))).digest("hex");
 writeFileSync(join(out, "sources.json"), JSON.stringify(Object.fromEntries(sources.map((name) => [name, digest(name)])), null, 1) + "\n");

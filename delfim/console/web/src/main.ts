@@ -264,6 +264,7 @@ Object.assign(window, {
     drawn: () => ({ plan: state.plan(state.planning).mission.waypoints.length, aboard: (state.boat && state.aboardOf(state.boat)?.waypoints.length) ?? 0 }),
     online: () => state.hello !== null,
     land: () => land.polygons,
+    harbours: () => land.harbours,
     ways: () => fleet.wayPoints,
     points: (boat: number) => fleet.points(boat),
     frames: ofLastSecond,
