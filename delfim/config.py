@@ -37,18 +37,21 @@ Interface = Annotated[
     ),
 ]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
-SourceName = Literal["dsor", "nmea2000", "nmea0183"]  # files in delfim/vehicle/sources
+SourceName = Literal["dsor", "nmea2000", "dronecan", "nmea0183"]  # files in delfim/vehicle/sources
 DriverName = Literal[
     "dronecan", "dsor", "heron", "mavlink_front_seat", "otter", "pwm", "vesc"
 ]  # files in delfim/vehicle/actuators
 SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboard and a port side; all but dsor mix them
-SensorName = Literal["sysstat", "nmea0183"]  # files in delfim/vehicle/sensors
+SensorName = Literal["sysstat", "dronecan", "nmea0183"]  # files in delfim/vehicle/sensors
 Place = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]  # m from the middle of the boat
 Newtons = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 Curve = Annotated[tuple[tuple[Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)], Newtons], ...], msgspec.Meta(max_length=64)]
 Revolutions = Annotated[float, msgspec.Meta(ge=0.0, le=100_000.0)]
 ThrusterName = Annotated[str, text("[a-z][a-z0-9_]{0,15}", "a small letter, then up to 15 small letters, digits or _")]
 Degrees = Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+MicroTesla = Annotated[float, msgspec.Meta(ge=-500.0, le=500.0)]
+Stretch = Annotated[float, msgspec.Meta(ge=0.5, le=2.0)]
+Shear = Annotated[float, msgspec.Meta(ge=-0.2, le=0.2)]
 DriverAddress = Annotated[int, msgspec.Meta(ge=0, le=255)]
 Sources = Annotated[tuple[SourceName, ...], msgspec.Meta(min_length=1, max_length=len(get_args(SourceName)))]
 Device = Annotated[
@@ -164,7 +167,7 @@ class Can(Table, frozen=True):
             raise ValueError(f"frames of vehicle {self.vehicle:#04x} would be commands to propellers or nodes")
 
 
-ESTIMATED = frozenset({"nmea0183", "nmea2000"})  # sources that hand their sensors over one by one (docs/estimator.md)
+ESTIMATED = frozenset({"dronecan", "nmea0183", "nmea2000"})  # sources of separate sensors (docs/estimator.md)
 
 
 class NavigationTable(Table, frozen=True):
@@ -327,16 +330,22 @@ class Dsor(Table, frozen=True):
 
 
 class Dronecan(Table, frozen=True):
-    """Motor controllers and servos on a DroneCAN bus (docs/dronecan.md). A thruster's address is the index of its controller
-    (ESC_INDEX), that of what turns it the number of its actuator."""
+    """Motor controllers, servos and sensors on a DroneCAN bus (docs/dronecan.md). A thruster's address is the index of its
+    controller (ESC_INDEX), that of what turns it the number of its actuator."""
 
-    interface: Interface = "can1"  # the bus of the motors
+    interface: Interface = "can1"  # the bus of motors and sensors
     bitrate_bps: BitRate = 1_000_000  # of a Linux interface, as DroneCAN has it
     node: Annotated[int, msgspec.Meta(ge=1, le=125)] = 10  # number of this computer; no device may have it
     rate_hz: Annotated[float, msgspec.Meta(ge=10.0, le=100.0)] = 20.0  # commands a second; most controllers stop after 0.2 s
     command: Literal["raw", "rpm"] = "raw"  # a part of full power, or revolutions: rpm_max of a thruster at full command
     steer: Literal["unitless", "position"] = "unitless"  # servos get a part of angle_max_deg, -1 to 1, or the angle in rad
     numbers: bool = True  # give devices that have no number one
+    preferred_sources: tuple[Annotated[int, msgspec.Meta(ge=1, le=127)], ...] = ()  # sensors' numbers, best first; empty: any
+    antennas_deg: Degrees = 0.0  # of two antennas: where the second is, seen from the first, clockwise from the bow
+    compass_deg: Degrees = 0.0  # where the arrow of compass and gyro points, clockwise from the bow
+    variation_deg: Degrees = 0.0  # of the place, east positive: what is added to a magnetic heading
+    hard_iron_ut: tuple[MicroTesla, MicroTesla, MicroTesla] = (0.0, 0.0, 0.0)  # taken off the compass' x, y and z
+    soft_iron: tuple[Stretch, Stretch, Stretch, Shear, Shear, Shear] = (1.0, 1.0, 1.0, 0.0, 0.0, 0.0)  # then: xx yy zz xy xz yz
 
 
 class PropulsionTable(Table, frozen=True):

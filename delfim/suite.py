@@ -82,7 +82,7 @@ SERVICES = (
         "delfim.services.numbering:serve",
         place="process",
         uvloop=False,
-        when=lambda settings: "dronecan" in settings.drivers and settings.dronecan.numbers,
+        when=lambda settings: "dronecan.interface" in settings.outside("interface") and settings.dronecan.numbers,
     ),
     Service("httpd", "delfim.services.httpd:serve", late=True),
     Service("ftpd", "delfim.services.ftpd:serve", place="process", when=lambda settings: settings.ftpd.users),

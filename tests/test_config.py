@@ -103,11 +103,16 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             BOAT + "[navigation]\nsources = []",
             "navigation.sources",
             "an empty list is not allowed",
-            "1 to 3 of dsor, nmea2000, nmea0183",
+            "1 to 4 of dsor, nmea2000, dronecan, nmea0183",
         ),
         # not one of the words
         (BOAT + '[log]\nwhen_full = "Panic"', "log.when_full", '"Panic" is not allowed', "delete-oldest, stop"),
-        (BOAT + '[navigation]\nsources = ["gps"]', "navigation.sources[0]", '"gps" is not allowed', "dsor, nmea2000, nmea0183"),
+        (
+            BOAT + '[navigation]\nsources = ["gps"]',
+            "navigation.sources[0]",
+            '"gps" is not allowed',
+            "dsor, nmea2000, dronecan, nmea0183",
+        ),
         (
             BOAT + '[services.ftpd]\n[services.httpd]\nplace = "moon"',
             "services.httpd.place",

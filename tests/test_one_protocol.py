@@ -30,6 +30,10 @@ TWIN = f"thrusters=[{ROW % ('starboard', 0, 1.0, '')}, {ROW % ('port', 1, -1.0, 
             r"nmea2000.interface: can0 carries DSOR \(can.interface\) already, and this is NMEA 2000",
         ),
         (
+            ('navigation.sources=["nmea2000", "dronecan"]',),
+            r"dronecan.interface: can1 carries NMEA 2000 \(nmea2000.interface\) already, and this is DroneCAN",
+        ),
+        (
             ('routing.buses.deck={interface="can1", nodes=[1]}',),
             r"deck.interface: can1 carries DroneCAN \(dronecan.interface\) already, and this is DSOR",
         ),
@@ -49,6 +53,17 @@ def test_a_bus_carries_one_protocol(values, words):
     told = subprocess.run(command, capture_output=True, text=True)
     assert told.returncode == 2
     assert "a bus carries one protocol" in told.stderr
+
+
+def test_motors_and_sensors_of_dronecan_share_a_bus():
+    settings = config.load(VEHICLE, (TWIN, 'navigation.sources=["dronecan"]', 'sensors.names=["dronecan"]'))
+    assert settings.buses == ("can0", "can1")
+    assert settings.bit_rates == {"can0": 500_000, "can1": 1_000_000}
+
+
+def test_sensors_of_dronecan_are_refused_on_another_bus():
+    with pytest.raises(ConfigError, match=r"dronecan.interface: can0 carries DSOR \(can.interface\) already"):
+        config.load(VEHICLE, ('sensors.names=["dronecan"]', 'dronecan.interface="can0"'))
 
 
 def test_buses_of_their_own_are_fine_and_set_up_with_their_own_bit_rates():

@@ -21,6 +21,8 @@ from delfim.canproxy.dronecan.datatypes import (
     ESC_STATUS,
     FIX2,
     MAGNETIC_FIELD,
+    MAGNETIC_FIELD_FINE,
+    MAGNETIC_FIELD_FIRST,
     NODE_STATUS,
     RAW_COMMAND,
     RAW_IMU,
@@ -243,6 +245,20 @@ def of_magnetic_field():
     return MAGNETIC_FIELD, message, [3, *field], covariance
 
 
+def of_first_magnetic_field():
+    field, covariance = [f16(1.0) for _ in range(3)], [f16() for _ in range(rnd.choice((0, 3, 9)))]
+    message = EQ.ahrs.MagneticFieldStrength()
+    message.magnetic_field_ga, message.magnetic_field_covariance = field, covariance
+    return MAGNETIC_FIELD_FIRST, message, field, covariance
+
+
+def of_fine_magnetic_field():
+    field = [f32(1.0) for _ in range(3)]
+    message = dronecan.dronecan.sensors.magnetometer.MagneticFieldStrengthHiRes(sensor_id=3)
+    message.magnetic_field_ga = field
+    return MAGNETIC_FIELD_FINE, message, [3, *field], ()
+
+
 def of_imu():
     message = EQ.ahrs.RawIMU()
     v = [f32(), *(f16() for _ in range(3)), *(f32() for _ in range(3)), *(f16() for _ in range(3)), *(f32() for _ in range(3))]
@@ -263,7 +279,8 @@ def of_allocation():
     "make",
     [
         *(of_raw_command, of_rpm_command, of_array_command, of_esc_status, of_node_status, of_battery_info, of_fix),
-        *(of_auxiliary, of_relative_heading, of_magnetic_field, of_imu, of_allocation),
+        *(of_auxiliary, of_relative_heading, of_magnetic_field, of_first_magnetic_field, of_fine_magnetic_field, of_imu),
+        of_allocation,
     ],
 )
 def test_random_transfers_are_byte_for_byte_those_of_pydronecan(make: Callable[[], tuple]):
@@ -321,6 +338,8 @@ def test_random_transfers_are_byte_for_byte_those_of_pydronecan(make: Callable[[
         ),
         (RELATIVE_HEADING, (1, 0, math.nan, 0.5, math.nan, 0.0), (), RelativeHeading(None, None, None)),
         (MAGNETIC_FIELD, (1, 0.25, 0.0, -0.5), (1.0,) * 9, MagneticField(1, pytest.approx((0.25e-4, 0.0, -0.5e-4)))),
+        (MAGNETIC_FIELD_FIRST, (0.25, 0.0, -0.5), (), MagneticField(0, pytest.approx((0.25e-4, 0.0, -0.5e-4)))),
+        (MAGNETIC_FIELD_FINE, (2, 0.25, 0.0, -0.5), (), MagneticField(2, pytest.approx((0.25e-4, 0.0, -0.5e-4)))),
         (RAW_IMU, (0, 0.1, *(1.0, 2.0, 3.0), *(0.0,) * 3, *(4.0, 5.0, 6.0), *(0.0,) * 3), (), ImuSample((1, 2, 3), (4, 5, 6))),
         (ALLOCATION, (5, 1), (1, 2, 3), NumberRequest(5, True, b"\1\2\3")),
     ],

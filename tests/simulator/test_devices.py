@@ -208,7 +208,9 @@ def test_a_boat_with_a_navigation_node_has_no_estimator():
     list(run.cycles(5.0))
     assert run.state.inputs == {}
     assert run.nodes.beside == ()
-    with pytest.raises(ConfigError, match="only for nmea0183, nmea2000; these sources make whole messages by themselves"):
+    with pytest.raises(
+        ConfigError, match="only for dronecan, nmea0183, nmea2000; these sources make whole messages by themselves"
+    ):
         config.load(ROOT / "etc/delfimx.toml", ["navigation.estimator=true"])
 
 

@@ -13,10 +13,12 @@ from delfim.errors import FormatError
 
 ALLOCATION: Final = DataType("Allocation", 1, 0xF258, (unsigned(7), unsigned(1)), (unsigned(8),), 16)
 NODE_STATUS: Final = DataType("NodeStatus", 341, 0xBE5F, tuple(map(unsigned, (32, 2, 3, 3, 16))))
+MAGNETIC_FIELD_FIRST: Final = DataType("MagneticFieldStrength", 1001, 0x037C, (F16, F16, F16), (F16,), 9)
 MAGNETIC_FIELD: Final = DataType("MagneticFieldStrength2", 1002, 0xBA25, (unsigned(8), F16, F16, F16), (F16,), 9)
 RAW_IMU: Final = DataType(
     "RawIMU", 1003, 0x4E3E, (unsigned(56), F32, *(F16,) * 3, *(F32,) * 3, *(F16,) * 3, *(F32,) * 3), (F16,), 36
 )
+MAGNETIC_FIELD_FINE: Final = DataType("MagneticFieldStrengthHiRes", 1043, 0x9AF4, (unsigned(8), F32, F32, F32))
 ARRAY_COMMAND: Final = DataType("ArrayCommand", 1010, 0x5E37, (), (unsigned(8), unsigned(8), F16), 15)
 RAW_COMMAND: Final = DataType("RawCommand", 1030, 0xE4B8, (), (signed(14),), 20)
 RPM_COMMAND: Final = DataType("RPMCommand", 1031, 0xF8B4, (), (signed(18),), 20)
@@ -119,9 +121,9 @@ class RelativeHeading(NamedTuple):
 
 
 class MagneticField(NamedTuple):
-    """A magnetometer, at 10 to 50 Hz: the field in the device's axes, which is not a heading."""
+    """A magnetometer, at 10 to 50 Hz: the field in the device's axes, which is not a heading. Three types say it."""
 
-    sensor: int
+    sensor: int  # its number in the device; 0 where the type has none
     field_t: tuple[float, float, float]
 
 
@@ -129,7 +131,7 @@ class ImuSample(NamedTuple):
     """Gyroscope and accelerometer, in the device's axes."""
 
     rate_radps: tuple[float, float, float]
-    force_mps2: tuple[float, float, float]
+    force_mps2: tuple[float, float, float]  # specific force: at rest it points up
 
 
 class NumberRequest(NamedTuple):
@@ -264,8 +266,8 @@ def _read_heading(values: Sequence[Any], items: Sequence[Any]) -> RelativeHeadin
 
 
 def _read_magnetic(values: Sequence[Any], items: Sequence[Any]) -> MagneticField:
-    x, y, z = _vector(values[1:], "magnetic field")
-    return MagneticField(values[0], (x * _TESLA, y * _TESLA, z * _TESLA))
+    x, y, z = _vector(values[-3:], "magnetic field")
+    return MagneticField(values[0] if len(values) > 3 else 0, (x * _TESLA, y * _TESLA, z * _TESLA))
 
 
 def _read_imu(values: Sequence[Any], items: Sequence[Any]) -> ImuSample:
@@ -281,7 +283,9 @@ _READ: Final[dict[int, tuple[DataType, Callable[[Sequence[Any], Sequence[Any]], 
     for kind, read in (
         (ALLOCATION, _read_allocation),
         (NODE_STATUS, _read_node_status),
+        (MAGNETIC_FIELD_FIRST, _read_magnetic),
         (MAGNETIC_FIELD, _read_magnetic),
+        (MAGNETIC_FIELD_FINE, _read_magnetic),
         (RAW_IMU, _read_imu),
         (ESC_STATUS, _read_esc_status),
         (AUXILIARY, _read_dilution),

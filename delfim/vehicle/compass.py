@@ -1,0 +1,95 @@
+"""A heading from the earth's magnetic field, and the direction of down from a gyro and an accelerometer. Vectors are in the
+axes of the device: x along its arrow, y to the right of it, z down when it lies flat with its face up.
+
+The gyro turns the direction of down, and gravity corrects it slowly: in waves and turns an accelerometer feels more than
+gravity. A tilt that is wrong by one degree makes a heading wrong by up to one and a half where the field dips by 56 degrees.
+"""
+
+import math
+from typing import Final
+
+from delfim import config
+
+Vector = tuple[float, float, float]
+FLAT: Final[Vector] = (0.0, 0.0, 1.0)  # down, of a device that lies flat
+CORRECTED_S: Final = 5.0  # time constant with which gravity corrects the gyro
+GAP_S: Final = 0.5  # after which gravity alone counts
+GRAVITY_MPS2: Final = 9.80665
+SHARE: Final = 0.5  # of gravity: an acceleration that is further from it says nothing of where down is
+FIELD_MIN_T: Final = 5e-6  # horizontal; the earth's is 10 to 40 uT, but for the poles
+LEANING: Final = 0.5  # a bow that points up or down by more than 60 degrees has no heading
+
+
+class Tilt:
+    """The direction of down for a device; None while it is not known."""
+
+    def __init__(self) -> None:
+        self.down: Vector | None = None
+        self.at_s = -math.inf  # of the last sample
+
+    def feed(self, rate_radps: Vector, force_mps2: Vector, at_s: float) -> float | None:
+        """A sample: rates, and specific force (at rest it points up); returns the rate of turn around down, rad/s, positive to
+        starboard."""
+        dt_s, self.at_s = at_s - self.at_s, at_s
+        strength = math.hypot(*force_mps2)
+        feels = abs(strength - GRAVITY_MPS2) < SHARE * GRAVITY_MPS2
+        if not 0.0 <= dt_s <= GAP_S:
+            self.down = None
+        if self.down is None:
+            if not feels:
+                return None
+            x, y, z = (-each / strength for each in force_mps2)
+        else:
+            (x, y, z), (p, q, r) = self.down, rate_radps
+            x, y, z = x + (y * r - z * q) * dt_s, y + (z * p - x * r) * dt_s, z + (x * q - y * p) * dt_s
+            if feels:
+                part = dt_s / CORRECTED_S
+                x, y, z = (d - part * (f / strength + d) for d, f in zip((x, y, z), force_mps2, strict=True))
+        length = math.hypot(x, y, z)
+        self.down = x / length, y / length, z / length
+        return dot(rate_radps, self.down)
+
+
+class Calibration:
+    """The boat's own iron, from the vehicle's file."""
+
+    def __init__(self, table: config.Dronecan) -> None:
+        self._hard = tuple(each * 1e-6 for each in table.hard_iron_ut)
+        xx, yy, zz, xy, xz, yz = table.soft_iron
+        self._rows = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+
+    def undone(self, field_t: Vector) -> Vector:
+        """The earth's field, given the measured one, T."""
+        x, y, z = (measured - own for measured, own in zip(field_t, self._hard, strict=True))
+        a, b, c = self._rows
+        return dot(a, (x, y, z)), dot(b, (x, y, z)), dot(c, (x, y, z))
+
+
+def dot(a: Vector, b: Vector) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def magnetic_heading(field_t: Vector, down: Vector, arrow_rad: float) -> float | None:
+    """The boat's heading from magnetic north, rad, by a device whose arrow points there, clockwise from the bow. None: the
+    field is too weak, or the bow points up or down."""
+    (x, y, z), (bx, by, _) = down, bow(down, arrow_rad)
+    lean = x * bx + y * by
+    ahead = bx - lean * x, by - lean * y, -lean * z  # the bow's part in the horizontal plane
+    right = -z * by, z * bx, x * by - y * bx  # down cross bow
+    length, north, east = math.hypot(*ahead), dot(field_t, ahead), -dot(field_t, right)
+    if length < LEANING or math.hypot(north, east) < FIELD_MIN_T * length:
+        return None
+    return math.atan2(east, north)
+
+
+def attitude(down: Vector, arrow_rad: float) -> tuple[float, float]:
+    """(roll, pitch) of the boat, rad."""
+    (x, y, z), (bx, by, _) = down, bow(down, arrow_rad)
+    starboard = y * bx - x * by if z >= 0.0 else x * by - y * bx
+    return math.atan2(starboard, abs(z)), -math.asin(max(-1.0, min(x * bx + y * by, 1.0)))
+
+
+def bow(down: Vector, arrow_rad: float) -> Vector:
+    """The direction of the bow in the axes of a device, which may lie on its face."""
+    side = math.sin(arrow_rad)
+    return math.cos(arrow_rad), -side if down[2] >= 0.0 else side, 0.0

@@ -1,0 +1,77 @@
+"""Batteries on a DroneCAN bus (docs/dronecan.md): battery 0 is the starboard one, or the only one, battery 1 the port one."""
+
+from typing import Final
+
+from delfim import config
+from delfim.canproxy.dronecan.datatypes import BATTERY_INFO, BatteryInfo, decode
+from delfim.canproxy.dronecan.transfers import TransferReceiver
+from delfim.canproxy.socket import CanSocket
+from delfim.errors import BusError, FormatError
+from delfim.messages import BatteriesStatus, Fault, Node, Status
+from delfim.newest import Newest
+from delfim.vehicle.links import Links
+from delfim.vehicle.sensors import Value
+from delfim.vehicle.sensors.sysstat import NAMES
+from delfim.vehicle.state import State
+
+VALUES: tuple[Value, ...] = ()  # record.py has the logged fields
+FRAMES_PER_READ: Final = 64
+SIDES: Final = tuple(NAMES[node] for node in (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT))
+HOT, OVERLOAD, BAD, FAULTY = 8, 32, 64, 256  # flags
+
+
+class DronecanBatteries:
+    """The charge of the batteries. Of several devices that report one, the first in `dronecan.preferred_sources` counts."""
+
+    name = "dronecan"
+
+    def __init__(self, settings: config.Vehicle, socket: CanSocket, receiver: TransferReceiver) -> None:
+        self.input, self._receiver = socket, receiver
+        preferred, stale_s = settings.dronecan.preferred_sources, settings.sysstat.stale_s
+        self._told = tuple(Newest[int, BatteryInfo](preferred, stale_s) for _ in SIDES)
+
+    def read(self, state: State, now_s: float) -> None:
+        """Malformed reports, and those of a third battery, are counted."""
+        for _ in range(FRAMES_PER_READ):
+            try:
+                frame = self.input.receive()
+            except BusError:
+                state.count("dronecan_bus_errors")
+                break
+            if frame is None:
+                break
+            transfer = self._receiver.feed(frame, now_s)
+            if transfer is None:
+                continue
+            try:
+                told = decode(transfer)
+            except FormatError:
+                state.count("dronecan_malformed")
+                continue
+            if isinstance(told, BatteryInfo):
+                self._hear(state, transfer.source, told, now_s)
+
+    def _hear(self, state: State, node: int, told: BatteryInfo, now_s: float) -> None:
+        if told.battery >= len(SIDES):
+            state.count("dronecan_other_batteries")
+            return
+        newest = self._told[told.battery]
+        newest.put(node, told, now_s)
+        if newest.choose(now_s) == node:
+            state.sysstat[SIDES[told.battery]] = status_of(told), now_s
+
+
+def status_of(told: BatteryInfo) -> BatteriesStatus:
+    """A report in the words of the boat's own nodes."""
+    flags = told.flags
+    faults = Fault.OVERHEATED if flags & HOT else Fault(0)
+    faults |= Fault.OVERCURRENT if flags & OVERLOAD else Fault(0)
+    faults |= Fault.HARDWARE if flags & (BAD | FAULTY) else Fault(0)
+    status = Status.BAD if Fault.HARDWARE in faults else Status.DEGRADED if faults else Status.GOOD
+    celsius = None if told.temperature_c is None else round(told.temperature_c)
+    return BatteriesStatus(status, faults, told.voltage_v, told.current_a, told.charge, celsius)
+
+
+def open_sensor(settings: config.Vehicle, links: Links) -> DronecanBatteries:
+    receiver = TransferReceiver((BATTERY_INFO,))
+    return DronecanBatteries(settings, links.bus(settings.dronecan.interface, receiver.filters), receiver)

@@ -1,0 +1,224 @@
+"""Receivers, compasses and gyros on a DroneCAN bus (docs/dronecan.md). Each kind of data has its node and its age."""
+
+import math
+from collections import Counter
+from typing import Any, Final
+
+from delfim import config
+from delfim.canproxy.dronecan import datatypes
+from delfim.canproxy.dronecan.datatypes import (
+    Dilution,
+    GnssFix,
+    ImuSample,
+    MagneticField,
+    Message,
+    NodeStatus,
+    RelativeHeading,
+    decode,
+)
+from delfim.canproxy.dronecan.transfers import TransferReceiver
+from delfim.canproxy.socket import CanSocket
+from delfim.errors import BusError, FormatError
+from delfim.messages import Navigation
+from delfim.newest import Newest
+from delfim.vehicle.compass import FLAT, Calibration, Tilt, Vector, attitude, magnetic_heading
+from delfim.vehicle.estimated import Hearer
+from delfim.vehicle.links import Links
+from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
+from delfim.vehicle.state import State
+
+HEARD: Final = (
+    datatypes.FIX2,
+    datatypes.AUXILIARY,
+    datatypes.RELATIVE_HEADING,
+    datatypes.MAGNETIC_FIELD_FIRST,
+    datatypes.MAGNETIC_FIELD,
+    datatypes.MAGNETIC_FIELD_FINE,
+    datatypes.RAW_IMU,
+    datatypes.NODE_STATUS,
+)
+SLOW_S: Final = 2.5  # the dilution may come once a second, whatever the vehicle's `stale_s`
+FLAT_S: Final = 1.0  # after a beginning: who has not told its gravity by then lies flat
+_KINDS: Final = ("position", "velocity", "heading", "rate", "attitude", "dilution")
+_DIFFERENTIAL, _RTK = 1, 2  # modes of a fix
+
+
+class DronecanNavigation:
+    """All sensors of the bus. A value older than its limit is None in the message."""
+
+    name = "dronecan"
+
+    def __init__(self, settings: config.Vehicle, socket: CanSocket, receiver: TransferReceiver, state: State) -> None:
+        table, stale_s = settings.dronecan, settings.navigation.stale_s
+        self.input, self._receiver, self._state = socket, receiver, state
+        self.heard_s, self.t_ns = -1e9, 0
+        self._stale_s, self._calibration = stale_s, Calibration(table)
+        self._variation_rad, self._arrow_rad = math.radians(table.variation_deg), math.radians(table.compass_deg)
+        self._antennas_rad = math.radians(table.antennas_deg)
+        self._newest: dict[str, Newest[int, Any]] = {
+            kind: Newest(table.preferred_sources, max(stale_s, SLOW_S) if kind == "dilution" else stale_s) for kind in _KINDS
+        }
+        self._talking: Newest[int, bool] = Newest(table.preferred_sources, stale_s)  # sends fixes, even if it has none
+        self._began_s = -1e9
+        self._tilts = dict[int, Tilt]()  # of the nodes with a gyro and an accelerometer
+        self._sensors = dict[int, int]()  # by node: its magnetometer, of several
+        self._antennas_s = -1e9  # when two antennas told a heading last
+        self._fields_ut = dict[int, list[list[float]]]()  # by node: least and most of each axis, for the calibration
+        self._nodes = dict[int, tuple[int, float]]()  # health, and when it was heard
+        self._refused: Counter[str] = Counter()
+        self._counter = 0
+        self._hearer: Hearer | None = None
+
+    def tell(self, hearer: Hearer) -> None:
+        self._hearer = hearer
+
+    def read(self, now_s: float) -> Fix | None:
+        """As `DsorNavigation.read`: a fix for each message of the chosen receiver."""
+        fix = None
+        for _ in range(FRAMES_PER_READ):
+            try:
+                frame = self.input.receive()
+            except BusError:
+                self._state.count("dronecan_bus_errors")
+                break
+            if frame is None:
+                break
+            transfer = self._receiver.feed(frame, now_s)
+            if transfer is None:
+                continue
+            self.t_ns = frame.t_ns
+            try:
+                message = decode(transfer)
+            except FormatError:
+                self._state.count("dronecan_malformed")
+                continue
+            navigation = self._take(transfer.source, message, now_s)
+            if navigation is not None:
+                fix = Fix(navigation, frame.t_ns, now_s)
+                self.heard_s = now_s
+        return fix
+
+    def _take(self, node: int, message: Message, now_s: float) -> Navigation | None:
+        """File a message under its kind; positions go on to the vehicle."""
+        match message:
+            case GnssFix():
+                return self._located(node, message, now_s)
+            case Dilution():
+                self._newest["dilution"].put(node, message, now_s)
+            case RelativeHeading(heading_rad, _accuracy, _distance):
+                if heading_rad is not None:
+                    self._antennas_s = now_s
+                    heading_rad = (heading_rad - self._antennas_rad) % math.tau
+                self._headed(node, heading_rad, now_s)
+            case MagneticField():
+                self._magnetic(node, message, now_s)
+            case ImuSample(rate_radps, force_mps2):
+                tilt = self._tilts.setdefault(node, Tilt())
+                turning_radps = tilt.feed(rate_radps, force_mps2, self.t_ns / 1e9)
+                self._newest["rate"].put(node, turning_radps, now_s)
+                if turning_radps is not None:
+                    self._tell("rate", node, (turning_radps,), now_s)
+                known = None if tilt.down is None else attitude(tilt.down, self._arrow_rad)
+                self._newest["attitude"].put(node, known, now_s)
+            case NodeStatus():
+                self._nodes[node] = message.health, now_s
+        return None
+
+    def _tell(self, kind: str, node: int, value: tuple[float, ...], now_s: float, utc_ns: int | None = None) -> None:
+        """Hand a value over, if it is of the node that is chosen for its kind."""
+        if self._hearer is not None and self._newest[kind].choose(now_s) == node:
+            self._hearer(kind, value, utc_ns or 0)
+
+    def _headed(self, node: int, heading_rad: float | None, now_s: float) -> None:
+        self._newest["heading"].put(node, heading_rad, now_s)
+        if heading_rad is not None:
+            self._tell("heading", node, (heading_rad,), now_s)
+
+    def _magnetic(self, node: int, m: MagneticField, now_s: float) -> None:
+        """The heading of a compass: tilted as the gyro and the accelerometer of the same node say, flat where it has none. Two
+        antennas are better."""
+        if self._sensors.setdefault(node, m.sensor) != m.sensor or now_s - self._antennas_s <= self._stale_s:
+            return
+        ends = self._fields_ut.setdefault(node, [[math.inf, -math.inf] for _ in m.field_t])
+        for end, field_t in zip(ends, m.field_t, strict=True):
+            end[:] = min(end[0], field_t * 1e6), max(end[1], field_t * 1e6)
+        down = self._down(node, now_s)
+        heading_rad = None if down is None else magnetic_heading(self._calibration.undone(m.field_t), down, self._arrow_rad)
+        if heading_rad is None:
+            self._refused["compass without its tilt" if down is None else "magnetic field without a direction"] += 1
+        else:
+            heading_rad = (heading_rad + self._variation_rad) % math.tau
+        self._headed(node, heading_rad, now_s)
+
+    def _down(self, node: int, now_s: float) -> Vector | None:
+        tilt = self._tilts.get(node)
+        if tilt is None:
+            return FLAT if now_s - self._began_s > FLAT_S else None
+        return tilt.down if abs(self.t_ns / 1e9 - tilt.at_s) <= self._stale_s else None
+
+    def _located(self, node: int, g: GnssFix, now_s: float) -> Navigation | None:
+        """File a fix, or a receiver's report that it has none; returns the message if the node is the chosen one."""
+        newest, fix = self._newest, fix_of(g)
+        if not now_s - self.heard_s <= self._stale_s:  # a beginning: a replay has perhaps not heard what came before it
+            self._began_s, self._tilts, self._sensors = now_s, {}, {}
+        position = (g.latitude_rad, g.longitude_rad) if fix else None
+        newest["position"].put(node, position, now_s)
+        self._talking.put(node, True, now_s)
+        known = fix and g.north_mps is not None and g.east_mps is not None
+        newest["velocity"].put(node, (g.north_mps, g.east_mps) if known else None, now_s)
+        if (newest["position"].choose(now_s) or self._talking.choose(now_s)) != node:
+            return None
+        for kind in ("velocity", "position"):
+            if (value := newest[kind].of(node, now_s)) is not None:
+                self._tell(kind, node, value, now_s, g.utc_ns)
+        return self._message(node, g, position, now_s)
+
+    def _message(self, node: int, g: GnssFix, position: tuple[float, float] | None, now_s: float) -> Navigation:
+        newest = self._newest
+        latitude_rad, longitude_rad = position or (None, None)
+        north_mps, east_mps = newest["velocity"].get(now_s) or (None, None)
+        roll_rad, pitch_rad = newest["attitude"].get(now_s) or (None, None)
+        dilution = newest["dilution"].of(node, now_s)
+        self._counter = self._counter + 1 & 0xFF
+        return Navigation(
+            g.utc_ns or 0,
+            latitude_rad,
+            longitude_rad,
+            north_mps,
+            east_mps,
+            newest["heading"].get(now_s),
+            newest["rate"].get(now_s),
+            roll_rad,
+            pitch_rad,
+            fix_of(g),
+            g.satellites,
+            None if dilution is None else dilution.hdop,
+            self._counter,
+        )
+
+    def report(self, now_s: float) -> dict[str, object]:
+        """Which node is used for which kind of data, the devices heard, and what was refused."""
+        kinds = dict[str, object]()
+        for kind, newest in self._newest.items():
+            node = newest.choose(now_s)
+            kinds[kind] = {"node": node, "age_s": None if node is None else newest.age_s(node, now_s)}
+        devices = {str(node): {"health": health, "age_s": now_s - at_s} for node, (health, at_s) in sorted(self._nodes.items())}
+        fields = {
+            str(node): {"axes_ut": [[round(each, 1) for each in end] for end in ends], "flat": node not in self._tilts}
+            for node, ends in sorted(self._fields_ut.items())
+        }
+        return {"kinds": kinds, "devices": devices, "compasses": fields, "refused": dict(self._receiver.errors + self._refused)}
+
+
+def fix_of(g: GnssFix) -> int:
+    """The kind of fix, as in delfim.messages.Navigation."""
+    if g.status < 2:
+        return 0
+    if g.status == 2:
+        return 2
+    return {_DIFFERENTIAL: 4, _RTK: 5 if g.sub_mode else 6}.get(g.mode, 3)
+
+
+def open_source(settings: config.Vehicle, links: Links, state: State) -> DronecanNavigation:
+    receiver = TransferReceiver(HEARD)
+    return DronecanNavigation(settings, links.bus(settings.dronecan.interface, receiver.filters), receiver, state)
