@@ -17,14 +17,15 @@ class Failing:
         self._settings, self._state, self._propulsion, self._log = settings, state, propulsion, log
         self._since_s = dict[str, float]()  # of the thrusters that are astray now, by name
 
-    def look(self, now_s: float) -> None:
+    def look(self, now_s: float) -> dict[str, str]:
+        """Returns the thrusters that are astray now, by name, each with the reason in words."""
         state = self._state
         found = astray(self._settings, state, now_s)
         self._since_s = {name: self._since_s.get(name, now_s) for name in found}
         if state.mode is Mode.IDLE:
             if state.failed:
                 state.failed, state.unsteerable = {}, self._propulsion.drop(())
-            return
+            return found
         after_s = self._settings.failsafe.thruster.after_s
         lasting = {name: words for name, words in found.items() if now_s - self._since_s[name] >= after_s}
         if new := lasting.keys() - state.failed.keys():
@@ -32,3 +33,4 @@ class Failing:
             state.unsteerable = self._propulsion.drop(state.failed)
             told = state.unsteerable or "the others carry on"
             self._log.note(f"{' and '.join(sorted(new))} dropped out: {told}")
+        return found

@@ -130,8 +130,7 @@ class VehicleLoop:
         now_s = state.watchdog_s = self.clock.monotonic_s()
         helm = self.helm
         helm.go_on()
-        self._failing.look(now_s)
-        inputs = Inputs(self.log.reason(), helm.plans.fence)
+        inputs = Inputs(self.log.reason(), helm.plans.fence, self._failing.look(now_s))
         helm.troubles, action, reason, notices = failsafe.failsafe(helm.rules, helm.troubles, state, inputs, now_s)
         if notices or state.notices:
             for text in failsafe.news(state.notices, notices):

@@ -5,8 +5,9 @@ compare it with `after_s` themselves: their class is a `config.Silence`.
 """
 
 import math
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Mapping
 from enum import IntEnum
+from types import MappingProxyType
 from typing import Final, NamedTuple, Self
 
 from delfim import config
@@ -32,6 +33,7 @@ class Inputs(NamedTuple):
 
     log_reason: str  # why the log is not written, in words; empty while it is
     fence: Fence | None  # None: there is none
+    astray: Mapping[str, str] = MappingProxyType({})  # thrusters that do not do as commanded, as `astray` tells them
 
 
 class Look(NamedTuple):
@@ -125,7 +127,7 @@ def battery_low(look: Look) -> str | None:
 
 def thruster(look: Look) -> str | None:
     state = look.state
-    words = ", ".join((astray(look.settings, state, look.now_s) | state.failed).values())
+    words = ", ".join({**look.inputs.astray, **state.failed}.values())
     return f"{words}: {state.unsteerable}" if words and state.unsteerable else words or None
 
 

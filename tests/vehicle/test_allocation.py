@@ -118,6 +118,29 @@ def test_the_forces_are_those_of_an_independent_solver(boat: list[Thruster], req
     assert asked(boat, request).forces_n == pytest.approx(best(boat, request), abs=1e-4 * largest_n)
 
 
+@given(st.lists(fixed, min_size=2, max_size=2), st.sets(st.sampled_from([0, 1])), requests)
+def test_two_fixed_thrusters_have_the_forces_of_the_general_solver(
+    boat: list[Thruster], failed: set[int], request: tuple[float, float, float]
+) -> None:
+    """Also where one failed. The general solver ends at `CLOSE`, from which two almost parallel thrusters may be so far."""
+    allocation = Allocation(boat, frozenset(failed))
+    general, told = (
+        allocation._exactly(allocation._columns, *request, [0.0, 0.0]),
+        allocation.allocate(*request, [0.0, 0.0], DT_S),
+    )
+    assert told[0] == pytest.approx(general[0], abs=3e-4 * allocation._unit_n)
+    if told[2] is not None:
+        assert told[2] == pytest.approx(general[2], abs=3e-3 * allocation._unit_n)
+
+
+@given(st.lists(fixed, min_size=2, max_size=2), requests)
+def test_the_forces_of_two_thrusters_are_those_of_an_independent_solver(
+    boat: list[Thruster], request: tuple[float, float, float]
+) -> None:
+    largest_n = max(max(t.curve.ahead_n, -t.curve.astern_n) for t in boat)
+    assert asked(boat, request).forces_n == pytest.approx(best(boat, request), abs=1e-6 * largest_n)
+
+
 @given(st.lists(fixed, min_size=1, max_size=16), requests, st.floats(-1e-5, 1e-5), st.sampled_from([0, 1, 2]))
 def test_a_little_more_asked_for_is_a_little_more_force(
     boat: list[Thruster], request: tuple[float, float, float], more: float, which: int

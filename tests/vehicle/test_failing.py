@@ -61,8 +61,8 @@ class Afloat:
                 rpm = 0.0 if row.name in self.dead else part * self.settings.rpm_max(row)
                 self.state.thrusters[row.name] = ThrusterReport(self.now_s, rpm=rpm)
             self.state.navigation_s = self.state.changed_s = self.state.console_s = self.now_s
-            self.failing.look(self.now_s)
-            verdict = failsafe(self.rules, self.memory, self.state, Inputs("", None), self.now_s)
+            inputs = Inputs("", None, self.failing.look(self.now_s))
+            verdict = failsafe(self.rules, self.memory, self.state, inputs, self.now_s)
             self.memory = verdict.memory
         return verdict
 

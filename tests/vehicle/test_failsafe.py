@@ -24,7 +24,7 @@ from delfim.vehicle.state import (
     State,
     ThrusterReport,
 )
-from delfim.vehicle.troubles import Inputs, Trigger
+from delfim.vehicle.troubles import Inputs, Trigger, astray
 
 ALL = frozenset({"position", "heading", "velocity"})
 RULES = Rules(config.Vehicle(boat=config.BoatTable(name="test"), handset=config.HandsetTable(device="/dev/receiver")))
@@ -75,6 +75,7 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             here.sysstat["batteries_port"] = BatteriesStatus(Status.GOOD, Fault(0), 44.0, 1.0, charge, 20), now_s
         case Trigger.THRUSTER:
             here.thrusters["port"] = ThrusterReport(now_s, 1100.0)
+            inputs = Inputs("", None, astray(RULES.settings, here, now_s))
         case Trigger.MANUAL_SILENT:
             here.manual_s = now_s - 5.1
         case Trigger.CONSOLE_SILENT:
@@ -309,10 +310,10 @@ def test_what_cannot_be_done_becomes_the_next_safer_thing(action, has, track, mo
 
 
 def test_a_report_of_revolutions_that_is_old_or_missing_proves_nothing():
-    here, inputs = troubled(Trigger.THRUSTER, Mode.IDLE)
+    here = state(Mode.IDLE)
     for report in (ThrusterReport(98.0, 1100.0), ThrusterReport(100.0)):
         here.thrusters["port"] = report
-        assert look(RULES, NO_TROUBLE, here, inputs, 100.0).memory == {}
+        assert astray(RULES.settings, here, 100.0) == {}
 
 
 def test_without_a_position_the_fence_cannot_be_watched():

@@ -8,7 +8,7 @@ from delfim import config, messages
 from delfim.frames import Frame
 from delfim.messages import Fault, Node, PropellerStatus, Status
 from delfim.modes import Mode
-from delfim.vehicle import console
+from delfim.vehicle import console, failing, troubles
 
 NORTH_8_M = math.radians(38.6925) + 8.0 / 6_360_000
 
@@ -160,3 +160,18 @@ def test_every_change_of_mode_and_every_trouble_is_in_the_log_in_words(boat):
     assert mine[1].startswith("navigation_silent: navigation silent for 1.")
     assert mine[2].startswith("idle: navigation silent for 1.")
     assert "navigation_silent: over" in mine
+
+
+def test_the_thrusters_are_judged_once_for_each_look_of_the_watchdog(boat, monkeypatch):
+    """By `Failing`, which tells the failsafe; ten times a second it is a tenth of the watchdog's work."""
+    judged = 0
+
+    def counted(*asked):
+        nonlocal judged
+        judged += 1
+        return {"port": "port propeller stands still"}
+
+    for module in (failing, troubles):
+        monkeypatch.setattr(module, "astray", counted)
+    boat.vehicle.on_watchdog()
+    assert judged == 1

@@ -7,7 +7,8 @@ sway: what can be met is met, with the least effort; when it cannot, surge and s
 and is slow. (T. I. Johansen, T. I. Fossen, "Control allocation - a survey", Automatica 49, 2013; docs/propulsion.md.)
 
 The dual problem has three unknowns l = Q (t - B f), however many thrusters there are: f = clip(w b'l). It is concave and
-piecewise quadratic, so that Newton's method with an exact search along its direction ends after a few steps.
+piecewise quadratic, so that Newton's method with an exact search along its direction ends after a few steps. The forces of two
+fixed thrusters, the commonest boat, are in closed form.
 
 What turns takes two passes: the first asks where it should point, the second is exact for where it points in this cycle.
 """
@@ -36,6 +37,9 @@ Column = tuple[
     float, float, float, float, float, float, float, float, float
 ]  # surge, sway, yaw of a unit of force; times w; low, high, w
 Force = tuple[float, float, float]  # surge N, sway N, yaw N m
+Side = tuple[
+    float, float, float, float, float, float, float, float, float
+]  # of two: surge, sway N, yaw N m of a newton; times their weights; low, high N; the weighted square of a newton
 
 
 class Pivot(NamedTuple):
@@ -94,6 +98,7 @@ class Allocation:
         ]
         self._within = *self._most[0], *self._most[1], *self._most[2]
         self._is_full = self._gives_each()
+        self._two = self._sides() if len(self._columns) == 2 and not self._turns else None
         self.surge_n, self.yaw_nm = self._most[0], min(-self._most[2][0], self._most[2][1])  # most astern and ahead; either way
 
     def without(self, failed: frozenset[int]) -> "Allocation":
@@ -113,6 +118,8 @@ class Allocation:
                 forces.append(force_n)
             else:
                 return forces, angles_rad, None
+        if self._two is not None:
+            return self._of_two(*self._two, surge_n, sway_n, yaw_nm, angles_rad)
         return self._exactly(self._columns, surge_n, sway_n, yaw_nm, angles_rad)
 
     def steerable(self) -> str:
@@ -159,6 +166,53 @@ class Allocation:
                 if abs(sum(column[i] * share for column, share in zip(self._columns, shares, strict=True)) - unit[i]) > MET:
                     return False
         return True
+
+    def _sides(self) -> tuple[Side, Side, float, float]:
+        """Both columns in N and N m; their mixed product; the determinant of their matrix."""
+        unit_n, arm_m, sides = self._unit_n, self._arm_m, list[Side]()
+        qx, qy, qn = WEIGHTS[0], WEIGHTS[1], WEIGHTS[2] / arm_m**2
+        for x, y, n_arm, _, _, _, low, high, w in self._columns:
+            n = n_arm * arm_m
+            square = qx * x * x + qy * y * y + qn * n * n + (1.0 / w if w else 1.0)  # what failed has no force, so any effort
+            sides.append((x, y, n, qx * x, qy * y, qn * n, low * unit_n, high * unit_n, square))
+        a, b = sides
+        mixed = a[3] * b[0] + a[4] * b[1] + a[5] * b[2]
+        return a, b, mixed, a[8] * b[8] - mixed * mixed
+
+    def _of_two(
+        self,
+        a: Side,
+        b: Side,
+        mixed: float,
+        whole: float,
+        surge_n: float,
+        sway_n: float,
+        yaw_nm: float,
+        angles_rad: Sequence[float],
+    ) -> Allotted:
+        """As `_exactly`, for two fixed thrusters. Where their best forces exceed limits, the best within the limits have one of
+        them at a limit that it exceeds, and the other as good as it can be beside it. Plain statements: this is on the
+        critical path."""
+        least_x, most_x, least_y, most_y, least_n, most_n = self._within
+        x = least_x if surge_n < least_x else most_x if surge_n > most_x else surge_n
+        y = least_y if sway_n < least_y else most_y if sway_n > most_y else sway_n
+        n = least_n if yaw_nm < least_n else most_n if yaw_nm > most_n else yaw_nm
+        ax, ay, an, wax, way, wan, a_low, a_high, aa = a
+        bx, by, bn, wbx, wby, wbn, b_low, b_high, bb = b
+        to_a, to_b = wax * x + way * y + wan * n, wbx * x + wby * y + wbn * n
+        f, g = (bb * to_a - mixed * to_b) / whole, (aa * to_b - mixed * to_a) / whole
+        f_end = a_low if f < a_low else a_high if f > a_high else f
+        g_end = b_low if g < b_low else b_high if g > b_high else g
+        if f_end != f:
+            beside = (to_b - mixed * f_end) / bb
+            beside = b_low if beside < b_low else b_high if beside > b_high else beside
+            if g_end == g or (to_a - aa * f_end - mixed * beside) * (f - f_end) >= 0.0:  # beyond the limit the sum only falls
+                f, g, g_end = f_end, beside, beside
+        if g_end != g:
+            f = (to_a - mixed * g_end) / aa
+            f = a_low if f < a_low else a_high if f > a_high else f
+        short = surge_n - ax * f - bx * g_end, sway_n - ay * f - by * g_end, yaw_nm - an * f - bn * g_end
+        return [f, g_end], angles_rad, short
 
     def _exactly(
         self, columns: list[Column], surge_n: float, sway_n: float, yaw_nm: float, angles_rad: Sequence[float]
