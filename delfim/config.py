@@ -42,7 +42,7 @@ DriverName = Literal[
     "dronecan", "dsor", "heron", "mavlink_front_seat", "otter", "pwm", "vesc"
 ]  # files in delfim/vehicle/actuators
 SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboard and a port side; all but dsor mix them
-SensorName = Literal["sysstat", "dronecan", "nmea0183"]  # files in delfim/vehicle/sensors
+SensorName = Literal["sysstat", "dronecan", "nmea0183", "nmea2000"]  # files in delfim/vehicle/sensors
 Place = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]  # m from the middle of the boat
 Newtons = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 Curve = Annotated[tuple[tuple[Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)], Newtons], ...], msgspec.Meta(max_length=64)]
@@ -79,6 +79,7 @@ Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[fl
 LINES = 8  # of NMEA 0183, at most
 CORNERS, ZONES, AREAS = 100, 100, 20  # of a polygon, to keep out of, and to keep in, at most
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
+BatteryInstances = Annotated[tuple[Annotated[int, msgspec.Meta(ge=0, le=252)], ...], msgspec.Meta(max_length=2)]
 Endpoint = Annotated[str, text(rf"[^ :]+:{_PORT}", "ADDRESS:PORT, port 0 to 65535")]
 Listen = Annotated[str, text(rf"([^ :]+|\[[0-9A-Fa-f:.]+\]):{_PORT}", "ADDRESS:PORT or [IPv6]:PORT, port 0 to 65535")]
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
@@ -208,6 +209,7 @@ class Nmea2000(Table, frozen=True):
     bitrate_bps: BitRate = 250_000  # of a Linux interface, as NMEA 2000 has it
     preferred_sources: tuple[Annotated[int, msgspec.Meta(ge=0, le=251)], ...] = ()  # addresses, best first; empty: any
     variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while the bus sends none
+    batteries: BatteryInstances = ()  # instances of the starboard or only battery, and of the port one; empty: not read
 
 
 class Nmea0183Port(Table, frozen=True):
@@ -1210,6 +1212,8 @@ class Vehicle(Table, frozen=True):
             raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
         if "nmea0183" in (*self.navigation.sources, *self.sensors.names) and not self.nmea0183.ports:
             raise ValueError("nmea0183 needs a port: a table [nmea0183.ports.NAME] with its device")
+        if {"nmea0183", "nmea2000"} <= set(self.sensors.names):
+            raise ValueError("sensors.names: nmea0183 and nmea2000 give the same values; name one of them")
         if (fault := thrusters_fault(self.thrusters)) is not None:
             raise ValueError(f"thrusters: {fault}")
         for row in self.thrusters:

@@ -25,7 +25,14 @@ BOTH_ENDS = {"Command", "Mission", "PathPoint", "Plan", "Profile", "Waypoint"}  
 SCHEMA = {  # names that /api/schema publishes; most of them are the other end of what the vehicle says
     *("Check", "Latency", "LogStatus", "Memory", "Node", "Notice", "Reference", "Service", "State"),
 }
-KINDS = {"dronecan.py", "dsor.py", "grex.py", "navigation.py", "nmea0183.py"}  # a file a kind, beside that of its rules
+KINDS = {
+    "dronecan.py",
+    "dsor.py",
+    "grex.py",
+    "navigation.py",
+    "nmea0183.py",
+    "nmea2000.py",
+}  # a file a kind, beside that of its rules
 UNFINISHED = re.compile(r"\b(TO" r"DO|FIX" r"ME|X" r"XX|raise Not" r"Implemented\w*)\b")
 REGISTRIES = re.compile(
     r"py" r"pi\.org|python" r"hosted\.org|npm" r"js\.(org|com)|debian" r"\.org|proxy\.golang" r"\.org|crates" r"\.io"
