@@ -213,11 +213,13 @@ class Nmea2000(Table, frozen=True):
 
 
 class Nmea0183Port(Table, frozen=True):
-    """A line of NMEA 0183."""
+    """A line of NMEA 0183, of UBX, or of both."""
 
     device: LineDevice  # a serial port, or where its sentences come from over the network
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 4800  # of a serial port
     checksum: bool = True  # a sentence without a checksum is refused; one with a wrong checksum always is
+    baseline_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0  # between two antennas of a u-blox pair; 0: no heading
+    baseline_deg: Degrees = 0.0  # their line, from the moving base's to the rover's, clockwise from the bow
 
 
 class Nmea0183Out(Table, frozen=True):
@@ -615,12 +617,14 @@ class ThrusterAstray(Trouble, frozen=True):
 
 
 class GnssPoor(Trouble, frozen=True):
-    """Satellite navigation is worse than this. Values that the receiver does not tell are not bad. A mode whose action is more
-    than "warn" is refused."""
+    """Satellite navigation is worse than this. Values that the receiver does not tell are not bad, but for accuracy_m and
+    corrections_s where they have a limit. A mode whose action is more than "warn" is refused."""
 
     satellites: Annotated[int, msgspec.Meta(ge=0, le=99)] = 5  # fewer in use than this, or ...
     hdop: Annotated[float, msgspec.Meta(gt=0.0, le=100.0)] = 5.0  # ... a dilution of precision above this, or ...
-    fix: FixName = "2d"  # ... a fix worse than this
+    fix: FixName = "2d"  # ... a fix worse than this, or ...
+    accuracy_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.0  # ... a stated accuracy above this, or ... (0: no limit)
+    corrections_s: Annotated[float, msgspec.Meta(ge=0.0, le=600.0)] = 0.0  # ... corrections older than this (0: no limit)
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 5.0  # for this long
     action: ActionName = "warn"
     manual: ModeAction = "warn"

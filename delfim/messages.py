@@ -105,6 +105,8 @@ class Navigation(NamedTuple):
     satellites: int
     hdop: float | None
     counter: int  # 0..255, one up each message
+    accuracy_m: float | None = None  # standard deviation of the position in the plane, as the receiver states it
+    corrections_s: float | None = None  # age of the receiver's last correction
 
 
 NAVIGATION: Final = struct.Struct("<QiihhHhhhBBBB")  # 32 bytes
@@ -112,7 +114,8 @@ _DEGREES_1E7: Final = math.radians(1e-7)
 
 
 def pack_navigation(n: Navigation) -> bytes:
-    """The 32 bytes of a navigation message. Values beyond a field's range are sent as unknown."""
+    """The 32 bytes of a navigation message, which has no room for accuracy and corrections. Values beyond a field's range are
+    sent as unknown."""
     return NAVIGATION.pack(
         n.utc_ns,
         _scaled(n.latitude_rad, 1 / _DEGREES_1E7, _I32_UNKNOWN),

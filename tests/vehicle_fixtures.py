@@ -28,6 +28,8 @@ WELL = Fault(0)
 MOST_AT_ONCE = 2 * fence.LOOKS + SLICE  # comparisons between two yields: those of one question, with the zone that was too much
 _names = count()
 
+BEYOND = ("accuracy_m", "corrections_s")  # what other sources tell, and this one has no room for
+
 
 class Records:
     """A log that keeps the records it is given."""
@@ -81,7 +83,10 @@ class Boat:
         still = Navigation(utc_ns, *place, 0.0, 0.0, 0.0, 0.0, rocking_rad, 0.0, 3, 9, 0.9, self._number & 255)
         data = messages.pack_navigation(still._replace(**changes))
         self.send(data, Node.NAVIGATION, messages.NAVIGATION_ID)
-        return self.vehicle.on_navigation(self.source)
+        is_taken = self.vehicle.on_navigation(self.source)
+        if self.state.navigation is not None and (told := {name: changes[name] for name in BEYOND if name in changes}):
+            self.state.navigation = self.state.navigation._replace(**told)
+        return is_taken
 
     def send(self, data: bytes, source: Node, identifier: int) -> None:
         message = Message(messages.NAVIGATION_PRIORITY, source, Node.BROADCAST, identifier, data)

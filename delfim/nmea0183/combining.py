@@ -26,6 +26,8 @@ SLOW_S: Final = 2.5  # quality, attitude and time may come once a second, whatev
 VARIATION_S: Final = 60.0
 STANDSTILL_MPS: Final = 0.1  # receivers give no course at rest; an unknown course up to this speed means zero velocity
 TALKERS_MAX: Final = 32
+UBX: Final = "UB"  # the talker of delfim.ubx: of a receiver that sends both, it is the better one
+SQRT2: Final = math.sqrt(2.0)  # an accuracy in the plane is that of two axes
 _GNSS: Final = {
     "GP",
     "GN",
@@ -55,6 +57,7 @@ class _GnssQuality(NamedTuple):
     fix: int
     satellites: int
     hdop: float | None
+    corrections_s: float | None = None
 
 
 _UNTOLD: Final = _GnssQuality(2, 0, None)
@@ -76,7 +79,7 @@ class Combined:
         self._ranks = dict[tuple[str, str], tuple[int, float]]()  # by talker and kind: of the best sentence, and its time
         self._receivers = dict[str, Instants]()
         self._counter = self.strangers = self.repeated = 0
-        self.hearer: Callable[[str, tuple[float, ...], int], None] | None = None  # gets each value of a chosen talker
+        self.hearer: Callable[[str, tuple[float, ...], int, float], None] | None = None  # gets each value of a chosen talker
 
     def take(self, port: str, sentence: Sentence, now_s: float) -> Navigation | None:
         """A message for the vehicle when this sentence completes a position of the chosen talker. Never raises."""
@@ -108,8 +111,11 @@ class Combined:
                 if dimensions:  # some receivers send one for each system, and "no fix" for a system without satellites
                     self._put("dimensions", talker, message, now_s)
             case Spread(north_m, east_m):
-                if north_m is not None and east_m is not None:
-                    self._measure("accuracy", talker, {"position_sigma_m": math.hypot(north_m, east_m)}, now_s)
+                if north_m is None or east_m is None:
+                    self._put("accuracy", talker, None, now_s)
+                else:
+                    accuracy_m = math.hypot(north_m, east_m)
+                    self._measure("accuracy", talker, {"position_sigma_m": accuracy_m}, now_s, accuracy_m)
             case Sounding(depth_m):
                 if depth_m is not None:
                     self._measure("depth", talker, {"depth_m": depth_m}, now_s)
@@ -124,13 +130,13 @@ class Combined:
     def _put(self, kind: str, talker: str, value: object, now_s: float) -> None:
         self._newest[kind].put(talker, value, now_s)
 
-    def _tell(self, kind: str, talker: str, value: tuple[float, ...] | None, now_s: float) -> None:
+    def _tell(self, kind: str, talker: str, value: tuple[float, ...] | None, now_s: float, deviation: float = 0.0) -> None:
         """Hand a value over, if it is of the talker that is chosen for its kind."""
         if self.hearer is not None and value is not None and self._newest[kind].choose(now_s) == talker:
-            self.hearer(kind, value, 0)
+            self.hearer(kind, value, 0, deviation)
 
-    def _measure(self, kind: str, talker: str, values: dict[str, float], now_s: float) -> None:
-        self._put(kind, talker, True, now_s)
+    def _measure(self, kind: str, talker: str, values: dict[str, float], now_s: float, kept: object = True) -> None:
+        self._put(kind, talker, kept, now_s)
         if self._newest[kind].choose(now_s) == talker:
             for name, value in values.items():
                 self._measured[name] = value, now_s
@@ -157,7 +163,7 @@ class Combined:
         if heading_rad is None and b.magnetic_rad is not None:
             heading_rad = (b.magnetic_rad + self._variation(talker, now_s)) % math.tau
         self._put("heading", talker, heading_rad, now_s)
-        self._tell("heading", talker, None if heading_rad is None else (heading_rad,), now_s)
+        self._tell("heading", talker, None if heading_rad is None else (heading_rad,), now_s, b.deviation_rad)
 
     def _attitude(self, talker: str, measurements: tuple[Measurement, ...], now_s: float) -> None:
         """(roll_rad, pitch_rad) of the transducers that the file names."""
@@ -177,7 +183,7 @@ class Combined:
         if movement is not None:
             velocity = self._over_ground(talker, movement, now_s)
             self._put("velocity", talker, velocity, now_s)
-            self._tell("velocity", talker, velocity, now_s)
+            self._tell("velocity", talker, velocity, now_s, movement.deviation_mps)
         located = said if isinstance(said, Located) else None
         if located is not None:
             if self._outranked("position", talker, int(formatter == "GLL"), now_s, True):
@@ -193,7 +199,7 @@ class Combined:
         """Fix, satellites and HDOP, of GGA or GNS where there is one; and what else such a sentence says."""
         is_full = formatter in ("GGA", "GNS")
         if said.fix is not None and not self._outranked("quality", talker, 0 if is_full else 1, now_s, True):
-            self._put("quality", talker, _GnssQuality(said.fix, said.satellites or 0, said.hdop), now_s)
+            self._put("quality", talker, _GnssQuality(said.fix, said.satellites or 0, said.hdop, said.corrections_s), now_s)
         if said.utc_ns is not None:
             self._set_time(talker, said.utc_ns, now_s)
         if said.variation_rad is not None:
@@ -210,7 +216,8 @@ class Combined:
         newest["position"].put(talker, position, now_s)
         if (newest["position"].choose(now_s) or self._talking.choose(now_s)) != talker:
             return None
-        self._tell("position", talker, position, now_s)
+        accuracy_m: float | None = newest["accuracy"].of(talker, now_s)
+        self._tell("position", talker, position, now_s, 0.0 if accuracy_m is None else accuracy_m / SQRT2)
         quality = newest["quality"].of(talker, now_s) or _UNTOLD
         satellites = newest["dimensions"].of(talker, now_s) or ActiveSatellites(None, None)
         fix = 2 if quality.fix == 3 and satellites.dimensions == 2 else quality.fix
@@ -232,6 +239,8 @@ class Combined:
             quality.satellites,
             satellites.hdop if quality.hdop is None else quality.hdop,
             self._counter,
+            accuracy_m if position else None,
+            quality.corrections_s,
         )
 
     def _over_ground(self, talker: str, m: Movement, now_s: float) -> tuple[float, float] | None:
@@ -265,9 +274,8 @@ class Combined:
     def _prefer(self) -> None:
         """The talkers that were heard, in the order of the vehicle's file: those it prefers, then port by port."""
         wanted = (*self._settings.preferred, *self._settings.ports)
-        order = tuple(
-            talker for each in wanted for talker in sorted(self._heard_s) if each in (talker, talker.partition(":")[0])
-        )
+        heard = sorted(self._heard_s, key=lambda talker: (not talker.endswith(f":{UBX}"), talker))
+        order = tuple(talker for each in wanted for talker in heard if each in (talker, talker.partition(":")[0]))
         for newest in (*self._newest.values(), self._talking):
             newest.prefer(tuple(dict.fromkeys(order)))
 

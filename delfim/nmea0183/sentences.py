@@ -17,6 +17,7 @@ FOOT, FATHOM = 0.3048, 1.8288  # m
 SPEED_MAX_MPS: Final = 200.0
 TURN_MAX_RADPS: Final = 4.0 * math.tau
 DEPTH_MAX_M: Final = 12_000.0
+CORRECTIONS_MAX_S: Final = 1e5  # a receiver that had corrections long ago may still tell their age
 _NUMBER: Final = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)").fullmatch
 _CLOCK: Final = re.compile(r"\d{6}(\.\d*)?").fullmatch
 _QUALITY: Final = {"0": 0, "1": 3, "2": 4, "3": 3, "4": 5, "5": 6}  # GGA; reckoned, typed and simulated (6, 7, 8) are no fix
@@ -36,6 +37,7 @@ class Located(NamedTuple):
     utc_ns: int | None = None  # since 1970; RMC alone has the date
     movement: "Movement | None" = None  # RMC
     variation_rad: float | None = None  # RMC; east positive
+    corrections_s: float | None = None  # GGA, GNS: age of the differential corrections
 
 
 class Movement(NamedTuple):
@@ -44,6 +46,7 @@ class Movement(NamedTuple):
     course_rad: float | None  # 0..2 pi, true
     magnetic_rad: float | None  # 0..2 pi, the same course from magnetic north
     speed_mps: float | None
+    deviation_mps: float = 0.0  # standard deviation per axis; 0: not told
 
 
 class Bearing(NamedTuple):
@@ -52,6 +55,7 @@ class Bearing(NamedTuple):
     true_rad: float | None  # 0..2 pi
     magnetic_rad: float | None = None  # 0..2 pi, deviation included
     variation_rad: float | None = None  # east positive
+    deviation_rad: float = 0.0  # standard deviation; 0: not told
 
 
 class Turning(NamedTuple):
@@ -201,7 +205,8 @@ def _mode(fields: list[str], index: int) -> int | None:
 def _gga(f: list[str]) -> Located:
     fix = _QUALITY.get(f[6], 0)
     latitude_rad, longitude_rad = _position(*f[2:6]) if fix else (None, None)
-    return Located(_day_s(f[1]), latitude_rad, longitude_rad, fix, _count(f[7]), _within(f[8], 1000.0))
+    age_s = _age(f, 13)
+    return Located(_day_s(f[1]), latitude_rad, longitude_rad, fix, _count(f[7]), _within(f[8], 1000.0), corrections_s=age_s)
 
 
 def _gns(f: list[str]) -> Located:
@@ -209,7 +214,13 @@ def _gns(f: list[str]) -> Located:
     fixes = [_MODE.get(letter, 0) for letter in f[6]]
     fix = next((good for good in (5, 6, 4, 3) if good in fixes), 0)
     latitude_rad, longitude_rad = _position(*f[2:6]) if fix else (None, None)
-    return Located(_day_s(f[1]), latitude_rad, longitude_rad, fix, _count(f[7]), _within(f[8], 1000.0))
+    age_s = _age(f, 11)
+    return Located(_day_s(f[1]), latitude_rad, longitude_rad, fix, _count(f[7]), _within(f[8], 1000.0), corrections_s=age_s)
+
+
+def _age(fields: list[str], index: int) -> float | None:
+    """Of differential corrections, s; None where there are none."""
+    return _within(fields[index], CORRECTIONS_MAX_S) if len(fields) > index else None
 
 
 def _gll(f: list[str]) -> Located:

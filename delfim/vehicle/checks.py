@@ -101,7 +101,9 @@ def _navigation(rules: Rules, state: State, age_s: float, now_s: float) -> Check
 def _gnss(rules: Rules, state: State) -> Check:
     n = state.navigation
     wrong = gnss.poor(rules.table.gnss_poor, n)
-    return Check("gnss", wrong is None, wrong or (gnss.in_words(n.fix, n.satellites, n.hdop) if n is not None else "not heard"))
+    if n is None:
+        return Check("gnss", True, "not heard")
+    return Check("gnss", wrong is None, wrong or gnss.in_words(n.fix, n.satellites, n.hdop, n.accuracy_m, n.corrections_s))
 
 
 def _clock(rules: Rules, state: State, age_s: float, time_ns: int) -> Check:

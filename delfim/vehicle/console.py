@@ -299,6 +299,8 @@ def snapshot(state: State, now_s: float, extra: dict[str, Any]) -> dict[str, Any
         "fix": n.fix if n else 0,
         "satellites": n.satellites if n else 0,
         "hdop": n.hdop if n else None,
+        "accuracy_m": _rounded(n.accuracy_m, 3) if n else None,
+        "corrections_s": n.corrections_s if n else None,
         "run": state.actuation.run,
         "reference": {
             "heading_deg": _compass_degrees(r.heading_rad),
@@ -360,8 +362,8 @@ def _compass_degrees(angle_rad: float | None) -> float | None:
     return None if angle_rad is None else round(math.degrees(compass(angle_rad)), 2)
 
 
-def _rounded(value: float | None) -> float | None:
-    return None if value is None else round(value, 2)
+def _rounded(value: float | None, digits: int = 2) -> float | None:
+    return None if value is None else round(value, digits)
 
 
 def _age(now_s: float, at_s: float) -> float | None:

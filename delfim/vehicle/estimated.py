@@ -22,9 +22,10 @@ SETTLE_S: Final = 0.5  # after the start: what waited while the program came up 
 
 class Hearer(Protocol):
     """Takes a value of the chosen device: "position" (latitude, longitude), "velocity" (north, east), "heading" (true), "rate"
-    (positive to starboard); rad, m/s. `utc_ns`: when it was so, 0 where the device does not say."""
+    (positive to starboard); rad, m/s. `utc_ns`: when it was so, 0 where the device does not say. `deviation`: its standard
+    deviation per axis, m, m/s or rad, as the device states it; 0 where it does not."""
 
-    def __call__(self, kind: str, value: tuple[float, ...], utc_ns: int) -> None: ...
+    def __call__(self, kind: str, value: tuple[float, ...], utc_ns: int, deviation: float = 0.0) -> None: ...
 
 
 class SeparateSource(Source, Protocol):
@@ -99,7 +100,7 @@ class Estimated:
             counter=self._counter,
         )
 
-    def _hear(self, kind: str, value: tuple[float, ...], utc_ns: int) -> None:
+    def _hear(self, kind: str, value: tuple[float, ...], utc_ns: int, deviation: float = 0.0) -> None:
         """A value. After a silence, as at the start, everything begins with a position: what came before it was perhaps heard,
         perhaps not, and a replay does not know which."""
         at_s, estimator = self._time_s(self._source.t_ns), self.estimator
@@ -111,11 +112,11 @@ class Estimated:
         late_s = (self._source.t_ns - utc_ns) / 1e9 if utc_ns else -1.0
         told_s = late_s if 0.0 <= late_s <= LATE_MAX_S else None  # the clocks agree, or the settings say it
         if kind == POSITION:
-            estimator.position(at_s, value[0], value[1], told_s)
+            estimator.position(at_s, value[0], value[1], told_s, deviation)
         elif kind == VELOCITY:
-            estimator.velocity(at_s, value[0], value[1], told_s)
+            estimator.velocity(at_s, value[0], value[1], told_s, deviation)
         elif kind == HEADING:
-            estimator.heading(at_s, value[0], told_s)
+            estimator.heading(at_s, value[0], told_s, deviation)
         elif kind == RATE:
             estimator.rate(at_s, value[0])
         if at_s - self._sent_s >= self._period_s:  # now, however many values are read at once: a replay reads others together

@@ -24,6 +24,7 @@ GYRO_S: Final = 0.5  # a rate of turn counts for so long
 RATE_MAX_RADPS: Final = math.pi  # no boat turns faster
 LATE_MAX_S: Final = 1.0  # values that are later than this are as late as this
 VELOCITY_MAX_MPS: Final = 60.0  # refused beyond, NaN too
+STATED_LEAST: Final = 0.1  # of the settings' deviation: a stated one counts for no less, for antennas swing with the waves
 PLANE_M: Final = 10_000.0  # from its origin the plane is laid anew
 BIAS_RADPS: Final = math.radians(2.0)  # of a gyro that nobody knows yet
 BIAS_DRIFT: Final = math.radians(0.02)  # rad/s after a second, growing with the square root of time
@@ -181,9 +182,12 @@ class Estimator:
         self.turn.gyro(None)
         self._runs = dict.fromkeys(KINDS, 0)
 
-    def position(self, at_s: float, latitude_rad: float, longitude_rad: float, late_s: float | None = None) -> None:
-        """The antenna's position, as it was `late_s` before it came; None: as the settings say."""
-        health, course, variance = self.inputs[0], self.course, self._position
+    def position(
+        self, at_s: float, latitude_rad: float, longitude_rad: float, late_s: float | None = None, deviation_m: float = 0.0
+    ) -> None:
+        """The antenna's position, as it was `late_s` before it came; None: as the settings say. `deviation_m`: its standard
+        deviation per axis; 0: as the settings say."""
+        health, course, variance = self.inputs[0], self.course, _variance(self._position, deviation_m)
         self._heard(health, (latitude_rad, longitude_rad), at_s)
         if not (abs(latitude_rad) < math.pi / 2 and abs(longitude_rad) <= math.tau):  # refuses NaN, too
             health.refused += 1
@@ -209,9 +213,11 @@ class Estimator:
         if abs(course.north_m) + abs(course.east_m) > PLANE_M:
             self._lay_anew()
 
-    def velocity(self, at_s: float, north_mps: float, east_mps: float, late_s: float | None = None) -> None:
+    def velocity(
+        self, at_s: float, north_mps: float, east_mps: float, late_s: float | None = None, deviation_mps: float = 0.0
+    ) -> None:
         """The antenna's velocity over ground. It counts once there is a position."""
-        health, course, turn = self.inputs[1], self.course, self.turn
+        health, course, turn, variance = self.inputs[1], self.course, self.turn, _variance(self._velocity, deviation_mps)
         self._heard(health, (north_mps, east_mps), at_s)
         if not abs(north_mps) + abs(east_mps) <= VELOCITY_MAX_MPS:
             health.refused += 1
@@ -226,29 +232,29 @@ class Estimator:
             c, s = math.cos(turned), math.sin(turned)
             north_mps, east_mps = north_mps * c - east_mps * s, north_mps * s + east_mps * c
         north_mps, east_mps = north_mps + rate_radps * y, east_mps - rate_radps * x
-        if not course.correct_velocity(north_mps, east_mps, self._velocity):
+        if not course.correct_velocity(north_mps, east_mps, variance):
             if self._stays_out(health, 0.0, False, at_s):
                 return
             course.p12, course.p22 = 0.0, SPEED_MAX_MPS**2
-            course.correct_velocity(north_mps, east_mps, self._velocity)
+            course.correct_velocity(north_mps, east_mps, variance)
         self._use(health, at_s)
 
-    def heading(self, at_s: float, heading_rad: float, late_s: float | None = None) -> None:
+    def heading(self, at_s: float, heading_rad: float, late_s: float | None = None, deviation_rad: float = 0.0) -> None:
         """The true heading, of a compass or of two antennas."""
-        health, turn = self.inputs[2], self.turn
+        health, turn, variance = self.inputs[2], self.turn, _variance(self._heading, deviation_rad)
         self._heard(health, (heading_rad,), at_s)
         if not abs(heading_rad) <= 2.0 * math.tau:
             health.refused += 1
             return
         late_s = self._compass_late_s if late_s is None else min(max(late_s, 0.0), LATE_MAX_S)
         if not turn.known:
-            turn.start(heading_rad, self._heading)
+            turn.start(heading_rad, variance)
         else:
             error_rad = math.remainder(heading_rad + turn.rate_radps * late_s - turn.heading_rad, math.tau)
-            if not turn.correct(error_rad, self._heading):
+            if not turn.correct(error_rad, variance):
                 if self._stays_out(health, abs(error_rad), abs(error_rad) > JUMP_RAD, at_s):
                     return
-                turn.start(heading_rad, self._heading)
+                turn.start(heading_rad, variance)
         self._use(health, at_s)
 
     def rate(self, at_s: float, rate_radps: float) -> None:
@@ -331,3 +337,8 @@ class Estimator:
         assert self._plane is not None
         self._plane = geodesy.origin(*geodesy.from_plane(self._plane, self.course.north_m, self.course.east_m))
         self.course.north_m = self.course.east_m = 0.0
+
+
+def _variance(settings: float, deviation: float) -> float:
+    """Of a value with a stated deviation, or without one: 0."""
+    return max(deviation * deviation, settings * STATED_LEAST**2) if deviation else settings

@@ -105,6 +105,8 @@ FIELDS = (
         "fix", "B", "", "0 none, 4 differential, 5 RTK, 6 RTK float", lambda s, now_s: s.navigation.fix if s.navigation else 0
     ),
     Field("satellites", "B", "", "in use", lambda s, now_s: s.navigation.satellites if s.navigation else 0),
+    Field("accuracy", "f", "m", "of the position, as the receiver states it", _of_navigation("accuracy_m")),
+    Field("corrections_age", "f", "s", "of the receiver's last correction", _of_navigation("corrections_s")),
     Field("reference_heading", "f", "rad", "heading set point of control", _of_reference("heading_rad")),
     Field("reference_speed", "f", "m/s", "speed set point of control", _of_reference("speed_mps")),
     Field("cross_track", "f", "m", "positive: boat to starboard of the line", _of_reference("cross_track_m")),

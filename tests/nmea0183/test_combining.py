@@ -203,6 +203,19 @@ def test_quality_comes_from_gga_and_gsa_and_from_the_mode_where_there_is_nothing
     assert n[9:12] == (5, 9, 0.9)
 
 
+def test_accuracy_and_the_age_of_corrections_are_in_the_message():
+    boat = Boat()
+    assert boat.hear(gga(1))[0][13:] == (None, None)
+    boat.hear("GNGST,120001.00,,,,,0.03,0.04,0.05")
+    (n,) = boat.hear(gga(2).removesuffix(",,") + ",1.4,0031")
+    assert n[13:] == (pytest.approx(0.05), 1.4)
+    boat.hear("GNGST,120002.00,,,,,,,")
+    (n,) = boat.hear(gga(3))
+    assert n[13:] == (None, None)
+    gns = f"GNGNS,120003.00,{HERE},RR,20,0.7,10.0,50.0,3.0,0031,V"
+    assert Boat().hear(gns)[0][9:] == (5, 20, 0.7, 1, None, 3.0)
+
+
 def test_at_rest_without_a_course_the_velocity_is_zero_and_at_speed_it_is_unknown():
     boat = Boat()
     assert boat.hear(f"GPRMC,120001,A,{HERE},0.1,,221126,,,A")[0][3:5] == (0.0, 0.0)
@@ -251,7 +264,7 @@ def test_each_message_has_the_next_counter():
 
 def test_a_hearer_gets_each_value_of_the_chosen_talkers_as_it_comes():
     boat, told = Boat(), list[tuple[str, int]]()
-    boat.combined.hearer = lambda kind, value, utc_ns: told.append((kind, len(value)))
+    boat.combined.hearer = lambda kind, value, *_: told.append((kind, len(value)))
     boat.hear("HEHDT,90.0,T", "TIROT,3.0,A", port="compass")
     boat.hear(gga(1), rmc(1))
     boat.hear(gga(1), rmc(1))  # a frozen receiver brings no position

@@ -128,10 +128,10 @@ def test_the_speed_that_was_asked_for_is_said_in_words(asked_mps, words):
 
 
 def test_speed_is_in_knots_too_and_the_kind_of_fix_is_in_words():
-    vehicle = msgspec.structs.replace(VEHICLE, speed_mps=1.5, fix=6, satellites=14, hdop=0.7)
+    vehicle = msgspec.structs.replace(VEHICLE, speed_mps=1.5, fix=6, satellites=14, hdop=0.7, accuracy_m=0.3, corrections_s=2)
     text = "".join(rendered(report(vehicle))["motion"].itertext())
     assert "1.50m/s2.9 kn" in text
-    assert "RTK float, 14 satellites, HDOP 0.7" in text
+    assert "RTK float, 14 satellites, HDOP 0.7, accuracy 0.30 m, corrections 2 s old" in text
 
 
 places = st.tuples(st.floats(-80, 80), st.floats(-179, 179))

@@ -171,6 +171,15 @@ def test_the_state_for_the_console_has_the_lines_and_the_present_troubles(boat):
         ({"hdop": None}, {}, None),
         ({"fix": 2, "satellites": 0, "hdop": None}, {"fix": "rtk"}, None),
         ({"fix": 9}, {"fix": "rtk"}, None),
+        ({"accuracy_m": 0.014}, {"accuracy_m": 0.05}, None),
+        ({"accuracy_m": 1.26}, {"accuracy_m": 0.05}, "accuracy 1.3 m"),
+        ({"accuracy_m": 0.081, "satellites": 4}, {"accuracy_m": 0.05}, "4 satellites, accuracy 0.08 m"),
+        ({}, {"accuracy_m": 0.05}, "accuracy not told"),
+        ({"fix": 2, "satellites": 0, "hdop": None}, {"accuracy_m": 0.05}, "accuracy not told"),
+        ({"accuracy_m": 50.0, "corrections_s": 600.0}, {}, None),  # no limits
+        ({"corrections_s": 10.0}, {"corrections_s": 10.0}, None),
+        ({"corrections_s": 15.0}, {"corrections_s": 10.0}, "corrections 15 s old"),
+        ({}, {"corrections_s": 10.0}, "no corrections"),
     ],
 )
 def test_poor_satellite_navigation_is_a_line_and_keeps_out_of_a_mode_whose_key_says_so(make_boat, told, limits, reason):
@@ -187,14 +196,25 @@ def test_poor_satellite_navigation_is_a_line_and_keeps_out_of_a_mode_whose_key_s
     assert boat.vehicle.on_command(console.SetMode("hold")) is None, "whose key says to warn"
 
 
-def test_satellite_navigation_that_becomes_poor_does_what_the_table_says(make_boat):
-    boat = make_boat(failsafe=config.Failsafe(gnss_poor=config.GnssPoor(after_s=1.0, heading="hold")))
+@pytest.mark.parametrize(
+    ("told", "reason"),
+    [
+        ({"satellites": 4}, "4 satellites"),
+        ({"accuracy_m": 0.4}, "accuracy 0.40 m"),
+        ({"corrections_s": 20.0}, "corrections 20 s old"),
+    ],
+)
+def test_satellite_navigation_that_becomes_poor_does_what_the_table_says(make_boat, told, reason):
+    limits = config.GnssPoor(after_s=1.0, heading="hold", accuracy_m=0.1, corrections_s=15.0)
+    boat = make_boat(failsafe=config.Failsafe(gnss_poor=limits))
+    well = {"accuracy_m": 0.014, "corrections_s": 1.0}
     boat.ready()
+    boat.navigate(**well)
     boat.vehicle.on_command(console.Heading(90.0, 1.0))
     for seconds, mode in ((0.6, Mode.HEADING), (0.8, Mode.HOLD)):
         for _ in range(round(seconds * 10)):
             boat.clock.advance(0.1)
-            boat.navigate(satellites=4)
+            boat.navigate(**(well | told))
             boat.vehicle.on_watchdog()
         assert boat.state.mode is mode
-    assert boat.state.reason == "satellite navigation poor: 4 satellites"
+    assert boat.state.reason == f"satellite navigation poor: {reason}"

@@ -323,3 +323,29 @@ def test_nothing_is_told_of_a_healthy_boat():
     assert inputhealth.silent(inputs, boat.t_s, 1.0) is inputhealth.frozen(inputs, boat.t_s, 3.0) is None
     assert inputhealth.jumping(inputs, boat.t_s, 0.5, 1.0) is None
     assert [each.refused for each in inputs] == [0, 0, 0, 0]
+
+
+def test_a_value_counts_by_the_deviation_that_its_device_states():
+    """A receiver with an RTK fix is followed; one that doubts itself moves the estimate little, or is no position."""
+    moved = {}
+    for deviation_m in (0.0, 0.01, 4.0):
+        boat = Boat(speed_mps=0.0)
+        boat.sail(5.0)
+        boat.t_s += 0.1
+        boat.estimator.position(boat.t_s, *geodesy.from_plane(PLACE, 0.1, 0.0), None, deviation_m)
+        moved[deviation_m] = boat.away_m()
+    assert moved[4.0] < 0.2 * moved[0.0]
+    assert moved[0.01] > 3.0 * moved[0.0]
+    lost = Estimator(config.EstimatorTable(), LIMITS, FROZEN_S)
+    lost.position(100.0, *geodesy.from_plane(PLACE, 0.0, 0.0), None, 12.0)
+    assert lost.estimate(100.0).latitude_rad is None
+
+
+@pytest.mark.parametrize(("deviation_deg", "least", "most"), [(0.0, 0.1, 0.4), (0.4, 0.5, 1.0), (20.0, 0.0, 0.05)])
+def test_a_heading_counts_by_its_stated_deviation(deviation_deg, least, most):
+    boat = Boat(speed_mps=0.0, has_gyro=False)
+    boat.sail(10.0)
+    boat.t_s += 0.1
+    boat.estimator.heading(boat.t_s, EAST + math.radians(1.0), None, math.radians(deviation_deg))
+    turned_deg = math.degrees((boat.estimator.estimate(boat.t_s).heading_rad or 0.0) - EAST)
+    assert least <= turned_deg <= most

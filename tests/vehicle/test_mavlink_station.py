@@ -606,6 +606,13 @@ def test_the_kind_of_fix_is_the_protocols(sea, fix, told):
     assert newest(sea.console.listen(), "GPS_RAW_INT").fix_type == told
 
 
+@pytest.mark.parametrize(("accuracy_m", "told_mm"), [(None, 0), (0.014, 14), (0.0001, 1), (12.3, 12_300)])
+def test_the_accuracy_of_the_position_is_told(sea, accuracy_m, told_mm):
+    sea.boat.navigate(accuracy_m=accuracy_m)
+    sea.station.tick()
+    assert newest(sea.console.listen(), "GPS_RAW_INT").h_acc == told_mm
+
+
 @pytest.mark.parametrize(
     ("profile", "positions", "beats", "most_bytes_per_s"),
     [("lean", 0, 10, 80), ("radio", 10, 10, 480), ("wifi", 100, 10, 2600)],

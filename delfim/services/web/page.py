@@ -122,7 +122,7 @@ def motion(view: PageView) -> str:
         f'<div class="side"><b>{worded(name)}</b> {figures.thrust(each.thrust)} <span>{of_thruster(each)}</span></div>'
         for name, each in vehicle.thrusters.items()
     )
-    quality = gnss.in_words(vehicle.fix, vehicle.satellites, vehicle.hdop)
+    quality = gnss.in_words(vehicle.fix, vehicle.satellites, vehicle.hdop, vehicle.accuracy_m, vehicle.corrections_s)
     position = f"{number(vehicle.latitude_deg, '.6f')}, {number(vehicle.longitude_deg, '.6f')}"
     return (
         f'<div class="tiles"><div class="rose">{figures.compass(vehicle.heading_deg, reference.heading_deg)}</div>'

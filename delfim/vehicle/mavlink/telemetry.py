@@ -160,8 +160,9 @@ def satellites(view: TelemetryView) -> Iterator[Message]:
     m = view.boat.state.motion
     speed = round(math.hypot(m.north_mps, m.east_mps) * 100) if "velocity" in m.has else _U16
     course = round(math.degrees(compass(math.atan2(m.east_mps, m.north_mps))) * 100) % 36000 if speed != _U16 else _U16
+    accuracy_mm = 0 if n.accuracy_m is None else max(round(n.accuracy_m * 1000.0), 1)  # 0: unknown
     yield dialect.MAVLink_gps_raw_int_message(
-        n.utc_ns // 1000, fix, *place, 0, dilution, _U16, min(speed, _U16), course, n.satellites
+        n.utc_ns // 1000, fix, *place, 0, dilution, _U16, min(speed, _U16), course, n.satellites, h_acc=accuracy_mm
     )
 
 

@@ -1,12 +1,13 @@
-"""Receivers, compasses and sounders that speak NMEA 0183, on one line or several (docs/nmea0183.md)."""
+"""Receivers, compasses and sounders that speak NMEA 0183 or UBX, on one line or several (docs/nmea0183.md, docs/rtk.md)."""
 
+import math
 import select
 from collections.abc import Iterator
 from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.nmea0183.combining import Combined
-from delfim.nmea0183.framing import Sentences
+from delfim.ubx.mixedline import Antennas, MixedLine
 from delfim.vehicle.estimated import Hearer
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.navigation import Fix
@@ -22,7 +23,7 @@ class Port(NamedTuple):
 
     name: str
     line: ReadableLine
-    sentences: Sentences
+    sentences: MixedLine
 
 
 class LineData(NamedTuple):
@@ -101,7 +102,11 @@ def opened(settings: config.Vehicle, links: Links, measured: dict[str, tuple[flo
     """`measured` gets the values beside navigation. Raises DelfimError."""
     table = settings.nmea0183
     ports = tuple(
-        Port(name, links.line(port.device.replace("gpsd:", "tcp:"), port.baud), Sentences(port.checksum))
+        Port(
+            name,
+            links.line(port.device.replace("gpsd:", "tcp:"), port.baud),
+            MixedLine(port.checksum, Antennas(port.baseline_m, math.radians(port.baseline_deg))),
+        )
         for name, port in table.ports.items()
     )
     return Nmea0183Navigation(ports, Combined(table, settings.navigation.stale_s, measured))
