@@ -1146,8 +1146,9 @@ def driver_fault(row: ThrusterTable, rows: Sequence[ThrusterTable]) -> str | Non
 def pushes(row: ThrusterTable) -> Iterator[tuple[float, float, float]]:
     """(surge N, sway N, yaw moment N·m) of a thruster at its full commands, ahead and to either side."""
     steer, (astern_n, ahead_n) = row.steer, row.ends_n
-    for part in (-1.0, 0.0, 1.0) if steer is not None else (0.0,):
-        turned = math.radians(row.angle_deg + part * (steer.angle_max_deg if steer is not None else 0.0))
+    widest_deg = steer.angle_max_deg if steer is not None else 0.0
+    for turned_deg in {0.0, -widest_deg, widest_deg, -min(widest_deg, 90.0), min(widest_deg, 90.0)}:
+        turned = math.radians(row.angle_deg + turned_deg)
         straight = steer is not None and steer.kind == "rudder"
         for force_n, angle in ((astern_n, math.radians(row.angle_deg) if straight else turned), (ahead_n, turned)):
             surge_n, sway_n = force_n * math.cos(angle), force_n * math.sin(angle)

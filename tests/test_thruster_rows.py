@@ -127,3 +127,12 @@ def test_the_nodes_that_must_report_are_those_that_the_boat_has(tmp_path, source
     text = f'[navigation]\nsources = ["{source}"]\n{RIGHT}{LEFT}'.replace('driver = "dsor"', f'driver = "{driver}"')
     assert of(tmp_path, text).sysstat.required == nodes
     assert of(tmp_path, f'{text}\n[sysstat]\nrequired = ["gps"]\n').sysstat.required == ("gps",)
+
+
+@pytest.mark.parametrize("angle_max_deg", [90.0, 135.0, 180.0])
+def test_a_thruster_that_turns_all_round_turns_the_boat(angle_max_deg):
+    """Its force is greatest to the side at a quarter of a turn, and not where its turning ends."""
+    steer = config.Steer(kind="azimuth", angle_max_deg=angle_max_deg)
+    row = ThrusterTable(name="pod", driver="dronecan", x_m=-1.0, thrust_n=(0.0, 50.0), steer=steer)
+    assert max(moment_nm for _, _, moment_nm in pushes(row)) == pytest.approx(50.0)
+    assert config.Vehicle(boat=config.BoatTable(name="test"), thrusters=(row,)).thrusters == (row,)
