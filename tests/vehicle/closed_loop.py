@@ -17,7 +17,7 @@ from delfim.canproxy.socket import CanSocket
 from delfim.config import Sea, Vehicle, load
 from delfim.geodesy import Origin, origin, wrap
 from delfim.modes import Mode
-from delfim.simulator.model import WATER, Hull, Model, Side
+from delfim.simulator.model import WATER, Hull, Model, Side, hull_of
 from delfim.slices import Sliced
 from delfim.vehicle.control.control import admit, control, enter, lacking, settings_of
 from delfim.vehicle.control.path import APPROACH, nearest
@@ -26,7 +26,7 @@ from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.state import Actuation, Arc, Line, Motion, Plan, Reference, Setpoint, State, Waypoint
 from delfim.vehicle.track import Track
 
-DELFIMX = load("etc/delfimx.toml")
+DELFIMX, FLOAT = load("etc/delfimx.toml"), load("etc/boats/float.toml")
 SETTINGS = settings_of(DELFIMX)
 SIDES: tuple[Side, Side] = ("starboard", "port")
 ALL = frozenset({"position", "heading", "velocity"})
@@ -128,8 +128,11 @@ class Boat:
             if reference.done:
                 mode = Mode.HOLD
                 memory = enter(mode, seen, setpoint, self.settings)
-            for side, part in zip(SIDES, sent.thrust, strict=True):
-                self.model.command(side, part * self.vehicle.dsor.rpm_max, sent.run)
+            for row, part, angle_rad in zip(self.vehicle.thrusters, sent.thrust, sent.angle_rad, strict=True):
+                if row.driver == "dsor":
+                    self.model.command(row.name, part * self.vehicle.dsor.rpm_max, sent.run)
+                else:
+                    self.model.push(row.name, part, angle_rad, sent.run)
             self.model.advance(DT_S)
             self.t_s += DT_S
             seen = self.seen()
@@ -184,6 +187,30 @@ def play(boat: Boat, mission: Plan) -> tuple[list[float], float]:
         if x.mode is Mode.HOLD:
             return closest, x.t_s
     raise AssertionError("the mission was not finished in an hour")
+
+
+def float_(seed: int, sea: Sea, sway: bool = True) -> Boat:
+    """The holonomic boat of `etc/boats/`; without `sway` its control does not use that."""
+    boat = Boat(
+        seed,
+        vehicle=FLOAT,
+        model=Model(hull_of(FLOAT), sea, seed, START.latitude_rad, START.longitude_rad, 0.0, FLOAT.thrusters),
+    )
+    if not sway:
+        boat.settings = boat.settings._replace(hull=boat.settings.hull._replace(aside_n=0.0))
+    return boat
+
+
+def station(boat: Boat, seconds: float) -> list[Sample]:
+    """Hold of a boat that lay at rest for half a minute, from a minute after it began."""
+    for _ in boat.sail(Mode.HEADING, Setpoint(), 30.0):
+        pass
+    return list(boat.sail(Mode.HOLD, Setpoint(), seconds))[round(60.0 / DT_S) :]
+
+
+def off_m(x: Sample) -> float:
+    """True distance to the point that is held."""
+    return math.hypot(x.truth.north_m - (x.reference.north_m or 0.0), x.truth.east_m - (x.reference.east_m or 0.0))
 
 
 def hold_distances(boat: Boat, way_mps: float = 0.0) -> list[float]:
@@ -270,6 +297,7 @@ def main() -> None:
     for name, sea in (("calm", Sea()), ("current 0.5 m/s", current(0)), ("current 0.5 m/s and wind 8 m/s abeam", windy)):
         distances = hold_distances(Boat(sea=sea), way_mps=1.5)
         print(f"hold, {name}: max {max(distances):.1f} m, mean {sum(distances) / len(distances):.1f} m")
+    show_station()
     for degrees in (0, 90, 180, 270):
         off, end_m, points = home_errors(Boat(sea=current(degrees, 360)))
         print("home, current to {:3}: rms {:.1f} max {:.1f} m off the track,".format(degrees, *errors(off)), end=" ")
@@ -282,6 +310,30 @@ def main() -> None:
                 boats = [Boat(seed, current(seed, 8), hull=hull, vehicle=vehicle) for seed in range(8)]
                 show_path(f"{name}, {plan_.name}", [path_errors(boat, plan_.path) for boat in boats])
     print("control():", ", ".join(f"{mode.name.lower()} {control_us(mode):.1f}" for mode in Mode), "µs")
+
+
+def show_station() -> None:
+    """The float in current from 20 directions, with the wind abeam of that; ten minutes each."""
+    for name, current_mps, wind_mps in (
+        ("calm", 0.0, 0.0),
+        ("current", 0.5, 0.0),
+        ("current and wind", 0.5, 8.0),
+        ("more", 0.9, 8.0),
+    ):
+        for sway in (False, True):
+            runs = []
+            for seed in range(20):
+                sea = current(seed, mps=current_mps)
+                sea = msgspec.structs.replace(sea, wind_mps=wind_mps, wind_from_deg=sea.current_to_deg + 90.0)
+                runs.append(station(float_(seed, sea, sway), 600.0))
+            rms, most = errors([off_m(x) for run in runs for x in run])
+            start = [run[0].truth.heading_rad for run in runs]
+            off_deg = max(
+                abs(math.degrees(wrap(x.truth.heading_rad - at))) for run, at in zip(runs, start, strict=True) for x in run
+            )
+            rests = sum(not any(x.sent.thrust) for run in runs for x in run) / sum(map(len, runs))
+            print(f"float, {name}, {'with' if sway else 'without'} sway: rms {rms:.2f} max {most:.2f} m,", end=" ")
+            print(f"heading within {off_deg:.0f} deg, at rest {rests:.0%} of the time")
 
 
 def show_path(name: str, runs: list[tuple[list[float], list[float]]]) -> None:

@@ -42,7 +42,7 @@ def steer(
     itself. Without velocity the speed loop is open: feed-forward alone.
     """
     control, gains, hull = settings
-    speed, (held_nm, push_n, before_mps, yaw_short_nm, short_n) = control.speed, was
+    speed, (held_nm, push_n, before_mps, yaw_short_nm, short_n, _, _) = control.speed, was
     p_nm, p_limit_nm, d_nm, turn_nm, i_nm, i_limit_nm, p_n, i_n, i_limit_n = gains
     has, _, _, at_rad, yaw_radps, north_mps, east_mps = motion
     error_rad = wrap(heading_rad - at_rad)

@@ -1,8 +1,12 @@
-"""Hold: stay near a point, without thrust sideways.
+"""Hold: stay near a point.
 
 Inside the radius the boat rests and drifts; outside it drives back, turned to the point, or astern when the point is close
 behind it. Each drive ends near the point, and a drive that would have to turn in place turns first, so the boat never circles.
 After the first return it lies with the bow into the drift, and each further return is a straight push ahead.
+
+A boat whose thrusters push it sideways without turning it does not rest: it keeps the point itself, on the heading that it had
+when it came there. Where current and wind are stronger than its push to the side it leaves the radius, drives back as
+any boat, and goes on with the bow into the drift.
 """
 
 import math
@@ -10,6 +14,7 @@ import math
 from delfim.geodesy import wrap
 from delfim.vehicle.control.autopilot import entered, steer
 from delfim.vehicle.control.memory import Integrals, Memory, Settings
+from delfim.vehicle.control.sway import keep
 from delfim.vehicle.state import Motion, Reference, Setpoint, Wanted
 
 NEEDS = frozenset({"position", "heading", "velocity"})
@@ -42,6 +47,11 @@ def step(
     elif not driving and distance_m > hold.radius_m:
         behind = abs(wrap(bearing_rad - motion.heading_rad)) > ASTERN_RAD and distance_m < ASTERN_RADII * hold.radius_m
         driving = -1 if behind else 1
+    if not driving and settings.hull.aside_n:
+        heading_rad = motion.heading_rad if memory.driving or memory.heading_rad is None else memory.heading_rad
+        integrals, wanted = keep(memory.integrals, motion, heading_rad, north_m, east_m, settings, dt_s)
+        reference = Reference(heading_rad, 0.0, None, distance_m, memory.north_m, memory.east_m)
+        return memory._replace(driving=0, integrals=integrals, heading_rad=heading_rad), reference, wanted
     if not driving:
         resting = memory._replace(driving=0, integrals=Integrals(surge_n=memory.integrals.surge_n))
         return resting, Reference(None, 0.0, None, distance_m, memory.north_m, memory.east_m), Wanted()

@@ -26,6 +26,9 @@ DAMPED: Final = 1.2  # of critical
 LEAST_RATE: Final = 0.3  # of natural frequency times inertia: the least gain against a rate of turn
 SPEED_PER_S: Final = 0.8  # of the speed's loop, per mass
 AUTHORITY: Final = 0.75  # of the most yaw moment, that a heading error may ask for
+SIDEWAYS: Final = 0.8, 0.6, 0.4, 0.2  # of the most surge: a boat that gives less to the side has no sway
+AT_ONCE_S: Final = 1.0  # it must give that within this time, from where everything points ahead
+PURE: Final = 0.01  # of that force, which may be missing, or come ahead or as a moment at a metre
 
 
 class Craft(NamedTuple):
@@ -38,6 +41,7 @@ class Craft(NamedTuple):
     drag_n_per_mps2: float  # ... with the square of the speed
     ahead_n: float  # most surge, of the sound boat at rest
     turn_nm: float  # most yaw moment to either side, of the sound boat at rest
+    aside_n: float  # sway to either side without surge and yaw, of the sound boat at rest; 0: it cannot push sideways
 
 
 class Gains(NamedTuple):
@@ -67,7 +71,18 @@ def craft(vehicle: config.Vehicle) -> Craft:
     else:
         linear, square = boat.drag_n_per_mps or 0.0, boat.drag_n_per_mps2 or 0.0
     damping = DAMPING * boat.length_m**3
-    return Craft(ADDED * mass_kg, inertia_kgm2, damping, linear, square, ahead_n, thrusters.yaw_nm)
+    return Craft(ADDED * mass_kg, inertia_kgm2, damping, linear, square, ahead_n, thrusters.yaw_nm, _aside_n(thrusters))
+
+
+def _aside_n(thrusters: Allocation) -> float:
+    """The sway of a boat whose thrusters give it without the boat turning or gathering way."""
+    ahead, nothing = [0.0] * len(thrusters.thrusters), (0.0, 0.0, 0.0)
+    for part in SIDEWAYS:
+        sway_n = part * thrusters.surge_n[1]
+        short = [thrusters.allocate(0.0, each, 0.0, ahead, AT_ONCE_S)[2] or nothing for each in (sway_n, -sway_n)]
+        if max(abs(missing) for each in short for missing in each) <= PURE * sway_n:
+            return sway_n
+    return 0.0
 
 
 def gains(vehicle: config.Vehicle, hull: Craft) -> Gains:

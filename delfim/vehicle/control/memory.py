@@ -27,6 +27,8 @@ class Integrals(NamedTuple):
     speed_mps: float = 0.0  # speed asked for, after the ramp
     yaw_short_nm: float = 0.0  # of the last step: asked for minus what the thrusters give
     surge_short_n: float = 0.0
+    sway_n: float = 0.0
+    sway_short_n: float = 0.0
 
 
 class LineOfSight(NamedTuple):
@@ -47,8 +49,10 @@ class Memory(NamedTuple):
     swept_rad: float = 0.0  # of the present arc
     driving: int = 0  # hold: 0 rests, 1 comes back ahead, -1 astern
     left_s: float = 0.0  # play: of the time at the waypoint of the present leg, once it is reached
+    heading_rad: float | None = None  # that hold keeps while it rests; None: the present one
 
 
 def lacking(memory: Memory, short: tuple[float, float, float]) -> Memory:
     """The memory after a step whose surge, sway and yaw the thrusters could not give: integrals wait."""
-    return memory._replace(integrals=memory.integrals._replace(surge_short_n=short[0], yaw_short_nm=short[2]))
+    surge_n, sway_n, yaw_nm = short
+    return memory._replace(integrals=memory.integrals._replace(surge_short_n=surge_n, sway_short_n=sway_n, yaw_short_nm=yaw_nm))

@@ -45,7 +45,7 @@ def step(
         memory, reference, wanted, reached = leg(memory, motion, to, stops, settings, dt_s, setpoint.override_mps)
         if not reached:
             return memory, reference, wanted
-        memory, left_s = memory._replace(north_m=to.north_m, east_m=to.east_m), to.hold_s
+        memory, left_s = memory._replace(north_m=to.north_m, east_m=to.east_m, heading_rad=None), to.hold_s
     if left_s > 0.0:
         return memory._replace(left_s=left_s), reference, wanted
     if last:
