@@ -25,16 +25,19 @@ class Tilt:
 
     def __init__(self) -> None:
         self.down: Vector | None = None
-        self.at_s = -math.inf  # of the last sample
+        self.at_s = -math.inf  # of the last sample ...
+        self._sample, self._rate_radps = ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0)), 0.0  # ... which was this, and its rate of turn
 
     def feed(self, rate_radps: Vector, force_mps2: Vector, at_s: float) -> float | None:
         """A sample: rates, and specific force (at rest it points up); returns the rate of turn around down, rad/s, positive to
-        starboard."""
+        starboard. The same sample again is the same rate, so that a frozen gyro is seen to be one."""
         dt_s, self.at_s = at_s - self.at_s, at_s
         strength = math.hypot(*force_mps2)
         feels = abs(strength - GRAVITY_MPS2) < SHARE * GRAVITY_MPS2
         if not 0.0 <= dt_s <= GAP_S:
             self.down = None
+        elif self._sample == (rate_radps, force_mps2):
+            return self._rate_radps
         if self.down is None:
             if not feels:
                 return None
@@ -46,8 +49,9 @@ class Tilt:
                 part = dt_s / CORRECTED_S
                 x, y, z = (d - part * (f / strength + d) for d, f in zip((x, y, z), force_mps2, strict=True))
         length = math.hypot(x, y, z)
-        self.down = x / length, y / length, z / length
-        return dot(rate_radps, self.down)
+        self.down, self._sample = (x / length, y / length, z / length), (rate_radps, force_mps2)
+        self._rate_radps = dot(rate_radps, self.down)
+        return self._rate_radps
 
 
 class Calibration:

@@ -108,8 +108,13 @@ class Bench:
         self.state = State()
         self.source: DronecanNavigation = open_source(self.settings, self.links, self.state)
         self.told = list[tuple[str, tuple[float, ...], int]]()
-        self.source.tell(lambda kind, value, utc_ns: self.told.append((kind, value, utc_ns)))
+        self.deviations = list[tuple[str, float]]()
+        self.source.tell(self.hear)
         self.numbers = dict[tuple[type, int], int]()
+
+    def hear(self, kind: str, value: tuple[float, ...], utc_ns: int, deviation: float = 0.0) -> None:
+        self.told.append((kind, value, utc_ns))
+        self.deviations.append((kind, deviation))
 
     def say(self, message: object, node: int = GNSS) -> Navigation | None:
         for frame in frames(message, node, self.numbers):
@@ -158,7 +163,7 @@ def test_a_fix_of_pydronecan_is_this_message_field_by_field():
                 longitude_deg_1e8=longitude,
                 ned_velocity=velocity,
                 sats_used=satellites,
-                covariance=[1.0] * random.choice((0, 6, 36)),
+                covariance=[0.5] * (number % 2 * 6),
             )
         )
         assert said == Navigation(
@@ -175,10 +180,37 @@ def test_a_fix_of_pydronecan_is_this_message_field_by_field():
             satellites,
             hdop,
             number + 1 & 255,
+            1.0 if number % 2 else None,
         )
         assert [kind for kind, *_ in bench.told[-2:]] == ["velocity", "position"]
         assert {utc_ns for *_, utc_ns in bench.told} == {UTC_US * 1000}
     assert not bench.state.counts
+
+
+@pytest.mark.parametrize(
+    "covariance",
+    [
+        [0.25, 0.25, 9.0, 0.01, 0.01, 9.0],
+        [0.25, *(9.0,) * 5, 0.25, *(9.0,) * 8, 0.01, 9.0, 9.0, 0.01, 9.0, 9.0],
+        [{0: 0.25, 7: 0.25, 21: 0.01, 28: 0.01}.get(place, 9.0) for place in range(36)],
+    ],
+    ids=len,
+)
+def test_the_accuracy_that_a_receiver_states_is_in_the_message_and_told_per_axis(covariance):
+    bench = Bench()
+    said = bench.say(fix(covariance=covariance))
+    assert said.accuracy_m == pytest.approx(math.hypot(0.5, 0.5))
+    assert bench.deviations == [("velocity", pytest.approx(0.1, abs=1e-4)), ("position", pytest.approx(0.5))]
+    bench.say(dronecan.ardupilot.gnss.RelPosHeading(reported_heading_acc_available=True, reported_heading_acc_deg=0.5))
+    assert bench.deviations[-1] == ("heading", pytest.approx(math.radians(0.5)))
+
+
+@pytest.mark.parametrize("covariance", [[], [1.0], [math.nan] * 6, [0.0] * 6, [-1.0] * 6, [1.0] * 7], ids=str)
+def test_an_accuracy_that_makes_no_sense_is_none(covariance):
+    bench = Bench()
+    assert bench.say(fix(covariance=covariance)).accuracy_m is None
+    assert [deviation for _, deviation in bench.deviations] == [0.0, 0.0]
+    assert bench.say(fix(0, covariance=[1.0] * 6)).accuracy_m is None, "and that of no position is none"
 
 
 @pytest.mark.parametrize(
@@ -337,7 +369,7 @@ def test_the_gyro_carries_the_tilt_through_a_wave_that_the_accelerometer_does_no
 def test_gravity_corrects_the_gyro_and_a_gap_or_a_set_clock_begins_anew():
     tilt = Tilt()
     for number in range(2000):
-        tilt.feed((math.radians(0.3), 0.0, 0.0), (0.0, 0.0, -GRAVITY), 0.02 * number)
+        tilt.feed((math.radians(0.3), 0.0, 0.0), (0.0, 0.0, -GRAVITY + 1e-3 * (number % 2)), 0.02 * number)
     assert math.degrees(math.atan2(tilt.down[1], tilt.down[2])) == pytest.approx(1.5, abs=0.1), "the bias by the time constant"
     for at_s in (100.0, 50.0):
         assert tilt.feed((0.0, 0.0, 0.1), still(turned(0.0, roll=0.3)), at_s) is not None
@@ -355,6 +387,19 @@ def test_a_compass_whose_accelerometer_falls_silent_has_no_heading():
         bench.say(fix())
     bench.say(field(earth(turned(1.0))), COMPASS)
     assert bench.heading_deg() is None
+
+
+def test_a_frozen_field_is_a_frozen_heading_and_a_frozen_gyro_a_frozen_rate_however_the_boat_heels():
+    bench = Bench()
+    bench.say(fix())
+    for number in range(50):
+        axes = turned(1.0, roll=0.2 * math.sin(0.3 * number))
+        bench.say(imu((0.1, 0.0, 0.2), still(axes if number < 25 else turned(1.0))), COMPASS)
+        bench.say(field(earth(turned(1.0))), COMPASS)
+    for kind in ("heading", "rate"):
+        told = [value for each, value, _ in bench.told if each == kind]
+        assert len(set(told[-10:])) == 1, kind
+        assert len(told) > 45
 
 
 def test_silence_is_unknown():
@@ -484,7 +529,7 @@ def test_a_bus_that_fails_is_counted():
 def test_mutated_frames_raise_nothing_and_nothing_grows():
     random = Random(17)
     bench = Bench()
-    bench.source.tell(lambda kind, value, utc_ns: None)
+    bench.source.tell(lambda kind, value, utc_ns, deviation=0.0: None)
     sensor = open_sensor(bench.settings, bench.links)
     relative = dronecan.ardupilot.gnss.RelPosHeading(reported_heading_deg=30.0)
     said = [fix(), EQ.gnss.Auxiliary(hdop=1.0), relative, field(earth(turned(1.0))), imu(), battery()]

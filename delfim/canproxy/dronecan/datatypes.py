@@ -48,6 +48,11 @@ RPM_MAX: Final = 20_000  # a report beyond it is refused: no propeller turns lik
 _KELVIN: Final = 273.15
 _TESLA: Final = 1e-4  # in a gauss
 _UNKNOWN_PERCENT: Final = 127
+_DIAGONALS: Final = {
+    6: (0, 1, 3, 4),
+    21: (0, 6, 15, 18),
+    36: (0, 7, 21, 28),
+}  # north and east in a matrix of so many covariances
 
 
 class CommandKind(IntEnum):
@@ -103,6 +108,8 @@ class GnssFix(NamedTuple):
     mode: int  # 0 single, 1 differential, 2 RTK, 3 precise point
     sub_mode: int  # of RTK: 0 float, 1 fixed
     pdop: float | None
+    accuracy_m: float | None = None  # standard deviation of the position in the plane
+    accuracy_mps: float | None = None  # of the velocity in the plane
 
 
 class Dilution(NamedTuple):
@@ -249,7 +256,19 @@ def _read_fix(values: Sequence[Any], items: Sequence[Any]) -> GnssFix:
         mode,
         sub_mode,
         _known(items[covariances]),
+        *_accuracies(items[:covariances]),
     )
+
+
+def _accuracies(covariances: Sequence[float]) -> tuple[float | None, float | None]:
+    """Standard deviations in the plane, of position and velocity."""
+    places = _DIAGONALS.get(len(covariances))
+    if places is None:
+        return None, None
+    north, east, north_speed, east_speed = (covariances[place] for place in places)
+    found = north + east, north_speed + east_speed
+    position, velocity = (math.sqrt(each) if 0.0 < each < math.inf else None for each in found)
+    return position, velocity
 
 
 def _read_dilution(values: Sequence[Any], items: Sequence[Any]) -> Dilution:

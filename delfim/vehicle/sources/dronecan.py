@@ -62,6 +62,7 @@ class DronecanNavigation:
         self._began_s = -1e9
         self._tilts = dict[int, Tilt]()  # of the nodes with a gyro and an accelerometer
         self._sensors = dict[int, int]()  # by node: its magnetometer, of several
+        self._said = dict[int, tuple[Vector, float | None]]()  # by node: its last field, and the heading of it
         self._antennas_s = -1e9  # when two antennas told a heading last
         self._fields_ut = dict[int, list[list[float]]]()  # by node: least and most of each axis, for the calibration
         self._nodes = dict[int, tuple[int, float]]()  # health, and when it was heard
@@ -105,11 +106,11 @@ class DronecanNavigation:
                 return self._located(node, message, now_s)
             case Dilution():
                 self._newest["dilution"].put(node, message, now_s)
-            case RelativeHeading(heading_rad, _accuracy, _distance):
+            case RelativeHeading(heading_rad, accuracy_rad):
                 if heading_rad is not None:
                     self._antennas_s = now_s
                     heading_rad = (heading_rad - self._antennas_rad) % math.tau
-                self._headed(node, heading_rad, now_s)
+                self._headed(node, heading_rad, now_s, accuracy_rad)
             case MagneticField():
                 self._magnetic(node, message, now_s)
             case ImuSample(rate_radps, force_mps2):
@@ -124,15 +125,23 @@ class DronecanNavigation:
                 self._nodes[node] = message.health, now_s
         return None
 
-    def _tell(self, kind: str, node: int, value: tuple[float, ...], now_s: float, utc_ns: int | None = None) -> None:
+    def _tell(
+        self,
+        kind: str,
+        node: int,
+        value: tuple[float, ...],
+        now_s: float,
+        utc_ns: int | None = None,
+        deviation: float | None = None,
+    ) -> None:
         """Hand a value over, if it is of the node that is chosen for its kind."""
         if self._hearer is not None and self._newest[kind].choose(now_s) == node:
-            self._hearer(kind, value, utc_ns or 0)
+            self._hearer(kind, value, utc_ns or 0, deviation or 0.0)
 
-    def _headed(self, node: int, heading_rad: float | None, now_s: float) -> None:
+    def _headed(self, node: int, heading_rad: float | None, now_s: float, accuracy_rad: float | None = None) -> None:
         self._newest["heading"].put(node, heading_rad, now_s)
         if heading_rad is not None:
-            self._tell("heading", node, (heading_rad,), now_s)
+            self._tell("heading", node, (heading_rad,), now_s, deviation=accuracy_rad)
 
     def _magnetic(self, node: int, m: MagneticField, now_s: float) -> None:
         """The heading of a compass: tilted as the gyro and the accelerometer of the same node say, flat where it has none. Two
@@ -143,11 +152,18 @@ class DronecanNavigation:
         for end, field_t in zip(ends, m.field_t, strict=True):
             end[:] = min(end[0], field_t * 1e6), max(end[1], field_t * 1e6)
         down = self._down(node, now_s)
-        heading_rad = None if down is None else magnetic_heading(self._calibration.undone(m.field_t), down, self._arrow_rad)
-        if heading_rad is None:
-            self._refused["compass without its tilt" if down is None else "magnetic field without a direction"] += 1
-        else:
-            heading_rad = (heading_rad + self._variation_rad) % math.tau
+        if down is None:
+            self._refused["compass without its tilt"] += 1
+            self._headed(node, None, now_s)
+            return
+        before, heading_rad = self._said.get(node, (None, None))
+        if m.field_t != before:  # a frozen field is a frozen heading, however the boat heels
+            heading_rad = magnetic_heading(self._calibration.undone(m.field_t), down, self._arrow_rad)
+            if heading_rad is None:
+                self._refused["magnetic field without a direction"] += 1
+            else:
+                heading_rad = (heading_rad + self._variation_rad) % math.tau
+            self._said[node] = m.field_t, heading_rad
         self._headed(node, heading_rad, now_s)
 
     def _down(self, node: int, now_s: float) -> Vector | None:
@@ -160,7 +176,7 @@ class DronecanNavigation:
         """File a fix, or a receiver's report that it has none; returns the message if the node is the chosen one."""
         newest, fix = self._newest, fix_of(g)
         if not now_s - self.heard_s <= self._stale_s:  # a beginning: a replay has perhaps not heard what came before it
-            self._began_s, self._tilts, self._sensors = now_s, {}, {}
+            self._began_s, self._tilts, self._sensors, self._said = now_s, {}, {}, {}
         position = (g.latitude_rad, g.longitude_rad) if fix else None
         newest["position"].put(node, position, now_s)
         self._talking.put(node, True, now_s)
@@ -168,9 +184,9 @@ class DronecanNavigation:
         newest["velocity"].put(node, (g.north_mps, g.east_mps) if known else None, now_s)
         if (newest["position"].choose(now_s) or self._talking.choose(now_s)) != node:
             return None
-        for kind in ("velocity", "position"):
+        for kind, accuracy in (("velocity", g.accuracy_mps), ("position", g.accuracy_m)):
             if (value := newest[kind].of(node, now_s)) is not None:
-                self._tell(kind, node, value, now_s, g.utc_ns)
+                self._tell(kind, node, value, now_s, g.utc_ns, (accuracy or 0.0) / math.sqrt(2.0))
         return self._message(node, g, position, now_s)
 
     def _message(self, node: int, g: GnssFix, position: tuple[float, float] | None, now_s: float) -> Navigation:
@@ -194,6 +210,7 @@ class DronecanNavigation:
             g.satellites,
             None if dilution is None else dilution.hdop,
             self._counter,
+            g.accuracy_m if position else None,
         )
 
     def report(self, now_s: float) -> dict[str, object]:
