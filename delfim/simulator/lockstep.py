@@ -46,7 +46,7 @@ class Lockstep:
         bus = self.bus = LockstepBus(self.clock)
         self._world = bus.socket("nodes")
         self.nodes = nodes_of(settings, seed, model)
-        buses = {settings.can.interface: bus}
+        buses = self.buses = {settings.can.interface: bus}  # by the interfaces of the vehicle's file
         for each in self.nodes.beside:
             buses.setdefault(each.interface, LockstepBus(self.clock, each.interface))
         self._beside = [(each, buses[each.interface].bound(*each.hears, computer="devices")) for each in self.nodes.beside]

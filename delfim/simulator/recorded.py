@@ -32,6 +32,7 @@ class Due(NamedTuple):
     at_s: float  # monotonic
     what: Any = None
     source: int = 0  # of a cycle: its place in `navigation.sources`
+    sent: tuple[tuple[int, str, float], ...] = ()  # of a cycle: thrusters by their rows, "command" or "angle", and its value
 
 
 class GuestReference(NamedTuple):
@@ -60,10 +61,17 @@ def _when(heard: BusInput) -> int:
     return heard.t_ns
 
 
-def cycles(columns: Any) -> Iterator[Due]:
+def cycles(columns: Any, rows: Sequence[tuple[int, str]]) -> Iterator[Due]:
+    """`rows`: the thrusters, by place in the vehicle's file and name, whose commands are taken from the records."""
+    told = [
+        (index, what, columns[f"{name}_{what}"].tolist())
+        for index, name in rows
+        for what in ("command", "angle")
+        if f"{name}_{what}" in columns
+    ]
     times = zip(columns["t1"].tolist(), columns["monotonic_s"].tolist(), _asked(columns), _sources(columns), strict=True)
-    for t1, at_s, asked, source in times:
-        yield Due(t1, "navigation", at_s, asked, source)
+    for i, (t1, at_s, asked, source) in enumerate(times):
+        yield Due(t1, "navigation", at_s, asked, source, tuple((index, what, values[i]) for index, what, values in told))
 
 
 def first_ns(columns: Any) -> dict[int, int]:

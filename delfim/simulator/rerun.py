@@ -1,5 +1,5 @@
-"""Replay of a day at sea: the recorded frames and commands go through the real loop, at the recorded times, and its propulsion
-frames are compared bit by bit with those in the black box.
+"""Replay of a day at sea: the recorded frames and commands go through the real loop, at the recorded times. What it tells its
+motors is compared bit by bit with what it told them then: on buses by the black box, by lines and pulses by the state log.
 
 The logs hold all inputs of a cycle: frames in the black box; the times of each cycle, of the watchdog's last check and of
 the last words of console and guest in the state log; commands and settings in its sidecar. A run is repeated from its start,
@@ -15,6 +15,7 @@ import msgspec
 from delfim import config, tables
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import DelfimError
+from delfim.frames import Frame
 from delfim.logging import tree
 from delfim.logging.blackbox import device
 from delfim.logging.linelog import line_id
@@ -29,6 +30,7 @@ from delfim.messages import (
     PROPELLER_STARBOARD,
 )
 from delfim.serialform import Form
+from delfim.simulator.comparing import PROTOCOLS, STAMP_NS, Difference, Findings, MotorBus
 from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.recorded import (
@@ -58,15 +60,10 @@ MOMENTS: Final = ("monotonic_s", "watchdog_s", "console_s", "guest_s")  # column
 Group = tuple[tuple[int, bytes], ...]  # the frames of one command of the propellers
 
 
-class Difference(NamedTuple):
-    t_ns: int
-    recorded: Group
-    repeated: Group
-
-
 class RerunResult(NamedTuple):
     cycles: int
     frames: int  # compared
+    commands: int  # in the state log, compared
     differences: list[Difference]
     refusals: list[str]  # commands refused then and not now, or the reverse
 
@@ -75,10 +72,13 @@ class RerunResult(NamedTuple):
         return not self.differences and not self.refusals
 
     def text(self) -> str:
-        lines = [f"{self.cycles} cycles repeated, {self.frames} propulsion frames compared: "]
+        compared = f"{self.frames} propulsion frames" if self.frames or not self.commands else ""
+        logged = f"{self.commands} commands in the state log" if self.commands else ""
+        lines = [f"{self.cycles} cycles repeated, {' and '.join(filter(None, (compared, logged)))} compared: "]
         lines[0] += "all the same, bit by bit" if self.exact else f"{len(self.differences)} commands differ"
-        for t_ns, recorded, repeated in self.differences[:SHOWN]:
-            lines.append(f"  {_time(t_ns)}  recorded {_words(recorded)}  repeated {_words(repeated)}")
+        for each in self.differences[:SHOWN]:
+            words = f"{each.told}: recorded {each.recorded}  repeated {each.repeated}"
+            lines.append(f"  {_time(each.t_ns)}  cycle {each.cycle}  {words}")
         return "\n".join([*lines, *(f"  {words}" for words in self.refusals[:SHOWN])])
 
 
@@ -114,15 +114,20 @@ class Rerun:
         self._lines = dict[str, LockstepLine]()
         self._heard = self._bus(self._interface).socket("onlooker")
         self._heard.bind(*(CanAddress(arb) for arb in COMMANDS))
+        self._found, self.refusals = Findings(span), list[str]()
+        self._motors = dict[str, MotorBus]()  # by the names of their logs
+        for driver in (each for each in settings.drivers if each in PROTOCOLS):
+            name = device(getattr(settings, driver).interface)
+            self._motors[name] = MotorBus(driver, settings, self._bus(name).socket("onlooker"), self._found)
         links = Links(self._open_bus, self._open_line)
         self.vehicle, self._reports, *_ = build(settings, self.clock, self.state, links, self.log)
+        self._names = [row.name for row in settings.thrusters]
         self._size = 2 * sum(row.driver == "dsor" for row in settings.thrusters)  # frames of one command
         before_ns = round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened
         self._heard_ns = [(each, first_ns.get(i, 0) - before_ns) for i, each in enumerate(self.vehicle.sources)]
         self._inputs = deque[BusInput]()
         self.recorded = deque[tuple[int, Group]]()
         self._split(recorded)
-        self._span, self.differences, self.refusals, self.frames = span, list[Difference](), list[str](), 0
 
     def _bus(self, name: str) -> LockstepBus:
         if name not in self._buses:
@@ -141,6 +146,8 @@ class Rerun:
         group: list[tuple[int, bytes]] = []
         for each in recorded:
             frame = each.what
+            if isinstance(frame, Frame) and each.name in self._motors and self._motors[each.name].keep(frame):
+                continue
             if isinstance(frame, bytes) or each.name != self._interface or frame.arb not in COMMANDS:
                 self._inputs.append(each)
                 continue
@@ -153,7 +160,8 @@ class Rerun:
     def cut(self, last_ns: int) -> None:
         """The power failed after this last logged cycle: frames that only one log still has are not compared."""
         whole_ns = [t_ns for t_ns, group in self.recorded if len(group) == self._size]
-        self._span = self._span._replace(to_ns=min(self._span.to_ns, last_ns, *whole_ns[-1:]))
+        ends_ns, span = [motors.last_ns for motors in self._motors.values()], self._found.span
+        self._found.span = span._replace(to_ns=min(span.to_ns, last_ns, *whole_ns[-1:], *ends_ns))
 
     def feed(self, until_ns: int) -> None:
         """The frames that had arrived by then."""
@@ -180,6 +188,8 @@ class Rerun:
         """Replay one event, after the vehicle's earlier frames whose cause was not recorded."""
         while self.recorded and self.recorded[0][0] < due.t_ns:
             self._unexplained()
+        for motors in self._motors.values():
+            motors.hear(due.t_ns - STAMP_NS)
         self.feed(due.t_ns)
         self._at(due.t_ns, due.at_s)
         if due.kind == "navigation":
@@ -189,6 +199,10 @@ class Rerun:
         elif due.kind == "watchdog" or due.at_s - self.state.navigation_s <= REPEAT_S:  # beyond, it sends, which is recorded
             self.vehicle.on_watchdog()
         self._compare(due.t_ns)
+        sent = self.state.actuation
+        for row, what, then in due.sent:
+            now = (sent.thrust if what == "command" else sent.angle_rad)[row]
+            self._found.logged(due.t_ns, f"{self._names[row]} {what}", then, now)
 
     def _at(self, t_ns: int, at_s: float) -> None:
         self.clock.now_ns, self.clock.now_s = t_ns, at_s
@@ -230,17 +244,20 @@ class Rerun:
         command = console.parse(msgspec.json.encode(event["value"]))
         refused = self.vehicle.on_command(command, event.get("operator", LOCAL)) or ""
         self.log.why = ""
-        if bool(refused) != bool(event["refused"]) and self._span.has(due.t_ns):
+        if bool(refused) != bool(event["refused"]) and self._found.span.has(due.t_ns):
             name = event["value"]["command"]
             then, now = (f"refused ({words})" if words else "obeyed" for words in (event["refused"], refused))
             self.refusals.append(f"{_time(due.t_ns)}  {name}: {then} then, {now} now")
 
     def _compare(self, t_ns: int) -> bool:
-        """Compare the frames just sent with the recorded ones. False if none were sent."""
+        """Compare the frames just sent with the recorded ones. False if none were sent to the propellers of DelfimX."""
+        self._found.cycle = self.state.cycles
+        for motors in self._motors.values():
+            motors.make(t_ns)
         made = list[tuple[int, bytes]]()
         while (frame := self._heard.receive()) is not None:
             made.append((frame.arb, frame.data))
-        groups = [tuple(made[i : i + self._size]) for i in range(0, len(made), self._size)]
+        groups = [tuple(made[i : i + self._size]) for i in range(0, len(made), self._size or 1)]
         for group in groups:
             then = self.recorded[0][1] if self.recorded else ()
             if self.recorded and not _ahead(then, group):
@@ -251,10 +268,10 @@ class Rerun:
         return bool(groups)
 
     def _judge(self, t_ns: int, then: Group, now: Group) -> None:
-        if self._span.has(t_ns):
-            self.frames += len(then)
+        if self._found.span.has(t_ns):
+            self._found.frames += len(then)
             if then != now:
-                self.differences.append(Difference(t_ns, then, now))
+                self._found.differ(t_ns, "dsor", _words(then), _words(now))
 
     def finish(self, ended: bool) -> None:
         """Compare the frames after the last record; a program that ended in order sent a stop last."""
@@ -262,8 +279,15 @@ class Rerun:
             self._unexplained()
         if self.recorded:
             self._at(self.recorded[0][0], self.clock.now_s)
+        if self.recorded or (ended and self._motors):
             self.vehicle.helm.stop("shutdown")
-            self._compare(self.recorded[0][0])
+            self._compare(self.clock.now_ns)
+        for motors in self._motors.values():
+            motors.finish()
+
+    def result(self) -> RerunResult:
+        found = self._found
+        return RerunResult(self.state.cycles, found.frames, found.commands, found.differences, self.refusals)
 
 
 def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAYS) -> RerunResult:
@@ -277,16 +301,17 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
         raise DelfimError(f"a replay needs the logs of one run, with one start; these hold {len(starts)} starts")
     recorded = starts[0].get("settings", {})
     settings = config.load(vehicle_file) if vehicle_file else tables.decode(recorded, config.Vehicle, "the log")
-    if "dsor" not in settings.drivers:
-        raise DelfimError("a replay compares the commands to the propellers of DelfimX, and this boat has none of them")
     columns, _ = table(state_files)
     if not all(bool((abs(columns[name]) < MOMENT_MAX_S).all()) for name in MOMENTS):
         raise DelfimError("this state log is damaged: some of its times are not numbers")
     boxes = [file for file in files if file.suffix.startswith(".log")]
-    if device(settings.can.interface) not in {file.id for file in boxes}:
-        raise DelfimError(f"no black box of {device(settings.can.interface)} beside this state log")
+    needed = {device(getattr(settings, driver).interface) for driver in settings.drivers if driver in PROTOCOLS}
+    needed |= {device(settings.can.interface)} if "dsor" in (*settings.drivers, *settings.navigation.sources) else set()
+    if missing := needed.difference(file.id for file in boxes):
+        raise DelfimError(f"no black box of {', '.join(sorted(missing))} beside this state log")
     run = Rerun(settings, heard(boxes, files), starts[0], first_ns(columns), span)
-    due = sorted([*cycles(columns), *commands(told), *looks(columns, told)], key=lambda each: each.t_ns)
+    unheard = [(i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in ("dsor", *PROTOCOLS)]
+    due = sorted([*cycles(columns, unheard), *commands(told), *looks(columns, told)], key=lambda each: each.t_ns)
     ended = any(event["event"] == "end" for event in told)
     if not ended:
         run.cut(int(columns["t1"][-1]))
@@ -296,9 +321,10 @@ def rerun(files: Sequence[LogFile], vehicle_file: str | None, span: Span = ALWAY
             run.hear(spoken.popleft())
         run.step(each)
     run.finish(ended)
-    if not (run.frames or run.differences):
+    result = run.result()
+    if not (result.frames or result.commands or result.differences):
         raise DelfimError("the boat commanded nothing in this time")
-    return RerunResult(run.state.cycles, run.frames, run.differences, run.refusals)
+    return result
 
 
 def _ahead(then: Group, now: Group) -> bool:

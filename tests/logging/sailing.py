@@ -28,11 +28,12 @@ class Day:
         self.settings = config.load(ROOT / "etc/delfimx.toml", more)
         self.sailing = Lockstep(self.settings, 1, self._opened)
         self.clock = self.sailing.clock
-        self.socket = self.sailing.bus.socket("logger")
-        self.socket.bind(ANYTHING)
+        self.sockets = [bus.socket("logger") for bus in self.sailing.buses.values()]
+        for each in self.sockets:
+            each.bind(ANYTHING)
         with pytest.MonkeyPatch.context() as patch:  # files of the clock of the simulation need no child
             patch.setattr(blackbox, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))
-            self.box = BlackBox([self.socket], self.settings.log, self.clock)
+            self.box = BlackBox(self.sockets, self.settings.log, self.clock)
 
     def _opened(self, clock: ManualClock) -> Logbook:
         self.log = Logbook(self.settings, clock)
@@ -43,21 +44,25 @@ class Day:
         refused = self.sailing.command(command)
         self.clock.advance(0.01)  # at sea no two things happen in the same nanosecond
         self.log.command(command, refused, self.sailing.state)
-        self.box.on_readable(self.socket)
+        self.boxed()
         return refused
+
+    def boxed(self) -> None:
+        for each in self.sockets:
+            while self.box.on_readable(each):
+                pass
 
     def sail(self, seconds: float) -> None:
         for state in self.sailing.cycles(seconds):
             self.log.watch(state)
-            for _ in range(4):
-                self.box.on_readable(self.socket)
+            self.boxed()
             self.box.poll()
             self.log.poll()
 
     def end(self) -> None:
         self.clock.advance(0.01)
         self.sailing.vehicle.helm.stop("shutdown")
-        self.box.on_readable(self.socket)
+        self.boxed()
         self.log.close()
         self.box.close()
 

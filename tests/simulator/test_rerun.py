@@ -57,7 +57,7 @@ def silent(day: Day, seconds: float) -> None:
         day.clock.advance(0.1003)
         day.sailing.vehicle.on_watchdog()
         day.log.watch(day.sailing.state)
-        day.box.on_readable(day.socket)
+        day.boxed()
     day.clock.advance(0.05)
 
 
@@ -88,7 +88,7 @@ def test_one_frame_changed_on_disk_is_one_difference(day, tmp_path):
     at = max(i for i, line in enumerate(lines) if " 040#" in line)
     lines[at] = re.sub("#..", "#FF", lines[at])
     box.write_text("".join(lines))
-    assert [each.recorded[0][1][0] for each in rerun(logged(tmp_path), None).differences] == [0xFF]
+    assert [each.recorded[:2] for each in rerun(logged(tmp_path), None).differences] == ["ff"]
 
 
 def test_a_command_missing_in_the_black_box_is_told_and_the_rest_compared(day, tmp_path):
@@ -98,7 +98,7 @@ def test_a_command_missing_in_the_black_box_is_told_and_the_rest_compared(day, t
     sent = [i for i, line in enumerate(lines) if re.search(" 04[0-3]#", line)]
     box.write_text("".join(line for i, line in enumerate(lines) if i not in sent[400:404]))
     result = rerun(logged(tmp_path), None)
-    assert [each.recorded for each in result.differences] == [()]
+    assert [each.recorded for each in result.differences] == ["nothing"]
 
 
 @pytest.mark.parametrize(
@@ -135,7 +135,7 @@ def test_what_was_said_before_the_boat_listened_is_not_its_input(tmp_path):
     sailing = day.sailing
     for frame in sailing.nodes.step(day.clock.monotonic_s(), day.clock.time_ns()):
         sailing._world.sendmsg(frame)
-    day.box.on_readable(day.socket)
+    day.boxed()
     for source in sailing.vehicle.sources:
         assert source.read(day.clock.monotonic_s()) is not None
     day.clock.advance(0.2)
@@ -151,18 +151,6 @@ def test_a_run_without_its_start_is_refused(day, tmp_path):
     folder = copied(day, tmp_path)
     (folder / "state/000000.meta.jsonl").write_text("")
     with pytest.raises(DelfimError, match="0 starts"):
-        rerun(logged(tmp_path), None)
-
-
-def test_a_run_of_a_boat_with_other_motors_is_refused_in_words(day, tmp_path):
-    folder = copied(day, tmp_path)
-    sidecar = folder / "state/000000.meta.jsonl"
-    settings = '"driver":"pwm","address":%d'
-    told = sidecar.read_text().replace('"driver": "', '"driver":"')
-    for address in (0, 1):
-        told = re.sub(rf'"driver":"dsor", ?"address": ?{address}', settings % address, told)
-    sidecar.write_text(told)
-    with pytest.raises(DelfimError, match="this boat has none of them"):
         rerun(logged(tmp_path), None)
 
 
