@@ -43,6 +43,10 @@ DriverName = Literal[
 ]  # files in delfim/vehicle/actuators
 SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboard and a port side; all but dsor mix them
 SensorName = Literal["sysstat", "dronecan", "nmea0183", "nmea2000"]  # files in delfim/vehicle/sensors
+ToldName = Literal[  # rows in delfim/services/nmea2000rows.py
+    "position", "course", "heading", "turn", "attitude", "rudder", "engine", "battery", "route", "alerts"
+]
+IsoName = Annotated[str, text("[0-9A-Fa-f]{16}", "a NAME of 16 hexadecimal digits in quotes")]
 Place = Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)]  # m from the middle of the boat
 Newtons = Annotated[float, msgspec.Meta(ge=-1e5, le=1e5)]
 Curve = Annotated[tuple[tuple[Annotated[float, msgspec.Meta(ge=-1.0, le=1.0)], Newtons], ...], msgspec.Meta(max_length=64)]
@@ -203,13 +207,21 @@ class EstimatorTable(Table, frozen=True):
 
 
 class Nmea2000(Table, frozen=True):
-    """A bus of off-the-shelf sensors. Of several that send the same value, the first in `preferred_sources` is used."""
+    """A bus of off-the-shelf sensors. Of several that send the same value, the first in `preferred_sources` is used. With
+    `send` the boat is a device there, which tells others what it knows."""
 
     interface: Interface = "can1"  # the bus of the sensors
     bitrate_bps: BitRate = 250_000  # of a Linux interface, as NMEA 2000 has it
-    preferred_sources: tuple[Annotated[int, msgspec.Meta(ge=0, le=251)], ...] = ()  # addresses, best first; empty: any
+    preferred_sources: tuple[Annotated[int, msgspec.Meta(ge=0, le=251)] | IsoName, ...] = ()  # best first; empty: any
     variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] = 0.0  # used while the bus sends none
     batteries: BatteryInstances = ()  # instances of the starboard or only battery, and of the port one; empty: not read
+    send: Annotated[tuple[ToldName, ...], msgspec.Meta(max_length=len(get_args(ToldName)))] = ()  # to the other devices
+    unique_number: Annotated[int, msgspec.Meta(ge=0, le=0x1FFFFF)] = 0  # of this device; 0: made of the boat's name
+
+    @property
+    def joins(self) -> bool:
+        """Whether the boat takes part in the bus: it tells others something, or asks them for their NAMEs."""
+        return bool(self.send) or any(isinstance(each, str) for each in self.preferred_sources)
 
 
 class Nmea0183Port(Table, frozen=True):
@@ -1259,7 +1271,8 @@ class Vehicle(Table, frozen=True):
 
     def _parts(self) -> dict[str, Table | None]:
         """The tables of the boat's nodes and parts, by their names in the file."""
-        names = ("can", "handset", *self.navigation.sources, *self.sensors.names, *self.drivers)
+        spoken = ("nmea2000",) if self.nmea2000.joins else ()
+        names = ("can", "handset", *self.navigation.sources, *self.sensors.names, *self.drivers, *spoken)
         routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
         lines = {f"nmea0183.ports.{name}": port for name, port in self.nmea0183.ports.items() if "nmea0183" in names}
         return {name: getattr(self, name, None) for name in names} | routed | lines

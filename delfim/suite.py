@@ -84,6 +84,13 @@ SERVICES = (
         uvloop=False,
         when=lambda settings: "dronecan.interface" in settings.outside("interface") and settings.dronecan.numbers,
     ),
+    Service(
+        "nmea2000d",
+        "delfim.services.nmea2000d:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: settings.nmea2000.joins,
+    ),
     Service("httpd", "delfim.services.httpd:serve", late=True),
     Service("ftpd", "delfim.services.ftpd:serve", place="process", when=lambda settings: settings.ftpd.users),
     Service("sshd", "delfim.services.sshd:serve", place="process", when=lambda settings: settings.sshd.users, uvloop=False),

@@ -39,8 +39,21 @@ def run(asked: argparse.Namespace) -> int:
         print(f"delfim: warning: {doubt}", file=sys.stderr)
     if asked.sea and _at_sea(vehicle, running):
         return 1
+    if vehicle.nmea2000.joins and "nmea2000d" in running:
+        print(_told(vehicle))
     print(f"{asked.file}: {vehicle.boat.name}: nothing is wrong with this file")
     return 0
+
+
+def _told(vehicle: config.Vehicle) -> str:
+    """What the boat says as a device of its NMEA 2000 bus."""
+    from delfim.canproxy.nmea2000.device import device_name, facts_of
+    from delfim.services.nmea2000rows import pgns_of
+
+    table = vehicle.nmea2000
+    rows = [f"{name} ({', '.join(map(str, pgns_of((name,))))})" for name in table.send]
+    sent = f"sends {', '.join(rows)}" if rows else "sends nothing but who it is"
+    return f"{table.interface}: NMEA 2000 device {device_name(facts_of(vehicle).unique):016x} {sent}"
 
 
 def _at_sea(vehicle: config.Vehicle, running: list[str]) -> bool:

@@ -15,8 +15,6 @@ import signal
 import sys
 from typing import Any, Final, cast
 
-import msgspec
-
 from delfim import config
 from delfim.clock import Clock
 from delfim.errors import PermanentFailure, in_words, one_line
@@ -29,9 +27,9 @@ from delfim.services.children import ended
 from delfim.services.payloadlines import VALUES, BoundedLines, Value, lines, values
 from delfim.services.runtime import Runtime
 from delfim.services.supervisor import EXIT_PERMANENT
+from delfim.services.watching import watch
 from delfim.services.web.api import State
 
-AGAIN_S: Final = 1.0  # before the vehicle is asked again
 LOOK_S: Final = 2.0  # between two looks at the programs' processes
 END_S: Final = 0.3  # from SIGTERM to SIGKILL, and for its last words; the runtime waits a second for a service
 PAUSE_S: Final = 0.1  # a program that says much is not heard for so long
@@ -40,17 +38,8 @@ REPORTS: Final = 50.0, 100  # lines of values a second in the long run, and at o
 SAID: Final = 5.0, 20  # the same of lines of standard error
 PIPE_BYTES: Final = 4096  # that wait for a program: some seconds of navigation
 SAID_CHARACTERS: Final = 200  # of one line in the log
-ANSWER_BYTES: Final = 1 << 20  # of the vehicle, at most
-WATCH: Final = b'{"command": "watch"}\n'
 
 log = logging.getLogger(__name__)
-
-
-class _Published(msgspec.Struct):
-    state: State
-
-
-_published: Final = msgspec.json.Decoder(_Published).decode
 
 
 class Payload(asyncio.SubprocessProtocol):
@@ -241,17 +230,10 @@ class Payloads:
 
     async def watch(self) -> None:
         """Tell the programs what the vehicle publishes."""
-        while True:
-            try:
-                reader, writer = await asyncio.open_unix_connection(self._socket, limit=ANSWER_BYTES)
-                with contextlib.closing(writer):
-                    writer.write(WATCH)
-                    while line := await reader.readline():
-                        self._heard(_published(line).state)
-                self._trouble = "the vehicle closed the connection"
-            except (OSError, ValueError, msgspec.DecodeError) as error:
-                self._trouble = f"the vehicle does not answer: {in_words(error)}"
-            await asyncio.sleep(AGAIN_S)
+        await watch(self._socket, self._heard, self._failed)
+
+    def _failed(self, why: str) -> None:
+        self._trouble = why
 
     def _heard(self, state: State) -> None:
         self._trouble = ""

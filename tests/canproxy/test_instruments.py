@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from nmea2000.decoder import NMEA2000Decoder
 
 from delfim import config
-from delfim.canproxy.nmea2000 import instruments
+from delfim.canproxy.nmea2000 import instruments, ownpgns
+from delfim.canproxy.nmea2000.device import device_name
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.instruments import FAST, KELVIN, MESSAGES, Battery, BatteryCharge, decode
 from delfim.canproxy.socket import accepts
@@ -138,6 +139,10 @@ class Bus:
             self._outlet.sendmsg(Frame(extended(6 << 26 | pgn << 8 | address), part))
         self.sensor.read(self.state, now_s)
 
+    def claim(self, address: int, name: int) -> None:
+        self._outlet.sendmsg(Frame(extended(0x18EEFF00 | address), name.to_bytes(8, "little")))
+        self.sensor.read(self.state, 0.0)
+
 
 def depth(metres: float | None) -> bytes:
     return struct.pack("<BIhB", 0, 0xFFFFFFFF if metres is None else round(metres * 100), 0, 0xFF)
@@ -165,9 +170,32 @@ def test_batteries_of_the_file_are_the_boats_and_no_others() -> None:
     (report, at_s), *others = bus.state.sysstat.values()
     assert not others
     assert (report.voltage_v, report.current_a, report.charge, report.temperature_c, at_s) == (
-        pytest.approx(48.1), pytest.approx(-12.3), 0.55, 20, 1.5,
+        pytest.approx(48.1), pytest.approx(12.3), 0.55, 20, 1.5,
     )  # fmt: skip
     assert list(bus.state.sysstat) == ["batteries_starboard"]
+
+
+def test_the_preferred_sounder_may_be_named_by_its_name() -> None:
+    bus = Bus(preferred_sources=("c07891002fb34d62",))
+    bus.claim(35, 0xC078_9100_2FB3_4D62)
+    bus.say(instruments.WATER_DEPTH, depth(3.0), 35, 1.0)
+    bus.say(instruments.WATER_DEPTH, depth(4.1), 12, 1.1)
+    assert bus.state.measured["depth_m"] == (3.0, 1.0)
+    bus.claim(36, 0xC078_9100_2FB3_4D62)
+    bus.say(instruments.WATER_DEPTH, depth(5.0), 35, 1.2)
+    bus.say(instruments.WATER_DEPTH, depth(3.1), 36, 1.3)
+    bus.say(instruments.WATER_DEPTH, depth(5.0), 35, 1.4)
+    assert bus.state.measured["depth_m"] == (3.1, 1.3)
+
+
+def test_the_boat_does_not_take_what_it_says_itself_for_a_battery() -> None:
+    bus = Bus(batteries=(0,), unique_number=77)
+    said = ownpgns.battery(0, 25.0, -3.0, 20.0)
+    bus.claim(100, device_name(77))
+    bus.say(instruments.BATTERY, said, 100, 1.0)
+    assert bus.state.sysstat == {}
+    bus.say(instruments.BATTERY, said, 101, 1.0)
+    assert bus.state.sysstat["batteries_starboard"][0].current_a == 3.0, "discharging, as it was said"  # type: ignore[union-attr]
 
 
 def test_malformed_frames_are_counted_and_change_nothing() -> None:

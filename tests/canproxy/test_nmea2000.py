@@ -654,7 +654,7 @@ def test_status_says_who_talks_and_what_was_refused() -> None:
         bus.feed(Frame(arb, bytes(8)), 2.0)
     bus.feed(Frame(extended(2 << 26 | 130306 << 8 | 42), bytes(8)), 2.0)  # wind: not ours, no error
     status = bus.status(2.5)
-    assert status.sources == {40: (0.5, 2), 41: (0.5, 1)}
+    assert status.sources == {40: (0.5, 2, ""), 41: (0.5, 1, "")}
     assert status.errors == {
         "PGN 129025: malformed": 1,
         "source address that nobody can have": 1,
@@ -691,3 +691,76 @@ def test_a_bus_of_anything_gives_sound_messages_only(heard: list[tuple[float, li
             assert n.heading_rad is None or 0 <= n.heading_rad < math.tau
             assert (n.north_mps is None) == (n.east_mps is None)
     assert all(k.age_s is None or k.age_s <= VARIATION_S for k in bus.status(now_s).kinds.values())
+
+
+# Sources by NAME ------------------------------------------------------------------------------------------------------------
+
+RECEIVER_NAME, OTHER_NAME = 0xC078_8C00_E7E0_4312, 0xC078_8C00_E7E0_4313
+
+
+def claim(bus: Nmea2000Source, address: int, name: int) -> None:
+    bus.feed(Frame(extended(0x18EEFF00 | address), name.to_bytes(8, "little")), 0.0)
+
+
+def by_name(*preferred: int | str, own_name: int = -1) -> Nmea2000Source:
+    return Nmea2000Source(Nmea2000(preferred_sources=preferred), STALE_S, own_name)
+
+
+def test_a_device_is_preferred_by_its_name_whatever_its_address() -> None:
+    bus = by_name("c0788c00e7e04312")
+    said(bus, 10, LISBON, 0.0)
+    assert say(bus, 43, PORTO, 0.0) is None, "nobody said yet whose address it is"
+    claim(bus, 43, RECEIVER_NAME)
+    assert said(bus, 43, PORTO, 0.1).latitude_rad == PORTO.latitude_rad
+    assert say(bus, 10, LISBON, 0.1) is None
+    claim(bus, 77, RECEIVER_NAME)
+    assert said(bus, 10, LISBON, 0.2), "what 43 said is not the receiver's any more"
+    assert said(bus, 77, PORTO, 0.2).latitude_rad == PORTO.latitude_rad
+    assert bus.status(0.2).sources[77].name == "c0788c00e7e04312"
+
+
+def test_another_device_at_the_address_is_not_taken_for_the_first_one() -> None:
+    bus = by_name("C0788C00E7E04312", 10)
+    claim(bus, 43, RECEIVER_NAME)
+    said(bus, 43, PORTO, 0.0)
+    claim(bus, 43, OTHER_NAME)
+    assert said(bus, 10, LISBON, 0.1).latitude_rad == LISBON.latitude_rad
+    assert say(bus, 43, PORTO, 0.1) is None
+
+
+def test_a_device_that_lost_its_address_is_none_until_it_has_another() -> None:
+    bus = by_name("c0788c00e7e04312")
+    claim(bus, 43, RECEIVER_NAME)
+    said(bus, 43, PORTO, 0.0)
+    claim(bus, 254, RECEIVER_NAME)
+    assert bus.status(0.0).kinds["position"].source is None
+
+
+def test_a_claim_that_changes_nothing_keeps_the_present_source() -> None:
+    bus = by_name()
+    said(bus, 43, PORTO, 0.0)
+    assert say(bus, 10, LISBON, 0.1) is None
+    claim(bus, 10, OTHER_NAME)
+    claim(bus, 43, RECEIVER_NAME)
+    assert said(bus, 43, PORTO, 0.2)
+
+
+def test_the_boats_own_device_is_no_source() -> None:
+    bus = by_name(own_name=OTHER_NAME)
+    claim(bus, 10, OTHER_NAME)
+    assert say(bus, 10, LISBON, 0.0) is None
+    assert bus.status(0.0).sources == {}
+    claim(bus, 10, RECEIVER_NAME)
+    assert said(bus, 10, LISBON, 0.1)
+
+
+def test_a_claim_that_is_none_is_counted() -> None:
+    bus = by_name()
+    bus.feed(Frame(extended(0x18EEFF2B), bytes(7)), 0.0)
+    assert bus.status(0.0).errors == {"claim: malformed": 1}
+
+
+@pytest.mark.parametrize(("preferred", "joins"), [((), False), ((127,), False), (("c0788c00e7e04312",), True)])
+def test_who_chooses_by_name_takes_part_in_the_bus(preferred: tuple[int | str, ...], joins: bool) -> None:
+    assert Nmea2000(preferred_sources=preferred).joins == joins
+    assert Nmea2000(preferred_sources=preferred, send=("heading",)).joins

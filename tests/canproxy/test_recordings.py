@@ -11,15 +11,18 @@ import logging
 import math
 from collections import Counter, defaultdict
 from pathlib import Path
+from random import Random
 from typing import Any, NamedTuple
 
 import pytest
 from nmea2000.decoder import NMEA2000Decoder
 
 from delfim.canproxy.nmea2000 import pgns
+from delfim.canproxy.nmea2000.device import Device, DeviceFacts
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.pgns import decode
 from delfim.canproxy.nmea2000.source import SLOW_S, Nmea2000Source
+from delfim.canproxy.socket import CanAddress, accepts
 from delfim.config import Nmea2000
 from delfim.frames import Frame, extended
 from delfim.messages import Navigation
@@ -314,3 +317,38 @@ def test_a_bus_without_navigation_gives_none() -> None:
     bus, fixes = play(GATEWAY)
     assert fixes == []
     assert bus.status(1.0).sources == {}
+
+
+def test_on_a_recorded_bus_the_boats_own_device_learns_who_has_which_address_and_takes_a_free_one() -> None:
+    decoder, claims = NMEA2000Decoder(), {}
+    own = Device(DeviceFacts("Otter", "1", 5), (), Random(1), address=127)
+    filters = [CanAddress(*pair) for pair in Device.FILTERS]
+    own.begin(0.0)
+    for line in recording(BUSY):
+        if any(accepts(each, line.frame.arb) for each in filters):
+            own.feed(line.frame, line.now_s)
+            own.step(line.now_s)
+            message = decoder.decode(line.text)
+            if message is not None and message.PGN == 60928:
+                claims[message.source] = message.source_iso_name.unique_number
+    assert len(claims) == 40
+    assert {address: name & 0x1FFFFF for address, name in own.names.items()} == claims
+    assert own.is_claimed
+    assert own.address == 129
+    assert set(own.counts) <= {"for another device", "address lost to another device"}
+
+
+def test_sources_chosen_by_name_are_those_of_their_addresses() -> None:
+    """The receiver and the compass of the recording, whose claims are in it."""
+    by_address, by_name = ((127, 128), ("c07891002fb34d62", "c050a0002fb30d62"))
+    chosen = []
+    for preferred in (by_address, by_name):
+        bus = Nmea2000Source(Nmea2000(preferred_sources=preferred), 2.5)
+        for line in recording(BUSY):
+            bus.feed(line.frame, line.now_s)
+        status = bus.status(recording(BUSY)[-1].now_s)
+        chosen.append({name: kind.source for name, kind in status.kinds.items()})
+        assert status.sources[128].name == "c050a0002fb30d62"
+    assert chosen[0] == chosen[1]
+    assert chosen[1]["position"] == 127
+    assert chosen[1]["heading"] == 128

@@ -71,3 +71,18 @@ def test_the_files_that_are_shipped_are_sound(name, capsys):
     assert main(["check", str(VEHICLE.with_name(name)), "--set", "can.interface=canloop:x"]) == 0
     err = capsys.readouterr().err
     assert all("nmea2000.interface" in line for line in err.splitlines())
+
+
+def test_what_is_sent_to_the_nmea_2000_bus_is_told(check):
+    text = '[boat]\nname = "x"\n[can]\ninterface = "canloop:x"\n[nmea2000]\ninterface = "canloop:y"\nunique_number = 77\n'
+    _, out, _ = check(text + 'send = ["heading", "battery"]\n')
+    assert out.splitlines() == [
+        "canloop:y: NMEA 2000 device c078af00ffc0004d sends heading (127250), battery (127508, 127506)",
+        "boat.toml: x: nothing is wrong with this file",
+    ]
+    _, out, _ = check(text + 'preferred_sources = ["c07891002fb34d62"]\n')
+    assert "device c078af00ffc0004d sends nothing but who it is" in out
+    _, out, _ = check(text)
+    assert "NMEA 2000" not in out
+    _, _, err = check(text + 'preferred_sources = ["c0789100"]\n')
+    assert "0 to 251 or a NAME of 16 hexadecimal digits in quotes" in err

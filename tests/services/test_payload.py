@@ -23,7 +23,7 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.clock import SystemClock
 from delfim.errors import ConfigError
-from delfim.services import payload, processes
+from delfim.services import payload, processes, watching
 from delfim.services.payloadlines import LINE_BYTES, VALUES, BoundedLines, lines, values
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.web.api import AnnouncedItem, State
@@ -262,7 +262,7 @@ def test_a_program_that_is_not_there_is_waited_for(tmp_path: Path) -> None:
 
 
 def test_without_the_vehicle_the_programs_run_and_the_page_says_so(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(payload, "AGAIN_S", 0.01)
+    monkeypatch.setattr(watching, "AGAIN_S", 0.01)
 
     async def test() -> None:
         tables = {"well": config.PayloadTable(command=("/bin/sh", "-c", """echo '{"on": 1}'; cat >/dev/null"""))}

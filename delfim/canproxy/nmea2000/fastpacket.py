@@ -1,4 +1,4 @@
-"""Fast packets: NMEA 2000 messages of 9 to 223 bytes, put together from their frames."""
+"""Fast packets: NMEA 2000 messages of up to 223 bytes, put together from their frames, and taken apart into them."""
 
 from collections import Counter
 from typing import Final
@@ -71,3 +71,9 @@ class FastPacket:
             del flights[0]
         flights.append(_Flight(sequence, now_s))
         return flights[-1]
+
+
+def split(data: bytes, sequence: int) -> list[bytes]:
+    """The data of the frames of a message of 1..223 bytes. `sequence` counts the messages of a PGN; 3 bits of it are sent."""
+    head, rest = (sequence & 7) << 5, bytes((len(data),)) + data
+    return [(bytes((head | i,)) + rest[7 * i : 7 * i + 7]).ljust(8, b"\xff") for i in range(-(-len(rest) // 7))]

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from enum import IntEnum
 from typing import Any, Final, NamedTuple
 
+from delfim.canproxy.nmea2000.fastpacket import split
 from delfim.errors import FormatError
 from delfim.frames import Frame, extended
 
@@ -294,18 +295,18 @@ def decode(pgn: int, data: bytes) -> Message:
     return layout.read(*layout.fields.unpack_from(data))
 
 
-def encode(message: Message, source: int, sequence: int = 0) -> list[Frame]:
-    """The frames of a message as the device at address `source` sends them: one, or the seven of a fast packet with the
-    sequence number 0..7 (one up each message). Values that `decode` would refuse are sent as not available. Raises
-    FormatError for an address outside 0..251."""
-    if not 0 <= source <= ADDRESS_MAX:
-        raise FormatError(f"address {source} is outside 0..{ADDRESS_MAX}")
+def pack(message: Message) -> tuple[int, bytes, int]:
+    """PGN, data and priority of a message. Values that `decode` would refuse are sent as not available."""
     pgn = _PGNS[type(message)]
     layout = LAYOUTS[pgn]
-    arb = extended(layout.priority << 26 | pgn << 8 | source)
-    data = layout.fields.pack(*layout.write(message))
-    if len(data) <= 8:
-        return [Frame(arb, data)]
-    head = (sequence & 7) << 5
-    rest = bytes((len(data),)) + data
-    return [Frame(arb, (bytes((head | i,)) + rest[7 * i : 7 * i + 7]).ljust(8, b"\xff")) for i in range(-(-len(rest) // 7))]
+    return pgn, layout.fields.pack(*layout.write(message)), layout.priority
+
+
+def encode(message: Message, source: int, sequence: int = 0) -> list[Frame]:
+    """The frames of a message as the device at address `source` sends them: one, or the seven of a fast packet with the
+    sequence number 0..7 (one up each message), as `pack` has them. Raises FormatError for an address outside 0..251."""
+    if not 0 <= source <= ADDRESS_MAX:
+        raise FormatError(f"address {source} is outside 0..{ADDRESS_MAX}")
+    pgn, data, priority = pack(message)
+    arb = extended(priority << 26 | pgn << 8 | source)
+    return [Frame(arb, part) for part in (split(data, sequence) if len(data) > 8 else [data])]

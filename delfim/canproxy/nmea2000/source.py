@@ -7,6 +7,7 @@ from typing import Any, Final, NamedTuple
 
 from delfim import config
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
+from delfim.canproxy.nmea2000.names import CLAIMED, Names
 from delfim.canproxy.nmea2000.pgns import (
     ADDRESS_MAX,
     GNSS_POSITION,
@@ -47,6 +48,7 @@ class HeardFrom(NamedTuple):
 
     age_s: float
     frames: int
+    name: str  # 16 hexadecimal digits; empty: not heard
 
 
 class SourceStatus(NamedTuple):
@@ -73,10 +75,12 @@ class Nmea2000Source:
     `VARIATION_S`. The rules are in docs/nmea2000.md."""
 
     # (arb, mask) to bind a socket to, set mask bits = don't care: the PGNs read here, at any priority, from any address.
-    filters: Final = tuple((extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in LAYOUTS)
+    filters: Final = tuple((extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in (*LAYOUTS, CLAIMED))
 
-    def __init__(self, settings: config.Nmea2000, stale_s: float) -> None:
-        preferred, slow_s = settings.preferred_sources, max(stale_s, SLOW_S)
+    def __init__(self, settings: config.Nmea2000, stale_s: float, own_name: int = -1) -> None:
+        """`own_name` as `Names` has it."""
+        self._names = Names(settings.preferred_sources, own_name)
+        preferred, slow_s = self._names.preferred, max(stale_s, SLOW_S)
         self._configured_variation_rad = math.radians(settings.variation_deg)
         self._stale_s = stale_s
         self._position: Newest[int, tuple[float, float]] = Newest(preferred, stale_s)
@@ -117,6 +121,10 @@ class Nmea2000Source:
             return None
         pgn, address = arb >> 11 & 0x3FFFF, arb >> 3 & 0xFF
         if pgn not in LAYOUTS:
+            if pgn == CLAIMED and not self._names.learn(address, data, (*self._kinds.values(), self._talking)):
+                self._errors["claim: malformed"] += 1
+            return None
+        if address == self._names.own:
             return None
         if address > ADDRESS_MAX:
             self._errors["source address that nobody can have"] += 1
@@ -265,5 +273,9 @@ class Nmea2000Source:
         for name, newest in self._kinds.items():
             chosen = newest.choose(now_s)
             kinds[name] = KindStatus(chosen, None if chosen is None else newest.age_s(chosen, now_s))
-        sources = {address: HeardFrom(now_s - t_s, int(frames)) for address, (t_s, frames) in sorted(self._heard.items())}
+        names = {address: f"{name:016x}" for address, name in self._names.by_address.items()}
+        sources = {
+            address: HeardFrom(now_s - t_s, int(frames), names.get(address, ""))
+            for address, (t_s, frames) in sorted(self._heard.items())
+        }
         return SourceStatus(kinds, sources, dict(self._errors), self._last_error)

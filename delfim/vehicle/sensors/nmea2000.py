@@ -5,8 +5,10 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim import config
+from delfim.canproxy.nmea2000.device import device_name, facts_of
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.instruments import FAST, MESSAGES, Battery, BatteryCharge, Told, decode
+from delfim.canproxy.nmea2000.names import CLAIMED, Names
 from delfim.canproxy.nmea2000.pgns import ADDRESS_MAX
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import BusError, FormatError
@@ -17,6 +19,7 @@ from delfim.vehicle.links import Links
 from delfim.vehicle.navigation import FRAMES_PER_READ
 from delfim.vehicle.sensors import Value, nmea0183
 from delfim.vehicle.sensors.sysstat import NAMES
+from delfim.vehicle.sources.nmea2000 import opened
 from delfim.vehicle.state import State
 
 VALUES = (
@@ -26,7 +29,7 @@ VALUES = (
     Value("air_c", "degC", "temperature of the air"),
 )
 SIDES: Final = tuple(NAMES[node] for node in (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT))
-FILTERS: Final = tuple(CanAddress(extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in MESSAGES)
+FILTERS: Final = tuple(CanAddress(extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in (*MESSAGES, CLAIMED))
 
 
 class Nmea2000Instruments:
@@ -37,11 +40,12 @@ class Nmea2000Instruments:
 
     def __init__(self, settings: config.Vehicle, socket: CanSocket) -> None:
         self.input = socket
-        self._preferred, self._stale_s = settings.nmea2000.preferred_sources, settings.sensors.stale_s
+        self._names = Names(settings.nmea2000.preferred_sources, device_name(facts_of(settings).unique))
+        preferred, stale_s = self._names.preferred, settings.sensors.stale_s
         self._batteries = settings.nmea2000.batteries
-        self._newest = {value.name: Newest[int, float](self._preferred, self._stale_s) for value in VALUES}
-        self._powers = tuple(Newest[int, Battery](self._preferred, self._stale_s) for _ in self._batteries)
-        self._charges = tuple(Newest[int, float](self._preferred, self._stale_s) for _ in self._batteries)
+        self._newest = {value.name: Newest[int, float](preferred, stale_s) for value in VALUES}
+        self._powers = tuple(Newest[int, Battery](preferred, stale_s) for _ in self._batteries)
+        self._charges = tuple(Newest[int, float](preferred, stale_s) for _ in self._batteries)
         self._fast = {pgn: FastPacket(Counter()) for pgn in FAST}
 
     def read(self, state: State, now_s: float) -> None:
@@ -59,7 +63,11 @@ class Nmea2000Instruments:
     def hear(self, state: State, frame: Frame, now_s: float) -> None:
         """One frame. Never raises."""
         pgn, address, data = frame.arb >> 11 & 0x3FFFF, frame.arb >> 3 & 0xFF, frame.data
-        if frame.arb & 7 != CAN_IDE or pgn not in MESSAGES or address > ADDRESS_MAX:
+        if frame.arb & 7 != CAN_IDE:
+            return
+        if pgn == CLAIMED:
+            self._names.learn(address, data, (*self._newest.values(), *self._powers, *self._charges))
+        if pgn not in MESSAGES or address > ADDRESS_MAX or address == self._names.own:
             return
         if pgn in FAST:
             whole = self._fast[pgn].feed(address, data, now_s)
@@ -89,8 +97,9 @@ class Nmea2000Instruments:
             power, charge = self._powers[side].get(now_s), self._charges[side].get(now_s)
             _, volts, amperes, celsius = power or Battery(told.instance, None, None, None)
             warm = None if celsius is None else round(celsius)
+            amperes = None if amperes is None else -amperes  # positive is charging on this bus, and discharging here
             state.sysstat[SIDES[side]] = BatteriesStatus(Status.GOOD, Fault(0), volts, amperes, charge, warm), now_s
 
 
 def open_sensor(settings: config.Vehicle, links: Links) -> Nmea2000Instruments:
-    return Nmea2000Instruments(settings, links.bus(settings.nmea2000.interface, FILTERS))
+    return Nmea2000Instruments(settings, opened(settings, links, FILTERS))

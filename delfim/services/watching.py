@@ -1,0 +1,37 @@
+"""The vehicle's state for services in processes of their own, over the local command socket, as a console watches it."""
+
+import asyncio
+import contextlib
+from collections.abc import Callable
+from typing import Final
+
+import msgspec
+
+from delfim.errors import in_words
+from delfim.services.web.api import State
+
+AGAIN_S: Final = 1.0  # before the vehicle is asked again
+ANSWER_BYTES: Final = 1 << 20  # of the vehicle, at most
+
+
+class _Published(msgspec.Struct):
+    state: State
+
+
+_published: Final = msgspec.json.Decoder(_Published).decode
+
+
+async def watch(path: str, heard: Callable[[State], None], failed: Callable[[str], None]) -> None:
+    """Hand over what the vehicle publishes, about five times a second, until it is cancelled; `failed` gets words while it does
+    not answer."""
+    while True:
+        try:
+            reader, writer = await asyncio.open_unix_connection(path, limit=ANSWER_BYTES)
+            with contextlib.closing(writer):
+                writer.write(b'{"command": "watch"}\n')
+                while line := await reader.readline():
+                    heard(_published(line).state)
+            failed("the vehicle closed the connection")
+        except (OSError, ValueError, msgspec.DecodeError) as error:
+            failed(f"the vehicle does not answer: {in_words(error)}")
+        await asyncio.sleep(AGAIN_S)
