@@ -75,8 +75,8 @@ PROTOCOLS = {"can": "DSOR", "routing": "DSOR", "nmea2000": "NMEA 2000", "droneca
 TAKEN_VEHICLES = (0x40, 0xA0)  # commands to actuators, and reset, have these identifiers
 DsorVehicle = Annotated[int, msgspec.Meta(ge=0, le=0xF0, multiple_of=16)]
 BitRate = Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)]
-ActionName = Literal["warn", "hold", "home", "stop"]
-ModeAction = Literal["same", "warn", "hold", "home", "stop"]
+ActionName = Literal["warn", "hold", "back", "home", "stop"]
+ModeAction = Literal["same", "warn", "hold", "back", "home", "stop"]
 EndMode = Literal["hold", "idle"]
 FixName = Literal["2d", "3d", "differential", "rtk_float", "rtk"]  # from bad to good
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
@@ -84,6 +84,7 @@ LINES = 8  # of NMEA 0183, at most
 CORNERS, ZONES, AREAS = 100, 100, 20  # of a polygon, to keep out of, and to keep in, at most
 Ring = Annotated[tuple[Position, ...], msgspec.Meta(max_length=CORNERS)]  # corners of a polygon, degrees north and east
 BatteryInstances = Annotated[tuple[Annotated[int, msgspec.Meta(ge=0, le=252)], ...], msgspec.Meta(max_length=2)]
+ValueName = Annotated[str, text("[a-z][a-z0-9_]{0,31}", "the name of a value, as depth_m")]
 Endpoint = Annotated[str, text(rf"[^ :]+:{_PORT}", "ADDRESS:PORT, port 0 to 65535")]
 Listen = Annotated[str, text(rf"([^ :]+|\[[0-9A-Fa-f:.]+\]):{_PORT}", "ADDRESS:PORT or [IPv6]:PORT, port 0 to 65535")]
 Listeners = Annotated[tuple[Listen, ...], msgspec.Meta(min_length=1, max_length=8)]
@@ -649,6 +650,17 @@ class HandsetSilent(Silence, frozen=True):
     action: ActionName = "warn"
 
 
+class Shallow(Trouble, frozen=True):
+    """The echo sounder finds less water than the boat needs. A depth that is not known is neither shallow nor deep: name it in
+    `sensors.required` if the boat must not sail without it."""
+
+    min_depth_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0  # less than this below the transducer; 0: not watched
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 2.0  # for this long
+    action: ActionName = "back"
+    manual: ModeAction = "warn"
+    home: ModeAction = "warn"
+
+
 class LogNotWritable(Trouble, frozen=True):
     """The state log is not being written."""
 
@@ -660,6 +672,7 @@ class Failsafe(Table, frozen=True):
     """The response of the boat to each trouble in each mode (docs/failsafe.md). In idle there is nothing to stop."""
 
     pause_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 30.0  # time in hold before home, for the operator to overrule
+    back_m: Metres = 20.0  # "back" holds this far back along the driven track
     clear_s: Seconds = 3.0  # a trouble is over when it was absent for this long
     navigation_silent: NavigationSilent = NavigationSilent()
     navigation_jumping: NavigationJumping = NavigationJumping()
@@ -674,6 +687,7 @@ class Failsafe(Table, frozen=True):
     thruster: ThrusterAstray = ThrusterAstray()
     gnss_poor: GnssPoor = GnssPoor()
     handset_silent: HandsetSilent = HandsetSilent()
+    shallow: Shallow = Shallow()
     log: LogNotWritable = LogNotWritable()
 
 
@@ -783,7 +797,8 @@ class Sensors(Table, frozen=True):
     """The sensors of the boat beside navigation."""
 
     names: Annotated[tuple[SensorName, ...], msgspec.Meta(max_length=len(get_args(SensorName)))] = ("sysstat",)  # of the boat
-    stale_s: Seconds = 5.0  # a value older than this is not logged
+    required: tuple[ValueName, ...] = ()  # values that the boat must have, as depth_m: silence is the trouble sensor_bad
+    stale_s: Seconds = 5.0  # a value older than this is not known
 
 
 class Sysstat(Table, frozen=True):

@@ -13,6 +13,7 @@ from typing import Final, Literal, NamedTuple, get_args
 from delfim.clock import Clock
 from delfim.errors import FormatError
 from delfim.frames import Frame
+from delfim.simulator.model import Bank
 from delfim.simulator.nodes import Nodes
 from delfim.simulator.nodes.navigation import SATELLITES
 from delfim.simulator.propulsor import Drive
@@ -40,6 +41,7 @@ Kind = Literal[
     "disk_slow",
     "clock_stepped",
     "gnss_poor",
+    "shallow",
 ]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
 ABOARD: Final = frozenset(
@@ -56,6 +58,7 @@ VALUES: Final = {  # default, and its meaning
     "battery_sag": (0.15, "charge that is left, 0 to 1"),
     "clock_stepped": (60.0, "seconds"),
     "gnss_poor": (4.0, "satellites that are left"),
+    "shallow": (0.5, "metres of water on a bank, 15 m about the boat"),
 }
 LATE_MAX: Final = 4096  # frames under way at once
 HANGS_S: Final = 5.0  # a log reports that it was not written for this long
@@ -189,6 +192,9 @@ class Faults(Broken):
                 navigation.jump_m = value
             case "gnss_poor":
                 navigation.satellites = min(max(round(value), 0), SATELLITES) if on else SATELLITES
+            case "shallow":
+                model = self.model
+                model.bank = Bank(model.north_m, model.east_m, value) if on else None
             case "sensor_bad":
                 self.nodes.sensors[where].bad = on
             case "sensor_silent":

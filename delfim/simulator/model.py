@@ -22,6 +22,8 @@ STEP_S: Final = 0.1  # longest integration step; `advance` divides longer times
 WATER: Final = 1025.0  # kg/m3
 AIR: Final = 1.225  # kg/m3
 GUST_S: Final = 5.0  # time constant of the wind's changes, as the VRX simulator has it
+DEPTH_M: Final = 12.0  # of the water
+BANK_M: Final = 15.0  # radius of a bank
 LENGTH_M, BEAM_M, MASS_KG = 4.5, 2.45, 210.0  # of DelfimX
 
 
@@ -113,6 +115,14 @@ def _dragged(hull: Hull, vehicle: Vehicle) -> Hull:
     return hull._replace(surge_n_per_mps=0.2 * ahead_n / boat.full_mps, surge_n_per_mps2=0.8 * ahead_n / boat.full_mps**2)
 
 
+class Bank(NamedTuple):
+    """A round place with less water, BANK_M about its middle."""
+
+    north_m: float
+    east_m: float
+    depth_m: float
+
+
 class Model:
     """The world of one boat. `command` the motor controllers, `advance` the time, read the attributes.
 
@@ -136,6 +146,7 @@ class Model:
         self.origin = origin(latitude_rad, longitude_rad)
         self.time_s = 0.0
         self.north_m = self.east_m = 0.0  # from where it started
+        self.bank: Bank | None = None
         self.heading_rad = heading_rad % math.tau  # 0..2 pi, true north
         self.surge_mps = self.sway_mps = 0.0  # through the water, positive ahead and to starboard
         self.yaw_rate_radps = 0.0  # positive to starboard
@@ -149,6 +160,13 @@ class Model:
         # Waves for the eye: half a degree in a calm, eight in a gale, of periods that such a catamaran has.
         self._wave_rad = 0.009 + 0.006 * sea.wind_mps
         self._roll_phase, self._pitch_phase = self._random.uniform(0.0, math.tau), self._random.uniform(0.0, math.tau)
+
+    @property
+    def depth_m(self) -> float:
+        """Of the water here: the bottom is flat but for the bank."""
+        bank = self.bank
+        is_on = bank is not None and math.hypot(self.north_m - bank.north_m, self.east_m - bank.east_m) <= BANK_M
+        return bank.depth_m if bank is not None and is_on else DEPTH_M
 
     def command(self, name: str, rpm: float, run: bool) -> None:
         """The reference of a thruster's motor controller, which limits it. NaN is motor off."""

@@ -12,7 +12,7 @@ from delfim.vehicle.failsafe import Action, Rules
 from delfim.vehicle.fence import outside
 from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import HANDSET, State
-from delfim.vehicle.troubles import Inputs, Trigger, charge, handset_missed
+from delfim.vehicle.troubles import Inputs, Trigger, charge, handset_missed, unheard
 
 EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
 HEARD_S = 5.0  # a console silent for longer counts as lost
@@ -30,7 +30,7 @@ ADVISORY = frozenset({"clock", "mission", "link", "last shutdown", "image"})  # 
 def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: int) -> list[Check]:
     """All lines, in the order in which they matter. `time_ns`: the computer's clock, since 1970."""
     age_s = now_s - state.navigation_s
-    bad = sysstat.wrong(state, rules.settings.sysstat, now_s)
+    bad = sysstat.wrong(state, rules.settings.sysstat, now_s) or unheard(rules.settings.sensors, state, now_s)
     least, batteries = charge(state)
     critical = batteries and least <= rules.table.battery_critical.charge
     level = f"{batteries.replace('_', ' ')} at {least:.0%}" if batteries else "no charge reported"

@@ -24,9 +24,10 @@ class Action(IntEnum):
     NONE = 0
     WARN = 1
     HOLD = 2
-    HOME = 3
-    STOP = 4
-    DISCONNECT = 5  # the batteries of a propeller that turns although it was stopped
+    BACK = 3  # hold some way back along the driven track
+    HOME = 4
+    STOP = 5
+    DISCONNECT = 6  # the batteries of a propeller that turns although it was stopped
 
 
 class Episode(NamedTuple):
@@ -49,7 +50,7 @@ class Verdict(NamedTuple):
     notices: tuple[Notice, ...]
 
 
-_DOES: Final = {Action.HOME: (Mode.HOME, Mode.HOLD), Action.HOLD: (Mode.HOLD,), Action.STOP: ()}
+_DOES: Final = {Action.HOME: (Mode.HOME, Mode.HOLD), Action.HOLD: (Mode.HOLD,), Action.BACK: (Mode.HOLD,), Action.STOP: ()}
 NO_TROUBLE: Final[Memory] = MappingProxyType({})
 _WELL: Final = Verdict(NO_TROUBLE, Action.NONE, "", ())
 _NEVER_S: Final = math.inf

@@ -22,7 +22,7 @@ from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import Plan, Reference, Setpoint, State, StateLog, Wanted
-from delfim.vehicle.track import Track
+from delfim.vehicle.track import Track, back
 from delfim.vehicle.troubles import Inputs, unstopped
 from delfim.vehicle.zones import Point
 
@@ -52,6 +52,7 @@ class Helm:
         self.paused: Paused | None = None
         self._announcing = Announcing(state, log)
         self._seeking: Sliced[Point] | None = None  # the search for a better place to hold
+        self._retreat: tuple[Point, ...] = ()  # the driven track, up to where the boat went back to; empty: it did not
         self._controlled_s = clock.monotonic_s()
 
     def stop(self, reason: str) -> None:
@@ -101,6 +102,23 @@ class Helm:
             state.setpoint, self.taken = setpoint, True
             self.enter(mode, reason)
             self.steer(now_s)
+        if action is Action.BACK and mode is Mode.HOLD:
+            self._go_back()
+
+    def _go_back(self) -> None:
+        """Hold some way back along the driven track, and further back once the boat is there and still in trouble."""
+        memory, here = self.memory, (self.state.motion.north_m, self.state.motion.east_m)
+        is_there = math.dist((memory.north_m, memory.east_m), here) <= self.settings.control.hold.radius_m
+        if self._seeking is None and (is_there or not self._retreat):
+            self._retreat = back(self._retreat or self.track.points() or (here,), self.rules.table.back_m)
+            self._settle(self._retreat[-1], self._retreat)
+
+    def _settle(self, here: Point, track: tuple[Point, ...]) -> None:
+        """Hold here or, where the fence leaves no room, at the newest place of this track that has it."""
+        self.memory = self.memory._replace(north_m=here[0], east_m=here[1])
+        if self.plans.fence is not None:
+            self._seeking = Sliced(fence.place_to_hold(self.plans.fence, here, track, self.settings.control.hold.radius_m))
+            self._seek()
 
     def fade(self, now_s: float) -> None:
         """Manual thrust that is not repeated ends; the mode stays. Thrust returns only after the joystick is released."""
@@ -134,8 +152,7 @@ class Helm:
         state, end = self.state, f"{self.state.mode.name.lower()} done"
         if state.mode in (Mode.PLAY, Mode.PATH) and state.setpoint.plan is not None and state.setpoint.plan.then_home:
             setpoint = state.setpoint._replace(track=self.track.way_home())
-            reason = admit(Mode.HOME, state.motion.has, setpoint)
-            if reason is None:
+            if (reason := admit(Mode.HOME, state.motion.has, setpoint)) is None:
                 state.setpoint = setpoint
                 self.enter(Mode.HOME, end)
                 return
@@ -154,14 +171,11 @@ class Helm:
         if mode is Mode.IDLE and state.mode is Mode.IDLE and state.reason == reason:
             return
         self._remember(mode)
-        self.memory, self._seeking = begin(mode, state.motion, state.setpoint, self.limits), None
+        self.memory, self._seeking, self._retreat = begin(mode, state.motion, state.setpoint, self.limits), None, ()
         if resumed is not None:
             self.memory = resumed._replace(integrals=self.memory.integrals)
-        waits = mode is Mode.GOTO and state.setpoint.target is None
-        if (mode is Mode.HOLD or waits) and self.plans.fence is not None:
-            here, radius_m = (self.memory.north_m, self.memory.east_m), self.settings.control.hold.radius_m
-            self._seeking = Sliced(fence.place_to_hold(self.plans.fence, here, self.track.points(), radius_m))
-            self._seek()
+        if mode is Mode.HOLD or (mode is Mode.GOTO and state.setpoint.target is None):
+            self._settle((self.memory.north_m, self.memory.east_m), self.track.points())
         if (
             mode is Mode.PATH and resumed is None and self.memory.leg > 0 and state.setpoint.plan is not None
         ):  # otherwise the boat would skip pieces without a word
@@ -195,8 +209,7 @@ class Helm:
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
                 reason = "no set point from the guest"
             memory = begin(mode, state.motion, setpoint, self.limits) if resumed is None else resumed
-            if reason is None:
-                reason = self._too_far(first(mode, memory, setpoint))
+            reason = reason or self._too_far(first(mode, memory, setpoint))
             if reason is None and self.plans.fence is not None:
                 reason = fence.crossing(self.plans.fence, mode, state.motion, setpoint)
             if reason is not None:

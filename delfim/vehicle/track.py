@@ -9,6 +9,15 @@ SWEPT = 32  # squares of removed points that one call clears
 BACK = 16  # older points that one search for a harbour examines
 
 
+def back(points: tuple[Point, ...], far_m: float) -> tuple[Point, ...]:
+    """Points of a track, oldest first, up to the place that is so far back along it, or to its beginning."""
+    last = len(points) - 1
+    while last > 0 and far_m > 0.0:
+        far_m -= math.dist(points[last], points[last - 1])
+        last -= 1
+    return points[: last + 1]
+
+
 class Track:
     """Points of the driven track, `spacing_m` apart, oldest first, and where on it the way home ends.
 

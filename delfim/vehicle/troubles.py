@@ -114,7 +114,17 @@ def navigation_frozen(look: Look) -> str | None:
 
 
 def sensor_bad(look: Look) -> str | None:
-    return sysstat.wrong(look.state, look.settings.sysstat, look.now_s, _PROPELLERS if _has_no_power(look) else ())
+    wrong = sysstat.wrong(look.state, look.settings.sysstat, look.now_s, _PROPELLERS if _has_no_power(look) else ())
+    return wrong or unheard(look.settings.sensors, look.state, look.now_s)
+
+
+def unheard(settings: config.Sensors, state: State, now_s: float) -> str | None:
+    """The first required value of a sensor that is not there, in words."""
+    for name in settings.required:
+        at_s = state.measured.get(name, (0.0, -math.inf))[1]
+        if now_s - at_s > settings.stale_s:
+            return f"{name} silent for {now_s - at_s:.1f} s" if at_s > -math.inf else f"{name} not heard yet"
+    return None
 
 
 def battery_critical(look: Look) -> str | None:
@@ -162,6 +172,13 @@ def gnss_poor(look: Look) -> str | None:
     return gnss.poor(look.settings.failsafe.gnss_poor, look.state.navigation)
 
 
+def shallow(look: Look) -> str | None:
+    least_m = look.settings.failsafe.shallow.min_depth_m
+    depth_m, at_s = look.state.measured.get("depth_m", (math.inf, look.now_s))
+    is_shallow = depth_m < least_m and look.now_s - at_s <= look.settings.sensors.stale_s
+    return f"shallow: {depth_m:.1f} m of water" if is_shallow else None
+
+
 def log(look: Look) -> str | None:
     return f"log not written: {look.inputs.log_reason}" if look.inputs.log_reason else None
 
@@ -193,6 +210,7 @@ class Trigger(IntEnum):
     GNSS_POOR = 13, gnss_poor
     KILL = 14, kill  # always a stop
     HANDSET_SILENT = 15, handset_silent
+    SHALLOW = 16, shallow
 
 
 _SEEN: Final = tuple((trigger, trigger.sees) for trigger in Trigger)  # ten times a second: no look-ups in an enumeration

@@ -27,7 +27,13 @@ from delfim.vehicle.state import (
 from delfim.vehicle.troubles import Inputs, Trigger, astray
 
 ALL = frozenset({"position", "heading", "velocity"})
-RULES = Rules(config.Vehicle(boat=config.BoatTable(name="test"), handset=config.HandsetTable(device="/dev/receiver")))
+RULES = Rules(
+    config.Vehicle(
+        boat=config.BoatTable(name="test"),
+        handset=config.HandsetTable(device="/dev/receiver"),
+        failsafe=config.Failsafe(shallow=config.Shallow(min_depth_m=1.0)),
+    )
+)
 FENCE = Fence((polygon("square", True, [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)]),), config.FenceTable())
 WELL = Inputs("", None)
 OUTWARDS = Motion(ALL, 44.0, 0.0, 0.0, 0.0, 1.5, 0.0)
@@ -91,6 +97,8 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             here.killed = Killed("kill switch: pressed")
         case Trigger.HANDSET_SILENT:
             here.handset = HandsetReport(now_s - 1.1, 0.0, 0.0, takes=False, kills=False)
+        case Trigger.SHALLOW:
+            here.measured["depth_m"] = 0.9, now_s
         case Trigger.LOG:
             inputs = Inputs("disk full", None)
     return here, inputs
@@ -123,6 +131,7 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.GNSS_POOR: (Action.WARN, {}),
     Trigger.KILL: (Action.STOP, {}),
     Trigger.HANDSET_SILENT: (Action.WARN, {}),
+    Trigger.SHALLOW: (Action.BACK, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
 }
 
 
@@ -298,6 +307,8 @@ def test_the_vehicles_file_changes_the_table():
     [
         (Action.STOP, ALL, True, Mode.IDLE, "why"),
         (Action.HOLD, ALL, True, Mode.HOLD, "why"),
+        (Action.BACK, ALL, True, Mode.HOLD, "why"),
+        (Action.BACK, ALL - {"velocity"}, True, Mode.IDLE, "why; cannot hold: no velocity: heading and position only"),
         (Action.HOLD, ALL - {"position"}, True, Mode.IDLE, "why; cannot hold: no position: heading and velocity only"),
         (Action.HOLD, frozenset(), True, Mode.IDLE, "why; cannot hold: no heading and no position and no velocity"),
         (Action.HOME, ALL, True, Mode.HOME, "why"),
@@ -334,5 +345,5 @@ def test_the_log_is_told_what_changed_and_has_a_bit_for_each():
     assert bits((first, second)) == 1 << Trigger.LOG | 1 << Trigger.FENCE
     assert bits(()) == 0
     assert {trigger.name.lower() for trigger in Trigger} - {"control", "kill"} == {
-        name for name in config.Failsafe.__struct_fields__ if name not in ("pause_s", "clear_s")
+        name for name in config.Failsafe.__struct_fields__ if name not in ("pause_s", "clear_s", "back_m")
     }

@@ -46,6 +46,7 @@ SETTINGS = config.Vehicle(
         thruster=config.ThrusterAstray(after_s=0.5),
         log=config.LogNotWritable(after_s=0.2),
         gnss_poor=config.GnssPoor(after_s=0.2),
+        shallow=config.Shallow(min_depth_m=1.0, after_s=0.2),
         handset_silent=config.HandsetSilent(after_s=0.5),
     ),
 )
@@ -168,6 +169,8 @@ class Boat:
         )
         if trouble == "gnss_poor":
             self.source.says = self.source.says._replace(satellites=3)
+        if trouble == "shallow":
+            self.state.measured["depth_m"] = 0.5, self.clock.monotonic_s()
         if trouble == "fence":
             self.vehicle.helm.plans.fence = Sliced(fence.survey(self.settings.fence, AHEAD, self.state.origin)).finish()
         for tick in range(1, ticks + 1):
@@ -206,6 +209,7 @@ def must_be_zero(mode: Mode, age_s: float, value: Value, trouble: str) -> bool:
     held = {
         "console_silent": mode not in (Mode.MANUAL, Mode.HOME),
         "guest_silent": mode is Mode.GREX,
+        "shallow": mode not in (Mode.MANUAL, Mode.HOME),
         "fence": mode is not Mode.MANUAL or value.missing != "position",
     }.get(trouble, False)
     stops = {

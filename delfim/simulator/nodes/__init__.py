@@ -16,7 +16,7 @@ from delfim.simulator.nodes.navigation import NavigationNode
 
 # Files of this folder; `nodes` in it makes those of its kind.
 NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")  # files of this folder, with `nodes` in each
-OTHER_BUSES: Final = ("devices", "escs", "vescs")  # of other buses, with `devices_of` in each
+OTHER_BUSES: Final = ("devices", "sounders", "escs", "vescs")  # of other buses, with `devices_of` in each
 PLAYED: Final = ("dsor", "dronecan", "vesc")  # the drivers whose devices are here; all other motors are pushed as told
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 

@@ -8,6 +8,7 @@ from importlib import import_module
 from typing import NamedTuple, Protocol
 
 from delfim import config
+from delfim.errors import ConfigError
 from delfim.vehicle.links import Links, LoopInput
 
 
@@ -30,7 +31,14 @@ class Sensor(LoopInput, Protocol):
 
 
 def open_sensors(settings: config.Vehicle, links: Links) -> tuple[Sensor, ...]:
-    """Opens a sensor, and loads its file only then. Raises DelfimError."""
+    """Opens a sensor, and loads its file only then. Raises DelfimError, ConfigError where the file relies on a value that none
+    measures."""
+    known = {value.name for value in values(settings)}
+    needed = [("sensors.required", name) for name in settings.sensors.required]
+    needed += [("failsafe.shallow.min_depth_m", "depth_m")] if settings.failsafe.shallow.min_depth_m else []
+    for key, name in needed:
+        if name not in known:
+            raise ConfigError("vehicle", key, f"no sensor of sensors.names measures {name}")
     return tuple(import_module(f"{__name__}.{name}").open_sensor(settings, links) for name in settings.sensors.names)
 
 
