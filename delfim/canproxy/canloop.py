@@ -40,6 +40,7 @@ _LOOPBACK = socket.inet_aton("127.0.0.1")
 _SO_ATTACH_FILTER, _IP_MULTICAST_ALL = 26, 49  # asm-generic/socket.h, linux/in.h
 _UDP_HEADER_BYTES = 8
 _LINGER_S = 1.0
+_NO_FRAME = b"\xff" * _DATAGRAM.size  # its length is beyond 8
 
 _new = tuple.__new__  # a third of the time of Frame(...)
 _ports_of_this_process: set[int] = set()  # also those of closed sockets, for a while
@@ -143,8 +144,11 @@ class CanLoop:
         self._input.bind(self._group)
         if mmsg.AVAILABLE and self._kernel_filter:
             self._taken = mmsg.MessageBatch(self._input, self._batch, _DATAGRAM.size, _SENDER.size, _STAMP.size)
-            self._given = mmsg.MessageBatch(self._output, BATCH, _DATAGRAM.size)
-            self._nothing = mmsg.MessageBatch(self._output, BATCH, 0)
+            try:
+                self._given, self._nothing = (mmsg.SegmentBatch(self._output, BATCH, _DATAGRAM.size) for _ in range(2))
+            except OSError:
+                self._given, self._nothing = (mmsg.MessageBatch(self._output, BATCH, _DATAGRAM.size) for _ in range(2))
+            self._nothing.data[:] = _NO_FRAME * BATCH
 
     def fileno(self) -> int:
         return self._input.fileno()
@@ -261,7 +265,7 @@ class CanLoop:
         return given.send(len(messages))
 
     def rehearse(self) -> None:
-        """Send empty datagrams: they reach the sockets of the bus, and every filter refuses them."""
+        """Send datagrams that are no frames: they reach the sockets of the bus, and every filter refuses them."""
         if self._nothing is not None:
             self._nothing.send(REHEARSED)
 

@@ -55,10 +55,11 @@ def kill(look: Look) -> str | None:
 def _has_no_power(look: Look) -> bool:
     """The boat is killed, and all thrusters that ever reported are silent or without voltage."""
     reports, stale_s = look.state.thrusters.values(), look.settings.sysstat.stale_s
-    is_off = all(
+    if not (look.state.killed.reason and reports):
+        return False
+    return all(
         look.now_s - each.heard_s > stale_s or (each.voltage_v is not None and each.voltage_v < DEAD_V) for each in reports
     )
-    return bool(look.state.killed.reason and reports) and is_off
 
 
 def handset_silent(look: Look) -> str | None:

@@ -11,6 +11,7 @@ import time
 
 import pytest
 
+from delfim.canproxy import mmsg
 from delfim.canproxy.canloop import CanLoop, group_of, open_canloop, stable_index
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
@@ -148,6 +149,25 @@ def test_hundreds_of_filters_work_and_too_many_have_a_reason(bus: str) -> None:
             receiver.bind(*(CanAddress(standard(number)) for number in range(2048)))
         sender.sendto(b"still", CanAddress(standard(299)))
         assert receiver.recv(8) == b"still"
+
+
+@pytest.mark.parametrize("cuts", [True, False])
+def test_frames_that_are_sent_at_once_arrive_each_for_itself(bus: str, cuts: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The kernel takes them as one datagram and cuts it for each receiver, whose filter then looks at each; an old kernel takes
+    them one by one."""
+    if not cuts:
+        monkeypatch.setattr(mmsg, "_UDP_SEGMENT", 9999)
+    frames = [(standard(number), bytes([number])) for number in range(4)]
+    with open_canloop(bus) as sender, open_canloop(bus) as all_of_them, open_canloop(bus) as one:
+        assert isinstance(sender._transport._given, mmsg.SegmentBatch) == cuts
+        all_of_them.bind(ANYTHING)
+        one.bind(CanAddress(standard(2)))
+        assert sender.send_many(frames) == 0
+        sender.rehearse()
+        assert [frame[:2] for frame in all_of_them.receive_many()] == frames
+        assert [frame[:2] for frame in one.receive_many()] == frames[2:3]
+        assert one.receive() is None
+        assert (all_of_them.dropped, one.dropped) == (0, 0)
 
 
 def test_numbering_stays_small_with_endless_identifiers(bus: str) -> None:

@@ -26,7 +26,7 @@ from delfim.vehicle.state import State, ThrusterReport
 VALUES: tuple[Value, ...] = ()  # record.py has the logged fields
 FRAMES_PER_READ = 64
 PROPELLERS = (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT)  # by address of the driver dsor
-NAMES = {
+NAMES: dict[int, str] = {
     Node.GPS: "gps",
     Node.PROPELLER_STARBOARD: "propeller_starboard",
     Node.PROPELLER_PORT: "propeller_port",
@@ -42,7 +42,7 @@ class SystemStatus:
 
     def __init__(self, socket: CanSocket, node: int = Node.VEHICLE, rows: Sequence[config.ThrusterTable] = ()) -> None:
         self.input = socket
-        self._rows = {PROPELLERS[row.address]: row for row in rows if row.driver == "dsor"}
+        self._rows: dict[int, config.ThrusterTable] = {PROPELLERS[row.address]: row for row in rows if row.driver == "dsor"}
         self._segmented = Receiver(node, lambda message: message.id == GPS_SYSSTAT_ID)
 
     def read(self, state: State, now_s: float) -> None:
@@ -55,8 +55,8 @@ class SystemStatus:
                 node, data = _report(frame, self._segmented, now_s)
                 if data is not None:
                     status = unpack_sysstat(node, data)
-                    state.sysstat[NAMES[Node(node)]] = (status, now_s)
-                    if isinstance(status, PropellerStatus) and (row := self._rows.get(Node(node))) is not None:
+                    state.sysstat[NAMES[node]] = (status, now_s)
+                    if isinstance(status, PropellerStatus) and (row := self._rows.get(node)) is not None:
                         state.thrusters[row.name] = _report_of(row, status, now_s)
             except (FormatError, KeyError, ValueError):
                 state.count("sysstat_malformed")
@@ -77,7 +77,7 @@ def open_sensor(settings: config.Vehicle, links: Links) -> SystemStatus:
 
 def _report_of(row: config.ThrusterTable, status: PropellerStatus, now_s: float) -> ThrusterReport:
     rpm = None if status.rpm is None else float(-status.rpm if row.reversed else status.rpm)
-    faults = tuple(named(status.faults))
+    faults = tuple(named(status.faults)) if status.faults else ()
     return ThrusterReport(now_s, rpm, status.current_a, temperature_c=status.temperature_c, faults=faults)
 
 
