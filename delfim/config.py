@@ -438,12 +438,13 @@ class HeronTable(Table, frozen=True):
 
 
 class MavlinkFrontSeat(Table, frozen=True):
-    """The front seat of a boat with ArduRover (docs/front-seat.md)."""
+    """The front seat of a boat with ArduRover or PX4 (docs/front-seat.md)."""
 
     device: Device = "tcp:127.0.0.1:5760"  # the board, or a router of its messages
     baud: Baud = 115_200  # of a serial port
-    board: Annotated[int, msgspec.Meta(ge=1, le=255)] = 1  # its SYSID_THISMAV
-    system: Annotated[int, msgspec.Meta(ge=1, le=255)] = 255  # the number that we have there: its SYSID_MYGCS
+    autopilot: Literal["ardupilot", "px4"] = "ardupilot"  # what runs on it; they read the throttle in two ways
+    board: Annotated[int, msgspec.Meta(ge=1, le=255)] = 1  # its SYSID_THISMAV, or MAV_SYS_ID
+    system: Annotated[int, msgspec.Meta(ge=1, le=255)] = 255  # the number that we have there: SYSID_MYGCS of ArduRover
 
 
 class HeadingTable(Table, frozen=True):

@@ -21,7 +21,7 @@ from delfim.errors import DelfimError
 from delfim.services.stop import PropellerStop
 from tests.afloat import running
 from tests.services.test_outlet import chip, pulse_us
-from tests.vehicle.played_devices import PlayedSeat, PlayedVesc
+from tests.vehicle.played_devices import PlayedPx4, PlayedSeat, PlayedVesc
 
 PATIENCE_S = 60.0
 ROWS = ", ".join(
@@ -59,10 +59,11 @@ class VescMotors:
 class SeatMotors:
     """A server as the boat's own computer is one. It takes two connections: the runtime's, and the supervisor's."""
 
-    def __init__(self, name: str, opened: contextlib.ExitStack, stop: str) -> None:
+    def __init__(self, name: str, opened: contextlib.ExitStack, stop: str = "") -> None:
         self._server = opened.enter_context(socket.create_server(("127.0.0.1", 0)))
         self.values = (f'{name}.device="tcp:127.0.0.1:{self._server.getsockname()[1]}"',)
-        self._opened, self.present, self._seat, self._stop = opened, list[socket.socket](), PlayedSeat(3.0), stop
+        self._opened, self.present, self._stop = opened, list[socket.socket](), stop
+        self._seat: PlayedSeat | PlayedPx4 = PlayedSeat(3.0)
         self.connections = 0
 
     def efforts(self) -> tuple[float, float]:
@@ -85,7 +86,21 @@ class SeatMotors:
 
     def stopped(self) -> bool:
         self.efforts()
+        assert isinstance(self._seat, PlayedSeat)
         return self._seat.said[-1:] == [self._stop] and self.efforts() == (0.0, 0.0)
+
+
+class BoardMotors(SeatMotors):
+    """A board with PX4, which waits for its commands longer than the dead-man does."""
+
+    def __init__(self, opened: contextlib.ExitStack) -> None:
+        super().__init__("mavlink_front_seat", opened)
+        self._seat = self._px4 = PlayedPx4(timeout_s=30.0)
+        self.values += ('mavlink_front_seat.autopilot="px4"',)
+
+    def stopped(self) -> bool:
+        self.efforts()
+        return not self._px4.armed
 
 
 class PwmMotors:
@@ -105,6 +120,7 @@ MOTORS: dict[str, Callable[[Path, contextlib.ExitStack], Motors]] = {
     "vesc": VescMotors,
     "otter": lambda place, opened: SeatMotors("otter", opened, "PMARABT"),
     "heron": lambda place, opened: SeatMotors("heron", opened, "PYDIR"),
+    "mavlink_front_seat": lambda place, opened: BoardMotors(opened),
     "pwm": lambda place, opened: PwmMotors(place),
 }
 

@@ -5,6 +5,7 @@ describe them, address 0 starboard and 1 port.
 """
 
 import errno
+import math
 from collections.abc import Callable
 from typing import Final
 
@@ -30,17 +31,21 @@ class SeatSide:
 class FrontSeatLine:
     """What is said, and what is heard."""
 
-    def __init__(self, name: str, sides: tuple[SeatSide, SeatSide], line: ReadableLine, stop: bytes) -> None:
-        """`sides` are starboard and port; `stop` is the sentence that stops the boat."""
+    def __init__(
+        self, name: str, sides: tuple[SeatSide, SeatSide], line: ReadableLine, stop: bytes, *, stays: bool = False
+    ) -> None:
+        """`sides` are starboard and port; `stop` is the sentence that stops the boat. `stays`: it is said before the first
+        command, too, and on and on."""
         self._line, self._name, self._stop = line, name, stop
         self._starboard, self._port = sides
-        self._reader, self._stops_left = FieldReader(), 0
+        self._stops = math.inf if stays else STOPS
+        self._reader, self._stops_left = FieldReader(), math.inf if stays else 0
 
     def send(self, sent: Actuation, words: Callable[[float, float], bytes]) -> int:
         """A command, or a stop; returns how many rows' commands the line did not take. `words` makes a sentence of the efforts
-        of starboard and port. Before the first command nothing is said: somebody else may be driving."""
+        of starboard and port. Before the first command nothing is said, unless it stays: somebody else may be driving."""
         if sent.run:
-            self._stops_left = STOPS
+            self._stops_left = self._stops
             said = words(self._starboard.effort(sent), self._port.effort(sent))
         elif self._stops_left == 0:
             return 0

@@ -80,6 +80,8 @@ class PlayedSeat:
 class PlayedRover:
     """A board with ArduRover, armed and in MANUAL: it obeys its ground station 255 for 3 s, and mixes two sides."""
 
+    autopilot, shift = 3, 0
+
     def __init__(self) -> None:
         self.mode, self.armed, self.heartbeats = 0, True, 0
         self._heard_s, self._efforts = NEVER, (0.0, 0.0)
@@ -98,12 +100,53 @@ class PlayedRover:
         obeys = self.armed and self.mode == 0 and now_s - self._heard_s <= 3.0
         return self._efforts if obeys else (0.0, 0.0)
 
-    def report(self) -> bytes:
+    def report(self, now_s: float) -> bytes:
         """Heartbeat and battery: 15.2 V, 4.5 A."""
         flags = 0x40 | (0x80 if self.armed else 0)
         told = (
-            ardupilotmega.MAVLink_heartbeat_message(11, 3, flags, self.mode, 4, 3),
+            ardupilotmega.MAVLink_heartbeat_message(11, self.autopilot, flags, self.mode << self.shift, 4, 3),
             ardupilotmega.MAVLink_attitude_message(0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0),
             ardupilotmega.MAVLink_sys_status_message(0, 0, 0, 0, 15_200, 450, 80, 0, 0, 0, 0, 0, 0),
         )
         return b"".join(each.pack(self._own) for each in told)
+
+
+class PlayedPx4(PlayedRover):
+    """A board with PX4 1.16, a differential rover, armed and in Manual: z is its throttle from 0, full astern, to 1000. Without
+    a command for `timeout_s` it disarms (COM_RC_LOSS_T, NAV_RCL_ACT 6); by the gesture of the left stick, too."""
+
+    autopilot, shift = 12, 16
+
+    def __init__(self, version: tuple[int, int] = (1, 16), timeout_s: float = 0.5) -> None:
+        super().__init__()
+        self.mode, self.version, self.timeout_s, self._is_asked = 1, version, timeout_s, False
+
+    def hear(self, data: bytes, now_s: float) -> None:
+        self._pass(now_s)
+        for message in self._parser.parse_buffer(data) or ():
+            if message.get_type() == "MANUAL_CONTROL" and message.target in (0, 1):
+                throttle = message.z / 500.0 - 1.0 if 0 <= message.z <= 1000 else 0.0
+                steering = message.y / 1000.0
+                self._heard_s, self._efforts = now_s, (throttle - steering, throttle + steering)
+                if throttle < -0.8 and abs(message.r) > 900 and abs(message.y) < 100:
+                    self.armed = False
+            elif message.get_type() == "COMMAND_LONG":
+                self._is_asked |= (message.command, message.param1) == (512, 148.0)
+                self.armed &= (message.command, message.param1) != (400, 0.0)
+            self.heartbeats += message.get_type() == "HEARTBEAT"
+
+    def efforts(self, now_s: float) -> tuple[float, float]:
+        self._pass(now_s)
+        return self._efforts if self.armed and self.mode == 1 else (0.0, 0.0)
+
+    def report(self, now_s: float) -> bytes:
+        """Its version, too, once it was asked for it."""
+        major, minor = self.version
+        told = ardupilotmega.MAVLink_autopilot_version_message(
+            0, major << 24 | minor << 16 | 0xFF, 0, 0, 0, *[[0] * 8] * 3, 0, 0, 0
+        )
+        return super().report(now_s) + (told.pack(self._own) if self._is_asked else b"")
+
+    def _pass(self, now_s: float) -> None:
+        if self._heard_s > NEVER and now_s - self._heard_s > self.timeout_s:
+            self.armed, self._heard_s, self._efforts = False, NEVER, (0.0, 0.0)

@@ -19,7 +19,7 @@ from delfim.services.outlet import Guard
 from delfim.vehicle.actuators import Actuator, open_actuator
 from delfim.vehicle.links import Links
 from delfim.vehicle.state import Actuation, State, ThrusterReport
-from tests.vehicle.played_devices import PlayedRover, PlayedSeat, PlayedVesc
+from tests.vehicle.played_devices import PlayedPx4, PlayedRover, PlayedSeat, PlayedVesc
 
 AHEAD = Actuation((0.5, -0.25), (0.0, 0.0), True)
 OFF = Actuation((0.0, 0.0), (0.0, 0.0), False)
@@ -120,8 +120,11 @@ class SeatDevice:
 class RoverDevice:
     timeout_s: float | None = 3.0
 
-    def __init__(self, bus: CanSocket, wire: Wire) -> None:
-        self._wire, self.played = wire, PlayedRover()
+    def __init__(self, bus: CanSocket | None, wire: Wire) -> None:
+        self._wire, self.played = wire, self.board()
+
+    def board(self) -> PlayedRover:
+        return PlayedRover()
 
     def efforts(self, now_s: float) -> tuple[float, float]:
         while self._wire.written:
@@ -129,10 +132,17 @@ class RoverDevice:
         return self.played.efforts(now_s)
 
     def report(self, now_s: float) -> None:
-        self._wire.waiting.append(self.played.report())
+        self._wire.waiting.append(self.played.report(now_s))
 
     def noise(self, random: Random) -> None:
         self._wire.waiting.append(random.randbytes(random.randrange(1, 50)) + b"\xfd")
+
+
+class Px4Device(RoverDevice):
+    timeout_s: float | None = 0.5
+
+    def board(self) -> PlayedRover:
+        return PlayedPx4()
 
 
 class PwmDevice:
@@ -165,6 +175,7 @@ class Known(NamedTuple):
 
 
 PULSES = settings("pwm")
+PX4 = settings("mavlink_front_seat", mavlink_front_seat=config.MavlinkFrontSeat(autopilot="px4"))
 DRIVERS = {
     "vesc": Known(settings("vesc"), VescDevice, ThrusterReport(7.0, 750.0, 5.5, 24.1, 31.4)),
     "otter": Known(
@@ -172,8 +183,20 @@ DRIVERS = {
     ),
     "heron": Known(settings("heron"), lambda bus, wire: SeatDevice(bus, wire, None), ThrusterReport(7.0, voltage_v=15.2)),
     "mavlink_front_seat": Known(settings("mavlink_front_seat"), RoverDevice, ThrusterReport(7.0, None, 4.5, 15.2)),
+    "px4": Known(PX4, Px4Device, ThrusterReport(7.0, None, 4.5, 15.2)),
     "pwm": Known(PULSES, PwmDevice, ThrusterReport(7.0)),
 }
+
+
+def greet(driver: Actuator, device: Device) -> None:
+    """A second in which they hear of each other: a board says what it is, and which version when it is asked."""
+    for ticks in (5, 0):
+        device.report(0.0)
+        for each in driver.inputs:
+            each.read(State(), 0.0)
+        for _ in range(ticks):
+            driver.repeat(0.0)
+        device.efforts(0.0)
 
 
 class Bench(NamedTuple):
@@ -196,8 +219,10 @@ def bench(request: pytest.FixtureRequest) -> Iterator[Bench]:
             return opened.enter_context(open_bound(known.settings.can, name, filters))
 
         wire = Wire()
-        driver = open_actuator(request.param, known.settings, Links(bus, lambda device, baud: wire))
-        yield Bench(driver, known.device(far, wire), wire, State(), known)
+        driver = open_actuator(known.settings.thrusters[0].driver, known.settings, Links(bus, lambda device, baud: wire))
+        device = known.device(far, wire)
+        greet(driver, device)
+        yield Bench(driver, device, wire, State(), known)
 
 
 def near(efforts: tuple[float, float], starboard: float, port: float) -> bool:
@@ -278,13 +303,21 @@ def test_a_line_that_is_full_is_counted(bench: Bench) -> None:
     assert bench.driver.send(AHEAD, 1.0) == (0 if bench.driver.name == "vesc" else 2)
 
 
-def test_a_board_that_does_not_obey_says_why_and_hears_a_ground_station() -> None:
-    wire, state = Wire(), State()
-    driver = open_actuator(
-        "mavlink_front_seat", settings("mavlink_front_seat"), Links(lambda name, filters: None, lambda device, baud: wire)
-    )
-    board = RoverDevice(None, wire)
-    for armed, mode, why in ((False, 0, ("not armed",)), (True, 4, ("its mode is 4, not MANUAL (0)",)), (True, 0, None)):
+def front_seat(name: str) -> tuple[Actuator, Device, Wire]:
+    """A row of DRIVERS without a bus, after the greeting."""
+    known, wire = DRIVERS[name], Wire()
+    links = Links(lambda name, filters: None, lambda device, baud: wire)
+    driver, device = open_actuator(known.settings.thrusters[0].driver, known.settings, links), known.device(None, wire)
+    greet(driver, device)
+    return driver, device, wire
+
+
+@pytest.mark.parametrize(("name", "manual"), [("mavlink_front_seat", 0), ("px4", 1)])
+def test_a_board_that_does_not_obey_says_why_and_hears_a_ground_station(name: str, manual: int) -> None:
+    driver, board, _ = front_seat(name)
+    state, before = State(), board.played.heartbeats
+    faults = ((False, manual, ("not armed",)), (True, 4, (f"its mode is 4, not MANUAL ({manual})",)), (True, manual, None))
+    for armed, mode, why in faults:
         board.played.armed, board.played.mode = armed, mode
         board.report(1.0)
         driver.inputs[0].read(state, 1.0)
@@ -293,13 +326,76 @@ def test_a_board_that_does_not_obey_says_why_and_hears_a_ground_station() -> Non
     for tick in range(15):
         driver.repeat(1.0 + 0.2 * tick)
     assert board.efforts(4.0) == (0.0, 0.0)
-    assert board.played.heartbeats == 3, "one a second, and no command of its own"
+    assert board.played.heartbeats - before == 3, "one a second, and no command that moves it"
+
+
+@pytest.mark.parametrize(
+    ("name", "board", "why"),
+    [
+        ("mavlink_front_seat", PlayedPx4(), "it is no ArduPilot, as mavlink_front_seat.autopilot has it"),
+        ("px4", PlayedRover(), "it is no PX4, as mavlink_front_seat.autopilot has it"),
+        ("px4", PlayedPx4((1, 15)), "PX4 1.15 is older than 1.16"),
+        ("px4", PlayedPx4((2, 0)), ""),
+    ],
+    ids=["PX4 for ArduPilot", "ArduPilot for PX4", "old PX4", "new PX4"],
+)
+def test_a_board_that_would_read_the_throttle_otherwise_is_told_nothing(name: str, board: PlayedRover, why: str) -> None:
+    """What stops the one is full astern to the other."""
+    known, wire, state = DRIVERS[name], Wire(), State()
+    driver = open_actuator("mavlink_front_seat", known.settings, Links(lambda name, filters: None, lambda device, baud: wire))
+    device = RoverDevice(None, wire)
+    device.played = board
+    assert driver.send(AHEAD, 0.0) == 2, "before it is heard, too"
+    assert wire.written == []
+    greet(driver, device)
+    for told in (AHEAD, OFF):
+        wire.written.clear()
+        assert driver.send(told, 1.0) == (2 if why and told.run else 0)
+        assert bool(wire.written) is (not why)
+    device.report(1.0)
+    driver.inputs[0].read(state, 1.0)
+    assert state.thrusters["port"].refuses == why
+
+
+def test_the_gimbal_of_a_boat_is_not_taken_for_its_board() -> None:
+    driver, board, _ = front_seat("mavlink_front_seat")
+    board.played.autopilot = 8
+    board.report(1.0)
+    driver.inputs[0].read(State(), 1.0)
+    assert driver.send(AHEAD, 1.0) == 0
+
+
+def test_a_px4_at_rest_hears_its_sticks_in_the_middle_all_the_time() -> None:
+    """It could not be armed otherwise, and would disarm after each stop."""
+    driver, board, _ = front_seat("px4")
+    for tick in range(100):
+        assert driver.send(OFF, 0.2 * tick) == 0
+        driver.repeat(0.2 * tick + 0.1)
+        assert board.efforts(0.2 * tick + 0.1) == (0.0, 0.0)
+    assert board.played.armed
+
+
+def test_full_astern_and_full_turn_are_not_the_gesture_that_disarms_a_px4() -> None:
+    driver, board, _ = front_seat("px4")
+    for starboard, port in ((-1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -0.8)):
+        driver.send(Actuation((starboard, port), (0.0, 0.0), True), 1.0)
+        assert board.efforts(1.0) == pytest.approx((starboard, -port), abs=3e-3)
+    assert board.played.armed
+
+
+def test_the_dead_mans_stop_disarms_a_px4() -> None:
+    """It has a connection of its own, and does not know which version listens."""
+    wire = Wire()
+    links = Links(lambda name, filters: None, lambda device, baud: wire)
+    open_actuator("mavlink_front_seat", PX4, links).stop()
+    board = Px4Device(None, wire)
+    assert board.efforts(1.0) == (0.0, 0.0)
+    assert not board.played.armed
 
 
 @pytest.mark.parametrize("driver", ["otter", "heron", "mavlink_front_seat"])
 def test_a_front_seat_is_left_alone_before_the_first_command_and_after_a_stop(driver: str) -> None:
-    wire = Wire()
-    front = open_actuator(driver, settings(driver), Links(lambda name, filters: None, lambda device, baud: wire))
+    front, _, wire = front_seat(driver)
     front.send(OFF, 1.0)
     assert wire.written == []
     front.send(AHEAD, 1.0)
@@ -311,8 +407,7 @@ def test_a_front_seat_is_left_alone_before_the_first_command_and_after_a_stop(dr
 @pytest.mark.parametrize("driver", ["otter", "heron", "mavlink_front_seat"])
 def test_a_stop_that_the_line_does_not_take_is_said_until_it_does(driver: str) -> None:
     """A Heron would go on for ever with its last command, once a broken connection is back."""
-    wire = Wire()
-    front = open_actuator(driver, settings(driver), Links(lambda name, filters: None, lambda device, baud: wire))
+    front, _, wire = front_seat(driver)
     front.send(AHEAD, 1.0)
     wire.is_full = True
     assert [front.send(OFF, 1.0) for _ in range(30)] == [2] * 30
