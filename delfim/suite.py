@@ -82,7 +82,7 @@ SERVICES = (
         "delfim.services.numbering:serve",
         place="process",
         uvloop=False,
-        when=lambda settings: "dronecan.interface" in settings.outside("interface") and settings.dronecan.numbers,
+        when=lambda settings: "dronecan.interface" in settings.outside("interface"),
     ),
     Service(
         "nmea2000d",

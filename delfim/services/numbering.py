@@ -1,19 +1,33 @@
-"""numbering: numbers for the DroneCAN devices that come without one (docs/dronecan.md).
+"""numbering: numbers for the DroneCAN devices that come without one, and the answers to those who ask this node what it is
+(docs/dronecan.md).
 
-A process of its own: the numbers that were given away are kept on the disk, so that a device has the same one tomorrow.
+A process of its own: the numbers that were given away are kept on the disk, so that a device has the same one tomorrow, and no
+tool on the bus takes time of the boat's program.
 """
 
 import asyncio
 import contextlib
+import hashlib
 import json
 import logging
 import os
+import platform
 from pathlib import Path
 from typing import Final
 
-from delfim.canproxy.dronecan.datatypes import ALLOCATION, NODE_STATUS, NumberRequest, decode, number_request
+from delfim import __version__
+from delfim.canproxy.dronecan.datatypes import (
+    ALLOCATION,
+    NODE_STATUS,
+    Message,
+    NodeStatus,
+    NumberRequest,
+    decode,
+    number_request,
+)
 from delfim.canproxy.dronecan.nodenumbers import Allocator
-from delfim.canproxy.dronecan.transfers import STATUS, Publisher, TransferReceiver
+from delfim.canproxy.dronecan.nodeservices import Identity, NodeServices
+from delfim.canproxy.dronecan.transfers import SERVICE, STATUS, Publisher, TransferReceiver
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
@@ -22,32 +36,49 @@ from delfim.outside import parse_json, read_file
 from delfim.services.runtime import Runtime
 
 REBIND_S: Final = 1.0
+WARN_S: Final = 60.0
+NAME: Final = "delfim.boat"
 log = logging.getLogger(__name__)
 
 
 class Numbering:
-    """Answers the devices of a bus."""
+    """Answers the devices of a bus. Without `place` another server gives them their numbers."""
 
-    def __init__(self, bus: CanSocket, receiver: TransferReceiver, own: int, place: Path, clock: Clock) -> None:
-        self._bus, self._receiver, self._place, self._clock = bus, receiver, place, clock
-        self.allocator = Allocator(known_numbers(place), own)
-        self._answers = Publisher(ALLOCATION, own, STATUS)
+    def __init__(
+        self, bus: CanSocket, receiver: TransferReceiver, node: NodeServices, place: Path | None, clock: Clock
+    ) -> None:
+        self._bus, self._receiver, self._node, self._place, self._clock = bus, receiver, node, place, clock
+        self.allocator = Allocator(known_numbers(place) if place else {}, node.number)
+        self._answers = Publisher(ALLOCATION, node.number, STATUS)
+        self._warned_s = -WARN_S
 
     def on_frames(self) -> None:
         with contextlib.suppress(BusError):  # the bus is opened anew by and by
             while (frame := self._bus.receive()) is not None:
-                transfer = self._receiver.feed(frame, self._clock.monotonic_s())
-                if transfer is None:
-                    continue
-                if transfer.source:
-                    self.allocator.taken.add(transfer.source)
-                    continue
-                with contextlib.suppress(FormatError):
-                    message = decode(transfer)
-                    if isinstance(message, NumberRequest):
-                        self._answer(message)
+                now_s = self._clock.monotonic_s()
+                if frame.arb >> 3 & SERVICE:
+                    self._say(self._node.answer(frame, now_s))
+                    self._warn(now_s)
+                elif (transfer := self._receiver.feed(frame, now_s)) is not None:
+                    with contextlib.suppress(FormatError):
+                        self._hear(transfer.source, decode(transfer), now_s)
 
-    def _answer(self, asked: NumberRequest) -> None:
+    def _hear(self, source: int, message: Message, now_s: float) -> None:
+        if source:
+            self.allocator.taken.add(source)
+            if source == self._node.number and isinstance(message, NodeStatus):
+                self._node.hear(message, now_s)
+        elif self._place is not None and isinstance(message, NumberRequest):
+            self._answer(message, self._place)
+
+    def _warn(self, now_s: float) -> None:
+        """Those who asked for a restart are named, once a minute."""
+        nodes, self._node.restarts = self._node.restarts, []
+        if nodes and now_s - self._warned_s >= WARN_S:
+            self._warned_s = now_s
+            log.warning("numbering: node %d asks this computer to start again: refused, for this is the operator's", nodes[0])
+
+    def _answer(self, asked: NumberRequest, place: Path) -> None:
         known = len(self.allocator.table)
         answer = self.allocator.feed(asked, self._clock.monotonic_s())
         if answer is None:
@@ -55,16 +86,30 @@ class Numbering:
         if len(self.allocator.table) > known:
             log.info("numbering: %s gets number %d", answer.identity.hex(), answer.node)
             try:
-                keep(self._place, self.allocator.table)
+                keep(place, self.allocator.table)
             except OSError as error:  # it has its number as long as this program runs
-                log.warning("numbering: %s: %s; the number may be another one tomorrow", self._place, error.strerror)
-        for arb, data in self._answers.frames(number_request(answer)):
-            with contextlib.suppress(OSError):  # the device asks again
+                log.warning("numbering: %s: %s; the number may be another one tomorrow", place, error.strerror)
+        self._say(self._answers.frames(number_request(answer)))
+
+    def _say(self, frames: list[tuple[int, bytes]]) -> None:
+        for arb, data in frames:
+            with contextlib.suppress(OSError):  # whoever it was asks again
                 self._bus.sendto(data, CanAddress(arb))
 
     def report(self) -> dict[str, object]:
         numbers = {str(node): identity.hex() for identity, node in self.allocator.table.items()}
-        return {"numbers": numbers, "refused": self.allocator.refused, "errors": dict(self._receiver.errors)}
+        refused = {"refused": self.allocator.refused, "requests_refused": self._node.refused}
+        return {"numbers": numbers, **refused, "errors": dict(self._receiver.errors)}
+
+
+def identity(machine: Path = Path("/etc/machine-id")) -> Identity:
+    """Of this computer: its unique id is the same after each start, and tells nothing of the machine's own, which is secret."""
+    try:
+        secret = read_file(machine)
+    except OSError:
+        secret = platform.node().encode()
+    major, minor, *_ = __version__.split(".")
+    return Identity(NAME, (int(major), int(minor)), hashlib.sha256(b"delfim on DroneCAN" + secret).digest()[:16])
 
 
 def known_numbers(place: Path) -> dict[bytes, int]:
@@ -95,10 +140,10 @@ def keep(place: Path, table: dict[bytes, int]) -> None:
 async def serve(runtime: Runtime) -> None:
     """Until it is cancelled."""
     settings = runtime.config
-    receiver = TransferReceiver((ALLOCATION, NODE_STATUS))
-    with open_bound(settings.can, settings.dronecan.interface, receiver.filters) as bus:
-        place = Path(settings.log.directory) / "dronecan-numbers.json"
-        numbering = Numbering(bus, receiver, settings.dronecan.node, place, runtime.clock)
+    receiver, node = TransferReceiver((ALLOCATION, NODE_STATUS)), NodeServices(settings.dronecan.node, identity())
+    with open_bound(settings.can, settings.dronecan.interface, receiver.filters + node.filters) as bus:
+        place = Path(settings.log.directory) / "dronecan-numbers.json" if settings.dronecan.numbers else None
+        numbering = Numbering(bus, receiver, node, place, runtime.clock)
         with runtime.reading(bus.fileno(), numbering.on_frames), runtime.publishing("numbering", numbering.report):
             while True:
                 await asyncio.sleep(REBIND_S)

@@ -6,5 +6,6 @@ frame, or several with a checksum (`transfers`). `datatypes` has a row for each 
 numbers of devices that ask for one. Source: the DroneCAN specification, chapters 3 (serialization), 4.1 (transport) and 5.3
 (node numbers).
 
-It sends and reads broadcasts. Services (requests of one node to another: parameters, firmware, restart) are not here.
+It sends and reads broadcasts. Of the requests of one node to another `nodeservices` answers those for a node's description and
+for a restart; parameters and firmware of devices are not here.
 """

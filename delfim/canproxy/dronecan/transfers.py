@@ -16,7 +16,7 @@ from delfim.frames import CAN_IDE, Frame, extended
 NODE_MAX: Final = 125  # 126 and 127 are for tools
 COMMAND, SENSOR, STATUS = 8, 16, 24  # priorities as devices have them; 0 wins the bus
 START, END, TOGGLE, NUMBER = 0x80, 0x40, 0x20, 0x1F
-_SERVICE = 0x80  # in the identifier: not a message
+SERVICE: Final = 0x80  # in the identifier: not a message
 
 
 class Transfer(NamedTuple):
@@ -37,15 +37,22 @@ class Publisher:
     def frames(self, payload: bytes) -> list[tuple[int, bytes]]:
         """The frames of the next transfer, to be sent in this order."""
         number = self._number = (self._number + 1) & NUMBER
-        if len(payload) <= 7:
+        if len(payload) <= 7:  # as below: this is on the critical path
             return [(self._arb, payload + bytes((START | END | number,)))]
-        sent = checksum(payload, self._seed).to_bytes(2, "little") + payload
-        last = (len(sent) - 1) // 7
-        frames = list[tuple[int, bytes]]()
-        for i in range(last + 1):
-            tail = (START if i == 0 else 0) | (END if i == last else 0) | (TOGGLE if i & 1 else 0) | number
-            frames.append((self._arb, sent[7 * i : 7 * i + 7] + bytes((tail,))))
-        return frames
+        return framed(self._arb, self._seed, number, payload)
+
+
+def framed(arb: int, seed: int, number: int, payload: bytes) -> list[tuple[int, bytes]]:
+    """The frames of a transfer."""
+    if len(payload) <= 7:
+        return [(arb, payload + bytes((START | END | number,)))]
+    sent = checksum(payload, seed).to_bytes(2, "little") + payload
+    last = (len(sent) - 1) // 7
+    frames = list[tuple[int, bytes]]()
+    for i in range(last + 1):
+        tail = (START if i == 0 else 0) | (END if i == last else 0) | (TOGGLE if i & 1 else 0) | number
+        frames.append((arb, sent[7 * i : 7 * i + 7] + bytes((tail,))))
+    return frames
 
 
 class _Stream:
@@ -74,14 +81,14 @@ class TransferReceiver:
     @property
     def filters(self) -> tuple[CanAddress, ...]:
         """To bind a socket to: these types, from any node, at any priority; nothing else of the bus wakes the reader."""
-        numbered = [(kind, 0xFFFF00 | _SERVICE) for kind in self._kinds]
+        numbered = [(kind, 0xFFFF00 | SERVICE) for kind in self._kinds]
         anonymous = [(kind, 0x3FF) for kind in self._kinds if kind <= 3]
         return tuple(CanAddress(extended(kind << 8), (0x1FFFFFFF & ~care) << 3) for kind, care in numbered + anonymous)
 
     def feed(self, frame: Frame, now_s: float) -> Transfer | None:
         """The transfer that this frame completes."""
         arb, data = frame.arb, frame.data
-        if arb & 7 != CAN_IDE or arb >> 3 & _SERVICE or not data:
+        if arb & 7 != CAN_IDE or arb >> 3 & SERVICE or not data:
             self.errors["not a message"] += 1
             return None
         source, tail = arb >> 3 & 0x7F, data[-1]
