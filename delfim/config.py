@@ -114,6 +114,13 @@ LineDevice = Annotated[
         "/DEVICE, or udp:, tcp:, tcp-listen: or gpsd: before ADDRESS:PORT, the address in numbers",
     ),
 ]
+PilotDevice = Annotated[
+    str,
+    text(
+        rf"((/[^ ]+|(udp|tcp|tcp-listen):([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})?)",
+        "/DEVICE, or udp:, tcp: or tcp-listen: before ADDRESS:PORT of this computer, or empty",
+    ),
+]
 OutDevice = Annotated[
     str,
     text(rf"(/[^ ]+|udp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})", "/DEVICE, or udp:ADDRESS:PORT, the address in numbers"),
@@ -251,6 +258,20 @@ class Nmea0183Out(Table, frozen=True):
             )
 
 
+class Nmea0183Guest(Table, frozen=True):
+    """A line on which survey software or a plotter steers the boat as its guest, by APB, RMB and XTE (docs/guest.md)."""
+
+    device: PilotDevice = ""  # a port of its own; empty: nobody steers so
+    baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 4800  # of a serial port
+    speed_mps: Speed = 1.0  # these sentences tell none; the operator's speed counts before it
+    lookahead_m: Metres = 20.0  # the boat steers for a point of the line this far ahead
+    variation_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)] | None = None  # without it magnetic bearings are refused
+
+    def __post_init__(self) -> None:
+        if self.device and not self.device.startswith("/") and not is_loopback(self.device.partition(":")[2]):
+            raise ValueError("these sentences prove no key: name a serial port or this computer; elsewhere guests use [guest]")
+
+
 class Nmea0183(Table, frozen=True):
     """Receivers, compasses and sounders on lines of text. Of several that send the same value, the first in `preferred` is
     used, then the one whose port stands first."""
@@ -262,6 +283,7 @@ class Nmea0183(Table, frozen=True):
     roll: TransducerName = ""  # likewise; starboard down is positive here
     ports: dict[Name, Nmea0183Port] = msgspec.field(default_factory=dict)
     out: dict[Name, Nmea0183Out] = msgspec.field(default_factory=dict)
+    guest: Nmea0183Guest = Nmea0183Guest()
 
     def __post_init__(self) -> None:
         for network in self.senders:
@@ -1245,6 +1267,8 @@ class Vehicle(Table, frozen=True):
             raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
         if "nmea0183" in (*self.navigation.sources, *self.sensors.names) and not self.nmea0183.ports:
             raise ValueError("nmea0183 needs a port: a table [nmea0183.ports.NAME] with its device")
+        if self.guest.enabled and self.nmea0183.guest.device:
+            raise ValueError("guest.enabled and nmea0183.guest.device: two guests would steer by turns; choose one")
         if {"nmea0183", "nmea2000"} <= set(self.sensors.names):
             raise ValueError("sensors.names: nmea0183 and nmea2000 give the same values; name one of them")
         if (fault := thrusters_fault(self.thrusters)) is not None:
@@ -1291,7 +1315,8 @@ class Vehicle(Table, frozen=True):
         names = ("can", "handset", *self.navigation.sources, *self.sensors.names, *self.drivers, *spoken)
         routed = {f"routing.buses.{name}": bus for name, bus in self.routing.buses.items()}
         lines = {f"nmea0183.ports.{name}": port for name, port in self.nmea0183.ports.items() if "nmea0183" in names}
-        return {name: getattr(self, name, None) for name in names} | routed | lines
+        pilot = {"nmea0183.guest": self.nmea0183.guest} if self.nmea0183.guest.device else {}
+        return {name: getattr(self, name, None) for name in names} | routed | lines | pilot
 
     @property
     def bit_rates(self) -> dict[str, int]:

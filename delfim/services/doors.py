@@ -52,8 +52,11 @@ def _console(settings: config.Vehicle) -> Iterator[Entrance]:
         )
 
 
+_STEER: Final = "be the guest computer, which steers in mode grex"
+
+
 def _guest(settings: config.Vehicle) -> Iterator[Entrance]:
-    table, may = settings.guest, "be the guest computer, which steers in mode grex"
+    table, may = settings.guest, _STEER
     if table.enabled and table.key:
         who = f"holders of {table.key} in {_networks(table.networks)}"
         yield Entrance("guest", table.listen, "known", who, may)
@@ -63,11 +66,12 @@ def _guest(settings: config.Vehicle) -> Iterator[Entrance]:
 
 def _instruments(settings: config.Vehicle) -> Iterator[Entrance]:
     """Lines of NMEA 0183 over the network, on which this computer listens."""
-    table, may = settings.nmea0183, "tell the boat where it is"
+    table = settings.nmea0183
     beyond = _beyond(table.senders)
     for key, device in settings.outside("device").items():
         if not device.startswith(("udp:", "tcp-listen:")):
             continue
+        may = _STEER if key == "nmea0183.guest.device" else "tell the boat where it is"
         kind, _, place = device.partition(":")
         place = f"{place} UDP" if kind == "udp" else place
         if config.is_loopback(place.removesuffix(" UDP")) or not beyond:

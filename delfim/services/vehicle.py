@@ -83,7 +83,8 @@ class OpenedLinks:
             line = NetworkLine(device, settings.nmea0183.senders, clock, log.heard)
         else:
             table = settings.nmea0183
-            may_lack = device in {*(port.device for port in table.ports.values()), *(out.to for out in table.out.values())}
+            ports, outs = (port.device for port in table.ports.values()), (out.to for out in table.out.values())
+            may_lack = device in {*ports, *outs, table.guest.device}
             line = SerialLine(device, baud, clock, log.heard, may_lack, form, FLOOD_BYTES)
         self._links.callback(line.close)
         if not line.rebind():

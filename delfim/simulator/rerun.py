@@ -48,6 +48,7 @@ from delfim.simulator.recorded import (
 )
 from delfim.vehicle import console
 from delfim.vehicle.build import build
+from delfim.vehicle.grex import Guest
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import LOCAL, REPEAT_S
 from delfim.vehicle.state import NoLog, State
@@ -95,6 +96,13 @@ class Recalled:
         return self.now_ns
 
 
+class DeafGuest(Guest):
+    """The set points of a guest are in the state log: a line that it speaks on is not heard again."""
+
+    def hear(self, line: bytes) -> None:
+        pass
+
+
 class Rerun:
     """The loop, its inputs on in-memory buses and lines, and its output. Output within `span` is compared."""
 
@@ -120,7 +128,7 @@ class Rerun:
             name = device(getattr(settings, driver).interface)
             self._motors[name] = MotorBus(driver, settings, self._bus(name).socket("onlooker"), self._found)
         links = Links(self._open_bus, self._open_line)
-        self.vehicle, self._reports, *_ = build(settings, self.clock, self.state, links, self.log)
+        self.vehicle, self._reports, *_ = build(settings, self.clock, self.state, links, self.log, DeafGuest)
         self._names = [row.name for row in settings.thrusters]
         self._size = 2 * sum(row.driver == "dsor" for row in settings.thrusters)  # frames of one command
         before_ns = round(0.4e9 / settings.navigation.rate_hz)  # earlier messages came before it listened

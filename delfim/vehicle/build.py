@@ -15,6 +15,7 @@ from delfim.vehicle.killswitch import KillSwitch
 from delfim.vehicle.links import Links, LoopInput
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import open_sources
+from delfim.vehicle.pilotline import open_pilot_line
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.sensors import open_sensors
 from delfim.vehicle.state import State, StateLog
@@ -24,7 +25,7 @@ class Built(NamedTuple):
     """The vehicle, its inputs beside navigation, and the sockets by which it sends."""
 
     vehicle: VehicleLoop
-    inputs: tuple[LoopInput, ...]  # sensors, and reports of actuators; readable: `vehicle.on_sensor`
+    inputs: tuple[LoopInput, ...]  # sensors, reports of actuators, a guest's line; readable: `vehicle.on_sensor`
     hands: tuple[Hand, ...]  # operators aboard, who are among the inputs: their orders go to `vehicle.on_command`
     outlets: tuple[CanSocket, ...]  # of the actuators
 
@@ -53,7 +54,9 @@ def build(
     actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.drivers)
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.thrusters, state)
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
-    reports = tuple(each for actuator in actuators for each in actuator.inputs)
+    reports = [each for actuator in actuators for each in actuator.inputs]
+    if settings.nmea0183.guest.device:
+        reports.append(open_pilot_line(settings, links, vehicle.guest))
     return Built(vehicle, (*sensors, *hands, *reports), hands, tuple(outlets))
 
 

@@ -1,0 +1,93 @@
+"""The guest that speaks NMEA 0183: survey software or a plotter steers as it does any autopilot (docs/guest.md).
+
+It enters by the guest's one door: a line to steer becomes a heading and a speed, and goes to `Guest.hear` as every guest's set
+point does. A port of its own is read here, because what steers must not be taken for what tells the boat where it is.
+"""
+
+import math
+from typing import Final
+
+import msgspec
+
+from delfim import config
+from delfim.errors import FormatError
+from delfim.modes import Mode
+from delfim.nmea0183.proprietary import FieldReader
+from delfim.nmea0183.tracklines import TrackLine, track_line
+from delfim.vehicle.control.guidance import course_to_steer
+from delfim.vehicle.control.memory import LineOfSight
+from delfim.vehicle.grex import Guest, HeadingReference
+from delfim.vehicle.links import Links, Readable, ReadableLine
+from delfim.vehicle.state import State
+
+BYTES_PER_READ: Final = 4096  # bounds one call on a flooded line, and the rest stays readable
+HELD_S: Final = 3.0  # the direction of APB stands so long for XTE, and for so long RMB adds nothing
+STEP_MAX_S: Final = 2.0  # most time between two sentences that the guidance integrates over
+
+_encode = msgspec.json.Encoder().encode
+
+
+class PilotLine:
+    """Sentences in, set points out: line-of-sight guidance on the line that they tell."""
+
+    def __init__(self, settings: config.Vehicle, line: ReadableLine, guest: Guest) -> None:
+        self._table, self._guest = settings.nmea0183.guest, guest
+        self._path = msgspec.structs.replace(settings.control.path, lookahead_m=self._table.lookahead_m)
+        self.input: Readable = line
+        self._line, self._fields = line, FieldReader()
+        self._course_rad, self._course_s = 0.0, -math.inf  # the line of the last APB, and when it came
+        self._memory, self._heard_s = LineOfSight(), -math.inf
+
+    def read(self, state: State, now_s: float) -> None:
+        """All waiting sentences; the newest set point counts. Malformed sentences, warnings and magnetic bearings without a
+        known variation are counted, and give none: the guest is silent then."""
+        asked, taken, malformed = None, 0, self._fields.malformed
+        while taken < BYTES_PER_READ and (data := self._line.read()):
+            taken += len(data)
+            for fields in self._fields.feed(data):
+                try:
+                    told = track_line(fields)
+                except FormatError:
+                    state.count("guest_malformed")
+                    continue
+                if told is not None:
+                    asked = self._steered(fields[0][2:], told, state, now_s) or asked
+        if self._fields.malformed > malformed:
+            state.count("guest_malformed", self._fields.malformed - malformed)
+        if asked is not None:
+            self._guest.is_connected = True
+            self._guest.hear(_encode(asked))
+
+    def _steered(self, form: str, told: TrackLine, state: State, now_s: float) -> HeadingReference | None:
+        """The set point for a line; None: it gives none."""
+        has_apb = now_s - self._course_s <= HELD_S
+        if form == "RMB" and has_apb:
+            return None
+        if told.cross_m is None:
+            self._course_s = -math.inf
+            state.count("guest_warns")
+            return None
+        course_rad = told.course_rad
+        if course_rad is None:
+            if not has_apb:
+                return None
+            course_rad = self._course_rad
+        elif told.is_magnetic:
+            if self._table.variation_deg is None:
+                state.count("guest_magnetic")
+                return None
+            course_rad += math.radians(self._table.variation_deg)
+        if form == "APB":
+            self._course_rad, self._course_s = course_rad, now_s
+        was = self._memory if state.mode is Mode.GREX else LineOfSight()  # nobody obeys: nothing is integrated
+        dt_s, self._heard_s = min(now_s - self._heard_s, STEP_MAX_S), now_s
+        self._memory, heading_rad = course_to_steer(was, state.motion, course_rad, told.cross_m, self._path, dt_s)
+        override_mps = state.setpoint.override_mps
+        speed_mps = self._table.speed_mps if override_mps is None else override_mps
+        return HeadingReference(math.degrees(heading_rad) % 360.0, speed_mps)
+
+
+def open_pilot_line(settings: config.Vehicle, links: Links, guest: Guest) -> PilotLine:
+    """Raises DelfimError."""
+    table = settings.nmea0183.guest
+    return PilotLine(settings, links.line(table.device, table.baud), guest)
