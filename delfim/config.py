@@ -524,7 +524,7 @@ class GotoTable(Table, frozen=True):
 class HoldTable(Table, frozen=True):
     """Station keeping."""
 
-    radius_m: Metres = 5.0  # inside this radius the boat rests
+    radius_m: Metres = 5.0  # inside this radius the boat rests; one that pushes sideways keeps the point itself
     speed_mps: Speed = 1.0  # highest speed for coming back
 
 
