@@ -14,6 +14,7 @@ from delfim.messages import Navigation
 from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.state import Motion, State
 
+BACK_S = 0.5  # that a source which takes over from its reserve may need until it knows as much
 FRAMES_PER_READ = 64  # bounds one call on a flooded input; the rest stays readable
 
 
@@ -53,7 +54,8 @@ def preferred(source: Source, sources: tuple[Source, ...], now_s: float, stale_s
 
 
 def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, limits: config.NavigationTable) -> bool:
-    """A fix into the state; False when it is not used: a better source is heard, or no boat moves that fast."""
+    """A fix into the state; False when it is not used: a better source is heard, no boat moves that fast, or the reserve, heard
+    a moment ago, knew more."""
     if not preferred(source, sources, fix.received_s, limits.stale_s):
         return False
     n, last = fix.navigation, state.navigation
@@ -71,9 +73,11 @@ def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, li
         has = _POSITION
     else:
         north_m, east_m, has = state.motion.north_m, state.motion.east_m, 0
+    moving, headed = n.north_mps is not None, n.heading_rad is not None
+    if not (moving and headed) and state.source != source.name and _knew_more(state, moving, headed, fix.received_s):
+        return False
     if has and _jumped(state, limits, north_m, east_m, fix.received_s):
         return False
-    moving, headed = n.north_mps is not None, n.heading_rad is not None
     state.motion = Motion(
         _HAS[has | (_HEADING if headed else 0) | (_VELOCITY if moving else 0)],
         north_m,
@@ -88,6 +92,14 @@ def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, li
     state.navigation, state.navigation_s, state.source = n, fix.received_s, source.name
     state.cycles += 1
     return True
+
+
+def _knew_more(state: State, moving: bool, headed: bool, now_s: float) -> bool:
+    """Whether the source before knew what this one does not say yet: an estimate begins with a position, and its next message
+    has the rest. A boat that sails by the reserve would stop for it."""
+    has = state.motion.has
+    lost = ("velocity" in has and not moving) or ("heading" in has and not headed)
+    return lost and now_s - state.navigation_s <= BACK_S
 
 
 def _jumped(state: State, limits: config.NavigationTable, north_m: float, east_m: float, now_s: float) -> bool:
