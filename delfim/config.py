@@ -133,6 +133,11 @@ TalkerName = Annotated[
 TransducerName = Annotated[
     str, text(r"-?[^ ,*$\x00-\x1f-]{0,32}", "the name that the device sends, or - and the name, or empty")
 ]
+InstrumentRate = Annotated[float, msgspec.Meta(ge=0.0, le=50.0)]
+INSTRUMENTS = ("receiver", "compass", "gyro", "sounder", "wind")
+InstrumentName = Annotated[
+    str, text(rf"[A-Za-z][A-Za-z0-9_-]{{0,31}}:({'|'.join(INSTRUMENTS)})", f"PORT:INSTRUMENT, one of {', '.join(INSTRUMENTS)}")
+]
 DeviceName = Annotated[str, text("[a-z][a-z0-9_.-]{0,14}", "a small letter, then up to 14 small letters, digits, _, . or -")]
 
 
@@ -1143,10 +1148,13 @@ class Simulation(Table, frozen=True):
     position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position
     heading_noise_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.5  # standard deviation of the heading
     speed_noise_mps: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.03  # standard deviation of the speed
-    receiver_hz: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 5.0  # positions a second of a receiver on NMEA 2000; 0: none
-    compass_hz: Annotated[float, msgspec.Meta(ge=0.0, le=50.0)] = 10.0  # headings a second of a compass there; 0: none
-    gyro: bool = True  # that compass tells its rate of turn, too
+    receiver_hz: InstrumentRate = 5.0  # positions a second of a receiver on NMEA 2000 or 0183; 0: none
+    compass_hz: InstrumentRate = 10.0  # headings a second of a compass there, and rates of turn of a gyro; 0: none
+    gyro: bool = True  # there is a gyro, too
+    sounder_hz: InstrumentRate = 1.0  # depths a second of an echo sounder on NMEA 0183; 0: none
+    wind_hz: InstrumentRate = 1.0  # of a wind vane there; 0: none
     motors: bool = True  # motor controllers answer on buses of DroneCAN and VESC; false: you have your own there
+    instruments: Annotated[tuple[InstrumentName, ...], msgspec.Meta(max_length=32)] = ()  # empty: all on the first port
     external: Annotated[str, text(rf"([^ :]+:{_PORT})?", "ADDRESS:PORT, or empty")] = ""  # of a model in another program
     sea: Sea = Sea()
 
@@ -1271,6 +1279,9 @@ class Vehicle(Table, frozen=True):
             raise ValueError("guest.enabled and nmea0183.guest.device: two guests would steer by turns; choose one")
         if {"nmea0183", "nmea2000"} <= set(self.sensors.names):
             raise ValueError("sensors.names: nmea0183 and nmea2000 give the same values; name one of them")
+        for each in self.simulation.instruments:
+            if (port := each.partition(":")[0]) not in self.nmea0183.ports:
+                raise ValueError(f"simulation.instruments: there is no port {port} in nmea0183")
         if (fault := thrusters_fault(self.thrusters)) is not None:
             raise ValueError(f"thrusters: {fault}")
         for row in self.thrusters:

@@ -23,7 +23,7 @@ def rmc(n: Navigation) -> bytes:
         return b""
     speed, course = _movement(n) or ("", "")
     date = f"{_time(n):%d%m%y}"
-    return framed(f"GPRMC,{_clock(n)},A,{place},{speed},{course},{date},,,{_MODE.get(n.fix, 'A')}")
+    return framed(f"GPRMC,{clock(n)},A,{place},{speed},{course},{date},,,{_MODE.get(n.fix, 'A')}")
 
 
 def gga(n: Navigation) -> bytes:
@@ -31,7 +31,7 @@ def gga(n: Navigation) -> bytes:
     if (place := _place(n)) is None:
         return b""
     hdop = "" if n.hdop is None else f"{n.hdop:.1f}"
-    return framed(f"GPGGA,{_clock(n)},{place},{_QUALITY.get(n.fix, 1)},{n.satellites:02d},{hdop},,M,,M,,")
+    return framed(f"GPGGA,{clock(n)},{place},{_QUALITY.get(n.fix, 1)},{n.satellites:02d},{hdop},,M,,M,,")
 
 
 def hdt(n: Navigation) -> bytes:
@@ -84,5 +84,6 @@ def _time(n: Navigation) -> datetime:
     return datetime.fromtimestamp(n.utc_ns // 1_000_000_000, UTC)
 
 
-def _clock(n: Navigation) -> str:
+def clock(n: Navigation) -> str:
+    """The time of day as a field."""
     return f"{_time(n):%H%M%S}.{n.utc_ns // 10_000_000 % 100:02d}"

@@ -108,6 +108,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "log.directory": f"{place}/log",
         "runtime.run_directory": str(place),
         "supervisor.hardware_watchdog": "",
+        **{f"nmea0183.ports.{name}.device": _device(name, port.device, its) for name, port in vehicle.nmea0183.ports.items()},
         **{key: "" for key in ("mavlink.key", "mavlink.serial", *HANDS) if key not in named},
         "guest.listen": free("guest.listen", vehicle.guest.listen),
         "mavlink.listen": free("mavlink.listen", vehicle.mavlink.listen, udp=True),
@@ -126,11 +127,20 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         **({} if "handset.device" in named else {"handset.mandatory": "false"}),
         "simulation.faults": "true",
     }
+    texts = {key: text for key, text in texts.items() if not (key.startswith("nmea0183.") and key in named)}
     if not set(vehicle.drivers) <= set(PLAYED):
         texts["pwm.chip"] = f"{place}/pwmchip0"
         values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": _toml(_by_pulses(vehicle.thrusters))}
     overrides = [f"{key}={_quoted(text)}" for key, text in texts.items()] + [f"{key}={value}" for key, value in values.items()]
     return BerthSettings(overrides, boat_id, page)
+
+
+def _device(name: str, device: str, its: Berth) -> str:
+    """Where a simulated instrument is heard: the real port, or the network, is left alone."""
+    if device.startswith("/"):
+        return f"{its.folder.resolve()}/nmea0183-{name}"
+    kind, _, place = device.replace("gpsd:", "tcp:").partition(":")
+    return f"{kind}:{its.address(f'127.0.0.1:{config.address(place)[1]}', udp=kind == 'udp')}"
 
 
 def _by_pulses(rows: Sequence[config.ThrusterTable]) -> list[Any]:

@@ -6,7 +6,7 @@ from its own seed, so the same faults at the same times give the same bytes.
 
 import math
 from collections import deque
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Sequence
 from random import Random
 from typing import Final, Literal, NamedTuple, get_args
 
@@ -15,7 +15,8 @@ from delfim.errors import FormatError
 from delfim.frames import Frame
 from delfim.simulator.model import Bank
 from delfim.simulator.nodes import Nodes
-from delfim.simulator.nodes.navigation import SATELLITES
+from delfim.simulator.nodes.measuring import Compass, GnssReceiver
+from delfim.simulator.nodes.navigation import SATELLITES, NavigationNode
 from delfim.simulator.propulsor import Drive
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.state import State, StateLog
@@ -49,6 +50,7 @@ ABOARD: Final = frozenset(
 )  # not of the nodes: in the boat's own program
 SENSORS: Final = ("gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port")
 WHERE: Final = dict.fromkeys(("sensor_bad", "sensor_silent"), SENSORS)
+PARTS: Final = "navigation_silent", "navigation_frozen"  # of one kind of sensor, or of all and the navigation node
 OF_THRUSTERS: Final = ("thruster_dead", "thruster_stuck", "thruster_reversed", "battery_sag")  # at a row of the vehicle's file
 VALUES: Final = {  # default, and its meaning
     "navigation_jumping": (40.0, "metres to the north"),
@@ -81,12 +83,13 @@ def fault(
     words."""
     if kind not in KINDS:
         raise FormatError(f"no fault {kind!r}; choose one of {', '.join(KINDS)}")
-    places = WHERE.get(kind, ("",))
+    places = ("", "receiver", "compass") if kind in PARTS else WHERE.get(kind, ("",))
     if kind in OF_THRUSTERS:
         if not where or (thrusters and where not in thrusters):
             raise FormatError(f"{kind} needs one of {', '.join(thrusters) or 'the thrusters of the boat'}")
     elif where not in places:
-        raise FormatError(f"{kind} needs one of {', '.join(places)}" if kind in WHERE else f"{kind} takes no place: {where!r}")
+        words = f"needs one of {', '.join(places)}" if kind in WHERE else f"takes no place: {where!r}"
+        raise FormatError(f"{kind} takes receiver, compass or no place: {where!r}" if kind in PARTS else f"{kind} {words}")
     default = VALUES.get(kind, (math.nan, ""))[0]
     if value is not None and (kind not in VALUES or not math.isfinite(value)):
         raise FormatError(f"{kind}: {value} is out of range")
@@ -180,18 +183,24 @@ class Faults(Broken):
 
     def _set(self, kind: str, where: str, value: float, on: bool) -> None:
         """Apply the effect of a fault to the nodes and the model."""
-        navigation = self.nodes.navigation
+        navigation, receivers = self.nodes.navigation, self.nodes.receivers
         match kind:
             case "navigation_silent":
-                navigation.silent = on
+                for each in self._parts(where):
+                    each.silent = on
             case "navigation_frozen":
-                navigation.frozen = on
+                for each in self._parts(where):
+                    each.frozen = on
             case "navigation_repeating":
                 navigation.repeating = on
             case "navigation_jumping":
                 navigation.jump_m = value
+                for receiver in receivers:
+                    receiver.jump_m = value
             case "gnss_poor":
                 navigation.satellites = min(max(round(value), 0), SATELLITES) if on else SATELLITES
+                for receiver in receivers:
+                    receiver.satellites = navigation.satellites
             case "shallow":
                 model = self.model
                 model.bank = Bank(model.north_m, model.east_m, value) if on else None
@@ -213,7 +222,16 @@ class Faults(Broken):
         """Raises FormatError if this boat has no such node."""
         if broken.kind in WHERE and broken.where not in self.nodes.sensors:
             raise FormatError(f"{broken.kind}: this boat has no {broken.where}")
+        if broken.kind in PARTS and not self._parts(broken.where):
+            raise FormatError(f"{broken.kind}: this boat has no {broken.where}")
         super().begin(broken, now_s)
+
+    def _parts(self, where: str) -> Sequence[NavigationNode | GnssReceiver | Compass]:
+        """What measures navigation: of one kind, or all."""
+        nodes = self.nodes
+        if not where:
+            return nodes.navigation, *nodes.receivers, *nodes.compasses
+        return nodes.receivers if where == "receiver" else nodes.compasses
 
     def _drive(self, name: str) -> Drive:
         return self.model.drives[name]

@@ -59,6 +59,8 @@ class Lockstep:
         links = Links(lambda name, filters: buses.get(name, bus).bound(*filters), self._line)
         aboard = settings if handset else msgspec.structs.replace(settings, handset=config.HandsetTable())
         self.vehicle, self._inputs, self._hands, _ = build(aboard, self.clock, self.state, links, record_to)
+        devices = {name: port.device.replace("gpsd:", "tcp:") for name, port in settings.nmea0183.ports.items()}
+        self._ports = {name: self.lines[device] for name, device in devices.items() if device in self.lines}
         line = self.lines.get(settings.handset.device)
         self._receiver = SimulatedReceiver(settings.handset, handset, line) if handset and line else None
         self.guest = self.vehicle.guest
@@ -105,6 +107,9 @@ class Lockstep:
         for devices, end in self._beside:
             for frame in devices.step(now_s, clock.time_ns()):
                 end.sendmsg(frame)
+        if self.nodes.instruments is not None:
+            for port, data in self.nodes.instruments.step(now_s, clock.time_ns()):
+                self._ports[port].put(data)
         for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is read again
             for source in vehicle.sources:
                 vehicle.on_navigation(source)

@@ -2,7 +2,7 @@
 
 One process, one loop, a socket for each bus: wait until a node has something to say or a command arrives. The vehicle cannot
 tell it from the real nodes, on a loopback bus or on a real one. Devices of NMEA 2000, DroneCAN and VESC are played on loopback
-buses only: a real one has real devices.
+buses only, instruments of NMEA 0183 on the ports of `delfim sim` only: the others have real devices.
 """
 
 import contextlib
@@ -20,6 +20,7 @@ from delfim.frames import Frame
 from delfim.simulator.bycommand import NODES, listening, obey, place
 from delfim.simulator.external import ExternalModel
 from delfim.simulator.faults import Faults
+from delfim.simulator.instrumentlines import InstrumentLines
 from delfim.simulator.nodes import BusDevices, Nodes, nodes_of
 
 BUS_RETRY_S = 0.5
@@ -44,11 +45,14 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
             poll.register(model.fileno(), select.POLLIN)
         nodes = Faults(nodes_of(settings, seed, model), seed)
         beside = _beside(nodes.nodes, opened)
+        instruments = nodes.nodes.instruments
+        lines = opened.enter_context(InstrumentLines(settings, instruments.ports if instruments else ()))
         bus.bind(*nodes.nodes.hears)
         for handle in (bus.fileno(), requests.fileno(), *(socket.fileno() for _, socket in beside)):
             poll.register(handle, select.POLLIN)
         while not ended:
-            wait_s = max(min(nodes.due_s, *(devices.due_s for devices, _ in beside), math.inf) - clock.monotonic_s(), 0.0)
+            apart = (*(devices.due_s for devices, _ in beside), instruments.due_s if instruments else math.inf)
+            wait_s = max(min(nodes.due_s, *apart) - clock.monotonic_s(), 0.0)
             poll.poll(min(wait_s, 1.0) * 1000.0)
             if model is not None:
                 model.listen()
@@ -57,6 +61,8 @@ def run_nodes(settings: config.Vehicle, seed: int) -> int:
                 for devices, socket in beside:
                     _listen(devices, socket, clock)
                     _send(socket, devices.step(clock.monotonic_s(), clock.time_ns()))
+                for port, data in instruments.step(clock.monotonic_s(), clock.time_ns()) if instruments else ():
+                    lines.say(port, data, clock.monotonic_s())
             except BusError:  # the bus failed; boats survive that, so do the nodes
                 select.select([], [], [], BUS_RETRY_S)
                 bus.rebind()

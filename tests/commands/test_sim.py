@@ -259,10 +259,16 @@ def until_line(process: subprocess.Popen[str], words: str) -> str:
 
 def test_a_boat_with_a_second_bus_sails_its_own_mission_tells_no_trouble_and_is_repeated(tmp_path, typed):
     """That of the sensors is simulated, too: a receiver and a compass are on it, and the estimator makes navigation of them.
-    Until it does, the boat's own node is the source."""
+    Until it does, the boat's own node is the source. A spare receiver is on a pty, sounder and wind vane speak by datagrams."""
     process = delfim("sim", str(ROOT / "etc/sensors.toml"), "--json", cwd=tmp_path)
-    state = until(process, lambda state: state["mode"] == "play")
+    state = until(process, lambda state: state["mode"] == "play" and "depth_m" in state["measured"])
     assert state["source"] == "nmea2000"
+    ports = state["nmea0183"]["ports"]
+    assert {name: set(port["heard"]) for name, port in ports.items()} == {
+        "gnss": {"GPGGA", "GPRMC", "GPGST"},
+        "compass": {"HCHDG", "TIROT"},
+        "masthead": {"SDDPT", "WIMWV"},
+    }
     out = interrupted(process)
     assert re.search(r"^  troubles +none$", out, re.MULTILINE)
     code, told, _ = typed("log", "replay", str(tmp_path / "run/sim/log"))

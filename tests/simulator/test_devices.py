@@ -20,6 +20,7 @@ ROOT = Path(__file__).parents[2]
 MISSION = (ROOT / "etc/missions/doca.toml").read_text()
 NODE = config.NavigationTable()
 SEPARATE = config.NavigationTable(sources=("nmea2000",), rate_hz=10.0, estimator=True)
+LINES = config.NavigationTable(sources=("nmea0183",), rate_hz=10.0, estimator=True)
 CORNER_S = 15.0  # after a waypoint, until the boat is on its next line
 
 
@@ -28,7 +29,10 @@ def boat(
 ) -> Lockstep:
     sea = config.Sea(current_mps=0.5, current_to_deg=towards_deg)
     simulation = config.Simulation(sea=sea, gyro=gyro)
-    settings = config.Vehicle(boat=config.BoatTable(name="test"), navigation=navigation, simulation=simulation)
+    ports = {"gnss": config.Nmea0183Port(device="/dev/gnss"), "compass": config.Nmea0183Port(device="/dev/compass")}
+    settings = config.Vehicle(
+        boat=config.BoatTable(name="test"), navigation=navigation, simulation=simulation, nmea0183=config.Nmea0183(ports=ports)
+    )
     return Lockstep(settings, seed, lambda clock: NoLog())
 
 
@@ -59,20 +63,22 @@ def cross_track_m(run: Lockstep) -> float:
     return math.sqrt(sum(squares) / len(squares))
 
 
-def compared(seeds: range) -> float:
+def compared(navigation: config.NavigationTable, seeds: range) -> float:
     """The cross-track error with a receiver of 5 Hz and a compass of 10 Hz, by that of the navigation node."""
-    separate = [cross_track_m(boat(seed, towards_deg=18.0 * seed, gyro=False)) for seed in seeds]
+    separate = [cross_track_m(boat(seed, navigation, towards_deg=18.0 * seed, gyro=False)) for seed in seeds]
     whole = [cross_track_m(boat(seed, NODE, towards_deg=18.0 * seed)) for seed in seeds]
     return sum(separate) / sum(whole)
 
 
-def test_a_receiver_and_a_compass_sail_a_mission_in_current_as_the_navigation_node_does():
-    assert compared(range(1, 4)) < 1.3
+@pytest.mark.parametrize("navigation", [SEPARATE, LINES], ids=lambda table: table.sources[0])
+def test_a_receiver_and_a_compass_sail_a_mission_in_current_as_the_navigation_node_does(navigation):
+    assert compared(navigation, range(1, 4)) < 1.3
 
 
 @pytest.mark.long
-def test_a_receiver_and_a_compass_sail_missions_in_current_from_all_sides():
-    assert compared(range(1, 21)) < 1.3
+@pytest.mark.parametrize("navigation", [SEPARATE, LINES], ids=lambda table: table.sources[0])
+def test_a_receiver_and_a_compass_sail_missions_in_current_from_all_sides(navigation):
+    assert compared(navigation, range(1, 21)) < 1.3
 
 
 def test_the_same_seed_is_the_same_voyage_and_nothing_is_refused():
@@ -176,7 +182,7 @@ def test_a_silent_gyro_is_told_and_the_boat_sails_on():
     list(run.cycles(5.0))
     assert run.command(console.Heading(60.0, 1.5)) is None
     list(run.cycles(30.0))
-    devices(run).compass._has_gyro = False
+    devices(run).has_gyro = False
     list(run.cycles(60.0))
     assert run.state.mode is Mode.HEADING
     assert math.remainder(run.nodes.model.heading_rad - math.radians(60.0), math.tau) == pytest.approx(
@@ -201,6 +207,7 @@ def test_the_navigation_node_is_the_reserve_and_its_messages_are_not_judged_by_t
     devices(run).receiver.silent = False
     list(run.cycles(3.0))
     assert run.state.source == "nmea2000"
+    assert run.state.mode is Mode.HEADING, run.state.reason
 
 
 def test_a_boat_with_a_navigation_node_has_no_estimator():

@@ -12,7 +12,9 @@ from delfim import config
 from delfim.canproxy.socket import CanAddress
 from delfim.frames import Frame
 from delfim.simulator.model import Model, hull_of
+from delfim.simulator.nodes.devices import Devices
 from delfim.simulator.nodes.navigation import NavigationNode
+from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
 
 # Files of this folder; `nodes` in it makes those of its kind.
 NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")  # files of this folder, with `nodes` in each
@@ -51,10 +53,20 @@ class Reporting(Protocol):
 
 
 class Nodes:
-    """All nodes of a boat around one model, which they advance; and the devices of other buses, stepped by the caller."""
+    """All nodes of a boat around one model, which they advance; the devices of other buses and the instruments on lines are
+    stepped by the caller."""
 
-    def __init__(self, model: Model, named: dict[str, SimulatedNode], beside: tuple[BusDevices, ...] = ()) -> None:
-        self.model, self.named, self.beside = model, named, beside
+    def __init__(
+        self,
+        model: Model,
+        named: dict[str, SimulatedNode],
+        beside: tuple[BusDevices, ...] = (),
+        instruments: SimulatedInstruments | None = None,
+    ) -> None:
+        self.model, self.named, self.beside, self.instruments = model, named, beside, instruments
+        devices = [each for each in beside if isinstance(each, Devices)]
+        self.receivers = [each.receiver for each in devices] + (instruments.receivers if instruments else [])
+        self.compasses = [each.compass for each in devices] + (instruments.compasses if instruments else [])
         navigation = named["navigation"]
         assert isinstance(navigation, NavigationNode)
         self.navigation = navigation
@@ -104,4 +116,5 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
     for kind in NODES:
         named |= import_module(f"{__name__}.{kind}").nodes(settings, model, seed)
     others = (import_module(f"{__name__}.{kind}").devices_of(settings, model, seed) for kind in OTHER_BUSES)
-    return Nodes(model, named, tuple(each for each in others if each is not None))
+    beside = tuple(each for each in others if each is not None)
+    return Nodes(model, named, beside, instruments_of(settings, model, seed))

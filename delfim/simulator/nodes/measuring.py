@@ -1,0 +1,149 @@
+"""What off-the-shelf sensors measure of the model, with their errors from the seed; devices.py and talkers.py say it.
+
+Each is asked by `step` and answers when it is due, unless it is silent. Faults are set by hand, or by `delfim fault`.
+"""
+
+import math
+from random import Random
+from typing import Final, NamedTuple
+
+from delfim import config
+from delfim.geodesy import from_plane
+from delfim.simulator.model import Model
+from delfim.simulator.nodes.navigation import POSITION_ERROR_S, SATELLITES, YAW_RATE_NOISE_RADPS
+from delfim.simulator.nodes.period import Period
+
+LEAST_HZ: Final = 1.0  # of a sensor that is not there, and says nothing
+DEPTH_NOISE: Final = 0.01  # of the depth
+WIND_NOISE_MPS: Final = 0.2  # of each component
+
+
+class AntennaMotion(NamedTuple):
+    """Where the antenna is and how it moves over ground."""
+
+    latitude_rad: float
+    longitude_rad: float
+    north_mps: float
+    east_mps: float
+
+
+class Turn(NamedTuple):
+    """How the boat lies and turns, positive to starboard."""
+
+    heading_rad: float
+    rate_radps: float
+
+
+class ApparentWind(NamedTuple):
+    """Apparent wind: where it comes from, from the bow to starboard, and how fast."""
+
+    angle_rad: float
+    speed_mps: float
+
+
+class GnssReceiver:
+    """Position and velocity of an antenna at the boat's centre."""
+
+    def __init__(self, model: Model, here: config.Simulation, seed: int, name: str = "receiver") -> None:
+        self._model, self._random = model, Random(f"{name} {seed}")
+        self.position_m, self._speed_mps = (here.position_noise_m, here.speed_noise_mps) if here.noise else (0.0, 0.0)
+        rate_hz = here.receiver_hz or LEAST_HZ
+        self._keep = math.exp(-1.0 / (rate_hz * POSITION_ERROR_S))
+        self._error_m = [self._random.gauss(0.0, self.position_m) for _ in "ne"]
+        self._due, self._lacks = Period(1.0 / rate_hz), not here.receiver_hz
+        self.silent = self.frozen = False  # frozen: it repeats its values
+        self.jump_m = 0.0  # error of the position to the north
+        self.satellites = SATELLITES
+        self._said: AntennaMotion | None = None
+
+    @property
+    def due_s(self) -> float:
+        return self._due.due_s
+
+    def step(self, now_s: float) -> AntennaMotion | None:
+        if not self._due.passed(now_s):
+            return None
+        if self._said is None or not self.frozen:
+            self._said = self._measured()
+        return None if self.silent or self._lacks else self._said
+
+    def _measured(self) -> AntennaMotion:
+        model, gauss = self._model, self._random.gauss
+        new_m = self.position_m * math.sqrt(1.0 - self._keep * self._keep)
+        self._error_m = [self._keep * each + gauss(0.0, new_m) for each in self._error_m]
+        north_m, east_m = model.north_m + self._error_m[0] + self.jump_m, model.east_m + self._error_m[1]
+        north, east = model.north_mps + gauss(0.0, self._speed_mps), model.east_mps + gauss(0.0, self._speed_mps)
+        return AntennaMotion(*from_plane(model.origin, north_m, east_m), north, east)
+
+
+class Compass:
+    """Heading, and the rate of turn of a gyro in the same box."""
+
+    def __init__(self, model: Model, here: config.Simulation, seed: int, name: str = "compass") -> None:
+        self._model, self._random = model, Random(f"{name} {seed}")
+        self._heading_rad, self._rate_radps = (
+            (math.radians(here.heading_noise_deg), YAW_RATE_NOISE_RADPS) if here.noise else (0.0, 0.0)
+        )
+        self._due, self._lacks = Period(1.0 / (here.compass_hz or LEAST_HZ)), not here.compass_hz
+        self.silent = self.frozen = False
+        self.jump_rad = 0.0  # error of the heading
+        self.cable_rad_per_a = 0.0  # error of the heading beside the cable of the first motor
+        self.bias_radps = self.drift_radps2 = 0.0  # of the gyro, and its growth
+        self._began_s: float | None = None
+        self._said: Turn | None = None
+
+    @property
+    def due_s(self) -> float:
+        return self._due.due_s
+
+    def step(self, now_s: float) -> Turn | None:
+        if not self._due.passed(now_s):
+            return None
+        self._began_s = now_s if self._began_s is None else self._began_s
+        model, gauss = self._model, self._random.gauss
+        heading_rad = model.heading_rad + gauss(0.0, self._heading_rad) + self.jump_rad
+        heading_rad += self.cable_rad_per_a * next(iter(model.drives.values())).motor_a
+        rate_radps = model.yaw_rate_radps + gauss(0.0, self._rate_radps) + self.bias_radps
+        rate_radps += self.drift_radps2 * (now_s - self._began_s)
+        if self._said is None or not self.frozen:
+            self._said = Turn(heading_rad, rate_radps)
+        return None if self.silent or self._lacks else self._said
+
+
+class Sounder:
+    """Depth below the transducer, which is at the water line."""
+
+    def __init__(self, model: Model, here: config.Simulation, seed: int) -> None:
+        self._model, self._random = model, Random(f"sounder {seed}")
+        self._noise, self._due = DEPTH_NOISE if here.noise else 0.0, Period(1.0 / here.sounder_hz)
+        self.silent = False
+
+    @property
+    def due_s(self) -> float:
+        return self._due.due_s
+
+    def step(self, now_s: float) -> float | None:
+        if not self._due.passed(now_s) or self.silent:
+            return None
+        return self._model.depth_m * (1.0 + self._random.gauss(0.0, self._noise))
+
+
+class Vane:
+    """Apparent wind, as a vane and a cup wheel on the mast have it."""
+
+    def __init__(self, model: Model, here: config.Simulation, seed: int) -> None:
+        self._model, self._random = model, Random(f"vane {seed}")
+        self._noise_mps, self._due = WIND_NOISE_MPS if here.noise else 0.0, Period(1.0 / here.wind_hz)
+        self.silent = False
+
+    @property
+    def due_s(self) -> float:
+        return self._due.due_s
+
+    def step(self, now_s: float) -> ApparentWind | None:
+        if not self._due.passed(now_s) or self.silent:
+            return None
+        model, gauss = self._model, self._random.gauss
+        north = model.wind_north_mps - model.north_mps + gauss(0.0, self._noise_mps)
+        east = model.wind_east_mps - model.east_mps + gauss(0.0, self._noise_mps)
+        return ApparentWind((math.atan2(-east, -north) - model.heading_rad) % math.tau, math.hypot(north, east))

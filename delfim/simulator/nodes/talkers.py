@@ -1,0 +1,114 @@
+"""Off-the-shelf instruments that speak NMEA 0183: receiver, compass, gyro, echo sounder and wind vane, each on its port.
+
+Where they are says `simulation.instruments` of the vehicle's file; without it all are on its first port, as behind a
+multiplexer. Bytes come out: simulator/instrumentlines.py brings them to a pty or over the network, lock step to its lines.
+"""
+
+import math
+from collections.abc import Callable, Iterator
+from typing import Any, NamedTuple, Protocol
+
+from delfim import config
+from delfim.messages import Navigation
+from delfim.nmea0183.framing import framed
+from delfim.nmea0183.speaking import clock, gga, rmc
+from delfim.simulator.model import Model
+from delfim.simulator.nodes.measuring import AntennaMotion, ApparentWind, Compass, GnssReceiver, Sounder, Turn, Vane
+from delfim.simulator.nodes.navigation import FIX, HDOP
+
+
+class Measuring(Protocol):
+    @property
+    def due_s(self) -> float: ...
+    def step(self, now_s: float) -> Any | None: ...  # what it measures now, None while it says nothing
+
+
+class Instrument(NamedTuple):
+    """A sensor, and what it says of a measurement at a time."""
+
+    port: str
+    sensor: Measuring
+    say: Callable[[Any, int], bytes]
+
+
+class SimulatedInstruments:
+    """All of them. `receivers` and `compasses` are those that faults break."""
+
+    def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
+        self._here, self._model, self._seed = settings.simulation, model, seed
+        self._variation_rad = math.radians(settings.nmea0183.variation_deg)
+        self.receivers, self.compasses = list[GnssReceiver](), list[Compass]()
+        self._all = [one for each in placed(settings) for one in self._made(*each.split(":"))]
+
+    @property
+    def ports(self) -> frozenset[str]:
+        """Those with an instrument."""
+        return frozenset(each.port for each in self._all)
+
+    @property
+    def due_s(self) -> float:
+        """When `step` is due next."""
+        return min((each.sensor.due_s for each in self._all), default=math.inf)
+
+    def step(self, now_s: float, utc_ns: int) -> Iterator[tuple[str, bytes]]:
+        """The sentences of this instant, by port; the model was advanced by the nodes."""
+        for port, sensor, say in self._all:
+            if (measured := sensor.step(now_s)) is not None:
+                yield port, say(measured, utc_ns)
+
+    def _made(self, port: str, kind: str) -> Iterator[Instrument]:
+        """None of a kind that the file switches off."""
+        here, model, seed = self._here, self._model, self._seed
+        if kind == "receiver" and here.receiver_hz:
+            receiver = GnssReceiver(model, here, seed, f"receiver {port}")
+            self.receivers.append(receiver)
+            yield Instrument(port, receiver, lambda moved, utc_ns: _position(receiver, moved, utc_ns))
+        elif kind == "compass" and here.compass_hz:
+            self.compasses.append(Compass(model, here, seed, f"compass {port}"))
+            yield Instrument(port, self.compasses[-1], self._heading)
+        elif kind == "gyro" and here.compass_hz and here.gyro:
+            yield Instrument(port, Compass(model, here, seed, f"gyro {port}"), _rate)
+        elif kind == "sounder" and here.sounder_hz:
+            yield Instrument(port, Sounder(model, here, seed), _depth)
+        elif kind == "wind" and here.wind_hz:
+            yield Instrument(port, Vane(model, here, seed), _wind)
+
+    def _heading(self, turn: Turn, utc_ns: int) -> bytes:
+        """A magnetic compass that does not know the variation of the place."""
+        return framed(f"HCHDG,{_degrees(turn.heading_rad - self._variation_rad)},,,,")
+
+
+def _position(receiver: GnssReceiver, moved: AntennaMotion, utc_ns: int) -> bytes:
+    """GGA, RMC and GST, as a receiver of several systems says them."""
+    n = Navigation(utc_ns, *moved, None, None, None, None, FIX, receiver.satellites, HDOP, 0)
+    sigma = f"{receiver.position_m:.2f}"
+    return gga(n) + rmc(n) + framed(f"GPGST,{clock(n)},{sigma},,,,{sigma},{sigma},")
+
+
+def _rate(turn: Turn, utc_ns: int) -> bytes:
+    return framed(f"TIROT,{math.degrees(turn.rate_radps) * 60.0:.1f},A")
+
+
+def _depth(depth_m: float, utc_ns: int) -> bytes:
+    return framed(f"SDDPT,{depth_m:.2f},0.00,")
+
+
+def _wind(wind: ApparentWind, utc_ns: int) -> bytes:
+    return framed(f"WIMWV,{_degrees(wind.angle_rad)},R,{wind.speed_mps:.1f},M,A")
+
+
+def _degrees(angle_rad: float) -> str:
+    return f"{round(math.degrees(angle_rad) * 10.0) % 3600 / 10.0:.1f}"
+
+
+def placed(settings: config.Vehicle) -> tuple[str, ...]:
+    """PORT:INSTRUMENT of a boat that listens to such ports."""
+    if "nmea0183" not in (*settings.navigation.sources, *settings.sensors.names):
+        return ()
+    first = next(iter(settings.nmea0183.ports))
+    return settings.simulation.instruments or tuple(f"{first}:{kind}" for kind in config.INSTRUMENTS)
+
+
+def instruments_of(settings: config.Vehicle, model: Model, seed: int) -> SimulatedInstruments | None:
+    """The instruments that the vehicle's file calls for; None: there are none."""
+    return SimulatedInstruments(settings, model, seed) if placed(settings) else None
