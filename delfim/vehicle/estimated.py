@@ -107,7 +107,7 @@ class Estimated:
         if not self._now_s - self._source.heard_s <= self._stale_s:
             if kind != POSITION:
                 return
-            estimator.begin()
+            estimator.begin(at_s)
             self._sent_s = -math.inf
         late_s = (self._source.t_ns - utc_ns) / 1e9 if utc_ns else -1.0
         told_s = late_s if 0.0 <= late_s <= LATE_MAX_S else None  # the clocks agree, or the settings say it

@@ -175,12 +175,16 @@ class Estimator:
         self._plane: geodesy.Origin | None = None
         self._at_s = -math.inf
 
-    def begin(self) -> None:
-        """Know nothing again; the axis of time may be another one."""
+    def begin(self, at_s: float) -> None:
+        """Know nothing again; the axis of time may be another one. What was silent until now is judged from now on: a boat that
+        sailed by its reserve would stop for it."""
         self.course.known = self.turn.known = False
         self._at_s = -math.inf
         self.turn.gyro(None)
         self._runs = dict.fromkeys(KINDS, 0)
+        for each in self.inputs:
+            if each.heard:
+                each.heard_s = each.changed_s = at_s
 
     def position(
         self, at_s: float, latitude_rad: float, longitude_rad: float, late_s: float | None = None, deviation_m: float = 0.0

@@ -14,7 +14,7 @@ from delfim.messages import Navigation
 from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.state import Motion, State
 
-BACK_S = 0.5  # that a source which takes over from its reserve may need until it knows as much
+BACK_S = 0.5  # age to which a reserve's heading and velocity serve the source that takes over, until it knows its own
 FRAMES_PER_READ = 64  # bounds one call on a flooded input; the rest stays readable
 
 
@@ -54,8 +54,7 @@ def preferred(source: Source, sources: tuple[Source, ...], now_s: float, stale_s
 
 
 def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, limits: config.NavigationTable) -> bool:
-    """A fix into the state; False when it is not used: a better source is heard, no boat moves that fast, or the reserve, heard
-    a moment ago, knew more."""
+    """A fix into the state; False when it is not used: a better source is heard, or no boat moves that fast."""
     if not preferred(source, sources, fix.received_s, limits.stale_s):
         return False
     n, last = fix.navigation, state.navigation
@@ -63,6 +62,10 @@ def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, li
         state.count("navigation_repeated")
         source.heard_s = state.navigation_s  # a source that repeats itself counts as silent: the next one may be used
         return False
+    if state.source != source.name:
+        state.before, state.before_s = state.motion, state.navigation_s
+    if (n.heading_rad is None or n.north_mps is None) and fix.received_s - state.before_s <= BACK_S:
+        n = _with_reserve(n, state.before)
     if n.latitude_rad is not None and n.longitude_rad is not None:
         if not (abs(n.latitude_rad) < math.pi / 2 and abs(n.longitude_rad) <= math.tau):  # refuses NaN, too
             state.count("navigation_malformed")
@@ -73,11 +76,9 @@ def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, li
         has = _POSITION
     else:
         north_m, east_m, has = state.motion.north_m, state.motion.east_m, 0
-    moving, headed = n.north_mps is not None, n.heading_rad is not None
-    if not (moving and headed) and state.source != source.name and _knew_more(state, moving, headed, fix.received_s):
-        return False
     if has and _jumped(state, limits, north_m, east_m, fix.received_s):
         return False
+    moving, headed = n.north_mps is not None, n.heading_rad is not None
     state.motion = Motion(
         _HAS[has | (_HEADING if headed else 0) | (_VELOCITY if moving else 0)],
         north_m,
@@ -94,12 +95,14 @@ def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, li
     return True
 
 
-def _knew_more(state: State, moving: bool, headed: bool, now_s: float) -> bool:
-    """Whether the source before knew what this one does not say yet: an estimate begins with a position, and its next message
-    has the rest. A boat that sails by the reserve would stop for it."""
-    has = state.motion.has
-    lost = ("velocity" in has and not moving) or ("heading" in has and not headed)
-    return lost and now_s - state.navigation_s <= BACK_S
+def _with_reserve(n: Navigation, before: Motion) -> Navigation:
+    """What this message lacks, as the source before told it a moment ago: an estimate begins with a position alone, and a boat
+    that sails by the reserve would stop for it."""
+    if n.heading_rad is None and "heading" in before.has:
+        n = n._replace(heading_rad=before.heading_rad, yaw_rate_radps=before.yaw_rate_radps)
+    if n.north_mps is None and "velocity" in before.has:
+        n = n._replace(north_mps=before.north_mps, east_mps=before.east_mps)
+    return n
 
 
 def _jumped(state: State, limits: config.NavigationTable, north_m: float, east_m: float, now_s: float) -> bool:

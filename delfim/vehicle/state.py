@@ -210,6 +210,8 @@ class State:
     jumped_m: float = 0.0  # length of the jump
     origin: Origin | None = None  # of the local plane: the first position, unless a mission was loaded before
     motion: Motion = NOWHERE
+    before: Motion = NOWHERE  # the last one by the source before this one, and its time
+    before_s: float = -1e9
     setpoint: Setpoint = field(default_factory=Setpoint)
     reference: Reference = field(default_factory=Reference)
     actuation: Actuation = field(default_factory=lambda: Actuation((), (), False))  # as sent; before that, empty
