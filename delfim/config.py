@@ -1148,7 +1148,7 @@ class Simulation(Table, frozen=True):
     position_noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] = 0.3  # standard deviation of the position
     heading_noise_deg: Annotated[float, msgspec.Meta(ge=0.0, le=90.0)] = 0.5  # standard deviation of the heading
     speed_noise_mps: Annotated[float, msgspec.Meta(ge=0.0, le=10.0)] = 0.03  # standard deviation of the speed
-    receiver_hz: InstrumentRate = 5.0  # positions a second of a receiver on NMEA 2000 or 0183; 0: none
+    receiver_hz: InstrumentRate = 5.0  # positions a second of a receiver on NMEA 2000, DroneCAN or NMEA 0183; 0: none
     compass_hz: InstrumentRate = 10.0  # headings a second of a compass there, and rates of turn of a gyro; 0: none
     gyro: bool = True  # there is a gyro, too
     sounder_hz: InstrumentRate = 1.0  # depths a second of an echo sounder on NMEA 0183; 0: none

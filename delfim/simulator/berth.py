@@ -97,12 +97,13 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
     bus = simulation.interface if "simulation.interface" in named else its.interface(simulation.interface)
     loop = bus if bus.startswith("canloop:") else its.interface(f"canloop:{device(bus)}")  # no motor of a real bus turns
     motors = [name for name in vehicle.drivers if hasattr(getattr(vehicle, name), "interface")]
+    sensors = ["dronecan"] if "dronecan" in (*vehicle.navigation.sources, *vehicle.sensors.names) else []
     boat_id = vehicle.boat.id if "boat.id" in named else (vehicle.boat.id + its.number - 2) % 249 + 1
     page = free("simulation.httpd", simulation.httpd)
     texts = {
         "can.interface": bus,
         **({"nmea2000.interface": f"{bus}-nmea2000"} if bus.startswith("canloop:") else {}),
-        **{f"{name}.interface": f"{loop}-{name}" for name in motors},
+        **{f"{name}.interface": f"{loop}-{name}" for name in (*motors, *sensors)},
         **{f"routing.buses.{name}.interface": f"{bus}-{name}" for name in vehicle.routing.buses if bus.startswith("canloop:")},
         "console.socket": f"{place}/command",
         "log.directory": f"{place}/log",

@@ -13,12 +13,13 @@ from random import Random
 from typing import Any, Final
 
 from delfim import config, geodesy
-from delfim.simulator.faults import KINDS, OF_THRUSTERS, VALUES, WHERE
+from delfim.simulator.faults import KINDS, OF_COMPASS, OF_THRUSTERS, VALUES, WHERE
 from delfim.simulator.scenario import FaultAt, Scenario, ScenarioGuest, settings_of
 from delfim.simulator.trial import Result, sail
 
 MIXED: Final = "mixed"
 START_S, QUIET_S = 8.0, 15.0  # no fault before the boat is ready, nor at the end
+MIXABLE: Final = tuple(kind for kind in KINDS if kind not in OF_COMPASS)
 HALF_M: Final = 65.0  # distance of the fence's sides from the start
 
 
@@ -85,7 +86,7 @@ def _orders(random: Random, seconds: float, place: Callable[[float, float], list
 
 
 def _fault(random: Random, seconds: float, places: dict[str, tuple[str, ...]]) -> FaultAt:
-    kind = random.choice(KINDS)
+    kind = random.choice(MIXABLE)
     at_s = random.uniform(START_S, seconds - QUIET_S - 5.0)
     for_s = random.choice([random.uniform(0.5, 3.0), random.uniform(3.0, 15.0), seconds])
     if not kind.startswith("thruster_"):

@@ -43,6 +43,9 @@ Kind = Literal[
     "clock_stepped",
     "gnss_poor",
     "shallow",
+    "heading_jumping",
+    "compass_cable",
+    "gyro_drift",
 ]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
 ABOARD: Final = frozenset(
@@ -52,6 +55,7 @@ SENSORS: Final = ("gps", "propeller_starboard", "propeller_port", "batteries_sta
 WHERE: Final = dict.fromkeys(("sensor_bad", "sensor_silent"), SENSORS)
 PARTS: Final = "navigation_silent", "navigation_frozen"  # of one kind of sensor, or of all and the navigation node
 OF_THRUSTERS: Final = ("thruster_dead", "thruster_stuck", "thruster_reversed", "battery_sag")  # at a row of the vehicle's file
+OF_COMPASS: Final = ("heading_jumping", "compass_cable", "gyro_drift")  # on a boat that has one
 VALUES: Final = {  # default, and its meaning
     "navigation_jumping": (40.0, "metres to the north"),
     "frames_dropped": (0.3, "fraction of all frames"),
@@ -61,6 +65,9 @@ VALUES: Final = {  # default, and its meaning
     "clock_stepped": (60.0, "seconds"),
     "gnss_poor": (4.0, "satellites that are left"),
     "shallow": (0.5, "metres of water on a bank, 15 m about the boat"),
+    "heading_jumping": (50.0, "degrees to starboard"),
+    "compass_cable": (6.0, "degrees for each ampere of the first thruster"),
+    "gyro_drift": (1.0, "degrees a second more each minute"),
 }
 LATE_MAX: Final = 4096  # frames under way at once
 HANGS_S: Final = 5.0  # a log reports that it was not written for this long
@@ -204,6 +211,9 @@ class Faults(Broken):
             case "shallow":
                 model = self.model
                 model.bank = Bank(model.north_m, model.east_m, value) if on else None
+            case "heading_jumping" | "compass_cable" | "gyro_drift":
+                for compass in self.nodes.compasses:
+                    _disturb(compass, kind, math.radians(value))
             case "sensor_bad":
                 self.nodes.sensors[where].bad = on
             case "sensor_silent":
@@ -224,6 +234,8 @@ class Faults(Broken):
             raise FormatError(f"{broken.kind}: this boat has no {broken.where}")
         if broken.kind in PARTS and not self._parts(broken.where):
             raise FormatError(f"{broken.kind}: this boat has no {broken.where}")
+        if broken.kind in OF_COMPASS and not self.nodes.compasses:
+            raise FormatError(f"{broken.kind}: this boat has no compass")
         super().begin(broken, now_s)
 
     def _parts(self, where: str) -> Sequence[NavigationNode | GnssReceiver | Compass]:
@@ -235,6 +247,16 @@ class Faults(Broken):
 
     def _drive(self, name: str) -> Drive:
         return self.model.drives[name]
+
+
+def _disturb(compass: Compass, kind: str, value: float) -> None:
+    """rad, rad for each ampere, rad/s a minute; 0 ends it. The bias that a gyro has by then stays."""
+    if kind == "heading_jumping":
+        compass.jump_rad = value
+    elif kind == "compass_cable":
+        compass.cable_rad_per_a = value
+    else:
+        compass.drift_radps2 = value / 60.0
 
 
 class FaultyGuest(Guest):

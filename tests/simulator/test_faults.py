@@ -6,6 +6,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import msgspec
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -18,7 +19,18 @@ from delfim.frames import Frame
 from delfim.messages import Navigation, Node, Status
 from delfim.modes import Mode
 from delfim.simulator import bycommand
-from delfim.simulator.faults import ABOARD, KINDS, OF_THRUSTERS, VALUES, WHERE, Faults, FaultyGuest, FaultyLog, fault
+from delfim.simulator.faults import (
+    ABOARD,
+    KINDS,
+    OF_COMPASS,
+    OF_THRUSTERS,
+    VALUES,
+    WHERE,
+    Faults,
+    FaultyGuest,
+    FaultyLog,
+    fault,
+)
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
 from delfim.vehicle import console
@@ -215,7 +227,17 @@ def test_a_fault_that_cannot_be_is_refused_in_words(words, reason):
 
 
 @settings(deadline=None, max_examples=30)
-@given(st.lists(st.tuples(st.sampled_from(KINDS), st.integers(0, 4), st.floats(0.1, 5.0), st.booleans()), max_size=30))
+@given(
+    st.lists(
+        st.tuples(
+            st.sampled_from([kind for kind in KINDS if kind not in OF_COMPASS]),
+            st.integers(0, 4),
+            st.floats(0.1, 5.0),
+            st.booleans(),
+        ),
+        max_size=30,
+    )
+)
 def test_any_faults_at_any_time_end_without_a_trace(orders):
     world = World()
     for kind, place, for_s, end in orders:
@@ -232,6 +254,28 @@ def test_any_faults_at_any_time_end_without_a_trace(orders):
     assert len(world.navigation(2.0)) == 10
     assert faults.model.port.fault is None
     assert not any(node.bad or node.silent for node in faults.nodes.sensors.values())
+
+
+@pytest.mark.parametrize("kind", OF_COMPASS)
+def test_a_boat_without_a_compass_has_no_fault_of_one(world, kind):
+    with pytest.raises(FormatError, match=f"{kind}: this boat has no compass"):
+        world.begin(kind)
+    assert world.faults.on == {}
+
+
+def test_a_compass_is_disturbed_and_left_alone_again():
+    boat = msgspec.structs.replace(SETTINGS, navigation=config.NavigationTable(sources=("nmea2000",)))
+    faults = Faults(nodes_of(boat, 1), 1)
+    (compass,) = faults.nodes.compasses
+    for kind, name, value in (
+        ("heading_jumping", "jump_rad", math.radians(50.0)),
+        ("compass_cable", "cable_rad_per_a", math.radians(6.0)),
+        ("gyro_drift", "drift_radps2", math.radians(1.0) / 60.0),
+    ):
+        faults.begin(fault(kind), 0.0)
+        assert getattr(compass, name) == pytest.approx(value)
+        faults.end(kind)
+        assert getattr(compass, name) == 0.0
 
 
 def test_a_full_disk_says_so_at_once_and_a_hanging_one_after_a_while(world):

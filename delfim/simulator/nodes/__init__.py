@@ -12,13 +12,14 @@ from delfim import config
 from delfim.canproxy.socket import CanAddress
 from delfim.frames import Frame
 from delfim.simulator.model import Model, hull_of
+from delfim.simulator.nodes.cansensors import CanSensors
 from delfim.simulator.nodes.devices import Devices
 from delfim.simulator.nodes.navigation import NavigationNode
 from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
 
 # Files of this folder; `nodes` in it makes those of its kind.
 NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")  # files of this folder, with `nodes` in each
-OTHER_BUSES: Final = ("devices", "sounders", "escs", "vescs")  # of other buses, with `devices_of` in each
+OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "escs", "vescs")  # of other buses, with `devices_of` in each
 PLAYED: Final = ("dsor", "dronecan", "vesc")  # the drivers whose devices are here; all other motors are pushed as told
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 
@@ -64,7 +65,7 @@ class Nodes:
         instruments: SimulatedInstruments | None = None,
     ) -> None:
         self.model, self.named, self.beside, self.instruments = model, named, beside, instruments
-        devices = [each for each in beside if isinstance(each, Devices)]
+        devices = [each for each in beside if isinstance(each, Devices | CanSensors)]
         self.receivers = [each.receiver for each in devices] + (instruments.receivers if instruments else [])
         self.compasses = [each.compass for each in devices] + (instruments.compasses if instruments else [])
         navigation = named["navigation"]

@@ -84,12 +84,12 @@ class Compass:
         self._heading_rad, self._rate_radps = (
             (math.radians(here.heading_noise_deg), YAW_RATE_NOISE_RADPS) if here.noise else (0.0, 0.0)
         )
-        self._due, self._lacks = Period(1.0 / (here.compass_hz or LEAST_HZ)), not here.compass_hz
+        self._period_s = 1.0 / (here.compass_hz or LEAST_HZ)
+        self._due, self._lacks = Period(self._period_s), not here.compass_hz
         self.silent = self.frozen = False
         self.jump_rad = 0.0  # error of the heading
         self.cable_rad_per_a = 0.0  # error of the heading beside the cable of the first motor
         self.bias_radps = self.drift_radps2 = 0.0  # of the gyro, and its growth
-        self._began_s: float | None = None
         self._said: Turn | None = None
 
     @property
@@ -99,12 +99,11 @@ class Compass:
     def step(self, now_s: float) -> Turn | None:
         if not self._due.passed(now_s):
             return None
-        self._began_s = now_s if self._began_s is None else self._began_s
         model, gauss = self._model, self._random.gauss
         heading_rad = model.heading_rad + gauss(0.0, self._heading_rad) + self.jump_rad
         heading_rad += self.cable_rad_per_a * next(iter(model.drives.values())).motor_a
         rate_radps = model.yaw_rate_radps + gauss(0.0, self._rate_radps) + self.bias_radps
-        rate_radps += self.drift_radps2 * (now_s - self._began_s)
+        self.bias_radps += self.drift_radps2 * self._period_s
         if self._said is None or not self.frozen:
             self._said = Turn(heading_rad, rate_radps)
         return None if self.silent or self._lacks else self._said

@@ -1,0 +1,164 @@
+"""Sensors on a DroneCAN bus: a receiver, a compass, with a gyro and an accelerometer if wished, and the batteries of the first
+two thrusters. They are there where the vehicle's file names the source, or the sensor, `dronecan`.
+
+The compass measures the earth's field, bent as the calibration of the file undoes it, and lies as the file says.
+"""
+
+import math
+from typing import Final
+
+from delfim import config
+from delfim.canproxy.dronecan.datatypes import (
+    AUXILIARY,
+    BATTERY_INFO,
+    FIX2,
+    MAGNETIC_FIELD_FINE,
+    NODE_STATUS,
+    RAW_IMU,
+    node_status,
+)
+from delfim.canproxy.dronecan.fields import DataType, pack
+from delfim.canproxy.dronecan.transfers import NODE_MAX, SENSOR, Publisher
+from delfim.canproxy.socket import CanAddress
+from delfim.frames import Frame
+from delfim.simulator.model import Model
+from delfim.simulator.nodes.measuring import AntennaMotion, Compass, GnssReceiver, Turn
+from delfim.simulator.nodes.navigation import HDOP
+from delfim.simulator.nodes.period import Period
+
+Vector = tuple[float, float, float]
+FIRST_NODE: Final = 40
+WORD_S: Final = 1.0  # between two words of a node on itself, two of the receiver's dilution, and two of the batteries
+LEAST_S: Final = 1e-3
+LEVEL_GA, DEEP_GA = 0.27, 0.35  # the earth's field at Lisbon
+GRAVITY_MPS2: Final = 9.80665
+GAUSS_PER_UT: Final = 0.01
+KELVIN: Final = 273.15
+FIX_3D, UTC = 3, 2
+UNKNOWN: Final = math.nan
+UNKNOWN_PERCENT: Final = 127
+STILL: Final[Vector] = (0.0, 0.0, 0.0)  # integrals, which nobody reads
+
+
+class CanSensors:
+    """All sensors of the bus."""
+
+    hears: tuple[CanAddress, ...] = ()
+
+    def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
+        table = settings.dronecan
+        self.interface, self._model, self._table = table.interface, model, table
+        self._navigates = "dronecan" in settings.navigation.sources
+        self._drives = [*model.drives.values()][:2] if "dronecan" in settings.sensors.names else []
+        self.receiver = GnssReceiver(model, settings.simulation, seed, "receiver dronecan")
+        self.compass = Compass(model, settings.simulation, seed, "compass dronecan")
+        self._has_gyro = settings.simulation.gyro
+        self._gnss, self._heading, self._battery = [each for each in range(FIRST_NODE, NODE_MAX) if each != table.node][:3]
+        self._publishers = dict[tuple[int, int], Publisher]()
+        self._words = Period(WORD_S)
+        self._began_s: float | None = None
+        self._said = list[tuple[DataType, bytes]]()  # by the compass
+        self._down: Vector | None = None  # as the compass last lay ...
+        self._turned_s = 0.0  # ... and when
+
+    @property
+    def due_s(self) -> float:
+        """When `step` is due next."""
+        return min(self.receiver.due_s, self.compass.due_s) if self._navigates else self._words.due_s
+
+    def feed(self, frame: Frame, now_s: float) -> None:
+        """They listen to nobody."""
+
+    def step(self, now_s: float, utc_ns: int) -> list[Frame]:
+        """The frames that they send now; the model was advanced by the nodes."""
+        self._began_s = now_s if self._began_s is None else self._began_s
+        frames = list[Frame]()
+        if self._navigates:
+            if (turn := self.compass.step(now_s)) is not None:
+                frames += self._turning(turn, now_s)
+            if (moved := self.receiver.step(now_s)) is not None:
+                frames += self._located(moved, utc_ns)
+        if self._words.passed(now_s):
+            status = node_status(now_s - self._began_s)
+            for node in (self._gnss, self._heading) if self._navigates else ():
+                frames += self._frames(NODE_STATUS, node, status)
+            if self._navigates and not self.receiver.silent:
+                count = self.receiver.satellites
+                told = UNKNOWN, UNKNOWN, HDOP, *(UNKNOWN,) * 4, count, count
+                frames += self._frames(AUXILIARY, self._gnss, pack(AUXILIARY, told))
+            frames += self._batteries(status)
+        return frames
+
+    def _frames(self, kind: DataType, node: int, payload: bytes) -> list[Frame]:
+        publisher = self._publishers.get((kind.id, node))
+        if publisher is None:
+            publisher = self._publishers[kind.id, node] = Publisher(kind, node, SENSOR)
+        return [Frame(arb, data) for arb, data in publisher.frames(payload)]
+
+    def _located(self, moved: AntennaMotion, utc_ns: int) -> list[Frame]:
+        place = round(math.degrees(moved.longitude_rad) * 1e8), round(math.degrees(moved.latitude_rad) * 1e8)
+        head = 0, utc_ns // 1000, UTC, 0, *place, 0, 0, moved.north_mps, moved.east_mps, 0.0
+        state = self.receiver.satellites, FIX_3D, 0, 0, 0
+        return self._frames(FIX2, self._gnss, pack(FIX2, (*head, *state), (UNKNOWN,)))
+
+    def _turning(self, turn: Turn, now_s: float) -> list[Frame]:
+        """What the compass says; frozen, the same as before."""
+        if not (self.compass.frozen and self._said):
+            self._said = self._measured(turn, now_s)
+        return [frame for kind, payload in self._said for frame in self._frames(kind, self._heading, payload)]
+
+    def _measured(self, turn: Turn, now_s: float) -> list[tuple[DataType, bytes]]:
+        """Field, and what gyro and accelerometer measure, in the axes of the device."""
+        north, down = self._axes(turn.heading_rad)
+        x, y, z = (LEVEL_GA * n + DEEP_GA * d for n, d in zip(north, down, strict=True))
+        field = MAGNETIC_FIELD_FINE, pack(MAGNETIC_FIELD_FINE, (0, *self._bent((x, y, z))))
+        before, dt_s = self._down or down, max(now_s - self._turned_s, LEAST_S)
+        self._down, self._turned_s = down, now_s
+        if not self._has_gyro:
+            return [field]
+        x, y, z = ((d - b) / dt_s for d, b in zip(down, before, strict=True))
+        leaning = cross((x, y, z), down)
+        rates = (turn.rate_radps * d + each for d, each in zip(down, leaning, strict=True))
+        force = (-GRAVITY_MPS2 * each for each in down)
+        return [field, (RAW_IMU, pack(RAW_IMU, (0, dt_s, *rates, *STILL, *force, *STILL)))]
+
+    def _axes(self, heading_rad: float) -> tuple[Vector, Vector]:
+        """Magnetic north, and down, in the axes of the device."""
+        model, table = self._model, self._table
+        heading_rad -= math.radians(table.variation_deg)
+        (ch, sh), (cr, sr), (cp, sp), (ca, sa) = (
+            (math.cos(each), math.sin(each))
+            for each in (heading_rad, model.roll_rad, model.pitch_rad, math.radians(table.compass_deg))
+        )
+        of_boat = (cp * ch, sr * sp * ch - cr * sh, cr * sp * ch + sr * sh), (-sp, sr * cp, cr * cp)
+        north, down = ((x * ca + y * sa, y * ca - x * sa, z) for x, y, z in of_boat)
+        return north, down
+
+    def _bent(self, field_ga: Vector) -> Vector:
+        """The field that the calibration of the file makes straight again."""
+        xx, yy, zz, xy, xz, yz = self._table.soft_iron
+        a, b, c = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+        columns = cross(b, c), cross(c, a), cross(a, b)  # of the inverse, times the determinant
+        whole = sum(x * y for x, y in zip(a, columns[0], strict=True))
+        x, y, z = (
+            sum(f * column[i] for f, column in zip(field_ga, columns, strict=True)) / whole + own_ut * GAUSS_PER_UT
+            for i, own_ut in enumerate(self._table.hard_iron_ut)
+        )
+        return x, y, z
+
+    def _batteries(self, status: bytes) -> list[Frame]:
+        frames = self._frames(NODE_STATUS, self._battery, status) if self._drives else []
+        for number, drive in enumerate(self._drives):
+            kelvin, percent = drive.temperature_c + KELVIN, round(100.0 * drive.charge)
+            told = kelvin, drive.voltage_v, drive.current_a, *(UNKNOWN,) * 4, 1, UNKNOWN_PERCENT, percent, 0, number, 0
+            frames += self._frames(BATTERY_INFO, self._battery, pack(BATTERY_INFO, told))
+        return frames
+
+
+def cross(a: Vector, b: Vector) -> Vector:
+    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
+
+
+def devices_of(settings: config.Vehicle, model: Model, seed: int) -> CanSensors | None:
+    sensing = "dronecan" in (*settings.navigation.sources, *settings.sensors.names)
+    return CanSensors(settings, model, seed) if sensing else None
