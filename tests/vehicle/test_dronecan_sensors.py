@@ -523,6 +523,19 @@ def test_a_bus_that_fails_is_counted():
     assert bench.state.counts == {"dronecan_bus_errors": 2}
 
 
+def test_a_flood_is_read_in_parts_and_nothing_of_it_is_lost():
+    bench = Bench()
+    for number in range(100):
+        for frame in frames(field((0.2, 0.1, 0.3 + 1e-3 * number), 1), COMPASS, bench.numbers):
+            bench.devices.sendmsg(frame)
+    waiting = list[int]()
+    while left := len(bench.source.input._transport.queue):
+        waiting.append(left)
+        bench.source.read(bench.clock.monotonic_s())
+    assert waiting == [100, 84, 68, 52, 36, 20, 4]
+    assert bench.source.report(0.0)["compasses"][str(COMPASS)]["axes_ut"][2] == [30.0, pytest.approx(39.9, abs=0.1)]
+
+
 # Whatever comes.
 
 

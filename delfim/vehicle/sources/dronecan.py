@@ -37,6 +37,7 @@ HEARD: Final = (
     datatypes.RAW_IMU,
     datatypes.NODE_STATUS,
 )
+MESSAGES_PER_READ: Final = 16  # bounds one call on a flooded bus, as FRAMES_PER_READ does
 SLOW_S: Final = 2.5  # the dilution may come once a second, whatever the vehicle's `stale_s`
 FLAT_S: Final = 1.0  # after a beginning: who has not told its gravity by then lies flat
 _KINDS: Final = ("position", "velocity", "heading", "rate", "attitude", "dilution")
@@ -75,8 +76,10 @@ class DronecanNavigation:
 
     def read(self, now_s: float) -> Fix | None:
         """As `DsorNavigation.read`: a fix for each message of the chosen receiver."""
-        fix = None
+        fix, left = None, MESSAGES_PER_READ
         for _ in range(FRAMES_PER_READ):
+            if not left:
+                break
             try:
                 frame = self.input.receive()
             except BusError:
@@ -88,6 +91,7 @@ class DronecanNavigation:
             if transfer is None:
                 continue
             self.t_ns = frame.t_ns
+            left -= 1
             try:
                 message = decode(transfer)
             except FormatError:
