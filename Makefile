@@ -46,8 +46,8 @@ again: $(MORE) ## run the tests that failed last, alone
 fast: $(MORE) ## run the tests that need no guest, with ARGS="..." and WORKERS as for test
 	$(BIN)/pytest $(BESIDE) -m "not long" --ignore tests/guest $(ARGS)
 
-seeds: $(READY) ## sail 1,000 runs of mixed faults in lock step (ARGS="--seeds 5000" for more)
-	$(BIN)/pytest tests/simulator/test_scenarios.py -k mixed --timeout 3600 --seeds 1000 $(ARGS)
+seeds: $(MORE) ## sail a campaign of 1,000 runs of mixed faults (docs/campaigns.md)
+	$(BIN)/delfim campaign etc/campaigns/mixed.toml $(ARGS)
 
 check: $(READY) $(NPM) ## style, types and the direction of imports
 	$(BIN)/ruff check .
@@ -88,7 +88,7 @@ system: ## install the Debian packages of the guest tests where that is possible
 	else why="installing them needs root and apt-get"; fi; \
 	echo "make system: without$$missing some tests do not run ($$why; Debian packages: $(SYSTEM_PACKAGES))" >&2
 
-formats: $(MORE) ## install the packages for Parquet and MF4, 300 MB, and MAVProxy; the tests need them
+formats: $(MORE) ## install the packages for Parquet, MF4 and campaigns, 400 MB, and MAVProxy; the tests need them
 
 lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgrade takes the newest)
 	$(call compile,boat) pyproject.toml
@@ -96,6 +96,7 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,ground) --extra ground -c requirements/boat.txt pyproject.toml
 	$(call compile,test) --extra test -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,formats) --extra formats -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
+	$(call compile,campaign) --extra campaign -c requirements/boat.txt -c requirements/ground.txt -c requirements/formats.txt pyproject.toml
 	$(call compile,build) requirements/build.in
 	$(call compile,page) requirements/page.in
 compile = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
@@ -127,6 +128,6 @@ $(NPM): $(WEB)/package-lock.json $(READY)
 	cd $(WEB) && npm ci --ignore-scripts --no-audit --no-fund --silent
 	@touch $@
 
-$(MORE): $(READY) requirements/formats.txt requirements/mavproxy.txt
+$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/mavproxy.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(patsubst %,-r %,$(filter %.txt,$^))
 	@touch $@

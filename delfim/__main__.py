@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         package = (error.name or "").partition(".")[0]
         if package in ("", "delfim"):  # a defect
             raise
-        extra = "formats" if package in FORMATS else "ground"
+        extra = "campaign" if words[0] == "campaign" else "formats" if package in FORMATS else "ground"
         print(f"delfim: {words[0]} needs {package}, which is not installed: pip install 'delfim[{extra}]'", file=sys.stderr)
         return EXIT_WRONG
     except (DelfimError, OSError) as error:  # the latter: no permission, no such folder, a full disk

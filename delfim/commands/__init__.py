@@ -15,6 +15,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
         "sim": "Sail a mission in simulation, with the boat's whole program and a model of the boat.",
         "fault": "Inject a fault into a simulated boat while it sails (docs/scenarios.md).",
         "nodes": "Play the boat's other CAN nodes (navigation, GPS, propellers, batteries) on its bus.",
+        "campaign": "Sail thousands of runs that differ in what a file says, and report what came of them (docs/campaigns.md).",
         "guest": "Play the guest computer: it asks for a zigzag, which the boat obeys in mode grex.",
     },
     "Operate boats": {

@@ -83,15 +83,15 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _scenario(asked: argparse.Namespace) -> int:
-    from delfim.simulator import campaign, trial
+    from delfim.simulator import mixed, trial
 
-    if asked.scenario == campaign.MIXED:
-        result = campaign.sail_mixed(asked.file, asked.seed, tuple(asked.set))
+    if asked.scenario == mixed.MIXED:
+        result = mixed.sail_mixed(asked.file, asked.seed, tuple(asked.set))
     else:
         result = trial.run_file(asked.scenario, asked.file, asked.seed, tuple(asked.set))
     print(*trial.report(result), sep="\n")
     if result.failures:
-        print(f"delfim: failed; again: {campaign.again(asked.file, asked.scenario, asked.seed, asked.set)}", file=sys.stderr)
+        print(f"delfim: failed; again: {mixed.again(asked.file, asked.scenario, asked.seed, asked.set)}", file=sys.stderr)
         return 1
     print(f"delfim: {asked.scenario}, seed {asked.seed}: all as it must be, {result.elapsed_s:.0f} s sailed")
     return 0

@@ -5,7 +5,7 @@ same seed gives the same bytes. It leaves out event loop, sockets and processes,
 """
 
 from collections.abc import Callable, Iterator
-from typing import Final
+from typing import Final, Self
 
 import msgspec
 
@@ -146,13 +146,15 @@ class Lockstep:
             self.cycle()
             yield self.state
 
-    def sail(self, mission: str, limit_s: float) -> str:
-        """Load a mission's text, play it as soon as the boat is fit, and sail until it ends; how it ended, in words."""
+    def sail(self, mission: str, limit_s: float, look: Callable[[Self], object] = lambda run: None) -> str:
+        """Load a mission's text, play it as soon as the boat is fit, and sail until it ends; how it ended, in words. `look` is
+        called after each cycle."""
         reason = self.command(console.LoadMission(mission))
         if reason is not None:
             return f"stopped: {reason}"
         playing = False
         for state in self.cycles(limit_s):
+            look(self)
             if not playing:
                 playing = self.command(console.Play()) is None
             elif state.reason.startswith("play done"):

@@ -89,14 +89,15 @@ def load_scenario(path: str | Path) -> Scenario:
 
 def settings_of(scenario: Scenario, vehicle: str | Path, overrides: tuple[str, ...] = ()) -> config.Vehicle:
     """The vehicle's file with the scenario's tables laid over it. Raises ConfigError."""
-    settings = tables.decode(_laid_over(tables.read_toml(vehicle, overrides), scenario.vehicle), config.Vehicle, str(vehicle))
+    settings = tables.decode(laid_over(tables.read_toml(vehicle, overrides), scenario.vehicle), config.Vehicle, str(vehicle))
     if scenario.handset and not settings.handset.device:
         raise ConfigError(str(vehicle), "handset.device", "the scenario has a hand-set: name its device")
     return settings
 
 
-def _laid_over(tree: dict[str, Any], upper: dict[str, Any]) -> dict[str, Any]:
-    both = {key: _laid_over(tree[key], value) for key, value in upper.items() if isinstance(tree.get(key), dict)}
+def laid_over(tree: dict[str, Any], upper: dict[str, Any]) -> dict[str, Any]:
+    """The tree with the upper one laid over it, table by table."""
+    both = {key: laid_over(tree[key], value) for key, value in upper.items() if isinstance(tree.get(key), dict)}
     return {**tree, **upper, **both}
 
 

@@ -92,9 +92,10 @@ def sail(
     make_log: Callable[[ManualClock], StateLog] | None = None,
     *,
     patient: bool = True,
+    look: Callable[[Lockstep], object] | None = None,
 ) -> Result:
     """One run. `mission` is the text of the scenario's mission file. The same seed gives the same bytes. An operator who is not
-    patient gives an order once and accepts a refusal.
+    patient gives an order once and accepts a refusal. `look` is called after each cycle.
     """
     run = Lockstep(settings, seed, make_log or (lambda clock: NoLog()), handset=scenario.handset)
     watch, recorder, operator = Onlooker(run), Recorder(run), Operator(run, scenario, mission, patient)
@@ -112,6 +113,8 @@ def sail(
         operator.speak(recorder)
         watch.look()
         recorder.look()
+        if look is not None:
+            look(run)
         if any(expected.waypoints for expected in scenario.expect):
             recorder.passes()
     missed = [words for expected in scenario.expect if (words := _missed(expected, recorder, run.elapsed_s))]

@@ -8,7 +8,7 @@ import pytest
 
 from delfim import config
 from delfim.errors import ConfigError
-from delfim.simulator import campaign, scenario, trial
+from delfim.simulator import mixed, scenario, trial
 from delfim.simulator.faults import KINDS
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.watch import Onlooker
@@ -135,8 +135,8 @@ def test_orders_are_repeated_until_obeyed_and_then_given_up(tmp_path):
 def test_a_run_is_repeated_by_its_seed_and_a_file_by_its_command():
     file = ROOT / "etc/scenarios/bad-wire.toml"
     assert trial.run_file(file, VEHICLE, 3) == trial.run_file(file, VEHICLE, 3)
-    assert campaign.sail_mixed(VEHICLE, 7) == campaign.sail_mixed(VEHICLE, 7)
-    assert campaign.again("a b.toml", "mixed", 7, ["log.required=false"]) == (
+    assert mixed.sail_mixed(VEHICLE, 7) == mixed.sail_mixed(VEHICLE, 7)
+    assert mixed.again("a b.toml", "mixed", 7, ["log.required=false"]) == (
         "delfim sim 'a b.toml' --scenario mixed --seed 7 --set log.required=false"
     )
 
@@ -154,8 +154,8 @@ def test_the_command_tells_by_its_exit_code_and_how_to_repeat(tmp_path, seconds,
 
 def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
     """No exception, not adrift under power, inside the fence, no stop without a reason: `pytest --seeds 1000` for more."""
-    bad = {seed: result.failures for seed in seeds if (result := campaign.sail_mixed(VEHICLE, seed)).failures}
-    assert not bad, "\n".join(f"{campaign.again(str(VEHICLE), 'mixed', seed, [])}: {why}" for seed, why in bad.items())
+    bad = {seed: result.failures for seed in seeds if (result := mixed.sail_mixed(VEHICLE, seed)).failures}
+    assert not bad, "\n".join(f"{mixed.again(str(VEHICLE), 'mixed', seed, [])}: {why}" for seed, why in bad.items())
 
 
 @pytest.mark.parametrize(
@@ -174,7 +174,7 @@ def test_without_a_row_of_the_table_the_campaign_finds_it(monkeypatch, trigger, 
     monkeypatch.setattr(module, "troubles", lambda *given: [each for each in whole(*given) if each[0] is not trigger])
     found: list[str] = []
     for seed in range(100):
-        found += campaign.sail_mixed(VEHICLE, seed).failures
+        found += mixed.sail_mixed(VEHICLE, seed).failures
         if any(failure in words for words in found):
             return
     pytest.fail(f"not found in 100 runs: {failure}; only {found}")

@@ -1,4 +1,4 @@
-"""Campaigns: many short runs of mixed faults, drawn from a seed, checked against the invariants of `watch`.
+"""Short runs of mixed faults, drawn from a seed, checked against the invariants of `watch`.
 
 A run has a boat with a fence and a mission, an operator who changes his mind, and up to five faults that begin, overlap and
 mostly end.
@@ -58,8 +58,8 @@ def _place(here: config.Simulation, north_m: float, east_m: float) -> list[float
     return [round(math.degrees(angle), 7) for angle in geodesy.from_plane(at, north_m, east_m)]
 
 
-def _mission(here: config.Simulation) -> str:
-    """Once around, clear of the fence."""
+def mixed_mission(here: config.Simulation) -> str:
+    """The text of its mission: once around, clear of the fence."""
     corners = [_place(here, *corner) for corner in ((-40.0, -40.0), (-40.0, 40.0), (15.0, 40.0), (15.0, -40.0))]
     rows = [f"[[waypoint]]\nlatitude_deg = {latitude}\nlongitude_deg = {longitude}\n" for latitude, longitude in corners]
     return "\n".join(['version = 1\nname = "Once around"\n', *rows])
@@ -99,7 +99,7 @@ def sail_mixed(vehicle: str | Path, seed: int, overrides: tuple[str, ...] = ()) 
     """The run of a seed with a vehicle's file. Raises ConfigError. A refused order is not a failure here."""
     here = config.load(vehicle, overrides)
     scenario = mixed(seed, here)
-    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, _mission(here.simulation), patient=False)
+    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, mixed_mission(here.simulation), patient=False)
 
 
 def again(vehicle: str, scenario: str, seed: int, overrides: Sequence[str]) -> str:

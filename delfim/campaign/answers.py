@@ -1,0 +1,158 @@
+"""What the results say: SQL over the table `runs`, and answers that everybody asks for."""
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+import duckdb
+import numpy as np
+
+from delfim.campaign.measures import MEASURES
+from delfim.campaign.plan import Pass
+from delfim.campaign.store import parts
+from delfim.errors import DelfimError
+
+NUMBERS: Final = tuple(measure.name for measure in MEASURES if measure.kind != "VARCHAR")
+JUDGED: Final = ("cross_rms_m", "cross_max_m", "noticed_s", "energy_j", "sailed_s")  # the greatest are the worst, in this order
+QUANTILES: Final = (0.05, 0.5, 0.95)
+WILSON: Final = 1.959964  # of the normal distribution: 95 %
+
+
+class Verdict(NamedTuple):
+    """Of one [[pass]]; `where` are the points at which it does not hold."""
+
+    name: str
+    holds: bool
+    where: tuple[int, ...] = ()
+
+
+class Quantity(NamedTuple):
+    """A measure over all runs that have it."""
+
+    name: str
+    runs: int
+    low: float
+    middle: float
+    high: float
+
+
+def connect(folder: Path) -> duckdb.DuckDBPyConnection:
+    """The results of a campaign as the table `runs`. Raises DelfimError where there are none."""
+    if not any(folder.glob("part-*.parquet")):
+        raise DelfimError(f"no results in {folder}")
+    database = duckdb.connect()
+    database.execute(f"create view runs as select * from {parts(folder)}")
+    return database
+
+
+def asked(database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+    """The columns and rows that SQL gives. Raises DelfimError with DuckDB's words."""
+    try:
+        answer = database.execute(sql)
+    except duckdb.Error as error:
+        raise DelfimError(str(error).partition("\n")[0]) from None
+    return [each[0] for each in answer.description or ()], answer.fetchall()
+
+
+def verdicts(database: duckdb.DuckDBPyConnection, passes: Iterable[Pass]) -> list[Verdict]:
+    """Of each [[pass]] of the file; one that gives no truth does not hold. Raises DelfimError for one that is no SQL."""
+    told = list[Verdict]()
+    for each in passes:
+        if each.each == "point":
+            rows = asked(database, f"select point, ({each.sql}) from runs group by point order by point")[1]
+            where = tuple(point for point, holds in rows if holds is not True)
+            told.append(Verdict(each.name, not where, where))
+        else:
+            told.append(Verdict(each.name, asked(database, f"select ({each.sql}) from runs")[1][0][0] is True))
+    return told
+
+
+def share(part: int, of: int) -> tuple[float, float]:
+    """The 95 % confidence interval of a share (Wilson 1927): 0 of 600 is 0 to 0.6 %."""
+    if not of:
+        return 0.0, 1.0
+    z2, p = WILSON**2, part / of
+    middle, half = (
+        (p + z2 / (2 * of)) / (1 + z2 / of),
+        WILSON / (1 + z2 / of) * math.sqrt(p * (1 - p) / of + z2 / (4 * of * of)),
+    )
+    return max(middle - half, 0.0), min(middle + half, 1.0)
+
+
+def quantities(database: duckdb.DuckDBPyConnection) -> list[Quantity]:
+    """The quantiles of each measure."""
+    found = list[Quantity]()
+    for name in NUMBERS:
+        sql = f"select count({name}), {', '.join(f'quantile_cont({name}, {part})' for part in QUANTILES)} from runs"
+        runs, *values = asked(database, sql)[1][0]
+        if runs:
+            found.append(Quantity(name, runs, *values))
+    return found
+
+
+def failed(database: duckdb.DuckDBPyConnection) -> list[tuple[str, int, int, int]]:
+    """Why runs failed: (words without numbers, how often, point and seed of one), the most frequent first."""
+    sql = """select regexp_replace(why, '-?[0-9]+(\\.[0-9]+)?', 'N', 'g') as words, count(*), arg_min(point, seed), min(seed)
+             from (select point, seed, unnest(if(error = '', failures, [error])) as why from runs where not ok)
+             group by words order by count(*) desc, words"""
+    return [(words, many, point, seed) for words, many, point, seed in asked(database, sql)[1]]
+
+
+def worst(database: duckdb.DuckDBPyConnection, count: int = 10) -> list[tuple[int, int, str]]:
+    """The worst runs, (point, seed, why): those that failed, then those with the greatest value of the first of JUDGED that
+    there is."""
+    words = "case when error <> '' then error else array_to_string(failures, '; ') end"
+    rows = asked(database, f"select point, seed, {words} from runs where not ok order by point, seed limit {count}")[1]
+    known = {each.name for each in quantities(database)}
+    name = next((name for name in JUDGED if name in known), "sailed_s")
+    unit = name.rpartition("_")[2]
+    sql = f"select point, seed, {name} from runs where ok and {name} is not null order by {name} desc limit {count - len(rows)}"
+    return rows + [
+        (point, seed, f"{name.rpartition('_')[0]} {value:.4g} {unit}") for point, seed, value in asked(database, sql)[1]
+    ]
+
+
+def numeric(database: duckdb.DuckDBPyConnection, keys: Iterable[str]) -> list[str]:
+    """Those of the keys whose values are numbers and not all the same."""
+    found = list[str]()
+    kinds = dict(asked(database, "select column_name, column_type from (describe runs)")[1])
+    for key in keys:
+        if kinds.get(key) == "DOUBLE" and asked(database, f'select count(distinct "{key}") from runs')[1][0][0] > 1:
+            found.append(key)
+    return found
+
+
+def sensitivity(database: duckdb.DuckDBPyConnection, keys: Iterable[str]) -> list[tuple[str, str, float]]:
+    """Which key moves which measure: (key, measure, rank correlation -1..1), the strongest first. Without a varied or
+    drawn key there is none."""
+    found = list[tuple[str, str, float]]()
+    known = [each.name for each in quantities(database)]
+    for key in numeric(database, keys):
+        for name in known:
+            rows = np.array(asked(database, f'select "{key}", {name} from runs where {name} is not null')[1], dtype=float)
+            ranks = [np.unique(column, return_inverse=True) for column in rows.T]
+            if len(rows) < 3 or any(len(values) < 2 for values, _ in ranks):
+                continue
+            found.append((key, name, float(np.corrcoef(*[_middle(order) for _, order in ranks])[0, 1])))
+    return sorted(found, key=lambda each: -abs(each[2]))
+
+
+def _middle(order: Any) -> Any:
+    """Ranks; equal values share the middle of theirs."""
+    counts = np.bincount(order)
+    return (np.cumsum(counts) - (counts - 1) / 2)[order]
+
+
+def shown(columns: list[str], rows: list[tuple[Any, ...]]) -> str:
+    """An answer as a table of text."""
+    table = [columns, *([_word(value) for value in row] for row in rows)]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    lines = ("  ".join(f"{word:{width}}" for word, width in zip(row, widths, strict=True)) for row in table)
+    return "\n".join(line.rstrip() for line in lines)
+
+
+def _word(value: object) -> str:
+    if isinstance(value, list):
+        return "; ".join(map(_word, value))
+    return f"{value:.6g}" if isinstance(value, float) else "" if value is None else str(value)

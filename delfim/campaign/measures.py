@@ -1,0 +1,131 @@
+"""What is measured of a run: a row each in `MEASURES`, and so a column of the results."""
+
+import hashlib
+import math
+import struct
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+from delfim.clock import ManualClock
+from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.trial import Event
+from delfim.vehicle.state import State, StateLog
+from delfim.vehicle.zones import clearance_m
+
+
+class Tape:
+    """The state log of a run: it keeps sums and a digest of what the boat knew and commanded in each cycle. `beside` is given
+    everything, too."""
+
+    def __init__(self, clock: ManualClock, beside: StateLog) -> None:
+        self.clock, self.hash, self.beside = clock, hashlib.blake2b(digest_size=8), beside
+        self.cycles, self.fastest_mps = 0, 0.0
+        self.cross_m2, self.cross_max_m, self.crosses = 0.0, 0.0, 0
+
+    def write(self, state: State, now_s: float) -> None:
+        m, sent, cross_m = state.motion, state.actuation, state.reference.cross_track_m
+        numbers = (now_s, *m[1:], *sent.thrust, *sent.angle_rad)
+        self.hash.update(struct.pack(f"<{len(numbers)}dB", *numbers, state.mode))
+        speed_mps = math.hypot(m.north_mps, m.east_mps)
+        self.cycles, self.fastest_mps = self.cycles + 1, max(self.fastest_mps, speed_mps)
+        if cross_m is not None:
+            self.cross_m2, self.cross_max_m = self.cross_m2 + cross_m * cross_m, max(self.cross_max_m, abs(cross_m))
+            self.crosses += 1
+        self.beside.write(state, now_s)
+
+    def note(self, text: str) -> None:
+        self.hash.update(text.encode())
+        self.beside.note(text)
+
+    def reason(self) -> str:
+        return ""
+
+    def close(self) -> None:
+        self.beside.close()
+
+
+class Truth:
+    """What the hull did, whatever the boat knew: called after each cycle."""
+
+    def __init__(self, run: Lockstep) -> None:
+        self._run, self._at_s = run, 0.0
+        self.way_m, self.energy_j, self.fence_m = 0.0, 0.0, math.inf
+        self.north_m: float | None = None  # from where the boat knew first that it was
+        self.east_m = 0.0
+        self.mode, self.reason = "", ""  # before the run was ended
+
+    def look(self) -> None:
+        run = self._run
+        model, origin, now_s = run.nodes.model, run.state.origin, run.elapsed_s
+        self.mode, self.reason = run.state.mode.name.lower(), run.state.reason
+        power_w = sum(drive.voltage_v * drive.current_a for drive in model.drives.values())
+        self.energy_j, self._at_s = self.energy_j + power_w * (now_s - self._at_s), now_s
+        if origin is None:
+            return
+        north_m = (model.latitude_rad - origin.latitude_rad) * origin.north_m_per_rad
+        east_m = (model.longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
+        if self.north_m is not None:
+            self.way_m += math.hypot(north_m - self.north_m, east_m - self.east_m)
+        self.north_m, self.east_m = north_m, east_m
+        if (fence := run.vehicle.helm.plans.fence) is not None:
+            self.fence_m = min(self.fence_m, *(clearance_m(zone, north_m, east_m) for zone in fence.zones))
+
+
+class Sailed(NamedTuple):
+    """A run that has ended."""
+
+    run: Lockstep
+    tape: Tape
+    truth: Truth
+    events: list[Event]
+    end: str  # in words
+
+
+class Measure(NamedTuple):
+    name: str  # with its unit
+    kind: str  # of DuckDB
+    words: str
+    value: Callable[[Sailed], object]  # None: there is none
+
+
+def _noticed(sailed: Sailed) -> list[float | None]:
+    """Of each fault the time until a notice or a mode entered by the failsafe; None: nobody noticed it."""
+    found = list[float | None]()
+    for at, fault in enumerate(sailed.events):
+        if fault.kind == "fault":
+            later = (each.t_s - fault.t_s for each in sailed.events[at + 1 :] if each.kind in ("notice", "mode"))
+            found.append(next(later, None))
+    return found
+
+
+def _slowest(sailed: Sailed) -> float | None:
+    return max((each for each in _noticed(sailed) if each is not None), default=None)
+
+
+MEASURES: Final = (
+    Measure("sailed_s", "DOUBLE", "time at sea", lambda s: s.run.elapsed_s),
+    Measure("way_m", "DOUBLE", "way over ground", lambda s: s.truth.way_m),
+    Measure("energy_j", "DOUBLE", "electric energy of the thrusters", lambda s: s.truth.energy_j),
+    Measure("fastest_mps", "DOUBLE", "greatest speed over ground", lambda s: s.tape.fastest_mps),
+    Measure(
+        "cross_rms_m",
+        "DOUBLE",
+        "cross-track error, root of the mean square",
+        lambda s: math.sqrt(s.tape.cross_m2 / s.tape.crosses) if s.tape.crosses else None,
+    ),
+    Measure("cross_max_m", "DOUBLE", "greatest cross-track error", lambda s: s.tape.cross_max_m if s.tape.crosses else None),
+    Measure(
+        "fence_m",
+        "DOUBLE",
+        "smallest distance to the fence; negative: outside",
+        lambda s: s.truth.fence_m if math.isfinite(s.truth.fence_m) else None,
+    ),
+    Measure("faults", "INTEGER", "faults that began", lambda s: len(_noticed(s))),
+    Measure("unnoticed", "INTEGER", "of these, without any notice or mode after them", lambda s: _noticed(s).count(None)),
+    Measure("noticed_s", "DOUBLE", "longest time until a fault was noticed", _slowest),
+    Measure("end_north_m", "DOUBLE", "true place of the end", lambda s: s.truth.north_m),
+    Measure("end_east_m", "DOUBLE", "true place of the end", lambda s: s.truth.east_m if s.truth.north_m is not None else None),
+    Measure("mode", "VARCHAR", "mode at the end", lambda s: s.truth.mode),
+    Measure("end", "VARCHAR", "how it ended, in words", lambda s: s.end),
+    Measure("digest", "VARCHAR", "of each cycle, and of the notes of the log", lambda s: s.tape.hash.hexdigest()),
+)

@@ -1,0 +1,218 @@
+"""A campaign's file: what is sailed, what varies, and what must hold.
+
+A run is a point and a seed. A point is a combination of the varied values; what is drawn depends on the seed alone, so that all
+points meet the same sea. Batches are cut from the file alone: whoever goes on with a campaign cuts the same ones.
+"""
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator
+from itertools import islice, product
+from pathlib import Path
+from random import Random
+from statistics import NormalDist
+from typing import Annotated, Any, Final, Literal, NamedTuple
+
+import msgspec
+
+from delfim import config, tables
+from delfim.errors import ConfigError
+from delfim.simulator.scenario import laid_over, load_scenario, mission_of
+from delfim.vehicle.mission import load_mission
+
+POINTS_MAX: Final = 100_000
+RUNS_MAX: Final = 100_000_000
+MIXED: Final = "mixed"
+Key = Annotated[str, tables.text(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*", "a key of the vehicle's file, with dots")]
+Number = float | int
+Scalar = float | int | str | bool
+Name = Annotated[str, tables.text("[^\n]{1,80}", "a line of up to 80 characters")]
+
+
+class Steps(tables.Table, frozen=True):
+    """Evenly spaced values, both ends among them."""
+
+    start: Number = msgspec.field(name="from")
+    to: Number
+    steps: Annotated[int, msgspec.Meta(ge=2, le=1000)]
+
+
+class Draw(tables.Table, frozen=True):
+    """One of them: a uniform range, a normal distribution (mean, standard deviation), or a choice."""
+
+    uniform: tuple[float, float] | None = None
+    normal: tuple[float, float] | None = None
+    choice: Annotated[tuple[Scalar, ...], msgspec.Meta(max_length=1000)] = ()
+
+    def __post_init__(self) -> None:
+        if sum((self.uniform is not None, self.normal is not None, bool(self.choice))) != 1:
+            raise ValueError("name one of uniform, normal, choice")
+
+
+class Pass(tables.Table, frozen=True):
+    """Something that must hold. `sql`: an expression over all runs that gives true or false; each = "point": at every point."""
+
+    name: Name
+    sql: Annotated[str, msgspec.Meta(min_length=1, max_length=1000)]
+    each: Literal["", "point"] = ""
+
+
+class Seeds(tables.Table, frozen=True):
+    """At each point."""
+
+    first: Annotated[int, msgspec.Meta(ge=0, le=2**53)] = 1
+    count: Annotated[int, msgspec.Meta(ge=1, le=RUNS_MAX)] = 100
+
+
+class CampaignFile(tables.Table, frozen=True):
+    """The file. One of `scenario` and `mission`, which are files beside it; the scenario "mixed" draws faults from the seed."""
+
+    version: Literal[1]
+    name: Name
+    vehicle: str
+    scenario: str | tuple[str, ...] = ()
+    mission: str = ""
+    seconds: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)] = 3600.0  # of a mission, at most
+    limit_s: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)] = 300.0  # of computing for a run
+    seeds: Seeds = Seeds()
+    latin: bool = False  # draw evenly: each of as many slices of a range as there are seeds is met once
+    vary: dict[Key, Annotated[tuple[Scalar, ...], msgspec.Meta(min_length=1)] | Steps] = msgspec.field(default_factory=dict)
+    draw: dict[Key, Draw] = msgspec.field(default_factory=dict)
+    must: tuple[Pass, ...] = msgspec.field(name="pass", default=())
+
+    def __post_init__(self) -> None:
+        if bool(self.scenario) == bool(self.mission):
+            raise ValueError("name one of scenario and mission")
+        if twice := self.vary.keys() & self.draw.keys():
+            raise ValueError(f"{min(twice)} is varied and drawn")
+
+
+class Story(NamedTuple):
+    """What is sailed: a scenario's file, "mixed", or a mission, with the texts that belong to it."""
+
+    name: str
+    scenario: dict[str, Any] | None  # the scenario's file as a tree
+    mission: str
+
+
+class Batch(NamedTuple):
+    """Runs that are handed out together."""
+
+    number: int
+    runs: tuple[tuple[int, int], ...]  # (point, seed)
+
+
+class Plan(NamedTuple):
+    """A campaign as its workers need it, without any file. It is small and travels with each batch."""
+
+    name: str
+    digest: str  # of what is sailed
+    vehicle: dict[str, Any]  # the vehicle's file as a tree
+    stories: tuple[Story, ...]
+    points: tuple[tuple[int, dict[str, Any]], ...]  # (number of the story, values)
+    draw: dict[str, Draw]
+    latin: bool
+    seeds: Seeds
+    seconds: float
+    limit_s: float
+
+    @property
+    def runs(self) -> int:
+        return len(self.points) * self.seeds.count
+
+    def batches(self, size: int) -> Iterator[Batch]:
+        first = self.seeds.first
+        runs = product(range(len(self.points)), range(first, first + self.seeds.count))
+        return (Batch(n, each) for n, each in enumerate(iter(lambda: tuple(islice(runs, size)), ())))
+
+    def values(self, point: int, seed: int) -> dict[str, Any]:
+        """What lies over the vehicle's file in this run, by key."""
+        return self.points[point][1] | {key: self._drawn(key, how, seed) for key, how in self.draw.items()}
+
+    def _drawn(self, key: str, how: Draw, seed: int) -> Scalar:
+        part = Random(f"{key} {seed}").random()
+        if self.latin:
+            part = (_place(key, self.seeds, seed) + part) / self.seeds.count
+        if how.uniform is not None:
+            low, high = how.uniform
+            return low + (high - low) * part
+        if how.normal is not None:
+            mean, deviation = how.normal
+            return NormalDist(mean, deviation).inv_cdf(min(max(part, 1e-12), 1.0 - 1e-12)) if deviation else mean
+        return how.choice[min(int(part * len(how.choice)), len(how.choice) - 1)]
+
+
+def _place(key: str, seeds: Seeds, seed: int) -> int:
+    """The slice of a seed: a permutation of all slices without a table of them, a Feistel network, walked until in range."""
+    bits = max(2, (seeds.count - 1).bit_length())
+    half = (bits + 1) // 2
+    mask, at = (1 << half) - 1, seed - seeds.first
+    while True:
+        left, right = at >> half, at & mask
+        for turn in range(4):
+            word = hashlib.blake2b(f"{key} {turn} {right}".encode(), digest_size=4).digest()
+            left, right = right, left ^ int.from_bytes(word, "little") & mask
+        at = left << half | right
+        if at < seeds.count:
+            return at
+
+
+def read(path: str | Path) -> tuple[CampaignFile, Plan]:
+    """A campaign's file and its plan; every point's values are tried on the vehicle's file. Raises ConfigError."""
+    place = Path(path)
+    file = tables.decode(tables.read_toml(place), CampaignFile, str(place))
+    vehicle = tables.read_toml(place.parent / file.vehicle)
+    names = (file.scenario,) if isinstance(file.scenario, str) and file.scenario else tuple(file.scenario)
+    stories = tuple(_story(place.parent, name) for name in names) or (_mission(place.parent, file.mission),)
+    ways = {key: _values(way) for key, way in file.vary.items()}
+    many = len(stories) * math.prod(map(len, ways.values()))
+    if many > POINTS_MAX or many * file.seeds.count > RUNS_MAX:
+        limit = f"at most {POINTS_MAX} points and {RUNS_MAX} runs"
+        raise ConfigError(str(place), "vary", f"{many} points of {file.seeds.count} seeds each", limit)
+    rows = [dict(zip(ways, row, strict=True)) for row in product(*ways.values())]
+    points = tuple((story, row) for story in range(len(stories)) for row in rows)
+    kept = {"vehicle": vehicle, "stories": stories, "points": points, "draw": file.draw, "latin": file.latin}
+    sailed = msgspec.json.encode(kept | {"seeds": file.seeds, "seconds": file.seconds}, order="sorted")
+    digest = hashlib.sha256(sailed).hexdigest()[:16]
+    plan = Plan(file.name, digest, vehicle, stories, points, file.draw, file.latin, file.seeds, file.seconds, file.limit_s)
+    for number in range(len(points)):
+        values = plan.values(number, file.seeds.first)
+        try:
+            tables.decode(laid(vehicle, values), config.Vehicle, str(place))
+        except ConfigError as error:
+            raise ConfigError(str(place), f"point {number}, {error.key}", error.reason, error.allowed) from None
+    return file, plan
+
+
+def _story(folder: Path, name: str) -> Story:
+    if name == MIXED:
+        return Story(name, None, "")
+    path = folder / name
+    scenario = load_scenario(path)
+    return Story(path.stem, tables.read_toml(path), mission_of(scenario, path))
+
+
+def _mission(folder: Path, name: str) -> Story:
+    load_mission(folder / name)
+    return Story(Path(name).stem, None, (folder / name).read_text())
+
+
+def _values(way: tuple[Scalar, ...] | Steps) -> tuple[Scalar, ...]:
+    if isinstance(way, Steps):
+        return tuple(way.start + (way.to - way.start) * i / (way.steps - 1) for i in range(way.steps))
+    return way
+
+
+def laid(tree: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
+    """The tree with these values over it; keys have dots."""
+    for key, value in values.items():
+        for name in reversed(key.split(".")):
+            value = {name: value}
+        tree = laid_over(tree, value)
+    return tree
+
+
+def told(values: dict[str, Any]) -> str:
+    """The words of a command line that give these values."""
+    return " ".join(f"--set {key}={json.dumps(value)}" for key, value in values.items())

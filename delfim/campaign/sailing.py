@@ -1,0 +1,121 @@
+"""What a worker does: it sails the runs of a batch and says of each what came of it. It knows nothing of who asked."""
+
+import hashlib
+import os
+import pkgutil
+import platform
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from typing import Any, Final
+
+import delfim
+from delfim import config, tables
+from delfim.campaign.measures import MEASURES, Sailed, Tape, Truth
+from delfim.campaign.plan import Batch, Plan, laid
+from delfim.clock import ManualClock
+from delfim.errors import DelfimError
+from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.mixed import mixed, mixed_mission
+from delfim.simulator.scenario import Scenario, laid_over
+from delfim.simulator.trial import sail
+from delfim.vehicle.logbook import Logbook
+from delfim.vehicle.state import NoLog, StateLog
+
+LOOK_CYCLES: Final = 100  # the clock of the wall is looked at so often
+RUNS_PER_BATCH: Final = 20  # about two seconds of work
+
+
+class TooLong(DelfimError):
+    """A run took more computing than `limit_s`."""
+
+
+class _Watch:
+    """Looks at a run after each cycle."""
+
+    def __init__(self, limit_s: float, look: Callable[[Lockstep], object], beside: Callable[[ManualClock], StateLog]) -> None:
+        self._until_s, self._limit_s = time.monotonic() + limit_s, limit_s
+        self._look, self._beside = look, beside
+        self.begun: Lockstep
+        self.log: Tape
+        self.truth: Truth
+        self._cycles = 0
+
+    def tape(self, clock: ManualClock) -> Tape:
+        self.log = Tape(clock, self._beside(clock))
+        return self.log
+
+    def __call__(self, run: Lockstep) -> None:
+        if not self._cycles:
+            self.begun, self.truth = run, Truth(run)
+        self._cycles += 1
+        self.truth.look()
+        self._look(run)
+        if self._cycles % LOOK_CYCLES == 0 and time.monotonic() > self._until_s:
+            raise TooLong(f"not over after {self._limit_s:g} s of computing, {run.elapsed_s:.0f} s at sea")
+
+
+def code() -> str:
+    """A digest of the sources as they are imported here, folder or archive: a version number does not say what was edited."""
+    digest = hashlib.sha256()
+    for found in sorted(pkgutil.walk_packages(delfim.__path__, "delfim."), key=lambda module: module.name):
+        spec = find_spec(found.name)
+        if spec is not None and spec.origin is not None and spec.loader is not None:
+            digest.update(spec.loader.get_data(spec.origin))  # type: ignore[attr-defined]
+    return digest.hexdigest()[:8]
+
+
+VERSION: Final = f"delfim {delfim.__version__} code {code()} python {platform.python_version()} on {platform.machine()}"
+
+
+def sail_batch(plan: Plan, batch: Batch, version: str) -> list[dict[str, Any]]:
+    """A dict a run, plain values only. Raises DelfimError where this worker has other code than who asks."""
+    if version != VERSION:
+        raise DelfimError(f"this worker has {VERSION}, the campaign {version}")
+    return [one(plan, batch.number, point, seed) for point, seed in batch.runs]
+
+
+def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
+    """A run. One that cannot be sailed is a row too, with its error."""
+    began_s = time.perf_counter()
+    values = plan.values(point, seed)
+    row: dict[str, Any] = {"batch": number, "point": point, "seed": seed, "story": plan.stories[plan.points[point][0]].name}
+    row |= values
+    try:
+        sailed, failures = sailed_run(plan, point, seed)
+        row |= {"ok": not failures, "failures": failures, "error": ""}
+        row |= {measure.name: measure.value(sailed) for measure in MEASURES}
+    except Exception as error:  # a defect, or a limit: a result of this run, not the end of the campaign
+        row |= {"ok": False, "failures": [], "error": f"{type(error).__name__}: {error}"}
+    return row | {
+        "wall_s": time.perf_counter() - began_s,
+        "host": platform.node(),
+        "pid": os.getpid(),
+        "version": VERSION,
+    }
+
+
+def sailed_run(
+    plan: Plan, point: int, seed: int, look: Callable[[Lockstep], object] = lambda run: None, log: str = ""
+) -> tuple[Sailed, list[str]]:
+    """The run of a point and a seed, and what failed in it, in words. `look` is called after each cycle; `log` is a folder for
+    its state log. Raises DelfimError."""
+    story, values = plan.stories[plan.points[point][0]], plan.values(point, seed)
+    tree = laid(plan.vehicle, values | ({"log.directory": log, "log.state_method": "write"} if log else {}))
+    scenario, mission, patient = None, story.mission, True
+    if story.scenario is not None:
+        scenario = tables.decode(story.scenario, Scenario, story.name)
+    elif not story.mission:
+        settings = tables.decode(tree, config.Vehicle, plan.name)
+        scenario, mission, patient = mixed(seed, settings), mixed_mission(settings.simulation), False
+    if scenario is not None:
+        tree = laid(laid_over(tree, scenario.vehicle), values)  # the campaign's values lie uppermost
+    settings = tables.decode(tree, config.Vehicle, plan.name)
+    watch = _Watch(plan.limit_s, look, lambda clock: Logbook(settings, clock) if log else NoLog())
+    if scenario is None:
+        run = Lockstep(settings, seed, watch.tape)
+        end = run.sail(mission, plan.seconds, watch)
+        run.close()
+        return Sailed(run, watch.log, watch.truth, [], end), [] if end.startswith("mission done") else [end]
+    result = sail(scenario, settings, seed, mission, watch.tape, patient=patient, look=watch)
+    return Sailed(watch.begun, watch.log, watch.truth, result.events, watch.truth.reason), result.failures

@@ -1,0 +1,94 @@
+"""Who sails the batches: processes of this machine, or the workers of a Dask cluster. Both get few batches at a time."""
+
+import multiprocessing
+import signal
+from collections import deque
+from collections.abc import Generator, Iterable
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from importlib import import_module
+from itertools import islice
+from typing import Any, Final
+
+from delfim.campaign.plan import Batch, Plan
+from delfim.campaign.sailing import VERSION, sail_batch
+from delfim.errors import DelfimError
+
+AHEAD: Final = 3  # batches handed out for each worker: enough that nobody waits, few enough that nobody remembers a million
+DEATHS: Final = 3  # of workers, one after the other without a finished batch between, until it is given up
+
+Rows = list[dict[str, Any]]
+
+
+def by_processes(plan: Plan, batches: Iterable[Batch], count: int) -> Generator[tuple[int, Rows], None, None]:
+    """Rows of batches, in any order. A killed process breaks the whole pool: it is made anew with what is missing. Raises
+    DelfimError when that goes on."""
+    left, deaths, rest = deque[Batch](), 0, iter(batches)
+    while True:
+        pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _deaf)
+        waiting = dict[Future[Rows], Batch]()
+        try:
+            while True:
+                while len(waiting) < AHEAD * count and (batch := left.popleft() if left else next(rest, None)):
+                    waiting[pool.submit(sail_batch, plan, batch, VERSION)] = batch
+                if not waiting:
+                    return
+                for each in wait(waiting, return_when=FIRST_COMPLETED).done:
+                    rows = each.result()
+                    number, deaths = waiting.pop(each).number, 0
+                    yield number, rows
+        except BrokenProcessPool:
+            deaths += 1
+            if deaths >= DEATHS:
+                raise DelfimError(f"{DEATHS} worker processes died one after the other") from None
+            left.extend(waiting.values())
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _deaf() -> None:
+    """Ctrl-C is for the process that writes."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def by_cluster(plan: Plan, batches: Iterable[Batch], address: str) -> Generator[tuple[int, Rows], None, None]:
+    """The same by a Dask scheduler, whose workers may come and go. Nothing that a batch needs lives on workers alone: the plan
+    goes with each. Raises DelfimError where there is no cluster, or it was lost, or a worker has other code."""
+    dask: Any = import_module("distributed")
+    try:
+        client = dask.Client(address, timeout="10s")
+    except OSError as error:
+        raise DelfimError(f"no Dask cluster at {address}: {error}") from None
+    with client:
+        _check(client, address)
+        rest, taken = iter(batches), dask.as_completed()
+
+        def hand_out() -> None:
+            free = AHEAD * max(1, sum(client.nthreads().values())) - taken.count()
+            for batch in islice(rest, max(free, 0)):
+                key = f"{plan.digest}-{batch.number}"
+                taken.add(client.submit(sail_batch, plan, batch, VERSION, key=key, pure=False, retries=2))
+
+        hand_out()
+        for future in taken:
+            try:
+                rows: Rows = future.result()
+            except (dask.CancelledError, dask.scheduler.KilledWorker, OSError) as error:
+                raise DelfimError(f"the cluster at {address} lost a batch: {error}; the same command goes on") from None
+            yield rows[0]["batch"], rows
+            future.release()
+            hand_out()
+
+
+def _check(client: Any, address: str) -> None:
+    """Every worker must have this code, by its digest and not by its number alone."""
+    found = client.run(_version, on_error="ignore")  # one that dies now is asked again by its first batch
+    if not found:
+        raise DelfimError(f"the Dask cluster at {address} has no workers")
+    for worker, version in found.items():
+        if version != VERSION:
+            raise DelfimError(f"the worker {worker} has {version}, this is {VERSION}")
+
+
+def _version() -> str:
+    return VERSION

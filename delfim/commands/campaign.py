@@ -1,0 +1,66 @@
+"""`delfim campaign`: sails all runs of a campaign's file, says what came of them, and asks the results by SQL."""
+
+import argparse
+import os
+import shlex
+from pathlib import Path
+from typing import Final
+
+from delfim.errors import DelfimError
+
+FOLDER: Final = Path("run/campaign")
+
+
+def options(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("file", metavar="FILE", help='The campaign\'s file (docs/campaigns.md), or "query".')
+    parser.add_argument("sql", metavar="SQL", nargs="?", help="With query: SQL of DuckDB over the table `runs`.")
+    kept = "Keep the results here (default: run/campaign/NAME-DIGEST; of query: the newest there)."
+    parser.add_argument("--output", metavar="DIRECTORY", help=kept)
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N", help="Processes of this machine.")
+    parser.add_argument("--cluster", metavar="ADDRESS", help="Sail on this Dask cluster instead, as tcp://host:8786.")
+    parser.add_argument("--batch", type=int, default=20, metavar="RUNS", help="Runs that are handed out together.")
+    parser.add_argument("--again", metavar="POINT:SEED", help="Sail one run here once more, with its log and a picture.")
+    parser.add_argument("--against", metavar="DIRECTORY", help="Compare with the results of an earlier campaign.")
+
+
+def run(asked: argparse.Namespace) -> int:
+    if asked.file == "query":
+        return _query(asked)
+    if asked.sql is not None:
+        raise DelfimError("SQL is for delfim campaign query")
+    if not 1 <= asked.workers <= 1024 or not 1 <= asked.batch <= 10_000:
+        raise DelfimError("--workers is 1 to 1024, --batch 1 to 10000")
+    from delfim.campaign import again, session
+    from delfim.campaign.plan import read
+
+    file, plan = read(asked.file)
+    folder = Path(asked.output) if asked.output else FOLDER / f"{_slug(plan.name)}-{plan.digest[:8]}"
+    if asked.again:
+        return again.sail(plan, folder, *_run(asked.again, len(plan.points)))
+    session.sail(plan, folder, asked.batch, asked.workers, asked.cluster)
+    words = ["delfim", "campaign", asked.file, *(["--output", asked.output] if asked.output else [])]
+    return session.tell(file, plan, folder, shlex.join(words), Path(asked.against) if asked.against else None)
+
+
+def _slug(name: str) -> str:
+    return "-".join("".join(letter if letter.isalnum() else " " for letter in name.lower()).split())[:40] or "campaign"
+
+
+def _run(text: str, points: int) -> tuple[int, int]:
+    point, colon, seed = text.partition(":")
+    if not (colon and point.isdecimal() and seed.isdecimal() and int(point) < points):
+        raise DelfimError(f"--again {text}: not POINT:SEED with a point up to {points - 1}")
+    return int(point), int(seed)
+
+
+def _query(asked: argparse.Namespace) -> int:
+    from delfim.campaign import answers
+
+    if asked.sql is None:
+        raise DelfimError('say what to ask, as delfim campaign query "select count(*) from runs"')
+    newest = sorted(FOLDER.glob("*/campaign.json"), key=os.path.getmtime)[-1:]
+    folders = [Path(asked.output)] if asked.output else [each.parent for each in newest]
+    if not folders:
+        raise DelfimError(f"no campaign in {FOLDER}; name its folder with --output")
+    print(answers.shown(*answers.asked(answers.connect(folders[0]), asked.sql)))
+    return 0

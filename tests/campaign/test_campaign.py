@@ -1,0 +1,263 @@
+"""Campaigns from the command line: sailed by processes or by a Dask cluster, whatever dies; each run there once."""
+
+import itertools
+import json
+import os
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import pytest
+
+from delfim.__main__ import main
+from delfim.campaign import answers, sailing, session, store, workers
+from delfim.campaign.plan import Batch, read
+from delfim.errors import DelfimError
+from tests.campaign.test_plan import ETC, written
+
+DELFIM = (sys.executable, "-m", "delfim", "campaign")
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def sailed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    """A campaign's file, and the folder of its results."""
+    place = tmp_path_factory.mktemp("campaign")
+    lines = ['scenario = "mixed"', "seeds = {first = 3, count = 5}", "[vary]", '"simulation.sea.wind_mps" = [0.0, 6.0]']
+    lines += ["[draw]", '"simulation.sea.current_mps" = {uniform = [0.0, 0.5]}']
+    lines += ["[[pass]]", 'name = "never"', 'sql = "count(*) filter (not ok) = 0"']
+    lines += ["[[pass]]", 'name = "far"', 'sql = "min(way_m) > 1.0"', 'each = "point"']
+    path = written(place, *lines)
+    words = ["campaign", str(path), "--output", str(place / "out"), "--workers", "2", "--batch", "3"]
+    assert main(words) == 0
+    return path, place / "out"
+
+
+def digests(folder: Path) -> dict[tuple[int, int], str]:
+    rows = answers.asked(answers.connect(folder), "select point, seed, digest from runs")[1]
+    assert len(rows) == len({row[:2] for row in rows}), "a run is there twice"
+    return {(point, seed): digest for point, seed, digest in rows}
+
+
+def test_it_judges_reports_and_has_every_run_once(sailed, capsys):
+    path, folder = sailed
+    assert set(digests(folder)) == set(itertools.product((0, 1), range(3, 8)))
+    assert main(["campaign", str(path), "--output", str(folder), "--batch", "3"]) == 0, "nothing is left to sail"
+    told = capsys.readouterr().out
+    assert "10 of them are there already" in told
+    assert "holds  never" in told
+    page = (folder / "report.html").read_text()
+    for words in ("Holds: never", "Holds: far", "95 % confidence", "Points", "What moves what", "Where boats ended", "--again"):
+        assert words in page
+    assert page.count("data:image/png;base64,") == 4
+    assert "http://" not in page
+    assert "https://" not in page
+
+
+def test_a_run_is_repeated_to_the_last_byte_with_its_log_and_a_picture(sailed, capsys):
+    path, folder = sailed
+    assert main(["campaign", str(path), "--output", str(folder), "--again", "1:7"]) == 0
+    assert "the same run to the last byte" in capsys.readouterr().out
+    assert (folder / "again-1-7/track.png").stat().st_size > 5000
+    assert list(folder.glob("again-1-7/*/state/*.state"))
+
+
+def test_it_is_asked_by_sql(sailed, capsys):
+    _, folder = sailed
+    assert (
+        main(["campaign", "query", "select point, count(*) as runs from runs group by 1 order by 1", "--output", str(folder)])
+        == 0
+    )
+    assert capsys.readouterr().out == "point  runs\n0      5\n1      5\n"
+    assert main(["campaign", "query", "select nothing from runs", "--output", str(folder)]) == 2
+    assert 'Referenced column "nothing" not found' in capsys.readouterr().err
+
+
+def test_a_campaign_that_does_not_hold_ends_with_1_and_says_where(sailed, tmp_path, capsys):
+    path, folder = sailed
+    told = path.read_text().replace("min(way_m) > 1.0", "min(way_m) > 1e9")
+    (tmp_path / "campaign.toml").write_text(told)
+    assert main(["campaign", str(tmp_path / "campaign.toml"), "--output", str(folder), "--batch", "3"]) == 1
+    assert "FAILS  far (points 0, 1)" in capsys.readouterr().out
+
+
+def test_another_campaign_is_compared_run_by_run(sailed, tmp_path, capsys):
+    path, folder = sailed
+    (tmp_path / "campaign.toml").write_text(path.read_text().replace("[0.0, 6.0]", "[0.0, 5.0]"))
+    words = ["campaign", str(tmp_path / "campaign.toml"), "--output", str(tmp_path / "out"), "--against", str(folder)]
+    assert main(words) == 0
+    page = (tmp_path / "out/report.html").read_text()
+    assert "10 runs in common, 5 of them the same to the last byte" in page
+    capsys.readouterr()
+    assert main(["campaign", str(path), "--output", str(tmp_path / "out")]) == 2
+    assert "holds another campaign" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--again", "9:1"), "not POINT:SEED with a point up to 1"),
+        (("--again", "x"), "not POINT:SEED"),
+        (("--workers", "0"), "--workers is 1 to 1024"),
+        (("select 1",), "SQL is for delfim campaign query"),
+        (("--cluster", "tcp://127.0.0.1:1"), "no Dask cluster at tcp://127.0.0.1:1"),
+    ],
+)
+def test_mistakes_are_said_in_words(sailed, tmp_path, capsys, words, said):
+    if "--cluster" in words:  # Dask is slow to give up: its own process may wait
+        command = (*DELFIM, str(sailed[0]), *words, "--output", str(tmp_path / "out"))
+        end = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=100)
+        assert (end.returncode, said in end.stderr) == (2, True), end.stderr
+        return
+    assert main(["campaign", str(sailed[0]), *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+# What a worker does.
+
+
+def test_a_run_that_cannot_be_sailed_is_a_row_with_its_error(tmp_path):
+    _, plan = read(written(tmp_path, 'scenario = "mixed"', "limit_s = 1e-9", "seeds = {count = 1}"))
+    (row,) = sailing.sail_batch(plan, Batch(0, ((0, 1),)), sailing.VERSION)
+    assert not row["ok"]
+    assert row["error"].startswith("TooLong: not over after 1e-09 s of computing")
+
+
+def test_a_worker_with_other_code_is_refused_with_both_named(tmp_path):
+    _, plan = read(written(tmp_path, 'scenario = "mixed"'))
+    with pytest.raises(DelfimError, match=r"this worker has delfim .* code [0-9a-f]{8} .*, the campaign delfim 9\.9 code 0"):
+        sailing.sail_batch(plan, Batch(0, ((0, 1),)), "delfim 9.9 code 0")
+
+
+def test_values_of_the_campaign_lie_over_those_of_the_scenario(tmp_path):
+    """The scenario of mixed faults has a sea of its own."""
+    _, plan = read(written(tmp_path, 'scenario = "mixed"', "[vary]", '"simulation.sea.current_mps" = [0.0, 0.9]'))
+    seen = [sailing.sailed_run(plan, point, 1)[0].run.settings.simulation.sea.current_mps for point in (0, 1)]
+    assert seen == [0.0, 0.9]
+
+
+def test_a_mission_is_measured(tmp_path):
+    _, plan = read(written(tmp_path, f'mission = "{ETC}/missions/doca.toml"', "seeds = {count = 1}"))
+    (row,) = sailing.sail_batch(plan, Batch(0, ((0, 1),)), sailing.VERSION)
+    assert row["ok"], row
+    assert row["end"].startswith("mission done")
+    assert row["cross_rms_m"] < 1.0
+    assert 100.0 < row["way_m"] < 3000.0
+    assert row["energy_j"] > 1000.0
+    assert row["faults"] == 0
+
+
+# The results.
+
+
+def test_a_batch_counts_once_a_torn_part_not_at_all_and_what_is_missing_is_known(tmp_path):
+    _, plan = read(written(tmp_path, 'scenario = "mixed"', "seeds = {count = 4}"))
+    rows = {batch.number: sailing.sail_batch(plan, batch, sailing.VERSION) for batch in plan.batches(2)}
+    kept = store.Store(tmp_path / "out", plan, 2, sailing.VERSION)
+    for _ in range(2):
+        kept.add(0, rows[0])
+    kept.flush()
+    (tmp_path / "out/part-000001.tmp").write_bytes(b"torn")  # the power failed before it had its name
+    again = store.Store(tmp_path / "out", plan, 2, sailing.VERSION)
+    assert again.done == {0}
+    assert again.runs == 2
+    assert not list((tmp_path / "out").glob("*.tmp"))
+    again.add(1, rows[1])
+    again.flush()
+    assert set(digests(tmp_path / "out")) == {(0, 1), (0, 2), (0, 3), (0, 4)}
+    with pytest.raises(DelfimError, match="results of other code"):
+        store.Store(tmp_path / "out", plan, 2, "delfim 9.9")
+    with pytest.raises(DelfimError, match="batches of another size"):
+        store.Store(tmp_path / "out", plan, 3, sailing.VERSION)
+
+
+def test_a_key_with_values_of_several_kinds_is_refused(tmp_path):
+    _, plan = read(written(tmp_path, 'scenario = "mixed"', "[vary]", '"log.required" = [true]', '"boat.name" = ["a", "b"]'))
+    store.schema(plan)
+    with pytest.raises(DelfimError, match="several kinds"):
+        store.schema(plan._replace(points=((0, {"a.b": "text"}), (0, {"a.b": 1.0}))))
+
+
+def test_interval_of_a_share():
+    assert answers.share(0, 600) == (0.0, pytest.approx(0.00636, abs=1e-4))
+    assert answers.share(50, 100) == (pytest.approx(0.4038, abs=1e-3), pytest.approx(0.5962, abs=1e-3))
+
+
+# Workers that die.
+
+
+def test_a_killed_process_costs_no_run_and_counts_none_twice(tmp_path, sailed):
+    path, folder = sailed
+    _, plan = read(path)
+    rows, killed = dict[int, list[dict]](), set[int]()
+    for number, some in workers.by_processes(plan, plan.batches(2), 2):
+        assert number not in rows
+        rows[number] = some
+        if len(killed) < 2 and some[0]["pid"] not in killed:
+            killed.add(some[0]["pid"])
+            os.kill(some[0]["pid"], signal.SIGKILL)
+    assert len(killed) == 2
+    assert {(row["point"], row["seed"]): row["digest"] for some in rows.values() for row in some} == digests(folder)
+
+
+def test_ctrl_c_keeps_what_was_sailed_and_the_same_command_goes_on(tmp_path, sailed, monkeypatch, capsys):
+    path, folder = sailed
+    words = ["campaign", str(path), "--output", str(tmp_path / "out"), "--workers", "2", "--batch", "1"]
+    taken = itertools.count()
+
+    def struck(progress: session.Progress, rows: list[dict]) -> None:
+        if next(taken) == 3:
+            raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(session.Progress, "add", struck)
+        assert main(words) == 130
+    assert "ended by Ctrl-C after 4 of 10 runs; the same command goes on" in capsys.readouterr().err
+    assert len(digests(tmp_path / "out")) == 4
+    assert main(words) == 0
+    assert "4 of them are there already" in capsys.readouterr().out
+    assert digests(tmp_path / "out") == digests(folder)
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[str]:
+    """The address of a Dask scheduler on loopback with two workers, each a process."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        port = free.getsockname()[1]
+    address, quiet = f"tcp://127.0.0.1:{port}", os.environ | {"PYTHONPATH": str(ROOT), "DASK_LOGGING__DISTRIBUTED": "error"}
+    dask = (sys.executable, "-W", "ignore", "-m", "distributed.cli.dask_spec")
+    scheduler = {"cls": "distributed.Scheduler", "opts": {"host": "127.0.0.1", "port": port, "dashboard": False}}
+    worker = {"cls": "distributed.Worker", "opts": {"nthreads": 1, "dashboard": False, "host": "127.0.0.1"}}
+    with ExitStack() as running:
+        for words in ((json.dumps(scheduler),), *2 * ((json.dumps(worker), address),)):
+            program = subprocess.Popen((*dask, "--spec", *words), env=quiet, cwd=tmp_path, stderr=subprocess.DEVNULL)
+            running.callback(program.wait)
+            running.callback(program.kill)
+        yield address
+
+
+KILLING = """
+import json, os, signal, sys
+from delfim.campaign.plan import read
+from delfim.campaign.workers import by_cluster
+plan, dead, found = read(sys.argv[1])[1], 0, {}
+for number, (row,) in by_cluster(plan, plan.batches(1), sys.argv[2]):
+    assert number not in found
+    found[number] = [row["point"], row["seed"], row["digest"]]
+    if not dead:
+        dead = row["pid"]
+        os.kill(dead, signal.SIGKILL)
+print(json.dumps(list(found.values())))
+"""
+
+
+@pytest.mark.long
+def test_a_cluster_whose_worker_is_killed_gives_the_same_rows(sailed, cluster):
+    path, folder = sailed
+    end = subprocess.run((sys.executable, "-c", KILLING, path, cluster), capture_output=True, text=True, cwd=ROOT, timeout=100)
+    assert end.returncode == 0, end.stderr
+    assert {(point, seed): digest for point, seed, digest in json.loads(end.stdout)} == digests(folder)
