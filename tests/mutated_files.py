@@ -131,6 +131,12 @@ def scenarios_mission(here: Path) -> Said:
     return refused(lambda: mission_of(load_scenario(here / "storm.toml"), here / "storm.toml"))
 
 
+def campaign(here: Path) -> Said:
+    from delfim.campaign.runplan import read
+
+    return refused(lambda: read(here / "campaign.toml"))
+
+
 def operators_mission(here: Path) -> Said:
     from delfim.console.drive import command as words_of
 
@@ -313,6 +319,7 @@ READERS = {
     "mission": Reader("lake.toml", mission, TEXT),
     "library": Reader("lake.toml", library, TEXT),
     "scenario": Reader("storm.toml", scenario, TEXT),
+    "campaign": Reader("campaign.toml", campaign, TEXT),
     "scenario's mission": Reader("lake.toml", scenarios_mission, TEXT),
     "mission to send": Reader("lake.toml", operators_mission, TEXT),
     "session": Reader("day.tlog", replayed, BINARY),

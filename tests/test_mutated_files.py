@@ -28,6 +28,20 @@ from tests.logging.sailing import MISSION, Day
 from tests.mutated_files import READERS, ROOT, command, refused
 from tests.services.test_slots import Yard
 
+CAMPAIGN = """version = 1
+name = "Storms"
+vehicle = "boat.toml"
+scenario = "storm.toml"
+seeds = { first = 2, count = 9 }
+[vary]
+"simulation.sea.wind_mps" = { from = 1.0, to = 8.0, steps = 4 }
+"log.required" = [true, false]
+[draw]
+"simulation.sea.gusts" = { uniform = [0.1, 0.4] }
+[[pass]]
+name = "all"
+sql = "bool_and(ok)"
+"""
 STORM = """version = 1
 name = "storm"
 seconds = 60
@@ -55,6 +69,7 @@ def settings(folder: Path) -> None:
     shutil.copy(ROOT / "etc/delfimx.toml", folder / "boat.toml")
     shutil.copy(ROOT / "etc/missions/doca.toml", folder / "lake.toml")
     (folder / "storm.toml").write_text(STORM)
+    (folder / "campaign.toml").write_text(CAMPAIGN)
     shutil.copy(ROOT / "etc/delfimx.dbc", folder / "boat.dbc")
 
 
@@ -179,6 +194,7 @@ SAMPLES = {
         "mission",
         "library",
         "scenario",
+        "campaign",
         "scenario's mission",
         "mission to send",
         "CAN database",

@@ -13,7 +13,7 @@ from delfim.vehicle.state import State, StateLog
 from delfim.vehicle.zones import clearance_m
 
 
-class Tape:
+class RunTape:
     """The state log of a run: it keeps sums and a digest of what the boat knew and commanded in each cycle. `beside` is given
     everything, too."""
 
@@ -75,7 +75,7 @@ class Sailed(NamedTuple):
     """A run that has ended."""
 
     run: Lockstep
-    tape: Tape
+    tape: RunTape
     truth: Truth
     events: list[Event]
     end: str  # in words

@@ -13,8 +13,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from delfim.campaign.answers import (
-    Verdict,
+from delfim.campaign.findings import (
+    Holding,
     asked,
     failed,
     numeric,
@@ -23,7 +23,7 @@ from delfim.campaign.answers import (
     share,
     worst,
 )
-from delfim.campaign.plan import Plan
+from delfim.campaign.runplan import Plan
 from delfim.campaign.sailing import sailed_run
 from delfim.simulator.lockstep import Lockstep
 
@@ -49,7 +49,7 @@ def write(
     folder: Path,
     plan: Plan,
     database: duckdb.DuckDBPyConnection,
-    verdicts: Sequence[Verdict],
+    verdicts: Sequence[Holding],
     command: str,
     earlier: duckdb.DuckDBPyConnection | None,
 ) -> Path:
@@ -72,7 +72,7 @@ def write(
     return page
 
 
-def _head(plan: Plan, database: duckdb.DuckDBPyConnection, verdicts: Sequence[Verdict]) -> Iterator[str]:
+def _head(plan: Plan, database: duckdb.DuckDBPyConnection, verdicts: Sequence[Holding]) -> Iterator[str]:
     sql = "select count(*), count_if(not ok), sum(sailed_s), sum(wall_s), string_agg(distinct version, '; ') from runs"
     runs, bad, sailed_s, wall_s, versions = asked(database, sql)[1][0]
     low, high = share(bad, runs)

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 import delfim
 from delfim import config, tables
-from delfim.campaign.measures import MEASURES, Sailed, Tape, Truth
-from delfim.campaign.plan import Batch, Plan, laid
+from delfim.campaign.measures import MEASURES, RunTape, Sailed, Truth
+from delfim.campaign.runplan import Batch, Plan, laid
 from delfim.clock import ManualClock
 from delfim.errors import DelfimError
 from delfim.simulator.lockstep import Lockstep
@@ -37,12 +37,12 @@ class _Watch:
         self._until_s, self._limit_s = time.monotonic() + limit_s, limit_s
         self._look, self._beside = look, beside
         self.begun: Lockstep
-        self.log: Tape
+        self.log: RunTape
         self.truth: Truth
         self._cycles = 0
 
-    def tape(self, clock: ManualClock) -> Tape:
-        self.log = Tape(clock, self._beside(clock))
+    def tape(self, clock: ManualClock) -> RunTape:
+        self.log = RunTape(clock, self._beside(clock))
         return self.log
 
     def __call__(self, run: Lockstep) -> None:

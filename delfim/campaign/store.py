@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from delfim.campaign.measures import MEASURES
-from delfim.campaign.plan import Plan
+from delfim.campaign.runplan import Plan
 from delfim.errors import DelfimError
 
 PART_ROWS: Final = 5000

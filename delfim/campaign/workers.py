@@ -10,7 +10,7 @@ from importlib import import_module
 from itertools import islice
 from typing import Any, Final
 
-from delfim.campaign.plan import Batch, Plan
+from delfim.campaign.runplan import Batch, Plan
 from delfim.campaign.sailing import VERSION, sail_batch
 from delfim.errors import DelfimError
 

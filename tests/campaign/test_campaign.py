@@ -14,10 +14,10 @@ from pathlib import Path
 import pytest
 
 from delfim.__main__ import main
-from delfim.campaign import answers, sailing, session, store, workers
-from delfim.campaign.plan import Batch, read
+from delfim.campaign import conduct, findings, sailing, store, workers
+from delfim.campaign.runplan import Batch, read
 from delfim.errors import DelfimError
-from tests.campaign.test_plan import ETC, written
+from tests.campaign.test_runplan import ETC, written
 
 DELFIM = (sys.executable, "-m", "delfim", "campaign")
 ROOT = Path(__file__).parents[2]
@@ -38,7 +38,7 @@ def sailed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
 
 
 def digests(folder: Path) -> dict[tuple[int, int], str]:
-    rows = answers.asked(answers.connect(folder), "select point, seed, digest from runs")[1]
+    rows = findings.asked(findings.connect(folder), "select point, seed, digest from runs")[1]
     assert len(rows) == len({row[:2] for row in rows}), "a run is there twice"
     return {(point, seed): digest for point, seed, digest in rows}
 
@@ -183,8 +183,8 @@ def test_a_key_with_values_of_several_kinds_is_refused(tmp_path):
 
 
 def test_interval_of_a_share():
-    assert answers.share(0, 600) == (0.0, pytest.approx(0.00636, abs=1e-4))
-    assert answers.share(50, 100) == (pytest.approx(0.4038, abs=1e-3), pytest.approx(0.5962, abs=1e-3))
+    assert findings.share(0, 600) == (0.0, pytest.approx(0.00636, abs=1e-4))
+    assert findings.share(50, 100) == (pytest.approx(0.4038, abs=1e-3), pytest.approx(0.5962, abs=1e-3))
 
 
 # Workers that die.
@@ -209,12 +209,12 @@ def test_ctrl_c_keeps_what_was_sailed_and_the_same_command_goes_on(tmp_path, sai
     words = ["campaign", str(path), "--output", str(tmp_path / "out"), "--workers", "2", "--batch", "1"]
     taken = itertools.count()
 
-    def struck(progress: session.Progress, rows: list[dict]) -> None:
+    def struck(progress: conduct.Progress, rows: list[dict]) -> None:
         if next(taken) == 3:
             raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(session.Progress, "add", struck)
+        patch.setattr(conduct.Progress, "add", struck)
         assert main(words) == 130
     assert "ended by Ctrl-C after 4 of 10 runs; the same command goes on" in capsys.readouterr().err
     assert len(digests(tmp_path / "out")) == 4
@@ -242,7 +242,7 @@ def cluster(tmp_path: Path) -> Iterator[str]:
 
 KILLING = """
 import json, os, signal, sys
-from delfim.campaign.plan import read
+from delfim.campaign.runplan import read
 from delfim.campaign.workers import by_cluster
 plan, dead, found = read(sys.argv[1])[1], 0, {}
 for number, (row,) in by_cluster(plan, plan.batches(1), sys.argv[2]):

@@ -5,8 +5,8 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from delfim.campaign import answers, report
-from delfim.campaign.plan import CampaignFile, Plan
+from delfim.campaign import findings, report
+from delfim.campaign.runplan import CampaignFile, Plan
 from delfim.campaign.sailing import VERSION
 from delfim.campaign.store import Store
 from delfim.campaign.workers import by_cluster, by_processes
@@ -77,13 +77,13 @@ def sail(plan: Plan, folder: Path, size: int, workers: int, cluster: str | None)
 def tell(file: CampaignFile, plan: Plan, folder: Path, command: str, against: Path | None) -> int:
     """Tells verdicts and why runs failed, and writes the page. `command` is the campaign's own, to which --again is added.
     Returns 0 where all that must hold does. Raises DelfimError."""
-    database = answers.connect(folder)
-    verdicts = answers.verdicts(database, file.must)
+    database = findings.connect(folder)
+    verdicts = findings.verdicts(database, file.must)
     for name, holds, where in verdicts:
         print(f"  {'holds' if holds else 'FAILS':6} {name}" + (f" (points {', '.join(map(str, where[:10]))})" if where else ""))
-    for words, many, point, seed in answers.failed(database)[:10]:
+    for words, many, point, seed in findings.failed(database)[:10]:
         print(f"  {many:6} failed: {words}; again: {command} --again {point}:{seed}")
-    earlier = answers.connect(against) if against else None
+    earlier = findings.connect(against) if against else None
     page = report.write(folder, plan, database, verdicts, command, earlier)
     print(f"  report {page}")
     if database.execute("select count(distinct (point, seed)) from runs").fetchone() != (plan.runs,):

@@ -9,7 +9,7 @@ import duckdb
 import numpy as np
 
 from delfim.campaign.measures import MEASURES
-from delfim.campaign.plan import Pass
+from delfim.campaign.runplan import Pass
 from delfim.campaign.store import parts
 from delfim.errors import DelfimError
 
@@ -19,7 +19,7 @@ QUANTILES: Final = (0.05, 0.5, 0.95)
 WILSON: Final = 1.959964  # of the normal distribution: 95 %
 
 
-class Verdict(NamedTuple):
+class Holding(NamedTuple):
     """Of one [[pass]]; `where` are the points at which it does not hold."""
 
     name: str
@@ -55,16 +55,16 @@ def asked(database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], lis
     return [each[0] for each in answer.description or ()], answer.fetchall()
 
 
-def verdicts(database: duckdb.DuckDBPyConnection, passes: Iterable[Pass]) -> list[Verdict]:
+def verdicts(database: duckdb.DuckDBPyConnection, passes: Iterable[Pass]) -> list[Holding]:
     """Of each [[pass]] of the file; one that gives no truth does not hold. Raises DelfimError for one that is no SQL."""
-    told = list[Verdict]()
+    told = list[Holding]()
     for each in passes:
         if each.each == "point":
             rows = asked(database, f"select point, ({each.sql}) from runs group by point order by point")[1]
             where = tuple(point for point, holds in rows if holds is not True)
-            told.append(Verdict(each.name, not where, where))
+            told.append(Holding(each.name, not where, where))
         else:
-            told.append(Verdict(each.name, asked(database, f"select ({each.sql}) from runs")[1][0][0] is True))
+            told.append(Holding(each.name, asked(database, f"select ({each.sql}) from runs")[1][0][0] is True))
     return told
 
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config, tables
-from delfim.campaign.plan import Draw, Plan, Seeds, laid, read
+from delfim.campaign.runplan import Draw, Plan, Seeds, laid, read
 from delfim.errors import ConfigError
 
 ETC = Path(__file__).parents[2] / "etc"
