@@ -127,6 +127,20 @@ OutDevice = Annotated[
 ]
 SPOKEN_BYTES = {"RMC": 80, "HDT": 20, "GGA": 72, "VTG": 48, "ROT": 24}  # at most, of each sentence that is told
 SpokenName = Literal["RMC", "HDT", "GGA", "VTG", "ROT"]
+CorrectionsTo = Annotated[
+    str,
+    text(
+        rf"([A-Za-z][A-Za-z0-9_-]{{0,31}}|/[^ ]+|tcp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})?",
+        "a name of nmea0183.ports, /DEVICE, tcp:ADDRESS:PORT, or empty",
+    ),
+]
+CasterPlace = Annotated[
+    str,
+    text(
+        rf"(ntrips?://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\]):{_PORT}/[!-~]{{1,100}})?",
+        "ntrip://HOST:PORT/MOUNTPOINT, or ntrips, or empty",
+    ),
+]
 TalkerName = Annotated[
     str, text("[A-Za-z][A-Za-z0-9_-]{0,31}(:[A-Z0-9]{2})?", "a port's name, or PORT:TALKER with the talker's two letters")
 ]
@@ -298,6 +312,22 @@ class Nmea0183(Table, frozen=True):
         for each in self.preferred:
             if each.partition(":")[0] not in self.ports:
                 raise ValueError(f"preferred: there is no port {each.partition(':')[0]}")
+
+
+class Corrections(Table, frozen=True):
+    """Corrections (RTCM 3) for a receiver with RTK: from an NTRIP caster, and by MAVLink from a console (docs/rtk.md)."""
+
+    to: CorrectionsTo = ""  # the receiver's port: a name of nmea0183.ports, a port of its own, or a connection; "": none
+    baud: Baud = 115_200  # of a serial port of its own
+    caster: CasterPlace = ""  # where they come from; ntrips is over TLS; "": by MAVLink alone
+    credentials: str = ""  # file with USER:PASSWORD in one line, mode 0600; "": the caster asks for none
+    gga_s: Annotated[float, msgspec.Meta(ge=0.0, le=600.0)] = 10.0  # the caster is told the boat's place so often; 0: never
+
+    def __post_init__(self) -> None:
+        if self.caster and not self.to:
+            raise ValueError("a caster needs a receiver: write to = ...")
+        if self.credentials and not self.caster:
+            raise ValueError("credentials without a caster: write caster = ...")
 
 
 class Steer(Table, frozen=True):
@@ -1230,6 +1260,7 @@ class Vehicle(Table, frozen=True):
     navigation: NavigationTable = NavigationTable()
     nmea2000: Nmea2000 = Nmea2000()
     nmea0183: Nmea0183 = Nmea0183()
+    corrections: Corrections = Corrections()
     estimator: EstimatorTable = EstimatorTable()
     propulsion: PropulsionTable = PropulsionTable()
     dsor: Dsor = Dsor()
@@ -1282,6 +1313,10 @@ class Vehicle(Table, frozen=True):
         for each in self.simulation.instruments:
             if (port := each.partition(":")[0]) not in self.nmea0183.ports:
                 raise ValueError(f"simulation.instruments: there is no port {port} in nmea0183")
+        if (to := self.corrections.to) and not to.startswith(("/", "tcp:")):
+            device = self.nmea0183.ports[to].device if to in self.nmea0183.ports else ""
+            if not device.startswith(("/", "tcp:")):
+                raise ValueError(f"corrections.to: nmea0183.ports has no serial port or connection of the name {to}")
         if (fault := thrusters_fault(self.thrusters)) is not None:
             raise ValueError(f"thrusters: {fault}")
         for row in self.thrusters:
@@ -1374,6 +1409,7 @@ def _lines_apart(vehicle: Vehicle, file: str) -> None:
     """A serial line has one reader: two would each get a part of what comes. Raises ConfigError."""
     readers: dict[str, str] = {}
     told = {f"nmea0183.out.{name}.to": out.to for name, out in vehicle.nmea0183.out.items() if out.to.startswith("/")}
+    told |= {"corrections.to": to} if (to := vehicle.corrections.to).startswith("/") else {}
     for key, device in {"slipd.device": vehicle.slipd.device, **vehicle.outside("device"), **told}.items():
         if device and device in readers:
             raise ConfigError(file, key, f"{device} is read by {readers[device]} already, and a serial line has one reader")

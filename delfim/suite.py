@@ -96,6 +96,13 @@ SERVICES = (
     Service("sshd", "delfim.services.sshd:serve", place="process", when=lambda settings: settings.sshd.users, uvloop=False),
     Service("powerd", "delfim.services.powerd:serve"),
     Service("payload", "delfim.services.payload:serve", place="process", when=lambda settings: settings.payload, uvloop=False),
+    Service(
+        "corrections",
+        "delfim.services.corrections:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: settings.corrections.to,
+    ),
     Service("vehicle", "delfim.services.vehicle:serve"),
 )
 

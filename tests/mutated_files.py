@@ -271,6 +271,13 @@ def slot(here: Path) -> Said:
     return command("image", VEHICLE, "status", "--set", f'image.directory="{here}"')
 
 
+def casters_password(here: Path) -> Said:
+    from delfim.services.ntrip import read_credentials
+
+    os.chmod(here / "ntrip", 0o600)
+    return refused(lambda: read_credentials(str(here / "ntrip")))
+
+
 def key(here: Path) -> Said:
     from delfim.vehicle.mavlink.signing import read_key
 
@@ -355,6 +362,7 @@ READERS = {
     "user's ssh key": Reader("user.pub", users_key, TEXT),
     "numbers of DroneCAN devices": Reader("numbers", numbers, TEXT),
     "signing key": Reader("key", key, TEXT),
+    "password at a caster": Reader("ntrip", casters_password, TEXT),
     "stamps": Reader("stamps", stamps, TEXT),
     "host key": Reader("host_key", host_key, TEXT),
     "certificate": Reader("boat.pem", certificate, TEXT),

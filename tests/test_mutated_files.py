@@ -156,6 +156,7 @@ def tiles(folder: Path) -> None:
 
 def keys(folder: Path) -> None:
     new_key(folder / "key")
+    (folder / "ntrip").write_text("ana:secret\n")
     write_stamps(folder / "stamps", {(255, 190, 1): 123_456_789, (250, 190, 2): 99})
     (folder / "host_key").write_bytes(asyncssh.generate_private_key("ssh-ed25519").export_private_key("openssh"))
     words = [
@@ -214,6 +215,7 @@ SAMPLES = {
         "user's ssh key",
         "numbers of DroneCAN devices",
         "signing key",
+        "password at a caster",
         "stamps",
         "host key",
         "certificate",
@@ -295,6 +297,7 @@ READ_BY = {  # function: the readers above that come by it
     "services/ftpd.py: _tls": {"certificate"},
     "commands/commission.py: _users": {"user's ssh key"},
     "services/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
+    "services/ntrip.py: read_credentials": {"password at a caster"},
     "services/supervisor.py: last_deadman": {"supervisor's record"},
     "services/slots.py: environment": {"boot environment"},
     "services/slots.py: manifest": {"manifest of a slot"},

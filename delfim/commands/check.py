@@ -80,6 +80,8 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
         if ":" not in bus and not Path("/sys/class/net", bus).exists():
             yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not"
     files = {"mavlink.key": vehicle.mavlink.key, "mavlink.serial": vehicle.mavlink.serial, "kill.chip": vehicle.kill.chip}
+    files |= {"corrections.credentials": vehicle.corrections.credentials}
+    files |= {"corrections.to": to} if (to := vehicle.corrections.to).startswith("/") else {}
     files |= {"slipd.device": vehicle.slipd.device} | vehicle.outside("device")
     for key, path in files.items():
         if path and not path.startswith(config.NETWORKED) and not Path(path).exists():

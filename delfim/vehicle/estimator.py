@@ -24,7 +24,6 @@ GYRO_S: Final = 0.5  # a rate of turn counts for so long
 RATE_MAX_RADPS: Final = math.pi  # no boat turns faster
 LATE_MAX_S: Final = 1.0  # values that are later than this are as late as this
 VELOCITY_MAX_MPS: Final = 60.0  # refused beyond, NaN too
-STATED_LEAST: Final = 0.1  # of the settings' deviation: a stated one counts for no less, for antennas swing with the waves
 PLANE_M: Final = 10_000.0  # from its origin the plane is laid anew
 BIAS_RADPS: Final = math.radians(2.0)  # of a gyro that nobody knows yet
 BIAS_DRIFT: Final = math.radians(0.02)  # rad/s after a second, growing with the square root of time
@@ -190,7 +189,7 @@ class Estimator:
         self, at_s: float, latitude_rad: float, longitude_rad: float, late_s: float | None = None, deviation_m: float = 0.0
     ) -> None:
         """The antenna's position, as it was `late_s` before it came; None: as the settings say. `deviation_m`: its standard
-        deviation per axis; 0: as the settings say."""
+        deviation per axis, where it is worse than the settings say."""
         health, course, variance = self.inputs[0], self.course, _variance(self._position, deviation_m)
         self._heard(health, (latitude_rad, longitude_rad), at_s)
         if not (abs(latitude_rad) < math.pi / 2 and abs(longitude_rad) <= math.tau):  # refuses NaN, too
@@ -344,5 +343,5 @@ class Estimator:
 
 
 def _variance(settings: float, deviation: float) -> float:
-    """Of a value with a stated deviation, or without one: 0."""
-    return max(deviation * deviation, settings * STATED_LEAST**2) if deviation else settings
+    """The settings say how good a value is at best, for antennas swing with the waves; its device, when it is worse."""
+    return max(deviation * deviation, settings)

@@ -844,3 +844,30 @@ def test_what_comes_twice_or_late_is_not_obeyed(sea):
     assert sea.log == [console.Stop()]
     assert sea.station.consoles.counts["late"] == 2
     assert sea.state.mode is Mode.IDLE
+
+
+def rtcm(sea, data: bytes, length: int) -> dict[str, int]:
+    """GPS_RTCM_DATA; what the station counted since."""
+    sea.console.say("gps_rtcm_data", 0, length, [*data, *bytes(180 - len(data))])
+    return {name: count for name, count in sea.station.consoles.counts.items() if name.startswith("corrections")}
+
+
+def test_corrections_are_handed_on_as_they_come_and_counted(sea):
+    taken, is_there = [], True
+
+    def correct(data: bytes) -> bool:
+        taken.append(data)
+        return is_there
+
+    sea.station.consoles.correct = correct
+    assert rtcm(sea, b"\xd3\x00\x13>\xd0", 5) == {"corrections": 1}
+    is_there = False
+    assert rtcm(sea, b"12345", 3) == {"corrections": 1, "corrections_lost": 1}
+    assert taken == [b"\xd3\x00\x13>\xd0", b"123"]
+
+
+def test_nobody_corrects_a_boat_without_such_a_receiver_and_the_guest_corrects_none(sea):
+    assert rtcm(sea, b"\xd3", 1) == {"corrections_refused": 1}
+    sea.station.consoles.correct = lambda data: pytest.fail("not from the guest")
+    sea.console = Console(sea.station, sea.radio, component=191)
+    assert rtcm(sea, b"\xd3", 1) == {"corrections_refused": 2}

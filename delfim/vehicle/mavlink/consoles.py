@@ -24,7 +24,8 @@ Review = Callable[[str, console.Plan, Callable[[str | None], None]], None]
 
 class Consoles:
     """`obey` carries out a command of a named console; it returns the reason of a refusal, or None. `review` has a plan obeyed
-    after its review; without `review` a plan is obeyed at once."""
+    after its review; without `review` a plan is obeyed at once. `correct` hands corrections on to the
+    receiver; False: it cannot now. None: there is no such receiver."""
 
     def __init__(
         self,
@@ -33,11 +34,13 @@ class Consoles:
         send: Callable[[bytes, Address], object],
         signing: Signing | None,
         review: Review | None,
+        correct: Callable[[bytes], bool] | None = None,
     ) -> None:
         self.boat, self.clock, self.settings = boat, boat.clock, boat.helm.settings.mavlink
         self.system = boat.helm.settings.boat.id
         self.commander: Speaker | None = None  # the console that commands
         self.counts: dict[str, int] = {}
+        self.correct = correct
         self.guided: console.Commands | None = None  # the last set point, and why the last was refused
         self.guided_refused: str | None = None
         self.peers = Peers(self.system, self.settings, self.clock, send, signing, self.count)

@@ -15,7 +15,7 @@ from delfim.vehicle.mavlink.missions import KINDS
 from delfim.vehicle.mavlink.peers import Peer
 from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.telemetry import NEVER_S
-from delfim.vehicle.mavlink.wire import Message, Speaker, dialect
+from delfim.vehicle.mavlink.wire import GUEST, Message, Speaker, dialect
 
 AGAIN_S: Final = 10.0  # a command repeated within this time, because its answer was lost, gets the same answer
 INTERVAL_MIN_S: Final = 0.1
@@ -232,6 +232,15 @@ def _interval_of(consoles: Consoles, peer: Peer, number: int) -> Message:
     return dialect.MAVLink_message_interval_message(number & 0xFFFF, interval_us)
 
 
+def _corrections(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
+    """GPS_RTCM_DATA: pieces of RTCM frames, which the receiver's end puts together and checks. The guest sends none."""
+    if source.component == GUEST or consoles.correct is None:
+        consoles.count("corrections_refused")
+    else:
+        taken = consoles.correct(bytes(message.data[: message.len]))
+        consoles.count("corrections" if taken else "corrections_lost")
+
+
 def _timesync(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     if message.tc1 == 0:
         consoles.peers.tell(peer, [dialect.MAVLink_timesync_message(consoles.clock.time_ns(), message.ts1)])
@@ -309,6 +318,7 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_RC_CHANNELS_OVERRIDE: byhand.channels,
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: guided,
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: guided,
+    dialect.MAVLINK_MSG_ID_GPS_RTCM_DATA: _corrections,
     dialect.MAVLINK_MSG_ID_TIMESYNC: _timesync,
     dialect.MAVLINK_MSG_ID_PING: _ping,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _listed,

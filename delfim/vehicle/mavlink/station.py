@@ -28,7 +28,7 @@ SLOWLY: Final = 5  # ticks from one parameter to the next on a slow link
 
 
 class Station:
-    """`send` takes a datagram and its address. `signing` is None without a key. `obey` and `review` are those of
+    """`send` takes a datagram and its address. `signing` is None without a key. `obey`, `review` and `correct` are those of
     `Consoles`. `is_ready`: whether the line to an address has room for telemetry; a heartbeat and answers go all the same."""
 
     def __init__(
@@ -39,9 +39,10 @@ class Station:
         signing: Signing | None,
         review: Review | None = None,
         is_ready: Callable[[Address], bool] = lambda address: True,
+        correct: Callable[[bytes], bool] | None = None,
     ) -> None:
         self._is_ready = is_ready
-        self.consoles = Consoles(boat, obey, send, signing, review)
+        self.consoles = Consoles(boat, obey, send, signing, review, correct)
         self._clock, self._signing, self._command_age_s = boat.clock, signing, self.consoles.settings.command_age_s
         self._pending: deque[tuple[bytes, Address]] = deque()
         self._serving: list[tuple[Peer, int]] = []  # peers to serve, and the row where each continues

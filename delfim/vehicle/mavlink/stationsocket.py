@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Final, Self
 
 from delfim import config
+from delfim.rtcm import doorstep
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.consoles import Obey, Review
 from delfim.vehicle.mavlink.signing import Signing, read_key, read_stamps, write_stamps
@@ -46,7 +47,11 @@ class MavlinkLink:
         self._socket = _bound(settings.listen)
         self._serial = StationSerial(settings, boat.clock, self._came) if settings.serial else None
         self._opening: asyncio.Future[None] | None = None
-        self.station = Station(boat, obey, self._send, self._signing, review, self._is_ready)
+        whole = boat.helm.settings
+        self._doorstep = str(doorstep(whole.runtime.run_directory))
+        self._handing = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        correct = self._correct if whole.corrections.to else None
+        self.station = Station(boat, obey, self._send, self._signing, review, self._is_ready, correct)
         self._unsent = 0
         self._timer: asyncio.TimerHandle | None = None
         self._written_s = self._loop.time()
@@ -65,6 +70,7 @@ class MavlinkLink:
         del self._board["mavlink"]
         self._loop.remove_reader(self._socket.fileno())
         self._socket.close()
+        self._handing.close()
         if self._serial is not None:
             self._loop.remove_reader(self._serial.fileno())
             self._serial.close()
@@ -126,6 +132,13 @@ class MavlinkLink:
             self._socket.sendto(datagram, address)
         except OSError:  # no route, a full queue: the console asks again
             self._unsent += 1
+
+    def _correct(self, data: bytes) -> bool:
+        """To the process that writes to the receiver."""
+        try:
+            return self._handing.sendto(data, self._doorstep) == len(data)
+        except OSError:  # it does not run, or has not read what came before
+            return False
 
     @staticmethod
     def _write(path: Path, stamps: dict[tuple[int, int, int], int]) -> None:
