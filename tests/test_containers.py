@@ -108,6 +108,7 @@ def engine(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Guest]:
         yield computer
 
 
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_the_simulation_sails_in_its_container(engine: Guest) -> None:
     result = engine.run(podman("simulation", "--for 3"), timeout_s=120.0)
@@ -115,6 +116,7 @@ def test_the_simulation_sails_in_its_container(engine: Guest) -> None:
     assert "delfim: time" in result.output
 
 
+@pytest.mark.long
 @pytest.mark.timeout(900)
 def test_a_vehicle_sails_in_its_container_and_stops_in_order(engine: Guest) -> None:
     """As its owner's computer runs it: told to steer from beside it, looked at from outside, ended as `docker stop` does."""

@@ -137,6 +137,7 @@ def test_one_that_crashes_again_and_again_is_started_again_and_the_boat_sails_on
         assert "RuntimeError: it crashes" in text
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", PLACES)
 def test_one_that_leaks_is_seen_to_grow_and_the_boat_sails_on(tmp_path: Path, place: str) -> None:
     def memory_bytes() -> int:
@@ -166,6 +167,7 @@ def test_one_that_blocks_in_the_runtime_loses_the_propellers_and_the_suite_is_ba
         assert re.search(r"Dead-man: beat stopped for \d\.\d s", text)
 
 
+@pytest.mark.long
 def test_one_that_blocks_in_a_process_hurts_nobody(tmp_path: Path) -> None:
     with sailing(tmp_path, "process") as boat:
         boat.misbehave("blocks")
@@ -176,6 +178,7 @@ def test_one_that_blocks_in_a_process_hurts_nobody(tmp_path: Path) -> None:
         boat.sails_on()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", PLACES)
 def test_one_that_eats_the_processor_gets_what_is_left(tmp_path: Path, place: str) -> None:
     with sailing(tmp_path, place) as boat:

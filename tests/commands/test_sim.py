@@ -124,6 +124,7 @@ def typed(capsys):
     return run
 
 
+@pytest.mark.long
 def test_what_surrounds_the_loop_breaks_by_command_and_is_whole_again(tmp_path, typed):
     quick = ("log.after_s=0.2", "console_silent.after_s=5.0", "clear_s=0.1")
     process = sim(tmp_path, "--json", *(word for one in quick for word in ("--set", f"failsafe.{one}")))
@@ -177,6 +178,7 @@ def interrupted(process: subprocess.Popen[str]) -> str:
     return ended(process)[0]
 
 
+@pytest.mark.long
 def test_a_second_simulation_has_a_folder_a_bus_ports_and_a_boat_of_its_own(tmp_path, typed, monkeypatch):
     """Each with nothing but its file, in the same folder."""
     monkeypatch.chdir(tmp_path)

@@ -178,6 +178,7 @@ window.WebSocket = class extends WebSocket {
 # Missions.
 
 
+@pytest.mark.long
 def test_missions_by_touch_and_by_mouse_are_kept_sent_and_sailed_to_their_ends(sail: Sail) -> None:
     async def story(sea: Sea) -> None:
         page, one = await sea.at_rest(1)

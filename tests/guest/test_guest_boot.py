@@ -126,6 +126,7 @@ def test_from_init_to_the_first_actuation(boat: Boat) -> None:
     assert took_s > 0.0
 
 
+@pytest.mark.long
 def test_sail_start_again_sail_and_end_by_the_frame(boat: Boat) -> None:
     with boat.booted() as g:
         said = g.run(UP + sail(boat) + "tr '\\0' ' ' </proc/1/cmdline", timeout_s=FOREVER_S).output
@@ -144,6 +145,7 @@ def test_sail_start_again_sail_and_end_by_the_frame(boat: Boat) -> None:
     assert boat.check() == ""
 
 
+@pytest.mark.long
 def test_what_cannot_be_ended_is_named_and_the_disk_is_whole(boat: Boat) -> None:
     """A loop device is the kernel's own: no signal ends it."""
     boat.says("\n[powerd]\nheld_s = 2.0\ntold_s = 1.0\n")
@@ -159,6 +161,7 @@ def test_what_cannot_be_ended_is_named_and_the_disk_is_whole(boat: Boat) -> None
     assert boat.check() == "", "the next boot mends what was not unmounted"
 
 
+@pytest.mark.long
 def test_a_second_mount_is_unmounted_and_what_only_reads_does_not_matter(boat: Boat) -> None:
     """A loop device that only reads holds the partition, but not against being made read-only."""
     with boat.booted() as g:

@@ -9,6 +9,7 @@ from tests.guest.harness import Guest
 TIMEOUT_S = 150.0
 
 
+@pytest.mark.long
 @pytest.mark.timeout(TIMEOUT_S + 60.0)
 def test_datagrams_between_namespaces(can_guest: Guest, subtests: pytest.Subtests) -> None:
     report = can_guest.folder / "canip.xml"
