@@ -175,9 +175,10 @@ def draw(output: Path, seeds: int) -> None:
         told = figures([trial(truth, seed, sensors) for seed, truth in enumerate(tapes)])
         print(f"| {name} | " + " | ".join(f"{value:.2f}" for value in told.values()) + " |")
     trials = [trial(truth, seed, Sensors()) for seed, truth in enumerate(tapes)]
-    sheet = Figure(figsize=(9.0, 7.0), layout="constrained", facecolor="white")
-    axes = sheet.subplots(3, 1)
-    for at, (key, freedom, word) in enumerate((("position_nees", 2, "position"), ("heading_nees", 1, "heading"))):
+    sheet = Figure(figsize=(9.0, 9.0), layout="constrained", facecolor="white")
+    axes = sheet.subplots(4, 1)
+    shown = ("position_nees", 2, "position"), ("velocity_nees", 2, "velocity"), ("heading_nees", 1, "heading")
+    for at, (key, freedom, word) in enumerate(shown):
         axes[at].plot(
             [row.t_s for row in trials[0].rows],
             [mean([getattr(each.rows[i], key) for each in trials]) for i in range(len(trials[0].rows))],
@@ -192,11 +193,11 @@ def draw(output: Path, seeds: int) -> None:
             f"{word}: mean of {seeds} seeds, and the bounds of 95 % of a filter that is right", fontsize=10, color=INK
         )
     nis = [2.0 * value for each in trials for value in each.position_nis]
-    axes[2].hist(nis, bins=[0.25 * i for i in range(61)], density=True, color=LINE)
-    axes[2].plot([0.05 * i for i in range(300)], [0.5 * math.exp(-0.025 * i) for i in range(300)], color=BOAT, lw=0.9, ls="--")
-    axes[2].axvline(13.8, color=INK, lw=0.8, ls=":")
-    axes[2].set(xlabel="NIS of a position", ylabel="density", xlim=(0.0, 15.0))
-    axes[2].set_title("NIS of positions, chi-square of two degrees of freedom, and the gate", fontsize=10, color=INK)
+    axes[3].hist(nis, bins=[0.25 * i for i in range(61)], density=True, color=LINE)
+    axes[3].plot([0.05 * i for i in range(300)], [0.5 * math.exp(-0.025 * i) for i in range(300)], color=BOAT, lw=0.9, ls="--")
+    axes[3].axvline(13.8, color=INK, lw=0.8, ls=":")
+    axes[3].set(xlabel="NIS of a position", ylabel="density", xlim=(0.0, 15.0))
+    axes[3].set_title("NIS of positions, chi-square of two degrees of freedom, and the gate", fontsize=10, color=INK)
     for each in axes:
         each.spines[["top", "right"]].set_visible(False)
     sheet.savefig(output / "estimator.png", dpi=110)
