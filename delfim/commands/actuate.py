@@ -1,6 +1,7 @@
-"""`delfim actuate`: turns one thruster on the bench, while a key is held."""
+"""`delfim actuate`: turns one thruster on the bench, while a key is held; through the boat's program where that runs."""
 
 import argparse
+import contextlib
 
 from delfim.commands import seconds, vehicle_file
 
@@ -25,7 +26,12 @@ def part(text: str) -> float:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from delfim.services.bench import actuate
+    from delfim import config
+    from delfim.console.link import Link
+    from delfim.services.bench import actuate, runs
 
-    actuate(asked.file, asked.set, asked.name, asked.part, asked.for_s)
+    settings = config.load(asked.file, asked.set)
+    with contextlib.ExitStack() as held:
+        boat = held.enter_context(Link(settings.console.socket)) if runs(settings) else None
+        actuate(settings, asked.file, asked.set, asked.name, asked.part, asked.for_s, boat)
     return 0

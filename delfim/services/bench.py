@@ -1,9 +1,11 @@
 """One thruster on the bench, by hand: armed by its name, and turning only while a key is held (docs/bench.md).
 
-The driver is the boat's own, and so is the gate before it. It runs instead of the boat's program, never beside it.
+Where the boat's program runs, it is asked to turn the thruster. Otherwise this opens the boat's own driver, behind the same
+gate: instead of that program, never beside it.
 """
 
 import contextlib
+import errno
 import os
 import select
 import signal
@@ -14,10 +16,10 @@ import termios
 import time
 import tty
 from collections.abc import Iterator, Sequence
-from typing import Final
+from typing import Any, Final, Protocol
 
 from delfim import config
-from delfim.errors import DelfimError, did_you_mean
+from delfim.errors import DelfimError, Refused, did_you_mean
 from delfim.services.stop import opened_driver
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.gate import GateLimits, limited
@@ -27,68 +29,141 @@ HELD_S: Final = 0.8  # that a key counts as held: keyboards repeat it after 0.25
 TICK_S: Final = 0.05
 STOPS: Final = 5  # said one after the other at the end
 SHOW_S: Final = 0.25
+SAY_S: Final = 0.2  # between two words to the boat's program, which stops the thruster 0.8 s after the last
 OUTLET_S: Final = 20.0  # for the outlet to come up
+
+
+class RunningBoat(Protocol):
+    """The boat's program."""
+
+    def ask(self, command: str, **words: object) -> dict[str, Any]: ...  # its state; raises DelfimError with its reason
+
+
+class DeadMan:
+    """The dead-man: a key that is held. Times are monotonic."""
+
+    def __init__(self, for_s: float) -> None:
+        self._for_s, self._key_s = for_s, 0.0
+        self._begun_s: float | None = None
+        self.ended = ""  # why, in words
+
+    def is_held(self, now_s: float, is_pressed: bool) -> bool:
+        """It begins with a press, and ends for good when it is let go, or in time."""
+        if is_pressed:
+            self._key_s = now_s
+            self._begun_s = now_s if self._begun_s is None else self._begun_s
+        if self._begun_s is None:
+            return False
+        if now_s - self._key_s > HELD_S:
+            self.ended = "the key was let go"
+        elif now_s - self._begun_s > self._for_s:
+            self.ended = f"{self._for_s:g} s are over"
+        return not self.ended
 
 
 class Trial:
     """What the thruster is told from one moment to the next. Times are monotonic."""
 
-    def __init__(self, limits: GateLimits, row: int, part: float, for_s: float) -> None:
+    def __init__(self, limits: GateLimits, row: int, part: float, key: DeadMan) -> None:
         thrust = tuple(part if each == row else 0.0 for each in range(len(limits.rates_per_s)))
-        self._limits, self._wanted, self._for_s = limits, limits.still._replace(thrust=thrust, run=True), for_s
+        self._limits, self._wanted, self._key = limits, limits.still._replace(thrust=thrust, run=True), key
         self._sent, self._sent_s = limits.still, 0.0
-        self._begun_s: float | None = None
-        self._key_s = 0.0
-        self.ended = ""  # why, in words
 
     def at(self, now_s: float, is_pressed: bool) -> Actuation:
-        """The command now. It begins with a key, and ends for good when that is let go, or in time."""
-        if is_pressed:
-            self._key_s = now_s
-        if self._begun_s is None:
-            self._begun_s, self._sent_s = (now_s if is_pressed else None), now_s
-            return self._limits.still
-        if now_s - self._key_s > HELD_S:
-            self.ended = "the key was let go"
-        elif now_s - self._begun_s > self._for_s:
-            self.ended = f"{self._for_s:g} s are over"
-        wanted = self._limits.still if self.ended else self._wanted
-        self._sent, self._sent_s = limited(wanted, self._sent, self._limits, now_s - self._sent_s), now_s
+        """The command now."""
+        wanted = self._wanted if self._key.is_held(now_s, is_pressed) else self._limits.still
+        dt_s = now_s - self._sent_s if self._sent.run else 0.0
+        self._sent, self._sent_s = limited(wanted, self._sent, self._limits, dt_s), now_s
         return self._sent
 
 
-def actuate(file: str, overrides: Sequence[str], name: str, part: float, for_s: float) -> None:
-    """`delfim actuate`. Raises DelfimError."""
-    settings = config.load(file, overrides)
+def runs(settings: config.Vehicle) -> bool:
+    """Whether the boat's program answers on its socket. Raises DelfimError where that cannot be told."""
+    with socket.socket(socket.AF_UNIX) as knock:
+        number = knock.connect_ex(settings.console.socket)
+    if number not in (0, errno.ENOENT, errno.ECONNREFUSED):
+        words = f"{settings.console.socket}: {os.strerror(number)}"
+        raise DelfimError(f"it cannot be told whether the boat's program runs, which has the thrusters then: {words}")
+    return number == 0
+
+
+def actuate(
+    settings: config.Vehicle,
+    file: str,
+    overrides: Sequence[str],
+    name: str,
+    part: float,
+    for_s: float,
+    boat: RunningBoat | None,
+) -> None:
+    """`delfim actuate`. `boat` None: its program does not run. Raises DelfimError."""
     rows = {row.name: index for index, row in enumerate(settings.thrusters)}
     if name not in rows:
         raise DelfimError(f"{file}: there is no thruster {name!r}{did_you_mean(name, rows)}; there are {', '.join(rows)}")
     if not sys.stdin.isatty():
         raise DelfimError("this needs a terminal: the thruster turns only while a key is held")
-    _alone(settings)
+    if boat is not None and (mode := boat.ask("state")["mode"]) != "idle":
+        raise DelfimError(f"the boat's program runs, in mode {mode}: a thruster is tried in idle alone; stop it first")
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, signal.default_int_handler)
-    row = settings.thrusters[rows[name]]
+    row, key = settings.thrusters[rows[name]], DeadMan(for_s)
     with contextlib.ExitStack() as held:
+        if boat is not None:
+            print(f"The boat's program runs: it turns {name}, and nothing else.")
+            _armed(row, part, for_s)
+            held.enter_context(_keys())
+            _ask(boat, name, part, for_s, key)
+            return
         if row.driver == "pwm":
             held.enter_context(_outlet(file, overrides))
         driver, links = opened_driver(settings, row.driver)
         held.enter_context(links)
-        print(f"{name}: {row.driver} {row.address}, {part:.0%} for {for_s:g} s at most. Are the propellers off, and all hands?")
-        if input(f"Type {name} to arm it: ").strip() != name:
-            raise DelfimError("not armed: that is not its name")
-        print("Hold the space bar: it turns while you hold it, and stops when you let go. Ctrl-C ends.", flush=True)
+        _armed(row, part, for_s)
         held.callback(_stopped, driver)
         held.enter_context(_keys())
-        _turn(driver, Trial(GateLimits(settings.thrusters), rows[name], part, for_s), name)
+        _turn(driver, Trial(GateLimits(settings.thrusters), rows[name], part, key), key, name)
 
 
-def _turn(driver: Actuator, trial: Trial, name: str) -> None:
+def _armed(row: config.ThrusterTable, part: float, for_s: float) -> None:
+    """Raises DelfimError for another word than the thruster's name."""
+    print(f"{row.name}: {row.driver} {row.address}, {part:.0%} for {for_s:g} s at most. Are the propellers off, and all hands?")
+    if input(f"Type {row.name} to arm it: ").strip() != row.name:
+        raise DelfimError("not armed: that is not its name")
+    print("Hold the space bar: it turns while you hold it, and stops when you let go. Ctrl-C ends.", flush=True)
+
+
+def _ask(boat: RunningBoat, name: str, part: float, for_s: float, key: DeadMan) -> None:
+    """Through the boat's program. That it refuses is the end, without a word more: somebody else may have the boat now."""
+    said_s = shown_s = 0.0
+    try:
+        while not key.ended:
+            is_pressed, now_s = _pressed(), time.monotonic()
+            if not key.is_held(now_s, is_pressed) or now_s - said_s < SAY_S:
+                continue
+            told, said_s = boat.ask("actuate", thruster=name, part=part, for_s=for_s)["thrusters"][name], now_s
+            if now_s - shown_s > SHOW_S:
+                shown_s = now_s
+                thrust = told.pop("thrust")
+                words = ", ".join(f"{what} {value}" for what, value in told.items() if value not in (None, []))
+                print(f"thrust {thrust:+.0%} {words}", flush=True)
+    except KeyboardInterrupt:
+        key.ended = "Ctrl-C"
+    with contextlib.suppress(Refused):  # the boat has ended it already
+        boat.ask("actuate", thruster=name, part=0.0)
+    print(f"stopped: {key.ended}", flush=True)
+
+
+def _pressed() -> bool:
+    """Whether a key was pressed within a tick."""
+    pressed, _, _ = select.select([sys.stdin], [], [], TICK_S)
+    return bool(pressed and os.read(sys.stdin.fileno(), 4096))
+
+
+def _turn(driver: Actuator, trial: Trial, key: DeadMan, name: str) -> None:
     state, shown_s = State(), 0.0
-    while not trial.ended:
-        pressed, _, _ = select.select([sys.stdin], [], [], TICK_S)
-        now_s = time.monotonic()
-        sent = trial.at(now_s, bool(pressed and os.read(sys.stdin.fileno(), 4096)))
+    while not key.ended:
+        is_pressed, now_s = _pressed(), time.monotonic()
+        sent = trial.at(now_s, is_pressed)
         unsent = driver.send(sent, now_s) + driver.repeat(now_s)
         for each in driver.inputs:
             each.read(state, now_s)
@@ -98,7 +173,7 @@ def _turn(driver: Actuator, trial: Trial, name: str) -> None:
             told.pop("heard_s", None)
             words = ", ".join(f"{key} {value}" for key, value in told.items())
             print(f"thrust {max(sent.thrust, key=abs):+.0%}{', not taken' if unsent else ''} {words}", flush=True)
-    print(f"stopped: {trial.ended}", flush=True)
+    print(f"stopped: {key.ended}", flush=True)
 
 
 def _stopped(driver: Actuator) -> None:
@@ -110,12 +185,6 @@ def _stopped(driver: Actuator) -> None:
             taken += 1
     if not taken:
         raise DelfimError("the stop was not taken: cut the power of the motors")
-
-
-def _alone(settings: config.Vehicle) -> None:
-    with socket.socket(socket.AF_UNIX) as knock:
-        if knock.connect_ex(settings.console.socket) == 0:
-            raise DelfimError(f"the boat's program answers on {settings.console.socket} and has the thrusters: end it first")
 
 
 @contextlib.contextmanager

@@ -75,6 +75,14 @@ class Manual(Command, frozen=True):
     port: Thrust
 
 
+class Actuate(Command, frozen=True):
+    """Turn one thruster by itself, in idle, at a part of its full command. Repeat it, or it ends; 0 ends it."""
+
+    thruster: Short
+    part: Annotated[float, msgspec.Meta(ge=-0.3, le=0.3)]
+    for_s: Annotated[float, msgspec.Meta(gt=0.0, le=60.0)] = 2.0  # at most, from the first of these commands
+
+
 class Heading(Command, frozen=True):
     """Hold a true heading; enters heading mode."""
 
@@ -197,7 +205,7 @@ class ShutDown(Command, frozen=True):
 
 
 Commands = (
-    Alive | Stop | Kill | Clear | Leave | SetMode | Manual | Heading | Course | SetSpeed | Goto | Pause | Continue
+    Alive | Stop | Kill | Clear | Leave | SetMode | Manual | Actuate | Heading | Course | SetSpeed | Goto | Pause | Continue
     | LoadMission | Upload | Play | Leg | Unload | SetFence | Rally
     | Take | Arm | Reset | Set | TellState | Watch | ShutDown
 )  # fmt: skip

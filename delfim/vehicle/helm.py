@@ -10,6 +10,7 @@ from delfim.errors import ConfigError, Refused
 from delfim.modes import Mode, mode_named
 from delfim.slices import Sliced
 from delfim.vehicle import console, failsafe, fence, kills, setpoints
+from delfim.vehicle.alone import Alone
 from delfim.vehicle.announcing import Announcing
 from delfim.vehicle.checks import Check, checks, refusal
 from delfim.vehicle.control.control import MODES, Memory, admit, first, lacking, settings_of
@@ -17,7 +18,6 @@ from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.failsafe import Action
-from delfim.vehicle.mission import FAR_MAX_M
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
@@ -50,6 +50,7 @@ class Helm:
         self.rules, self.troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
         self.paused: Paused | None = None
+        self.alone = Alone(settings.thrusters, state, propulsion, log)
         self._announcing = Announcing(state, log)
         self._seeking: Sliced[Point] | None = None  # the search for a better place to hold
         self._retreat: tuple[Point, ...] = ()  # the driven track, up to where the boat went back to; empty: it did not
@@ -121,7 +122,8 @@ class Helm:
             self._seek()
 
     def fade(self, now_s: float) -> None:
-        """Manual thrust that is not repeated ends; the mode stays. Thrust returns only after the joystick is released."""
+        """Thrust that is not repeated ends; the mode stays. Thrust returns only after the joystick is released."""
+        self.alone.fade(now_s)
         state, silent_s = self.state, now_s - self.state.manual_s
         held = state.setpoint.starboard or state.setpoint.port
         if state.mode is Mode.MANUAL and held and silent_s > self.settings.failsafe.manual_silent.thrust_s:
@@ -167,6 +169,7 @@ class Helm:
 
     def enter(self, mode: Mode, reason: str, resumed: Memory | None = None) -> None:
         """`resumed`: the mode goes on with this memory."""
+        self.alone.release()
         state = self.state
         if mode is Mode.IDLE and state.mode is Mode.IDLE and state.reason == reason:
             return
@@ -209,7 +212,7 @@ class Helm:
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
                 reason = "no set point from the guest"
             memory = begin(mode, state.motion, setpoint, self.limits) if resumed is None else resumed
-            reason = reason or self._too_far(first(mode, memory, setpoint))
+            reason = reason or setpoints.too_far(first(mode, memory, setpoint), state.motion)
             if reason is None and self.plans.fence is not None:
                 reason = fence.crossing(self.plans.fence, mode, state.motion, setpoint)
             if reason is not None:
@@ -217,12 +220,6 @@ class Helm:
         state.setpoint = setpoint
         self.troubles, self.taken = failsafe.overruled(self.troubles), False
         self.enter(mode, "operator" if resumed is None else "operator continues", resumed)
-
-    def _too_far(self, to: Point | None) -> str | None:
-        """Why the point that a mode goes to first is too far away, in words."""
-        motion = self.state.motion
-        far_m = 0.0 if to is None else math.dist(to, (motion.north_m, motion.east_m))
-        return f"{far_m / 1e3:.1f} km to go; up to {FAR_MAX_M / 1e3:.0f} km are allowed" if far_m > FAR_MAX_M else None
 
     def obey(self, command: console.Commands, now_s: float) -> None:
         """Raises DelfimError with the reason why not."""
@@ -379,6 +376,7 @@ _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] 
     console.Leave: Helm._leave,
     console.SetMode: Helm._change_mode,
     console.Manual: Helm._push,
+    console.Actuate: lambda helm, command, now_s: helm.alone.ask(command, now_s),
     console.Heading: Helm._head,
     console.Course: Helm._head,
     console.SetSpeed: Helm._set_speed,

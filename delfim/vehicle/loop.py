@@ -141,7 +141,8 @@ class VehicleLoop:
         helm.fade(now_s)
         if now_s - state.navigation_s > REPEAT_S:
             sends = self.propulsion  # no navigation cycle repeats the command
-            state.actuation = sends.send(STOP, now_s) if state.mode is Mode.IDLE else sends.again(now_s)
+            is_off = state.mode is Mode.IDLE and not state.setpoint.alone
+            state.actuation = sends.send(STOP, now_s) if is_off else sends.again(now_s)
 
     def on_outlet(self, actuator: Actuator) -> None:
         """Due every `period_s` of an actuator: its command again; one that is older than HELD_S becomes a stop of all."""

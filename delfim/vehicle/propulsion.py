@@ -27,7 +27,7 @@ class Propulsion:
         self.allocation = Allocation([thruster(row) for row in rows])
         self._allocate = self.allocation.allocate
         self._commands = tuple(each.curve.command for each in self.allocation.thrusters)
-        self._by_hand = tuple(map(by_hand, self.allocation.thrusters))
+        self._by_hand = self._both_sides = tuple(map(by_hand, self.allocation.thrusters))
         self.still = self._sent = self._limits.still
         self.sent_s = 0.0  # monotonic time of the last command
         self.short: Force | None = None  # what the thrusters could not give of it
@@ -68,6 +68,11 @@ class Propulsion:
         turn = 0.5 * (port - starboard)
         thrust = tuple(a * starboard + b * port for a, b, _ in self._by_hand)
         return Actuation(thrust, tuple(turn * angle_rad for _, _, angle_rad in self._by_hand), True)
+
+    def alone(self, row: int | None) -> None:
+        """Thrust by hand, that of starboard, goes to this thruster alone; None: to all again, as their places are."""
+        only = ((float(row == index), 0.0, 0.0) for index in range(len(self._names)))
+        self._by_hand = self._both_sides if row is None else tuple(only)
 
     def repeat(self, actuator: Actuator, now_s: float) -> None:
         """The last command again, for an actuator whose devices stop sooner than the loop commands."""

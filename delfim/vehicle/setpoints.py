@@ -7,7 +7,9 @@ from delfim.errors import Refused
 from delfim.modes import Mode
 from delfim.vehicle.console import Goto
 from delfim.vehicle.control.guidance import COURSE_MPS
-from delfim.vehicle.state import Setpoint, State, Waypoint
+from delfim.vehicle.mission import FAR_MAX_M
+from delfim.vehicle.state import Motion, Setpoint, State, Waypoint
+from delfim.vehicle.zones import Point
 
 
 def speed(asked_mps: float | None, speeds: config.SpeedTable) -> float:
@@ -39,3 +41,9 @@ def target(asked: Goto, state: State, control: config.ControlTable) -> Waypoint:
         raise Refused("goto refused: no position yet")
     place = math.radians(asked.latitude_deg), math.radians(asked.longitude_deg)
     return Waypoint(*geodesy.to_plane(state.origin, *place), speed(asked.speed_mps, control.speed), control.path.acceptance_m)
+
+
+def too_far(to: Point | None, motion: Motion) -> str | None:
+    """Why the point that a mode goes to first is too far away, in words."""
+    far_m = 0.0 if to is None else math.dist(to, (motion.north_m, motion.east_m))
+    return f"{far_m / 1e3:.1f} km to go; up to {FAR_MAX_M / 1e3:.0f} km are allowed" if far_m > FAR_MAX_M else None

@@ -108,6 +108,7 @@ class Setpoint(NamedTuple):
     track: tuple[tuple[float, float], ...] = ()  # driven so far, oldest first: the way home
     override_mps: float | None = None  # the operator's speed in place of the plan's, while the mode lasts
     end: str = "hold"  # the mode at the end of goto: hold or idle
+    alone: float = 0.0  # thrust of the one thruster that is tried in idle (`alone.py`)
 
 
 class Reference(NamedTuple):

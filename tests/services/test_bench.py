@@ -1,24 +1,30 @@
 """`delfim actuate`: one thruster, armed by its name, for as long as a key is held."""
 
 import contextlib
+import json
 import os
 import pty
 import select
 import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
+from typing import Self
 
 import pytest
 
 from delfim import config
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanSocket
-from delfim.services.bench import HELD_S, Trial
+from delfim.console.link import Link
+from delfim.errors import DelfimError
+from delfim.services.bench import HELD_S, DeadMan, Trial, runs
 from delfim.vehicle.gate import GateLimits
+from tests.afloat import running
 from tests.services.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedVesc
 
@@ -30,12 +36,13 @@ ROWS = ", ".join(
 )
 
 
-def trial(for_s: float = 2.0) -> Trial:
-    return Trial(GateLimits(config.DELFIMX), 1, 0.2, for_s)
+def trial(for_s: float = 2.0) -> tuple[Trial, DeadMan]:
+    key = DeadMan(for_s)
+    return Trial(GateLimits(config.DELFIMX), 1, 0.2, key), key
 
 
 def test_it_begins_with_a_key_rises_no_faster_than_the_gate_lets_it_and_ends_when_the_key_is_let_go() -> None:
-    one, now_s = trial(), 100.0
+    (one, key), now_s = trial(), 100.0
     for _ in range(10):
         now_s += 0.05
         assert not one.at(now_s, False).run
@@ -48,13 +55,13 @@ def test_it_begins_with_a_key_rises_no_faster_than_the_gate_lets_it_and_ends_whe
     now_s += 0.05 * 11
     assert one.at(now_s + HELD_S - 0.05, False).run
     assert not one.at(now_s + HELD_S + 0.05, False).run
-    assert one.ended == "the key was let go"
+    assert key.ended == "the key was let go"
 
 
 def test_it_ends_in_time_although_the_key_is_held() -> None:
-    one = trial(1.0)
-    assert [one.at(100.0 + 0.25 * step, True).run for step in range(7)] == [False, True, True, True, True, False, False]
-    assert one.ended == "1 s are over"
+    one, key = trial(1.0)
+    assert [one.at(100.0 + 0.25 * step, True).run for step in range(7)] == [True, True, True, True, True, False, False]
+    assert key.ended == "1 s are over"
 
 
 class Terminal:
@@ -173,14 +180,140 @@ def test_what_is_too_much_for_a_bench_is_refused(tmp_path: Path, part: str, word
     terminal.end()
 
 
-def test_it_does_not_run_beside_the_boats_program(tmp_path: Path) -> None:
-    with socket.socket(socket.AF_UNIX) as boat:
-        boat.bind(f"{tmp_path}/command")
-        boat.listen()
+class PlayedBoat:
+    """A boat's command socket, in a thread: what it was asked, and what it answers."""
+
+    def __init__(self, place: Path, mode: str = "idle", refusal: str = "") -> None:
+        self._mode, self._refusal = mode, refusal
+        self.asked = list[dict[str, object]]()
+        self._server = socket.socket(socket.AF_UNIX)
+        self._server.bind(f"{place}/command")
+        self._server.listen()
+        self._thread = threading.Thread(target=self._serve)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._server.shutdown(socket.SHUT_RDWR)
+        self._thread.join()
+        self._server.close()
+
+    def _serve(self) -> None:
+        with contextlib.suppress(OSError):
+            while True:
+                visitor, _ = self._server.accept()
+                with visitor, visitor.makefile("rwb") as lines:
+                    for line in lines:
+                        self.asked.append(json.loads(line))
+                        lines.write(json.dumps(self._answer(self.asked[-1])).encode() + b"\n")
+                        lines.flush()
+
+    def _answer(self, command: dict[str, object]) -> dict[str, object]:
+        reason = self._refusal if command.get("part") else ""
+        thrusters = {"port": {"thrust": command.get("part", 0.0), "angle_deg": None, "rpm": 300.0, "faults": []}}
+        return {"ok": not reason, "reason": reason, "state": {"mode": self._mode, "thrusters": thrusters}}
+
+
+def pressed(terminal: Terminal, until: str) -> None:
+    """Holds the space bar until it says so."""
+    deadline_s = time.monotonic() + PATIENCE_S
+    while until not in terminal.said:
+        assert time.monotonic() < deadline_s, terminal.said
+        with contextlib.suppress(OSError):  # it has ended
+            terminal.type(" ")
+            if select.select([terminal.far], [], [], 0.1)[0]:
+                terminal.said += os.read(terminal.far, 4096).decode()
+
+
+def test_the_boats_program_is_asked_where_it_runs_and_the_devices_are_left_to_it(
+    tmp_path: Path, vescs: tuple[str, CanSocket]
+) -> None:
+    with PlayedBoat(tmp_path) as boat:
+        terminal = Terminal(tmp_path, "vesc", vescs[0])
+        terminal.heard("Type port to arm it: ")
+        assert boat.asked == [{"command": "state"}]
+        terminal.type("port\n")
+        terminal.heard("Hold the space bar")
+        pressed(terminal, "thrust +20% rpm 300.0")
+        terminal.heard("stopped: the key was let go")
+        assert terminal.program.wait(PATIENCE_S) == 0
+        terminal.end()
+    told = boat.asked[1:]
+    assert set(map(str, told[:-1])) == {str({"command": "actuate", "thruster": "port", "part": 0.2, "for_s": 30.0})}
+    assert told[-1] == {"command": "actuate", "thruster": "port", "part": 0.0}
+    assert vescs[1].receive() is None, "not a frame"
+
+
+def test_a_wrong_word_asks_the_boat_nothing(tmp_path: Path) -> None:
+    with PlayedBoat(tmp_path) as boat:
         terminal = Terminal(tmp_path, "vesc")
-        terminal.heard("end it first")
+        terminal.heard("Type port to arm it: ")
+        terminal.type("starboard\n")
+        terminal.heard("not armed: that is not its name")
         assert terminal.program.wait(PATIENCE_S) == 2
         terminal.end()
+    assert boat.asked == [{"command": "state"}]
+
+
+def test_a_boat_that_refuses_is_told_nothing_more(tmp_path: Path) -> None:
+    """Somebody else may have it now, and his thrust must not end."""
+    with PlayedBoat(tmp_path, refusal="actuate refused: the boat is in mode play; stop it first") as boat:
+        terminal = Terminal(tmp_path, "vesc")
+        terminal.heard("Type port to arm it: ")
+        terminal.type("port\n")
+        terminal.heard("Hold the space bar")
+        pressed(terminal, "actuate refused: the boat is in mode play")
+        assert terminal.program.wait(PATIENCE_S) == 1
+        terminal.end()
+    assert [each["command"] for each in boat.asked] == ["state", "actuate"]
+
+
+def test_a_boat_under_way_is_left_alone(tmp_path: Path) -> None:
+    with PlayedBoat(tmp_path, mode="play") as boat:
+        terminal = Terminal(tmp_path, "vesc")
+        terminal.heard("the boat's program runs, in mode play: a thruster is tried in idle alone; stop it first")
+        assert terminal.program.wait(PATIENCE_S) == 2
+        terminal.end()
+    assert boat.asked == [{"command": "state"}]
+
+
+def test_a_socket_that_cannot_be_asked_is_no_sign_that_nobody_has_the_thrusters(tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    for name, answer in (("command", False), ("file", False), ("file/command", None)):
+        settings = config.Vehicle(boat=config.BoatTable(name="test"), console=config.Console(socket=f"{tmp_path}/{name}"))
+        if answer is None:
+            with pytest.raises(DelfimError, match="it cannot be told whether the boat's program runs"):
+                runs(settings)
+        else:
+            assert runs(settings) is answer
+
+
+@pytest.mark.long
+def test_a_whole_boat_turns_one_motor_in_idle_while_the_key_is_held(tmp_path: Path) -> None:
+    """Its controllers are those of the simulation."""
+    rows = f"thrusters=[{ROWS.replace('DRIVER', 'vesc')}]"
+    values = (rows, f'vesc.interface="canloop:bench-{os.getpid()}"', 'sysstat.required=["gps"]', "mavlink.enabled=false")
+    with running(tmp_path, 14550, *values) as command:
+        deadline_s = time.monotonic() + PATIENCE_S
+        while True:
+            with contextlib.suppress(DelfimError), Link(command) as boat:
+                boat.ask("state")
+                break
+            assert time.monotonic() < deadline_s
+        terminal = Terminal(tmp_path, "vesc", *values)
+        terminal.heard("Type port to arm it: ")
+        terminal.type("port\n")
+        terminal.heard("Hold the space bar")
+        pressed(terminal, "thrust +20% rpm 30")  # 300 of 1500
+        with Link(command) as boat:
+            state = boat.ask("state")
+        assert (state["mode"], state["run"], state["thrusters"]["starboard"]["thrust"]) == ("idle", True, 0.0)
+        terminal.heard("stopped: the key was let go")
+        terminal.end()
+        with Link(command) as boat:
+            assert boat.ask("state")["run"] is False
 
 
 def test_it_needs_a_terminal(tmp_path: Path) -> None:

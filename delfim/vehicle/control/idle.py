@@ -1,4 +1,4 @@
-"""Idle: propellers off."""
+"""Idle: propellers off, but for the one that is tried alone."""
 
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.safe import STOP
@@ -19,4 +19,4 @@ def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
 def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
 ) -> tuple[Memory, Reference, Wanted]:
-    return memory, Reference(), STOP
+    return memory, Reference(), Wanted(hand=(setpoint.alone, 0.0)) if setpoint.alone else STOP
