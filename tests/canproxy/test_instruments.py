@@ -202,7 +202,7 @@ def test_malformed_frames_are_counted_and_change_nothing() -> None:
     bus = Bus()
     bus.say(instruments.WATER_DEPTH, bytes(5), 12, 1.0)
     bus.say(instruments.WATER_DEPTH, struct.pack("<BIhB", 0, 2_000_000, 0, 0xFF), 12, 1.0)
-    assert (bus.state.counts, bus.state.measured) == ({"nmea2000_malformed": 2}, {})
+    assert (bus.state.counts, bus.state.measured) == ({"nmea2000_128267_malformed": 2}, {})
 
 
 @given(st.lists(st.tuples(st.integers(0, 0xFFFFFFFF), st.binary(max_size=8)), max_size=30))
@@ -225,12 +225,11 @@ def test_the_filters_pass_these_messages_and_no_navigation() -> None:
 def test_a_boat_without_another_use_for_the_bus_logs_and_tells_its_depth() -> None:
     settings = config.Vehicle(boat=config.BoatTable(name="test"), sensors=config.Sensors(names=("sysstat", "nmea2000")))
     run = Lockstep(settings, 1, lambda clock: NoLog())
-    run._world.sendmsg(Frame(extended(6 << 26 | instruments.WATER_DEPTH << 8 | 35), depth(4.0)))
     run.cycle()
-    assert run.state.measured["depth_m"] == (4.0, 0.0)
-    assert run.vehicle.snapshot({})["measured"] == {"depth_m": 4.0}
+    assert run.state.measured["depth_m"] == (12.0, 0.0), "of the modelled sounder"
+    assert run.vehicle.snapshot({})["measured"] == {"depth_m": 12.0}
     logged = dict(zip([f.name for f in fields(settings)], values(fields(settings), run.state, 0.0), strict=True))
-    assert (logged["depth_m"], math.isnan(logged["water_c"])) == (4.0, True)  # type: ignore[arg-type]
+    assert (logged["depth_m"], math.isnan(logged["water_c"])) == (12.0, True)  # type: ignore[arg-type]
 
 
 def test_two_sensors_of_the_same_values_are_refused() -> None:

@@ -645,7 +645,7 @@ def test_values_of_sensors_stand_in_words_with_the_ages_of_old_ones(sail: Sail) 
         words = (
             "depth 4.3 m · apparent wind 5.1 m/s · apparent wind from 315° · through water 1.0 m/s (12 s ago) · turbidity 3.142"
         )
-        await shown(page, gateway, f"{text_of(1, '.measured')} === '{words}'")
+        await shown(page, gateway, f"{text_of(1, '.measured')}.replaceAll('\\u00a0', ' ') === '{words}'")
         gateway.boat(1).update(measured={})
         await shown(page, gateway, "document.querySelector('[data-boat=\"1\"] .measured').hidden")
 

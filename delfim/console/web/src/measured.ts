@@ -13,6 +13,7 @@ const NAMES: Record<string, string> = {
   tws: "true wind",
   stw: "through water",
   sigma: "position ±",
+  ais: "AIS",
 };
 
 const UNITS: Record<string, (value: number) => string> = {
@@ -22,13 +23,14 @@ const UNITS: Record<string, (value: number) => string> = {
   c: (c) => `${c.toFixed(1)} °C`,
   v: (v) => `${v.toFixed(1)} V`,
   a: (a) => `${a.toFixed(1)} A`,
+  ships: (ships) => `${ships} ships`,
 };
 
 /** All of them, with the ages of old ones; `more_s`: time since the boat was told of. */
 export function measuredWords({ measured }: Boat, more_s: number): string {
   return Object.entries(measured ?? {})
     .filter(([, { age_s }]) => age_s + more_s <= GONE_S)
-    .map(([name, { value, age_s }]) => words(name, value) + (age_s + more_s > OLD_S ? ` (${ageWords(age_s + more_s)} ago)` : ""))
+    .map(([name, { value, age_s }]) => words(name, value).replaceAll(" ", "\u00a0") + (age_s + more_s > OLD_S ? ` (${ageWords(age_s + more_s)} ago)` : ""))
     .join(" · ");
 }
 
