@@ -32,7 +32,10 @@ ROWS = ", ".join(
     f'{{name="{name}", driver="dronecan", address={address}, x_m=-2.0, y_m={y_m}, thrust_n=[-300.0, 500.0], rpm_max=1400.0}}'
     for address, (name, y_m) in enumerate((("starboard", 1.0), ("port", -1.0)))
 )
-BOAT = ("simulation.motors=false", f"thrusters=[{ROWS}]", 'sysstat.required=["gps"]', "failsafe.thruster.action='warn'")
+BOAT = (
+    *("simulation.motors=false", f"thrusters=[{ROWS}]", 'sysstat.required=["gps"]', "failsafe.thruster.action='warn'"),
+    'navigation.sources=["dsor", "dronecan"]',  # sensors may share the bus
+)
 
 
 @contextlib.contextmanager
@@ -87,6 +90,8 @@ def voyage(folder: Path, bus: str) -> None:
         while not (state["thrusters"]["starboard"].get("rpm") and state["thrusters"]["port"].get("rpm")):
             state = asked(command, "manual", starboard=0.5, port=-0.25)
         assert state["thrusters"]["starboard"]["rpm"] > 0.0 > state["thrusters"]["port"]["rpm"]
+        while "20" not in state["dronecan.sensors"]["devices"]:
+            state = asked(command, "state")
         errors = state["dronecan"]["errors"]
         assert not errors.keys() - {"start lost"}, errors  # the boat may begin to listen in the middle of a controller's word
         with urllib.request.urlopen(f"http://127.0.0.1:{PAGE}/api/state") as page:
