@@ -37,6 +37,7 @@ HEARD: Final = (
     datatypes.RAW_IMU,
     datatypes.NODE_STATUS,
 )
+_NAMES: Final = {kind.id: kind.name for kind in HEARD}
 MESSAGES_PER_READ: Final = 16  # bounds one call on a flooded bus, as FRAMES_PER_READ does
 SLOW_S: Final = 2.5  # the dilution may come once a second, whatever the vehicle's `stale_s`
 FLAT_S: Final = 1.0  # after a beginning: who has not told its gravity by then lies flat
@@ -96,6 +97,7 @@ class DronecanNavigation:
                 message = decode(transfer)
             except FormatError:
                 self._state.count("dronecan_malformed")
+                self._refused[f"{_NAMES[transfer.type]}: impossible values"] += 1
                 continue
             navigation = self._take(transfer.source, message, now_s)
             if navigation is not None:
