@@ -22,6 +22,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
         "console": "Show all boats in the browser, plan missions and command them (docs/console.md).",
         "shore": "Be the shore's end of the radio's line, of one boat or of several on one frequency (docs/shore.md).",
         "drive": "Drive a boat from the command line: one command, or a prompt if none is given.",
+        "sensors": "Show what each sensor says, how often and who is believed; find a new one's baud rate (docs/sensors.md).",
         "can": "Look at a CAN bus, send, make traffic, count, and play a log back onto it.",
         "log": "List, sum up, plot, export, replay, repair and fetch logs (docs/logs.md).",
     },

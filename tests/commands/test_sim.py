@@ -271,6 +271,11 @@ def test_a_boat_with_a_second_bus_sails_its_own_mission_tells_no_trouble_and_is_
         "compass": {"HCHDG", "TIROT"},
         "masthead": {"SDDPT", "WIMWV"},
     }
+    _, heard, _ = typed("sensors", str(ROOT / "etc/sensors.toml"), "--sim-in", str(tmp_path / "run/sim"), "--for", "2")
+    assert heard.startswith("Sensors: the boat runs: these are its own figures; it navigates by nmea2000\n")
+    assert re.search(r"^nmea2000 +heading +204 +[0-9.]+ s +[0-9.]+ deg$", heard, re.MULTILINE)
+    assert re.search(r"^nmea0183 compass .* HCHDG [0-9.]+, TIROT [0-9.]+$", heard, re.MULTILINE)
+    assert re.search(r"^depth_m +1[12]\.[0-9]+$", heard, re.MULTILINE)
     out = interrupted(process)
     assert re.search(r"^  troubles +none$", out, re.MULTILINE)
     code, told, _ = typed("log", "replay", str(tmp_path / "run/sim/log"))
