@@ -10,6 +10,7 @@ import logging
 import math
 import os
 import socket
+import ssl
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, Literal
@@ -94,7 +95,7 @@ class CorrectionFeed:
             except CasterRefusal as error:
                 reason, refused_s = str(error), REFUSED_S
             except OSError as error:
-                reason = in_words(error)
+                reason = _why(error)
             finally:
                 self._end()
             self._trouble = f"{self._caster.host}:{self._caster.port}: {reason}"
@@ -180,6 +181,13 @@ class CorrectionFeed:
         return {"troubles": troubles, **ways, "receiver": counts}
 
 
+def _why(error: OSError) -> str:
+    """asyncio's words for a connection that failed are its own; the system's are known to everybody."""
+    if isinstance(error, ssl.SSLCertVerificationError):
+        return f"its certificate is not to be trusted: {error.verify_message}"
+    return os.strerror(error.errno) if isinstance(error, ConnectionError) and error.errno else in_words(error)
+
+
 @contextlib.contextmanager
 def listening(place: Path) -> Iterator[socket.socket]:
     """The socket at which the vehicle hands over what came by radio."""
@@ -193,14 +201,24 @@ def listening(place: Path) -> Iterator[socket.socket]:
             place.unlink(missing_ok=True)
 
 
+def receiver_port(settings: config.Vehicle) -> ReceiverPort:
+    """The port of the vehicle's file. One of its lines that the vehicle does not read is set up as a port of its own."""
+    table = settings.corrections
+    named = settings.nmea0183.ports.get(table.to)
+    if named is None:
+        return ReceiverPort(table.to, table.baud, shared=False)
+    is_read = "nmea0183" in (*settings.navigation.sources, *settings.sensors.names)
+    return ReceiverPort(named.device, named.baud, is_read)
+
+
 async def serve(runtime: Runtime) -> None:
     """The service."""
     settings = runtime.config
     status = runtime.status.get("corrections")
     if status is not None and status.place == "runtime":
         raise PermanentFailure("corrections: the vehicle waits for no network; write services.corrections.place = 'process'")
-    table, shared = settings.corrections, settings.nmea0183.ports.get(settings.corrections.to)
-    port = ReceiverPort(shared.device if shared else table.to, table.baud, shared is not None)
+    table = settings.corrections
+    port = receiver_port(settings)
     feed, loop = CorrectionFeed(settings, port, runtime.clock), asyncio.get_running_loop()
 
     def on_radio() -> None:

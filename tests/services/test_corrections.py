@@ -5,6 +5,7 @@ import contextlib
 import os
 import select
 import socket
+import ssl
 import termios
 import tty
 from collections.abc import AsyncIterator, Callable
@@ -89,7 +90,12 @@ async def roving(tmp_path: Path, caster: str = "", credentials: str = SECRET, **
     secret.chmod(0o600)
     ports = {"gnss": config.Nmea0183Port(device=str(receiver.name), baud=115_200)}
     table = config.Corrections(to="gnss", caster=caster, credentials=str(secret) if caster else "", **more)
-    settings = vehicle_file(tmp_path, nmea0183=config.Nmea0183(ports=ports), corrections=table)
+    settings = vehicle_file(
+        tmp_path,
+        navigation=config.NavigationTable(sources=("nmea0183",)),
+        nmea0183=config.Nmea0183(ports=ports),
+        corrections=table,
+    )
     try:
         async with vehicle(settings, STATE | {"fix": 5}), served(settings, corrections.serve, "corrections") as runtime:
             rover = Rover(runtime, receiver, tmp_path)
@@ -109,7 +115,7 @@ def test_bytes_of_a_caster_come_to_the_receiver_also_after_the_caster_was_gone(t
     async def test() -> None:
         port = free_port()
         async with roving(tmp_path, f"ntrip://127.0.0.1:{port}/BASE") as rover:
-            await rover.until(lambda f: "Connect call failed" in f["troubles"]["caster"])
+            await rover.until(lambda f: f["troubles"]["caster"] == f"127.0.0.1:{port}: Connection refused")
             for _ in range(2):
                 with contextlib.ExitStack() as links:
                     base = await begun(port, links)
@@ -140,6 +146,26 @@ def test_a_refusal_of_the_caster_is_said_in_words(tmp_path, mountpoint, credenti
                 await rover.until(lambda f: f["troubles"] == {"caster": f"127.0.0.1:{port}: {words}"})
                 base.say(frame(1005))
                 assert rover.receiver.heard() == b""
+
+    asyncio.run(test())
+
+
+@pytest.mark.parametrize(
+    ("caster", "words"),
+    [
+        ("ntrip://nowhere.invalid:2101/BASE", "nowhere.invalid:2101: "),
+        ("ntrips://127.0.0.1:PORT/BASE", "its certificate is not to be trusted: self-signed certificate"),
+    ],
+)
+def test_a_caster_that_cannot_be_reached_is_told_in_words(tmp_path, certificate, caster, words):
+    async def test() -> None:
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        context.load_cert_chain(certificate)
+        server = await asyncio.start_server(lambda reader, writer: writer.close(), "127.0.0.1", 0, ssl=context)
+        place = caster.replace("PORT", str(server.sockets[0].getsockname()[1]))
+        async with server, roving(tmp_path, place) as rover:
+            figures = await rover.until(lambda f: "not connected yet" not in f["troubles"]["caster"])
+            assert words in figures["troubles"]["caster"]
 
     asyncio.run(test())
 
@@ -225,6 +251,25 @@ def test_a_shared_port_keeps_its_settings_and_what_came_for_the_vehicle(tmp_path
         assert os.read(line, 100) == b"$GPGGA"
         port.close()
         os.close(line)
+        receiver.close()
+
+    asyncio.run(test())
+
+
+@pytest.mark.parametrize(("sources", "is_read"), [(("nmea0183",), True), (("dsor",), False)])
+def test_a_port_that_nobody_reads_is_set_up_at_the_speed_of_its_table(tmp_path, sources, is_read):
+    async def test() -> None:
+        receiver = Receiver(tmp_path / "gnss")
+        settings = vehicle_file(
+            tmp_path,
+            navigation=config.NavigationTable(sources=sources),
+            nmea0183=config.Nmea0183(ports={"gnss": config.Nmea0183Port(device=str(receiver.name), baud=57_600)}),
+            corrections=config.Corrections(to="gnss", baud=9600),
+        )
+        port = corrections.receiver_port(settings)
+        port.look()
+        assert (termios.tcgetattr(receiver._port)[5] == termios.B57600) is not is_read
+        port.close()
         receiver.close()
 
     asyncio.run(test())
