@@ -105,7 +105,7 @@ class BoatDevice:
     def __init__(self, bus: CanSocket, settings: config.Vehicle, clock: Clock, address: int, chance: Random) -> None:
         told = settings.nmea2000.send
         self.device = Device(facts_of(settings), pgns_of(told), chance, address)
-        self.outbox = ParcelQueue(bus)
+        self.parcels = ParcelQueue(bus)
         self._bus, self._settings, self._clock = bus, settings, clock
         self._rows = [row for name in told for row in TOLD[name]]
         self._due_s = dict.fromkeys((row.pgn for row in self._rows), -1e9)
@@ -125,11 +125,11 @@ class BoatDevice:
     def tick(self) -> None:
         """Some tens of times a second."""
         now_s = self._clock.monotonic_s()
-        if self.outbox.has_returned:
-            self.outbox.has_returned = False
+        if self.parcels.has_returned:
+            self.parcels.has_returned = False
             self._send(self.device.begin(now_s))
         self._send(self.device.step(now_s))
-        self.outbox.drain(self.device.source, now_s)
+        self.parcels.drain(self.device.source, now_s)
 
     def heard(self, state: State) -> None:
         """A state of the vehicle, just published."""
@@ -148,7 +148,7 @@ class BoatDevice:
                 self._due_s[row.pgn] = (due_s if now_s - due_s <= row.period_s else now_s) + row.period_s
                 self._send([Parcel(pgn, data, device.address, priority) for pgn, data, priority in row.make(telling)])
         device.wanted.clear()
-        self.outbox.drain(device.source, now_s)
+        self.parcels.drain(device.source, now_s)
 
     def silent(self, why: str) -> None:
         """The vehicle does not answer, and nothing is told of it."""
@@ -156,16 +156,16 @@ class BoatDevice:
 
     def _send(self, parcels: list[Parcel]) -> None:
         for parcel in parcels:
-            self.outbox.put(parcel, self._clock.monotonic_s())
+            self.parcels.put(parcel, self._clock.monotonic_s())
 
     def report(self) -> dict[str, object]:
         """JSON-ready."""
-        troubles = {"NMEA 2000": self.outbox.trouble or self.device.trouble, "navigation": self._silence}
+        troubles = {"NMEA 2000": self.parcels.trouble or self.device.trouble, "navigation": self._silence}
         return {
             "troubles": {part: words for part, words in troubles.items() if words},
             **self.device.report(),
-            "sent": {str(pgn): count for pgn, count in sorted(self.outbox.sent.items())},
-            "lost": dict(self.outbox.lost),
+            "sent": {str(pgn): count for pgn, count in sorted(self.parcels.sent.items())},
+            "lost": dict(self.parcels.lost),
         }
 
 

@@ -302,7 +302,7 @@ def test_a_full_bus_gets_the_rest_of_a_message_first_and_loses_what_is_old(boat)
     report = boat.speaker.report()
     assert report["troubles"] == {"NMEA 2000": FULL}
     assert report["lost"]["too old"] > 0
-    assert len(boat.speaker.outbox._waiting) <= WAITING
+    assert len(boat.speaker.parcels._waiting) <= WAITING
 
 
 @pytest.mark.parametrize("fault", [BusError("can1: bus off"), BlockingIOError(errno.EAGAIN, "full")])
