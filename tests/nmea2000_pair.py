@@ -4,6 +4,7 @@ Prints one JSON object: the addresses before and after, what they said of the bu
 """
 
 import json
+import select
 import subprocess
 import sys
 import time
@@ -42,7 +43,7 @@ class Pair:
         while not wanted():
             if time.monotonic() > deadline_s:
                 raise SystemExit(f"not in {PATIENCE_S:.0f} s: {[boat.report() for _, boat in self.boats]}")
-            time.sleep(0.02)
+            select.select([], [], [], 0.02)
             self.cycle += 1
             state = State(mode="idle", reason="", cycle=self.cycle, heading_deg=90.0, age_s={"navigation": 0.0})
             for bus, boat in self.boats:

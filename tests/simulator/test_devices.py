@@ -8,11 +8,12 @@ from typing import get_args
 import pytest
 
 from delfim import config, geodesy
+from delfim.canproxy.nmea2000.pgns import NorthReference, VesselHeading, encode
 from delfim.clock import ManualClock
 from delfim.errors import ConfigError
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.nodes.devices import Devices
+from delfim.simulator.nodes.devices import COMPASS, NAMES, RECEIVER, Devices
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
 
@@ -235,3 +236,20 @@ def test_after_a_silence_of_the_receiver_everything_begins_with_a_position():
     assert run.state.cycles > before
     assert run.state.motion.has == {"position", "heading", "velocity"}
     assert run.command(console.Heading(60.0, 1.5)) is None
+
+
+def test_sources_are_chosen_by_name_where_the_vehicles_file_has_names() -> None:
+    table = config.Nmea2000(preferred_sources=(NAMES[RECEIVER], NAMES[COMPASS]))
+    simulation = config.Simulation(heading_deg=90.0)
+    settings = config.Vehicle(boat=config.BoatTable(name="test"), navigation=SEPARATE, nmea2000=table, simulation=simulation)
+    run = Lockstep(settings, 1, lambda clock: NoLog())
+    stranger = run.buses[table.interface].socket("stranger")
+    for state in run.cycles(5.0):
+        for frame in encode(VesselHeading(0.1, None, None, NorthReference.TRUE), 9):
+            stranger.sendmsg(frame)
+        known = None if state.navigation is None else state.navigation.heading_rad
+        assert known is None or abs(known - 0.1) > 0.01
+    (source,) = run.vehicle.sources
+    told = source.report(run.clock.monotonic_s())
+    assert told["kinds"]["heading"][0] == COMPASS
+    assert told["sources"][str(COMPASS)][2] == NAMES[COMPASS]

@@ -7,6 +7,7 @@ import math
 from typing import Final
 
 from delfim import config
+from delfim.canproxy.nmea2000.parcels import CLAIM, REQUEST, ROLL_CALL, Parcel, addressed, any_of, frames
 from delfim.canproxy.nmea2000.pgns import (
     CourseSpeed,
     GnssPosition,
@@ -25,17 +26,18 @@ from delfim.simulator.nodes.navigation import HDOP
 from delfim.simulator.nodes.period import Period
 
 RECEIVER, COMPASS = 43, 204  # their addresses, as on a boat in docs/nmea2000.md
+NAMES: Final = {RECEIVER: "c07891002fb34d62", COMPASS: "c050a0002fb30d62"}  # as on another boat there
 QUALITY_S: Final = 1.0  # the receiver's period of time, fix and satellites
 GNSS: Final = 1  # method of a fix
 
 
 class Devices:
-    """All devices of the bus."""
+    """All devices of the bus. They keep their addresses, and say their NAMEs at the start and to all who ask for them."""
 
-    hears: tuple[CanAddress, ...] = ()
+    hears = tuple(CanAddress(arb, mask) for arb, mask in any_of(REQUEST))
 
     def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
-        self.interface = settings.nmea2000.interface
+        self.interface, self._must_claim = settings.nmea2000.interface, True
         self.receiver = GnssReceiver(model, settings.simulation, seed)
         self.compass = Compass(model, settings.simulation, seed)
         self.has_gyro = settings.simulation.gyro
@@ -47,20 +49,29 @@ class Devices:
         return min(self.receiver.due_s, self.compass.due_s)
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """They listen to nobody."""
+        """Who has which address?"""
+        self._must_claim |= addressed(frame.arb)[0] == REQUEST and frame.data[:3] == ROLL_CALL.data
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
         """The frames that they send now; the model was advanced by the nodes."""
-        frames = list[Frame]()
+        said = self._claims() if self._must_claim else []
+        self._must_claim = False
         if (turn := self.compass.step(now_s)) is not None:
-            frames += self._turning(turn)
+            said += self._turning(turn)
         if (movement := self.receiver.step(now_s)) is not None:
-            frames += self._moving(movement, now_s, utc_ns)
-        return frames
+            said += self._moving(movement, now_s, utc_ns)
+        return said
+
+    def _claims(self) -> list[Frame]:
+        there = (RECEIVER, self.receiver), (COMPASS, self.compass)
+        claims = (
+            Parcel(CLAIM, int(NAMES[each], 16).to_bytes(8, "little"), each) for each, device in there if not device.silent
+        )
+        return [Frame(arb, data) for claim in claims for arb, data in frames(claim, 0)]
 
     def _turning(self, turn: Turn) -> list[Frame]:
-        frames = encode(VesselHeading(turn.heading_rad, None, None, NorthReference.TRUE), COMPASS)
-        return frames + (encode(RateOfTurn(turn.rate_radps), COMPASS) if self.has_gyro else [])
+        heading = encode(VesselHeading(turn.heading_rad, None, None, NorthReference.TRUE), COMPASS)
+        return heading + (encode(RateOfTurn(turn.rate_radps), COMPASS) if self.has_gyro else [])
 
     def _moving(self, m: AntennaMotion, now_s: float, utc_ns: int) -> list[Frame]:
         course_rad, speed_mps = math.atan2(m.east_mps, m.north_mps) % math.tau, math.hypot(m.north_mps, m.east_mps)
