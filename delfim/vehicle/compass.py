@@ -17,6 +17,7 @@ GAP_S: Final = 0.5  # after which gravity alone counts
 GRAVITY_MPS2: Final = 9.80665
 SHARE: Final = 0.5  # of gravity: an acceleration that is further from it says nothing of where down is
 FIELD_MIN_T: Final = 5e-6  # horizontal; the earth's is 10 to 40 uT, but for the poles
+ASKEW: Final = 0.4  # of half the width of a circle
 LEANING: Final = 0.5  # a bow that points up or down by more than 60 degrees has no heading
 
 
@@ -67,6 +68,38 @@ class Calibration:
         x, y, z = (measured - own for measured, own in zip(field_t, self._hard, strict=True))
         a, b, c = self._rows
         return dot(a, (x, y, z)), dot(b, (x, y, z)), dot(c, (x, y, z))
+
+
+class FieldCircle:
+    """The fields that a compass measured at the least and the most of x and y, from which its calibration follows."""
+
+    def __init__(self, field_t: Vector) -> None:
+        self._low, self._high, self._left, self._right = (field_t,) * 4
+
+    def add(self, field_t: Vector) -> None:
+        if field_t[0] < self._low[0]:
+            self._low = field_t
+        if field_t[0] > self._high[0]:
+            self._high = field_t
+        if field_t[1] < self._left[1]:
+            self._left = field_t
+        if field_t[1] > self._right[1]:
+            self._right = field_t
+
+    def calibration(self) -> dict[str, list[float]] | None:
+        """`hard_iron_ut` and `soft_iron` of a boat that was turned through a circle on level water. None: it was not. On a
+        part of a circle x is not half-way where y is least or most."""
+        ends = self._low, self._high, self._left, self._right
+        x, y = 0.5 * (self._low[0] + self._high[0]), 0.5 * (self._left[1] + self._right[1])
+        wide, across = self._high[0] - x, self._right[1] - y
+        if min(wide, across) < FIELD_MIN_T:
+            return None
+        off = [abs(end[1] - y) / across for end in ends[:2]] + [abs(end[0] - x) / wide for end in ends[2:]]
+        if max(off) > ASKEW:
+            return None
+        mean = 0.5 * (wide + across)
+        soft_iron = [round(mean / wide, 3), round(mean / across, 3), 1.0, 0.0, 0.0, 0.0]
+        return {"hard_iron_ut": [round(x * 1e6, 1), round(y * 1e6, 1), 0.0], "soft_iron": soft_iron}
 
 
 def dot(a: Vector, b: Vector) -> float:

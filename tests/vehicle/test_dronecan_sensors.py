@@ -296,15 +296,26 @@ def test_the_iron_of_the_boat_is_taken_off():
         assert math.remainder(bench.heading_deg() - heading_deg, 360.0) == pytest.approx(0.0, abs=0.1)
 
 
-def test_the_least_and_the_most_of_each_axis_are_told_for_the_calibration():
-    bench = Bench()
-    for heading_deg in range(0, 360, 10):
+def test_a_boat_that_was_turned_through_a_circle_tells_its_calibration_and_with_it_the_heading_is_right():
+    def measured(heading_deg: float) -> object:
         x, y, z = earth(turned(math.radians(heading_deg)))
-        bench.say(field((x + 0.12, y - 0.30, z), 3), COMPASS)
-    (x, y, z) = bench.source.report(0.0)["compasses"][str(COMPASS)]["axes_ut"]
-    assert sum(x) / 2.0 == pytest.approx(12.0, abs=0.2)
-    assert sum(y) / 2.0 == pytest.approx(-30.0, abs=0.2)
-    assert z[0] == z[1]
+        return field((1.2 * x + 0.12, 0.9 * y - 0.30, z), 3)
+
+    def told(bench: Bench) -> object:
+        return bench.source.report(0.0)["compasses"][str(COMPASS)]["calibration"]
+
+    bench = Bench()
+    for heading_deg in range(0, 360, 5):
+        bench.say(measured(heading_deg), COMPASS)
+        if heading_deg < 240:
+            assert told(bench) == "turn the boat through two circles"
+    calibration = told(bench)
+    assert calibration["hard_iron_ut"] == pytest.approx([12.0, -30.0, 0.0], abs=0.1)
+    again = Bench(**calibration)
+    again.settled()
+    for heading_deg in range(3, 360, 20):
+        again.say(measured(heading_deg), COMPASS)
+        assert math.remainder(again.heading_deg() - heading_deg, 360.0) == pytest.approx(0.0, abs=0.3)
 
 
 def test_a_field_without_a_direction_is_no_heading_and_ends_the_one_before():
@@ -533,7 +544,7 @@ def test_a_flood_is_read_in_parts_and_nothing_of_it_is_lost():
         waiting.append(left)
         bench.source.read(bench.clock.monotonic_s())
     assert waiting == [100, 84, 68, 52, 36, 20, 4]
-    assert bench.source.report(0.0)["compasses"][str(COMPASS)]["axes_ut"][2] == [30.0, pytest.approx(39.9, abs=0.1)]
+    assert bench.source._said[COMPASS][0][2] == pytest.approx(39.9e-6, abs=1e-7)
 
 
 # Whatever comes.

@@ -21,7 +21,7 @@ from delfim.canproxy.socket import CanSocket
 from delfim.errors import BusError, FormatError
 from delfim.messages import Navigation
 from delfim.newest import Newest
-from delfim.vehicle.compass import FLAT, Calibration, Tilt, Vector, attitude, magnetic_heading
+from delfim.vehicle.compass import FLAT, Calibration, FieldCircle, Tilt, Vector, attitude, magnetic_heading
 from delfim.vehicle.estimated import Hearer
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
@@ -66,7 +66,7 @@ class DronecanNavigation:
         self._sensors = dict[int, int]()  # by node: its magnetometer, of several
         self._said = dict[int, tuple[Vector, float | None]]()  # by node: its last field, and the heading of it
         self._antennas_s = -1e9  # when two antennas told a heading last
-        self._fields_ut = dict[int, list[list[float]]]()  # by node: least and most of each axis, for the calibration
+        self._circles = dict[int, FieldCircle]()  # by node, for the calibration
         self._nodes = dict[int, tuple[int, float]]()  # health, and when it was heard
         self._refused: Counter[str] = Counter()
         self._counter = 0
@@ -154,9 +154,10 @@ class DronecanNavigation:
         antennas are better."""
         if self._sensors.setdefault(node, m.sensor) != m.sensor or now_s - self._antennas_s <= self._stale_s:
             return
-        ends = self._fields_ut.setdefault(node, [[math.inf, -math.inf] for _ in m.field_t])
-        for end, field_t in zip(ends, m.field_t, strict=True):
-            end[:] = min(end[0], field_t * 1e6), max(end[1], field_t * 1e6)
+        circle = self._circles.get(node)
+        if circle is None:
+            circle = self._circles[node] = FieldCircle(m.field_t)
+        circle.add(m.field_t)
         down = self._down(node, now_s)
         if down is None:
             self._refused["compass without its tilt"] += 1
@@ -226,11 +227,19 @@ class DronecanNavigation:
             node = newest.choose(now_s)
             kinds[kind] = {"node": node, "age_s": None if node is None else newest.age_s(node, now_s)}
         devices = {str(node): {"health": health, "age_s": now_s - at_s} for node, (health, at_s) in sorted(self._nodes.items())}
-        fields = {
-            str(node): {"axes_ut": [[round(each, 1) for each in end] for end in ends], "flat": node not in self._tilts}
-            for node, ends in sorted(self._fields_ut.items())
+        compasses = {
+            str(node): {
+                "flat": node not in self._tilts,
+                "calibration": circle.calibration() or "turn the boat through two circles",
+            }
+            for node, circle in sorted(self._circles.items())
         }
-        return {"kinds": kinds, "devices": devices, "compasses": fields, "refused": dict(self._receiver.errors + self._refused)}
+        return {
+            "kinds": kinds,
+            "devices": devices,
+            "compasses": compasses,
+            "refused": dict(self._receiver.errors + self._refused),
+        }
 
 
 def fix_of(g: GnssFix) -> int:
