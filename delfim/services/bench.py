@@ -15,7 +15,7 @@ import sys
 import termios
 import time
 import tty
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final, Protocol
 
 from delfim import config
@@ -144,13 +144,20 @@ def _ask(boat: RunningBoat, name: str, part: float, for_s: float, key: DeadMan) 
             if now_s - shown_s > SHOW_S:
                 shown_s = now_s
                 thrust = told.pop("thrust")
-                words = ", ".join(f"{what} {value}" for what, value in told.items() if value not in (None, []))
-                print(f"thrust {thrust:+.0%} {words}", flush=True)
+                print(f"thrust {thrust:+.0%} {_words(told)}", flush=True)
     except KeyboardInterrupt:
         key.ended = "Ctrl-C"
     with contextlib.suppress(Refused):  # the boat has ended it already
         boat.ask("actuate", thruster=name, part=0.0)
     print(f"stopped: {key.ended}", flush=True)
+
+
+def _words(report: Mapping[str, object]) -> str:
+    """What is known of it."""
+    known = {
+        what: round(each, 2) if isinstance(each, float) else each for what, each in report.items() if each not in (None, [], ())
+    }
+    return ", ".join(f"{what} {each}" for what, each in known.items())
 
 
 def _pressed() -> bool:
@@ -169,10 +176,9 @@ def _turn(driver: Actuator, trial: Trial, key: DeadMan, name: str) -> None:
             each.read(state, now_s)
         if now_s - shown_s > SHOW_S:
             report, shown_s = state.thrusters.get(name), now_s
-            told = {} if report is None else {key: value for key, value in report._asdict().items() if value is not None}
+            told = {} if report is None else report._asdict()
             told.pop("heard_s", None)
-            words = ", ".join(f"{key} {value}" for key, value in told.items())
-            print(f"thrust {max(sent.thrust, key=abs):+.0%}{', not taken' if unsent else ''} {words}", flush=True)
+            print(f"thrust {max(sent.thrust, key=abs):+.0%}{', not taken' if unsent else ''} {_words(told)}", flush=True)
     print(f"stopped: {key.ended}", flush=True)
 
 
