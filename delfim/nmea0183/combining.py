@@ -200,6 +200,8 @@ class Combined:
         is_full = formatter in ("GGA", "GNS")
         if said.fix is not None and not self._outranked("quality", talker, 0 if is_full else 1, now_s, True):
             self._put("quality", talker, _GnssQuality(said.fix, said.satellites or 0, said.hdop, said.corrections_s), now_s)
+            if said.corrections_s is not None and self._newest["quality"].choose(now_s) == talker:
+                self._measured["corrections_age_s"] = said.corrections_s, now_s
         if said.utc_ns is not None:
             self._set_time(talker, said.utc_ns, now_s)
         if said.variation_rad is not None:

@@ -638,12 +638,14 @@ def test_speeds_are_shown_and_taken_in_knots_where_the_operator_chose_them(sail:
 def test_values_of_sensors_stand_in_words_with_the_ages_of_old_ones(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         values = {"depth_m": (4.25, 0.2), "aws_mps": (5.1, 0.2), "awa_rad": (-0.7854, 0.2), "stw_mps": (1.0, 12.0)}
+        values |= {"sigma_m": (0.014, 0.2), "corr_s": (2.0, 0.2)}
         told = {name: {"value": value, "age_s": age_s} for name, (value, age_s) in values.items()}
         gateway.boat(1).update(
             measured={**told, "turbidity": {"value": 3.14159, "age_s": 0.2}, "air_c": {"value": 1, "age_s": 99}}
         )
         words = (
-            "depth 4.3 m · apparent wind 5.1 m/s · apparent wind from 315° · through water 1.0 m/s (12 s ago) · turbidity 3.142"
+            "depth 4.3 m · apparent wind 5.1 m/s · apparent wind from 315° · through water 1.0 m/s (12 s ago)"
+            " · position ± 0.01 m · corrections since 2 s · turbidity 3.142"
         )
         await shown(page, gateway, f"{text_of(1, '.measured')}.replaceAll('\\u00a0', ' ') === '{words}'")
         gateway.boat(1).update(measured={})

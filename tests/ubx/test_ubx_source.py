@@ -32,6 +32,7 @@ def test_a_u_blox_pair_gives_position_heading_accuracy_and_the_age_of_correction
     assert n.heading_rad == pytest.approx(math.radians(10.0))
     assert (n.fix, n.accuracy_m, n.corrections_s) == (5, pytest.approx(0.014), 2.0)
     assert boat.state.measured["position_sigma_m"][0] == pytest.approx(0.014)
+    assert boat.state.measured["corrections_age_s"][0] == 2.0
     hear(1.2, carrSoln=1)
     assert boat.state.navigation.heading_rad is None
     told = boat.source.report(1000.0)

@@ -15,6 +15,7 @@ VALUES = (
     Value("wind_true_rad", "rad", "where the true wind comes from, clockwise from the bow", "twa_rad"),
     Value("wind_true_mps", "m/s", "true wind", "tws_mps"),
     Value("position_sigma_m", "m", "standard deviation of the position, as the receiver states it", "sigma_m"),
+    Value("corrections_age_s", "s", "since the receiver's last correction", "corr_s"),
 )
 
 

@@ -13,11 +13,13 @@ const NAMES: Record<string, string> = {
   tws: "true wind",
   stw: "through water",
   sigma: "position ±",
+  corr: "corrections since",
   ais: "AIS",
 };
 
 const UNITS: Record<string, (value: number) => string> = {
-  m: (m) => `${m.toFixed(1)} m`,
+  m: (m) => `${m.toFixed(Math.abs(m) < 1 ? 2 : 1)} m`,
+  s: (s) => `${s.toFixed(0)} s`,
   mps: speedWords,
   rad: (rad) => `${((Math.round((rad * 180) / Math.PI) + 360) % 360).toFixed(0)}°`,
   c: (c) => `${c.toFixed(1)} °C`,
