@@ -10,7 +10,7 @@ from typing import Any, Final, NamedTuple
 import msgspec
 
 from delfim import config
-from delfim.console.boats import Boat
+from delfim.console.boats import Boat, Measured
 from delfim.console.mavlink import mavlink
 from delfim.console.tape import LAST_S, Missions, Text, Track, between
 from delfim.errors import FormatError
@@ -18,7 +18,9 @@ from delfim.logging.reading import in_order, read_events
 from delfim.logging.statelog import read_state
 from delfim.vehicle import thrusters
 from delfim.vehicle.gnss import FIXES
+from delfim.vehicle.sensors import nmea0183, nmea2000
 
+MEASURED: Final = {each.name: each.told.decode() for each in (*nmea0183.VALUES, *nmea2000.VALUES)}  # as the link tells them
 STATE_S: Final = 0.1  # between records that are shown
 Sides = dict[str, list[str]]  # "port" and "starboard": names of thrusters
 
@@ -31,6 +33,7 @@ class LogRow(NamedTuple):
     armed: bool
     values: dict[str, Any]
     reference: dict[str, Any]
+    measured: dict[str, float]
 
 
 class States:
@@ -70,6 +73,7 @@ class States:
             boat.enter(row.mode)
             boat.values |= row.values
             boat.reference |= row.reference
+            boat.measured = {name: Measured(value, 0, row.at_s) for name, value in row.measured.items()}
             boat.at_s |= dict.fromkeys(("GLOBAL_POSITION_INT", "ATTITUDE", "RAW_RPM", "SYS_STATUS"), row.at_s)
             track = self.tracks[self._number]
             begin, end = (bisect_right(track, (t_s, math.inf, math.inf)) for t_s in (from_s, to_s))
@@ -132,7 +136,8 @@ def _row(at_s: float, told: dict[str, Any], sides: Sides) -> LogRow:
         "distance_m": known("distance", 1),
         "leg": known("leg"),
     }
-    return LogRow(at_s, told["mode"], bool(told.get("run")), values, reference)
+    measured = {short: value for name, short in MEASURED.items() if (value := known(name, 3)) is not None}
+    return LogRow(at_s, told["mode"], bool(told.get("run")), values, reference, measured)
 
 
 def _events(file: Path) -> Iterator[dict[str, Any]]:

@@ -53,7 +53,8 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def sailed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A minute of the vehicle in the simulator, as its own state log holds it."""
     log = tmp_path_factory.mktemp("log")
-    settings = config.load(ROOT / "etc/delfimx.toml", [f'log.directory="{log}"', 'log.state_method="write"'])
+    more = 'log.state_method="write"', 'sensors.names=["sysstat", "nmea2000"]'
+    settings = config.load(ROOT / "etc/delfimx.toml", [f'log.directory="{log}"', *more])
     run = Lockstep(settings, 1, lambda clock: Logbook(settings, clock))
     run.sail((ROOT / "etc/missions/doca.toml").read_text(), 60.0)
     run.close()
@@ -280,6 +281,13 @@ def test_a_state_log_that_had_just_begun_when_the_power_was_cut_spoils_no_others
         open_tapes([tmp_path])
     shutil.copy(next(sailed.rglob("*.state")), tmp_path / "a.state")
     assert len(open_tapes([tmp_path])) == 1
+
+
+def test_a_state_log_shows_the_values_of_sensors(sailed: Path) -> None:
+    played = Played(sailed)
+    played.run(10.0)
+    (boat,) = played.replay.snapshot()
+    assert boat["measured"]["depth_m"]["value"] == 12.0
 
 
 def test_a_state_log_without_records_is_refused(sailed: Path, tmp_path: Path) -> None:
