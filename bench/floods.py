@@ -123,6 +123,8 @@ def payload(asked: Sequence[str], file: str, place: Path) -> Iterator[list[int]]
     """A program that says as much as it can, carried as the supervisor has it done; afterwards the list holds how many lines
     were dropped. `place` has the vehicle's command socket in its folder "delfim"."""
     own, dropped = place / "payload", list[int]()
+    figures = own / "service-payload.json"
+    figures.unlink(missing_ok=True)  # of the turn before: its program would seem to shout while this one still starts
     settings = [*asked, f"payload.shouts.command={json.dumps(SHOUTS)}", f'console.socket="{place}/delfim/command"']
     settings += [f'runtime.run_directory="{own}"', f'log.directory="{own}"']
     words = [word for each in settings for word in ("--set", each)]
@@ -131,8 +133,7 @@ def payload(asked: Sequence[str], file: str, place: Path) -> Iterator[list[int]]
 
     def lines() -> int:
         """Raises OSError, ValueError, KeyError while it has said nothing."""
-        figures = json.loads((own / "service-payload.json").read_text())["figures"]
-        return int(figures["lines"]["shouts"]["dropped"])
+        return int(json.loads(figures.read_text())["figures"]["lines"]["shouts"]["dropped"])
 
     def shouting() -> None:
         with contextlib.suppress(ValueError, KeyError, FileNotFoundError):

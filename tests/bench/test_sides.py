@@ -9,7 +9,7 @@ import pytest
 
 from bench import onlooker
 from bench.__main__ import main
-from bench.floods import KINDS, PAYLOAD
+from bench.floods import KINDS, PAYLOAD, payload
 from bench.onlooker import Onlooker, paths_us
 from bench.sides import RADIO
 from delfim.canproxy.dsor.protocol import Message, segments
@@ -112,6 +112,15 @@ def test_floods_run_has_every_field(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert all((row["sent"] > 10) == (row["case"] != "no flood") for row in results["rows"])
     assert results["mode"] == "heading"
     assert "p99 with forged frames <= 1.2 x that with no flood" in capsys.readouterr().out
+
+
+def test_the_flood_of_a_payload_begins_before_the_measurement_each_time(tmp_path: Path) -> None:
+    """And not with the start of its program, for which the figures of the turn before once passed."""
+    programs = set()
+    for _ in range(2):
+        with payload([], VEHICLE, tmp_path):
+            programs.add(json.loads((tmp_path / "payload" / "service-payload.json").read_text())["pid"])
+    assert len(programs) == 2
 
 
 @pytest.mark.timeout(180)

@@ -296,7 +296,27 @@ def test_cycles_and_subscriptions_end_with_their_mode_and_connection(served: Ser
     bus.settimeout(0.05)
     with pytest.raises(TimeoutError):
         bus.recvmsg()
-    assert served.call(lambda: served.server.buses[name]._can) is None  # nobody watches: the bus is closed
+
+
+def test_a_bus_stays_open_for_the_next_visitor_and_is_closed_when_none_came(served: Served, bus: CanSocket, name: str) -> None:
+    """To open it takes longer than a callback may, and visitors that come and go would make the loop open it each time."""
+    shared, sockets = served.server.buses[name], set()
+    for _ in range(3):
+        with Peer(served, f"< open {name} >< rawmode >") as peer:
+            assert peer.element() == "< ok >"
+            sockets.add(served.call(lambda: id(shared._can)))
+        served.wait_for(lambda: not served.server.clients.inside)
+        served.call(shared.poll)
+    assert len(sockets) == 1
+    assert served.call(lambda: shared._can) is not None
+    bus.sendto(b"unheard", CanAddress(standard(0x55)))
+    served.wait_for(lambda: shared.received)
+    served.call(shared.poll)
+    assert served.call(lambda: shared._can) is None
+    with Peer(served, f"< open {name} >< rawmode >") as peer:
+        peer.element()
+        bus.sendto(b"heard", CanAddress(standard(0x55)))
+        assert "6865617264" in peer.element().lower()
 
 
 def test_subscriptions_are_throttled_and_the_newest_frame_is_told(served: Served, bus: CanSocket, name: str) -> None:

@@ -2,6 +2,7 @@
 `nmea2000`), against the state of the vehicle.
 """
 
+import asyncio
 import errno
 import logging
 import math
@@ -390,5 +391,6 @@ def test_it_does_not_run_in_the_runtime(tmp_path):
 
     its = msgspec.structs.replace(settings("heading"), runtime=config.RuntimeTable(run_directory=str(tmp_path)))
     runtime = Runtime(its, SystemClock())
-    runtime.main([LoadedService("nmea2000d", nmea2000d.serve)])
+    with asyncio.Runner(loop_factory=runtime._new_loop) as runner:  # `main` would make the tests' own process a real-time one
+        runner.run(runtime.run([LoadedService("nmea2000d", nmea2000d.serve)]))
     assert "place = 'process'" in runtime.status["nmea2000d"].reason

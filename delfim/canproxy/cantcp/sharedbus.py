@@ -1,4 +1,6 @@
-"""A bus that clients share: one socket, open while there are clients; each frame becomes text once for all of them."""
+"""A bus that clients share: one socket, open while there are clients and for a second or two after the last one, because to
+open it takes longer than a callback may; each frame becomes text once for all of them.
+"""
 
 import asyncio
 import logging
@@ -14,6 +16,7 @@ from delfim.errors import BusError
 from delfim.frames import CAN_ERR, CAN_RTR, Frame
 
 FRAMES_A_CALL: Final = 32
+FORGOTTEN_CALLS: Final = 8
 GATHER_S: Final = 0.005  # frames that follow others within this time share one write
 
 TextOf = Callable[[Frame], bytes]
@@ -69,10 +72,13 @@ class SharedBus:
         self._ears: set[Ear] = set()
         self._can: CanSocket | None = None
         self._sent: list[tuple[Frame, Ear]] = []  # not yet passed on to the others
+        self._is_left = False  # at the last poll nobody was here
         self._later: asyncio.Handle | None = None  # the next look at a busy bus; None: woken by its first frame
 
     def join(self, ear: Ear) -> None:
         """Raises BusError if the bus cannot be opened."""
+        if self._can and not self._ears:
+            self._forget()
         if self._can is None:
             can = open_can(self.interface, receive_buffer_bytes=self._receive_buffer_bytes, batch=FRAMES_A_CALL)
             try:
@@ -83,12 +89,22 @@ class SharedBus:
             can.setblocking(False)
             self._can = can
             self._readers.reader(self._can.fileno(), self._wake)
+        self._is_left = False
         self._ears.add(ear)
+
+    def _forget(self) -> None:
+        """Throw away what came while nobody was here and was not looked at yet: some milliseconds of frames."""
+        self._sent.clear()
+        for _ in range(FORGOTTEN_CALLS):
+            if not self._receive():
+                break
+        if self.failure:  # whoever comes is told
+            self.close()
 
     def leave(self, ear: Ear) -> None:
         self.quiet(ear)
         self._ears.discard(ear)
-        if not self._ears:
+        if self.failure and not self._ears:  # the next client is told
             self.close()
 
     def quiet(self, ear: Ear) -> None:
@@ -119,7 +135,12 @@ class SharedBus:
             self._sent.clear()
 
     def poll(self) -> None:
-        """Call about once a second: reopens a bus that failed."""
+        """Call about once a second: reopens a bus that failed, closes one that nobody opened since the last call."""
+        if self._can and not self._ears:
+            if self._is_left:
+                self.close()
+            self._is_left = True
+            return
         if self.failure and self._can and self._can.rebind():
             log.warning("cantcpd: %s is back", self.name)
             self.failure = ""
