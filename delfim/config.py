@@ -1336,6 +1336,10 @@ class Vehicle(Table, frozen=True):
         """The drivers of the thrusters, each once, in the order of the rows."""
         return tuple(dict.fromkeys(row.driver for row in self.thrusters))
 
+    def figures_of(self, source: str) -> str:
+        """The name of a source's figures in the state: motors of the same bus have the name itself."""
+        return f"{source}.sensors" if source in self.drivers else source
+
     @property
     def motor_buses(self) -> tuple[str, ...]:
         """The interfaces that carry the commands of a driver and nothing else."""

@@ -69,6 +69,10 @@ def _heard(name: str, now: dict[str, Any], before: dict[str, Any], passed_s: flo
         yield f"{f'{name} {address}':22} {device:18} {_age(age_s)}  {rate:.1f} messages"
     for node, device in now.get("devices", {}).items():
         yield f"{f'{name} {node}':22} {'':18} {_age(device['age_s'])}  health {device['health']}"
+    for node, compass in now.get("compasses", {}).items():
+        told, flat = compass["calibration"], " is taken to lie flat" if compass["flat"] else ""
+        words = told if isinstance(told, str) else ", ".join(f"{key} = {value}" for key, value in told.items())
+        yield f"{'':49}  compass {node}{flat}: {words}"
     if not any(key in now for key in ("ports", "sources", "devices")) and "messages" in now:
         yield f"{name:22} {'':18} {'':>7}  {(now['messages'] - before.get('messages', 0)) / passed_s:.1f} messages"
 

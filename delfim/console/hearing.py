@@ -73,7 +73,8 @@ class Running:
         select.select([], [], [], wait_s)
         state = self._link.ask("state")
         names: tuple[str, ...] = (*self._settings.navigation.sources, *self._settings.sensors.names)
-        figures = {name: state[name] for name in names if isinstance(state.get(name), dict)}
+        told = {name: state.get(self._settings.figures_of(name)) for name in names}
+        figures = {name: each for name, each in told.items() if isinstance(each, dict)}
         troubles = {name: state.get(device, {}).get("trouble", "") for name, device in self._devices.items()}
         values = {(state["source"], kind): value for kind, value in _navigated(state)}
         measured = {name: _number(value) for name, value in state["measured"].items()}

@@ -130,8 +130,7 @@ async def serve(runtime: Runtime) -> None:
         links.callback(boat.helm.stop, "shutdown")  # undone first of all
         for source in boat.sources:
             links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))
-            name = f"{source.name}.sensors" if source.name in settings.drivers else source.name  # its motors have the name
-            links.enter_context(runtime.publishing(name, partial(_figures, source, clock)))
+            links.enter_context(runtime.publishing(settings.figures_of(source.name), partial(_figures, source, clock)))
         for name, teller in tellers(settings, opened.line, links, state, clock):
             links.enter_context(runtime.ticking(teller.period_s, teller.tell))
             links.enter_context(runtime.publishing(f"nmea0183.out.{name}", teller.report))

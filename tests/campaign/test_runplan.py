@@ -30,6 +30,13 @@ def test_each_campaign_that_is_shipped_can_be_read(path):
     assert plan.runs == len(plan.points) * plan.seeds.count > 0
 
 
+def test_the_documents_example_can_be_read(tmp_path):
+    text = (ETC.parent / "docs/campaigns.md").read_text().partition("```toml\n")[2].partition("```")[0]
+    (tmp_path / "campaign.toml").write_text(text.replace('"../', f'"{ETC}/'))
+    _, plan = read(tmp_path / "campaign.toml")
+    assert len(plan.points) == 9
+
+
 def test_every_run_is_in_one_batch_and_the_file_alone_cuts_them(tmp_path):
     path = written(tmp_path, 'scenario = "mixed"', "seeds = {first = 5, count = 7}", "[vary]", '"boat.id" = [1, 2, 3]')
     batches = [list(read(path)[1].batches(4)) for _ in range(2)]

@@ -164,6 +164,37 @@ def test_of_a_boat_that_runs_no_port_is_opened(file, tmp_path):
         running.close()
 
 
+def test_sensors_and_motors_on_one_dronecan_bus_are_told_apart():
+    settings = config.load(ROOT / "etc/boats/float.toml")
+    kinds = {"heading": {"node": 41, "age_s": 0.1}, "rate": {"node": None, "age_s": None}}
+    iron = {"hard_iron_ut": [12.0, -30.0, 0.0], "soft_iron": [0.9, 1.1, 1.0, 0.0, 0.0, 0.0]}
+    state = {
+        **dict.fromkeys(("latitude_deg", "longitude_deg", "speed_mps", "course_deg", "turn_dps", "fix")),
+        "heading_deg": 87.0,
+        "measured": {},
+        "source": "dronecan",
+        "figures_s": 100.0,
+        "dronecan": {"node": 10, "devices": {"20": {"uptime_s": 9, "health": 0}}, "errors": {}},
+        "dronecan.sensors": {
+            "kinds": kinds,
+            "devices": {"20": {"health": 0, "age_s": 0.2}, "41": {"health": 1, "age_s": 0.3}},
+            "compasses": {"41": {"flat": True, "calibration": iron}},
+            "refused": {},
+        },
+    }
+
+    class Asked:
+        def ask(self, command: str) -> dict:
+            return state
+
+    told = Running(settings, Asked()).told(0.0)
+    lines = table(settings, Running.where, told, told)
+    assert f"{'dronecan':10} {'heading':14} {'41':18}   0.1 s  087.0 deg" in lines
+    assert f"{'dronecan 41':22} {'':18}   0.3 s  health 1" in lines
+    words = "hard_iron_ut = [12.0, -30.0, 0.0], soft_iron = [0.9, 1.1, 1.0, 0.0, 0.0, 0.0]"
+    assert f"{'':49}  compass 41 is taken to lie flat: {words}" in lines
+
+
 def test_the_name_that_stays_is_preferred(tmp_path):
     (tmp_path / "ttyUSB0").touch()
     (tmp_path / "by-id").mkdir()
