@@ -77,6 +77,7 @@ def test_a_receiver_and_a_compass_sail_a_mission_in_current_as_the_navigation_no
 
 
 @pytest.mark.long
+@pytest.mark.timeout(400)
 @pytest.mark.parametrize("navigation", [SEPARATE, LINES], ids=lambda table: table.sources[0])
 def test_a_receiver_and_a_compass_sail_missions_in_current_from_all_sides(navigation):
     assert compared(navigation, range(1, 21)) < 1.3
