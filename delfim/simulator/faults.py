@@ -42,6 +42,7 @@ Kind = Literal[
     "disk_slow",
     "clock_stepped",
     "gnss_poor",
+    "accuracy_poor",
     "shallow",
     "heading_jumping",
     "compass_cable",
@@ -64,6 +65,7 @@ VALUES: Final = {  # default, and its meaning
     "battery_sag": (0.15, "charge that is left, 0 to 1"),
     "clock_stepped": (60.0, "seconds"),
     "gnss_poor": (4.0, "satellites that are left"),
+    "accuracy_poor": (8.0, "metres that the receivers state"),
     "shallow": (0.5, "metres of water on a bank, 15 m about the boat"),
     "heading_jumping": (50.0, "degrees to starboard"),
     "compass_cable": (6.0, "degrees for each ampere of the first thruster"),
@@ -208,6 +210,9 @@ class Faults(Broken):
                 navigation.satellites = min(max(round(value), 0), SATELLITES) if on else SATELLITES
                 for receiver in receivers:
                     receiver.satellites = navigation.satellites
+            case "accuracy_poor":
+                for receiver in receivers:
+                    receiver.stated_m = value if on else receiver.position_m
             case "shallow":
                 model = self.model
                 model.bank = Bank(model.north_m, model.east_m, value) if on else None

@@ -54,6 +54,7 @@ class GnssReceiver:
         self.silent = self.frozen = False  # frozen: it repeats its values
         self.jump_m = 0.0  # error of the position to the north
         self.satellites = SATELLITES
+        self.stated_m = self.position_m  # standard deviation per axis, as it says
         self._said: AntennaMotion | None = None
 
     @property

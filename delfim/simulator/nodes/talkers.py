@@ -81,7 +81,7 @@ class SimulatedInstruments:
 def _position(receiver: GnssReceiver, moved: AntennaMotion, utc_ns: int) -> bytes:
     """GGA, RMC and GST, as a receiver of several systems says them."""
     n = Navigation(utc_ns, *moved, None, None, None, None, FIX, receiver.satellites, HDOP, 0)
-    sigma = f"{receiver.position_m:.2f}"
+    sigma = f"{receiver.stated_m:.2f}"
     return gga(n) + rmc(n) + framed(f"GPGST,{clock(n)},{sigma},,,,{sigma},{sigma},")
 
 
