@@ -2,8 +2,9 @@
 
 Frames with a forged signature for the MAVLink port; connections to cantcpd that say nothing, from many addresses; clients that
 open a bus there and leave; commands to cantcpd that mean nothing, or are barred; connections to ftpd, as many as it takes; and
-lines that the runtime's own loop has to log. The same seed sends the same. Within the benchmark itself runs a payload program
-that floods.
+lines that the runtime's own loop has to log; and a line of sensors that floods, falls silent, speaks at another rate, is pulled
+out and comes back as another device. The same seed sends the same. Within the benchmark itself runs a payload program that
+floods.
 """
 
 import contextlib
@@ -13,7 +14,9 @@ import select
 import socket
 import subprocess
 import sys
+import tempfile
 import time
+import tty
 from collections import deque
 from collections.abc import Callable, Generator, Iterator, Sequence
 from itertools import count
@@ -25,12 +28,15 @@ from bench.critical_path import running, until
 from bench.fuzz import SYSTEM
 from bench.load import IDLE, Ports
 from delfim.errors import DelfimError
+from delfim.nmea0183.framing import framed
 from delfim.vehicle.mavlink.wire import dialect
 
 BURST_S: Final = 0.002
 BURST: Final = 100  # at once, at most
 HELD: Final = 64  # connections of which the oldest is closed for a new one
 TIMEOUT_S: Final = 0.5
+LINE_STEPS: Final = 2000  # a second of each: floods, is silent, speaks at another rate, is unplugged
+SENTENCES: Final = 80 * framed("GPGGA,120000.00,3841.4420,N,00912.9180,W,4,12,0.7,0.0,M,,M,,")
 NONSENSE: Final = (
     "< send 040 2 11 22 >",
     "< send 123 9 >",
@@ -103,6 +109,40 @@ def _words(_: Random, ports: Ports, __: str, ___: int) -> Generator[None, None, 
             yield
 
 
+def sensor_line(benchmark: int) -> Path:
+    """The name under which the boat has its line of sensors; of the benchmark with this process id."""
+    return Path(tempfile.gettempdir(), f"delfim-bench-line-{benchmark}")
+
+
+def _line(random: Random, _: Ports, __: str, ___: int) -> Generator[None, None, None]:
+    name, handles = sensor_line(os.getppid()), list[int]()
+    try:
+        for number in count():
+            phase = number // LINE_STEPS % 4
+            if phase == 3 and handles:
+                _unplug(name, handles)
+            elif phase != 3 and not handles:
+                handles[:] = os.openpty()
+                tty.setraw(handles[1])
+                os.set_blocking(handles[0], False)
+                name.symlink_to(os.ttyname(handles[1]))
+            with contextlib.suppress(BlockingIOError):  # the boat has closed it
+                if phase == 0:
+                    os.write(handles[0], SENTENCES)
+                elif phase == 2:
+                    os.write(handles[0], random.randbytes(40))
+            yield
+    finally:
+        _unplug(name, handles)
+
+
+def _unplug(name: Path, handles: list[int]) -> None:
+    name.unlink(missing_ok=True)
+    for each in handles:
+        os.close(each)
+    handles.clear()
+
+
 Kind = Callable[[Random, Ports, str, int], Generator[None, None, None]]
 KINDS: Final[dict[str, tuple[Kind, float]]] = {  # and how many a second
     "forged frames": (_forged, 3500.0),
@@ -111,6 +151,7 @@ KINDS: Final[dict[str, tuple[Kind, float]]] = {  # and how many a second
     "nonsense to cantcpd": (_nonsense, 5000.0),
     "connections to ftpd": (_visitors, 300.0),
     "lines for the system log": (_words, 1000.0),
+    "a broken line of sensors": (_line, 2000.0),
 }
 
 

@@ -27,7 +27,7 @@ from bench import report
 from bench.critical_path import Slice, Team, build, running
 from bench.disk import Disk, leave_mounts
 from bench.downloads import Downloads
-from bench.floods import KINDS, PAYLOAD, payload
+from bench.floods import KINDS, PAYLOAD, payload, sensor_line
 from bench.load import ASHORE, prepare
 from bench.onlooker import Onlooker
 from bench.stalled import Radio
@@ -172,7 +172,8 @@ def run_floods(asked: argparse.Namespace) -> int:
         new_key(key)  # or there would be nothing to forge
         radio = links.enter_context(Radio(key))
         keys = f'mavlink.key="{key}"', f'mavlink.serial="{radio.port}"'
-        asked = argparse.Namespace(**vars(asked) | {"set": [*asked.set, *keys]})
+        line = 'sensors.names=["sysstat", "nmea0183"]', f'nmea0183.ports.broken.device="{sensor_line(os.getpid())}"'
+        asked = argparse.Namespace(**vars(asked) | {"set": [*asked.set, *keys, *line]})
         place, team, look = links.enter_context(_afloat(asked))
         doors = links.enter_context(Downloads(asked.set, asked.file, place / "delfim" / "log", place))
         senders = {kind: links.enter_context(_clients("bench.floods", kind, str(doors.ports["ftpd"]))) for kind in KINDS}

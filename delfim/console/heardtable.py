@@ -62,8 +62,8 @@ def _heard(name: str, now: dict[str, Any], before: dict[str, Any], passed_s: flo
         yield f"{f'{name} {port}':22} {'':18} {_age(min(ages, default=None))}  {rates or 'nothing'}"
         if refused := _rates(told["refused"], counted.get("refused", {}), passed_s):
             yield f"{'':49}  refused: {refused}"
-        if troubles.get(port):
-            yield f"{'':49}  {troubles[port]}"
+        for trouble in filter(None, (told.get("garbled"), troubles.get(port))):
+            yield f"{'':49}  {trouble}"
     for address, (age_s, frames, device) in now.get("sources", {}).items():
         rate = (frames - before.get("sources", {}).get(address, (0.0, 0, ""))[1]) / passed_s
         yield f"{f'{name} {address}':22} {device:18} {_age(age_s)}  {rate:.1f} messages"

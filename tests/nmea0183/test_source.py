@@ -111,7 +111,7 @@ def test_a_report_says_who_is_believed_and_what_was_refused(boat):
     boat.hear("HEHDT,nan,T", "/dev/compass")
     boat.hear(rmc(1))
     told = boat.source.report(1001.0)
-    assert told["ports"]["compass"] == {"heard": {"HEHDT": 1}, "refused": {"HDT: not a number": 1}}
+    assert told["ports"]["compass"] == {"heard": {"HEHDT": 1}, "refused": {"HDT: not a number": 1}, "garbled": ""}
     assert told["kinds"]["position"] == {"talker": "gnss:GN", "age_s": 1.0}
     assert told["kinds"]["heading"] == {"talker": None, "age_s": None}
 

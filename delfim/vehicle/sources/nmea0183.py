@@ -15,6 +15,7 @@ from delfim.vehicle.state import State
 
 GREETING: Final = b'{"class":"VERSION"'  # of gpsd, whoever connects
 WATCH: Final = b'?WATCH={"enable":true,"nmea":true};\r\n'  # it answers with sentences
+GARBLED_S: Final = 3.0  # of nonsense alone that is told
 BYTES_PER_READ: Final = 4096  # of a port; bounds one call on a flooded line, and the rest stays readable
 
 
@@ -62,6 +63,7 @@ class Nmea0183Navigation:
     def __init__(self, ports: tuple[Port, ...], combined: Combined) -> None:
         self.input, self._ports, self._combined = AnyPort(ports), ports, combined
         self.heard_s, self.t_ns = -1e9, 0
+        self._sound: dict[str, tuple[float, int, int]] = {}  # by port: when a sentence was sound last, and the counts then
 
     def tell(self, hearer: Hearer) -> None:
         self._combined.hearer = hearer
@@ -90,8 +92,22 @@ class Nmea0183Navigation:
 
     def report(self, now_s: float) -> dict[str, object]:
         """Who is used for which kind of data, who talks, and what each port brought and what of it was refused."""
-        ports = {port.name: {"heard": port.sentences.heard, "refused": port.sentences.refused} for port in self._ports}
+        ports = {
+            port.name: {"heard": port.sentences.heard, "refused": port.sentences.refused, "garbled": self._garbled(port, now_s)}
+            for port in self._ports
+        }
         return {**self._combined.status(now_s), "ports": ports}
+
+    def _garbled(self, port: Port, now_s: float) -> str:
+        """In words: only nonsense came since a while; empty: not so. A device that was reset speaks at another rate."""
+        sound, refused = sum(port.sentences.heard.values()), sum(port.sentences.refused.values())
+        since_s, was_sound, was_refused = self._sound.setdefault(port.name, (now_s, sound, refused))
+        if sound != was_sound or refused == was_refused:
+            self._sound[port.name] = now_s, sound, refused
+            return ""
+        if now_s - since_s < GARBLED_S:
+            return ""
+        return f"bytes but no sentence for {now_s - since_s:.0f} s: is the baud rate still that of the file?"
 
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea0183Navigation:
