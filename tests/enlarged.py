@@ -30,4 +30,6 @@ class Enlarged:
     def told(self, *words: str) -> str:
         """What `delfim WORDS` prints."""
         command = [sys.executable, "-m", "delfim", *words]
-        return subprocess.run(command, env=self.env, check=True, stdout=subprocess.PIPE, text=True, timeout=120).stdout
+        end = subprocess.run(command, env=self.env, capture_output=True, text=True, timeout=120)
+        assert end.returncode == 0, end.stdout + end.stderr
+        return end.stdout

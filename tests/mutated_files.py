@@ -137,6 +137,29 @@ def campaign(here: Path) -> Said:
     return refused(lambda: read(here / "campaign.toml"))
 
 
+def missions_campaign(here: Path) -> Said:
+    from delfim.campaign.runplan import read
+
+    return refused(lambda: read(here / "cruise.toml"))
+
+
+def results(here: Path) -> Said:
+    """Those of a campaign, as somebody finds them who goes on with it."""
+    from delfim.campaign.findings import connect, quantities
+    from delfim.campaign.runplan import read
+    from delfim.campaign.store import Store
+
+    plan = read(here / "campaign.toml")[1]
+    said = refused(lambda: Store(here / "results", plan, 2, "of the sample"))
+    return said + refused(lambda: quantities(connect(here / "results")))
+
+
+def own_address(here: Path) -> Said:
+    from delfim.services.nmea2000d import Memory
+
+    return [] if 0 <= Memory(here / "address").address <= 251 else ["no address"]
+
+
 def operators_mission(here: Path) -> Said:
     from delfim.console.drive import command as words_of
 
@@ -327,6 +350,10 @@ READERS = {
     "library": Reader("lake.toml", library, TEXT),
     "scenario": Reader("storm.toml", scenario, TEXT),
     "campaign": Reader("campaign.toml", campaign, TEXT),
+    "mission of a campaign": Reader("lake.toml", missions_campaign, TEXT),
+    "head of a campaign's results": Reader("results/campaign.json", results, TEXT),
+    "a campaign's results": Reader("results/part-000000.parquet", results, BINARY),
+    "address on NMEA 2000": Reader("address", own_address, TEXT),
     "scenario's mission": Reader("lake.toml", scenarios_mission, TEXT),
     "mission to send": Reader("lake.toml", operators_mission, TEXT),
     "session": Reader("day.tlog", replayed, BINARY),

@@ -12,6 +12,8 @@ from pathlib import Path
 import asyncssh
 import pytest
 
+from delfim.campaign.runplan import read
+from delfim.campaign.store import Store
 from delfim.clock import ManualClock
 from delfim.console.fleet import Fleet
 from delfim.console.replay import open_tapes
@@ -70,6 +72,11 @@ def settings(folder: Path) -> None:
     shutil.copy(ROOT / "etc/missions/doca.toml", folder / "lake.toml")
     (folder / "storm.toml").write_text(STORM)
     (folder / "campaign.toml").write_text(CAMPAIGN)
+    (folder / "cruise.toml").write_text(CAMPAIGN.replace('scenario = "storm.toml"', 'mission = "lake.toml"'))
+    plan = read(folder / "campaign.toml")[1]
+    results = Store(folder / "results", plan, 2, "of the sample")
+    results.add(0, [{"batch": 0, "point": 0, "seed": seed, "ok": True, "way_m": 3.0 * seed} for seed in (2, 3)])
+    results.flush()
     shutil.copy(ROOT / "etc/delfimx.dbc", folder / "boat.dbc")
 
 
@@ -157,6 +164,7 @@ def tiles(folder: Path) -> None:
 def keys(folder: Path) -> None:
     new_key(folder / "key")
     (folder / "ntrip").write_text("ana:secret\n")
+    (folder / "address").write_text("35\n")
     write_stamps(folder / "stamps", {(255, 190, 1): 123_456_789, (250, 190, 2): 99})
     (folder / "host_key").write_bytes(asyncssh.generate_private_key("ssh-ed25519").export_private_key("openssh"))
     words = [
@@ -196,6 +204,9 @@ SAMPLES = {
         "library",
         "scenario",
         "campaign",
+        "mission of a campaign",
+        "head of a campaign's results",
+        "a campaign's results",
         "scenario's mission",
         "mission to send",
         "CAN database",
@@ -214,6 +225,7 @@ SAMPLES = {
     keys: (
         "user's ssh key",
         "numbers of DroneCAN devices",
+        "address on NMEA 2000",
         "signing key",
         "password at a caster",
         "stamps",
@@ -296,6 +308,9 @@ READ_BY = {  # function: the readers above that come by it
     "logging/tree.py: _starts": {"sidecar"},
     "services/ftpd.py: _tls": {"certificate"},
     "commands/commission.py: _users": {"user's ssh key"},
+    "campaign/runplan.py: _mission": {"mission of a campaign"},
+    "campaign/store.py: __init__": {"head of a campaign's results", "a campaign's results"},
+    "services/nmea2000d.py: __init__": {"address on NMEA 2000"},
     "services/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
     "services/ntrip.py: read_credentials": {"password at a caster"},
     "services/supervisor.py: last_deadman": {"supervisor's record"},
@@ -312,6 +327,7 @@ READ_BY = {  # function: the readers above that come by it
 OTHERS = {  # what the kernel tells, and what is only copied or digested
     *("commands/image.py: confirm", "commands/image.py: status", "outside.py: read_file", "outside.py: read_text"),
     *("logging/fetch.py: _condition", "logging/fetch.py: _fetched", "logging/fetch.py: _read"),
+    *("campaign/store.py: flush", "services/firstcontact.py: user_of", "services/numbering.py: identity"),
     *("services/cgroup.py: exceeded", "services/computer.py: _read", "services/shutdown.py: _read"),
     *("services/slipd.py: _counters", "services/slipd.py: carrier_source"),
     *("services/imagefile.py: _digest", "services/slots.py: _digest_of_disk", "services/imagefile.py: pack"),

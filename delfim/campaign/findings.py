@@ -38,11 +38,11 @@ class Quantity(NamedTuple):
 
 
 def connect(folder: Path) -> duckdb.DuckDBPyConnection:
-    """The results of a campaign as the table `runs`. Raises DelfimError where there are none."""
+    """The results of a campaign as the table `runs`. Raises DelfimError where there are none, or damaged ones."""
     if not any(folder.glob("part-*.parquet")):
         raise DelfimError(f"no results in {folder}")
     database = duckdb.connect()
-    database.execute(f"create view runs as select * from {parts(folder)}")
+    asked(database, f"create view runs as select * from {parts(folder)}")
     return database
 
 
@@ -50,9 +50,9 @@ def asked(database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], lis
     """The columns and rows that SQL gives. Raises DelfimError with DuckDB's words."""
     try:
         answer = database.execute(sql)
+        return [each[0] for each in answer.description or ()], answer.fetchall()
     except duckdb.Error as error:
         raise DelfimError(str(error).partition("\n")[0]) from None
-    return [each[0] for each in answer.description or ()], answer.fetchall()
 
 
 def verdicts(database: duckdb.DuckDBPyConnection, passes: Iterable[Pass]) -> list[Holding]:

@@ -18,6 +18,7 @@ import msgspec
 
 from delfim import config, tables
 from delfim.errors import ConfigError
+from delfim.outside import read_text
 from delfim.simulator.scenario import laid_over, load_scenario, mission_of
 from delfim.vehicle.mission import load_mission
 
@@ -195,7 +196,7 @@ def _story(folder: Path, name: str) -> Story:
 
 def _mission(folder: Path, name: str) -> Story:
     load_mission(folder / name)
-    return Story(Path(name).stem, None, (folder / name).read_text())
+    return Story(Path(name).stem, None, read_text(folder / name))
 
 
 def _values(way: tuple[Scalar, ...] | Steps) -> tuple[Scalar, ...]:

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 from delfim.campaign.measures import MEASURES
 from delfim.campaign.runplan import Plan
 from delfim.errors import DelfimError
+from delfim.outside import parse_json, read_text
 
 PART_ROWS: Final = 5000
 PART_S: Final = 10.0  # a part is written when it has so many rows, or after this time
@@ -53,7 +54,7 @@ class Store:
         head = {"name": plan.name, "digest": plan.digest, "runs": plan.runs, "batch": size, "version": version}
         place = folder / HEAD
         if place.exists():
-            _same(folder, json.loads(place.read_text()), head)
+            _same(folder, parse_json(read_text(place)), head)
         place.write_text(json.dumps(head, indent=1) + "\n")
         for left in folder.glob("*.tmp"):
             left.unlink()
@@ -63,8 +64,11 @@ class Store:
         self.done, self.runs, self.failed = set[int](), 0, 0
         if self._parts:
             sql = f"select batch, count(*), count_if(not ok) from {parts(folder)} group by batch"
-            with duckdb.connect() as database:
-                rows = database.execute(sql).fetchall()
+            try:
+                with duckdb.connect() as database:
+                    rows = database.execute(sql).fetchall()
+            except duckdb.Error as error:
+                raise DelfimError(f"{folder}: {str(error).partition(chr(10))[0]}") from None
             self.done = {batch for batch, _, _ in rows}
             self.runs, self.failed = sum(row[1] for row in rows), sum(row[2] for row in rows)
 
@@ -92,7 +96,9 @@ class Store:
         self._next, self._rows = self._next + 1, []
 
 
-def _same(folder: Path, was: dict[str, Any], head: dict[str, Any]) -> None:
+def _same(folder: Path, was: Any, head: dict[str, Any]) -> None:
+    if not isinstance(was, dict):
+        raise DelfimError(f"{folder / HEAD} is damaged")
     for key, words in (
         ("digest", "another campaign"),
         ("batch", "batches of another size"),

@@ -32,7 +32,7 @@ def run(asked: argparse.Namespace) -> int:
 
     clock = SystemClock()
     if asked.find:
-        from delfim.console.firstcontact import find
+        from delfim.services.firstcontact import find
 
         for line in find(asked.find, clock):
             print(line, flush=True)
@@ -40,9 +40,9 @@ def run(asked: argparse.Namespace) -> int:
     if asked.file is None:
         raise DelfimError("name the vehicle's file, or a port with --find")
     from delfim.config import load
-    from delfim.console.firstcontact import judged, turned
-    from delfim.console.heardtable import table
-    from delfim.console.hearing import listener
+    from delfim.services.firstcontact import judged, turned
+    from delfim.services.heardtable import table
+    from delfim.services.hearing import listener
 
     settings = load(asked.file, there(asked))
     hearing = listener(settings, clock)

@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from delfim.clock import Clock
-from delfim.console.hearing import Hearing
 from delfim.errors import DelfimError
 from delfim.serialline import SerialLine
+from delfim.services.hearing import Hearing
 from delfim.ubx.mixedline import MixedLine
 
 RATES: Final = (4800, 9600, 19200, 38400, 57600, 115200, 230400, 460800)
