@@ -126,6 +126,7 @@ def asked(folder: Path, command: str, **words: object) -> bool:
         return False
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("place", PLACES)
 def test_one_that_crashes_again_and_again_is_started_again_and_the_boat_sails_on(tmp_path: Path, place: str) -> None:
     with sailing(tmp_path, place) as boat:

@@ -85,6 +85,7 @@ def test_a_campaign_that_does_not_hold_ends_with_1_and_says_where(sailed, tmp_pa
     assert "FAILS  far (points 0, 1)" in capsys.readouterr().out
 
 
+@pytest.mark.long
 def test_another_campaign_is_compared_run_by_run(sailed, tmp_path, capsys):
     path, folder = sailed
     (tmp_path / "campaign.toml").write_text(path.read_text().replace("[0.0, 6.0]", "[0.0, 5.0]"))
@@ -190,6 +191,7 @@ def test_interval_of_a_share():
 # Workers that die.
 
 
+@pytest.mark.long
 def test_a_killed_process_costs_no_run_and_counts_none_twice(tmp_path, sailed):
     path, folder = sailed
     _, plan = read(path)

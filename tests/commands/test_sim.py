@@ -216,6 +216,7 @@ def test_a_folder_or_a_bus_of_another_simulation_is_refused(tmp_path):
     interrupted(first)
 
 
+@pytest.mark.long
 def test_ctrl_c_ends_also_what_a_script_put_into_the_background_with_a_summary_and_the_pictures(tmp_path):
     def background() -> None:
         signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -232,6 +233,7 @@ def test_ctrl_c_ends_also_what_a_script_put_into_the_background_with_a_summary_a
     assert all(Path(picture).exists() for picture in told["pictures"].split(", "))
 
 
+@pytest.mark.long
 def test_with_a_console_a_stop_ends_nothing_and_the_address_is_told(tmp_path, typed):
     with socket.socket() as taken:
         taken.bind(("127.0.0.1", 0))

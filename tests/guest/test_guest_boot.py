@@ -230,6 +230,7 @@ def test_a_payload_program_has_its_limits_and_none_of_it_stays_behind(can_guest:
     assert "REPORT none is left" in result.output
 
 
+@pytest.mark.long
 def test_a_boat_without_its_disk_boots_and_says_why_it_stays(boat: Boat) -> None:
     os.truncate(boat.disk, 0)
     os.truncate(boat.disk, 32 << 20)

@@ -92,6 +92,7 @@ def fetch(shore: Program, address: str, more: str = "") -> subprocess.Popen[byte
     return subprocess.Popen(shore.inside(*words, f"http://{address}/log{more}"), stdout=subprocess.PIPE)
 
 
+@pytest.mark.long
 @needs_networks
 @pytest.mark.timeout(120)
 def test_two_boats_and_one_shore_share_a_frequency(tmp_path: Path) -> None:
