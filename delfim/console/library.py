@@ -39,6 +39,7 @@ class Library:
                 lines = reading.lines()
             finally:
                 limit.cancel()
+                limit.join()  # a thread that is still ending has its stack
             if isinstance(lines, DelfimError):
                 raise lines
             mission = Sliced(gathered(lines)).finish()
