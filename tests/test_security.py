@@ -226,6 +226,7 @@ def idle_and_half_open(boat: Boat, held: contextlib.ExitStack) -> None:
         console.send(mavlink.MAVLink_heartbeat_message(6, 8, 0, 0, 0, 3).pack(mavlink.MAVLink(None, 1 + n, 190)))
 
 
+@pytest.mark.long
 def test_two_hundred_idle_and_half_open_visitors_at_each_door_cost_bounded_memory(boat: Boat) -> None:
     before = {name: memory_kib(each["pid"]) for name, each in programs(boat).items()}
     began = boat.state()["cycle"]

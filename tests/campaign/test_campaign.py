@@ -206,6 +206,7 @@ def test_a_killed_process_costs_no_run_and_counts_none_twice(tmp_path, sailed):
     assert {(row["point"], row["seed"]): row["digest"] for some in rows.values() for row in some} == digests(folder)
 
 
+@pytest.mark.long
 def test_ctrl_c_keeps_what_was_sailed_and_the_same_command_goes_on(tmp_path, sailed, monkeypatch, capsys):
     path, folder = sailed
     words = ["campaign", str(path), "--output", str(tmp_path / "out"), "--workers", "2", "--batch", "1"]

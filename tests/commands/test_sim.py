@@ -99,6 +99,7 @@ def test_what_was_sailed_repeats_bit_by_bit_from_its_logs(sailed):
     assert "all the same, bit by bit" in out
 
 
+@pytest.mark.long
 def test_a_killed_simulation_leaves_nothing_behind(tmp_path):
     process = sim(tmp_path, "--json")
     assert process.stdout is not None
@@ -203,6 +204,7 @@ def test_a_second_simulation_has_a_folder_a_bus_ports_and_a_boat_of_its_own(tmp_
         assert "delfim: ended by Ctrl-C" in interrupted(process)
 
 
+@pytest.mark.long
 def test_a_folder_or_a_bus_of_another_simulation_is_refused(tmp_path):
     first = sim(tmp_path, "--json")
     until(first, lambda state: True)
@@ -261,6 +263,7 @@ def until_line(process: subprocess.Popen[str], words: str) -> str:
     return next(line for line in process.stdout if re.match(r"0:\d\d:\d\d ", line) and words in line)
 
 
+@pytest.mark.long
 def test_a_boat_with_a_second_bus_sails_its_own_mission_tells_no_trouble_and_is_repeated(tmp_path, typed):
     """That of the sensors is simulated, too: a receiver and a compass are on it, and the estimator makes navigation of them.
     Until it does, the boat's own node is the source. A spare receiver is on a pty, sounder and wind vane speak by datagrams."""
@@ -336,6 +339,7 @@ def test_the_command_line_explains_itself(words, told):
     assert "Traceback" not in err
 
 
+@pytest.mark.long
 def test_black_box_and_page_work_in_processes_of_their_own_and_a_guest_steers(tmp_path):
     """`place = "process"`, the guest computer over TCP, and the operator's words, all of them real programs."""
     port = 20_000 + os.getpid() % 20_000

@@ -121,6 +121,7 @@ def test_without_navigation_it_is_refused_with_the_reason(sail: Sail) -> None:
     sail(story)
 
 
+@pytest.mark.long
 def test_the_failsafe_does_in_it_what_its_key_says(sail: Sail) -> None:
     async def story(sea: Sea, page: Page, boat: Boat) -> None:
         await boat.until(lambda state: all(check["ok"] for check in state["checks"]))

@@ -146,6 +146,7 @@ def test_a_mission_with_a_fence_is_drawn_checked_saved_and_loaded_without_a_boat
     asyncio.run(told())
 
 
+@pytest.mark.long
 def test_a_recorded_mission_and_a_recorded_track_become_plans(tmp_path: Path) -> None:
     clock = ManualClock(100.0)
     session = Session(tmp_path / "sessions", clock)

@@ -370,6 +370,7 @@ def test_a_radio_that_is_cut_ends_thrust(sail: Sail) -> None:
     sail(story)
 
 
+@pytest.mark.long
 def test_a_gateway_that_is_killed_ends_thrust(sail: Sail) -> None:
     async def story(sea: Sea) -> None:
         async def away() -> None:
@@ -387,6 +388,7 @@ def test_a_gateway_that_is_killed_ends_thrust(sail: Sail) -> None:
     sail(story)
 
 
+@pytest.mark.long
 def test_a_browser_that_is_killed_ends_thrust(sail: Sail) -> None:
     async def story(sea: Sea) -> None:
         async def away() -> None:

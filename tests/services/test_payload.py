@@ -378,6 +378,7 @@ def test_a_session_is_counted_and_ended_together() -> None:
         assert processes.members(program.pid) == []
 
 
+@pytest.mark.long
 def test_with_the_whole_suite_a_flood_is_seen_on_the_page_and_nobody_outlives_the_service(open_folder: Path) -> None:
     """It cannot command the vehicle, whose socket it sees."""
     socket_path = open_folder / "command"

@@ -26,6 +26,7 @@ def test_each_boat_has_its_number_its_source_and_its_row_in_the_document():
     assert all(sources)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("file", BOATS, ids=lambda file: file.stem)
 def test_a_boat_sails_its_mission(file: Path):
     run = Lockstep(config.load(file), 1, lambda clock: NoLog())
