@@ -93,7 +93,8 @@ def voyage(folder: Path, bus: str) -> None:
         while "20" not in state["dronecan.sensors"]["devices"]:
             state = asked(command, "state")
         errors = state["dronecan"]["errors"]
-        assert not errors.keys() - {"start lost"}, errors  # the boat may begin to listen in the middle of a controller's word
+        # The boat may begin to listen in the middle of a controller's word, and a busy computer may take its time for the rest.
+        assert not errors.keys() - {"start lost", "incomplete"}, errors
         with urllib.request.urlopen(f"http://127.0.0.1:{PAGE}/api/state") as page:
             shown = json.load(page)["vehicle"]["thrusters"]
         assert shown["starboard"]["voltage_v"] == 24.0

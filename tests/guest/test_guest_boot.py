@@ -205,7 +205,14 @@ print("REPORT", eater.communicate()[0], eater.returncode, Limits(32 << 20).excee
 loose = carried("payload-loose", "setsid sleep 1000 & setsid sleep 1000 & cut -d: -f3 /proc/self/cgroup; sleep 1000")
 print("REPORT in", loose.stdout.readline())
 left = open("/sys/fs/cgroup/delfim/payload-loose/cgroup.procs")
-while sum(os.getsid(int(pid)) != loose.pid for pid in left.read().split()) < 2:  # until both have left the session
+
+def away(pid):
+    try:
+        return os.getsid(pid) != loose.pid
+    except ProcessLookupError:  # it ended since the list was read
+        return False
+
+while sum(away(int(pid)) for pid in left.read().split()) < 2:  # until both have left the session
     left.seek(0)
 processes.kill(loose.pid)
 loose.wait()
