@@ -30,6 +30,7 @@ from delfim.vehicle.navigation import Fix, Source, take
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import HANDSET, Profile, StartConditions, State, StateLog
+from delfim.vehicle.traffic.vesselwords import told
 from delfim.vehicle.troubles import Inputs
 
 REPEAT_S = 0.5  # a propeller without commands for PROPELLER_TIMEOUT_S stops itself, which would hide the cause
@@ -171,16 +172,17 @@ class VehicleLoop:
 
     def snapshot(self, extra: dict[str, object]) -> dict[str, object]:
         """The state for the console, JSON-ready."""
-        lines = [line._asdict() for line in self.helm.checks()]
+        lines, now_s = [line._asdict() for line in self.helm.checks()], self.clock.monotonic_s()
         paused = self.helm.paused
         more = {
             "checks": lines,
             "latency": self.latency.summary(),
-            "thrusters": thrusters.told(self.helm.settings.thrusters, self.state, self.clock.monotonic_s()),
+            "thrusters": thrusters.told(self.helm.settings.thrusters, self.state, now_s),
+            "traffic": told(self.state.traffic, self.state.origin, now_s),
             "paused": paused.mode.name.lower() if paused else None,
             **extra,
         }
-        return console.snapshot(self.state, self.clock.monotonic_s(), more)
+        return console.snapshot(self.state, now_s, more)
 
     def follow(self, other: "VehicleLoop") -> None:
         """Copy another vehicle's mode, set points and memory."""

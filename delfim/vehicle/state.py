@@ -7,6 +7,7 @@ from delfim.geodesy import Origin
 from delfim.messages import Navigation, SystemStatus
 from delfim.modes import Mode
 from delfim.vehicle.inputhealth import InputHealth
+from delfim.vehicle.target import Traffic
 
 
 class Actuation(NamedTuple):
@@ -228,6 +229,7 @@ class State:
     guest_s: float = -1e9
     watchdog_s: float = -1e9  # when the watchdog ran last
     guest_connected: bool = False
+    traffic: Traffic = field(default_factory=Traffic)  # other vessels
     handset: HandsetReport | None = None  # None: never heard, or there is none
     killed: Killed = field(default_factory=Killed)
     notices: tuple[Notice, ...] = ()  # present troubles, worst first

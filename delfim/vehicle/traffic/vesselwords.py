@@ -1,0 +1,46 @@
+"""Other vessels for people and programs: degrees, words, ages. JSON-ready, finite, bounded by the number of targets."""
+
+import math
+
+from delfim.geodesy import Origin, from_plane
+from delfim.vehicle.target import NEVER_S, Target, Traffic
+
+
+def told(traffic: Traffic, origin: Origin | None, now_s: float, is_expected: bool = False) -> dict[str, object] | None:
+    """All vessels; None where nobody was ever heard, unless somebody `is_expected`, and silence is news. Their places are those
+    of `Traffic.at_s`."""
+    if traffic.heard_s == traffic.own_s == NEVER_S and not is_expected:
+        return None
+    return {
+        "heard_s": _age(now_s, traffic.heard_s),
+        "own_s": _age(now_s, traffic.own_s),
+        "refused": dict(traffic.refused),
+        "targets": [] if origin is None else [_vessel(each, origin, now_s - traffic.at_s) for each in traffic.targets],
+    }
+
+
+def _vessel(target: Target, origin: Origin, since_s: float) -> dict[str, object]:
+    latitude_rad, longitude_rad = from_plane(origin, target.north_m, target.east_m)
+    is_under_way = target.speed_mps > 0.0
+    return {
+        "key": target.key,
+        "name": target.name,
+        "latitude_deg": round(math.degrees(latitude_rad), 7),
+        "longitude_deg": round(math.degrees(longitude_rad), 7),
+        "course_deg": round(math.degrees(target.course_rad) % 360.0, 1) if is_under_way else None,
+        "speed_mps": round(target.speed_mps, 2),
+        "heading_deg": None if math.isnan(target.heading_rad) else round(math.degrees(target.heading_rad) % 360.0, 1),
+        "length_m": round(target.length_m, 1),
+        "beam_m": round(target.beam_m, 1),
+        "size_known": target.is_size_known,
+        "margin_m": round(target.margin_m, 1),
+        "kind": target.kind,
+        "status": target.status,
+        "age_s": round(target.age_s + since_s, 1),
+        "lost": target.is_lost,
+    }
+
+
+def _age(now_s: float, at_s: float) -> float | None:
+    """None: never heard."""
+    return None if at_s == NEVER_S else round(now_s - at_s, 1)
