@@ -12,6 +12,7 @@ from typing import Final, Literal, NamedTuple
 
 from delfim.services.cgroup import Limits
 
+LAST_WORD: Final = b"e"  # in the pipe after the beats: the services have ended, the process ends next
 STACKS_SIGNAL: Final = signal.SIGUSR2  # asks for that
 STACKS_BYTES: Final = 65536  # a pipe holds no more
 FRAMES: Final = 3  # of the main thread's stack, in the reason
@@ -41,6 +42,7 @@ class Child:
     pipe: int = -1  # read end
     start_s: float = 0.0  # when it was started, or will be
     beat_s: float | None = None  # last beat, and later by all the time in which the computer did not let us run since
+    is_leaving: bool = False  # it said its last word, and beats no more
     pause_s: float = 0.0  # before its last start
     restarts: int = 0
     reason: str = ""  # of its last end or silence, in words
@@ -52,7 +54,7 @@ class Child:
     def spawn(self) -> None:
         """Start it, with a pipe to beat on. Raises OSError."""
         program = self.program
-        self.start_s, self.beat_s, self.is_silent = time.monotonic(), None, False
+        self.start_s, self.beat_s, self.is_silent, self.is_leaving = time.monotonic(), None, False, False
         self.verdict, self.kill_s = "", inf
         self.pipe, beat = os.pipe()
         os.set_blocking(self.pipe, False)

@@ -25,6 +25,7 @@ from typing import Final, NamedTuple
 from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure, in_words
+from delfim.services.children import LAST_WORD
 from delfim.services.garbage import Collector
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop, Practice
 from delfim.services.privileges import asked, real_time, set_privileges
@@ -259,6 +260,8 @@ class Runtime:
                 log.critical("runtime: %s did not end in %g s and held up the rest", ", ".join(stuck), STOP_S)
                 logging.shutdown()
                 os._exit(1)
+        self._say(LAST_WORD)
+        self._beat_fd = -1
 
     def _new_loop(self) -> asyncio.AbstractEventLoop:
         if self._plain_loop is not None:
@@ -361,10 +364,13 @@ class Runtime:
                 return
             self._is_up = True
             self._be_real_time()
+        self._say(b".")
+
+    def _say(self, word: bytes) -> None:
         if self._beat_fd < 0:
             return
         try:
-            os.write(self._beat_fd, b".")
+            os.write(self._beat_fd, word)
         except BlockingIOError:
             pass  # the supervisor is slow, not dead
         except OSError:

@@ -24,7 +24,7 @@ from typing import Final, Literal, cast, get_args
 
 from delfim.errors import FormatError
 from delfim.outside import parse_json, read_file
-from delfim.services.children import STACKS_SIGNAL, Child, Supervised, ended, process_state, stood
+from delfim.services.children import LAST_WORD, STACKS_SIGNAL, Child, Supervised, ended, process_state, stood
 from delfim.services.shutdown import Word
 from delfim.services.watchdog import Watchdog
 
@@ -224,7 +224,9 @@ class Supervisor:
             return inf
         if child.verdict:
             return child.kill_s
-        return child.start_s + START_S if child.beat_s is None else child.beat_s + self._deadman_s
+        if child.beat_s is None:
+            return child.start_s + START_S
+        return child.beat_s + (END_CRITICAL_S if child.is_leaving else self._deadman_s)
 
     def _watch_beat(self) -> None:
         """A silent critical program is stopped at once, asked where it stands, and killed. Silence of another program is
@@ -295,7 +297,7 @@ class Supervisor:
             if fd in requests:
                 self._on_request(told)
             elif fd != self._wake:
-                self._on_beat(pipes[fd]) if told else pipes[fd].hang_up()
+                self._on_beat(pipes[fd], told) if told else pipes[fd].hang_up()
         self._reap()
         self._watchdog.stroke(b"\0")
 
@@ -308,12 +310,14 @@ class Supervisor:
             if child.beat_s is not None:
                 child.beat_s = min(child.beat_s + lost_s, now_s)
 
-    def _on_beat(self, child: Child) -> None:
+    def _on_beat(self, child: Child, told: bytes) -> None:
         now_s = time.monotonic()
         if child.is_silent and child.beat_s is not None:
             self._noted(child, f"did not answer for {now_s - child.beat_s:.1f} s", is_silent=False)
-        child.beat_s = now_s
-        if child.program.critical and self._stop_due_s is not None:
+        child.beat_s, child.is_leaving = now_s, told.endswith(LAST_WORD)
+        if child.program.critical and child.is_leaving:  # it commands nothing more: the propellers are ours
+            self._stop_due_s = now_s
+        elif child.program.critical and self._stop_due_s is not None:
             self._stop_due_s = None
             self._calm()
 

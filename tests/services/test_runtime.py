@@ -20,6 +20,7 @@ from delfim import config
 from delfim.clock import Clock, ManualClock, SystemClock
 from delfim.errors import BusError, PermanentFailure
 from delfim.services import runtime as module
+from delfim.services.children import LAST_WORD
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervisor import EXIT_PERMANENT
 
@@ -425,6 +426,26 @@ def test_a_full_pipe_does_not_disturb() -> None:
     os.close(reader)
     os.close(writer)
     assert (code, runtime.status["waiting"].reason) == (0, "test over")
+
+
+def test_the_supervisor_hears_that_the_services_have_ended_before_the_threads_have() -> None:
+    """They may keep the process for longer than a dead-man waits."""
+    reader, writer = os.pipe()
+    said = b""
+
+    def until_the_last_word() -> None:
+        nonlocal said
+        while LAST_WORD not in said and len(said) < 100:
+            said += os.read(reader, 100)
+
+    async def working(runtime: Runtime) -> None:
+        asyncio.get_running_loop().run_in_executor(None, until_the_last_word)
+        await forever(runtime)
+
+    _, code = ran(LoadedService("working", working), LoadedService("stopper", stopper), beat_fd=writer)
+    os.close(reader)
+    os.close(writer)
+    assert (code, said.strip(b".")) == (0, LAST_WORD)
 
 
 def test_the_last_deadman_event_is_shown(tmp_path: Path) -> None:

@@ -151,21 +151,25 @@ def test_a_stalled_runtime_is_stopped_killed_and_started_again(suite: Suite, how
 BEATS_ONCE = """import os, signal, sys
 signal.alarm(100)
 signal.signal(signal.SIGUSR2, signal.SIG_IGN)
-os.write(int(sys.argv[2]), b".")
+os.write(int(sys.argv[3]), sys.argv[1].encode())
 while True:
     signal.pause()
 """
 
 
-@pytest.mark.parametrize("stands_still_s", [0.0, 0.7, 30.0])
+@pytest.mark.parametrize(
+    ("said", "stands_still_s", "stopped_s", "killed_s"),
+    [(".", 0.0, 1.0, 1.0), (".", 0.7, 1.7, 1.7), (".", 30.0, 31.0, 31.0), (".e", 0.0, 0.0, supervisor.END_CRITICAL_S)],
+)
 def test_the_stop_frames_come_when_the_deadman_is_due_and_the_kill_a_moment_later(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, stands_still_s: float
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, said: str, stands_still_s: float, stopped_s: float, killed_s: float
 ) -> None:
     """On a clock of its own, that waiting alone moves: what the contract of 1.2 s leaves is the computer's, not ours. While the
-    computer stands still nobody beats, and nobody is killed for that."""
+    computer stands still nobody beats, and nobody is killed for that. A runtime whose services have ended in order has time for
+    its threads, and the supervisor stops the propellers meanwhile."""
     clock, look = ManualClock(100.0), select.select
     stops_s, kills_s, killpg = list[float](), list[float](), os.killpg
-    program = children.Supervised("runtime", (sys.executable, "-c", BEATS_ONCE), critical=True)
+    program = children.Supervised("runtime", (sys.executable, "-c", BEATS_ONCE, said), critical=True)
     boat = supervisor.Supervisor(
         [program],
         stop=lambda: stops_s.append(clock.monotonic_s()),
@@ -196,8 +200,8 @@ def test_the_stop_frames_come_when_the_deadman_is_due_and_the_kill_a_moment_late
     assert os.waitpid(boat._children[0].pid, 0)[1] == signal.SIGKILL
     for fd in (boat._wake, woken):
         os.close(fd)
-    assert stops_s[0] == pytest.approx(101.0 + stands_still_s)
-    assert kills_s == [pytest.approx(101.0 + stands_still_s + supervisor.STACKS_S)]
+    assert stops_s[0] == pytest.approx(100.0 + stopped_s)
+    assert kills_s == [pytest.approx(100.0 + killed_s + supervisor.STACKS_S)]
 
 
 def test_a_program_that_does_not_know_how_to_say_where_it_stands_ends_all_the_same(suite: Suite) -> None:
