@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
-from delfim.campaign import findings, report
+from delfim.campaign import findings
 from delfim.campaign.runplan import CampaignFile, Plan
 from delfim.campaign.sailing import VERSION
 from delfim.campaign.store import Store
@@ -83,6 +83,8 @@ def tell(file: CampaignFile, plan: Plan, folder: Path, command: str, against: Pa
         print(f"  {'holds' if holds else 'FAILS':6} {name}" + (f" (points {', '.join(map(str, where[:10]))})" if where else ""))
     for words, many, point, seed in findings.failed(database)[:10]:
         print(f"  {many:6} failed: {words}; again: {command} --again {point}:{seed}")
+    from delfim.campaign import report  # its pictures take half a second to import, which nobody waits for before the first run
+
     earlier = findings.connect(against) if against else None
     page = report.write(folder, plan, database, verdicts, command, earlier)
     print(f"  report {page}")

@@ -24,6 +24,7 @@ from delfim.vehicle.mission import load_mission
 
 POINTS_MAX: Final = 100_000
 RUNS_MAX: Final = 100_000_000
+ENDING: Final = 256  # a batch has at most one in so many of the runs that are left
 MIXED: Final = "mixed"
 Key = Annotated[str, tables.text(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*", "a key of the vehicle's file, with dots")]
 Number = float | int
@@ -123,9 +124,14 @@ class Plan(NamedTuple):
         return len(self.points) * self.seeds.count
 
     def batches(self, size: int) -> Iterator[Batch]:
-        first = self.seeds.first
+        """All runs in order, at most `size` of them together, and fewer towards the end: no worker rests while another one
+        sails a long last batch."""
+        first, left, number = self.seeds.first, self.runs, 0
         runs = product(range(len(self.points)), range(first, first + self.seeds.count))
-        return (Batch(n, each) for n, each in enumerate(iter(lambda: tuple(islice(runs, size)), ())))
+        while left:
+            some = tuple(islice(runs, min(size, max(left // ENDING, 1))))
+            yield Batch(number, some)
+            left, number = left - len(some), number + 1
 
     def values(self, point: int, seed: int) -> dict[str, Any]:
         """What lies over the vehicle's file in this run, by key."""

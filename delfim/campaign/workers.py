@@ -24,8 +24,10 @@ def by_processes(plan: Plan, batches: Iterable[Batch], count: int) -> Generator[
     """Rows of batches, in any order. A killed process breaks the whole pool: it is made anew with what is missing. Raises
     DelfimError when that goes on."""
     left, deaths, rest = deque[Batch](), 0, iter(batches)
+    kind = multiprocessing.get_context("forkserver")  # the program is imported once, and not by each worker
+    kind.set_forkserver_preload(["delfim.campaign.sailing"])
     while True:
-        pool = ProcessPoolExecutor(count, multiprocessing.get_context("spawn"), _deaf)
+        pool = ProcessPoolExecutor(count, kind, _deaf)
         waiting = dict[Future[Rows], Batch]()
         try:
             while True:

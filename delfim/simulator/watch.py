@@ -24,7 +24,7 @@ class Onlooker:
         self._run, self._model, self._settings = run, run.nodes.model, run.settings
         self.failures: list[str] = []
         self._turning_since_s = math.inf
-        self._was_inside, self._astray = True, False
+        self._was_inside, self._astray, self._drifted = True, False, False
 
     def look(self) -> None:
         run, state = self._run, self._run.state
@@ -54,16 +54,19 @@ class Onlooker:
             self._fail("adrift under power")
 
     def _fenced(self, around: Fence, state: State, idle: bool) -> None:
-        """A boat that obeys, knows its position and drives must not leave its fence; a stopped boat may drift."""
+        """A boat that obeys, knows its position and drives must not leave its fence. A stopped boat may drift, and one that was
+        within the margin when it began to drive may go on while it turns, until it has the margin again."""
         model, origin = self._model, state.origin
         if origin is None:
             return
         north_m = (model.latitude_rad - origin.latitude_rad) * origin.north_m_per_rad
         east_m = (model.longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
-        inside = all(clearance_m(zone, north_m, east_m) > -NOISE_M for zone in around.zones)
+        clear_m = min((clearance_m(zone, north_m, east_m) for zone in around.zones), default=math.inf)
+        inside, has_margin = clear_m > -NOISE_M, clear_m >= around.limits.margin_m
+        self._drifted = not has_margin and (idle or self._drifted)
         deceived = math.dist((north_m, east_m), (state.motion.north_m, state.motion.east_m)) > DECEIVED_M
         obeys = not any(drive.fault for drive in model.drives.values())
-        if self._was_inside and not inside and not idle and obeys and not deceived:
+        if self._was_inside and not inside and not self._drifted and not idle and obeys and not deceived:
             self._fail(f"outside the fence in mode {state.mode.name.lower()}")
         self._was_inside = inside
 

@@ -121,16 +121,33 @@ def outside(fence: Fence, north_m: float, east_m: float) -> str | None:
     return None
 
 
-def place_to_hold(fence: Fence, here: Point, track: Sequence[Point], radius_m: float) -> Work[Point]:
+def place_to_hold(fence: Fence, at: Point, here: Point, track: Sequence[Point], radius_m: float) -> Work[Point]:
     """Where to hold so that drifting within `radius_m` keeps the margin: here, or else at the newest place of the
-    driven track (oldest first) with this room; here where no place has it.
+    driven track (oldest first) with this room; here where no place has it. The boat goes there in a straight line from `at`,
+    which must not lead nearer to a zone: the track may have led around it.
     """
     for point in (here, *reversed(track)):
         has_room, looked = _has_room(fence, point, radius_m + fence.limits.margin_m)
         if has_room:
-            return point
+            is_clear, more = _is_clear(fence, at, point)
+            if is_clear:
+                return point
+            looked += more
         yield 2 * looked  # an expensive one has a slice to itself
     return here
+
+
+def _is_clear(fence: Fence, at: Point, to: Point) -> tuple[bool, int]:
+    """Whether the straight way keeps the margin, or where `at` is nearer leads away; and how many comparisons it took. False
+    when it takes too many."""
+    looked = 0
+    for number, zone in enumerate(fence.zones, 1):
+        smallest, more = least(zone, at, to, fence.limits.margin_m)
+        looked += more
+        leads_nearer = smallest < fence.limits.margin_m and smallest < clearance_m(zone, *at) - RECEDES_M
+        if leads_nearer or looked > LOOKS:
+            return False, looked + number // BOXES + 1
+    return True, looked
 
 
 def _has_room(fence: Fence, point: Point, room_m: float) -> tuple[bool, int]:

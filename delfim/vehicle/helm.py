@@ -116,9 +116,10 @@ class Helm:
 
     def _settle(self, here: Point, track: tuple[Point, ...]) -> None:
         """Hold here or, where the fence leaves no room, at the newest place of this track that has it."""
+        at = self.memory.north_m, self.memory.east_m
         self.memory = self.memory._replace(north_m=here[0], east_m=here[1])
         if self.plans.fence is not None:
-            self._seeking = Sliced(fence.place_to_hold(self.plans.fence, here, track, self.settings.control.hold.radius_m))
+            self._seeking = Sliced(fence.place_to_hold(self.plans.fence, at, here, track, self.settings.control.hold.radius_m))
             self._seek()
 
     def fade(self, now_s: float) -> None:

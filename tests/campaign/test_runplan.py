@@ -43,7 +43,11 @@ def test_every_run_is_in_one_batch_and_the_file_alone_cuts_them(tmp_path):
     assert batches[0] == batches[1]
     runs = [run for batch in batches[0] for run in batch.runs]
     assert runs == [(point, seed) for point in range(3) for seed in range(5, 12)]
-    assert [batch.number for batch in batches[0]] == list(range(6))
+    assert [batch.number for batch in batches[0]] == list(range(21)), "the end is cut finely, so that no worker rests"
+    _, long = read(written(tmp_path, 'scenario = "mixed"', "seeds = {count = 2000}"))
+    sizes = [len(batch.runs) for batch in long.batches(4)]
+    assert (sizes[0], sizes[-256:], sum(sizes)) == (4, [1] * 256, 2000)
+    assert sizes == sorted(sizes, reverse=True)
 
 
 def test_points_are_every_combination_of_stories_and_values(tmp_path):

@@ -159,6 +159,18 @@ def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
 
 
 @pytest.mark.parametrize(
+    "seed",
+    [
+        3374,  # a stopped boat drifts to 0.3 m from the fence before it is told to sail
+        5262,  # the straight way from where the fence stopped it to where it holds led through the zone
+        5272,  # a stopped boat drifts over the fence, and is further out when it has turned
+    ],
+)
+def test_seeds_that_failed_once(seed):
+    assert not mixed.sail_mixed(VEHICLE, seed).failures
+
+
+@pytest.mark.parametrize(
     ("trigger", "failure"),
     [
         (Trigger.FENCE, "outside the fence in mode"),
