@@ -246,7 +246,7 @@ def _fences(boat: VehicleLoop) -> list[Row]:
 
 
 def _held(around: fence.Fence, track: tuple[Point, ...]) -> Callbacks:
-    return _slices(fence.place_to_hold(around, (5.0, 0.0), track, 5.0))
+    return _slices(fence.place_to_hold(around, (5.0, 0.0), (5.0, 0.0), track, 5.0))
 
 
 def _voyage(boat: VehicleLoop, largest: console.Upload) -> list[Row]:

@@ -281,7 +281,7 @@ def _number(value: object) -> str:
 def _grid(count: int, columns: int = 4, height: float = 2.2) -> tuple[Figure, list[Axes]]:
     rows = max(1, math.ceil(count / columns))
     figure = Figure(figsize=(11, height * rows))  # laid out by hand: matplotlib's layout takes a second
-    figure.subplots_adjust(0.06, 0.35 / (height * rows), 0.98, 1.0 - 0.3 / (height * rows), 0.26, 1.4 / height)
+    figure.subplots_adjust(0.07, 0.5 / (height * rows), 0.98, 1.0 - 0.3 / (height * rows), 0.26, 1.2 / height)
     places = list(np.array(figure.subplots(rows, columns, squeeze=False)).flat)
     for axes in places[count:]:
         axes.set_axis_off()
