@@ -19,7 +19,8 @@ import msgspec
 from delfim import config, tables
 from delfim.errors import ConfigError
 from delfim.outside import read_text
-from delfim.simulator.scenario import laid_over, load_scenario, mission_of
+from delfim.simulator.encounters import staged_of
+from delfim.simulator.scenario import laid_over, load_scenario
 from delfim.vehicle.mission import load_mission
 
 POINTS_MAX: Final = 100_000
@@ -171,7 +172,9 @@ def read(path: str | Path) -> tuple[CampaignFile, Plan]:
     file = tables.decode(tables.read_toml(place), CampaignFile, str(place))
     vehicle = tables.read_toml(place.parent / file.vehicle)
     names = (file.scenario,) if isinstance(file.scenario, str) and file.scenario else tuple(file.scenario)
-    stories = tuple(_story(place.parent, name) for name in names) or (_mission(place.parent, file.mission),)
+    stories = tuple(story for name in names for story in _stories(place.parent, name)) or (
+        _mission(place.parent, file.mission),
+    )
     ways = {key: _values(way) for key, way in file.vary.items()}
     many = len(stories) * math.prod(map(len, ways.values()))
     if many > POINTS_MAX or many * file.seeds.count > RUNS_MAX:
@@ -192,12 +195,15 @@ def read(path: str | Path) -> tuple[CampaignFile, Plan]:
     return file, plan
 
 
-def _story(folder: Path, name: str) -> Story:
+def _stories(folder: Path, name: str) -> Iterator[Story]:
+    """Those of a scenario's file: one, or each of its encounters."""
     if name == MIXED:
-        return Story(name, None, "")
+        yield Story(name, None, "")
+        return
     path = folder / name
-    scenario = load_scenario(path)
-    return Story(path.stem, tables.read_toml(path), mission_of(scenario, path))
+    for each in staged_of(load_scenario(path), path):
+        tree = msgspec.to_builtins(each.scenario) if each.name else tables.read_toml(path)
+        yield Story(f"{path.stem}:{each.name}" if each.name else path.stem, tree, each.mission)
 
 
 def _mission(folder: Path, name: str) -> Story:

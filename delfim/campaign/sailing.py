@@ -15,9 +15,10 @@ from delfim.campaign.measures import MEASURES, RunTape, Sailed, Truth
 from delfim.campaign.runplan import Batch, Plan, laid
 from delfim.clock import ManualClock
 from delfim.errors import DelfimError
+from delfim.simulator.encounters import OWN_MPS, RANDOM, drawn, staged
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.mixed import mixed, mixed_mission
-from delfim.simulator.scenario import Scenario, laid_over
+from delfim.simulator.scenario import Scenario, laid_upon
 from delfim.simulator.trial import sail
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.state import NoLog, StateLog
@@ -105,11 +106,13 @@ def sailed_run(
     scenario, mission, patient = None, story.mission, True
     if story.scenario is not None:
         scenario = tables.decode(story.scenario, Scenario, story.name)
+        if scenario.encounters == RANDOM:
+            _, scenario, mission = staged(scenario, drawn(seed, scenario.speed_mps or OWN_MPS))
     elif not story.mission:
         settings = tables.decode(tree, config.Vehicle, plan.name)
         scenario, mission, patient = mixed(seed, settings), mixed_mission(settings.simulation), False
     if scenario is not None:
-        tree = laid(laid_over(tree, scenario.vehicle), values)  # the campaign's values lie uppermost
+        tree = laid(laid_upon(tree, scenario), values)  # the campaign's values lie uppermost
     settings = tables.decode(tree, config.Vehicle, plan.name)
     watch = _Watch(plan.limit_s, look, lambda clock: Logbook(settings, clock) if log else NoLog())
     if scenario is None:

@@ -13,6 +13,8 @@ import msgspec
 from delfim import config, tables
 from delfim.modes import Mode
 
+LISTS = "thrusters", "simulation.traffic.vessel"  # tables of which there are several
+
 
 def describe() -> str:
     """The page `docs/vehicle-file.md`."""
@@ -26,7 +28,7 @@ def describe() -> str:
         "`delfim describe`.",
     ]
     for name, table in _tables("", config.Vehicle):
-        heading = f"[[{name}]]" if name == "thrusters" else f"[{name}]"
+        heading = f"[[{name}]]" if name in LISTS else f"[{name}]"
         page += ["", f"## `{heading}`", "", _sentence(table), "", "| key | default | allowed | meaning |", "|---|---|---|---|"]
         comments = _comments(table)
         hints = tables.keys(table)
@@ -45,6 +47,8 @@ def _tables(prefix: str, kind: Any) -> list[tuple[str, Any]]:
             found.append((f"{prefix}{name}.NAME", get_args(hint)[1]))
         elif hint is config.Thrusters:
             found += [(name, config.ThrusterTable), (f"{name}.steer", config.Steer)]
+        elif hint is config.Vessels:
+            found.append((f"{prefix}{name}", config.SimulatedVessel))
         elif _is_table(hint):
             if any(not _is_table(inner) for inner in tables.keys(hint).values()):
                 found.append((prefix + name, hint))

@@ -18,6 +18,7 @@ from delfim.simulator.handset import HandsetAt
 from delfim.vehicle import console
 
 DAY_S: Final = 86_400.0
+EXPECTED: Final = ("mode", "notice", "propellers", "waypoints", "nearest", "nearest_m")
 Time = Annotated[float, msgspec.Meta(ge=0.0, le=DAY_S)]
 
 
@@ -38,6 +39,8 @@ class Expect(tables.Table, frozen=True):
     notice: str = ""  # a trouble's name
     propellers: Literal["", "stopped"] = ""
     waypoints: Annotated[int, msgspec.Meta(ge=0)] = 0  # number of the mission's waypoints passed within their radius
+    nearest: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # domains of other vessels, at least; 1 is the edge
+    nearest_m: Annotated[float, msgspec.Meta(ge=0.0)] = 0.0  # to the middle of other vessels, at least
     reason: str = ""  # contained in the reason of the mode or the notice
     after: float | str = 0.0  # a time in s, a kind of fault, or a command of the operator; its last occurrence
     within_s: float = math.inf  # after that
@@ -45,8 +48,8 @@ class Expect(tables.Table, frozen=True):
     never: bool = False  # not at all after that
 
     def __post_init__(self) -> None:
-        if sum(map(bool, (self.mode, self.notice, self.propellers, self.waypoints))) != 1:
-            raise ValueError("name one of mode, notice, propellers, waypoints")
+        if sum(map(bool, (getattr(self, name) for name in EXPECTED))) != 1:
+            raise ValueError(f"name one of {', '.join(EXPECTED)}")
 
 
 class ScenarioGuest(tables.Table, frozen=True):
@@ -67,6 +70,9 @@ class Scenario(tables.Table, frozen=True):
     guest: ScenarioGuest | None = None
     command: tuple[dict[str, Any], ...] = ()  # the operator's commands with `at_s`, and `held_s` or `refused` (class Order)
     fault: tuple[FaultAt, ...] = ()
+    vessel: tuple[dict[str, Any], ...] = ()  # other vessels, rows of `simulation.traffic.vessel` in the vehicle's file
+    encounters: str = ""  # a file of them, beside this one, each a scenario of its own; or "random": one by the seed
+    speed_mps: Annotated[float, msgspec.Meta(ge=0.0, le=30.0)] = 0.0  # of the boat; encounters are scaled to it; 0: their own
     handset: tuple[HandsetAt, ...] = ()  # of the boat's hand-set, which `vehicle.handset` then describes
     expect: tuple[Expect, ...] = ()
 
@@ -89,10 +95,16 @@ def load_scenario(path: str | Path) -> Scenario:
 
 def settings_of(scenario: Scenario, vehicle: str | Path, overrides: tuple[str, ...] = ()) -> config.Vehicle:
     """The vehicle's file with the scenario's tables laid over it. Raises ConfigError."""
-    settings = tables.decode(laid_over(tables.read_toml(vehicle, overrides), scenario.vehicle), config.Vehicle, str(vehicle))
+    settings = tables.decode(laid_upon(tables.read_toml(vehicle, overrides), scenario), config.Vehicle, str(vehicle))
     if scenario.handset and not settings.handset.device:
         raise ConfigError(str(vehicle), "handset.device", "the scenario has a hand-set: name its device")
     return settings
+
+
+def laid_upon(tree: dict[str, Any], scenario: Scenario) -> dict[str, Any]:
+    """A vehicle's file with the scenario's tables and vessels laid over it."""
+    both = laid_over(tree, scenario.vehicle)
+    return laid_over(both, {"simulation": {"traffic": {"vessel": list(scenario.vessel)}}}) if scenario.vessel else both
 
 
 def laid_over(tree: dict[str, Any], upper: dict[str, Any]) -> dict[str, Any]:

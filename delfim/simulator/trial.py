@@ -5,7 +5,7 @@ Every run is also checked against the invariants of `delfim.simulator.watch`.
 
 import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -13,9 +13,12 @@ import msgspec
 
 from delfim import config
 from delfim.clock import ManualClock
+from delfim.errors import ConfigError
 from delfim.modes import Mode
+from delfim.simulator.encounters import OWN_MPS, RANDOM, drawn, staged, staged_of
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, mission_of, settings_of
+from delfim.simulator.nodes.shipping import Vessel
+from delfim.simulator.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, settings_of
 from delfim.simulator.watch import TURNS, Onlooker
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, StateLog
@@ -117,7 +120,7 @@ def sail(
             look(run)
         if any(expected.waypoints for expected in scenario.expect):
             recorder.passes()
-    missed = [words for expected in scenario.expect if (words := _missed(expected, recorder, run.elapsed_s))]
+    missed = [words for expected in scenario.expect if (words := _missed(expected, recorder, run.elapsed_s, run.nodes.vessels))]
     run.close()
     return Result(recorder.events, [*watch.failures, *operator.failures, *missed], run.elapsed_s)
 
@@ -170,11 +173,13 @@ class Operator:
         return True
 
 
-def _missed(expected: Expect, recorder: Recorder, end_s: float) -> str | None:
+def _missed(expected: Expect, recorder: Recorder, end_s: float, vessels: Sequence[Vessel]) -> str | None:
     """Why a run misses an expected result, in words; None: it does not."""
     if expected.waypoints:
         reached = sum(away_m <= 1.0 for away_m in recorder.nearest_m)
         return None if reached >= expected.waypoints else f"{reached} of {expected.waypoints} waypoints reached"
+    if expected.nearest or expected.nearest_m:
+        return _too_near(expected, vessels)
     kind, name = next((k, n) for k in ("mode", "notice", "propellers") if (n := getattr(expected, k)))
     since_s = _since(expected.after, recorder.events)
     what = f"{kind} {name}" + (f" ({expected.reason})" if expected.reason else "")
@@ -196,6 +201,15 @@ def _missed(expected: Expect, recorder: Recorder, end_s: float) -> str | None:
     return None
 
 
+def _too_near(expected: Expect, vessels: Sequence[Vessel]) -> str | None:
+    """The truth decides, whatever the boat heard."""
+    for vessel in vessels:
+        if vessel.nearest < expected.nearest or vessel.nearest_m < expected.nearest_m:
+            near = f"{vessel.nearest_m:.0f} m and {vessel.nearest:.2f} domains"
+            return f"{vessel.row.name or vessel.mmsi} was as near as {near} at {vessel.nearest_s:.0f} s"
+    return None
+
+
 def _since(after: float | str, events: list[Event]) -> float | None:
     if not isinstance(after, str):
         return after
@@ -203,9 +217,18 @@ def _since(after: float | str, events: list[Event]) -> float | None:
 
 
 def run_file(path: str | Path, vehicle: str | Path, seed: int, overrides: tuple[str, ...] = ()) -> Result:
-    """A scenario file, sailed. Raises ConfigError."""
-    scenario = load_scenario(path)
-    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, mission_of(scenario, path))
+    """A scenario file, sailed; FILE:NAME is one of its encounters. Raises ConfigError."""
+    file, _, name = str(path).partition(".toml:")
+    file = f"{file}.toml" if name else file
+    here = load_scenario(file)
+    if here.encounters == RANDOM:
+        _, scenario, mission = staged(here, drawn(seed, here.speed_mps or OWN_MPS))
+    else:
+        found = {each.name: each for each in staged_of(here, file)}
+        if name not in found:
+            raise ConfigError(file, "encounters", f"{name or 'no name'}: name one, as {file}:{next(iter(found))}")
+        _, scenario, mission = found[name]
+    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, mission)
 
 
 def report(result: Result) -> list[str]:

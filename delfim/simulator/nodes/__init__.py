@@ -15,11 +15,19 @@ from delfim.simulator.model import Model, hull_of
 from delfim.simulator.nodes.cansensors import CanSensors
 from delfim.simulator.nodes.devices import Devices
 from delfim.simulator.nodes.navigation import NavigationNode
+from delfim.simulator.nodes.shipping import Shipping
 from delfim.simulator.nodes.talkers import SimulatedInstruments, instruments_of
 
 # Files of this folder; `nodes` in it makes those of its kind.
 NODES: Final = ("gps", "navigation", "propeller", "pulsefiles", "batteries")  # files of this folder, with `nodes` in each
-OTHER_BUSES: Final = ("devices", "cansensors", "sounders", "escs", "vescs")  # of other buses, with `devices_of` in each
+OTHER_BUSES: Final = (
+    "devices",
+    "cansensors",
+    "sounders",
+    "shipping",
+    "escs",
+    "vescs",
+)  # of other buses, with `devices_of` in each
 PLAYED: Final = ("dsor", "dronecan", "vesc")  # the drivers whose devices are here; all other motors are pushed as told
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 
@@ -65,6 +73,7 @@ class Nodes:
         instruments: SimulatedInstruments | None = None,
     ) -> None:
         self.model, self.named, self.beside, self.instruments = model, named, beside, instruments
+        self.vessels = [vessel for each in beside if isinstance(each, Shipping) for vessel in each.vessels]
         devices = [each for each in beside if isinstance(each, Devices | CanSensors)]
         self.receivers = [each.receiver for each in devices] + (instruments.receivers if instruments else [])
         self.compasses = [each.compass for each in devices] + (instruments.compasses if instruments else [])

@@ -1,0 +1,231 @@
+"""Other vessels of the simulated world: how they move, what a boat hears of them by AIS, and how near they come in truth.
+
+They sail by the rows of `simulation.traffic` in the vehicle's file; none of them sees the boat. A receiver on the NMEA 2000 bus
+speaks their AIS with the intervals of ITU-R M.1371 (docs/encounters.md).
+"""
+
+import math
+from collections.abc import Iterator
+from random import Random
+from typing import Final
+
+from delfim import config
+from delfim.canproxy.nmea2000.ais import VesselFacts, VesselPosition
+from delfim.canproxy.socket import CanAddress
+from delfim.frames import Frame
+from delfim.geodesy import from_plane, to_plane, wrap
+from delfim.simulator.model import Model
+from delfim.simulator.nodes.aisframes import facts, framed, position
+from delfim.simulator.nodes.period import TOLERANCE_S, Period
+
+FIRST_MMSI: Final = 235_000_000
+KNOT_MPS: Final = 1852.0 / 3600.0
+STATIC_S: Final = 360.0  # between two tellings of name and size
+FIRST_STATIC_S: Final = 20.0  # the first one comes within this time
+PERFECT_S: Final = 1.0
+RESTING: Final = (1, 5)  # status: at anchor, moored
+WANDER_S: Final = 60.0  # of the error of a position
+SLOW_MPS: Final = 3.0 * KNOT_MPS  # below, a receiver's course is poor ...
+COURSE_NOISE_DEG: Final = 0.7
+SLOW_NOISE_DEG: Final = 2.0  # ... by so much
+SPEED_NOISE_KN: Final = 0.1
+AHEAD, ABEAM = 4.0, 1.6  # half axes of the domain, lengths (Fujii and Tanaka 1971) ...
+AHEAD_MIN_M, ABEAM_MIN_M = 50.0, 30.0  # ... and at least
+AMPLE_S, LATE_S, SILENT_S = 420.0, 150.0, 150.0  # before they meet: who gives way turns, in time or late; AIS falls silent
+GAP_S: Final = (200.0, 80.0)  # before they meet: AIS is silent
+AWAY_DEG, AFTER_S = 40.0, 30.0  # who gives way turns so far to starboard, and back so long after
+GIVES_WAY: Final = ("head-on", "stand-on", "overtaken")  # meetings in which the vessel must keep clear of the boat
+TURN_DEG, TURN_S = 30.0, (60.0, 400.0)  # who turns without a reason, and when before they meet
+
+
+def axes_m(length_m: float) -> tuple[float, float]:
+    """Half axes of the domain of a vessel, along and across its course."""
+    return max(AHEAD * length_m, AHEAD_MIN_M), max(ABEAM * length_m, ABEAM_MIN_M)
+
+
+def nearness(north_m: float, east_m: float, course_rad: float, axes: tuple[float, float]) -> float:
+    """How far a point so far from a vessel is in its domain: 0 in the middle, 1 on the edge."""
+    c, s = math.cos(course_rad), math.sin(course_rad)
+    return math.hypot((north_m * c + east_m * s) / axes[0], (east_m * c - north_m * s) / axes[1])
+
+
+class Vessel:
+    """One of them: its true motion, and the nearest that the boat came to it."""
+
+    def __init__(self, row: config.SimulatedVessel, mmsi: int, model: Model, random: Random, manner: str) -> None:
+        self.row, self.mmsi, self._model = row, mmsi, model
+        self.north_m, self.east_m = row.north_m, row.east_m
+        if row.latitude_deg is not None and row.longitude_deg is not None:
+            self.north_m, self.east_m = to_plane(model.origin, math.radians(row.latitude_deg), math.radians(row.longitude_deg))
+        self.course_rad, self.speed_mps = math.radians(row.course_deg), row.speed_mps
+        self.rate_radps = 0.0  # positive to starboard
+        self.silent = silent_of(row, manner)
+        self._turns = sorted(turns_of(row, manner, random))
+        self._t_s = 0.0
+        self._axes_m = axes_m(row.length_m)
+        self.nearest, self.nearest_m = math.inf, math.inf  # in domains, and from middle to middle
+        self.nearest_s = 0.0  # when it was nearest, in domains
+
+    def sail(self, t_s: float) -> None:
+        """On to this time since the start."""
+        h = t_s - self._t_s
+        self._t_s = t_s
+        wanted_rad = self.course_rad
+        for at_s, course_deg in self._turns:
+            if at_s <= t_s:
+                wanted_rad = math.radians(course_deg)
+        most_rad = math.radians(self.row.turn_dps) * h
+        turned_rad = min(max(wrap(wanted_rad - self.course_rad), -most_rad), most_rad)
+        middle_rad, way_m = self.course_rad + 0.5 * turned_rad, self.speed_mps * h
+        self.north_m, self.east_m = self.north_m + way_m * math.cos(middle_rad), self.east_m + way_m * math.sin(middle_rad)
+        self.course_rad, self.rate_radps = self.course_rad + turned_rad, turned_rad / h if h else 0.0
+        self._measure()
+
+    def _measure(self) -> None:
+        """The boat's place in the domain of this vessel, 1 on its edge."""
+        north_m, east_m = self._model.north_m - self.north_m, self._model.east_m - self.east_m
+        near = nearness(north_m, east_m, self.course_rad, self._axes_m)
+        if near < self.nearest:
+            self.nearest, self.nearest_s = near, self._t_s
+        self.nearest_m = min(self.nearest_m, math.hypot(north_m, east_m))
+
+
+class Transponder:
+    """What it says of its vessel, and when: lossy, late and wrong as AIS is."""
+
+    def __init__(self, vessel: Vessel, heard: str, lost: float, noise: bool, random: Random) -> None:
+        row = vessel.row
+        self._vessel, self._random, self._lost = vessel, random, max(row.lost, lost)
+        self._is_perfect, self._is_class_a = (
+            heard == "perfect",
+            (row.transponder if heard in ("told", "perfect") else heard) == "A",
+        )
+        self._noise_m = row.noise_m if noise and not self._is_perfect else 0.0
+        self._error_m = [random.gauss(0.0, self._noise_m) for _ in "ne"]
+        self._said_s = -random.uniform(0.0, self.interval_s)  # its last position
+        self._facts_due_s = random.uniform(0.0, FIRST_STATIC_S)
+
+    @property
+    def interval_s(self) -> float:
+        """Between two positions (ITU-R M.1371): of class A by speed and turning, of class B "CS" by speed."""
+        vessel = self._vessel
+        knots, is_turning = vessel.speed_mps / KNOT_MPS, abs(vessel.rate_radps) > 1e-3
+        if self._is_perfect:
+            return PERFECT_S
+        if not self._is_class_a:
+            return 30.0 if knots > 2.0 else 180.0
+        if vessel.row.status in RESTING and knots <= 3.0:
+            return 180.0
+        if knots > 23.0:
+            return 2.0
+        slow = knots <= 14.0
+        return (10.0 / 3.0 if slow else 2.0) if is_turning else (10.0 if slow else 6.0)
+
+    def speak(self, t_s: float, second: int) -> Iterator[tuple[int, bytes]]:
+        """PGN and data of each message of this instant that is heard."""
+        if t_s >= self._said_s + self.interval_s - TOLERANCE_S:
+            told = self._told(t_s)
+            if self._is_heard(t_s):
+                yield position(told, self._vessel.row.status if self._is_class_a else None, second)
+        if t_s >= self._facts_due_s:
+            self._facts_due_s = t_s + STATIC_S
+            if self._is_heard(t_s):
+                yield from facts(self._facts(), self._is_class_a)
+
+    def _is_heard(self, t_s: float) -> bool:
+        begin_s, end_s = self._vessel.silent
+        return self._random.random() >= self._lost and not begin_s <= t_s < end_s
+
+    def _told(self, t_s: float) -> VesselPosition:
+        """Its antenna, course and speed, with their errors, as coarse as AIS is."""
+        vessel, gauss = self._vessel, self._random.gauss
+        keep = math.exp((self._said_s - t_s) / WANDER_S)
+        self._said_s, new_m = t_s, self._noise_m * math.sqrt(1.0 - keep * keep)
+        self._error_m = [keep * each + gauss(0.0, new_m) for each in self._error_m]
+        ahead_m = vessel.row.antenna_m
+        north_m = vessel.north_m + ahead_m * math.cos(vessel.course_rad) + self._error_m[0]
+        east_m = vessel.east_m + ahead_m * math.sin(vessel.course_rad) + self._error_m[1]
+        latitude_rad, longitude_rad = from_plane(vessel._model.origin, north_m, east_m)
+        course_rad, speed_mps = vessel.course_rad, vessel.speed_mps
+        if self._noise_m:
+            off_deg = gauss(0.0, SLOW_NOISE_DEG if speed_mps < SLOW_MPS else COURSE_NOISE_DEG)
+            course_rad = math.radians(round(math.degrees(course_rad) + off_deg, 1))
+            speed_mps = max(round(speed_mps / KNOT_MPS + gauss(0.0, SPEED_NOISE_KN), 1), 0.0) * KNOT_MPS
+        heading_rad = vessel.course_rad if self._is_class_a else None
+        rate_radps = vessel.rate_radps if self._is_class_a else None
+        return VesselPosition(vessel.mmsi, latitude_rad, longitude_rad, course_rad, speed_mps, heading_rad, rate_radps)
+
+    def _facts(self) -> VesselFacts:
+        row = self._vessel.row
+        bow_m = 0.5 * row.length_m - row.antenna_m
+        return VesselFacts(self._vessel.mmsi, row.name, None, row.type, row.length_m, row.beam_m, 0.5 * row.beam_m, bow_m)
+
+
+class Shipping:
+    """All of them, and a receiver of AIS on the NMEA 2000 bus."""
+
+    hears: tuple[CanAddress, ...] = ()
+
+    def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
+        here = settings.simulation.traffic
+        self.interface, self._period, self._began_s = settings.nmea2000.interface, Period(PERFECT_S / 5.0), math.nan
+        self._sequence = dict[int, int]()
+        self.vessels = list[Vessel]()
+        self._transponders = list[Transponder]()
+        for number, row in enumerate(here.vessel):
+            random = Random(f"vessel {number} {seed}")
+            vessel = Vessel(row, row.mmsi or FIRST_MMSI + number, model, random, here.manner)
+            self.vessels.append(vessel)
+            if row.transponder != "none":
+                self._transponders.append(Transponder(vessel, here.heard, here.lost, settings.simulation.noise, random))
+
+    @property
+    def due_s(self) -> float:
+        """When `step` is due next."""
+        return self._period.due_s
+
+    def feed(self, frame: Frame, now_s: float) -> None:
+        """The receiver listens to nobody."""
+
+    def step(self, now_s: float, utc_ns: int) -> list[Frame]:
+        """The frames that the receiver sends now; the vessels sail on to this time."""
+        if not self._period.passed(now_s):
+            return []
+        if math.isnan(self._began_s):
+            self._began_s = now_s
+        t_s, second = now_s - self._began_s, utc_ns // 1_000_000_000 % 60
+        for vessel in self.vessels:
+            vessel.sail(t_s)
+        said = [message for each in self._transponders for message in each.speak(t_s, second)]
+        return [frame for pgn, data in said for frame in framed(pgn, data, self._next(pgn))]
+
+    def _next(self, pgn: int) -> int:
+        self._sequence[pgn] = (self._sequence.get(pgn, -1) + 1) % 8
+        return self._sequence[pgn]
+
+
+def silent_of(row: config.SimulatedVessel, manner: str) -> tuple[float, float]:
+    """From when to when a vessel's AIS says nothing, s."""
+    if row.meets_s is not None and manner == "silent":
+        return row.meets_s - SILENT_S, math.inf
+    if row.meets_s is not None and manner == "gap":
+        return row.meets_s - GAP_S[0], row.meets_s - GAP_S[1]
+    begin_s, end_s = row.silent_from_s, row.silent_to_s
+    return math.inf if begin_s is None else begin_s, math.inf if end_s is None else end_s
+
+
+def turns_of(row: config.SimulatedVessel, manner: str, random: Random) -> list[tuple[float, float]]:
+    """When a vessel turns, s, and to which course, deg."""
+    turns = [(turn.at_s, turn.course_deg) for turn in row.turns]
+    if row.meets_s is None:
+        return turns
+    if manner in ("rules", "late") and row.meeting in GIVES_WAY:
+        before_s = AMPLE_S if manner == "rules" else LATE_S
+        return [*turns, (row.meets_s - before_s, row.course_deg + AWAY_DEG), (row.meets_s + AFTER_S, row.course_deg)]
+    if manner == "turn":
+        return [*turns, (row.meets_s - random.uniform(*TURN_S), row.course_deg + random.choice((-TURN_DEG, TURN_DEG)))]
+    return turns
+
+
+def devices_of(settings: config.Vehicle, model: Model, seed: int) -> Shipping | None:
+    return Shipping(settings, model, seed) if settings.simulation.traffic.vessel else None

@@ -1,0 +1,202 @@
+"""Other vessels of the simulated world: true motion, AIS with the intervals of M.1371, and what a judge measures of them."""
+
+import itertools
+import math
+from collections import Counter
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+
+from delfim import config
+from delfim.canproxy.nmea2000 import ais
+from delfim.canproxy.nmea2000.fastpacket import FastPacket
+from delfim.clock import ManualClock
+from delfim.geodesy import to_plane
+from delfim.simulator.lockstep import Lockstep
+from delfim.simulator.model import Hull, Model
+from delfim.simulator.nodes.aisframes import facts, framed, position
+from delfim.simulator.nodes.shipping import Shipping, axes_m, nearness
+from delfim.vehicle.state import NoLog
+
+STEP_S = 0.2
+Heard = list[tuple[float, ais.VesselPosition | ais.VesselFacts]]
+
+
+def shipping(traffic: config.SimulatedTraffic, *, noise: bool = False, seed: int = 1) -> tuple[Shipping, Model]:
+    settings = config.Vehicle(boat=config.BoatTable(name="test"), simulation=config.Simulation(noise=noise, traffic=traffic))
+    model = Model(Hull(), config.Sea(), 1, math.radians(38.6), math.radians(-9.6), 0.0)
+    return Shipping(settings, model, seed), model
+
+
+def one(heard: str = "told", manner: str = "told", lost: float = 0.0, **row: Any) -> config.SimulatedTraffic:
+    vessel = config.SimulatedVessel(mmsi=244_660_123, name="MARIA", **row)
+    return config.SimulatedTraffic(heard=heard, manner=manner, lost=lost, vessel=(vessel,))
+
+
+def listened(there: Shipping, seconds: float) -> Iterator[tuple[float, ais.VesselPosition | ais.VesselFacts]]:
+    """What a boat on the bus hears."""
+    fast, clock = {pgn: FastPacket(Counter()) for pgn in ais.PGNS}, ManualClock()
+    while clock.monotonic_s() < seconds:
+        for frame in there.step(clock.monotonic_s(), clock.time_ns()):
+            pgn = frame.arb >> 11 & 0x3FFFF
+            if (whole := fast[pgn].feed(frame.arb >> 3 & 0xFF, frame.data, clock.monotonic_s())) is not None:
+                yield clock.monotonic_s(), ais.decode(pgn, whole)
+        clock.advance(STEP_S)
+
+
+def positions(heard: Heard) -> list[tuple[float, ais.VesselPosition]]:
+    return [(t_s, each) for t_s, each in heard if isinstance(each, ais.VesselPosition)]
+
+
+@pytest.mark.parametrize("is_a", [True, False])
+def test_what_is_said_is_what_is_read(is_a):
+    told = ais.VesselPosition(244_660_123, 0.67, -0.16, 1.5, 4.2, 1.4 if is_a else None, 0.01 if is_a else None)
+    pgn, data = position(told, 0 if is_a else None, 59)
+    read = ais.decode(pgn, data)
+    assert (pgn, len(data)) == ((ais.POSITION_A, 28) if is_a else (ais.POSITION_B, 27))
+    assert isinstance(read, ais.VesselPosition)
+    assert read[0] == told[0]
+    assert [value for value in read[1:] if value is not None] == pytest.approx(
+        [value for value in told[1:] if value is not None], abs=1e-4
+    )
+    assert data[13] >> 2 == 59
+    unknown = ais.decode(*position(ais.VesselPosition(1, *[None] * 6), 0 if is_a else None, 60))
+    assert unknown == ais.VesselPosition(1, *[None] * 6)
+
+
+@pytest.mark.parametrize("is_a", [True, False])
+def test_name_and_size_are_read_in_the_lengths_of_their_messages(is_a):
+    told = ais.VesselFacts(244_660_123, "MARIA", None, 70, 87.5, 12.1, 6.0, 20.0)
+    said = list(facts(told, is_a))
+    assert [(pgn, len(data)) for pgn, data in said] == ([(ais.STATIC_A, 76)] if is_a else [(ais.NAME_B, 27), (ais.SIZE_B, 35)])
+    read = [ais.decode(pgn, data) for pgn, data in said]
+    merged = [next((value for each in read if (value := each[i]) is not None), None) for i in range(len(told))]
+    assert merged[:4] == list(told[:4])
+    assert merged[4:] == pytest.approx(told[4:])
+    assert len(framed(*said[0], 3)) == (11 if is_a else 4)
+
+
+def test_a_vessel_sails_its_course_and_turns_at_its_rate():
+    there, _ = shipping(one(speed_mps=5.0, turns=(config.VesselTurn(at_s=10.0, course_deg=90.0),), turn_dps=3.0))
+    list(listened(there, 100.1))
+    (vessel,) = there.vessels
+    assert math.degrees(vessel.course_rad) == pytest.approx(90.0)
+    radius_m = 5.0 / math.radians(3.0)  # a quarter of a circle, then 60 s to the east
+    assert (vessel.north_m, vessel.east_m) == pytest.approx((50.0 + radius_m, radius_m + 300.0), abs=2.0)
+
+
+@pytest.mark.parametrize(
+    ("row", "interval_s"),
+    [
+        ({"transponder": "A", "speed_mps": 5.0}, 10.0),
+        ({"transponder": "A", "speed_mps": 9.0}, 6.0),
+        ({"transponder": "A", "speed_mps": 13.0}, 2.0),
+        ({"transponder": "A", "speed_mps": 0.0, "status": 1}, 180.0),
+        ({"transponder": "B", "speed_mps": 3.0}, 30.0),
+        ({"transponder": "B", "speed_mps": 0.9}, 180.0),
+    ],
+)
+def test_it_is_heard_as_often_as_its_class_and_speed_say(row, interval_s):
+    there, _ = shipping(one(**row))
+    times = [t_s for t_s, _ in positions(list(listened(there, 1000.0)))]
+    gaps = [later - before for before, later in itertools.pairwise(times)]
+    assert gaps == pytest.approx([interval_s] * len(gaps), abs=1e-6)
+    assert times[0] < interval_s + STEP_S
+    assert len(times) >= 1000.0 / interval_s - 1.0
+
+
+def test_a_ship_that_turns_is_heard_more_often_and_tells_its_rate():
+    there, _ = shipping(one(transponder="A", speed_mps=5.0, turns=(config.VesselTurn(at_s=100.0, course_deg=90.0),)))
+    turning = [(t_s, each) for t_s, each in positions(list(listened(there, 200.0))) if 101.0 < t_s < 190.0]
+    assert len(turning) > 20
+    assert [each.rate_radps for _, each in turning] == pytest.approx([math.radians(1.0)] * len(turning), rel=0.01)
+
+
+def test_name_and_size_come_at_once_and_then_every_six_minutes():
+    there, _ = shipping(one(transponder="A", length_m=80.0, beam_m=14.0, antenna_m=-30.0))
+    told = [(t_s, each) for t_s, each in listened(there, 800.0) if isinstance(each, ais.VesselFacts)]
+    assert told[0][0] < 21.0
+    assert [later[0] - before[0] for before, later in itertools.pairwise(told)] == pytest.approx([360.0, 360.0])
+    assert told[0][1][-2:] == pytest.approx((7.0, 70.0)), "of the antenna from starboard and from the bow"
+
+
+def test_noise_wanders_loss_is_a_fifth_and_perfect_reports_are_exact():
+    there, model = shipping(one(heard="B", lost=0.2, speed_mps=3.0, transponder="A"), noise=True)
+    heard = positions(list(listened(there, 6_000.0)))
+    assert len(heard) == pytest.approx(160, rel=0.1)
+    errors = []
+    for t_s, each in heard:
+        assert each.latitude_rad is not None
+        assert each.longitude_rad is not None
+        north_m, east_m = to_plane(model.origin, each.latitude_rad, each.longitude_rad)
+        errors += [north_m - 3.0 * t_s, east_m]
+    assert math.sqrt(sum(error * error for error in errors) / len(errors)) == pytest.approx(5.0, rel=0.3)
+    perfect, model = shipping(one(heard="perfect", lost=0.0, speed_mps=3.0), noise=True)
+    for t_s, each in positions(list(listened(perfect, 60.0))):
+        assert each.latitude_rad is not None
+        assert each.longitude_rad is not None
+        assert to_plane(model.origin, each.latitude_rad, each.longitude_rad) == pytest.approx((3.0 * t_s, 0.0), abs=0.02)
+
+
+def test_the_same_seed_says_the_same_and_another_one_does_not():
+    said = [list(listened(shipping(one(speed_mps=3.0), noise=True, seed=seed)[0], 300.0)) for seed in (1, 1, 2)]
+    assert said[0] == said[1] != said[2]
+
+
+@pytest.mark.parametrize(
+    ("traffic", "silent"),
+    [
+        (one(heard="perfect", speed_mps=3.0, silent_from_s=50.0, silent_to_s=80.0), (50.0, 80.0)),
+        (one(heard="perfect", speed_mps=3.0, silent_from_s=50.0), (50.0, 600.0)),
+        (one(heard="perfect", manner="silent", speed_mps=3.0, meets_s=400.0), (250.0, 600.0)),
+        (one(heard="perfect", manner="gap", speed_mps=3.0, meets_s=400.0), (200.0, 320.0)),
+    ],
+)
+def test_it_falls_silent_as_its_row_or_its_manner_says(traffic, silent):
+    times = [t_s for t_s, _ in positions(list(listened(shipping(traffic)[0], 600.0)))]
+    assert not [t_s for t_s in times if silent[0] <= t_s < silent[1]]
+    assert len(times) == pytest.approx(600.0 - (silent[1] - silent[0]), abs=3)
+
+
+def test_one_without_a_transponder_sails_and_is_not_heard():
+    there, _ = shipping(one(transponder="none", speed_mps=3.0))
+    assert list(listened(there, 100.0)) == []
+    assert there.vessels[0].north_m > 290.0
+
+
+@pytest.mark.parametrize(
+    ("manner", "meeting", "turned_deg"),
+    [("rules", "stand-on", 40.0), ("late", "overtaken", 40.0), ("rules", "give-way", 0.0), ("told", "stand-on", 0.0)],
+)
+def test_who_keeps_the_rules_gives_way_to_starboard_and_comes_back(manner, meeting, turned_deg):
+    there, _ = shipping(one(manner=manner, meeting=meeting, meets_s=600.0, speed_mps=3.0))
+    list(listened(there, 550.0))
+    assert math.degrees(there.vessels[0].course_rad) == pytest.approx(turned_deg)
+    for t_s in range(551, 701):
+        there.vessels[0].sail(float(t_s))
+    assert math.degrees(there.vessels[0].course_rad) == pytest.approx(0.0)
+
+
+def test_the_domain_is_longer_than_wide_and_measured_in_truth():
+    assert axes_m(100.0) == (400.0, 160.0)
+    assert axes_m(5.0) == (50.0, 30.0)
+    assert nearness(0.0, 400.0, math.pi / 2.0, axes_m(100.0)) == pytest.approx(1.0), "ahead of a ship that goes east"
+    row = config.SimulatedVessel(north_m=100.0, east_m=-60.0, course_deg=90.0, speed_mps=1.0, transponder="none")
+    settings = config.Vehicle(
+        boat=config.BoatTable(name="test"),
+        simulation=config.Simulation(traffic=config.SimulatedTraffic(vessel=(row,))),
+    )
+    run = Lockstep(settings, 1, lambda clock: NoLog())
+    list(run.cycles(120.0))
+    (vessel,) = run.nodes.vessels
+    assert vessel.nearest_m == pytest.approx(100.0, abs=1.0), "the boat lies still"
+    assert vessel.nearest == pytest.approx(100.0 / 30.0, abs=0.05)
+    assert vessel.nearest_s == pytest.approx(60.0, abs=3.0)
+
+
+def test_latitude_and_longitude_are_taken_instead_and_only_together():
+    there, _ = shipping(one(latitude_deg=38.6, longitude_deg=-9.59))
+    assert there.vessels[0].east_m == pytest.approx(870.0, abs=5.0)
+    with pytest.raises(ValueError, match="go together"):
+        config.SimulatedVessel(latitude_deg=38.6)
