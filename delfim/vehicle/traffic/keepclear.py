@@ -1,0 +1,332 @@
+"""Keeping clear: which course and speed keep the boat clear of other vessels, by the rules, as near to its route as can be.
+
+Trial manoeuvres, a reduced form of scenario-based model predictive control (T. A. Johansen, T. Perez, A. Cristofaro, IEEE
+Trans. Intelligent Transportation Systems 17(12), 2016; I. B. Hagen et al., ICRA 2018): going on along the route, and a few
+other courses at a few speeds, are laid ahead as straight legs; other vessels keep course and speed; the cheapest trial wins.
+Nothing is stepped through time: how near a leg comes to a vessel's elliptical domain has a closed form (`cpa.py`). Distances
+follow from times and from the other vessel's length, so that boats of all sizes have the same settings.
+
+`decide` is a pure function that raises nothing and takes a bounded time: memory goes in and comes out. docs/traffic.md has the
+rules and the limits.
+"""
+
+import math
+from collections.abc import Sequence
+from heapq import nsmallest
+from typing import Final, NamedTuple
+
+from delfim.geodesy import wrap
+from delfim.vehicle.fence import Fence
+from delfim.vehicle.target import Target
+from delfim.vehicle.traffic.cpa import Approach, Domain, Leg, approach, domain
+from delfim.vehicle.traffic.encounter import PRIVILEGED, Duty, Own, duty, passing, stands_on, words
+from delfim.vehicle.traffic.shoreline import Shoreline
+from delfim.vehicle.zones import Point
+
+MOST: Final = 12  # vessels that are judged: those that could be met first
+OFFSETS_DEG: Final = 30, -30, 45, -45, 60, -60, 75, -75, 90, -90, 120, -120, 150, -150, 180
+OFFSETS: Final = tuple(map(math.radians, OFFSETS_DEG))  # of courses to try, from the route
+PARTS: Final = (1.0, 0.5)  # of the speed that is asked for
+AHEAD_LENGTHS, ABEAM_LENGTHS = (
+    4.0,
+    1.6,
+)  # half axes of the domain in lengths of the vessel (Y. Fujii, K. Tanaka, J. Navigation 1971)
+AHEAD_MIN_M, ABEAM_MIN_M = 50.0, 30.0
+SOFT: Final = 1.3  # so many domains are better than one
+LOOK_MAX_S: Final = 900.0
+AMPLE: Final = 4.0  # times that leaving the domain abeam takes: ample time (rule 8 a)
+LATE, LATE_S = 1.8, 40.0  # the same, and seconds: a vessel that ought to give way has not (rule 17 a ii)
+ESCAPE_S: Final = 30.0  # by then the boat has had time to get out
+STATIC_S: Final = 90.0  # so long a way must be clear of the fence
+CHANGE, STEADY = 6.0, 0.15  # another course must be better than the one steered by so much, and by this part
+LEAVE: Final = 5.0  # the route is not left for less
+AGAINST_RULE, TO_PORT_OF_ONE_TO_PORT = 60.0, 40.0
+STARBOARD, PORT, SLOWER = 10.0, 13.0, 12.0  # a right angle to either side; a stop
+INSIDE, DEEP, NEAR = 100.0, 900.0, 15.0  # entering the domain, its middle, and the edge of what is soft
+ASHORE: Final = 10_000.0  # no vessel is a reason to cross the fence
+FARTHEST: Final = 2.5  # domains: beyond, a vessel costs nothing
+SLOWEST_MPS: Final = 0.3  # a slower boat counts as this fast
+PLAUSIBLE_M, PLAUSIBLE_MPS, LONGEST_M = 1e6, 100.0, 1000.0
+
+
+class Caution(NamedTuple):
+    """The boat, and how cautious it is."""
+
+    length_m: float
+    turn_radps: float  # how fast it turns
+    ramp_mps2: float  # how fast it changes its speed
+    look_s: float = 180.0  # a vessel that is met later does not matter yet, unless leaving its domain takes long
+    stand_on: str = "small"  # to which vessels that must give way: "never", "small" (below 20 m), "always"
+
+
+class RouteAhead(NamedTuple):
+    """The way ahead without other vessels."""
+
+    points: tuple[Point, ...]  # nearest first; none: the boat stays where it is
+    speed_mps: float  # asked for; of a boat that stays, what it may use
+    has_end: bool = True  # False: a course, which a fence ends and does not bend
+
+
+class CourseOrder(NamedTuple):
+    """A course and a speed in place of the mode's own."""
+
+    course_rad: float  # over ground
+    speed_part: float  # of the speed asked for, 0 to 1
+    speed_mps: float  # the same
+    words: str  # for people
+    key: str  # of the vessel it is for; empty: it is for the fence
+    nearness: float  # of all vessels the least to come, in domains; below 1: nothing is clear
+    at_s: float
+
+
+class PassedBy(NamedTuple):
+    """How the boat will pass a vessel, within twice the time looked ahead."""
+
+    key: str
+    without: Approach  # if it goes on along its route
+    nearness: float  # as it does now
+
+
+class Memory(NamedTuple):
+    order: CourseOrder | None = None
+    left_s: float = 0.0  # when the route was left
+    duties: tuple[tuple[str, Duty], ...] = ()  # not judged again while the vessel is in question
+
+
+class Decision(NamedTuple):
+    memory: Memory
+    order: CourseOrder | None  # None: the boat goes on along its route
+    passes: tuple[PassedBy, ...]  # of the vessels in question
+
+
+class Seen(NamedTuple):
+    """A vessel that is judged."""
+
+    target: Target
+    around: Domain
+    look_s: float
+    late_s: float
+    far_m: float  # from its domain at most
+    duty: Duty | None  # None: not in question
+    rule: str  # what is penalised: "ahead", "starboard", "port"; empty: nothing
+
+
+class Scene(NamedTuple):
+    """The data that all trials are judged by."""
+
+    seen: Sequence[Seen]
+    shore: Shoreline | None
+    weary: float  # a deviation is dearer the longer the boat is away: nobody runs along with a ship for ever
+
+
+def decide(
+    limits: Caution, memory: Memory, own: Own, route: RouteAhead, targets: Sequence[Target], around: Fence | None, now_s: float
+) -> Decision:
+    """One decision, once a second. Never raises; input that is not finite counts as not there."""
+    if not (_plausible(*own) and all(map(_plausible_at, route.points)) and 0.0 <= route.speed_mps < PLAUSIBLE_MPS):
+        return Decision(Memory(), None, ())
+    on = route_legs(own, route)
+    seen = _in_question(limits, memory, own, route.speed_mps, targets, on)
+    was, is_away = memory.order, memory.order is not None
+    shore = Shoreline(around, own, max(route.speed_mps, own.speed_mps) * STATIC_S) if around is not None else None
+    # Who has to give way is left time to do so, unless the boat is under way for another vessel already.
+    mine = seen if is_away else [each for each in seen if not _waits(limits, each, on)]
+    judged = Scene(mine, shore if route.has_end or mine or is_away else None, 1.0)
+    duties = tuple((each.target.key, each.duty) for each in seen if each.duty is not None)
+    # The route is left for what is near, and taken again when it is clear for twice as long.
+    if _cost(judged, on, 0.0, 1.0, 2.0 if is_away else 1.0, math.inf, is_route=True) <= (0.0 if is_away else LEAVE):
+        return Decision(Memory(None, 0.0, duties), None, _passes(seen, on, on))
+    left_s = memory.left_s if is_away else now_s
+    scene = Scene(seen, shore, 1.0 + max(now_s - left_s, 0.0) / limits.look_s)
+    ahead_rad = own.course_rad
+    if route.points:
+        ahead_rad = math.atan2(route.points[0][1] - own.east_m, route.points[0][0] - own.north_m)
+    best = _cheapest(limits, scene, own, ahead_rad, route.speed_mps, on, was)
+    if best is None:
+        return Decision(Memory(None, 0.0, duties), None, _passes(seen, on, on))
+    legs = trial_legs(limits, own, best[0], best[1] * route.speed_mps)
+    passes = _passes(seen, on, legs)
+    order = _ordered(scene, best, route.speed_mps, on, legs, passes, was, now_s)
+    return Decision(Memory(order, left_s, duties), order, passes)
+
+
+def _plausible(*values: float) -> bool:
+    return all(-PLAUSIBLE_M < value < PLAUSIBLE_M for value in values)
+
+
+def _plausible_at(point: Point) -> bool:
+    return _plausible(*point)
+
+
+def _in_question(
+    limits: Caution, memory: Memory, own: Own, speed_mps: float, targets: Sequence[Target], on: Sequence[Leg]
+) -> list[Seen]:
+    """The vessels to judge, the first to meet first, each with what the boat owes it."""
+    near = list[tuple[float, int, Target]]()
+    for number, target in enumerate(targets):
+        its_mps, length_m = target.speed_mps, target.length_m
+        far_m = math.hypot(target.north_m - own.north_m, target.east_m - own.east_m) - AHEAD_LENGTHS * length_m
+        if 0.0 <= its_mps < PLAUSIBLE_MPS and 0.0 <= length_m < LONGEST_M and -PLAUSIBLE_M < far_m < PLAUSIBLE_M:
+            near.append((far_m / (its_mps + own.speed_mps + SLOWEST_MPS), number, target))
+    known, seen = dict(memory.duties), list[Seen]()
+    for _, _, target in nsmallest(MOST, near):
+        if not _plausible(target.course_rad):
+            continue
+        this = _measured(limits, own, speed_mps, target)
+        passed, owed = approach(this.around, on, this.look_s), known.get(target.key)
+        if owed is None and passed.nearness < SOFT:
+            owed = duty(own, target)
+        if passed.nearness >= SOFT and this.far_m > this.look_s * (target.speed_mps + own.speed_mps):
+            continue  # even if both went for each other
+        seen.append(this._replace(duty=owed, rule=_rule(owed, target)))
+    return seen
+
+
+def _measured(limits: Caution, own: Own, speed_mps: float, target: Target) -> Seen:
+    more_m = (target.margin_m if 0.0 < target.margin_m < PLAUSIBLE_M else 0.0) + limits.length_m / 2.0
+    ahead_m = max(AHEAD_LENGTHS * target.length_m, AHEAD_MIN_M) + more_m
+    abeam_m = max(ABEAM_LENGTHS * target.length_m, ABEAM_MIN_M) + more_m
+    out_s = abeam_m / max(speed_mps, SLOWEST_MPS)
+    far_m = math.hypot(target.north_m - own.north_m, target.east_m - own.east_m) - 1.5 * ahead_m
+    look_s = min(max(AMPLE * out_s, limits.look_s), max(LOOK_MAX_S, limits.look_s))
+    return Seen(target, domain(target, ahead_m, abeam_m), look_s, LATE * out_s + LATE_S, far_m, None, "")
+
+
+def _rule(owed: Duty | None, target: Target) -> str:
+    if owed == "head-on":
+        return "starboard"
+    if owed == "stand-on" and target.status not in PRIVILEGED:
+        return "port"
+    return "ahead" if owed in ("give-way", "stand-on") and target.speed_mps > 0.5 else ""
+
+
+def _waits(limits: Caution, this: Seen, on: Sequence[Leg]) -> bool:
+    """Whether the boat stands on for this vessel: there is time yet for it to give way (rule 17 a)."""
+    if this.duty is None or not stands_on(this.duty, this.target, limits.stand_on):
+        return False
+    return approach(this.around, on, this.look_s).at_s > this.late_s
+
+
+def _cheapest(
+    limits: Caution, scene: Scene, own: Own, ahead_rad: float, speed_mps: float, on: Sequence[Leg], was: CourseOrder | None
+) -> tuple[float, float] | None:
+    """Course, rad, and part of the speed of the best trial; None: to go on along the route."""
+    lowest, best = _cost(scene, on, 0.0, 1.0, 2.0, math.inf, is_route=True), None
+    trials = [(ahead_rad + offset, part) for offset in OFFSETS for part in PARTS] + [(ahead_rad, 0.5), (ahead_rad, 0.0)]
+    extra = CHANGE
+    if was is not None:
+        trials.insert(0, (was.course_rad, was.speed_part))
+        lowest, extra = lowest + CHANGE, 0.0
+    for course_rad, part in trials:
+        legs, turn_rad = trial_legs(limits, own, course_rad, part * speed_mps), wrap(course_rad - ahead_rad)
+        cost = _cost(scene, legs, turn_rad, part, 2.0, lowest - extra) + extra
+        if cost < lowest:
+            best, lowest = (wrap(course_rad), part), cost
+        if not extra:  # the first was the course that is steered
+            extra = CHANGE + STEADY * lowest
+    return best
+
+
+def _cost(
+    scene: Scene, legs: Sequence[Leg], turn_rad: float, part: float, far: float, enough: float, is_route: bool = False
+) -> float:
+    """The cost of a trial; any number of at least `enough` where it is more. `far`: times the look ahead."""
+    sideways = STARBOARD if turn_rad > 0.0 else PORT
+    cost = scene.weary * abs(turn_rad) / (0.5 * math.pi) * sideways + (1.0 - part) * SLOWER
+    deviates, turns_to_port = bool(turn_rad) or part < 1.0, -2.0 < turn_rad < 0.0
+    for _, around, look_s, _, _, _, rule in scene.seen:
+        if cost >= enough:
+            return cost
+        nearness, at_s, ahead, starboard = approach(around, legs, look_s * far)
+        if nearness >= FARTHEST:
+            continue
+        cost += _hazard(nearness, at_s, look_s)
+        if at_s < ESCAPE_S:
+            later = approach(around, legs, look_s * far, ESCAPE_S)
+            cost += _hazard(later.nearness, later.at_s, look_s)
+        if deviates and rule:
+            if (rule == "ahead" and ahead > 0.0) or (rule == "starboard" and starboard > 0.0):
+                cost += AGAINST_RULE
+            elif rule == "port" and turns_to_port:
+                cost += TO_PORT_OF_ONE_TO_PORT
+    if scene.shore is not None and cost < enough and scene.shore.meets(legs, STATIC_S, is_route):
+        cost += ASHORE
+    return cost
+
+
+def _hazard(nearness: float, at_s: float, look_s: float) -> float:
+    if nearness < 1.0:
+        return (INSIDE + DEEP * (1.0 - nearness)) / (1.0 + (at_s / look_s) ** 2)
+    return NEAR * (SOFT - nearness) / (SOFT - 1.0) if nearness < SOFT else 0.0
+
+
+def _passes(seen: Sequence[Seen], on: Sequence[Leg], legs: Sequence[Leg]) -> tuple[PassedBy, ...]:
+    found = list[PassedBy]()
+    for each in seen:
+        without = approach(each.around, on, 2.0 * each.look_s)
+        now = without if legs is on else approach(each.around, legs, 2.0 * each.look_s)
+        found.append(PassedBy(each.target.key, without, now.nearness))
+    return tuple(found)
+
+
+def _ordered(
+    scene: Scene,
+    best: tuple[float, float],
+    speed_mps: float,
+    on: Sequence[Leg],
+    legs: Sequence[Leg],
+    passes: Sequence[PassedBy],
+    was: CourseOrder | None,
+    now_s: float,
+) -> CourseOrder:
+    """The order, with the vessel that it is for: the first whose domain the boat would enter if it went on."""
+    course_rad, part = best
+    asked = [(each.without.at_s, i) for i, each in enumerate(passes) if each.without.nearness < SOFT]
+    if not asked and was is not None:
+        asked = [(0.0, i) for i, each in enumerate(passes) if each.key == was.key]
+    speed = "" if part == 1.0 else ", stopped" if part == 0.0 else ", at half speed"
+    nearness = min((each.nearness for each in passes), default=math.inf)
+    if asked:
+        this = scene.seen[min(asked)[1]]
+        text, key = _said(this, on, legs), this.target.key
+    else:
+        text, key = f"keeping clear of {scene.shore.name if scene.shore and scene.shore.name else 'the way back'}", ""
+    if nearness < 1.0:
+        text += ", nothing is clear"
+    return CourseOrder(course_rad, part, part * speed_mps, text + speed, key, nearness, now_s)
+
+
+def _said(this: Seen, on: Sequence[Leg], legs: Sequence[Leg]) -> str:
+    """What is done for a vessel, how it is passed, and how far away."""
+    passed = approach(this.around, legs, 2.0 * this.look_s)
+    cpa_m = approach(domain(this.target, 1.0, 1.0), legs, 2.0 * this.look_s).nearness
+    owed: Duty = this.duty or "give-way"
+    is_late = owed == "stand-on" and approach(this.around, on, this.look_s).at_s <= this.late_s
+    return f"{words(owed, this.target, is_late)}, {passing(owed, passed.ahead, passed.starboard)}, CPA {cpa_m:.0f} m"
+
+
+def route_legs(own: Own, route: RouteAhead) -> list[Leg]:
+    """The way along the route at the speed asked for; then the boat stays."""
+    at, from_s, legs, speed_mps = (own.north_m, own.east_m), 0.0, list[Leg](), route.speed_mps
+    for to in route.points if speed_mps > 0.05 else ():
+        far_m = math.dist(at, to)
+        if far_m < 0.1:
+            continue
+        to_s = from_s + far_m / speed_mps
+        scale = speed_mps / far_m
+        legs.append((from_s, to_s, *at, (to[0] - at[0]) * scale, (to[1] - at[1]) * scale))
+        at, from_s = to, to_s
+        if from_s > 2.0 * LOOK_MAX_S:
+            break
+    legs.append((from_s, math.inf, *at, 0.0, 0.0))
+    return legs
+
+
+def trial_legs(limits: Caution, own: Own, course_rad: float, speed_mps: float) -> tuple[Leg, Leg]:
+    """Turning is a wait on the old course, half as long as the turn takes; so is a change of speed."""
+    turn_s = abs(wrap(course_rad - own.course_rad)) / limits.turn_radps
+    wait_s = 0.5 * max(turn_s, abs(speed_mps - own.speed_mps) / limits.ramp_mps2)
+    vn, ve = own.speed_mps * math.cos(own.course_rad), own.speed_mps * math.sin(own.course_rad)
+    first = (0.0, wait_s, own.north_m, own.east_m, vn, ve)
+    there = own.north_m + vn * wait_s, own.east_m + ve * wait_s
+    return first, (wait_s, math.inf, *there, speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad))
