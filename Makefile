@@ -88,7 +88,7 @@ system: ## install the Debian packages of the guest tests where that is possible
 	else why="installing them needs root and apt-get"; fi; \
 	echo "make system: without$$missing some tests do not run ($$why; Debian packages: $(SYSTEM_PACKAGES))" >&2
 
-formats: $(MORE) ## install the packages for Parquet, MF4 and campaigns, 400 MB, and MAVProxy; the tests need them
+formats: $(MORE) ## install the packages for Parquet, MF4, campaigns and Foxglove, 450 MB, and MAVProxy; the tests need them
 
 lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgrade takes the newest)
 	$(call compile,boat) pyproject.toml
@@ -97,6 +97,7 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,test) --extra test -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,formats) --extra formats -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,campaign) --extra campaign -c requirements/boat.txt -c requirements/ground.txt -c requirements/formats.txt pyproject.toml
+	$(call compile,foxglove) --extra foxglove -c requirements/boat.txt pyproject.toml
 	$(call compile,build) requirements/build.in
 	$(call compile,page) requirements/page.in
 compile = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
@@ -128,6 +129,6 @@ $(NPM): $(WEB)/package-lock.json $(READY)
 	cd $(WEB) && npm ci --ignore-scripts --no-audit --no-fund --silent
 	@touch $@
 
-$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/mavproxy.txt
+$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/mavproxy.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(patsubst %,-r %,$(filter %.txt,$^))
 	@touch $@

@@ -38,6 +38,14 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--key", metavar="FILE", help="Sign with this key; the boats must have the same.")
     parser.add_argument("--vehicle", metavar="FILE", help="The vehicle's file, for dry runs of missions.")
     parser.add_argument("--keygen", metavar="FILE", help="Make a signing key in this file, and exit.")
+    parser.add_argument(
+        "--foxglove",
+        type=int,
+        nargs="?",
+        const=8766,
+        metavar="PORT",
+        help="Show the boats in Foxglove, too, on this port of this computer (without PORT: 8766).",
+    )
     parser.add_argument("--no-browser", dest="browser", action="store_false", help="Do not open the browser.")
 
 

@@ -16,7 +16,7 @@ from aiohttp import WSMsgType, web
 
 from delfim import __version__
 from delfim.clock import Clock
-from delfim.console import said
+from delfim.console import foxglove, said
 from delfim.console.admission import Admission, own_number
 from delfim.console.charts import Charts
 from delfim.console.desk import Desk
@@ -104,12 +104,14 @@ class Gateway:
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
         self._clock, self._pages = clock, set[Page]()
+        self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
         self._desk = Desk(self.fleet, missions, vehicle, self.charts)
         self._ticks = 0
         self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
         self.app.router.add_get("/", self._index)
         self.app.router.add_get("/ws", self._socket)
         self.app.router.add_get("/api/boats", self._boats)
+        self.app.router.add_get("/foxglove.json", self._layout)
         self.charts.routes(self.app)
         if PAGE.is_dir():
             self.app.router.add_static("/", PAGE)
@@ -123,9 +125,11 @@ class Gateway:
         self.charts.close()
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Sends to every page."""
+        """Sends to every page and viewer."""
         for page in self._pages:
             page.tell(message)
+        for view in self.viewers:
+            view(message)
 
     def tick(self) -> None:
         self.fleet.tick()
@@ -135,7 +139,7 @@ class Gateway:
         for name, each in self.radios.items():
             self._complain(name, each.reason)
         self._ticks += 1
-        if self._pages and self._ticks % SHOW_TICKS == 0:
+        if (self._pages or self.viewers) and self._ticks % SHOW_TICKS == 0:
             self.tell({"t": "boats", "at_s": self._utc_s(), "boats": self.fleet.snapshot()})
             for progress in self.fleet.progress():
                 self.tell(progress)
@@ -166,6 +170,11 @@ class Gateway:
 
     async def _boats(self, request: web.Request) -> web.Response:
         return web.json_response(self.fleet.snapshot(), dumps=encoded)
+
+    async def _layout(self, request: web.Request) -> web.Response:
+        """A layout of Foxglove for the boats that are known now, as a file to import."""
+        boats = [boat["name"] for boat in self.fleet.snapshot()]
+        return web.json_response(foxglove.layout(boats), headers={"Content-Disposition": "attachment"})
 
     async def _socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._pages) >= PAGES_MAX:

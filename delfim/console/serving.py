@@ -18,6 +18,7 @@ from aiohttp.http_exceptions import HttpProcessingError
 from delfim.clock import WakefulClock
 from delfim.console.admission import bracketed, kept_token
 from delfim.console.browser import show
+from delfim.console.foxglove import FoxgloveView
 from delfim.console.gateway import Gateway
 from delfim.console.mavlink import Key
 from delfim.console.replay import open_tapes
@@ -91,11 +92,20 @@ def run(asked: argparse.Namespace) -> int:
         number=asked.number,
     )
 
+    view = FoxgloveView(asked.foxglove) if asked.foxglove is not None else None
+    if view is not None:
+        gateway.viewers.append(view.tell)
+
     def ready(url: str) -> None:
         what = (
             f"{len(tapes)} recordings are replayed" if tapes else f"boats are heard on {', '.join([asked.boats, *asked.radio])}"
         )
         print(f"delfim: the console is at {url}; {what}; it is console {gateway.me}", flush=True)
+        if view is not None:
+            print(
+                f"delfim: Foxglove: open the connection {view.url}; a layout is at {url.replace('/?', '/foxglove.json?')}",
+                flush=True,
+            )
         for complaint in filter(None, [*gateway.charts.faults, *(tape.complaint for tape in tapes)]):
             print(f"delfim: {complaint}", file=sys.stderr)
         if asked.browser:
@@ -110,8 +120,12 @@ def run(asked: argparse.Namespace) -> int:
                 asyncio.get_running_loop().add_signal_handler(number, serving.cancel)
         await serve(gateway, None if tapes else _address("--boats", asked.boats), (host, port), ready)
 
-    with suppress(KeyboardInterrupt, asyncio.CancelledError), asyncio.Runner(loop_factory=new_event_loop) as runner:
-        runner.run(until_ended())
+    try:
+        with suppress(KeyboardInterrupt, asyncio.CancelledError), asyncio.Runner(loop_factory=new_event_loop) as runner:
+            runner.run(until_ended())
+    finally:
+        if view is not None:
+            view.close()
     return 0
 
 

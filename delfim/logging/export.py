@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 from xml.sax.saxutils import escape
 
+from delfim.logging import topics
 from delfim.logging.statelog import Schema
 from delfim.logging.table import TIME, Columns, units
 from delfim.modes import Mode
@@ -101,29 +102,30 @@ def to_kml(columns: Columns, schema: Schema, events: Events, file: Path) -> None
 
 
 def to_mcap(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
-    """MCAP with JSON messages: /state with every field, /location as foxglove.LocationFix for maps, /log as foxglove.Log."""
+    """MCAP with JSON messages, by the topics of `topics.py`: state with every field, location for maps, log."""
     from mcap.writer import Writer
 
     with file.open("wb") as stream:
         writer = Writer(stream)
         writer.start(profile="", library="delfim")
+        state = {name: {"type": _JSON[code], "description": f"{words} [{unit}]"} for name, code, unit, words in schema.rows}
         channels = {}
-        for topic, (name, properties) in _mcap_schemas(schema).items():
-            told = json.dumps({"type": "object", "title": name, "properties": properties}).encode()
-            channels[topic] = writer.register_channel(topic, "json", writer.register_schema(name, "jsonschema", told))
+        for of in (topics.STATE, topics.LOCATION, topics.LOG):
+            name, told = topics.schema(of, state)
+            number = writer.register_schema(name, "jsonschema", told)
+            channels[of] = writer.register_channel(topics.topic(schema.boat, of), "json", number)
 
-        def add(topic: str, t_ns: int, message: object) -> None:
-            writer.add_message(channels[topic], t_ns, json.dumps(message).encode(), t_ns)
+        def add(of: str, t_ns: int, message: object) -> None:
+            writer.add_message(channels[of], t_ns, json.dumps(message).encode(), t_ns)
 
         for event in sorted(events, key=lambda each: each["t_ns"]):
-            add("/log", event["t_ns"], _foxglove_log(event))
+            add(topics.LOG, event["t_ns"], _line(event))
         for t_ns, latitude, longitude in _positions(columns):
-            fix = {"latitude": latitude, "longitude": longitude, "altitude": 0.0, "frame_id": schema.boat}
-            add("/location", t_ns, {"timestamp": _stamp(t_ns), **fix})
+            add(topics.LOCATION, t_ns, topics.location(t_ns, schema.boat, latitude, longitude))
         names, lists = tuple(columns), [column.tolist() for column in columns.values()]
         for t_ns, *values in zip(columns[TIME].tolist(), *lists, strict=True):
             known = {n: v for n, v in zip(names, values, strict=True) if not isinstance(v, float) or math.isfinite(v)}
-            add("/state", t_ns, known)  # JSON has no NaN
+            add(topics.STATE, t_ns, known)  # JSON has no NaN
         writer.finish()  # type: ignore[no-untyped-call]
 
 
@@ -176,36 +178,14 @@ def _mode_changes(columns: Columns, events: Events) -> Iterator[tuple[int, float
             yield event["t_ns"], points[at][1], points[at][2], f"{event['value']}: {event['reason']}"
 
 
-def _mcap_schemas(schema: Schema) -> dict[str, tuple[str, dict[str, object]]]:
-    stamp = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
-    number, text = {"type": "number"}, {"type": "string"}
-    state = {name: {"type": _JSON[code], "description": f"{words} [{unit}]"} for name, code, unit, words in schema.rows}
-    return {
-        "/state": ("delfim.State", dict(state)),
-        "/location": (
-            "foxglove.LocationFix",
-            {"timestamp": stamp, "frame_id": text, "latitude": number, "longitude": number, "altitude": number},
-        ),
-        "/log": ("foxglove.Log", {"timestamp": stamp, "level": {"type": "integer"}, "message": text, "name": text}),
-    }
-
-
 _JSON: Final = {"?": "boolean", "f": "number", "d": "number"} | dict.fromkeys("bBhHiIqQ", "integer")
 
 
-def _foxglove_log(event: Mapping[str, Any]) -> dict[str, object]:
+def _line(event: Mapping[str, Any]) -> dict[str, object]:
     words = {key: value for key, value in event.items() if key not in ("t_ns", "monotonic_s", "event", "id", "settings")}
-    level = 2 if event["event"] in ("start", "end", "command", "mode") else 3  # information, warning
-    return {
-        "timestamp": _stamp(event["t_ns"]),
-        "level": level,
-        "name": event["id"],
-        "message": f"{event['event']} {json.dumps(words) if words else ''}".strip(),
-    }
-
-
-def _stamp(t_ns: int) -> dict[str, int]:
-    return dict(zip(("sec", "nsec"), divmod(t_ns, 1_000_000_000), strict=True))
+    level = topics.INFORMATION if event["event"] in ("start", "end", "command", "mode") else topics.WARNING
+    text = f"{event['event']} {json.dumps(words) if words else ''}".strip()
+    return topics.line(event["t_ns"], event["id"], level, text)
 
 
 def _iso(t_ns: int) -> str:

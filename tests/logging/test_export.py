@@ -102,12 +102,12 @@ def test_mcap_opens_with_its_own_reader(day, tmp_path):
             (channel.topic, message.log_time, json.loads(message.data), known.name)
             for known, channel, message in mcap.reader.make_reader(stream).iter_messages()
         ]
-    states = [(t_ns, message) for topic, t_ns, message, _ in messages if topic == "/state"]
+    states = [(t_ns, message) for topic, t_ns, message, _ in messages if topic == "/delfimx/state"]
     assert [t_ns for t_ns, _ in states] == columns["t1"].tolist()
     assert states[5][1]["heading"] == pytest.approx(float(columns["heading"][5]))
-    assert {name for topic, _, _, name in messages if topic == "/location"} == {"foxglove.LocationFix"}
-    assert sum(topic == "/log" for topic, *_ in messages) == len(events)
-    assert "settings" not in json.dumps([message for topic, _, message, _ in messages if topic == "/log"])
+    assert {name for topic, _, _, name in messages if topic == "/delfimx/location"} == {"foxglove.LocationFix"}
+    assert sum(topic == "/delfimx/log" for topic, *_ in messages) == len(events)
+    assert "settings" not in json.dumps([message for topic, _, message, _ in messages if topic == "/delfimx/log"])
 
 
 def test_mat_holds_every_column_as_doubles(day, tmp_path):

@@ -1,0 +1,51 @@
+"""Topics and schemas by which Foxglove, Lichtblick and other readers show a boat. A recording (MCAP) and the live console
+(`delfim console --foxglove`) have the same, so that one layout shows both: /BOAT/location, /BOAT/state, /BOAT/plan, /BOAT/log.
+"""
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any, Final
+
+_NUMBER: Final = {"type": "number"}
+_TEXT: Final = {"type": "string"}
+_STAMP: Final = {"type": "object", "properties": {"sec": {"type": "integer"}, "nsec": {"type": "integer"}}}
+LOCATION: Final = "location"
+STATE: Final = "state"
+PLAN: Final = "plan"
+LOG: Final = "log"
+STATE_SCHEMA: Final = "delfim.State"
+INFORMATION, WARNING, FAILURE = 2, 3, 4  # levels of foxglove.Log
+_SCHEMAS: Final[dict[str, tuple[str, dict[str, Any]]]] = {
+    LOCATION: (
+        "foxglove.LocationFix",
+        {"timestamp": _STAMP, "frame_id": _TEXT, "latitude": _NUMBER, "longitude": _NUMBER, "altitude": _NUMBER},
+    ),
+    PLAN: ("foxglove.GeoJSON", {"geojson": _TEXT}),
+    LOG: ("foxglove.Log", {"timestamp": _STAMP, "level": {"type": "integer"}, "message": _TEXT, "name": _TEXT}),
+}
+
+
+def topic(boat: str, of: str) -> str:
+    """The topic of a boat: its name in small letters, with "-" for whatever is no letter or digit."""
+    return f"/{re.sub(r'[^a-z0-9]+', '-', boat.lower()).strip('-') or 'boat'}/{of}"
+
+
+def schema(of: str, state: Mapping[str, Mapping[str, str]] | None = None) -> tuple[str, bytes]:
+    """Name and JSON schema of a topic; `state`: the properties of /state by name, which each boat has its own of."""
+    name, properties = (STATE_SCHEMA, dict(state or {})) if of == STATE else _SCHEMAS[of]
+    return name, json.dumps({"type": "object", "title": name, "properties": properties}).encode()
+
+
+def location(t_ns: int, boat: str, latitude_deg: float, longitude_deg: float) -> dict[str, object]:
+    """A place for the map."""
+    return {"timestamp": _stamp(t_ns), "frame_id": boat, "latitude": latitude_deg, "longitude": longitude_deg, "altitude": 0.0}
+
+
+def line(t_ns: int, boat: str, level: int, words: str) -> dict[str, object]:
+    """A line of the log."""
+    return {"timestamp": _stamp(t_ns), "level": level, "name": boat, "message": words}
+
+
+def _stamp(t_ns: int) -> dict[str, int]:
+    return dict(zip(("sec", "nsec"), divmod(t_ns, 1_000_000_000), strict=True))
