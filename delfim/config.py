@@ -1210,7 +1210,7 @@ class SimulatedTraffic(Table, frozen=True):
     """Other vessels of the simulated world, and how they are heard (docs/encounters.md)."""
 
     manner: Literal["told", "rules", "late", "turn", "silent", "gap"] = "told"  # of all with `meets_s`; told: as their rows
-    heard: Literal["told", "perfect", "A", "B"] = "told"  # told: as their rows; perfect: each second, without errors
+    heard: Literal["told", "perfect", "A", "B"] = "told"  # told: as their rows; perfect: each second, all, without errors
     lost: Fraction = 0.0  # part of all reports that nobody hears, if it is more than a row says
     vessel: Vessels = ()  # each a table of its own, below
 

@@ -6,6 +6,7 @@ import struct
 from collections.abc import Callable
 from typing import Final, NamedTuple
 
+from delfim.campaign.rulecheck import Check, RuleTape, alterations
 from delfim.clock import ManualClock
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.trial import Event
@@ -52,11 +53,13 @@ class Truth:
         self.way_m, self.energy_j, self.fence_m = 0.0, 0.0, math.inf
         self.north_m: float | None = None  # from where the boat knew first that it was
         self.east_m = 0.0
+        self.rules = RuleTape(run)
         self.mode, self.reason = "", ""  # before the run was ended
 
     def look(self) -> None:
         run = self._run
         model, origin, now_s = run.nodes.model, run.state.origin, run.elapsed_s
+        self.rules.look()
         self.mode, self.reason = run.state.mode.name.lower(), run.state.reason
         power_w = sum(drive.voltage_v * drive.current_a for drive in model.drives.values())
         self.energy_j, self._at_s = self.energy_j + power_w * (now_s - self._at_s), now_s
@@ -102,6 +105,24 @@ def _slowest(sailed: Sailed) -> float | None:
     return max((each for each in _noticed(sailed) if each is not None), default=None)
 
 
+def _broken(sailed: Sailed) -> str | None:
+    found = _checks(sailed)
+    return "; ".join(f"{each.rule}: {each.vessel}" for each in found if not each.is_kept) if found else None
+
+
+def _checks(sailed: Sailed) -> list[Check]:
+    return sailed.truth.rules.checks()
+
+
+def _entered(sailed: Sailed) -> int:
+    return sum(each.nearest < 1.0 for each in sailed.run.nodes.vessels)
+
+
+def _collisions(sailed: Sailed) -> int:
+    own_m = sailed.run.settings.boat.length_m
+    return sum(each.nearest_m < 0.5 * (each.row.length_m + own_m) for each in sailed.run.nodes.vessels)
+
+
 MEASURES: Final = (
     Measure("sailed_s", "DOUBLE", "time at sea", lambda s: s.run.elapsed_s),
     Measure("way_m", "DOUBLE", "way over ground", lambda s: s.truth.way_m),
@@ -120,6 +141,25 @@ MEASURES: Final = (
         "smallest distance to the fence; negative: outside",
         lambda s: s.truth.fence_m if math.isfinite(s.truth.fence_m) else None,
     ),
+    Measure("vessels", "INTEGER", "other vessels", lambda s: len(s.run.nodes.vessels)),
+    Measure(
+        "nearest_m",
+        "DOUBLE",
+        "smallest distance to another vessel, from middle to middle",
+        lambda s: min((each.nearest_m for each in s.run.nodes.vessels), default=None),
+    ),
+    Measure(
+        "nearest",
+        "DOUBLE",
+        "the same in domains; below 1 the boat was inside",
+        lambda s: min((each.nearest for each in s.run.nodes.vessels), default=None),
+    ),
+    Measure("entered", "INTEGER", "vessels whose domain the boat entered", _entered),
+    Measure("collisions", "INTEGER", "vessels nearer than half the lengths of both", _collisions),
+    Measure("alterations", "INTEGER", "courses that were taken and kept", lambda s: alterations(s.truth.rules.instants)),
+    Measure("off_m", "DOUBLE", "farthest from the line of an encounter", lambda s: s.truth.rules.off_m),
+    Measure("rules_asked", "INTEGER", "checks of rules 8 and 13 to 17 in an encounter", lambda s: len(_checks(s))),
+    Measure("rules_broken", "VARCHAR", "those that were not kept", _broken),
     Measure("faults", "INTEGER", "faults that began", lambda s: len(_noticed(s))),
     Measure("unnoticed", "INTEGER", "of these, without any notice or mode after them", lambda s: _noticed(s).count(None)),
     Measure("noticed_s", "DOUBLE", "longest time until a fault was noticed", _slowest),

@@ -95,11 +95,9 @@ class Transponder:
 
     def __init__(self, vessel: Vessel, heard: str, lost: float, noise: bool, random: Random) -> None:
         row = vessel.row
-        self._vessel, self._random, self._lost = vessel, random, max(row.lost, lost)
-        self._is_perfect, self._is_class_a = (
-            heard == "perfect",
-            (row.transponder if heard in ("told", "perfect") else heard) == "A",
-        )
+        self._vessel, self._random, self._is_perfect = vessel, random, heard == "perfect"
+        self._is_class_a = (heard if heard in ("A", "B") else row.transponder) == "A"
+        self._lost = 0.0 if self._is_perfect else max(row.lost, lost)
         self._noise_m = row.noise_m if noise and not self._is_perfect else 0.0
         self._error_m = [random.gauss(0.0, self._noise_m) for _ in "ne"]
         self._said_s = -random.uniform(0.0, self.interval_s)  # its last position

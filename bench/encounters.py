@@ -1,0 +1,132 @@
+"""Random encounters with 1 to 5 vessels, sailed by the guard alone before a point that turns and speeds up as a boat does.
+
+    python -m bench.encounters --count 1000 [--first 0] [--workers 2] [--output FILE.json]
+
+This is a fast check of the decisions: no hull, no sea, perfect reports. `delfim campaign etc/campaigns/encounters-random.toml`
+sails the same encounters through the whole program. A breach counts only where a solution exists: some constant course and
+speed, kept from the start by a boat that knows all, stays out of every domain.
+"""
+
+import argparse
+import json
+import math
+import time
+from collections import Counter
+from collections.abc import Sequence
+from multiprocessing import Pool
+from pathlib import Path
+from typing import Any, Final
+
+from delfim.geodesy import wrap
+from delfim.simulator.encounters import Encounter, Ship, drawn
+from delfim.simulator.nodes.shipping import axes_m, nearness
+from delfim.vehicle.target import Target
+from delfim.vehicle.traffic.encounter import Own
+from delfim.vehicle.traffic.keepclear import Caution, Memory, RouteAhead, decide
+
+OWN_MPS: Final = 1.5
+LIMITS: Final = Caution(length_m=4.5, turn_radps=math.radians(15.0), ramp_mps2=0.4)
+DECIDE_S: Final = 2
+AFTER_S: Final = 300
+TRIALS: Final = (*((math.radians(10.0 * i), part) for i in range(36) for part in (1.0, 0.5)), (0.0, 0.0))
+FIGURES: Final = 3
+
+
+def sail(encounter: Encounter) -> tuple[list[float], list[tuple[float, float]]]:
+    """The nearest to each vessel, in domains, and the track, a point each 10 s."""
+    ships = encounter.targets
+    axes = [axes_m(ship.length_m) for ship in ships]
+    courses = [math.radians(ship.course_deg) for ship in ships]
+    end_s = int(max(ship.tcpa_s for ship in ships)) + AFTER_S
+    route = RouteAhead(((OWN_MPS * (end_s + 600.0), 0.0),), OWN_MPS)
+    own, memory, order = Own(0.0, 0.0, 0.0, OWN_MPS), Memory(), None
+    nearest, track = [math.inf] * len(ships), list[tuple[float, float]]()
+    for t in range(end_s):
+        if t % DECIDE_S == 0:
+            targets = [seen(i, ship, float(t)) for i, ship in enumerate(ships)]
+            memory, order, _ = decide(LIMITS, memory, own, route, targets, None, float(t))
+            for i, each in enumerate(targets):
+                near = nearness(own.north_m - each.north_m, own.east_m - each.east_m, courses[i], axes[i])
+                nearest[i] = min(nearest[i], near)
+        if t % 10 == 0:
+            track.append((round(own.north_m, 1), round(own.east_m, 1)))
+        course_rad = math.atan2(-own.east_m, route.points[0][0] - own.north_m) if order is None else order.course_rad
+        own = moved(own, course_rad, OWN_MPS if order is None else order.speed_mps)
+    return nearest, track
+
+
+def seen(number: int, ship: Ship, t_s: float) -> Target:
+    north_m, east_m = ship.at(t_s)
+    course_rad = math.radians(ship.course_deg)
+    is_known = (ship.length_m, ship.beam_m, True, 0.0, 0.0, False)
+    return Target(str(number), f"SHIP {number}", north_m, east_m, course_rad, ship.speed_mps, course_rad, *is_known, "A", 0)
+
+
+def moved(own: Own, course_rad: float, speed_mps: float) -> Own:
+    """The boat a second later."""
+    turn_rad = min(max(wrap(course_rad - own.course_rad), -LIMITS.turn_radps), LIMITS.turn_radps)
+    now_mps = own.speed_mps + min(max(speed_mps - own.speed_mps, -LIMITS.ramp_mps2), LIMITS.ramp_mps2)
+    now_rad = wrap(own.course_rad + turn_rad)
+    return Own(own.north_m + now_mps * math.cos(now_rad), own.east_m + now_mps * math.sin(now_rad), now_rad, now_mps)
+
+
+def solution(ships: Sequence[Ship]) -> tuple[float, float] | None:
+    """A course, rad, and a part of the speed that stay clear of all from the start; None: none of the trials does."""
+    end_s = max(ship.tcpa_s for ship in ships) + AFTER_S
+    ways = [(ship, math.radians(ship.course_deg), axes_m(ship.length_m)) for ship in ships]
+    return next(((course, part) for course, part in TRIALS if _is_clear(course, part * OWN_MPS, ways, end_s)), None)
+
+
+def _is_clear(
+    course_rad: float, speed_mps: float, ways: Sequence[tuple[Ship, float, tuple[float, float]]], end_s: float
+) -> bool:
+    vn, ve, t_s = speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad), 0.0
+    while t_s < end_s:
+        for ship, ship_rad, axes in ways:
+            north_m, east_m = ship.at(t_s)
+            if nearness(vn * t_s - north_m, ve * t_s - east_m, ship_rad, axes) < 1.0:
+                return False
+        t_s += 5.0
+    return True
+
+
+def one(seed: int) -> dict[str, Any]:
+    encounter = drawn(seed, OWN_MPS)
+    nearest, track = sail(encounter)
+    row: dict[str, Any] = {"seed": seed, "vessels": len(nearest), "nearest": round(min(nearest), FIGURES)}
+    if min(nearest) < 1.0:
+        found = solution(encounter.targets)
+        row |= {"solved": found is not None, "track": track, "kinds": [ship.kind for ship in encounter.targets]}
+    return row
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--first", type=int, default=0)
+    parser.add_argument("--count", type=int, default=1000)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--seconds", type=float, default=math.inf, help="End after this time.")
+    parser.add_argument("--output", type=Path)
+    asked = parser.parse_args()
+    began_s, rows = time.monotonic(), list[dict[str, Any]]()
+    with Pool(asked.workers) as pool:
+        for row in pool.imap(one, range(asked.first, asked.first + asked.count), chunksize=20):
+            rows.append(row)
+            if time.monotonic() - began_s > asked.seconds:
+                pool.terminate()
+                break
+    sailed = Counter(row["vessels"] for row in rows)
+    bad = [row for row in rows if row["nearest"] < 1.0]
+    for vessels in sorted(sailed):
+        entered = [row for row in bad if row["vessels"] == vessels]
+        unsolved = sum(not row["solved"] for row in entered)
+        words = f"{sailed[vessels]} sailed, a domain entered in {len(entered)}, no solution known for {unsolved} of these"
+        print(f"{vessels} vessels: {words}")
+    for row in bad:
+        print(f"  seed {row['seed']}: nearest {row['nearest']}, solved {row['solved']}, {', '.join(row['kinds'])}")
+    if asked.output:
+        asked.output.write_text(json.dumps({"rows": rows}))
+
+
+if __name__ == "__main__":
+    main()
