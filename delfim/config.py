@@ -43,6 +43,7 @@ DriverName = Literal[
 ]  # files in delfim/vehicle/actuators
 SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboard and a port side; all but dsor mix them
 SensorName = Literal["sysstat", "dronecan", "nmea0183", "nmea2000"]  # files in delfim/vehicle/sensors
+HeardName = Literal["nmea2000", "nmea0183", "mavlink", "guest"]  # who tells of other vessels
 ToldName = Literal[  # rows in delfim/services/nmea2000rows.py
     "position", "course", "heading", "turn", "attitude", "rudder", "engine", "battery", "route", "alerts"
 ]
@@ -312,6 +313,17 @@ class Nmea0183(Table, frozen=True):
         for each in self.preferred:
             if each.partition(":")[0] not in self.ports:
                 raise ValueError(f"preferred: there is no port {each.partition(':')[0]}")
+
+
+class TrafficTable(Table, frozen=True):
+    """Other vessels: who tells of them, and how long one that falls silent is believed in (docs/traffic.md)."""
+
+    mmsi: Annotated[int, msgspec.Meta(ge=0, le=999_999_999)] = 0  # the boat's own number, which is no other vessel; 0: none
+    hears: Annotated[tuple[HeardName, ...], msgspec.Meta(max_length=len(get_args(HeardName)))] = get_args(HeardName)  # of these
+    lost_a_s: Seconds = 60.0  # silence after which class A is lost, up to 14 kn; faster, 0.6 and from 23 kn on 0.5 of it
+    lost_b_s: Seconds = 180.0  # the same of class B, above 2 kn
+    lost_rest_s: Seconds = 1080.0  # of class A at anchor, moored or aground, and of class B below 2 kn
+    lost_near_s: Seconds = 15.0  # of boats of the fleet and what a payload sees
 
 
 class Corrections(Table, frozen=True):
@@ -1315,6 +1327,7 @@ class Vehicle(Table, frozen=True):
     nmea2000: Nmea2000 = Nmea2000()
     nmea0183: Nmea0183 = Nmea0183()
     corrections: Corrections = Corrections()
+    traffic: TrafficTable = TrafficTable()
     estimator: EstimatorTable = EstimatorTable()
     propulsion: PropulsionTable = PropulsionTable()
     dsor: Dsor = Dsor()

@@ -234,6 +234,7 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         "planning",
         "navigation",
         "estimated",
+        "traffic/lookout",
         "sensors/*",
         "actuators/*",
         "handset/*",

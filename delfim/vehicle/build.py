@@ -19,13 +19,14 @@ from delfim.vehicle.pilotline import open_pilot_line
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.sensors import open_sensors
 from delfim.vehicle.state import State, StateLog
+from delfim.vehicle.traffic.aisbus import open_ais_bus
 
 
 class Built(NamedTuple):
     """The vehicle, its inputs beside navigation, and the sockets by which it sends."""
 
     vehicle: VehicleLoop
-    inputs: tuple[LoopInput, ...]  # sensors, reports of actuators, a guest's line; readable: `vehicle.on_sensor`
+    inputs: tuple[LoopInput, ...]  # sensors, reports of actuators, a guest's line, AIS; readable: `vehicle.on_sensor`
     hands: tuple[Hand, ...]  # operators aboard, who are among the inputs: their orders go to `vehicle.on_command`
     outlets: tuple[CanSocket, ...]  # of the actuators
 
@@ -54,9 +55,11 @@ def build(
     actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.drivers)
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.thrusters, state)
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
-    reports = [each for actuator in actuators for each in actuator.inputs]
+    reports: list[LoopInput] = [each for actuator in actuators for each in actuator.inputs]
     if settings.nmea0183.guest.device:
         reports.append(open_pilot_line(settings, links, vehicle.guest))
+    if (ais := open_ais_bus(settings, links)) is not None:
+        reports.append(ais)
     return Built(vehicle, (*sensors, *hands, *reports), hands, tuple(outlets))
 
 

@@ -30,7 +30,8 @@ from delfim.vehicle.navigation import Fix, Source, take
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import HANDSET, Profile, StartConditions, State, StateLog
-from delfim.vehicle.traffic.vesselwords import told
+from delfim.vehicle.traffic.lookout import TrafficLookout
+from delfim.vehicle.traffic.vesselwords import VesselWords
 from delfim.vehicle.troubles import Inputs
 
 REPEAT_S = 0.5  # a propeller without commands for PROPELLER_TIMEOUT_S stops itself, which would hide the cause
@@ -57,6 +58,7 @@ class VehicleLoop:
         self.propulsion, self.guest, self.log = propulsion, guest, log
         self.helm = Helm(settings, clock, state, propulsion, log)
         self._failing = Failing(settings, state, propulsion, log)
+        self._lookout, self._vessels = TrafficLookout(settings.traffic), VesselWords()
         self.latency = Latency(skipped=COLD_CYCLES)
         guest.on_line, state.actuation = self.on_guest, propulsion.still
 
@@ -131,6 +133,7 @@ class VehicleLoop:
         now_s = state.watchdog_s = self.clock.monotonic_s()
         helm = self.helm
         helm.go_on()
+        self._lookout.step(state, now_s)
         inputs = Inputs(self.log.reason(), helm.plans.fence, self._failing.look(now_s))
         helm.troubles, action, reason, notices = failsafe.failsafe(helm.rules, helm.troubles, state, inputs, now_s)
         if notices or state.notices:
@@ -178,7 +181,7 @@ class VehicleLoop:
             "checks": lines,
             "latency": self.latency.summary(),
             "thrusters": thrusters.told(self.helm.settings.thrusters, self.state, now_s),
-            "traffic": told(self.state.traffic, self.state.origin, now_s),
+            "traffic": self._vessels.told(self.state.traffic, self.state.origin, now_s, self.helm.settings.traffic.mmsi > 0),
             "paused": paused.mode.name.lower() if paused else None,
             **extra,
         }

@@ -117,6 +117,7 @@ FIELDS = (
     Field("port_voltage", "f", "V", "batteries", _of_batteries(Node.BATTERIES_PORT, "voltage_v")),
     Field("starboard_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_STARBOARD, "charge")),
     Field("port_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_PORT, "charge")),
+    Field("vessels", "H", "", "other vessels that are known, lost ones too", lambda s, now_s: len(s.traffic.targets)),
     # With the black box and the commands in the sidecar, these suffice to replay the cycle bit by bit.
     Field("console_s", "d", "s", "time since boot of the console's last word", lambda s, now_s: s.console_s),
     Field("guest_s", "d", "s", "time since boot of the guest's last reference", lambda s, now_s: s.guest_s),

@@ -1,5 +1,6 @@
 """The vehicle's data: modes, inputs of control, set points, its outputs. SI units, no behaviour."""
 
+from collections import deque
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -8,6 +9,7 @@ from delfim.messages import Navigation, SystemStatus
 from delfim.modes import Mode
 from delfim.vehicle.inputhealth import InputHealth
 from delfim.vehicle.target import Traffic
+from delfim.vessels import Report
 
 
 class Actuation(NamedTuple):
@@ -54,6 +56,16 @@ class Motion(NamedTuple):
     east_mps: float
 
 
+class Sighting(NamedTuple):
+    """A report of another vessel that came in."""
+
+    told: Report
+    by: str  # the way: "nmea2000", a port's name, "console 255"
+    at_s: float  # monotonic time
+    key: str = ""  # of the vessel, where it is not its number of AIS
+
+
+HEARD_MAX = 256  # reports that wait for the next look
 HANDSET = "hand-set"  # the operator at the radio control, who is above all others
 NOWHERE = Motion(frozenset(), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -229,6 +241,7 @@ class State:
     guest_s: float = -1e9
     watchdog_s: float = -1e9  # when the watchdog ran last
     guest_connected: bool = False
+    heard: deque[Sighting] = field(default_factory=deque)  # reports of other vessels that nobody looked at yet
     traffic: Traffic = field(default_factory=Traffic)  # other vessels
     handset: HandsetReport | None = None  # None: never heard, or there is none
     killed: Killed = field(default_factory=Killed)
@@ -242,6 +255,13 @@ class State:
     def count(self, name: str, by: int = 1) -> None:
         """Count an event that is not worth stopping for. Names are code, so the table is bounded."""
         self.counts[name] = self.counts.get(name, 0) + by
+
+    def hear(self, told: Report, by: str, now_s: float, key: str = "") -> None:
+        """A report of another vessel, for the next look. Costs next to nothing, and is bounded."""
+        if len(self.heard) < HEARD_MAX:
+            self.heard.append(Sighting(told, by, now_s, key))
+        else:
+            self.count("traffic_dropped")
 
 
 class StateLog(Protocol):

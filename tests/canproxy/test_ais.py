@@ -10,16 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from nmea2000.decoder import NMEA2000Decoder
 
-from delfim import config
 from delfim.canproxy.nmea2000 import ais
-from delfim.canproxy.nmea2000.ais import VesselFacts, VesselPosition, decode
+from delfim.canproxy.nmea2000.ais import decode
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
-from delfim.clock import ManualClock
 from delfim.errors import FormatError
-from delfim.simulator.lockstepbus import LockstepBus
-from delfim.vehicle.sensors import nmea2000
-from delfim.vehicle.sensors.nmea2000 import SHIPS_MAX, SHIPS_S, Nmea2000Instruments
-from delfim.vehicle.state import State
+from delfim.vessels import VesselFacts, VesselPosition
 from tests.canproxy.pgn_of import pgn_of
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
 
@@ -34,7 +29,11 @@ def expected(pgn: int, raw: dict[str, Any], shown: dict[str, Any]) -> tuple[obje
             None if raw[k] is None or abs(raw[k]) > most else math.radians(raw[k])
             for k, most in (("latitude", 90), ("longitude", 180))
         ]
-        return (raw["userId"], *place, raw["cog"], raw["sog"], raw["heading"], raw.get("rateOfTurn") if pgn == 129038 else None)
+        is_a, second = pgn == 129038, raw["timeStamp"]
+        moves = raw["cog"], raw["sog"], raw["heading"], raw["rateOfTurn"] if is_a else None
+        status = raw["navStatus"] if is_a else 15
+        own = raw["aisTransceiverInformation"] in (2, 3, 4)
+        return (raw["userId"], *place, *moves, "AB"[not is_a], status, second if second < 60 else None, own)
     sizes = ("length", "beam", "positionReferenceFromStarboard", "positionReferenceFromBow")
     words = (shown.get("name") or None, shown.get("callsign") or None)
     return (raw["userId"], *words, raw.get("typeOfShip"), *(raw.get(size) for size in sizes))
@@ -71,32 +70,3 @@ def test_any_bytes_are_a_vessel_or_refused(pgn: int, data: bytes) -> None:
     assert 0 < told.mmsi <= 999_999_999
     assert all(math.isfinite(each) for each in told if isinstance(each, float))
     assert all(each.isprintable() for each in told if isinstance(each, str))
-
-
-def test_vessels_are_counted_and_forgotten_and_their_number_is_bounded() -> None:
-    bus = LockstepBus(ManualClock())
-    sensor, state = (
-        Nmea2000Instruments(config.Vehicle(boat=config.BoatTable(name="test")), bus.bound(*nmea2000.FILTERS)),
-        State(),
-    )
-    for mmsi in (1, 2, 1, 3):
-        sensor._sight(state, mmsi, 1.0)
-    assert state.measured["ais_ships"] == (3.0, 1.0)
-    sensor._sight(state, 2, 1.0 + SHIPS_S)
-    sensor._sight(state, 2, 1.1 + SHIPS_S)
-    assert state.measured["ais_ships"][0] == 1.0
-    for mmsi in range(1, 2 * SHIPS_MAX):
-        sensor._sight(state, mmsi, 700.0)
-    assert state.measured["ais_ships"][0] == SHIPS_MAX
-
-
-def test_the_recorded_harbour_is_full_of_ships() -> None:
-    bus = LockstepBus(ManualClock())
-    sensor, state = (
-        Nmea2000Instruments(config.Vehicle(boat=config.BoatTable(name="test")), bus.bound(*nmea2000.FILTERS)),
-        State(),
-    )
-    for line in recording(BUSY):
-        sensor.hear(state, line.frame, line.now_s)
-    assert state.measured["ais_ships"][0] > 50
-    assert state.counts == {}

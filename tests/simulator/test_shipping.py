@@ -18,9 +18,10 @@ from delfim.simulator.model import Hull, Model
 from delfim.simulator.nodes.aisframes import facts, framed, position
 from delfim.simulator.nodes.shipping import Shipping, axes_m, nearness
 from delfim.vehicle.state import NoLog
+from delfim.vessels import VesselFacts, VesselPosition
 
 STEP_S = 0.2
-Heard = list[tuple[float, ais.VesselPosition | ais.VesselFacts]]
+Heard = list[tuple[float, VesselPosition | VesselFacts]]
 
 
 def shipping(traffic: config.SimulatedTraffic, *, noise: bool = False, seed: int = 1) -> tuple[Shipping, Model]:
@@ -34,7 +35,7 @@ def one(heard: str = "told", manner: str = "told", lost: float = 0.0, **row: Any
     return config.SimulatedTraffic(heard=heard, manner=manner, lost=lost, vessel=(vessel,))
 
 
-def listened(there: Shipping, seconds: float) -> Iterator[tuple[float, ais.VesselPosition | ais.VesselFacts]]:
+def listened(there: Shipping, seconds: float) -> Iterator[tuple[float, VesselPosition | VesselFacts]]:
     """What a boat on the bus hears."""
     fast, clock = {pgn: FastPacket(Counter()) for pgn in ais.PGNS}, ManualClock()
     while clock.monotonic_s() < seconds:
@@ -45,29 +46,30 @@ def listened(there: Shipping, seconds: float) -> Iterator[tuple[float, ais.Vesse
         clock.advance(STEP_S)
 
 
-def positions(heard: Heard) -> list[tuple[float, ais.VesselPosition]]:
-    return [(t_s, each) for t_s, each in heard if isinstance(each, ais.VesselPosition)]
+def positions(heard: Heard) -> list[tuple[float, VesselPosition]]:
+    return [(t_s, each) for t_s, each in heard if isinstance(each, VesselPosition)]
 
 
 @pytest.mark.parametrize("is_a", [True, False])
 def test_what_is_said_is_what_is_read(is_a):
-    told = ais.VesselPosition(244_660_123, 0.67, -0.16, 1.5, 4.2, 1.4 if is_a else None, 0.01 if is_a else None)
+    told = VesselPosition(244_660_123, 0.67, -0.16, 1.5, 4.2, 1.4 if is_a else None, 0.01 if is_a else None)
     pgn, data = position(told, 0 if is_a else None, 59)
     read = ais.decode(pgn, data)
     assert (pgn, len(data)) == ((ais.POSITION_A, 28) if is_a else (ais.POSITION_B, 27))
-    assert isinstance(read, ais.VesselPosition)
+    assert isinstance(read, VesselPosition)
     assert read[0] == told[0]
-    assert [value for value in read[1:] if value is not None] == pytest.approx(
-        [value for value in told[1:] if value is not None], abs=1e-4
+    assert [value for value in read[1:7] if value is not None] == pytest.approx(
+        [value for value in told[1:7] if value is not None], abs=1e-4
     )
+    assert read[7:] == ("A" if is_a else "B", 0 if is_a else 15, 59, False)
     assert data[13] >> 2 == 59
-    unknown = ais.decode(*position(ais.VesselPosition(1, *[None] * 6), 0 if is_a else None, 60))
-    assert unknown == ais.VesselPosition(1, *[None] * 6)
+    unknown = ais.decode(*position(VesselPosition(1, *[None] * 6), 0 if is_a else None, 60))
+    assert unknown == VesselPosition(1, *[None] * 6, *("A", 0) if is_a else ("B", 15))
 
 
 @pytest.mark.parametrize("is_a", [True, False])
 def test_name_and_size_are_read_in_the_lengths_of_their_messages(is_a):
-    told = ais.VesselFacts(244_660_123, "MARIA", None, 70, 87.5, 12.1, 6.0, 20.0)
+    told = VesselFacts(244_660_123, "MARIA", None, 70, 87.5, 12.1, 6.0, 20.0)
     said = list(facts(told, is_a))
     assert [(pgn, len(data)) for pgn, data in said] == ([(ais.STATIC_A, 76)] if is_a else [(ais.NAME_B, 27), (ais.SIZE_B, 35)])
     read = [ais.decode(pgn, data) for pgn, data in said]
@@ -115,7 +117,7 @@ def test_a_ship_that_turns_is_heard_more_often_and_tells_its_rate():
 
 def test_name_and_size_come_at_once_and_then_every_six_minutes():
     there, _ = shipping(one(transponder="A", length_m=80.0, beam_m=14.0, antenna_m=-30.0))
-    told = [(t_s, each) for t_s, each in listened(there, 800.0) if isinstance(each, ais.VesselFacts)]
+    told = [(t_s, each) for t_s, each in listened(there, 800.0) if isinstance(each, VesselFacts)]
     assert told[0][0] < 21.0
     assert [later[0] - before[0] for before, later in itertools.pairwise(told)] == pytest.approx([360.0, 360.0])
     assert told[0][1][-2:] == pytest.approx((7.0, 70.0)), "of the antenna from starboard and from the bow"

@@ -6,9 +6,10 @@ canboat project documents. What the vessel does not tell is None.
 
 import math
 import struct
-from typing import Final, NamedTuple
+from typing import Final
 
 from delfim.errors import FormatError
+from delfim.vessels import MMSI_MAX, STATUS_UNKNOWN, Report, VesselFacts, VesselPosition, readable
 
 POSITION_A: Final = 129038
 POSITION_B: Final = 129039
@@ -16,46 +17,21 @@ STATIC_A: Final = 129794
 NAME_B: Final = 129809
 SIZE_B: Final = 129810
 PGNS: Final = frozenset({POSITION_A, POSITION_B, STATIC_A, NAME_B, SIZE_B})
-MMSI_MAX: Final = 999_999_999
 _U16, _CIRCLE = 0xFFFD, 62_832  # the first reserved value; 2 pi in 1e-4 rad
 _RATE_RADPS: Final = 3.125e-5
 _POSITION: Final = struct.Struct("<BIiiBHH3sHh")
 _STATIC_A: Final = struct.Struct("<BII7s20sBHHHH")
 _NAME_B: Final = struct.Struct("<BI20s")
 _SIZE_B: Final = struct.Struct("<BIB7s7sHHHH")
+_OWN: Final = frozenset({2, 3, 4})  # transceiver information: sent on channel A, on B, not broadcast; 0 and 1 are received
 
 
-class VesselPosition(NamedTuple):
-    """Where a vessel is, and how it moves."""
-
-    mmsi: int
-    latitude_rad: float | None
-    longitude_rad: float | None
-    course_rad: float | None  # over ground, 0..2 pi, true
-    speed_mps: float | None  # over ground
-    heading_rad: float | None  # 0..2 pi, true
-    rate_radps: float | None  # positive to starboard; class A alone
-
-
-class VesselFacts(NamedTuple):
-    """What a vessel is. A part of them comes in each message of class B."""
-
-    mmsi: int
-    name: str | None
-    call_sign: str | None
-    kind: int | None  # of ITU-R M.1371: 30 fishing, 36 sailing, 70 cargo, 80 tanker, ...
-    length_m: float | None
-    beam_m: float | None
-    from_starboard_m: float | None  # of the antenna
-    from_bow_m: float | None
-
-
-def decode(pgn: int, data: bytes) -> VesselPosition | VesselFacts:
+def decode(pgn: int, data: bytes) -> Report:
     """One complete message. Raises FormatError where it is too short, or of a vessel that has no number."""
     try:
         match pgn:
             case 129038 | 129039:
-                told: VesselPosition | VesselFacts = _position(pgn, data)
+                told: Report = _position(pgn, data)
             case 129794:
                 _, mmsi, _imo, call_sign, name, kind, *size = _STATIC_A.unpack_from(data)
                 told = VesselFacts(mmsi, _text(name), _text(call_sign), _kind(kind), *map(_tenths, size))
@@ -76,7 +52,8 @@ def decode(pgn: int, data: bytes) -> VesselPosition | VesselFacts:
 
 def _position(pgn: int, data: bytes) -> VesselPosition:
     """Latitude 91 and longitude 181 degrees, course and heading of a turn or more mean that they are not known."""
-    _, mmsi, longitude, latitude, _, course, speed, _, heading, rate = _POSITION.unpack_from(data)
+    _, mmsi, longitude, latitude, taken, course, speed, radio, heading, rate = _POSITION.unpack_from(data)
+    is_a, second = pgn == POSITION_A, taken >> 2
     return VesselPosition(
         mmsi,
         math.radians(latitude * 1e-7) if abs(latitude) <= 900_000_000 else None,
@@ -84,7 +61,11 @@ def _position(pgn: int, data: bytes) -> VesselPosition:
         course * 1e-4 if course < _CIRCLE else None,
         speed * 0.01 if speed < _U16 else None,
         heading * 1e-4 if heading < _CIRCLE else None,
-        rate * _RATE_RADPS if pgn == POSITION_A and rate < 0x7FFD else None,
+        rate * _RATE_RADPS if is_a and rate < 0x7FFD else None,
+        "A" if is_a else "B",
+        data[_POSITION.size] & 0xF if is_a and len(data) > _POSITION.size else STATUS_UNKNOWN,
+        second if second < 60 else None,
+        radio[2] >> 3 in _OWN,
     )
 
 
@@ -97,6 +78,4 @@ def _kind(raw: int) -> int | None:
 
 
 def _text(raw: bytes) -> str | None:
-    """Up to the first unused character; whatever no AIS has is left out."""
-    used = raw.split(b"\x00")[0].split(b"@")[0].split(b"\xff")[0]
-    return "".join(chr(each) for each in used if 32 <= each < 127).strip() or None
+    return readable(raw.decode("latin-1"))

@@ -10,13 +10,13 @@ from random import Random
 from typing import Final
 
 from delfim import config
-from delfim.canproxy.nmea2000.ais import VesselFacts, VesselPosition
 from delfim.canproxy.socket import CanAddress
 from delfim.frames import Frame
 from delfim.geodesy import from_plane, to_plane, wrap
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.aisframes import facts, framed, position
 from delfim.simulator.nodes.period import TOLERANCE_S, Period
+from delfim.vessels import VesselFacts, VesselPosition
 
 FIRST_MMSI: Final = 235_000_000
 KNOT_MPS: Final = 1852.0 / 3600.0

@@ -5,7 +5,6 @@ from collections.abc import Iterator
 from typing import Final
 
 from delfim import config
-from delfim.canproxy.nmea2000 import ais
 from delfim.canproxy.nmea2000.device import device_name, facts_of
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.canproxy.nmea2000.instruments import FAST, MESSAGES, Battery, BatteryCharge, Told, decode
@@ -28,10 +27,8 @@ VALUES = (
     Value("speed_water_mps", "m/s", "through the water", "stw_mps"),
     Value("water_c", "degC", "temperature of the water"),
     Value("air_c", "degC", "temperature of the air"),
-    Value("ais_ships", "", "vessels that AIS told of in the last ten minutes"),
 )
-SHIPS_MAX, SHIPS_S = 1000, 600.0  # vessels that are counted: so many, and for so long after their last word
-READ: Final = (*MESSAGES, *ais.PGNS, CLAIMED)
+READ: Final = (*MESSAGES, CLAIMED)
 SIDES: Final = tuple(NAMES[node] for node in (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT))
 FILTERS: Final = tuple(CanAddress(extended(pgn << 8), extended(7 << 26 | 0xFF) & ~CAN_IDE) for pgn in READ)
 
@@ -50,8 +47,7 @@ class Nmea2000Instruments:
         self._newest = {value.name: Newest[int, float](preferred, stale_s) for value in VALUES}
         self._powers = tuple(Newest[int, Battery](preferred, stale_s) for _ in self._batteries)
         self._charges = tuple(Newest[int, float](preferred, stale_s) for _ in self._batteries)
-        self._fast = {pgn: FastPacket(Counter()) for pgn in FAST | ais.PGNS}
-        self._ships = dict[int, float]()  # by number: when it was heard, the newest last
+        self._fast = {pgn: FastPacket(Counter()) for pgn in FAST}
 
     def read(self, state: State, now_s: float) -> None:
         """Malformed messages are counted."""
@@ -81,9 +77,6 @@ class Nmea2000Instruments:
                 return
             data = whole
         try:
-            if pgn in ais.PGNS:
-                self._sight(state, ais.decode(pgn, data).mmsi, now_s)
-                return
             told = decode(pgn, data)
         except FormatError:
             state.count(f"nmea2000_{pgn}_malformed")
@@ -92,15 +85,6 @@ class Nmea2000Instruments:
             self._newest[name].put(address, value, now_s)
             if value is not None and self._newest[name].choose(now_s) == address:
                 state.measured[name] = value, now_s
-
-    def _sight(self, state: State, mmsi: int, now_s: float) -> None:
-        """A vessel was heard by AIS. So far they are counted."""
-        ships = self._ships
-        ships.pop(mmsi, None)
-        ships[mmsi] = now_s
-        while len(ships) > SHIPS_MAX or now_s - next(iter(ships.values())) > SHIPS_S:
-            del ships[next(iter(ships))]
-        state.measured["ais_ships"] = float(len(ships)), now_s
 
     def _filed(self, state: State, address: int, told: Told, now_s: float) -> Iterator[tuple[str, float | None]]:
         """The values of a message; of a battery there are none, it goes into the health at once."""

@@ -6,20 +6,29 @@ from delfim.geodesy import Origin, from_plane
 from delfim.vehicle.target import NEVER_S, Target, Traffic
 
 
-def told(traffic: Traffic, origin: Origin | None, now_s: float, is_expected: bool = False) -> dict[str, object] | None:
-    """All vessels; None where nobody was ever heard, unless somebody `is_expected`, and silence is news. Their places are those
-    of `Traffic.at_s`."""
-    if traffic.heard_s == traffic.own_s == NEVER_S and not is_expected:
-        return None
-    return {
-        "heard_s": _age(now_s, traffic.heard_s),
-        "own_s": _age(now_s, traffic.own_s),
-        "refused": dict(traffic.refused),
-        "targets": [] if origin is None else [_vessel(each, origin, now_s - traffic.at_s) for each in traffic.targets],
-    }
+class VesselWords:
+    """Makes the words once for each look at the vessels, however often they are asked for."""
+
+    def __init__(self) -> None:
+        self._made: tuple[Traffic, Origin | None, list[dict[str, object]]] = Traffic(), None, []
+
+    def told(self, traffic: Traffic, origin: Origin | None, now_s: float, awaits: bool = False) -> dict[str, object] | None:
+        """All vessels; None where nobody was ever heard, unless the boat `awaits` somebody. Places and ages of
+        the vessels are those of `Traffic.at_s`."""
+        if traffic.heard_s == traffic.own_s == NEVER_S and not awaits:
+            return None
+        if traffic is not self._made[0] or origin is not self._made[1]:
+            vessels = [] if origin is None else [_vessel(each, origin) for each in traffic.targets]
+            self._made = traffic, origin, vessels
+        return {
+            "heard_s": _age(now_s, traffic.heard_s),
+            "own_s": _age(now_s, traffic.own_s),
+            "refused": dict(traffic.refused),
+            "targets": self._made[2],
+        }
 
 
-def _vessel(target: Target, origin: Origin, since_s: float) -> dict[str, object]:
+def _vessel(target: Target, origin: Origin) -> dict[str, object]:
     latitude_rad, longitude_rad = from_plane(origin, target.north_m, target.east_m)
     is_under_way = target.speed_mps > 0.0
     return {
@@ -36,7 +45,7 @@ def _vessel(target: Target, origin: Origin, since_s: float) -> dict[str, object]
         "margin_m": round(target.margin_m, 1),
         "kind": target.kind,
         "status": target.status,
-        "age_s": round(target.age_s + since_s, 1),
+        "age_s": round(target.age_s, 1),
         "lost": target.is_lost,
     }
 

@@ -6,7 +6,7 @@ import msgspec
 
 from delfim import geodesy
 from delfim.vehicle.target import Target, Traffic
-from delfim.vehicle.traffic.vesselwords import told
+from delfim.vehicle.traffic.vesselwords import VesselWords
 
 AT = geodesy.origin(math.radians(38.5), math.radians(-9.0))
 MARIA = Target(
@@ -16,13 +16,18 @@ MARIA = Target(
 
 
 def test_a_boat_that_never_heard_anybody_tells_nothing() -> None:
-    assert told(Traffic(), AT, 5.0) is None
-    assert told(Traffic(), AT, 5.0, is_expected=True) == {"heard_s": None, "own_s": None, "refused": {}, "targets": []}
+    assert VesselWords().told(Traffic(), AT, 5.0) is None
+    assert VesselWords().told(Traffic(), AT, 5.0, awaits=True) == {
+        "heard_s": None,
+        "own_s": None,
+        "refused": {},
+        "targets": [],
+    }
 
 
 def test_a_vessel_is_told_in_degrees_and_with_its_age_now() -> None:
     traffic = Traffic((MARIA,), at_s=100.0, heard_s=99.5, own_s=98.0, refused=(("jump", 3),))
-    tree = told(traffic, AT, 100.5)
+    tree = VesselWords().told(traffic, AT, 100.5)
     assert tree == msgspec.json.decode(msgspec.json.encode(tree))
     assert tree is not None
     assert (tree["heard_s"], tree["own_s"], tree["refused"]) == (1.0, 2.5, {"jump": 3})
@@ -42,14 +47,14 @@ def test_a_vessel_is_told_in_degrees_and_with_its_age_now() -> None:
         "margin_m": 12.0,
         "kind": "A",
         "status": 0,
-        "age_s": 4.5,
+        "age_s": 4.0,
         "lost": False,
     }
 
 
 def test_a_vessel_that_lies_has_no_course_and_one_without_compass_no_heading() -> None:
     lies = MARIA._replace(speed_mps=0.0, heading_rad=math.nan)
-    tree = told(Traffic((lies,), 1.0, 1.0), AT, 1.0)
+    tree = VesselWords().told(Traffic((lies,), 1.0, 1.0), AT, 1.0)
     assert tree is not None
     (vessel,) = msgspec.convert(tree["targets"], list[dict[str, object]])
     assert (vessel["course_deg"], vessel["heading_deg"]) == (None, None)

@@ -1,0 +1,187 @@
+"""The tracker: reports of other vessels in, whichever way they came, and where each of them is now (docs/traffic.md).
+
+Pure but for its own tables, which are bounded: no clock, no input or output, no exception for any report. A report
+costs the same however many vessels are known; `at` looks at each vessel once.
+"""
+
+import math
+from operator import itemgetter
+from typing import Final
+
+from delfim.config import TrafficTable
+from delfim.geodesy import Origin, to_plane
+from delfim.vehicle.target import NEVER_S, Target
+from delfim.vehicle.traffic.reckoning import VesselTrack, begun
+from delfim.vessels import VesselFacts, VesselPosition
+
+MOST: Final = 200  # vessels that are known at once
+MOST_OF: Final = {"payload": 64, "fleet": 32}  # of these, so that a program gone wrong leaves room for ships
+FACTS_MOST: Final = 2 * MOST
+DISTRESS: Final = ("970", "972", "974")  # search and rescue transmitter, man over board, emergency beacon
+NO_VESSELS: Final = ("00", "99", "111")  # base stations, aids to navigation, aircraft
+OTHER: Final = " b"  # ends the key of a second vessel with one number
+ORDER_S: Final = 15.0  # two reports within this time are put in order by the second in which they were taken
+SAME_S: Final = 5.0  # the same place by another way within this time is the same report
+RIVAL_S: Final = 400.0  # a refused report is compared with the next one for so long
+KEPT_S: Final = 400.0  # a lost vessel stays on the map for so long ...
+KEPT_NEAR_S: Final = 45.0  # ... and one of the fleet or of a payload
+
+
+class Tracker:
+    """`heard_s` is the time of the last report of anybody else, `own_s` of the boat's own transponder. `refused` counts the
+    reports that were not taken, by their reason in words."""
+
+    def __init__(self, settings: TrafficTable) -> None:
+        self._settings = settings
+        self.heard_s = self.own_s = NEVER_S
+        self.refused = dict[str, int]()
+        self._tracks = dict[str, VesselTrack]()
+        self._facts = dict[str, VesselFacts]()  # by key; the last heard stands last
+        self._by_kind = dict[str, int]()
+        self._here: tuple[Origin, float, float] | None = None  # of the last `at`
+        self._found = list[tuple[float, Target]]()  # by the last `at`: who is how far away
+        self._leaving = list[tuple[bool, float, str]]()  # of these: who gives way, the first of them last
+
+    def __len__(self) -> int:
+        return len(self._tracks)
+
+    def hear(self, position: VesselPosition, by: str, now_s: float, key: str = "") -> None:
+        """A report of AIS, or with `key` one of a sister or a payload."""
+        number = f"{position.mmsi:09d}"
+        if not key and (position.is_own or position.mmsi == self._settings.mmsi):
+            self.own_s = now_s
+            self._refuse("own transponder")
+            return
+        self.heard_s = now_s
+        if not key and number.startswith(NO_VESSELS):
+            self._refuse("no vessel")
+            return
+        if not key and number.startswith(DISTRESS):
+            position = position._replace(kind="distress")
+        new = begun(position, by, now_s)
+        if new is None:
+            self._refuse("no position, or none that a vessel can have")
+        else:
+            self._place(key or number, new, bool(key))
+
+    def facts(self, facts: VesselFacts, now_s: float, key: str = "") -> None:
+        """Name and size, or a part of them: what is not told keeps."""
+        if not key and facts.mmsi == self._settings.mmsi:
+            self.own_s = now_s
+            return
+        self.heard_s = now_s
+        key = key or f"{facts.mmsi:09d}"
+        before = self._facts.pop(key, None)
+        if before is not None:
+            told = {name: value for name, value in facts._asdict().items() if value is not None}
+            facts = before._replace(**told)
+        self._facts[key] = facts
+        while len(self._facts) > FACTS_MOST:
+            del self._facts[next(iter(self._facts))]
+        for each in (key, _other(key)):
+            if (track := self._tracks.get(each)) is not None:
+                track.measure(facts)
+
+    def at(self, now_s: float, origin: Origin, north_m: float, east_m: float) -> tuple[Target, ...]:
+        """All vessels now, those near this place of the plane first. Forgets who was silent for long."""
+        found = list[tuple[float, Target]]()
+        for key, track in tuple(self._tracks.items()):
+            age_s = max(now_s - track.at_s, 0.0)
+            lost_s = self._lost_s(track)
+            if age_s > lost_s + (KEPT_NEAR_S if track.kind in MOST_OF else KEPT_S):
+                self._forget(key)
+                continue
+            target = track.target(key, age_s, age_s > lost_s, origin)
+            found.append((math.hypot(target.north_m - north_m, target.east_m - east_m), target))
+        found.sort(key=itemgetter(0))
+        self._here, self._found, self._leaving = (origin, north_m, east_m), found, []
+        return tuple(target for _, target in found)
+
+    def _place(self, key: str, new: VesselTrack, is_named: bool) -> None:
+        """File a report under the vessel it can be of: the one of this key, or another one with the same number. `is_named`: no
+        number of AIS, which a program may give to something else."""
+        first = self._tracks.get(key)
+        if first is None:
+            self._begin(key, new)
+            return
+        other = self._tracks.get(_other(key))
+        for track in (first,) if other is None else (first, other):
+            if track.can_be_at(new):
+                if _is_known(track, new):
+                    self._refuse("heard before")
+                else:
+                    track.take(new)
+                return
+        self._refuse("jump faster than 60 kn")
+        rival, first.rival = first.rival, new
+        if rival is None or new.at_s - rival.at_s > RIVAL_S or not rival.can_be_at(new):
+            return
+        if first.reports == 1 or is_named:
+            self._begin(key, new)
+        else:
+            self._refuse("two vessels with one number")
+            self._begin(_other(key), new)
+
+    def _begin(self, key: str, new: VesselTrack) -> None:
+        """A vessel that is new, if there is room, or another one in the place of this key."""
+        before, kind = self._tracks.get(key), new.kind
+        if before is not None:
+            new.kind = before.kind
+        elif self._by_kind.get(kind, 0) >= MOST_OF.get(kind, MOST + 1) or not self._has_room(new):
+            self._refuse("too many: the farthest are not kept")
+            return
+        else:
+            self._by_kind[kind] = self._by_kind.get(kind, 0) + 1
+        if (facts := self._facts.get(key.removesuffix(OTHER))) is not None:
+            new.measure(facts)
+        self._tracks[key] = new
+
+    def _has_room(self, new: VesselTrack) -> bool:
+        """Whether this one fits. When all places are taken the farthest gives way, a lost one before those that are heard;
+        those that came since the last `at` stay until the next."""
+        if len(self._tracks) < MOST:
+            return True
+        if self._found:
+            self._leaving = sorted((target.is_lost, away_m, target.key) for away_m, target in self._found)
+            self._found = []
+        while self._leaving and self._here is not None:
+            is_lost, away_m, key = self._leaving[-1]
+            origin, north_m, east_m = self._here
+            new_north_m, new_east_m = to_plane(origin, new.latitude_rad, new.longitude_rad)
+            if key in self._tracks and not is_lost and math.hypot(new_north_m - north_m, new_east_m - east_m) >= away_m:
+                return False
+            self._leaving.pop()
+            if key in self._tracks:
+                self._forget(key)
+                self._refuse("too many: the farthest are not kept")
+                return True
+        return False
+
+    def _forget(self, key: str) -> None:
+        kind = self._tracks.pop(key).kind
+        self._by_kind[kind] -= 1
+
+    def _lost_s(self, track: VesselTrack) -> float:
+        """The silence after which a vessel is lost: some of the intervals in which its kind reports."""
+        limits = self._settings
+        if track.kind in MOST_OF:
+            return limits.lost_near_s
+        if track.is_resting:
+            return limits.lost_rest_s
+        return limits.lost_b_s if track.kind == "B" else limits.lost_a_s * track.haste
+
+    def _refuse(self, reason: str) -> None:
+        self.refused[reason] = self.refused.get(reason, 0) + 1
+
+
+def _other(key: str) -> str:
+    return key + OTHER
+
+
+def _is_known(track: VesselTrack, new: VesselTrack) -> bool:
+    """Whether this report was heard before, by another way or again by the same one, or is older than the last."""
+    age_s, is_there = new.at_s - track.at_s, track.is_at(new)
+    if new.second is None or track.second is None:
+        return is_there and new.by != track.by and age_s < SAME_S
+    later_s = (new.second - track.second) % 60
+    return age_s < ORDER_S and (is_there if later_s == 0 else later_s > 30)

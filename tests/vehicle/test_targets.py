@@ -1,0 +1,342 @@
+"""The tracker of other vessels: what it believes, what it refuses, and that nothing makes it fail or grow."""
+
+import math
+import sys
+from collections.abc import Callable
+from functools import partial
+from random import Random
+from typing import Any
+
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from delfim import geodesy
+from delfim.config import TrafficTable
+from delfim.vehicle.target import NEVER_S, Target
+from delfim.vehicle.traffic.reckoning import MARGIN_MAX_M, SIZES
+from delfim.vehicle.traffic.targets import FACTS_MOST, MOST, MOST_OF, Tracker
+from delfim.vessels import VesselFacts, VesselPosition
+
+AT = geodesy.origin(math.radians(38.5), math.radians(-9.0))
+OWN = 263_000_001
+MARIA = 244_660_123
+KNOT = 1852.0 / 3600.0
+JUMP, TWICE, TWO, FULL = (
+    "jump faster than 60 kn",
+    "heard before",
+    "two vessels with one number",
+    "too many: the farthest are not kept",
+)
+NOWHERE = "no position, or none that a vessel can have"
+
+
+def report(north_m: float, east_m: float, mmsi: int = MARIA, **more: Any) -> VesselPosition:
+    """Sailing north at 5 m/s, unless told otherwise."""
+    told: dict[str, Any] = {"course_rad": 0.0, "speed_mps": 5.0, "heading_rad": None, "rate_radps": None, "status": 0}
+    return VesselPosition(mmsi, *geodesy.from_plane(AT, north_m, east_m), **(told | more))
+
+
+def facts(mmsi: int = MARIA, **more: Any) -> VesselFacts:
+    told: dict[str, Any] = dict.fromkeys(VesselFacts._fields[1:])
+    return VesselFacts(mmsi, **(told | more))
+
+
+def tracker() -> Tracker:
+    return Tracker(TrafficTable(mmsi=OWN))
+
+
+def seen(tracked: Tracker, now_s: float) -> tuple[Target, ...]:
+    return tracked.at(now_s, AT, 0.0, 0.0)
+
+
+def one(tracked: Tracker, now_s: float) -> Target:
+    (target,) = seen(tracked, now_s)
+    return target
+
+
+def test_a_vessel_is_reckoned_on_and_its_margin_grows() -> None:
+    tracked = tracker()
+    tracked.hear(report(1000.0, 200.0, course_rad=math.radians(90.0)), "nmea2000", 100.0)
+    first, later = one(tracked, 100.0), one(tracked, 140.0)
+    assert (first.north_m, first.east_m) == pytest.approx((1000.0, 200.0), abs=0.01)
+    assert (later.north_m, later.east_m) == pytest.approx((1000.0, 400.0), abs=0.01)
+    assert (first.margin_m, later.margin_m, later.age_s) == pytest.approx((10.0, 16.0, 40.0))
+    assert (later.key, later.name, later.kind, later.is_size_known) == ("244660123", "244660123", "A", False)
+    assert (later.length_m, later.beam_m) == SIZES["A"]
+
+
+def test_a_turn_is_believed_for_half_a_minute() -> None:
+    tracked = tracker()
+    tracked.hear(report(0.0, 1000.0, rate_radps=math.radians(1.0)), "nmea2000", 0.0)
+    after, long_after = one(tracked, 30.0), one(tracked, 50.0)
+    radius_m = 5.0 / math.radians(1.0)
+    assert after.course_rad == pytest.approx(math.radians(30.0)) == long_after.course_rad
+    assert (after.north_m, after.east_m) == pytest.approx(
+        (radius_m * 0.5, 1000.0 + radius_m * (1.0 - math.cos(math.radians(30.0))))
+    )
+    assert math.dist(after[2:4], long_after[2:4]) == pytest.approx(100.0)
+
+
+@pytest.mark.parametrize(
+    ("status", "speed_mps", "lies"), [(1, 0.4, True), (5, 1.0, True), (5, 4.0, False), (0, 0.2, True), (0, 0.3, False)]
+)
+def test_one_that_lies_stays_but_a_forgotten_status_moves(status: int, speed_mps: float, lies: bool) -> None:
+    tracked = tracker()
+    tracked.hear(report(500.0, 0.0, status=status, speed_mps=speed_mps), "nmea2000", 0.0)
+    target = one(tracked, 20.0)
+    assert (target.speed_mps == 0.0, target.north_m == pytest.approx(500.0, abs=0.01)) == (lies, lies)
+
+
+def test_without_course_and_speed_two_positions_tell_them_and_one_is_a_circle() -> None:
+    tracked = tracker()
+    silent: dict[str, Any] = {"course_rad": None, "speed_mps": None}
+    tracked.hear(report(0.0, 1000.0, **silent), "nmea2000", 0.0)
+    target = one(tracked, 20.0)
+    assert (target.speed_mps, target.margin_m) == pytest.approx((0.0, 10.0 + (0.15 + 2.5) * 20.0))
+    tracked.hear(report(-90.0, 1000.0, **silent), "nmea2000", 30.0)
+    target = one(tracked, 30.0)
+    assert (target.speed_mps, math.degrees(target.course_rad)) == pytest.approx((3.0, 180.0), rel=1e-2)
+    tracked = tracker()
+    tracked.hear(report(0.0, 1000.0, course_rad=None, heading_rad=1.0), "nmea2000", 0.0)
+    assert one(tracked, 1.0).course_rad == 1.0
+
+
+def test_the_middle_of_the_hull_is_not_where_the_antenna_stands() -> None:
+    tracked = tracker()
+    size: dict[str, Any] = {"length_m": 300.0, "beam_m": 40.0, "from_bow_m": 280.0, "from_starboard_m": 5.0}
+    tracked.facts(facts(name="MAERSK", **size), 0.0)
+    tracked.hear(report(0.0, 0.0, heading_rad=math.radians(90.0)), "nmea2000", 1.0)
+    target = one(tracked, 1.0)
+    assert (target.name, target.length_m, target.beam_m, target.is_size_known) == ("MAERSK", 300.0, 40.0, True)
+    assert (target.north_m, target.east_m) == pytest.approx((15.0, 130.0), abs=0.01)  # its bow is east, starboard is south
+    tracked.hear(report(0.0, 0.0, speed_mps=0.0), "nmea2000", 30.0)  # no heading, and no course that stands for it
+    target = one(tracked, 30.0)
+    assert target.north_m == pytest.approx(0.0, abs=0.01)
+    assert target.margin_m == pytest.approx(10.0 + math.hypot(130.0, 15.0))
+
+
+def test_facts_come_in_parts_and_a_size_that_no_vessel_has_is_not_known() -> None:
+    tracked = tracker()
+    tracked.hear(report(100.0, 0.0, kind="B"), "nmea2000", 0.0)
+    tracked.facts(facts(name="NAUTILUS"), 1.0)
+    tracked.facts(facts(length_m=12.0, beam_m=4.0), 2.0)
+    target = one(tracked, 3.0)
+    assert (target.name, target.length_m, target.is_size_known, target.kind) == ("NAUTILUS", 12.0, True, "B")
+    tracked.facts(facts(mmsi=7 * 10**8, length_m=0.0, beam_m=0.0), 1.0)
+    tracked.hear(report(300.0, 0.0, mmsi=7 * 10**8, kind="B"), "nmea2000", 3.0)
+    assert (seen(tracked, 3.0)[1].length_m, seen(tracked, 3.0)[1].is_size_known) == (SIZES["B"][0], False)
+
+
+def test_the_boat_itself_is_no_target() -> None:
+    tracked = tracker()
+    tracked.hear(report(0.0, 0.0, mmsi=OWN), "nmea2000", 4.0)
+    tracked.hear(report(0.0, 0.0, mmsi=MARIA, is_own=True), "nmea2000", 5.0)
+    assert seen(tracked, 5.0) == ()
+    assert (tracked.own_s, tracked.heard_s, tracked.refused) == (5.0, NEVER_S, {"own transponder": 2})
+
+
+def test_what_is_no_vessel_is_no_target_and_distress_is_a_kind_of_its_own() -> None:
+    tracked = tracker()
+    for mmsi in (2_442_000, 992_446_006, 111_232_506):
+        tracked.hear(report(100.0, 0.0, mmsi=mmsi), "nmea2000", 1.0)
+    assert (seen(tracked, 1.0), tracked.refused, tracked.heard_s) == ((), {"no vessel": 3}, 1.0)
+    for i, mmsi in enumerate((970_012_345, 972_012_345, 974_012_345)):
+        tracked.hear(report(100.0 * i, 0.0, mmsi=mmsi, status=14), "nmea2000", 1.0)
+    assert [each.kind for each in seen(tracked, 1.0)] == ["distress"] * 3
+
+
+def test_a_jump_is_refused_and_counted_until_it_is_the_second_report_there() -> None:
+    tracked = tracker()
+    tracked.hear(report(0.0, 0.0), "nmea2000", 0.0)
+    tracked.hear(report(50.0, 0.0), "nmea2000", 10.0)
+    tracked.hear(report(5000.0, 0.0), "nmea2000", 20.0)
+    assert one(tracked, 20.0).north_m == pytest.approx(100.0, abs=0.1)
+    assert tracked.refused == {JUMP: 1}
+    tracked.hear(report(150.0, 0.0), "nmea2000", 30.0)
+    assert one(tracked, 30.0).north_m == pytest.approx(150.0, abs=0.1)
+
+
+def test_two_ships_with_one_number_are_two_and_it_is_told() -> None:
+    tracked = tracker()
+    for i in range(5):
+        tracked.hear(report(50.0 * i, 0.0), "nmea2000", 10.0 * i)
+        tracked.hear(report(-6000.0, 50.0 * i, course_rad=math.pi / 2.0), "nmea2000", 10.0 * i + 5.0)
+    near, far = seen(tracked, 45.0)
+    assert (near.key, far.key) == ("244660123", "244660123 b")
+    assert (near.north_m, far.north_m) == pytest.approx((225.0, -6000.0), abs=0.1)
+    assert tracked.refused == {JUMP: 2, TWO: 1}
+
+
+def test_a_first_position_that_was_wrong_is_given_up() -> None:
+    tracked = tracker()
+    tracked.hear(report(30_000.0, 0.0), "nmea2000", 0.0)
+    for i in range(3):
+        tracked.hear(report(50.0 * i, 0.0), "nmea2000", 10.0 + 10.0 * i)
+    assert one(tracked, 30.0).north_m == pytest.approx(100.0, abs=0.1)
+
+
+def test_the_same_report_by_two_ways_counts_once_and_a_late_one_does_not_pull_back() -> None:
+    tracked = tracker()
+    tracked.hear(report(0.0, 0.0, second=10), "nmea2000", 10.0)
+    tracked.hear(report(0.05, 0.0, second=10), "ais", 10.4)  # rounded otherwise
+    tracked.hear(report(50.0, 0.0, second=20), "nmea2000", 20.0)
+    tracked.hear(report(0.0, 0.0, second=10), "udp", 22.0)  # a slow way
+    assert tracked.refused == {TWICE: 2}
+    assert one(tracked, 22.0).north_m == pytest.approx(60.0, abs=0.1)
+    tracked.hear(report(75.0, 0.0), "nmea2000", 25.0)  # no time of its own
+    tracked.hear(report(75.0, 0.0), "ais", 25.5)
+    assert tracked.refused == {TWICE: 3}
+    tracked.hear(report(100.0, 0.0, second=30), "udp", 30.0)
+    assert one(tracked, 30.0).age_s == 0.0
+
+
+def test_class_b_on_its_rhythm_of_half_a_minute_is_never_taken_for_late() -> None:
+    tracked, random = tracker(), Random(1)
+    for i in range(200):
+        tracked.hear(report(150.0 * i, 0.0, kind="B", second=30 * i % 60), "nmea2000", 30.0 * i + random.uniform(0.0, 3.0))
+    assert tracked.refused == {}
+
+
+@pytest.mark.parametrize(
+    ("more", "lost_s", "kept_s"),
+    [
+        ({}, 60.0, 400.0),
+        ({"speed_mps": 16.0 * KNOT}, 36.0, 400.0),
+        ({"speed_mps": 25.0 * KNOT}, 30.0, 400.0),
+        ({"status": 1, "speed_mps": 0.1}, 1080.0, 400.0),
+        ({"kind": "B"}, 180.0, 400.0),
+        ({"kind": "B", "speed_mps": 0.5}, 1080.0, 400.0),
+        ({"kind": "fleet"}, 15.0, 45.0),
+    ],
+)
+def test_who_falls_silent_is_lost_after_the_limit_of_its_kind_and_then_forgotten(
+    more: dict[str, Any], lost_s: float, kept_s: float
+) -> None:
+    tracked = tracker()
+    key = "boat 3" if "fleet" in more.values() else ""
+    tracked.hear(report(0.0, 0.0, **more), "nmea2000", 0.0, key)
+    assert [one(tracked, at_s).is_lost for at_s in (lost_s - 0.1, lost_s + 0.1, lost_s + kept_s - 0.1)] == [False, True, True]
+    assert seen(tracked, lost_s + kept_s + 0.1) == ()
+    assert len(tracked) == 0
+
+
+def test_the_farthest_give_way_and_a_lost_one_before_them() -> None:
+    tracked = tracker()
+    for i in range(MOST):
+        tracked.hear(report(100.0 * (i + 1), 0.0, mmsi=MARIA + i), "nmea2000", 0.0 if i == 3 else 100.0)
+    seen(tracked, 100.0)
+    tracked.hear(report(50.0, 0.0, mmsi=1 + MARIA + MOST), "nmea2000", 100.0)  # the lost one goes
+    tracked.hear(report(60.0, 0.0, mmsi=2 + MARIA + MOST), "nmea2000", 100.0)  # the farthest goes
+    tracked.hear(report(90_000.0, 0.0, mmsi=3 + MARIA + MOST), "nmea2000", 100.0)  # farther than all
+    keys = {each.key for each in seen(tracked, 100.0)}
+    assert len(keys) == MOST
+    assert {str(MARIA + 3), str(MARIA + MOST - 1), str(MARIA + MOST + 3)}.isdisjoint(keys)
+    assert {str(MARIA + MOST + 1), str(MARIA + MOST + 2)} <= keys
+    assert tracked.refused == {FULL: 3}
+
+
+def test_a_payload_gone_wrong_leaves_room_for_ships() -> None:
+    tracked = tracker()
+    for i in range(1000):
+        tracked.hear(report(float(i), 0.0, mmsi=0, kind="payload"), "guest", 0.0, f"radar {i}")
+    tracked.hear(report(5000.0, 0.0), "nmea2000", 0.0)
+    assert len(seen(tracked, 0.0)) == MOST_OF["payload"] + 1
+
+
+def test_a_target_on_the_own_position_is_a_target_like_any_other() -> None:
+    tracked = tracker()
+    tracked.hear(report(0.0, 0.0, speed_mps=0.0), "nmea2000", 0.0)
+    assert (one(tracked, 0.0).north_m, one(tracked, 0.0).east_m) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+ANY = st.floats(allow_nan=True, allow_infinity=True) | st.none()
+ANGLE = st.floats(-7.0, 7.0) | ANY
+PLACES = st.tuples(st.floats(0.6, 0.7), st.floats(-0.2, -0.1)) | st.tuples(ANGLE, ANGLE)
+NUMBERS = st.integers(244_660_000, 244_660_003) | st.integers(0, 999_999_999) | st.sampled_from([OWN, 970_000_001, 992_000_001])
+WHEN = st.floats(0.0, 40.0)
+REPORTS = st.builds(
+    lambda mmsi, place, *more: VesselPosition(mmsi, *place, *more),
+    NUMBERS,
+    PLACES,
+    ANGLE,
+    st.floats(0.0, 40.0) | ANY,
+    ANGLE,
+    st.floats(-0.3, 0.3) | ANY,
+    st.sampled_from(["A", "B", "fleet", "payload", "distress", "?"]),
+    st.integers(0, 15),
+    st.none() | st.integers(0, 59),
+    st.booleans(),
+)
+SIZE = st.floats(-10.0, 600.0) | ANY
+FACTS = st.builds(VesselFacts, NUMBERS, st.none() | st.text(max_size=20), st.none(), st.none(), SIZE, SIZE, SIZE, SIZE)
+KEYS = st.sampled_from(["", "", "", "boat 2", "radar 7"])
+
+
+@settings(max_examples=100, phases=[Phase.explicit, Phase.reuse, Phase.generate])
+@given(st.lists(st.tuples(REPORTS | FACTS, WHEN, KEYS), max_size=40), st.floats(0.0, 2000.0))
+def test_no_report_makes_it_fail_and_nothing_comes_out_that_is_not_finite(
+    reports: list[tuple[VesselPosition | VesselFacts, float, str]], later_s: float
+) -> None:
+    tracked, now_s = tracker(), 0.0
+    for told, passed_s, key in reports:
+        now_s += passed_s
+        if isinstance(told, VesselPosition):
+            tracked.hear(told, "nmea2000", now_s, key)
+        else:
+            tracked.facts(told, now_s, key)
+    for at_s in (now_s, now_s + later_s):
+        targets = seen(tracked, at_s)
+        assert len({each.key for each in targets}) == len(targets) <= MOST
+        for each in targets:
+            assert all(
+                math.isfinite(value)
+                for name, value in each._asdict().items()
+                if isinstance(value, float) and name != "heading_rad"
+            )
+            assert math.isnan(each.heading_rad) or 0.0 <= each.heading_rad < math.tau
+            assert 0.0 <= each.course_rad < math.tau
+            assert each.speed_mps >= 0.0 < each.length_m
+            assert each.beam_m > 0.0 <= each.age_s
+            assert 10.0 <= each.margin_m <= MARGIN_MAX_M
+
+
+def calls(work: Callable[[], object]) -> int:
+    """How many functions were called."""
+    count = 0
+
+    def profile(*_: object) -> None:
+        nonlocal count
+        count += 1
+
+    sys.setprofile(profile)
+    try:
+        work()
+    finally:
+        sys.setprofile(None)
+    return count
+
+
+def test_a_report_costs_the_same_however_many_vessels_there_are() -> None:
+    """But for one after each look, which puts the list of the farthest in order."""
+    tracked, random = tracker(), Random(2)
+    for second in range(80):
+        assert calls(partial(seen, tracked, float(second))) <= 100 * MOST
+        costs = []
+        for i in range(50):
+            told = report(random.uniform(-9e4, 9e4), random.uniform(-9e4, 9e4), mmsi=MARIA + random.randrange(3 * MOST))
+            costs.append(calls(partial(tracked.hear, told, "nmea2000", float(second))))
+            tracked.facts(facts(mmsi=MARIA + 50 * second + i), float(second))
+        *others, dearest = sorted(costs)
+        assert others[-1] <= 80
+        assert dearest <= 80 + 3 * MOST
+    assert len(tracked) == MOST
+    assert len(tracked._facts) == FACTS_MOST
+
+
+def test_what_is_refused_is_counted_by_a_few_words() -> None:
+    tracked, random = tracker(), Random(3)
+    for i in range(3000):
+        tracked.hear(report(random.uniform(-9e5, 9e5), 0.0, mmsi=random.randrange(10**9), second=i % 60), "nmea2000", i / 9.0)
+    tracked.hear(report(math.nan, 0.0), "nmea2000", 1.0)
+    assert set(tracked.refused) <= {JUMP, TWICE, TWO, FULL, NOWHERE, "no vessel", "own transponder"}
