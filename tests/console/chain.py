@@ -20,11 +20,10 @@ from delfim.errors import DelfimError
 from delfim.logging.candump import parse_line
 from delfim.logging.reading import in_order, read_log
 from delfim.vehicle.mavlink import wire
-from tests.services.browser import Page, browser
+from tests.services.browser import NOWHERE, Page, browser
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"
-NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 PATIENCE_S = 60.0
 BERTHS = ((38.6907, -9.2153), (38.6907, -9.2165))  # a hundred metres apart
 

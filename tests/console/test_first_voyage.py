@@ -16,10 +16,9 @@ import pytest
 from delfim.console.link import Link
 from delfim.errors import Refused
 from tests.console.chain import Boat, Gateway, Radio, afloat
-from tests.services.browser import Page, browser, shrink
+from tests.services.browser import Page, shrink, tab
 
 ROOT = Path(__file__).parents[2]
-NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 PATIENCE_S = 60.0
 NORTH_M = 1 / 111_111
 PLACES = ((30.0, 25.0), (55.0, -5.0), (30.0, -35.0))  # metres north and east of the boat: what this person draws
@@ -103,7 +102,7 @@ async def console(folder: Path) -> AsyncIterator[tuple[Gateway, Radio, int, str]
 
 async def voyage(folder: Path, size: Size, picture: Callable[[Page, str], Awaitable[None]]) -> None:
     width, height, night = size
-    async with console(folder) as (gateway, _, port, url), browser(folder / "browser", NOWHERE) as page:
+    async with console(folder) as (gateway, _, port, url), tab() as page:
         touch = width < 600
         if touch:
             await page.call("Emulation.setTouchEmulationEnabled", enabled=True, maxTouchPoints=1)

@@ -10,7 +10,7 @@ from PIL import Image
 from tests.console.fakeboat import FakeBoat
 from tests.console.scenes import choose
 from tests.console.test_gateway import Opened, opened
-from tests.services.browser import PROGRAM, Page, browser
+from tests.services.browser import PROGRAM, Page, tab
 
 MARK = "<img src=x onerror=owned=1>"
 ITEMS = "[...document.querySelectorAll('.item .title')].map(each => each.firstChild.data)"
@@ -59,7 +59,7 @@ def test_markup_in_names_and_texts_is_text(tmp_path: Path) -> None:
         async with (
             opened(tmp_path, charts=tmp_path / "charts", radios=[f"{MARK}:9600"]) as sea,
             alive(sea.boats),
-            browser(tmp_path / "browser") as page,
+            tab() as page,
         ):
             boat = sea.boats[0]
             boat.name = boat.refuse = MARK

@@ -23,9 +23,8 @@ from delfim.console.session import Session
 from delfim.console.tape import Tape
 from tests.console.fakeboat import FakeBoat
 from tests.console.scenes import choose
-from tests.services.browser import Page, browser
+from tests.services.browser import Page, tab
 
-NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 PLANNED = "delfim.drawn().plan"
 SMALL_TEXT = """[...document.querySelectorAll('body *')].filter((each) => each.getClientRects().length &&
   [...each.childNodes].some((node) => node.nodeType === Node.TEXT_NODE && node.data.trim()) &&
@@ -77,7 +76,7 @@ async def console(folder: Path, tapes: list[Tape] | None = None) -> AsyncIterato
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         probe.bind(("127.0.0.1", 0))
         port = probe.getsockname()[1]
-    async with asyncio.TaskGroup() as group, browser(folder / "browser", NOWHERE) as page:
+    async with asyncio.TaskGroup() as group, tab() as page:
         task = group.create_task(serve(gateway, None if tapes else ("127.0.0.1", port), ("127.0.0.1", 0), ready.set_result))
         it = Console(gateway, port, await ready, page, folder)
         try:

@@ -17,11 +17,10 @@ from PIL import Image
 
 from tests.console.scenes import SURVEY, at_work, caught_up, choose, fleet, hour, opened, pixel, show, survey, waypoints
 from tests.console.standin import M_PER_DEG, Message, Standin, boat, place
-from tests.services.browser import PROGRAM, Page, browser
+from tests.services.browser import PROGRAM, Page, tab
 
 ROOT = Path(__file__).parents[2]
 WEB, BUILT = ROOT / "delfim/console/web", ROOT / "delfim/console/page"
-NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"
 SQUARE = [(-40.0, -60.0), (40.0, -60.0), (40.0, 60.0), (-40.0, 60.0)]
 
 Sail = Callable[[Callable[[Page, Standin], Awaitable[None]]], None]
@@ -32,8 +31,8 @@ def two() -> list[Message]:
 
 
 @contextlib.asynccontextmanager
-async def sailing(folder: Path, gateway: Standin) -> AsyncIterator[Page]:
-    async with gateway.serving(), browser(folder, NOWHERE) as page:
+async def sailing(gateway: Standin) -> AsyncIterator[Page]:
+    async with gateway.serving(), tab() as page:
         await page.call("Network.enable")
         await opened(page, gateway)
         await show(page, -120, -120, 120, 120)
@@ -49,14 +48,14 @@ def foreign(page: Page, gateway: Standin) -> list[str]:
 
 
 @pytest.fixture
-def sail(tmp_path: Path) -> Sail:
+def sail() -> Sail:
     """Runs a story with the page open on two idle boats."""
     assert PROGRAM, "Chromium is missing: make system"
 
     def run(story: Callable[[Page, Standin], Awaitable[None]]) -> None:
         async def told() -> None:
             gateway = Standin(two())
-            async with sailing(tmp_path, gateway) as page:
+            async with sailing(gateway) as page:
                 await story(page, gateway)
 
         asyncio.run(told())
@@ -278,11 +277,11 @@ def test_after_a_lost_gateway_nothing_moves_by_itself(sail: Sail) -> None:
     sail(story)
 
 
-def test_the_track_is_whole_again_after_the_link_to_the_gateway_was_lost(tmp_path: Path) -> None:
+def test_the_track_is_whole_again_after_the_link_to_the_gateway_was_lost() -> None:
     async def told() -> None:
         gateway = Standin(two())
         gateway.history = {1: hour(gateway.boats[0])}
-        async with sailing(tmp_path, gateway) as page:
+        async with sailing(gateway) as page:
             assert await page.value("delfim.points(1)") >= 3600
             *_, last = gateway.history[1]
             gateway.history[1] += [[last[0] + 1 + n, *last[1:]] for n in range(60)]
@@ -628,7 +627,7 @@ def test_speeds_are_shown_and_taken_in_knots_where_the_operator_chose_them(sail:
             await page.press(key)
         last = await planned(gateway, lambda w: w[2]["speed_mps"] > 0)
         assert last["waypoints"][2]["speed_mps"] == 1.029, "2 knots"
-        await page.call("Page.reload")
+        await page.reload()
         there = "document.querySelector('[data-boat=\"1\"]') !== null"
         await shown(page, gateway, f"{there} && {text_of(1, '.speed')} === '2.9 kn'")
 
@@ -721,10 +720,10 @@ def test_a_silent_boat_stays_in_the_list_with_its_age(sail: Sail) -> None:
     sail(story)
 
 
-def test_on_a_phone_every_boat_is_in_sight_and_nothing_is_cut_off(tmp_path: Path) -> None:
+def test_on_a_phone_every_boat_is_in_sight_and_nothing_is_cut_off() -> None:
     async def told() -> None:
         gateway = Standin(fleet(10))
-        async with gateway.serving(), browser(tmp_path) as page:
+        async with gateway.serving(), tab() as page:
             await opened(page, gateway, width=390, height=780)
             await page.press("Tab")
             await shown(page, gateway, f"{text_of(2, 'b')} === document.querySelector('.selected b').textContent")
@@ -736,10 +735,10 @@ def test_on_a_phone_every_boat_is_in_sight_and_nothing_is_cut_off(tmp_path: Path
     asyncio.run(told())
 
 
-def test_nothing_covers_the_stop_corner_even_on_a_phone(tmp_path: Path) -> None:
+def test_nothing_covers_the_stop_corner_even_on_a_phone() -> None:
     async def told() -> None:
         gateway = Standin(two())
-        async with gateway.serving(), browser(tmp_path) as page:
+        async with gateway.serving(), tab() as page:
             await opened(page, gateway, width=390, height=780)
             boxes = await page.value(
                 "['stop', 'stop-all'].map(id => document.getElementById(id).getBoundingClientRect())"
@@ -761,11 +760,11 @@ def test_nothing_covers_the_stop_corner_even_on_a_phone(tmp_path: Path) -> None:
     asyncio.run(told())
 
 
-def test_in_a_replay_nothing_is_offered_that_cannot_be_done(tmp_path: Path) -> None:
+def test_in_a_replay_nothing_is_offered_that_cannot_be_done() -> None:
     async def told() -> None:
         gateway = at_work()
         gateway.hello["replay"] = {"from_s": gateway.at_s - 100, "to_s": gateway.at_s + 100}
-        async with sailing(tmp_path, gateway) as page:
+        async with sailing(gateway) as page:
             assert await page.value("document.getElementById('stop').getClientRects().length") == 0
             assert await page.value("document.getElementById('replay').getClientRects().length") == 1
             for key in "imhgpyxr5":
@@ -786,11 +785,11 @@ def test_in_a_replay_nothing_is_offered_that_cannot_be_done(tmp_path: Path) -> N
     asyncio.run(told())
 
 
-def test_a_replay_is_moved_by_keys(tmp_path: Path) -> None:
+def test_a_replay_is_moved_by_keys() -> None:
     async def told() -> None:
         gateway = at_work()
         gateway.hello["replay"] = {"from_s": gateway.at_s - 100, "to_s": gateway.at_s + 100}
-        async with sailing(tmp_path, gateway) as page:
+        async with sailing(gateway) as page:
             for key, rate in ((" ", 0), (" ", 1), ("ArrowUp", 2)):
                 await gateway.frame(0)
                 await page.press(key)
@@ -805,7 +804,7 @@ def test_a_replay_is_moved_by_keys(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("how", ["dragged", "zoomed"])
-def test_ten_boats_with_an_hour_of_track_each_are_drawn_thirty_times_a_second_while_it_moves(tmp_path: Path, how: str) -> None:
+def test_ten_boats_with_an_hour_of_track_each_are_drawn_thirty_times_a_second_while_it_moves(how: str) -> None:
     """Waits for a second with so many drawings: when it comes is the machine's other load, that it comes is the page's merit.
     At rest the map is drawn as often as boats are told, ten times a second; the operator's hand needs more."""
 
@@ -813,7 +812,7 @@ def test_ten_boats_with_an_hour_of_track_each_are_drawn_thirty_times_a_second_wh
         boats = fleet(10)
         gateway = Standin(boats)
         gateway.history = {each["id"]: hour(each) for each in boats}
-        async with sailing(tmp_path, gateway) as page:
+        async with sailing(gateway) as page:
             drawn = [await second_of_moving(page, gateway, how) for _ in range(2)]
             async with asyncio.timeout(60):
                 while max(drawn) < 30:
@@ -823,11 +822,11 @@ def test_ten_boats_with_an_hour_of_track_each_are_drawn_thirty_times_a_second_wh
     asyncio.run(told())
 
 
-def test_a_page_that_asked_elsewhere_or_missed_something_would_be_noticed(tmp_path: Path) -> None:
+def test_a_page_that_asked_elsewhere_or_missed_something_would_be_noticed() -> None:
     """What the other tests of the page look for at their ends does come."""
 
     async def told() -> None:
-        async with Standin(two()).serving() as gateway, browser(tmp_path, NOWHERE) as page:
+        async with Standin(two()).serving() as gateway, tab() as page:
             await page.call("Network.enable")
             await opened(page, gateway)
             assert (page.complaints, foreign(page, gateway)) == ([], [])

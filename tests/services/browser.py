@@ -1,13 +1,17 @@
 """A browser engine for the tests: headless Chromium over its DevTools socket, as little of it as is needed."""
 
 import asyncio
+import atexit
 import base64
 import contextlib
+import functools
 import itertools
 import json
 import os
 import shutil
 import signal
+import subprocess
+import tempfile
 from collections.abc import AsyncIterator, Iterable
 from pathlib import Path
 from typing import Any
@@ -17,6 +21,8 @@ from PIL import Image
 
 PROGRAM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 START_S = 60.0
+WORDS = ("--headless=new", "--no-sandbox", "--disable-gpu", "--hide-scrollbars", "--remote-debugging-port=0", "--no-first-run")
+NOWHERE = "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"  # no network but this machine's
 MODIFIERS = {"Alt": 1, "Control": 2, "Meta": 4, "Shift": 8}
 VIRTUAL_KEYS = {
     "Tab": 9,
@@ -42,22 +48,28 @@ class Page:
         self._front = ""  # the tab that hides this one
         self.complaints: list[str] = []  # of the page's console: errors, what the policy refused
         self.requests: list[str] = []  # addresses, once the domain Network is enabled
+        self.origins: set[str] = set()  # that were opened
 
     async def call(self, method: str, **words: Any) -> dict[str, Any]:
         number = next(self._numbers)
         await self._socket.send_json({"id": number, "method": method, "params": words})
-        while True:
-            told = json.loads(await self._socket.receive_str())
-            if told.get("method") in ("Runtime.exceptionThrown", "Log.entryAdded"):
-                self.complaints.append(json.dumps(told["params"]))
-            if told.get("method") in ("Network.requestWillBeSent", "Network.webSocketCreated"):
-                self.requests.append(told["params"].get("url") or told["params"]["request"]["url"])
-            if told.get("method") == "Page.javascriptDialogOpening":  # leave the page? Yes.
-                answer = {"method": "Page.handleJavaScriptDialog", "params": {"accept": True}}
-                await self._socket.send_json({"id": next(self._numbers), **answer})
-            if told.get("id") == number:
-                assert "error" not in told, told
-                return told["result"]
+        while (told := await self._heard()).get("id") != number:
+            pass
+        assert "error" not in told, told
+        return told["result"]
+
+    async def _heard(self) -> dict[str, Any]:
+        """The next answer or event."""
+        told: dict[str, Any] = json.loads(await self._socket.receive_str())
+        method = told.get("method")
+        if method in ("Runtime.exceptionThrown", "Log.entryAdded"):
+            self.complaints.append(json.dumps(told["params"]))
+        if method in ("Network.requestWillBeSent", "Network.webSocketCreated"):
+            self.requests.append(told["params"].get("url") or told["params"]["request"]["url"])
+        if method == "Page.javascriptDialogOpening":  # leave the page? Yes.
+            answer = {"method": "Page.handleJavaScriptDialog", "params": {"accept": True}}
+            await self._socket.send_json({"id": next(self._numbers), **answer})
+        return told
 
     def sleep(self) -> None:
         """All of the browser stands still, as on a laptop that was closed."""
@@ -93,8 +105,15 @@ class Page:
         await self.call("Emulation.setScriptExecutionDisabled", value=not script)
         features = [{"name": "prefers-color-scheme", "value": "dark" if dark else "light"}]
         await self.call("Emulation.setEmulatedMedia", features=features)
+        self.origins.add("/".join(url.split("/")[:3]))
         await self.call("Page.navigate", url=url)
         await self.until("document.readyState === 'complete'")
+
+    async def reload(self) -> None:
+        """Nothing is asked meanwhile: a page that goes does not always answer."""
+        await self.call("Page.reload")
+        while (await self._heard()).get("method") != "Page.loadEventFired":
+            pass
 
     async def value(self, expression: str) -> Any:
         answer = await self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
@@ -155,17 +174,9 @@ def _code(key: str) -> str:
 async def browser(folder: Path, *more: str) -> AsyncIterator[Page]:
     """A tab of a fresh browser whose files are in `folder`."""
     assert PROGRAM is not None
-    words = (
-        "--headless=new",
-        "--no-sandbox",
-        "--disable-gpu",
-        "--hide-scrollbars",
-        "--remote-debugging-port=0",
-        "--no-first-run",
-    )
     child = await asyncio.create_subprocess_exec(
         PROGRAM,
-        *words,
+        *WORDS,
         *more,
         f"--user-data-dir={folder}",
         "about:blank",
@@ -184,6 +195,46 @@ async def browser(folder: Path, *more: str) -> AsyncIterator[Page]:
         with contextlib.suppress(ProcessLookupError):
             child.send_signal(signal.SIGTERM)
         await child.wait()
+
+
+@contextlib.asynccontextmanager
+async def tab() -> AsyncIterator[Page]:
+    """A tab of a browser that all tests of this process share: its start takes a processor for two seconds. It has no
+    network but this machine's, and keeps nothing for the next test. A test that hides, stops or kills it takes `browser`."""
+    child, folder = _shared()
+    if child.poll() is not None:
+        _shared.cache_clear()
+        child, folder = _shared()
+    port = await _port(folder / "DevToolsActivePort")
+    async with aiohttp.ClientSession() as session:
+        async with session.put(f"http://127.0.0.1:{port}/json/new?about:blank") as answer:
+            address = (await answer.json())["webSocketDebuggerUrl"]
+        async with session.ws_connect(address, max_msg_size=0) as socket:
+            page = Page(socket, child.pid)
+            try:
+                yield page
+            finally:
+                await page.call("Network.clearBrowserCookies")
+                for origin in page.origins:
+                    await page.call("Storage.clearDataForOrigin", origin=origin, storageTypes="all")
+                await page.call("Target.closeTarget", targetId=address.rpartition("/")[2])
+
+
+@functools.cache
+def _shared() -> tuple[subprocess.Popen[bytes], Path]:
+    """The browser, and the folder of its files; it ends with this process."""
+    assert PROGRAM is not None
+    folder = tempfile.TemporaryDirectory(prefix="browser-", ignore_cleanup_errors=True)
+    words = [PROGRAM, *WORDS, NOWHERE, f"--user-data-dir={folder.name}", "about:blank"]
+    child = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+
+    def end() -> None:
+        child.terminate()
+        child.wait()
+        folder.cleanup()
+
+    atexit.register(end)
+    return child, Path(folder.name)
 
 
 async def _port(file: Path) -> int:

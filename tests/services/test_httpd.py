@@ -26,7 +26,7 @@ from delfim.services import door, httpd
 from delfim.services.runtime import Runtime
 from delfim.services.web import api, board, page
 from tests.services.boat import STATE, served, vehicle, vehicle_file
-from tests.services.browser import PROGRAM, browser
+from tests.services.browser import PROGRAM, tab
 
 PLACES = ("/", "/checks", "/system", "/logs/", "/metrics", "/api/state", "/api/checks", "/api/system", "/api/schema")
 SAID = (
@@ -651,7 +651,7 @@ def test_the_look_at_the_computer_is_started_again_and_ends_with_the_service(tmp
 @pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
 def test_a_browser_shows_the_page_alive_and_says_when_it_is_not(tmp_path):
     async def main():
-        async with browser(tmp_path / "browser") as page:
+        async with tab() as page:
             async with site(tmp_path) as boat:
                 await page.open(boat.url, width=390, height=844)
                 await page.until("document.querySelector('#head h1').textContent === 'Play'")
@@ -672,7 +672,7 @@ def test_a_browser_shows_the_page_alive_and_says_when_it_is_not(tmp_path):
 @pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
 def test_a_person_looks_for_a_line_of_the_system_log(tmp_path):
     async def main():
-        async with browser(tmp_path / "browser") as page, site(tmp_path) as boat:
+        async with tab() as page, site(tmp_path) as boat:
             said(boat.settings)
             await page.open(boat.url, width=390, height=844)
             lines = "Array.from(document.querySelectorAll('.log li'), each => each.textContent)"
@@ -694,7 +694,7 @@ def test_a_person_looks_for_a_line_of_the_system_log(tmp_path):
 @pytest.mark.skipif(PROGRAM is None, reason="needs Chromium")
 def test_a_browser_without_script_shows_the_essentials(tmp_path):
     async def main():
-        async with browser(tmp_path / "browser") as page, site(tmp_path) as boat:
+        async with tab() as page, site(tmp_path) as boat:
             await page.open(boat.url, width=390, height=844, script=False)
             text = (await page.call("DOM.getDocument", depth=-1))["root"]
             assert "Doca, leg 1 of 12" in str(text)
