@@ -1,6 +1,7 @@
 """Random encounters with 1 to 5 vessels, sailed by the guard alone before a point that turns and speeds up as a boat does.
 
     python -m bench.encounters --count 1000 [--first 0] [--workers 2] [--output FILE.json]
+    python -m bench.encounters etc/encounters/imazu22-real.json ...       those of files instead
 
 This is a fast check of the decisions: no hull, no sea, perfect reports. `delfim campaign etc/campaigns/encounters-random.toml`
 sails the same encounters through the whole program. A breach counts only where a solution exists: some constant course and
@@ -12,13 +13,13 @@ import json
 import math
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from multiprocessing import Pool
 from pathlib import Path
 from typing import Any, Final
 
 from delfim.geodesy import wrap
-from delfim.simulator.encounters import Encounter, Ship, drawn
+from delfim.simulator.encounters import Encounter, Ship, drawn, read_encounters
 from delfim.simulator.nodes.shipping import axes_m, nearness
 from delfim.vehicle.target import Target
 from delfim.vehicle.traffic.encounter import Own
@@ -32,7 +33,7 @@ TRIALS: Final = (*((math.radians(10.0 * i), part) for i in range(36) for part in
 FIGURES: Final = 3
 
 
-def sail(encounter: Encounter) -> tuple[list[float], list[tuple[float, float]]]:
+def sail(encounter: Encounter, *, guarded: bool = True) -> tuple[list[float], list[tuple[float, float]]]:
     """The nearest to each vessel, in domains, and the track, a point each 10 s."""
     ships = encounter.targets
     axes = [axes_m(ship.length_m) for ship in ships]
@@ -44,7 +45,8 @@ def sail(encounter: Encounter) -> tuple[list[float], list[tuple[float, float]]]:
     for t in range(end_s):
         if t % DECIDE_S == 0:
             targets = [seen(i, ship, float(t)) for i, ship in enumerate(ships)]
-            memory, order, _ = decide(LIMITS, memory, own, route, targets, None, float(t))
+            if guarded:
+                memory, order, _ = decide(LIMITS, memory, own, route, targets, None, float(t))
             for i, each in enumerate(targets):
                 near = nearness(own.north_m - each.north_m, own.east_m - each.east_m, courses[i], axes[i])
                 nearest[i] = min(nearest[i], near)
@@ -90,10 +92,16 @@ def _is_clear(
     return True
 
 
-def one(seed: int) -> dict[str, Any]:
-    encounter = drawn(seed, OWN_MPS)
+def one(given: Encounter | int) -> dict[str, Any]:
+    """What came of an encounter, or of the random one of a seed."""
+    encounter = drawn(given, OWN_MPS) if isinstance(given, int) else given
     nearest, track = sail(encounter)
-    row: dict[str, Any] = {"seed": seed, "vessels": len(nearest), "nearest": round(min(nearest), FIGURES)}
+    without, _ = sail(encounter, guarded=False)
+    row: dict[str, Any] = {"name": encounter.id, "vessels": len(nearest), "nearest": round(min(nearest), FIGURES)}
+    row |= {
+        "without": round(min(without), FIGURES),
+        "entered": [sum(near < 1.0 for near in each) for each in (nearest, without)],
+    }
     if min(nearest) < 1.0:
         found = solution(encounter.targets)
         row |= {"solved": found is not None, "track": track, "kinds": [ship.kind for ship in encounter.targets]}
@@ -102,6 +110,7 @@ def one(seed: int) -> dict[str, Any]:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
+    parser.add_argument("files", nargs="*", type=Path)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=2)
@@ -109,8 +118,11 @@ def main() -> None:
     parser.add_argument("--output", type=Path)
     asked = parser.parse_args()
     began_s, rows = time.monotonic(), list[dict[str, Any]]()
+    encounters: Iterable[Encounter | int] = range(asked.first, asked.first + asked.count)
+    if asked.files:
+        encounters = [each for file in asked.files for each in read_encounters(file).encounters]
     with Pool(asked.workers) as pool:
-        for row in pool.imap(one, range(asked.first, asked.first + asked.count), chunksize=20):
+        for row in pool.imap(one, encounters, chunksize=10):
             rows.append(row)
             if time.monotonic() - began_s > asked.seconds:
                 pool.terminate()
@@ -121,9 +133,12 @@ def main() -> None:
         entered = [row for row in bad if row["vessels"] == vessels]
         unsolved = sum(not row["solved"] for row in entered)
         words = f"{sailed[vessels]} sailed, a domain entered in {len(entered)}, no solution known for {unsolved} of these"
-        print(f"{vessels} vessels: {words}")
+        without = sum(row["without"] < 1.0 for row in rows if row["vessels"] == vessels)
+        print(f"{vessels} vessels: {words}; without the guard in {without}")
+    worse = [row["name"] for row in rows if row["entered"][0] > row["entered"][1]]
+    print(f"more domains entered than without the guard: {', '.join(worse) or 'nowhere'}")
     for row in bad:
-        print(f"  seed {row['seed']}: nearest {row['nearest']}, solved {row['solved']}, {', '.join(row['kinds'])}")
+        print(f"  {row['name']}: nearest {row['nearest']}, solved {row['solved']}, {', '.join(row['kinds'])}")
     if asked.output:
         asked.output.write_text(json.dumps({"rows": rows}))
 

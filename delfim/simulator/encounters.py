@@ -83,12 +83,16 @@ def staged_of(scenario: Scenario, path: str | Path) -> tuple[Staged, ...]:
     ConfigError."""
     if scenario.encounters in ("", RANDOM):
         return (Staged("", scenario, mission_of(scenario, path)),)
-    place = Path(path).parent / scenario.encounters
+    file = read_encounters(Path(path).parent / scenario.encounters)
+    return tuple(map(partial(staged, scenario), file.encounters))
+
+
+def read_encounters(place: Path) -> EncounterFile:
+    """Raises ConfigError."""
     try:
-        file = msgspec.json.decode(read_text(place), type=EncounterFile)
+        return msgspec.json.decode(read_text(place), type=EncounterFile)
     except (OSError, msgspec.DecodeError, msgspec.ValidationError) as error:
         raise ConfigError(str(place), "file", in_words(error)) from None
-    return tuple(map(partial(staged, scenario), file.encounters))
 
 
 def staged(scenario: Scenario, encounter: Encounter) -> Staged:

@@ -17,6 +17,7 @@ from delfim.simulator.model import Bank
 from delfim.simulator.nodes import Nodes
 from delfim.simulator.nodes.measuring import Compass, GnssReceiver
 from delfim.simulator.nodes.navigation import SATELLITES, NavigationNode
+from delfim.simulator.nodes.shipping import Shipping
 from delfim.simulator.propulsor import Drive
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.state import State, StateLog
@@ -47,6 +48,10 @@ Kind = Literal[
     "heading_jumping",
     "compass_cable",
     "gyro_drift",
+    "ais_silent",
+    "ais_frozen",
+    "ais_late",
+    "ais_wrong",
 ]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
 ABOARD: Final = frozenset(
@@ -57,6 +62,7 @@ WHERE: Final = dict.fromkeys(("sensor_bad", "sensor_silent"), SENSORS)
 PARTS: Final = "navigation_silent", "navigation_frozen"  # of one kind of sensor, or of all and the navigation node
 OF_THRUSTERS: Final = ("thruster_dead", "thruster_stuck", "thruster_reversed", "battery_sag")  # at a row of the vehicle's file
 OF_COMPASS: Final = ("heading_jumping", "compass_cable", "gyro_drift")  # on a boat that has one
+OF_AIS: Final = ("ais_silent", "ais_frozen", "ais_late", "ais_wrong")  # where there are other vessels
 VALUES: Final = {  # default, and its meaning
     "navigation_jumping": (40.0, "metres to the north"),
     "frames_dropped": (0.3, "fraction of all frames"),
@@ -70,6 +76,8 @@ VALUES: Final = {  # default, and its meaning
     "heading_jumping": (50.0, "degrees to starboard"),
     "compass_cable": (6.0, "degrees for each ampere of the first thruster"),
     "gyro_drift": (1.0, "degrees a second more each minute"),
+    "ais_late": (60.0, "seconds"),
+    "ais_wrong": (2000.0, "metres, at most, each time another way"),
 }
 LATE_MAX: Final = 4096  # frames under way at once
 HANGS_S: Final = 5.0  # a log reports that it was not written for this long
@@ -219,6 +227,8 @@ class Faults(Broken):
             case "heading_jumping" | "compass_cable" | "gyro_drift":
                 for compass in self.nodes.compasses:
                     _disturb(compass, kind, math.radians(value))
+            case "ais_silent" | "ais_frozen" | "ais_late" | "ais_wrong" if self.nodes.shipping is not None:
+                _disturb_ais(self.nodes.shipping, kind, value, on)
             case "sensor_bad":
                 self.nodes.sensors[where].bad = on
             case "sensor_silent":
@@ -241,6 +251,8 @@ class Faults(Broken):
             raise FormatError(f"{broken.kind}: this boat has no {broken.where}")
         if broken.kind in OF_COMPASS and not self.nodes.compasses:
             raise FormatError(f"{broken.kind}: this boat has no compass")
+        if broken.kind in OF_AIS and self.nodes.shipping is None:
+            raise FormatError(f"{broken.kind}: there are no other vessels")
         super().begin(broken, now_s)
 
     def _parts(self, where: str) -> Sequence[NavigationNode | GnssReceiver | Compass]:
@@ -262,6 +274,18 @@ def _disturb(compass: Compass, kind: str, value: float) -> None:
         compass.cable_rad_per_a = value
     else:
         compass.drift_radps2 = value / 60.0
+
+
+def _disturb_ais(receiver: Shipping, kind: str, value: float, on: bool) -> None:
+    """Value: s or m; 0 ends it."""
+    if kind == "ais_silent":
+        receiver.silent = on
+    elif kind == "ais_frozen":
+        receiver.frozen = on
+    elif kind == "ais_late":
+        receiver.late_s = max(value, 0.0)
+    else:
+        receiver.wrong_m = max(value, 0.0)
 
 
 class FaultyGuest(Guest):

@@ -22,6 +22,7 @@ from delfim.simulator import bycommand
 from delfim.simulator.faults import (
     ABOARD,
     KINDS,
+    OF_AIS,
     OF_COMPASS,
     OF_THRUSTERS,
     VALUES,
@@ -230,7 +231,7 @@ def test_a_fault_that_cannot_be_is_refused_in_words(words, reason):
 @given(
     st.lists(
         st.tuples(
-            st.sampled_from([kind for kind in KINDS if kind not in OF_COMPASS]),
+            st.sampled_from([kind for kind in KINDS if kind not in (*OF_COMPASS, *OF_AIS)]),
             st.integers(0, 4),
             st.floats(0.1, 5.0),
             st.booleans(),

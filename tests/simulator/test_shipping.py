@@ -202,3 +202,26 @@ def test_latitude_and_longitude_are_taken_instead_and_only_together():
     assert there.vessels[0].east_m == pytest.approx(870.0, abs=5.0)
     with pytest.raises(ValueError, match="go together"):
         config.SimulatedVessel(latitude_deg=38.6)
+
+
+def test_a_receiver_that_fails_is_silent_frozen_late_or_wrong():
+    there, _ = shipping(one(heard="perfect", speed_mps=3.0))
+    there.silent = True
+    assert list(listened(there, 30.0)) == []
+    there, _ = shipping(one(heard="perfect", speed_mps=3.0))
+    there.frozen = True
+    places = [each.latitude_rad for _, each in positions(list(listened(there, 30.0)))]
+    assert len(set(places)) == 1 < len(places)
+    there, model = shipping(one(heard="perfect", speed_mps=3.0))
+    there.late_s = 60.0
+    late = positions(list(listened(there, 90.0)))
+    assert late[0][0] == pytest.approx(60.0, abs=1.0)
+    for t_s, each in late:
+        assert each.latitude_rad is not None
+        assert (each.latitude_rad - model.origin.latitude_rad) * model.origin.north_m_per_rad == pytest.approx(
+            3.0 * (t_s - 60.0), abs=1.0
+        )
+    there, model = shipping(one(heard="perfect", speed_mps=0.0))
+    there.wrong_m = 2000.0
+    wrong = [each.latitude_rad for _, each in positions(list(listened(there, 60.0)))]
+    assert len(set(wrong)) == len(wrong) > 50

@@ -73,7 +73,8 @@ class Nodes:
         instruments: SimulatedInstruments | None = None,
     ) -> None:
         self.model, self.named, self.beside, self.instruments = model, named, beside, instruments
-        self.vessels = [vessel for each in beside if isinstance(each, Shipping) for vessel in each.vessels]
+        self.shipping = next((each for each in beside if isinstance(each, Shipping)), None)
+        self.vessels = self.shipping.vessels if self.shipping else []  # other vessels
         devices = [each for each in beside if isinstance(each, Devices | CanSensors)]
         self.receivers = [each.receiver for each in devices] + (instruments.receivers if instruments else [])
         self.compasses = [each.compass for each in devices] + (instruments.compasses if instruments else [])

@@ -5,6 +5,7 @@ speaks their AIS with the intervals of ITU-R M.1371 (docs/encounters.md).
 """
 
 import math
+from collections import deque
 from collections.abc import Iterator
 from random import Random
 from typing import Final
@@ -20,6 +21,7 @@ from delfim.vessels import VesselFacts, VesselPosition
 
 FIRST_MMSI: Final = 235_000_000
 KNOT_MPS: Final = 1852.0 / 3600.0
+LATE_MAX: Final = 4096  # messages of a late receiver that are under way
 STATIC_S: Final = 360.0  # between two tellings of name and size
 FIRST_STATIC_S: Final = 20.0  # the first one comes within this time
 PERFECT_S: Final = 1.0
@@ -101,6 +103,7 @@ class Transponder:
         self._noise_m = row.noise_m if noise and not self._is_perfect else 0.0
         self._error_m = [random.gauss(0.0, self._noise_m) for _ in "ne"]
         self._said_s = -random.uniform(0.0, self.interval_s)  # its last position
+        self._last: VesselPosition | None = None
         self._facts_due_s = random.uniform(0.0, FIRST_STATIC_S)
 
     @property
@@ -119,10 +122,12 @@ class Transponder:
         slow = knots <= 14.0
         return (10.0 / 3.0 if slow else 2.0) if is_turning else (10.0 if slow else 6.0)
 
-    def speak(self, t_s: float, second: int) -> Iterator[tuple[int, bytes]]:
-        """PGN and data of each message of this instant that is heard."""
+    def speak(self, t_s: float, second: int, frozen: bool, wrong_m: float) -> Iterator[tuple[int, bytes]]:
+        """PGN and data of each message of this instant that is heard. Of a receiver that is `frozen` the position is the last
+        one; `wrong_m` is how far it may be off."""
         if t_s >= self._said_s + self.interval_s - TOLERANCE_S:
-            told = self._told(t_s)
+            told = self._told(t_s, wrong_m)
+            self._last = told = self._last if frozen and self._last is not None else told
             if self._is_heard(t_s):
                 yield position(told, self._vessel.row.status if self._is_class_a else None, second)
         if t_s >= self._facts_due_s:
@@ -134,7 +139,7 @@ class Transponder:
         begin_s, end_s = self._vessel.silent
         return self._random.random() >= self._lost and not begin_s <= t_s < end_s
 
-    def _told(self, t_s: float) -> VesselPosition:
+    def _told(self, t_s: float, wrong_m: float) -> VesselPosition:
         """Its antenna, course and speed, with their errors, as coarse as AIS is."""
         vessel, gauss = self._vessel, self._random.gauss
         keep = math.exp((self._said_s - t_s) / WANDER_S)
@@ -143,6 +148,11 @@ class Transponder:
         ahead_m = vessel.row.antenna_m
         north_m = vessel.north_m + ahead_m * math.cos(vessel.course_rad) + self._error_m[0]
         east_m = vessel.east_m + ahead_m * math.sin(vessel.course_rad) + self._error_m[1]
+        if wrong_m:
+            north_m, east_m = (
+                north_m + self._random.uniform(-wrong_m, wrong_m),
+                east_m + self._random.uniform(-wrong_m, wrong_m),
+            )
         latitude_rad, longitude_rad = from_plane(vessel._model.origin, north_m, east_m)
         course_rad, speed_mps = vessel.course_rad, vessel.speed_mps
         if self._noise_m:
@@ -168,6 +178,10 @@ class Shipping:
         here = settings.simulation.traffic
         self.interface, self._period, self._began_s = settings.nmea2000.interface, Period(PERFECT_S / 5.0), math.nan
         self._sequence = dict[int, int]()
+        self._late = deque[tuple[float, int, bytes]](maxlen=LATE_MAX)  # when due, PGN, data
+        self.silent = self.frozen = False  # frozen: it repeats the last position of each vessel
+        self.late_s = 0.0
+        self.wrong_m = 0.0  # each position is off by up to so much, another way each time
         self.vessels = list[Vessel]()
         self._transponders = list[Transponder]()
         for number, row in enumerate(here.vessel):
@@ -194,8 +208,13 @@ class Shipping:
         t_s, second = now_s - self._began_s, utc_ns // 1_000_000_000 % 60
         for vessel in self.vessels:
             vessel.sail(t_s)
-        said = [message for each in self._transponders for message in each.speak(t_s, second)]
-        return [frame for pgn, data in said for frame in framed(pgn, data, self._next(pgn))]
+        for each in self._transponders:
+            self._late.extend((now_s + self.late_s, *message) for message in each.speak(t_s, second, self.frozen, self.wrong_m))
+        said = list[Frame]()
+        while self._late and self._late[0][0] <= now_s:
+            _, pgn, data = self._late.popleft()
+            said += framed(pgn, data, self._next(pgn))
+        return [] if self.silent else said
 
     def _next(self, pgn: int) -> int:
         self._sequence[pgn] = (self._sequence.get(pgn, -1) + 1) % 8
