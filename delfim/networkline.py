@@ -1,22 +1,23 @@
 """A line on which this computer listens, read as a serial line is: UDP datagrams, or a TCP server for one sender."""
 
 import contextlib
+import os
 import select
 import socket
 from collections.abc import Callable
 from ipaddress import ip_address, ip_network
 from typing import Final
 
+from delfim.allowance import PIECE_BYTES, SECOND_BYTES, Allowance
 from delfim.clock import Clock
 
-READ_BYTES: Final = 2048
-FLOOD_BYTES: Final = 100_000  # between two calls of `rebind`; twice what the fastest serial line brings
+DATAGRAM_BYTES: Final = 2048
 LISTENING: Final = ("udp:", "tcp-listen:")
 
 
 class NetworkLine:
-    """Methods as those of delfim.serialline.SerialLine. `rebind`, called about once a second, opens what failed or flooded; it
-    never waits. `trouble` says in words why nothing can come."""
+    """Methods as those of delfim.serialline.SerialLine. `rebind`, called about once a second, opens what failed; it never
+    waits. `trouble` says in words why nothing can come, or not all of it."""
 
     def __init__(
         self,
@@ -36,28 +37,33 @@ class NetworkLine:
         self._ready = select.epoll()
         self._door: socket.socket | None = None  # tcp-listen: where senders connect
         self._line: socket.socket | None = None
-        self._taken = 0  # bytes since `rebind`
+        self.allowance = Allowance(SECOND_BYTES, clock.monotonic_s)
+        self._rest, self._more = b"", os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)  # of a datagram; set while there is any
+        self._ready.register(self._more, select.EPOLLIN)
 
     def fileno(self) -> int:
         """Readable when there is something to read."""
         return self._ready.fileno()
 
     def read(self) -> bytes:
-        """The data since the last call, its time in `t_ns`; empty: none."""
+        """The next data, PIECE_BYTES at most, their time in `t_ns`; empty: none, or the line said more than it may."""
         try:
             if self._door is not None:
                 self._accept(self._door)
-            data = b"" if self._line is None else self._received(self._line)
+            data = self._rest if self._rest or self._line is None else self._received(self._line)
         except BlockingIOError:
             return b""
         except OSError as error:
             self._lost(str(error.strerror))
             return b""
-        self._taken += len(data)
-        if self._taken > FLOOD_BYTES:
-            self._lost(f"floods: more than {FLOOD_BYTES} bytes a second")
-        elif data:
-            self.trouble, self.t_ns = "", self._clock.time_ns()
+        data, rest = data[:PIECE_BYTES], data[PIECE_BYTES:]
+        if rest and not self._rest:
+            os.eventfd_write(self._more, 1)
+        elif self._rest and not rest:
+            os.eventfd_read(self._more)
+        self._rest = rest
+        if data:
+            self.trouble, self.t_ns = self.allowance.words, self._clock.time_ns()
             self._heard(self.t_ns, data)
         return data
 
@@ -69,16 +75,22 @@ class NetworkLine:
 
     def rebind(self) -> bool:
         """True when data can come."""
-        self._taken = 0
+        was = self.allowance.words
+        self.allowance.look()
+        if self.trouble == was:
+            self.trouble = self.allowance.words
         if self._line is None and self._door is None:
             try:
                 self._open()
             except OSError as error:
                 self.trouble = str(error.strerror)
-        return not self.trouble
+        return self.trouble == self.allowance.words
 
     def close(self) -> None:
         self._lost("closed")
+        if self._door is not None:
+            self._door.close()
+        os.close(self._more)
         self._ready.close()
 
     def _open(self) -> None:
@@ -114,16 +126,14 @@ class NetworkLine:
 
     def _received(self, line: socket.socket) -> bytes:
         """Raises OSError."""
+        most = self.allowance.at_once(PIECE_BYTES)
         if self._kind == "udp":
-            data, (host, *_) = line.recvfrom(READ_BYTES)
-            if self._is_welcome(host):
-                return data
-            self._taken += len(data)
-            return b""
-        data = line.recv(READ_BYTES)
+            data, (host, *_) = line.recvfrom(DATAGRAM_BYTES)
+            return self.allowance.of(data) if self._is_welcome(host) else b""
+        data = line.recv(most)
         if not data:
             raise ConnectionError(None, "the other end closed the connection")
-        return data
+        return self.allowance.of(data)
 
     def _is_welcome(self, host: str) -> bool:
         address = ip_address(host.partition("%")[0])
@@ -133,11 +143,9 @@ class NetworkLine:
         return False
 
     def _lost(self, why: str) -> None:
-        """A server keeps its door while its sender goes, unless that one floods."""
-        floods = why.startswith(("floods", "closed"))
-        self.trouble = why if self._door is None or floods else f"nobody is connected: {why}"
-        for each in (self._line, self._door if floods else None):
-            if each is not None:
-                self._ready.unregister(each)
-                each.close()
-        self._line, self._door = None, None if floods else self._door
+        """A server keeps its door while its sender goes."""
+        self.trouble = why if self._door is None else f"nobody is connected: {why}"
+        if self._line is not None:
+            self._ready.unregister(self._line)
+            self._line.close()
+            self._line = None

@@ -3,7 +3,6 @@
 import array
 import contextlib
 import fcntl
-import math
 import os
 import select
 import socket
@@ -12,11 +11,11 @@ import tty
 from collections.abc import Callable
 from typing import Final
 
+from delfim.allowance import PIECE_BYTES, Allowance
 from delfim.clock import Clock
 from delfim.errors import DelfimError
 from delfim.serialform import Form
 
-READ_BYTES: Final = 4096
 TCGETS2, TCSETS2 = 0x802C542A, 0x402C542B  # asm-generic/ioctls.h: x86, ARM, RISC-V
 BOTHER, RATES = 0o010000, 0o010017  # "the rate is the number itself"; the bits that name a rate (asm-generic/termbits.h)
 OFF_MAX: Final = 0.03  # of a rate: beyond, a byte's last bit is read in its neighbour
@@ -42,14 +41,14 @@ class SerialLine:
         heard: Callable[[int, bytes], object] = lambda t_ns, data: None,
         may_lack: bool = False,
         form: Form = "8N1",
-        flood_bytes: float = math.inf,
+        allowance: Allowance | None = None,
     ) -> None:
-        """`heard` is called with all data that is read, and its time. `may_lack`: the port is first opened by `rebind`.
-        `flood_bytes`: a port that brings more between two calls of `rebind` is closed until then."""
+        """`heard` is called with all data that is handed on, and its time. `may_lack`: the port is first opened by `rebind`.
+        `allowance`: bounds what is read; without one there is no bound."""
         self.device, self.t_ns = device, 0
         self._baud, self._form, self._time_ns, self._heard = baud, form, clock.time_ns, heard
         self.trouble = "not open yet" if may_lack else ""
-        self._flood_bytes, self._taken = flood_bytes, 0
+        self.allowance = allowance or Allowance()
         self._port = -1
         self._ready = select.epoll()  # to wait for: it stays the same when the port is reopened
         try:
@@ -66,25 +65,22 @@ class SerialLine:
         """Readable when there is something to read."""
         return self._ready.fileno()
 
-    def read(self, most: int = READ_BYTES) -> bytes:
-        """The data since the last call, its time in `t_ns`; empty: none."""
+    def read(self, most: int = PIECE_BYTES) -> bytes:
+        """The next data, at most so many bytes, their time in `t_ns`; empty: none, or the line said more than it may."""
         if self._port < 0:
             return b""
         try:
-            data = os.read(self._port, most)
+            data = os.read(self._port, self.allowance.at_once(most))
         except BlockingIOError:
             return b""
         except OSError as error:
             self._lost(str(error.strerror))
             return b""
-        if data:
+        if not data:
+            self._lost("hung up")
+        elif data := self.allowance.of(data):
             self.t_ns = self._time_ns()
             self._heard(self.t_ns, data)
-            self._taken += len(data)
-            if self._taken > self._flood_bytes:
-                self._lost(f"floods: more than {self._flood_bytes} bytes a second")
-        else:
-            self._lost("hung up")
         return data
 
     def write(self, data: bytes) -> bool:
@@ -102,9 +98,11 @@ class SerialLine:
             return 0
 
     def rebind(self) -> bool:
-        """Open a port that was lost. True when it can be used."""
-        self._taken = 0
-        if self._port < 0:
+        """Call about once a second: opens a port that was lost. True when it can be used."""
+        self.allowance.look()
+        if self._port >= 0:
+            self.trouble = self.allowance.words
+        else:
             try:
                 self._open()
             except OSError as error:

@@ -6,7 +6,8 @@ from collections.abc import Callable, Iterator
 
 import pytest
 
-from delfim.networkline import FLOOD_BYTES, NetworkLine
+from delfim.allowance import BURST_S, PIECE_BYTES, SECOND_BYTES
+from delfim.networkline import NetworkLine
 
 LOOPBACK = ("127.0.0.0/8", "::1/128")
 PATIENCE_S = 10.0
@@ -104,24 +105,45 @@ def test_a_tcp_server_closes_the_door_to_strangers(opened):
     assert line.trouble.startswith("data from 127.0.0.1 are not taken")
 
 
+def test_a_long_datagram_is_read_in_pieces_and_stays_readable(opened):
+    port = free_port(socket.SOCK_DGRAM)
+    line = opened(f"udp:127.0.0.1:{port}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.connect(("127.0.0.1", port))
+        for size in (1, PIECE_BYTES, PIECE_BYTES + 1, 1400):
+            sender.send(said := bytes(each % 251 for each in range(size)))
+            pieces = [read(line) for _ in range(-(-size // PIECE_BYTES))]
+            assert b"".join(pieces) == said
+            assert max(map(len, pieces)) <= PIECE_BYTES
+            assert select.select([line], [], [], 0.0)[0] == [], "it wakes nobody"
+            assert line.read() == b""
+
+
 @pytest.mark.parametrize("kind", ["udp", "tcp-listen"])
-def test_a_flood_is_shut_out_until_the_next_second(opened, kind):
+def test_a_flood_is_dropped_until_the_next_second(opened, kind):
     port = free_port(socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM)
     line = opened(f"{kind}:127.0.0.1:{port}")
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM) as sender:
         sender.connect(("127.0.0.1", port))
-        taken = 0
-        while not line.trouble.startswith("floods"):
-            sender.send(bytes(1400))
+        taken = sent = 0
+        while line.allowance.bytes < 10_000:
+            while sent - taken - line.allowance.bytes < 1400:
+                sender.send(b"$GPHDT,1,T\r\n" * 100)
+                sent += 1200
+            piece = len(read(line))
+            assert piece <= PIECE_BYTES
+            taken += piece
+        assert SECOND_BYTES * BURST_S <= taken < SECOND_BYTES * BURST_S + 1200
+        line._clock.now_s += 1.0
+        assert line.rebind()
+        assert line.trouble.startswith("more than it may say: ")
+        while sent > taken + line.allowance.bytes:
             taken += len(read(line))
-        assert FLOOD_BYTES < taken < FLOOD_BYTES + 2048
-        assert select.select([line], [], [], 0.0)[0] == [], "it wakes nobody"
-        assert line.read() == b""
-    assert line.rebind() is (kind == "udp")
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM if kind == "udp" else socket.SOCK_STREAM) as sender:
-        sender.connect(("127.0.0.1", port))
-        sender.send(b"quiet")
-        assert read(line) == b"quiet"
+        for _ in range(2):
+            assert line.rebind()
+        assert line.trouble == ""
+        sender.send(b"1,T\r\nquiet")
+        assert read(line).endswith(b"quiet")
 
 
 def test_a_port_that_is_taken_is_told_and_tried_again(opened):

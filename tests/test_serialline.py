@@ -3,12 +3,16 @@
 import array
 import fcntl
 import os
+import re
+import select
 import termios
 from types import SimpleNamespace
 
 import pytest
 
 from delfim import serialline
+from delfim.allowance import PIECE_BYTES, Allowance
+from delfim.clock import ManualClock
 from delfim.errors import DelfimError
 from delfim.serialline import SerialLine, open_port
 
@@ -68,15 +72,25 @@ def test_a_line_of_an_odd_rate_is_read(terminal):
     line.close()
 
 
-def test_a_port_that_floods_is_closed_until_the_next_look(terminal):
+def test_a_port_that_floods_is_read_in_pieces_and_stays_open(terminal):
     far, near = terminal
-    line = SerialLine(near, 4800, SimpleNamespace(time_ns=lambda: 1), flood_bytes=1000)
-    while not line.trouble:
-        os.write(far, bytes(100))
-        line.read()
-    assert line.trouble == "floods: more than 1000 bytes a second"
-    assert line.read() == b""
+    clock = ManualClock()
+    line = SerialLine(near, 4800, clock, allowance=Allowance(4000, clock.monotonic_s))
+    os.write(far, b"$GPHDT,1.0,T\r\n" * 200)
+    taken = list[int]()
+    while sum(taken) + line.allowance.bytes < 2800:
+        assert select.select([line], [], [], 60.0)[0]
+        taken.append(len(line.read()))
+    assert max(taken) == PIECE_BYTES
+    assert 1000 <= sum(taken) < 1000 + PIECE_BYTES
+    assert line.trouble == ""
+    clock.advance(1.0)
     assert line.rebind()
-    os.write(far, b"quiet")
-    assert line.read().endswith(b"quiet")
+    assert re.fullmatch("more than it may say: 1[0-9]{2} sentences dropped, 1,[0-9]{3} bytes", line.trouble)
+    os.write(far, b"$GPHDT,2.0,T\r\n$GPHDT,3.0,T\r\n")
+    assert select.select([line], [], [], 60.0)[0]
+    assert line.read().endswith(b"$GPHDT,3.0,T\r\n")
+    line.rebind()
+    line.rebind()
+    assert line.trouble == ""
     line.close()

@@ -36,24 +36,25 @@ def line_id(name: str) -> str:
 
 
 class LineLog:
-    """Pieces are taken at once and written when there is time."""
+    """Pieces are taken at once, as lines of the log, and handed on when there is time: hundreds of a broken line would take
+    longer than a callback may, if they became lines together."""
 
     def __init__(self, name: str, limits: Limits, clock: Clock) -> None:
         self.id, self.lost = line_id(name), 0
         self._clock, self._log = clock, open_log(limits, self.id, SUFFIX, "zpipe", clock)
-        self._waiting = deque[Piece](maxlen=WAITING)
+        self._waiting = deque[bytes](maxlen=WAITING)
         self._log.note(event_line(clock, "start"))
         self.poll = self._log.poll
 
     def heard(self, t_ns: int, data: bytes) -> None:
         self.lost += len(self._waiting) == WAITING
-        self._waiting.append(Piece(self.id, t_ns, data))
+        self._waiting.append(line(t_ns, data))
 
     def write(self) -> None:
         """Hand over the waiting pieces to the disk."""
         if self._waiting:
             count = len(self._waiting)
-            self.lost += 0 if self._log.put(b"".join(line(piece.t_ns, piece.data) for piece in self._waiting)) else count
+            self.lost += 0 if self._log.put(b"".join(self._waiting)) else count
             self._waiting.clear()
 
     def report(self) -> dict[str, object]:

@@ -4,10 +4,11 @@ A message is a line of JSON in `DIRECTORY/YYYYMMDD/gps/hhmmss.jsonl.gz`: when it
 hexadecimal if they are not text.
 """
 
-import json
 from collections import deque
 from collections.abc import Callable, Mapping
 from typing import Final, Protocol
+
+import msgspec
 
 from delfim.clock import Clock
 from delfim.config import LogTable as Limits
@@ -17,6 +18,8 @@ from delfim.logging.liblog import LogStatus, event_line
 from delfim.logging.openlog import open_log
 
 FRAMES_A_CALL: Final = 64
+
+_encode = msgspec.json.Encoder().encode  # a twentieth of the time of the json module: lines of a flood are written in the loop
 
 
 class NodeMessage(Protocol):
@@ -117,4 +120,4 @@ def line(t_ns: int, data: bytes) -> bytes:
         what = {"text": data.decode()}
     except UnicodeDecodeError:
         what = {"hex": data.hex()}
-    return json.dumps({"t_ns": t_ns} | what, ensure_ascii=False).encode() + b"\n"
+    return _encode({"t_ns": t_ns} | what) + b"\n"

@@ -8,6 +8,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Final, NamedTuple
 
+from delfim.allowance import UNREAD_BYTES
 from delfim.clock import Clock
 from delfim.errors import DelfimError
 from delfim.serialline import SerialLine
@@ -44,10 +45,10 @@ def heard_at(device: str, baud: int, clock: Clock) -> Found:
     strict, lenient, came, began_s = MixedLine(), MixedLine(needs_checksum=False), 0, clock.monotonic_s()
     line = SerialLine(device, baud, clock)
     try:
-        line.read()  # what waited came at another rate
+        line.read(UNREAD_BYTES)  # what waited came at another rate
         while (left_s := began_s + LISTEN_S - clock.monotonic_s()) > 0.0 and came < BYTES_MAX and not line.trouble:
             select.select([line], [], [], left_s)
-            data = line.read()
+            data = line.read(UNREAD_BYTES)
             came += len(data)
             strict.feed(data)
             lenient.feed(data)

@@ -14,6 +14,7 @@ from importlib import import_module
 from typing import Any, Final, NamedTuple, Protocol, cast
 
 from delfim import config
+from delfim.allowance import SECOND_BYTES, Allowance
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
@@ -30,7 +31,6 @@ from delfim.vehicle.state import State
 GONE: Final = errno.ENOENT, errno.ECONNREFUSED  # nobody listens: no boat runs
 READS: Final = 64  # of one input at once
 REOPEN_S: Final = 1.0
-FLOOD_BYTES: Final = 100_000  # of a line between two openings
 
 
 class SensorsTold(NamedTuple):
@@ -166,7 +166,9 @@ class Opened:
         if device.startswith(LISTENING):
             line: SerialLine | NetworkLine = NetworkLine(device, self._settings.nmea0183.senders, self._clock)
         else:
-            line = SerialLine(device, baud, self._clock, may_lack=True, form=form, flood_bytes=FLOOD_BYTES)
+            line = SerialLine(
+                device, baud, self._clock, may_lack=True, form=form, allowance=Allowance(SECOND_BYTES, self._clock.monotonic_s)
+            )
         self._stack.callback(line.close)
         line.rebind()
         self._inputs.append(line)

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Protocol
 
 from delfim import config
+from delfim.allowance import SECOND_BYTES, Allowance
 from delfim.canproxy.opening import open_bound
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
@@ -20,7 +21,7 @@ from delfim.errors import ConfigError, DelfimError
 from delfim.gpio import Bias, GpioLine, open_gpio
 from delfim.logging.linelog import LineLog
 from delfim.messages import time_frame
-from delfim.networkline import FLOOD_BYTES, LISTENING, NetworkLine
+from delfim.networkline import LISTENING, NetworkLine
 from delfim.serialform import Form
 from delfim.serialline import SerialLine
 from delfim.services import kernelclock, powerd, slots
@@ -67,6 +68,7 @@ class OpenedLinks:
     def __init__(self, runtime: Runtime, links: contextlib.ExitStack) -> None:
         self._runtime, self._links = runtime, links
         self._inputs, self._logs = list[Readable](), list[LineLog]()
+        self._lines = dict[SerialLine | NetworkLine, bool]()  # whether its flood was told
 
     def bus(self, interface: str, filters: tuple[CanAddress, ...]) -> CanSocket:
         socket = self._links.enter_context(open_bound(self._runtime.config.can, interface, filters))
@@ -85,11 +87,12 @@ class OpenedLinks:
             table = settings.nmea0183
             ports, outs = (port.device for port in table.ports.values()), (out.to for out in table.out.values())
             may_lack = device in {*ports, *outs, table.guest.device}
-            line = SerialLine(device, baud, clock, log.heard, may_lack, form, FLOOD_BYTES)
+            line = SerialLine(device, baud, clock, log.heard, may_lack, form, Allowance(SECOND_BYTES, clock.monotonic_s))
         self._links.callback(line.close)
         if not line.rebind():
             words.warning("%s: %s", device, line.trouble)
         self._links.enter_context(self._runtime.publishing(log.id, lambda: {"trouble": line.trouble} | log.report()))
+        self._lines[line] = False
         self._inputs.append(line)
         self._logs.append(log)
         return line
@@ -109,6 +112,11 @@ class OpenedLinks:
             log.poll()
         for each in self._inputs:
             each.rebind()
+        for line, was in self._lines.items():
+            said = line.allowance.words
+            if bool(said) != was:
+                self._lines[line] = not was
+                words.warning("%s: %s", line.device, said or "no more than it may say")
 
 
 async def serve(runtime: Runtime) -> None:

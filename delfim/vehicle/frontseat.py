@@ -10,6 +10,7 @@ from collections.abc import Callable
 from typing import Final
 
 from delfim import config
+from delfim.allowance import PIECE_BYTES
 from delfim.nmea0183.proprietary import FieldReader
 from delfim.vehicle.links import ReadableLine
 from delfim.vehicle.state import Actuation, State
@@ -63,9 +64,10 @@ class FrontSeatLine:
             raise OSError(errno.ENOTCONN, f"the {self._name} does not take the stop")
 
     def heard(self, state: State) -> list[list[str]]:
-        """The fields of each sentence since the last call; malformed ones are counted."""
-        before, found = self._reader.malformed, list[list[str]]()
-        while data := self._line.read():
+        """The fields of the next sentences; malformed ones are counted. What is left over stays readable."""
+        before, found, taken = self._reader.malformed, list[list[str]](), 0
+        while taken < PIECE_BYTES and (data := self._line.read()):
+            taken += len(data)
             found += self._reader.feed(data)
         if self._reader.malformed > before:
             state.count(f"{self._name}_malformed", self._reader.malformed - before)

@@ -10,6 +10,7 @@ from typing import Final
 import msgspec
 
 from delfim import config
+from delfim.allowance import PIECE_BYTES
 from delfim.errors import FormatError
 from delfim.modes import Mode
 from delfim.nmea0183.proprietary import FieldReader
@@ -20,7 +21,6 @@ from delfim.vehicle.grex import Guest, HeadingReference
 from delfim.vehicle.links import Links, Readable, ReadableLine
 from delfim.vehicle.state import State
 
-BYTES_PER_READ: Final = 4096  # bounds one call on a flooded line, and the rest stays readable
 HELD_S: Final = 3.0  # the direction of APB stands so long for XTE, and for so long RMB adds nothing
 STEP_MAX_S: Final = 2.0  # most time between two sentences that the guidance integrates over
 
@@ -39,10 +39,10 @@ class PilotLine:
         self._memory, self._heard_s = LineOfSight(), -math.inf
 
     def read(self, state: State, now_s: float) -> None:
-        """All waiting sentences; the newest set point counts. Malformed sentences, warnings and magnetic bearings without a
+        """The next sentences; the newest set point counts. Malformed sentences, warnings and magnetic bearings without a
         known variation are counted, and give none: the guest is silent then."""
         asked, taken, malformed = None, 0, self._fields.malformed
-        while taken < BYTES_PER_READ and (data := self._line.read()):
+        while taken < PIECE_BYTES and (data := self._line.read()):
             taken += len(data)
             for fields in self._fields.feed(data):
                 try:

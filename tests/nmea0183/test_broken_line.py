@@ -3,6 +3,7 @@ told in words, and heard again.
 """
 
 import os
+import re
 import select
 import tty
 from pathlib import Path
@@ -10,6 +11,7 @@ from pathlib import Path
 import pytest
 
 from delfim import config
+from delfim.allowance import Allowance
 from delfim.clock import ManualClock
 from delfim.nmea0183.framing import framed
 from delfim.serialline import SerialLine
@@ -39,7 +41,10 @@ class Boat:
 
     def __init__(self, device: Path) -> None:
         self.clock = ManualClock(monotonic_s=1000.0)
-        self.line = SerialLine(str(device), 4800, self.clock, may_lack=True, flood_bytes=FLOOD_BYTES)
+        self.got = self.said = 0  # bytes
+        self.line = SerialLine(
+            str(device), 4800, self.clock, self._count, True, allowance=Allowance(FLOOD_BYTES, self.clock.monotonic_s)
+        )
         self.line.rebind()
         settings = config.Vehicle(
             boat=config.BoatTable(name="tried"),
@@ -48,13 +53,21 @@ class Boat:
         )
         self.source: Nmea0183Navigation = opened(settings, Links(lambda *_: pytest.fail("no bus"), lambda *_: self.line), {})
 
+    def _count(self, t_ns: int, data: bytes) -> None:
+        self.got += len(data)
+
+    def hear(self, device: Plugged, say: bytes) -> None:
+        """All that the device says now, as the loop reads it."""
+        self.said += os.write(device.end, say)
+        while self.got + self.line.allowance.bytes < self.said:
+            assert select.select([self.source.input], [], [], 60.0)[0]
+            self.source.read(self.clock.monotonic_s())
+
     def hears(self, seconds: int, device: Plugged, say: bytes) -> bool:
         """Whether positions came while the device said this each second."""
         before = self.source.heard_s
         for _ in range(seconds):
-            os.write(device.end, say)
-            select.select([self.line], [], [], 5.0)
-            self.source.read(self.clock.monotonic_s())
+            self.hear(device, say)
             self.words()
             self.clock.advance(1.0)
         return self.source.heard_s > before
@@ -77,14 +90,14 @@ def test_each_is_told_in_words_and_heard_again(tmp_path):
     assert boat.hears(3, device, fixes(10))
     assert boat.words() == ""
 
-    for _ in range(100):  # it floods
-        os.write(device.end, fixes(10))
-        boat.source.read(boat.clock.monotonic_s())
-        if boat.line.trouble:
-            break
-    assert boat.words() == f"floods: more than {FLOOD_BYTES} bytes a second"
+    while boat.line.allowance.bytes < FLOOD_BYTES:  # it floods
+        boat.hear(device, fixes(10))
     assert boat.line.rebind()
+    assert re.fullmatch("more than it may say: [0-9]{3} sentences dropped, 2[0-9],[0-9]{3} bytes", boat.words())
     assert boat.hears(3, device, fixes(10))
+    boat.line.rebind()
+    boat.line.rebind()
+    assert boat.words() == ""
 
     boat.clock.advance(10.0)  # it is silent: that is a trouble of navigation, and none of the line
     assert boat.words() == ""

@@ -1,5 +1,7 @@
 """The source `nmea0183` and the boat's judgement of it: silence, frozen receivers, jumps, floods; the sensor of that name."""
 
+import os
+
 import pytest
 
 from delfim import config
@@ -9,7 +11,7 @@ from delfim.simulator.line import LockstepLine
 from delfim.vehicle import sensors
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation import open_sources, take
-from delfim.vehicle.sources.nmea0183 import BYTES_PER_READ, GREETING, WATCH
+from delfim.vehicle.sources.nmea0183 import GREETING, WATCH
 from delfim.vehicle.state import State
 
 
@@ -88,15 +90,32 @@ def test_a_jump_is_refused_and_counted(boat):
     assert boat.hear(rmc(3))
 
 
-def test_a_flood_is_read_in_pieces(boat):
-    line, piece = boat.lines["tcp:127.0.0.1:2947"], framed("GPGSV,1,1,00") * 40
-    for _ in range(100):
-        line.put(piece)
-    assert boat.source.read(1000.0) is None
-    left = 0
-    while line.read():
-        left += 1
-    assert left == 100 - -(-BYTES_PER_READ // len(piece))
+class LoudLine(LockstepLine):
+    """Somebody waits for it."""
+
+    def fileno(self) -> int:
+        return self.end
+
+
+def test_a_call_reads_one_piece_of_one_line_and_each_line_has_its_turn():
+    """However much waits, navigation by another input has its turn after a fraction of a millisecond."""
+    boat = Boat()
+    LoudLine.end, far = os.pipe()
+    boat.line = lambda device, baud, form="8N1": boat.lines.setdefault(device, LoudLine(boat.clock))  # type: ignore[method-assign]
+    boat.links = Links(lambda *_: pytest.fail("no bus"), boat.line)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("delfim.vehicle.sources.nmea0183.AnyPort", lambda ports: None)
+        boat.open()
+    for line in boat.lines.values():
+        for _ in range(10):
+            line.put(framed("GPGSV,1,1,00"))
+    left = list[tuple[int, ...]]()
+    for _ in range(6):
+        boat.source.read(1000.0)
+        left.append(tuple(len(line._pieces) for line in boat.lines.values()))
+    assert left == [(9, 10), (9, 9), (8, 9), (8, 8), (7, 8), (7, 7)]
+    for end in (LoudLine.end, far):
+        os.close(end)
 
 
 def test_gpsd_is_asked_for_its_sentences_when_it_greets(boat):

@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 from pymavlink.dialects.v20 import development as dialect
 
 from delfim import config
+from delfim.allowance import PIECE_BYTES
 from delfim.vehicle.frontseat import FrontSeatLine, SeatSide, sides
 from delfim.vehicle.links import Links, ReadableLine
 from delfim.vehicle.state import Actuation, State, ThrusterReport
@@ -94,8 +95,11 @@ class MavlinkBoard:
         """Disarming it is its operator's."""
 
     def read(self, state: State, now_s: float) -> None:
-        """Its heartbeat and its battery into the state. Other messages are its own affair; malformed ones are counted."""
-        while data := self._line.read():
+        """Its heartbeat and its battery into the state. Other messages are its own affair; malformed ones are counted. What is
+        left over stays readable."""
+        taken = 0
+        while taken < PIECE_BYTES and (data := self._line.read()):
+            taken += len(data)
             for message in self._codec.parse_buffer(data) or ():
                 if message.get_type() == "BAD_DATA":
                     state.count("mavlink_front_seat_malformed")

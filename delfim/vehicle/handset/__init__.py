@@ -21,6 +21,7 @@ ALIKE: Final = 3  # readings in a row before a switch counts
 HIGH_US, LOW_US = 1700.0, 1300.0  # a switch between these is on its way, or a third position: it stays as it was
 REPEAT_S: Final = 0.2  # sticks that rest are told this often: the dead-man of manual thrust asks for it
 CHANGE_S: Final = 0.05  # sticks that move, at most this often
+PIECES: Final = 4  # of the line, at once: more than 20 ms of the fastest one
 
 
 class Debounced:
@@ -74,7 +75,7 @@ class Handset:
         self._told, self._told_s = (0.0, 0.0), -math.inf  # the thrust that was asked for last
 
     def read(self, state: State, now_s: float) -> None:
-        for pulses in self._decoder.feed(self._line.read()):
+        for pulses in self._waiting():
             self._heard_s = now_s
             self._take.see(pulses)
             self._kill.see(pulses)
@@ -85,6 +86,13 @@ class Handset:
             switches = self._take.on, self._kill.on
             told = self._heard_s, self._throttle, self._steer, *switches, self._decoder.lost, self._decoder.quality_pct
             state.handset = HandsetReport(*told)
+
+    def _waiting(self) -> Iterator[Pulses]:
+        """All that came, unless the line floods: it is read fifty times a second."""
+        for _ in range(PIECES):
+            if not (data := self._line.read()):
+                return
+            yield from self._decoder.feed(data)
 
     def orders(self, state: State, now_s: float) -> Iterator[console.Commands]:
         """Loss, the switches, then the sticks."""

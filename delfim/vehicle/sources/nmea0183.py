@@ -16,7 +16,6 @@ from delfim.vehicle.state import State
 GREETING: Final = b'{"class":"VERSION"'  # of gpsd, whoever connects
 WATCH: Final = b'?WATCH={"enable":true,"nmea":true};\r\n'  # it answers with sentences
 GARBLED_S: Final = 3.0  # of nonsense alone that is told
-BYTES_PER_READ: Final = 4096  # of a port; bounds one call on a flooded line, and the rest stays readable
 
 
 class Port(NamedTuple):
@@ -62,6 +61,7 @@ class Nmea0183Navigation:
 
     def __init__(self, ports: tuple[Port, ...], combined: Combined) -> None:
         self.input, self._ports, self._combined = AnyPort(ports), ports, combined
+        self._next = 0  # the port that is read first
         self.heard_s, self.t_ns = -1e9, 0
         self._sound: dict[str, tuple[float, int, int]] = {}  # by port: when a sentence was sound last, and the counts then
 
@@ -81,14 +81,16 @@ class Nmea0183Navigation:
         return fix
 
     def _waiting(self) -> Iterator[LineData]:
-        """The data of all lines, which a replay reads together."""
-        for port in self._ports:
-            taken = 0
-            while taken < BYTES_PER_READ and (data := port.line.read()):
-                taken += len(data)
+        """The next piece of one line, of each in its turn: others stay readable, and navigation, which may come by another
+        input, comes first. In lock step and in a replay, where nothing waits for a line, all pieces of all lines."""
+        ports, self._next = (*self._ports[self._next :], *self._ports[: self._next]), (self._next + 1) % len(self._ports)
+        for port in ports:
+            while data := port.line.read():
                 if GREETING in data:
                     port.line.write(WATCH)
                 yield LineData(port.line.t_ns, port, data)
+                if port.line.fileno() >= 0:
+                    return
 
     def report(self, now_s: float) -> dict[str, object]:
         """Who is used for which kind of data, who talks, and what each port brought and what of it was refused."""
