@@ -114,6 +114,8 @@ def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mis
         page = "" if simulated.page.endswith(":0") else f"; its page is http://{simulated.page}/"
         told = f"simulation {its.number}: boat {simulated.boat_id} ({settings.boat.name}) in {its.folder}{page}"
         print(f"delfim: {told}", file=sys.stderr if asked.json else sys.stdout, flush=True)
+        for each in simulated.moved:
+            print(f"delfim: real ports are left alone: {each}", file=sys.stderr if asked.json else sys.stdout, flush=True)
         with contextlib.ExitStack() as running:
             try:
                 running.enter_context(_process("nodes", *arguments, "--seed", str(asked.seed)))

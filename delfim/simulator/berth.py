@@ -29,6 +29,7 @@ SIMULATED: Final = "run/sim"  # the folder of the first one
 NUMBERS: Final = 20  # simulations on one computer at most
 PORTS: Final = 10  # distance between the ports of two simulations
 PAGE, BOATS = "127.0.0.1:8765", "127.0.0.1:14550"  # of the console, where it is free
+RADIOS = ("mavlink.key", "mavlink.serial", "slipd.device")
 HANDS = ("handset.device", "kill.chip", "kill.line")  # a simulated boat has none of the real one
 
 
@@ -61,6 +62,9 @@ class BerthSettings(NamedTuple):
     overrides: list[str]
     boat_id: int
     page: str  # of the boat
+    moved: list[
+        str
+    ]  # what the boat tells other instruments, and is told by its pilot, and where it is in place of the real ports
 
 
 @contextlib.contextmanager
@@ -110,7 +114,8 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "runtime.run_directory": str(place),
         "supervisor.hardware_watchdog": "",
         **{f"nmea0183.ports.{name}.device": _device(name, port.device, its) for name, port in vehicle.nmea0183.ports.items()},
-        **{key: "" for key in ("mavlink.key", "mavlink.serial", *HANDS) if key not in named},
+        **_beside(vehicle, its),
+        **{key: "" for key in (*RADIOS, *HANDS, *_corrected(vehicle)) if key not in named},
         "guest.listen": free("guest.listen", vehicle.guest.listen),
         "mavlink.listen": free("mavlink.listen", vehicle.mavlink.listen, udp=True),
         "httpd.listen": page,
@@ -128,12 +133,37 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         **({} if "handset.device" in named else {"handset.mandatory": "false"}),
         "simulation.faults": "true",
     }
-    texts = {key: text for key, text in texts.items() if not (key.startswith("nmea0183.") and key in named)}
+    given = tuple(f"{key}." for key in named)  # a table is given with all its keys
+    texts = {key: text for key, text in texts.items() if not (key.startswith("nmea0183.") and f"{key}.".startswith(given))}
     if not set(vehicle.drivers) <= set(PLAYED):
         texts["pwm.chip"] = f"{place}/pwmchip0"
         values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": _toml(_by_pulses(vehicle.thrusters))}
     overrides = [f"{key}={_quoted(text)}" for key, text in texts.items()] + [f"{key}={value}" for key, value in values.items()]
-    return BerthSettings(overrides, boat_id, page)
+    moved = [f"{key} is {texts[key]}" for key in _beside(vehicle, its) if key in texts]
+    return BerthSettings(overrides, boat_id, page, moved)
+
+
+def _beside(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
+    """Where the boat tells others its navigation, and where a pilot steers it. A simulated position on a real bridge, or a real
+    plotter that steers a simulated boat, would deceive somebody. On this computer the datagrams' own port stays."""
+    outs = {f"nmea0183.out.{name}.to": (f"out-{name}", out.to) for name, out in vehicle.nmea0183.out.items()}
+    pilot = {"nmea0183.guest.device": ("guest", vehicle.nmea0183.guest.device)}
+    return {key: _device(name, to, its) for key, (name, to) in {**outs, **pilot}.items() if not _is_here(to)}
+
+
+def _is_here(place: str) -> bool:
+    """Whether it is nowhere, or an address of this computer."""
+    return not place or (not place.startswith("/") and config.is_loopback(place.partition(":")[2]))
+
+
+def _corrected(vehicle: config.Vehicle) -> tuple[str, ...]:
+    """What gives corrections to a receiver that is none of the boat's simulated ports."""
+    to = vehicle.corrections.to
+    return (
+        ()
+        if to in vehicle.nmea0183.ports or _is_here(to)
+        else ("corrections.to", "corrections.caster", "corrections.credentials")
+    )
 
 
 def _device(name: str, device: str, its: Berth) -> str:

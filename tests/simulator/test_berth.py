@@ -54,6 +54,33 @@ def test_the_boats_radio_is_left_alone_with_its_key():
     assert (settings.mavlink.serial, settings.mavlink.key) == ("", "")
 
 
+def test_what_the_boat_tells_others_and_its_pilot_are_not_the_real_ones():
+    """A simulated position on a real plotter, or a real plotter that steers it, deceives somebody."""
+    file = [
+        'nmea0183.out.sonar.to="/dev/ttyUSB3"',
+        'nmea0183.out.bridge.to="udp:192.168.7.255:10110"',
+        'nmea0183.out.mine.to="udp:127.0.0.1:10111"',
+        'nmea0183.guest.device="/dev/ttyUSB4"',
+        "guest.enabled=false",
+        'slipd.device="/dev/ttyUSB5"',
+        'corrections.to="/dev/ttyUSB6"',
+        'corrections.caster="ntrip://127.0.0.1:2101/NEAR"',
+    ]
+    with berth(None) as its:
+        told = settings_of(changed(file), its, ())
+        settings, place = changed(file + told.overrides), its.folder.resolve()
+        named = settings_of(changed(file), its, ("nmea0183.out.sonar", "nmea0183.out.bridge.to", "nmea0183.guest.device"))
+    out = settings.nmea0183.out
+    assert (out["sonar"].to, settings.nmea0183.guest.device) == (f"{place}/nmea0183-out-sonar", f"{place}/nmea0183-guest")
+    assert out["bridge"].to.startswith("udp:127.0.0.1:")
+    assert out["mine"].to == "udp:127.0.0.1:10111"
+    assert (settings.slipd.device, settings.corrections.to) == ("", "")
+    assert told.moved[0] == f"nmea0183.out.sonar.to is {place}/nmea0183-out-sonar"
+    assert len(told.moved) == 3
+    assert named.moved == []
+    assert "nmea0183.out" not in " ".join(named.overrides)
+
+
 def test_the_boats_hand_set_and_kill_switch_are_left_alone():
     file = ['handset.device="/dev/ttyAMA1"', "handset.mandatory=true", 'kill.chip="/dev/gpiochip0"', 'kill.line="KILL"']
     with berth(None) as its:
