@@ -66,7 +66,7 @@ def sail(plan: Plan, folder: Path, size: int, workers: int, cluster: str | None)
             store.add(number, rows)
             progress.add(rows)
     except KeyboardInterrupt:
-        print(f"\ndelfim: ended by Ctrl-C after {store.runs} of {plan.runs} runs; the same command goes on", file=sys.stderr)
+        print(f"\ndelfim: ended after {store.runs} of {plan.runs} runs; the same command goes on", file=sys.stderr)
         raise
     finally:
         store.flush()

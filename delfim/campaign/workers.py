@@ -1,7 +1,9 @@
 """Who sails the batches: processes of this machine, or the workers of a Dask cluster. Both get few batches at a time."""
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections import deque
 from collections.abc import Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -49,8 +51,16 @@ def by_processes(plan: Plan, batches: Iterable[Batch], count: int) -> Generator[
 
 
 def _deaf() -> None:
-    """Ctrl-C is for the process that writes."""
+    """Signals are for the process that writes; a worker ends with it, however that ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    writer = multiprocessing.parent_process()
+    assert writer is not None
+
+    def end_with_it() -> None:
+        writer.join()
+        os._exit(1)
+
+    threading.Thread(target=end_with_it, daemon=True).start()
 
 
 def by_cluster(plan: Plan, batches: Iterable[Batch], address: str) -> Generator[tuple[int, Rows], None, None]:

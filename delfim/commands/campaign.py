@@ -3,6 +3,7 @@
 import argparse
 import os
 import shlex
+import signal
 from pathlib import Path
 from typing import Final
 
@@ -37,6 +38,7 @@ def run(asked: argparse.Namespace) -> int:
     folder = Path(asked.output) if asked.output else FOLDER / f"{_slug(plan.name)}-{plan.digest[:8]}"
     if asked.again:
         return again.sail(plan, folder, *_run(asked.again, len(plan.points)))
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, which a shell keeps from what runs in the background
     conduct.sail(plan, folder, asked.batch, asked.workers, asked.cluster)
     words = ["delfim", "campaign", asked.file, *(["--output", asked.output] if asked.output else [])]
     return conduct.tell(file, plan, folder, shlex.join(words), Path(asked.against) if asked.against else None)

@@ -220,11 +220,34 @@ def test_ctrl_c_keeps_what_was_sailed_and_the_same_command_goes_on(tmp_path, sai
     with monkeypatch.context() as patch:
         patch.setattr(conduct.Progress, "add", struck)
         assert main(words) == 130
-    assert "ended by Ctrl-C after 4 of 10 runs; the same command goes on" in capsys.readouterr().err
+    assert "ended after 4 of 10 runs; the same command goes on" in capsys.readouterr().err
     assert len(digests(tmp_path / "out")) == 4
     assert main(words) == 0
     assert "4 of them are there already" in capsys.readouterr().out
     assert digests(tmp_path / "out") == digests(folder)
+
+
+CUT = """
+import os, signal, sys
+from delfim.campaign.runplan import read
+from delfim.campaign.workers import by_processes
+if __name__ == "__main__":
+    plan = read(sys.argv[1])[1]
+    for _, rows in by_processes(plan, plan.batches(1), 2):
+        print(rows[0]["pid"], flush=True)
+        os.kill(os.getpid(), signal.SIGKILL)
+"""
+
+
+@pytest.mark.long
+def test_no_worker_outlives_the_campaign_whatever_ended_it(tmp_path, sailed):
+    (tmp_path / "cut.py").write_text(CUT)
+    words = (sys.executable, tmp_path / "cut.py", sailed[0])
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}) as cut:
+        assert cut.stdout is not None
+        worker = Path("/proc") / cut.stdout.readline().strip()
+        cut.stdout.read()  # until nobody holds the pipe any more: each worker has it, too
+    assert not (worker / "exe").exists()
 
 
 @pytest.fixture
