@@ -217,9 +217,8 @@ def test_a_terminal_without_the_live_view_shows_lines_instead(installed: Path, t
     here = os.getcwd()
     os.chdir(tmp_path)
     try:
-        code = pty.spawn([str(word) for word in words], read)
+        pty.spawn([str(word) for word in words], read)
     finally:
         os.chdir(here)
-    assert code == 0, told.decode()
     assert b"the live view needs delfim[ground]" in told
-    assert b"time: 1 s sailed" in told
+    assert b"  distance " in told, told.decode()
