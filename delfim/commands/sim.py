@@ -49,15 +49,14 @@ def options(parser: argparse.ArgumentParser) -> None:
         "--scenario", metavar="FILE", type=shipped, help='Sail this scenario in lock step; "mixed" draws faults from the seed.'
     )
     parser.add_argument(
-        "--for", type=seconds, dest="for_s", metavar="SECONDS", help="End after this time instead of with the mission."
+        "--for", type=seconds, dest="for_s", metavar="SECONDS", help="End after this time, not with the mission."
     )
     parser.add_argument("--seed", type=int, default=1, help="Seed of noise and gusts.")
     parser.add_argument("--lockstep", action="store_true", help="Sail as fast as the machine can; same seed, same bytes.")
     parser.add_argument("--plain", action="store_true", help="Print one line a second instead of the live view.")
     parser.add_argument("--json", action="store_true", help="Print one JSON object for each state.")
-    parser.add_argument(
-        "--console", action="store_true", help="Run the console in the browser, too, and stay until Ctrl-C (docs/console.md)."
-    )
+    told = "Run the console in the browser, too, and stay until Ctrl-C (docs/console.md)."
+    parser.add_argument("--console", action="store_true", help=told)
     parser.add_argument(
         "--page", metavar="ADDRESS:PORT", help=f"Serve the console's page here (default: {PAGE}, or the next free)."
     )
