@@ -43,6 +43,8 @@ DriverName = Literal[
 ]  # files in delfim/vehicle/actuators
 SIDES = ("dsor", "heron", "mavlink_front_seat", "otter")  # drivers of a starboard and a port side; all but dsor mix them
 SensorName = Literal["sysstat", "dronecan", "nmea0183", "nmea2000"]  # files in delfim/vehicle/sensors
+GuardedName = Literal["hold", "goto", "play", "path", "home", "course", "heading", "grex"]
+GuardedModes = Annotated[tuple[GuardedName, ...], msgspec.Meta(max_length=len(get_args(GuardedName)))]
 HeardName = Literal["nmea2000", "nmea0183", "mavlink", "guest"]  # who tells of other vessels
 ToldName = Literal[  # rows in delfim/services/nmea2000rows.py
     "position", "course", "heading", "turn", "attitude", "rudder", "engine", "battery", "route", "alerts"
@@ -149,7 +151,7 @@ TransducerName = Annotated[
     str, text(r"-?[^ ,*$\x00-\x1f-]{0,32}", "the name that the device sends, or - and the name, or empty")
 ]
 InstrumentRate = Annotated[float, msgspec.Meta(ge=0.0, le=50.0)]
-INSTRUMENTS = ("receiver", "compass", "gyro", "sounder", "wind", "ais")
+INSTRUMENTS = ("receiver", "compass", "gyro", "sounder", "wind")
 InstrumentName = Annotated[
     str, text(rf"[A-Za-z][A-Za-z0-9_-]{{0,31}}:({'|'.join(INSTRUMENTS)})", f"PORT:INSTRUMENT, one of {', '.join(INSTRUMENTS)}")
 ]
@@ -315,6 +317,16 @@ class Nmea0183(Table, frozen=True):
                 raise ValueError(f"preferred: there is no port {each.partition(':')[0]}")
 
 
+class TrafficGuard(Table, frozen=True):
+    """Keeping clear of other vessels by the rules of the road (docs/traffic.md)."""
+
+    enabled: bool = True  # False: the boat tells of dangers, and keeps its course
+    modes: GuardedModes = ("hold", "goto", "play", "path", "home", "course")  # in which course and speed may change
+    look_s: Annotated[float, msgspec.Meta(ge=60.0, le=900.0)] = 180.0  # 180: a crowded harbour, 420: open water
+    stand_on: Literal["never", "small", "always"] = "small"  # for vessels that must give way: none, those below 20 m, all
+    on_failure: Literal["warn", "slow", "hold"] = "warn"  # where the guard cannot work: go on, at half speed, or hold
+
+
 class TrafficTable(Table, frozen=True):
     """Other vessels: who tells of them, and how long one that falls silent is believed in (docs/traffic.md)."""
 
@@ -324,6 +336,7 @@ class TrafficTable(Table, frozen=True):
     lost_b_s: Seconds = 180.0  # the same of class B, above 2 kn
     lost_rest_s: Seconds = 1080.0  # of class A at anchor, moored or aground, and of class B below 2 kn
     lost_near_s: Seconds = 15.0  # of boats of the fleet and what a payload sees
+    guard: TrafficGuard = TrafficGuard()
 
 
 class Corrections(Table, frozen=True):
@@ -731,6 +744,32 @@ class Shallow(Trouble, frozen=True):
     home: ModeAction = "warn"
 
 
+class TrafficNear(Trouble, frozen=True):
+    """Another vessel will come near: the boat would be in its domain within twice the time that the guard looks ahead. Or it is
+    near: within two domains and closing."""
+
+    cpa_m: Annotated[float, msgspec.Meta(ge=0.0, le=20_000.0)] = 0.0  # or it comes nearer than this (0: no limit) ...
+    tcpa_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 600.0  # ... sooner than this
+    zone_m: Annotated[float, msgspec.Meta(ge=0.0, le=20_000.0)] = 0.0  # or it is nearer than this (0: no limit)
+    action: ActionName = "warn"
+
+
+class TrafficClose(Trouble, frozen=True):
+    """The boat is in another vessel's domain, or nothing that it could do keeps it out. To stop before a ship is no safe
+    state."""
+
+    action: ActionName = "warn"
+
+
+class AisSilent(Silence, frozen=True):
+    """No report of other vessels, from a receiver that has given some. With a transponder of one's own on the bus: not even its
+    own report."""
+
+    after_s: Seconds = 180.0  # age of the last one
+    own_s: Seconds = 30.0  # age of the own transponder's last one
+    action: ActionName = "warn"
+
+
 class LogNotWritable(Trouble, frozen=True):
     """The state log is not being written."""
 
@@ -759,6 +798,9 @@ class Failsafe(Table, frozen=True):
     handset_silent: HandsetSilent = HandsetSilent()
     shallow: Shallow = Shallow()
     log: LogNotWritable = LogNotWritable()
+    traffic: TrafficNear = TrafficNear()
+    traffic_close: TrafficClose = TrafficClose()
+    ais_silent: AisSilent = AisSilent()
 
 
 class Area(Table, frozen=True):

@@ -235,6 +235,7 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         "navigation",
         "estimated",
         "traffic/lookout",
+        "traffic/watchkeeper",
         "sensors/*",
         "actuators/*",
         "handset/*",

@@ -2,11 +2,11 @@
 
 import argparse
 
-from delfim.commands import example_file
+from delfim.commands import vehicle_file
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    example_file(parser)
+    vehicle_file(parser)
     parser.add_argument("--seed", type=int, default=1, help="Seed of noise and gusts.")
 
 

@@ -43,7 +43,7 @@ class Helm:
     def __init__(self, settings: config.Vehicle, clock: Clock, state: State, propulsion: Propulsion, log: StateLog) -> None:
         self.settings, self.state = filled(settings), state
         self._clock, self._propulsion, self._log = clock, propulsion, log
-        self.limits = settings_of(settings)
+        self.limits, self.step = settings_of(settings), step  # another one keeps clear of other vessels
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
         self.track = Track(settings.control.home)
         self.plans = Plans(settings.fence, self.limits, state, self.track, log)
@@ -74,6 +74,7 @@ class Helm:
         self._controlled_s = now_s
         if (short := self._propulsion.short) is not None:
             self.memory = lacking(self.memory, short)
+        step = self.step
         self.memory, state.reference, wanted = step(state.mode, self.memory, state.motion, state.setpoint, self.limits, dt_s)
         return wanted
 

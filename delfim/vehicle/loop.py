@@ -32,6 +32,7 @@ from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import HANDSET, Profile, StartConditions, State, StateLog
 from delfim.vehicle.traffic.lookout import TrafficLookout
 from delfim.vehicle.traffic.vesselwords import VesselWords
+from delfim.vehicle.traffic.watchkeeper import Watchkeeper
 from delfim.vehicle.troubles import Inputs
 
 REPEAT_S = 0.5  # a propeller without commands for PROPELLER_TIMEOUT_S stops itself, which would hide the cause
@@ -59,6 +60,7 @@ class VehicleLoop:
         self.helm = Helm(settings, clock, state, propulsion, log)
         self._failing = Failing(settings, state, propulsion, log)
         self._lookout, self._vessels = TrafficLookout(settings.traffic), VesselWords()
+        self._watchkeeper = Watchkeeper(settings, clock, state, log)
         self.latency = Latency(skipped=COLD_CYCLES)
         guest.on_line, state.actuation = self.on_guest, propulsion.still
 
@@ -134,6 +136,7 @@ class VehicleLoop:
         helm = self.helm
         helm.go_on()
         self._lookout.step(state, now_s)
+        self._watchkeeper.look(helm, now_s)
         inputs = Inputs(self.log.reason(), helm.plans.fence, self._failing.look(now_s))
         helm.troubles, action, reason, notices = failsafe.failsafe(helm.rules, helm.troubles, state, inputs, now_s)
         if notices or state.notices:
@@ -188,8 +191,6 @@ class VehicleLoop:
         return console.snapshot(self.state, now_s, more)
 
     def follow(self, other: "VehicleLoop") -> None:
-        """Copy another vehicle's mode, set points and memory, and compute with its own tables, which are immutable."""
-        state, its = self.state, other.state
-        state.mode, state.setpoint, state.origin = its.mode, its.setpoint, its.origin
-        self.helm.memory, self.helm.limits = other.helm.memory, other.helm.limits
-        self.propulsion.follow(other.propulsion)
+        """Copy another vehicle's mode, set points and memory."""
+        self.state.mode, self.state.setpoint, self.helm.memory = other.state.mode, other.state.setpoint, other.helm.memory
+        self.state.origin = other.state.origin

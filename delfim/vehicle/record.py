@@ -79,6 +79,14 @@ def _known(value: float | None) -> float:
     return NAN if value is None else value
 
 
+def _ordered(name: str) -> Callable[[State, float], object]:
+    return lambda s, now_s: NAN if s.traffic.order is None else getattr(s.traffic.order, name)
+
+
+def _nearness(s: State, now_s: float) -> float:
+    return s.traffic.nearness
+
+
 def _stage(name: str) -> Field:
     return Field(name, "q", "ns", f"profile stamp {name}, wall clock since 1970", lambda s, now_s: getattr(s.profile, name))
 
@@ -118,6 +126,9 @@ FIELDS = (
     Field("starboard_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_STARBOARD, "charge")),
     Field("port_charge", "f", "", "batteries, 0..1", _of_batteries(Node.BATTERIES_PORT, "charge")),
     Field("vessels", "H", "", "other vessels that are known, lost ones too", lambda s, now_s: len(s.traffic.targets)),
+    Field("order_course", "f", "rad", "over ground, to keep clear of others; nan: there is none", _ordered("course_rad")),
+    Field("order_speed", "f", "m/s", "the same", _ordered("speed_mps")),
+    Field("nearness", "f", "", "least to come to another vessel, in domains: 1 is the edge", _nearness),
     # With the black box and the commands in the sidecar, these suffice to replay the cycle bit by bit.
     Field("console_s", "d", "s", "time since boot of the console's last word", lambda s, now_s: s.console_s),
     Field("guest_s", "d", "s", "time since boot of the guest's last reference", lambda s, now_s: s.guest_s),

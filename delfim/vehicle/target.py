@@ -1,6 +1,7 @@
 """Other vessels as the vehicle knows them at one instant. SI units, no behaviour."""
 
-from typing import Final, NamedTuple
+import math
+from typing import Final, Literal, NamedTuple
 
 NEVER_S: Final = -1e9
 STATUS_UNKNOWN: Final = 15
@@ -26,6 +27,29 @@ class Target(NamedTuple):
     status: int  # navigational status of ITU-R M.1371: 0 under way, 1 at anchor, 5 moored, ...; 15: not known
 
 
+class CourseOrder(NamedTuple):
+    """A course and a speed in place of the mode's own, to keep clear of another vessel."""
+
+    course_rad: float  # over ground
+    speed_part: float  # of the speed asked for, 0 to 1
+    speed_mps: float  # the same
+    words: str  # for people
+    key: str  # of the vessel it is for; empty: it is for the fence
+    nearness: float  # of all vessels the least to come, in domains; below 1: nothing is clear
+    at_s: float  # monotonic time
+
+
+class Danger(NamedTuple):
+    """How near a vessel comes. Domains are those of `Caution`; 1 is the edge."""
+
+    key: str
+    cpa_m: float  # if both keep course and speed
+    tcpa_s: float  # negative: they draw apart
+    nearness: float  # least to come, in domains, as the boat sails now
+    level: Literal["none", "near", "danger"]
+    words: str = ""  # why; empty: there is none
+
+
 class Traffic(NamedTuple):
     """All other vessels now, and who was heard when. Times are monotonic."""
 
@@ -34,3 +58,7 @@ class Traffic(NamedTuple):
     heard_s: float = NEVER_S  # the last report of anybody else
     own_s: float = NEVER_S  # the last report of the boat's own transponder
     refused: tuple[tuple[str, int], ...] = ()  # reports that were not taken, by reason in words, and how many
+    order: CourseOrder | None = None  # in force
+    dangers: tuple[Danger, ...] = ()  # of each vessel
+    guard: str = "off"  # "on", "off", "cannot avoid: " and why
+    nearness: float = math.nan  # the least of all dangers; nan: there is nobody

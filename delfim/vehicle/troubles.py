@@ -18,6 +18,7 @@ from delfim.vehicle import gnss, inputhealth
 from delfim.vehicle.fence import Fence, ahead, outside
 from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import HandsetReport, State
+from delfim.vehicle.target import NEVER_S
 
 TURNING: Final = 0.04  # of full command; below this a propeller moves no boat
 SURE: Final = 0.3  # of full command; above this a propeller turns, whatever its revolutions
@@ -180,6 +181,38 @@ def shallow(look: Look) -> str | None:
     return f"shallow: {depth_m:.1f} m of water" if is_shallow else None
 
 
+def traffic(look: Look) -> str | None:
+    """The guard has the hysteresis."""
+    return _traffic(look, "near")
+
+
+def traffic_close(look: Look) -> str | None:
+    return _traffic(look, "danger")
+
+
+def _traffic(look: Look, level: str) -> str | None:
+    now = look.state.traffic
+    if not now.dangers:
+        return None
+    words = [each.words for each in now.dangers if each.level == level]
+    if level == "near" and now.order is not None:
+        return now.order.words
+    if not words:
+        return None
+    cannot = f"; {now.guard}" if now.guard.startswith("cannot") else ""
+    return f"{words[0]}{f', and {len(words) - 1} more' if len(words) > 1 else ''}{cannot}"
+
+
+def ais_silent(look: Look) -> str | None:
+    now, limits = look.state.traffic, look.settings.failsafe.ais_silent
+    own_age_s, age_s = look.now_s - now.own_s, look.now_s - now.heard_s
+    if now.own_s > NEVER_S:
+        is_silent = own_age_s > limits.own_s and age_s > limits.own_s
+        return f"AIS silent: own transponder not heard for {own_age_s:.0f} s" if is_silent else None
+    is_silent = now.heard_s > NEVER_S and age_s > limits.after_s
+    return f"AIS silent for {age_s:.0f} s: other vessels are not seen" if is_silent else None
+
+
 def log(look: Look) -> str | None:
     return f"log not written: {look.inputs.log_reason}" if look.inputs.log_reason else None
 
@@ -212,6 +245,9 @@ class Trigger(IntEnum):
     KILL = 14, kill  # always a stop
     HANDSET_SILENT = 15, handset_silent
     SHALLOW = 16, shallow
+    TRAFFIC = 17, traffic
+    TRAFFIC_CLOSE = 18, traffic_close
+    AIS_SILENT = 19, ais_silent
 
 
 _SEEN: Final = tuple((trigger, trigger.sees) for trigger in Trigger)  # ten times a second: no look-ups in an enumeration

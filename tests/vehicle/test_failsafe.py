@@ -24,6 +24,7 @@ from delfim.vehicle.state import (
     State,
     ThrusterReport,
 )
+from delfim.vehicle.target import Danger, Traffic
 from delfim.vehicle.troubles import Inputs, Trigger, astray
 
 ALL = frozenset({"position", "heading", "velocity"})
@@ -99,6 +100,12 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             here.handset = HandsetReport(now_s - 1.1, 0.0, 0.0, takes=False, kills=False)
         case Trigger.SHALLOW:
             here.measured["depth_m"] = 0.9, now_s
+        case Trigger.TRAFFIC:
+            here.traffic = Traffic(dangers=(Danger("1", 40.0, 90.0, 0.5, "near", "MARIA is near"),))
+        case Trigger.TRAFFIC_CLOSE:
+            here.traffic = Traffic(dangers=(Danger("1", 4.0, 9.0, 0.5, "danger", "MARIA is close"),))
+        case Trigger.AIS_SILENT:
+            here.traffic = Traffic(heard_s=now_s - 180.1)
         case Trigger.LOG:
             inputs = Inputs("disk full", None)
     return here, inputs
@@ -131,6 +138,9 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.GNSS_POOR: (Action.WARN, {}),
     Trigger.KILL: (Action.STOP, {}),
     Trigger.HANDSET_SILENT: (Action.WARN, {}),
+    Trigger.TRAFFIC: (Action.WARN, {}),
+    Trigger.TRAFFIC_CLOSE: (Action.WARN, {}),
+    Trigger.AIS_SILENT: (Action.WARN, {}),
     Trigger.SHALLOW: (Action.BACK, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
 }
 

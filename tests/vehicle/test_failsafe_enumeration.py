@@ -7,7 +7,7 @@ taken apart again.
 
 import math
 from itertools import pairwise, product
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import pytest
 
@@ -26,6 +26,7 @@ from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import Fix
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.state import Actuation, HandsetReport, Line, NoLog, Plan, State, ThrusterReport, Waypoint
+from delfim.vehicle.target import Danger, Traffic
 from delfim.vehicle.troubles import TURNING, Trigger
 
 SECONDS, NAVIGATION_S = 1.6, 0.2
@@ -171,6 +172,11 @@ class Boat:
             self.source.says = self.source.says._replace(satellites=3)
         if trouble == "shallow":
             self.state.measured["depth_m"] = 0.5, self.clock.monotonic_s()
+        if trouble in ("traffic", "traffic_close"):
+            level: Literal["near", "danger"] = "near" if trouble == "traffic" else "danger"
+            self.state.traffic = Traffic(dangers=(Danger("1", 40.0, 90.0, 0.5, level, f"MARIA: {level}"),))
+        if trouble == "ais_silent":
+            self.state.traffic = Traffic(heard_s=self.clock.monotonic_s() - 200.0)
         if trouble == "fence":
             self.vehicle.helm.plans.fence = Sliced(fence.survey(self.settings.fence, AHEAD, self.state.origin)).finish()
         for tick in range(1, ticks + 1):

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from delfim import config
 from delfim.geodesy import wrap
 from delfim.vehicle.fence import Fence
-from delfim.vehicle.target import Target
+from delfim.vehicle.target import CourseOrder, Target
 from delfim.vehicle.traffic.cpa import approach, closest, domain
 from delfim.vehicle.traffic.encounter import Own, duty, stands_on
-from delfim.vehicle.traffic.keepclear import CourseOrder, Memory, RouteAhead, decide, route_legs
+from delfim.vehicle.traffic.keepclear import Memory, RouteAhead, decide, route_legs
 from delfim.vehicle.zones import circle, clearance_m, polygon
 from tests.vehicle.encounters import LIMITS, encounters, place, sail, score, target
 from tests.vehicle.encounters import ClassB as ByClassB

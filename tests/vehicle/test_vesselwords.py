@@ -22,6 +22,8 @@ def test_a_boat_that_never_heard_anybody_tells_nothing() -> None:
         "own_s": None,
         "refused": {},
         "targets": [],
+        "order": None,
+        "guard": "off",
     }
 
 
@@ -49,6 +51,10 @@ def test_a_vessel_is_told_in_degrees_and_with_its_age_now() -> None:
         "status": 0,
         "age_s": 4.0,
         "lost": False,
+        "cpa_m": None,
+        "tcpa_s": None,
+        "nearness": None,
+        "danger": "none",
     }
 
 

@@ -23,11 +23,13 @@ class News:
         self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last text, and when it was told
         self._leg_now: tuple[object, int] = None, 0
         self._announced = 0
+        self._ordered: tuple[str, float, float] | None = None
 
     def tell(self, commander: Speaker | None) -> None:
         """Changes of mode and troubles, in words, and a heartbeat at once when the mode changed."""
         self._tell_reached()
         self._tell_actions()
+        self._tell_order()
         state, say = self._boat.state, self._peers.say
         troubles = tuple((notice.name, notice.action) for notice in state.notices)
         console = commander.name if commander is not None else "no console"
@@ -46,6 +48,15 @@ class News:
             say(dialect.MAV_SEVERITY_ALERT, state.namesakes)
         if was != said:
             self._peers.hurry(dialect.MAVLINK_MSG_ID_HEARTBEAT, dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT)
+
+    def _tell_order(self) -> None:
+        """For whom the boat leaves its way, how, and that it is back."""
+        order = self._boat.state.traffic.order
+        now = (order.key, round(order.course_rad, 1), order.speed_part) if order is not None else None
+        if now != self._ordered:
+            self._ordered = now
+            words = order.words if order is not None else "clear of traffic: back to the way"
+            self._peers.say(dialect.MAV_SEVERITY_NOTICE, words)
 
     def _tell_troubles(self) -> None:
         """Tell each trouble when it begins or its action changes, and again when it has lasted twice as long: a screen must

@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 
 from delfim.geodesy import wrap
 from delfim.vehicle.fence import Fence
-from delfim.vehicle.target import Target
+from delfim.vehicle.target import CourseOrder, Target
 from delfim.vehicle.traffic.cpa import Approach, Domain, Leg, approach, domain
 from delfim.vehicle.traffic.encounter import PRIVILEGED, Duty, Own, duty, passing, stands_on, words
 from delfim.vehicle.traffic.shoreline import Shoreline
@@ -67,18 +67,6 @@ class RouteAhead(NamedTuple):
     has_end: bool = True  # False: a course, which a fence ends and does not bend
 
 
-class CourseOrder(NamedTuple):
-    """A course and a speed in place of the mode's own."""
-
-    course_rad: float  # over ground
-    speed_part: float  # of the speed asked for, 0 to 1
-    speed_mps: float  # the same
-    words: str  # for people
-    key: str  # of the vessel it is for; empty: it is for the fence
-    nearness: float  # of all vessels the least to come, in domains; below 1: nothing is clear
-    at_s: float
-
-
 class PassedBy(NamedTuple):
     """How the boat will pass a vessel, within twice the time looked ahead."""
 
@@ -123,24 +111,25 @@ def decide(
     limits: Caution, memory: Memory, own: Own, route: RouteAhead, targets: Sequence[Target], around: Fence | None, now_s: float
 ) -> Decision:
     """One decision, once a second. Never raises; input that is not finite counts as not there."""
-    if not (_plausible(*own) and all(map(_plausible_at, route.points)) and 0.0 <= route.speed_mps < PLAUSIBLE_MPS):
+    if not (plausible(*own) and all(map(_plausible_at, route.points)) and 0.0 <= route.speed_mps < PLAUSIBLE_MPS):
         return Decision(Memory(), None, ())
     on = route_legs(own, route)
-    seen = _in_question(limits, memory, own, route.speed_mps, targets, on)
+    ahead_rad = own.course_rad
+    if route.points:
+        ahead_rad = math.atan2(route.points[0][1] - own.east_m, route.points[0][0] - own.north_m)
+    seen = _in_question(limits, memory, own, ahead_rad, route.speed_mps, targets, on)
     was, is_away = memory.order, memory.order is not None
     shore = Shoreline(around, own, max(route.speed_mps, own.speed_mps) * STATIC_S) if around is not None else None
     # Who has to give way is left time to do so, unless the boat is under way for another vessel already.
     mine = seen if is_away else [each for each in seen if not _waits(limits, each, on)]
     judged = Scene(mine, shore if route.has_end or mine or is_away else None, 1.0)
-    duties = tuple((each.target.key, each.duty) for each in seen if each.duty is not None)
+    is_under_way = own.speed_mps >= SLOWEST_MPS  # otherwise the boat may turn to anywhere yet
+    duties = tuple((each.target.key, each.duty) for each in seen if each.duty is not None and is_under_way)
     # The route is left for what is near, and taken again when it is clear for twice as long.
     if _cost(judged, on, 0.0, 1.0, 2.0 if is_away else 1.0, math.inf, is_route=True) <= (0.0 if is_away else LEAVE):
         return Decision(Memory(None, 0.0, duties), None, _passes(seen, on, on))
     left_s = memory.left_s if is_away else now_s
     scene = Scene(seen, shore, 1.0 + max(now_s - left_s, 0.0) / limits.look_s)
-    ahead_rad = own.course_rad
-    if route.points:
-        ahead_rad = math.atan2(route.points[0][1] - own.east_m, route.points[0][0] - own.north_m)
     best = _cheapest(limits, scene, own, ahead_rad, route.speed_mps, on, was)
     if best is None:
         return Decision(Memory(None, 0.0, duties), None, _passes(seen, on, on))
@@ -150,16 +139,23 @@ def decide(
     return Decision(Memory(order, left_s, duties), order, passes)
 
 
-def _plausible(*values: float) -> bool:
+def plausible(*values: float) -> bool:
+    """Whether positions, courses and speeds are numbers that make sense."""
     return all(-PLAUSIBLE_M < value < PLAUSIBLE_M for value in values)
 
 
 def _plausible_at(point: Point) -> bool:
-    return _plausible(*point)
+    return plausible(*point)
 
 
 def _in_question(
-    limits: Caution, memory: Memory, own: Own, speed_mps: float, targets: Sequence[Target], on: Sequence[Leg]
+    limits: Caution,
+    memory: Memory,
+    own: Own,
+    ahead_rad: float,
+    speed_mps: float,
+    targets: Sequence[Target],
+    on: Sequence[Leg],
 ) -> list[Seen]:
     """The vessels to judge, the first to meet first, each with what the boat owes it."""
     near = list[tuple[float, int, Target]]()
@@ -170,19 +166,20 @@ def _in_question(
             near.append((far_m / (its_mps + own.speed_mps + SLOWEST_MPS), number, target))
     known, seen = dict(memory.duties), list[Seen]()
     for _, _, target in nsmallest(MOST, near):
-        if not _plausible(target.course_rad):
+        if not plausible(target.course_rad):
             continue
-        this = _measured(limits, own, speed_mps, target)
+        this = measured(limits, own, speed_mps, target)
         passed, owed = approach(this.around, on, this.look_s), known.get(target.key)
         if owed is None and passed.nearness < SOFT:
-            owed = duty(own, target)
+            owed = duty(own if own.speed_mps >= SLOWEST_MPS else Own(*own[:2], ahead_rad, speed_mps), target)
         if passed.nearness >= SOFT and this.far_m > this.look_s * (target.speed_mps + own.speed_mps):
             continue  # even if both went for each other
         seen.append(this._replace(duty=owed, rule=_rule(owed, target)))
     return seen
 
 
-def _measured(limits: Caution, own: Own, speed_mps: float, target: Target) -> Seen:
+def measured(limits: Caution, own: Own, speed_mps: float, target: Target) -> Seen:
+    """A vessel with its domain, not judged yet."""
     more_m = (target.margin_m if 0.0 < target.margin_m < PLAUSIBLE_M else 0.0) + limits.length_m / 2.0
     ahead_m = max(AHEAD_LENGTHS * target.length_m, AHEAD_MIN_M) + more_m
     abeam_m = max(ABEAM_LENGTHS * target.length_m, ABEAM_MIN_M) + more_m

@@ -31,4 +31,5 @@ class TrafficLookout:
         self._looked_s, own = now_s, state.motion
         here = (own.north_m, own.east_m) if "position" in own.has else (0.0, 0.0)
         targets = () if state.origin is None else tracker.at(now_s, state.origin, *here)
-        state.traffic = Traffic(targets, now_s, tracker.heard_s, tracker.own_s, tuple(tracker.refused.items()))
+        heard = Traffic(targets, now_s, tracker.heard_s, tracker.own_s, tuple(tracker.refused.items()))
+        state.traffic = Traffic(*heard[:5], *state.traffic[5:])  # the guard's part stays

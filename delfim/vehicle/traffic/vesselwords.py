@@ -3,7 +3,7 @@
 import math
 
 from delfim.geodesy import Origin, from_plane
-from delfim.vehicle.target import NEVER_S, Target, Traffic
+from delfim.vehicle.target import NEVER_S, CourseOrder, Danger, Target, Traffic
 
 
 class VesselWords:
@@ -18,13 +18,16 @@ class VesselWords:
         if traffic.heard_s == traffic.own_s == NEVER_S and not awaits:
             return None
         if traffic is not self._made[0] or origin is not self._made[1]:
-            vessels = [] if origin is None else [_vessel(each, origin) for each in traffic.targets]
+            known = {each.key: each for each in traffic.dangers}
+            vessels = [] if origin is None else [_vessel(each, origin) | _near(known.get(each.key)) for each in traffic.targets]
             self._made = traffic, origin, vessels
         return {
             "heard_s": _age(now_s, traffic.heard_s),
             "own_s": _age(now_s, traffic.own_s),
             "refused": dict(traffic.refused),
             "targets": self._made[2],
+            "order": _ordered(traffic.order, now_s),
+            "guard": traffic.guard,
         }
 
 
@@ -47,6 +50,25 @@ def _vessel(target: Target, origin: Origin) -> dict[str, object]:
         "status": target.status,
         "age_s": round(target.age_s, 1),
         "lost": target.is_lost,
+    }
+
+
+def _near(danger: Danger | None) -> dict[str, object]:
+    """What is not finite is None: beyond all numbers, or not reckoned yet."""
+    numbers = {name: getattr(danger, name, math.nan) for name in ("cpa_m", "tcpa_s", "nearness")}
+    told: dict[str, object] = {name: round(each, 2) if math.isfinite(each) else None for name, each in numbers.items()}
+    return told | {"danger": "none" if danger is None else danger.level}
+
+
+def _ordered(order: CourseOrder | None, now_s: float) -> dict[str, object] | None:
+    if order is None:
+        return None
+    return {
+        "course_deg": round(math.degrees(order.course_rad) % 360.0, 1),
+        "speed_mps": round(order.speed_mps, 2),
+        "words": order.words,
+        "key": order.key,
+        "age_s": round(now_s - order.at_s, 1),
     }
 
 

@@ -1,0 +1,84 @@
+"""The way that a mode will take, as points and a speed for the guard. Pure, and bounded in the number of points."""
+
+import math
+from itertools import islice
+from typing import Final
+
+from delfim.modes import Mode
+from delfim.vehicle.control.memory import Memory, Settings
+from delfim.vehicle.control.path import APPROACH, arc_point, nearest, start
+from delfim.vehicle.state import Line, Motion, Setpoint
+from delfim.vehicle.traffic.encounter import Own
+from delfim.vehicle.traffic.keepclear import RouteAhead
+from delfim.vehicle.zones import Point
+
+POINTS: Final = 12
+FAR_M: Final = 20_000.0  # a course leads there
+TRACK: Final = 300  # points of the way home that are looked at, of which some are taken
+CHORD_RAD: Final = math.radians(30.0)
+LIES_MPS: Final = 0.3  # a boat that is asked for less stays where it is, and may use its cruising speed
+UNDER_WAY_MPS: Final = 0.4  # below this the course over ground means nothing
+
+
+def own_of(motion: Motion) -> Own:
+    """The boat; its course is its heading while it hardly moves."""
+    speed_mps = math.hypot(motion.north_mps, motion.east_mps)
+    is_under_way = speed_mps > UNDER_WAY_MPS or "heading" not in motion.has
+    course_rad = math.atan2(motion.east_mps, motion.north_mps) if is_under_way else motion.heading_rad
+    return Own(motion.north_m, motion.east_m, course_rad, speed_mps)
+
+
+def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, settings: Settings) -> RouteAhead:
+    """A boat that stays at a place goes back there; without a mode's own way it goes on as it does."""
+    own, override_mps, has_end = own_of(motion), setpoint.override_mps, True
+    points, speed_mps, here = list[Point](), 0.0, (memory.north_m, memory.east_m)  # the last: where it stays, if it does
+    if mode is Mode.PLAY and setpoint.plan is not None and not memory.left_s > 0.0:
+        ahead = list(islice(setpoint.plan.waypoints, memory.leg, memory.leg + POINTS))
+        stays = next((i for i, to in enumerate(ahead) if to.hold_s > 0.0), len(ahead))
+        points = [(to.north_m, to.east_m) for to in ahead[: stays + 1]]
+        speed_mps = ahead[0].speed_mps if ahead else 0.0
+    elif mode is Mode.PATH and setpoint.plan is not None and memory.leg < len(setpoint.plan.path):
+        points, speed_mps = _along_path(memory, setpoint, motion, settings)
+    elif mode is Mode.GOTO and setpoint.target is not None:
+        points, speed_mps = [(setpoint.target.north_m, setpoint.target.east_m)], setpoint.target.speed_mps
+    elif mode is Mode.HOME and 0 <= memory.leg < len(setpoint.track):
+        points = list(setpoint.track[max(memory.leg - TRACK, 0) : memory.leg + 1])[:: -(TRACK // POINTS)]
+        speed_mps = settings.control.home.speed_mps
+    elif mode in (Mode.COURSE, Mode.HEADING, Mode.GREX, Mode.MANUAL):
+        asked_rad = setpoint.heading_rad if mode is Mode.COURSE else own.course_rad
+        points = [(own.north_m + FAR_M * math.cos(asked_rad), own.east_m + FAR_M * math.sin(asked_rad))]
+        speeds = {Mode.MANUAL: own.speed_mps, Mode.GREX: setpoint.guest_speed_mps}
+        speed_mps, override_mps, has_end = speeds.get(mode, setpoint.speed_mps), None, False
+    if points and override_mps is not None:
+        speed_mps = override_mps
+    if points and speed_mps >= LIES_MPS:
+        return RouteAhead(tuple(points), speed_mps, has_end)
+    is_away = mode is not Mode.IDLE and math.dist(here, (own.north_m, own.east_m)) > 2.0 * settings.control.hold.radius_m
+    return RouteAhead((here,) if is_away and not points else (), settings.control.speed.cruise_mps, has_end=False)
+
+
+def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Settings) -> tuple[list[Point], float]:
+    """From beside the path the boat goes square onto it, as line-of-sight guidance does, then along its pieces."""
+    assert setpoint.plan is not None
+    path, points, leg = setpoint.plan.path, list[Point](), memory.leg
+    if leg == APPROACH:
+        points, leg = [start(path[0])], 0
+    else:
+        tangent_rad, cross_m, left_m, _ = nearest(path[leg], motion, memory.swept_rad)
+        if abs(cross_m) > settings.control.path.lookahead_m:
+            ahead_m = min(settings.control.path.lookahead_m, max(left_m, 0.0))
+            cos, sin = math.cos(tangent_rad), math.sin(tangent_rad)
+            onto = motion.north_m + ahead_m * cos + cross_m * sin, motion.east_m + ahead_m * sin - cross_m * cos
+            points.append(onto)
+    for piece in islice(path, leg, leg + POINTS):
+        if isinstance(piece, Line):
+            points.append((piece.to_north_m, piece.to_east_m))
+        else:
+            swept_rad = memory.swept_rad if piece is path[memory.leg] else 0.0
+            left_rad = max(abs(piece.turn_rad) - swept_rad, 0.0)
+            chords = min(max(1, math.ceil(left_rad / CHORD_RAD)), POINTS)
+            sweeps = (swept_rad + left_rad * i / chords for i in range(1, chords + 1))
+            points += [arc_point(piece, math.copysign(swept, piece.turn_rad)) for swept in sweeps]
+        if len(points) >= POINTS:
+            break
+    return points[:POINTS], path[max(memory.leg, 0)].speed_mps

@@ -1,0 +1,160 @@
+"""The watchkeeper: once a second the guard decides and dangers are told; between, an order shapes the steps of the mode.
+
+The mode stays the one it is, is never entered anew, and checks off its legs as ever: an order replaces course and speed inside
+the step. A step reads the last order and its age; older than LATE_S it does without. While there is no order the steps are
+the mode's own, and cost what they cost without a guard.
+"""
+
+import math
+from typing import Final
+
+from delfim import config
+from delfim.clock import Clock
+from delfim.geodesy import wrap
+from delfim.modes import Mode
+from delfim.vehicle.control.autopilot import steer
+from delfim.vehicle.control.control import control
+from delfim.vehicle.control.guidance import course_to_steer
+from delfim.vehicle.control.memory import LineOfSight, Memory, Settings
+from delfim.vehicle.failsafe import Action
+from delfim.vehicle.helm import Helm
+from delfim.vehicle.state import Motion, Reference, Setpoint, State, StateLog, Wanted
+from delfim.vehicle.target import NEVER_S, CourseOrder, Target
+from delfim.vehicle.traffic import alarm, keepclear
+from delfim.vehicle.traffic.keepclear import Caution, PassedBy, RouteAhead, decide
+from delfim.vehicle.traffic.routeahead import own_of, route_ahead
+
+LATE_S: Final = 5.0  # an older order does not count
+SILENT_S: Final = 360.0  # a lost vessel is kept clear of until its last report is so old
+SLOW: Final = 0.5  # of the speed, where the guard cannot work
+TURN_MIN_RADPS, TURN_MAX_RADPS = 0.05, 0.5
+LEGS: Final = (Mode.PLAY, Mode.GOTO, Mode.HOME)
+
+
+def caution(settings: config.Vehicle, limits: Settings) -> Caution:
+    """Of a boat: the rate of turn is the one at which its autopilot's largest moment and the water's damping are equal."""
+    gains, guard = limits.gains, settings.traffic.guard
+    turn_radps = gains.p_limit_nm / max(gains.d_nm_per_radps + limits.hull.damping_nm_per_radps, 1e-6)
+    turn_radps = min(max(turn_radps, TURN_MIN_RADPS), TURN_MAX_RADPS)
+    return Caution(settings.boat.length_m, turn_radps, limits.control.speed.ramp_mps2, guard.look_s, guard.stand_on)
+
+
+class Watchkeeper:
+    def __init__(self, settings: config.Vehicle, clock: Clock, state: State, log: StateLog) -> None:
+        self._guard, self._clock, self._state, self._log = settings.traffic.guard, clock, state, log
+        names = self._guard.modes if self._guard.enabled else ()
+        self._modes = frozenset(mode for mode in Mode if mode.name.lower() in names)
+        self._alarms: alarm.Alarms
+        self._memory, self._alarms = keepclear.Memory(), {}
+        self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
+        self._decided_for_s = self._told_for_s = NEVER_S  # of `Traffic.at_s`
+        self._failing = ""
+
+    def look(self, helm: Helm, now_s: float) -> None:
+        """Call it with the watchdog, after the look-out: it does one piece of work at a time."""
+        traffic = self._state.traffic
+        if self._decided_for_s < traffic.at_s < now_s:
+            self._decided_for_s = traffic.at_s
+            self._decide(helm, now_s)
+        elif self._told_for_s < self._decided_for_s:
+            self._told_for_s = self._decided_for_s
+            self._tell(helm, now_s)
+
+    def _decide(self, helm: Helm, now_s: float) -> None:
+        state = self._state
+        missing = sorted({"position", "velocity"} - state.motion.has)
+        failing, order, self._passes = f"no {' and no '.join(missing)}" if missing else "", None, ()
+        if not missing:
+            self._route = route_ahead(state.mode, helm.memory, state.setpoint, state.motion, helm.limits)
+        if state.mode not in self._modes:
+            self._memory, failing = keepclear.Memory(), ""
+        elif not missing:
+            own, boat, fence = own_of(state.motion), caution(helm.settings, helm.limits), helm.plans.fence
+            try:
+                found = decide(boat, self._memory, own, self._route, self._watched(), fence, now_s)
+                self._memory, order, self._passes = found
+            except (ValueError, ArithmeticError) as error:  # the mission goes on as the vehicle's file says
+                self._memory, failing = keepclear.Memory(), f"the guard failed: {error}"
+        if order is None and state.traffic.order is not None:
+            self._resume(helm)
+        self._note(order)
+        is_guarded = "on" if state.mode in self._modes else "off"
+        words = f"cannot avoid: {failing}" if failing and state.traffic.targets else is_guarded
+        state.traffic = state.traffic._replace(order=order, guard=words)
+        self._act(helm, order, failing if state.traffic.targets else "", now_s)
+
+    def _watched(self) -> list[Target]:
+        return [each for each in self._state.traffic.targets if not each.is_lost or each.age_s < SILENT_S]
+
+    def _act(self, helm: Helm, order: CourseOrder | None, failing: str, now_s: float) -> None:
+        """From now on the steps of the mode are these."""
+        is_new, self._failing = failing and not self._failing, failing
+        does = self._guard.on_failure if failing else ""
+        helm.step = self._kept_clear if order is not None else _slowly if does == "slow" else control
+        if is_new:
+            self._log.note(f"traffic: cannot avoid: {failing}: {does}")
+            if does == "hold" and self._state.mode is not Mode.HOLD:
+                helm.fall_back(Action.HOLD, f"traffic cannot be avoided: {failing}", now_s)
+
+    def _kept_clear(
+        self, mode: Mode, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+    ) -> tuple[Memory, Reference, Wanted]:
+        """One step of a mode with the order's course and speed in place of its own. The crab angle stays measured."""
+        after, reference, wanted = control(mode, memory, motion, setpoint, settings, dt_s)
+        order = self._state.traffic.order
+        if order is None or mode not in self._modes or not wanted.run or self._clock.monotonic_s() - order.at_s > LATE_S:
+            return after, reference, wanted
+        was = LineOfSight(memory.course.crab_rad)
+        course, heading_rad = course_to_steer(was, motion, order.course_rad, 0.0, settings.control.path, dt_s)
+        integrals, wanted = steer(memory.integrals, motion, heading_rad, order.speed_mps, settings, dt_s)
+        reference = reference._replace(
+            heading_rad=wrap(heading_rad),
+            speed_mps=order.speed_mps,
+            course_rad=order.course_rad,
+            done=reference.done and mode is not Mode.PATH,  # its end is passed abeam, however far away
+        )
+        return after._replace(integrals=integrals, course=course), reference, wanted
+
+    def _resume(self, helm: Helm) -> None:
+        """Past and clear: the present leg begins anew from here."""
+        state, memory = self._state, helm.memory
+        if state.mode in LEGS and not memory.left_s and (state.mode is not Mode.GOTO or state.setpoint.target is not None):
+            helm.memory = memory._replace(north_m=state.motion.north_m, east_m=state.motion.east_m)
+
+    def _note(self, order: CourseOrder | None) -> None:
+        """A line in the log for each change of the order, not of its figures."""
+        was = self._state.traffic.order
+        if order is None:
+            if was is not None:
+                self._log.note("traffic: clear: back to the way")
+        elif (
+            was is None
+            or (was.key, was.speed_part) != (order.key, order.speed_part)
+            or abs(wrap(was.course_rad - order.course_rad)) > 0.1
+        ):
+            self._log.note(f"traffic: {order.words}")
+
+    def _tell(self, helm: Helm, now_s: float) -> None:
+        state, settings = self._state, helm.settings
+        if not state.traffic.targets and not self._alarms:
+            if state.traffic.dangers:
+                state.traffic = state.traffic._replace(dangers=(), nearness=math.nan)
+            return
+        if not {"position", "velocity"} <= state.motion.has:
+            return
+        guarded: alarm.Guarded = "no" if state.traffic.guard != "on" else "away" if state.traffic.order else "on its way"
+        near, boat, own = settings.failsafe.traffic, caution(settings, helm.limits), own_of(state.motion)
+        watched, passes = self._watched(), self._passes
+        found, self._alarms = alarm.dangers(near, boat, own, self._route, watched, passes, guarded, self._alarms, now_s)
+        nearness = min((each.nearness for each in found), default=math.nan)
+        state.traffic = state.traffic._replace(dangers=found, nearness=nearness)
+
+
+def _slowly(
+    mode: Mode, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+) -> tuple[Memory, Reference, Wanted]:
+    """One step of a mode at half the speed that is set for it, or half the cruising speed."""
+    set_mps = setpoint.override_mps
+    slow_mps = SLOW * (settings.control.speed.cruise_mps if set_mps is None else set_mps)
+    slow = setpoint._replace(speed_mps=SLOW * setpoint.speed_mps, override_mps=slow_mps)
+    return control(mode, memory, motion, slow, settings, dt_s)
