@@ -128,7 +128,7 @@ OutDevice = Annotated[
     str,
     text(rf"(/[^ ]+|udp:([0-9.]+|\[[0-9A-Fa-f:.]+\]):{_PORT})", "/DEVICE, or udp:ADDRESS:PORT, the address in numbers"),
 ]
-SPOKEN_BYTES = {"RMC": 80, "HDT": 20, "GGA": 72, "VTG": 48, "ROT": 24}  # at most, of each sentence that is told
+SPOKEN_BYTES = {"RMC": 80, "HDT": 20, "GGA": 77, "VTG": 48, "ROT": 24}  # at most, of each sentence that is told
 SpokenName = Literal["RMC", "HDT", "GGA", "VTG", "ROT"]
 CorrectionsTo = Annotated[
     str,

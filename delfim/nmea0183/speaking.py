@@ -31,7 +31,8 @@ def gga(n: Navigation) -> bytes:
     if (place := _place(n)) is None:
         return b""
     hdop = "" if n.hdop is None else f"{n.hdop:.1f}"
-    return framed(f"GPGGA,{clock(n)},{place},{_QUALITY.get(n.fix, 1)},{n.satellites:02d},{hdop},,M,,M,,")
+    age = "" if n.corrections_s is None else f"{min(n.corrections_s, 999.0):.1f}"
+    return framed(f"GPGGA,{clock(n)},{place},{_QUALITY.get(n.fix, 1)},{n.satellites:02d},{hdop},,M,,M,{age},")
 
 
 def hdt(n: Navigation) -> bytes:

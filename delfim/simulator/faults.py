@@ -44,6 +44,7 @@ Kind = Literal[
     "clock_stepped",
     "gnss_poor",
     "accuracy_poor",
+    "corrections_lost",
     "shallow",
     "heading_jumping",
     "compass_cable",
@@ -221,6 +222,9 @@ class Faults(Broken):
             case "accuracy_poor":
                 for receiver in receivers:
                     receiver.stated_m = value if on else receiver.position_m
+            case "corrections_lost":
+                for receiver in receivers:
+                    receiver.uncorrected = on
             case "shallow":
                 model = self.model
                 model.bank = Bank(model.north_m, model.east_m, value) if on else None

@@ -378,7 +378,16 @@ def test_a_round_trip_keeps_the_values(n):
 @given(NAVIGATION)
 def test_no_sentence_is_longer_than_the_check_of_a_lines_speed_expects(n):
     for name, speak in SPEAKERS.items():
-        assert len(speak(n._replace(fix=6, satellites=99, hdop=99.9))) <= SPOKEN_BYTES[name]
+        assert len(speak(n._replace(fix=6, satellites=99, hdop=99.9, corrections_s=1e6))) <= SPOKEN_BYTES[name]
+
+
+def test_the_age_of_corrections_is_told():
+    """To who takes the boat for a receiver; a simulated receiver says it likewise."""
+    for age_s, heard_s in ((None, None), (1.0, 1.0), (21.04, 21.0), (1e6, 999.0)):
+        n = navigation(0.1, 0.1, 0.0, 0.0, 0.1, 0.1, 1_795_000_000_000_000_000)._replace(corrections_s=age_s)
+        assert one(SPEAKERS["GGA"](n).decode()[1:-5]).corrections_s == heard_s
+        told = pynmea2.parse(SPEAKERS["GGA"](n).decode().strip()).age_gps_data
+        assert (float(told) if told else None) == heard_s
 
 
 def test_the_unknown_is_not_told():

@@ -14,6 +14,7 @@ from delfim.simulator.nodes.navigation import POSITION_ERROR_S, SATELLITES, YAW_
 from delfim.simulator.nodes.period import Period
 
 LEAST_HZ: Final = 1.0  # of a sensor that is not there, and says nothing
+CORRECTED_S: Final = 1.0  # age of the corrections of a receiver that gets them
 DEPTH_NOISE: Final = 0.01  # of the depth
 WIND_NOISE_MPS: Final = 0.2  # of each component
 
@@ -50,11 +51,14 @@ class GnssReceiver:
         rate_hz = here.receiver_hz or LEAST_HZ
         self._keep = math.exp(-1.0 / (rate_hz * POSITION_ERROR_S))
         self._error_m = [self._random.gauss(0.0, self.position_m) for _ in "ne"]
-        self._due, self._lacks = Period(1.0 / rate_hz), not here.receiver_hz
+        self._period_s = 1.0 / rate_hz
+        self._due, self._lacks = Period(self._period_s), not here.receiver_hz
         self.silent = self.frozen = False  # frozen: it repeats its values
         self.jump_m = 0.0  # error of the position to the north
         self.satellites = SATELLITES
         self.stated_m = self.position_m  # standard deviation per axis, as it says
+        self.corrections_s: float | None = None  # age of its last correction, as it says; None: it gets none
+        self.uncorrected = False  # no more corrections come
         self._said: AntennaMotion | None = None
 
     @property
@@ -64,6 +68,8 @@ class GnssReceiver:
     def step(self, now_s: float) -> AntennaMotion | None:
         if not self._due.passed(now_s):
             return None
+        if self.uncorrected or self.corrections_s is not None:
+            self.corrections_s = (self.corrections_s or 0.0) + self._period_s if self.uncorrected else CORRECTED_S
         if self._said is None or not self.frozen:
             self._said = self._measured()
         return None if self.silent or self._lacks else self._said

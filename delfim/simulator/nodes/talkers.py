@@ -13,7 +13,16 @@ from delfim.messages import Navigation
 from delfim.nmea0183.framing import framed
 from delfim.nmea0183.speaking import clock, gga, rmc
 from delfim.simulator.model import Model
-from delfim.simulator.nodes.measuring import AntennaMotion, ApparentWind, Compass, GnssReceiver, Sounder, Turn, Vane
+from delfim.simulator.nodes.measuring import (
+    CORRECTED_S,
+    AntennaMotion,
+    ApparentWind,
+    Compass,
+    GnssReceiver,
+    Sounder,
+    Turn,
+    Vane,
+)
 from delfim.simulator.nodes.navigation import FIX, HDOP
 
 
@@ -36,6 +45,7 @@ class SimulatedInstruments:
 
     def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
         self._here, self._model, self._seed = settings.simulation, model, seed
+        self._corrected = settings.failsafe.gnss_poor.corrections_s > 0.0  # a boat that asks for corrections gets them
         self._variation_rad = math.radians(settings.nmea0183.variation_deg)
         self.receivers, self.compasses = list[GnssReceiver](), list[Compass]()
         self._all = [one for each in placed(settings) for one in self._made(*each.split(":"))]
@@ -61,6 +71,7 @@ class SimulatedInstruments:
         here, model, seed = self._here, self._model, self._seed
         if kind == "receiver" and here.receiver_hz:
             receiver = GnssReceiver(model, here, seed, f"receiver {port}")
+            receiver.corrections_s = CORRECTED_S if self._corrected else None
             self.receivers.append(receiver)
             yield Instrument(port, receiver, lambda moved, utc_ns: _position(receiver, moved, utc_ns))
         elif kind == "compass" and here.compass_hz:
@@ -80,7 +91,7 @@ class SimulatedInstruments:
 
 def _position(receiver: GnssReceiver, moved: AntennaMotion, utc_ns: int) -> bytes:
     """GGA, RMC and GST, as a receiver of several systems says them."""
-    n = Navigation(utc_ns, *moved, None, None, None, None, FIX, receiver.satellites, HDOP, 0)
+    n = Navigation(utc_ns, *moved, None, None, None, None, FIX, receiver.satellites, HDOP, 0, None, receiver.corrections_s)
     sigma = f"{receiver.stated_m:.2f}"
     return gga(n) + rmc(n) + framed(f"GPGST,{clock(n)},{sigma},,,,{sigma},{sigma},")
 
