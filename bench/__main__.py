@@ -12,7 +12,7 @@ PROGRAMS = ("critical-path", "costs", "allocation", "sim", "log", "watchers", "d
 
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__, formatter_class=Formatter)
-    parser.add_argument("what", nargs="?", choices=[*PROGRAMS, "soak"], help="Without a name, all but soak.")
+    parser.add_argument("what", nargs="?", choices=[*PROGRAMS, "campaign", "soak"], help="Without a name, all but these two.")
     parser.add_argument("--file", default="etc/delfimx.toml", help="The vehicle's file.")
     overrides(parser)
     parser.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="Write results and pictures here.")
@@ -31,7 +31,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from bench import allocation, costs, critical_path, liblog, lockstep, sides, soak
+    from bench import allocation, campaign, costs, critical_path, liblog, lockstep, sides, soak
 
     programs = {
         "critical-path": critical_path.run,
@@ -45,8 +45,8 @@ def run(asked: argparse.Namespace) -> int:
         "downloads": sides.run_downloads,
         "disk": sides.run_disk,
     }
-    if asked.what == "soak":
-        return soak.run(asked)
+    if asked.what in ("campaign", "soak"):
+        return (campaign if asked.what == "campaign" else soak).run(asked)
     return max(programs[name](asked) for name in ([asked.what] if asked.what else PROGRAMS))
 
 

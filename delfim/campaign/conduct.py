@@ -58,7 +58,7 @@ def sail(plan: Plan, folder: Path, size: int, workers: int, cluster: str | None)
     print(f"delfim: {plan.runs} runs at {len(plan.points)} points, results in {folder}", flush=True)
     if store.runs:
         print(f"delfim: {store.runs} of them are there already", flush=True)
-    missing = (each for each in plan.batches(size) if each.number not in store.done)
+    missing = (each for each in plan.batches(size) if not store.has(each.number))
     progress = Progress(plan, store)
     sailing = by_cluster(plan, missing, cluster) if cluster else by_processes(plan, missing, workers)
     try:

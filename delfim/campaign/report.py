@@ -73,14 +73,14 @@ def write(
 
 
 def _head(plan: Plan, database: duckdb.DuckDBPyConnection, verdicts: Sequence[Holding]) -> Iterator[str]:
-    sql = "select count(*), count_if(not ok), sum(sailed_s), sum(wall_s), string_agg(distinct version, '; ') from runs"
-    runs, bad, sailed_s, wall_s, versions = asked(database, sql)[1][0]
+    sql = "select count(*), count_if(not ok), sum(sailed_s), sum(cpu_s), string_agg(distinct version, '; ') from runs"
+    runs, bad, sailed_s, cpu_s, versions = asked(database, sql)[1][0]
     low, high = share(bad, runs)
     yield f"<h1>{escape(plan.name)}</h1><p class=soft>{escape(versions)}; campaign {plan.digest}</p>"
     for name, holds, where in verdicts:
         at = f" (points {', '.join(map(str, where[:10]))})" if where else ""
         yield f"<p class={'holds' if holds else 'fails'}>{'Holds' if holds else 'Fails'}: {escape(name)}{at}</p>"
-    hours = f"{(sailed_s or 0.0) / 3600.0:.1f} hours at sea in {wall_s / 3600.0:.2f} hours of computing"
+    hours = f"{(sailed_s or 0.0) / 3600.0:.1f} hours at sea in {cpu_s / 3600.0:.2f} hours of a processor"
     yield f"<p>{runs} runs at {len(plan.points)} points, {hours}. "
     yield f"{bad} failed: {bad / runs:.3%}, 95 % confidence {low:.3%} to {high:.3%}.</p>"
 

@@ -40,12 +40,19 @@ def schema(plan: Plan) -> pa.Schema:
     fields += [(key, *kinds) for key, kinds in keys.items()]
     fields += [("ok", pa.bool_()), ("failures", pa.list_(pa.string())), ("error", pa.string())]
     fields += [(measure.name, _KINDS[measure.kind]) for measure in MEASURES]
-    fields += [("wall_s", pa.float64()), ("host", pa.string()), ("pid", pa.int64()), ("version", pa.string())]
+    fields += [
+        ("wall_s", pa.float64()),
+        ("cpu_s", pa.float64()),
+        ("host", pa.string()),
+        ("pid", pa.int64()),
+        ("version", pa.string()),
+    ]
     return pa.schema(fields)
 
 
 class Store:
-    """The folder, opened by the only process that writes there. `done` are the batches that need not be sailed again."""
+    """The folder, opened by the only process that writes there. What it remembers does not grow with the runs: of batches that
+    are there, the first that is missing, and those beyond it."""
 
     def __init__(self, folder: Path, plan: Plan, size: int, version: str) -> None:
         """`size`: runs of a batch. Raises DelfimError where the folder holds another campaign or results of other code."""
@@ -61,24 +68,34 @@ class Store:
         self._rows, self._since_s = list[dict[str, Any]](), time.monotonic()
         self._parts = sorted(folder.glob("part-*.parquet"))
         self._next = int(self._parts[-1].stem.removeprefix("part-")) + 1 if self._parts else 0
-        self.done, self.runs, self.failed = set[int](), 0, 0
+        self._missing, self._beyond, self.runs, self.failed = 0, set[int](), 0, 0
         if self._parts:
-            sql = f"select batch, count(*), count_if(not ok) from {parts(folder)} group by batch"
+            sql = f"select batch, count(*), count_if(not ok) from {parts(folder)} group by batch order by batch"
             try:
                 with duckdb.connect() as database:
-                    rows = database.execute(sql).fetchall()
+                    answer = database.execute(sql)
+                    while row := answer.fetchone():
+                        self._count(*row)
             except duckdb.Error as error:
                 raise DelfimError(f"{folder}: {str(error).partition(chr(10))[0]}") from None
-            self.done = {batch for batch, _, _ in rows}
-            self.runs, self.failed = sum(row[1] for row in rows), sum(row[2] for row in rows)
+
+    def has(self, batch: int) -> bool:
+        """Whether a batch need not be sailed again."""
+        return batch < self._missing or batch in self._beyond
+
+    def _count(self, batch: int, runs: int, failed: int) -> None:
+        self._beyond.add(batch)
+        while self._missing in self._beyond:
+            self._beyond.remove(self._missing)
+            self._missing += 1
+        self.runs, self.failed = self.runs + runs, self.failed + failed
 
     def add(self, batch: int, rows: list[dict[str, Any]]) -> None:
         """Take the rows of a batch, unless they are there."""
-        if batch in self.done:
+        if self.has(batch):
             return
-        self.done.add(batch)
+        self._count(batch, len(rows), sum(not row["ok"] for row in rows))
         self._rows += rows
-        self.runs, self.failed = self.runs + len(rows), self.failed + sum(not row["ok"] for row in rows)
         if len(self._rows) >= PART_ROWS or time.monotonic() - self._since_s > PART_S:
             self.flush()
 

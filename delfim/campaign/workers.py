@@ -5,7 +5,7 @@ import os
 import signal
 import threading
 from collections import deque
-from collections.abc import Generator, Iterable
+from collections.abc import Callable, Generator, Iterable
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
@@ -17,12 +17,16 @@ from delfim.campaign.sailing import VERSION, sail_batch
 from delfim.errors import DelfimError
 
 AHEAD: Final = 3  # batches handed out for each worker: enough that nobody waits, few enough that nobody remembers a million
+START_S: Final = 60.0  # until the first worker of a cluster must be there
 DEATHS: Final = 3  # of workers, one after the other without a finished batch between, until it is given up
 
 Rows = list[dict[str, Any]]
+Work = Callable[[Plan, Batch, str], Rows]  # what a worker does with a batch, given the version of who asks
 
 
-def by_processes(plan: Plan, batches: Iterable[Batch], count: int) -> Generator[tuple[int, Rows], None, None]:
+def by_processes(
+    plan: Plan, batches: Iterable[Batch], count: int, work: Work = sail_batch
+) -> Generator[tuple[int, Rows], None, None]:
     """Rows of batches, in any order. A killed process breaks the whole pool: it is made anew with what is missing. Raises
     DelfimError when that goes on."""
     left, deaths, rest = deque[Batch](), 0, iter(batches)
@@ -34,7 +38,7 @@ def by_processes(plan: Plan, batches: Iterable[Batch], count: int) -> Generator[
         try:
             while True:
                 while len(waiting) < AHEAD * count and (batch := left.popleft() if left else next(rest, None)):
-                    waiting[pool.submit(sail_batch, plan, batch, VERSION)] = batch
+                    waiting[pool.submit(work, plan, batch, VERSION)] = batch
                 if not waiting:
                     return
                 for each in wait(waiting, return_when=FIRST_COMPLETED).done:
@@ -63,7 +67,9 @@ def _deaf() -> None:
     threading.Thread(target=end_with_it, daemon=True).start()
 
 
-def by_cluster(plan: Plan, batches: Iterable[Batch], address: str) -> Generator[tuple[int, Rows], None, None]:
+def by_cluster(
+    plan: Plan, batches: Iterable[Batch], address: str, work: Work = sail_batch
+) -> Generator[tuple[int, Rows], None, None]:
     """The same by a Dask scheduler, whose workers may come and go. Nothing that a batch needs lives on workers alone: the plan
     goes with each. Raises DelfimError where there is no cluster, or it was lost, or a worker has other code."""
     dask: Any = import_module("distributed")
@@ -73,30 +79,44 @@ def by_cluster(plan: Plan, batches: Iterable[Batch], address: str) -> Generator[
         raise DelfimError(f"no Dask cluster at {address}: {error}") from None
     with client:
         _check(client, address)
-        rest, taken = iter(batches), dask.as_completed()
+        rest, taken, waiting, deaths = iter(batches), dask.as_completed(), dict[str, Batch](), 0
 
-        def hand_out() -> None:
-            free = AHEAD * max(1, sum(client.nthreads().values())) - taken.count()
-            for batch in islice(rest, max(free, 0)):
-                key = f"{plan.digest}-{batch.number}"
-                taken.add(client.submit(sail_batch, plan, batch, VERSION, key=key, pure=False, retries=2))
+        def hand_out(some: Iterable[Batch]) -> None:
+            for batch in some:
+                key = f"{plan.digest}-{batch.number}-{deaths}"
+                waiting[key] = batch
+                taken.add(client.submit(work, plan, batch, VERSION, key=key, pure=False, retries=2))
 
-        hand_out()
+        def free() -> int:
+            threads: int = sum(client.nthreads().values())
+            return max(0, AHEAD * max(1, threads) - len(waiting))
+
+        hand_out(islice(rest, free()))
         for future in taken:
+            batch = waiting.pop(future.key)
             try:
                 rows: Rows = future.result()
-            except (dask.CancelledError, dask.scheduler.KilledWorker, OSError) as error:
+            except dask.scheduler.KilledWorker:  # Dask has seen several workers die that had this batch
+                deaths += 1
+                if deaths >= DEATHS:
+                    raise DelfimError(f"workers of the cluster at {address} die one after the other") from None
+                hand_out([batch])
+                continue
+            except (dask.CancelledError, OSError) as error:
                 raise DelfimError(f"the cluster at {address} lost a batch: {error}; the same command goes on") from None
-            yield rows[0]["batch"], rows
+            deaths = 0
+            yield batch.number, rows
             future.release()
-            hand_out()
+            hand_out(islice(rest, free()))
 
 
 def _check(client: Any, address: str) -> None:
     """Every worker must have this code, by its digest and not by its number alone."""
+    try:
+        client.wait_for_workers(1, timeout=START_S)
+    except TimeoutError:
+        raise DelfimError(f"the Dask cluster at {address} has no workers") from None
     found = client.run(_version, on_error="ignore")  # one that dies now is asked again by its first batch
-    if not found:
-        raise DelfimError(f"the Dask cluster at {address} has no workers")
     for worker, version in found.items():
         if version != VERSION:
             raise DelfimError(f"the worker {worker} has {version}, this is {VERSION}")

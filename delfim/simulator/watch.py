@@ -42,10 +42,12 @@ class Onlooker:
             self._fenced(around, state, idle)
 
     def _adrift(self, idle: bool, now_s: float) -> None:
-        """Propellers give thrust while nothing steers the boat. A failed bus is not the boat's fault."""
+        """Propellers give thrust while nothing steers the boat. Neither a failed bus nor a node that tells it nothing is the
+        boat's fault: what turns then it learns afterwards."""
         model, on = self._model, self._run.faults.on
         turns = max(abs(drive.part) for drive in model.drives.values()) > TURNS
-        if not (idle and turns) or "bus_off" in on or any(kind.startswith("frames_") for kind in on):
+        is_deaf = "bus_off" in on or "sensor_silent" in on or any(kind.startswith("frames_") for kind in on)
+        if not (idle and turns) or is_deaf:
             self._turning_since_s, self._astray = math.inf, False
             return
         self._turning_since_s = min(self._turning_since_s, now_s)

@@ -8,7 +8,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Iterator
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import pytest
@@ -21,6 +21,7 @@ from tests.campaign.test_runplan import ETC, written
 
 DELFIM = (sys.executable, "-m", "delfim", "campaign")
 ROOT = Path(__file__).parents[2]
+KILLS = 20
 
 
 @pytest.fixture(scope="module")
@@ -164,7 +165,7 @@ def test_a_batch_counts_once_a_torn_part_not_at_all_and_what_is_missing_is_known
     kept.flush()
     (tmp_path / "out/part-000001.tmp").write_bytes(b"torn")  # the power failed before it had its name
     again = store.Store(tmp_path / "out", plan, 2, sailing.VERSION)
-    assert again.done == {0}
+    assert [again.has(number) for number in range(4)] == [True, False, False, False]
     assert again.runs == 1
     assert not list((tmp_path / "out").glob("*.tmp"))
     for number in (1, 2, 3):
@@ -250,15 +251,32 @@ def test_no_worker_outlives_the_campaign_whatever_ended_it(tmp_path, sailed):
     assert not (worker / "exe").exists()
 
 
+@pytest.mark.long
+def test_twenty_killed_processes_cost_no_run_and_count_none_twice(tmp_path, monkeypatch):
+    path = written(tmp_path, 'scenario = "mixed"', "seeds = {first = 0, count = 60}")
+    plan, killed = read(path)[1], set[int]()
+
+    def struck(progress: conduct.Progress, rows: list[dict]) -> None:
+        if len(killed) < KILLS and rows[0]["pid"] not in killed:
+            killed.add(rows[0]["pid"])
+            with suppress(ProcessLookupError):  # it died with the pool of one that was killed before
+                os.kill(rows[0]["pid"], signal.SIGKILL)
+
+    monkeypatch.setattr(conduct.Progress, "add", struck)
+    conduct.sail(plan, tmp_path / "out", 1, 2, None)
+    assert len(killed) == KILLS
+    assert set(digests(tmp_path / "out")) == {(0, seed) for seed in range(60)}
+
+
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[str]:
-    """The address of a Dask scheduler on loopback with two workers, each a process."""
+    """The address of a Dask scheduler on loopback with two workers, each a process that is started again when it dies."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     address, quiet = f"tcp://127.0.0.1:{port}", os.environ | {"PYTHONPATH": str(ROOT), "DASK_LOGGING__DISTRIBUTED": "error"}
     dask = (sys.executable, "-W", "ignore", "-m", "distributed.cli.dask_spec")
     scheduler = {"cls": "distributed.Scheduler", "opts": {"host": "127.0.0.1", "port": port, "dashboard": False}}
-    worker = {"cls": "distributed.Worker", "opts": {"nthreads": 1, "dashboard": False, "host": "127.0.0.1"}}
+    worker = {"cls": "distributed.Nanny", "opts": {"nthreads": 1, "host": "127.0.0.1", "dashboard": False}}
     with ExitStack() as running:
         for words in ((json.dumps(scheduler),), *2 * ((json.dumps(worker), address),)):
             program = subprocess.Popen((*dask, "--spec", *words), env=quiet, cwd=tmp_path, stderr=subprocess.DEVNULL)
@@ -271,20 +289,35 @@ KILLING = """
 import json, os, signal, sys
 from delfim.campaign.runplan import read
 from delfim.campaign.workers import by_cluster
-plan, dead, found = read(sys.argv[1])[1], 0, {}
+plan, dead, found = read(sys.argv[1])[1], set(), {}
 for number, (row,) in by_cluster(plan, plan.batches(1), sys.argv[2]):
     assert number not in found
     found[number] = [row["point"], row["seed"], row["digest"]]
-    if not dead:
-        dead = row["pid"]
-        os.kill(dead, signal.SIGKILL)
+    if len(dead) < int(sys.argv[3]) and row["pid"] not in dead:
+        dead.add(row["pid"])
+        os.kill(row["pid"], signal.SIGKILL)
+assert len(dead) == int(sys.argv[3])
 print(json.dumps(list(found.values())))
 """
+
+
+def killing(path: Path, cluster: str, kills: int) -> list[tuple[int, int, str]]:
+    """(point, seed, digest) of all rows of a campaign whose workers are killed on the way."""
+    command = (sys.executable, "-c", KILLING, path, cluster, str(kills))
+    end = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=500)
+    assert end.returncode == 0, end.stderr
+    return [tuple(row) for row in json.loads(end.stdout)]
 
 
 @pytest.mark.long
 def test_a_cluster_whose_worker_is_killed_gives_the_same_rows(sailed, cluster):
     path, folder = sailed
-    end = subprocess.run((sys.executable, "-c", KILLING, path, cluster), capture_output=True, text=True, cwd=ROOT, timeout=100)
-    assert end.returncode == 0, end.stderr
-    assert {(point, seed): digest for point, seed, digest in json.loads(end.stdout)} == digests(folder)
+    assert {(point, seed): digest for point, seed, digest in killing(path, cluster, 1)} == digests(folder)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_a_cluster_of_which_twenty_workers_are_killed_gives_each_run_once(tmp_path, cluster):
+    path = written(tmp_path, 'scenario = "mixed"', "seeds = {first = 0, count = 60}")
+    runs = [(point, seed) for point, seed, _ in killing(path, cluster, KILLS)]
+    assert sorted(runs) == [(0, seed) for seed in range(60)]

@@ -164,6 +164,8 @@ def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
         3374,  # a stopped boat drifts to 0.3 m from the fence before it is told to sail
         5262,  # the straight way from where the fence stopped it to where it holds led through the zone
         5272,  # a stopped boat drifts over the fence, and is further out when it has turned
+        9147,  # the same, after navigation was silent
+        9931,  # a propeller is stuck while its node is silent, and is disconnected when the boat hears of it
     ],
 )
 def test_seeds_that_failed_once(seed):
