@@ -45,8 +45,10 @@ def run(asked: argparse.Namespace) -> int:
         "downloads": sides.run_downloads,
         "disk": sides.run_disk,
     }
-    if asked.what in ("campaign", "soak"):
-        return (campaign if asked.what == "campaign" else soak).run(asked)
+    if asked.what == "soak":
+        return soak.run(asked)
+    if asked.what == "campaign":
+        return campaign.run(asked)
     return max(programs[name](asked) for name in ([asked.what] if asked.what else PROGRAMS))
 
 
