@@ -5,7 +5,7 @@ from operator import xor
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError
-from delfim.nmea0183.sentences import READERS, Message
+from delfim.nmea0183.sentences import ENCAPSULATED, READERS, Message
 
 LONGEST: Final = 200  # characters; the standard says 82, receivers with many decimals and multiplexers go beyond
 NAMES_MAX, NAME_MAX = 64, 6  # addresses that are counted one by one, and characters of each
@@ -80,7 +80,7 @@ class Sentences:
         name = fields[0]
         known = name[:NAME_MAX] if name[:NAME_MAX] in self.heard or len(self.heard) < NAMES_MAX else OTHERS
         self.heard[known] = self.heard.get(known, 0) + 1
-        if len(name) != 5 or name[0] == "P" or line[start] != 36 or name[2:] not in READERS:
+        if len(name) != 5 or name[0] == "P" or name[2:] not in READERS or (line[start] == 33) != (name[2:] in ENCAPSULATED):
             return None
         least, reader = READERS[name[2:]]
         try:

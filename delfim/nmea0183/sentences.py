@@ -11,6 +11,7 @@ from datetime import UTC, datetime
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError
+from delfim.nmea0183.aissentences import AisPart, part
 
 KNOT: Final = 1852.0 / 3600.0  # m/s
 FOOT, FATHOM = 0.3048, 1.8288  # m
@@ -109,7 +110,17 @@ class Measurement(NamedTuple):
 
 
 Message = (
-    Located | Movement | Bearing | Turning | DateTime | Spread | ActiveSatellites | Sounding | Breeze | tuple[Measurement, ...]
+    Located
+    | Movement
+    | Bearing
+    | Turning
+    | DateTime
+    | Spread
+    | ActiveSatellites
+    | Sounding
+    | Breeze
+    | tuple[Measurement, ...]
+    | AisPart
 )
 
 
@@ -351,4 +362,7 @@ READERS: Final[dict[str, tuple[int, Callable[[list[str]], Message]]]] = {  # wit
     "DBT": (6, _dbt),
     "MWV": (6, _mwv),
     "XDR": (5, _xdr),
+    "VDM": (7, part),
+    "VDO": (7, part),
 }
+ENCAPSULATED: Final = ("VDM", "VDO")  # begin with "!" instead of "$"

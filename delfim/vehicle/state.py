@@ -7,6 +7,7 @@ from typing import NamedTuple, Protocol
 from delfim.geodesy import Origin
 from delfim.messages import Navigation, SystemStatus
 from delfim.modes import Mode
+from delfim.nmea0183.aissentences import AisPart
 from delfim.vehicle.inputhealth import InputHealth
 from delfim.vehicle.target import Traffic
 from delfim.vessels import Report
@@ -59,7 +60,7 @@ class Motion(NamedTuple):
 class Sighting(NamedTuple):
     """A report of another vessel that came in."""
 
-    told: Report
+    told: Report | AisPart
     by: str  # the way: "nmea2000", a port's name, "console 255"
     at_s: float  # monotonic time
     key: str = ""  # of the vessel, where it is not its number of AIS
@@ -256,7 +257,7 @@ class State:
         """Count an event that is not worth stopping for. Names are code, so the table is bounded."""
         self.counts[name] = self.counts.get(name, 0) + by
 
-    def hear(self, told: Report, by: str, now_s: float, key: str = "") -> None:
+    def hear(self, told: Report | AisPart, by: str, now_s: float, key: str = "") -> None:
         """A report of another vessel, for the next look. Costs next to nothing, and is bounded."""
         if len(self.heard) < HEARD_MAX:
             self.heard.append(Sighting(told, by, now_s, key))

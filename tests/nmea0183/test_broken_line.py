@@ -51,7 +51,9 @@ class Boat:
             navigation=config.NavigationTable(sources=("nmea0183",)),
             nmea0183=config.Nmea0183(ports={"gnss": config.Nmea0183Port(device=str(device))}),
         )
-        self.source: Nmea0183Navigation = opened(settings, Links(lambda *_: pytest.fail("no bus"), lambda *_: self.line), {})
+        self.source: Nmea0183Navigation = opened(
+            settings, Links(lambda *_: pytest.fail("no bus"), lambda *_: self.line), {}, lambda *_: None
+        )
 
     def _count(self, t_ns: int, data: bytes) -> None:
         self.got += len(data)

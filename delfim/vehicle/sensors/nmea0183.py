@@ -3,6 +3,7 @@ source reads them, and leaves these values in the state.
 """
 
 from delfim import config
+from delfim.nmea0183.aissentences import AisPart
 from delfim.vehicle.links import Links, Readable
 from delfim.vehicle.sensors import Sensor, Value
 from delfim.vehicle.sources.nmea0183 import AnyPort, Nmea0183Navigation, opened
@@ -24,13 +25,18 @@ class Instruments:
 
     name = "nmea0183"
 
-    def __init__(self, lines: Nmea0183Navigation, measured: dict[str, tuple[float, float]]) -> None:
+    def __init__(
+        self, lines: Nmea0183Navigation, measured: dict[str, tuple[float, float]], heard: list[tuple[AisPart, str, float]]
+    ) -> None:
         self.input: Readable = lines.input
-        self._lines, self._measured = lines, measured
+        self._lines, self._measured, self._heard = lines, measured, heard
 
     def read(self, state: State, now_s: float) -> None:
         self._lines.read(now_s)
         state.measured.update(self._measured)
+        for each in self._heard:
+            state.hear(*each)
+        self._heard.clear()
 
 
 class ReadByTheSource:
@@ -48,5 +54,6 @@ class ReadByTheSource:
 def open_sensor(settings: config.Vehicle, links: Links) -> Sensor:
     if "nmea0183" in settings.navigation.sources:
         return ReadByTheSource()
-    measured = dict[str, tuple[float, float]]()
-    return Instruments(opened(settings, links, measured), measured)
+    measured, heard = dict[str, tuple[float, float]](), list[tuple[AisPart, str, float]]()
+    lines = opened(settings, links, measured, lambda *part: heard.append(part))
+    return Instruments(lines, measured, heard)

@@ -2,10 +2,11 @@
 
 import math
 import select
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Final, NamedTuple
 
 from delfim import config
+from delfim.nmea0183.aissentences import AisPart
 from delfim.nmea0183.combining import Combined
 from delfim.ubx.mixedline import Antennas, MixedLine
 from delfim.vehicle.estimated import Hearer
@@ -16,6 +17,9 @@ from delfim.vehicle.state import State
 GREETING: Final = b'{"class":"VERSION"'  # of gpsd, whoever connects
 WATCH: Final = b'?WATCH={"enable":true,"nmea":true};\r\n'  # it answers with sentences
 GARBLED_S: Final = 3.0  # of nonsense alone that is told
+
+
+HearAis = Callable[[AisPart, str, float], object]  # with the port's name, and the time
 
 
 class Port(NamedTuple):
@@ -59,8 +63,8 @@ class Nmea0183Navigation:
 
     name = "nmea0183"
 
-    def __init__(self, ports: tuple[Port, ...], combined: Combined) -> None:
-        self.input, self._ports, self._combined = AnyPort(ports), ports, combined
+    def __init__(self, ports: tuple[Port, ...], combined: Combined, hear: HearAis) -> None:
+        self.input, self._ports, self._combined, self._hear = AnyPort(ports), ports, combined, hear
         self._next = 0  # the port that is read first
         self.heard_s, self.t_ns = -1e9, 0
         self._sound: dict[str, tuple[float, int, int]] = {}  # by port: when a sentence was sound last, and the counts then
@@ -74,6 +78,9 @@ class Nmea0183Navigation:
         for t_ns, port, data in sorted(self._waiting(), key=_when):
             self.t_ns = t_ns
             for sentence in port.sentences.feed(data):
+                if isinstance(sentence.message, AisPart):
+                    self._hear(sentence.message, port.name, now_s)
+                    continue
                 navigation = self._combined.take(port.name, sentence, now_s)
                 if navigation is not None:
                     fix = Fix(navigation, t_ns, now_s)
@@ -113,11 +120,13 @@ class Nmea0183Navigation:
 
 
 def open_source(settings: config.Vehicle, links: Links, state: State) -> Nmea0183Navigation:
-    return opened(settings, links, state.measured if "nmea0183" in settings.sensors.names else {})
+    return opened(settings, links, state.measured if "nmea0183" in settings.sensors.names else {}, state.hear)
 
 
-def opened(settings: config.Vehicle, links: Links, measured: dict[str, tuple[float, float]]) -> Nmea0183Navigation:
-    """`measured` gets the values beside navigation. Raises DelfimError."""
+def opened(
+    settings: config.Vehicle, links: Links, measured: dict[str, tuple[float, float]], hear: HearAis
+) -> Nmea0183Navigation:
+    """`measured` gets the values beside navigation, `hear` what is said of other vessels. Raises DelfimError."""
     table = settings.nmea0183
     ports = tuple(
         Port(
@@ -127,4 +136,4 @@ def opened(settings: config.Vehicle, links: Links, measured: dict[str, tuple[flo
         )
         for name, port in table.ports.items()
     )
-    return Nmea0183Navigation(ports, Combined(table, settings.navigation.stale_s, measured))
+    return Nmea0183Navigation(ports, Combined(table, settings.navigation.stale_s, measured), hear)

@@ -3,10 +3,12 @@
 from typing import Final
 
 from delfim.config import TrafficTable
-from delfim.vehicle.state import State
+from delfim.errors import FormatError
+from delfim.nmea0183.aissentences import AisMessages
+from delfim.vehicle.state import Sighting, State
 from delfim.vehicle.target import NEVER_S, Traffic
 from delfim.vehicle.traffic.targets import Tracker
-from delfim.vessels import VesselPosition
+from delfim.vessels import VesselFacts, VesselPosition
 
 AT_ONCE: Final = 24  # reports that one step takes; a busy harbour brings one
 LOOK_S: Final = 1.0
@@ -14,18 +16,15 @@ LOOK_S: Final = 1.0
 
 class TrafficLookout:
     def __init__(self, settings: TrafficTable) -> None:
-        self.tracker = Tracker(settings)
+        self.tracker, self._hears_lines = Tracker(settings), "nmea0183" in settings.hears
+        self._lines = dict[str, AisMessages]()  # by port
         self._looked_s = NEVER_S
 
     def step(self, state: State, now_s: float) -> None:
         """Call it with the watchdog. Never raises."""
         tracker, waiting = self.tracker, state.heard
         for _ in range(min(len(waiting), AT_ONCE)):
-            report = waiting.popleft()
-            if isinstance(report.told, VesselPosition):
-                tracker.hear(report.told, report.by, report.at_s, report.key)
-            else:
-                tracker.facts(report.told, report.at_s, report.key)
+            self._take(waiting.popleft())
         if now_s - self._looked_s < LOOK_S or tracker.heard_s == tracker.own_s == NEVER_S:
             return
         self._looked_s, own = now_s, state.motion
@@ -33,3 +32,19 @@ class TrafficLookout:
         targets = () if state.origin is None else tracker.at(now_s, state.origin, *here)
         heard = Traffic(targets, now_s, tracker.heard_s, tracker.own_s, tuple(tracker.refused.items()))
         state.traffic = Traffic(*heard[:5], *state.traffic[5:])  # the guard's part stays
+
+
+    def _take(self, sighting: Sighting) -> None:
+        told, by, at_s, key = sighting
+        if isinstance(told, VesselPosition):
+            self.tracker.hear(told, by, at_s, key)
+        elif isinstance(told, VesselFacts):
+            self.tracker.facts(told, at_s, key)
+        elif self._hears_lines:
+            try:
+                reports = self._lines.setdefault(by, AisMessages()).join(told, at_s)
+            except FormatError as error:
+                self.tracker.refuse(f"AIS sentence: {error}")
+                return
+            for report in reports:
+                self._take(sighting._replace(told=report))

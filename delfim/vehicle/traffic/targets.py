@@ -50,17 +50,17 @@ class Tracker:
         number = f"{position.mmsi:09d}"
         if not key and (position.is_own or position.mmsi == self._settings.mmsi):
             self.own_s = now_s
-            self._refuse("own transponder")
+            self.refuse("own transponder")
             return
         self.heard_s = now_s
         if not key and number.startswith(NO_VESSELS):
-            self._refuse("no vessel")
+            self.refuse("no vessel")
             return
         if not key and number.startswith(DISTRESS):
             position = position._replace(kind="distress")
         new = begun(position, by, now_s)
         if new is None:
-            self._refuse("no position, or none that a vessel can have")
+            self.refuse("no position, or none that a vessel can have")
         else:
             self._place(key or number, new, bool(key))
 
@@ -108,18 +108,18 @@ class Tracker:
         for track in (first,) if other is None else (first, other):
             if track.can_be_at(new):
                 if _is_known(track, new):
-                    self._refuse("heard before")
+                    self.refuse("heard before")
                 else:
                     track.take(new)
                 return
-        self._refuse("jump faster than 60 kn")
+        self.refuse("jump faster than 60 kn")
         rival, first.rival = first.rival, new
         if rival is None or new.at_s - rival.at_s > RIVAL_S or not rival.can_be_at(new):
             return
         if first.reports == 1 or is_named:
             self._begin(key, new)
         else:
-            self._refuse("two vessels with one number")
+            self.refuse("two vessels with one number")
             self._begin(_other(key), new)
 
     def _begin(self, key: str, new: VesselTrack) -> None:
@@ -128,7 +128,7 @@ class Tracker:
         if before is not None:
             new.kind = before.kind
         elif self._by_kind.get(kind, 0) >= MOST_OF.get(kind, MOST + 1) or not self._has_room(new):
-            self._refuse("too many: the farthest are not kept")
+            self.refuse("too many: the farthest are not kept")
             return
         else:
             self._by_kind[kind] = self._by_kind.get(kind, 0) + 1
@@ -153,7 +153,7 @@ class Tracker:
             self._leaving.pop()
             if key in self._tracks:
                 self._forget(key)
-                self._refuse("too many: the farthest are not kept")
+                self.refuse("too many: the farthest are not kept")
                 return True
         return False
 
@@ -170,7 +170,8 @@ class Tracker:
             return limits.lost_rest_s
         return limits.lost_b_s if track.kind == "B" else limits.lost_a_s * track.haste
 
-    def _refuse(self, reason: str) -> None:
+    def refuse(self, reason: str) -> None:
+        """Count a report that is not taken."""
         self.refused[reason] = self.refused.get(reason, 0) + 1
 
 
