@@ -9,13 +9,14 @@ import asyncio
 import hmac
 import math
 from collections.abc import Callable
-from typing import cast
+from typing import Annotated, cast
 
 import msgspec
 
 from delfim.clock import Clock
 from delfim.outside import UNREADABLE
 from delfim.vehicle.state import State
+from delfim.vessels import VesselFacts, VesselPosition
 
 LINE_BYTES = 1024  # longer input is not a set point
 LINES_A_CALL = 8  # the newest of the lines that came at once; the guest sends two a second
@@ -29,6 +30,24 @@ class HeadingReference(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     speed_mps: float = 0.0
 
 
+class SeenVessel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What a payload sees by radar, camera or lidar: degrees, m/s, m. What it does not know it leaves out."""
+
+    id: Annotated[str, msgspec.Meta(pattern="^[ -~]{1,24}$")]  # the same as long as it is the same one
+    latitude_deg: Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]
+    longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+    course_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] | None = None
+    speed_mps: Annotated[float, msgspec.Meta(ge=0.0, le=100.0)] | None = None
+    heading_deg: Annotated[float, msgspec.Meta(ge=0.0, le=360.0)] | None = None
+    length_m: Annotated[float, msgspec.Meta(gt=0.0, le=500.0)] | None = None
+    beam_m: Annotated[float, msgspec.Meta(gt=0.0, le=100.0)] | None = None
+
+
+class _Seen(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    target: SeenVessel
+
+
+_decode_seen = msgspec.json.Decoder(_Seen).decode
 _decode = msgspec.json.Decoder(HeadingReference).decode
 _encode = msgspec.json.Encoder().encode
 
@@ -109,3 +128,17 @@ def reference(line: bytes) -> HeadingReference | None:
     except UNREADABLE:
         return None
     return asked if math.isfinite(asked.heading_deg) and math.isfinite(asked.speed_mps) else None
+
+
+def sighted(line: bytes, state: State, now_s: float) -> bool:
+    """Another vessel in a line, into the state; False: there is none, or it is malformed."""
+    try:
+        seen = _decode_seen(line if len(line) <= LINE_BYTES else b"").target
+    except UNREADABLE:
+        return False
+    course_rad, heading_rad = (None if each is None else math.radians(each) for each in (seen.course_deg, seen.heading_deg))
+    place = math.radians(seen.latitude_deg), math.radians(seen.longitude_deg)
+    key = f"payload {seen.id}"
+    state.hear(VesselPosition(0, *place, course_rad, seen.speed_mps, heading_rad, None, "payload"), "guest", now_s, key)
+    state.hear(VesselFacts(0, seen.id, None, None, seen.length_m, seen.beam_m, None, None), "guest", now_s, key)
+    return True

@@ -22,7 +22,7 @@ from delfim.vehicle import console, failsafe, thrusters
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.failing import Failing
 from delfim.vehicle.failsafe import Action
-from delfim.vehicle.grex import Guest, reference
+from delfim.vehicle.grex import Guest, reference, sighted
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.latency import Latency
 from delfim.vehicle.links import LoopInput
@@ -114,10 +114,13 @@ class VehicleLoop:
         return None
 
     def on_guest(self, line: bytes) -> None:
-        """A line of the guest computer: its set point, obeyed in GREX mode only. A malformed one is counted."""
+        """A line of the guest computer: its set point, obeyed in GREX mode only, or a vessel that it sees. A malformed one is
+        counted."""
         state = self.state
         if (asked := reference(line)) is None:
-            state.count("guest_malformed")
+            is_heard = "guest" in self.helm.settings.traffic.hears
+            if not (is_heard and sighted(line, state, self.clock.monotonic_s())):
+                state.count("guest_malformed")
             return
         state.guest_s = self.clock.monotonic_s()
         state.setpoint = state.setpoint._replace(

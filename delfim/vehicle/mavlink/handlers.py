@@ -6,7 +6,7 @@ from typing import Final, NamedTuple
 
 from delfim.errors import FormatError, Refused
 from delfim.vehicle import console
-from delfim.vehicle.mavlink import byhand, commands, params, telemetry
+from delfim.vehicle.mavlink import byhand, commands, params, telemetry, vesselsin
 from delfim.vehicle.mavlink.answers import ANSWERS
 from delfim.vehicle.mavlink.commands import ACCEPTED, DENIED, LATER, UNSUPPORTED
 from delfim.vehicle.mavlink.consoles import Consoles
@@ -319,6 +319,8 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: guided,
     dialect.MAVLINK_MSG_ID_SET_POSITION_TARGET_GLOBAL_INT: guided,
     dialect.MAVLINK_MSG_ID_GPS_RTCM_DATA: _corrections,
+    dialect.MAVLINK_MSG_ID_AIS_VESSEL: vesselsin.vessel,
+    dialect.MAVLINK_MSG_ID_GLOBAL_POSITION_INT: vesselsin.sister,
     dialect.MAVLINK_MSG_ID_TIMESYNC: _timesync,
     dialect.MAVLINK_MSG_ID_PING: _ping,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_LIST: _listed,

@@ -17,6 +17,7 @@ from delfim.vehicle.failsafe import Action
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.ardupilot import WaterDepth, Wind
 from delfim.vehicle.mavlink.plans import ALL
+from delfim.vehicle.mavlink.vesselsout import vessels
 from delfim.vehicle.mavlink.wire import Message, dialect
 from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.troubles import charge
@@ -28,6 +29,7 @@ COMPONENT: Final = 1
 GUIDED: Final = frozenset({Mode.HEADING, Mode.COURSE, Mode.GOTO, Mode.GREX})
 BY_HAND: Final = frozenset({Mode.MANUAL, Mode.IDLE})
 NEVER_S: Final = 0.0  # an interval: not at all
+VESSELS_S: Final = 0.25  # between other vessels that are told
 _U16, _I16, _I8 = 0xFFFF, 0x7FFF, -1
 _AHEAD: Final = 500.0  # of pulses between stop and full, us
 _STILL: Final = 1500
@@ -254,6 +256,11 @@ def wind(view: TelemetryView) -> Iterator[Message]:
         yield Wind(math.degrees(compass(n.heading_rad + from_rad)), speed_mps, 0.0)
 
 
+def others(view: TelemetryView) -> Iterator[Message]:
+    """AIS_VESSEL; a part of them each time."""
+    return vessels(view.boat.state, int(view.now_s / VESSELS_S))
+
+
 def _young(view: TelemetryView, name: str) -> float | None:
     """A value of the sensors, unless it is older than `sensors.stale_s` or none that a message can carry."""
     value, at_s = view.boat.state.measured.get(name, (math.nan, -math.inf))
@@ -321,6 +328,7 @@ ROWS: Final = (
     TelemetryRow(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, NEVER_S, 5.0, 1.0, floats),
     TelemetryRow(WaterDepth.id, NEVER_S, 1.0, 0.5, depth, _sounded),
     TelemetryRow(Wind.id, NEVER_S, 5.0, 1.0, wind, _blown),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_AIS_VESSEL, NEVER_S, 1.0, VESSELS_S, others),
     TelemetryRow(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
 )
 

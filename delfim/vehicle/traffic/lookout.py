@@ -33,7 +33,6 @@ class TrafficLookout:
         heard = Traffic(targets, now_s, tracker.heard_s, tracker.own_s, tuple(tracker.refused.items()))
         state.traffic = Traffic(*heard[:5], *state.traffic[5:])  # the guard's part stays
 
-
     def _take(self, sighting: Sighting) -> None:
         told, by, at_s, key = sighting
         if isinstance(told, VesselPosition):

@@ -52,7 +52,7 @@ class Tracker:
             self.own_s = now_s
             self.refuse("own transponder")
             return
-        self.heard_s = now_s
+        self.heard_s = max(now_s, self.heard_s)
         if not key and number.startswith(NO_VESSELS):
             self.refuse("no vessel")
             return
@@ -182,6 +182,8 @@ def _other(key: str) -> str:
 def _is_known(track: VesselTrack, new: VesselTrack) -> bool:
     """Whether this report was heard before, by another way or again by the same one, or is older than the last."""
     age_s, is_there = new.at_s - track.at_s, track.is_at(new)
+    if age_s < 0.0:
+        return True
     if new.second is None or track.second is None:
         return is_there and new.by != track.by and age_s < SAME_S
     later_s = (new.second - track.second) % 60
