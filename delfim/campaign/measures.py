@@ -55,12 +55,14 @@ class Truth:
         self.east_m = 0.0
         self.rules = RuleTape(run)
         self.mode, self.reason = "", ""  # before the run was ended
+        self._stop: tuple[float, float] | None = None  # where it was last told to stop, while it moved
+        self.stop_m: float | None = None
 
     def look(self) -> None:
         run = self._run
         model, origin, now_s = run.nodes.model, run.state.origin, run.elapsed_s
         self.rules.look()
-        self.mode, self.reason = run.state.mode.name.lower(), run.state.reason
+        was, self.mode, self.reason = self.mode, run.state.mode.name.lower(), run.state.reason
         power_w = sum(drive.voltage_v * drive.current_a for drive in model.drives.values())
         self.energy_j, self._at_s = self.energy_j + power_w * (now_s - self._at_s), now_s
         if origin is None:
@@ -69,6 +71,10 @@ class Truth:
         east_m = (model.longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
         if self.north_m is not None:
             self.way_m += math.hypot(north_m - self.north_m, east_m - self.east_m)
+        if was and was != self.mode and self.mode in ("idle", "hold"):
+            self._stop, self.stop_m = (north_m, east_m), 0.0
+        if self._stop is not None:
+            self.stop_m = max(self.stop_m or 0.0, math.dist(self._stop, (north_m, east_m)))
         self.north_m, self.east_m = north_m, east_m
         if (fence := run.vehicle.helm.plans.fence) is not None:
             self.fence_m = min(self.fence_m, *(clearance_m(zone, north_m, east_m) for zone in fence.zones))
@@ -160,6 +166,9 @@ MEASURES: Final = (
     Measure("off_m", "DOUBLE", "farthest from the line of an encounter", lambda s: s.truth.rules.off_m),
     Measure("rules_asked", "INTEGER", "checks of rules 8 and 13 to 17 in an encounter", lambda s: len(_checks(s))),
     Measure("rules_broken", "VARCHAR", "those that were not kept", _broken),
+    Measure(
+        "stop_m", "DOUBLE", "how far it went from where it entered idle or hold last, drift included", lambda s: s.truth.stop_m
+    ),
     Measure("faults", "INTEGER", "faults that began", lambda s: len(_noticed(s))),
     Measure("unnoticed", "INTEGER", "of these, without any notice or mode after them", lambda s: _noticed(s).count(None)),
     Measure("noticed_s", "DOUBLE", "longest time until a fault was noticed", _slowest),

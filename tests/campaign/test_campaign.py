@@ -153,6 +153,13 @@ def test_a_mission_is_measured(tmp_path):
     assert row["faults"] == 0
 
 
+def test_how_far_a_boat_goes_on_is_measured_from_where_it_was_told_to_stop():
+    """The campaign of docs/failsafe.md, one seed: the columns of the table, in its order."""
+    _, plan = read(ETC / "campaigns/failsafe.toml")
+    far_m = [sailing.one(plan, 0, point, 1)["stop_m"] for point in range(len(plan.points))]
+    assert far_m == pytest.approx([1.8, 3.1, 4.1, 5.3, 1.8, 3.1, 4.3, 8.4], abs=0.1)
+
+
 # The results.
 
 
