@@ -102,8 +102,7 @@ class Lockstep:
         nodes = faults if faults.busy else self.nodes
         frames = nodes.step(now_s, clock.time_ns())
         self.bus.off = "bus_off" in faults.on
-        for frame in frames:
-            world.sendmsg(frame)
+        world.send_many([frame[:2] for frame in frames])
         for devices, end in self._beside:
             for frame in devices.step(now_s, clock.time_ns()):
                 end.sendmsg(frame)

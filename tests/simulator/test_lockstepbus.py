@@ -4,7 +4,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
+from delfim.canproxy.socket import ANYTHING, BATCH, CanAddress, CanSocket
 from delfim.clock import ManualClock
 from delfim.errors import BusError, FormatError
 from delfim.frames import CAN_ERR, CAN_IDE, CAN_RTR, Frame, extended, standard
@@ -156,3 +156,15 @@ def test_routes_stay_bounded(bus: LockstepBus) -> None:
         sender.sendmsg(Frame(extended(number)))
         assert receiver.receive() is not None
     assert len(bus._routes) <= 4096
+
+
+def test_many_frames_go_the_short_way_a_batch_at_a_time_and_on_a_bus_that_is_off_none_is_taken(bus: LockstepBus) -> None:
+    sender, receiver = bus.socket(), bound(bus)
+    frames = [(standard(number), bytes([number])) for number in range(1, 9)]
+    assert sender.send_many(frames) == 0
+    heard = [receiver.receive_many() for _ in range(3)]
+    assert [len(batch) for batch in heard] == [BATCH, 2, 0]
+    assert [(frame.arb, frame.data) for batch in heard for frame in batch] == frames
+    bus.off = True
+    assert sender.send_many(frames[:4]) == 4
+    assert sender.mirror() is None, "there are no caches to warm"

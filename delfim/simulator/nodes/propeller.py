@@ -23,6 +23,7 @@ from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import TOLERANCE_S, Period
 
 PROPELLER_STATUS_S: Final = 0.2
+_WELL: Final = Fault(0)
 
 
 class PropellerNode:
@@ -69,7 +70,7 @@ class PropellerNode:
             self._model.command(self._name, 0.0, False)
         if not self._status.passed(now_s) or self.silent:
             return []
-        faults = Fault.NO_COMMAND if silent else Fault(0)
+        faults = Fault.NO_COMMAND if silent else _WELL
         if not drive.powered:
             faults |= Fault.LOW_VOLTAGE
         if self.bad:
