@@ -26,7 +26,7 @@ export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/$(BIN)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test test-long again fast seeds check page pictures bench image system guest-shell formats lock clean
+.PHONY: help run test test-long again fast seeds check page pictures bench image release system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -75,6 +75,10 @@ bench: $(READY) ## measure the contracts of the design on this machine
 image: $(READY) ## build the boat's image, kernel and initramfs, into run/image (ARGS="--arch arm64", "--sign KEY")
 	$(BIN)/python docker/image.py run/image $(ARGS)
 
+release: $(READY) requirements/release.txt ## make the wheel and the source package of the tagged commit, into dist (ARGS="--sign KEY")
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/release.txt
+	@$(BIN)/python .ci/release.py $(ARGS)
+
 guest-shell: $(READY) system ## a shell in the kernel with CAN that the guest tests use
 	$(BIN)/python tests/guest/harness.py
 
@@ -100,6 +104,7 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,foxglove) --extra foxglove -c requirements/boat.txt pyproject.toml
 	$(call compile,build) requirements/build.in
 	$(call compile,page) requirements/page.in
+	$(call compile,release) -c requirements/boat.txt -c requirements/ground.txt -c requirements/formats.txt requirements/release.in
 compile = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
 	--no-emit-trusted-host --no-emit-find-links $(ARGS) --output-file requirements/$(1).txt
 
@@ -129,6 +134,6 @@ $(NPM): $(WEB)/package-lock.json $(READY)
 	cd $(WEB) && npm ci --ignore-scripts --no-audit --no-fund --silent
 	@touch $@
 
-$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/mavproxy.txt
+$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/mavproxy.txt requirements/release.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(patsubst %,-r %,$(filter %.txt,$^))
 	@touch $@

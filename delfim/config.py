@@ -151,7 +151,7 @@ TransducerName = Annotated[
     str, text(r"-?[^ ,*$\x00-\x1f-]{0,32}", "the name that the device sends, or - and the name, or empty")
 ]
 InstrumentRate = Annotated[float, msgspec.Meta(ge=0.0, le=50.0)]
-INSTRUMENTS = ("receiver", "compass", "gyro", "sounder", "wind")
+INSTRUMENTS = ("receiver", "compass", "gyro", "sounder", "wind", "ais")
 InstrumentName = Annotated[
     str, text(rf"[A-Za-z][A-Za-z0-9_-]{{0,31}}:({'|'.join(INSTRUMENTS)})", f"PORT:INSTRUMENT, one of {', '.join(INSTRUMENTS)}")
 ]

@@ -200,7 +200,7 @@ def install_python(site: Path, version: str, machine: str, cache: Path) -> None:
     source, wheels = cache / "source", cache / "wheel"
     for folder in (source, wheels):
         shutil.rmtree(folder, ignore_errors=True)
-    shutil.copytree(SOURCES / "delfim", source / "delfim", ignore=shutil.ignore_patterns("__pycache__"))
+    shutil.copytree(SOURCES / "delfim", source / "delfim", ignore=shutil.ignore_patterns("__pycache__", "etc"))
     for name in ("pyproject.toml", "README.md", "LICENSE"):
         shutil.copy(SOURCES / name, source)
     pip = [sys.executable, "-m", "pip", "-qq", "--disable-pip-version-check"]

@@ -6,9 +6,8 @@ A file imports its libraries only when it runs: a boat does not load those for p
 import argparse
 import contextlib
 import os
+from pathlib import Path
 from typing import Final
-
-from delfim.errors import DelfimError
 
 GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a sentence
     "Sail in simulation": {
@@ -27,6 +26,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
         "log": "List, sum up, plot, export, replay, repair and fetch logs (docs/logs.md).",
     },
     "Describe a boat": {
+        "new": "Write a vehicle's file of your boat from a few answers, with a mission where it lies.",
         "commission": "Make the files of a boat for the sea: its vehicle's file, keys and users (docs/sea.md).",
         "check": "Check a vehicle's file and list all its faults.",
         "describe": "List every key of a vehicle's file with its default, range and meaning.",
@@ -43,6 +43,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
 }
 SENTENCES: Final = {name: sentence for group in GROUPS.values() for name, sentence in group.items()}
 OWN_FILE: Final = "etc/delfimx.toml"  # the default boat of a simulation
+PACKAGE: Final = Path(__file__).parents[1]  # etc/ is a part of it: a folder in a wheel, a link in a checkout
 
 
 class Formatter(argparse.HelpFormatter):
@@ -54,18 +55,24 @@ class Formatter(argparse.HelpFormatter):
         return f"{told} (default: %(default)s)" if has_one and "%(default)" not in told else told
 
 
-def vehicle_file(parser: argparse.ArgumentParser, *, optional: bool = False) -> None:
-    """The options of every command that reads a vehicle's file."""
-    told = f"The vehicle's file, such as {OWN_FILE}{', which is the default' if optional else ''}."
-    parser.add_argument("file", metavar="FILE", nargs="?" if optional else None, help=told)
+def vehicle_file(parser: argparse.ArgumentParser) -> None:
+    """The options of every command that reads a vehicle's file on the boat."""
+    parser.add_argument("file", metavar="FILE", help=f"The vehicle's file, such as {OWN_FILE}.")
     overrides(parser)
 
 
-def own_file(named: str | None) -> str:
-    """The path of the vehicle's file. Raises DelfimError if none was named and the default does not exist."""
-    if named is None and not os.path.exists(OWN_FILE):
-        raise DelfimError(f"name the vehicle's file: there is no {OWN_FILE} in this folder")
-    return named or OWN_FILE
+def example_file(parser: argparse.ArgumentParser, *, nargs: str | None = None, default: str | None = None) -> None:
+    """The same for a command of the desk, which also takes a file that came with Delfim."""
+    told = f"The vehicle's file, such as {OWN_FILE}{', which is the default' if default else ''}."
+    parser.add_argument("file", metavar="FILE", nargs=nargs, default=default, type=shipped, help=told)
+    overrides(parser)
+
+
+def shipped(path: str) -> str:
+    """The path; or, if there is none and it begins with etc/, that of the file of this name that came with Delfim. Never for a
+    command that runs a boat: in the wrong folder it would sail with an example instead of the owner's file."""
+    place = PACKAGE / path
+    return str(place) if Path(path).parts[:1] == ("etc",) and not os.path.exists(path) and place.exists() else path
 
 
 def overrides(parser: argparse.ArgumentParser) -> None:

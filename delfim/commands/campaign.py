@@ -7,13 +7,14 @@ import signal
 from pathlib import Path
 from typing import Final
 
+from delfim.commands import shipped
 from delfim.errors import DelfimError
 
 FOLDER: Final = Path("run/campaign")
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", help='The campaign\'s file (docs/campaigns.md), or "query".')
+    parser.add_argument("file", metavar="FILE", type=shipped, help='The campaign\'s file (docs/campaigns.md), or "query".')
     parser.add_argument("sql", metavar="SQL", nargs="?", help="With query: SQL of DuckDB over the table `runs`.")
     kept = "Keep the results here (default: run/campaign/NAME-DIGEST; of query: the newest there)."
     parser.add_argument("--output", metavar="DIRECTORY", help=kept)

@@ -2,6 +2,8 @@
 
 import argparse
 
+from delfim.commands import shipped
+
 
 def options(parser: argparse.ArgumentParser) -> None:
     from delfim.console.bus import options
@@ -10,5 +12,7 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 
 def run(asked: argparse.Namespace) -> int:
+    if "dbc" in asked and asked.dbc:
+        asked.dbc = shipped(asked.dbc)
     code: int = asked.run(asked)
     return code

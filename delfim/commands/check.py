@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from pathlib import Path
 
 from delfim import config
-from delfim.commands import vehicle_file
+from delfim.commands import example_file
 
 TOLD = 50  # faults listed for one file
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    vehicle_file(parser)
+    example_file(parser)
     parser.add_argument(
         "--sea",
         action="store_true",

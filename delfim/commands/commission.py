@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, Final, NamedTuple
 
 from delfim import config
-from delfim.commands import overrides
+from delfim.commands import overrides, shipped
 from delfim.errors import DelfimError, Refused
 
 FILE: Final = "etc/delfimx-sea.toml"
@@ -42,7 +42,7 @@ QUESTIONS: Final = (
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument("file", metavar="FILE", nargs="?", default=FILE, help="The vehicle's file to begin with.")
+    parser.add_argument("file", metavar="FILE", nargs="?", default=FILE, type=shipped, help="The vehicle's file to begin with.")
     parser.add_argument(
         "--output", metavar="DIRECTORY", default="commissioned", help="Write the files here; it must not exist."
     )

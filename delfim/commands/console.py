@@ -2,6 +2,8 @@
 
 import argparse
 
+from delfim.commands import shipped
+
 
 def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--boats", default="127.0.0.1:14550", metavar="ADDRESS:PORT", help="Listen for boats here.")
@@ -36,7 +38,7 @@ def options(parser: argparse.ArgumentParser) -> None:
         help="Listen to no boats; replay these sessions (.tlog) and state logs, or folders of them.",
     )
     parser.add_argument("--key", metavar="FILE", help="Sign with this key; the boats must have the same.")
-    parser.add_argument("--vehicle", metavar="FILE", help="The vehicle's file, for dry runs of missions.")
+    parser.add_argument("--vehicle", metavar="FILE", type=shipped, help="The vehicle's file, for dry runs of missions.")
     parser.add_argument("--keygen", metavar="FILE", help="Make a signing key in this file, and exit.")
     parser.add_argument(
         "--foxglove",

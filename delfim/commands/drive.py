@@ -2,11 +2,11 @@
 
 import argparse
 
-from delfim.commands import simulated, there, vehicle_file
+from delfim.commands import example_file, simulated, there
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    vehicle_file(parser)
+    example_file(parser)
     parser.add_argument("words", nargs="*", metavar="WORD", help="state | stop | heading DEG [M/S] | goto LAT LON | play | ...")
     parser.set_defaults(many="words")
     simulated(parser)

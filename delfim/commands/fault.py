@@ -2,13 +2,13 @@
 
 import argparse
 
-from delfim.commands import seconds, simulated, there, vehicle_file
+from delfim.commands import example_file, seconds, simulated, there
 
 
 def options(parser: argparse.ArgumentParser) -> None:
     from delfim.simulator.faults import KINDS, WHERE
 
-    vehicle_file(parser)
+    example_file(parser)
     parser.add_argument("kind", metavar="KIND", help=f'One of {", ".join(KINDS)}; or "end", which ends all faults.')
     places = ", ".join(dict.fromkeys(place for its in WHERE.values() for place in its))
     which = f"Which part, if there are several: {places}; or a thruster by its name."

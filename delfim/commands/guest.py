@@ -2,11 +2,11 @@
 
 import argparse
 
-from delfim.commands import vehicle_file
+from delfim.commands import example_file
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    vehicle_file(parser)
+    example_file(parser)
     parser.add_argument("--course", type=float, default=90.0, metavar="DEGREES", help="Zigzag about this course.")
 
 

@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
-from delfim.commands import Formatter
+from delfim.commands import Formatter, shipped
 from delfim.errors import DelfimError
 from delfim.frames import Frame
 from delfim.logging import systemlines, tree
@@ -355,7 +355,9 @@ def options(parser: argparse.ArgumentParser) -> None:
     export.add_argument("--output", metavar="FILE", help="Write this file (default: one named after the run).")
     words = "Replay a run through the vehicle's program and compare its commands bit by bit; or send its frames (--bus)."
     replay = reader("replay", _replay, words)
-    replay.add_argument("--vehicle", metavar="FILE", help="Use this vehicle's file instead of the settings in the log.")
+    replay.add_argument(
+        "--vehicle", metavar="FILE", type=shipped, help="Use this vehicle's file instead of the settings in the log."
+    )
     replay.add_argument("--bus", metavar="INTERFACE", help="Send the black box onto this bus, as vcan0 or canloop:can0.")
     replay.add_argument("--speed", type=float, default=1.0, help="Multiple of real time; 0 is as fast as the bus takes it.")
     replay.add_argument("--only", choices=["received", "sent"], help="Send only frames that the computer received, or sent.")

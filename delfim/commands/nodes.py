@@ -2,11 +2,11 @@
 
 import argparse
 
-from delfim.commands import vehicle_file
+from delfim.commands import example_file
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    vehicle_file(parser)
+    example_file(parser)
     parser.add_argument("--seed", type=int, default=1, help="Seed of noise and gusts.")
 
 

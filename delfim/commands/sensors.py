@@ -3,12 +3,12 @@
 import argparse
 import sys
 
-from delfim.commands import seconds, simulated, there, vehicle_file
+from delfim.commands import example_file, seconds, simulated, there
 from delfim.errors import DelfimError
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    vehicle_file(parser, optional=True)
+    example_file(parser, nargs="?")
     parser.add_argument("--once", action="store_true", help="Print the table once; so it is, too, where no terminal shows it.")
     parser.add_argument(
         "--for",

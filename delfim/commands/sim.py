@@ -16,13 +16,14 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from delfim import config
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
-from delfim.commands import own_file, seconds, vehicle_file
+from delfim.commands import OWN_FILE, example_file, seconds, shipped
 from delfim.console.drive import line
 from delfim.console.link import Link
 from delfim.errors import BusError, ConfigError, DelfimError, Refused
@@ -42,21 +43,20 @@ Show = Callable[[dict[str, Any], str], None]  # a state, and words beside it
 
 
 def options(parser: argparse.ArgumentParser) -> None:
-    vehicle_file(parser, optional=True)
-    parser.add_argument("--mission", metavar="FILE", help="Sail this mission instead of the vehicle file's simulation.mission.")
+    example_file(parser, nargs="?", default=OWN_FILE)
+    parser.add_argument("--mission", metavar="FILE", type=shipped, help="Sail this one instead of simulation.mission of FILE.")
     parser.add_argument(
-        "--scenario", metavar="FILE", help='Sail this scenario in lock step; "mixed" draws faults from the seed.'
+        "--scenario", metavar="FILE", type=shipped, help='Sail this scenario in lock step; "mixed" draws faults from the seed.'
     )
     parser.add_argument(
-        "--for", type=seconds, dest="for_s", metavar="SECONDS", help="End after this time instead of with the mission."
+        "--for", type=seconds, dest="for_s", metavar="SECONDS", help="End after this time, not with the mission."
     )
     parser.add_argument("--seed", type=int, default=1, help="Seed of noise and gusts.")
     parser.add_argument("--lockstep", action="store_true", help="Sail as fast as the machine can; same seed, same bytes.")
     parser.add_argument("--plain", action="store_true", help="Print one line a second instead of the live view.")
     parser.add_argument("--json", action="store_true", help="Print one JSON object for each state.")
-    parser.add_argument(
-        "--console", action="store_true", help="Run the console in the browser, too, and stay until Ctrl-C (docs/console.md)."
-    )
+    told = "Run the console in the browser, too, and stay until Ctrl-C (docs/console.md)."
+    parser.add_argument("--console", action="store_true", help=told)
     parser.add_argument(
         "--page", metavar="ADDRESS:PORT", help=f"Serve the console's page here (default: {PAGE}, or the next free)."
     )
@@ -74,7 +74,6 @@ def run(asked: argparse.Namespace) -> int:
     """Returns 0 when the mission was sailed to its end, the asked time passed or Ctrl-C was typed, 1 when the boat stopped."""
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # our children end with us, also in a script's background
         signal.signal(number, signal.default_int_handler)
-    asked.file = own_file(asked.file)
     if asked.scenario:
         return _scenario(asked)
     settings = config.load(asked.file, asked.set)
@@ -314,7 +313,7 @@ def _shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Show]:
     """How states are shown, with a few words beside each: a live view, one line a second, or JSON."""
     if asked.json:
         yield lambda state, words: print(json.dumps(state), flush=True)
-    elif asked.plain or not sys.stdout.isatty():
+    elif asked.plain or not sys.stdout.isatty() or find_spec("rich") is None:
         last = [0.0]
 
         def plain(state: dict[str, Any], words: str) -> None:
@@ -323,7 +322,8 @@ def _shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Show]:
                 path = "/".join(f"{state['latency'][name]:.0f}" for name in ("p50_us", "p99_us", "worst_us"))
                 print(f"{words.split()[0]}  {line(state)}  path {path} us", flush=True)
 
-        print("delfim: Ctrl-C ends", flush=True)
+        lacks = "" if asked.plain or not sys.stdout.isatty() else "; the live view needs delfim[ground]"
+        print(f"delfim: Ctrl-C ends{lacks}", flush=True)
         yield plain
     else:
         from rich.live import Live

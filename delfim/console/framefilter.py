@@ -103,10 +103,8 @@ def long_text(frame: Frame, *, wide: bool, ascii_too: bool) -> str:
 
 def decoder(file: str) -> Callable[[Frame], str]:
     """Describes a frame by a CAN database; "" if it is not in there. Raises DelfimError."""
-    try:
-        import cantools  # of the extra "ground": a boat does without
-    except ImportError:
-        raise DelfimError("decoding needs cantools: install delfim[ground]") from None
+    import cantools  # of the extra "ground": a boat does without
+
     try:
         database: Any = cantools.database.load_file(file)
     except (OSError, ValueError, cantools.Error) as error:

@@ -194,6 +194,8 @@ class VehicleLoop:
         return console.snapshot(self.state, now_s, more)
 
     def follow(self, other: "VehicleLoop") -> None:
-        """Copy another vehicle's mode, set points and memory."""
-        self.state.mode, self.state.setpoint, self.helm.memory = other.state.mode, other.state.setpoint, other.helm.memory
-        self.state.origin = other.state.origin
+        """Copy another vehicle's mode, set points and memory, and compute with its own tables, which are immutable."""
+        state, its = self.state, other.state
+        state.mode, state.setpoint, state.origin = its.mode, its.setpoint, its.origin
+        self.helm.memory, self.helm.limits = other.helm.memory, other.helm.limits
+        self.propulsion.follow(other.propulsion)

@@ -5,6 +5,7 @@ The limit is applied in the statement that sends: every value that leaves here i
 
 import math
 from collections.abc import Collection, Sequence
+from operator import call
 
 from delfim.canproxy.socket import CanSocket
 from delfim.config import ThrusterTable
@@ -15,6 +16,8 @@ from delfim.vehicle.control.allocation import Allocation, Force, Thruster, thrus
 from delfim.vehicle.gate import GateLimits, limited
 from delfim.vehicle.state import Actuation, State, Wanted
 from delfim.vehicle.thrusters import AHEAD_DEG, MIDDLE_M
+
+_new = tuple.__new__  # half the time of Actuation(...)
 
 
 class Propulsion:
@@ -44,10 +47,7 @@ class Propulsion:
             asked, self.short = self._driven(*hand), None
         else:
             forces, angles, self.short = self._allocate(surge_n, sway_n, yaw_nm, was.angle_rad, dt_s)
-            commands: list[float] = []
-            for command, force_n in zip(self._commands, forces, strict=False):
-                commands.append(command(force_n))
-            asked = Actuation(tuple(commands), tuple(angles), True)
+            asked = _new(Actuation, (tuple(map(call, self._commands, forces)), angles, True))
         sent = self._sent = limited(asked, was, self._limits, dt_s)
         self.sent_s = now_s
         for send in self._sends:
@@ -85,6 +85,10 @@ class Propulsion:
         self.allocation = self.allocation.without(failed)
         self._allocate = self.allocation.allocate
         return self.allocation.steerable() if failed else ""
+
+    def follow(self, other: "Propulsion") -> None:
+        """Go on from the last command of another boat's propulsion, with its thrusters."""
+        self._sent, self._allocate, self._commands, self._limits = other._sent, other._allocate, other._commands, other._limits
 
     def reset(self, node: int) -> None:
         """Ask a node of the bus, or all of them, to start again. Raises Refused if the bus does not take the frame."""

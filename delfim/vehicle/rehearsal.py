@@ -59,6 +59,7 @@ class Rehearsal:
             self._twin.take(self._source, fix)
 
     def _command(self) -> None:
+        self._twin.follow(self._boat)  # its tables and memory get as cold as its code
         self._twin.helm.steer(self._twin.clock.monotonic_s())
 
 

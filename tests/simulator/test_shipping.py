@@ -15,7 +15,9 @@ from delfim.clock import ManualClock
 from delfim.geodesy import to_plane
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.model import Hull, Model
+from delfim.simulator.nodes import nodes_of
 from delfim.simulator.nodes.aisframes import facts, framed, position
+from delfim.simulator.nodes.aivdm import facts_said, position_said
 from delfim.simulator.nodes.shipping import Shipping, axes_m, nearness
 from delfim.vehicle.state import NoLog
 from delfim.vessels import VesselFacts, VesselPosition
@@ -225,3 +227,50 @@ def test_a_receiver_that_fails_is_silent_frozen_late_or_wrong():
     there.wrong_m = 2000.0
     wrong = [each.latitude_rad for _, each in positions(list(listened(there, 60.0)))]
     assert len(set(wrong)) == len(wrong) > 50
+
+
+POSITION = ais.VesselPosition(
+    244_660_123,
+    math.radians(38.6912345),
+    math.radians(-9.2154321),
+    math.radians(123.4),
+    4.2,
+    math.radians(120.0),
+    math.radians(0.5),
+)
+FACTS = ais.VesselFacts(244_660_123, "MARIA 2", "PA1234", 70, 87.0, 12.0, 5.0, 20.0)
+
+
+def test_sentences_are_those_that_an_independent_decoder_reads_as_they_were_meant():
+    """Each was read by pyais 3.3.1: number, 8.2 kn, 38.691235 N, 9.215432 W, 123.4 and 120 degrees, second 31; MARIA 2, PA1234,
+    cargo, 20 m from bow, 67 m from stern, 7 m from port, 5 m from starboard."""
+    assert position_said(POSITION, 0, 31) == b"!AIVDM,1,1,,A,13aDoVh6QBwEl:bF8rUDlShv0000,0*4F\r\n"
+    class_b = POSITION._replace(heading_rad=None, rate_radps=None)
+    assert position_said(class_b, None, 31) == b"!AIVDM,1,1,,A,B3aDoVh0DgmM2bUR>aE=;wgT0000,0*1F\r\n"
+    assert list(facts_said(FACTS, True, 3)) == [
+        b"!AIVDM,2,1,3,A,53aDoVh00001077;?@0l58T638000000000000162Q37540Ht00000000000,0*44\r\n!AIVDM,2,2,3,A,00000000000,2*27\r\n"
+    ]
+    assert list(facts_said(FACTS, False, 0)) == [
+        b"!AIVDM,1,1,,A,H3aDoVhl58T63800000000000000,0*21\r\n",
+        b"!AIVDM,1,1,,A,H3aDoVm60000000@1ijkl02Q3750,0*0D\r\n",
+    ]
+
+
+def test_a_boat_with_a_line_of_nmea_0183_hears_them_there():
+    settings = config.Vehicle(
+        boat=config.BoatTable(name="test"),
+        sensors=config.Sensors(names=("nmea0183",)),
+        nmea0183=config.Nmea0183(ports={"ais": config.Nmea0183Port(device="/dev/ais")}),
+        simulation=config.Simulation(instruments=("ais:ais",), traffic=one(heard="perfect", speed_mps=3.0)),
+    )
+    nodes, said = nodes_of(settings, 1), b""
+    assert nodes.instruments is not None
+    for step in range(150):
+        nodes.step(step * STEP_S, step * 200_000_000)
+        for each in nodes.beside:
+            each.step(step * STEP_S, step * 200_000_000)
+        said += b"".join(data for port, data in nodes.instruments.step(step * STEP_S, 0) if port == "ais")
+    lines = said.splitlines()
+    assert sum(line.startswith(b"!AIVDM,1,1,,A,B") for line in lines) == pytest.approx(30, abs=1)
+    assert sum(line.startswith(b"!AIVDM,1,1,,A,H") for line in lines) == 2
+    assert max(map(len, lines)) <= 80

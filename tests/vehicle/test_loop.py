@@ -2,6 +2,7 @@
 
 import copy
 import math
+import sys
 import time
 
 import pytest
@@ -332,6 +333,44 @@ def test_a_rehearsal_goes_the_whole_way_sends_nothing_and_changes_nothing(boat):
     assert (boat.vehicle.helm.memory, boat.vehicle.propulsion._sent, boat.state) == before
     twin = rehearsal._twin
     assert (twin.state.cycles, twin.state.mode, twin.state.actuation.run) == (3 + 2, Mode.HEADING, True)
+
+
+def test_a_rehearsal_computes_with_the_boats_own_tables_which_get_cold_as_its_code_does(boat):
+    rehearsal = Rehearsal(boat.vehicle, boat.outlets, boat.outlets[0].mirror())
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(90.0, 1.0))
+    boat.vehicle.on_command(console.Set("control.heading.p_nm_per_rad", 500.0))
+    boat.vehicle.propulsion.drop(("port",))
+    boat.navigate()
+    for _ in range(2):
+        rehearsal.part()
+    helm, its = boat.vehicle.helm, rehearsal._twin.helm
+    assert its.limits is helm.limits
+    assert its.limits.gains.p_nm_per_rad == 500.0
+    propulsion, its = boat.vehicle.propulsion, rehearsal._twin.propulsion
+    assert its._allocate.__self__ is propulsion.allocation
+    assert its._commands is propulsion._commands
+    assert its._sent.thrust[1] == 0.0, "the port thruster is not used"
+
+
+def test_the_critical_path_of_two_propellers_calls_few_functions(boat):
+    boat.ready()
+    boat.vehicle.on_command(console.Heading(0.0, 2.0))  # the boat is fed a place that stays: it asks for more than there is
+    boat.pass_time(10.0)
+    assert boat.vehicle.propulsion.short is not None
+    called = list[str]()
+    real = boat.vehicle.on_navigation
+
+    def counted(source):
+        sys.setprofile(lambda frame, event, _: called.append(frame.f_code.co_name) if event == "call" else None)
+        try:
+            return real(source)
+        finally:
+            sys.setprofile(None)
+
+    boat.vehicle.on_navigation = counted
+    assert boat.navigate()
+    assert len(called) <= 75, called
 
 
 @pytest.mark.parametrize("node", [0, 5])

@@ -92,14 +92,13 @@ class Receiver:
 
     def feed(self, frame: Frame, now_s: float) -> Message | None:
         """The message that this frame completes. Never raises; other frames are ignored."""
-        arb = frame.arb
+        arb, data, t_ns, _, _ = frame
         kind = arb & FRAME_TYPE
         if kind == BODY_FRAME:
             assembly = self._open.get(arb & STREAM)
             if assembly is None:
                 self._stray(arb)
                 return None
-            data = frame.data
             missing = assembly.missing
             if arb >> SEQUENCE_AT & 31 != assembly.next & 31 or len(data) != (missing if missing < 8 else 8):
                 self._misplaced(arb, assembly)
@@ -112,9 +111,9 @@ class Receiver:
                 if assembly.answered:
                     self._acknowledge(arb, Ack.BODY, assembly.number, assembly.next)
                 return None
-            return self._completed(arb, assembly, frame.t_ns)
+            return self._completed(arb, assembly, t_ns)
         if kind == HEADER_FRAME:
-            self._header(arb, frame.data, now_s)
+            self._header(arb, data, now_s)
         return None
 
     def expire(self, now_s: float) -> None:
@@ -168,7 +167,7 @@ class Receiver:
             self._acknowledge(arb, Ack.COMPLETE, assembly.number, assembly.next)
         priority, source, destination, identifier, _, _, port, address = assembly.announced
         data = bytes(assembly.stream[len(assembly.header) : -4])  # less the CRC
-        return Message(priority, source, destination, identifier, data, t_ns, port, address)
+        return tuple.__new__(Message, (priority, source, destination, identifier, data, t_ns, port, address))  # the quick way
 
     def _misplaced(self, arb: int, assembly: _Assembly) -> None:
         """A body frame other than the expected one: repeated, too long or short, late, or after a lost one."""

@@ -128,4 +128,5 @@ def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) ->
         named |= import_module(f"{__name__}.{kind}").nodes(settings, model, seed)
     others = (import_module(f"{__name__}.{kind}").devices_of(settings, model, seed) for kind in OTHER_BUSES)
     beside = tuple(each for each in others if each is not None)
-    return Nodes(model, named, beside, instruments_of(settings, model, seed))
+    ais = next((each.sentences for each in beside if isinstance(each, Shipping)), None)
+    return Nodes(model, named, beside, instruments_of(settings, model, seed, ais))

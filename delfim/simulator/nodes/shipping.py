@@ -8,7 +8,7 @@ import math
 from collections import deque
 from collections.abc import Iterator
 from random import Random
-from typing import Final
+from typing import Final, NamedTuple
 
 from delfim import config
 from delfim.canproxy.socket import CanAddress
@@ -16,11 +16,13 @@ from delfim.frames import Frame
 from delfim.geodesy import from_plane, to_plane, wrap
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.aisframes import facts, framed, position
+from delfim.simulator.nodes.aivdm import facts_said, position_said
 from delfim.simulator.nodes.period import TOLERANCE_S, Period
 from delfim.vessels import VesselFacts, VesselPosition
 
 FIRST_MMSI: Final = 235_000_000
 KNOT_MPS: Final = 1852.0 / 3600.0
+SENTENCES_MAX: Final = 256  # that a line has not taken yet; there may be none
 LATE_MAX: Final = 4096  # messages of a late receiver that are under way
 STATIC_S: Final = 360.0  # between two tellings of name and size
 FIRST_STATIC_S: Final = 20.0  # the first one comes within this time
@@ -92,6 +94,15 @@ class Vessel:
         self.nearest_m = min(self.nearest_m, math.hypot(north_m, east_m))
 
 
+class Spoken(NamedTuple):
+    """A message of AIS that is heard."""
+
+    told: VesselPosition | VesselFacts
+    status: int | None  # of a position of class A
+    is_class_a: bool
+    second: int  # of UTC
+
+
 class Transponder:
     """What it says of its vessel, and when: lossy, late and wrong as AIS is."""
 
@@ -122,18 +133,19 @@ class Transponder:
         slow = knots <= 14.0
         return (10.0 / 3.0 if slow else 2.0) if is_turning else (10.0 if slow else 6.0)
 
-    def speak(self, t_s: float, second: int, frozen: bool, wrong_m: float) -> Iterator[tuple[int, bytes]]:
-        """PGN and data of each message of this instant that is heard. Of a receiver that is `frozen` the position is the last
-        one; `wrong_m` is how far it may be off."""
+    def speak(self, t_s: float, second: int, frozen: bool, wrong_m: float) -> Iterator[Spoken]:
+        """Each message of this instant that is heard. Of a receiver that is `frozen` the position is the last one; `wrong_m` is
+        how far it may be off."""
+        status = self._vessel.row.status if self._is_class_a else None
         if t_s >= self._said_s + self.interval_s - TOLERANCE_S:
             told = self._told(t_s, wrong_m)
             self._last = told = self._last if frozen and self._last is not None else told
             if self._is_heard(t_s):
-                yield position(told, self._vessel.row.status if self._is_class_a else None, second)
+                yield Spoken(told, status, self._is_class_a, second)
         if t_s >= self._facts_due_s:
             self._facts_due_s = t_s + STATIC_S
             if self._is_heard(t_s):
-                yield from facts(self._facts(), self._is_class_a)
+                yield Spoken(self._facts(), status, self._is_class_a, second)
 
     def _is_heard(self, t_s: float) -> bool:
         begin_s, end_s = self._vessel.silent
@@ -178,7 +190,9 @@ class Shipping:
         here = settings.simulation.traffic
         self.interface, self._period, self._began_s = settings.nmea2000.interface, Period(PERFECT_S / 5.0), math.nan
         self._sequence = dict[int, int]()
-        self._late = deque[tuple[float, int, bytes]](maxlen=LATE_MAX)  # when due, PGN, data
+        self._late = deque[tuple[float, Spoken]](maxlen=LATE_MAX)  # when due
+        self.sentences = deque[bytes](maxlen=SENTENCES_MAX)  # the same for a line of NMEA 0183, which takes them from here
+        self._said = 0
         self.silent = self.frozen = False  # frozen: it repeats the last position of each vessel
         self.late_s = 0.0
         self.wrong_m = 0.0  # each position is off by up to so much, another way each time
@@ -209,12 +223,26 @@ class Shipping:
         for vessel in self.vessels:
             vessel.sail(t_s)
         for each in self._transponders:
-            self._late.extend((now_s + self.late_s, *message) for message in each.speak(t_s, second, self.frozen, self.wrong_m))
-        said = list[Frame]()
+            self._late.extend((now_s + self.late_s, said) for said in each.speak(t_s, second, self.frozen, self.wrong_m))
+        frames = list[Frame]()
         while self._late and self._late[0][0] <= now_s:
-            _, pgn, data = self._late.popleft()
-            said += framed(pgn, data, self._next(pgn))
-        return [] if self.silent else said
+            frames += self._hear(self._late.popleft()[1])
+        return frames
+
+    def _hear(self, said: Spoken) -> Iterator[Frame]:
+        """The frames of a message; its sentences are kept for the line."""
+        told, status, is_class_a, second = said
+        if self.silent:
+            return
+        self._said += 1
+        if isinstance(told, VesselPosition):
+            self.sentences.append(position_said(told, status, second))
+            messages = [position(told, status, second)]
+        else:
+            self.sentences.extend(facts_said(told, is_class_a, self._said))
+            messages = list(facts(told, is_class_a))
+        for pgn, data in messages:
+            yield from framed(pgn, data, self._next(pgn))
 
     def _next(self, pgn: int) -> int:
         self._sequence[pgn] = (self._sequence.get(pgn, -1) + 1) % 8

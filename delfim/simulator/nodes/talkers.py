@@ -1,12 +1,13 @@
-"""Off-the-shelf instruments that speak NMEA 0183: receiver, compass, gyro, echo sounder and wind vane, each on its port.
+"""Off-the-shelf instruments that speak NMEA 0183: receivers, of AIS, too, compass, gyro, sounder and vane, each on its port.
 
 Where they are says `simulation.instruments` of the vehicle's file; without it all are on its first port, as behind a
 multiplexer. Bytes come out: simulator/instrumentlines.py brings them to a pty or over the network, lock step to its lines.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from delfim import config
 from delfim.messages import Navigation
@@ -24,6 +25,9 @@ from delfim.simulator.nodes.measuring import (
     Vane,
 )
 from delfim.simulator.nodes.navigation import FIX, HDOP
+from delfim.simulator.nodes.period import Period
+
+AIS_S: Final = 0.2  # between two looks at what was heard
 
 
 class Measuring(Protocol):
@@ -40,11 +44,29 @@ class Instrument(NamedTuple):
     say: Callable[[Any, int], bytes]
 
 
-class SimulatedInstruments:
-    """All of them. `receivers` and `compasses` are those that faults break."""
+class AisLine:
+    """What a receiver of AIS heard since it was asked last; the same that it says on the bus."""
 
-    def __init__(self, settings: config.Vehicle, model: Model, seed: int) -> None:
-        self._here, self._model, self._seed = settings.simulation, model, seed
+    def __init__(self, heard: deque[bytes]) -> None:
+        self._heard, self._period = heard, Period(AIS_S)
+
+    @property
+    def due_s(self) -> float:
+        return self._period.due_s
+
+    def step(self, now_s: float) -> bytes | None:
+        if not self._period.passed(now_s) or not self._heard:
+            return None
+        said = b"".join(self._heard)
+        self._heard.clear()
+        return said
+
+
+class SimulatedInstruments:
+    """All of them. `receivers` and `compasses` are those that faults break. `ais` are the sentences of a receiver of AIS."""
+
+    def __init__(self, settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None) -> None:
+        self._here, self._model, self._seed, self._ais = settings.simulation, model, seed, ais
         self._corrected = settings.failsafe.gnss_poor.corrections_s > 0.0  # a boat that asks for corrections gets them
         self._variation_rad = math.radians(settings.nmea0183.variation_deg)
         self.receivers, self.compasses = list[GnssReceiver](), list[Compass]()
@@ -83,6 +105,8 @@ class SimulatedInstruments:
             yield Instrument(port, Sounder(model, here, seed), _depth)
         elif kind == "wind" and here.wind_hz:
             yield Instrument(port, Vane(model, here, seed), _wind)
+        elif kind == "ais" and self._ais is not None:
+            yield Instrument(port, AisLine(self._ais), lambda said, utc_ns: bytes(said))
 
     def _heading(self, turn: Turn, utc_ns: int) -> bytes:
         """A magnetic compass that does not know the variation of the place."""
@@ -120,6 +144,8 @@ def placed(settings: config.Vehicle) -> tuple[str, ...]:
     return settings.simulation.instruments or tuple(f"{first}:{kind}" for kind in config.INSTRUMENTS)
 
 
-def instruments_of(settings: config.Vehicle, model: Model, seed: int) -> SimulatedInstruments | None:
+def instruments_of(
+    settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None = None
+) -> SimulatedInstruments | None:
     """The instruments that the vehicle's file calls for; None: there are none."""
-    return SimulatedInstruments(settings, model, seed) if placed(settings) else None
+    return SimulatedInstruments(settings, model, seed, ais) if placed(settings) else None

@@ -31,7 +31,7 @@ class Propellers:
         rows = [(index, row) for index, row in enumerate(settings.thrusters) if row.driver == self.name]
         rpm_max = settings.dsor.rpm_max
         self._propellers = tuple((_ARBS[row.address][0], -rpm_max if row.reversed else rpm_max, i) for i, row in rows)
-        self._batteries = {row.name: (_ARBS[row.address][1], True) for _, row in rows}  # contactor closed
+        self._batteries = tuple((_ARBS[row.address][1], True, row.name) for _, row in rows)  # contactor closed
         self._counter = 0
 
     def send(self, sent: Actuation, now_s: float) -> int:
@@ -40,7 +40,7 @@ class Propellers:
         frames: list[tuple[int, bytes]] = []
         for arb, rpm, row in self._propellers:  # loops, because a comprehension costs half a microsecond more
             frames.append((arb, _PROPELLER(round(thrust[row] * rpm), run, counter)))
-        for arb, closed in self._batteries.values():
+        for arb, closed, _ in self._batteries:
             frames.append((arb, _BATTERIES(closed, counter)))
         return self._send_many(frames)
 
@@ -53,7 +53,7 @@ class Propellers:
 
     def disconnect(self, names: tuple[str, ...]) -> None:
         """The contactors open with the next command."""
-        self._batteries |= {name: (self._batteries[name][0], False) for name in names if name in self._batteries}
+        self._batteries = tuple((arb, closed and name not in names, name) for arb, closed, name in self._batteries)
 
     def report(self) -> dict[str, object]:
         return {}

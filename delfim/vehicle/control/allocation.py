@@ -108,6 +108,8 @@ class Allocation:
         """`angles_rad`: where everything points now; `dt_s`: how long it may turn. NaN in, NaN out."""
         if self._turns:
             return self._turned(surge_n, sway_n, yaw_nm, angles_rad, dt_s)
+        if self._two is not None:
+            return self._of_two(self._two, surge_n, sway_n, yaw_nm, angles_rad)
         least_x, most_x, least_y, most_y, least_n, most_n = self._within
         if self._is_full and least_x <= surge_n <= most_x and least_y <= sway_n <= most_y and least_n <= yaw_nm <= most_n:
             forces = []
@@ -118,8 +120,6 @@ class Allocation:
                 forces.append(force_n)
             else:
                 return forces, angles_rad, None
-        if self._two is not None:
-            return self._of_two(*self._two, surge_n, sway_n, yaw_nm, angles_rad)
         return self._exactly(self._columns, surge_n, sway_n, yaw_nm, angles_rad)
 
     def steerable(self) -> str:
@@ -180,25 +180,21 @@ class Allocation:
         return a, b, mixed, a[8] * b[8] - mixed * mixed
 
     def _of_two(
-        self,
-        a: Side,
-        b: Side,
-        mixed: float,
-        whole: float,
-        surge_n: float,
-        sway_n: float,
-        yaw_nm: float,
-        angles_rad: Sequence[float],
+        self, two: tuple[Side, Side, float, float], surge_n: float, sway_n: float, yaw_nm: float, angles_rad: Sequence[float]
     ) -> Allotted:
-        """As `_exactly`, for two fixed thrusters. Where their best forces exceed limits, the best within the limits have one of
+        """As `allocate`, for two fixed thrusters. Where their best forces exceed limits, the best within the limits have one of
         them at a limit that it exceeds, and the other as good as it can be beside it. Plain statements: this is on the
         critical path."""
         least_x, most_x, least_y, most_y, least_n, most_n = self._within
+        if self._is_full and least_x <= surge_n <= most_x and least_y <= sway_n <= most_y and least_n <= yaw_nm <= most_n:
+            (fx, fy, fn, f_low, f_high), (gx, gy, gn, g_low, g_high) = self._quick
+            f, g = fx * surge_n + fy * sway_n + fn * yaw_nm, gx * surge_n + gy * sway_n + gn * yaw_nm
+            if f_low <= f <= f_high and g_low <= g <= g_high:
+                return (f, g), angles_rad, None
         x = least_x if surge_n < least_x else most_x if surge_n > most_x else surge_n
         y = least_y if sway_n < least_y else most_y if sway_n > most_y else sway_n
         n = least_n if yaw_nm < least_n else most_n if yaw_nm > most_n else yaw_nm
-        ax, ay, an, wax, way, wan, a_low, a_high, aa = a
-        bx, by, bn, wbx, wby, wbn, b_low, b_high, bb = b
+        (ax, ay, an, wax, way, wan, a_low, a_high, aa), (bx, by, bn, wbx, wby, wbn, b_low, b_high, bb), mixed, whole = two
         to_a, to_b = wax * x + way * y + wan * n, wbx * x + wby * y + wbn * n
         f, g = (bb * to_a - mixed * to_b) / whole, (aa * to_b - mixed * to_a) / whole
         f_end = a_low if f < a_low else a_high if f > a_high else f
@@ -212,7 +208,7 @@ class Allocation:
             f = (to_a - mixed * g_end) / aa
             f = a_low if f < a_low else a_high if f > a_high else f
         short = surge_n - ax * f - bx * g_end, sway_n - ay * f - by * g_end, yaw_nm - an * f - bn * g_end
-        return [f, g_end], angles_rad, short
+        return (f, g_end), angles_rad, short
 
     def _exactly(
         self, columns: list[Column], surge_n: float, sway_n: float, yaw_nm: float, angles_rad: Sequence[float]

@@ -5,6 +5,8 @@ from typing import NamedTuple
 from delfim import config
 from delfim.vehicle.control.hull import Craft, Gains, craft, gains
 
+_new = tuple.__new__
+
 
 class Settings(NamedTuple):
     """What control obeys: the tables of the vehicle's file, and the gains and the hull that follow from them."""
@@ -54,5 +56,7 @@ class Memory(NamedTuple):
 
 def lacking(memory: Memory, short: tuple[float, float, float]) -> Memory:
     """The memory after a step whose surge, sway and yaw the thrusters could not give: integrals wait."""
-    surge_n, sway_n, yaw_nm = short
-    return memory._replace(integrals=memory.integrals._replace(surge_short_n=surge_n, sway_short_n=sway_n, yaw_short_nm=yaw_nm))
+    surge_short_n, sway_short_n, yaw_short_nm = short
+    yaw_nm, surge_n, speed_mps, _, _, sway_n, _ = memory[0]
+    integrals = _new(Integrals, (yaw_nm, surge_n, speed_mps, yaw_short_nm, surge_short_n, sway_n, sway_short_n))
+    return _new(Memory, (integrals, *memory[1:]))  # a fifth of the time of _replace: this is on the critical path

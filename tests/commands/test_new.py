@@ -1,0 +1,95 @@
+"""`delfim new`: answers by options and on a terminal; each boat that it writes passes the check and sails its mission."""
+
+import io
+from itertools import product
+from pathlib import Path
+
+import pytest
+
+from delfim import config
+from delfim.__main__ import main
+from delfim.commands.new import MOTORS, SENSORS
+from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle.mission import load_mission
+from delfim.vehicle.state import NoLog
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(("motors", "sensors"), list(product(MOTORS, SENSORS)))
+def test_each_boat_passes_the_check_and_sails_past_its_first_waypoint(
+    motors: str, sensors: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["new", "boat.toml", "--yes", "--motors", motors, "--sensors", sensors]) == 0
+    assert main(["check", "boat.toml"]) == 0
+    assert "nothing is wrong with this file" in capsys.readouterr().out
+    run = Lockstep(config.load("boat.toml"), 1, lambda clock: NoLog())
+    assert run.sail(Path("boat-mission.toml").read_text(), 40.0).startswith("time")
+    assert run.state.reference.leg >= 1
+    run.close()
+
+
+def test_options_are_what_the_file_says() -> None:
+    words = ["--name", "Lua", "--length", "2", "--beam", "1,1", "--mass", "55", "--thrust", "120", "--motors", "vesc"]
+    assert main(["new", "lua.toml", *words, "--sensors", "nmea2000", "--where", "-33.85", "151.24"]) == 0
+    settings = config.load("lua.toml")
+    boat = settings.boat
+    assert (boat.name, boat.length_m, boat.beam_m, boat.mass_kg) == ("Lua", 2.0, 1.1, 55.0)
+    assert [row.thrust_n[1] for row in settings.thrusters] == [120.0, 120.0]
+    assert (settings.vesc.interface, settings.nmea2000.interface) == ("can0", "can1"), "a bus carries one protocol"
+    first = load_mission("lua-mission.toml").waypoint[-1]
+    assert (first.latitude_deg, first.longitude_deg) == (-33.85, 151.24)
+
+
+def test_on_a_terminal_it_asks_and_asks_again_for_what_is_wrong(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    answers = ["my boat", "MyBoat", "two", "2.5", "", "", "oars", "rudder", "", "", "52.1, 4.2"]
+    monkeypatch.setattr("sys.stdin", Terminal("\n".join(answers) + "\n"))
+    assert main(["new", "boat.toml"]) == 0
+    out = capsys.readouterr().out
+    for told in ("a name is a letter", "this must be a number above 0", "there are esc, rudder", "usb        a GPS mouse"):
+        assert told in out
+    settings = config.load("boat.toml")
+    assert (settings.boat.name, settings.boat.length_m, settings.boat.beam_m) == ("MyBoat", 2.5, 1.25)
+    assert settings.thrusters[0].steer is not None
+    assert settings.simulation.latitude_deg == 52.1
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["--yes", "--motors", "oars"], "--motors oars: there are esc, rudder, dronecan, vesc, ardupilot"),
+        (["--yes", "--length", "-1"], "--length -1: this must be a number above 0"),
+        (["--yes", "--mass", "2e6"], "nothing was written: boat.mass_kg: 2000000.0 is not allowed"),
+        (
+            ["--yes", "--where", "91", "0"],
+            "--where 91 0: a latitude goes from -85 to 85 here, and a longitude from -180 to 180",
+        ),
+        ([], "nobody is here to ask: give --name, or --yes for all defaults"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_a_line_and_nothing_is_written(
+    words: list[str], told: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sys.stdin", io.StringIO())
+    assert main(["new", "boat.toml", *words]) == 2
+    assert capsys.readouterr().err == f"delfim: {told}\n"
+    assert list(folder.iterdir()) == []
+
+
+def test_no_file_is_replaced(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "boat-mission.toml").write_text("mine")
+    assert main(["new", "boat.toml", "--yes"]) == 2
+    assert capsys.readouterr().err == "delfim: boat-mission.toml exists already, and nothing is replaced: name another file\n"
+    assert not (folder / "boat.toml").exists()
+    assert (folder / "boat-mission.toml").read_text() == "mine"
