@@ -182,13 +182,12 @@ class VehicleLoop:
     def snapshot(self, extra: dict[str, object]) -> dict[str, object]:
         """The state for the console, JSON-ready."""
         lines, now_s = [line._asdict() for line in self.helm.checks()], self.clock.monotonic_s()
-        paused = self.helm.paused
         more = {
             "checks": lines,
             "latency": self.latency.summary(),
             "thrusters": thrusters.told(self.helm.settings.thrusters, self.state, now_s),
             "traffic": self._vessels.told(self.state.traffic, self.state.origin, now_s, self.helm.settings.traffic.mmsi > 0),
-            "paused": paused.mode.name.lower() if paused else None,
+            "paused": paused.mode.name.lower() if (paused := self.helm.paused) else None,
             **extra,
         }
         return console.snapshot(self.state, now_s, more)
