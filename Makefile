@@ -49,6 +49,10 @@ fast: $(MORE) ## run the tests that need no guest, with ARGS="..." and WORKERS a
 seeds: $(MORE) ## sail a campaign of 1,000 runs of mixed faults (docs/campaigns.md)
 	$(BIN)/delfim campaign etc/campaigns/mixed.toml $(ARGS)
 
+.PHONY: encounters
+encounters: $(MORE) ## sail DNV's encounters and Imazu's with and without the guard (docs/encounters.md; ARGS="--seeds 100")
+	$(BIN)/python -m bench.record $(ARGS)
+
 check: $(READY) $(NPM) ## style, types and the direction of imports
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
@@ -63,6 +67,7 @@ page: $(NPM) ## build the console's page from its sources again, as it is shippe
 pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/delfim sim etc/delfimx.toml --lockstep --output run/pictures
 	cp run/pictures/track.png docs/pictures/
+	$(BIN)/python -m bench.record --picture docs/pictures/encounters.png
 	$(BIN)/python -m tests.vehicle.estimator_trial docs/pictures
 	$(BIN)/python -m tests.guest.figure_2_9 docs/pictures/figure-2-9.png
 	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures

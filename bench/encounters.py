@@ -18,6 +18,8 @@ from multiprocessing import Pool
 from pathlib import Path
 from typing import Any, Final
 
+from bench.record import draw
+from delfim.campaign.rulecheck import Instant
 from delfim.geodesy import wrap
 from delfim.simulator.encounters import Encounter, Ship, drawn, read_encounters
 from delfim.simulator.nodes.shipping import axes_m, nearness
@@ -108,6 +110,22 @@ def one(given: Encounter | int) -> dict[str, Any]:
     return row
 
 
+def _there(ships: Sequence[Ship], courses: Sequence[float], t_s: float) -> tuple[tuple[float, float, float], ...]:
+    return tuple((*ship.at(t_s), course_rad) for ship, course_rad in zip(ships, courses, strict=True))
+
+
+def shown(row: dict[str, Any]) -> dict[str, Any]:
+    """A random encounter that was sailed, as the record draws it."""
+    ships = drawn(int(row["name"].partition("-")[2]), OWN_MPS).targets
+    courses = [math.radians(ship.course_deg) for ship in ships]
+    instants = [
+        Instant(10.0 * i, place[0], place[1], 0.0, 0.0, _there(ships, courses, 10.0 * i))
+        for i, place in enumerate(row["track"])
+    ]
+    vessels = [(ship.length_m, ship.beam_m, ship.kind, row["nearest"]) for ship in ships]
+    return {"name": row["name"], "vessels": vessels, "instants": instants}
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("files", nargs="*", type=Path)
@@ -116,6 +134,7 @@ def main() -> None:
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--seconds", type=float, default=math.inf, help="End after this time.")
     parser.add_argument("--output", type=Path)
+    parser.add_argument("--picture", type=Path, help="Draw the breaches where a solution is known.")
     asked = parser.parse_args()
     began_s, rows = time.monotonic(), list[dict[str, Any]]()
     encounters: Iterable[Encounter | int] = range(asked.first, asked.first + asked.count)
@@ -139,6 +158,8 @@ def main() -> None:
     print(f"more domains entered than without the guard: {', '.join(worse) or 'nowhere'}")
     for row in bad:
         print(f"  {row['name']}: nearest {row['nearest']}, solved {row['solved']}, {', '.join(row['kinds'])}")
+    if asked.picture and bad:
+        draw([shown(row) for row in bad if row["solved"]], asked.picture, "Domains entered where a solution is known")
     if asked.output:
         asked.output.write_text(json.dumps({"rows": rows}))
 

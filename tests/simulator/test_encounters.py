@@ -104,3 +104,25 @@ def test_a_random_encounter_is_sailed_by_its_seed(tmp_path):
     assert isinstance(drawn(3, 1.5), Encounter)
     result = trial.run_file(path, VEHICLE, 3)
     assert result.elapsed_s > 500.0
+
+
+def test_two_hundred_vessels_and_one_at_the_boats_own_place_stop_nothing(tmp_path):
+    """The boat goes on, or does what the guard says; nothing raises, and nothing is stopped."""
+    rows = [
+        f"[[vessel]]\nnorth_m = {150.0 * (i % 20) - 1400.0}\neast_m = {150.0 * (i // 20) - 700.0}\n"
+        f'course_deg = {37 * i % 360}\nspeed_mps = {i % 7}\ntransponder = "{"AB"[i % 2]}"'
+        for i in range(200)
+    ]
+    place = "latitude_deg = 38.604\nlongitude_deg = -9.6"
+    here = "[vehicle.simulation]\nlatitude_deg = 38.6\nlongitude_deg = -9.6\n[vehicle.simulation.traffic]\nheard = 'perfect'"
+    lines = [
+        'version = 1\nname = "crowd"\nseconds = 60\n[vehicle.sensors]\nnames = ["sysstat", "nmea2000"]',
+        here,
+        *rows,
+        "[[vessel]]\ntransponder = 'A'",
+        f'[[command]]\nat_s = 5\ncommand = "goto"\n{place}',
+        '[[expect]]\nmode = "goto"\nafter = "goto"\nat_end = true',
+    ]
+    path = tmp_path / "crowd.toml"
+    path.write_text("\n".join(lines))
+    assert trial.run_file(path, VEHICLE, 1).failures == []

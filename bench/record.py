@@ -1,0 +1,133 @@
+"""The record of encounters: sails DNV's set and Imazu's 22 cases with and without the guard, and writes what came of them.
+
+    python -m bench.record [--seeds N] [--workers N] [--output FOLDER]        sails, and prints the tables as Markdown
+    python -m bench.record --picture FILE.png [--tracks FILE.json]           draws Imazu's 22 cases with real ships
+
+The runs are those of etc/campaigns/encounters.toml, through the whole program in lock step; a folder that has some is gone on
+with. docs/encounters.md has the tables.
+"""
+
+import argparse
+import json
+import math
+import os
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+from delfim.campaign import conduct, findings
+from delfim.campaign.rulecheck import Instant
+from delfim.campaign.runplan import Plan, Seeds, read
+from delfim.campaign.sailing import sailed_run
+from delfim.simulator.nodes.shipping import axes_m
+
+CAMPAIGN: Final = Path(__file__).parents[1] / "etc/campaigns/encounters.toml"
+HEARD, GUARD = "simulation.traffic.heard", "traffic.guard.enabled"
+TABLE: Final = f"""
+select split_part(story, ':', 1) as encounters, "{HEARD}" as heard, case when "{GUARD}" then 'on' else 'off' end as guard,
+    count(*) as runs, sum(vessels) as vessels, sum(collisions) as collisions, sum(entered) as entered,
+    round(min(nearest), 2) as nearest, round(median(nearest), 2) as median, round(min(nearest_m)) as "least m",
+    median(alterations) as alterations, round(median(off_m)) as "off m", sum(rules_asked) as asked, sum(rules_asked) -
+    sum(case when rules_broken = '' or rules_broken is null then 0 else len(string_split(rules_broken, '; ')) end) as kept
+from runs where error = '' group by all order by 1, 2 desc, 3 desc"""
+RULES: Final = f"""
+select split_part(each, ':', 1) as rule, count(*) as broken, count(distinct story) as encounters from
+    (select story, unnest(string_split(rules_broken, '; ')) as each from runs where "{GUARD}" and rules_broken != '')
+group by all order by 1"""
+LEFT: Final = f"""
+select story, "{HEARD}" as heard, seed, point, round(nearest, 2) as nearest, round(nearest_m) as "m", entered, "end", error
+from runs where "{GUARD}" and (entered > 0 or error != '') order by nearest"""
+COLUMNS: Final = 6
+TITLE: Final = "Imazu's 22 cases, ships of 90 m: the boat (blue) goes north at 1.5 m/s; domains: nearest moment"
+
+
+def plan_of(seeds: int) -> Plan:
+    _, plan = read(CAMPAIGN)
+    return plan._replace(seeds=Seeds(first=1, count=seeds), digest=f"{plan.digest}-{seeds}")
+
+
+def markdown(names: list[str], rows: list[tuple[Any, ...]]) -> str:
+    words = [[f"{each:g}" if isinstance(each, float) else str(each) for each in row] for row in rows]
+    return "\n".join("| " + " | ".join(line) + " |" for line in [names, ["---"] * len(names), *words])
+
+
+def tell(folder: Path) -> None:
+    """The tables, from the results."""
+    database = findings.connect(folder)
+    for title, sql in (("All runs", TABLE), ("Rules not kept, guard on", RULES), ("Domains entered, guard on", LEFT)):
+        names, rows = findings.asked(database, sql)
+        print(f"\n{title}\n\n{markdown(names, rows) if rows else 'none'}")
+
+
+def tracks(plan: Plan) -> list[dict[str, Any]]:
+    """Imazu's cases with real ships and perfect reports, guard on, seed 1: where everybody was, once a second."""
+    found = list[dict[str, Any]]()
+    for number, (story, values) in enumerate(plan.points):
+        name = plan.stories[story].name
+        if name.startswith("imazu22-real:") and values[HEARD] == "perfect" and values[GUARD]:
+            sailed, _ = sailed_run(plan, number, 1)
+            vessels = [
+                (each.row.length_m, each.row.beam_m, each.row.meeting, each.nearest) for each in sailed.run.nodes.vessels
+            ]
+            found.append({"name": name.partition(":")[2], "vessels": vessels, "instants": sailed.truth.rules.instants})
+            print(name, *(f"{each[2]} {each[3]:.2f}" for each in vessels), file=sys.stderr, flush=True)
+    return found
+
+
+def draw(cases: list[dict[str, Any]], place: Path, title: str) -> None:
+    """A page of tracks, each with the domains of the vessels when the boat was nearest to them."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+    from matplotlib.patches import Ellipse
+
+    lines = math.ceil(len(cases) / COLUMNS)
+    figure, frames = plt.subplots(lines, COLUMNS, figsize=(3.0 * COLUMNS, 3.3 * lines), squeeze=False)
+    for axes in frames.flat[len(cases) :]:
+        axes.set_visible(False)
+    for axes, case in zip(frames.flat, cases, strict=False):
+        instants = [Instant(*each) for each in case["instants"]]
+        axes.plot([each.east_m for each in instants], [each.north_m for each in instants], color="#1f5fa8", linewidth=1.6)
+        for i, (length_m, _, _, _) in enumerate(case["vessels"]):
+            way = [each.vessels[i] for each in instants]
+            nearest = min(instants, key=lambda each, i=i: math.dist(each[1:3], each.vessels[i][:2]))  # type: ignore[misc]
+            north_m, east_m, course_rad = nearest.vessels[i]
+            (line,) = axes.plot([each[1] for each in way], [each[0] for each in way], linewidth=0.8, color=f"C{i + 1}")
+            ahead_m, abeam_m = axes_m(length_m)
+            angle_deg = 90.0 - math.degrees(course_rad)
+            around = Ellipse((east_m, north_m), 2 * ahead_m, 2 * abeam_m, angle=angle_deg, alpha=0.25, color=line.get_color())
+            axes.add_patch(around)
+            axes.plot(nearest.east_m, nearest.north_m, "o", markersize=3.0, color=line.get_color())
+        middle_m = instants[-1].north_m / 2.0
+        half_m = max(1100.0, middle_m)
+        axes.set_xlim(-half_m, half_m)
+        axes.set_ylim(middle_m - half_m, middle_m + half_m)
+        axes.set_aspect("equal")
+        axes.set_title(f"{case['name']}: {min(each[3] for each in case['vessels']):.2f} domains", fontsize=8)
+        axes.tick_params(labelsize=6)
+    figure.suptitle(title)
+    figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.985))
+    figure.savefig(place, dpi=75)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--output", type=Path, default=Path("run/campaign/record"))
+    parser.add_argument("--picture", type=Path)
+    parser.add_argument("--tracks", type=Path)
+    asked = parser.parse_args()
+    if asked.picture is None:
+        conduct.sail(plan_of(asked.seeds), asked.output, 2, asked.workers, None)
+        tell(asked.output)
+        return
+    cases = tracks(plan_of(1))
+    if asked.tracks:
+        asked.tracks.write_text(json.dumps(cases))
+    draw(cases, asked.picture, TITLE)
+
+
+if __name__ == "__main__":
+    main()

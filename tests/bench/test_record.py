@@ -1,0 +1,88 @@
+"""The record of encounters: what is sailed, what the tables say, the page of tracks; and the fast check of decisions alone."""
+
+import math
+from typing import Any
+
+import pytest
+
+from bench import encounters, record
+from delfim.campaign import findings
+from delfim.campaign.rulecheck import Instant
+from delfim.simulator.encounters import Encounter, Ship, drawn
+
+HEAD_ON = Ship(north_m=1500.0, east_m=0.0, course_deg=180.0, speed_mps=1.5, length_m=20.0, kind="head-on", tcpa_s=500.0)
+
+
+def met(*targets: Ship) -> Encounter:
+    own = Ship(north_m=0.0, east_m=0.0, course_deg=0.0, speed_mps=1.5, length_m=4.5)
+    return Encounter(id="test", title="test", own=own, targets=targets)
+
+
+def test_the_guard_alone_keeps_clear_and_without_it_the_domain_is_entered():
+    row = encounters.one(met(HEAD_ON))
+    assert row["nearest"] >= 1.0 > 0.1 > row["without"]
+    assert row["entered"] == [0, 1]
+
+
+def test_a_random_encounter_of_a_seed_is_sailed():
+    assert encounters.one(4)["name"] == drawn(4, 1.5).id
+
+
+def test_a_solution_is_a_course_that_stays_clear_of_all():
+    found = encounters.solution((HEAD_ON,))
+    assert found is not None
+    assert found != (0.0, 1.0)
+    around = [
+        Ship(
+            north_m=200.0 * math.cos(math.radians(each)),
+            east_m=200.0 * math.sin(math.radians(each)),
+            course_deg=each + 180.0,
+            speed_mps=1.0,
+            length_m=100.0,
+            tcpa_s=200.0,
+        )
+        for each in range(0, 360, 30)
+    ]
+    assert encounters.solution(around) is None
+
+
+def test_the_record_sails_four_sets_with_and_without_the_guard_by_two_kinds_of_ais():
+    plan = record.plan_of(2)
+    assert plan.runs == (22 + 22 + 55 + 55) * 2 * 2 * 2
+    values = [values for _, values in plan.points]
+    assert {each[record.HEARD] for each in values} == {"perfect", "B"}
+    assert {each[record.GUARD] for each in values} == {True, False}
+
+
+def test_the_tables_name_what_failed(monkeypatch, capsys):
+    duckdb: Any = pytest.importorskip("duckdb")
+    database = duckdb.connect()
+    database.execute(
+        f"""create table runs as select 'imazu22-real:imazu-0' || i as story, 'B' as "{record.HEARD}",
+        i < 3 as "{record.GUARD}", 1 as seed, i as point, 1 as vessels, 0 as collisions,
+        case when i = 2 then 1 else 0 end as entered, 0.5::double * i as nearest, 100.0::double as nearest_m, 2 as alterations,
+        90.0::double as off_m, 3 as rules_asked,
+        case when i = 1 then '8a in ample time: give-way 1' else '' end as rules_broken,
+        'time' as "end", '' as error from range(1, 5) r(i)"""
+    )
+    monkeypatch.setattr(findings, "connect", lambda folder: database)
+    record.tell(record.CAMPAIGN)
+    told = capsys.readouterr().out
+    assert "| imazu22-real | B | on | 2 | 2 | 0 | 1 | 0.5 | 0.75 | 100 | 2 | 90 | 6 | 5 |" in told
+    assert "| 8a in ample time | 1 | 1 |" in told
+    assert "| imazu22-real:imazu-02 | B | 1 | 2 | 1 | 100 | 1 |" in told
+
+
+def test_the_page_of_tracks_is_drawn(tmp_path):
+    instants = [Instant(float(t), 1.5 * t, 0.0, 0.0, 1.5, ((1500.0 - 1.5 * t, 30.0, math.pi),)) for t in range(900)]
+    case = {"name": "test", "vessels": [(20.0, 4.0, "head-on", 1.0)], "instants": instants}
+    record.draw([case] * 7, tmp_path / "page.png", "test")
+    assert (tmp_path / "page.png").stat().st_size > 10_000
+
+
+def test_what_a_random_encounter_came_to_can_be_drawn(tmp_path):
+    row = encounters.one(2) | {"track": [(15.0 * i, 0.0) for i in range(100)]}
+    case = encounters.shown(row)
+    assert len(case["instants"]) == 100
+    record.draw([case], tmp_path / "random.png", "random")
+    assert (tmp_path / "random.png").exists()
