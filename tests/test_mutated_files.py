@@ -280,8 +280,9 @@ def readers() -> set[str]:
     found = set[str]()
     for path in (ROOT / "delfim").rglob("*.py"):
         for function in ast.walk(ast.parse(path.read_text())):
-            calls = [node for node in ast.walk(function) if isinstance(node, ast.Call)]
-            if isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef) and any(map(_opens, calls)):
+            if not isinstance(function, ast.FunctionDef | ast.AsyncFunctionDef):
+                continue
+            if any(_opens(node) for node in ast.walk(function) if isinstance(node, ast.Call)):
                 found.add(f"{path.relative_to(ROOT / 'delfim')}: {function.name}")
     return found
 

@@ -1,6 +1,7 @@
 """The style of this project, as far as a program can tell: what a reviewer should never have to say twice."""
 
 import ast
+import gc
 import importlib
 import logging
 import re
@@ -33,6 +34,7 @@ KINDS = {
     "nmea0183.py",
     "nmea2000.py",
 }  # a file a kind, beside that of its rules
+LOOKED_AT = (ast.stmt, ast.Attribute, ast.withitem)  # by the rules that walk through whole programs
 UNFINISHED = re.compile(r"\b(TO" r"DO|FIX" r"ME|X" r"XX|raise Not" r"Implemented\w*)\b")
 REGISTRIES = re.compile(
     r"py" r"pi\.org|python" r"hosted\.org|npm" r"js\.(org|com)|debian" r"\.org|proxy\.golang" r"\.org|crates" r"\.io"
@@ -65,8 +67,20 @@ def _tree(path: Path) -> ast.Module:
 
 @cache
 def _walked(path: Path) -> list[tuple[str, ast.AST]]:
+    """The nodes that some rule is about: most of a tree are names, constants and the like."""
     name = path.relative_to(ROOT)
-    return [(f"{name}:{getattr(node, 'lineno', 0)}", node) for node in ast.walk(_tree(path))]
+    nodes = (node for node in ast.walk(_tree(path)) if isinstance(node, LOOKED_AT))
+    return [(f"{name}:{getattr(node, 'lineno', 0)}", node) for node in nodes]
+
+
+@pytest.fixture(autouse=True, scope="module")
+def trees() -> Iterator[None]:
+    """They are parsed once, and go after these tests. To look for circles among all that is new takes longer than to parse."""
+    gc.disable()
+    yield
+    gc.enable()
+    _walked.cache_clear()
+    _tree.cache_clear()
 
 
 def _nodes(paths: list[Path]) -> Iterator[tuple[str, ast.AST]]:

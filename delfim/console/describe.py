@@ -3,9 +3,11 @@
 The meaning is the comment beside the key in `delfim/config.py`, so that there is one list and it cannot go stale.
 """
 
-import contextlib
+import ast
 import inspect
 import re
+import sys
+from functools import cache
 from typing import Any, get_args, get_origin
 
 import msgspec
@@ -70,9 +72,18 @@ def _comments(table: type) -> dict[str, str]:
     """The comments of the class and of those that it extends; the nearest one counts. Keys of modes have no comments."""
     found = {mode.name.lower(): f'in {mode.name.lower()} mode; "same": as `action`' for mode in Mode}
     for each in reversed([kind for kind in table.__mro__ if issubclass(kind, tables.Table)]):
-        with contextlib.suppress(OSError):  # made by a function: there are no lines
-            found.update(re.findall(r"^    (\w+): .*?  # (.+)$", inspect.getsource(each), re.MULTILINE))
+        lines = _classes(each.__module__).get(each.__name__, "")  # none where it is made by a function
+        found.update(re.findall(r"^    (\w+): .*?  # (.+)$", lines, re.MULTILINE))
     return {name: comment.replace("|", "\\|") for name, comment in found.items()}
+
+
+@cache
+def _classes(module: str) -> dict[str, str]:
+    """The lines of each class of a module. Asked for a class, `inspect` reads the whole module again."""
+    text = inspect.getsource(sys.modules[module])
+    lines = text.splitlines()
+    classes = (node for node in ast.parse(text).body if isinstance(node, ast.ClassDef))
+    return {node.name: "\n".join(lines[node.lineno - 1 : node.end_lineno]) for node in classes}
 
 
 def _default(field: Any) -> str:
