@@ -131,6 +131,14 @@ def scenarios_mission(here: Path) -> Said:
     return refused(lambda: mission_of(load_scenario(here / "storm.toml"), here / "storm.toml"))
 
 
+def encounters(here: Path) -> Said:
+    from delfim.simulator.encounters import staged_of
+    from delfim.simulator.scenario import load_scenario
+
+    file = here / "imazu22-real.toml"
+    return refused(lambda: staged_of(load_scenario(file), file))
+
+
 def campaign(here: Path) -> Said:
     from delfim.campaign.runplan import read
 
@@ -355,6 +363,7 @@ READERS = {
     "a campaign's results": Reader("results/part-000000.parquet", results, BINARY),
     "address on NMEA 2000": Reader("address", own_address, TEXT),
     "scenario's mission": Reader("lake.toml", scenarios_mission, TEXT),
+    "encounters": Reader("imazu22-real.json", encounters, TEXT),
     "mission to send": Reader("lake.toml", operators_mission, TEXT),
     "session": Reader("day.tlog", replayed, BINARY),
     "state log": Reader("log/*/state/*.state", logs(*LOG_VERBS), (*BINARY, *TEXT)),

@@ -72,6 +72,8 @@ def settings(folder: Path) -> None:
     shutil.copy(ROOT / "etc/missions/doca.toml", folder / "lake.toml")
     (folder / "storm.toml").write_text(STORM)
     (folder / "campaign.toml").write_text(CAMPAIGN)
+    for end in ("toml", "json"):
+        shutil.copy(ROOT / f"etc/encounters/imazu22-real.{end}", folder)
     (folder / "cruise.toml").write_text(CAMPAIGN.replace('scenario = "storm.toml"', 'mission = "lake.toml"'))
     plan = read(folder / "campaign.toml")[1]
     results = Store(folder / "results", plan, 2, "of the sample")
@@ -208,6 +210,7 @@ SAMPLES = {
         "head of a campaign's results",
         "a campaign's results",
         "scenario's mission",
+        "encounters",
         "mission to send",
         "CAN database",
     ),
@@ -320,6 +323,7 @@ READ_BY = {  # function: the readers above that come by it
     "services/imagefile.py: verify": {"image"},
     "services/sshd.py: _host_key": {"host key"},
     "services/vehiclefile.py: changed": {"vehicle to commission"},
+    "simulator/encounters.py: staged_of": {"encounters"},
     "simulator/scenario.py: mission_of": {"scenario's mission"},
     "suite.py: _told": {"supervisor's record"},
     "vehicle/mavlink/signing.py: read_key": {"signing key"},
