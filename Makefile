@@ -3,7 +3,7 @@
 
 PYTHON ?= python3
 ARGS   ?=
-WORKERS ?= 2
+WORKERS ?= 3
 BESIDE := -n $(WORKERS) --no-loadscope-reorder
 VENV   ?= .venv
 BIN    := $(VENV)/bin
@@ -34,7 +34,7 @@ help: ## list the targets
 run: $(BOAT) ## sail the whole DelfimX in simulation, with the console in the browser
 	$(BIN)/delfim sim etc/delfimx.toml --console $(ARGS)
 
-test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, so many side by side (WORKERS=2)
+test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, so many side by side (WORKERS=3)
 	$(BIN)/pytest $(BESIDE) -m "not long" $(ARGS)
 
 test-long: $(MORE) system ## run the tests that take longest, one after the other: images, power cuts, failing disks, bad neighbours, benchmarks

@@ -8,6 +8,5 @@ from tests.esc_voyage import voyage
 
 
 @pytest.mark.long
-@pytest.mark.timeout(180)
 def test_motor_controllers_of_others_are_commanded_and_heard_and_stopped_by_the_dead_man(tmp_path):
     voyage(tmp_path, f"canloop:esc-{os.getpid()}-{tmp_path.name[-8:]}")

@@ -5,6 +5,7 @@ import os
 import subprocess
 import sys
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -73,7 +74,15 @@ async def sailed(path: Path) -> list[str]:
         ]
         await action.hold()
         modes.append(mode())
-        await action.arm()
+
+        async def armed() -> bool:
+            """Not while navigation is late, on a busy machine."""
+            with suppress(ActionError):
+                await action.arm()
+                return True
+            return False
+
+        await until(armed)
         await mission.start_mission()
         modes.append(mode())
 
@@ -90,7 +99,9 @@ async def sailed(path: Path) -> list[str]:
         with Link(path) as link:
             assert link.ask("state")["reason"] == "operator continues"
         await action.return_to_launch()
-        modes.append(mode())
+        with Link(path) as link:
+            state = link.ask("state")
+        modes.append("home" if state["reason"] == "home done" else state["mode"])  # it is near, and may have been reached
         await action.disarm()
         modes.append(mode())
         await mission.clear_mission()
@@ -143,13 +154,13 @@ async def planned(path: Path, home: bool) -> None:
 @pytest.mark.parametrize("autopilot", ["generic", "ardurover"])
 def test_a_mission_of_the_high_level_interface_comes_back_and_a_take_off_moves_nothing(tmp_path, autopilot):
     with running(tmp_path, PORT, f'mavlink.autopilot="{autopilot}"') as path:
-        asyncio.run(asyncio.wait_for(planned(path, autopilot == "ardurover"), 90))
+        asyncio.run(asyncio.wait_for(planned(path, autopilot == "ardurover"), 240))
 
 
 def test_connect_watch_upload_download_start_hold_return_disarm(tmp_path):
     """And what was sailed so repeats bit by bit from its logs: nothing moved the boat that is not in them."""
     with running(tmp_path, PORT) as path:
-        modes = asyncio.run(asyncio.wait_for(sailed(path), 90))
+        modes = asyncio.run(asyncio.wait_for(sailed(path), 240))
     assert modes == ["idle", "play", "hold", "play", "hold", "play", "home", "idle"]
     words = [sys.executable, "-m", "delfim", "log", "replay", str(tmp_path / "log")]
     replayed = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)

@@ -30,7 +30,6 @@ from delfim.suite import services
 from delfim.vehicle.mavlink.signing import new_key
 
 pytestmark = [
-    pytest.mark.timeout(120),
     pytest.mark.skipif(not shutil.which("curl") or not shutil.which("ssh"), reason="needs curl and ssh"),
 ]
 ROOT = Path(__file__).parents[1]

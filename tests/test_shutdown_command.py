@@ -23,7 +23,6 @@ from delfim.services import shutdown
 
 ROOT = Path(__file__).parents[1]
 VEHICLE = str(ROOT / "etc/delfimx.toml")
-pytestmark = pytest.mark.timeout(120)
 
 
 class Suite(NamedTuple):

@@ -28,7 +28,6 @@ def computer(state: dict[str, Any]) -> dict[str, Any]:
     return next(line for line in state["checks"] if line["name"] == "computer")
 
 
-@pytest.mark.timeout(30)
 def test_the_vehicle_says_that_the_computer_is_starting_until_it_is_watched_over(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

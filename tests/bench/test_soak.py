@@ -86,7 +86,6 @@ def test_a_log_that_the_clock_gave_another_name_after_it_was_listed_is_looked_fo
 
 
 @pytest.mark.long
-@pytest.mark.timeout(180)
 def test_the_whole_suite_is_flat_and_everybody_is_served(tmp_path: Path) -> None:
     """So soon after the start memory still grows: each thread that hashes a password for the first time takes 16 MB."""
     main(["soak", "--minutes", "0.3", "--file", VEHICLE, "--output", str(tmp_path)])

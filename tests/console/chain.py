@@ -20,7 +20,7 @@ from delfim.errors import DelfimError
 from delfim.logging.candump import parse_line
 from delfim.logging.reading import in_order, read_log
 from delfim.vehicle.mavlink import wire
-from tests.services.browser import NOWHERE, Page, browser
+from tests.services.browser import Page, tab
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"
@@ -282,13 +282,11 @@ class Sea:
     def __init__(self, folder: Path, gateway: Gateway, url: str, boats: list[Boat], radios: list[Radio]) -> None:
         self.folder, self.gateway, self.url, self.boats, self.radios = folder, gateway, url, boats, radios
         self._tabs = contextlib.AsyncExitStack()
-        self._browsers = 0
         self.page: Page
 
     async def browse(self) -> None:
-        """A browser of its own, with the page open."""
-        self._browsers += 1
-        self.page = await self._tabs.enter_async_context(browser(self.folder / f"browser{self._browsers}", NOWHERE))
+        """A tab of its own, with the page open."""
+        self.page = await self._tabs.enter_async_context(tab())
         await self.page.call("Network.enable")
         await self.load()
 

@@ -47,8 +47,6 @@ OTHER = 199  # another console
 CONTROL = 32100
 ASK = "from delfim.console.link import Link; import sys; Link(sys.argv[1]).ask('bell')"
 
-pytestmark = pytest.mark.timeout(300)  # the boats sail in real time
-
 
 class Sailed(NamedTuple):
     log: Path

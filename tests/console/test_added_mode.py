@@ -41,7 +41,6 @@ NUMBER = 42
 OTHER = 199  # another console
 SET_MODE, CONTROL = 176, 32100
 
-pytestmark = pytest.mark.timeout(300)  # the boats sail in real time
 
 Story = Callable[[Sea, Page, Boat], Awaitable[None]]
 Sail = Callable[[Story], None]

@@ -39,8 +39,6 @@ FREE_M = itertools.count(-40.0, 12.0)  # north of the boat: where other waypoint
 ENTERED = "document.querySelector('.selected .mode').dataset.state === 'on'"  # the mode that was asked for
 OTHER = 199  # another console
 
-pytestmark = pytest.mark.timeout(300)  # the boats sail in real time
-
 
 def ways() -> set[str]:
     """Where the page tells a boat something, and how: file, method, and what the menu calls it."""

@@ -25,7 +25,6 @@ PLACES = ((30.0, 25.0), (55.0, -5.0), (30.0, -35.0))  # metres north and east of
 WITHIN_M = 3.0  # of what was meant, when it comes back from the boat
 ITEM = "[...document.querySelectorAll('.popup .item .title')].find(each => each.firstChild.data.includes({!r}))"
 
-pytestmark = pytest.mark.timeout(300)  # the boat sails in real time
 
 Picture = Callable[[str], Awaitable[None]]
 Size = tuple[int, int, bool]  # width, height, night

@@ -12,7 +12,6 @@ from tests.services.browser import Page
 
 WATCHED = 8  # cycles: longer than the page, the gateway and the boat need to do something that they should not
 
-pytestmark = pytest.mark.timeout(300)  # the boats sail in real time
 
 Story = Callable[[Sea], Awaitable[None]]
 Sail = Callable[[Story], None]

@@ -17,7 +17,6 @@ from delfim.messages import ShutdownStage
 from tests.guest.harness import PATH, ROOT, Guest, GuestError, guest, missing
 from tests.guest.recording import record
 
-pytestmark = pytest.mark.timeout(300)
 SETTINGS = {'interface = "can0"': 'interface = "vcan0"', "required = true": "required = true\nfree_bytes_min = 1_000_000"}
 FOREVER_S = 120.0
 UP = "until [ -e /sys/class/net/vcan0 ] && grep -q . /run/delfim/supervisor.json; do sleep 0.1; done 2>/dev/null\n"

@@ -6,13 +6,13 @@ import pytest
 
 from tests.guest.harness import Guest
 
-TIMEOUT_S = 120.0
+TIMEOUT_S = 240.0
 
 
 @pytest.mark.timeout(TIMEOUT_S + 60.0)
 def test_sockets_on_a_real_can_stack(can_guest: Guest, subtests: pytest.Subtests) -> None:
     report = can_guest.folder / "can.xml"
-    command = f"python -m pytest -p no:cacheprovider -q --timeout=60 --junit-xml={report} tests/guest/guest_can.py"
+    command = f"python -m pytest -p no:cacheprovider -q --timeout=200 --junit-xml={report} tests/guest/guest_can.py"
     result = can_guest.run(command, timeout_s=TIMEOUT_S)
     assert report.exists(), result.output
     cases = list(ElementTree.parse(report).iter("testcase"))

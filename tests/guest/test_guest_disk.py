@@ -11,7 +11,6 @@ pytestmark = pytest.mark.long
 COMMAND = "python -m bench disk --quick --seconds 4 --rates 50 --bus vcan0 --frames 300 --output $FOLDER"
 
 
-@pytest.mark.timeout(300)
 def test_every_way_in_which_a_log_partition_fails_is_counted_told_and_got_over(tmp_path):
     if reason := missing():
         pytest.skip(reason)

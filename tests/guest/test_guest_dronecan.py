@@ -8,7 +8,6 @@ from tests.guest.harness import Guest
 
 
 @pytest.mark.long
-@pytest.mark.timeout(300)
 def test_an_esc_pair_on_vcan_is_commanded_and_stopped(can_guest: Guest) -> None:
     result = can_guest.run("mkdir -p /run/delfim && python -m tests.esc_voyage /run/delfim vcan0", timeout_s=240.0)
     assert result.code == 0, result.output

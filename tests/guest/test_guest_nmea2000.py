@@ -8,7 +8,6 @@ from tests.guest.harness import Guest
 
 
 @pytest.mark.long
-@pytest.mark.timeout(300)
 def test_devices_on_vcan_share_the_addresses_and_join_a_bus_that_was_down(can_guest: Guest) -> None:
     result = can_guest.run("python -m tests.nmea2000_pair vcan1; code=$?; ip link set vcan1 up; exit $code", timeout_s=200.0)
     assert result.code == 0, result.output

@@ -8,7 +8,6 @@ import pytest
 from tests.guest.harness import Guest
 
 
-@pytest.mark.timeout(180)
 def test_the_boat_sails_on_a_real_bus_and_stops_when_navigation_is_pulled(can_guest: Guest) -> None:
     result = can_guest.run("python tests/guest/guest_sail.py", timeout_s=120.0)
     assert result.code == 0, result.output

@@ -38,7 +38,6 @@ def sailed(tmp_path: Path, encapsulation: str, mode: str, seconds: float) -> dic
         return report
 
 
-@pytest.mark.timeout(240)
 @pytest.mark.parametrize(("encapsulation", "mode"), [("cslip", "kernel"), ("slip", "user")])
 def test_the_line_comes_up_favours_the_console_and_comes_back(tmp_path: Path, encapsulation: str, mode: str) -> None:
     report = sailed(tmp_path, encapsulation, mode, 3.0)

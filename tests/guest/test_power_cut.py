@@ -46,7 +46,6 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     metafunc.parametrize("cut", range(metafunc.config.getoption("--cuts")))
 
 
-@pytest.mark.timeout(180)
 def test_a_power_cut_costs_a_second_and_no_human(disk, tmp_path, cut, request):
     frames_per_s = request.config.getoption("--frames-per-s")
     ended_s = power_cut(disk, tmp_path, frames_per_s, random.Random(cut).uniform(0.0, 3.0))

@@ -92,7 +92,6 @@ def crashes(base: Path, log: Path, count: int, chance: random.Random) -> Iterato
         yield crashed(image, epoch, chance), times_s[-1], sum(pause_s for pause_s in pauses_s if pause_s > STILL_S)
 
 
-@pytest.mark.timeout(300)
 def test_torn_and_reordered_writes_cost_a_second_and_no_human(tmp_path: Path, request: pytest.FixtureRequest) -> None:
     if reason := missing():
         pytest.skip(reason)

@@ -200,7 +200,7 @@ async def browser(folder: Path, *more: str) -> AsyncIterator[Page]:
 @contextlib.asynccontextmanager
 async def tab() -> AsyncIterator[Page]:
     """A tab of a browser that all tests of this process share: its start takes a processor for two seconds. It has no
-    network but this machine's, and keeps nothing for the next test. A test that hides, stops or kills it takes `browser`."""
+    network but this machine's, and keeps nothing for the next test. Who kills it gets another one the next time."""
     child, folder = _shared()
     if child.poll() is not None:
         _shared.cache_clear()
@@ -214,10 +214,11 @@ async def tab() -> AsyncIterator[Page]:
             try:
                 yield page
             finally:
-                await page.call("Network.clearBrowserCookies")
-                for origin in page.origins:
-                    await page.call("Storage.clearDataForOrigin", origin=origin, storageTypes="all")
-                await page.call("Target.closeTarget", targetId=address.rpartition("/")[2])
+                if child.poll() is None:
+                    await page.call("Network.clearBrowserCookies")
+                    for origin in page.origins:
+                        await page.call("Storage.clearDataForOrigin", origin=origin, storageTypes="all")
+                    await page.call("Target.closeTarget", targetId=address.rpartition("/")[2])
 
 
 @functools.cache

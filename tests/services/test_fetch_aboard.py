@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import asyncssh
-import pytest
 
 from delfim import config
 from delfim.services import ftpd, sshd
@@ -17,7 +16,6 @@ from tests.logging.test_fetch import T0_NS, arrived, gz
 from tests.services.boat import served, vehicle_file
 from tests.services.radio import Radio, radio
 
-pytestmark = pytest.mark.timeout(120)
 LOGS = {f"20100101/can0/09{minute}000.log.gz": gz(random.Random(minute).randbytes(1_000_000)) for minute in (3, 4)}
 BREAKS_AFTER = 700_000  # bytes
 

@@ -94,7 +94,6 @@ def fetch(shore: Program, address: str, more: str = "") -> subprocess.Popen[byte
 
 @pytest.mark.long
 @needs_networks
-@pytest.mark.timeout(120)
 def test_two_boats_and_one_shore_share_a_frequency(tmp_path: Path) -> None:
     with (
         contextlib.closing(Frequency(3, BYTES_PER_S)) as air,
@@ -114,7 +113,6 @@ def test_two_boats_and_one_shore_share_a_frequency(tmp_path: Path) -> None:
 
 
 @needs_networks
-@pytest.mark.timeout(120)
 def test_one_boat_alone_needs_no_station(tmp_path: Path) -> None:
     ends = [pty.openpty() for _ in range(2)]
     for _, port in ends:
