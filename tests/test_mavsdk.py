@@ -33,6 +33,14 @@ async def until(what: Callable[[], Awaitable[bool]]) -> None:
         await asyncio.sleep(0.05)
 
 
+async def armed(action: ActionAsync) -> bool:
+    """It is refused while navigation is late, on a busy machine."""
+    with suppress(ActionError):
+        await action.arm()
+        return True
+    return False
+
+
 def items() -> list[MissionItem]:
     return [
         MissionItem(n, 6, 16, int(n == 0), 1, 0.0, 3.0, 0.0, float("nan"), round(lat * 1e7), round(lon * 1e7), 0.0, 0)
@@ -45,8 +53,10 @@ async def sailed(path: Path) -> list[str]:
     modes: list[str] = []
 
     def mode() -> str:
+        """Home is near: it may have been reached, and the boat holds."""
         with Link(path) as link:
-            return str(link.ask("state")["mode"])
+            state = link.ask("state")
+        return "home" if state["reason"] == "home done" else str(state["mode"])
 
     async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as sdk:
         await sdk.add_any_connection(f"udpin://127.0.0.1:{PORT}")
@@ -74,15 +84,7 @@ async def sailed(path: Path) -> list[str]:
         ]
         await action.hold()
         modes.append(mode())
-
-        async def armed() -> bool:
-            """Not while navigation is late, on a busy machine."""
-            with suppress(ActionError):
-                await action.arm()
-                return True
-            return False
-
-        await until(armed)
+        await until(lambda: armed(action))
         await mission.start_mission()
         modes.append(mode())
 
@@ -99,9 +101,7 @@ async def sailed(path: Path) -> list[str]:
         with Link(path) as link:
             assert link.ask("state")["reason"] == "operator continues"
         await action.return_to_launch()
-        with Link(path) as link:
-            state = link.ask("state")
-        modes.append("home" if state["reason"] == "home done" else state["mode"])  # it is near, and may have been reached
+        modes.append(mode())
         await action.disarm()
         modes.append(mode())
         await mission.clear_mission()
