@@ -31,6 +31,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
     except KeyboardInterrupt:
         return 130
+    except EOFError:  # a question, and nobody to answer it
+        print(f"delfim: {words[0]}: the answers ended too early", file=sys.stderr)
+        return EXIT_WRONG
     except BrokenPipeError:  # `delfim ... | head`
         return 0
     except Refused as refusal:
@@ -43,6 +46,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         package = (error.name or "").partition(".")[0]
         if package in ("", "delfim"):  # a defect
             raise
+        if package in sys.stdlib_module_names:  # the computer is none that a boat has
+            print(f"delfim: {words[0]} needs Linux: this system has no {package}", file=sys.stderr)
+            return EXIT_WRONG
         extra = "campaign" if words[0] == "campaign" else "formats" if package in FORMATS else "ground"
         print(f"delfim: {words[0]} needs {package}, which is not installed: pip install 'delfim[{extra}]'", file=sys.stderr)
         return EXIT_WRONG
