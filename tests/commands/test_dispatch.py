@@ -68,3 +68,13 @@ def test_a_boat_loads_its_own_command_alone():
     loaded = subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True, cwd=ROOT).stdout.split()
     ours = {name for name in loaded if name.startswith("delfim.")}
     assert ours == {"delfim.commands", "delfim.errors", "delfim.__main__", "delfim.commands.run"}
+
+
+def test_a_question_that_nobody_answers_ends_in_a_line():
+    """Away from any terminal."""
+    command = [sys.executable, "-m", "delfim", "password"]
+    done = subprocess.run(
+        command, stdin=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True, start_new_session=True, check=False
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1].endswith("delfim: password: the answers ended too early")
