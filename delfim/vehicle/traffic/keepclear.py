@@ -40,7 +40,7 @@ ESCAPE_S: Final = 30.0  # by then the boat has had time to get out
 STATIC_S: Final = 90.0  # so long a way must be clear of the fence
 CHANGE, STEADY = 6.0, 0.15  # another course must be better than the one steered by so much, and by this part
 LEAVE: Final = 5.0  # the route is not left for less
-AGAINST_RULE, TO_PORT_OF_ONE_TO_PORT = 60.0, 40.0
+AGAINST_RULE, TO_PORT = 60.0, 40.0
 STARBOARD, PORT, SLOWER = 10.0, 13.0, 12.0  # a right angle to either side; a stop
 INSIDE, DEEP, NEAR = 100.0, 900.0, 15.0  # entering the domain, its middle, and the edge of what is soft
 ASHORE: Final = 10_000.0  # no vessel is a reason to cross the fence
@@ -96,7 +96,7 @@ class Seen(NamedTuple):
     late_s: float
     far_m: float  # from its domain at most
     duty: Duty | None  # None: not in question
-    rule: str  # what is penalised: "ahead", "starboard", "port"; empty: nothing
+    rule: str  # what is penalised: "ahead", "port", both, "starboard"; empty: nothing
 
 
 class Scene(NamedTuple):
@@ -194,7 +194,9 @@ def _rule(owed: Duty | None, target: Target) -> str:
         return "starboard"
     if owed == "stand-on" and target.status not in PRIVILEGED:
         return "port"
-    return "ahead" if owed in ("give-way", "stand-on") and target.speed_mps > 0.5 else ""
+    if target.speed_mps <= 0.5 or owed not in ("give-way", "stand-on"):
+        return ""
+    return "ahead or port" if owed == "give-way" else "ahead"
 
 
 def _waits(limits: Caution, this: Seen, on: Sequence[Leg]) -> bool:
@@ -242,10 +244,10 @@ def _cost(
             later = approach(around, legs, look_s * far, ESCAPE_S)
             cost += _hazard(later.nearness, later.at_s, look_s)
         if deviates and rule:
-            if (rule == "ahead" and ahead > 0.0) or (rule == "starboard" and starboard > 0.0):
+            if starboard > 0.0 if rule == "starboard" else ahead > 0.0 and rule != "port":
                 cost += AGAINST_RULE
-            elif rule == "port" and turns_to_port:
-                cost += TO_PORT_OF_ONE_TO_PORT
+            elif turns_to_port and rule in ("port", "ahead or port"):
+                cost += TO_PORT
     if scene.shore is not None and cost < enough and scene.shore.meets(legs, STATIC_S, is_route):
         cost += ASHORE
     return cost
