@@ -1,6 +1,7 @@
 """Keeping clear of other vessels: the rules of the road in standard encounters, and any input at all."""
 
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given, settings
@@ -8,11 +9,13 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.geodesy import wrap
+from delfim.vehicle.control.memory import settings_of
 from delfim.vehicle.fence import Fence
 from delfim.vehicle.target import CourseOrder, Target
 from delfim.vehicle.traffic.cpa import approach, closest, domain
 from delfim.vehicle.traffic.encounter import Own, duty, stands_on
 from delfim.vehicle.traffic.keepclear import Memory, RouteAhead, decide, route_legs
+from delfim.vehicle.traffic.watchkeeper import caution
 from delfim.vehicle.zones import circle, clearance_m, polygon
 from tests.vehicle.encounters import LIMITS, encounters, place, sail, score, target
 from tests.vehicle.encounters import ClassB as ByClassB
@@ -126,6 +129,24 @@ def test_every_manoeuvre_for_a_single_ship_is_large_and_not_to_port(
         turn_deg = math.degrees(wrap(order.course_rad))
         assert order.speed_part <= 0.5 or turn_deg >= 29.9
         assert turn_deg >= -0.1 or abs(turn_deg) > 175.0
+
+
+BOATS = sorted((Path(__file__).parents[2] / "etc" / "boats").glob("*.toml"))
+
+
+@pytest.mark.parametrize("file", BOATS, ids=lambda file: file.stem)
+def test_boats_of_all_sizes_keep_clear_with_the_same_settings(file: Path) -> None:
+    """Scaled by their speed and their rate of turn alone."""
+    boat = config.load(file)
+    limits = caution(boat, settings_of(boat))
+    cruise_mps = boat.control.speed.cruise_mps
+    scale = cruise_mps / 1.5
+    for title, ships in encounters("imazu22-similar")[4:6]:
+        scaled = [
+            each._replace(north_m=each.north_m * scale, east_m=each.east_m * scale, speed_mps=each.speed_mps * scale)
+            for each in ships
+        ]
+        assert min(score(sail(scaled, limits, cruise_mps), cruise_mps).nearness) >= 0.999, title
 
 
 def place_in(other: Target) -> float:
