@@ -323,7 +323,7 @@ READ_BY = {  # function: the readers above that come by it
     "services/imagefile.py: verify": {"image"},
     "services/sshd.py: _host_key": {"host key"},
     "services/vehiclefile.py: changed": {"vehicle to commission"},
-    "simulator/encounters.py: staged_of": {"encounters"},
+    "simulator/encounters.py: read_encounters": {"encounters"},
     "simulator/scenario.py: mission_of": {"scenario's mission"},
     "suite.py: _told": {"supervisor's record"},
     "vehicle/mavlink/signing.py: read_key": {"signing key"},

@@ -128,7 +128,7 @@ def test_no_sensor_has_the_number_of_the_computer():
 
 def test_the_float_has_motors_and_sensors_on_one_simulated_bus(tmp_path):
     vehicle = config.load(FLOAT)
-    overrides, _, _ = settings_of(vehicle, Berth(1, tmp_path), ())
+    overrides, *_ = settings_of(vehicle, Berth(1, tmp_path), ())
     simulated = config.load(FLOAT, tuple(overrides))
     assert simulated.dronecan.interface == f"{simulated.can.interface}-dronecan"
     run = Lockstep(vehicle, 1, lambda clock: NoLog())
