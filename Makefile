@@ -12,6 +12,7 @@ READY  := $(VENV)/.ready
 WEB    := delfim/console/web
 NPM    := $(WEB)/node_modules/.package-lock.json
 MORE   := $(VENV)/.formats
+OTHERS := $(VENV)/.others
 LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt build.txt)
 
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
@@ -37,10 +38,10 @@ run: $(BOAT) ## sail the whole DelfimX in simulation, with the console in the br
 test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, so many side by side (WORKERS=3)
 	$(BIN)/pytest $(BESIDE) -m "not long" $(ARGS)
 
-test-long: $(MORE) system ## run the tests that take longest, one after the other: images, power cuts, failing disks, bad neighbours, benchmarks
+test-long: $(MORE) $(OTHERS) system ## run the tests that take longest, one after the other: images, power cuts, failing disks, bad neighbours, benchmarks
 	$(BIN)/pytest -n 1 --no-loadscope-reorder -m long $(ARGS)
 
-again: $(MORE) ## run the tests that failed last, alone
+again: $(MORE) $(OTHERS) ## run the tests that failed last, alone
 	$(BIN)/pytest -n 1 --no-loadscope-reorder --last-failed --last-failed-no-failures none -rA $(ARGS)
 
 fast: $(MORE) ## run the tests that need no guest, with ARGS="..." and WORKERS as for test
@@ -137,6 +138,12 @@ $(READY): $(BOAT) requirements/test.txt
 $(NPM): $(WEB)/package-lock.json $(READY)
 	command -v npm >/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/page.txt
 	cd $(WEB) && npm ci --ignore-scripts --no-audit --no-fund --silent
+	@touch $@
+
+# What a run needs, in the builds for other versions of Python: the same seed must sail the same way on each.
+$(OTHERS): $(READY) requirements/boat.txt
+	for version in 3.11 3.12 3.13 3.14; do $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
+		--only-binary :all: --python-version $$version --target $(VENV)/builds/$$version --upgrade -r requirements/boat.txt || exit 1; done
 	@touch $@
 
 $(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/mavproxy.txt requirements/release.txt

@@ -4,7 +4,6 @@ saved, loaded, and copied out of a recording.
 
 import asyncio
 import os
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -187,7 +186,6 @@ def test_a_recorded_mission_and_a_recorded_track_become_plans(tmp_path: Path) ->
                 await it.until(f"{PLANNED} === {count} && ({CHECKED}).includes('in order')")
 
     asyncio.run(told())
-    shutil.rmtree(tmp_path / "browser")
     asyncio.run(loaded())
 
 
