@@ -527,6 +527,7 @@ class MavlinkFrontSeat(Table, frozen=True):
     autopilot: Literal["ardupilot", "px4"] = "ardupilot"  # what runs on it; they read the throttle in two ways
     board: Annotated[int, msgspec.Meta(ge=1, le=255)] = 1  # its SYSID_THISMAV, or MAV_SYS_ID
     system: Annotated[int, msgspec.Meta(ge=1, le=255)] = 255  # the number that we have there: SYSID_MYGCS of ArduRover
+    battery: bool = False  # its battery is the boat's, with the charge that it tells: its BATT_CAPACITY must be right
 
 
 class HeadingTable(Table, frozen=True):
@@ -1085,7 +1086,8 @@ class PowerdTable(Table, frozen=True):
     button: str = ""  # an input device under /dev/input, or a file (a GPIO's value); "" for none
     button_pressed: str = "1"  # the file begins with this while the button is pressed
     button_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the button must be held for this long
-    battery_charge: Fraction = 0.05  # the charge of either side is at most this; 0: never ...
+    battery_charge: Fraction = 0.05  # the charge of a battery is at most this; 0: never ...
+    battery_v: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0  # ... or the voltage of one is; 0: never ...
     battery_s: Seconds = 60.0  # ... for this long, while no propeller is commanded to run
 
 

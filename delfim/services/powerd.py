@@ -2,7 +2,8 @@
 
 It listens for the shutdown frame, looks at a button and at the batteries, and hands each order to the supervisor, which ends
 the programs, the vehicle first, unmounts the log partition and acknowledges: docs/powerd.md. All it knows comes from the
-bus, so that it does the same in the runtime and in a process of its own.
+bus and, on a boat with batteries or motors that are not DelfimX's own, from the vehicle's state, as a console hears it: it does
+the same in the runtime and in a process of its own.
 """
 
 import asyncio
@@ -10,6 +11,7 @@ import contextlib
 import logging
 import os
 import struct
+from collections.abc import Mapping
 from math import inf
 from typing import Final
 
@@ -36,14 +38,15 @@ from delfim.messages import (
 )
 from delfim.services import shutdown
 from delfim.services.runtime import Runtime
+from delfim.services.watching import watch
+from delfim.services.web.api import State
+from delfim.vehicle.sensors.sysstat import NAMES
+from delfim.vehicle.troubles import DEAD_V
 
 LOOK_S: Final = 0.25  # between two looks at button and batteries
 FRAMES_PER_READ: Final = 64
-FRESH_S: Final = 5.0  # a battery that was silent for longer says nothing
-BATTERIES: Final = {
-    sysstat_arb(Node.BATTERIES_STARBOARD): Node.BATTERIES_STARBOARD,
-    sysstat_arb(Node.BATTERIES_PORT): Node.BATTERIES_PORT,
-}
+FRESH_S: Final = 5.0  # a battery, or a vehicle, that was silent for longer says nothing
+BATTERIES: Final = {sysstat_arb(node): node for node in (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT)}
 INPUT_EVENT: Final = struct.Struct("llHHi")  # linux/input.h
 EV_KEY, KEY_POWER = 1, 116
 EVENTS_BYTES: Final = 64 * INPUT_EVENT.size
@@ -94,16 +97,20 @@ class Button:
 
 
 class Powerd:
-    """The state of the inputs. `order` and `reason` are set when the power is to be cut."""
+    """The state of the inputs. `order` and `reason` are set when the power is to be cut. `watches`: the vehicle is asked, too,
+    and while it is silent its motors count as driven, because nobody knows."""
 
-    def __init__(self, settings: config.PowerdTable, clock: Clock) -> None:
-        self._settings, self._clock = settings, clock
+    def __init__(self, settings: config.PowerdTable, clock: Clock, watches: bool = False) -> None:
+        self._settings, self._clock, self._watches = settings, clock, watches
         self.order: shutdown.Word | None = None
         self.reason = ""
         self.malformed = 0
         self.button = Button(settings.button, settings.button_pressed)
-        self._charges: dict[Node, tuple[float, float]] = {}  # charge, and when it was reported
+        self._charges = dict[str, tuple[float, float]]()  # by battery: charge, and when it was reported
+        self._voltages = dict[str, tuple[float, float]]()  # by battery or thruster: the same in V
         self._pressed_s = inf  # when the button was first seen pressed
+        self._told_s = -inf  # when the vehicle last told its state
+        self._silence = "it has not answered yet" if watches else ""
         self._driven_s = self._enough_s = clock.monotonic_s()  # when a propeller last was to run, the batteries had enough
 
     def on_frame(self, frame: Frame) -> None:
@@ -119,9 +126,32 @@ class Powerd:
             elif (node := BATTERIES.get(frame.arb)) is not None:
                 status = unpack_sysstat(node, frame.data)
                 if isinstance(status, BatteriesStatus) and status.charge is not None:
-                    self._charges[node] = status.charge, now_s
+                    self._charges[NAMES[node]] = status.charge, now_s
         except FormatError:
             self.malformed += 1
+
+    def on_state(self, state: State) -> None:
+        """What the vehicle just told: batteries on any bus, the voltage at each thruster, and whether they are to run."""
+        self._told_s = now_s = self._clock.monotonic_s()
+        self._silence = ""
+        if state.run:
+            self._driven_s = now_s
+        for name, node in state.sysstat.items():
+            self._take(name, node.charge, node.voltage_v, state.age_s.get(name), now_s)
+        for name, facts in state.thrusters.items():
+            self._take(name, None, facts.voltage_v, facts.age_s, now_s)
+
+    def _take(self, name: str, charge: float | None, voltage_v: float | None, age_s: float | None, now_s: float) -> None:
+        if age_s is None:
+            return
+        if charge is not None:
+            self._charges[name] = charge, now_s - age_s
+        if voltage_v is not None and voltage_v > DEAD_V:  # less is no battery's voltage, but a controller's without one
+            self._voltages[name] = voltage_v, now_s - age_s
+
+    def on_silence(self, why: str) -> None:
+        """The vehicle does not answer, in words."""
+        self._silence = why
 
     def look(self) -> None:
         """At the button and the batteries; due every LOOK_S."""
@@ -129,15 +159,19 @@ class Powerd:
         self._pressed_s = min(self._pressed_s, now_s) if self.button.pressed() else inf
         if now_s - self._pressed_s >= settings.button_s:
             self._ask("off", "button")
-        least = self._least(now_s)
-        if least > settings.battery_charge or not settings.battery_charge:
+        if self._watches and now_s - self._told_s > FRESH_S:
+            self._driven_s = now_s
+        if not (empty := self._empty(now_s)):
             self._enough_s = now_s
         elif now_s - max(self._enough_s, self._driven_s) >= settings.battery_s:
-            self._ask("off", f"batteries at {least:.0%}")
+            self._ask("off", empty)
 
-    def _least(self, now_s: float) -> float:
-        """The lower charge of the two sides; infinite where none was reported lately."""
-        return min((charge for charge, at_s in self._charges.values() if now_s - at_s < FRESH_S), default=inf)
+    def _empty(self, now_s: float) -> str:
+        """Why the batteries have no more to give, in words; empty while they have, or nobody tells."""
+        charge, voltage_v, settings = _least(self._charges, now_s), _least(self._voltages, now_s), self._settings
+        if settings.battery_charge and charge <= settings.battery_charge:
+            return f"batteries at {charge:.0%}"
+        return f"batteries at {voltage_v:.1f} V" if settings.battery_v and voltage_v <= settings.battery_v else ""
 
     def _ask(self, word: shutdown.Word, reason: str) -> None:
         if self.order is None:
@@ -145,19 +179,34 @@ class Powerd:
 
     def report(self) -> dict[str, object]:
         """JSON-ready."""
-        least = self._least(self._clock.monotonic_s())
+        now_s = self._clock.monotonic_s()
+        charge, voltage_v = _least(self._charges, now_s), _least(self._voltages, now_s)
         return {
             "shutdown": self.reason,
             "button": self.button.reason or ("pressed" if self.button.is_pressed else "not pressed"),
-            "battery_charge": None if least == inf else least,
+            "battery_charge": None if charge == inf else charge,
+            "battery_v": None if voltage_v == inf else voltage_v,
+            "vehicle": self._silence,
             "malformed": self.malformed,
         }
+
+
+def _least(told: Mapping[str, tuple[float, float]], now_s: float) -> float:
+    """The least value that was told lately; infinite where none was."""
+    return min((value for value, at_s in told.values() if now_s - at_s < FRESH_S), default=inf)
+
+
+def is_told_by_vehicle(settings: config.Vehicle) -> bool:
+    """Whether batteries or motors of this boat are unknown on DelfimX's own bus, or its voltage matters."""
+    others = settings.nmea2000.batteries or "dronecan" in settings.sensors.names
+    return bool(others or settings.powerd.battery_v or any(driver != "dsor" for driver in settings.drivers))
 
 
 async def serve(runtime: Runtime) -> None:
     """The service."""
     settings = runtime.config
-    heard = Powerd(settings.powerd, runtime.clock)
+    watches = is_told_by_vehicle(settings)
+    heard = Powerd(settings.powerd, runtime.clock, watches)
     with contextlib.ExitStack() as links:
         links.callback(heard.button.close)
         can = links.enter_context(open_can(settings.can.interface))
@@ -183,14 +232,18 @@ async def serve(runtime: Runtime) -> None:
                 acted.set()
                 ask(runtime, heard.order or "off", heard.reason)
 
-        links.enter_context(runtime.reading(can.fileno(), on_readable))
-        links.enter_context(runtime.publishing("powerd", heard.report))
-        while True:
-            await asyncio.sleep(LOOK_S)
+        def look() -> None:
             can.rebind()
             heard.look()
             if heard.order and not acted.is_set():
                 act()
+
+        links.enter_context(runtime.reading(can.fileno(), on_readable))
+        links.enter_context(runtime.publishing("powerd", heard.report))
+        links.enter_context(runtime.ticking(LOOK_S, look))
+        if watches:
+            await watch(settings.console.socket, heard.on_state, heard.on_silence)
+        await asyncio.Event().wait()
 
 
 def ask(runtime: Runtime, word: shutdown.Word, reason: str) -> None:

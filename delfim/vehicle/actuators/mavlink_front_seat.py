@@ -16,14 +16,16 @@ from pymavlink.dialects.v20 import development as dialect
 
 from delfim import config
 from delfim.allowance import PIECE_BYTES
+from delfim.messages import BatteriesStatus, Fault, Node, Status
 from delfim.vehicle.frontseat import FrontSeatLine, SeatSide, sides
 from delfim.vehicle.links import Links, ReadableLine
+from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
 FULL: Final = 1000
 HEARTBEAT_TICKS: Final = 5  # of `repeat`: once a second
 OLDEST: Final = (1, 16)  # PX4 before it had no such manual mode of boats, or read the throttle in another way
-UNKNOWN_V, UNKNOWN_A = 0xFFFF, -1
+UNKNOWN_V, UNKNOWN_A, UNKNOWN_CHARGE = 0xFFFF, -1, -1
 Sticks = tuple[int, int, int, int]  # x, y, z, r of MANUAL_CONTROL
 
 
@@ -67,6 +69,7 @@ class MavlinkBoard:
         self._faults: tuple[str, ...] = (self._wrong,)
         self._voltage_v: float | None = None
         self._current_a: float | None = None
+        self._is_boats_battery = table.battery
 
     def send(self, sent: Actuation, now_s: float) -> int:
         self._sent = sent
@@ -136,6 +139,10 @@ class MavlinkBoard:
             volts, amperes = message.voltage_battery, message.current_battery
             self._voltage_v = None if volts == UNKNOWN_V else volts / 1000.0
             self._current_a = None if amperes == UNKNOWN_A else amperes / 100.0
+            if self._is_boats_battery and message.battery_remaining != UNKNOWN_CHARGE:
+                charge = min(max(message.battery_remaining / 100.0, 0.0), 1.0)
+                told = BatteriesStatus(Status.GOOD, Fault(0), self._voltage_v, self._current_a, charge, None)
+                state.sysstat[NAMES[Node.BATTERIES_STARBOARD]] = told, now_s
         else:
             return
         for side in (self._starboard, self._port):
