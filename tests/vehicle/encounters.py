@@ -17,7 +17,7 @@ from delfim.vehicle.traffic.keepclear import Caution, Memory, RouteAhead, decide
 SETS = Path(__file__).parents[2] / "etc" / "encounters"
 LIMITS = Caution(length_m=4.5, turn_radps=math.radians(15.0), ramp_mps2=0.4, stand_on="always")
 GIVE_WAY = ("head-on", "give-way", "overtaking")
-LARGE_RAD, ALTERED_RAD = math.radians(28.0), math.radians(10.0)
+LARGE_RAD, ALTERED_RAD, ABOUT_RAD = math.radians(28.0), math.radians(10.0), math.radians(175.0)
 
 
 class Ship(NamedTuple):
@@ -189,6 +189,8 @@ def _judged(
         crosses = any(p[2] * q[2] < 0.0 < q[1] < 3.0 and abs(q[2]) < 0.5 for p, q in pairwise(way))
         found.append(("15 not ahead", not crosses))
     soonest_s = min((each for each in breaches if each is not None), default=None)
+    if kind in ("head-on", "give-way") and breach_s is not None and breach_s == soonest_s and first is not None:
+        found.append(("14, 15 not to port", not -ABOUT_RAD < wrap(first.course_rad) < -ALTERED_RAD))
     if kind in ("stand-on", "overtaken") and not bound and breach_s is not None and breach_s == soonest_s:
         found.append(("17a stands on", first is None or breach_s - first.t_s <= 2.6 * out_s + 60.0))
     if kind == "stand-on" and not bound and first is not None:

@@ -1,6 +1,7 @@
 """Keeping clear of other vessels: the rules of the road in standard encounters, and any input at all."""
 
 import math
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -44,9 +45,9 @@ def ordered(*targets: Target, around: Fence | None = None, stand_on: str = "alwa
     ("name", "failing"),
     [
         ("imazu22-similar", 0),
-        pytest.param("imazu22-real", 1, marks=pytest.mark.long),
-        pytest.param("dnv55-similar", 9, marks=pytest.mark.long),
-        pytest.param("dnv55-real", 8, marks=pytest.mark.long),
+        pytest.param("imazu22-real", 0, marks=pytest.mark.long),
+        pytest.param("dnv55-similar", 3, marks=pytest.mark.long),
+        pytest.param("dnv55-real", 3, marks=pytest.mark.long),
     ],
 )
 def test_standard_encounters_are_kept_clear_of_by_the_rules(name: str, failing: int) -> None:
@@ -55,7 +56,8 @@ def test_standard_encounters_are_kept_clear_of_by_the_rules(name: str, failing: 
     assert {title: each.nearness for title, each in scores.items() if min(each.nearness) < 0.999} == {}
     failed = [f"{title}: {rule}" for title, each in scores.items() for rule, kept in each.checks.items() if False in kept]
     assert len(failed) <= failing, failed
-    assert {rule for line in failed if (rule := line.split(": ")[1]) in ("8a ample time", "8b large", "8d clear")} == set()
+    never = ("8a ample time", "8b large", "8d clear", "14, 15 not to port")
+    assert {rule for line in failed if (rule := line.split(": ")[1]) in never} == set()
 
 
 @pytest.mark.long
@@ -90,6 +92,35 @@ def test_words(other: Target, words: str) -> None:
     assert order is not None
     assert order.words.startswith(words)
     assert "CPA" in order.words
+
+
+def test_the_boat_turns_to_port_for_one_head_on_only_where_nothing_else_is_clear() -> None:
+    other = met(60.0, 180.0, 4.0, 12.0)
+    moored = [ship(north_m, 60.0, 0.0, 0.0)._replace(key=str(north_m), name="PIER") for north_m in range(-200, 401, 100)]
+    order = ordered(other)
+    assert order is not None
+    assert wrap(order.course_rad) > 0.0
+    assert "to port as" not in order.words
+    order = ordered(other, *moored)
+    assert order is not None
+    assert wrap(order.course_rad) < 0.0
+    assert ", to port as nothing else is clear" in order.words
+
+
+def test_a_vessel_from_abaft_the_starboard_beam_passes_ahead_of_a_slower_boat() -> None:
+    order = ordered(met(160.0, 330.0, 1.5, 22.0))
+    assert order is not None
+    assert (wrap(order.course_rad), order.speed_part) == (pytest.approx(0.0, abs=1e-9), 0.5)
+    assert "crossing from starboard, passing astern" in order.words
+
+
+def test_an_order_that_leads_into_nothing_stands_for_half_a_minute() -> None:
+    """So that others see it: a boat amid three ships does not change its mind from second to second."""
+    (_, ships), *_ = [each for each in encounters("dnv55-real") if each[0].startswith("dnv-38 ")]
+    log = sail(ships, LIMITS._replace(stand_on="small"), see=ByClassB(1))
+    changed_s = [now.t_s for was, now in pairwise(log) if abs(wrap(now.course_rad - was.course_rad)) > 0.2]
+    assert changed_s
+    assert all(after - before >= 28.0 for before, after in pairwise(changed_s))
 
 
 def test_the_boat_stands_on_for_whom_the_owner_says() -> None:

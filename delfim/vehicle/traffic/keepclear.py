@@ -13,6 +13,7 @@ rules and the limits.
 import math
 from collections.abc import Sequence
 from heapq import nsmallest
+from itertools import chain
 from typing import Final, NamedTuple
 
 from delfim.geodesy import wrap
@@ -40,6 +41,9 @@ ESCAPE_S: Final = 30.0  # by then the boat has had time to get out
 STATIC_S: Final = 90.0  # so long a way must be clear of the fence
 CHANGE, STEADY = 6.0, 0.15  # another course must be better than the one steered by so much, and by this part
 LEAVE: Final = 5.0  # the route is not left for less
+HELD_S: Final = 30.0  # an order that leads into nothing stands for so long: others must see what the boat does (rule 8 b)
+FROM_STARBOARD: Final = ("head-on", "give-way")  # vessels for which the boat does not turn to port (rules 14 and 15)
+ABOUT_RAD: Final = math.radians(-175.0)  # a turn beyond is to neither side
 AGAINST_RULE, TO_PORT = 60.0, 40.0
 STARBOARD, PORT, SLOWER = 10.0, 13.0, 12.0  # a right angle to either side; a stop
 INSIDE, DEEP, NEAR = 100.0, 900.0, 15.0  # entering the domain, its middle, and the edge of what is soft
@@ -75,9 +79,19 @@ class PassedBy(NamedTuple):
     nearness: float  # as it does now
 
 
+class Choice(NamedTuple):
+    """A trial that won."""
+
+    course_rad: float
+    part: float  # of the speed that is asked for
+    is_last: bool  # to port where that is not allowed: all else leads into a domain
+
+
 class Memory(NamedTuple):
     order: CourseOrder | None = None
-    left_s: float = 0.0  # when the route was left
+    choice: Choice | None = None  # of the order
+    since_s: float = 0.0  # when it was made
+    left_s: float = 0.0  # when the route was left; 0: it is clear
     duties: tuple[tuple[str, Duty], ...] = ()  # not judged again while the vessel is in question
 
 
@@ -96,7 +110,7 @@ class Seen(NamedTuple):
     late_s: float
     far_m: float  # from its domain at most
     duty: Duty | None  # None: not in question
-    rule: str  # what is penalised: "ahead", "port", both, "starboard"; empty: nothing
+    rule: str  # what is penalised: "ahead", "port", "starboard"; empty: nothing
 
 
 class Scene(NamedTuple):
@@ -118,7 +132,7 @@ def decide(
     if route.points:
         ahead_rad = math.atan2(route.points[0][1] - own.east_m, route.points[0][0] - own.north_m)
     seen = _in_question(limits, memory, own, ahead_rad, route.speed_mps, targets, on)
-    was, is_away = memory.order, memory.order is not None
+    was, is_away = memory.choice, memory.order is not None
     shore = Shoreline(around, own, max(route.speed_mps, own.speed_mps) * STATIC_S) if around is not None else None
     # Who has to give way is left time to do so, unless the boat is under way for another vessel already.
     mine = seen if is_away else [each for each in seen if not _waits(limits, each, on)]
@@ -127,16 +141,18 @@ def decide(
     duties = tuple((each.target.key, each.duty) for each in seen if each.duty is not None and is_under_way)
     # The route is left for what is near, and taken again when it is clear for twice as long.
     if _cost(judged, on, 0.0, 1.0, 2.0 if is_away else 1.0, math.inf, is_route=True) <= (0.0 if is_away else LEAVE):
-        return Decision(Memory(None, 0.0, duties), None, _passes(seen, on, on))
-    left_s = memory.left_s if is_away else now_s
+        return Decision(Memory(duties=duties), None, _passes(seen, on, on))
+    left_s = memory.left_s or now_s
     scene = Scene(seen, shore, 1.0 + max(now_s - left_s, 0.0) / limits.look_s)
-    best = _cheapest(limits, scene, own, ahead_rad, route.speed_mps, on, was)
+    best = was if now_s - memory.since_s < HELD_S else None
+    if best is None or _leads_in(scene, _tried(limits, own, best, route)):
+        best = _cheapest(limits, scene, own, ahead_rad, route, on, was)
     if best is None:
-        return Decision(Memory(None, 0.0, duties), None, _passes(seen, on, on))
-    legs = trial_legs(limits, own, best[0], best[1] * route.speed_mps)
+        return Decision(Memory(left_s=left_s, duties=duties), None, _passes(seen, on, on))
+    legs = _tried(limits, own, best, route)
     passes = _passes(seen, on, legs)
-    order = _ordered(scene, best, route.speed_mps, on, legs, passes, was, now_s)
-    return Decision(Memory(order, left_s, duties), order, passes)
+    order = _ordered(scene, best, route.speed_mps, on, legs, passes, memory.order, now_s)
+    return Decision(Memory(order, best, memory.since_s if best == was else now_s, left_s, duties), order, passes)
 
 
 def plausible(*values: float) -> bool:
@@ -169,7 +185,7 @@ def _in_question(
         if not plausible(target.course_rad):
             continue
         this = measured(limits, own, speed_mps, target)
-        passed, owed = approach(this.around, on, this.look_s), known.get(target.key)
+        passed, owed = approach(this.around, on, 2.0 * this.look_s), known.get(target.key)
         if owed is None and passed.nearness < SOFT:
             owed = duty(own if own.speed_mps >= SLOWEST_MPS else Own(*own[:2], ahead_rad, speed_mps), target)
         if passed.nearness >= SOFT and this.far_m > this.look_s * (target.speed_mps + own.speed_mps):
@@ -196,7 +212,7 @@ def _rule(owed: Duty | None, target: Target) -> str:
         return "port"
     if target.speed_mps <= 0.5 or owed not in ("give-way", "stand-on"):
         return ""
-    return "ahead or port" if owed == "give-way" else "ahead"
+    return "ahead"
 
 
 def _waits(limits: Caution, this: Seen, on: Sequence[Leg]) -> bool:
@@ -207,23 +223,40 @@ def _waits(limits: Caution, this: Seen, on: Sequence[Leg]) -> bool:
 
 
 def _cheapest(
-    limits: Caution, scene: Scene, own: Own, ahead_rad: float, speed_mps: float, on: Sequence[Leg], was: CourseOrder | None
-) -> tuple[float, float] | None:
-    """Course, rad, and part of the speed of the best trial; None: to go on along the route."""
-    lowest, best = _cost(scene, on, 0.0, 1.0, 2.0, math.inf, is_route=True), None
-    trials = [(ahead_rad + offset, part) for offset in OFFSETS for part in PARTS] + [(ahead_rad, 0.5), (ahead_rad, 0.0)]
-    extra = CHANGE
+    limits: Caution, scene: Scene, own: Own, ahead_rad: float, route: RouteAhead, on: Sequence[Leg], was: Choice | None
+) -> Choice | None:
+    """The best trial; None: to go on along the route. To port for a vessel head-on or from starboard only if all else leads
+    into a domain; but a course to port that is steered already may be kept."""
+    lowest, best, extra = _cost(scene, on, 0.0, 1.0, 2.0, math.inf, is_route=True), None, CHANGE
+    trials = [Choice(ahead_rad + offset, part, is_last=False) for offset in OFFSETS for part in PARTS]
+    trials += [Choice(ahead_rad, part, is_last=False) for part in (0.5, 0.0)]
+    last, chosen = list[Choice](), on
+    if any(each.duty in FROM_STARBOARD and approach(each.around, on, 2.0 * each.look_s).nearness < SOFT for each in scene.seen):
+        last = [each._replace(is_last=True) for each in trials if ABOUT_RAD < wrap(each.course_rad - ahead_rad) < 0.0]
+        trials = [each for each in trials if not ABOUT_RAD < wrap(each.course_rad - ahead_rad) < 0.0]
     if was is not None:
-        trials.insert(0, (was.course_rad, was.speed_part))
+        trials.insert(0, was)
         lowest, extra = lowest + CHANGE, 0.0
-    for course_rad, part in trials:
-        legs, turn_rad = trial_legs(limits, own, course_rad, part * speed_mps), wrap(course_rad - ahead_rad)
-        cost = _cost(scene, legs, turn_rad, part, 2.0, lowest - extra) + extra
+    for each in chain(trials, last):
+        if last and each is last[0] and not _leads_in(scene, chosen):
+            break
+        legs, turn_rad = _tried(limits, own, each, route), wrap(each.course_rad - ahead_rad)
+        cost = _cost(scene, legs, turn_rad, each.part, 2.0, lowest - extra) + extra
         if cost < lowest:
-            best, lowest = (wrap(course_rad), part), cost
+            best, lowest, chosen = each, cost, legs
         if not extra:  # the first was the course that is steered
             extra = CHANGE + STEADY * lowest
-    return best
+    return None if best is None else best._replace(course_rad=wrap(best.course_rad))
+
+
+def _tried(limits: Caution, own: Own, choice: Choice, route: RouteAhead) -> tuple[Leg, Leg]:
+    return trial_legs(limits, own, choice.course_rad, choice.part * route.speed_mps)
+
+
+def _leads_in(scene: Scene, legs: Sequence[Leg]) -> bool:
+    """Whether a way leads into a domain, or ashore."""
+    is_in = any(approach(each.around, legs, each.look_s).nearness < 1.0 for each in scene.seen)
+    return is_in or (scene.shore is not None and scene.shore.meets(legs, STATIC_S, is_route=False))
 
 
 def _cost(
@@ -246,7 +279,7 @@ def _cost(
         if deviates and rule:
             if starboard > 0.0 if rule == "starboard" else ahead > 0.0 and rule != "port":
                 cost += AGAINST_RULE
-            elif turns_to_port and rule in ("port", "ahead or port"):
+            elif turns_to_port and rule == "port":
                 cost += TO_PORT
     if scene.shore is not None and cost < enough and scene.shore.meets(legs, STATIC_S, is_route):
         cost += ASHORE
@@ -270,7 +303,7 @@ def _passes(seen: Sequence[Seen], on: Sequence[Leg], legs: Sequence[Leg]) -> tup
 
 def _ordered(
     scene: Scene,
-    best: tuple[float, float],
+    best: Choice,
     speed_mps: float,
     on: Sequence[Leg],
     legs: Sequence[Leg],
@@ -279,7 +312,7 @@ def _ordered(
     now_s: float,
 ) -> CourseOrder:
     """The order, with the vessel that it is for: the first whose domain the boat would enter if it went on."""
-    course_rad, part = best
+    course_rad, part, is_last = best
     asked = [(each.without.at_s, i) for i, each in enumerate(passes) if each.without.nearness < SOFT]
     if not asked and was is not None:
         asked = [(0.0, i) for i, each in enumerate(passes) if each.key == was.key]
@@ -290,6 +323,8 @@ def _ordered(
         text, key = _said(this, on, legs), this.target.key
     else:
         text, key = f"keeping clear of {scene.shore.name if scene.shore and scene.shore.name else 'the way back'}", ""
+    if is_last:
+        text += ", to port as nothing else is clear"
     if nearness < 1.0:
         text += ", nothing is clear"
     return CourseOrder(course_rad, part, part * speed_mps, text + speed, key, nearness, now_s)
