@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from itertools import count
 from pathlib import Path
+from random import Random
 from typing import Any, Final, NamedTuple
 
 from delfim import config, geodesy
@@ -34,13 +35,19 @@ from delfim.vehicle.mavlink.wire import Sender, dialect
 from delfim.vehicle.mission import ROWS, Mission, PathPoint, Waypoint
 from delfim.vehicle.state import Motion, NoLog, Setpoint
 from delfim.vehicle.state import Waypoint as To
+from delfim.vehicle.target import Target
 from delfim.vehicle.track import Track
+from delfim.vehicle.traffic import keepclear
+from delfim.vehicle.traffic.encounter import Own
+from delfim.vehicle.traffic.targets import MOST
 from delfim.vehicle.zones import Point, Zone, polygon
+from delfim.vessels import VesselPosition
 
 REPETITIONS: Final = 5
 WARM_S: Final = 3.0  # sailed before anything is asked
 CONSOLES: Final = 16
 METRE_DEG: Final = 9e-6
+TICKS: Final = 40  # of the watchdog: in these a boat hears, judges and tells of all vessels
 ALL: Final = frozenset({"position", "heading", "velocity"})
 Callbacks = Iterator[object]  # its first step makes everything ready, and each other one is one callback
 
@@ -100,7 +107,8 @@ def rows(settings: config.Vehicle) -> list[Row]:
         pass
     boat = sea.vehicle
     largest = console.Upload(mission(boat, zones(boat)))
-    return [*_plans(boat, largest), *_fences(boat), *_voyage(boat, largest), *_consoles(boat, largest), _estimator(), *_words()]
+    found = [*_plans(boat, largest), *_fences(boat), *_voyage(boat, largest), *_consoles(boat, largest)]
+    return [*found, *_vessels(settings), _estimator(), *_words()]
 
 
 def zones(boat: VehicleLoop) -> config.Zones:
@@ -138,6 +146,67 @@ def _ring(boat: VehicleLoop, north_m: float, east_m: float, radius_m: float) -> 
     for i in range(config.CORNERS):
         turn = math.tau * i / config.CORNERS
         yield _place(boat, north_m + radius_m * math.cos(turn), east_m + radius_m * math.sin(turn))
+
+
+def _vessels(settings: config.Vehicle) -> list[Row]:
+    """As many vessels as are known at once, from the first report on: twelve of them come into the boat's way, the others lie
+    all around. Then a decision for twelve."""
+    random = Random(1)
+
+    def heard() -> tuple[Lockstep, list[VesselPosition]]:
+        sea = Lockstep(settings, 1, lambda clock: NoLog())
+        for _ in sea.cycles(WARM_S):
+            pass
+        assert sea.command(console.Course(0.0, 1.5)) is None
+        places = [_place(sea.vehicle, random.uniform(100.0, 900.0), random.uniform(-600.0, 600.0)) for _ in range(MOST)]
+        rows = []
+        for i, (latitude_deg, longitude_deg) in enumerate(places):
+            course_rad, speed_mps = random.uniform(0.0, math.tau), random.uniform(0.5, 6.0) if i < keepclear.MOST else 0.5
+            at = math.radians(latitude_deg), math.radians(longitude_deg)
+            rows.append(VesselPosition(200_000_000 + i, *at, course_rad, speed_mps, None, None, "B"))
+        return sea, rows
+
+    def watched() -> Callbacks:
+        random.seed(1)
+        sea, rows = heard()
+        for each in rows:
+            sea.state.hear(each, "ais", sea.elapsed_s)
+        yield None
+        for _ in range(TICKS):
+            sea.clock.advance(0.1)
+            sea.vehicle.on_watchdog()
+            yield None
+
+    def told() -> Callbacks:
+        sea, rows = heard()
+        for each in rows:
+            sea.state.hear(each, "ais", sea.elapsed_s)
+        for _ in range(TICKS):
+            sea.clock.advance(0.1)
+            sea.vehicle.on_watchdog()
+        yield None
+        yield console.answer(None, sea.vehicle.snapshot({}))
+
+    def decided() -> Callbacks:
+        random.seed(1)
+        own, route = Own(0.0, 0.0, 0.0, 1.5), keepclear.RouteAhead(((5000.0, 0.0),), 1.5)
+        limits = keepclear.Caution(4.5, 0.26, 0.4)
+        them = [_met(random, str(i)) for i in range(keepclear.MOST)]
+        yield from _slices(keepclear.deciding(limits, keepclear.Memory(), own, route, them, None, 0.0))
+
+    number = f"{MOST} vessels"
+    return [
+        Row(f"{number}: a step of the watch", watched),
+        Row(f"{number}: state for a watcher", told),
+        Row(f"a decision for {keepclear.MOST} vessels that come together", decided),
+    ]
+
+
+def _met(random: Random, key: str) -> Target:
+    """A vessel that comes to where the boat will be."""
+    t_s, course_rad, speed_mps = random.uniform(60.0, 180.0), random.uniform(0.0, math.tau), random.uniform(1.0, 6.0)
+    north_m, east_m = 1.5 * t_s - t_s * speed_mps * math.cos(course_rad), -t_s * speed_mps * math.sin(course_rad)
+    return Target(key, key, north_m, east_m, course_rad, speed_mps, math.nan, 30.0, 6.0, True, 10.0, 0.0, False, "A", 0)
 
 
 def _estimator() -> Row:

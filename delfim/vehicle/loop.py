@@ -31,7 +31,6 @@ from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import HANDSET, Profile, StartConditions, State, StateLog
 from delfim.vehicle.traffic.lookout import TrafficLookout
-from delfim.vehicle.traffic.vesselwords import VesselWords
 from delfim.vehicle.traffic.watchkeeper import Watchkeeper
 from delfim.vehicle.troubles import Inputs
 
@@ -59,7 +58,7 @@ class VehicleLoop:
         self.propulsion, self.guest, self.log = propulsion, guest, log
         self.helm = Helm(settings, clock, state, propulsion, log)
         self._failing = Failing(settings, state, propulsion, log)
-        self._lookout, self._vessels = TrafficLookout(settings.traffic), VesselWords()
+        self._lookout = TrafficLookout(settings.traffic)
         self._watchkeeper = Watchkeeper(settings, clock, state, log)
         self.latency = Latency(skipped=COLD_CYCLES)
         guest.on_line, state.actuation = self.on_guest, propulsion.still
@@ -138,8 +137,9 @@ class VehicleLoop:
         now_s = state.watchdog_s = self.clock.monotonic_s()
         helm = self.helm
         helm.go_on()
-        self._lookout.step(state, now_s)
-        self._watchkeeper.look(helm, now_s)
+        self._lookout.hear(state)
+        if not self._watchkeeper.look(helm, now_s):
+            self._lookout.look(state, now_s)
         inputs = Inputs(self.log.reason(), helm.plans.fence, self._failing.look(now_s))
         helm.troubles, action, reason, notices = failsafe.failsafe(helm.rules, helm.troubles, state, inputs, now_s)
         if notices or state.notices:
@@ -186,7 +186,7 @@ class VehicleLoop:
             "checks": lines,
             "latency": self.latency.summary(),
             "thrusters": thrusters.told(self.helm.settings.thrusters, self.state, now_s),
-            "traffic": self._vessels.told(self.state.traffic, self.state.origin, now_s, self.helm.settings.traffic.mmsi > 0),
+            "traffic": self._watchkeeper.words.told(self.state.traffic, now_s, self.helm.settings.traffic.mmsi > 0),
             "paused": paused.mode.name.lower() if (paused := self.helm.paused) else None,
             **extra,
         }

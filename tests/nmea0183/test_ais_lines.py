@@ -52,7 +52,8 @@ class Aboard:
         for data in pieces:
             self.line.put(data)
             fix = self._read(self.clock.monotonic_s()) or fix
-        self.lookout.step(self.state, self.clock.monotonic_s())
+        self.lookout.hear(self.state)
+        self.lookout.look(self.state, self.clock.monotonic_s())
         self.clock.advance(1.0)
         return fix
 

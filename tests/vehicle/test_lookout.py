@@ -2,6 +2,8 @@
 
 import math
 from collections import Counter
+from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -12,13 +14,18 @@ from delfim.clock import ManualClock
 from delfim.frames import Frame, extended
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.lockstepbus import LockstepBus
+from delfim.slices import Sliced
+from delfim.vehicle import console
 from delfim.vehicle.state import HEARD_MAX, Motion, NoLog, State
+from delfim.vehicle.traffic import lookout, watchkeeper
 from delfim.vehicle.traffic.aisbus import FILTERS, AisBus
 from delfim.vehicle.traffic.lookout import AT_ONCE, TrafficLookout
 from delfim.vehicle.traffic.targets import MOST
+from delfim.vehicle.traffic.watchkeeper import LATE_S
 from delfim.vessels import VesselPosition
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
 
+VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
 HERE = math.radians(38.6907), math.radians(-9.2153)
 TICK_S = 0.1
 NOWHERE = "no position, or none that a vessel can have"
@@ -35,7 +42,8 @@ def recorded(name: str) -> State:
             if state.origin is None and state.heard and isinstance(told := state.heard[0].told, VesselPosition):
                 state.origin = geodesy.origin(told.latitude_rad or 0.0, told.longitude_rad or 0.0)
                 state.motion = Motion(frozenset({"position"}), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-            lookout.step(state, tick_s)
+            lookout.hear(state)
+            lookout.look(state, tick_s)
             tick_s += TICK_S
         world.sendmsg(line.frame)
         ais.read(state, line.now_s)
@@ -74,25 +82,31 @@ def test_a_flood_waits_in_a_bounded_queue_and_each_step_takes_a_part() -> None:
     for i in range(3 * HEARD_MAX):
         state.hear(told(float(i), 0.0, i), "flood", 0.0)
     assert (len(state.heard), state.counts) == (HEARD_MAX, {"traffic_dropped": 2 * HEARD_MAX})
-    lookout.step(state, 0.0)
+    lookout.hear(state)
+    lookout.look(state, 0.0)
     assert len(state.heard) == HEARD_MAX - AT_ONCE
     assert len(state.traffic.targets) == AT_ONCE
     for i in range(1, 20):
-        lookout.step(state, i * TICK_S)
+        lookout.hear(state)
+        lookout.look(state, i * TICK_S)
     assert (len(state.heard), len(state.traffic.targets)) == (0, MOST)
 
 
 def test_all_are_looked_at_once_a_second_and_a_boat_without_position_has_no_targets() -> None:
     state, lookout = State(), TrafficLookout(config.TrafficTable())
-    lookout.step(state, 0.0)
+    lookout.hear(state)
+    lookout.look(state, 0.0)
     assert state.traffic.at_s < 0.0
     state.hear(told(100.0, 0.0), "ais", 0.1)
-    lookout.step(state, 0.1)
+    lookout.hear(state)
+    lookout.look(state, 0.1)
     assert (state.traffic.targets, state.traffic.heard_s) == ((), 0.1)
     state.origin = geodesy.origin(*HERE)
-    lookout.step(state, 1.0)
+    lookout.hear(state)
+    lookout.look(state, 1.0)
     assert state.traffic.targets == ()
-    lookout.step(state, 1.2)
+    lookout.hear(state)
+    lookout.look(state, 1.2)
     assert len(state.traffic.targets) == 1
 
 
@@ -146,3 +160,33 @@ def test_the_bus_of_a_file_is_heard_unless_the_file_says_otherwise(table: dict[s
 
 def _e7(angle_rad: float) -> bytes:
     return round(math.degrees(angle_rad) * 1e7).to_bytes(4, "little", signed=True)
+
+
+def test_a_crowd_is_watched_a_slice_in_each_step_and_kept_clear_of_within_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    spent = list[int]()
+
+    class Counted(Sliced[Any]):
+        def step(self, most: int = 0) -> bool:
+            before, is_done = self.spent, super().step(most)
+            spent.append(self.spent - before)
+            return is_done
+
+    monkeypatch.setattr(lookout, "Sliced", Counted)
+    monkeypatch.setattr(watchkeeper, "Sliced", Counted)
+    run = Lockstep(config.load(VEHICLE, ("simulation.heading_deg=0.0",)), 1, lambda clock: NoLog())
+    for _ in run.cycles(10.0):
+        pass
+    assert run.command(console.Course(0.0, 1.5)) is None
+    assert run.state.origin is not None
+    origin = run.state.origin
+    for i in range(MOST):
+        at = geodesy.from_plane(origin, 300.0 + 40.0 * (i // 10), 50.0 * (i % 10) - 250.0)
+        run.state.hear(VesselPosition(244_000_000 + i, *at, math.pi, 1.0, None, None), "ais", run.elapsed_s)
+    ordered = list[float]()
+    for state in run.cycles(30.0):
+        if state.traffic.order is not None and state.traffic.order.at_s not in ordered:
+            ordered.append(state.traffic.order.at_s)
+    assert len(run.state.traffic.targets) == len(run.state.traffic.dangers) == MOST
+    assert max(after - before for before, after in pairwise(ordered)) < LATE_S, "with half the steps of a real boat"
+    assert len(spent) <= 30.0 / 0.2, "one slice in each step"
+    assert max(spent) < 2 * lookout.SLICE

@@ -5,6 +5,7 @@ import math
 import msgspec
 
 from delfim import geodesy
+from delfim.slices import Sliced
 from delfim.vehicle.target import Target, Traffic
 from delfim.vehicle.traffic.vesselwords import VesselWords
 
@@ -15,9 +16,17 @@ MARIA = Target(
 )
 
 
+def told(traffic: Traffic, now_s: float) -> dict[str, object]:
+    words = VesselWords()
+    Sliced(words.make(traffic, AT)).finish()
+    tree = words.told(traffic, now_s)
+    assert tree is not None
+    return tree
+
+
 def test_a_boat_that_never_heard_anybody_tells_nothing() -> None:
-    assert VesselWords().told(Traffic(), AT, 5.0) is None
-    assert VesselWords().told(Traffic(), AT, 5.0, awaits=True) == {
+    assert VesselWords().told(Traffic(), 5.0) is None
+    assert VesselWords().told(Traffic(), 5.0, awaits=True) == {
         "heard_s": None,
         "own_s": None,
         "refused": {},
@@ -29,9 +38,8 @@ def test_a_boat_that_never_heard_anybody_tells_nothing() -> None:
 
 def test_a_vessel_is_told_in_degrees_and_with_its_age_now() -> None:
     traffic = Traffic((MARIA,), at_s=100.0, heard_s=99.5, own_s=98.0, refused=(("jump", 3),))
-    tree = VesselWords().told(traffic, AT, 100.5)
+    tree = told(traffic, 100.5)
     assert tree == msgspec.json.decode(msgspec.json.encode(tree))
-    assert tree is not None
     assert (tree["heard_s"], tree["own_s"], tree["refused"]) == (1.0, 2.5, {"jump": 3})
     (vessel,) = msgspec.convert(tree["targets"], list[dict[str, object]])
     latitude_rad, longitude_rad = geodesy.from_plane(AT, 1000.0, -500.0)
@@ -60,7 +68,6 @@ def test_a_vessel_is_told_in_degrees_and_with_its_age_now() -> None:
 
 def test_a_vessel_that_lies_has_no_course_and_one_without_compass_no_heading() -> None:
     lies = MARIA._replace(speed_mps=0.0, heading_rad=math.nan)
-    tree = VesselWords().told(Traffic((lies,), 1.0, 1.0), AT, 1.0)
-    assert tree is not None
+    tree = told(Traffic((lies,), 1.0, 1.0), 1.0)
     (vessel,) = msgspec.convert(tree["targets"], list[dict[str, object]])
     assert (vessel["course_deg"], vessel["heading_deg"]) == (None, None)

@@ -178,7 +178,7 @@ def test_where_the_guard_fails_the_boat_does_as_its_file_says(does: str, monkeyp
     def fails(*_: object) -> None:
         raise ValueError("math domain error")
 
-    monkeypatch.setattr(watchkeeper, "decide", fails)
+    monkeypatch.setattr(watchkeeper, "deciding", fails)
     voyage = Voyage(f'traffic.guard.on_failure="{does}"')
     under_way(voyage, Mode.COURSE)
     voyage.meet(120.0, 180.0)

@@ -5,6 +5,7 @@ from collections.abc import Mapping, Sequence
 from typing import Final, Literal, NamedTuple
 
 from delfim.config import TrafficNear
+from delfim.slices import Work
 from delfim.vehicle.target import Danger, Target
 from delfim.vehicle.traffic.cpa import approach, closest
 from delfim.vehicle.traffic.encounter import AT_REST_MPS, Own
@@ -13,6 +14,7 @@ from delfim.vehicle.traffic.keepclear import Caution, PassedBy, RouteAhead, meas
 OVER: Final = 1.5  # a danger is over when every measure was beyond so many times its limit ...
 OVER_S: Final = 10.0  # ... for so long
 NEAR: Final = 2.0  # domains, of a vessel that closes
+JUDGED: Final = 6  # comparisons that the danger of one vessel costs
 
 
 class Alarm(NamedTuple):
@@ -34,15 +36,16 @@ def dangers(
     guarded: Guarded,
     before: Alarms,
     now_s: float,
-) -> tuple[tuple[Danger, ...], Alarms]:
-    """All vessels, each with its danger. `passes`: what the guard found. Where it is on guard a danger is only what it
-    finds no way out of."""
+) -> Work[tuple[tuple[Danger, ...], Alarms]]:
+    """All vessels, each with its danger, in slices. `passes`: what the guard found. Where it is on guard a danger is only
+    what it finds no way out of."""
     found, after = list[Danger](), dict[str, Alarm]()
     if not plausible(*own):
         return (), {}
     on, known = route_legs(own, route), {each.key: each for each in passes}
     north_mps, east_mps = own.speed_mps * math.cos(own.course_rad), own.speed_mps * math.sin(own.course_rad)
     for target in targets:
+        yield JUDGED
         if not plausible(*target[2:6], target.length_m):
             continue
         cpa_m, tcpa_s = closest(own.north_m, own.east_m, north_mps, east_mps, target)

@@ -50,6 +50,11 @@ def domain(target: Target, ahead_m: float, abeam_m: float) -> Domain:
 
 def approach(around: Domain, legs: Sequence[Leg], until_s: float, after_s: float = 0.0) -> Approach:
     """The nearest approach from `after_s` to `until_s`. Infinitely far where no leg lies between them."""
+    return Approach(*passing_by(around, legs, until_s, after_s))
+
+
+def passing_by(around: Domain, legs: Sequence[Leg], until_s: float, after_s: float = 0.0) -> tuple[float, float, float, float]:
+    """The fields of `approach`, which a decision asks for some hundred times."""
     north_m, east_m, north_mps, east_mps, ahead_n, ahead_e, starboard_n, starboard_e = around
     least2, nearest_s, ahead, starboard, entered_s = math.inf, until_s, 0.0, 0.0, math.inf
     for from_s, to_s, n, e, vn, ve in legs:
@@ -76,7 +81,7 @@ def approach(around: Domain, legs: Sequence[Leg], until_s: float, after_s: float
             entered_s = from_s + (by_s if by_s > begin_s else begin_s)
         if near2 < least2:
             least2, nearest_s, ahead, starboard = near2, from_s + s, nx, ny
-    return Approach(math.sqrt(least2), entered_s if least2 < 1.0 else nearest_s, ahead, starboard)
+    return math.sqrt(least2), entered_s if least2 < 1.0 else nearest_s, ahead, starboard
 
 
 def closest(north_m: float, east_m: float, north_mps: float, east_mps: float, target: Target) -> tuple[float, float]:

@@ -6,8 +6,8 @@ other courses at a few speeds, are laid ahead as straight legs; other vessels ke
 Nothing is stepped through time: how near a leg comes to a vessel's elliptical domain has a closed form (`cpa.py`). Distances
 follow from times and from the other vessel's length, so that boats of all sizes have the same settings.
 
-`decide` is a pure function that raises nothing and takes a bounded time: memory goes in and comes out. docs/traffic.md has the
-rules and the limits.
+`decide` is a pure function that raises nothing and takes a bounded time: memory goes in and comes out. `deciding` is the
+same in slices, for a callback that has less time than that. docs/traffic.md has the rules and the limits.
 """
 
 import math
@@ -17,14 +17,16 @@ from itertools import chain
 from typing import Final, NamedTuple
 
 from delfim.geodesy import wrap
+from delfim.slices import Sliced, Work
 from delfim.vehicle.fence import Fence
 from delfim.vehicle.target import CourseOrder, Target
-from delfim.vehicle.traffic.cpa import Approach, Domain, Leg, approach, domain
+from delfim.vehicle.traffic.cpa import Approach, Domain, Leg, approach, domain, passing_by
 from delfim.vehicle.traffic.encounter import PRIVILEGED, Duty, Own, duty, passing, stands_on, words
 from delfim.vehicle.traffic.shoreline import Shoreline
 from delfim.vehicle.zones import Point
 
 MOST: Final = 12  # vessels that are judged: those that could be met first
+PASS: Final = 2  # comparisons that how one way passes one vessel costs
 OFFSETS_DEG: Final = 30, -30, 45, -45, 60, -60, 75, -75, 90, -90, 120, -120, 150, -150, 180
 OFFSETS: Final = tuple(map(math.radians, OFFSETS_DEG))  # of courses to try, from the route
 PARTS: Final = (1.0, 0.5)  # of the speed that is asked for
@@ -124,6 +126,13 @@ class Scene(NamedTuple):
 def decide(
     limits: Caution, memory: Memory, own: Own, route: RouteAhead, targets: Sequence[Target], around: Fence | None, now_s: float
 ) -> Decision:
+    """One decision, at once."""
+    return Sliced(deciding(limits, memory, own, route, targets, around, now_s)).finish()
+
+
+def deciding(
+    limits: Caution, memory: Memory, own: Own, route: RouteAhead, targets: Sequence[Target], around: Fence | None, now_s: float
+) -> Work[Decision]:
     """One decision, once a second. Never raises; input that is not finite counts as not there."""
     if not (plausible(*own) and all(map(_plausible_at, route.points)) and 0.0 <= route.speed_mps < PLAUSIBLE_MPS):
         return Decision(Memory(), None, ())
@@ -131,7 +140,7 @@ def decide(
     ahead_rad = own.course_rad
     if route.points:
         ahead_rad = math.atan2(route.points[0][1] - own.east_m, route.points[0][0] - own.north_m)
-    seen = _in_question(limits, memory, own, ahead_rad, route.speed_mps, targets, on)
+    seen = yield from _in_question(limits, memory, own, ahead_rad, route.speed_mps, targets, on)
     was, is_away = memory.choice, memory.order is not None
     shore = Shoreline(around, own, max(route.speed_mps, own.speed_mps) * STATIC_S) if around is not None else None
     # Who has to give way is left time to do so, unless the boat is under way for another vessel already.
@@ -146,7 +155,7 @@ def decide(
     scene = Scene(seen, shore, 1.0 + max(now_s - left_s, 0.0) / limits.look_s)
     best = was if now_s - memory.since_s < HELD_S else None
     if best is None or _leads_in(scene, _tried(limits, own, best, route)):
-        best = _cheapest(limits, scene, own, ahead_rad, route, on, was)
+        best = yield from _cheapest(limits, scene, own, ahead_rad, route, on, was)
     if best is None:
         return Decision(Memory(left_s=left_s, duties=duties), None, _passes(seen, on, on))
     legs = _tried(limits, own, best, route)
@@ -172,10 +181,11 @@ def _in_question(
     speed_mps: float,
     targets: Sequence[Target],
     on: Sequence[Leg],
-) -> list[Seen]:
+) -> Work[list[Seen]]:
     """The vessels to judge, the first to meet first, each with what the boat owes it."""
     near = list[tuple[float, int, Target]]()
     for number, target in enumerate(targets):
+        yield 1
         its_mps, length_m = target.speed_mps, target.length_m
         far_m = math.hypot(target.north_m - own.north_m, target.east_m - own.east_m) - AHEAD_LENGTHS * length_m
         if 0.0 <= its_mps < PLAUSIBLE_MPS and 0.0 <= length_m < LONGEST_M and -PLAUSIBLE_M < far_m < PLAUSIBLE_M:
@@ -184,6 +194,7 @@ def _in_question(
     for _, _, target in nsmallest(MOST, near):
         if not plausible(target.course_rad):
             continue
+        yield PASS
         this = measured(limits, own, speed_mps, target)
         passed, owed = approach(this.around, on, 2.0 * this.look_s), known.get(target.key)
         if owed is None and passed.nearness < SOFT:
@@ -224,7 +235,7 @@ def _waits(limits: Caution, this: Seen, on: Sequence[Leg]) -> bool:
 
 def _cheapest(
     limits: Caution, scene: Scene, own: Own, ahead_rad: float, route: RouteAhead, on: Sequence[Leg], was: Choice | None
-) -> Choice | None:
+) -> Work[Choice | None]:
     """The best trial; None: to go on along the route. To port for a vessel head-on or from starboard only if all else leads
     into a domain; but a course to port that is steered already may be kept."""
     lowest, best, extra = _cost(scene, on, 0.0, 1.0, 2.0, math.inf, is_route=True), None, CHANGE
@@ -240,6 +251,7 @@ def _cheapest(
     for each in chain(trials, last):
         if last and each is last[0] and not _leads_in(scene, chosen):
             break
+        yield PASS * (1 + len(scene.seen))
         legs, turn_rad = _tried(limits, own, each, route), wrap(each.course_rad - ahead_rad)
         cost = _cost(scene, legs, turn_rad, each.part, 2.0, lowest - extra) + extra
         if cost < lowest:
@@ -269,13 +281,13 @@ def _cost(
     for _, around, look_s, _, _, _, rule in scene.seen:
         if cost >= enough:
             return cost
-        nearness, at_s, ahead, starboard = approach(around, legs, look_s * far)
+        nearness, at_s, ahead, starboard = passing_by(around, legs, look_s * far)
         if nearness >= FARTHEST:
             continue
         cost += _hazard(nearness, at_s, look_s)
         if at_s < ESCAPE_S:
-            later = approach(around, legs, look_s * far, ESCAPE_S)
-            cost += _hazard(later.nearness, later.at_s, look_s)
+            nearness, at_s, _, _ = passing_by(around, legs, look_s * far, ESCAPE_S)
+            cost += _hazard(nearness, at_s, look_s)
         if deviates and rule:
             if starboard > 0.0 if rule == "starboard" else ahead > 0.0 and rule != "port":
                 cost += AGAINST_RULE

@@ -1,17 +1,20 @@
-"""The look-out: ten times a second some reports into the tracker, once a second all vessels into the vehicle's state."""
+"""The look-out: ten times a second some reports into the tracker, once a second all vessels into the vehicle's state, a slice
+of them at a time."""
 
 from typing import Final
 
 from delfim.config import TrafficTable
 from delfim.errors import FormatError
 from delfim.nmea0183.aissentences import AisMessages
+from delfim.slices import Sliced, Work
 from delfim.vehicle.state import Sighting, State
-from delfim.vehicle.target import NEVER_S, Traffic
+from delfim.vehicle.target import NEVER_S, Target, Traffic
 from delfim.vehicle.traffic.targets import Tracker
 from delfim.vessels import VesselFacts, VesselPosition
 
 AT_ONCE: Final = 24  # reports that one step takes; a busy harbour brings one
 LOOK_S: Final = 1.0
+SLICE: Final = 150  # comparisons of one step
 
 
 class TrafficLookout:
@@ -19,19 +22,28 @@ class TrafficLookout:
         self.tracker, self._hears_lines = Tracker(settings), "nmea0183" in settings.hears
         self._lines = dict[str, AisMessages]()  # by port
         self._looked_s = NEVER_S
+        self._look: Sliced[tuple[Target, ...]] | None = None
 
-    def step(self, state: State, now_s: float) -> None:
+    def hear(self, state: State) -> None:
         """Call it with the watchdog. Never raises."""
-        tracker, waiting = self.tracker, state.heard
+        waiting = state.heard
         for _ in range(min(len(waiting), AT_ONCE)):
             self._take(waiting.popleft())
-        if now_s - self._looked_s < LOOK_S or tracker.heard_s == tracker.own_s == NEVER_S:
-            return
-        self._looked_s, own = now_s, state.motion
-        here = (own.north_m, own.east_m) if "position" in own.has else (0.0, 0.0)
-        targets = () if state.origin is None else tracker.at(now_s, state.origin, *here)
-        heard = Traffic(targets, now_s, tracker.heard_s, tracker.own_s, tuple(tracker.refused.items()))
-        state.traffic = Traffic(*heard[:5], *state.traffic[5:])  # the guard's part stays
+
+    def look(self, state: State, now_s: float) -> None:
+        """Call it after `hear` where nothing else has a slice of work to do. Never raises."""
+        tracker = self.tracker
+        if self._look is None:
+            if now_s - self._looked_s < LOOK_S or tracker.heard_s == tracker.own_s == NEVER_S:
+                return
+            self._looked_s, own = now_s, state.motion
+            here = (own.north_m, own.east_m) if "position" in own.has else (0.0, 0.0)
+            origin = state.origin
+            self._look = Sliced(_nobody() if origin is None else tracker.looked(now_s, origin, *here))
+        if self._look.step(SLICE):
+            targets, self._look = self._look.result, None
+            heard = Traffic(targets, self._looked_s, tracker.heard_s, tracker.own_s, tuple(tracker.refused.items()))
+            state.traffic = Traffic(*heard[:5], *state.traffic[5:])  # the guard's part stays
 
     def _take(self, sighting: Sighting) -> None:
         told, by, at_s, key = sighting
@@ -47,3 +59,9 @@ class TrafficLookout:
                 return
             for report in reports:
                 self._take(sighting._replace(told=report))
+
+
+def _nobody() -> Work[tuple[Target, ...]]:
+    """Without a plane nobody has a place."""
+    yield 0
+    return ()

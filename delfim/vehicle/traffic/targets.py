@@ -1,7 +1,7 @@
 """The tracker: reports of other vessels in, whichever way they came, and where each of them is now (docs/traffic.md).
 
 Pure but for its own tables, which are bounded: no clock, no input or output, no exception for any report. A report
-costs the same however many vessels are known; `at` looks at each vessel once.
+costs the same however many vessels are known; `at` looks at each vessel once, and `looked` does so in slices.
 """
 
 import math
@@ -10,6 +10,7 @@ from typing import Final
 
 from delfim.config import TrafficTable
 from delfim.geodesy import Origin, to_plane
+from delfim.slices import Sliced, Work
 from delfim.vehicle.target import NEVER_S, Target
 from delfim.vehicle.traffic.reckoning import VesselTrack, begun
 from delfim.vessels import VesselFacts, VesselPosition
@@ -25,6 +26,7 @@ SAME_S: Final = 5.0  # the same place by another way within this time is the sam
 RIVAL_S: Final = 400.0  # a refused report is compared with the next one for so long
 KEPT_S: Final = 400.0  # a lost vessel stays on the map for so long ...
 KEPT_NEAR_S: Final = 45.0  # ... and one of the fleet or of a payload
+RECKONED: Final = 3  # comparisons that where one vessel is now costs
 
 
 class Tracker:
@@ -83,9 +85,17 @@ class Tracker:
                 track.measure(facts)
 
     def at(self, now_s: float, origin: Origin, north_m: float, east_m: float) -> tuple[Target, ...]:
-        """All vessels now, those near this place of the plane first. Forgets who was silent for long."""
+        """All vessels now, at once."""
+        return Sliced(self.looked(now_s, origin, north_m, east_m)).finish()
+
+    def looked(self, now_s: float, origin: Origin, north_m: float, east_m: float) -> Work[tuple[Target, ...]]:
+        """All vessels now, those near this place of the plane first. Forgets who was silent for long. Reports may be
+        heard between two slices."""
         found = list[tuple[float, Target]]()
         for key, track in tuple(self._tracks.items()):
+            yield RECKONED
+            if self._tracks.get(key) is not track:
+                continue  # another one has its place meanwhile
             age_s = max(now_s - track.at_s, 0.0)
             lost_s = self._lost_s(track)
             if age_s > lost_s + (KEPT_NEAR_S if track.kind in MOST_OF else KEPT_S):

@@ -1,31 +1,39 @@
 """Other vessels for people and programs: degrees, words, ages. JSON-ready, finite, bounded by the number of targets."""
 
 import math
+from typing import Final
 
 from delfim.geodesy import Origin, from_plane
+from delfim.slices import Work
 from delfim.vehicle.target import NEVER_S, CourseOrder, Danger, Target, Traffic
+
+TOLD: Final = 4  # comparisons that the words for one vessel cost
 
 
 class VesselWords:
-    """Makes the words once for each look at the vessels, however often they are asked for."""
+    """Makes the words once for each look at the vessels, in slices, however often they are asked for."""
 
     def __init__(self) -> None:
-        self._made: tuple[Traffic, Origin | None, list[dict[str, object]]] = Traffic(), None, []
+        self._vessels = list[dict[str, object]]()
 
-    def told(self, traffic: Traffic, origin: Origin | None, now_s: float, awaits: bool = False) -> dict[str, object] | None:
-        """All vessels; None where nobody was ever heard, unless the boat `awaits` somebody. Places and ages of
-        the vessels are those of `Traffic.at_s`."""
+    def make(self, traffic: Traffic, origin: Origin | None) -> Work[None]:
+        """The words for all vessels, from now on. Places and ages are those of `Traffic.at_s`."""
+        known, vessels = {each.key: each for each in traffic.dangers}, list[dict[str, object]]()
+        for each in traffic.targets:
+            yield TOLD
+            if origin is not None:
+                vessels.append(_vessel(each, origin) | _near(known.get(each.key)))
+        self._vessels = vessels
+
+    def told(self, traffic: Traffic, now_s: float, awaits: bool = False) -> dict[str, object] | None:
+        """All vessels as made last; None where nobody was ever heard, unless the boat `awaits` somebody."""
         if traffic.heard_s == traffic.own_s == NEVER_S and not awaits:
             return None
-        if traffic is not self._made[0] or origin is not self._made[1]:
-            known = {each.key: each for each in traffic.dangers}
-            vessels = [] if origin is None else [_vessel(each, origin) | _near(known.get(each.key)) for each in traffic.targets]
-            self._made = traffic, origin, vessels
         return {
             "heard_s": _age(now_s, traffic.heard_s),
             "own_s": _age(now_s, traffic.own_s),
             "refused": dict(traffic.refused),
-            "targets": self._made[2],
+            "targets": self._vessels,
             "order": _ordered(traffic.order, now_s),
             "guard": traffic.guard,
         }

@@ -2,7 +2,8 @@
 
 The mode stays the one it is, is never entered anew, and checks off its legs as ever: an order replaces course and speed inside
 the step. A step reads the last order and its age; older than LATE_S it does without. While there is no order the steps are
-the mode's own, and cost what they cost without a guard.
+the mode's own, and cost what they cost without a guard. A round of decision and dangers is done in slices: among two hundred
+vessels it takes a second or two.
 """
 
 import math
@@ -12,6 +13,7 @@ from delfim import config
 from delfim.clock import Clock
 from delfim.geodesy import wrap
 from delfim.modes import Mode
+from delfim.slices import Sliced, Work
 from delfim.vehicle.control.autopilot import steer
 from delfim.vehicle.control.control import control
 from delfim.vehicle.control.guidance import course_to_steer
@@ -21,10 +23,12 @@ from delfim.vehicle.helm import Helm
 from delfim.vehicle.state import Motion, Reference, Setpoint, State, StateLog, Wanted
 from delfim.vehicle.target import NEVER_S, CourseOrder, Target
 from delfim.vehicle.traffic import alarm, keepclear
-from delfim.vehicle.traffic.keepclear import Caution, PassedBy, RouteAhead, decide
+from delfim.vehicle.traffic.keepclear import Caution, PassedBy, RouteAhead, deciding
 from delfim.vehicle.traffic.routeahead import own_of, route_ahead
+from delfim.vehicle.traffic.vesselwords import VesselWords
 
 LATE_S: Final = 5.0  # an older order does not count
+SLICE: Final = 150  # comparisons of one step
 SILENT_S: Final = 360.0  # a lost vessel is kept clear of until its last report is so old
 SLOW: Final = 0.5  # of the speed, where the guard cannot work
 TURN_MIN_RADPS, TURN_MAX_RADPS = 0.05, 0.5
@@ -47,21 +51,29 @@ class Watchkeeper:
         self._alarms: alarm.Alarms
         self._memory, self._alarms = keepclear.Memory(), {}
         self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
-        self._decided_for_s = self._told_for_s = NEVER_S  # of `Traffic.at_s`
-        self._failing = ""
+        self._looked_s = NEVER_S  # `Traffic.at_s` of the present round
+        self._round: Sliced[None] | None = None
+        self._failing, self.words = "", VesselWords()
 
-    def look(self, helm: Helm, now_s: float) -> None:
-        """Call it with the watchdog, after the look-out: it does one piece of work at a time."""
-        traffic = self._state.traffic
-        if self._decided_for_s < traffic.at_s < now_s:
-            self._decided_for_s = traffic.at_s
-            self._decide(helm, now_s)
-        elif self._told_for_s < self._decided_for_s:
-            self._told_for_s = self._decided_for_s
-            self._tell(helm, now_s)
+    def look(self, helm: Helm, now_s: float) -> bool:
+        """Call it with the watchdog. Returns whether it did a slice of work: the next look of the look-out waits for it."""
+        if self._round is None and self._looked_s < self._state.traffic.at_s:
+            self._looked_s = self._state.traffic.at_s
+            self._round = Sliced(self._watch(helm, now_s))
+        if self._round is None:
+            return False
+        if self._round.step(SLICE):
+            self._round = None
+        return True
 
-    def _decide(self, helm: Helm, now_s: float) -> None:
-        state = self._state
+    def _watch(self, helm: Helm, now_s: float) -> Work[None]:
+        yield from self._decide(helm, now_s)
+        yield SLICE  # what follows has a slice of its own
+        yield from self._tell(helm, now_s)
+        yield from self.words.make(self._state.traffic, self._state.origin)
+
+    def _decide(self, helm: Helm, now_s: float) -> Work[None]:
+        state, mode = self._state, self._state.mode
         missing = sorted({"position", "velocity"} - state.motion.has)
         failing, order, self._passes = f"no {' and no '.join(missing)}" if missing else "", None, ()
         if not missing:
@@ -71,7 +83,9 @@ class Watchkeeper:
         elif not missing:
             own, boat, fence = own_of(state.motion), caution(helm.settings, helm.limits), helm.plans.fence
             try:
-                found = decide(boat, self._memory, own, self._route, self._watched(), fence, now_s)
+                found = yield from deciding(boat, self._memory, own, self._route, self._watched(), fence, now_s)
+                if state.mode is not mode:
+                    return  # another one since: decided for with the next look
                 self._memory, order, self._passes = found
             except (ValueError, ArithmeticError) as error:  # the mission goes on as the vehicle's file says
                 self._memory, failing = keepclear.Memory(), f"the guard failed: {error}"
@@ -134,7 +148,7 @@ class Watchkeeper:
         ):
             self._log.note(f"traffic: {order.words}")
 
-    def _tell(self, helm: Helm, now_s: float) -> None:
+    def _tell(self, helm: Helm, now_s: float) -> Work[None]:
         state, settings = self._state, helm.settings
         if not state.traffic.targets and not self._alarms:
             if state.traffic.dangers:
@@ -145,7 +159,8 @@ class Watchkeeper:
         guarded: alarm.Guarded = "no" if state.traffic.guard != "on" else "away" if state.traffic.order else "on its way"
         near, boat, own = settings.failsafe.traffic, caution(settings, helm.limits), own_of(state.motion)
         watched, passes = self._watched(), self._passes
-        found, self._alarms = alarm.dangers(near, boat, own, self._route, watched, passes, guarded, self._alarms, now_s)
+        told = yield from alarm.dangers(near, boat, own, self._route, watched, passes, guarded, self._alarms, now_s)
+        found, self._alarms = told
         nearness = min((each.nearness for each in found), default=math.nan)
         state.traffic = state.traffic._replace(dangers=found, nearness=nearness)
 
