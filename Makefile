@@ -18,9 +18,9 @@ LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt build.txt)
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
 # that people use: a browser, FTP, SSH, Octave.
 SYSTEM_PACKAGES := user-mode-linux kmod iproute2 can-utils busybox-static dmsetup e2fsprogs chromium curl lftp openssh-client openssl \
-	tnftp wget qemu-system-x86 qemu-system-arm qemu-user grub-pc-bin grub-common octave octave-instrument-control podman crun gpsd rtklib
+	tnftp wget qemu-system-x86 qemu-system-arm qemu-user grub-pc-bin grub-common octave octave-instrument-control podman crun gpsd rtklib mosquitto
 SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox dmsetup e2fsck chromium curl lftp ssh openssl tnftp wget \
-	qemu-system-x86_64 qemu-system-aarch64 qemu-aarch64 grub-mkimage octave-cli podman gpsd str2str
+	qemu-system-x86_64 qemu-system-aarch64 qemu-aarch64 grub-mkimage octave-cli podman gpsd str2str mosquitto
 
 export PYTHONSAFEPATH := 1
 export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/$(BIN)
@@ -98,7 +98,7 @@ system: ## install the Debian packages of the guest tests where that is possible
 	else why="installing them needs root and apt-get"; fi; \
 	echo "make system: without$$missing some tests do not run ($$why; Debian packages: $(SYSTEM_PACKAGES))" >&2
 
-formats: $(MORE) ## install the packages for Parquet, MF4, campaigns and Foxglove, 450 MB, and MAVProxy; the tests need them
+formats: $(MORE) ## install the packages for Parquet, MF4, campaigns, Foxglove and brokers, 450 MB, and MAVProxy; the tests need them
 
 lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgrade takes the newest)
 	$(call compile,boat) pyproject.toml
@@ -108,6 +108,7 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,formats) --extra formats -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,campaign) --extra campaign -c requirements/boat.txt -c requirements/ground.txt -c requirements/formats.txt pyproject.toml
 	$(call compile,foxglove) --extra foxglove -c requirements/boat.txt pyproject.toml
+	$(call compile,fleet) --extra fleet -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,build) requirements/build.in
 	$(call compile,page) requirements/page.in
 	$(call compile,release) -c requirements/boat.txt -c requirements/ground.txt -c requirements/formats.txt requirements/release.in
@@ -146,6 +147,6 @@ $(OTHERS): $(READY) requirements/boat.txt
 		--only-binary :all: --python-version $$version --target $(VENV)/builds/$$version --upgrade -r requirements/boat.txt || exit 1; done
 	@touch $@
 
-$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/mavproxy.txt requirements/release.txt
+$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/fleet.txt requirements/mavproxy.txt requirements/release.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(patsubst %,-r %,$(filter %.txt,$^))
 	@touch $@

@@ -12,7 +12,9 @@ PROGRAMS = ("critical-path", "costs", "allocation", "sim", "log", "watchers", "d
 
 def options() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m bench", description=__doc__, formatter_class=Formatter)
-    parser.add_argument("what", nargs="?", choices=[*PROGRAMS, "campaign", "soak"], help="Without a name, all but these two.")
+    parser.add_argument(
+        "what", nargs="?", choices=[*PROGRAMS, "campaign", "fleet", "soak"], help="Without a name, all but these three."
+    )
     parser.add_argument("--file", default="etc/delfimx.toml", help="The vehicle's file.")
     overrides(parser)
     parser.add_argument("--output", default="run/bench", metavar="DIRECTORY", help="Write results and pictures here.")
@@ -31,7 +33,7 @@ def options() -> argparse.ArgumentParser:
 
 
 def run(asked: argparse.Namespace) -> int:
-    from bench import allocation, campaign, costs, critical_path, liblog, lockstep, sides, soak
+    from bench import allocation, campaign, costs, critical_path, fleet, liblog, lockstep, sides, soak
 
     programs = {
         "critical-path": critical_path.run,
@@ -47,6 +49,8 @@ def run(asked: argparse.Namespace) -> int:
     }
     if asked.what == "soak":
         return soak.run(asked)
+    if asked.what == "fleet":
+        return fleet.run(asked)
     if asked.what == "campaign":
         return campaign.run(asked)
     return max(programs[name](asked) for name in ([asked.what] if asked.what else PROGRAMS))

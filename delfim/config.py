@@ -144,6 +144,13 @@ CasterPlace = Annotated[
         "ntrip://HOST:PORT/MOUNTPOINT, or ntrips, or empty",
     ),
 ]
+FleetBroker = Annotated[
+    str,
+    text(
+        rf"(mqtts?://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\]):{_PORT}(/[A-Za-z0-9_-]{{1,40}})?)?",
+        "mqtts://HOST:PORT or mqtts://HOST:PORT/FLEET, or mqtt, or empty",
+    ),
+]
 TalkerName = Annotated[
     str, text("[A-Za-z][A-Za-z0-9_-]{0,31}(:[A-Z0-9]{2})?", "a port's name, or PORT:TALKER with the talker's two letters")
 ]
@@ -946,6 +953,25 @@ class Mavlink(Table, frozen=True):
             raise ValueError("anybody may be heard on a radio: it needs a key; make one with: delfim console --keygen FILE")
 
 
+class FleetTable(Table, frozen=True):
+    """An MQTT broker, at which consoles hear the boat and whoever may read it finds its state (docs/fleets.md)."""
+
+    broker: FleetBroker = ""  # where it is, and the fleet's name (delfim); mqtts is over TLS; "": none
+    credentials: str = ""  # file with USER:PASSWORD in one line, mode 0600; "": the broker asks for none
+    authorities: str = ""  # PEM file of who signs the broker's certificate; "": those that the system trusts
+    listen: Listen = "127.0.0.1:14560"  # the boat's frames come here: an address of this computer, one of mavlink.peers too
+    period_s: Annotated[float, msgspec.Meta(ge=0.2, le=3600.0)] = 1.0  # the retained state is renewed so often
+
+    def __post_init__(self) -> None:
+        if (self.credentials or self.authorities) and not self.broker:
+            raise ValueError("credentials or authorities without a broker: write broker = ...")
+        plain = self.broker.removeprefix("mqtt://").partition("/")[0] if self.broker.startswith("mqtt://") else ""
+        if plain and self.credentials and not is_loopback(plain):
+            raise ValueError("the password would go over the network in the clear: write mqtts in place of mqtt")
+        if not is_loopback(self.listen):
+            raise ValueError("listen: an address of this computer, as 127.0.0.1:14560")
+
+
 class GuestTable(Table, frozen=True):
     """The guest computer's TCP server (GREX in the thesis)."""
 
@@ -1391,6 +1417,7 @@ class Vehicle(Table, frozen=True):
     sysstat: Sysstat = Sysstat()
     console: Console = Console()
     mavlink: Mavlink = Mavlink()
+    fleet: FleetTable = FleetTable()
     handset: HandsetTable = HandsetTable()
     kill: KillTable = KillTable()
     guest: GuestTable = GuestTable()
@@ -1415,6 +1442,8 @@ class Vehicle(Table, frozen=True):
     def __post_init__(self) -> None:
         if self.mavlink.serial and self.mavlink.serial == self.slipd.device:
             raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
+        if self.fleet.broker:
+            self._check_fleet()
         if "nmea0183" in (*self.navigation.sources, *self.sensors.names) and not self.nmea0183.ports:
             raise ValueError("nmea0183 needs a port: a table [nmea0183.ports.NAME] with its device")
         if self.guest.enabled and self.nmea0183.guest.device:
@@ -1456,6 +1485,16 @@ class Vehicle(Table, frozen=True):
         """The interfaces that carry the commands of a driver and nothing else."""
         buses = self.outside("interface").items()
         return tuple(interface for key, interface in buses if key.partition(".")[0] in self.drivers)
+
+    def _check_fleet(self) -> None:
+        if not (self.mavlink.enabled and self.mavlink.key):
+            raise ValueError(
+                "fleet.broker: anybody may speak there: mavlink needs a key; delfim console --keygen FILE makes one"
+            )
+        if self.fleet.listen not in self.mavlink.peers:
+            raise ValueError(f'fleet.broker: the boat must tell its frames there: add "{self.fleet.listen}" to mavlink.peers')
+        if address(self.mavlink.listen)[1] == 0:
+            raise ValueError("fleet.broker: orders must find the boat: mavlink.listen needs a port of its own, as 14555")
 
     def _nodes(self) -> tuple[NodeName, ...]:
         """The nodes of DelfimX that this boat has."""

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import msgspec
 
-from delfim.errors import FormatError
+from delfim.errors import ConfigError, FormatError
 
 UNREADABLE: Final = (msgspec.DecodeError, UnicodeDecodeError, RecursionError)  # raised by msgspec for invalid JSON
 TEXT_BYTES: Final = 1 << 20  # of a file that people write: settings, a mission, a scenario
@@ -65,3 +65,18 @@ def parse_json(text: str | bytes) -> Any:
         raise FormatError("not JSON: nested too deep") from None
     except ValueError as error:
         raise FormatError(f"not JSON: {error}") from None
+
+
+def read_credentials(path: str) -> str:
+    """USER:PASSWORD, the one line of a file that nobody else may read. Raises ConfigError."""
+    try:
+        if os.name == "posix" and Path(path).stat().st_mode & 0o077:
+            raise ConfigError(path, "credentials", "others may read it", "mode 0600")
+        text = read_file(path).decode("ascii").strip()
+    except OSError as error:
+        raise ConfigError(path, "credentials", error.strerror or str(error)) from None
+    except ValueError:
+        raise ConfigError(path, "credentials", "not ASCII", "USER:PASSWORD") from None
+    if ":" not in text or not text.isprintable():
+        raise ConfigError(path, "credentials", "no user and password", "USER:PASSWORD in one line")
+    return text

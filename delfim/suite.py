@@ -103,6 +103,13 @@ SERVICES = (
         uvloop=False,
         when=lambda settings: settings.corrections.to,
     ),
+    Service(
+        "fleetd",
+        "delfim.services.fleetd:serve",
+        place="process",
+        uvloop=False,
+        when=lambda settings: settings.fleet.broker,
+    ),
     Service("vehicle", "delfim.services.vehicle:serve"),
 )
 

@@ -303,7 +303,7 @@ def slot(here: Path) -> Said:
 
 
 def casters_password(here: Path) -> Said:
-    from delfim.services.ntrip import read_credentials
+    from delfim.outside import read_credentials
 
     os.chmod(here / "ntrip", 0o600)
     return refused(lambda: read_credentials(str(here / "ntrip")))

@@ -316,7 +316,7 @@ READ_BY = {  # function: the readers above that come by it
     "campaign/store.py: __init__": {"head of a campaign's results", "a campaign's results"},
     "services/nmea2000d.py: __init__": {"address on NMEA 2000"},
     "services/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
-    "services/ntrip.py: read_credentials": {"password at a caster"},
+    "outside.py: read_credentials": {"password at a caster"},
     "services/supervisor.py: last_deadman": {"supervisor's record"},
     "services/slots.py: environment": {"boot environment"},
     "services/slots.py: manifest": {"manifest of a slot"},

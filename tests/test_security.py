@@ -74,7 +74,12 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
     with contextlib.ExitStack() as held:
         free = [held.enter_context(socket.create_server(("127.0.0.1", 0))) for _ in SERVICES]
         ports = {name: each.getsockname()[1] for name, each in zip(SERVICES, free, strict=True)}
-    new_key(folder / "guest.key")
+        for name in ("mavlink", "fleet"):
+            door = held.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
+            door.bind(("127.0.0.1", 0))
+            ports[name] = door.getsockname()[1]
+    for name in ("guest", "mavlink"):
+        new_key(folder / f"{name}.key")
     file = folder / "boat.toml"
     file.write_text(
         (ROOT / "etc/delfimx.toml").read_text()
@@ -82,7 +87,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
         + f'[sshd.users.ana]\nkeys = ["{(folder / "friend.pub").read_text().strip()}"]\n'
     )
     settings = [f'simulation.{name}="127.0.0.1:{ports[name]}"' for name in ("httpd", "ftpd", "sshd")]
-    settings += ['mavlink.listen="127.0.0.1:0"', "mavlink.peers=[]"]
+    settings += mavlink_and_fleet(folder, ports)
     settings += [f'cantcpd.listen=["127.0.0.1:{ports["cantcpd"]}"]', f'guest.listen="127.0.0.1:{ports["guest"]}"']
     settings += [f'guest.key="{folder / "guest.key"}"']
     settings += [f'simulation.interface="canloop:open-{os.getpid()}"', "failsafe.console_silent.after_s=600.0"]
@@ -100,6 +105,17 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
         finally:
             process.send_signal(signal.SIGTERM)
             process.wait(40)
+
+
+def mavlink_and_fleet(folder: Path, ports: dict[str, int]) -> list[str]:
+    """Consoles need a key; no broker is there."""
+    here = f"127.0.0.1:{ports['fleet']}"
+    mavlink = [
+        f'mavlink.listen="127.0.0.1:{ports["mavlink"]}"',
+        f'mavlink.peers=["{here}"]',
+        f'mavlink.key="{folder}/mavlink.key"',
+    ]
+    return [*mavlink, f'fleet.listen="{here}"', 'fleet.broker="mqtt://127.0.0.1:9/tagus"']
 
 
 def sails(boat: Boat) -> bool:
@@ -142,18 +158,21 @@ def open_to_the_world(pids: set[int]) -> set[tuple[str, str, int]]:
 def test_it_listens_where_the_file_says_and_nowhere_else(boat: Boat) -> None:
     found = {each for each in open_to_the_world(family(boat.pid)) if not each[1].startswith("239.")}  # the bus, on loopback
     host, _, port = boat.state()["mavlink"]["listen"].partition(":")
-    assert found == {("udp", host, int(port)), *(("tcp", "127.0.0.1", port) for port in boat.ports.values())}
+    udp = {("udp", host, int(port)), ("udp", "127.0.0.1", boat.ports["fleet"])}
+    assert found == {*udp, *(("tcp", "127.0.0.1", boat.ports[name]) for name in SERVICES)}
     assert host == "127.0.0.1"
 
 
 def test_every_door_is_in_the_list_of_check_sea(boat: Boat) -> None:
     listen = {name: f"127.0.0.1:{boat.ports[name]}" for name in SERVICES}
-    listen["mavlink"] = boat.state()["mavlink"]["listen"]
     words = [f'{name}.listen="{place}"' for name, place in listen.items() if name != "cantcpd"]
-    settings = config.load(boat.folder / "boat.toml", [*words, f'cantcpd.listen=["{listen["cantcpd"]}"]'])
+    words += [f'cantcpd.listen=["{listen["cantcpd"]}"]', *mavlink_and_fleet(boat.folder, boat.ports)]
+    settings = config.load(boat.folder / "boat.toml", words)
     told = {door.place.removesuffix(" UDP") for door in doors(settings, [row.name for row in services(settings)])}
     found = {f"{host}:{port}" for _, host, port in open_to_the_world(family(boat.pid)) if not host.startswith("239.")}
-    assert told - {settings.console.socket} == found
+    brokers = {place for place in told if place.startswith("mqtt")}
+    assert brokers
+    assert told - brokers - {settings.console.socket} == found
 
 
 def test_the_guests_door_opens_to_the_key_alone(boat: Boat) -> None:
@@ -245,9 +264,8 @@ def test_no_secret_is_in_a_log_on_a_page_or_in_a_list_of_processes(boat: Boat) -
     pages = b"".join(map(boat.page, ("/", "/checks", "/metrics", "/api/state", "/api/schema", "/logs/")))
     processes = b"".join(Path(f"/proc/{pid}/cmdline").read_bytes() for pid in family(boat.pid))
     host_key = boat.folder / "out/ssh_host_ed25519"
-    guest_key = (boat.folder / "guest.key").read_bytes().strip()
     secret_lines = [
-        guest_key,
+        *((boat.folder / f"{name}.key").read_bytes().strip() for name in ("guest", "mavlink")),
         *host_key.read_bytes().splitlines()[1:-1],
         *(boat.folder / "friend").read_bytes().splitlines()[1:-1],
     ]

@@ -14,6 +14,20 @@ def options(parser: argparse.ArgumentParser) -> None:
         metavar="DEVICE:BAUD",
         help="Listen to this serial radio, too: /dev/ttyUSB0:57600, COM3:9600.",
     )
+    parser.add_argument(
+        "--broker",
+        metavar="mqtts://HOST:PORT/FLEET",
+        help="Hear the boats of a fleet at this MQTT broker, too; needs --key.",
+    )
+    parser.add_argument(
+        "--broker-credentials", default="", metavar="FILE", help="USER:PASSWORD for the broker, in one line; mode 0600."
+    )
+    parser.add_argument(
+        "--broker-authorities",
+        default="",
+        metavar="FILE",
+        help="PEM file of who signs the broker's certificate (default: those that this computer trusts).",
+    )
     parser.add_argument("--page", default="127.0.0.1:8765", metavar="ADDRESS:PORT", help="Serve the page here.")
     parser.add_argument(
         "--number",

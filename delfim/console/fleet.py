@@ -26,6 +26,7 @@ ASKS: Final = 12  # for a minute: requests for name and modes
 INPUT_S: Final = 0.6
 DEAF_S: Final = 1.0  # after a sleep messages of pages are refused for so long: a page must see that it was released
 BOATS_MAX: Final = 32
+SIGNED_MAX: Final = 199  # with a key nobody can invent boats: as many as there are numbers below those of consoles
 PEERS_MAX: Final = 64
 COMPLAIN_S: Final = 60.0
 AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -57,6 +58,7 @@ class Fleet:
         self.missions = self._exchange.missions
         self.record: Callable[[bytes], None] = lambda frame: None  # every valid frame received, and every frame sent
         self._clock, self._transmit, self._tell, self._key = clock, transmit, tell, key
+        self._boats_max, self._peers_max = (BOATS_MAX, PEERS_MAX) if key is None else (SIGNED_MAX, 2 * SIGNED_MAX)
         self._peers: dict[Address, Codec] = {}
         self._ways = Ways()
         self._requests = Requests(self._send, self._send_all)
@@ -73,7 +75,7 @@ class Fleet:
         """Takes bytes of a link, as they come."""
         codec = self._peers.pop(address, None)
         if codec is None:
-            if len(self._peers) >= PEERS_MAX:
+            if len(self._peers) >= self._peers_max:
                 kept = set(self._ways.routes.values())
                 del self._peers[next((each for each in self._peers if each not in kept), next(iter(self._peers)))]
             codec = Codec(self._key, stream=address_kind(address) == "serial", me=self.me)
@@ -104,7 +106,7 @@ class Fleet:
 
     def _has_room(self, now_s: float) -> bool:
         """Whether one more boat fits. A silent boat that is unsigned and that the operator never used gives way to it."""
-        if len(self.boats) < BOATS_MAX:
+        if len(self.boats) < self._boats_max:
             return True
         silent = [boat for boat in self.boats.values() if not (boat.used or boat.signed) and now_s - boat.heard_s > SILENT_S]
         if not silent:

@@ -5,6 +5,7 @@ The messages of the WebSocket stand in docs/console.md. Every decision about a b
 
 import asyncio
 import json
+import math
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -15,6 +16,7 @@ import msgspec
 from aiohttp import WSMsgType, web
 
 from delfim import __version__
+from delfim.broker import DOWN, BrokerLine
 from delfim.clock import Clock
 from delfim.console import foxglove, said
 from delfim.console.admission import Admission, own_number
@@ -31,7 +33,8 @@ from delfim.console.udp import Udp
 from delfim.errors import DelfimError, Refused
 
 PAGE: Final = Path(__file__).with_name("page")
-SHOW_TICKS: Final = 2  # ten times a second
+SHOW_TICKS: Final = 2  # ten times a second, for up to ...
+SHOWN: Final = 32  # ... this many boats; for more of them less often, so that a page gets as many states a second
 CHUNK: Final = 500  # points of a track in one message
 BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses older states
 PAGES_MAX: Final = 8
@@ -101,6 +104,7 @@ class Gateway:
             self.fleet = Fleet(clock, self._transmit, self.tell, key, self.me)
             if self.session is not None:
                 self.fleet.record = self.session.put
+        self.broker: BrokerLine | None = None
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
         self._clock, self._pages = clock, set[Page]()
@@ -138,8 +142,10 @@ class Gateway:
             self._complain("recording of the session", self.session.reason)
         for name, each in self.radios.items():
             self._complain(name, each.reason)
+        if self.broker is not None:
+            self._complain("the broker", self.broker.reason)
         self._ticks += 1
-        if (self._pages or self.viewers) and self._ticks % SHOW_TICKS == 0:
+        if (self._pages or self.viewers) and self._ticks % (SHOW_TICKS * math.ceil(len(self.fleet.boats) / SHOWN or 1)) == 0:
             self.tell({"t": "boats", "at_s": self._utc_s(), "boats": self.fleet.snapshot()})
             for progress in self.fleet.progress():
                 self.tell(progress)
@@ -157,9 +163,16 @@ class Gateway:
     def _receive(self, address: Any, data: bytes) -> None:
         self.fleet.receive(address, data)
 
+    def hear_of(self, topic: str, data: bytes) -> None:
+        """Frames at the broker, of the boat that the topic names."""
+        self.fleet.receive(("broker", topic.split("/")[1]), data)
+
     def _transmit(self, address: Any, data: bytes) -> None:
         if address[0] == "serial":
             self.radios[address[1]].send(data)
+        elif address[0] == "broker":
+            assert self.broker is not None
+            self.broker.put(self.broker.place.topic(address[1], DOWN), data)
         else:
             self.udp.send(address, data)
 

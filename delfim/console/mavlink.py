@@ -17,6 +17,7 @@ mavlink: Final = wire.dialect
 
 SYSTEM: Final = 250  # of a console that has no other number; QGroundControl and MAVProxy call themselves 255
 COMPONENT: Final = mavlink.MAV_COMP_ID_MISSIONPLANNER
+STREAMS: Final = 1024  # of boats: some for each number
 STAMPS_S: Final = 10.0  # between two writings of the time stamps
 _SENT: Final = (
     0,
@@ -37,7 +38,7 @@ class Key:
             raise ConfigError(str(file), "key", f"{error.reason}; make one with: delfim console --keygen {file}") from None
         self._clock = clock or SystemClock()
         self._file = file.with_suffix(".stamps")
-        self._signing = Signing(self.secret, self._clock, read_stamps(self._file))
+        self._signing = Signing(self.secret, self._clock, read_stamps(self._file, STREAMS), STREAMS)
         self._due_s = self._clock.monotonic_s()
 
     def stamp(self) -> int:

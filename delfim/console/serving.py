@@ -8,6 +8,7 @@ import signal
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from ipaddress import ip_address
 from pathlib import Path
 from typing import Final
@@ -15,6 +16,7 @@ from typing import Final
 from aiohttp import web
 from aiohttp.http_exceptions import HttpProcessingError
 
+from delfim.broker import UP, BrokerLine, BrokerPlace
 from delfim.clock import WakefulClock
 from delfim.console.admission import bracketed, kept_token
 from delfim.console.browser import show
@@ -26,6 +28,7 @@ from delfim.errors import ConfigError
 from delfim.eventloop import new_event_loop
 
 TICK_S: Final = 0.05
+BROKER_FRAMES: Final = 1024  # that wait for the broker: some for each boat of a fleet
 
 
 async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str, int], ready: Callable[[str], None]) -> None:
@@ -47,11 +50,18 @@ async def serve(gateway: Gateway, boats: tuple[str, int] | None, page: tuple[str
             each.start()
         port = runner.addresses[0][1]
         ready(f"http://{bracketed(ip_address(page[0]))}:{port}/?token={gateway.token}")
-        while True:
-            await asyncio.sleep(TICK_S)
-            gateway.tick()
+        async with asyncio.TaskGroup() as group:
+            if gateway.broker is not None:
+                group.create_task(gateway.broker.follow())
+            try:
+                while True:
+                    await asyncio.sleep(TICK_S)
+                    gateway.tick()
+            finally:
+                gateway.fleet.release_all("the console ended")
+                if gateway.broker is not None:
+                    await gateway.broker.flush()
     finally:
-        gateway.fleet.release_all("the console ended")
         await runner.cleanup()
         if transport is not None:
             transport.close()
@@ -92,13 +102,18 @@ def run(asked: argparse.Namespace) -> int:
         number=asked.number,
     )
 
+    if asked.broker and not tapes:
+        gateway.broker = broker_line(gateway, asked)
+        gateway.heard_on.append(gateway.broker.place.host)
     view = FoxgloveView(asked.foxglove) if asked.foxglove is not None else None
     if view is not None:
         gateway.viewers.append(view.tell)
 
     def ready(url: str) -> None:
         what = (
-            f"{len(tapes)} recordings are replayed" if tapes else f"boats are heard on {', '.join([asked.boats, *asked.radio])}"
+            f"{len(tapes)} recordings are replayed"
+            if tapes
+            else f"boats are heard on {', '.join(filter(None, [asked.boats, *asked.radio, asked.broker]))}"
         )
         print(f"delfim: the console is at {url}; {what}; it is console {gateway.me}", flush=True)
         if view is not None:
@@ -121,12 +136,30 @@ def run(asked: argparse.Namespace) -> int:
         await serve(gateway, None if tapes else _address("--boats", asked.boats), (host, port), ready)
 
     try:
-        with suppress(KeyboardInterrupt, asyncio.CancelledError), asyncio.Runner(loop_factory=new_event_loop) as runner:
+        with suppress(KeyboardInterrupt, asyncio.CancelledError), asyncio.Runner(loop_factory=_new_loop(asked)) as runner:
             runner.run(until_ended())
     finally:
         if view is not None:
             view.close()
     return 0
+
+
+def broker_line(gateway: Gateway, asked: argparse.Namespace) -> BrokerLine:
+    """The connection to the broker of the command line. Raises ConfigError."""
+    if find_spec("aiomqtt") is None:
+        raise ConfigError("--broker", asked.broker, "it needs: pip install 'delfim[fleet]'")
+    if not asked.key:
+        raise ConfigError("--broker", asked.broker, "anybody may speak there: name the boats' key with --key")
+    place, clock = BrokerPlace.of(asked.broker), WakefulClock()
+    if asked.broker_credentials and not (place.tls or place.host in ("localhost", "127.0.0.1", "::1")):
+        raise ConfigError("--broker", asked.broker, "the password would go over the network in the clear: write mqtts")
+    files = {"credentials": asked.broker_credentials, "authorities": asked.broker_authorities}
+    return BrokerLine(place, place.topic("+", UP), gateway.hear_of, clock, held=BROKER_FRAMES, **files)
+
+
+def _new_loop(asked: argparse.Namespace) -> Callable[[], asyncio.AbstractEventLoop]:
+    """The client of the broker watches its socket, which Windows' other loop cannot."""
+    return asyncio.SelectorEventLoop if sys.platform == "win32" and asked.broker else new_event_loop
 
 
 def _address(option: str, text: str) -> tuple[str, int]:

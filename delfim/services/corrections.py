@@ -22,8 +22,9 @@ from delfim.clock import Clock
 from delfim.errors import PermanentFailure, in_words
 from delfim.messages import Navigation
 from delfim.nmea0183.speaking import gga
+from delfim.outside import read_credentials
 from delfim.rtcm import FRAME_MAX, RtcmFrames, doorstep
-from delfim.services.ntrip import Caster, CasterRefusal, CasterStream, open_stream, read_credentials
+from delfim.services.ntrip import Caster, CasterRefusal, CasterStream, open_stream
 from delfim.services.receiverport import ReceiverPort
 from delfim.services.runtime import Runtime
 from delfim.services.web.api import State

@@ -127,7 +127,23 @@ def _sshd(settings: config.Vehicle) -> Iterator[Entrance]:
     yield Entrance("sshd", table.listen, "known", f"{', '.join(table.users)}, by key", may)
 
 
-SERVICES = {"httpd": _httpd, "cantcpd": _cantcpd, "slipd": _slipd, "canip": _canip, "ftpd": _ftpd, "sshd": _sshd}
+def _fleetd(settings: config.Vehicle) -> Iterator[Entrance]:
+    table, key = settings.fleet, settings.mavlink.key
+    yield Entrance("fleetd", table.broker, "known", f"holders of {key}, through the broker", "watch and command the boat")
+    where = "the broker knows who may read it" if table.credentials else "anyone who may read at the broker"
+    yield Entrance("fleetd", f"{table.broker}, state", "anyone", where, "read where the boat is")
+    yield Entrance("fleetd", f"{table.listen} UDP", "here", EVERY, "send bytes to the broker; without the key they say nothing")
+
+
+SERVICES = {
+    "fleetd": _fleetd,
+    "httpd": _httpd,
+    "cantcpd": _cantcpd,
+    "slipd": _slipd,
+    "canip": _canip,
+    "ftpd": _ftpd,
+    "sshd": _sshd,
+}
 
 
 def _open(service: str, listen: str, may: str) -> Entrance:

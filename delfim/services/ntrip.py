@@ -9,12 +9,10 @@ import base64
 import re
 import ssl
 from collections.abc import AsyncIterator
-from pathlib import Path
 from typing import Final, NamedTuple
 
 from delfim import __version__
-from delfim.errors import ConfigError, DelfimError, one_line
-from delfim.outside import read_file
+from delfim.errors import DelfimError, one_line
 
 LINE_BYTES: Final = 2048  # of the answer's head
 LINES_MAX: Final = 64  # of it
@@ -41,21 +39,6 @@ class Caster(NamedTuple):
         assert found is not None
         kind, host, port, mountpoint = found.groups()
         return cls(host.strip("[]"), int(port), mountpoint, kind == "ntrips")
-
-
-def read_credentials(path: str) -> str:
-    """USER:PASSWORD, the one line of a file that nobody else may read. Raises ConfigError."""
-    try:
-        if Path(path).stat().st_mode & 0o077:
-            raise ConfigError(path, "credentials", "others may read it", "mode 0600")
-        text = read_file(path).decode("ascii").strip()
-    except OSError as error:
-        raise ConfigError(path, "credentials", error.strerror or str(error)) from None
-    except ValueError:
-        raise ConfigError(path, "credentials", "not ASCII", "USER:PASSWORD") from None
-    if ":" not in text or not text.isprintable():
-        raise ConfigError(path, "credentials", "no user and password", "USER:PASSWORD in one line")
-    return text
 
 
 def request(caster: Caster, credentials: str, gga: bytes) -> bytes:

@@ -30,7 +30,7 @@ NUMBERS: Final = 20  # simulations on one computer at most
 PORTS: Final = 10  # distance between the ports of two simulations
 PAGE, BOATS = "127.0.0.1:8765", "127.0.0.1:14550"  # of the console, where it is free
 RADIOS = ("mavlink.key", "mavlink.serial", "slipd.device")
-HANDS = ("handset.device", "kill.chip", "kill.line")  # a simulated boat has none of the real one
+HANDS: Final = ("handset.device", "kill.chip", "kill.line")  # a simulated boat has none of the real one
 
 
 class Berth:
@@ -115,7 +115,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "supervisor.hardware_watchdog": "",
         **{f"nmea0183.ports.{name}.device": _device(name, port.device, its) for name, port in vehicle.nmea0183.ports.items()},
         **_beside(vehicle, its),
-        **{key: "" for key in (*RADIOS, *HANDS, *_corrected(vehicle)) if key not in named},
+        **{key: "" for key in (*RADIOS, *HANDS, *_corrected(vehicle), *_brokered(named)) if key not in named},
         "guest.listen": free("guest.listen", vehicle.guest.listen),
         "mavlink.listen": free("mavlink.listen", vehicle.mavlink.listen, udp=True),
         "httpd.listen": page,
@@ -164,6 +164,11 @@ def _corrected(vehicle: config.Vehicle) -> tuple[str, ...]:
         if to in vehicle.nmea0183.ports or _is_here(to)
         else ("corrections.to", "corrections.caster", "corrections.credentials")
     )
+
+
+def _brokered(named: Collection[str]) -> tuple[str, ...]:
+    """The real fleet's broker: consoles there would take the simulated boat for the one of its name."""
+    return () if "fleet.broker" in named else ("fleet.broker", "fleet.credentials", "fleet.authorities")
 
 
 def _device(name: str, device: str, its: Berth) -> str:

@@ -8,11 +8,12 @@ from pathlib import Path
 
 import pytest
 
-from bench import critical_path, liblog
+from bench import critical_path, fleet, liblog
 from bench.__main__ import main
 from bench.critical_path import LABELS, LONG_CYCLES, MOTORS, Plan, Slice
 from bench.report import PERCENTILES, STAGES, Cycle, over_budget
 from delfim.errors import DelfimError
+from tests.services.mosquitto import needs_mosquitto
 
 pytestmark = pytest.mark.long
 
@@ -61,6 +62,13 @@ def test_lock_step_bench(tmp_path: Path) -> None:
     assert results["repetitions"] == 2
     for times in results["times_real_time"], results["times_processor_time"]:
         assert 1 < times["min"] <= times["median"] <= times["max"]
+
+
+@needs_mosquitto
+def test_bench_of_a_fleet(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(fleet, "SIZES", (3,))
+    assert fleet.run(asked(seconds=2.0)) == 0
+    assert "3 boats, 3 at the console" in capsys.readouterr().out
 
 
 def test_bench_of_log_calls(tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

@@ -2,6 +2,7 @@
 
 import random
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -604,3 +605,12 @@ def test_what_a_boat_said_is_shown_with_its_age(sea: Sea) -> None:
     sea.boats[1].say(mavlink.MAVLink_statustext_message(4, b"navigation silent for 1.0 s: warn", 0, 0))
     sea.run(5.0)
     assert sea.shown(1)["reason_age_s"] == pytest.approx(5.0, abs=0.2)
+
+
+def test_with_a_key_a_whole_fleet_has_room(tmp_path: Path) -> None:
+    keygen(tmp_path / "key")
+    clock, key = ManualClock(), Key(tmp_path / "key")
+    fleet = Fleet(clock, lambda address, data: None, lambda message: None, key)
+    for number in range(1, 200):
+        FakeBoat(number, clock, lambda data, n=number: fleet.receive(("broker", str(n)), data), key.secret).tick()  # type: ignore[misc]
+    assert len(fleet.snapshot()) == 199

@@ -54,6 +54,16 @@ def test_the_boats_radio_is_left_alone_with_its_key():
     assert (settings.mavlink.serial, settings.mavlink.key) == ("", "")
 
 
+def test_the_fleets_broker_is_left_alone_unless_it_is_named():
+    file = ['mavlink.key="/keys/mavlink"', 'mavlink.peers=["127.0.0.1:14560"]', 'fleet.broker="mqtts://sea.example.org:8883"']
+    file += ['fleet.credentials="/keys/broker"']
+    with berth(None) as its:
+        settings = changed(file + settings_of(changed(file), its, ()).overrides)
+        named = settings_of(changed(file), its, ("fleet.broker", "mavlink.key")).overrides
+    assert (settings.fleet.broker, settings.fleet.credentials) == ("", "")
+    assert not [each for each in named if each.startswith("fleet.")]
+
+
 def test_what_the_boat_tells_others_and_its_pilot_are_not_the_real_ones():
     """A simulated position on a real plotter, or a real plotter that steers it, deceives somebody."""
     file = [

@@ -36,10 +36,11 @@ class FrameVerdict(NamedTuple):
 
 
 class Signing:
-    """The time stamps heard of each speaker, and the next one to send. `stamps`: each speaker's last in the run before."""
+    """The time stamps heard of each speaker, of so many at most, and the next one to send. `stamps`: each speaker's last in the
+    run before."""
 
-    def __init__(self, key: bytes, clock: Clock, stamps: dict[Stream, int]) -> None:
-        self.key, self._clock = key, clock
+    def __init__(self, key: bytes, clock: Clock, stamps: dict[Stream, int], streams: int = STREAMS) -> None:
+        self.key, self._clock, self._streams = key, clock, streams
         self.stamps = dict(stamps)
         self._sent = max(stamps.values(), default=0)
         self._ahead_s: dict[Stream, tuple[float, float]] = {}  # least delay, clocks' difference included; and when
@@ -58,7 +59,7 @@ class Signing:
             return FrameVerdict("forged")
         stream, stamp = (frame[-13], frame[5], frame[6]), int.from_bytes(frame[-12:-6], "little")
         last = self.stamps.get(stream)
-        if last is None and (len(self.stamps) >= STREAMS or stamp < max(self._sent, self._now()) - NEW_STREAM_S * PER_S):
+        if last is None and (len(self.stamps) >= self._streams or stamp < max(self._sent, self._now()) - NEW_STREAM_S * PER_S):
             return FrameVerdict("replayed")
         if last is not None and stamp <= last:
             return FrameVerdict("replayed")
@@ -98,13 +99,13 @@ def read_key(path: str | Path) -> bytes:
     return key
 
 
-def read_stamps(path: str | Path) -> dict[Stream, int]:
+def read_stamps(path: str | Path, streams: int = STREAMS) -> dict[Stream, int]:
     """The last stamps of the run before; none if the file is missing or unreadable."""
     try:
         rows = msgspec.json.decode(read_file(path), type=list[tuple[Stream, int]])
     except (OSError, *UNREADABLE):
         return {}
-    return dict(rows[:STREAMS])
+    return dict(rows[:streams])
 
 
 def write_stamps(path: str | Path, stamps: dict[Stream, int]) -> None:
