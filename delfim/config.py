@@ -236,7 +236,7 @@ class EstimatorTable(Table, frozen=True):
     velocity_mps: Annotated[float, msgspec.Meta(ge=0.005, le=10.0)] = 0.1  # of a velocity, per axis
     heading_deg: Annotated[float, msgspec.Meta(ge=0.05, le=90.0)] = 2.0  # of a heading
     rate_degps: Annotated[float, msgspec.Meta(ge=0.001, le=30.0)] = 0.3  # of the gyro's rate of turn
-    acceleration_mps2: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.3  # of the boat, unforeseen
+    acceleration_mps2: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.24  # of the boat, unforeseen: deviation per axis
     antenna_forward_m: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0  # of the point that shall be steered
     antenna_starboard_m: Annotated[float, msgspec.Meta(ge=-100.0, le=100.0)] = 0.0  # of it
     position_latency_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.0  # age of position and velocity when they come

@@ -30,6 +30,7 @@ BIAS_DRIFT: Final = math.radians(0.02)  # rad/s after a second, growing with the
 TURN_DRIFT: Final = 0.1  # the same for the rate of turn of a boat without gyro
 HEADING_DRIFT: Final = math.radians(0.1)  # rad after a second: mounting, waves
 WANDER_M: Final = 0.1  # m after a second: how a receiver's slow error drifts, which no filter can see
+ACCELERATED_S: Final = 1.0  # an acceleration that nothing tells lasts about so long
 SPEED_MAX_MPS: Final = 5.0  # standard deviation of a velocity of which nothing is known
 UNKNOWN_M, UNKNOWN_MPS, UNKNOWN_RAD, UNKNOWN_RADPS = 5.0, 0.7, math.radians(10.0), math.radians(8.0)  # deviations
 
@@ -99,13 +100,27 @@ class HeadingFilter:
 
 
 class MotionFilter:
-    """Position in a plane, m, and velocity over ground, m/s."""
+    """Position in a plane, m, velocity over ground, m/s, and the acceleration that the turn does not explain, m/s2, which lasts
+    about ACCELERATED_S (Singer's model). Velocity and acceleration turn with the boat."""
 
     def __init__(self, noise: config.EstimatorTable) -> None:
         self._acceleration = noise.acceleration_mps2**2
         self.known = False
-        self.north_m = self.east_m = self.north_mps = self.east_mps = self.nis = 0.0
-        self.p11, self.p12, self.p22 = 1.0, 0.0, SPEED_MAX_MPS**2
+        self.nis = 0.0
+        self.start(0.0, 0.0, 1.0)
+        self.known = False
+
+    def start(self, north_m: float, east_m: float, variance: float) -> None:
+        self.north_m, self.east_m, self.known = north_m, east_m, True
+        self.north_mps = self.east_mps = 0.0
+        self.p11 = variance
+        self.lose_velocity()
+
+    def lose_velocity(self) -> None:
+        """Know nothing of the velocity, whatever is estimated now."""
+        self.north_mps2 = self.east_mps2 = 0.0
+        self.p12 = self.p13 = self.p23 = 0.0
+        self.p22, self.p33 = SPEED_MAX_MPS**2, self._acceleration
 
     def predict(self, dt_s: float, turned_rad: float) -> None:
         """Let time pass, in which the boat turned by this angle."""
@@ -113,49 +128,57 @@ class MotionFilter:
         if turned_rad:
             c, s = math.cos(turned_rad), math.sin(turned_rad)
             self.north_mps, self.east_mps = north * c - east * s, north * s + east * c
+            self.north_mps2, self.east_mps2 = (
+                self.north_mps2 * c - self.east_mps2 * s,
+                self.north_mps2 * s + self.east_mps2 * c,
+            )
+        left = math.exp(-dt_s / ACCELERATED_S)
+        g = ACCELERATED_S * (1.0 - left)  # velocity of an acceleration that fades
+        h = 0.5 * dt_s * g
+        self.north_mps += g * self.north_mps2
+        self.east_mps += g * self.east_mps2
+        self.north_mps2 *= left
+        self.east_mps2 *= left
         self.north_m += 0.5 * dt_s * (north + self.north_mps)
         self.east_m += 0.5 * dt_s * (east + self.east_mps)
-        q = self._acceleration * dt_s
-        self.p11 += dt_s * (2.0 * self.p12 + dt_s * (self.p22 + q / 3.0) + WANDER_M**2)
-        self.p12 += dt_s * (self.p22 + 0.5 * q)
-        self.p22 += q
-
-    def start(self, north_m: float, east_m: float, variance: float) -> None:
-        self.north_m, self.east_m, self.known = north_m, east_m, True
-        self.north_mps = self.east_mps = 0.0
-        self.p11, self.p12, self.p22 = variance, 0.0, SPEED_MAX_MPS**2
+        q = self._acceleration * (1.0 - left * left)
+        p12, p13, p22, p23, p33 = self.p12, self.p13, self.p22, self.p23, self.p33
+        to1, to2, to3 = p12 + dt_s * p22 + h * p23, p22 + g * p23, p13 + dt_s * p23 + h * p33
+        self.p11 += dt_s * (p12 + to1 + WANDER_M**2) + h * (p13 + to3)
+        self.p12 = to1 + g * to3
+        self.p13 = left * to3
+        self.p22 = to2 + g * (p23 + g * p33) + q * dt_s * dt_s / 3.0
+        self.p23 = left * (p23 + g * p33) + 0.5 * q * dt_s
+        self.p33 = left * left * p33 + q
 
     def correct_position(self, north_m: float, east_m: float, variance: float) -> bool:
         """With a position; False: it is refused."""
-        dn, de, v = north_m - self.north_m, east_m - self.east_m, self.p11 + variance
-        self.nis = (dn * dn + de * de) / v
-        if self.nis > GATES[2]:
-            return False
-        self._correct(dn, de, self.p11 / v, self.p12 / v)
-        k1 = variance / v
-        self.p22 -= self.p12 * self.p12 / v
-        self.p12 *= k1
-        self.p11 *= k1
-        return True
+        return self._correct(north_m - self.north_m, east_m - self.east_m, self.p11 + variance, self.p11, self.p12, self.p13)
 
     def correct_velocity(self, north_mps: float, east_mps: float, variance: float) -> bool:
         """With a velocity; False: it is refused."""
-        dn, de, v = north_mps - self.north_mps, east_mps - self.east_mps, self.p22 + variance
-        self.nis = (dn * dn + de * de) / v
+        north, east = north_mps - self.north_mps, east_mps - self.east_mps
+        return self._correct(north, east, self.p22 + variance, self.p12, self.p22, self.p23)
+
+    def _correct(self, north: float, east: float, v: float, c1: float, c2: float, c3: float) -> bool:
+        """With an innovation of variance `v`; its covariances with position, velocity and acceleration."""
+        self.nis = (north * north + east * east) / v
         if self.nis > GATES[2]:
             return False
-        self._correct(dn, de, self.p12 / v, self.p22 / v)
-        k2 = variance / v
-        self.p11 -= self.p12 * self.p12 / v
-        self.p12 *= k2
-        self.p22 *= k2
-        return True
-
-    def _correct(self, north: float, east: float, k1: float, k2: float) -> None:
+        k1, k2, k3 = c1 / v, c2 / v, c3 / v
         self.north_m += k1 * north
         self.east_m += k1 * east
         self.north_mps += k2 * north
         self.east_mps += k2 * east
+        self.north_mps2 += k3 * north
+        self.east_mps2 += k3 * east
+        self.p11 -= k1 * c1
+        self.p12 -= k1 * c2
+        self.p13 -= k1 * c3
+        self.p22 -= k2 * c2
+        self.p23 -= k2 * c3
+        self.p33 -= k3 * c3
+        return True
 
 
 class Estimator:
@@ -238,7 +261,7 @@ class Estimator:
         if not course.correct_velocity(north_mps, east_mps, variance):
             if self._stays_out(health, 0.0, False, at_s):
                 return
-            course.p12, course.p22 = 0.0, SPEED_MAX_MPS**2
+            course.lose_velocity()
             course.correct_velocity(north_mps, east_mps, variance)
         self._use(health, at_s)
 

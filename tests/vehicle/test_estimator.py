@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from delfim import config, geodesy
 from delfim.vehicle import inputhealth
 from delfim.vehicle.estimator import Estimate, Estimator
-from tests.vehicle.estimator_trial import ABOARD, PLACE, figures, tape, trial
+from tests.vehicle.estimator_trial import ABOARD, PLACE, bounds, figures, tape, trial
 
 LIMITS = config.NavigationTable(sources=("nmea2000",))
 FROZEN_S = 3.0
@@ -72,14 +72,24 @@ class Boat:
 def test_errors_are_what_the_filter_believes(name):
     """On the simulator's hull in current and wind. NEES and NIS are 1 in a filter that is right; more: it believes too much."""
     told = figures([trial(tape(seed, 60.0), seed, ABOARD[name]) for seed in range(6)])
-    assert 0.4 < told["NEES position"] < 1.1, told
-    assert 0.1 < told["NEES velocity"] < 1.1, told
+    assert 0.5 < told["NEES position"] < 1.1, told
+    assert 0.5 < told["NEES velocity"] < 1.1, told
     assert 0.4 < told["NEES heading"] < 1.2, told
     assert 0.6 < told["NIS position"] < 1.2, told
     assert 0.8 < told["NIS heading"] < 1.2, told
     assert told["heading, degrees"] < (0.6 if ABOARD[name].has_gyro else 1.6), "the compass alone: 2"
     assert told["position, m"] < 0.4
     assert told["velocity, m/s"] < (0.2 if ABOARD[name].has_velocity else 0.4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ABOARD)
+def test_the_mean_errors_of_twenty_seeds_are_within_their_bounds(name):
+    """As the picture of docs/estimator.md shows them: of a filter that is right, 95 % of such means are."""
+    told = figures([trial(tape(seed), seed, ABOARD[name]) for seed in range(20)])
+    for of, freedom in (("position", 2), ("velocity", 2), ("heading", 1)):
+        low, high = bounds(freedom, 20)
+        assert low < told[f"NEES {of}"] < high, told
 
 
 VALUES = st.one_of(
@@ -109,6 +119,7 @@ def test_whatever_comes_nothing_is_ever_not_a_number_nor_grows_for_ever(heard, a
         for each in (estimator.course, estimator.turn):
             assert min(each.p11, each.p22, each.p11 * each.p22 - each.p12**2) > 0.0, "a covariance is positive"
             assert max(each.p11, each.p22) < 1e4
+        assert 0.0 < estimator.course.p33 < 1.0
 
 
 def test_a_boat_without_inputs_knows_nothing():
