@@ -31,6 +31,7 @@ REBIND_TICKS: Final = 50
 FRAMES_A_LOOK: Final = 64
 WAITING: Final = 64  # messages that wait for the bus
 OLD_S: Final = 1.0  # a message that waited for longer is not sent any more
+EARLY_S: Final = 0.03  # a state that comes so much before a message is due is in time: states come every 0.1 s, more or less
 AWAY_S: Final = 2.0  # a bus that took nothing for so long is joined anew: others may have come or gone
 FULL: Final = "the bus takes no frames: it is overloaded, or nobody acknowledges them"
 log = logging.getLogger(__name__)
@@ -131,6 +132,11 @@ class BoatDevice:
         self._send(self.device.step(now_s))
         self.parcels.drain(self.device.source, now_s)
 
+    @property
+    def is_quick(self) -> bool:
+        """Whether any message is due more often than states come five times a second."""
+        return any(row.period_s < 0.2 for row in self._rows)
+
     def heard(self, state: State) -> None:
         """A state of the vehicle, just published."""
         self._silence = ""
@@ -142,7 +148,7 @@ class BoatDevice:
             return
         telling = Telling(state, self._settings, self._alerts)
         for row in self._rows:
-            is_due = now_s >= self._due_s[row.pgn] or row.pgn in device.wanted
+            is_due = now_s + EARLY_S >= self._due_s[row.pgn] or row.pgn in device.wanted
             if is_due and (is_new or not row.of_navigation):
                 due_s = self._due_s[row.pgn]
                 self._due_s[row.pgn] = (due_s if now_s - due_s <= row.period_s else now_s) + row.period_s
@@ -205,7 +211,7 @@ async def serve(runtime: Runtime) -> None:
         links.enter_context(runtime.ticking(TICK_S, speaker.tick))
         links.enter_context(runtime.ticking(TICK_S * REBIND_TICKS, _maintain(bus, memory, speaker.device)))
         links.enter_context(runtime.publishing("nmea2000d", speaker.report))
-        await watch(settings.console.socket, speaker.heard, speaker.silent)
+        await watch(settings.console.socket, speaker.heard, speaker.silent, quick=speaker.is_quick)
 
 
 def _maintain(bus: CanSocket, memory: Memory, device: Device) -> Callable[[], None]:

@@ -27,7 +27,7 @@ Said = tuple[int, bytes, int]  # PGN, data, priority
 
 class Row(NamedTuple):
     pgn: int
-    period_s: float  # of the standard; states come five times a second
+    period_s: float  # of the standard
     make: Callable[[Telling], Iterable[Said]]
     of_navigation: bool = False  # told when navigation is new, and not while it is silent
 

@@ -45,7 +45,7 @@ from delfim.vehicle.state import StartConditions, State, StateLog
 
 WATCHDOG_S = 0.1
 HAND_S = 0.02  # a hand-set is read at most this often: two or three of its frames at once
-PUBLISH_EVERY = 2  # watchdog ticks
+PUBLISH_EVERY = 2  # watchdog ticks, to those who are not quick
 MEASURE_EVERY = 5
 MAINTAIN_EVERY = 10
 
@@ -204,9 +204,8 @@ async def _attend(
             link, mavlink = mavlink.result().MavlinkLink, None
             with contextlib.suppress(OSError):  # a boat without this link sails; the reason is logged
                 links.enter_context(link(boat, obeyed, reviews.begin, _stamps(settings), runtime.board))
-        if ticks % PUBLISH_EVERY == 0:
-            await asyncio.sleep(0)  # navigation has its turn between two parts of a tick
-            commands.publish()
+        await asyncio.sleep(0)  # navigation has its turn between two parts of a tick
+        commands.publish(everyone=ticks % PUBLISH_EVERY == 0)
         if ticks % MEASURE_EVERY == 1:
             await asyncio.sleep(0)
             measure()

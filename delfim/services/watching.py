@@ -21,14 +21,15 @@ class _Published(msgspec.Struct):
 _published: Final = msgspec.json.Decoder(_Published).decode
 
 
-async def watch(path: str, heard: Callable[[State], None], failed: Callable[[str], None]) -> None:
-    """Hand over what the vehicle publishes, about five times a second, until it is cancelled; `failed` gets words while it does
-    not answer."""
+async def watch(path: str, heard: Callable[[State], None], failed: Callable[[str], None], quick: bool = False) -> None:
+    """Hand over what the vehicle publishes, about five times a second, or ten times if `quick`, until it is cancelled; `failed`
+    gets words while it does not answer."""
+    asked = b'{"command": "watch", "quick": true}\n' if quick else b'{"command": "watch"}\n'
     while True:
         try:
             reader, writer = await asyncio.open_unix_connection(path, limit=ANSWER_BYTES)
             with contextlib.closing(writer):
-                writer.write(b'{"command": "watch"}\n')
+                writer.write(asked)
                 while line := await reader.readline():
                     heard(_published(line).state)
             failed("the vehicle closed the connection")

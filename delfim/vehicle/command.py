@@ -36,9 +36,9 @@ class CommandServer:
     def connection(self) -> "Connection":
         return Connection(self)
 
-    def publish(self) -> None:
-        """Send the present state to every watching connection that keeps up."""
-        watching = [client for client in self.clients if client.watching and not client.behind()]
+    def publish(self, everyone: bool = True) -> None:
+        """Send the present state to every watching connection that keeps up, or to the quick ones alone."""
+        watching = [each for each in self.clients if (each.watching if everyone else each.quick) and not each.behind()]
         if watching:
             line = console.answer(None, self.snapshot())
             for client in watching:
@@ -57,7 +57,7 @@ class Connection(asyncio.Protocol):
         self._loop = asyncio.get_running_loop()
         self._buffer = bytearray()
         self._is_due = self._under_review = False  # the next line; a plan of this connection
-        self.watching = False
+        self.watching = self.quick = False
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         self._transport = cast(asyncio.Transport, transport)  # uvloop's transports do not inherit from it
@@ -96,7 +96,8 @@ class Connection(asyncio.Protocol):
         except FormatError as error:
             self._answer(str(error))
             return
-        self.watching = self.watching or isinstance(command, console.Watch)
+        if isinstance(command, console.Watch):
+            self.watching, self.quick = True, command.quick
         if isinstance(command, console.Plan) and not (isinstance(command, console.LoadMission) and command.more):
             self._under_review = True
             self._server.reviews.begin(LOCAL, command, self._answer)

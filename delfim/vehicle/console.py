@@ -195,7 +195,9 @@ class TellState(Command, frozen=True, tag="state"):
 
 
 class Watch(Command, frozen=True):
-    """Ask for every state from now on, newest only."""
+    """Ask for every state from now on, newest only: five times a second, or, with `quick`, ten times."""
+
+    quick: bool = False
 
 
 class ShutDown(Command, frozen=True):

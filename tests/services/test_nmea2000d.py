@@ -77,24 +77,28 @@ class Bus:
 
 
 class Boat:
-    """A vehicle that publishes its state five times a second, and its device on the bus."""
+    """A vehicle that publishes its state ten times a second, and its device on the bus."""
 
     def __init__(self, *send, clock_s=100.0):
         self.now_s, self.bus, self.settings = clock_s, Bus(), settings(*send)
         self.state = State(mode=Mode.PLAY)
         clock = SimpleNamespace(monotonic_s=lambda: self.now_s)
         self.speaker = BoatDevice(self.bus, self.settings, clock, FIRST, Random(1))
-        self._decoder = NMEA2000Decoder()
+        self._decoder, self._chance = NMEA2000Decoder(), Random(2)
 
-    def run(self, seconds, *, publishes=True, navigates=True):
+    def run(self, seconds, *, publishes=True, navigates=True, navigation_hz=10):
+        """The vehicle's ticks come a little sooner or later than every 0.1 s."""
         for step in range(1, round(seconds * 50) + 1):
             self.now_s += 0.02
             self.speaker.on_frames()
-            if step % 10 == 0 and publishes:
-                if navigates:
+            if step % 5 == 0 and publishes:
+                if navigates and step % (50 // navigation_hz) == 0:
                     self.state.cycles += 1
                     self.state.navigation_s = self.now_s
+                wait_s = self._chance.uniform(0.0, 0.015)
+                self.now_s += wait_s
                 self.publish()
+                self.now_s -= wait_s
 
     def publish(self):
         facts = thrusters.told(self.settings.thrusters, self.state, self.now_s)
@@ -230,14 +234,26 @@ def test_troubles_are_alerts_with_their_words(boat, said):
     assert boat.speaker.report()["lost"] == {}
 
 
-def test_how_often_each_is_sent(boat):
+def test_each_is_sent_as_often_as_the_standard_has_it(boat):
     sailing(boat)
+    assert boat.speaker.is_quick
     boat.run(12.0)
     said = {pgn: len(found) / 12.0 for pgn, found in boat.heard().items()}
-    rapid = {129025, 127250, 127251}
-    assert all(said[pgn] == pytest.approx(5.0, rel=0.02) for pgn in rapid)
+    assert all(said[pgn] == pytest.approx(10.0, rel=0.01) for pgn in (129025, 127250, 127251, 127245))
     assert said[129026] == pytest.approx(4.0, rel=0.03)
     assert all(said[pgn] == pytest.approx(1.0, rel=0.09) for pgn in (129029, 126992, 127257, 129283, 129284))
+
+
+def test_navigation_that_comes_less_often_is_told_once(boat):
+    sailing(boat)
+    boat.run(12.0, navigation_hz=5)
+    said = {pgn: len(found) / 12.0 for pgn, found in boat.heard().items()}
+    assert all(said[pgn] == pytest.approx(5.0, rel=0.01) for pgn in (129025, 127250, 127251))
+
+
+@pytest.mark.parametrize(("word", "is_quick"), [("heading", True), ("course", False), ("battery", False)])
+def test_the_vehicle_is_asked_ten_times_a_second_only_where_a_message_is_due_so_often(word, is_quick):
+    assert Boat(word).speaker.is_quick is is_quick
 
 
 def test_what_is_unknown_old_or_not_asked_for_is_not_told(boat):

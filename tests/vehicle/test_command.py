@@ -74,6 +74,21 @@ def test_watchers_get_every_published_state_and_commands_still_work(boat, tmp_pa
     assert served(boat, tmp_path, talk) == [0, 0, 0, 0]
 
 
+def test_quick_watchers_get_the_states_between_too(boat, tmp_path):
+    """The vehicle publishes ten times a second, every second time for everyone."""
+
+    def talk(path: str) -> tuple[list[int], list[int]]:
+        with Link(path) as slow, Link(path) as quick:
+            slow.ask("watch")
+            quick.ask("watch", quick=True)
+            for cycle in range(1, 5):
+                boat.vehicle.state.cycles = cycle
+                boat.server.publish(everyone=cycle % 2 == 0)
+            return [slow._reply()["state"]["cycle"] for _ in range(2)], [quick._reply()["state"]["cycle"] for _ in range(4)]
+
+    assert served(boat, tmp_path, talk) == ([2, 4], [1, 2, 3, 4])
+
+
 def test_one_client_too_many_is_told(boat, tmp_path):
     def talk(path: str) -> None:
         with Link(path) as first, Link(path) as second:
