@@ -25,7 +25,7 @@ from delfim.logging.systemlog import SystemHandler
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.slices import Sliced
-from delfim.vehicle import console, fence, missionreader
+from delfim.vehicle import console, detour, fence, missionreader
 from delfim.vehicle.control.control import enter
 from delfim.vehicle.estimator import Estimator
 from delfim.vehicle.loop import VehicleLoop
@@ -311,7 +311,15 @@ def _fences(boat: VehicleLoop) -> list[Row]:
             Row(f"{name}: a way across it", _once(partial(onto, each))),
             Row(f"{name}: a place to hold", partial(_held, each, track)),
         ]
-    return found
+    return [*found, Row("fence: a way round it, until it is given up", partial(_led, legal))]
+
+
+def _led(around: fence.Fence) -> Callbacks:
+    search = detour.begun(around, Motion(ALL, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0), Setpoint(target=To(1500.0, 1000.0, 1.5, 5.0)))
+    assert search is not None
+    yield None
+    while search.step() is None:
+        yield None
 
 
 def _held(around: fence.Fence, track: tuple[Point, ...]) -> Callbacks:

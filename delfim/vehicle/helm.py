@@ -9,7 +9,7 @@ from delfim.clock import Clock
 from delfim.errors import ConfigError, Refused
 from delfim.modes import Mode, mode_named
 from delfim.slices import Sliced
-from delfim.vehicle import console, failsafe, fence, kills, setpoints
+from delfim.vehicle import console, detour, failsafe, fence, kills, setpoints
 from delfim.vehicle.alone import Alone
 from delfim.vehicle.announcing import Announcing
 from delfim.vehicle.checks import Check, checks, refusal
@@ -53,6 +53,7 @@ class Helm:
         self.alone = Alone(settings.thrusters, state, propulsion, log)
         self._announcing = Announcing(state, log)
         self._seeking: Sliced[Point] | None = None  # the search for a better place to hold
+        self._detour: detour.Detour | None = None  # and for a way round zones
         self._retreat: tuple[Point, ...] = ()  # the driven track, up to where the boat went back to; empty: it did not
         self._controlled_s = clock.monotonic_s()
 
@@ -142,6 +143,9 @@ class Helm:
         """A slice of long work."""
         self.plans.go_on()
         self._seek()
+        if self._detour is not None and (found := self._detour.step()) is not None:
+            self.state.setpoint, reason = found
+            self.enter(Mode.GOTO, reason)
         self.state.announced = self._announcing.news(self.plans.mission)
 
     def _seek(self) -> None:
@@ -177,13 +181,13 @@ class Helm:
             return
         self._remember(mode)
         self.memory, self._seeking, self._retreat = begin(mode, state.motion, state.setpoint, self.limits), None, ()
+        self._detour = None
         if resumed is not None:
             self.memory = resumed._replace(integrals=self.memory.integrals)
         if mode is Mode.HOLD or (mode is Mode.GOTO and state.setpoint.target is None):
             self._settle((self.memory.north_m, self.memory.east_m), self.track.points())
-        if (
-            mode is Mode.PATH and resumed is None and self.memory.leg > 0 and state.setpoint.plan is not None
-        ):  # otherwise the boat would skip pieces without a word
+        # The boat does not skip pieces without a word.
+        if mode is Mode.PATH and resumed is None and self.memory.leg > 0 and state.setpoint.plan is not None:
             pieces = len(state.setpoint.plan.path)
             reason = f"{reason}; begins at piece {self.memory.leg + 1} of {pieces}, the first that the boat stands on"
         if mode is not state.mode:
@@ -255,22 +259,14 @@ class Helm:
         elif wanted in (Mode.HEADING, Mode.COURSE):
             setpoint = setpoints.onwards(wanted, self.state, self.settings.control.speed)
         elif wanted is Mode.GOTO:  # waits for a point
-            setpoint = setpoint._replace(target=None)
+            setpoint = setpoint._replace(target=None, via=())
         elif wanted is Mode.PLAY and self.paused is not None and self.paused.mode is Mode.PLAY:
             self._continue(None, now_s)
             return
         self._request(wanted, setpoint, now_s)
 
     def _head(self, command: console.Heading | console.Course, now_s: float) -> None:
-        if isinstance(command, console.Heading):
-            mode, asked_deg = Mode.HEADING, command.heading_deg
-        else:
-            mode, asked_deg = Mode.COURSE, command.course_deg
-        speeds = self.settings.control.speed
-        asked = setpoints.onwards(mode, self.state, speeds)._replace(heading_rad=math.radians(asked_deg % 360.0))
-        if command.speed_mps is not None:
-            asked = asked._replace(speed_mps=setpoints.speed(command.speed_mps, speeds))
-        self._request(mode, asked, now_s)
+        self._request(*setpoints.headed(command, self.state, self.settings.control.speed), now_s)
 
     def _set_speed(self, command: console.SetSpeed, now_s: float) -> None:
         speed_mps = setpoints.speed(command.speed_mps, self.settings.control.speed)
@@ -279,8 +275,16 @@ class Helm:
 
     def _go(self, command: console.Goto, now_s: float) -> None:
         target = setpoints.target(command, self.state, self.settings.control)
-        end = command.end or self.settings.control.goto.end
-        self._request(Mode.GOTO, self.state.setpoint._replace(target=target, end=end), now_s)
+        self._go_to(self.state.setpoint._replace(target=target, end=command.end or self.settings.control.goto.end), now_s)
+
+    def _go_to(self, setpoint: Setpoint, now_s: float) -> None:
+        """Straight there, or, where zones are in the way, round them once a way is found: meanwhile goto waits."""
+        setpoint = setpoint._replace(via=())
+        found = detour.begun(self.plans.fence, self.state.motion, setpoint)
+        self._request(Mode.GOTO, setpoint._replace(target=None) if found else setpoint, now_s)
+        self._detour = found
+        if found is not None:
+            self._log.note(f"goto: {found.why}: a way round is looked for")
 
     def _pause(self, command: console.Pause, now_s: float) -> None:
         """Never refused under way: where the boat cannot hold, it stops."""
@@ -300,11 +304,13 @@ class Helm:
         if paused is None:
             raise Refused("continue refused: nothing is paused")
         mode, memory = paused.mode, paused.memory
+        if mode is Mode.GOTO and setpoint.via:
+            self._go_to(setpoint, now_s)
+            return
         if mode in (Mode.PLAY, Mode.PATH) and paused.plan is not setpoint.plan:
             raise Refused("continue refused: the mission has changed since the pause; choose the mode again")
-        afresh = mode is Mode.HOME or (
-            mode is Mode.PLAY and setpoint.leg != memory.leg
-        )  # the track grew; another leg was chosen
+        # The track grew, or another leg was chosen.
+        afresh = mode is Mode.HOME or (mode is Mode.PLAY and setpoint.leg != memory.leg)
         self._request(mode, setpoint, now_s, None if afresh else memory)
 
     def _load(self, command: console.Plan, now_s: float) -> None:
@@ -312,12 +318,6 @@ class Helm:
             self.plans.gather(command)
         else:
             self.plans.accept(command)
-
-    def _unload(self, command: console.Unload, now_s: float) -> None:
-        self.plans.unload()
-
-    def _play(self, command: console.Play, now_s: float) -> None:
-        self._request(Mode.PLAY, self.state.setpoint._replace(leg=command.leg), now_s)
 
     def _call_at(self, command: console.Rally, now_s: float) -> None:
         self.plans.rally = command.points
@@ -387,9 +387,9 @@ _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] 
     console.Continue: Helm._continue,
     console.LoadMission: Helm._load,
     console.Upload: Helm._load,
-    console.Play: Helm._play,
+    console.Play: lambda helm, command, now_s: helm._request(Mode.PLAY, helm.state.setpoint._replace(leg=command.leg), now_s),
     console.Leg: Helm._choose,
-    console.Unload: Helm._unload,
+    console.Unload: lambda helm, command, now_s: helm.plans.unload(),
     console.SetFence: Helm._load,
     console.Rally: Helm._call_at,
     console.Take: Helm._hear,

@@ -5,7 +5,7 @@ import math
 from delfim import config, geodesy
 from delfim.errors import Refused
 from delfim.modes import Mode
-from delfim.vehicle.console import Goto
+from delfim.vehicle.console import Course, Goto, Heading
 from delfim.vehicle.control.guidance import COURSE_MPS
 from delfim.vehicle.mission import FAR_MAX_M
 from delfim.vehicle.state import Motion, Setpoint, State, Waypoint
@@ -28,6 +28,13 @@ def onwards(mode: Mode, state: State, speeds: config.SpeedTable) -> Setpoint:
     makes_one = mode is Mode.COURSE and math.hypot(motion.north_mps, motion.east_mps) > COURSE_MPS
     ahead_rad = math.atan2(motion.east_mps, motion.north_mps) if makes_one else motion.heading_rad
     return state.setpoint._replace(heading_rad=ahead_rad, speed_mps=speed_mps)
+
+
+def headed(asked: Heading | Course, state: State, speeds: config.SpeedTable) -> tuple[Mode, Setpoint]:
+    """The mode and the set points that the operator asks for; a speed that is not told stays."""
+    mode, asked_deg = (Mode.HEADING, asked.heading_deg) if isinstance(asked, Heading) else (Mode.COURSE, asked.course_deg)
+    found = onwards(mode, state, speeds)._replace(heading_rad=math.radians(asked_deg % 360.0))
+    return mode, found if asked.speed_mps is None else found._replace(speed_mps=speed(asked.speed_mps, speeds))
 
 
 def target(asked: Goto, state: State, control: config.ControlTable) -> Waypoint:

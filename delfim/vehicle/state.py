@@ -115,6 +115,7 @@ class Setpoint(NamedTuple):
     starboard: float = 0.0  # manual thrust, -1..1 of full command
     port: float = 0.0
     target: Waypoint | None = None  # goto
+    via: tuple[Waypoint, ...] = ()  # goto: by these before it, round zones
     plan: Plan | None = None
     leg: int = 0  # first leg to play
     guest_heading_rad: float | None = None

@@ -126,6 +126,22 @@ def test_the_boat_gives_way_and_returns_and_its_mode_is_never_entered_anew(mode:
     assert "traffic: clear: back to the way" in notes
 
 
+def test_a_boat_that_is_clear_comes_back_onto_its_path_at_45_degrees() -> None:
+    voyage = Voyage()
+    under_way(voyage, Mode.PATH)
+    voyage.meet(150.0, 180.0)
+    clear_s, steepest_rad, farthest_m = math.inf, 0.0, 0.0
+    for state in voyage.sail(500.0):
+        farthest_m = max(farthest_m, abs(state.motion.east_m))
+        if "traffic: clear: back to the way" in voyage.run.log.lines:  # type: ignore[attr-defined]
+            clear_s = min(clear_s, voyage.run.elapsed_s)
+        if voyage.run.elapsed_s > clear_s + 15.0:
+            steepest_rad = max(steepest_rad, abs(watchkeeper.own_of(state.motion).course_rad))
+    assert farthest_m > 30.0
+    assert math.radians(35.0) < steepest_rad < math.radians(55.0)
+    assert abs(voyage.state.motion.east_m) < 2.0
+
+
 def test_a_boat_that_holds_moves_off_and_comes_back() -> None:
     voyage = Voyage()
     under_way(voyage, Mode.HOLD)

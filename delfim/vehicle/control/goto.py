@@ -1,5 +1,5 @@
 """Go to a point (thesis chapter 4, key G). There the mode is done and the boat holds. Without a point the boat
-waits for one, where it is, as in hold mode.
+waits for one, where it is, as in hold mode. Where zones are in the way it goes by points round them (`detour.py`).
 """
 
 from delfim.vehicle.control import hold
@@ -28,5 +28,11 @@ def step(
     target = setpoint.target
     if target is None:
         return hold.step(memory, motion, setpoint, settings, dt_s)
+    if memory.leg < len(setpoint.via):
+        by = setpoint.via[memory.leg]
+        memory, reference, wanted, reached = leg(memory, motion, by, False, settings, dt_s, setpoint.override_mps)
+        if reached:
+            memory = memory._replace(north_m=by.north_m, east_m=by.east_m, leg=memory.leg + 1)
+        return memory, reference, wanted
     memory, reference, wanted, reached = leg(memory, motion, target, True, settings, dt_s, setpoint.override_mps)
     return memory, reference._replace(done=True) if reached else reference, wanted

@@ -2,7 +2,7 @@
 
 A boat off the path goes to its beginning; a boat on it, within the acceptance radius, continues from the first piece that it
 stands on: so a path is resumed after a hold. At a corner the boat leaves a line early by R tan(angle / 2), where
-a turn of radius R begins that ends on the next one.
+a turn of radius R begins that ends on the next one. A boat that kept clear of others comes back at 45 degrees.
 """
 
 import math
@@ -59,7 +59,9 @@ def step(
         return memory, Reference(leg=memory.leg, done=True), STOP
     piece = path[memory.leg] if memory.leg >= 0 else _approach(memory, path[0])
     tangent_rad, cross_m, left_m, swept_rad = nearest(piece, motion, memory.swept_rad)
-    course, heading_rad = course_to_steer(memory.course, motion, tangent_rad, cross_m, settings.control.path, dt_s)
+    ahead_m = settings.control.path.lookahead_m
+    off_m = ahead_m if cross_m > ahead_m else -ahead_m if cross_m < -ahead_m else cross_m  # onto it at 45 degrees at most
+    course, heading_rad = course_to_steer(memory.course, motion, tangent_rad, off_m, settings.control.path, dt_s)
     last = memory.leg + 1 == len(path)
     speed_mps = piece.speed_mps if setpoint.override_mps is None else setpoint.override_mps
     if last:
@@ -71,7 +73,7 @@ def step(
     after = Memory(integrals, course, *memory[2:5], swept_rad)
     if last:
         return after, reference._replace(done=True) if left_m <= 0.0 else reference, wanted
-    if left_m > _wheel_over_m(tangent_rad, path[memory.leg + 1], speed_mps, settings.control.path.lookahead_m):
+    if left_m > _wheel_over_m(tangent_rad, path[memory.leg + 1], speed_mps, ahead_m):
         return after, reference, wanted
     return after._replace(leg=memory.leg + 1, swept_rad=0.0), reference, wanted
 

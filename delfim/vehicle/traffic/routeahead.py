@@ -40,7 +40,8 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
     elif mode is Mode.PATH and setpoint.plan is not None and memory.leg < len(setpoint.plan.path):
         points, speed_mps = _along_path(memory, setpoint, motion, settings)
     elif mode is Mode.GOTO and setpoint.target is not None:
-        points, speed_mps = [(setpoint.target.north_m, setpoint.target.east_m)], setpoint.target.speed_mps
+        to = (*setpoint.via[memory.leg : memory.leg + POINTS], setpoint.target)
+        points, speed_mps = [(each.north_m, each.east_m) for each in to], setpoint.target.speed_mps
     elif mode is Mode.HOME and 0 <= memory.leg < len(setpoint.track):
         points = list(setpoint.track[max(memory.leg - TRACK, 0) : memory.leg + 1])[:: -(TRACK // POINTS)]
         speed_mps = settings.control.home.speed_mps
@@ -58,7 +59,7 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
 
 
 def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Settings) -> tuple[list[Point], float]:
-    """From beside the path the boat goes square onto it, as line-of-sight guidance does, then along its pieces."""
+    """From beside the path the boat comes onto it at 45 degrees, then along its pieces."""
     assert setpoint.plan is not None
     path, points, leg = setpoint.plan.path, list[Point](), memory.leg
     if leg == APPROACH:
@@ -66,7 +67,7 @@ def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Se
     else:
         tangent_rad, cross_m, left_m, _ = nearest(path[leg], motion, memory.swept_rad)
         if abs(cross_m) > settings.control.path.lookahead_m:
-            ahead_m = min(settings.control.path.lookahead_m, max(left_m, 0.0))
+            ahead_m = min(abs(cross_m), max(left_m, 0.0))
             cos, sin = math.cos(tangent_rad), math.sin(tangent_rad)
             onto = motion.north_m + ahead_m * cos + cross_m * sin, motion.east_m + ahead_m * sin - cross_m * cos
             points.append(onto)
