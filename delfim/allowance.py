@@ -20,7 +20,7 @@ class Allowance:
     """Of one line. `words` tell of a flood at the last look; empty: there was none."""
 
     def __init__(self, bytes_per_s: float = NO_BOUND, now_s: Callable[[], float] = lambda: 0.0) -> None:
-        """`now_s`: monotonic. What was not used for a while may come at once, up to BURST_S of it."""
+        """`now_s`: monotonic. An allowance that was not used for a while may be used at once, up to BURST_S of it."""
         self.words = ""
         self.sentences = self.bytes = 0  # dropped, in all
         self._rate, self._now_s, self._at_s = bytes_per_s, now_s, now_s()
@@ -36,7 +36,7 @@ class Allowance:
         return most if self._left > 0.0 else UNREAD_BYTES
 
     def of(self, data: bytes) -> bytes:
-        """What is used of these data: all of it, none, or what follows the rest of a dropped sentence."""
+        """The part of these data that is used: all of it, none, or what follows the rest of a dropped sentence."""
         if self._left <= 0.0:
             self._cut = LONGEST
             self._drop(data)

@@ -181,7 +181,7 @@ def is_loopback(text: str) -> bool:
 
 
 class BoatTable(Table, frozen=True):
-    """Name and size of the boat. What is not given of the hull is guessed from its length and beam (docs/propulsion.md)."""
+    """Name and size of the boat. Missing values of the hull are guessed from its length and beam (docs/propulsion.md)."""
 
     name: Name  # of the boat, in logs and on screens
     id: Annotated[int, msgspec.Meta(ge=1, le=249)] = 1  # on the console's link
@@ -272,7 +272,7 @@ class Nmea0183Port(Table, frozen=True):
 
 
 class Nmea0183Out(Table, frozen=True):
-    """Navigation told to another instrument, as a receiver tells it. What is unknown is not told."""
+    """Navigation told to another instrument, as a receiver tells it. Unknown values are not told."""
 
     to: OutDevice  # a serial port of its own, or where datagrams go
     baud: Annotated[int, msgspec.Meta(ge=1200, le=4_000_000)] = 4800  # of a serial port
@@ -844,7 +844,7 @@ class FenceTable(Zones, frozen=True):
 
 
 class Checks(Table, frozen=True):
-    """What must be in order before the boat leaves idle, besides navigation and sensors."""
+    """Conditions that must hold before the boat leaves idle, besides navigation and sensors."""
 
     clock_s: Seconds = 5.0  # largest difference between the computer's clock and that of navigation
 
@@ -1350,7 +1350,7 @@ def thrusters_fault(rows: Sequence[ThrusterTable]) -> str | None:
 
 
 def driver_fault(row: ThrusterTable, rows: Sequence[ThrusterTable]) -> str | None:
-    """What the driver of a row cannot do, in words; None: it can drive it."""
+    """The reason why the driver cannot drive this row, in words; None: it can."""
     if row.driver in SIDES and (row.address > 1 or row.steer is not None):
         return f"{row.driver} has address 0, starboard, and 1, port, and turns nothing"
     if row.driver in SIDES[1:] and sum(each.driver == row.driver for each in rows) != 2:

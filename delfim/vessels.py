@@ -24,7 +24,7 @@ class VesselPosition(NamedTuple):
 
 
 class VesselFacts(NamedTuple):
-    """What a vessel is. A part of them comes in each message of class B."""
+    """The facts of a vessel. A part of them comes in each message of class B."""
 
     mmsi: int
     name: str | None

@@ -46,7 +46,7 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _told(vehicle: config.Vehicle) -> str:
-    """What the boat says as a device of its NMEA 2000 bus."""
+    """The messages of the boat as a device of its NMEA 2000 bus."""
     from delfim.canproxy.nmea2000.device import device_name, facts_of
     from delfim.services.nmea2000rows import pgns_of
 

@@ -1,7 +1,7 @@
 """`delfim commission`: the files of a boat for the sea, from a vehicle's file: its own file, keys and users.
 
-What cannot be known is asked; every question has an option, so that it also runs unattended. Nothing is written before the file
-with all answers was found good and no door lets a stranger move the boat.
+It asks for all that it cannot know; every question has an option, so that it also runs unattended. Nothing is written before
+the file with all answers was found good and no door lets a stranger move the boat.
 """
 
 import argparse
@@ -138,7 +138,7 @@ def _network(text: str) -> IPv4Interface:
 
 
 def _addresses(answers: Mapping[str, str], network: IPv4Interface) -> dict[str, Any]:
-    """Who is where: the console may watch the bus, and so may the payload's network, where the guest is."""
+    """The networks of the others: the console may watch the bus, and so may the payload's network, where the guest is."""
     payload = str(network.network)
     return {
         "slipd.device": answers["radio"],

@@ -1,6 +1,6 @@
 """`delfim new`: a vehicle's file of your boat, from a few answers, and a short first mission where it lies.
 
-What is not given as an option is asked, or with --yes gets its default. No file is replaced, and none stays that is not good.
+It asks for values that no option gives, or with --yes takes their defaults. No file is replaced, and none stays that is wrong.
 """
 
 import argparse

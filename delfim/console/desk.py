@@ -1,6 +1,6 @@
 """The operator's desk: missions are sent, saved, loaded, checked and tried here, with a boat or without one.
 
-What takes long is done beside the loop: files and dry runs in a few workers, checks in slices of the loop's time.
+Long work is done beside the loop: files and dry runs in a few workers, checks in slices of the loop's time.
 """
 
 import asyncio

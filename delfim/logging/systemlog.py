@@ -129,7 +129,7 @@ def _printable(text: str) -> str:
 
 def begin(directory: str, program: str, levels: Mapping[str, str], service: Callable[[], str] = str) -> None:
     """From now on this program's `logging` is part of the system log of this run directory. `levels` is as in SystemHandler, by
-    their names. What it cannot do it says on standard error, and goes on."""
+    their names. It tells its failures on standard error, and goes on."""
     path, reason = os.path.join(directory, PIPE), ""
     try:
         pipe = open_pipe(path)

@@ -1,6 +1,6 @@
 """The exit of the system log: from the pipe of delfim.logging.systemlog onto the disk, and into two small files for the page.
 
-What comes while the disk takes nothing waits in memory, the newest WAITING_BYTES of it.
+Lines that come while the disk takes nothing wait in memory, the newest WAITING_BYTES of them.
 """
 
 import contextlib

@@ -1,8 +1,8 @@
 """AIS over NMEA 0183: sentences VDM of a receiver and VDO of the boat's own transponder, ITU-R M.1371. No sockets, no clock.
 
 A payload is text of six bits a character. Messages 1, 2, 3, 18 and 19 are positions, 5, 19 and 24 tell what a vessel is; long
-ones come in several sentences. What the vessel does not tell is None. Base stations (4), aids to navigation (21) and all others
-are no vessels and are dropped.
+ones come in several sentences. A value that the vessel does not tell is None. Base stations (4), aids to navigation (21) and
+all others are no vessels and are dropped.
 """
 
 import math
@@ -102,8 +102,8 @@ class AisMessages:
 
 
 def decode(payload: bytes, fill: int = 0, is_own: bool = False) -> tuple[Report, ...]:
-    """A whole message: a position, facts, or both; none where it tells of no vessel. What a transponder says of its own boat's
-    name and size is dropped. Raises FormatError."""
+    """A whole message: a position, facts, or both; none where it tells of no vessel. A name and size that a transponder
+    tells of its own boat are dropped. Raises FormatError."""
     bits = _Payload(payload, fill)
     kind, mmsi, is_second = bits.get(0, 6), bits.get(8, 30), bits.get(38, 2) == 1
     least = _PART_BITS.get(bits.get(38, 2)) if kind == 24 else _BITS.get(kind)

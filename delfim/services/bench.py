@@ -62,7 +62,7 @@ class DeadMan:
 
 
 class Trial:
-    """What the thruster is told from one moment to the next. Times are monotonic."""
+    """The command of the thruster from one moment to the next. Times are monotonic."""
 
     def __init__(self, limits: GateLimits, row: int, part: float, key: DeadMan) -> None:
         thrust = tuple(part if each == row else 0.0 for each in range(len(limits.rates_per_s)))
@@ -153,7 +153,7 @@ def _ask(boat: RunningBoat, name: str, part: float, for_s: float, key: DeadMan) 
 
 
 def _words(report: Mapping[str, object]) -> str:
-    """What is known of it."""
+    """The values that are known."""
     known = {
         what: round(each, 2) if isinstance(each, float) else each for what, each in report.items() if each not in (None, [], ())
     }

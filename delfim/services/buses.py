@@ -18,7 +18,7 @@ log = logging.getLogger(__name__)
 
 
 def bring_up(bit_rates: Mapping[str, int], present: Path = Path("/sys/class/net")) -> None:
-    """Set up interfaces with their bit rates in bit/s; those whose name begins with vcan are made. What fails is logged: a boat
+    """Set up interfaces with their bit rates in bit/s; those whose name begins with vcan are made. A failure is logged: a boat
     without its bus starts, and its checks say why it stays in idle."""
     deadline_s = time.monotonic() + LATE_S
     for bus, bitrate_bps in bit_rates.items():

@@ -25,7 +25,7 @@ BY_ID: Final = Path("/dev/serial/by-id")
 
 
 class Found(NamedTuple):
-    """What was heard of a port at a rate."""
+    """The sentences and bytes of a port at a rate."""
 
     baud: int
     heard: dict[str, float]  # by sentence, how often a second

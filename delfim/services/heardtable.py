@@ -47,7 +47,7 @@ def _believed(source: str, now: SensorsTold) -> Iterator[str]:
 
 
 def _who(told: Any) -> tuple[Any, float | None]:
-    """Who is chosen, and the age: sources name it in their own ways."""
+    """The chosen device, and the age: sources name it in their own ways."""
     if isinstance(told, dict):
         return told.get("talker", told.get("node")), told.get("age_s")
     return told[0], told[1]

@@ -1,4 +1,4 @@
-"""What a boat's sensors say, for `delfim sensors`: asked of the running boat, else heard on its ports and buses.
+"""The words of a boat's sensors, for `delfim sensors`: asked of the running boat, else heard on its ports and buses.
 
 These are opened to listen: nothing is sent. A boat that runs loses no byte by it.
 """
@@ -34,7 +34,7 @@ REOPEN_S: Final = 1.0
 
 
 class SensorsTold(NamedTuple):
-    """What was known at a time: the figures of each source, why ports are not open, and values by source and kind."""
+    """The knowledge at a time: the figures of each source, why ports are not open, and values by source and kind."""
 
     at_s: float  # monotonic
     figures: dict[str, dict[str, Any]]

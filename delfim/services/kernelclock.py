@@ -1,7 +1,7 @@
 """The computer's clock as the kernel has it, and the battery clock (RTC) beside it: read, stepped, slewed, written.
 
 Standard library only: the supervisor reads the battery clock before its programs start, and writes it after they ended.
-Linux only. Who else may keep the clock, and how that is found out: docs/clock.md.
+Linux only. Other keepers of the clock, and how they are found: docs/clock.md.
 """
 
 import ctypes

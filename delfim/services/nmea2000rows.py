@@ -1,4 +1,4 @@
-"""The vehicle's state as NMEA 2000 messages: one row a PGN (docs/nmea2000.md). What is unknown or old is not told."""
+"""The vehicle's state as NMEA 2000 messages: one row a PGN (docs/nmea2000.md). Values that are unknown or old are not told."""
 
 import math
 from collections.abc import Callable, Iterable

@@ -86,7 +86,7 @@ class CasterStream:
         raise CasterRefusal("the head of its answer has no end")
 
     async def pieces(self) -> AsyncIterator[bytes]:
-        """What it sends, as it comes, until it ends the connection. Raises CasterRefusal, OSError."""
+        """The data that it sends, as they come, until it ends the connection. Raises CasterRefusal, OSError."""
         while not self._is_chunked and (data := await self._reader.read(READ_BYTES)):
             yield data
         while self._is_chunked:

@@ -64,7 +64,7 @@ class Guard:
             self._holder = self._fractions = None
 
     def fractions(self, now_s: float) -> tuple[float, ...] | None:
-        """What each channel is to do, -1 to 1; None: stop."""
+        """The command of each channel, -1 to 1; None: stop."""
         if now_s - self._heard_s > SILENT_S:
             self._fractions = None
         return self._fractions

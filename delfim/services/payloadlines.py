@@ -23,7 +23,7 @@ _encode: Final = msgspec.json.Encoder().encode
 
 
 def lines(now: State, before: State | None) -> Iterator[bytes]:
-    """What programs are told of a state: events since the one before, then navigation as the guest gets it, with the
+    """The lines that programs get of a state: events since the one before, then navigation as the guest gets it, with the
     mission and the leg."""
     if before is None or now.mode != before.mode:
         yield _line({"event": "mode", "mode": now.mode, "reason": now.reason[:REASON]})

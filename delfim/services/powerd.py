@@ -131,7 +131,7 @@ class Powerd:
             self.malformed += 1
 
     def on_state(self, state: State) -> None:
-        """What the vehicle just told: batteries on any bus, the voltage at each thruster, and whether they are to run."""
+        """Take the vehicle's state: batteries on any bus, the voltage at each thruster, and whether thrusters are to run."""
         self._told_s = now_s = self._clock.monotonic_s()
         self._silence = ""
         if state.run:

@@ -15,7 +15,7 @@ TICKS_PER_S: Final = os.sysconf("SC_CLK_TCK")
 
 
 class Usage(NamedTuple):
-    """What the processes of a session use together."""
+    """The use of the computer by all processes of a session."""
 
     processes: int = 0
     cpu_s: float = 0.0  # of those that live
@@ -52,7 +52,7 @@ def members(session: int) -> list[int]:
 
 
 def usage() -> dict[int, Usage]:
-    """What each session uses, by its number."""
+    """The use of the computer by each session, by its number."""
     found = dict[int, Usage]()
     for _, sid, fields in _all():
         processes, cpu_s, memory_bytes = found.get(sid, Usage())

@@ -67,7 +67,7 @@ class ReceiverPort:
         return open_port(self.device, self._baud, ignores_modem=True)
 
     def _is_at_end(self) -> bool:
-        """What a connection brings is read and let go: nobody else does."""
+        """Data of a connection are read and dropped: nobody else reads them."""
         if not self.device.startswith(SOCKETS):
             return False
         with contextlib.suppress(BlockingIOError):

@@ -157,7 +157,7 @@ def _is_here(place: str) -> bool:
 
 
 def _corrected(vehicle: config.Vehicle) -> tuple[str, ...]:
-    """What gives corrections to a receiver that is none of the boat's simulated ports."""
+    """The sources of corrections for a receiver that is none of the boat's simulated ports."""
     to = vehicle.corrections.to
     return (
         ()

@@ -1,4 +1,4 @@
-"""What a boat told its motors, recorded and repeated. The differences are counted, each with the cycle in which it begins.
+"""The commands of a boat to its motors, recorded and repeated. Differences are counted, each with the cycle in which it begins.
 
 Controllers of other makes than DelfimX's hear their last command again and again, at times of which there is no record. So a
 repetition must only equal a command that the replay has just computed, and every new command must have been on the bus once.
@@ -94,7 +94,7 @@ PROTOCOLS: Final[dict[str, Callable[[config.Vehicle], Commands]]] = {"dronecan":
 
 
 class Listener:
-    """What one listener was told: those repeated, from the one that was recorded last."""
+    """The commands to one listener: those repeated, from the one that was recorded last."""
 
     def __init__(self, name: str, findings: Findings) -> None:
         self._name, self._findings = name, findings

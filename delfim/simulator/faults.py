@@ -260,7 +260,7 @@ class Faults(Broken):
         super().begin(broken, now_s)
 
     def _parts(self, where: str) -> Sequence[NavigationNode | GnssReceiver | Compass]:
-        """What measures navigation: of one kind, or all."""
+        """The sensors of navigation: of one kind, or all."""
         nodes = self.nodes
         if not where:
             return nodes.navigation, *nodes.receivers, *nodes.compasses

@@ -1,4 +1,4 @@
-"""What the logs of a day at sea hold of each input of the loop, by time (`rerun.py` repeats them)."""
+"""The records of each input of the loop in the logs of a day at sea, by time (`rerun.py` repeats them)."""
 
 import heapq
 from collections.abc import Iterable, Iterator, Sequence

@@ -27,7 +27,7 @@ Fault = Literal["", "implausible", "unsteady", "disagree", "late", "jump"]
 
 
 class Correction(NamedTuple):
-    """What is to be done to the clock."""
+    """A correction of the clock."""
 
     do: Literal["step", "slew"]
     by_s: float  # positive: forward

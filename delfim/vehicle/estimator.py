@@ -198,7 +198,7 @@ class Estimator:
         self._at_s = -math.inf
 
     def begin(self, at_s: float) -> None:
-        """Know nothing again; the axis of time may be another one. What was silent until now is judged from now on: a boat that
+        """Know nothing again; the axis of time may be another one. An input that was silent is judged from now on: a boat that
         sailed by its reserve would stop for it."""
         self.course.known = self.turn.known = False
         self._at_s = -math.inf

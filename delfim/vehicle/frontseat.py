@@ -30,7 +30,7 @@ class SeatSide:
 
 
 class FrontSeatLine:
-    """What is said, and what is heard."""
+    """The line of a front seat: commands out, sentences in."""
 
     def __init__(
         self, name: str, sides: tuple[SeatSide, SeatSide], line: ReadableLine, stop: bytes, *, stays: bool = False
@@ -64,7 +64,7 @@ class FrontSeatLine:
             raise OSError(errno.ENOTCONN, f"the {self._name} does not take the stop")
 
     def heard(self, state: State) -> list[list[str]]:
-        """The fields of the next sentences; malformed ones are counted. What is left over stays readable."""
+        """The fields of the next sentences; malformed ones are counted. The rest stays readable."""
         before, found, taken = self._reader.malformed, list[list[str]](), 0
         while taken < PIECE_BYTES and (data := self._line.read()):
             taken += len(data)

@@ -31,7 +31,7 @@ class HeadingReference(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class SeenVessel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What a payload sees by radar, camera or lidar: degrees, m/s, m. What it does not know it leaves out."""
+    """A vessel that a payload sees by radar, camera or lidar: degrees, m/s, m. Unknown values are left out."""
 
     id: Annotated[str, msgspec.Meta(pattern="^[ -~]{1,24}$")]  # the same as long as it is the same one
     latitude_deg: Annotated[float, msgspec.Meta(ge=-90.0, le=90.0)]

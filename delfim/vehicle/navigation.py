@@ -90,8 +90,8 @@ def take(source: Source, fix: Fix, sources: tuple[Source, ...], state: State, li
 
 
 def _with_reserve(n: Navigation, before: Motion) -> Navigation:
-    """What this message lacks, as the source before told it a moment ago: an estimate begins with a position alone, and a boat
-    that sails by the reserve would stop for it."""
+    """The message with the values that it lacks, as the source before told them a moment ago: an estimate begins with a
+    position alone, and a boat that sails by the reserve would stop for it."""
     if n.heading_rad is None and "heading" in before.has:
         n = n._replace(heading_rad=before.heading_rad, yaw_rate_radps=before.yaw_rate_radps)
     if n.north_mps is None and "velocity" in before.has:

@@ -22,7 +22,7 @@ class Actuation(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """What control asks of all thrusters together. `run` False is motors off."""
+    """The request of control to all thrusters together. `run` False is motors off."""
 
     surge_n: float = 0.0  # positive ahead
     sway_n: float = 0.0  # positive to starboard
@@ -188,7 +188,7 @@ class Killed(NamedTuple):
 
 
 class HandsetReport(NamedTuple):
-    """What the hand-set says. Sticks are -1 to 1, ahead and to starboard positive."""
+    """The state of the hand-set. Sticks are -1 to 1, ahead and to starboard positive."""
 
     heard_s: float  # monotonic time of the last positions that came from it
     throttle: float

@@ -62,7 +62,7 @@ def pack(kind: DataType, values: Sequence[float] = (), items: Sequence[float] = 
 
 
 def unpack(kind: DataType, payload: bytes) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """The values of the fields, and those of the items. What follows is ignored: definitions grow at their end. Raises
+    """The values of the fields, and those of the items. Further bytes are ignored: definitions grow at their end. Raises
     FormatError for a payload that is too short."""
     stream, left = int.from_bytes(payload, "big"), 8 * len(payload)
     values, items = list[float](), list[float]()

@@ -1,6 +1,6 @@
 """Routing of DSOR messages between CAN buses (thesis 5.2.6), frame by frame, by a table of which node is on which bus.
 
-A frame goes on only from the bus where its source is to the bus where its destination is. What goes on is therefore heard on
+A frame goes on only from the bus where its source is to the bus where its destination is. So a message that goes on is heard on
 a bus where its source is not, and goes no further: there are no loops. Ends acknowledge to each other through the router,
 which keeps no state. docs/dsor.md says what travels.
 """
@@ -101,7 +101,7 @@ class Router:
         self.counts[to]["lost"] += 1  # an end that waits for it repeats its frame
 
     def _filters(self, name: str) -> list[CanAddress]:
-        """What has to be heard on a bus: from the nodes that the table has there; at home, to the nodes that are not there."""
+        """The messages to be heard on a bus: from the nodes that the table has there; at home, to nodes that are not there."""
         if name == self._home:
             there = [each for node in self._bus_of for each in (message_filter(destination=node), ack_filter(node))]
             everybody = [message_filter(node, BROADCAST) for node in self._everybody if node not in self._bus_of]

@@ -1,7 +1,7 @@
 """AIS over NMEA 2000: other vessels, as a receiver or transponder tells them. Fast packets, put together: bytes in, values out.
 
 PGN 129038 and 129039 are positions of class A and B, 129794, 129809 and 129810 names and sizes. Layouts are those that the
-canboat project documents. What the vessel does not tell is None.
+canboat project documents. A value that the vessel does not tell is None.
 """
 
 import math

@@ -115,7 +115,7 @@ class Device:
         return [self._roll_call(now_s)]
 
     def step(self, now_s: float) -> list[Parcel]:
-        """What is to be sent now. Call it some tens of times a second, and after `feed`."""
+        """The messages to be sent now. Call it some tens of times a second, and after `feed`."""
         said = list[Parcel]()
         if now_s >= self._due_s:
             said += self._advance(now_s)
@@ -155,7 +155,7 @@ class Device:
         self.state, self.trouble = "silent", why
         self._due_s = now_s + AGAIN_S * (1.0 + self._chance.random())
 
-    # What is heard.
+    # Messages that are heard.
 
     def feed(self, frame: Frame, now_s: float) -> None:
         """A frame of the bus. Never raises; what it refuses is counted under its reason."""
@@ -254,7 +254,7 @@ class Device:
         else:
             self.counts["too many questions at once"] += 1
 
-    # What is said.
+    # Messages that are said.
 
     def _roll_call(self, now_s: float) -> Parcel:
         self._roll_call_s = now_s + ROLL_CALL_S

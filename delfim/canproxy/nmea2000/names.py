@@ -1,4 +1,4 @@
-"""Who has which address of an NMEA 2000 bus: an address may be given to another device, a NAME stays with its own."""
+"""The devices of an NMEA 2000 bus and their addresses: an address may be given to another device, a NAME stays with its own."""
 
 from collections.abc import Iterable
 from typing import Any, Final

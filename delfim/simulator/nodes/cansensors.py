@@ -102,7 +102,7 @@ class CanSensors:
         return self._frames(FIX2, self._gnss, pack(FIX2, (*head, *state), (UNKNOWN,)))
 
     def _turning(self, turn: Turn, now_s: float) -> list[Frame]:
-        """What the compass says; frozen, the same as before."""
+        """The reading of the compass; frozen, the same as before."""
         if not (self.compass.frozen and self._said):
             self._said = self._measured(turn, now_s)
         return [frame for kind, payload in self._said for frame in self._frames(kind, self._heading, payload)]

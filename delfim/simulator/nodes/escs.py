@@ -101,7 +101,7 @@ class Escs:
         return min(self._reports.due_s, self._words.due_s)
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """A frame of the bus. What makes no sense changes nothing."""
+        """A frame of the bus. One that makes no sense changes nothing."""
         transfer = self._receiver.feed(frame, now_s)
         if transfer is None:
             return

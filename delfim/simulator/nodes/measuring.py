@@ -1,4 +1,4 @@
-"""What off-the-shelf sensors measure of the model, with their errors from the seed; devices.py and talkers.py say it.
+"""Measurements of the model by off-the-shelf sensors, with their errors from the seed; devices.py and talkers.py say it.
 
 Each is asked by `step` and answers when it is due, unless it is silent. Faults are set by hand, or by `delfim fault`.
 """

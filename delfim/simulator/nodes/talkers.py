@@ -45,7 +45,7 @@ class Instrument(NamedTuple):
 
 
 class AisLine:
-    """What a receiver of AIS heard since it was asked last; the same that it says on the bus."""
+    """The messages that a receiver of AIS heard since it was asked last; the same that it says on the bus."""
 
     def __init__(self, heard: deque[bytes]) -> None:
         self._heard, self._period = heard, Period(AIS_S)

@@ -84,7 +84,7 @@ class PlayedVescs:
         return self._period.due_s
 
     def feed(self, frame: Frame, now_s: float) -> None:
-        """A frame of the bus. What makes no sense changes nothing."""
+        """A frame of the bus. One that makes no sense changes nothing."""
         if (each := self._commanded.get(frame.arb)) is not None:
             each.obey(frame, now_s)
 

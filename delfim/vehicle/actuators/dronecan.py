@@ -110,7 +110,7 @@ class DronecanMotors:
         self._motors = {name: motor for name, motor in self._motors.items() if name not in names}
 
     def read(self, state: State, now_s: float) -> None:
-        """What the devices report; what makes no sense is counted."""
+        """Take the reports of the devices; malformed ones are counted."""
         for _ in range(FRAMES_PER_READ):
             try:
                 frame = self._socket.receive()

@@ -29,7 +29,7 @@ VOLTAGE: Final = struct.Struct(">ih")  # tachometer in sixths of an electrical t
 
 
 class VescStatus(NamedTuple):
-    """What a status says. None: this one does not say it."""
+    """The values of a status. None: this one does not tell it."""
 
     controller: int
     electrical_rpm: float | None = None

@@ -10,7 +10,7 @@ The dual problem has three unknowns l = Q (t - B f), however many thrusters ther
 piecewise quadratic, so that Newton's method with an exact search along its direction ends after a few steps. The forces of two
 fixed thrusters, the commonest boat, are in closed form.
 
-What turns takes two passes: the first asks where it should point, the second is exact for where it points in this cycle.
+A thruster that turns takes two passes: the first asks where it should point, the second is exact for where it points now.
 """
 
 import math
@@ -43,7 +43,7 @@ Side = tuple[
 
 
 class Pivot(NamedTuple):
-    """What turns a thruster. A rudder turns the stream of a propeller that pushes ahead, and does nothing to one astern."""
+    """The gear that turns a thruster. A rudder turns the stream of a propeller that pushes ahead, and does nothing astern."""
 
     angle_max_rad: float  # to either side; pi is all round
     rate_radps: float

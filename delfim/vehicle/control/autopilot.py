@@ -1,11 +1,11 @@
-"""Heading and speed to forces: two PI(D) loops, for a yaw moment and a surge force. What the thrusters make of them is theirs.
+"""Heading and speed to forces: two PI(D) loops, for a yaw moment and a surge force. The thrusters share them out elsewhere.
 
     yaw    = sat(Kp e) + Kd (turn - r) + Kt turn + I    e = wrap(heading asked for - heading), r yaw rate
     surge  = drag(u_d) + Kp (u_d - u) + I               u speed over ground along the keel
 
 Where the thrusters cannot give both, yaw is kept and surge gives way (`allocation.py`): a boat that holds its heading and is
 slow is safe; a boat off its heading is not. Speed falls with the cosine of the heading error, so that the boat turns first; an
-order ahead never asks for surge astern. What the thrusters were short of stops the integral that asked for it.
+order ahead never asks for surge astern. A force that the thrusters were short of stops the integral that asked for it.
 """
 
 import math

@@ -26,7 +26,7 @@ class Program(Protocol):
     SENTENCE: str  # for the operator
 
     def lacks(self, setpoint: Setpoint) -> str | None:
-        """What the mode needs and the set point does not have, in words; None: nothing is missing."""
+        """The value that the mode needs and the set point does not have, in words; None: nothing is missing."""
 
     def enter(self, motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory: ...
 

@@ -32,7 +32,7 @@ PURE: Final = 0.01  # of that force, which may be missing, or come ahead or as a
 
 
 class Craft(NamedTuple):
-    """What moves in the water, as control sees it."""
+    """The hull in the water, as control sees it."""
 
     mass_kg: float  # with added mass, in surge
     inertia_kgm2: float  # with added mass, in yaw

@@ -9,7 +9,7 @@ _new = tuple.__new__
 
 
 class Settings(NamedTuple):
-    """What control obeys: the tables of the vehicle's file, and the gains and the hull that follow from them."""
+    """The settings of control: the tables of the vehicle's file, and the gains and the hull that follow from them."""
 
     control: config.ControlTable
     gains: Gains

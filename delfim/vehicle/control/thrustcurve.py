@@ -13,7 +13,7 @@ LEAST: Final = 1e-4  # of the largest force: less is no command, so that a motor
 
 
 class Curve(Protocol):
-    """What allocation needs of a thruster. Neither method raises for any float; NaN stays NaN, for the last gate to refuse."""
+    """The curve of a thruster. Neither method raises for any float; NaN stays NaN, and the last gate refuses it."""
 
     @property
     def astern_n(self) -> float: ...  # force of the command -1, zero or negative

@@ -73,7 +73,7 @@ class Nmea0183Navigation:
         self._combined.hearer = hearer
 
     def read(self, now_s: float) -> Fix | None:
-        """The newest position that is complete, None while there is none. Whatever cannot be read is counted."""
+        """The newest position that is complete, None while there is none. Unreadable sentences are counted."""
         fix = None
         for t_ns, port, data in sorted(self._waiting(), key=_when):
             self.t_ns = t_ns
@@ -100,7 +100,7 @@ class Nmea0183Navigation:
                     return
 
     def report(self, now_s: float) -> dict[str, object]:
-        """Who is used for which kind of data, who talks, and what each port brought and what of it was refused."""
+        """The device used for each kind of data, all that talk, and the sentences of each port, taken and refused."""
         ports = {
             port.name: {"heard": port.sentences.heard, "refused": port.sentences.refused, "garbled": self._garbled(port, now_s)}
             for port in self._ports
