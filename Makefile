@@ -13,6 +13,7 @@ WEB    := delfim/console/web
 NPM    := $(WEB)/node_modules/.package-lock.json
 MORE   := $(VENV)/.formats
 OTHERS := $(VENV)/.others
+MANUAL := $(VENV)/.manual
 LOCKS  := $(addprefix requirements/,boat.txt services.txt ground.txt build.txt)
 
 # What the tests need of a Debian machine beside Python: a kernel that runs as a process, tools to look at it, and the clients
@@ -27,7 +28,7 @@ export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/$(BIN)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test test-long again fast seeds check page pictures bench image release system guest-shell formats lock clean
+.PHONY: help run test test-long again fast seeds check page docs pictures bench image release system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -38,7 +39,7 @@ run: $(BOAT) ## sail the whole DelfimX in simulation, with the console in the br
 test: $(MORE) system ## run the tests, those on a real SocketCAN bus included, so many side by side (WORKERS=3)
 	$(BIN)/pytest $(BESIDE) -m "not long" $(ARGS)
 
-test-long: $(MORE) $(OTHERS) system ## run the tests that take longest, one after the other: images, power cuts, failing disks, bad neighbours, benchmarks
+test-long: $(MORE) $(OTHERS) $(MANUAL) system ## run the tests that take longest, one after the other: images, power cuts, failing disks, bad neighbours, benchmarks
 	$(BIN)/pytest -n 1 --no-loadscope-reorder -m long $(ARGS)
 
 again: $(MORE) $(OTHERS) ## run the tests that failed last, alone
@@ -64,6 +65,9 @@ check: $(READY) $(NPM) ## style, types and the direction of imports
 page: $(NPM) ## build the console's page from its sources again, as it is shipped
 	$(WEB)/node_modules/.bin/tsc --noEmit --project $(WEB)
 	node $(WEB)/build.mjs
+
+docs: $(MANUAL) ## make the site of the documentation, in run/site (ARGS=--pdf: one file of it, too)
+	PYTHONPATH=. $(BIN)/python -m manual --scripts $(VENV)/scripts $(ARGS)
 
 pictures: $(READY) ## draw the documentation's pictures again
 	$(BIN)/delfim sim etc/delfimx.toml --lockstep --output run/pictures
@@ -111,6 +115,8 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,fleet) --extra fleet -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,build) requirements/build.in
 	$(call compile,page) requirements/page.in
+	$(call compile,site) -c requirements/boat.txt -c requirements/ground.txt -c requirements/campaign.txt -c requirements/test.txt \
+		-c requirements/release.txt requirements/site.in
 	$(call compile,release) -c requirements/boat.txt -c requirements/ground.txt -c requirements/formats.txt requirements/release.in
 compile = $(BIN)/pip-compile --quiet --generate-hashes --allow-unsafe --strip-extras --no-header --no-emit-index-url \
 	--no-emit-trusted-host --no-emit-find-links $(ARGS) --output-file requirements/$(1).txt
@@ -145,6 +151,14 @@ $(NPM): $(WEB)/package-lock.json $(READY)
 $(OTHERS): $(READY) requirements/boat.txt
 	for version in 3.11 3.12 3.13 3.14; do $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps \
 		--only-binary :all: --python-version $$version --target $(VENV)/builds/$$version --upgrade -r requirements/boat.txt || exit 1; done
+	@touch $@
+
+# Two scripts of the site are npm's; their packages are held by their hashes.
+$(MANUAL): $(BOAT) requirements/site.txt manual/scripts.lock
+	@command -v npm >/dev/null || $(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/page.txt
+	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/site.txt
+	@rm -rf $(VENV)/scripts && mkdir $(VENV)/scripts && cp manual/scripts.lock $(VENV)/scripts
+	@cd $(VENV)/scripts && npm pack --silent $$(sed 's/.*  \(.*\)-\(.*\)\.tgz/\1@\2/' scripts.lock) >/dev/null && sha512sum --check --quiet scripts.lock
 	@touch $@
 
 $(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/fleet.txt requirements/mavproxy.txt requirements/release.txt

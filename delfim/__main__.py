@@ -68,11 +68,7 @@ def listing() -> str:
 def parsed(words: Sequence[str]) -> tuple[ModuleType, argparse.Namespace]:
     """The command and its options. Raises DelfimError for an unknown command, SystemExit for wrong options."""
     name, *rest = words
-    if name not in SENTENCES:
-        raise DelfimError(f"there is no command {name!r}{did_you_mean(name, SENTENCES)}; delfim alone lists all")
-    command = importlib.import_module(f"delfim.commands.{name}")
-    parser = argparse.ArgumentParser(prog=f"delfim {name}", description=SENTENCES[name], formatter_class=Formatter)
-    command.options(parser)
+    command, parser = declared(name)
     asked, more = parser.parse_known_args(rest)
     unknown = [word for word in more if word.startswith("-") and not word[1:2].isdigit()]
     if unknown or (more and "many" not in asked):
@@ -80,6 +76,16 @@ def parsed(words: Sequence[str]) -> tuple[ModuleType, argparse.Namespace]:
     if more:  # argparse finds the words of a list behind its options only where no option stands before them
         getattr(asked, asked.many).extend(more)
     return command, asked
+
+
+def declared(name: str) -> tuple[ModuleType, argparse.ArgumentParser]:
+    """A command and the parser of its options. Raises DelfimError for an unknown command."""
+    if name not in SENTENCES:
+        raise DelfimError(f"there is no command {name!r}{did_you_mean(name, SENTENCES)}; delfim alone lists all")
+    command = importlib.import_module(f"delfim.commands.{name}")
+    parser = argparse.ArgumentParser(prog=f"delfim {name}", description=SENTENCES[name], formatter_class=Formatter)
+    command.options(parser)
+    return command, parser
 
 
 if __name__ == "__main__":

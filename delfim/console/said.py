@@ -1,4 +1,4 @@
-"""The messages of a page: docs/console.md. `msgspec` refuses anything else with the reason."""
+"""The messages of a page, as its reference has them (manual/reference.py). `msgspec` refuses anything else with the reason."""
 
 from typing import Annotated, Literal
 
@@ -11,40 +11,44 @@ Real = Annotated[float, msgspec.Meta(ge=-1e6, le=1e6)]  # and finite
 
 
 class Said(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, tag_field="t", tag=str.lower):
-    """`seq` is the number that the answer carries."""
-
-    seq: int | None = None
+    seq: int | None = None  # the number that the answer carries
 
 
 class Command(Said, frozen=True, forbid_unknown_fields=False):
-    """Other fields are the numbers of the command: `delfim.console.orders`."""
+    """A mode out of the boat's `modes`, or a word of `delfim.console.orders`, whose numbers are the other fields."""
 
-    boat: Number | Literal["all"]
+    boat: Number | Literal["all"]  # all: for `stop` only
     command: str
 
 
 class Input(Said, frozen=True):
-    """Thrust by hand, now. `n` counts up."""
+    """Thrust by hand, now."""
 
     boat: Number
-    n: int
+    n: int  # counts up
     port_pct: Percent
     starboard_pct: Percent
 
 
 class Release(Said, frozen=True):
+    """The end of thrust by hand."""
+
     boat: Number
     why: str = ""
 
 
 class Profile(Said, frozen=True):
+    """How much a boat tells."""
+
     boat: Number
-    profile: str
+    profile: str  # lean, radio or wifi
 
 
 class Replay(Said, frozen=True):
-    at_s: float | None = None
-    rate: float | None = None
+    """Where a replay goes on, and how fast."""
+
+    at_s: float | None = None  # since 1970
+    rate: float | None = None  # of real time; 0 stands still
 
 
 class Place(msgspec.Struct, frozen=True):
@@ -79,7 +83,7 @@ class PathPoint(Place, frozen=True):
 
 
 class Plan(msgspec.Struct, frozen=True):
-    """A mission, as docs/console.md has it. Other fields are the page's own."""
+    """A mission; other fields are the page's own."""
 
     name: Annotated[str, msgspec.Meta(max_length=200)]
     waypoints: Annotated[list[Waypoint], msgspec.Meta(max_length=1000)]
@@ -91,6 +95,8 @@ class Plan(msgspec.Struct, frozen=True):
 
 
 class Mission(Said, frozen=True):
+    """A plan: drawn, sent to the boat, read from it, compared, checked, tried, or a file of the console's folder."""
+
     boat: Number
     do: Literal["put", "upload", "download", "compare", "check", "dryrun", "save", "load", "list"]
     mission: Plan | None = None

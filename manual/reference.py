@@ -1,0 +1,212 @@
+"""The pages of the reference that the code writes itself: commands, keys, messages, metrics."""
+
+import argparse
+import inspect
+import os
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from types import NoneType, UnionType
+from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
+
+import msgspec
+
+from delfim import tables
+from delfim.__main__ import declared
+from delfim.commands import GROUPS
+from delfim.console import orders, said
+from delfim.console.describe import describe
+from delfim.modes import Mode
+from delfim.services.web import api, metrics
+from delfim.vehicle.mavlink import commands, handlers, params, telemetry
+from delfim.vehicle.mavlink.wire import dialect
+
+COLUMNS: Final = "92"  # of the help of a command
+
+
+def generated() -> dict[str, str]:
+    """The pages' texts by path."""
+    return {
+        "docs/vehicle-file.md": re.sub(r"\bdocs/([\w-]+\.md)", r"[\1](\1)", describe()),
+        "docs/commands.md": command_page(),
+        "docs/mavlink-tables.md": mavlink_page(),
+        "docs/websocket.md": websocket_page(),
+        "docs/metrics.md": metrics_page(),
+    }
+
+
+def command_page() -> str:
+    """Every command with its help, verbs of a command included."""
+    os.environ["COLUMNS"] = COLUMNS
+    page = ["# Commands", "", "What `delfim COMMAND --help` prints."]
+    for group, names in GROUPS.items():
+        page += ["", f"## {group}"]
+        for name, sentence in names.items():
+            parser = declared(name)[1]
+            page += ["", f"### `delfim {name}`", "", sentence, "", *_help(parser)]
+            for verb, below in _verbs(parser).items():
+                page += ["", f"#### `delfim {name} {verb}`", "", *_help(below)]
+    return "\n".join(page) + "\n"
+
+
+def _help(parser: argparse.ArgumentParser) -> list[str]:
+    return ["```text", parser.format_help().rstrip(), "```"]
+
+
+def _verbs(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """The parsers of `delfim log ls` and the like."""
+    subparsers = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
+    return {name: below for action in subparsers for name, below in action.choices.items()}
+
+
+def mavlink_page() -> str:
+    """Numbers, names and intervals of the console's link."""
+    names = {number: name.removeprefix("MAVLINK_MSG_ID_") for name, number in _constants("MAVLINK_MSG_ID_")}
+    names |= {number: kind.msgname for number, kind in dialect.mavlink_map.items()}
+    told = [
+        (row.id, f"`{names[row.id]}`", *(f"{s:g}" if s else "–" for s in row[1:4]), "yes" if row.fresh else "")
+        for row in telemetry.ROWS
+    ]
+    heard = [(number, f"`{names[number]}`") for number in sorted(handlers.HANDLERS)]
+    words = {number: name.removeprefix("MAV_CMD_") for name, number in _constants("MAV_CMD_")}
+    obeyed = [(number, f"`{words[number]}`") for number in sorted(commands.COMMANDS)]
+    page = [
+        "# MAVLink: numbers and parameters",
+        "",
+        "What the code has in its tables. What the messages contain and do is told in [the console's link](mavlink.md).",
+    ]
+    page += ["", "## Modes", "", *_table(("number", "mode"), sorted((mode.value, mode.name.lower()) for mode in Mode))]
+    page += ["", "## Sent by itself", "", "Seconds between two, by the profile of the link."]
+    page += ["", *_table(("id", "message", *telemetry.PROFILES, "only when new"), told)]
+    page += ["", "## Understood", "", *_table(("id", "message"), heard)]
+    page += [
+        "",
+        "## Commands",
+        "",
+        "Beside those by which a console asks for messages, and for the command of the boat.",
+        "",
+        *_table(("number", "command"), obeyed),
+    ]
+    page += [
+        "",
+        "## Parameters",
+        "",
+        "Real numbers; ranges are those of the keys in [the vehicle's file](vehicle-file.md).",
+        "",
+    ]
+    page += _table(("parameter", "key", "unit, or its numbers"), _parameters())
+    return "\n".join(page) + "\n"
+
+
+def _constants(prefix: str) -> Iterator[tuple[str, int]]:
+    return ((name, value) for name, value in vars(dialect).items() if name.startswith(prefix) and isinstance(value, int))
+
+
+def _parameters() -> Iterator[Sequence[object]]:
+    yield f"`{params.PROFILE}`", "of the console that sets it", _numbered(telemetry.PROFILES)
+    for each in params.PARAMS:
+        yield f"`{each.name}`", f"`{each.key}`", _numbered(each.choices) or each.unit
+
+
+def _numbered(words: Sequence[str]) -> str:
+    return ", ".join(f"{number} {word}" for number, word in enumerate(words))
+
+
+def websocket_page() -> str:
+    """What a page may say to the gateway."""
+    page = [
+        "# The page's WebSocket: what the page says",
+        "",
+        "JSON on `/ws`, one object a message; `t` is its name. Anything else is refused with the reason. What the page hears",
+        "is in [the console](console.md#the-pages-websocket).",
+    ]
+    kinds = [*get_args(said.Message), said.Plan, said.Waypoint, said.PathPoint, said.Obstacle, said.ShownZone, said.Place]
+    for kind in kinds:
+        told = " ".join((kind.__doc__ or "").split())
+        page += ["", f"## `{_tag(kind)}`", "", *([told, ""] if told else [])]
+        notes, hints = _notes(kind), get_type_hints(kind, include_extras=True)
+        fields = msgspec.structs.fields(kind)
+        page += _table(
+            ("field", "", "without it", ""),
+            [(f"`{each.name}`", _kind(hints[each.name]), _default(each), notes.get(each.name, "")) for each in fields],
+        )
+    page += ["", "## The words of a command", "", "With any mode that the boat has (`modes`)."]
+    rows = orders.ORDERS.items()
+    page += [
+        "",
+        *_table(
+            ("`command`", "must have", "may have", "the boat is then in", "key"),
+            [(f"`{word}`", ", ".join(row.needs), ", ".join(row.takes), row.mode, row.key) for word, row in rows],
+        ),
+    ]
+    return "\n".join(page) + "\n"
+
+
+def _tag(kind: Any) -> str:
+    return str(kind.__struct_config__.tag or kind.__name__)
+
+
+def _notes(kind: type) -> dict[str, str]:
+    """The comments beside the fields of a class and of those that it extends."""
+    found: dict[str, str] = {}
+    for each in reversed([each for each in kind.__mro__ if each.__module__ == kind.__module__]):
+        found |= dict(re.findall(r"^    (\w+): .*?  # (.+)$", inspect.getsource(each), re.MULTILINE))
+    return found
+
+
+def _kind(hint: Any) -> str:
+    """What a field may be, in words."""
+    if hint in (str, bool, NoneType):
+        return {str: "text", bool: "true or false", NoneType: "null"}[hint]
+    if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
+        return f"`{_tag(hint)}`"
+    if get_origin(hint) in (Union, UnionType):
+        return " or ".join(dict.fromkeys(map(_kind, get_args(hint))))
+    if get_origin(hint) is Literal:
+        return " ".join(map(str, get_args(hint)))
+    inner = get_args(hint)[0] if hasattr(hint, "__metadata__") else hint
+    if get_origin(inner) in (list, tuple):
+        bound = next((f"up to {each.max_length} " for each in getattr(hint, "__metadata__", ()) if each.max_length), "")
+        return f"{bound}of " + _kind(get_args(inner)[0]) if get_origin(inner) is list else "[latitude, longitude]"
+    if inner is str:
+        return "text"
+    return tables.allowed(hint)
+
+
+def _default(field: Any) -> str:
+    if field.default is not msgspec.NODEFAULT:
+        return f"`{msgspec.json.encode(field.default).decode()}`"
+    return "must be given" if field.default_factory is msgspec.NODEFAULT else "`[]`"
+
+
+def metrics_page() -> str:
+    """What `/metrics` tells of a boat that has everything."""
+    text = metrics.metrics(example(api.Report))
+    rows = []
+    for name, told in re.findall(r"^# HELP (\w+) (.+)$", text, re.MULTILINE):
+        kind = re.findall(rf"^# TYPE {name} (\w+)$", text, re.MULTILINE)[0]
+        samples = re.findall(rf"^{name}(?:_bucket)?\{{(.*?)\}} ", text, re.MULTILINE)
+        labels = ", ".join(re.findall(r"(\w+)=", samples[0])) if samples else ""
+        rows.append((f"`{name}`", kind, labels, told))
+    about = "What the boat's page tells Prometheus at `/metrics`: base units, the unit in the name. What is unknown is missing."
+    return "\n".join(["# Metrics", "", about, "", *_table(("name", "kind", "labels", ""), rows)]) + "\n"
+
+
+def example(hint: Any) -> Any:
+    """A value of this kind in which nothing is missing: a struct with all fields, a dict and a tuple with one entry."""
+    hint = get_args(hint)[0] if hasattr(hint, "__metadata__") else hint
+    origin, inner = get_origin(hint), [each for each in get_args(hint) if each is not NoneType]
+    if origin in (Union, UnionType):
+        return example(inner[0])
+    if origin is dict:
+        return {example(inner[0]): example(inner[1])}
+    if origin is tuple:
+        return (example(inner[0]),) if Ellipsis in inner else tuple(map(example, inner))
+    if isinstance(hint, type) and issubclass(hint, msgspec.Struct):
+        hints = get_type_hints(hint, include_extras=True)
+        return hint(**{name: example(hints[name]) for name in hint.__struct_fields__})
+    return {str: "name", int: 1, float: 1.0, bool: True}.get(hint)
+
+
+def _table(heads: Sequence[str], rows: Iterable[Sequence[object]]) -> list[str]:
+    lines = ["| " + " | ".join(heads) + " |", "|" + "---|" * len(heads)]
+    return lines + ["| " + " | ".join(str(cell).replace("|", "\\|") for cell in row) + " |" for row in rows]
