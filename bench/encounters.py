@@ -1,19 +1,19 @@
 """Random encounters with 1 to 5 vessels, sailed by the guard alone before a point that turns and speeds up as a boat does.
 
-    python -m bench.encounters --count 1000 [--first 0] [--workers 2] [--output FILE.json]
+    python -m bench.encounters --count 100000 [--first 0] [--workers 2] [--output FOLDER] [--picture FILE.png]
     python -m bench.encounters etc/encounters/imazu22-real.json ...       those of files instead
 
 This is a fast check of the decisions: no hull, no sea, perfect reports. `delfim campaign etc/campaigns/encounters-random.toml`
-sails the same encounters through the whole program. A breach counts only where a solution exists: some constant course and
+sails the same encounters through the whole program. With --output each block of a thousand is kept when it is complete, and
+the same command goes on with those that are missing. A breach counts only where a solution exists: some constant course and
 speed, kept from the start by a boat that knows all, stays out of every domain.
 """
 
 import argparse
 import json
 import math
-import time
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterator, Sequence
 from multiprocessing import Pool
 from pathlib import Path
 from typing import Any, Final
@@ -33,6 +33,7 @@ DECIDE_S: Final = 2
 AFTER_S: Final = 300
 TRIALS: Final = (*((math.radians(10.0 * i), part) for i in range(36) for part in (1.0, 0.5)), (0.0, 0.0))
 FIGURES: Final = 3
+BLOCK: Final = 1000  # encounters that are kept together
 
 
 def sail(encounter: Encounter, *, guarded: bool = True) -> tuple[list[float], list[tuple[float, float]]]:
@@ -126,26 +127,38 @@ def shown(row: dict[str, Any]) -> dict[str, Any]:
     return {"name": row["name"], "vessels": vessels, "instants": instants}
 
 
+def blocks(first: int, count: int, workers: int, output: Path | None) -> Iterator[dict[str, Any]]:
+    """Random encounters from this seed on, those that are kept already among them."""
+    for begin in range(first, first + count, BLOCK):
+        kept = None if output is None else output / f"{begin:07}.json"
+        if kept is not None and kept.exists():
+            yield from json.loads(kept.read_text())
+            continue
+        with Pool(workers) as pool:
+            rows = pool.map(one, range(begin, min(begin + BLOCK, first + count)), chunksize=10)
+        if kept is not None and len(rows) == BLOCK:
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            kept.with_suffix(".tmp").write_text(json.dumps(rows))
+            kept.with_suffix(".tmp").rename(kept)
+        yield from rows
+
+
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("files", nargs="*", type=Path)
     parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--count", type=int, default=1000)
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--seconds", type=float, default=math.inf, help="End after this time.")
     parser.add_argument("--output", type=Path)
     parser.add_argument("--picture", type=Path, help="Draw the breaches where a solution is known.")
     asked = parser.parse_args()
-    began_s, rows = time.monotonic(), list[dict[str, Any]]()
-    encounters: Iterable[Encounter | int] = range(asked.first, asked.first + asked.count)
+    found = blocks(asked.first, asked.count, asked.workers, asked.output)
     if asked.files:
-        encounters = [each for file in asked.files for each in read_encounters(file).encounters]
-    with Pool(asked.workers) as pool:
-        for row in pool.imap(one, encounters, chunksize=10):
-            rows.append(row)
-            if time.monotonic() - began_s > asked.seconds:
-                pool.terminate()
-                break
+        found = (one(each) for file in asked.files for each in read_encounters(file).encounters)
+    tell(list(found), asked.picture)
+
+
+def tell(rows: list[dict[str, Any]], picture: Path | None) -> None:
     sailed = Counter(row["vessels"] for row in rows)
     bad = [row for row in rows if row["nearest"] < 1.0]
     for vessels in sorted(sailed):
@@ -158,10 +171,8 @@ def main() -> None:
     print(f"more domains entered than without the guard: {', '.join(worse) or 'nowhere'}")
     for row in bad:
         print(f"  {row['name']}: nearest {row['nearest']}, solved {row['solved']}, {', '.join(row['kinds'])}")
-    if asked.picture and bad:
-        draw([shown(row) for row in bad if row["solved"]], asked.picture, "Domains entered where a solution is known")
-    if asked.output:
-        asked.output.write_text(json.dumps({"rows": rows}))
+    if picture and bad:
+        draw([shown(row) for row in bad if row["solved"]], picture, "Domains entered where a solution is known")
 
 
 if __name__ == "__main__":

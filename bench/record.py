@@ -1,10 +1,12 @@
 """The record of encounters: sails DNV's set and Imazu's 22 cases with and without the guard, and writes what came of them.
 
-    python -m bench.record [--seeds N] [--workers N] [--output FOLDER]        sails, and prints the tables as Markdown
-    python -m bench.record --picture FILE.png [--tracks FILE.json]           draws Imazu's 22 cases with real ships
+    python -m bench.record [--seeds N] [--bare N] [--workers N] [--output FOLDER]   sails, and prints the tables as Markdown
+    python -m bench.record --tell [--left FILE.png]            prints them of what is there, and draws who entered a domain
+    python -m bench.record --picture FILE.png [--tracks FILE.json]                 draws Imazu's 22 cases with real ships
 
-The runs are those of etc/campaigns/encounters.toml, through the whole program in lock step; a folder that has some is gone on
-with. docs/encounters.md has the tables.
+The runs are those of etc/campaigns/encounters.toml, through the whole program in lock step, one seed after the other, so that
+what is there is a record of all encounters however early it is ended; the same command goes on. Without the guard it does not
+matter how others are heard: those runs, of the first few seeds, are of one kind. docs/encounters.md has the tables.
 """
 
 import argparse
@@ -12,19 +14,24 @@ import json
 import math
 import os
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any, Final
+
+import duckdb
 
 from delfim.campaign import conduct, findings
 from delfim.campaign.rulecheck import Instant
 from delfim.campaign.runplan import Plan, Seeds, read
 from delfim.campaign.sailing import sailed_run
+from delfim.campaign.store import parts
 from delfim.simulator.nodes.shipping import axes_m
 
 CAMPAIGN: Final = Path(__file__).parents[1] / "etc/campaigns/encounters.toml"
 HEARD, GUARD = "simulation.traffic.heard", "traffic.guard.enabled"
 TABLE: Final = f"""
-select split_part(story, ':', 1) as encounters, "{HEARD}" as heard, case when "{GUARD}" then 'on' else 'off' end as guard,
+select split_part(story, ':', 1) as encounters, case when "{GUARD}" then "{HEARD}" else '' end as heard,
+    case when "{GUARD}" then 'on' else 'off' end as guard,
     count(*) as runs, sum(vessels) as vessels, sum(collisions) as collisions, sum(entered) as entered,
     round(min(nearest), 2) as nearest, round(median(nearest), 2) as median, round(min(nearest_m)) as "least m",
     median(alterations) as alterations, round(median(off_m)) as "off m", sum(rules_asked) as asked, sum(rules_asked) -
@@ -35,15 +42,38 @@ select split_part(each, ':', 1) as rule, count(*) as broken, count(distinct stor
     (select story, unnest(string_split(rules_broken, '; ')) as each from runs where "{GUARD}" and rules_broken != '')
 group by all order by 1"""
 LEFT: Final = f"""
-select story, "{HEARD}" as heard, seed, point, round(nearest, 2) as nearest, round(nearest_m) as "m", entered, "end", error
+select story, "{HEARD}" as heard, seed, round(nearest, 2) as nearest, round(nearest_m) as "m", entered, "end", error
 from runs where "{GUARD}" and (entered > 0 or error != '') order by nearest"""
+WORSE: Final = f"""
+select g.story, g."{HEARD}" as heard, g.seed, g.entered, b.entered as "entered without", g.collisions, b.collisions as "without"
+from runs g join runs b on g.story = b.story and g.seed = b.seed and g."{GUARD}" and not b."{GUARD}"
+where g.entered > b.entered or g.collisions > b.collisions"""
+BARE: Final = 3  # seeds that are sailed without the guard, too
 COLUMNS: Final = 6
+IMAZU: Final = "imazu22-real:"
 TITLE: Final = "Imazu's 22 cases, ships of 90 m: the boat (blue) goes north at 1.5 m/s; domains: nearest moment"
 
 
-def plan_of(seeds: int) -> Plan:
+def plan_of(seed: int, *, guarded: bool) -> Plan:
+    """All encounters with one seed of sea and noise."""
     _, plan = read(CAMPAIGN)
-    return plan._replace(seeds=Seeds(first=1, count=seeds), digest=f"{plan.digest}-{seeds}")
+    points = tuple(each for each in plan.points if each[1][GUARD] is guarded and (guarded or each[1][HEARD] == "perfect"))
+    digest = f"{plan.digest}-{seed}-{'on' if guarded else 'off'}"
+    return plan._replace(points=points, seeds=Seeds(first=seed, count=1), digest=digest)
+
+
+def sail(seeds: int, bare: int, output: Path, workers: int) -> None:
+    for seed in range(1, seeds + 1):
+        for guarded in (True, False) if seed <= bare else (True,):
+            folder = output / f"seed-{seed:03}-{'on' if guarded else 'off'}"
+            conduct.sail(plan_of(seed, guarded=guarded), folder, 2, workers, None)
+
+
+def connect(output: Path) -> duckdb.DuckDBPyConnection:
+    """All that was sailed, as the table `runs`."""
+    database = duckdb.connect()
+    findings.asked(database, f"create view runs as select * from {parts(output / 'seed-*')}")
+    return database
 
 
 def markdown(names: list[str], rows: list[tuple[Any, ...]]) -> str:
@@ -51,26 +81,25 @@ def markdown(names: list[str], rows: list[tuple[Any, ...]]) -> str:
     return "\n".join("| " + " | ".join(line) + " |" for line in [names, ["---"] * len(names), *words])
 
 
-def tell(folder: Path) -> None:
+def tell(database: duckdb.DuckDBPyConnection) -> None:
     """The tables, from the results."""
-    database = findings.connect(folder)
-    for title, sql in (("All runs", TABLE), ("Rules not kept, guard on", RULES), ("Domains entered, guard on", LEFT)):
+    tables = ("All runs", TABLE), ("Rules not kept, guard on", RULES), ("Domains entered, guard on", LEFT)
+    for title, sql in (*tables, ("Worse than without the guard", WORSE)):
         names, rows = findings.asked(database, sql)
         print(f"\n{title}\n\n{markdown(names, rows) if rows else 'none'}")
 
 
-def tracks(plan: Plan) -> list[dict[str, Any]]:
-    """Imazu's cases with real ships and perfect reports, guard on, seed 1: where everybody was, once a second."""
+def tracks(runs: Iterable[tuple[str, str, int]]) -> list[dict[str, Any]]:
+    """Where everybody was, once a second, in these runs with the guard: story, reports, seed."""
     found = list[dict[str, Any]]()
-    for number, (story, values) in enumerate(plan.points):
-        name = plan.stories[story].name
-        if name.startswith("imazu22-real:") and values[HEARD] == "perfect" and values[GUARD]:
-            sailed, _ = sailed_run(plan, number, 1)
-            vessels = [
-                (each.row.length_m, each.row.beam_m, each.row.meeting, each.nearest) for each in sailed.run.nodes.vessels
-            ]
-            found.append({"name": name.partition(":")[2], "vessels": vessels, "instants": sailed.truth.rules.instants})
-            print(name, *(f"{each[2]} {each[3]:.2f}" for each in vessels), file=sys.stderr, flush=True)
+    for story, heard, seed in runs:
+        plan = plan_of(seed, guarded=True)
+        stories = [(plan.stories[number].name, values[HEARD]) for number, values in plan.points]
+        sailed, _ = sailed_run(plan, stories.index((story, heard)), seed)
+        vessels = [(each.row.length_m, each.row.beam_m, each.row.meeting, each.nearest) for each in sailed.run.nodes.vessels]
+        name = story.partition(":")[2] if story.startswith(IMAZU) else f"{story}, {heard}, {seed}"
+        found.append({"name": name, "vessels": vessels, "instants": sailed.truth.rules.instants})
+        print(name, *(f"{each[2]} {each[3]:.2f}" for each in vessels), file=sys.stderr, flush=True)
     return found
 
 
@@ -114,16 +143,25 @@ def draw(cases: list[dict[str, Any]], place: Path, title: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--bare", type=int, default=BARE, help="Of these, how many without the guard, too.")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--output", type=Path, default=Path("run/campaign/record"))
+    parser.add_argument("--tell", action="store_true", help="Sail nothing.")
+    parser.add_argument("--left", type=Path)
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--tracks", type=Path)
     asked = parser.parse_args()
     if asked.picture is None:
-        conduct.sail(plan_of(asked.seeds), asked.output, 2, asked.workers, None)
-        tell(asked.output)
+        if not asked.tell:
+            sail(asked.seeds, asked.bare, asked.output, asked.workers)
+        database = connect(asked.output)
+        tell(database)
+        _, rows = findings.asked(database, LEFT)
+        if asked.left and rows:
+            draw(tracks((story, heard, seed) for story, heard, seed, *_ in rows), asked.left, "Domains entered")
         return
-    cases = tracks(plan_of(1))
+    names = [story.name for story in plan_of(1, guarded=True).stories if story.name.startswith(IMAZU)]
+    cases = tracks((name, "perfect", 1) for name in names)
     if asked.tracks:
         asked.tracks.write_text(json.dumps(cases))
     draw(cases, asked.picture, TITLE)

@@ -1,12 +1,13 @@
 """The record of encounters: what is sailed, what the tables say, the page of tracks; and the fast check of decisions alone."""
 
+import json
 import math
+from multiprocessing.pool import ThreadPool
 from typing import Any
 
 import pytest
 
 from bench import encounters, record
-from delfim.campaign import findings
 from delfim.campaign.rulecheck import Instant
 from delfim.simulator.encounters import Encounter, Ship, drawn
 
@@ -47,14 +48,28 @@ def test_a_solution_is_a_course_that_stays_clear_of_all():
 
 
 def test_the_record_sails_four_sets_with_and_without_the_guard_by_two_kinds_of_ais():
-    plan = record.plan_of(2)
-    assert plan.runs == (22 + 22 + 55 + 55) * 2 * 2 * 2
-    values = [values for _, values in plan.points]
-    assert {each[record.HEARD] for each in values} == {"perfect", "B"}
-    assert {each[record.GUARD] for each in values} == {True, False}
+    plan, bare = (record.plan_of(2, guarded=guarded) for guarded in (True, False))
+    assert (plan.runs, bare.runs) == ((22 + 22 + 55 + 55) * 2, 22 + 22 + 55 + 55)
+    assert {values[record.HEARD] for _, values in plan.points} == {"perfect", "B"}
+    assert {values[record.GUARD] for _, values in plan.points} == {True}
+    assert {values[record.GUARD] for _, values in bare.points} == {False}
+    assert plan.digest != bare.digest
+    assert plan.values(0, 2)["simulation.sea.wind_mps"] == bare.values(0, 2)["simulation.sea.wind_mps"], "side by side"
 
 
-def test_the_tables_name_what_failed(monkeypatch, capsys):
+def test_random_encounters_are_kept_in_blocks_and_gone_on_with(tmp_path, monkeypatch):
+    monkeypatch.setattr(encounters, "BLOCK", 2)
+    monkeypatch.setattr(encounters, "Pool", ThreadPool)
+    assert len(list(encounters.blocks(0, 2, 1, tmp_path))) == 2
+    (kept,) = tmp_path.iterdir()
+    rows = json.loads(kept.read_text())
+    rows[0]["name"] = "kept"
+    kept.write_text(json.dumps(rows))
+    assert [row["name"] for row in encounters.blocks(0, 3, 1, tmp_path)] == ["kept", "random-1", "random-2"]
+    assert len(list(tmp_path.iterdir())) == 1, "a block that is not complete is sailed again"
+
+
+def test_the_tables_name_what_failed(capsys):
     duckdb: Any = pytest.importorskip("duckdb")
     database = duckdb.connect()
     database.execute(
@@ -65,12 +80,11 @@ def test_the_tables_name_what_failed(monkeypatch, capsys):
         case when i = 1 then '8a in ample time: give-way 1' else '' end as rules_broken,
         'time' as "end", '' as error from range(1, 5) r(i)"""
     )
-    monkeypatch.setattr(findings, "connect", lambda folder: database)
-    record.tell(record.CAMPAIGN)
+    record.tell(database)
     told = capsys.readouterr().out
     assert "| imazu22-real | B | on | 2 | 2 | 0 | 1 | 0.5 | 0.75 | 100 | 2 | 90 | 6 | 5 |" in told
     assert "| 8a in ample time | 1 | 1 |" in told
-    assert "| imazu22-real:imazu-02 | B | 1 | 2 | 1 | 100 | 1 |" in told
+    assert "| imazu22-real:imazu-02 | B | 1 | 1 | 100 | 1 |" in told
 
 
 def test_the_page_of_tracks_is_drawn(tmp_path):
