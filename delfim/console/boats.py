@@ -6,9 +6,11 @@ from collections.abc import Callable
 from typing import Any, Final, NamedTuple
 
 from delfim.console.mavlink import mavlink
+from delfim.console.othervessels import VesselsTold
 from delfim.console.words import Words
 from delfim.modes import Mode
 from delfim.vehicle.mavlink.params import BOAT_NAME
+from delfim.vehicle.mavlink.vesselsout import GUARDED, ORDERED
 
 COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
 SILENT_S: Final = 3.5
@@ -48,6 +50,7 @@ class Boat:
         self.values: dict[str, Any] = {}
         self.measured: dict[str, Measured] = {}
         self.reference: dict[str, Any] = {}
+        self.others = VesselsTold()
         self.reason, self.words = "", Words()  # its last text
         self.reason_s = -math.inf  # when
         self.warning = ""  # its last text that was a warning, while something is wrong
@@ -145,6 +148,8 @@ class Boat:
             "rpm": [v.get("port_rpm"), v.get("starboard_rpm")],
             "thrust_pct": [v.get("port_pct"), v.get("starboard_pct")],
             "reference": {key: self.reference.get(key) for key in _REFERENCE},
+            "order": self.others.order(now_s),
+            "guard": self.others.guard(now_s),
             "measured": {
                 name: {"value": each.value, "age_s": round(now_s - each.at_s, 2)} for name, each in self.measured.items()
             },
@@ -311,10 +316,14 @@ def _current(boat: Boat, m: Any) -> None:
 def _named(boat: Boat, m: Any) -> None:
     if m.name == "OWNER":
         boat.commander = m.value
+    elif m.name == GUARDED.decode():
+        boat.others.guarded(m.value, boat.heard_s)
 
 
 def _float(boat: Boat, m: Any) -> None:
-    if m.name != "OVERRIDE" and (name := _printable(m.name)):
+    if m.name == ORDERED.decode():
+        boat.others.ordered(m.value, boat.heard_s)
+    elif m.name != "OVERRIDE" and (name := _printable(m.name)):
         boat.measure(name, m.value, m.time_boot_ms)
 
 
@@ -379,4 +388,6 @@ _HANDLERS: Final[dict[str, Callable[[Boat, Any], None]]] = {
     "PARAM_EXT_VALUE": _name,
     "AVAILABLE_MODES": _available,
     "MISSION_CHECKSUM": _checksum,
+    "AIS_VESSEL": lambda boat, m: boat.others.hear(m, boat.heard_s),
+    "STATUSTEXT": lambda boat, m: boat.others.say(m),
 }

@@ -25,6 +25,7 @@ from delfim.console.desk import Desk
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import Key
 from delfim.console.orders import OFFERED
+from delfim.console.othervessels import around
 from delfim.console.radio import radio
 from delfim.console.replay import TapePlayer
 from delfim.console.session import Session
@@ -35,6 +36,7 @@ from delfim.errors import DelfimError, Refused
 PAGE: Final = Path(__file__).with_name("page")
 SHOW_TICKS: Final = 2  # ten times a second, for up to ...
 SHOWN: Final = 32  # ... this many boats; for more of them less often, so that a page gets as many states a second
+VESSEL_TICKS: Final = 20  # once a second
 CHUNK: Final = 500  # points of a track in one message
 BACKLOG_BYTES: Final = 1 << 20  # a page that is so far behind misses older states
 PAGES_MAX: Final = 8
@@ -58,7 +60,7 @@ class Page:
     def tell(self, message: dict[str, Any]) -> None:
         transport = self._request.transport
         behind = transport is None or transport.get_write_buffer_size() > BACKLOG_BYTES
-        if self.queue.qsize() >= QUEUE_MAX or (behind and message["t"] in ("boats", "progress")):
+        if self.queue.qsize() >= QUEUE_MAX or (behind and message["t"] in ("boats", "vessels", "progress")):
             return
         self.queue.put_nowait(encoded(message))
 
@@ -149,6 +151,8 @@ class Gateway:
             self.tell({"t": "boats", "at_s": self._utc_s(), "boats": self.fleet.snapshot()})
             for progress in self.fleet.progress():
                 self.tell(progress)
+        if (self._pages or self.viewers) and self._ticks % VESSEL_TICKS == 0:
+            self.tell(self._vessels())
 
     def _complain(self, name: str, reason: str) -> None:
         """Tells the pages once for each reason."""
@@ -230,6 +234,7 @@ class Gateway:
         )
         for fault in (*self.charts.faults, *(f"{name}: {reason}" for name, reason in self._complaints.items() if reason)):
             page.tell(self._text(fault))
+        page.tell(self._vessels())
         self._show_tracks(page)
         if isinstance(fleet, TapePlayer):
             for number, track in fleet.tracks().items():
@@ -238,6 +243,12 @@ class Gateway:
         for number, missions in fleet.missions.items():
             for where, mission in missions.items():
                 page.tell({"t": "mission", "boat": number, "where": where, "mission": mission})
+
+    def _vessels(self) -> dict[str, Any]:
+        """Other vessels."""
+        fleet = self.fleet
+        now_s = fleet.at_s if isinstance(fleet, TapePlayer) else self._clock.monotonic_s()
+        return {"t": "vessels", "at_s": self._utc_s(), **around(list(fleet.boats.values()), now_s)}
 
     def _show_tracks_to_all(self) -> None:
         for page in self._pages:

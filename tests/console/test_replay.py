@@ -14,6 +14,7 @@ from delfim import config
 from delfim.clock import ManualClock
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import mavlink
+from delfim.console.othervessels import around
 from delfim.console.replay import TapePlayer, open_tapes
 from delfim.console.session import PENDING_BYTES, Session
 from delfim.console.statetape import States
@@ -22,6 +23,8 @@ from delfim.errors import DelfimError, FormatError, Refused
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.logbook import Logbook
 from tests.console.fakeboat import FakeBoat
+from tests.console.test_fleet import Sea
+from tests.console.test_othervessels import vessel
 
 ROOT = Path(__file__).parents[2]
 
@@ -328,3 +331,18 @@ def test_a_full_disk_costs_frames_and_nothing_else(tmp_path: Path, monkeypatch: 
     assert session.reason == ""
     assert session.file is not None
     assert session.file.stat().st_size > PENDING_BYTES // 2
+
+
+def test_a_replay_shows_the_vessels_that_the_boat_told_of(tmp_path: Path) -> None:
+    sea = Sea(1)
+    session = Session(tmp_path, sea.clock)
+    sea.fleet.record = session.put
+    sea.run(3.0)
+    for second in range(20):
+        sea.boats[1].say(vessel(north_m=2000.0 - 4.0 * second))
+        sea.run(1.0)
+    session.flush()
+    player = TapePlayer(open_tapes([tmp_path]), sea.clock, lambda message: None)
+    player.seek(player.from_s + 10.0)
+    (maria,) = around(list(player.boats.values()), player.at_s)["vessels"]
+    assert (maria["name"], maria["age_s"] < 2.0) == ("MARIA", True)

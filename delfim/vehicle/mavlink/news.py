@@ -57,6 +57,7 @@ class News:
             self._ordered = now
             words = order.words if order is not None else "clear of traffic: back to the way"
             self._peers.say(dialect.MAV_SEVERITY_NOTICE, words)
+            self._peers.hurry(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT)
 
     def _tell_troubles(self) -> None:
         """Tell each trouble when it begins or its action changes, and again when it has lasted twice as long: a screen must

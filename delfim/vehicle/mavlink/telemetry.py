@@ -17,7 +17,7 @@ from delfim.vehicle.failsafe import Action
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.ardupilot import WaterDepth, Wind
 from delfim.vehicle.mavlink.plans import ALL
-from delfim.vehicle.mavlink.vesselsout import vessels
+from delfim.vehicle.mavlink.vesselsout import guard, ordered, vessels
 from delfim.vehicle.mavlink.wire import Message, dialect
 from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.troubles import charge
@@ -224,6 +224,7 @@ def checksum(view: TelemetryView) -> Iterator[Message]:
 
 def owner(view: TelemetryView) -> Iterator[Message]:
     yield dialect.MAVLink_named_value_int_message(_boot_ms(view), b"OWNER", view.owner)
+    yield from guard(view.boat.state, _boot_ms(view))
 
 
 def floats(view: TelemetryView) -> Iterator[Message]:
@@ -232,6 +233,7 @@ def floats(view: TelemetryView) -> Iterator[Message]:
     boat = view.boat
     speed_mps = boat.state.setpoint.override_mps
     yield dialect.MAVLink_named_value_float_message(_boot_ms(view), b"OVERRIDE", math.nan if speed_mps is None else speed_mps)
+    yield from ordered(boat.state, _boot_ms(view))
     for value in sensors.values(boat.helm.settings):
         told = _young(view, value.name)
         if told is not None:

@@ -12,10 +12,13 @@ from typing import Final
 from delfim.geodesy import Origin, from_plane
 from delfim.vehicle.mavlink.wire import Message, dialect
 from delfim.vehicle.state import State
-from delfim.vehicle.target import Target
+from delfim.vehicle.target import NEVER_S, Target
 
 NEAR: Final = 10  # of the nearest one is told in each call, besides one of all
-_NUMBERS: Final = 1000
+ORDERED: Final = b"ORDER_CRS"  # names of values
+GUARDED: Final = b"GUARD"
+GUARD: Final = ("off", "on", "cannot avoid")
+NUMBERS: Final = 1000  # from here on they are those of vessels
 _FLAGS: Final = dialect.AIS_FLAGS_VALID_COG | dialect.AIS_FLAGS_VALID_VELOCITY | dialect.AIS_FLAGS_VALID_NAME
 _U16: Final = 0xFFFF
 
@@ -31,9 +34,24 @@ def vessels(state: State, turn: int) -> Iterator[Message]:
         yield _vessel(targets[index], origin)
 
 
+def ordered(state: State, boot_ms: int) -> Iterator[Message]:
+    """The course that keeps the boat clear of others, degrees; NaN: it follows its way. Nothing where nobody was ever heard."""
+    order = state.traffic.order
+    if state.traffic.heard_s != NEVER_S:
+        course_deg = math.nan if order is None else round(math.degrees(order.course_rad) % 360.0, 1)
+        yield dialect.MAVLink_named_value_float_message(boot_ms, ORDERED, course_deg)
+
+
+def guard(state: State, boot_ms: int) -> Iterator[Message]:
+    """Whether the boat keeps clear of others: the place of the word in `GUARD`. Nothing where nobody was ever heard."""
+    if state.traffic.heard_s != NEVER_S:
+        word = state.traffic.guard.partition(":")[0]
+        yield dialect.MAVLink_named_value_int_message(boot_ms, GUARDED, GUARD.index(word) if word in GUARD else 0)
+
+
 def number(key: str) -> int:
     """Of a vessel, by its key."""
-    return int(key) if key.isascii() and key.isdigit() else zlib.crc32(key.encode()) % (_NUMBERS - 1) + 1
+    return int(key) if key.isascii() and key.isdigit() else zlib.crc32(key.encode()) % (NUMBERS - 1) + 1
 
 
 def _vessel(target: Target, origin: Origin) -> Message:

@@ -54,6 +54,9 @@ def stands_on(owed: Duty, target: Target, stand_on: str) -> bool:
     return stand_on == "always" or (stand_on == "small" and target.length_m < SMALL_M)
 
 
+BEGINNINGS: Final = ("giving way to ", "keeping clear of ", "overtaking ")  # of what `words` says
+
+
 def words(owed: Duty, target: Target, is_late: bool) -> str:
     """What the boat does for a target. `is_late`: the target ought to have given way."""
     name, privileged = target.name, PRIVILEGED.get(target.status)

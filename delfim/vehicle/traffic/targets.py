@@ -97,8 +97,8 @@ class Tracker:
             if self._tracks.get(key) is not track:
                 continue  # another one has its place meanwhile
             age_s = max(now_s - track.at_s, 0.0)
-            lost_s = self._lost_s(track)
-            if age_s > lost_s + (KEPT_NEAR_S if track.kind in MOST_OF else KEPT_S):
+            lost_s = silence_s(self._settings, track)
+            if age_s > lost_s + kept_s(track):
                 self._forget(key)
                 continue
             target = track.target(key, age_s, age_s > lost_s, origin)
@@ -171,18 +171,23 @@ class Tracker:
         kind = self._tracks.pop(key).kind
         self._by_kind[kind] -= 1
 
-    def _lost_s(self, track: VesselTrack) -> float:
-        """The silence after which a vessel is lost: some of the intervals in which its kind reports."""
-        limits = self._settings
-        if track.kind in MOST_OF:
-            return limits.lost_near_s
-        if track.is_resting:
-            return limits.lost_rest_s
-        return limits.lost_b_s if track.kind == "B" else limits.lost_a_s * track.haste
-
     def refuse(self, reason: str) -> None:
         """Count a report that is not taken."""
         self.refused[reason] = self.refused.get(reason, 0) + 1
+
+
+def silence_s(limits: TrafficTable, track: VesselTrack) -> float:
+    """The silence after which a vessel is lost: some of the intervals in which its kind reports."""
+    if track.kind in MOST_OF:
+        return limits.lost_near_s
+    if track.is_resting:
+        return limits.lost_rest_s
+    return limits.lost_b_s if track.kind == "B" else limits.lost_a_s * track.haste
+
+
+def kept_s(track: VesselTrack) -> float:
+    """How long a lost vessel stays on the map."""
+    return KEPT_NEAR_S if track.kind in MOST_OF else KEPT_S
 
 
 def _other(key: str) -> str:

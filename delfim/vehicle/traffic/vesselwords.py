@@ -22,7 +22,7 @@ class VesselWords:
         for each in traffic.targets:
             yield TOLD
             if origin is not None:
-                vessels.append(_vessel(each, origin) | _near(known.get(each.key)))
+                vessels.append(vessel_told(each, origin) | danger_told(known.get(each.key)))
         self._vessels = vessels
 
     def told(self, traffic: Traffic, now_s: float, awaits: bool = False) -> dict[str, object] | None:
@@ -39,7 +39,8 @@ class VesselWords:
         }
 
 
-def _vessel(target: Target, origin: Origin) -> dict[str, object]:
+def vessel_told(target: Target, origin: Origin) -> dict[str, object]:
+    """A vessel without its danger."""
     latitude_rad, longitude_rad = from_plane(origin, target.north_m, target.east_m)
     is_under_way = target.speed_mps > 0.0
     return {
@@ -61,7 +62,7 @@ def _vessel(target: Target, origin: Origin) -> dict[str, object]:
     }
 
 
-def _near(danger: Danger | None) -> dict[str, object]:
+def danger_told(danger: Danger | None) -> dict[str, object]:
     """What is not finite is None: beyond all numbers, or not reckoned yet."""
     numbers = {name: getattr(danger, name, math.nan) for name in ("cpa_m", "tcpa_s", "nearness")}
     told: dict[str, object] = {name: round(each, 2) if math.isfinite(each) else None for name, each in numbers.items()}

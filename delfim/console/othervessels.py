@@ -1,0 +1,211 @@
+"""Other vessels on the console: what its boats tell of them, merged by number, and how near they come to each of its boats.
+
+A boat is judged as it judges itself (`delfim/vehicle/traffic/alarm.py`), but by its course and speed of now: the console knows
+neither its way nor its file. Lost, kept and guessed are those of docs/traffic.md.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final, Protocol
+
+from delfim.config import TrafficNear, TrafficTable
+from delfim.console.words import Words
+from delfim.geodesy import Origin, origin
+from delfim.vehicle.mavlink.aisvessel import facts_of, position_of
+from delfim.vehicle.mavlink.vesselsout import GUARD, NUMBERS
+from delfim.vehicle.target import Danger, Target
+from delfim.vehicle.traffic.alarm import Alarms, Guarded, dangers
+from delfim.vehicle.traffic.encounter import BEGINNINGS, Own
+from delfim.vehicle.traffic.keepclear import Caution, RouteAhead, measured
+from delfim.vehicle.traffic.reckoning import VesselTrack, begun
+from delfim.vehicle.traffic.targets import DISTRESS, kept_s, silence_s
+from delfim.vehicle.traffic.vesselwords import danger_told, vessel_told
+
+MOST: Final = 200  # vessels of one boat, and on the page
+NEWS_S: Final = 12.0  # the boat tells of its order and its guard each second, by radio each five
+PLACE_S: Final = 10.0  # an older place of a boat is no place to reckon from
+AHEAD_S: Final = 3600.0  # the way ahead of a boat that keeps course and speed
+SELF_M, SELF_MPS = 40.0, 1.0  # a vessel so near, and so alike, may be the boat's own transponder, as others hear it
+LIMITS: Final = TrafficTable()
+NEAR: Final = TrafficNear()
+BOAT: Final = Caution(length_m=4.0, turn_radps=0.2, ramp_mps2=0.3)  # what the boat has not told matters little beside a domain
+
+
+class VesselsTold:
+    """What one boat tells: of other vessels, and of its own guard. Bounded; whatever a message has in it does no harm."""
+
+    def __init__(self) -> None:
+        self.tracks: dict[int, VesselTrack] = {}  # by number; the last told of stands last
+        self.heard_s = -math.inf  # the newest report of any of them
+        self.alarms: Alarms = {}
+        self._order_deg, self._words, self._order_s = math.nan, "", -math.inf
+        self._guard, self._guard_s = "", -math.inf
+        self._said = Words()
+
+    def hear(self, message: Any, now_s: float) -> None:
+        """AIS_VESSEL."""
+        number, told, facts = message.MMSI, position_of(message), facts_of(message)
+        name = facts.name if facts is not None and facts.name else ""
+        if number < NUMBERS:  # of a boat of the fleet, of what a payload sees, or of a second vessel with one number
+            told = told._replace(kind="fleet" if name.startswith("boat ") else "payload")
+        elif f"{number:09d}".startswith(DISTRESS):
+            told = told._replace(kind="distress")
+        track = begun(told, "", now_s - message.tslc)
+        if track is None:
+            return
+        if facts is not None:
+            track.measure(facts)
+        self.heard_s = max(self.heard_s, track.at_s)
+        self.tracks.pop(number, None)
+        self.tracks[number] = track
+        if len(self.tracks) > MOST:
+            del self.tracks[next(iter(self.tracks))]
+
+    def say(self, message: Any) -> None:
+        """STATUSTEXT: the sentence of an order is kept."""
+        text = self._said.hear(message)
+        if text is not None and text.startswith(BEGINNINGS):
+            self._words = text
+
+    def ordered(self, course_deg: float, now_s: float) -> None:
+        """The course of the order; not finite: there is none."""
+        self._order_deg, self._order_s = course_deg, now_s
+        self._words = self._words if math.isfinite(course_deg) else ""
+
+    def guarded(self, place: int, now_s: float) -> None:
+        """Whether the boat keeps clear: a place in `GUARD`."""
+        self._guard, self._guard_s = GUARD[place] if 0 <= place < len(GUARD) else "", now_s
+
+    def order(self, now_s: float) -> dict[str, Any] | None:
+        """The order in force, as the page shows it."""
+        if now_s - self._order_s > NEWS_S or not math.isfinite(self._order_deg):
+            return None
+        return {"course_deg": round(self._order_deg % 360.0, 1), "words": self._words or "keeping clear of another vessel"}
+
+    def guard(self, now_s: float) -> str | None:
+        """None: the boat does not say."""
+        return self._guard if self._guard and now_s - self._guard_s <= NEWS_S else None
+
+    def forget(self, now_s: float) -> None:
+        """Drops those that were silent for too long."""
+        old = [number for number, track in self.tracks.items() if _age_s(track, now_s) > _silence_s(track) + kept_s(track)]
+        for number in old:
+            del self.tracks[number]
+
+
+class Teller(Protocol):
+    """A boat, as it is needed here."""
+
+    number: int
+    heard_s: float
+    values: dict[str, Any]
+    others: VesselsTold
+
+    def age_s(self, kind: str, now_s: float) -> float | None: ...
+
+
+def around(boats: Sequence[Teller], now_s: float) -> dict[str, Any]:
+    """All vessels for the pages, once a second: JSON-ready, those that any boat meets first, at most MOST."""
+    for boat in boats:
+        boat.others.forget(now_s)
+    tracks = _merged(boats)
+    by_boat = {boat.number: {each.key: each for each in _judged(boat, tracks, now_s)} for boat in boats}
+    vessels = [
+        _shown(number, track, {boat: known[str(number)] for boat, known in by_boat.items() if str(number) in known}, now_s)
+        for number, track in tracks.items()
+    ]
+    vessels.sort(key=_first_met)
+    heard = {boat.number: _since(boat.others.heard_s, now_s) for boat in boats}
+    return {"vessels": vessels[:MOST], "heard_s": min((each for each in heard.values() if each is not None), default=None)}
+
+
+def _merged(boats: Sequence[Teller]) -> dict[int, VesselTrack]:
+    """Of each vessel the newest report; another boat may know its name or size. The console's own boats are left out."""
+    found: dict[int, VesselTrack] = {}
+    own = {f"boat {boat.number}" for boat in boats}
+    for boat in boats:
+        for number, track in boat.others.tracks.items():
+            was = found.get(number)
+            if track.kind == "fleet" and track.name in own:
+                continue
+            if was is None:
+                found[number] = track
+                continue
+            new, old = (track, was) if track.at_s > was.at_s else (was, track)
+            new.size, new.name = new.size or old.size, old.name if new.name in ("", str(number)) else new.name
+            found[number] = new
+    return found
+
+
+def _judged(boat: Teller, tracks: Mapping[int, VesselTrack], now_s: float) -> Iterable[Danger]:
+    """How near each vessel comes to a boat that keeps course and speed; nothing where its place is not known."""
+    own = _own(boat, now_s)
+    if own is None:
+        boat.others.alarms = {}
+        return ()
+    at, speed_mps = own
+    here = Own(0.0, 0.0, math.radians(boat.values.get("course_deg") or 0.0), speed_mps)
+    way_m = speed_mps * AHEAD_S
+    ahead = (way_m * math.cos(here.course_rad), way_m * math.sin(here.course_rad))
+    targets = [_target(number, track, at, now_s) for number, track in tracks.items()]
+    targets = [each for each in targets if int(each.key) in boat.others.tracks or not _is_alike(each, here)]
+    guard, order = boat.others.guard(now_s), boat.others.order(now_s)
+    guarded: Guarded = "no" if guard != "on" else "away" if order else "on its way"
+    found, boat.others.alarms = dangers(
+        NEAR, BOAT, here, RouteAhead((ahead,), speed_mps), targets, (), guarded, boat.others.alarms, now_s
+    )
+    return found
+
+
+def _own(boat: Teller, now_s: float) -> tuple[Origin, float] | None:
+    """The plane around a boat, and its speed."""
+    age_s, values = boat.age_s("GLOBAL_POSITION_INT", now_s), boat.values
+    latitude_deg, longitude_deg = values.get("latitude_deg"), values.get("longitude_deg")
+    if age_s is None or age_s > PLACE_S or latitude_deg is None or longitude_deg is None or abs(latitude_deg) > 89.0:
+        return None
+    return origin(math.radians(latitude_deg), math.radians(longitude_deg)), values.get("speed_mps") or 0.0
+
+
+def _is_alike(target: Target, here: Own) -> bool:
+    north_mps = target.speed_mps * math.cos(target.course_rad) - here.speed_mps * math.cos(here.course_rad)
+    east_mps = target.speed_mps * math.sin(target.course_rad) - here.speed_mps * math.sin(here.course_rad)
+    is_near = math.hypot(target.north_m, target.east_m) < SELF_M + target.margin_m
+    return is_near and math.hypot(north_mps, east_mps) < SELF_MPS
+
+
+def _target(number: int, track: VesselTrack, at: Origin, now_s: float) -> Target:
+    age_s = _age_s(track, now_s)
+    return track.target(str(number), age_s, age_s > _silence_s(track), at)
+
+
+def _shown(number: int, track: VesselTrack, known: Mapping[int, Danger], now_s: float) -> dict[str, Any]:
+    """A vessel, its domain, and its danger to each boat, the first to meet first."""
+    plane = origin(track.latitude_rad, track.longitude_rad)
+    target = _target(number, track, plane, now_s)
+    around = measured(BOAT, Own(0.0, 0.0, 0.0, 0.0), 0.0, target).around
+    half_m = [round(1.0 / math.hypot(*axis), 1) for axis in (around[4:6], around[6:8])]
+    boats = [{"boat": boat, **danger_told(each), "words": each.words} for boat, each in known.items()]
+    boats.sort(key=_order_of)
+    return {**vessel_told(target, plane), "domain_m": half_m, "boats": boats}
+
+
+def _first_met(vessel: Mapping[str, Any]) -> tuple[Any, ...]:
+    return (*_order_of(vessel["boats"][0]), vessel["key"]) if vessel["boats"] else (9, math.inf, vessel["key"])
+
+
+def _order_of(each: Mapping[str, Any]) -> tuple[int, float]:
+    """Dangerous ones, those that draw near by their time, those that draw apart."""
+    tcpa_s = each["tcpa_s"] if each["tcpa_s"] is not None else math.inf
+    return {"danger": 0, "near": 1}.get(each["danger"], 2 if tcpa_s >= 0.0 else 3), abs(tcpa_s)
+
+
+def _silence_s(track: VesselTrack) -> float:
+    return silence_s(LIMITS, track)
+
+
+def _age_s(track: VesselTrack, now_s: float) -> float:
+    return max(now_s - track.at_s, 0.0)
+
+
+def _since(at_s: float, now_s: float) -> float | None:
+    return round(now_s - at_s, 1) if math.isfinite(at_s) else None

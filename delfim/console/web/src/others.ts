@@ -1,0 +1,236 @@
+// Other vessels on the map: symbols after IMO's SN.1/Circ.243, what they will do, and the order of a boat that keeps clear of one.
+import Feature from "ol/Feature";
+import { type Geometry, LineString, Point } from "ol/geom";
+import { circular } from "ol/geom/Polygon";
+import Polygon from "ol/geom/Polygon";
+import VectorLayer from "ol/layer/Vector";
+import VectorSource from "ol/source/Vector";
+import { Fill, Icon, Stroke, Style, Text } from "ol/style";
+import type { Chart, Pixel } from "./chart";
+import { point } from "./chart";
+import { cased, position } from "./fleet";
+import { moved, towards } from "./geo";
+import { palette, theme } from "./palette";
+import type { State } from "./state";
+import { speedWords } from "./units";
+import type { Vessel } from "./wire";
+import { graver, worst } from "./watch";
+import type { Watch } from "./watch";
+
+const RAD = Math.PI / 180;
+const AHEAD_S = 360; // of a course vector, for vessels: that of the boats is a minute
+const HEADING_PX = 26;
+const SCALE_FROM_M = 12; // a hull longer than so many pixels is drawn as its outline, too
+const NAMES_FROM_ZOOM = 12;
+const ORDER_M = 60; // the line of an order is at least so long
+const ORDER_S = 60;
+
+export class Others {
+  private readonly source = new VectorSource({ useSpatialIndex: false });
+  private readonly layer = new VectorLayer({ source: this.source, updateWhileAnimating: true, updateWhileInteracting: true });
+  private zoom = 0;
+
+  constructor(
+    private readonly chart: Chart,
+    private readonly state: State,
+    private readonly watch: Watch,
+  ) {
+    chart.add(this.layer, 5);
+    chart.onZoom((zoom) => {
+      const named = this.zoom >= NAMES_FROM_ZOOM;
+      this.zoom = zoom;
+      if (named !== zoom >= NAMES_FROM_ZOOM) this.draw();
+    });
+    state.on(["vessels", "theme", "boats", "selection"], () => this.draw());
+  }
+
+  /** The vessel whose symbol is nearest to this pixel, within reach. */
+  at(pixel: Pixel, reach_px: number): Vessel | null {
+    let [best, least] = [null as Vessel | null, reach_px];
+    for (const vessel of this.state.vessels) {
+      const its = this.chart.pixelOf(vessel);
+      const far = its ? Math.hypot(its[0] - pixel[0], its[1] - pixel[1]) : Infinity;
+      if (far <= least) [best, least] = [vessel, far];
+    }
+    return best;
+  }
+
+  private draw(): void {
+    this.source.clear(true);
+    this.source.addFeatures([...this.state.vessels.flatMap((each) => this.vessel(each)), ...this.orders(), ...this.zone()]);
+  }
+
+  private vessel(vessel: Vessel): Feature[] {
+    const here = point(vessel);
+    const grave = this.watch.gravity(vessel);
+    const ink = grave === "none" ? palette.ink : palette.danger;
+    const made: Feature[] = [];
+    const add = (shape: Geometry, style: Style | Style[]) => {
+      const feature = new Feature(shape);
+      feature.setStyle(style);
+      made.push(feature);
+    };
+    if (grave !== "none" && !vessel.lost) add(new Polygon([domain(vessel)]), inQuestion(grave === "danger"));
+    if (!vessel.lost && vessel.course_deg !== null && vessel.speed_mps > 0.1) {
+      const ahead = point(towards(vessel, vessel.course_deg, vessel.speed_mps * AHEAD_S));
+      add(new LineString([here, ahead]), cased(ink, grave === "none" ? 1.2 : 2.2, [8, 5]));
+    }
+    const turned = vessel.heading_deg ?? vessel.course_deg;
+    const style = new Style({
+      image: new Icon({ img: symbol(vessel, grave !== "none", turned !== null), rotateWithView: true, scale: 0.5, rotation: (turned ?? 0) * RAD }),
+      zIndex: grave === "none" ? 4 : 6,
+    });
+    if (grave !== "none" || this.zoom >= NAMES_FROM_ZOOM || vessel.kind === "distress") style.setText(label(vessel, grave !== "none"));
+    add(new Point(here), style);
+    return made;
+  }
+
+  /** The course that keeps a boat clear of another vessel, with its sentence. */
+  private orders(): Feature[] {
+    return this.state.boats.flatMap((boat) => {
+      const place = position(boat);
+      if (!place || !boat.order) return [];
+      const far_m = Math.max(ORDER_M, (boat.speed_mps ?? 0) * ORDER_S);
+      const line = new Feature(new LineString([point(place), point(towards(place, boat.order.course_deg, far_m))]));
+      const words = new Text({
+        text: boat.order.words.replace(/, /, ",\n"),
+        font: "600 13px system-ui, sans-serif",
+        textAlign: "left",
+        offsetX: 14,
+        offsetY: -16,
+        fill: new Fill({ color: palette.steer }),
+        stroke: new Stroke({ color: palette.halo, width: 4 }),
+      });
+      const end = new Style({ geometry: (feature) => new Point((feature.getGeometry() as LineString).getLastCoordinate()), text: words });
+      line.setStyle([...cased(palette.steer, 3.4), end]);
+      return [line];
+    });
+  }
+
+  /** The guard zone of this page, around each boat. */
+  private zone(): Feature[] {
+    const { zone_m } = this.watch;
+    if (!zone_m) return [];
+    return this.state.boats.flatMap((boat) => {
+      const place = position(boat);
+      if (!place) return [];
+      const ring = new Feature(circular([place.longitude_deg, place.latitude_deg], zone_m, 64).transform("EPSG:4326", "EPSG:3857"));
+      ring.setStyle(cased(palette.danger, 1.2, [3, 6]));
+      return [ring];
+    });
+  }
+}
+
+/** The ellipse that nobody should be in, along the vessel's course. */
+function domain(vessel: Vessel): number[][] {
+  const [ahead_m, abeam_m] = vessel.domain_m;
+  const course = (vessel.course_deg ?? vessel.heading_deg ?? 0) * RAD;
+  return Array.from({ length: 49 }, (_, i) => {
+    const [ahead, abeam] = [ahead_m * Math.cos((i * Math.PI) / 24), abeam_m * Math.sin((i * Math.PI) / 24)];
+    return point(moved(vessel, { north_m: ahead * Math.cos(course) - abeam * Math.sin(course), east_m: ahead * Math.sin(course) + abeam * Math.cos(course) }));
+  });
+}
+
+const inQuestion = (isDanger: boolean): Style =>
+  new Style({ fill: new Fill({ color: palette.dangerFill }), stroke: new Stroke({ color: palette.danger, width: isDanger ? 2.2 : 1.2, lineDash: [6, 4] }) });
+
+function label(vessel: Vessel, grave: boolean): Text {
+  return new Text({
+    text: labelWords(vessel),
+    font: `${grave ? 650 : 500} 12px system-ui, sans-serif`,
+    textAlign: "left",
+    offsetX: 16,
+    offsetY: 8,
+    fill: new Fill({ color: grave ? palette.danger : palette.soft }),
+    stroke: new Stroke({ color: palette.halo, width: 3.5 }),
+  });
+}
+
+/** Name, and what matters of one that comes near; a lost one says how long it was silent. */
+export function labelWords(vessel: Vessel): string {
+  if (vessel.lost) return `${vessel.name}\nlost, ${secondsWords(vessel.age_s)} ago`;
+  const first = worst(vessel);
+  if (!first || first.danger === "none" || first.cpa_m === null) return vessel.name;
+  return `${vessel.name}\nCPA ${first.cpa_m.toFixed(0)} m ${tcpaWords(first.tcpa_s)}`;
+}
+
+export const secondsWords = (s: number): string => (s < 100 ? `${s.toFixed(0)} s` : `${(s / 60).toFixed(0)} min`);
+
+/** When two are nearest. */
+export function tcpaWords(tcpa_s: number | null): string {
+  if (tcpa_s === null) return "";
+  return tcpa_s < 0 ? "past" : `in ${secondsWords(tcpa_s)}`;
+}
+
+export const KINDS: Record<string, string> = { A: "AIS class A", B: "AIS class B", fleet: "of the fleet", payload: "seen by a payload", distress: "distress" };
+const STATUS: Record<number, string> = { 1: "at anchor", 2: "not under command", 3: "restricted", 4: "constrained by draught", 5: "moored", 6: "aground", 7: "fishing", 8: "sailing" };
+
+/** All that is known of a vessel, a line each. */
+export function vesselLines(vessel: Vessel, name: (boat: number) => string): string[] {
+  const course = vessel.course_deg === null ? "lies still" : `${Math.round(vessel.course_deg)}° at ${speedWords(vessel.speed_mps)}`;
+  const size = vessel.size_known ? `${vessel.length_m.toFixed(0)} × ${vessel.beam_m.toFixed(0)} m` : `size unknown, taken as ${vessel.length_m.toFixed(0)} × ${vessel.beam_m.toFixed(0)} m`;
+  const sort = [KINDS[vessel.kind] ?? vessel.kind, STATUS[vessel.status]].filter(Boolean).join(", ");
+  const near = vessel.boats.map(({ boat, cpa_m, tcpa_s }) => `${name(boat)}: CPA ${cpa_m === null ? "–" : `${cpa_m.toFixed(0)} m`} ${tcpaWords(tcpa_s)}`);
+  return [sort, course, size, `${vessel.lost ? "LOST: last" : "last"} report ${secondsWords(vessel.age_s)} ago, ± ${vessel.margin_m.toFixed(0)} m`, ...near];
+}
+
+const symbols = new Map<string, HTMLCanvasElement>();
+
+/** A triangle with its heading line, twice as large as it is shown; red and bold: dangerous; crossed out: lost; a circle with a
+ * cross: distress; a square: the heading is not known. */
+function symbol(vessel: Vessel, grave: boolean, turned: boolean): HTMLCanvasElement {
+  const kind = vessel.kind === "distress" ? "distress" : turned ? "vessel" : "still";
+  const key = [kind, grave, vessel.lost, vessel.heading_deg !== null, theme].join("|");
+  const known = symbols.get(key);
+  if (known) return known;
+  const canvas = document.createElement("canvas");
+  const size = 4 * HEADING_PX;
+  [canvas.width, canvas.height] = [size, size];
+  const pen = canvas.getContext("2d")!;
+  pen.translate(size / 2, size / 2);
+  pen.lineJoin = "round";
+  const shape = outline(kind);
+  const heading = new Path2D();
+  if (kind === "vessel" && vessel.heading_deg !== null) {
+    heading.moveTo(0, -24);
+    heading.lineTo(0, -2 * HEADING_PX + 2);
+  }
+  const cross = new Path2D();
+  if (vessel.lost || kind === "distress") {
+    const far = vessel.lost ? 24 : 12;
+    for (const side of [-1, 1]) {
+      cross.moveTo(-far, side * far);
+      cross.lineTo(far, -side * far);
+    }
+  }
+  const ink = grave || kind === "distress" ? palette.danger : palette.ink;
+  const stroke = (tint: string, width: number) => {
+    [pen.strokeStyle, pen.lineWidth] = [tint, width];
+    pen.setLineDash(vessel.lost ? [7, 5] : []);
+    pen.stroke(shape);
+    pen.setLineDash([]);
+    pen.stroke(heading);
+    pen.stroke(cross);
+  };
+  stroke(palette.halo, grave ? 12 : 9);
+  if (!vessel.lost) {
+    pen.fillStyle = palette.handle;
+    pen.fill(shape);
+  }
+  stroke(ink, grave ? 7 : 4);
+  symbols.set(key, canvas);
+  return canvas;
+}
+
+function outline(kind: string): Path2D {
+  const shape = new Path2D();
+  if (kind === "distress") shape.arc(0, 0, 19, 0, 2 * Math.PI);
+  else if (kind === "still") shape.rect(-11, -11, 22, 22);
+  else {
+    shape.moveTo(0, -24);
+    shape.lineTo(13, 16);
+    shape.lineTo(-13, 16);
+    shape.closePath();
+  }
+  return shape;
+}
