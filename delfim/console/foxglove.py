@@ -55,6 +55,10 @@ class FoxgloveView:
             t_ns = round(message["at_s"] * 1e9)
             for boat in message["boats"]:
                 self._show(boat, t_ns)
+        elif message["t"] == "vessels":
+            vessels, t_ns = topics.targets(message["vessels"]), round(message["at_s"] * 1e9)
+            for name in self._names.values():
+                self._put(name, topics.TARGETS, vessels, t_ns)
         elif message["t"] == "text":
             name, t_ns = self._names.get(message["boat"], "console"), round(message["at_s"] * 1e9)
             level = topics.FAILURE if message["severity"] <= ERROR_MAX else topics.WARNING
@@ -70,7 +74,7 @@ class FoxgloveView:
             return
         if self._names.get(number) != name:
             self._names[number] = name
-            for of in (topics.STATE, topics.LOCATION, topics.PLAN, topics.LOG):
+            for of in (topics.STATE, topics.LOCATION, topics.PLAN, topics.TARGETS, topics.LOG):
                 self._channel(name, of)  # offered before anything is said: a client hears from then on
         self._put(name, topics.STATE, state(boat), t_ns)
         if boat["latitude_deg"] is not None and boat["longitude_deg"] is not None:

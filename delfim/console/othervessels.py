@@ -93,7 +93,7 @@ class VesselsTold:
             del self.tracks[number]
 
 
-class Teller(Protocol):
+class TellingBoat(Protocol):
     """A boat, as it is needed here."""
 
     number: int
@@ -104,7 +104,7 @@ class Teller(Protocol):
     def age_s(self, kind: str, now_s: float) -> float | None: ...
 
 
-def around(boats: Sequence[Teller], now_s: float) -> dict[str, Any]:
+def around(boats: Sequence[TellingBoat], now_s: float) -> dict[str, Any]:
     """All vessels for the pages, once a second: JSON-ready, those that any boat meets first, at most MOST."""
     for boat in boats:
         boat.others.forget(now_s)
@@ -119,7 +119,7 @@ def around(boats: Sequence[Teller], now_s: float) -> dict[str, Any]:
     return {"vessels": vessels[:MOST], "heard_s": min((each for each in heard.values() if each is not None), default=None)}
 
 
-def _merged(boats: Sequence[Teller]) -> dict[int, VesselTrack]:
+def _merged(boats: Sequence[TellingBoat]) -> dict[int, VesselTrack]:
     """Of each vessel the newest report; another boat may know its name or size. The console's own boats are left out."""
     found: dict[int, VesselTrack] = {}
     own = {f"boat {boat.number}" for boat in boats}
@@ -137,7 +137,7 @@ def _merged(boats: Sequence[Teller]) -> dict[int, VesselTrack]:
     return found
 
 
-def _judged(boat: Teller, tracks: Mapping[int, VesselTrack], now_s: float) -> Iterable[Danger]:
+def _judged(boat: TellingBoat, tracks: Mapping[int, VesselTrack], now_s: float) -> Iterable[Danger]:
     """How near each vessel comes to a boat that keeps course and speed; nothing where its place is not known."""
     own = _own(boat, now_s)
     if own is None:
@@ -157,7 +157,7 @@ def _judged(boat: Teller, tracks: Mapping[int, VesselTrack], now_s: float) -> It
     return found
 
 
-def _own(boat: Teller, now_s: float) -> tuple[Origin, float] | None:
+def _own(boat: TellingBoat, now_s: float) -> tuple[Origin, float] | None:
     """The plane around a boat, and its speed."""
     age_s, values = boat.age_s("GLOBAL_POSITION_INT", now_s), boat.values
     latitude_deg, longitude_deg = values.get("latitude_deg"), values.get("longitude_deg")

@@ -84,7 +84,7 @@ def to_gpx(columns: Columns, schema: Schema, events: Events, file: Path) -> None
 
 
 def to_kml(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
-    """KML 2.2 with a gx:Track, which Google Earth plays, and a place mark where the mode changed."""
+    """KML 2.2 with a gx:Track, which Google Earth plays, one of each other vessel, and a place mark where the mode changed."""
     with file.open("w", encoding="utf-8") as text:
         text.write('<?xml version="1.0" encoding="UTF-8"?>\n<kml xmlns="http://www.opengis.net/kml/2.2"')
         text.write(f' xmlns:gx="http://www.google.com/kml/ext/2.2"><Document><name>{escape(schema.boat)}</name>\n')
@@ -98,11 +98,17 @@ def to_kml(columns: Columns, schema: Schema, events: Events, file: Path) -> None
             text.write(f"<when>{_iso(t_ns)}</when>\n")
         for _, latitude, longitude in points:
             text.write(f"<gx:coord>{longitude:.8f} {latitude:.8f} 0</gx:coord>\n")
-        text.write("</gx:Track></Placemark></Document></kml>\n")
+        text.write("</gx:Track></Placemark>\n")
+        for name, places in _vessel_ways(events).items():
+            whens = "".join(f"<when>{_iso(t_ns)}</when>" for t_ns, _, _ in places)
+            coords = "".join(f"<gx:coord>{longitude:.7f} {latitude:.7f} 0</gx:coord>" for _, latitude, longitude in places)
+            text.write(f"<Placemark><name>{escape(name)}</name><gx:Track>{whens}{coords}</gx:Track></Placemark>\n")
+        text.write("</Document></kml>\n")
 
 
 def to_mcap(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
-    """MCAP with JSON messages, by the topics of `topics.py`: state with every field, location for maps, log."""
+    """MCAP with JSON messages, by the topics of `topics.py`: state with every field, location and other vessels for maps,
+    log."""
     from mcap.writer import Writer
 
     with file.open("wb") as stream:
@@ -110,7 +116,7 @@ def to_mcap(columns: Columns, schema: Schema, events: Events, file: Path) -> Non
         writer.start(profile="", library="delfim")
         state = {name: {"type": _JSON[code], "description": f"{words} [{unit}]"} for name, code, unit, words in schema.rows}
         channels = {}
-        for of in (topics.STATE, topics.LOCATION, topics.LOG):
+        for of in (topics.STATE, topics.LOCATION, topics.TARGETS, topics.LOG):
             name, told = topics.schema(of, state)
             number = writer.register_schema(name, "jsonschema", told)
             channels[of] = writer.register_channel(topics.topic(schema.boat, of), "json", number)
@@ -119,7 +125,10 @@ def to_mcap(columns: Columns, schema: Schema, events: Events, file: Path) -> Non
             writer.add_message(channels[of], t_ns, json.dumps(message).encode(), t_ns)
 
         for event in sorted(events, key=lambda each: each["t_ns"]):
-            add(topics.LOG, event["t_ns"], _line(event))
+            if event["event"] == "vessels":
+                add(topics.TARGETS, event["t_ns"], topics.targets(event["value"]))
+            else:
+                add(topics.LOG, event["t_ns"], _line(event))
         for t_ns, latitude, longitude in _positions(columns):
             add(topics.LOCATION, t_ns, topics.location(t_ns, schema.boat, latitude, longitude))
         names, lists = tuple(columns), [column.tolist() for column in columns.values()]
@@ -156,6 +165,16 @@ FORMATS: Final[dict[str, Callable[[Columns, Schema, Events, Path], None]]] = {
     "mcap": to_mcap,
     "mat": to_mat,
 }
+
+
+def _vessel_ways(events: Events) -> dict[str, list[tuple[int, float, float]]]:
+    """Of each other vessel (time, latitude, longitude), ns and degrees, while it was heard."""
+    ways: dict[str, list[tuple[int, float, float]]] = {}
+    for event in events:
+        for each in event["value"] if event["event"] == "vessels" else ():
+            if not each.get("lost"):
+                ways.setdefault(each["name"], []).append((event["t_ns"], each["latitude_deg"], each["longitude_deg"]))
+    return ways
 
 
 def _positions(columns: Columns) -> Iterator[tuple[int, float, float]]:

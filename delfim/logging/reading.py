@@ -90,7 +90,22 @@ def _is_event(told: dict[str, Any]) -> bool:
         value = told.get("value")
         if not isinstance(value, dict) or not isinstance(value.get("command"), str) or "refused" not in told:
             return False
+    if told["event"] == "vessels" and not _are_vessels(told.get("value")):
+        return False
     return type(told.get("t_ns")) is int and 0 <= told["t_ns"] < 1 << 63
+
+
+def _are_vessels(value: object) -> bool:
+    """Whether these are vessels, each with a name and its place on the Earth in numbers."""
+    if not isinstance(value, list) or not all(isinstance(each, dict) and isinstance(each.get("name"), str) for each in value):
+        return False
+    numbers = [each.get(key, 0.0) for each in value for key in ("speed_mps", "age_s")]
+    numbers += [each["course_deg"] for each in value if each.get("course_deg") is not None]
+    places = [(each.get("latitude_deg"), each.get("longitude_deg")) for each in value]
+    numbers += [number for place in places for number in place]
+    if not all(type(number) in (int, float) and abs(number) < MOMENT_MAX_S for number in numbers):
+        return False
+    return all(abs(latitude_deg) <= 89.0 and abs(longitude_deg) <= 180.0 for latitude_deg, longitude_deg in places)
 
 
 def in_order(paths: Iterable[Path]) -> list[Path]:

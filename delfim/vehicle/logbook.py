@@ -15,8 +15,11 @@ from delfim.modes import Mode
 from delfim.vehicle import record
 from delfim.vehicle.console import Alive, Commands, Manual, TellState, Watch
 from delfim.vehicle.state import State
+from delfim.vehicle.traffic.vesselwords import vessel_told
 
 COMMAND_MAX: Final = 160  # characters of a command in the system log; all of it is in the sidecar
+VESSELS_S: Final = 10.0  # between two lists of other vessels ...
+VESSELS_MAX: Final = 20  # ... the nearest of them
 ORDERLY: Final = ("operator", "shutdown")  # begin the reasons of changes of mode that were meant to be
 
 
@@ -34,7 +37,7 @@ class Logbook:
         self._log = open_log(settings.log, "state", ".state", settings.log.state_method, clock, header=schema.header)
         self._writer = StateWriter(self._log.put, schema)
         self.status, self.poll = self._log.status, self._log.poll
-        self._noted = False
+        self._noted, self._vessels_s = False, -1e9
         self._say, self._manual = say, ""  # why the last manual command was refused
         self.event("start", version=__version__, settings=tables.shown(settings))
 
@@ -76,10 +79,14 @@ class Logbook:
             self._say(logging.INFO if text.endswith(": over") else logging.WARNING, "vehicle: %s", text)
 
     def watch(self, state: State) -> None:
-        """Called after each check of the watchdog: logs its time when something was noted since the one before."""
+        """Called after each check of the watchdog: logs its time when something was noted since the one before, and now and
+        then where other vessels are."""
         if self._noted:
             self._noted = False
             self.event("watchdog", at_s=state.watchdog_s)
+        elif state.traffic.targets and state.origin is not None and state.watchdog_s - self._vessels_s >= VESSELS_S:
+            self._vessels_s, origin = state.watchdog_s, state.origin
+            self.event("vessels", value=[vessel_told(each, origin) for each in state.traffic.targets[:VESSELS_MAX]])
 
     def reason(self) -> str:
         status = self._log.status()

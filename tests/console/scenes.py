@@ -14,7 +14,7 @@ from typing import TypeAlias
 import matplotlib
 from matplotlib import pyplot
 
-from tests.console.standin import M_PER_DEG, RPM_MOST, Message, Standin, boat, place, reference
+from tests.console.standin import M_PER_DEG, RPM_MOST, Message, Standin, boat, nearness, place, reference, vessel
 from tests.services.browser import Page, browser, shrink
 
 SIZE = (1440, 860)
@@ -316,8 +316,47 @@ async def phone(page: Page, picture: Picture) -> None:
         await picture("phone")
 
 
+def shipping() -> list[Message]:
+    """DelfimX gives way to one, one comes near Delfim, one is of unknown size, one lies, and one is lost."""
+    return [
+        vessel("BRAVO", north_m=-190, east_m=20, course_deg=20.0, heading_deg=22.0, speed_mps=3.1, length_m=24.0)
+        | {"domain_m": [109.0, 63.0], "boats": [nearness(1, 12.0, 41.0, "danger"), nearness(2, 210.0, 80.0)]},
+        vessel("MARIA", north_m=60, east_m=310, course_deg=262.0, heading_deg=264.0, speed_mps=2.6)
+        | {"domain_m": [173.0, 77.0], "boats": [nearness(2, 38.0, 118.0, "near"), nearness(1, 150.0, 60.0)]},
+        vessel("244001234", north_m=160, east_m=-240, course_deg=110.0, heading_deg=None, speed_mps=1.9, kind="B", status=15)
+        | {"size_known": False, "length_m": 15.0, "boats": [nearness(2, 120.0, 190.0)]},
+        vessel("PILAR 7", north_m=-60, east_m=330, course_deg=None, speed_mps=0.0, heading_deg=300.0, status=1)
+        | {"boats": [nearness(1, 210.0, -20.0)]},
+        vessel("TEJO", north_m=-215, east_m=-170, course_deg=75.0, lost=True, age_s=148.0)
+        | {"boats": [nearness(2, 190.0, -50.0)]},
+    ]
+
+
+async def traffic(page: Page, picture: Picture) -> None:
+    async with at_work().serving() as gateway:
+        day = Day(gateway)
+        await day.sail(0.1)
+        await opened(page, gateway)
+        await page.value("document.querySelector('#hint button').click()")
+        await page.press("Tab")
+        await show(page, -250, -330, 230, 420)
+        words = "giving way to MARIA, crossing from starboard, passing astern, CPA 93 m"
+        gateway.boat(2).update(order={"course_deg": 62.0, "words": words}, guard="on")
+        gateway.boat(1).update(guard="off")
+        gateway.vessels, gateway.reported_s = shipping(), 3.0
+        await gateway.look()
+        await day.sail(60)
+        await page.value("document.querySelector('#traffic .said').click()")
+        await gateway.look()
+        await caught_up(page, gateway)
+        await picture("traffic")
+        await page.mouse(await pixel(page, 160, -240))
+        await gateway.frame(0.0)
+        await picture("vessel")
+
+
 async def main(folder: Path, only: list[str]) -> None:
-    for scene in (work, plan, replayed, many, phone):
+    for scene in (work, traffic, plan, replayed, many, phone):
         if only and scene.__name__ not in only:
             continue
         with tempfile.TemporaryDirectory(prefix="page-", ignore_cleanup_errors=True) as place_of_browser:

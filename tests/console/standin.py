@@ -68,6 +68,35 @@ def boat(number: int, name: str, colour: str, *, north_m: float = 0.0, east_m: f
     }
 
 
+def vessel(name: str, *, north_m: float = 0.0, east_m: float = 0.0, **more: Any) -> Message:
+    """Another vessel as the gateway tells it, under way to the east at 4 m/s, of no concern."""
+    latitude_deg, longitude_deg = place(north_m, east_m)
+    return {
+        "key": name,
+        "name": name,
+        "latitude_deg": latitude_deg,
+        "longitude_deg": longitude_deg,
+        "course_deg": 90.0,
+        "speed_mps": 4.0,
+        "heading_deg": 90.0,
+        "length_m": 40.0,
+        "beam_m": 8.0,
+        "size_known": True,
+        "margin_m": 11.0,
+        "kind": "A",
+        "status": 0,
+        "age_s": 4.0,
+        "lost": False,
+        "domain_m": [173.0, 77.0],
+        "boats": [nearness(1)],
+        **more,
+    }
+
+
+def nearness(boat: int, cpa_m: float = 640.0, tcpa_s: float = 300.0, danger: str = "none") -> Message:
+    return {"boat": boat, "cpa_m": cpa_m, "tcpa_s": tcpa_s, "nearness": cpa_m / 100.0, "danger": danger, "words": ""}
+
+
 def place(north_m: float, east_m: float) -> tuple[float, float]:
     """Latitude and longitude, degrees, of a place beside the Doca."""
     return DOCA[0] + north_m / M_PER_DEG, DOCA[1] + east_m / (M_PER_DEG * math.cos(math.radians(DOCA[0])))
@@ -96,6 +125,8 @@ class Standin:
         self.obedient = True  # boats enter the mode they are told
         self.history: dict[int, list[list[float]]] = {}
         self.at_s = 1_790_000_000.0
+        self.vessels: list[Message] = []
+        self.reported_s: float | None = None  # since the last report of any of them
         self.sockets: set[web.WebSocketResponse] = set()
         self.address = ""
 
@@ -124,6 +155,10 @@ class Standin:
         """Tell the boats once, that much later."""
         self.at_s += later_s
         await self.tell({"t": "boats", "at_s": self.at_s, "boats": self.boats})
+
+    async def look(self) -> None:
+        """Tell the other vessels once."""
+        await self.tell({"t": "vessels", "at_s": self.at_s, "vessels": self.vessels, "heard_s": self.reported_s})
 
     async def hang_up(self) -> None:
         for socket in list(self.sockets):

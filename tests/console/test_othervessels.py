@@ -47,7 +47,8 @@ def test_a_vessel_is_reckoned_on_from_its_report_and_compared_with_the_boat() ->
     assert near["tcpa_s"] == pytest.approx(tcpa_s, rel=0.02)
     cpa_m = abs(north_m * east_mps - east_m * north_mps) / math.hypot(north_mps, east_mps)
     assert near["cpa_m"] == pytest.approx(cpa_m, rel=0.05)
-    assert near["danger"] == "danger" and maria["domain_m"][0] > 4 * 110
+    assert near["danger"] == "danger"
+    assert maria["domain_m"][0] > 4 * 110
 
 
 def test_class_size_and_those_without_a_number_of_their_own_are_told_apart() -> None:
@@ -78,7 +79,8 @@ def test_a_silent_vessel_is_lost_and_then_forgotten() -> None:
     assert shown(sea)["MARIA"]["lost"]
     sea.run(405.0)
     told = around(list(sea.fleet.boats.values()), sea.clock.monotonic_s())
-    assert told["vessels"] == [] and 460.0 < told["heard_s"] < 480.0, "it is still known when somebody was heard last"
+    assert told["vessels"] == []
+    assert 460.0 < told["heard_s"] < 480.0, "it is still known when somebody was heard last"
     assert sea.fleet.boats[1].others.tracks == {}
 
 
@@ -89,7 +91,8 @@ def test_the_newest_report_of_several_boats_counts_and_their_knowledge_is_one() 
     sea.boats[2].say(vessel(north_m=2880.0, tslc=1, flags=2 | 4))
     sea.run(1.0)
     maria = shown(sea)["MARIA"]
-    assert maria["age_s"] < 4.0 and maria["size_known"]
+    assert maria["age_s"] < 4.0
+    assert maria["size_known"]
     assert {each["boat"] for each in maria["boats"]} == {1, 2}
 
 

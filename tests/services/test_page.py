@@ -39,6 +39,28 @@ def test_the_page_says_who_commands_and_why_the_boat_is_killed():
     assert "kill: hand-set: its kill switch (hand-set commands)" in band
 
 
+def test_other_vessels_are_told_those_first_that_are_met_first():
+    def vessel(name: str, tcpa_s: float, danger: str = "none", **more: object) -> dict[str, object]:
+        place = {"latitude_deg": 51.9, "longitude_deg": 4.5, "speed_mps": 3.0, "cpa_m": 21.4, "age_s": 8.0}
+        return {"key": name, "name": name, "tcpa_s": tcpa_s, "danger": danger} | place | more
+
+    targets = [vessel("PAST", -40.0), vessel("MARIA", 300.0, "near"), vessel("TEJO", 90.0, lost=True, size_known=True)]
+    order = {"course_deg": 45.0, "speed_mps": 1.5, "words": "giving way to MARIA", "key": "MARIA", "age_s": 0.4}
+    told = STATE | {"traffic": {"heard_s": 3.0, "targets": targets, "order": order, "guard": "on"}}
+    section = rendered(report(msgspec.convert(told, api.State)))["vessels"]
+    text = "".join(section.itertext())
+    assert "3 vessels, last report 3.0 s ago. Sees only who transmits." in text
+    assert "giving way to MARIA" in text
+    names = [row.findtext("th/b") or row.findtext("th") for row in section.iter("tr")][1:]
+    assert names == ["MARIA (size unknown): near", "TEJO", "PAST (size unknown)"]
+    assert "lost, 8.0 s" in text
+    assert "past" in text
+
+
+def test_no_vessel_is_no_clear_water():
+    assert "Sees only who transmits." in "".join(rendered(report(VEHICLE))["vessels"].itertext())
+
+
 networks = st.dictionaries(words, st.builds(api.Network, up=st.booleans(), addresses=st.tuples(words)), max_size=2)
 computers = st.builds(
     api.Computer,
@@ -71,6 +93,15 @@ states = st.builds(
     counts=st.dictionaries(words, st.integers(0, 9), max_size=2),
     services=st.dictionaries(
         words, st.builds(api.Service, state=words, reason=words, figures=st.dictionaries(words, words, max_size=1)), max_size=2
+    ),
+    traffic=st.one_of(
+        st.none(),
+        st.builds(
+            api.TrafficSeen,
+            targets=st.tuples(st.builds(api.VesselSeen, name=words, danger=words, cpa_m=numbers, tcpa_s=st.floats(-9, 9))),
+            order=st.one_of(st.none(), st.builds(api.OrderInForce, words=words)),
+            guard=words,
+        ),
     ),
     notices=st.tuples(st.builds(api.Notice, name=words, reason=words, action=words)),
     log=st.builds(api.LogStatus, writable=st.booleans(), reason=words),

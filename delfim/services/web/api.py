@@ -123,6 +123,51 @@ class AnnouncedItem(Facts, frozen=True):
     params: tuple[float | None, ...] = ()
 
 
+class VesselSeen(Facts, frozen=True):
+    """Another vessel (docs/traffic.md), reckoned on from its last report."""
+
+    key: str
+    name: str
+    latitude_deg: float
+    longitude_deg: float
+    course_deg: float | None = None  # over ground; null: it lies, or is not known
+    speed_mps: float = 0.0
+    heading_deg: float | None = None
+    length_m: float = 0.0
+    beam_m: float = 0.0
+    size_known: bool = False  # otherwise the size is guessed from its kind
+    margin_m: float = 0.0  # how far it may be from there
+    kind: str = ""
+    status: int = 15  # navigational status of ITU-R M.1371; 15: not known
+    age_s: float = 0.0  # of its last report
+    lost: bool = False
+    cpa_m: float | None = None  # if both keep course and speed
+    tcpa_s: float | None = None  # negative: they draw apart
+    nearness: float | None = None  # least to come, in domains; 1: the edge
+    danger: str = "none"  # "near", "danger"
+
+
+class OrderInForce(Facts, frozen=True):
+    """What the boat does to keep clear."""
+
+    course_deg: float
+    speed_mps: float
+    words: str
+    key: str = ""  # of the vessel
+    age_s: float = 0.0
+
+
+class TrafficSeen(Facts, frozen=True):
+    """Other vessels. The boat sees only who transmits."""
+
+    heard_s: float | None = None  # age of the last report; null: never
+    own_s: float | None = None  # the same of the boat's own transponder
+    refused: dict[str, int] = {}  # reports that were not taken, by reason
+    targets: tuple[VesselSeen, ...] = ()  # the nearest first
+    order: OrderInForce | None = None
+    guard: str = "off"  # "on", "off", "cannot avoid: " and why
+
+
 class State(Facts, frozen=True):
     """The vehicle's report of itself."""
 
@@ -162,6 +207,7 @@ class State(Facts, frozen=True):
     services: dict[str, Service] = {}
     checks: tuple[Check, ...] = ()
     notices: tuple[Notice, ...] = ()
+    traffic: TrafficSeen | None = None  # null: nobody was ever heard
     deadman: dict[str, Any] = {}
     clock: KeptClock = KeptClock()
 

@@ -9,7 +9,7 @@ from html import escape
 from typing import Any, Final, NamedTuple
 
 from delfim import config
-from delfim.services.web import figures
+from delfim.services.web import figures, vesseltable
 from delfim.services.web.api import Network, Report, Service, State
 from delfim.services.web.wording import (
     as_told,
@@ -385,6 +385,7 @@ SECTIONS: Final = (
     Section("motion", "Motion", motion, 1.0, 0),
     Section("where", "Where", where, 1.0, 0),
     Section("warnings", "To look at", warnings, 1.0, 0),
+    Section("vessels", "Other vessels", lambda view: vesseltable.vessels(view.report.vehicle), 1.0, 0),
     Section("inputs", "Age of every input", inputs, 1.0, 0),
     Section("disk", "Logs", disk, 5.0, 0),
     Section("latency", "Critical path", latency, 5.0, 1),

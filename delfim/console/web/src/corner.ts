@@ -50,6 +50,8 @@ const LINES: readonly (readonly [string, string])[] = [
   ["steering", "where the boat is steering"],
   ["course", "its course, a minute ahead"],
   ["track", "its past track"],
+  ["vessel", "another vessel, three minutes ahead"],
+  ["vessel danger", "one that comes near, and its domain"],
   ["zone", "fence and obstacles aboard the boat"],
   ["zone draft", "fence and obstacles not yet sent"],
 ];

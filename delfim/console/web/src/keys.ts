@@ -24,6 +24,7 @@ const SCREEN: Group = [
   [
     ["+ −", "zoom"],
     ["W", "crosshair: arrows move the map, Enter opens the menu of the place"],
+    ["K", "take note of vessels in danger: the sound stops"],
     ["Esc", "close"],
     ["F1", "this card"],
   ],
@@ -106,6 +107,8 @@ export interface Screen {
   follow(): void;
   zoom(by: number): void;
   undo(): void;
+  /** Somebody has taken note of the vessels in danger: the sound stops. */
+  acknowledge(): void;
   replayTakes(key: string): boolean;
 }
 
@@ -154,6 +157,7 @@ export class Keys {
   private view(event: KeyboardEvent): boolean {
     if (event.key === "Tab" && !event.ctrlKey && !event.altKey) this.next(event.shiftKey ? -1 : 1);
     else if (event.key.toUpperCase() === "W" && !event.ctrlKey && !event.altKey) this.screen.aim();
+    else if (event.key.toUpperCase() === "K" && !event.ctrlKey && !event.altKey) this.screen.acknowledge();
     else if (event.key === "F1") this.screen.toggleCard();
     else if (event.key === "Escape") this.screen.closeMenu();
     else if (event.key === "Enter") this.screen.openMenu();

@@ -23,9 +23,12 @@ import { Plans } from "./plans";
 import { Popup } from "./popup";
 import { Replay } from "./replay";
 import { Sound } from "./sound";
+import { Others, vesselLines } from "./others";
 import { NOBODY, State, age_s, ageWords, freshness } from "./state";
 import { Strips } from "./strip";
-import type { Boat, Heard, Mission, Place } from "./wire";
+import { Traffic } from "./traffic";
+import { Watch } from "./watch";
+import type { Boat, Heard, Mission, Place, Vessel } from "./wire";
 
 const REACH_PX = 22;
 const REACH_TOUCH_PX = 32;
@@ -43,9 +46,11 @@ const keyCard = card(document.body, state);
 const chart = new Chart(element("map"), element("scale"), { click, press, hover });
 const land = new Land(chart, state, element("base"));
 const fleet = new Fleet(chart, state);
+const watch = new Watch(state, sound);
+const others = new Others(chart, state, watch);
 const plans = new Plans(chart, state, (mission) => edit(state.planning, mission));
 const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, messages, sound, () => keyCard.toggle());
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, messages, sound, watch, () => keyCard.toggle());
 const hints = new Hints(element("hint"), element("nobody"), state, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
@@ -71,9 +76,11 @@ new Keys(state, actions, {
     chart.zoom(by);
   },
   undo,
+  acknowledge: () => watch.acknowledge(),
   replayTakes: (code) => replay.takes(code),
 });
 dryRunCard(element("dryrun"), state);
+new Traffic(element("traffic"), state, watch, (vessel, at) => tell(vessel, at));
 new Check(element("check"), state, actions);
 new Pad(state, actions, drive, (boat, severity, words) => messages.say(boat, severity, words));
 
@@ -105,6 +112,8 @@ function heard(message: Heard): void {
       return;
     case "boats":
       return took(message.boats, message.at_s);
+    case "vessels":
+      return state.takeVessels(message.vessels, message.heard_s);
     case "whole_track":
       return fleet.whole(message.boat, message.points);
     case "track":
@@ -176,6 +185,13 @@ function chosen(boat: Boat, at: Pixel): void {
   menus.boat(boat, at);
 }
 
+/** What is known of another vessel. */
+function tell(vessel: Vessel, at: Pixel): void {
+  const name = (boat: number) => state.byId(boat)?.name ?? `boat ${boat}`;
+  const note = vessel.name === vessel.key ? "" : vessel.key;
+  popup.menu(at, { title: vessel.name, note }, vesselLines(vessel, name).map((title) => ({ title, do: () => {} })));
+}
+
 function openMenu(): void {
   const boat = state.boat;
   if (!boat) return;
@@ -204,15 +220,17 @@ function press(place: Place, pixel: Pixel): void {
 function offer(pixel: Pixel, touch: boolean): boolean {
   const boat = fleet.at(pixel, touch ? REACH_TOUCH_PX : REACH_PX);
   const handle = boat ? null : plans.at(pixel, touch);
+  const vessel = boat || handle ? null : others.at(pixel, touch ? REACH_TOUCH_PX : REACH_PX);
   if (boat) chosen(boat, pixel);
   else if (handle) menus.handle(handle, pixel);
-  return boat !== null || handle !== null;
+  else if (vessel) tell(vessel, pixel);
+  return boat !== null || handle !== null || vessel !== null;
 }
 
 function hover(place: Place, pixel: Pixel): void {
   if (plans.measuring) plans.measureTo(place, false);
   text(element("where"), whereWords(place, state));
-  const over = fleet.at(pixel, REACH_PX) ?? plans.at(pixel, false);
+  const over = fleet.at(pixel, REACH_PX) ?? plans.at(pixel, false) ?? others.at(pixel, REACH_PX);
   element("map").style.cursor = plans.measuring ? "crosshair" : over ? "pointer" : "";
 }
 
@@ -268,5 +286,6 @@ Object.assign(window, {
     ways: () => fleet.wayPoints,
     points: (boat: number) => fleet.points(boat),
     frames: ofLastSecond,
+    vessels: () => state.vessels.map((each) => [each.name, watch.gravity(each)]),
   },
 });

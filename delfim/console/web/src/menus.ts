@@ -14,6 +14,8 @@ import type { Entry, Field, Item, Popup } from "./popup";
 import type { Sound } from "./sound";
 import type { State } from "./state";
 import { inKnots, setKnots } from "./units";
+import { ZONES_M } from "./watch";
+import type { Watch } from "./watch";
 import type { Boat, Mode, Place } from "./wire";
 
 const ELSEWHERE: ReadonlySet<Mode> = new Set(["hold", "home", "course"]); // modes with an entry of their own
@@ -30,6 +32,7 @@ export class Menus {
     private readonly planning: Planning,
     private readonly messages: Messages,
     private readonly sound: Sound,
+    private readonly watch: Watch,
     private readonly card: () => void,
   ) {}
 
@@ -165,12 +168,18 @@ export class Menus {
       { title: "Night colours", tick: night, do: change },
       { title: "Knots", tick: inKnots, do: () => setKnots(!inKnots) },
       { title: "Sound", tick: this.sound.on, do: () => this.sound.toggle() },
+      { title: "Guard zone", note: this.watch.zone_m ? `${this.watch.zone_m} m around each boat, on this page` : "none on this page", sub: () => this.zones() },
       ...charts,
       "line",
       { title: "Messages", sub: () => this.said() },
       { title: "Clear the tracks", do: () => this.fleet.clearTracks() },
       { title: "Full screen", do: () => void document.documentElement.requestFullscreen() },
     ];
+  }
+
+  /** A vessel nearer than this is marked and heard on this page; the boat's own limits are in its file. */
+  private zones(): Entry[] {
+    return ZONES_M.map((m): Item => ({ title: m ? `${m} m` : "None", tick: this.watch.zone_m === m, do: () => this.watch.setZone(m) }));
   }
 
   private toggle(chart: string): void {

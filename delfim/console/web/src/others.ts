@@ -1,8 +1,7 @@
 // Other vessels on the map: symbols after IMO's SN.1/Circ.243, what they will do, and the order of a boat that keeps clear of one.
 import Feature from "ol/Feature";
 import { type Geometry, LineString, Point } from "ol/geom";
-import { circular } from "ol/geom/Polygon";
-import Polygon from "ol/geom/Polygon";
+import Polygon, { circular } from "ol/geom/Polygon";
 import VectorLayer from "ol/layer/Vector";
 import VectorSource from "ol/source/Vector";
 import { Fill, Icon, Stroke, Style, Text } from "ol/style";
@@ -13,21 +12,20 @@ import { moved, towards } from "./geo";
 import { palette, theme } from "./palette";
 import type { State } from "./state";
 import { speedWords } from "./units";
-import type { Vessel } from "./wire";
-import { graver, worst } from "./watch";
+import { worst } from "./watch";
 import type { Watch } from "./watch";
+import type { Vessel } from "./wire";
 
 const RAD = Math.PI / 180;
-const AHEAD_S = 360; // of a course vector, for vessels: that of the boats is a minute
+const AHEAD_S = 180; // of a course vector, as far as a boat looks ahead
 const HEADING_PX = 26;
-const SCALE_FROM_M = 12; // a hull longer than so many pixels is drawn as its outline, too
 const NAMES_FROM_ZOOM = 12;
 const ORDER_M = 60; // the line of an order is at least so long
 const ORDER_S = 60;
 
 export class Others {
   private readonly source = new VectorSource({ useSpatialIndex: false });
-  private readonly layer = new VectorLayer({ source: this.source, updateWhileAnimating: true, updateWhileInteracting: true });
+  private readonly own = new VectorSource({ useSpatialIndex: false }); // orders and guard zones, which move with the boats
   private zoom = 0;
 
   constructor(
@@ -35,13 +33,14 @@ export class Others {
     private readonly state: State,
     private readonly watch: Watch,
   ) {
-    chart.add(this.layer, 5);
+    for (const source of [this.source, this.own]) chart.add(new VectorLayer({ source, updateWhileAnimating: true, updateWhileInteracting: true }), 5);
     chart.onZoom((zoom) => {
       const named = this.zoom >= NAMES_FROM_ZOOM;
       this.zoom = zoom;
       if (named !== zoom >= NAMES_FROM_ZOOM) this.draw();
     });
-    state.on(["vessels", "theme", "boats", "selection"], () => this.draw());
+    state.on(["vessels", "theme"], () => this.draw());
+    state.on(["boats", "vessels"], () => this.drawOwn());
   }
 
   /** The vessel whose symbol is nearest to this pixel, within reach. */
@@ -57,7 +56,14 @@ export class Others {
 
   private draw(): void {
     this.source.clear(true);
-    this.source.addFeatures([...this.state.vessels.flatMap((each) => this.vessel(each)), ...this.orders(), ...this.zone()]);
+    this.source.addFeatures(this.state.vessels.flatMap((each) => this.vessel(each)));
+  }
+
+  private drawOwn(): void {
+    const made = [...this.orders(), ...this.zone()];
+    if (!made.length && !this.own.getFeatures().length) return;
+    this.own.clear(true);
+    this.own.addFeatures(made);
   }
 
   private vessel(vessel: Vessel): Feature[] {
@@ -77,7 +83,7 @@ export class Others {
     }
     const turned = vessel.heading_deg ?? vessel.course_deg;
     const style = new Style({
-      image: new Icon({ img: symbol(vessel, grave !== "none", turned !== null), rotateWithView: true, scale: 0.5, rotation: (turned ?? 0) * RAD }),
+      image: new Icon({ img: symbol(vessel, grave !== "none", turned !== null), rotateWithView: true, scale: grave === "none" ? 0.6 : 0.7, rotation: (turned ?? 0) * RAD }),
       zIndex: grave === "none" ? 4 : 6,
     });
     if (grave !== "none" || this.zoom >= NAMES_FROM_ZOOM || vessel.kind === "distress") style.setText(label(vessel, grave !== "none"));
@@ -154,7 +160,7 @@ export function labelWords(vessel: Vessel): string {
   return `${vessel.name}\nCPA ${first.cpa_m.toFixed(0)} m ${tcpaWords(first.tcpa_s)}`;
 }
 
-export const secondsWords = (s: number): string => (s < 100 ? `${s.toFixed(0)} s` : `${(s / 60).toFixed(0)} min`);
+export const secondsWords = (s: number): string => (s < 180 ? `${s.toFixed(0)} s` : `${(s / 60).toFixed(0)} min`);
 
 /** When two are nearest. */
 export function tcpaWords(tcpa_s: number | null): string {

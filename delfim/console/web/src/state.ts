@@ -1,8 +1,8 @@
 // The state of the page, in one place. Views subscribe to topics; only the operator changes the selection.
 import { Plan, UNNAMED, alike, empty, same } from "./mission";
-import type { Background, Boat, Heard, Mission, Order } from "./wire";
+import type { Background, Boat, Heard, Mission, Order, Vessel } from "./wire";
 
-export type Topic = "boats" | "selection" | "plan" | "online" | "hello" | "missions" | "progress" | "dryrun" | "theme";
+export type Topic = "boats" | "selection" | "plan" | "online" | "hello" | "missions" | "progress" | "dryrun" | "theme" | "vessels";
 type Hello = Extract<Heard, { t: "hello" }>;
 export type DryRun = Extract<Heard, { t: "dryrun" }>;
 
@@ -27,6 +27,8 @@ export class State {
   readonly plans = new Map<number, Plan>(); // NOBODY's before a boat is heard
   private readonly aboard = new Map<number, Mission>(); // as they were read from the boats
   private framedAt = 0;
+  vessels: Vessel[] = []; // those that a boat meets first stand first
+  private reported: number | null = null; // when any of them was heard last, by this page's clock
   private readonly listeners = new Map<Topic, (() => void)[]>();
 
   on(topics: Topic[], listener: () => void): void {
@@ -82,6 +84,17 @@ export class State {
     this.framedAt = performance.now();
     if (this.selected === null && this.boats.length) this.select(this.boats[0]!.id);
     this.tell("boats");
+  }
+
+  takeVessels(vessels: Vessel[], heard_s: number | null): void {
+    this.vessels = vessels;
+    this.reported = heard_s === null ? null : performance.now() - 1000 * heard_s;
+    this.tell("vessels");
+  }
+
+  /** Seconds since the last report of any other vessel; null: nobody was heard. */
+  get heard_s(): number | null {
+    return this.reported === null ? null : (performance.now() - this.reported) / 1000;
   }
 
   /** Gives this boat the plan that was made before a boat was heard. True if there was one. */

@@ -98,8 +98,41 @@ export interface Boat {
   fence: [number, number][];
   obstacles: Obstacle[];
   zones?: Zone[];
+  order?: { course_deg: number; words: string } | null; // that keeps it clear of another vessel
+  guard?: string | null; // "on", "off", "cannot avoid"; null: it does not say
   ghost: (Place & { radius_m: number }) | null;
   released: boolean;
+}
+
+export type Gravity = "none" | "near" | "danger";
+
+/** How near a vessel comes to a boat, if both keep course and speed. */
+export interface Nearness {
+  boat: number;
+  cpa_m: number | null;
+  tcpa_s: number | null; // negative: they draw apart
+  nearness: number | null; // in domains
+  danger: Gravity;
+  words: string;
+}
+
+/** Another vessel, reckoned on to now. */
+export interface Vessel extends Place {
+  key: string;
+  name: string;
+  course_deg: number | null;
+  speed_mps: number;
+  heading_deg: number | null;
+  length_m: number;
+  beam_m: number;
+  size_known: boolean;
+  margin_m: number;
+  kind: string; // "A", "B", "fleet", "payload", "distress"
+  status: number; // navigational status of ITU-R M.1371
+  age_s: number;
+  lost: boolean;
+  domain_m: [number, number]; // half axes, ahead and abeam
+  boats: Nearness[]; // the one that it meets first stands first
 }
 
 export interface Background {
@@ -134,6 +167,7 @@ export interface TimeLine {
 export type Heard =
   | { t: "hello"; version: string; me: number; heard_on?: string[]; charts?: string; orders: Order[]; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "boats"; at_s: number; boats: Boat[] }
+  | { t: "vessels"; at_s: number; vessels: Vessel[]; heard_s: number | null }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
   | { t: "whole_track"; boat: number; points: [number, number, number][] }
   | { t: "text"; boat: number | null; severity: number; text: string; at_s: number }
