@@ -16,6 +16,7 @@ from delfim.console.foxglove import FoxgloveView
 from delfim.errors import ConfigError
 from delfim.logging import topics
 from tests.console.test_gateway import let_in, opened
+from tests.console.test_othervessels import vessel
 
 pytest.importorskip("foxglove", reason="make formats brings it")
 DATA = 1  # of a binary message
@@ -87,6 +88,7 @@ def test_state_place_plan_and_words_of_a_boat_are_seen_in_foxglove(view, tmp_pat
                     await page.send_json({"t": "mission", "seq": 1, "boat": 1, "do": "put", "mission": plan})
                     await page.send_json({"t": "mission", "seq": 2, "boat": 1, "do": "upload"})
                     await saw.wait()
+                    sea.boats[0].say(vessel(north_m=1000.0))
                     await page.send_json({"t": "input", "boat": 1, "n": 1, "port_pct": 0.0, "starboard_pct": 0.0})
                     await page.send_json({"t": "release", "boat": 1, "why": "a test"})
                     await seeing
@@ -100,11 +102,11 @@ def test_state_place_plan_and_words_of_a_boat_are_seen_in_foxglove(view, tmp_pat
 
 
 async def see(watcher: Watcher, saw: asyncio.Event) -> None:
-    left = {"state", "location", "plan", "log"}
+    left = {"state", "location", "plan", "targets", "log"}
     while left:
         topic, message = await watcher.hear()
         names = [each["properties"]["name"] for each in json.loads(message.get("geojson", '{"features": []}'))["features"]]
-        if names or not topic.endswith("plan"):  # the boat's own empty mission comes first
+        if names or not topic.endswith(("plan", "targets")):  # the boat's own empty mission comes first
             left.discard(topic.rpartition("/")[2])
         match topic:
             case "/delfim-x/state":
@@ -116,6 +118,8 @@ async def see(watcher: Watcher, saw: asyncio.Event) -> None:
                 assert message["latitude"] == pytest.approx(38.6901, abs=1e-6)
             case "/delfim-x/plan" if names:
                 assert names == ["waypoint 1", "waypoint 2", "round", "fence"]
+            case "/delfim-x/targets" if names:
+                assert names == ["MARIA", "MARIA"], "its place and its way ahead"
 
 
 def test_without_the_token_there_is_no_layout(tmp_path):

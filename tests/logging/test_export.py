@@ -16,8 +16,9 @@ from delfim.errors import DelfimError
 from delfim.frames import CAN_ERR, CAN_IDE, Frame, extended, standard
 from delfim.logging import canexport, export, tree
 from delfim.logging.candump import format_line
+from delfim.logging.reading import read_events
 from delfim.logging.table import table
-from tests.logging.sailing import logged, sailed
+from tests.logging.sailing import Day, logged, sailed
 
 FORMATS_MISSING = "needs the packages of `make formats`"
 
@@ -35,6 +36,57 @@ def written(day, tmp_path: Path, form: str) -> Path:
     file = tmp_path / f"out.{form}"
     export.FORMATS[form](*day, file)
     return file
+
+
+SHIPS = (
+    'simulation.traffic.vessel=[{name="MARIA", transponder="A", north_m=900.0, course_deg=180.0, speed_mps=4.0},'
+    '{name="<TEJO>", transponder="B", east_m=-900.0, course_deg=90.0, speed_mps=2.0}]'
+)
+
+
+@pytest.fixture(scope="module")
+def met(tmp_path_factory):
+    """The same of a minute and a half among ships that are heard by AIS."""
+    place = tmp_path_factory.mktemp("met")
+    sailing = Day(place, SHIPS, 'simulation.traffic.heard="perfect"', 'sensors.names=["sysstat", "nmea2000"]')
+    sailing.sail(90.0)
+    sailing.end()
+    state = [file for file in logged(place) if file.id == "state"]
+    return *table(state), list(tree.events(state))
+
+
+def test_other_vessels_are_in_the_log_and_in_what_maps_read(met, tmp_path):
+    told = [event for event in met[2] if event["event"] == "vessels"]
+    assert 6 <= len(told) <= 9, "each ten seconds"
+    assert {each["name"] for each in told[-1]["value"]} == {"MARIA", "<TEJO>"}
+    with written(met, tmp_path, "mcap").open("rb") as stream:
+        messages = [
+            (channel.topic, known.name, json.loads(message.data))
+            for known, channel, message in mcap.reader.make_reader(stream).iter_messages()
+        ]
+    seen = [json.loads(message["geojson"]) for topic, name, message in messages if topic == "/delfimx/targets"]
+    assert {name for topic, name, _ in messages if topic == "/delfimx/targets"} == {"foxglove.GeoJSON"}
+    assert len(seen) == len(told)
+    point = next(each for each in seen[-1]["features"] if each["properties"]["name"] == "MARIA")
+    maria = next(each for each in told[-1]["value"] if each["name"] == "MARIA")
+    assert point["geometry"] == {"type": "Point", "coordinates": [maria["longitude_deg"], maria["latitude_deg"]]}
+    assert not any("vessels" in message["message"] for topic, _, message in messages if topic == "/delfimx/log")
+    root = ElementTree.fromstring(written(met, tmp_path, "kml").read_text())
+    marks = {mark.findtext("{*}name"): mark for mark in root.iter("{http://www.opengis.net/kml/2.2}Placemark")}
+    assert {"track", "MARIA", "<TEJO>"} <= marks.keys()
+    assert len(marks["MARIA"].findall(".//{*}when")) == len(marks["MARIA"].findall(".//{*}coord")) >= 5
+
+
+@pytest.mark.parametrize(
+    "value",
+    [None, "MARIA", [3], [{"name": 3}], [{"name": "M"}], [{"name": "M", "latitude_deg": "1", "longitude_deg": 1}],
+     [{"name": "M", "latitude_deg": 99.0, "longitude_deg": 1.0}],
+     [{"name": "M", "latitude_deg": 9.0, "longitude_deg": 1.0, "course_deg": [1]}]],
+)  # fmt: skip
+def test_vessels_of_a_damaged_sidecar_are_left_out(tmp_path, value):
+    sidecar = tmp_path / "000000.meta.jsonl"
+    sidecar.write_text(json.dumps({"t_ns": 1, "monotonic_s": 1.0, "event": "vessels", "value": value}) + "\n")
+    assert list(read_events(sidecar)) == []
 
 
 def test_csv_has_every_field_of_every_record_in_degrees_with_units(day, tmp_path):
