@@ -3,7 +3,7 @@
 import json
 import math
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, get_args
 
 import msgspec
 import pytest
@@ -12,8 +12,10 @@ from hypothesis import strategies as st
 
 from delfim import config
 from delfim.vehicle.grex import sighted
-from delfim.vehicle.mavlink.vesselsout import NEAR, number
+from delfim.vehicle.mavlink.vesselsout import NEAR, guard, number, ordered
 from delfim.vehicle.state import State
+from delfim.vehicle.target import CourseOrder, Target
+from delfim.vehicle.traffic.encounter import BEGINNINGS, Duty, words
 from delfim.vehicle.traffic.lookout import LOOK_S
 from tests.vehicle.mavlink_console import Console
 from tests.vehicle.test_mavlink_station import afloat, sail
@@ -159,3 +161,26 @@ def test_consoles_are_told_the_nearest_often_and_all_in_turn(sea):
 
 def test_nobody_is_told_of_nobody(sea):
     assert not [m for m in sail(sea, 3.0) if m.get_type() == "AIS_VESSEL"]
+
+
+def test_consoles_are_told_the_order_and_the_guard_once_somebody_was_heard(sea):
+    def told(seconds: float = 2.0) -> dict[str, float]:
+        heard = [m for m in sail(sea, seconds) if m.get_type().startswith("NAMED_VALUE")]
+        return {m.name: m.value for m in heard if m.name in ("ORDER_CRS", "GUARD")}
+
+    assert told() == {}
+    say(sea.console)
+    looked(sea)
+    assert (math.isnan(told()["ORDER_CRS"]), told()["GUARD"]) == (True, 0), "idle: it keeps clear of nobody"
+    order = CourseOrder(math.radians(-90.0), 1.0, 1.5, "giving way to MARIA, head-on", str(MARIA), 1.2, sea.state.traffic.at_s)
+    sea.state.traffic = sea.state.traffic._replace(order=order, guard="cannot avoid: no position")
+    assert [(m.name, m.value) for m in ordered(sea.state, 0)] == [(b"ORDER_CRS", 270.0)]
+    assert [(m.name, m.value) for m in guard(sea.state, 0)] == [(b"GUARD", 2)]
+
+
+@pytest.mark.parametrize("owed", get_args(Duty))
+@pytest.mark.parametrize("is_late", [True, False])
+def test_what_an_order_says_begins_as_a_console_expects(owed: Duty, is_late: bool) -> None:
+    target = Target("1", "MARIA", 0, 0, 0, 1, math.nan, 15, 5, True, 10, 1, False, "A", 0)
+    assert words(owed, target, is_late).startswith(BEGINNINGS)
+    assert words(owed, target._replace(status=7), is_late).startswith(BEGINNINGS)
