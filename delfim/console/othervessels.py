@@ -10,9 +10,10 @@ from typing import Any, Final, Protocol
 
 from delfim.config import TrafficNear, TrafficTable
 from delfim.console.words import Words
-from delfim.geodesy import Origin, origin
+from delfim.geodesy import Origin, from_plane, origin
 from delfim.vehicle.mavlink.aisvessel import facts_of, position_of
 from delfim.vehicle.mavlink.vesselsout import GUARD, NUMBERS
+from delfim.vehicle.mavlink.vesselsout import number as number_of
 from delfim.vehicle.target import Danger, Target
 from delfim.vehicle.traffic.alarm import Alarms, Guarded, dangers
 from delfim.vehicle.traffic.encounter import BEGINNINGS, Own
@@ -20,6 +21,7 @@ from delfim.vehicle.traffic.keepclear import Caution, RouteAhead, measured
 from delfim.vehicle.traffic.reckoning import VesselTrack, begun
 from delfim.vehicle.traffic.targets import DISTRESS, kept_s, silence_s
 from delfim.vehicle.traffic.vesselwords import danger_told, vessel_told
+from delfim.vessels import VesselFacts, VesselPosition
 
 MOST: Final = 200  # vessels of one boat, and on the page
 NEWS_S: Final = 12.0  # the boat tells of its order and its guard each second, by radio each five
@@ -50,7 +52,18 @@ class VesselsTold:
             told = told._replace(kind="fleet" if name.startswith("boat ") else "payload")
         elif f"{number:09d}".startswith(DISTRESS):
             told = told._replace(kind="distress")
-        track = begun(told, "", now_s - message.tslc)
+        self._keep(number, begun(told, "", now_s - message.tslc), facts)
+
+    def recall(self, vessels: Iterable[Mapping[str, Any]], at_s: float) -> None:
+        """Those of the boat's own log at that time (`delfim.logging.reading.LoggedVessel`), in place of all that were known."""
+        self.tracks.clear()
+        for each in vessels:
+            number, reported_s = number_of(each["key"]), at_s - each["age_s"]
+            facts = VesselFacts(number, each["name"], None, None, *_size(each), None, None)
+            self._keep(number, begun(_reported(number, each), "", reported_s), facts)
+
+    def _keep(self, number: int, track: VesselTrack | None, facts: VesselFacts | None) -> None:
+        """The newest last; the one that was told of longest ago gives way."""
         if track is None:
             return
         if facts is not None:
@@ -63,8 +76,11 @@ class VesselsTold:
 
     def say(self, message: Any) -> None:
         """STATUSTEXT: the sentence of an order is kept."""
-        text = self._said.hear(message)
-        if text is not None and text.startswith(BEGINNINGS):
+        self.says(self._said.hear(message) or "")
+
+    def says(self, text: str) -> None:
+        """The same of a whole text."""
+        if text.startswith(BEGINNINGS):
             self._words = text
 
     def ordered(self, course_deg: float, now_s: float) -> None:
@@ -91,6 +107,22 @@ class VesselsTold:
         old = [number for number, track in self.tracks.items() if _age_s(track, now_s) > _silence_s(track) + kept_s(track)]
         for number in old:
             del self.tracks[number]
+
+
+def _reported(number: int, told: Mapping[str, Any]) -> VesselPosition:
+    """Where a vessel of the log was at its last report: the log has it reckoned on."""
+    course_deg, heading_deg, speed_mps = told["course_deg"], told["heading_deg"], told["speed_mps"]
+    course_rad = None if course_deg is None else math.radians(course_deg)
+    place = math.radians(told["latitude_deg"]), math.radians(told["longitude_deg"])
+    if course_rad is not None:
+        back_m = -speed_mps * told["age_s"]
+        place = from_plane(origin(*place), back_m * math.cos(course_rad), back_m * math.sin(course_rad))
+    heading_rad = None if heading_deg is None else math.radians(heading_deg)
+    return VesselPosition(number, *place, course_rad, speed_mps, heading_rad, None, told["kind"], told["status"])
+
+
+def _size(told: Mapping[str, Any]) -> tuple[float | None, float | None]:
+    return (told["length_m"], told["beam_m"]) if told["size_known"] else (None, None)
 
 
 class TellingBoat(Protocol):

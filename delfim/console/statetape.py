@@ -4,6 +4,7 @@ import contextlib
 import math
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
+from operator import itemgetter
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
@@ -21,6 +22,7 @@ from delfim.vehicle.gnss import FIXES
 from delfim.vehicle.sensors import nmea0183, nmea2000
 
 MEASURED: Final = {each.name: each.told.decode() for each in (*nmea0183.VALUES, *nmea2000.VALUES)}  # as the link tells them
+SAID_S: Final = 900.0  # an order may last so long
 STATE_S: Final = 0.1  # between records that are shown
 Sides = dict[str, list[str]]  # "port" and "starboard": names of thrusters
 
@@ -34,6 +36,7 @@ class LogRow(NamedTuple):
     values: dict[str, Any]
     reference: dict[str, Any]
     measured: dict[str, float]
+    order_deg: float  # the course that keeps clear of another vessel; nan: there is none
 
 
 class States:
@@ -44,11 +47,13 @@ class States:
         self.name, self.complaint = "", ""
         self._rows: list[LogRow] = []
         self.texts: list[Text] = []
+        self._vessels: list[tuple[float, list[dict[str, Any]]]] = []  # when, and the other vessels
         self._number = _number(files, number)
         track: Track = []
         for file in in_order(files):
             self._read(file)
             self.texts += _texts(file, self._number)
+            self._vessels += [(told["t_ns"] / 1e9, told["value"]) for told in _events(file) if told["event"] == "vessels"]
         if not self._rows:
             raise FormatError(f"{files[0] if files else 'no file'}: no record of a state")
         for row in self._rows:
@@ -57,6 +62,7 @@ class States:
                 track.append((round(row.at_s, 1), *place))
         self._times = [row.at_s for row in self._rows]
         self.texts.sort()
+        self._vessels.sort(key=itemgetter(0))
         self.tracks = {self._number: track}
         self.missions: dict[int, Missions] = {}  # a state log holds none
         self.from_s, self.to_s = self._times[0], self._times[-1]
@@ -78,7 +84,18 @@ class States:
             track = self.tracks[self._number]
             begin, end = (bisect_right(track, (t_s, math.inf, math.inf)) for t_s in (from_s, to_s))
             boat.track.extend(track[begin:end])
+            self._look(boat, row, from_s, to_s)
         return () if from_s < self.from_s else between(self.texts, from_s, to_s)
+
+    def _look(self, boat: Boat, row: LogRow, from_s: float, to_s: float) -> None:
+        """The other vessels, and what the boat does for them."""
+        known = bisect_right(self._vessels, to_s, key=itemgetter(0)) - 1
+        if known >= 0 and self._vessels[known][0] > from_s:
+            at_s, vessels = self._vessels[known]
+            boat.others.recall(vessels, at_s)
+        for text in between(self.texts, max(from_s, to_s - SAID_S), to_s):
+            boat.others.says(text.text.removeprefix("traffic: ").partition(": ")[0])  # ": warn", as a trouble has it
+        boat.others.ordered(row.order_deg, row.at_s)
 
     def _read(self, file: Path) -> None:
         schema, records, complaint = read_state(file)
@@ -137,7 +154,8 @@ def _row(at_s: float, told: dict[str, Any], sides: Sides) -> LogRow:
         "leg": known("leg"),
     }
     measured = {short: value for name, short in MEASURED.items() if (value := known(name, 3)) is not None}
-    return LogRow(at_s, told["mode"], bool(told.get("run")), values, reference, measured)
+    order_deg = math.degrees(told.get("order_course", math.nan))
+    return LogRow(at_s, told["mode"], bool(told.get("run")), values, reference, measured, order_deg)
 
 
 def _events(file: Path) -> Iterator[dict[str, Any]]:

@@ -13,6 +13,7 @@ from typing import Any, Final, NamedTuple, Protocol
 
 from delfim.console.boats import Boat
 from delfim.console.mavlink import COMPONENT, SYSTEM, mavlink
+from delfim.console.othervessels import VesselsTold
 from delfim.console.plan import KINDS, item_in, mission_of
 from delfim.console.session import STAMP
 from delfim.console.words import Words
@@ -22,6 +23,7 @@ from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
 
 SESSION_BYTES: Final = 1 << 30  # of a session that is replayed: a boat's day has a tenth of that
 BEFORE_S: Final = 30.0  # every periodic message comes at least once in this time, lean links apart
+VESSELS_S: Final = 1500.0  # the same of other vessels: one that lies, reports seldom and was lost is shown for so long
 _V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
 _SHOWS_PLACE: Final = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2)
 _TOLD_ONCE: Final = (mavlink.MAVLINK_MSG_ID_PARAM_EXT_VALUE, mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES)  # when the boat was found
@@ -78,6 +80,7 @@ class TlogTape:
         self.texts: list[Text] = []
         self._read: dict[tuple[int, int], tuple[int, list[Item]]] = {}  # by boat and type: how many, and those so far
         self._words: dict[int, Words] = {}  # by boat
+        self._vessels: dict[int, list[tuple[float, int, int]]] = {}  # by boat: when, and where in the file
         self._known: dict[int, Boat] = {}  # sent once: name and modes
         self.complaint = ""
         self.from_s = self.to_s = -math.inf
@@ -109,6 +112,21 @@ class TlogTape:
             if number in boats:
                 boats[number].track.clear()
                 boats[number].track.extend(track[:seen])
+        for number, boat in boats.items():
+            self._look(number, boat.others, at_s)
+
+    def _look(self, number: int, others: VesselsTold, at_s: float) -> None:
+        """The other vessels that were told of before, and the sentence of an order that lasts."""
+        told = self._vessels.get(number, [])
+        begin, end = (bisect_right(told, (t_s, math.inf)) for t_s in (at_s - VESSELS_S, at_s))
+        newest = {self._data[start + 10 : start + 14]: (t_s, start, end) for t_s, start, end in told[begin:end]}  # by MMSI
+        for t_s, start, end in newest.values():
+            message = self._message(start, end)
+            if message is not None and message.MMSI not in others.tracks:
+                others.hear(message, t_s)
+        if others.order(at_s) is not None:
+            for text in between(self.texts, at_s - VESSELS_S, at_s):
+                others.says(text.text if text.boat == number else "")
 
     def play(self, boats: dict[int, Boat], from_s: float, to_s: float) -> Sequence[Text]:
         row = max(bisect_right(self._times, from_s) - 1, 0)
@@ -137,6 +155,8 @@ class TlogTape:
         if self._number(start) in _TOLD_ONCE and (message := self._message(start, end)) is not None:
             number = message.get_srcSystem()
             self._known.setdefault(number, Boat(number, at_s)).receive(message, at_s, at_s)
+        if self._number(start) == mavlink.MAVLINK_MSG_ID_AIS_VESSEL and self._data[start] == _V2:
+            self._vessels.setdefault(self._system(start), []).append((at_s, start, end))
         if self._number(start) in _MISSION:
             self._remember_mission(at_s, self._message(start, end))
         if self._number(start) not in _SHOWS_PLACE:

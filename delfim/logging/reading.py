@@ -3,7 +3,9 @@
 import zlib
 from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Annotated, Any, Final, NamedTuple
+
+import msgspec
 
 from delfim.errors import FormatError
 from delfim.outside import parse_json, read_file
@@ -66,6 +68,29 @@ def read_log(path: str | Path) -> tuple[bytes, str]:
     return b"".join(parts), ""
 
 
+Degrees = Annotated[float, msgspec.Meta(ge=0.0, le=360.0)]
+Count = Annotated[float, msgspec.Meta(ge=0.0, le=1e6)]
+
+
+class LoggedVessel(msgspec.Struct):
+    """Another vessel, as a sidecar has it (docs/log-format.md)."""
+
+    key: str
+    name: str
+    latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
+    longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
+    course_deg: Degrees | None
+    speed_mps: Count
+    heading_deg: Degrees | None
+    length_m: Count
+    beam_m: Count
+    size_known: bool
+    kind: str
+    status: int
+    age_s: Count
+    lost: bool
+
+
 def read_events(path: str | Path) -> Iterator[dict[str, Any]]:
     """The events of a sidecar, a line each; unreadable lines are left out: the power may have failed in the middle of one.
     Raises OSError."""
@@ -96,16 +121,11 @@ def _is_event(told: dict[str, Any]) -> bool:
 
 
 def _are_vessels(value: object) -> bool:
-    """Whether these are vessels, each with a name and its place on the Earth in numbers."""
-    if not isinstance(value, list) or not all(isinstance(each, dict) and isinstance(each.get("name"), str) for each in value):
+    try:
+        msgspec.convert(value, list[LoggedVessel])
+    except msgspec.ValidationError:
         return False
-    numbers = [each.get(key, 0.0) for each in value for key in ("speed_mps", "age_s")]
-    numbers += [each["course_deg"] for each in value if each.get("course_deg") is not None]
-    places = [(each.get("latitude_deg"), each.get("longitude_deg")) for each in value]
-    numbers += [number for place in places for number in place]
-    if not all(type(number) in (int, float) and abs(number) < MOMENT_MAX_S for number in numbers):
-        return False
-    return all(abs(latitude_deg) <= 89.0 and abs(longitude_deg) <= 180.0 for latitude_deg, longitude_deg in places)
+    return True
 
 
 def in_order(paths: Iterable[Path]) -> list[Path]:

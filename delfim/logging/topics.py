@@ -59,7 +59,7 @@ def targets(vessels: Iterable[Mapping[str, Any]]) -> dict[str, object]:
     for each in vessels:
         at = [each["longitude_deg"], each["latitude_deg"]]  # GeoJSON has the longitude first (RFC 7946)
         told = {key: each[key] for key in _TOLD if each.get(key) is not None}
-        grave = any(near["danger"] != "none" for near in each.get("boats", ()))
+        grave = any(near.get("danger", "none") != "none" for near in (each, *each.get("boats", ())))
         colour = "#808080" if each.get("lost") else "#b4232f" if grave else "#0d2230"
         features.append(_feature("Point", at, told | {"style": {"color": colour}}))
         if each.get("course_deg") is not None and not each.get("lost"):
@@ -70,7 +70,7 @@ def targets(vessels: Iterable[Mapping[str, Any]]) -> dict[str, object]:
     return {"geojson": json.dumps({"type": "FeatureCollection", "features": features})}
 
 
-_TOLD: Final = ("name", "kind", "speed_mps", "course_deg", "length_m", "size_known", "age_s", "lost")
+_TOLD: Final = ("name", "kind", "speed_mps", "course_deg", "length_m", "size_known", "age_s", "lost", "cpa_m", "tcpa_s")
 
 
 def _feature(kind: str, coordinates: object, properties: Mapping[str, object]) -> dict[str, object]:

@@ -15,7 +15,7 @@ from delfim.modes import Mode
 from delfim.vehicle import record
 from delfim.vehicle.console import Alive, Commands, Manual, TellState, Watch
 from delfim.vehicle.state import State
-from delfim.vehicle.traffic.vesselwords import vessel_told
+from delfim.vehicle.traffic.vesselwords import danger_told, vessel_told
 
 COMMAND_MAX: Final = 160  # characters of a command in the system log; all of it is in the sidecar
 VESSELS_S: Final = 10.0  # between two lists of other vessels ...
@@ -85,8 +85,9 @@ class Logbook:
             self._noted = False
             self.event("watchdog", at_s=state.watchdog_s)
         elif state.traffic.targets and state.origin is not None and state.watchdog_s - self._vessels_s >= VESSELS_S:
-            self._vessels_s, origin = state.watchdog_s, state.origin
-            self.event("vessels", value=[vessel_told(each, origin) for each in state.traffic.targets[:VESSELS_MAX]])
+            self._vessels_s, known = state.watchdog_s, {each.key: each for each in state.traffic.dangers}
+            told = ((each.key, vessel_told(each, state.origin)) for each in state.traffic.targets[:VESSELS_MAX])
+            self.event("vessels", value=[words | danger_told(known.get(key)) for key, words in told])
 
     def reason(self) -> str:
         status = self._log.status()

@@ -327,9 +327,19 @@ def shipping() -> list[Message]:
         | {"size_known": False, "length_m": 15.0, "boats": [nearness(2, 120.0, 190.0)]},
         vessel("PILAR 7", north_m=-60, east_m=330, course_deg=None, speed_mps=0.0, heading_deg=300.0, status=1)
         | {"boats": [nearness(1, 210.0, -20.0)]},
-        vessel("TEJO", north_m=-215, east_m=-170, course_deg=75.0, lost=True, age_s=148.0)
+        vessel("TEJO", north_m=-215, east_m=-170, course_deg=75.0, lost=True, age_s=148.0, margin_m=32.0)
         | {"boats": [nearness(2, 190.0, -50.0)]},
     ]
+
+
+async def shipping_lane(gateway: Standin, day: Day) -> None:
+    """DelfimX gives way; Delfim is in manual, with a ship that comes near."""
+    words = "giving way to MARIA, crossing from starboard, passing astern, CPA 93 m"
+    gateway.boat(2).update(order={"course_deg": 62.0, "words": words}, guard="on")
+    gateway.boat(1).update(guard="off")
+    gateway.vessels, gateway.reported_s = shipping(), 3.0
+    await gateway.look()
+    await day.sail(60)
 
 
 async def traffic(page: Page, picture: Picture) -> None:
@@ -339,24 +349,36 @@ async def traffic(page: Page, picture: Picture) -> None:
         await opened(page, gateway)
         await page.value("document.querySelector('#hint button').click()")
         await page.press("Tab")
-        await show(page, -250, -330, 230, 420)
-        words = "giving way to MARIA, crossing from starboard, passing astern, CPA 93 m"
-        gateway.boat(2).update(order={"course_deg": 62.0, "words": words}, guard="on")
-        gateway.boat(1).update(guard="off")
-        gateway.vessels, gateway.reported_s = shipping(), 3.0
-        await gateway.look()
-        await day.sail(60)
+        await show(page, -250, -330, 330, 560)
+        await shipping_lane(gateway, day)
         await page.value("document.querySelector('#traffic .said').click()")
-        await gateway.look()
         await caught_up(page, gateway)
         await picture("traffic")
-        await page.mouse(await pixel(page, 160, -240))
-        await gateway.frame(0.0)
-        await picture("vessel")
+        await page.value("document.querySelector('#traffic .main').click()")
+        await page.mouse(await pixel(page, 80, 80))
+        await choose(page, "Screen", "Guard zone", "100 m")
+        await page.mouse(await pixel(page, 80, 80))
+        await choose(page, "Screen", "Night colours")
+        await gateway.look()
+        await caught_up(page, gateway)
+        await picture("traffic-night")
+
+
+async def traffic_on_a_phone(page: Page, picture: Picture) -> None:
+    async with at_work().serving() as gateway:
+        day = Day(gateway)
+        await day.sail(0.1)
+        await opened(page, gateway, width=390, height=780)
+        await page.value("document.querySelector('#hint button').click()")
+        await page.press("Tab")
+        await show(page, -330, -170, 130, 80)
+        await shipping_lane(gateway, day)
+        await caught_up(page, gateway)
+        await picture("traffic-phone")
 
 
 async def main(folder: Path, only: list[str]) -> None:
-    for scene in (work, traffic, plan, replayed, many, phone):
+    for scene in (work, traffic, traffic_on_a_phone, plan, replayed, many, phone):
         if only and scene.__name__ not in only:
             continue
         with tempfile.TemporaryDirectory(prefix="page-", ignore_cleanup_errors=True) as place_of_browser:

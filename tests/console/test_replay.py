@@ -2,6 +2,7 @@
 
 import errno
 import math
+import re
 import shutil
 from pathlib import Path
 from typing import Any
@@ -20,11 +21,14 @@ from delfim.console.session import PENDING_BYTES, Session
 from delfim.console.statetape import States
 from delfim.console.tape import Text, TlogTape
 from delfim.errors import DelfimError, FormatError, Refused
+from delfim.geodesy import origin, to_plane
 from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle import console
 from delfim.vehicle.logbook import Logbook
 from tests.console.fakeboat import FakeBoat
 from tests.console.test_fleet import Sea
 from tests.console.test_othervessels import vessel
+from tests.logging.sailing import Day
 
 ROOT = Path(__file__).parents[2]
 
@@ -346,3 +350,57 @@ def test_a_replay_shows_the_vessels_that_the_boat_told_of(tmp_path: Path) -> Non
     player.seek(player.from_s + 10.0)
     (maria,) = around(list(player.boats.values()), player.at_s)["vessels"]
     assert (maria["name"], maria["age_s"] < 2.0) == ("MARIA", True)
+
+
+def test_a_jump_in_a_replay_shows_those_that_were_told_of_before(tmp_path: Path) -> None:
+    """A vessel of many comes seldom, and the sentence of an order once."""
+    sea = Sea(1)
+    session = Session(tmp_path, sea.clock)
+    sea.fleet.record = session.put
+    sea.run(3.0)
+    sea.boats[1].say(
+        vessel(north_m=2000.0, velocity=0, navigational_status=1),
+        mavlink.MAVLink_statustext_message(5, b"giving way to TEJO, head-on", 0, 0),
+    )
+    for _ in range(100):
+        sea.boats[1].say(mavlink.MAVLink_named_value_float_message(0, b"ORDER_CRS", 45.0))
+        sea.run(1.0)
+    session.flush()
+    player = TapePlayer(open_tapes([tmp_path]), sea.clock, lambda message: None)
+    player.seek(player.from_s + 90.0)
+    (maria,) = around(list(player.boats.values()), player.at_s)["vessels"]
+    assert (maria["name"], round(maria["age_s"], -1), maria["lost"]) == ("MARIA", 90.0, False)
+    assert player.snapshot()[0]["order"] == {"course_deg": 45.0, "words": "giving way to TEJO, head-on"}
+
+
+SHIPS = (
+    'simulation.traffic.vessel=[{name="MARIA", transponder="A", length_m=30.0, beam_m=6.0, north_m=500.0, course_deg=180.0, '
+    'speed_mps=2.5},{name="TEJO", transponder="B", east_m=-900.0, course_deg=90.0, speed_mps=2.0}]'
+)
+
+
+def test_the_log_of_a_boat_shows_the_vessels_that_it_knew_and_what_it_did(tmp_path: Path) -> None:
+    day = Day(tmp_path, SHIPS, 'sensors.names=["sysstat", "nmea2000"]', "simulation.heading_deg=0.0")
+    day.sail(6.0)
+    assert day.command(console.Course(course_deg=0.0, speed_mps=1.5)) is None
+    for _ in range(30):
+        day.command(console.Alive())
+        day.sail(1.0)
+    knew = day.sailing.state.traffic
+    day.end()
+    assert knew.order is not None, "it gives way"
+    player = TapePlayer(open_tapes([tmp_path]), ManualClock(), lambda message: None)
+    player.seek(player.to_s)
+    shown = {each["name"]: each for each in around(list(player.boats.values()), player.at_s)["vessels"]}
+    assert shown.keys() == {"MARIA", "TEJO"}
+    boat = player.boats[2]
+    here = origin(math.radians(boat.values["latitude_deg"]), math.radians(boat.values["longitude_deg"]))
+    own = day.sailing.state.motion
+    for each in knew.targets:
+        told = shown[each.name]
+        north_m, east_m = to_plane(here, math.radians(told["latitude_deg"]), math.radians(told["longitude_deg"]))
+        assert (north_m, east_m) == pytest.approx((each.north_m - own.north_m, each.east_m - own.east_m), abs=15.0)
+        assert told["age_s"] == pytest.approx(each.age_s, abs=11.0)
+        assert (told["size_known"], told["lost"]) == (each.is_size_known, False)
+    words = player.snapshot()[0]["order"]["words"]
+    assert re.fullmatch(r"giving way to \w+, head-on, port to port, CPA \d+ m", words)

@@ -174,8 +174,8 @@ def test_consoles_are_told_the_order_and_the_guard_once_somebody_was_heard(sea):
     assert (math.isnan(told()["ORDER_CRS"]), told()["GUARD"]) == (True, 0), "idle: it keeps clear of nobody"
     order = CourseOrder(math.radians(-90.0), 1.0, 1.5, "giving way to MARIA, head-on", str(MARIA), 1.2, sea.state.traffic.at_s)
     sea.state.traffic = sea.state.traffic._replace(order=order, guard="cannot avoid: no position")
-    assert [(m.name, m.value) for m in ordered(sea.state, 0)] == [(b"ORDER_CRS", 270.0)]
-    assert [(m.name, m.value) for m in guard(sea.state, 0)] == [(b"GUARD", 2)]
+    assert [(m.name, m.value) for m in ordered(sea.state, 0)] == [("ORDER_CRS", 270.0)]
+    assert [(m.name, m.value) for m in guard(sea.state, 0)] == [("GUARD", 2)]
 
 
 @pytest.mark.parametrize("owed", get_args(Duty))

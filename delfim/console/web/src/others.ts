@@ -81,6 +81,7 @@ export class Others {
       const ahead = point(towards(vessel, vessel.course_deg, vessel.speed_mps * AHEAD_S));
       add(new LineString([here, ahead]), cased(ink, grave === "none" ? 1.2 : 2.2, [8, 5]));
     }
+    if (vessel.lost) add(circular([vessel.longitude_deg, vessel.latitude_deg], vessel.margin_m, 48).transform("EPSG:4326", "EPSG:3857"), cased(ink, 1.2, [6, 5]));
     const turned = vessel.heading_deg ?? vessel.course_deg;
     const style = new Style({
       image: new Icon({ img: symbol(vessel, grave !== "none", turned !== null), rotateWithView: true, scale: grave === "none" ? 0.6 : 0.7, rotation: (turned ?? 0) * RAD }),
@@ -99,7 +100,7 @@ export class Others {
       const far_m = Math.max(ORDER_M, (boat.speed_mps ?? 0) * ORDER_S);
       const line = new Feature(new LineString([point(place), point(towards(place, boat.order.course_deg, far_m))]));
       const words = new Text({
-        text: boat.order.words.replace(/, /, ",\n"),
+        text: boat.order.words.replace(/, (?!CPA)/g, ",\n"),
         font: "600 13px system-ui, sans-serif",
         textAlign: "left",
         offsetX: 14,
@@ -121,7 +122,7 @@ export class Others {
       const place = position(boat);
       if (!place) return [];
       const ring = new Feature(circular([place.longitude_deg, place.latitude_deg], zone_m, 64).transform("EPSG:4326", "EPSG:3857"));
-      ring.setStyle(cased(palette.danger, 1.2, [3, 6]));
+      ring.setStyle(cased(palette.danger, 1.8, [3, 6]));
       return [ring];
     });
   }
@@ -182,7 +183,7 @@ export function vesselLines(vessel: Vessel, name: (boat: number) => string): str
 
 const symbols = new Map<string, HTMLCanvasElement>();
 
-/** A triangle with its heading line, twice as large as it is shown; red and bold: dangerous; crossed out: lost; a circle with a
+/** A triangle with its heading line, twice as large as it is shown; red and bold: dangerous; dashed: lost; a circle with a
  * cross: distress; a square: the heading is not known. */
 function symbol(vessel: Vessel, grave: boolean, turned: boolean): HTMLCanvasElement {
   const kind = vessel.kind === "distress" ? "distress" : turned ? "vessel" : "still";
@@ -197,22 +198,21 @@ function symbol(vessel: Vessel, grave: boolean, turned: boolean): HTMLCanvasElem
   pen.lineJoin = "round";
   const shape = outline(kind);
   const heading = new Path2D();
-  if (kind === "vessel" && vessel.heading_deg !== null) {
+  if (kind === "vessel" && vessel.heading_deg !== null && !vessel.lost) {
     heading.moveTo(0, -24);
     heading.lineTo(0, -2 * HEADING_PX + 2);
   }
   const cross = new Path2D();
-  if (vessel.lost || kind === "distress") {
-    const far = vessel.lost ? 24 : 12;
-    for (const side of [-1, 1]) {
-      cross.moveTo(-far, side * far);
-      cross.lineTo(far, -side * far);
+  if (kind === "distress") {
+    for (const side of [-12, 12]) {
+      cross.moveTo(-12, side);
+      cross.lineTo(12, -side);
     }
   }
   const ink = grave || kind === "distress" ? palette.danger : palette.ink;
   const stroke = (tint: string, width: number) => {
     [pen.strokeStyle, pen.lineWidth] = [tint, width];
-    pen.setLineDash(vessel.lost ? [7, 5] : []);
+    pen.setLineDash(vessel.lost && tint !== palette.halo ? [8, 6] : []);
     pen.stroke(shape);
     pen.setLineDash([]);
     pen.stroke(heading);
