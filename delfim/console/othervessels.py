@@ -6,7 +6,7 @@ neither its way nor its file. Lost, kept and guessed are those of docs/traffic.m
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from delfim.config import TrafficNear, TrafficTable
 from delfim.console.words import Words
@@ -25,6 +25,7 @@ from delfim.vessels import VesselFacts, VesselPosition
 
 MOST: Final = 200  # vessels of one boat, and on the page
 NEWS_S: Final = 12.0  # the boat tells of its order and its guard each second, by radio each five
+TURN_S: Final = 1.0  # a boat tells of one after the other: by radio one a second
 PLACE_S: Final = 10.0  # an older place of a boat is no place to reckon from
 AHEAD_S: Final = 3600.0  # the way ahead of a boat that keeps course and speed
 SELF_M, SELF_MPS = 40.0, 1.0  # a vessel so near, and so alike, may be the boat's own transponder, as others hear it
@@ -33,11 +34,32 @@ NEAR: Final = TrafficNear()
 BOAT: Final = Caution(length_m=4.0, turn_radps=0.2, ramp_mps2=0.3)  # what the boat has not told matters little beside a domain
 
 
+class Known(NamedTuple):
+    """A vessel, and how much of its silence is that of the link."""
+
+    track: VesselTrack
+    untold_s: float
+
+    def silent_s(self, now_s: float) -> float:
+        return self.age_s(now_s) - self.untold_s
+
+    def age_s(self, now_s: float) -> float:
+        return max(now_s - self.track.at_s, 0.0)
+
+    @property
+    def limit_s(self) -> float:
+        return silence_s(LIMITS, self.track)
+
+    def target(self, number: int, at: Origin, now_s: float) -> Target:
+        return self.track.target(str(number), self.age_s(now_s), self.silent_s(now_s) > self.limit_s, at)
+
+
 class VesselsTold:
     """What one boat tells: of other vessels, and of its own guard. Bounded; whatever a message has in it does no harm."""
 
     def __init__(self) -> None:
         self.tracks: dict[int, VesselTrack] = {}  # by number; the last told of stands last
+        self._told_s: dict[int, float] = {}  # when that was
         self.heard_s = -math.inf  # the newest report of any of them
         self.alarms: Alarms = {}
         self._order_deg, self._words, self._order_s = math.nan, "", -math.inf
@@ -52,17 +74,18 @@ class VesselsTold:
             told = told._replace(kind="fleet" if name.startswith("boat ") else "payload")
         elif f"{number:09d}".startswith(DISTRESS):
             told = told._replace(kind="distress")
-        self._keep(number, begun(told, "", now_s - message.tslc), facts)
+        self._keep(number, begun(told, "", now_s - message.tslc), facts, now_s)
 
     def recall(self, vessels: Iterable[Mapping[str, Any]], at_s: float) -> None:
         """Those of the boat's own log at that time (`delfim.logging.reading.LoggedVessel`), in place of all that were known."""
         self.tracks.clear()
+        self._told_s.clear()
         for each in vessels:
             number, reported_s = number_of(each["key"]), at_s - each["age_s"]
             facts = VesselFacts(number, each["name"], None, None, *_size(each), None, None)
-            self._keep(number, begun(_reported(number, each), "", reported_s), facts)
+            self._keep(number, begun(_reported(number, each), "", reported_s), facts, at_s)
 
-    def _keep(self, number: int, track: VesselTrack | None, facts: VesselFacts | None) -> None:
+    def _keep(self, number: int, track: VesselTrack | None, facts: VesselFacts | None, now_s: float) -> None:
         """The newest last; the one that was told of longest ago gives way."""
         if track is None:
             return
@@ -70,9 +93,17 @@ class VesselsTold:
             track.measure(facts)
         self.heard_s = max(self.heard_s, track.at_s)
         self.tracks.pop(number, None)
-        self.tracks[number] = track
+        self.tracks[number], self._told_s[number] = track, now_s
         if len(self.tracks) > MOST:
-            del self.tracks[next(iter(self.tracks))]
+            self._drop(next(iter(self.tracks)))
+
+    def _drop(self, number: int) -> None:
+        del self.tracks[number], self._told_s[number]
+
+    def untold_s(self, number: int, now_s: float) -> float:
+        """For how long the boat has said nothing of a vessel, as far as it had to speak of the others meanwhile: so long the
+        vessel's silence is the link's."""
+        return min(now_s - self._told_s[number], len(self.tracks) * TURN_S)
 
     def say(self, message: Any) -> None:
         """STATUSTEXT: the sentence of an order is kept."""
@@ -104,9 +135,10 @@ class VesselsTold:
 
     def forget(self, now_s: float) -> None:
         """Drops those that were silent for too long."""
-        old = [number for number, track in self.tracks.items() if _age_s(track, now_s) > _silence_s(track) + kept_s(track)]
-        for number in old:
-            del self.tracks[number]
+        known = [(number, Known(track, self.untold_s(number, now_s))) for number, track in self.tracks.items()]
+        for number, each in known:
+            if each.silent_s(now_s) > each.limit_s + kept_s(each.track):
+                self._drop(number)
 
 
 def _reported(number: int, told: Mapping[str, Any]) -> VesselPosition:
@@ -140,7 +172,7 @@ def around(boats: Sequence[TellingBoat], now_s: float) -> dict[str, Any]:
     """All vessels for the pages, once a second: JSON-ready, those that any boat meets first, at most MOST."""
     for boat in boats:
         boat.others.forget(now_s)
-    tracks = _merged(boats)
+    tracks = _merged(boats, now_s)
     by_boat = {boat.number: {each.key: each for each in _judged(boat, tracks, now_s)} for boat in boats}
     vessels = [
         _shown(number, track, {boat: known[str(number)] for boat, known in by_boat.items() if str(number) in known}, now_s)
@@ -151,25 +183,26 @@ def around(boats: Sequence[TellingBoat], now_s: float) -> dict[str, Any]:
     return {"vessels": vessels[:MOST], "heard_s": min((each for each in heard.values() if each is not None), default=None)}
 
 
-def _merged(boats: Sequence[TellingBoat]) -> dict[int, VesselTrack]:
+def _merged(boats: Sequence[TellingBoat], now_s: float) -> dict[int, Known]:
     """Of each vessel the newest report; another boat may know its name or size. The console's own boats are left out."""
-    found: dict[int, VesselTrack] = {}
+    found: dict[int, Known] = {}
     own = {f"boat {boat.number}" for boat in boats}
     for boat in boats:
         for number, track in boat.others.tracks.items():
-            was = found.get(number)
             if track.kind == "fleet" and track.name in own:
                 continue
+            told, was = Known(track, boat.others.untold_s(number, now_s)), found.get(number)
             if was is None:
-                found[number] = track
+                found[number] = told
                 continue
-            new, old = (track, was) if track.at_s > was.at_s else (was, track)
-            new.size, new.name = new.size or old.size, old.name if new.name in ("", str(number)) else new.name
+            new, old = (told, was) if track.at_s > was.track.at_s else (was, told)
+            new.track.size = new.track.size or old.track.size
+            new.track.name = old.track.name if new.track.name in ("", str(number)) else new.track.name
             found[number] = new
     return found
 
 
-def _judged(boat: TellingBoat, tracks: Mapping[int, VesselTrack], now_s: float) -> Iterable[Danger]:
+def _judged(boat: TellingBoat, tracks: Mapping[int, Known], now_s: float) -> Iterable[Danger]:
     """How near each vessel comes to a boat that keeps course and speed; nothing where its place is not known."""
     own = _own(boat, now_s)
     if own is None:
@@ -179,7 +212,7 @@ def _judged(boat: TellingBoat, tracks: Mapping[int, VesselTrack], now_s: float) 
     here = Own(0.0, 0.0, math.radians(boat.values.get("course_deg") or 0.0), speed_mps)
     way_m = speed_mps * AHEAD_S
     ahead = (way_m * math.cos(here.course_rad), way_m * math.sin(here.course_rad))
-    targets = [_target(number, track, at, now_s) for number, track in tracks.items()]
+    targets = [each.target(number, at, now_s) for number, each in tracks.items()]
     targets = [each for each in targets if int(each.key) in boat.others.tracks or not _is_alike(each, here)]
     guard, order = boat.others.guard(now_s), boat.others.order(now_s)
     guarded: Guarded = "no" if guard != "on" else "away" if order else "on its way"
@@ -205,15 +238,10 @@ def _is_alike(target: Target, here: Own) -> bool:
     return is_near and math.hypot(north_mps, east_mps) < SELF_MPS
 
 
-def _target(number: int, track: VesselTrack, at: Origin, now_s: float) -> Target:
-    age_s = _age_s(track, now_s)
-    return track.target(str(number), age_s, age_s > _silence_s(track), at)
-
-
-def _shown(number: int, track: VesselTrack, known: Mapping[int, Danger], now_s: float) -> dict[str, Any]:
+def _shown(number: int, told: Known, known: Mapping[int, Danger], now_s: float) -> dict[str, Any]:
     """A vessel, its domain, and its danger to each boat, the first to meet first."""
-    plane = origin(track.latitude_rad, track.longitude_rad)
-    target = _target(number, track, plane, now_s)
+    plane = origin(told.track.latitude_rad, told.track.longitude_rad)
+    target = told.target(number, plane, now_s)
     around = measured(BOAT, Own(0.0, 0.0, 0.0, 0.0), 0.0, target).around
     half_m = [round(1.0 / math.hypot(*axis), 1) for axis in (around[4:6], around[6:8])]
     boats = [{"boat": boat, **danger_told(each), "words": each.words} for boat, each in known.items()]
@@ -229,14 +257,6 @@ def _order_of(each: Mapping[str, Any]) -> tuple[int, float]:
     """Dangerous ones, those that draw near by their time, those that draw apart."""
     tcpa_s = each["tcpa_s"] if each["tcpa_s"] is not None else math.inf
     return {"danger": 0, "near": 1}.get(each["danger"], 2 if tcpa_s >= 0.0 else 3), abs(tcpa_s)
-
-
-def _silence_s(track: VesselTrack) -> float:
-    return silence_s(LIMITS, track)
-
-
-def _age_s(track: VesselTrack, now_s: float) -> float:
-    return max(now_s - track.at_s, 0.0)
 
 
 def _since(at_s: float, now_s: float) -> float | None:

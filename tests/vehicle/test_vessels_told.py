@@ -159,6 +159,20 @@ def test_consoles_are_told_the_nearest_often_and_all_in_turn(sea):
     assert (payload.name, payload.heading, payload.flags & 64) == ("radar 7", 0xFFFF, 0)
 
 
+@pytest.mark.parametrize(("profile", "times"), [("wifi", 1), ("radio", 4)])
+def test_none_of_many_is_passed_over_whatever_the_link(boat, profile, times):
+    sea = afloat(boat, profile=profile)
+    for i in range(40):
+        say(sea.console, mmsi=MARIA + i, lat=round((HERE[0] + 0.001 * (i + 1)) * 1e7))
+    looked(sea)
+    heard = list[int]()
+    for _ in range(times):
+        sea.console.beat()
+        heard += [m.MMSI for m in sail(sea, 10.5) if m.get_type() == "AIS_VESSEL"]
+    assert set(heard) == {MARIA + i for i in range(40)}
+    assert min(heard.count(MARIA + i) for i in range(NEAR)) > 3, "the nearest come often"
+
+
 def test_nobody_is_told_of_nobody(sea):
     assert not [m for m in sail(sea, 3.0) if m.get_type() == "AIS_VESSEL"]
 

@@ -28,6 +28,7 @@ class Peer:
         self.heard_s = -math.inf
         self.asked_s: dict[int, float] = {}  # intervals that it asked for, by message
         self.due_s: dict[int, float] = {}
+        self.turns: dict[int, int] = {}  # how often it was told, by message
         self.told: dict[int, object] = {}  # last value told, by message
         self.params: deque[str] = deque(maxlen=len(params.NAMES))  # to be told, a few a tick
         self.answered: tuple[str, float, Message] | None = None  # the last command, when, and its answer

@@ -148,7 +148,8 @@ def _due(peer: Peer, row: TelemetryRow, view: TelemetryView) -> list[Message]:
         peer.told[row.id] = news
     due_s = peer.due_s.get(row.id, -math.inf) + interval_s
     peer.due_s[row.id] = due_s if due_s > now_s - interval_s else now_s + interval_s
-    return list(row.make(view))
+    peer.turns[row.id] = turn = peer.turns.get(row.id, -1) + 1
+    return list(row.make(view._replace(turn=turn)))
 
 
 def _meant(message: Message, system: int) -> bool:

@@ -29,7 +29,6 @@ COMPONENT: Final = 1
 GUIDED: Final = frozenset({Mode.HEADING, Mode.COURSE, Mode.GOTO, Mode.GREX})
 BY_HAND: Final = frozenset({Mode.MANUAL, Mode.IDLE})
 NEVER_S: Final = 0.0  # an interval: not at all
-VESSELS_S: Final = 0.25  # between other vessels that are told
 _U16, _I16, _I8 = 0xFFFF, 0x7FFF, -1
 _AHEAD: Final = 500.0  # of pulses between stop and full, us
 _STILL: Final = 1500
@@ -49,6 +48,7 @@ class TelemetryView(NamedTuple):
     item: Callable[[int], int]  # number of the item that a leg of the mission leads to
     checksum: Callable[[int], int | None]  # of the plans of a type; None: not now
     now_s: float
+    turn: int = 0  # how often this peer was told such a message
 
 
 class TelemetryRow(NamedTuple):
@@ -260,7 +260,7 @@ def wind(view: TelemetryView) -> Iterator[Message]:
 
 def others(view: TelemetryView) -> Iterator[Message]:
     """AIS_VESSEL; a part of them each time."""
-    return vessels(view.boat.state, int(view.now_s / VESSELS_S))
+    return vessels(view.boat.state, view.turn)
 
 
 def _young(view: TelemetryView, name: str) -> float | None:
@@ -330,7 +330,7 @@ ROWS: Final = (
     TelemetryRow(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, NEVER_S, 5.0, 1.0, floats),
     TelemetryRow(WaterDepth.id, NEVER_S, 1.0, 0.5, depth, _sounded),
     TelemetryRow(Wind.id, NEVER_S, 5.0, 1.0, wind, _blown),
-    TelemetryRow(dialect.MAVLINK_MSG_ID_AIS_VESSEL, NEVER_S, 1.0, VESSELS_S, others),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_AIS_VESSEL, NEVER_S, 1.0, 0.25, others),
     TelemetryRow(dialect.MAVLINK_MSG_ID_BATTERY_STATUS, NEVER_S, 5.0, 1.0, batteries),
 )
 

@@ -29,9 +29,14 @@ def vessels(state: State, turn: int) -> Iterator[Message]:
     targets, origin = state.traffic.targets, state.origin
     if not targets or origin is None:
         return
-    chosen = {turn % min(len(targets), NEAR), turn % len(targets)}
-    for index in sorted(chosen):
-        yield _vessel(targets[index], origin)
+    near = targets[turn % min(len(targets), NEAR)]
+    next_one = sorted(targets, key=_key)[turn % len(targets)]  # by their keys: the nearest change, and none is passed over
+    for target in (near,) if near is next_one else (near, next_one):
+        yield _vessel(target, origin)
+
+
+def _key(target: Target) -> str:
+    return target.key
 
 
 def ordered(state: State, boot_ms: int) -> Iterator[Message]:
