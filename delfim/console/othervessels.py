@@ -11,6 +11,7 @@ from typing import Any, Final, NamedTuple, Protocol
 from delfim.config import TrafficNear, TrafficTable
 from delfim.console.words import Words
 from delfim.geodesy import Origin, from_plane, origin
+from delfim.slices import Sliced
 from delfim.vehicle.mavlink.aisvessel import facts_of, position_of
 from delfim.vehicle.mavlink.vesselsout import GUARD, NUMBERS
 from delfim.vehicle.mavlink.vesselsout import number as number_of
@@ -216,9 +217,9 @@ def _judged(boat: TellingBoat, tracks: Mapping[int, Known], now_s: float) -> Ite
     targets = [each for each in targets if int(each.key) in boat.others.tracks or not _is_alike(each, here)]
     guard, order = boat.others.guard(now_s), boat.others.order(now_s)
     guarded: Guarded = "no" if guard != "on" else "away" if order else "on its way"
-    found, boat.others.alarms = dangers(
-        NEAR, BOAT, here, RouteAhead((ahead,), speed_mps), targets, (), guarded, boat.others.alarms, now_s
-    )
+    way = RouteAhead((ahead,), speed_mps)
+    judging = dangers(NEAR, BOAT, here, way, targets, (), guarded, boat.others.alarms, now_s)
+    found, boat.others.alarms = Sliced(judging).finish()
     return found
 
 

@@ -15,7 +15,6 @@ from delfim.modes import Mode
 from delfim.vehicle import record
 from delfim.vehicle.console import Alive, Commands, Manual, TellState, Watch
 from delfim.vehicle.state import State
-from delfim.vehicle.traffic.vesselwords import danger_told, vessel_told
 
 COMMAND_MAX: Final = 160  # characters of a command in the system log; all of it is in the sidecar
 VESSELS_S: Final = 10.0  # between two lists of other vessels ...
@@ -48,6 +47,11 @@ class Logbook:
         """Write an event into the sidecar."""
         self._log.note(event_line(self._clock, event, **what))
 
+    def _note(self, what: dict[str, object]) -> None:
+        """The same, a tenth of its cost."""
+        times = {"t_ns": self._clock.time_ns(), "monotonic_s": self._clock.monotonic_s()}
+        self._log.note(msgspec.json.encode(times | what) + b"\n")
+
     def command(
         self, command: Commands, refused: str | None, state: State, operator: str = "", written: bytes | None = None
     ) -> None:
@@ -55,10 +59,14 @@ class Logbook:
         are not kept."""
         if not isinstance(command, Alive | TellState | Watch):
             value = msgspec.json.encode(command) if written is None else written
-            what = {"event": "command", "at_s": state.console_s, "value": msgspec.Raw(value), "refused": refused or ""}
+            what: dict[str, object] = {
+                "event": "command",
+                "at_s": state.console_s,
+                "value": msgspec.Raw(value),
+                "refused": refused or "",
+            }
             what["operator"] = operator
-            times = {"t_ns": self._clock.time_ns(), "monotonic_s": self._clock.monotonic_s()}
-            self._log.note(msgspec.json.encode(times | what) + b"\n")
+            self._note(what)
             level = logging.INFO
             if isinstance(command, Manual):  # ten a second: in the system log only when the answer changes
                 level = logging.INFO if refused and refused != self._manual else logging.DEBUG
@@ -84,10 +92,9 @@ class Logbook:
         if self._noted:
             self._noted = False
             self.event("watchdog", at_s=state.watchdog_s)
-        elif state.traffic.targets and state.origin is not None and state.watchdog_s - self._vessels_s >= VESSELS_S:
-            self._vessels_s, known = state.watchdog_s, {each.key: each for each in state.traffic.dangers}
-            told = ((each.key, vessel_told(each, state.origin)) for each in state.traffic.targets[:VESSELS_MAX])
-            self.event("vessels", value=[words | danger_told(known.get(key)) for key, words in told])
+        elif state.traffic.told and state.watchdog_s - self._vessels_s >= VESSELS_S:
+            self._vessels_s = state.watchdog_s
+            self._note({"event": "vessels", "value": state.traffic.told[:VESSELS_MAX]})
 
     def reason(self) -> str:
         status = self._log.status()

@@ -186,7 +186,7 @@ class VehicleLoop:
             "checks": lines,
             "latency": self.latency.summary(),
             "thrusters": thrusters.told(self.helm.settings.thrusters, self.state, now_s),
-            "traffic": self._watchkeeper.words.told(self.state.traffic, now_s, self.helm.settings.traffic.mmsi > 0),
+            "traffic": self._watchkeeper.told(now_s),
             "paused": paused.mode.name.lower() if (paused := self.helm.paused) else None,
             **extra,
         }

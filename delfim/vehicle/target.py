@@ -50,6 +50,9 @@ class Danger(NamedTuple):
     words: str = ""  # why; empty: there is none
 
 
+VesselTold = dict[str, object]  # a vessel for people and programs, JSON-ready (docs/traffic.md)
+
+
 class Traffic(NamedTuple):
     """All other vessels now, and who was heard when. Times are monotonic."""
 
@@ -62,3 +65,4 @@ class Traffic(NamedTuple):
     dangers: tuple[Danger, ...] = ()  # of each vessel
     guard: str = "off"  # "on", "off", "cannot avoid: " and why
     nearness: float = math.nan  # the least of all dangers; nan: there is nobody
+    told: tuple[VesselTold, ...] = ()  # the vessels in words, of this look or the one before

@@ -7,7 +7,7 @@ import msgspec
 from delfim import geodesy
 from delfim.slices import Sliced
 from delfim.vehicle.target import Target, Traffic
-from delfim.vehicle.traffic.vesselwords import VesselWords
+from delfim.vehicle.traffic.vesselwords import making, traffic_told
 
 AT = geodesy.origin(math.radians(38.5), math.radians(-9.0))
 MARIA = Target(
@@ -17,16 +17,14 @@ MARIA = Target(
 
 
 def told(traffic: Traffic, now_s: float) -> dict[str, object]:
-    words = VesselWords()
-    Sliced(words.make(traffic, AT)).finish()
-    tree = words.told(traffic, now_s)
+    tree = traffic_told(traffic._replace(told=Sliced(making(traffic, AT)).finish()), now_s)
     assert tree is not None
     return tree
 
 
 def test_a_boat_that_never_heard_anybody_tells_nothing() -> None:
-    assert VesselWords().told(Traffic(), 5.0) is None
-    assert VesselWords().told(Traffic(), 5.0, awaits=True) == {
+    assert traffic_told(Traffic(), 5.0) is None
+    assert traffic_told(Traffic(), 5.0, awaits=True) == {
         "heard_s": None,
         "own_s": None,
         "refused": {},

@@ -5,41 +5,36 @@ from typing import Final
 
 from delfim.geodesy import Origin, from_plane
 from delfim.slices import Work
-from delfim.vehicle.target import NEVER_S, CourseOrder, Danger, Target, Traffic
+from delfim.vehicle.target import NEVER_S, CourseOrder, Danger, Target, Traffic, VesselTold
 
 TOLD: Final = 4  # comparisons that the words for one vessel cost
 
 
-class VesselWords:
-    """Makes the words once for each look at the vessels, in slices, however often they are asked for."""
-
-    def __init__(self) -> None:
-        self._vessels = list[dict[str, object]]()
-
-    def make(self, traffic: Traffic, origin: Origin | None) -> Work[None]:
-        """The words for all vessels, from now on. Places and ages are those of `Traffic.at_s`."""
-        known, vessels = {each.key: each for each in traffic.dangers}, list[dict[str, object]]()
-        for each in traffic.targets:
-            yield TOLD
-            if origin is not None:
-                vessels.append(vessel_told(each, origin) | danger_told(known.get(each.key)))
-        self._vessels = vessels
-
-    def told(self, traffic: Traffic, now_s: float, awaits: bool = False) -> dict[str, object] | None:
-        """All vessels as made last; None where nobody was ever heard, unless the boat `awaits` somebody."""
-        if traffic.heard_s == traffic.own_s == NEVER_S and not awaits:
-            return None
-        return {
-            "heard_s": _age(now_s, traffic.heard_s),
-            "own_s": _age(now_s, traffic.own_s),
-            "refused": dict(traffic.refused),
-            "targets": self._vessels,
-            "order": _ordered(traffic.order, now_s),
-            "guard": traffic.guard,
-        }
+def making(traffic: Traffic, origin: Origin | None) -> Work[tuple[VesselTold, ...]]:
+    """The words for all vessels, the nearest first: `Traffic.told`. Places and ages are those of `Traffic.at_s`."""
+    known, vessels = {each.key: each for each in traffic.dangers}, list[VesselTold]()
+    for each in traffic.targets:
+        yield TOLD
+        if origin is not None:
+            vessels.append(vessel_told(each, origin) | danger_told(known.get(each.key)))
+    return tuple(vessels)
 
 
-def vessel_told(target: Target, origin: Origin) -> dict[str, object]:
+def traffic_told(traffic: Traffic, now_s: float, awaits: bool = False) -> dict[str, object] | None:
+    """All vessels as made last; None where nobody was ever heard, unless the boat `awaits` somebody."""
+    if traffic.heard_s == traffic.own_s == NEVER_S and not awaits:
+        return None
+    return {
+        "heard_s": _age(now_s, traffic.heard_s),
+        "own_s": _age(now_s, traffic.own_s),
+        "refused": dict(traffic.refused),
+        "targets": list(traffic.told),
+        "order": _ordered(traffic.order, now_s),
+        "guard": traffic.guard,
+    }
+
+
+def vessel_told(target: Target, origin: Origin) -> VesselTold:
     """A vessel without its danger."""
     latitude_rad, longitude_rad = from_plane(origin, target.north_m, target.east_m)
     is_under_way = target.speed_mps > 0.0
@@ -62,10 +57,10 @@ def vessel_told(target: Target, origin: Origin) -> dict[str, object]:
     }
 
 
-def danger_told(danger: Danger | None) -> dict[str, object]:
+def danger_told(danger: Danger | None) -> VesselTold:
     """What is not finite is None: beyond all numbers, or not reckoned yet."""
     numbers = {name: getattr(danger, name, math.nan) for name in ("cpa_m", "tcpa_s", "nearness")}
-    told: dict[str, object] = {name: round(each, 2) if math.isfinite(each) else None for name, each in numbers.items()}
+    told: VesselTold = {name: round(each, 2) if math.isfinite(each) else None for name, each in numbers.items()}
     return told | {"danger": "none" if danger is None else danger.level}
 
 

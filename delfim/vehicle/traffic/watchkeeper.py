@@ -25,7 +25,7 @@ from delfim.vehicle.target import NEVER_S, CourseOrder, Target
 from delfim.vehicle.traffic import alarm, keepclear
 from delfim.vehicle.traffic.keepclear import Caution, PassedBy, RouteAhead, deciding
 from delfim.vehicle.traffic.routeahead import own_of, route_ahead
-from delfim.vehicle.traffic.vesselwords import VesselWords
+from delfim.vehicle.traffic.vesselwords import making, traffic_told
 
 LATE_S: Final = 5.0  # an older order does not count
 SLICE: Final = 150  # comparisons of one step
@@ -53,7 +53,7 @@ class Watchkeeper:
         self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
         self._looked_s = NEVER_S  # `Traffic.at_s` of the present round
         self._round: Sliced[None] | None = None
-        self._failing, self.words = "", VesselWords()
+        self._failing, self._awaits = "", settings.traffic.mmsi > 0
 
     def look(self, helm: Helm, now_s: float) -> bool:
         """Call it with the watchdog. Returns whether it did a slice of work: the next look of the look-out waits for it."""
@@ -66,11 +66,16 @@ class Watchkeeper:
             self._round = None
         return True
 
+    def told(self, now_s: float) -> dict[str, object] | None:
+        """Other vessels for people and programs; a boat with a number of its own awaits to be heard."""
+        return traffic_told(self._state.traffic, now_s, self._awaits)
+
     def _watch(self, helm: Helm, now_s: float) -> Work[None]:
         yield from self._decide(helm, now_s)
         yield SLICE  # what follows has a slice of its own
         yield from self._tell(helm, now_s)
-        yield from self.words.make(self._state.traffic, self._state.origin)
+        told = yield from making(self._state.traffic, self._state.origin)
+        self._state.traffic = self._state.traffic._replace(told=told)
 
     def _decide(self, helm: Helm, now_s: float) -> Work[None]:
         state, mode = self._state, self._state.mode
