@@ -55,7 +55,7 @@ class Handing(NamedTuple):
 
 def stand_in(plan: Plan, batch: Batch, version: str) -> Rows:
     """Rows of the usual size, without sailing."""
-    row = {"batch": batch.number, "story": "mixed", "ok": True, "failures": [], "error": ""}
+    row = {"batch": batch.number, "vehicle": "delfimx", "story": "mixed", "ok": True, "failures": [], "error": ""}
     row |= {measure.name: _WORDS[measure.kind] for measure in MEASURES}
     row |= {"wall_s": 0.1, "cpu_s": 0.1, "host": "bench", "pid": os.getpid(), "version": version}
     return [row | {"point": point, "seed": seed} for point, seed in batch.runs]

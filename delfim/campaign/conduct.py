@@ -75,18 +75,21 @@ def sail(plan: Plan, folder: Path, size: int, workers: int, cluster: str | None)
 
 
 def tell(file: CampaignFile, plan: Plan, folder: Path, command: str, against: Path | None) -> int:
-    """Tells verdicts and why runs failed, and writes the page. `command` is the campaign's own, to which --again is added.
-    Returns 0 where all that must hold does. Raises DelfimError."""
+    """Tells verdicts, why runs failed and the tables of the file, and writes the page. `command` is the campaign's own, to
+    which --again is added. Returns 0 where all that must hold does. Raises DelfimError."""
     database = findings.connect(folder)
     verdicts = findings.verdicts(database, file.must)
     for name, holds, where in verdicts:
         print(f"  {'holds' if holds else 'FAILS':6} {name}" + (f" (points {', '.join(map(str, where[:10]))})" if where else ""))
     for words, many, point, seed in findings.failed(database)[:10]:
         print(f"  {many:6} failed: {words}; again: {command} --again {point}:{seed}")
+    answers = findings.answered(database, file.answers)
+    for name, columns, rows in answers:
+        print(f"\n  {name}\n", *(f"  {line}" for line in findings.shown(columns, rows).splitlines()), "", sep="\n")
     from delfim.campaign import report  # its pictures take half a second to import, which nobody waits for before the first run
 
     earlier = findings.connect(against) if against else None
-    page = report.write(folder, plan, database, verdicts, command, earlier)
+    page = report.write(folder, plan, database, verdicts, answers, command, earlier)
     print(f"  report {page}")
     if database.execute("select count(distinct (point, seed)) from runs").fetchone() != (plan.runs,):
         raise DelfimError("runs are missing")

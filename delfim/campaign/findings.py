@@ -9,8 +9,8 @@ import duckdb
 import numpy as np
 
 from delfim.campaign.measures import MEASURES
-from delfim.campaign.runplan import Pass
-from delfim.campaign.store import parts
+from delfim.campaign.runplan import Answer, CampaignFile, Pass, Plan
+from delfim.campaign.store import parts, schema
 from delfim.errors import DelfimError
 
 NUMBERS: Final = tuple(measure.name for measure in MEASURES if measure.kind != "VARCHAR")
@@ -25,6 +25,14 @@ class Holding(NamedTuple):
     name: str
     holds: bool
     where: tuple[int, ...] = ()
+
+
+class Printed(NamedTuple):
+    """A [[table]] of the file with what the results say."""
+
+    name: str
+    columns: list[str]
+    rows: list[tuple[Any, ...]]
 
 
 class Quantity(NamedTuple):
@@ -55,17 +63,39 @@ def asked(database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], lis
         raise DelfimError(str(error).partition("\n")[0]) from None
 
 
+def rehearse(file: CampaignFile, plan: Plan) -> list[Printed]:
+    """Asks everything of results without a run, before the first one is sailed; returns the tables, which have columns alone.
+    Raises DelfimError for what is no SQL."""
+    with duckdb.connect() as database:
+        database.register("runs", schema(plan).empty_table())
+        verdicts(database, file.must)
+        return answered(database, file.answers)
+
+
 def verdicts(database: duckdb.DuckDBPyConnection, passes: Iterable[Pass]) -> list[Holding]:
     """Of each [[pass]] of the file; one that gives no truth does not hold. Raises DelfimError for one that is no SQL."""
     told = list[Holding]()
     for each in passes:
         if each.each == "point":
-            rows = asked(database, f"select point, ({each.sql}) from runs group by point order by point")[1]
+            rows = _named(each.name, database, f"select point, ({each.sql}) from runs group by point order by point")[1]
             where = tuple(point for point, holds in rows if holds is not True)
             told.append(Holding(each.name, not where, where))
         else:
-            told.append(Holding(each.name, asked(database, f"select ({each.sql}) from runs")[1][0][0] is True))
+            rows = _named(each.name, database, f"select ({each.sql}) from runs")[1]
+            told.append(Holding(each.name, bool(rows) and rows[0][0] is True))
     return told
+
+
+def answered(database: duckdb.DuckDBPyConnection, asked_for: Iterable[Answer]) -> list[Printed]:
+    """Each [[table]] of the file. Raises DelfimError for one that is no SQL."""
+    return [Printed(each.name, *_named(each.name, database, each.sql)) for each in asked_for]
+
+
+def _named(name: str, database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
+    try:
+        return asked(database, sql)
+    except DelfimError as error:
+        raise DelfimError(f"{name}: {error}") from None
 
 
 def share(part: int, of: int) -> tuple[float, float]:

@@ -7,9 +7,11 @@ from collections.abc import Callable
 from typing import Final, NamedTuple
 
 from delfim.campaign.rulecheck import Check, RuleTape, alterations
+from delfim.campaign.steertape import Deviation, SteerTape
 from delfim.clock import ManualClock
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.trial import Event
+from delfim.vehicle.logbook import ORDERLY
 from delfim.vehicle.state import State, StateLog
 from delfim.vehicle.zones import clearance_m
 
@@ -20,18 +22,15 @@ class RunTape:
 
     def __init__(self, clock: ManualClock, beside: StateLog) -> None:
         self.clock, self.hash, self.beside = clock, hashlib.blake2b(digest_size=8), beside
-        self.cycles, self.fastest_mps = 0, 0.0
-        self.cross_m2, self.cross_max_m, self.crosses = 0.0, 0.0, 0
+        self.fastest_mps, self.cross_m = 0.0, Deviation()
 
     def write(self, state: State, now_s: float) -> None:
         m, sent, cross_m = state.motion, state.actuation, state.reference.cross_track_m
         numbers = (now_s, *m[1:], *sent.thrust, *sent.angle_rad)
         self.hash.update(struct.pack(f"<{len(numbers)}dB", *numbers, state.mode))
-        speed_mps = math.hypot(m.north_mps, m.east_mps)
-        self.cycles, self.fastest_mps = self.cycles + 1, max(self.fastest_mps, speed_mps)
+        self.fastest_mps = max(self.fastest_mps, math.hypot(m.north_mps, m.east_mps))
         if cross_m is not None:
-            self.cross_m2, self.cross_max_m = self.cross_m2 + cross_m * cross_m, max(self.cross_max_m, abs(cross_m))
-            self.crosses += 1
+            self.cross_m.add(cross_m)
         self.beside.write(state, now_s)
 
     def note(self, text: str) -> None:
@@ -53,7 +52,7 @@ class Truth:
         self.way_m, self.energy_j, self.fence_m = 0.0, 0.0, math.inf
         self.north_m: float | None = None  # from where the boat knew first that it was
         self.east_m = 0.0
-        self.rules = RuleTape(run)
+        self.rules, self.steered = RuleTape(run), SteerTape(run)
         self.mode, self.reason = "", ""  # before the run was ended
         self._stop: tuple[float, float] | None = None  # where it was last told to stop, while it moved
         self.stop_m: float | None = None
@@ -76,6 +75,7 @@ class Truth:
         if self._stop is not None:
             self.stop_m = max(self.stop_m or 0.0, math.dist(self._stop, (north_m, east_m)))
         self.north_m, self.east_m = north_m, east_m
+        self.steered.look(north_m, east_m)
         if (fence := run.vehicle.helm.plans.fence) is not None:
             self.fence_m = min(self.fence_m, *(clearance_m(zone, north_m, east_m) for zone in fence.zones))
 
@@ -98,13 +98,19 @@ class Measure(NamedTuple):
 
 
 def _noticed(sailed: Sailed) -> list[float | None]:
-    """Of each fault the time until a notice or a mode entered by the failsafe; None: nobody noticed it."""
+    """Of each fault the time until a notice or a mode that nobody asked for; None: nobody noticed it."""
     found = list[float | None]()
     for at, fault in enumerate(sailed.events):
         if fault.kind == "fault":
-            later = (each.t_s - fault.t_s for each in sailed.events[at + 1 :] if each.kind in ("notice", "mode"))
-            found.append(next(later, None))
+            found.append(next((each.t_s - fault.t_s for each in sailed.events[at + 1 :] if _notices(each)), None))
     return found
+
+
+def _notices(event: Event) -> bool:
+    """Whether an event tells the operator of trouble. A mode that he ordered, or that follows at the end of one, does not."""
+    return event.kind == "notice" or (
+        event.kind == "mode" and not event.text.startswith(ORDERLY) and not event.text.endswith(" done")
+    )
 
 
 def _slowest(sailed: Sailed) -> float | None:
@@ -135,12 +141,9 @@ MEASURES: Final = (
     Measure("energy_j", "DOUBLE", "electric energy of the thrusters", lambda s: s.truth.energy_j),
     Measure("fastest_mps", "DOUBLE", "greatest speed over ground", lambda s: s.tape.fastest_mps),
     Measure(
-        "cross_rms_m",
-        "DOUBLE",
-        "cross-track error, root of the mean square",
-        lambda s: math.sqrt(s.tape.cross_m2 / s.tape.crosses) if s.tape.crosses else None,
+        "cross_rms_m", "DOUBLE", "cross-track error, root of the mean square, as the boat knew it", lambda s: s.tape.cross_m.rms
     ),
-    Measure("cross_max_m", "DOUBLE", "greatest cross-track error", lambda s: s.tape.cross_max_m if s.tape.crosses else None),
+    Measure("cross_max_m", "DOUBLE", "greatest cross-track error, as the boat knew it", lambda s: s.tape.cross_m.most),
     Measure(
         "fence_m",
         "DOUBLE",
@@ -169,6 +172,32 @@ MEASURES: Final = (
     Measure(
         "stop_m", "DOUBLE", "how far it went from where it entered idle or hold last, drift included", lambda s: s.truth.stop_m
     ),
+    Measure(
+        "over_deg", "DOUBLE", "overshoot of the last turn ordered in heading or course mode", lambda s: s.truth.steered.over_deg
+    ),
+    Measure("settled_s", "DOUBLE", "time until that turn was over", lambda s: s.truth.steered.settled_s),
+    Measure(
+        "steady_rms_deg", "DOUBLE", "error of heading or course from a minute after", lambda s: s.truth.steered.steady_deg.rms
+    ),
+    Measure("steady_max_deg", "DOUBLE", "the greatest", lambda s: s.truth.steered.steady_deg.most),
+    Measure(
+        "held_rms_m",
+        "DOUBLE",
+        "distance to the point of the last hold, from a minute after",
+        lambda s: s.truth.steered.held_m.rms,
+    ),
+    Measure("held_max_m", "DOUBLE", "the greatest", lambda s: s.truth.steered.held_m.most),
+    Measure(
+        "turned_deg", "DOUBLE", "greatest error of the heading that was held there", lambda s: s.truth.steered.turned_deg.most
+    ),
+    Measure("resting", "DOUBLE", "part of that time with all thrusters at rest", lambda s: s.truth.steered.resting),
+    Measure("line_rms_m", "DOUBLE", "distance to the lines of a path", lambda s: s.truth.steered.lines_m.rms),
+    Measure("line_max_m", "DOUBLE", "the greatest", lambda s: s.truth.steered.lines_m.most),
+    Measure("arc_rms_m", "DOUBLE", "distance to the arcs of a path", lambda s: s.truth.steered.arcs_m.rms),
+    Measure("arc_max_m", "DOUBLE", "the greatest", lambda s: s.truth.steered.arcs_m.most),
+    Measure("missed_m", "DOUBLE", "beyond the radius of the waypoint that was missed most", lambda s: s.truth.steered.missed_m),
+    Measure("home_rms_m", "DOUBLE", "distance to the driven track on the way home", lambda s: s.truth.steered.home_m.rms),
+    Measure("home_max_m", "DOUBLE", "the greatest", lambda s: s.truth.steered.home_m.most),
     Measure("faults", "INTEGER", "faults that began", lambda s: len(_noticed(s))),
     Measure("unnoticed", "INTEGER", "of these, without any notice or mode after them", lambda s: _noticed(s).count(None)),
     Measure("noticed_s", "DOUBLE", "longest time until a fault was noticed", _slowest),

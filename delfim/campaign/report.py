@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 
 from delfim.campaign.findings import (
     Holding,
+    Printed,
     asked,
     failed,
     numeric,
@@ -25,6 +26,7 @@ from delfim.campaign.findings import (
 )
 from delfim.campaign.runplan import Plan
 from delfim.campaign.sailing import sailed_run
+from delfim.campaign.store import head_of
 from delfim.simulator.lockstep import Lockstep
 
 PAGE: Final = "report.html"
@@ -50,13 +52,15 @@ def write(
     plan: Plan,
     database: duckdb.DuckDBPyConnection,
     verdicts: Sequence[Holding],
+    answers: Sequence[Printed],
     command: str,
     earlier: duckdb.DuckDBPyConnection | None,
 ) -> Path:
     """Writes the page into the folder and returns its path. `earlier`: the results of a campaign to compare with."""
     keys = list(dict.fromkeys([*(key for _, values in plan.points for key in values), *plan.draw]))
     body = [
-        *_head(plan, database, verdicts),
+        *_head(folder, plan, database, verdicts),
+        *(f"<h2>{escape(name)}</h2>{_table(columns, rows)}" for name, columns, rows in answers),
         *_failures(database, command),
         *([] if earlier is None else _compared(database, earlier)),
         *_points(plan, database),
@@ -72,11 +76,14 @@ def write(
     return page
 
 
-def _head(plan: Plan, database: duckdb.DuckDBPyConnection, verdicts: Sequence[Holding]) -> Iterator[str]:
+def _head(folder: Path, plan: Plan, database: duckdb.DuckDBPyConnection, verdicts: Sequence[Holding]) -> Iterator[str]:
     sql = "select count(*), count_if(not ok), sum(sailed_s), sum(cpu_s), string_agg(distinct version, '; ') from runs"
     runs, bad, sailed_s, cpu_s, versions = asked(database, sql)[1][0]
     low, high = share(bad, runs)
-    yield f"<h1>{escape(plan.name)}</h1><p class=soft>{escape(versions)}; campaign {plan.digest}</p>"
+    head = head_of(folder)
+    beside = ", ".join(f"{name} {version}" for name, version in head["packages"].items())
+    told = f"{versions}; campaign {plan.digest}; evaluated on {head['platform']} with {beside}"
+    yield f"<h1>{escape(plan.name)}</h1><p class=soft>{escape(told)}</p>"
     for name, holds, where in verdicts:
         at = f" (points {', '.join(map(str, where[:10]))})" if where else ""
         yield f"<p class={'holds' if holds else 'fails'}>{'Holds' if holds else 'Fails'}: {escape(name)}{at}</p>"
@@ -106,11 +113,11 @@ def _points(plan: Plan, database: duckdb.DuckDBPyConnection) -> Iterator[str]:
     )[1]
     told = list[tuple[object, ...]]()
     for point, runs, good, *values in rows[:POINTS_SHOWN]:
-        story, what = plan.points[point]
+        story, what = plan.stories[plan.points[point][0]], plan.points[point][1]
         low, high = share(good, runs)
         words = ", ".join(f"{key} = {_number(value)}" for key, value in what.items()) or "the vehicle's file"
         told.append(
-            (point, f"{plan.stories[story].name}: {words}", runs, f"{good / runs:.2%}", f"{low:.2%} to {high:.2%}", *values)
+            (point, f"{story.boat}, {story.name}: {words}", runs, f"{good / runs:.2%}", f"{low:.2%} to {high:.2%}", *values)
         )
     yield "<h2>Points</h2>" + _table(
         ("point", "what", "runs", "passed", "95 % confidence", *(f"{name}, median" for name in wanted)), told
@@ -151,12 +158,22 @@ def _heat(database: duckdb.DuckDBPyConnection, keys: Sequence[str]) -> Iterator[
         return
     figure, places = _grid(2 * len(pairs), columns=2, height=3.4)
     for number, (a, b) in enumerate(pairs):
-        _map(figure, places[2 * number], database, (a, b), "cast(ok as double)", "share that passed")
+        _map(figure, places[2 * number], database, (a, b), "cast(ok as double)", "share that passed", 0.0, 1.0)
         _map(figure, places[2 * number + 1], database, (a, b), name, f"{name}, mean")
     yield "<h2>Pairs of keys</h2>" + _picture(figure, "Heat maps")
 
 
-def _map(figure: Figure, axes: Axes, database: duckdb.DuckDBPyConnection, keys: tuple[str, str], sql: str, title: str) -> None:
+def _map(
+    figure: Figure,
+    axes: Axes,
+    database: duckdb.DuckDBPyConnection,
+    keys: tuple[str, str],
+    sql: str,
+    title: str,
+    low: float | None = None,
+    high: float | None = None,
+) -> None:
+    """`low` and `high`: ends of the scale of colours, where those of the values do not serve."""
     rows = np.array(
         asked(database, f'select "{keys[0]}", "{keys[1]}", {sql} from runs where {sql} is not null')[1], dtype=float
     ).reshape(-1, 3)
@@ -164,7 +181,7 @@ def _map(figure: Figure, axes: Axes, database: duckdb.DuckDBPyConnection, keys: 
     sums = np.histogram2d(rows[:, 0], rows[:, 1], bins=edges, weights=rows[:, 2])[0]
     counts = np.histogram2d(rows[:, 0], rows[:, 1], bins=edges)[0]
     with np.errstate(invalid="ignore"):
-        drawn = axes.pcolormesh(edges[0], edges[1], (sums / counts).T, cmap="viridis")
+        drawn = axes.pcolormesh(edges[0], edges[1], (sums / counts).T, cmap="viridis", vmin=low, vmax=high)
     figure.colorbar(drawn, ax=axes)
     axes.set(xlabel=keys[0], ylabel=keys[1])
     axes.set_title(title, fontsize=9)

@@ -5,7 +5,6 @@ points meet the same sea. Batches are cut from the file alone: whoever goes on w
 """
 
 import hashlib
-import json
 import math
 from collections.abc import Iterator
 from itertools import islice, product
@@ -17,17 +16,18 @@ from typing import Annotated, Any, Final, Literal, NamedTuple
 import msgspec
 
 from delfim import config, tables
-from delfim.errors import ConfigError
+from delfim.errors import ConfigError, FormatError
 from delfim.outside import read_text
 from delfim.simulator.encounters import staged_of
-from delfim.simulator.scenario import laid_over, load_scenario
+from delfim.simulator.scenario import FaultAt, Scenario, fault_of, load_scenario
 from delfim.vehicle.mission import load_mission
 
 POINTS_MAX: Final = 100_000
 RUNS_MAX: Final = 100_000_000
 ENDING: Final = 256  # a batch has at most one in so many of the runs that are left
 MIXED: Final = "mixed"
-Key = Annotated[str, tables.text(r"[a-z][a-z0-9_]*(\.[a-z][a-z0-9_]*)*", "a key of the vehicle's file, with dots")]
+FAULT: Final = "fault."  # keys that begin with it lie over each fault of a scenario
+Key = Annotated[str, tables.text(r"[a-z][a-z0-9_]*(\.([a-z][a-z0-9_]*|[0-9]{1,4}))*", "a key of the vehicle's file, with dots")]
 Number = float | int
 Scalar = float | int | str | bool
 Name = Annotated[str, tables.text("[^\n]{1,80}", "a line of up to 80 characters")]
@@ -61,6 +61,13 @@ class Pass(tables.Table, frozen=True):
     each: Literal["", "point"] = ""
 
 
+class Answer(tables.Table, frozen=True):
+    """A table that is printed at the end, and stands in the report. `sql`: a query of DuckDB over the table `runs`."""
+
+    name: Name
+    sql: Annotated[str, msgspec.Meta(min_length=1, max_length=4000)]
+
+
 class Seeds(tables.Table, frozen=True):
     """At each point."""
 
@@ -69,13 +76,14 @@ class Seeds(tables.Table, frozen=True):
 
 
 class CampaignFile(tables.Table, frozen=True):
-    """The file. One of `scenario` and `mission`, which are files beside it; the scenario "mixed" draws faults from the seed."""
+    """The file. `vehicle`, `scenario` and `mission` are files beside it, one or several: each boat sails each of the others.
+    The scenario "mixed" draws faults from the seed."""
 
     version: Literal[1]
     name: Name
-    vehicle: str
+    vehicle: str | tuple[str, ...]
     scenario: str | tuple[str, ...] = ()
-    mission: str = ""
+    mission: str | tuple[str, ...] = ()
     seconds: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)] = 3600.0  # of a mission, at most
     limit_s: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)] = 300.0  # of computing for a run
     seeds: Seeds = Seeds()
@@ -83,18 +91,21 @@ class CampaignFile(tables.Table, frozen=True):
     vary: dict[Key, Annotated[tuple[Scalar, ...], msgspec.Meta(min_length=1)] | Steps] = msgspec.field(default_factory=dict)
     draw: dict[Key, Draw] = msgspec.field(default_factory=dict)
     must: tuple[Pass, ...] = msgspec.field(name="pass", default=())
+    answers: tuple[Answer, ...] = msgspec.field(name="table", default=())
 
     def __post_init__(self) -> None:
-        if bool(self.scenario) == bool(self.mission):
-            raise ValueError("name one of scenario and mission")
+        if not (self.scenario or self.mission):
+            raise ValueError("name a scenario, a mission, or both")
         if twice := self.vary.keys() & self.draw.keys():
             raise ValueError(f"{min(twice)} is varied and drawn")
 
 
 class Story(NamedTuple):
-    """What is sailed: a scenario's file, "mixed", or a mission, with the texts that belong to it."""
+    """What is sailed: a boat, and a scenario's file, "mixed", or a mission, with the texts that belong to it."""
 
     name: str
+    boat: str  # name of the vehicle's file
+    vehicle: dict[str, Any]  # the vehicle's file as a tree
     scenario: dict[str, Any] | None  # the scenario's file as a tree
     mission: str
 
@@ -111,7 +122,6 @@ class Plan(NamedTuple):
 
     name: str
     digest: str  # of what is sailed
-    vehicle: dict[str, Any]  # the vehicle's file as a tree
     stories: tuple[Story, ...]
     points: tuple[tuple[int, dict[str, Any]], ...]  # (number of the story, values)
     draw: dict[str, Draw]
@@ -135,7 +145,7 @@ class Plan(NamedTuple):
             left, number = left - len(some), number + 1
 
     def values(self, point: int, seed: int) -> dict[str, Any]:
-        """What lies over the vehicle's file in this run, by key."""
+        """What is varied and drawn in this run, by key."""
         return self.points[point][1] | {key: self._drawn(key, how, seed) for key, how in self.draw.items()}
 
     def _drawn(self, key: str, how: Draw, seed: int) -> Scalar:
@@ -170,10 +180,11 @@ def read(path: str | Path) -> tuple[CampaignFile, Plan]:
     """A campaign's file and its plan; every point's values are tried on the vehicle's file. Raises ConfigError."""
     place = Path(path)
     file = tables.decode(tables.read_toml(place), CampaignFile, str(place))
-    vehicle = tables.read_toml(place.parent / file.vehicle)
-    names = (file.scenario,) if isinstance(file.scenario, str) and file.scenario else tuple(file.scenario)
-    stories = tuple(story for name in names for story in _stories(place.parent, name)) or (
-        _mission(place.parent, file.mission),
+    trials = [trial for name in _names(file.scenario) for trial in _trials(place.parent, name)]
+    trials += [_mission(place.parent, name) for name in _names(file.mission)]
+    boats = [(Path(name).stem, tables.read_toml(place.parent / name)) for name in _names(file.vehicle)]
+    stories = tuple(
+        Story(name, boat, tree, scenario, mission) for (boat, tree), (name, scenario, mission) in product(boats, trials)
     )
     ways = {key: _values(way) for key, way in file.vary.items()}
     many = len(stories) * math.prod(map(len, ways.values()))
@@ -182,33 +193,65 @@ def read(path: str | Path) -> tuple[CampaignFile, Plan]:
         raise ConfigError(str(place), "vary", f"{many} points of {file.seeds.count} seeds each", limit)
     rows = [dict(zip(ways, row, strict=True)) for row in product(*ways.values())]
     points = tuple((story, row) for story in range(len(stories)) for row in rows)
-    kept = {"vehicle": vehicle, "stories": stories, "points": points, "draw": file.draw, "latin": file.latin}
+    kept = {"stories": stories, "points": points, "draw": file.draw, "latin": file.latin}
     sailed = msgspec.json.encode(kept | {"seeds": file.seeds, "seconds": file.seconds}, order="sorted")
     digest = hashlib.sha256(sailed).hexdigest()[:16]
-    plan = Plan(file.name, digest, vehicle, stories, points, file.draw, file.latin, file.seeds, file.seconds, file.limit_s)
+    plan = Plan(file.name, digest, stories, points, file.draw, file.latin, file.seeds, file.seconds, file.limit_s)
     for number in range(len(points)):
-        values = plan.values(number, file.seeds.first)
         try:
-            tables.decode(laid(vehicle, values), config.Vehicle, str(place))
+            _try(plan, number, str(place))
         except ConfigError as error:
             raise ConfigError(str(place), f"point {number}, {error.key}", error.reason, error.allowed) from None
     return file, plan
 
 
-def _stories(folder: Path, name: str) -> Iterator[Story]:
-    """Those of a scenario's file: one, or each of its encounters."""
+def _try(plan: Plan, number: int, where: str) -> None:
+    """The first run of a point without sailing it. Raises ConfigError."""
+    story, (over, faults) = plan.stories[plan.points[number][0]], parted(plan.values(number, plan.seeds.first))
+    tables.decode(laid(story.vehicle, over), config.Vehicle, where)
+    if faults and story.scenario is not None:
+        broken_of(tables.decode(story.scenario, Scenario, story.name), faults, where)
+    elif faults:
+        raise ConfigError(where, min(faults), f"{story.name} has no [[fault]]")
+
+
+def parted(values: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """What lies over the vehicle's file, by key, and what lies over each fault of the scenario, by the names there."""
+    faults = {key.removeprefix(FAULT): value for key, value in values.items() if key.startswith(FAULT)}
+    return {key: value for key, value in values.items() if not key.startswith(FAULT)}, faults
+
+
+def broken_of(scenario: Scenario, over: dict[str, Any], where: str) -> Scenario:
+    """The scenario with these values over each of its faults. Raises ConfigError."""
+    rows = [tables.decode(msgspec.to_builtins(each) | over, FaultAt, where) for each in scenario.fault]
+    try:
+        for each in rows:
+            fault_of(each)
+    except FormatError as error:
+        raise ConfigError(where, "fault", str(error)) from None
+    if not rows:
+        raise ConfigError(where, "fault", f"{scenario.name} has no [[fault]]")
+    return msgspec.structs.replace(scenario, fault=tuple(rows))
+
+
+def _names(asked: str | tuple[str, ...]) -> tuple[str, ...]:
+    return (asked,) if isinstance(asked, str) and asked else tuple(asked)
+
+
+def _trials(folder: Path, name: str) -> Iterator[tuple[str, dict[str, Any] | None, str]]:
+    """(name, scenario's file, mission's text) of a scenario's file, or of each of its encounters."""
     if name == MIXED:
-        yield Story(name, None, "")
+        yield name, None, ""
         return
     path = folder / name
     for each in staged_of(load_scenario(path), path):
         tree = msgspec.to_builtins(each.scenario) if each.name else tables.read_toml(path)
-        yield Story(f"{path.stem}:{each.name}" if each.name else path.stem, tree, each.mission)
+        yield f"{path.stem}:{each.name}" if each.name else path.stem, tree, each.mission
 
 
-def _mission(folder: Path, name: str) -> Story:
+def _mission(folder: Path, name: str) -> tuple[str, None, str]:
     load_mission(folder / name)
-    return Story(Path(name).stem, None, read_text(folder / name))
+    return Path(name).stem, None, read_text(folder / name)
 
 
 def _values(way: tuple[Scalar, ...] | Steps) -> tuple[Scalar, ...]:
@@ -218,14 +261,19 @@ def _values(way: tuple[Scalar, ...] | Steps) -> tuple[Scalar, ...]:
 
 
 def laid(tree: dict[str, Any], values: dict[str, Any]) -> dict[str, Any]:
-    """The tree with these values over it; keys have dots."""
+    """The tree with these values over it. Keys have dots; a number is a place in a list, from 0. Raises ConfigError."""
     for key, value in values.items():
-        for name in reversed(key.split(".")):
-            value = {name: value}
-        tree = laid_over(tree, value)
+        tree = _placed(tree, key, key.split("."), value)
     return tree
 
 
-def told(values: dict[str, Any]) -> str:
-    """The words of a command line that give these values."""
-    return " ".join(f"--set {key}={json.dumps(value)}" for key, value in values.items())
+def _placed(tree: Any, key: str, names: list[str], value: object) -> Any:
+    if not names:
+        return value
+    first, *rest = names
+    if isinstance(tree, list) and first.isdecimal():
+        if int(first) >= len(tree):
+            raise ConfigError("", key, f"there are {len(tree)} of these, counted from 0")
+        return [_placed(each, key, rest, value) if i == int(first) else each for i, each in enumerate(tree)]
+    known = tree if isinstance(tree, dict) else {}
+    return {**known, first: _placed(known.get(first), key, rest, value)}

@@ -12,7 +12,7 @@ from typing import Any, Final
 import delfim
 from delfim import config, tables
 from delfim.campaign.measures import MEASURES, RunTape, Sailed, Truth
-from delfim.campaign.runplan import Batch, Plan, laid
+from delfim.campaign.runplan import Batch, Plan, broken_of, laid, parted
 from delfim.clock import ManualClock
 from delfim.errors import DelfimError
 from delfim.simulator.encounters import OWN_MPS, RANDOM, drawn, staged
@@ -65,7 +65,9 @@ def code() -> str:
     return digest.hexdigest()[:8]
 
 
-VERSION: Final = f"delfim {delfim.__version__} code {code()} python {platform.python_version()} on {platform.machine()}"
+# Of all that may change a run's last byte: where sin and atan2 come from, too.
+MACHINE: Final = " ".join(filter(None, (platform.machine(), *platform.libc_ver())))
+VERSION: Final = f"delfim {delfim.__version__} code {code()} python {platform.python_version()} on {MACHINE}"
 
 
 def sail_batch(plan: Plan, batch: Batch, version: str) -> list[dict[str, Any]]:
@@ -79,8 +81,8 @@ def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
     """A run. One that cannot be sailed is a row too, with its error."""
     began_s, worked_s = time.perf_counter(), time.process_time()
     values = plan.values(point, seed)
-    row: dict[str, Any] = {"batch": number, "point": point, "seed": seed, "story": plan.stories[plan.points[point][0]].name}
-    row |= values
+    story = plan.stories[plan.points[point][0]]
+    row: dict[str, Any] = {"batch": number, "point": point, "seed": seed, "vehicle": story.boat, "story": story.name} | values
     try:
         sailed, failures = sailed_run(plan, point, seed)
         row |= {"ok": not failures, "failures": failures, "error": ""}
@@ -101,13 +103,15 @@ def sailed_run(
 ) -> tuple[Sailed, list[str]]:
     """The run of a point and a seed, and what failed in it, in words. `look` is called after each cycle; `log` is a folder for
     its state log. Raises DelfimError."""
-    story, values = plan.stories[plan.points[point][0]], plan.values(point, seed)
-    tree = laid(plan.vehicle, values | ({"log.directory": log, "log.state_method": "write"} if log else {}))
+    story, (values, faults) = plan.stories[plan.points[point][0]], parted(plan.values(point, seed))
+    tree = laid(story.vehicle, values | ({"log.directory": log, "log.state_method": "write"} if log else {}))
     scenario, mission, patient = None, story.mission, True
     if story.scenario is not None:
         scenario = tables.decode(story.scenario, Scenario, story.name)
         if scenario.encounters == RANDOM:
             _, scenario, mission = staged(scenario, drawn(seed, scenario.speed_mps or OWN_MPS))
+        if faults:
+            scenario = broken_of(scenario, faults, plan.name)
     elif not story.mission:
         settings = tables.decode(tree, config.Vehicle, plan.name)
         scenario, mission, patient = mixed(seed, settings), mixed_mission(settings.simulation), False

@@ -6,7 +6,10 @@ lost and nothing is there twice, whatever the workers do, and a campaign that wa
 
 import json
 import os
+import platform
 import time
+from contextlib import suppress
+from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,14 +19,24 @@ import pyarrow.parquet as pq
 
 from delfim.campaign.measures import MEASURES
 from delfim.campaign.runplan import Plan
-from delfim.errors import DelfimError
+from delfim.errors import DelfimError, in_words
 from delfim.outside import parse_json, read_text
 
 PART_ROWS: Final = 5000
 PART_S: Final = 10.0  # a part is written when it has so many rows, or after this time
 HEAD: Final = "campaign.json"
+PACKAGES: Final = ("msgspec", "python-can", "pymavlink", "numpy", "pyarrow", "duckdb", "matplotlib", "distributed")
 _KINDS: Final = {"DOUBLE": pa.float64(), "INTEGER": pa.int64(), "VARCHAR": pa.string()}
 _VALUES: Final = {bool: pa.bool_(), int: pa.float64(), float: pa.float64(), str: pa.string()}
+
+
+def packages() -> dict[str, str]:
+    """Versions of those of PACKAGES that are installed, by name."""
+    found = dict[str, str]()
+    for name in PACKAGES:
+        with suppress(metadata.PackageNotFoundError):
+            found[name] = metadata.version(name)
+    return found
 
 
 def schema(plan: Plan) -> pa.Schema:
@@ -36,7 +49,8 @@ def schema(plan: Plan) -> pa.Schema:
         keys[key] = {_VALUES[type(each)] for each in how.choice} or {pa.float64()}
     if mixed := [key for key, kinds in keys.items() if len(kinds) > 1]:
         raise DelfimError(f"{mixed[0]}: its values are of several kinds")
-    fields = [("batch", pa.int64()), ("point", pa.int32()), ("seed", pa.int64()), ("story", pa.string())]
+    fields = [("batch", pa.int64()), ("point", pa.int32()), ("seed", pa.int64())]
+    fields += [("vehicle", pa.string()), ("story", pa.string())]
     fields += [(key, *kinds) for key, kinds in keys.items()]
     fields += [("ok", pa.bool_()), ("failures", pa.list_(pa.string())), ("error", pa.string())]
     fields += [(measure.name, _KINDS[measure.kind]) for measure in MEASURES]
@@ -59,10 +73,12 @@ class Store:
         folder.mkdir(parents=True, exist_ok=True)
         self.folder, self._schema = folder, schema(plan)
         head = {"name": plan.name, "digest": plan.digest, "runs": plan.runs, "batch": size, "version": version}
+        head |= {"platform": platform.platform(), "packages": packages()}
+        head |= {"vehicles": {story.boat: story.vehicle for story in plan.stories}}
         place = folder / HEAD
         if place.exists():
-            _same(folder, parse_json(read_text(place)), head)
-        place.write_text(json.dumps(head, indent=1) + "\n")
+            _same(folder, head_of(folder), head)
+        place.write_text(json.dumps(head, indent=1, default=str) + "\n")
         for left in folder.glob("*.tmp"):
             left.unlink()
         self._rows, self._since_s = list[dict[str, Any]](), time.monotonic()
@@ -113,9 +129,18 @@ class Store:
         self._next, self._rows = self._next + 1, []
 
 
-def _same(folder: Path, was: Any, head: dict[str, Any]) -> None:
-    if not isinstance(was, dict):
+def head_of(folder: Path) -> dict[str, Any]:
+    """What a campaign wrote of itself. Raises DelfimError."""
+    try:
+        head = parse_json(read_text(folder / HEAD))
+    except OSError as error:
+        raise DelfimError(f"{folder / HEAD}: {in_words(error)}") from None
+    if not isinstance(head, dict):
         raise DelfimError(f"{folder / HEAD} is damaged")
+    return head
+
+
+def _same(folder: Path, was: dict[str, Any], head: dict[str, Any]) -> None:
     for key, words in (
         ("digest", "another campaign"),
         ("batch", "batches of another size"),

@@ -10,6 +10,7 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from concurrent.futures.process import BrokenProcessPool
 from importlib import import_module
 from itertools import islice
+from multiprocessing.connection import Connection
 from typing import Any, Final
 
 from delfim.campaign.runplan import Batch, Plan
@@ -27,13 +28,14 @@ Work = Callable[[Plan, Batch, str], Rows]  # what a worker does with a batch, gi
 def by_processes(
     plan: Plan, batches: Iterable[Batch], count: int, work: Work = sail_batch
 ) -> Generator[tuple[int, Rows], None, None]:
-    """Rows of batches, in any order. A killed process breaks the whole pool: it is made anew with what is missing. Raises
-    DelfimError when that goes on."""
+    """Rows of batches, in any order. A killed process breaks the whole pool: it is made anew with what is missing. Whoever
+    closes this need not wait for what is being sailed. Raises DelfimError when workers go on dying."""
     left, deaths, rest = deque[Batch](), 0, iter(batches)
     kind = multiprocessing.get_context("forkserver")  # the program is imported once, and not by each worker
     kind.set_forkserver_preload(["delfim.campaign.sailing"])
     while True:
-        pool = ProcessPoolExecutor(count, kind, _deaf)
+        heard, told = kind.Pipe(duplex=False)
+        pool = ProcessPoolExecutor(count, kind, _deaf, (heard,))
         waiting = dict[Future[Rows], Batch]()
         try:
             while True:
@@ -52,16 +54,16 @@ def by_processes(
             left.extend(waiting.values())
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+            told.close()
+            heard.close()
 
 
-def _deaf() -> None:
-    """Signals are for the process that writes; a worker ends with it, however that ended."""
+def _deaf(heard: Connection) -> None:
+    """Signals are for the process that writes; a worker ends when that closes its end of the pipe, however it ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    writer = multiprocessing.parent_process()
-    assert writer is not None
 
     def end_with_it() -> None:
-        writer.join()
+        heard.poll(None)
         os._exit(1)
 
     threading.Thread(target=end_with_it, daemon=True).start()

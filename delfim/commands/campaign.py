@@ -32,13 +32,14 @@ def run(asked: argparse.Namespace) -> int:
         raise DelfimError("SQL is for delfim campaign query")
     if not 1 <= asked.workers <= 1024 or not 1 <= asked.batch <= 10_000:
         raise DelfimError("--workers is 1 to 1024, --batch 1 to 10000")
-    from delfim.campaign import again, conduct
+    from delfim.campaign import again, conduct, findings
     from delfim.campaign.runplan import read
 
     file, plan = read(asked.file)
     folder = Path(asked.output) if asked.output else FOLDER / f"{_slug(plan.name)}-{plan.digest[:8]}"
     if asked.again:
         return again.sail(plan, folder, *_run(asked.again, len(plan.points)))
+    findings.rehearse(file, plan)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # as Ctrl-C, which a shell keeps from what runs in the background
     conduct.sail(plan, folder, asked.batch, asked.workers, asked.cluster)
     words = ["delfim", "campaign", asked.file, *(["--output", asked.output] if asked.output else [])]

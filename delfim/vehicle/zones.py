@@ -148,7 +148,7 @@ def least(zone: Zone, a: Point, b: Point, within_m: float = math.inf) -> tuple[f
         centre = zone.north_m, zone.east_m
         if zone.keep_in:
             return zone.radius_m - max(math.dist(a, centre), math.dist(b, centre)), 1
-        return _from_segment(a, by, centre) - zone.radius_m, 1
+        return from_segment(a, by, centre) - zone.radius_m, 1
     looked = len(zone.parts)
     if not (may(zone, *a) and may(zone, *b)):
         return min(clearance_m(zone, *a), clearance_m(zone, *b)), looked + len(zone.sides) // 2
@@ -161,8 +161,8 @@ def least(zone: Zone, a: Point, b: Point, within_m: float = math.inf) -> tuple[f
         for n, e, _, _, to_n, to_e in part.sides:
             if geodesy.segments_meet(a, b, (n, e), (to_n, to_e)):
                 return 0.0, looked
-            smallest = min(smallest, _from_segment(a, by, (n, e)))
-        smallest = min(smallest, _from_segment(a, by, part.sides[-1][4:]))
+            smallest = min(smallest, from_segment(a, by, (n, e)))
+        smallest = min(smallest, from_segment(a, by, part.sides[-1][4:]))
     return smallest if smallest < within_m else math.inf, looked
 
 
@@ -266,7 +266,7 @@ def apart(box: Box, a: Point, b: Point, room_m: float) -> bool:
     return off > abs(by_n) * (east - west) + abs(by_e) * (north - south) + 2.0 * room_m * math.hypot(by_n, by_e)
 
 
-def _from_segment(a: Point, by: Point, p: Point) -> float:
+def from_segment(a: Point, by: Point, p: Point) -> float:
     """Distance of p from the segment that begins at a and extends by `by`."""
     off_n, off_e = p[0] - a[0], p[1] - a[1]
     length2 = by[0] * by[0] + by[1] * by[1]

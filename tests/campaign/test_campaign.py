@@ -3,21 +3,24 @@
 import itertools
 import json
 import os
+import platform
 import signal
 import socket
 import subprocess
 import sys
+import tomllib
 from collections.abc import Iterator
 from contextlib import ExitStack, suppress
+from importlib import metadata
 from pathlib import Path
 
 import pytest
 
 from delfim.__main__ import main
 from delfim.campaign import conduct, findings, sailing, store, workers
-from delfim.campaign.runplan import Batch, read
+from delfim.campaign.runplan import read
 from delfim.errors import DelfimError
-from tests.campaign.test_runplan import ETC, written
+from tests.campaign.test_runplan import written
 
 DELFIM = (sys.executable, "-m", "delfim", "campaign")
 ROOT = Path(__file__).parents[2]
@@ -32,6 +35,7 @@ def sailed(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     lines += ["[draw]", '"simulation.sea.current_mps" = {uniform = [0.0, 0.5]}']
     lines += ["[[pass]]", 'name = "never"', 'sql = "count(*) filter (not ok) = 0"']
     lines += ["[[pass]]", 'name = "far"', 'sql = "min(way_m) > 1.0"', 'each = "point"']
+    lines += ["[[table]]", 'name = "By boat"', 'sql = "select vehicle as boat, count(*) as runs from runs group by all"']
     path = written(place, *lines)
     words = ["campaign", str(path), "--output", str(place / "out"), "--workers", "2", "--batch", "3"]
     assert main(words) == 0
@@ -51,12 +55,35 @@ def test_it_judges_reports_and_has_every_run_once(sailed, capsys):
     told = capsys.readouterr().out
     assert "10 of them are there already" in told
     assert "holds  never" in told
+    assert "  By boat\n\n  boat     runs\n  delfimx  10\n" in told
     page = (folder / "report.html").read_text()
-    for words in ("Holds: never", "Holds: far", "95 % confidence", "Points", "What moves what", "Where boats ended", "--again"):
+    for words in (
+        "Holds: never",
+        "Holds: far",
+        "<h2>By boat</h2>",
+        "95 % confidence",
+        "Points",
+        "What moves what",
+        "Where boats ended",
+        "--again",
+    ):
         assert words in page
     assert page.count("data:image/png;base64,") == 4
     assert "http://" not in page
     assert "https://" not in page
+
+
+def test_versions_platform_and_the_vehicles_file_stand_in_the_results(sailed):
+    _, folder = sailed
+    head = json.loads((folder / "campaign.json").read_text())
+    assert head["version"] == sailing.VERSION
+    assert head["packages"]["msgspec"] == metadata.version("msgspec")
+    asked = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    needed = {line.partition(">")[0] for line in (*asked["dependencies"], *asked["optional-dependencies"]["campaign"])}
+    assert set(head["packages"]) == needed - {"rich"}, "the live view has no part in it"
+    assert head["platform"] == platform.platform()
+    assert head["vehicles"]["delfimx"]["boat"]["name"] == "DelfimX"
+    assert f"msgspec {metadata.version('msgspec')}" in (folder / "report.html").read_text()
 
 
 def test_a_run_is_repeated_to_the_last_byte_with_its_log_and_a_picture(sailed, capsys):
@@ -119,45 +146,15 @@ def test_mistakes_are_said_in_words(sailed, tmp_path, capsys, words, said):
     assert said in capsys.readouterr().err
 
 
-# What a worker does.
-
-
-def test_a_run_that_cannot_be_sailed_is_a_row_with_its_error(tmp_path):
-    _, plan = read(written(tmp_path, 'scenario = "mixed"', "limit_s = 1e-9", "seeds = {count = 1}"))
-    (row,) = sailing.sail_batch(plan, Batch(0, ((0, 1),)), sailing.VERSION)
-    assert not row["ok"]
-    assert row["error"].startswith("TooLong: not over after 1e-09 s of computing")
-
-
-def test_a_worker_with_other_code_is_refused_with_both_named(tmp_path):
-    _, plan = read(written(tmp_path, 'scenario = "mixed"'))
-    with pytest.raises(DelfimError, match=r"this worker has delfim .* code [0-9a-f]{8} .*, the campaign delfim 9\.9 code 0"):
-        sailing.sail_batch(plan, Batch(0, ((0, 1),)), "delfim 9.9 code 0")
-
-
-def test_values_of_the_campaign_lie_over_those_of_the_scenario(tmp_path):
-    """The scenario of mixed faults has a sea of its own."""
-    _, plan = read(written(tmp_path, 'scenario = "mixed"', "[vary]", '"simulation.sea.current_mps" = [0.0, 0.9]'))
-    seen = [sailing.sailed_run(plan, point, 1)[0].run.settings.simulation.sea.current_mps for point in (0, 1)]
-    assert seen == [0.0, 0.9]
-
-
-def test_a_mission_is_measured(tmp_path):
-    _, plan = read(written(tmp_path, f'mission = "{ETC}/missions/doca.toml"', "seeds = {count = 1}"))
-    (row,) = sailing.sail_batch(plan, Batch(0, ((0, 1),)), sailing.VERSION)
-    assert row["ok"], row
-    assert row["end"].startswith("mission done")
-    assert row["cross_rms_m"] < 1.0
-    assert 100.0 < row["way_m"] < 3000.0
-    assert row["energy_j"] > 1000.0
-    assert row["faults"] == 0
-
-
-def test_how_far_a_boat_goes_on_is_measured_from_where_it_was_told_to_stop():
-    """The campaign of docs/failsafe.md, one seed: the columns of the table, in its order."""
-    _, plan = read(ETC / "campaigns/failsafe.toml")
-    far_m = [sailing.one(plan, 0, point, 1)["stop_m"] for point in range(len(plan.points))]
-    assert far_m == pytest.approx([1.8, 3.1, 4.1, 5.3, 1.8, 3.1, 4.3, 8.4], abs=0.1)
+@pytest.mark.parametrize(
+    "lines",
+    [("[[pass]]", 'name = "slip"', 'sql = "max(way) > 1.0"'), ("[[table]]", 'name = "slip"', 'sql = "select way from runs"')],
+)
+def test_sql_that_is_none_is_refused_before_the_first_run(tmp_path, capsys, lines):
+    path = written(tmp_path, 'scenario = "mixed"', *lines)
+    assert main(["campaign", str(path), "--output", str(tmp_path / "out")]) == 2
+    assert 'slip: Binder Error: Referenced column "way" not found' in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 # The results.
@@ -256,6 +253,29 @@ def test_no_worker_outlives_the_campaign_whatever_ended_it(tmp_path, sailed):
         worker = Path("/proc") / cut.stdout.readline().strip()
         cut.stdout.read()  # until nobody holds the pipe any more: each worker has it, too
     assert not (worker / "exe").exists()
+
+
+ENDED = """
+import signal, sys
+from delfim.campaign.runplan import read
+from delfim.campaign.workers import by_processes
+def endless(plan, batch, version):
+    if batch.number:
+        signal.pause()
+    return []
+if __name__ == "__main__":
+    plan = read(sys.argv[1])[1]
+    sailing = by_processes(plan, plan.batches(1), 2, endless)
+    next(sailing)
+    sailing.close()
+"""
+
+
+def test_whoever_ends_a_campaign_does_not_wait_for_what_is_being_sailed(tmp_path, sailed):
+    (tmp_path / "ended.py").write_text(ENDED)
+    words = (sys.executable, tmp_path / "ended.py", sailed[0])
+    end = subprocess.run(words, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)}, timeout=100)
+    assert (end.returncode, end.stderr) == (0, "")
 
 
 @pytest.mark.long

@@ -7,11 +7,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config, tables
+from delfim.campaign import findings
 from delfim.campaign.runplan import Draw, Plan, Seeds, laid, read
 from delfim.errors import ConfigError
 
 ETC = Path(__file__).parents[2] / "etc"
 HEAD = f'version = 1\nname = "test"\nvehicle = "{ETC}/delfimx.toml"\n'
+BUS_OFF = f'scenario = "{ETC}/scenarios/bus-off.toml"'
 
 
 def written(folder: Path, *lines: str) -> Path:
@@ -21,7 +23,7 @@ def written(folder: Path, *lines: str) -> Path:
 
 
 def plan_of(draw: dict[str, Draw], seeds: Seeds, latin: bool) -> Plan:
-    return Plan("test", "", {}, (), ((0, {"x.y": 3}),), draw, latin, seeds, 10.0, 10.0)
+    return Plan("test", "", (), ((0, {"x.y": 3}),), draw, latin, seeds, 10.0, 10.0)
 
 
 @pytest.mark.parametrize("path", sorted((ETC / "campaigns").glob("*.toml")), ids=lambda path: path.stem)
@@ -33,8 +35,9 @@ def test_each_campaign_that_is_shipped_can_be_read(path):
 def test_the_documents_example_can_be_read(tmp_path):
     text = (ETC.parent / "docs/campaigns.md").read_text().partition("```toml\n")[2].partition("```")[0]
     (tmp_path / "campaign.toml").write_text(text.replace('"../', f'"{ETC}/'))
-    _, plan = read(tmp_path / "campaign.toml")
+    file, plan = read(tmp_path / "campaign.toml")
     assert len(plan.points) == 9
+    assert [each.name for each in findings.rehearse(file, plan)] == ["By gain"]
 
 
 def test_every_run_is_in_one_batch_and_the_file_alone_cuts_them(tmp_path):
@@ -60,16 +63,32 @@ def test_points_are_every_combination_of_stories_and_values(tmp_path):
     assert plan.points[3] == (0, {"simulation.sea.wind_mps": 4.0, "log.required": False})
 
 
+def test_each_boat_sails_each_scenario_and_each_mission(tmp_path):
+    boats = [str(ETC / name) for name in ("delfimx.toml", "boats/otter.toml")]
+    missions = [str(ETC / "missions" / name) for name in ("doca.toml", "lawnmower.toml")]
+    path = written(tmp_path, BUS_OFF, f"mission = {missions}", "seeds = {count = 3}")
+    path.write_text(path.read_text().replace(f'"{ETC}/delfimx.toml"', str(boats)))
+    _, plan = read(path)
+    names = ["bus-off", "doca", "lawnmower"]
+    assert [(story.boat, story.name) for story in plan.stories] == [(b, n) for b in ("delfimx", "otter") for n in names]
+    assert (len(plan.points), plan.runs) == (6, 18)
+    assert plan.stories[3].vehicle["boat"]["name"] == "Otter"
+
+
 @pytest.mark.parametrize(
     ("lines", "words"),
     [
-        (['scenario = "mixed"', 'mission = "x"'], "one of scenario and mission"),
-        ([], "one of scenario and mission"),
+        ([], "a scenario, a mission, or both"),
+        (['scenario = "mixed"', "[vary]", '"fault.value" = [1.0]'], "mixed has no [[fault]]"),
+        ([BUS_OFF, "[vary]", '"fault.kind" = ["bus_off", "leak"]'], "leak"),
+        ([BUS_OFF, "[vary]", '"fault.at_s" = [-1.0]'], "at_s"),
+        ([BUS_OFF, "[vary]", '"fault.depth" = [1.0]'], "depth"),
         (['scenario = "mixed"', "[vary]", '"control.heading.q" = [1.0]'], "point 0, control.heading.q"),
         (['scenario = "mixed"', "[vary]", '"boat.id" = [1, 999]'], "point 1, boat.id"),
         (['scenario = "mixed"', "[vary]", '"boat.id" = []'], "vary.boat.id"),
         (['scenario = "mixed"', "[draw]", '"boat.id" = {}'], "one of uniform, normal, choice"),
         (['scenario = "mixed"', "[vary]", '"boat.id" = [1]', "[draw]", '"boat.id" = {choice = [1]}'], "varied and drawn"),
+        (['scenario = "mixed"', "[vary]", '"thrusters.2.y_m" = [1.0]'], "thrusters.2.y_m: there are 2 of these"),
         (['scenario = "no-such.toml"'], "No such file"),
         (['scenario = "mixed"', "seeds = {count = 0}"], "seeds.count"),
         (
@@ -108,3 +127,10 @@ def test_values_lie_over_the_vehicles_file_key_by_key():
     assert over["simulation"]["sea"] == tree["simulation"]["sea"] | {"wind_mps": 7.0}
     assert tables.decode(over, config.Vehicle, "test").boat.name == "Other"
     assert tree["boat"]["name"] == "DelfimX"
+
+
+def test_a_number_in_a_key_is_a_place_in_a_list():
+    tree = tables.read_toml(ETC / "delfimx.toml")
+    over = tables.decode(laid(tree, {"thrusters.1.rate_per_s": 0.5, "thrusters.0.thrust_n.1": 400.0}), config.Vehicle, "test")
+    assert [row.rate_per_s for row in over.thrusters] == [0.6667, 0.5]
+    assert [row.thrust_n[1] for row in over.thrusters] == [400.0, 532.0]

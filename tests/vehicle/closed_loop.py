@@ -1,13 +1,9 @@
-"""Model and control in one loop, without bus, clock or messages. Control's tests stand on it, and
-
-    python -m tests.vehicle.closed_loop
-
-prints the figures of docs/control.md. A day at sea takes seconds.
+"""Model and control in one loop, without bus, clock or messages: the bounds of control's tests are held there. A day at sea
+takes seconds. The figures of docs/control.md are those of the whole program, by campaigns.
 """
 
 import math
 import random
-import time
 from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple, cast
 
@@ -17,7 +13,7 @@ from delfim.canproxy.socket import CanSocket
 from delfim.config import Sea, Vehicle, load
 from delfim.geodesy import Origin, origin, wrap
 from delfim.modes import Mode
-from delfim.simulator.model import WATER, Hull, Model, Side, hull_of
+from delfim.simulator.model import WATER, Hull, Model, hull_of
 from delfim.slices import Sliced
 from delfim.vehicle.control.control import admit, control, enter, lacking, settings_of
 from delfim.vehicle.control.path import APPROACH, nearest
@@ -28,7 +24,6 @@ from delfim.vehicle.track import Track
 
 DELFIMX, FLOAT = load("etc/delfimx.toml"), load("etc/boats/float.toml")
 SETTINGS = settings_of(DELFIMX)
-SIDES: tuple[Side, Side] = ("starboard", "port")
 ALL = frozenset({"position", "heading", "velocity"})
 DT_S = 0.2
 PLACE = DELFIMX.simulation
@@ -239,107 +234,12 @@ def home_errors(boat: Boat) -> tuple[list[float], float, int]:
     raise AssertionError("home was not reached in 15 minutes")
 
 
-def described(hull: Hull, **known: float) -> Vehicle:
-    """The vehicle's file of somebody who has this boat and knows its length, beam, mass, what its propellers give at rest, and
-    `known` of the table [boat]."""
+def described(hull: Hull) -> Vehicle:
+    """The vehicle's file of somebody who has this boat and knows its length, beam, mass, and its propellers at rest."""
     replace, rows = msgspec.structs.replace, []
     full_n = WATER * hull.thrust * hull.hull_efficiency * hull.propeller_diameter_m**4 * (DELFIMX.dsor.rpm_max / 60.0) ** 2
     for row in DELFIMX.thrusters:
         y_m = math.copysign(hull.propeller_m, row.y_m)
         rows.append(replace(row, y_m=y_m, thrust_n=(-hull.astern * full_n, full_n)))
     told = {"length_m": hull.length_m, "beam_m": hull.propeller_m / 0.42, "mass_kg": hull.mass_kg, "full_mps": None}
-    return replace(DELFIMX, boat=replace(DELFIMX.boat, **(told | known)), thrusters=tuple(rows))
-
-
-def full_mps(hull: Hull) -> float:
-    """Speed at full thrust: one trial in calm water."""
-    model = Boat(hull=hull).model
-    for side in SIDES:
-        model.command(side, DELFIMX.dsor.rpm_max, True)
-    model.advance(60.0)
-    return model.north_mps
-
-
-def control_us(mode: Mode) -> float:
-    """Time of one call of control(), µs: the best of 20 means."""
-    track = tuple((0.0, 5.0 * index) for index in range(500))
-    setpoint = Setpoint(1.5, 0.3, 0.3, 0.4, plan=DOCA, guest_heading_rad=1.0, guest_speed_mps=1.0, track=track)
-    motion = Motion(ALL, -200.0, 30.0, 0.2, 0.01, 1.4, 0.3)
-    memory = enter(mode, motion._replace(north_m=-150.0) if mode is Mode.HOLD else motion, setpoint, SETTINGS)
-    best_s = math.inf
-    for _ in range(20):
-        start_s = time.perf_counter()
-        for _ in range(1000):
-            control(mode, memory, motion, setpoint, SETTINGS, DT_S)
-        best_s = min(best_s, time.perf_counter() - start_s)
-    return best_s * 1e3
-
-
-def main() -> None:
-    gale = Sea(wind_mps=8.0, wind_from_deg=0.0)
-    for degrees, speed_mps, boat, name in (
-        (20.0, 0.0, Boat(), "at rest"),
-        (20.0, 1.5, Boat(), "at 1.5 m/s"),
-        (90.0, 1.5, Boat(), "at 1.5 m/s"),
-        (180.0, 1.5, Boat(), "at 1.5 m/s"),
-        (90.0, 1.5, Boat(sea=gale), "at 1.5 m/s, wind 8 m/s"),
-        (90.0, 1.5, Boat(rate_sensor=False), "at 1.5 m/s, no rate of turn"),
-    ):
-        over, settled_s, steady = heading_step(boat, degrees, speed_mps)
-        print(f"heading {degrees:3.0f} deg {name}: {over:.1f} deg over, settled in {settled_s:.1f} s, rms {steady.rms:.2f} deg")
-    for mission in (DOCA, LAWNMOWER):
-        show_path(mission.name, [path_errors(Boat(seed, current(seed)), mission.path) for seed in range(20)])
-        played = [play(Boat(seed, current(seed)), mission) for seed in range(20)]
-        late = max(c - to.acceptance_m for closest, _ in played for c, to in zip(closest, mission.waypoints, strict=True))
-        times = [t for _, t in played]
-        print(f"play {mission.name}: {min(times):.0f} to {max(times):.0f} s, passed at acceptance {late:+.2f} m at most")
-    windy = Sea(current_mps=0.5, wind_mps=8.0, wind_from_deg=90.0)
-    for name, sea in (("calm", Sea()), ("current 0.5 m/s", current(0)), ("current 0.5 m/s and wind 8 m/s abeam", windy)):
-        distances = hold_distances(Boat(sea=sea), way_mps=1.5)
-        print(f"hold, {name}: max {max(distances):.1f} m, mean {sum(distances) / len(distances):.1f} m")
-    show_station()
-    for degrees in (0, 90, 180, 270):
-        off, end_m, points = home_errors(Boat(sea=current(degrees, 360)))
-        print("home, current to {:3}: rms {:.1f} max {:.1f} m off the track,".format(degrees, *errors(off)), end=" ")
-        print(f"end {end_m:.1f} m from the start, {points} points left")
-    for name, hull in OTHERS.items():
-        for how, vehicle in (("mass", described(hull)), ("mass and speed", described(hull, full_mps=full_mps(hull)))):
-            over, settled_s, _ = heading_step(Boat(hull=hull, vehicle=vehicle), 90.0, 1.5)
-            print(f"{name} boat, known by {how}: {over:.1f} deg over, settled in {settled_s:.1f} s")
-            for plan_ in (DOCA, LAWNMOWER):
-                boats = [Boat(seed, current(seed, 8), hull=hull, vehicle=vehicle) for seed in range(8)]
-                show_path(f"{name}, {plan_.name}", [path_errors(boat, plan_.path) for boat in boats])
-    print("control():", ", ".join(f"{mode.name.lower()} {control_us(mode):.1f}" for mode in Mode), "µs")
-
-
-def show_station() -> None:
-    """The float in current from 20 directions, with the wind abeam of that; ten minutes each."""
-    for name, current_mps, wind_mps in (
-        ("calm", 0.0, 0.0),
-        ("current", 0.5, 0.0),
-        ("current and wind", 0.5, 8.0),
-        ("more", 0.9, 8.0),
-    ):
-        for sway in (False, True):
-            runs = []
-            for seed in range(20):
-                sea = current(seed, mps=current_mps)
-                sea = msgspec.structs.replace(sea, wind_mps=wind_mps, wind_from_deg=sea.current_to_deg + 90.0)
-                runs.append(station(float_(seed, sea, sway), 600.0))
-            rms, most = errors([off_m(x) for run in runs for x in run])
-            start = [run[0].truth.heading_rad for run in runs]
-            off_deg = max(
-                abs(math.degrees(wrap(x.truth.heading_rad - at))) for run, at in zip(runs, start, strict=True) for x in run
-            )
-            rests = sum(not any(x.sent.thrust) for run in runs for x in run) / sum(map(len, runs))
-            print(f"float, {name}, {'with' if sway else 'without'} sway: rms {rms:.2f} max {most:.2f} m,", end=" ")
-            print(f"heading within {off_deg:.0f} deg, at rest {rests:.0%} of the time")
-
-
-def show_path(name: str, runs: list[tuple[list[float], list[float]]]) -> None:
-    for kind, values in (("lines", [e for on, _ in runs for e in on]), ("arcs", [e for _, on in runs for e in on])):
-        print("path {} {}: rms {:.2f} max {:.2f} m".format(name, kind, *errors(values)))
-
-
-if __name__ == "__main__":
-    main()
+    return replace(DELFIMX, boat=replace(DELFIMX.boat, **told), thrusters=tuple(rows))

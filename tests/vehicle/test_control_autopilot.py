@@ -1,4 +1,4 @@
-"""Heading and speed: the step responses that docs/control.md states, and the rules of saturation."""
+"""Heading and speed: the bounds of step responses that docs/control.md states, and the rules of saturation."""
 
 import math
 

@@ -1,4 +1,4 @@
-"""Missions, paths, station keeping and the way home in current and noise: the figures of docs/control.md."""
+"""Missions, paths, station keeping and the way home in current and noise: the bounds of docs/control.md."""
 
 import itertools
 import math
