@@ -37,6 +37,8 @@ def main() -> int:
     )
     asked.add_argument("--pdf", action="store_true", help="print all pages into one file, delfim.pdf, by chromium")
     words = asked.parse_args()
+    if words.pdf and shutil.which("chromium") is None:
+        asked.error("--pdf needs chromium")
     code = built(ROOT, words.output.resolve(), words.scripts)
     if code == 0 and words.pdf:
         printed(words.output.resolve())
@@ -75,7 +77,7 @@ def elsewhere(site: Path) -> Iterator[tuple[str, str]]:
 
 
 def printed(site: Path) -> None:
-    """All pages as one PDF, beside them. Raises OSError without chromium, CalledProcessError where it fails."""
+    """All pages as one PDF, beside them. Raises CalledProcessError where chromium fails."""
     with tempfile.TemporaryDirectory() as profile:
         command = [
             "chromium",

@@ -2,15 +2,19 @@
 
 import argparse
 import inspect
+import math
 import os
 import re
-from collections.abc import Iterable, Iterator, Sequence
+import struct
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 from types import NoneType, UnionType
 from typing import Any, Final, Literal, Union, get_args, get_origin, get_type_hints
 
+import cantools
 import msgspec
 
-from delfim import tables
+from delfim import messages, tables
 from delfim.__main__ import declared
 from delfim.commands import GROUPS
 from delfim.console import orders, said
@@ -20,6 +24,7 @@ from delfim.services.web import api, metrics
 from delfim.vehicle.mavlink import commands, handlers, params, telemetry
 from delfim.vehicle.mavlink.wire import dialect
 
+ROOT: Final = Path(__file__).parents[1]
 COLUMNS: Final = "92"  # of the help of a command
 
 
@@ -30,6 +35,7 @@ def generated() -> dict[str, str]:
         "docs/commands.md": command_page(),
         "docs/mavlink-tables.md": mavlink_page(),
         "docs/websocket.md": websocket_page(),
+        "docs/can-messages.md": can_page(),
         "docs/metrics.md": metrics_page(),
     }
 
@@ -176,6 +182,74 @@ def _default(field: Any) -> str:
     if field.default is not msgspec.NODEFAULT:
         return f"`{msgspec.json.encode(field.default).decode()}`"
     return "must be given" if field.default_factory is msgspec.NODEFAULT else "`[]`"
+
+
+def can_page() -> str:
+    """The frames of `etc/delfimx.dbc`, and the longer messages as the code packs them."""
+    database: Any = cantools.database.load_file(ROOT / "etc/delfimx.dbc")
+    page = [
+        "# CAN messages",
+        "",
+        "The messages of the boat's own nodes, little endian. A number that a node does not know is the largest of its field.",
+        "Frames of up to 8 bytes are those of `etc/delfimx.dbc`, which [`delfim can dump --dbc`](can-tools.md) reads; what is",
+        "longer travels as [DSOR messages](dsor.md).",
+        "",
+        "## Frames",
+    ]
+    for frame in sorted(database.messages, key=lambda each: (each.is_extended_frame, each.frame_id)):
+        identifier = f"{frame.frame_id:08X}" if frame.is_extended_frame else f"{frame.frame_id:03X}"
+        told = f"Identifier `{identifier}`, {frame.length} bytes, from {' and '.join(frame.senders)}. {frame.comment or ''}"
+        page += ["", f"### {frame.name}", "", told.strip(), ""]
+        page += _table(("signal", "bits", "of", "a count is", "range, or its words", ""), map(_signal, frame.signals))
+    page += ["", "## Messages", "", "Longer than a frame: identifier, node, and the bytes behind the header."]
+    page += _packed(
+        messages.NAVIGATION_ID, messages.Node.NAVIGATION, messages.NAVIGATION, messages.Navigation, messages.pack_navigation
+    )
+    page += _packed(
+        messages.GPS_SYSSTAT_ID, messages.Node.GPS, messages.GPS_STATUS, messages.GpsStatus, messages.pack_gps_status
+    )
+    return "\n".join(page) + "\n"
+
+
+def _signal(signal: Any) -> Sequence[object]:
+    first, length, unit = signal.start, signal.length, signal.unit or ""
+    words = ", ".join(f"{number} {word}" for number, word in (signal.choices or {}).items())
+    counts = signal.minimum is not None and signal.maximum - signal.minimum >= len(signal.choices or {})
+    bounds = "; ".join(filter(None, [f"{signal.minimum:g} to {signal.maximum:g} {unit}".strip() if counts else "", words]))
+    bits = f"{first} to {first + length - 1}" if length > 1 else first
+    kind = f"{'i' if signal.is_signed else 'u'}{length}"
+    return f"`{signal.name}`", bits, kind, f"{signal.scale:g} {unit}".strip(), bounds, signal.comment or ""
+
+
+def _packed(number: int, node: messages.Node, layout: struct.Struct, kind: Any, pack: Callable[[Any], bytes]) -> list[str]:
+    """A message's fields. What a count is, and the word for unknown, are found by packing: the code has no table of them."""
+    codes = layout.format.removeprefix("<")
+    names = kind._fields[: len(codes.replace("x", ""))]
+    hints, notes = get_type_hints(kind), _notes(kind)
+    ones = dict(zip(names, layout.unpack(pack(kind(**dict.fromkeys(names, 1)))), strict=True))
+    silent = {name: None if NoneType in get_args(hints[name]) else 1 for name in names}
+    unknown = dict(zip(names, layout.unpack(pack(kind(**silent))), strict=True))
+    rows, ahead = [], iter(names)
+    for place, code in enumerate(codes):
+        if code == "x":
+            continue
+        name, size = next(ahead), 8 * struct.calcsize(code)
+        unit = name.rpartition("_")[2] if "_" in name else ""
+        mark = f"{unknown[name]:#x}" if silent[name] is None else ""
+        at = struct.calcsize(f"<{codes[:place]}")
+        rows.append(
+            (f"`{name}`", at, f"{'u' if code.isupper() else 'i'}{size}", _count(ones[name], unit), mark, notes.get(name, ""))
+        )
+    about = f"Message {number} of node {int(node)}, {layout.size} bytes. " + " ".join((kind.__doc__ or "").split())
+    heads = ("field", "at byte", "of", "a count is", "unknown", "")
+    return ["", f"### {kind.__name__}", "", about, "", *_table(heads, rows)]
+
+
+def _count(one: int, unit: str) -> str:
+    """What one count is, if `one` of them are one unit."""
+    if unit == "rad" and one > 1e8:
+        return f"{math.degrees(1 / one):.4g} degrees"
+    return f"{1 / one:.4g} {unit}".strip()
 
 
 def metrics_page() -> str:

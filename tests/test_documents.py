@@ -193,6 +193,12 @@ def test_the_reference_has_every_command_parameter_message_and_metric() -> None:
     assert "| `HEAD_P` | `control.heading.p_nm_per_rad` | N m per rad |" in made["docs/mavlink-tables.md"]
     assert "| 33 | `GLOBAL_POSITION_INT` | – | 1 | 0.1 | yes |" in made["docs/mavlink-tables.md"]
     assert "| `kill` |  |  | idle |  |" in made["docs/websocket.md"]
+    assert (
+        "| `Run` | 16 | u1 | 1 | 0 motor off, 1 run | Motor off whatever the reference says, or run. |"
+        in made["docs/can-messages.md"]
+    )
+    assert "| `latitude_rad` | 8 | i32 | 1e-07 degrees | 0x7fffffff |  |" in made["docs/can-messages.md"]
+    assert "| `hdop` | 4 | u8 | 0.1 | 0xff |  |" in made["docs/can-messages.md"]
     source = (ROOT / "delfim/services/web/metrics.py").read_text()
     named = set(re.findall(r'"(delfim_[a-z_]+)"', source))
     assert [name for name in named if f"| `{name}` |" not in made["docs/metrics.md"]] == []
@@ -232,6 +238,14 @@ def test_a_reader_without_a_network_finds_and_sees_everything(site: Path) -> Non
             assert page.complaints == []
 
     asyncio.run(read())
+
+
+@pytest.mark.long
+def test_the_ships_folder_has_all_pages_in_one_file(site: Path) -> None:
+    manual.printed(site)
+    paper = (site / manual.PDF).read_bytes()
+    assert paper.startswith(b"%PDF-")
+    assert paper.count(b"/Type /Page\n") > len(DOCUMENTS)
 
 
 @pytest.mark.long
