@@ -135,7 +135,7 @@ def test_a_boat_among_others_sails_whatever_its_receiver_does(trouble: str) -> N
     assert len(targets) == (number // 2 if trouble == "wrong" else min(number, MOST))  # a wrong place is none
     assert state.traffic.at_s > 85.0
     assert all(math.isfinite(each.north_m) and math.isfinite(each.margin_m) for each in targets)
-    assert all(each.is_lost for each in targets) == (trouble in ("silent", "wrong"))
+    assert all(each.is_lost for each in targets) == (trouble in ("silent", "frozen", "wrong"))
     told_state = boat.vehicle.snapshot({})["traffic"]
     assert isinstance(told_state, dict)
     assert len(told_state["targets"]) == len(targets)

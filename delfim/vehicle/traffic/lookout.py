@@ -14,7 +14,7 @@ from delfim.vessels import VesselFacts, VesselPosition
 
 AT_ONCE: Final = 24  # reports that one step takes; a busy harbour brings one
 LOOK_S: Final = 1.0
-SLICE: Final = 150  # comparisons of one step
+SLICE: Final = 200  # comparisons of one step
 
 
 class TrafficLookout:

@@ -27,6 +27,7 @@ MARGIN_M, MARGIN_MPS = 10.0, 0.15  # of a vessel whose velocity is known, and by
 DRIFT_MPS: Final = 2.5  # by what it grows if that is not known
 MARGIN_MAX_M: Final = 500.0
 SAME_RAD: Final = 5e-8  # 0.3 m: the ways round a position differently
+STUCK_M: Final = 10.0  # of way, after which a vessel is not at the same place
 LENGTH_M, BEAM_M = (1.0, 500.0), (0.3, 100.0)  # that a vessel can have
 SIZES: Final = {"A": (50.0, 10.0), "B": (15.0, 5.0), "fleet": (5.0, 2.5), "payload": (15.0, 5.0), "distress": (15.0, 5.0)}
 
@@ -64,6 +65,11 @@ class VesselTrack:
         """Whether that is the same place, but for rounding."""
         north, east = new.latitude_rad - self.latitude_rad, wrap(new.longitude_rad - self.longitude_rad)
         return abs(north) <= SAME_RAD and abs(east) <= SAME_RAD
+
+    def is_stuck(self, new: "VesselTrack") -> bool:
+        """Whether a receiver repeats an old place of a vessel that says that it moves."""
+        speed_mps = new.speed_mps or 0.0
+        return speed_mps >= BOW_MPS and speed_mps * (new.at_s - self.at_s) > STUCK_M and self.is_at(new)
 
     def take(self, new: "VesselTrack") -> None:
         """The next report. A velocity that it does not tell is made of two positions."""

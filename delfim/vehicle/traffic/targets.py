@@ -117,7 +117,9 @@ class Tracker:
         other = self._tracks.get(_other(key))
         for track in (first,) if other is None else (first, other):
             if track.can_be_at(new):
-                if _is_known(track, new):
+                if track.is_stuck(new):
+                    self.refuse("the same place of a vessel that moves")
+                elif _is_known(track, new):
                     self.refuse("heard before")
                 else:
                     track.take(new)

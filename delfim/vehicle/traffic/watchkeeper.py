@@ -28,7 +28,7 @@ from delfim.vehicle.traffic.routeahead import own_of, route_ahead
 from delfim.vehicle.traffic.vesselwords import making, traffic_told
 
 LATE_S: Final = 5.0  # an older order does not count
-SLICE: Final = 150  # comparisons of one step
+SLICE: Final = 200  # comparisons of one step
 SILENT_S: Final = 360.0  # a lost vessel is kept clear of until its last report is so old
 SLOW: Final = 0.5  # of the speed, where the guard cannot work
 TURN_MIN_RADPS, TURN_MAX_RADPS = 0.05, 0.5
@@ -92,6 +92,7 @@ class Watchkeeper:
                 if state.mode is not mode:
                     return  # another one since: decided for with the next look
                 self._memory, order, self._passes = found
+                order = None if order is None else order._replace(at_s=self._clock.monotonic_s())
             except (ValueError, ArithmeticError) as error:  # the mission goes on as the vehicle's file says
                 self._memory, failing = keepclear.Memory(), f"the guard failed: {error}"
         if order is None and state.traffic.order is not None:
