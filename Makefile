@@ -102,7 +102,7 @@ system: ## install the Debian packages of the guest tests where that is possible
 	else why="installing them needs root and apt-get"; fi; \
 	echo "make system: without$$missing some tests do not run ($$why; Debian packages: $(SYSTEM_PACKAGES))" >&2
 
-formats: $(MORE) ## install the packages for Parquet, MF4, campaigns, Foxglove and brokers, 450 MB, and MAVProxy; the tests need them
+formats: $(MORE) ## install the packages for Parquet, MF4, campaigns, Foxglove, brokers and ROS 2, 480 MB, and MAVProxy; the tests need them
 
 lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgrade takes the newest)
 	$(call compile,boat) pyproject.toml
@@ -112,6 +112,7 @@ lock: $(READY) ## pin and hash the packages of pyproject.toml again (ARGS=--upgr
 	$(call compile,formats) --extra formats -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,campaign) --extra campaign -c requirements/boat.txt -c requirements/ground.txt -c requirements/formats.txt pyproject.toml
 	$(call compile,foxglove) --extra foxglove -c requirements/boat.txt pyproject.toml
+	$(call compile,ros) --extra ros -c requirements/boat.txt pyproject.toml
 	$(call compile,fleet) --extra fleet -c requirements/boat.txt -c requirements/ground.txt pyproject.toml
 	$(call compile,build) requirements/build.in
 	$(call compile,page) requirements/page.in
@@ -161,6 +162,6 @@ $(MANUAL): $(BOAT) requirements/site.txt manual/scripts.lock
 	@cd $(VENV)/scripts && npm pack --silent $$(sed 's/.*  \(.*\)-\(.*\)\.tgz/\1@\2/' scripts.lock) >/dev/null && sha512sum --check --quiet scripts.lock
 	@touch $@
 
-$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/fleet.txt requirements/mavproxy.txt requirements/release.txt
+$(MORE): $(READY) requirements/formats.txt requirements/campaign.txt requirements/foxglove.txt requirements/fleet.txt requirements/ros.txt requirements/mavproxy.txt requirements/release.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps $(patsubst %,-r %,$(filter %.txt,$^))
 	@touch $@

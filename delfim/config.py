@@ -151,6 +151,9 @@ FleetBroker = Annotated[
         "mqtts://HOST:PORT or mqtts://HOST:PORT/FLEET, or mqtt, or empty",
     ),
 ]
+ZenohRouter = Annotated[
+    str, text(rf"((tcp|tls)/([^ :/]+|\[[0-9A-Fa-f:]+\]):{_PORT})?", "tcp/HOST:PORT, tls/HOST:PORT or empty")
+]
 TalkerName = Annotated[
     str, text("[A-Za-z][A-Za-z0-9_-]{0,31}(:[A-Z0-9]{2})?", "a port's name, or PORT:TALKER with the talker's two letters")
 ]
@@ -972,6 +975,19 @@ class FleetTable(Table, frozen=True):
             raise ValueError("listen: an address of this computer, as 127.0.0.1:14560")
 
 
+class RosTable(Table, frozen=True):
+    """The boat's topics for ROS 2, over a Zenoh router as rmw_zenoh has it (docs/ros2.md)."""
+
+    router: ZenohRouter = ""  # where it is, as tcp/127.0.0.1:7447; "": no topics
+    domain: Annotated[int, msgspec.Meta(ge=0, le=232)] = 0  # ROS_DOMAIN_ID of the others
+    namespace: Annotated[str, text("([a-z][a-z0-9_]{0,31})?", "small letters, digits or _, or empty")] = ""  # "": boat.name
+    commands: bool = False  # Twist and goal of ROS steer in mode grex, as the guest; the router on this computer only
+
+    def __post_init__(self) -> None:
+        if self.commands and not (self.router and is_loopback(self.router.partition("/")[2])):
+            raise ValueError("commands: whoever reaches the router could steer: it must be one of this computer")
+
+
 class GuestTable(Table, frozen=True):
     """The guest computer's TCP server (GREX in the thesis)."""
 
@@ -1418,6 +1434,7 @@ class Vehicle(Table, frozen=True):
     console: Console = Console()
     mavlink: Mavlink = Mavlink()
     fleet: FleetTable = FleetTable()
+    ros: RosTable = RosTable()
     handset: HandsetTable = HandsetTable()
     kill: KillTable = KillTable()
     guest: GuestTable = GuestTable()
@@ -1444,6 +1461,8 @@ class Vehicle(Table, frozen=True):
             raise ValueError("mavlink.serial and slipd.device are one port: a radio carries MAVLink or IP")
         if self.fleet.broker:
             self._check_fleet()
+        if self.ros.commands and not self.guest.enabled:
+            raise ValueError("ros.commands: it steers as the guest: guest.enabled must be true")
         if "nmea0183" in (*self.navigation.sources, *self.sensors.names) and not self.nmea0183.ports:
             raise ValueError("nmea0183 needs a port: a table [nmea0183.ports.NAME] with its device")
         if self.guest.enabled and self.nmea0183.guest.device:

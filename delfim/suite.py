@@ -110,6 +110,7 @@ SERVICES = (
         uvloop=False,
         when=lambda settings: settings.fleet.broker,
     ),
+    Service("rosd", "delfim.services.rosd:serve", place="process", uvloop=False, when=lambda settings: settings.ros.router),
     Service("vehicle", "delfim.services.vehicle:serve"),
 )
 

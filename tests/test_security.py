@@ -87,7 +87,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
         + f'[sshd.users.ana]\nkeys = ["{(folder / "friend.pub").read_text().strip()}"]\n'
     )
     settings = [f'simulation.{name}="127.0.0.1:{ports[name]}"' for name in ("httpd", "ftpd", "sshd")]
-    settings += mavlink_and_fleet(folder, ports)
+    settings += links_to_others(folder, ports)
     settings += [f'cantcpd.listen=["127.0.0.1:{ports["cantcpd"]}"]', f'guest.listen="127.0.0.1:{ports["guest"]}"']
     settings += [f'guest.key="{folder / "guest.key"}"']
     settings += [f'simulation.interface="canloop:open-{os.getpid()}"', "failsafe.console_silent.after_s=600.0"]
@@ -97,7 +97,7 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
         process = subprocess.Popen(program, stdout=said, stderr=said)
         boat = Boat(folder, ports, process.pid)
         try:
-            deadline_s = time.monotonic() + 40
+            deadline_s = time.monotonic() + 120
             while not all(f"{name}: " in (folder / "said").read_text() for name in ("ftpd", "sshd")) or not sails(boat):
                 assert time.monotonic() < deadline_s, (folder / "said").read_text()
                 select.select([], [], [], 0.1)
@@ -107,15 +107,16 @@ def boat(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Boat]:
             process.wait(40)
 
 
-def mavlink_and_fleet(folder: Path, ports: dict[str, int]) -> list[str]:
-    """Consoles need a key; no broker is there."""
+def links_to_others(folder: Path, ports: dict[str, int]) -> list[str]:
+    """Consoles need a key; no broker and no router are there."""
     here = f"127.0.0.1:{ports['fleet']}"
     mavlink = [
         f'mavlink.listen="127.0.0.1:{ports["mavlink"]}"',
         f'mavlink.peers=["{here}"]',
         f'mavlink.key="{folder}/mavlink.key"',
     ]
-    return [*mavlink, f'fleet.listen="{here}"', 'fleet.broker="mqtt://127.0.0.1:9/tagus"']
+    ros = ['ros.router="tcp/127.0.0.1:9"', "ros.commands=true"]
+    return [*mavlink, f'fleet.listen="{here}"', 'fleet.broker="mqtt://127.0.0.1:9/tagus"', *ros]
 
 
 def sails(boat: Boat) -> bool:
@@ -166,13 +167,13 @@ def test_it_listens_where_the_file_says_and_nowhere_else(boat: Boat) -> None:
 def test_every_door_is_in_the_list_of_check_sea(boat: Boat) -> None:
     listen = {name: f"127.0.0.1:{boat.ports[name]}" for name in SERVICES}
     words = [f'{name}.listen="{place}"' for name, place in listen.items() if name != "cantcpd"]
-    words += [f'cantcpd.listen=["{listen["cantcpd"]}"]', *mavlink_and_fleet(boat.folder, boat.ports)]
+    words += [f'cantcpd.listen=["{listen["cantcpd"]}"]', *links_to_others(boat.folder, boat.ports)]
     settings = config.load(boat.folder / "boat.toml", words)
     told = {door.place.removesuffix(" UDP") for door in doors(settings, [row.name for row in services(settings)])}
     found = {f"{host}:{port}" for _, host, port in open_to_the_world(family(boat.pid)) if not host.startswith("239.")}
-    brokers = {place for place in told if place.startswith("mqtt")}
-    assert brokers
-    assert told - brokers - {settings.console.socket} == found
+    outside = {place for place in told if place.startswith(("mqtt://", "tcp/"))}  # they are connected to
+    assert len(outside) == 3
+    assert told - outside - {settings.console.socket} == found
 
 
 def test_the_guests_door_opens_to_the_key_alone(boat: Boat) -> None:

@@ -135,7 +135,13 @@ def _fleetd(settings: config.Vehicle) -> Iterator[Entrance]:
     yield Entrance("fleetd", f"{table.listen} UDP", "here", EVERY, "send bytes to the broker; without the key they say nothing")
 
 
+def _rosd(settings: config.Vehicle) -> Iterator[Entrance]:
+    may = f"read the boat's state; {_STEER}" if settings.ros.commands else "read the boat's state"
+    yield Entrance("rosd", settings.ros.router, "anyone", "anyone who reaches this Zenoh router", may)
+
+
 SERVICES = {
+    "rosd": _rosd,
     "fleetd": _fleetd,
     "httpd": _httpd,
     "cantcpd": _cantcpd,

@@ -115,7 +115,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "supervisor.hardware_watchdog": "",
         **{f"nmea0183.ports.{name}.device": _device(name, port.device, its) for name, port in vehicle.nmea0183.ports.items()},
         **_beside(vehicle, its),
-        **{key: "" for key in (*RADIOS, *HANDS, *_corrected(vehicle), *_brokered(named)) if key not in named},
+        **{key: "" for key in (*RADIOS, *HANDS, *_corrected(vehicle), *_shared(vehicle, named)) if key not in named},
         "guest.listen": free("guest.listen", vehicle.guest.listen),
         "mavlink.listen": free("mavlink.listen", vehicle.mavlink.listen, udp=True),
         "httpd.listen": page,
@@ -166,9 +166,12 @@ def _corrected(vehicle: config.Vehicle) -> tuple[str, ...]:
     )
 
 
-def _brokered(named: Collection[str]) -> tuple[str, ...]:
-    """The real fleet's broker: consoles there would take the simulated boat for the one of its name."""
-    return () if "fleet.broker" in named else ("fleet.broker", "fleet.credentials", "fleet.authorities")
+def _shared(vehicle: config.Vehicle, named: Collection[str]) -> Iterator[str]:
+    """The fleet's broker and a ROS 2 elsewhere: who listens there would take the simulated boat for the one of its name."""
+    if "fleet.broker" not in named:
+        yield from ("fleet.broker", "fleet.credentials", "fleet.authorities")
+    if not _is_here(vehicle.ros.router.replace("/", ":", 1)):
+        yield "ros.router"
 
 
 def _device(name: str, device: str, its: Berth) -> str:

@@ -54,6 +54,17 @@ def test_the_boats_radio_is_left_alone_with_its_key():
     assert (settings.mavlink.serial, settings.mavlink.key) == ("", "")
 
 
+def test_a_ros_of_another_computer_is_left_alone():
+    with berth(None) as its:
+        routers = {
+            place: changed(
+                [f'ros.router="{place}"', *settings_of(changed([f'ros.router="{place}"']), its, ()).overrides]
+            ).ros.router
+            for place in ("tcp/192.168.1.7:7447", "tcp/127.0.0.1:7447", "")
+        }
+    assert routers == {"tcp/192.168.1.7:7447": "", "tcp/127.0.0.1:7447": "tcp/127.0.0.1:7447", "": ""}
+
+
 def test_the_fleets_broker_is_left_alone_unless_it_is_named():
     file = ['mavlink.key="/keys/mavlink"', 'mavlink.peers=["127.0.0.1:14560"]', 'fleet.broker="mqtts://sea.example.org:8883"']
     file += ['fleet.credentials="/keys/broker"']
