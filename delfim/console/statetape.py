@@ -94,7 +94,7 @@ class States:
             at_s, vessels = self._vessels[known]
             boat.others.recall(vessels, at_s)
         for text in between(self.texts, max(from_s, to_s - SAID_S), to_s):
-            boat.others.says(text.text.removeprefix("traffic: ").partition(": ")[0])  # ": warn", as a trouble has it
+            boat.others.says(text.text.removeprefix("traffic: "))
         boat.others.ordered(row.order_deg, row.at_s)
 
     def _read(self, file: Path) -> None:

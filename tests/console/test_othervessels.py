@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 from pymavlink.dialects.v20 import common as mavlink
 
-from delfim.console.othervessels import MOST, around
+from delfim.console.othervessels import AT_ONCE, MEETS, MOST, around
 from delfim.geodesy import origin, to_plane
 from tests.console.test_fleet import Sea
 
@@ -158,3 +158,18 @@ def test_a_boat_on_guard_is_in_danger_only_in_a_domain() -> None:
 
     assert danger(1) == "near", "it will keep clear"
     assert danger(2) == "danger", "it cannot"
+
+
+def test_of_many_boats_each_is_judged_in_its_turn() -> None:
+    numbers = range(1, 2 * AT_ONCE + 2)
+    sea = Sea(*numbers)
+    sea.run(2.0)
+    sea.boats[1].say(vessel(north_m=1000.0))
+    sea.run(0.5)
+    met = set[int]()
+    for _ in range(3):
+        (near,) = around(list(sea.fleet.boats.values()), sea.clock.monotonic_s())["vessels"]
+        assert len(near["boats"]) == MEETS
+        met |= {number for number in numbers if sea.fleet.boats[number].others.met}
+        sea.run(1.0)
+    assert met == set(numbers)
