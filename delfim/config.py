@@ -22,6 +22,7 @@ from delfim.tables import Table, decode, read_toml, text
 _PORT = "([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|6553[0-5])"  # 0 to 65535
 Name = Annotated[str, text("[A-Za-z][A-Za-z0-9_-]{0,31}", "a letter, then up to 31 letters, digits, _ or -")]
 Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
+BatteryVoltage = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
 Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
 Metres = Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)]
 Speed = Annotated[float, msgspec.Meta(gt=0.0, le=30.0)]  # m/s
@@ -689,7 +690,8 @@ class GuestSilent(Silence, frozen=True):
 class BatteryLow(Trouble, frozen=True):
     """The batteries of either side are low."""
 
-    charge: Fraction = 0.25  # this much, or less
+    charge: Fraction = 0.25  # this much, or less ...
+    voltage_v: BatteryVoltage = 0.0  # ... or so many volts, or less, at a battery or thruster, under load; 0: not looked at
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 5.0  # for this long
     action: ActionName = "home"
     manual: ModeAction = "warn"
@@ -699,7 +701,8 @@ class BatteryLow(Trouble, frozen=True):
 class BatteryCritical(Trouble, frozen=True):
     """The batteries of either side are almost empty; the rest is for radio and computer. A mode that this stops is refused."""
 
-    charge: Fraction = 0.1  # this much, or less
+    charge: Fraction = 0.1  # this much, or less ...
+    voltage_v: BatteryVoltage = 0.0  # ... or so many volts, or less, at a battery or thruster, under load; 0: not looked at
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 5.0  # for this long
     manual: ModeAction = "warn"
     home: ModeAction = "warn"
@@ -1129,7 +1132,7 @@ class PowerdTable(Table, frozen=True):
     button_pressed: str = "1"  # the file begins with this while the button is pressed
     button_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 2.0  # the button must be held for this long
     battery_charge: Fraction = 0.05  # the charge of a battery is at most this; 0: never ...
-    battery_v: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 0.0  # ... or the voltage of one is; 0: never ...
+    battery_v: BatteryVoltage = 0.0  # ... or the voltage of one is; 0: never ...
     battery_s: Seconds = 60.0  # ... for this long, while no propeller is commanded to run
 
 

@@ -12,7 +12,7 @@ from delfim.vehicle.failsafe import Action, Rules
 from delfim.vehicle.fence import outside
 from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import HANDSET, State
-from delfim.vehicle.troubles import Inputs, Trigger, charge, handset_missed, unheard
+from delfim.vehicle.troubles import Inputs, Trigger, charge, handset_missed, low, unheard, voltage
 
 EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
 HEARD_S = 5.0  # a console silent for longer counts as lost
@@ -31,9 +31,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
     """All lines, in the order in which they matter. `time_ns`: the computer's clock, since 1970."""
     age_s = now_s - state.navigation_s
     bad = sysstat.wrong(state, rules.settings.sysstat, now_s) or unheard(rules.settings.sensors, state, now_s)
-    least, batteries = charge(state)
-    critical = batteries and least <= rules.table.battery_critical.charge
-    level = f"{batteries.replace('_', ' ')} at {least:.0%}" if batteries else "no charge reported"
+    critical = low(rules.settings, rules.table.battery_critical, state, now_s, was_low=False)
     plan = state.setpoint.plan
     missed = handset_missed(rules.settings.handset, state.handset, now_s)
     heard_s = now_s - state.console_s
@@ -47,7 +45,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         _gnss(rules, state),
         _clock(rules, state, age_s, time_ns),
         Check("log", not inputs.log_reason, f"no log, no start: {inputs.log_reason}" if inputs.log_reason else "being written"),
-        Check("battery", not critical, level),
+        Check("battery", not critical, critical or _level(rules.settings, state, now_s)),
         _fence(state, inputs),
         Check("mission", True, f"{plan.name}, {len(plan.waypoints)} waypoints" if plan is not None else "none loaded"),
         Check("hand-set", not missed, missed or _handset(rules.settings.handset, state)),
@@ -55,6 +53,15 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         Check("last shutdown", not state.computer.last_shutdown, state.computer.last_shutdown or "no fault known"),
         Check("image", not state.computer.image, state.computer.image or "confirmed, or the computer has no image slots"),
     ]
+
+
+def _level(settings: config.Vehicle, state: State, now_s: float) -> str:
+    """The least charge, or the lowest voltage where no battery tells its charge."""
+    least, batteries = charge(state)
+    if batteries:
+        return f"{batteries.replace('_', ' ')} at {least:.0%}"
+    volts, name = voltage(settings, state, now_s)
+    return f"{name.replace('_', ' ')} at {volts:.1f} V" if name else "no charge reported"
 
 
 def refusal(rules: Rules, mode: Mode, lines: list[Check]) -> str | None:

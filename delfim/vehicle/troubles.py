@@ -25,7 +25,8 @@ SURE: Final = 0.3  # of full command; above this a propeller turns, whatever its
 DEAD_V: Final = 5.0  # no battery of a thruster is so low
 _PROPELLERS: Final = (sysstat.NAMES[Node.PROPELLER_STARBOARD], sysstat.NAMES[Node.PROPELLER_PORT])
 FRESH_S: Final = 1.0  # an older report of a propeller does not count
-CHARGE_BACK: Final = 0.02  # a battery is low until it has this much more
+CHARGE_BACK: Final = 0.02  # a battery is low until it has this much more charge, ...
+VOLTAGE_BACK: Final = 1.05  # ... or so many times the voltage: it rises when the load is gone
 _BATTERIES: Final = (sysstat.NAMES[Node.BATTERIES_STARBOARD], sysstat.NAMES[Node.BATTERIES_PORT])
 
 
@@ -130,11 +131,13 @@ def unheard(settings: config.Sensors, state: State, now_s: float) -> str | None:
 
 
 def battery_critical(look: Look) -> str | None:
-    return _low(look, look.settings.failsafe.battery_critical.charge, Trigger.BATTERY_CRITICAL)
+    return low(
+        look.settings, look.settings.failsafe.battery_critical, look.state, look.now_s, Trigger.BATTERY_CRITICAL in look.present
+    )
 
 
 def battery_low(look: Look) -> str | None:
-    return _low(look, look.settings.failsafe.battery_low.charge, Trigger.BATTERY_LOW)
+    return low(look.settings, look.settings.failsafe.battery_low, look.state, look.now_s, Trigger.BATTERY_LOW in look.present)
 
 
 def thruster(look: Look) -> str | None:
@@ -270,10 +273,28 @@ def charge(state: State) -> tuple[float, str]:
     return least, name
 
 
-def _low(look: Look, limit: float, trigger: Trigger) -> str | None:
-    least, name = charge(look.state)
-    is_low = name and least <= limit + (CHARGE_BACK if trigger in look.present else 0.0)
-    return f"{name.replace('_', ' ')} at {least:.0%}" if is_low else None
+def voltage(settings: config.Vehicle, state: State, now_s: float) -> tuple[float, str]:
+    """The lowest voltage, V, that a battery or a thruster told lately, and its name; (infinite, "") if none did."""
+    told = [
+        (name, report.voltage_v, at_s) for name, (report, at_s) in state.sysstat.items() if isinstance(report, BatteriesStatus)
+    ]
+    told += [(f"{name} thruster", report.voltage_v, report.heard_s) for name, report in state.thrusters.items()]
+    fresh = [(volts, name) for name, volts, at_s in told if volts is not None and now_s - at_s <= settings.sysstat.stale_s]
+    return min(((volts, name) for volts, name in fresh if volts > DEAD_V), default=(math.inf, ""))
+
+
+def low(
+    settings: config.Vehicle, limits: config.BatteryLow | config.BatteryCritical, state: State, now_s: float, was_low: bool
+) -> str | None:
+    """Which battery has no more than its limits, in words; None: none that tells."""
+    least, name = charge(state)
+    if name and least <= limits.charge + (CHARGE_BACK if was_low else 0.0):
+        return f"{name.replace('_', ' ')} at {least:.0%}"
+    if not limits.voltage_v:
+        return None
+    volts, name = voltage(settings, state, now_s)
+    is_low = volts <= limits.voltage_v * (VOLTAGE_BACK if was_low else 1.0)
+    return f"{name.replace('_', ' ')} at {volts:.1f} V" if is_low else None
 
 
 def astray(settings: config.Vehicle, state: State, now_s: float) -> dict[str, str]:
