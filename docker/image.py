@@ -53,6 +53,7 @@ KEPT: Final = {  # and nothing else in these: of MAVLink the messages that are s
     "usr/lib/python3/dist-packages/pymavlink/dialects": {"__init__.py", "v20"},
     "usr/lib/python3/dist-packages/pymavlink/dialects/v20": {"__init__.py", "common.py", "development.py"},
 }
+ABOARD: Final = ("boat.txt", "services.txt")  # of requirements/
 DIRECTORIES: Final = "boot dev etc log proc root run sys tmp usr/bin usr/sbin usr/lib usr/lib64"
 FILES: Final = {
     "etc/passwd": "root:x:0:0:root:/root:/bin/sh\nnobody:x:65534:65534:nobody:/:/bin/false\n",
@@ -195,8 +196,8 @@ def extract(package: Path, root: Path, *only: str) -> None:
         raise SystemExit(f"{package.name} cannot be unpacked")
 
 
-def install_python(site: Path, version: str, machine: str, cache: Path) -> None:
-    """delfim as a wheel, and what it needs aboard, for the image's Python; every file by its hash."""
+def install_python(site: Path, version: str, machine: str, cache: Path, locks: tuple[str, ...] = ABOARD) -> None:
+    """delfim as a wheel, and what it needs, for the target's Python; every file by its hash."""
     source, wheels = cache / "source", cache / "wheel"
     for folder in (source, wheels):
         shutil.rmtree(folder, ignore_errors=True)
@@ -214,8 +215,8 @@ def install_python(site: Path, version: str, machine: str, cache: Path) -> None:
         "--no-compile",
     ]
     platforms = [f"--platform=manylinux_2_{minor}_{machine}" for minor in (5, 12, 17, 24, 26, 27, 28, 31, 34)]
-    locks = [f"--requirement={SOURCES / 'requirements' / name}" for name in ("boat.txt", "services.txt")]
-    subprocess.run([*pip, "install", *target, *platforms, "--require-hashes", *locks], check=True)
+    pinned = [f"--requirement={SOURCES / 'requirements' / name}" for name in locks]
+    subprocess.run([*pip, "install", *target, *platforms, "--require-hashes", *pinned], check=True)
     subprocess.run([*pip, "install", *target, *wheels.glob("delfim-*.whl")], check=True)
 
 

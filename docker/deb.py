@@ -1,0 +1,215 @@
+"""Build the Debian packages: delfim, which a boat needs, and delfim-ground, which adds what console and pictures need.
+
+    python docker/deb.py run/deb                 for this machine's release of Debian and its processor
+    python docker/deb.py run/deb --debian 13     for another release, whose Python is another one
+    python docker/deb.py run/deb --arch arm64    for another processor
+
+Both are one environment of Python in /opt/delfim: the wheel of delfim and the wheels of requirements/, pinned and hashed, as
+their makers built them; no program of the target is run, so any machine builds for any other. Dates of files are
+SOURCE_DATE_EPOCH, owners root: the same sources give the same bytes. Why so: docs/decisions/0010-debian-package.md; how
+it is used: docs/install.md.
+"""
+
+import argparse
+import gzip
+import hashlib
+import os
+import platform
+import re
+import shutil
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Final
+
+from image import ABOARD, EPOCH_S, KEPT, MACHINES, SOURCES, environment, files, install_python, own_architecture, tree_bytes
+
+from delfim import __version__
+
+PARTS: Final = Path(__file__).parent / "debian"
+RELEASES: Final = {"12": "3.11", "13": "3.13"}  # Debian's; the Python of each, for which the wheels are
+ASHORE: Final = ("ground.txt",)
+LIBRARIES: Final = "libc6, libgcc-s1, libstdc++6, zlib1g"  # which the wheels leave to the system
+LAUNCHER: Final = """\
+#!/opt/delfim/bin/python -P
+import sys
+
+from delfim.__main__ import main
+
+sys.exit(main())
+"""
+CONTROL: Final = """\
+Package: {name}
+Version: {version}
+Architecture: {arch}
+Maintainer: The Delfim developers <delfim@example.org>
+Installed-Size: {kilobytes}
+Depends: {depends}
+Section: misc
+Priority: optional
+Description: {description}
+"""
+BOAT: Final = """\
+complete onboard software of an autonomous surface vehicle
+ The program that sails the boat, its services and supervisor, an init script
+ and a unit of systemd, and the simulator. The boat is described by
+ /etc/delfim/vehicle.toml; without that file nothing is started."""
+GROUND: Final = """\
+console and pictures of the boats that run delfim
+ What the operator's computer needs beside delfim: the gateway with its page
+ in the browser, the view in the terminal, plots and exports of logs."""
+
+
+def main() -> int:
+    asked = argparse.ArgumentParser(description="Build the Debian packages.")
+    asked.add_argument("output", type=Path)
+    asked.add_argument("--arch", choices=MACHINES, default=own_architecture(), help="the processor (%(default)s)")
+    asked.add_argument("--debian", choices=RELEASES, default=own_release(), help="the release (%(default)s)")
+    words = asked.parse_args()
+    began_s = time.monotonic()
+    output = words.output.resolve()
+    work = output / "work"
+    shutil.rmtree(work, ignore_errors=True)
+    boat, ground = work / "delfim", work / "delfim-ground"
+    lay_out(boat, ground, RELEASES[words.debian], MACHINES[words.arch], output / "cache")
+    version = f"{__version__}+deb{words.debian}"
+    for tree, depends, description in (
+        (boat, f"{interpreter(RELEASES[words.debian])}, iproute2, passwd", BOAT),
+        (ground, f"delfim (= {version})", GROUND),
+    ):
+        package = output / f"{tree.name}_{version}_{words.arch}.deb"
+        describe(tree, version, words.arch, f"{depends}, {LIBRARIES}", description)
+        build(tree, package)
+        print(f"{package.stat().st_size / 1e6:8.1f} MB  {package}, sha256 {hashlib.sha256(package.read_bytes()).hexdigest()[:16]}...")
+    shutil.rmtree(work)
+    print(f"{output}: {time.monotonic() - began_s:.0f} s")
+    return 0
+
+
+def own_release() -> str:
+    """This machine's, or the oldest where it has none of them."""
+    told = platform.freedesktop_os_release().get("VERSION_ID", "")
+    return told if told in RELEASES else min(RELEASES)
+
+
+def interpreter(version: str) -> str:
+    """The one Python that has the wheels' binary interface."""
+    major, minor = version.split(".")
+    return f"python3 (>= {version}), python3 (<< {major}.{int(minor) + 1})"
+
+
+def lay_out(boat: Path, ground: Path, version: str, machine: str, cache: Path) -> None:
+    """The files of both packages."""
+    library = Path("opt/delfim/lib") / f"python{version}" / "site-packages"
+    site = boat / library
+    site.mkdir(parents=True)
+    cache.mkdir(parents=True, exist_ok=True)
+    install_python(site, version, machine, cache, (*ABOARD, *ASHORE))
+    shutil.rmtree(site / "bin")
+    ashore = names(ASHORE) - names(ABOARD)
+    for record in sorted(site.glob("*.dist-info/RECORD")):
+        if normal(record.parent.name.partition("-")[0]) in ashore:
+            take(record, site, ground / library)
+    for name in ("RECORD", "direct_url.json", "INSTALLER", "REQUESTED"):  # they tell of the machine that built it
+        for path in (*site.glob(f"*.dist-info/{name}"), *(ground / library).glob(f"*.dist-info/{name}")):
+            path.unlink()
+    shutil.copytree(SOURCES / "etc", site / "delfim/etc")
+    for folder, kept in KEPT.items():  # of MAVLink the messages that are spoken, as in the image
+        for path in (site / folder.removeprefix("usr/lib/python3/dist-packages/")).iterdir():
+            if path.name not in kept:
+                shutil.rmtree(path) if path.is_dir() else path.unlink()
+    put(boat / "opt/delfim/pyvenv.cfg", f"home = /usr/bin\ninclude-system-site-packages = false\nversion = {version}\n")
+    put(boat / "opt/delfim/bin/delfim", LAUNCHER, 0o755)
+    (boat / "opt/delfim/bin/python").symlink_to("/usr/bin/python3")
+    (boat / "usr/bin").mkdir(parents=True)
+    (boat / "usr/bin/delfim").symlink_to("/opt/delfim/bin/delfim")
+    put(boat / "etc/init.d/delfim", (SOURCES / "etc/init.d/delfim").read_text(), 0o755)
+    put(boat / "etc/default/delfim", (PARTS / "default").read_text())
+    put(boat / "usr/lib/systemd/system/delfim.service", (PARTS / "delfim.service").read_text())
+    (boat / "etc/delfim").mkdir()
+
+
+def names(locks: tuple[str, ...]) -> set[str]:
+    """Of the packages that these files of requirements/ pin."""
+    texts = ((SOURCES / "requirements" / lock).read_text() for lock in locks)
+    return {normal(name) for text in texts for name in re.findall(r"^([\w.-]+)==", text, re.M)}
+
+
+def normal(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def take(record: Path, site: Path, target: Path) -> None:
+    """Moves the files that an installed package lists from one tree to another, with the folders that are then empty."""
+    for name in [line.rsplit(",", 2)[0].strip('"') for line in record.read_text().splitlines()]:
+        source = site / name
+        if ".." not in Path(name).parts and source.exists():  # its programs are gone
+            (target / name).parent.mkdir(parents=True, exist_ok=True)
+            source.rename(target / name)
+            folder = source.parent
+            while not any(folder.iterdir()):
+                folder.rmdir()
+                folder = folder.parent
+
+
+def describe(tree: Path, version: str, arch: str, depends: str, description: str) -> None:
+    """What dpkg and lintian want to know of a package, and the scripts that dpkg runs."""
+    name, kind = tree.name, tree.name.removeprefix("delfim").removeprefix("-")
+    doc = tree / "usr/share/doc" / name
+    put(doc / "copyright", copyright_text())
+    date = time.strftime("%a, %d %b %Y %H:%M:%S +0000", time.gmtime(EPOCH_S))
+    entry = f"{name} ({version}) unstable; urgency=medium\n\n  * See CHANGELOG.md of the sources.\n\n"
+    entry += f" -- The Delfim developers <delfim@example.org>  {date}\n"
+    (doc / "changelog.gz").write_bytes(gzip.compress(entry.encode(), mtime=0))
+    put(tree / "usr/share/lintian/overrides" / name, (PARTS / "overrides").read_text().replace("PACKAGE", name))
+    kilobytes = tree_bytes(tree) // 1024
+    control = CONTROL.format(
+        name=name, version=version, arch=arch, kilobytes=kilobytes, depends=depends, description=description
+    )
+    put(tree / "DEBIAN/control", control)
+    for script in ("postinst", "prerm", "postrm"):
+        source = PARTS / (f"{kind}.{script}" if kind else script)
+        if source.exists():
+            put(tree / "DEBIAN" / script, source.read_text(), 0o755)
+    inside = sorted(path.relative_to(tree) for path in files(tree) if "DEBIAN" not in path.relative_to(tree).parts)
+    settings = [path for path in inside if path.parts[0] == "etc"]
+    if settings:
+        put(tree / "DEBIAN/conffiles", "".join(f"/{path}\n" for path in settings))
+    sums = (f"{hashlib.md5((tree / path).read_bytes()).hexdigest()}  {path}\n" for path in inside if path not in settings)
+    put(tree / "DEBIAN/md5sums", "".join(sums))
+
+
+def copyright_text() -> str:
+    title, _, text = (SOURCES / "LICENSE").read_text().partition("\n\n")
+    holder, _, terms = text.partition("\n\n")
+    told = "".join(f" {line or '.'}\n" for line in terms.splitlines())
+    return (
+        "Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\n"
+        "Upstream-Name: delfim\n"
+        "Comment: The Python packages below /opt/delfim are their makers' wheels, unchanged.\n"
+        " The licence of each is in its folder *.dist-info there.\n"
+        f"\nFiles: *\nCopyright: {holder.removeprefix('Copyright (c) ')}\nLicense: Expat\n{told}"
+    )
+
+
+def put(path: Path, text: str, mode: int = 0o644) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text)
+    path.chmod(mode)
+
+
+def build(tree: Path, package: Path) -> None:
+    """The package, of which nothing depends on who built it, when, and on how many processors."""
+    for path in [tree, *tree.rglob("*")]:
+        if not path.is_symlink():
+            program = path.is_dir() or (path.parent.name in ("bin", "init.d", "DEBIAN") and path.stat().st_mode & 0o100)
+            path.chmod(0o755 if program else 0o644)
+    for path in [*tree.rglob("*"), tree]:
+        os.utime(path, (EPOCH_S, EPOCH_S), follow_symlinks=False)
+    words = ["dpkg-deb", "--root-owner-group", "--threads-max=1", "-Zxz", "-z3", "--build", tree, package]
+    subprocess.run(words, check=True, env=environment(), stdout=subprocess.DEVNULL)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
