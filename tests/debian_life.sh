@@ -2,11 +2,12 @@
 # what it says. $1: the file of etc/, $2: packages, $3: newer packages.
 mount -t proc proc /proc
 mount -t tmpfs run /run
-mount -t tmpfs shm /dev/shm
+mount -t devpts devpts /dev/pts
 ip link set lo up
 export DEBIAN_FRONTEND=noninteractive LANG=C.UTF-8
 FILE=/etc/delfim/vehicle.toml
 say() { echo "== $*"; }
+alive() { grep -lsaE 'delfim.(supervise|run)' /proc/[0-9]*/cmdline | wc -l; }
 up() { for try in $(seq 300); do [ -S /run/delfim/command ] && delfim drive $FILE state >/dev/null 2>&1 && return; sleep 0.1; done; say "does not come up"; cat /run/delfim/output; }
 
 apt-get install -y $2
@@ -23,7 +24,7 @@ import re, time, urllib.request
 until_s = time.monotonic() + 60
 while time.monotonic() < until_s:
     said = open("/tmp/said").read()
-    found = re.search(r"http://\S+token=\S+|http://127\S+", said)
+    found = re.search(r"http://127\S+token=[\w-]+", said)
     if found:
         try:
             answer = urllib.request.urlopen(found[0], timeout=5)
@@ -35,7 +36,10 @@ while time.monotonic() < until_s:
 else:
     print("== no page", said)
 P
-kill -INT -$sim; wait $sim
+kill -INT -$sim
+wait $sim
+apt-get remove -y delfim-ground
+say "without the console $?, $(dpkg-query -W -f '${Status}' delfim)"
 
 # A boat, without hardware.
 sed 's/interface = "can0"/interface = "canloop:life"/' "$1" >$FILE
@@ -43,11 +47,13 @@ digest=$(sha256sum $FILE)
 service delfim start
 up
 say "started, socket of $(stat -c '%U:%G %a' /run/delfim/command), status $(service delfim status)"
+delfim nodes $FILE >/dev/null 2>&1 & # what is on its bus
+until delfim drive $FILE state | grep -q 'heading [0-9]'; do sleep 0.1; done
 { echo manual 0.2 0.2; sleep 1000; } | delfim drive $FILE &
-for try in $(seq 100); do delfim drive $FILE state | grep -qi manual && break; sleep 0.1; done
+for try in $(seq 100); do delfim drive $FILE state | grep -q manual && break; sleep 0.1; done
 apt-get install -y $3 2>&1
 say "upgrade under way $?, $(dpkg-query -W -f '${Status} ${Version}' delfim)"
-say "still $(delfim drive $FILE state | grep -oi manual | head -1)"
+say "still $(delfim drive $FILE state | grep -o '^manual')"
 delfim drive $FILE stop
 before=$(cat /run/delfim/init.pid)
 apt-get install -y $3
@@ -57,7 +63,7 @@ up
 [ "$digest" = "$(sha256sum $FILE)" ] && say "vehicle's file untouched"
 
 apt-get remove -y delfim
-say "removed $?, $(pgrep -f supervise || cat /proc/[0-9]*/cmdline | tr '\0' ' ' | grep -c supervise), opt $(ls -d /opt/delfim 2>&1)"
+say "removed $?, programs of the boat $(alive), opt $(ls -d /opt/delfim 2>&1)"
 /etc/init.d/delfim start
 say "script left behind $?, file $(ls $FILE)"
 apt-get install -y $2
