@@ -3,6 +3,7 @@
     python docker/deb.py run/deb                 for this machine's release of Debian and its processor
     python docker/deb.py run/deb --debian 13     for another release, whose Python is another one
     python docker/deb.py run/deb --arch arm64    for another processor
+    python docker/deb.py run/deb --try           and try them in a new root of that release; needs root
 
 Both are one environment of Python in /opt/delfim: the wheel of delfim and the wheels of requirements/, pinned and hashed, as
 their makers built them; no program of the target is run, so any machine builds for any other. Dates of files are
@@ -15,7 +16,6 @@ import gzip
 import hashlib
 import os
 import platform
-import re
 import shutil
 import subprocess
 import sys
@@ -23,13 +23,15 @@ import time
 from pathlib import Path
 from typing import Final
 
-from image import ABOARD, EPOCH_S, KEPT, MACHINES, SOURCES, environment, files, install_python, own_architecture, tree_bytes
+from image import EPOCH_S, KEPT, MACHINES, SOURCES, environment, files, install_python, own_architecture, tree_bytes
 
 from delfim import __version__
 
 PARTS: Final = Path(__file__).parent / "debian"
 RELEASES: Final = {"12": "3.11", "13": "3.13"}  # Debian's; the Python of each, for which the wheels are
-ASHORE: Final = ("ground.txt",)
+SUITES: Final = {"12": "bookworm", "13": "trixie"}
+NO_USE: Final = ("bin", "share", "lxml*")  # programs that pip wrote, their manuals, and what only MAVLink's generator needs
+TRIAL_S: Final = 1800
 LIBRARIES: Final = "libc6, libgcc-s1, libstdc++6, zlib1g"  # which the wheels leave to the system
 LAUNCHER: Final = """\
 #!/opt/delfim/bin/python -P
@@ -66,6 +68,7 @@ def main() -> int:
     asked.add_argument("output", type=Path)
     asked.add_argument("--arch", choices=MACHINES, default=own_architecture(), help="the processor (%(default)s)")
     asked.add_argument("--debian", choices=RELEASES, default=own_release(), help="the release (%(default)s)")
+    asked.add_argument("--try", dest="trial", action="store_true", help="try them in a new root, as docker/debian/life.sh says")
     words = asked.parse_args()
     began_s = time.monotonic()
     output = words.output.resolve()
@@ -73,18 +76,27 @@ def main() -> int:
     shutil.rmtree(work, ignore_errors=True)
     boat, ground = work / "delfim", work / "delfim-ground"
     lay_out(boat, ground, RELEASES[words.debian], MACHINES[words.arch], output / "cache")
-    version = f"{__version__}+deb{words.debian}"
-    for tree, depends, description in (
-        (boat, f"{interpreter(RELEASES[words.debian])}, iproute2, passwd", BOAT),
-        (ground, f"delfim (= {version})", GROUND),
-    ):
-        package = output / f"{tree.name}_{version}_{words.arch}.deb"
-        describe(tree, version, words.arch, f"{depends}, {LIBRARIES}", description)
-        build(tree, package)
-        print(f"{package.stat().st_size / 1e6:8.1f} MB  {package}, sha256 {hashlib.sha256(package.read_bytes()).hexdigest()[:16]}...")
+    packages = [packed(tree, output, words.debian, words.arch) for tree in (boat, ground)]
+    for package in packages:
+        digest = hashlib.sha256(package.read_bytes()).hexdigest()
+        print(f"{package.stat().st_size / 1e6:8.1f} MB  {package}, sha256 {digest[:16]}...")
+    if words.trial:
+        newer = packed(boat, work, words.debian, words.arch, ".1")
+        live(output / f"root-{words.debian}-{words.arch}", work / "root", words.debian, words.arch, [*packages, newer])
     shutil.rmtree(work)
     print(f"{output}: {time.monotonic() - began_s:.0f} s")
     return 0
+
+
+def packed(tree: Path, output: Path, release: str, arch: str, newer: str = "") -> Path:
+    """One of the packages, made of its tree."""
+    version = f"{__version__}+deb{release}{newer}"
+    depends, description = {
+        "delfim": (f"{interpreter(RELEASES[release])}, iproute2, passwd", BOAT),
+        "delfim-ground": (f"delfim (= {version})", GROUND),
+    }[tree.name]
+    describe(tree, version, arch, f"{depends}, {LIBRARIES}", description)
+    return build(tree, output / f"{tree.name}_{version}_{arch}.deb")
 
 
 def own_release() -> str:
@@ -100,25 +112,34 @@ def interpreter(version: str) -> str:
 
 
 def lay_out(boat: Path, ground: Path, version: str, machine: str, cache: Path) -> None:
-    """The files of both packages."""
+    """The files of both packages: ashore, what the boat does not have."""
     library = Path("opt/delfim/lib") / f"python{version}" / "site-packages"
     site = boat / library
-    site.mkdir(parents=True)
     cache.mkdir(parents=True, exist_ok=True)
-    install_python(site, version, machine, cache, (*ABOARD, *ASHORE))
-    shutil.rmtree(site / "bin")
-    ashore = names(ASHORE) - names(ABOARD)
-    for record in sorted(site.glob("*.dist-info/RECORD")):
-        if normal(record.parent.name.partition("-")[0]) in ashore:
-            take(record, site, ground / library)
-    for name in ("RECORD", "direct_url.json", "INSTALLER", "REQUESTED"):  # they tell of the machine that built it
-        for path in (*site.glob(f"*.dist-info/{name}"), *(ground / library).glob(f"*.dist-info/{name}")):
+    install_python(site, version, machine, cache, "boat.txt", "services.txt")
+    install_python(ground / library, version, machine, cache, "ground.txt")
+    for path in list(files(ground)):
+        if (boat / path.relative_to(ground)).exists():
             path.unlink()
+    for top in (site, ground / library):
+        for path in [path for pattern in NO_USE for path in top.glob(pattern)]:
+            shutil.rmtree(path)
+        for name in ("RECORD", "direct_url.json", "INSTALLER", "REQUESTED"):  # they tell of the machine that built it
+            for path in top.glob(f"*.dist-info/{name}"):
+                path.unlink()
+    for folder in sorted((path for path in ground.rglob("*") if path.is_dir()), reverse=True):
+        if not any(folder.iterdir()):
+            folder.rmdir()
     shutil.copytree(SOURCES / "etc", site / "delfim/etc")
-    for folder, kept in KEPT.items():  # of MAVLink the messages that are spoken, as in the image
-        for path in (site / folder.removeprefix("usr/lib/python3/dist-packages/")).iterdir():
+    for name, kept in KEPT.items():  # of MAVLink the messages that are spoken, as in the image
+        for path in (site / name.removeprefix("usr/lib/python3/dist-packages/")).iterdir():
             if path.name not in kept:
                 shutil.rmtree(path) if path.is_dir() else path.unlink()
+    lay_out_system(boat, version)
+
+
+def lay_out_system(boat: Path, version: str) -> None:
+    """What makes an environment of the folder, the command, the service and its settings."""
     put(boat / "opt/delfim/pyvenv.cfg", f"home = /usr/bin\ninclude-system-site-packages = false\nversion = {version}\n")
     put(boat / "opt/delfim/bin/delfim", LAUNCHER, 0o755)
     (boat / "opt/delfim/bin/python").symlink_to("/usr/bin/python3")
@@ -128,29 +149,6 @@ def lay_out(boat: Path, ground: Path, version: str, machine: str, cache: Path) -
     put(boat / "etc/default/delfim", (PARTS / "default").read_text())
     put(boat / "usr/lib/systemd/system/delfim.service", (PARTS / "delfim.service").read_text())
     (boat / "etc/delfim").mkdir()
-
-
-def names(locks: tuple[str, ...]) -> set[str]:
-    """Of the packages that these files of requirements/ pin."""
-    texts = ((SOURCES / "requirements" / lock).read_text() for lock in locks)
-    return {normal(name) for text in texts for name in re.findall(r"^([\w.-]+)==", text, re.M)}
-
-
-def normal(name: str) -> str:
-    return re.sub(r"[-_.]+", "-", name).lower()
-
-
-def take(record: Path, site: Path, target: Path) -> None:
-    """Moves the files that an installed package lists from one tree to another, with the folders that are then empty."""
-    for name in [line.rsplit(",", 2)[0].strip('"') for line in record.read_text().splitlines()]:
-        source = site / name
-        if ".." not in Path(name).parts and source.exists():  # its programs are gone
-            (target / name).parent.mkdir(parents=True, exist_ok=True)
-            source.rename(target / name)
-            folder = source.parent
-            while not any(folder.iterdir()):
-                folder.rmdir()
-                folder = folder.parent
 
 
 def describe(tree: Path, version: str, arch: str, depends: str, description: str) -> None:
@@ -181,7 +179,7 @@ def describe(tree: Path, version: str, arch: str, depends: str, description: str
 
 
 def copyright_text() -> str:
-    title, _, text = (SOURCES / "LICENSE").read_text().partition("\n\n")
+    _, _, text = (SOURCES / "LICENSE").read_text().partition("\n\n")
     holder, _, terms = text.partition("\n\n")
     told = "".join(f" {line or '.'}\n" for line in terms.splitlines())
     return (
@@ -199,7 +197,7 @@ def put(path: Path, text: str, mode: int = 0o644) -> None:
     path.chmod(mode)
 
 
-def build(tree: Path, package: Path) -> None:
+def build(tree: Path, package: Path) -> Path:
     """The package, of which nothing depends on who built it, when, and on how many processors."""
     for path in [tree, *tree.rglob("*")]:
         if not path.is_symlink():
@@ -207,8 +205,28 @@ def build(tree: Path, package: Path) -> None:
             path.chmod(0o755 if program else 0o644)
     for path in [*tree.rglob("*"), tree]:
         os.utime(path, (EPOCH_S, EPOCH_S), follow_symlinks=False)
-    words = ["dpkg-deb", "--root-owner-group", "--threads-max=1", "-Zxz", "-z3", "--build", tree, package]
+    words = ["dpkg-deb", "--root-owner-group", "--threads-max=1", "-Zxz", "-z3", "--build", str(tree), str(package)]
     subprocess.run(words, check=True, env=environment(), stdout=subprocess.DEVNULL)
+    return package
+
+
+def live(clean: Path, root: Path, release: str, arch: str, packages: list[Path]) -> None:
+    """Tries delfim, delfim-ground and a newer delfim in a copy of a clean root that debootstrap makes once; lintian reads them.
+    The root has a network and processes of its own. For another processor the kernel needs an emulator: docs/install.md."""
+    subprocess.run(["lintian", "--fail-on", "error", "--allow-root", *packages[:2]], check=True)
+    if not clean.exists():
+        needed = f"python3,iproute2,passwd,sysvinit-core,{LIBRARIES.replace(' ', '')}"  # so that apt fetches nothing later
+        made = clean.with_suffix(".part")
+        shutil.rmtree(made, ignore_errors=True)
+        debootstrap = ["debootstrap", "--variant=minbase", f"--arch={arch}", f"--include={needed}", SUITES[release], str(made)]
+        subprocess.run(debootstrap, check=True, stdout=subprocess.DEVNULL)
+        made.rename(clean)
+    subprocess.run(["cp", "-a", clean, root], check=True)
+    put(root / "etc/dpkg/dpkg.cfg.d/quick", "force-unsafe-io\n")
+    for file in (SOURCES / "etc/delfimx.toml", PARTS / "life.sh", *packages):
+        shutil.copy(file, root)
+    space = ["unshare", "--net", "--mount", "--pid", "--fork", "--kill-child", "chroot", str(root)]
+    subprocess.run([*space, "/bin/sh", "/life.sh", *(f"/{package.name}" for package in packages)], check=True, timeout=TRIAL_S)
 
 
 if __name__ == "__main__":

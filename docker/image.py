@@ -53,7 +53,6 @@ KEPT: Final = {  # and nothing else in these: of MAVLink the messages that are s
     "usr/lib/python3/dist-packages/pymavlink/dialects": {"__init__.py", "v20"},
     "usr/lib/python3/dist-packages/pymavlink/dialects/v20": {"__init__.py", "common.py", "development.py"},
 }
-ABOARD: Final = ("boat.txt", "services.txt")  # of requirements/
 DIRECTORIES: Final = "boot dev etc log proc root run sys tmp usr/bin usr/sbin usr/lib usr/lib64"
 FILES: Final = {
     "etc/passwd": "root:x:0:0:root:/root:/bin/sh\nnobody:x:65534:65534:nobody:/:/bin/false\n",
@@ -136,7 +135,7 @@ def build_root(root: Path, cache: Path, vehicle: Path, arch: str) -> dict[str, i
                 path.unlink()
     library = max((root / "usr/lib").glob("python3.*"))
     site = root / "usr/lib/python3/dist-packages"
-    install_python(site, library.name.removeprefix("python"), MACHINES[arch], cache)
+    install_python(site, library.name.removeprefix("python"), MACHINES[arch], cache, "boat.txt", "services.txt")
     pruned = [path for folder, names in PRUNED.items() for name in names for path in root.glob(f"{folder}/{name}")]
     pruned += [path for folder, names in KEPT.items() for path in (root / folder).iterdir() if path.name not in names]
     for path in pruned:
@@ -196,8 +195,8 @@ def extract(package: Path, root: Path, *only: str) -> None:
         raise SystemExit(f"{package.name} cannot be unpacked")
 
 
-def install_python(site: Path, version: str, machine: str, cache: Path, locks: tuple[str, ...] = ABOARD) -> None:
-    """delfim as a wheel, and what it needs, for the target's Python; every file by its hash."""
+def install_python(site: Path, version: str, machine: str, cache: Path, *locks: str) -> None:
+    """delfim as a wheel, and what it needs by these files of requirements/, for the target's Python; every file by its hash."""
     source, wheels = cache / "source", cache / "wheel"
     for folder in (source, wheels):
         shutil.rmtree(folder, ignore_errors=True)
