@@ -52,6 +52,11 @@ Section: misc
 Priority: optional
 Description: {description}
 """
+WHEELS: Final = """\
+The Python packages below /opt/delfim are their makers' wheels, unchanged; the licence
+of each is in its folder *.dist-info there. This is the licence of delfim:
+
+"""
 BOAT: Final = """\
 complete onboard software of an autonomous surface vehicle
  The program that sails the boat, its services and supervisor, an init script
@@ -155,7 +160,7 @@ def describe(tree: Path, version: str, arch: str, depends: str, description: str
     """What dpkg and lintian want to know of a package, and the scripts that dpkg runs."""
     name, kind = tree.name, tree.name.removeprefix("delfim").removeprefix("-")
     doc = tree / "usr/share/doc" / name
-    put(doc / "copyright", copyright_text())
+    put(doc / "copyright", WHEELS + (SOURCES / "LICENSE").read_text())
     date = time.strftime("%a, %d %b %Y %H:%M:%S +0000", time.gmtime(EPOCH_S))
     entry = f"{name} ({version}) unstable; urgency=medium\n\n  * See CHANGELOG.md of the sources.\n\n"
     entry += f" -- The Delfim developers <delfim@example.org>  {date}\n"
@@ -176,19 +181,6 @@ def describe(tree: Path, version: str, arch: str, depends: str, description: str
         put(tree / "DEBIAN/conffiles", "".join(f"/{path}\n" for path in settings))
     sums = (f"{hashlib.md5((tree / path).read_bytes()).hexdigest()}  {path}\n" for path in inside if path not in settings)
     put(tree / "DEBIAN/md5sums", "".join(sums))
-
-
-def copyright_text() -> str:
-    _, _, text = (SOURCES / "LICENSE").read_text().partition("\n\n")
-    holder, _, terms = text.partition("\n\n")
-    told = "".join(f" {line or '.'}\n" for line in terms.splitlines())
-    return (
-        "Format: https://www.debian.org/doc/packaging-manuals/copyright-format/1.0/\n"
-        "Upstream-Name: delfim\n"
-        "Comment: The Python packages below /opt/delfim are their makers' wheels, unchanged.\n"
-        " The licence of each is in its folder *.dist-info there.\n"
-        f"\nFiles: *\nCopyright: {holder.removeprefix('Copyright (c) ')}\nLicense: Expat\n{told}"
-    )
 
 
 def put(path: Path, text: str, mode: int = 0o644) -> None:
