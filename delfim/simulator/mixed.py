@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from delfim import config, geodesy
 from delfim.simulator.faults import KINDS, OF_AIS, OF_COMPASS, OF_THRUSTERS, VALUES, WHERE
+from delfim.simulator.nodes import nodes_of
 from delfim.simulator.scenario import FaultAt, Scenario, ScenarioGuest, settings_of
 from delfim.simulator.trial import Result, sail
 
@@ -26,9 +27,10 @@ HALF_M: Final = 65.0  # distance of the fence's sides from the start
 
 
 def mixed(seed: int, vehicle: config.Vehicle) -> Scenario:
-    """The run of a seed."""
-    random, here = Random(f"mixed {seed}"), vehicle.simulation
-    places = WHERE | dict.fromkeys(OF_THRUSTERS, tuple(row.name for row in vehicle.thrusters))
+    """The run of a seed. What this boat does not have does not break."""
+    random, here, nodes = Random(f"mixed {seed}"), vehicle.simulation, nodes_of(vehicle, seed).sensors
+    places = {kind: tuple(name for name in names if name in nodes) for kind, names in WHERE.items()}
+    places |= dict.fromkeys(OF_THRUSTERS, tuple(row.name for row in vehicle.thrusters))
     seconds = random.uniform(60.0, 120.0)
     place = partial(_place, here)
     corners = [place(n * HALF_M, e * HALF_M) for n, e in ((1, -1), (1, 1), (-1, 1), (-1, -1))]
@@ -88,7 +90,7 @@ def _orders(random: Random, seconds: float, place: Callable[[float, float], list
 
 
 def _fault(random: Random, seconds: float, places: dict[str, tuple[str, ...]]) -> FaultAt:
-    kind = random.choice(MIXABLE)
+    kind = random.choice([kind for kind in MIXABLE if places.get(kind, True)])
     at_s = random.uniform(START_S, seconds - QUIET_S - 5.0)
     for_s = random.choice([random.uniform(0.5, 3.0), random.uniform(3.0, 15.0), seconds])
     if not kind.startswith("thruster_"):

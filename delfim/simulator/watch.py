@@ -15,6 +15,7 @@ ASTRAY_S: Final = 12.0  # the same for one that does not obey: detected, disconn
 BLIND_S: Final = 0.5  # time beyond the limit until the watchdog acts
 NOISE_M: Final = 1.5  # between the true and the measured position
 DECEIVED_M: Final = 3.0  # with a larger error of position a boat cannot keep its fence
+CUT: Final = "dsor"  # the driver whose thrusters the boat cuts off from their batteries
 
 
 class Onlooker:
@@ -23,6 +24,7 @@ class Onlooker:
     def __init__(self, run: Lockstep) -> None:
         self._run, self._model, self._settings = run, run.nodes.model, run.settings
         self.failures: list[str] = []
+        self._uncut = {row.name for row in self._settings.thrusters if row.driver != CUT}
         self._turning_since_s = math.inf
         self._was_inside, self._astray, self._drifted = True, False, False
 
@@ -43,9 +45,10 @@ class Onlooker:
 
     def _adrift(self, idle: bool, now_s: float) -> None:
         """Propellers give thrust while nothing steers the boat. Neither a failed bus nor a node that tells it nothing is the
-        boat's fault: what turns then it learns afterwards."""
+        boat's fault: what turns then it learns afterwards. Nor is a thruster that does not obey and that it cannot cut off."""
         model, on = self._model, self._run.faults.on
-        turns = max(abs(drive.part) for drive in model.drives.values()) > TURNS
+        drives = [drive for name, drive in model.drives.items() if not (drive.fault and name in self._uncut)]
+        turns = any(abs(drive.part) > TURNS for drive in drives)
         is_deaf = "bus_off" in on or "sensor_silent" in on or any(kind.startswith("frames_") for kind in on)
         if not (idle and turns) or is_deaf:
             self._turning_since_s, self._astray = math.inf, False
