@@ -205,6 +205,13 @@ def test_malformed_frames_are_counted_and_change_nothing() -> None:
     assert (bus.state.counts, bus.state.measured) == ({"nmea2000_128267_malformed": 2}, {})
 
 
+def test_a_charge_of_which_a_frame_is_missing_is_counted_under_its_reason() -> None:
+    bus, arb = Bus(batteries=(0,)), extended(6 << 26 | instruments.BATTERY_CHARGE << 8 | 1)
+    for data, now_s in ((bytes((0, 9)) + bytes(6), 1.0), (bytes((0, 9)) + bytes(6), 2.0), (bytes(3), 2.1)):
+        bus.sensor.hear(bus.state, Frame(arb, data), now_s)
+    assert bus.state.counts == {"nmea2000_127506_timed_out": 1, "nmea2000_127506_malformed_frame": 1}
+
+
 @given(st.lists(st.tuples(st.integers(0, 0xFFFFFFFF), st.binary(max_size=8)), max_size=30))
 def test_no_frame_does_harm(frames: list[tuple[int, bytes]]) -> None:
     bus = Bus(batteries=(0, 1))

@@ -47,7 +47,8 @@ class Nmea2000Instruments:
         self._newest = {value.name: Newest[int, float](preferred, stale_s) for value in VALUES}
         self._powers = tuple(Newest[int, Battery](preferred, stale_s) for _ in self._batteries)
         self._charges = tuple(Newest[int, float](preferred, stale_s) for _ in self._batteries)
-        self._fast = {pgn: FastPacket(Counter()) for pgn in FAST}
+        self._lost = Counter[str]()  # fast packets, by reason, until they are counted in the state
+        self._fast = {pgn: FastPacket(self._lost) for pgn in FAST}
 
     def read(self, state: State, now_s: float) -> None:
         """Malformed messages are counted."""
@@ -73,6 +74,8 @@ class Nmea2000Instruments:
             return
         if pgn in self._fast:
             whole = self._fast[pgn].feed(address, data, now_s)
+            if self._lost:
+                self._count_lost(state, pgn)
             if whole is None:
                 return
             data = whole
@@ -85,6 +88,11 @@ class Nmea2000Instruments:
             self._newest[name].put(address, value, now_s)
             if value is not None and self._newest[name].choose(now_s) == address:
                 state.measured[name] = value, now_s
+
+    def _count_lost(self, state: State, pgn: int) -> None:
+        for reason, times in self._lost.items():
+            state.count(f"nmea2000_{pgn}_{reason.partition(': ')[2].replace(' ', '_')}", times)
+        self._lost.clear()
 
     def _filed(self, state: State, address: int, told: Told, now_s: float) -> Iterator[tuple[str, float | None]]:
         """The values of a message; of a battery there are none, it goes into the health at once."""
