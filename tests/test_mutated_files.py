@@ -313,7 +313,7 @@ READ_BY = {  # function: the readers above that come by it
     "services/ftpd.py: _tls": {"certificate"},
     "commands/commission.py: _users": {"user's ssh key"},
     "campaign/runplan.py: _mission": {"mission of a campaign"},
-    "campaign/store.py: __init__": {"head of a campaign's results", "a campaign's results"},
+    "campaign/store.py: head_of": {"head of a campaign's results", "a campaign's results"},
     "services/nmea2000d.py: __init__": {"address on NMEA 2000"},
     "services/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
     "outside.py: read_credentials": {"password at a caster"},
