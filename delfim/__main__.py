@@ -5,12 +5,13 @@ A failure that the user can put right is one line on standard error, with exit c
 
 import argparse
 import importlib
+import select
 import sys
 from collections.abc import Sequence
 from types import ModuleType
 
 from delfim import __version__
-from delfim.commands import GROUPS, SENTENCES, Formatter
+from delfim.commands import GROUPS, LINUX, SENTENCES, Formatter
 from delfim.errors import DelfimError, PermanentFailure, Refused, did_you_mean, in_words
 
 EXIT_REFUSED, EXIT_WRONG, EXIT_PERMANENT = 1, 2, 100  # 100 tells the supervisor: do not start me again
@@ -26,6 +27,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         print(f"delfim {__version__}")
         return 0
     try:
+        if words[0] in LINUX and not hasattr(select, "epoll"):
+            raise DelfimError(
+                f"{words[0]} needs Linux, as the boat's computer has it; sim --lockstep, console and log run here, too"
+            )
         command, asked = parsed(words)
         code: int = command.run(asked)
         return code

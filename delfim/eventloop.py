@@ -1,4 +1,4 @@
-"""The event loop of a process that has no navigation window: uvloop's, or asyncio's where uvloop is not installed.
+"""The event loop of a process that has no navigation window: uvloop's, or asyncio's where there is no uvloop, as on Windows.
 
 The runtime has a loop of its own, because only that one serves navigation first (docs/decisions/0004-uvloop.md).
 """
@@ -8,11 +8,12 @@ import logging
 
 
 def new_event_loop() -> asyncio.AbstractEventLoop:
-    """A loop for `asyncio.Runner`. Without uvloop, as on Windows, one line in the log says so."""
+    """A loop for `asyncio.Runner`. Without uvloop, one line in the log says so. It is then the loop that selects: Windows' own
+    stops hearing UDP for good once a datagram found nobody at its port, as when a boat was switched off."""
     try:
         import uvloop
     except ImportError:
         logging.getLogger(__name__).info("uvloop is not installed; asyncio's own loop serves this process")
-        return asyncio.new_event_loop()
+        return asyncio.SelectorEventLoop()
     loop: asyncio.AbstractEventLoop = uvloop.new_event_loop()
     return loop

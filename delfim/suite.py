@@ -21,11 +21,10 @@ from delfim import __version__, config, pulses
 from delfim.errors import DelfimError, FormatError, PermanentFailure
 from delfim.logging import systemlog
 from delfim.outside import parse_json, read_file
-from delfim.services import cgroup, kernelclock, shutdown
+from delfim.services import cgroup, shutdown
 from delfim.services.buses import bring_up
 from delfim.services.children import STACKS_SIGNAL, Supervised
 from delfim.services.privileges import real_time
-from delfim.services.supervisor import Supervisor
 
 SHUTDOWN_LOOK_S = 0.1
 log = logging.getLogger(__name__)
@@ -187,6 +186,8 @@ def supervise(
         for row in services(settings)
         if row.place == "process"
     ]
+    from delfim.services import kernelclock
+
     place = Path(settings.runtime.run_directory)
     place.mkdir(parents=True, exist_ok=True)
     systemlog.begin(str(place), "supervisor", _levels(settings))
@@ -194,6 +195,7 @@ def supervise(
     log.info("delfim %s starts %s, sha256 %s, with %s", *_started(file, overrides))
     _above(settings.runtime.fifo_priority)
     from delfim.services.stop import PropellerStop
+    from delfim.services.supervisor import Supervisor
 
     limits = settings.supervisor
     with contextlib.closing(PropellerStop(settings)) as stop:

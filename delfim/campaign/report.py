@@ -72,7 +72,7 @@ def write(
     ]
     page = folder / PAGE
     head = f"<!doctype html><html lang=en><meta charset=utf-8><title>{escape(plan.name)}</title><style>{STYLE}</style>"
-    page.write_text(head + "".join(body) + "\n")
+    page.write_text(head + "".join(body) + "\n", encoding="utf-8")
     return page
 
 

@@ -78,7 +78,7 @@ class Store:
         place = folder / HEAD
         if place.exists():
             _same(folder, head_of(folder), head)
-        place.write_text(json.dumps(head, indent=1, default=str) + "\n")
+        place.write_text(json.dumps(head, indent=1, default=str) + "\n", encoding="utf-8")
         for left in folder.glob("*.tmp"):
             left.unlink()
         self._rows, self._since_s = list[dict[str, Any]](), time.monotonic()

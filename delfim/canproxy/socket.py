@@ -7,15 +7,18 @@ of `send`; `receive` is the way in for the critical loop. Each transport's file 
 import errno
 import os
 import select
+import socket
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
-from socket import MSG_DONTWAIT
 from types import TracebackType
 from typing import Final, NamedTuple, Protocol, Self, runtime_checkable
 
 from delfim.frames import CAN_ANY, CAN_ERR, Frame
 
+MSG_DONTWAIT: Final[int] = getattr(
+    socket, "MSG_DONTWAIT", 0x40
+)  # Windows has no such word, and Linux' number is as good as any
 BATCH: Final = 6  # frames of a navigation message
 REHEARSED: Final = 4  # frames of a propulsion command
 _FULL_RETRY_S: Final = 0.0005  # the kernel has no event for room in an interface's queue; a frame at 1 Mbit/s takes 0.13 ms

@@ -42,6 +42,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
     },
 }
 SENTENCES: Final = {name: sentence for group in GROUPS.values() for name, sentence in group.items()}
+LINUX: Final = frozenset((*GROUPS["On the boat"], "campaign", "drive", "fault", "guest", "nodes", "sensors", "shore"))
 OWN_FILE: Final = "etc/delfimx.toml"  # the default boat of a simulation
 PACKAGE: Final = Path(__file__).parents[1]  # etc/ is a part of it: a folder in a wheel, a link in a checkout
 

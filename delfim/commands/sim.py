@@ -72,8 +72,8 @@ def options(parser: argparse.ArgumentParser) -> None:
 
 def run(asked: argparse.Namespace) -> int:
     """Returns 0 when the mission was sailed to its end, the asked time passed or Ctrl-C was typed, 1 when the boat stopped."""
-    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):  # our children end with us, also in a script's background
-        signal.signal(number, signal.default_int_handler)
+    for name in {"SIGINT", "SIGTERM", "SIGHUP"} & {*dir(signal)}:  # our children end with us, also in a script's background
+        signal.signal(getattr(signal, name), signal.default_int_handler)
     if asked.scenario:
         return _scenario(asked)
     settings = config.load(asked.file, asked.set)

@@ -83,7 +83,7 @@ def dump(asked: argparse.Namespace) -> int:
         if asked.log:
             name = time.strftime("candump-%Y-%m-%d_%H%M%S.log")
             print(f"Enabling Logfile '{name}'", file=sys.stderr)
-            show.out = links.enter_context(open(name, "x"))
+            show.out = links.enter_context(open(name, "x", encoding="ascii", newline="\n"))
         show.width = max(len(source.can.name.rpartition(":")[2]) for source in sources)
         lost = {source.can.name: 0 for source in sources}
         silence_s = asked.silence_ms / 1000 if asked.silence_ms else None

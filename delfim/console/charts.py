@@ -6,10 +6,11 @@ redraws any other one, once, when a page first asks for it.
 
 import asyncio
 import sqlite3
+import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
-from contextlib import closing, suppress
+from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any, Final
 
@@ -101,17 +102,13 @@ class Charts:
     async def _draw(self, name: str) -> Path:
         target = Path(self._made.name) / f"{len(self._drawn)}.png"
         words = ("-m", "delfim.console.warp", str(self._images[name].resolve()), str(target))
-        child = await asyncio.create_subprocess_exec(sys.executable, *words, stderr=asyncio.subprocess.PIPE)
+        child = _started(words)
         try:
-            async with asyncio.timeout(WARP_S):
-                _, said = await child.communicate()
-        except TimeoutError:
+            said = await asyncio.to_thread(_ended, child)
+        except subprocess.TimeoutExpired:
             raise web.HTTPInternalServerError(text=f"not drawn within {WARP_S:.0f} s\n") from None
         finally:
-            if child.returncode is None:
-                with suppress(ProcessLookupError):
-                    child.kill()
-                await child.wait()
+            child.kill()
         if child.returncode:
             raise web.HTTPInternalServerError(text=said.decode(errors="replace")[-500:])
         return target
@@ -132,6 +129,21 @@ class Charts:
             return web.Response(status=204, headers=_AGE)
         kind = next((words for magic, words in KINDS if row[0].startswith(magic)), "application/octet-stream")
         return web.Response(body=row[0], content_type=kind, headers=_AGE)
+
+
+def _started(words: Sequence[str]) -> "subprocess.Popen[bytes]":
+    """Not by asyncio, whose loop that selects has no children on Windows."""
+    return subprocess.Popen((sys.executable, *words), stderr=subprocess.PIPE)
+
+
+def _ended(child: "subprocess.Popen[bytes]") -> bytes:
+    """Its errors when it has ended. Raises TimeoutExpired after WARP_S, and has ended it."""
+    with child:
+        try:
+            return child.communicate(timeout=WARP_S)[1]
+        except subprocess.TimeoutExpired:
+            child.kill()
+            raise
 
 
 def _metadata(tiles: sqlite3.Connection) -> dict[str, Any]:

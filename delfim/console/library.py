@@ -56,7 +56,7 @@ class Library:
             text = canonical(mission)
             self._folder.mkdir(parents=True, exist_ok=True)
             new = file.with_suffix(".new")
-            new.write_text(text, encoding="utf-8")
+            new.write_text(text, encoding="utf-8", newline="\n")
             os.replace(new, file)
         except (DelfimError, OSError) as error:
             raise Refused(in_words(error)) from None

@@ -82,7 +82,7 @@ def message(frame: Frame, channel: int | str | None = None) -> Any:
 
 def _candump(frames: Iterable[tuple[str, Frame]], file: Path) -> int:
     count = 0
-    with file.open("w", encoding="ascii") as text:
+    with file.open("w", encoding="ascii", newline="\n") as text:
         for device, frame in frames:
             text.write(format_line(frame, device))
             count += 1

@@ -32,7 +32,7 @@ def to_csv(columns: Columns, schema: Schema, events: Events, file: Path) -> None
     its = units(schema)
     heads = [f"{name} [{_DEGREES.get(its.get(name, ''), its[name])}]" if its.get(name) else name for name in columns]
     lists = [_readable(name, its.get(name, ""), column) for name, column in columns.items()]
-    with file.open("w", newline="") as text:
+    with file.open("w", newline="", encoding="utf-8") as text:
         writer = csv.writer(text)
         writer.writerow(["utc", *heads])
         for t_ns, *values in zip(columns[TIME].tolist(), *lists, strict=True):

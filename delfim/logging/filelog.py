@@ -2,7 +2,6 @@
 
 import contextlib
 import errno
-import fcntl
 import math
 import os
 import time
@@ -20,6 +19,7 @@ MEMBER_S: Final = 10.0  # of log in a gzip member: the log after a damaged one c
 PENDING_BYTES: Final = 1 << 18  # deflated and not yet written
 SAME_SECOND: Final = 1000  # files of one name and second
 MISNAMED_S: Final = 3600.0  # a wall clock that steps by more makes the file's name wrong
+PLAIN: Final = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)  # Windows would end lines otherwise, and never inherits
 _META: Final = ".meta.jsonl"
 
 
@@ -65,7 +65,7 @@ class FileLog:
             return False
         path = self._stem + _META
         try:
-            fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o644)
+            fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_APPEND | PLAIN, 0o644)
             try:
                 _write_all(fd, line)
                 if self._durable:
@@ -163,8 +163,7 @@ class FileLog:
         day = os.path.join(directory, self._day)
         folder = os.path.join(day, id_)
         os.makedirs(folder, exist_ok=True)
-        self._day_fd = os.open(day, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-        fcntl.flock(self._day_fd, fcntl.LOCK_SH | fcntl.LOCK_NB)  # the guard leaves this day alone
+        self._day_fd = guard.hold(day)
         name = os.path.join(folder, time.strftime("%H%M%S", utc))
         for number in range(SAME_SECOND):
             stem = f"{name}-{number}" if number else name
@@ -285,7 +284,7 @@ class FileLog:
 
 
 def _new(path: str) -> int:
-    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+    return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | PLAIN, 0o644)
 
 
 def _write_all(fd: int, data: bytes | bytearray) -> None:
@@ -296,7 +295,9 @@ def _write_all(fd: int, data: bytes | bytearray) -> None:
 
 
 def sync_directory(path: str | os.PathLike[str]) -> None:
-    """A name that was made or changed in it survives a power cut. Raises OSError."""
+    """A name that was made or changed in it survives a power cut. Raises OSError. Windows has no word for it."""
+    if not hasattr(os, "O_DIRECTORY"):
+        return
     fd = os.open(path, os.O_RDONLY | os.O_DIRECTORY)
     try:
         os.fsync(fd)

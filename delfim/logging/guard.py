@@ -8,13 +8,16 @@ writer of a log holds a shared lock (flock) on the day's directory, and the kern
 """
 
 import contextlib
-import fcntl
 import os
 import re
 import shutil
 from collections.abc import Collection
 from typing import Final
 
+with contextlib.suppress(ImportError):  # there is none on Windows, where only lock step writes logs
+    import fcntl
+
+LOCKS: Final = "fcntl" in globals()
 KEEP: Final = "KEEP"
 UPLOAD_SHARE: Final = 0.25  # of a disk, at most
 NAMES_MAX: Final = 10_000  # that are counted in a folder
@@ -23,18 +26,30 @@ _DAY: Final = re.compile(r"[0-9]{8}")
 
 def free_bytes(directory: str) -> int:
     """Bytes that an unprivileged program may still write on the disk of this directory. Raises OSError."""
-    disk = os.statvfs(directory)
-    return disk.f_bavail * disk.f_frsize
+    return shutil.disk_usage(directory).free
+
+
+def hold(day: str) -> int:
+    """A descriptor that keeps a day from being deleted while it is open; -1 where there are no locks, and nothing is deleted.
+    Raises OSError."""
+    if not LOCKS:
+        return -1
+    fd = os.open(day, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        fcntl.flock(fd, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except OSError:
+        os.close(fd)
+        raise
+    return fd
 
 
 def upload_room(folder: str, bytes_max: int) -> int:
     """Bytes that uploads may still take; 0 where there is no folder for them. Raises OSError."""
     try:
-        disk = os.statvfs(folder)
+        total = shutil.disk_usage(folder).total
     except FileNotFoundError:
         return 0
-    share = int(disk.f_blocks * disk.f_frsize * UPLOAD_SHARE)
-    return max(min(bytes_max, share) - used(folder)[0], 0)
+    return max(min(bytes_max, int(total * UPLOAD_SHARE)) - used(folder)[0], 0)
 
 
 def used(folder: str) -> tuple[int, int]:
@@ -60,6 +75,8 @@ def make_room(directory: str, free_bytes_min: int, spared: Collection[str]) -> N
 
     Blocks for as long as the disk takes, and while another process makes room in the same directory.
     """
+    if not LOCKS:
+        return
     lock = os.open(directory, os.O_RDONLY | os.O_DIRECTORY)
     try:
         fcntl.flock(lock, fcntl.LOCK_EX)  # two at a time would delete a day too many

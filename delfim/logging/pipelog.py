@@ -1,7 +1,6 @@
 """A log that a child writes: the method `zpipe` of delfim.logging.liblog."""
 
 import contextlib
-import fcntl
 import json
 import os
 import select
@@ -9,6 +8,9 @@ import struct
 import subprocess
 import sys
 from typing import Final
+
+with contextlib.suppress(ImportError):  # Windows has none, and no log with a writer
+    import fcntl
 
 from delfim.clock import Clock
 from delfim.logging.liblog import LogSettings, LogStatus

@@ -11,6 +11,7 @@ from typing import Final, NamedTuple
 
 from delfim.errors import FormatError
 from delfim.logging.candump import parse_line
+from delfim.logging.filelog import sync_directory
 from delfim.logging.reading import member, raw
 from delfim.logging.statelog import Schema
 from delfim.logging.tree import LogFile
@@ -142,8 +143,4 @@ def _write(path: str, data: bytes, like: os.stat_result) -> None:
         os.fsync(file.fileno())
     os.utime(part, ns=(like.st_atime_ns, like.st_mtime_ns))
     os.replace(part, path)
-    folder = os.open(os.path.dirname(path) or ".", os.O_RDONLY)
-    try:
-        os.fsync(folder)
-    finally:
-        os.close(folder)
+    sync_directory(os.path.dirname(path) or ".")

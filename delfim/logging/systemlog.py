@@ -9,7 +9,6 @@ fast or find no room are dropped, counted and told. Standard library only: the s
 """
 
 import errno
-import fcntl
 import json
 import logging
 import os
@@ -20,6 +19,9 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from types import TracebackType
 from typing import Final
+
+with suppress(ImportError):  # Windows has none, and no boat whose programs write into it
+    import fcntl
 
 from delfim.clock import Clock, SystemClock
 from delfim.errors import one_line

@@ -216,10 +216,10 @@ def _walk(place: str, depth: int = DEPTH) -> Iterator[LogFile]:
 
 def _folder(folder: str, only: str = "") -> Iterator[LogFile]:
     """The files in an id's folder, or one of them. Raises FormatError for a file that is not a log."""
-    day, id_ = folder.rsplit("/", 2)[-2:]
+    day, id_ = Path(folder).parts[-2:]
     entries = {entry.name: entry for entry in os.scandir(folder)}
     if only and not (_NAME.fullmatch(only) and _DAY.fullmatch(day)):
-        raise FormatError(f"{folder}/{only} is not a log file: they are named YYYYMMDD/id/hhmmss.suffix")
+        raise FormatError(f"{os.path.join(folder, only)} is not a log file: they are named YYYYMMDD/id/hhmmss.suffix")
     midnight_ns = begins(day, "000000") if _DAY.fullmatch(day) else 0
     for name in [only] if only else entries:
         match = _NAME.fullmatch(name)
@@ -237,10 +237,10 @@ def _folder(folder: str, only: str = "") -> Iterator[LogFile]:
             int(number or 0),
             readable(id_),
             suffix,
-            f"{folder}/{name}",
+            os.path.join(folder, name),
             status.st_size,
             max(status.st_mtime_ns, begin_ns),
-            f"{folder}/{sidecar}" if sidecar else "",
+            os.path.join(folder, sidecar) if sidecar else "",
         )
 
 

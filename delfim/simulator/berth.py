@@ -7,10 +7,10 @@ as it is.
 
 import contextlib
 import errno
-import fcntl
 import json
 import os
 import re
+import select
 import socket
 from collections.abc import Collection, Iterator, Sequence
 from itertools import count
@@ -70,7 +70,9 @@ class BerthSettings(NamedTuple):
 @contextlib.contextmanager
 def berth(folder: str | None) -> Iterator[Berth]:
     """The next free berth, held as long as the context lasts; in this folder, or in one named by its number. Raises DelfimError
-    if another simulation has the folder."""
+    if another simulation has the folder, or if the boat's programs cannot run on this system."""
+    if not hasattr(select, "epoll"):
+        raise DelfimError("in real time the boat's own programs run, and need Linux (on Windows: WSL 2); --lockstep sails here")
     with contextlib.ExitStack() as held:
         for number in count(1):
             if number > NUMBERS:
@@ -237,6 +239,8 @@ def _numbered(number: int) -> Iterator[bool]:
 @contextlib.contextmanager
 def _locked(folder: Path) -> Iterator[bool]:
     """Make the folder; whether it is free. Raises OSError."""
+    import fcntl  # not on Windows, where only lock step sails
+
     folder.mkdir(parents=True, exist_ok=True)
     handle = os.open(folder / "lock", os.O_CREAT | os.O_RDWR | os.O_CLOEXEC, 0o600)
     try:
@@ -261,6 +265,8 @@ def _is_free(host: str, port: int, kind: int) -> bool:
 
 
 def _answers(path: Path) -> bool:
+    if not path.is_socket():
+        return False
     with socket.socket(socket.AF_UNIX) as knock:
         return knock.connect_ex(str(path)) == 0
 

@@ -128,7 +128,7 @@ def _checked(mission: Mission, file: str) -> Mission:
 
 def save_mission(mission: Mission, path: str | Path) -> None:
     """Write the mission's canonical text. Raises OSError."""
-    Path(path).write_text(canonical(mission), encoding="utf-8")
+    Path(path).write_text(canonical(mission), encoding="utf-8", newline="\n")
 
 
 def canonical(mission: Mission) -> str:

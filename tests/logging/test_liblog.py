@@ -2,6 +2,7 @@
 
 import errno
 import os
+import shutil
 import zlib
 from typing import Any
 
@@ -336,10 +337,12 @@ def test_nobody_writes_into_a_deleted_file(tmp_path, file_log, clock):
 
 
 class Faulty:
-    """The os module, some of whose calls fail: number `first` to `first + count - 1` of those that a disk can let fail."""
+    """The modules os and shutil, some of whose calls fail: number `first` to `first + count - 1` of those that a
+    disk can let fail."""
 
     CALLS = (
         "close",
+        "disk_usage",
         "fstat",
         "fsync",
         "ftruncate",
@@ -348,7 +351,6 @@ class Faulty:
         "open",
         "replace",
         "rmdir",
-        "statvfs",
         "unlink",
         "write",
     )
@@ -357,7 +359,7 @@ class Faulty:
         self.first, self.last, self.calls = first, first + count - 1, 0
 
     def __getattr__(self, name: str) -> Any:
-        real = getattr(os, name)
+        real = getattr(os if hasattr(os, name) else shutil, name)
         if name not in self.CALLS:
             return real
 
@@ -381,6 +383,7 @@ def run_with_faults(directory, monkeypatch, first: int, count: int, **how: bool)
     with monkeypatch.context() as patch:
         patch.setattr(filelog, "os", faulty)
         patch.setattr(guard, "os", faulty)
+        patch.setattr(guard, "shutil", faulty)
         log = filelog.FileLog(settings, clock, **how)
         for number in range(60):
             log.put(record(number, size=10))

@@ -21,6 +21,7 @@ FREE_MIN = 1_000_000
 class Status(NamedTuple):
     f_frsize: int
     f_blocks: int
+    f_bfree: int
     f_bavail: int
     f_files: int
     f_favail: int
@@ -35,7 +36,7 @@ def disk(tmp_path, monkeypatch) -> Path:
         found = list((tmp_path / "log").rglob("*"))
         taken = sum(path.lstat().st_blocks * 512 for path in found) // BLOCK
         blocks = DISK_BYTES // BLOCK
-        return Status(BLOCK, blocks, blocks - taken, DISK_INODES, DISK_INODES - len(found))
+        return Status(BLOCK, blocks, blocks - taken, blocks - taken, DISK_INODES, DISK_INODES - len(found))
 
     (tmp_path / "log").mkdir()
     monkeypatch.setattr(os, "statvfs", statvfs)

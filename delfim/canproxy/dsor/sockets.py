@@ -12,14 +12,13 @@ import time
 from collections import deque
 from collections.abc import Callable
 from math import inf
-from socket import MSG_DONTWAIT
 from types import TracebackType
 from typing import Final, Self
 
 from delfim.canproxy.dsor.endpoint import ANY_ID, Address, CanPort, Endpoint, message_to, source_of
 from delfim.canproxy.dsor.protocol import BROADCAST, Message, Outcome
 from delfim.canproxy.opening import open_can
-from delfim.canproxy.socket import CanSocket
+from delfim.canproxy.socket import MSG_DONTWAIT, CanSocket
 from delfim.errors import BusError, Refused
 
 REBIND_S: Final = 1.0  # pause between attempts to reopen a bus that failed
