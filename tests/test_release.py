@@ -144,6 +144,7 @@ def typed(installed: Path, folder: Path, *words: str) -> tuple[int, str]:
     return done.returncode, done.stdout
 
 
+@pytest.mark.long
 def test_without_a_file_it_sails_delfimx(installed: Path, tmp_path: Path) -> None:
     ports = [word for name in ("httpd", "ftpd", "sshd") for word in ("--set", f'simulation.{name}="127.0.0.1:0"')]
     bus = ("--set", f'simulation.interface="canloop:wheel-{os.getpid()}"', "--set", 'cantcpd.listen=["127.0.0.1:0"]')
@@ -155,6 +156,7 @@ def test_without_a_file_it_sails_delfimx(installed: Path, tmp_path: Path) -> Non
     assert "pip install 'delfim[ground]'" in said
 
 
+@pytest.mark.long
 def test_examples_are_found_by_the_names_of_the_documents(installed: Path, tmp_path: Path) -> None:
     words = ("--lockstep", "--for", "5")
     for more in ([], ["etc/boats/otter.toml"], ["etc/delfimx.toml", "--mission", "etc/missions/lawnmower.toml"]):
@@ -165,6 +167,7 @@ def test_examples_are_found_by_the_names_of_the_documents(installed: Path, tmp_p
     assert typed(installed, tmp_path, "check", "etc/delfimx.toml")[0] == 0
 
 
+@pytest.mark.long
 def test_a_new_boat_sails_and_no_boat_runs_with_an_example(installed: Path, tmp_path: Path) -> None:
     assert typed(installed, tmp_path, "new", "myboat.toml", "--yes")[0] == 0
     assert typed(installed, tmp_path, "check", "myboat.toml")[0] == 0
@@ -182,6 +185,7 @@ def sailed(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("words", "extra"),
     [
@@ -194,6 +198,7 @@ def sailed(installed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
         ("commission --yes --users ana", "ground"),
     ],
 )
+@pytest.mark.long
 def test_what_a_command_lacks_is_told_with_the_words_that_install_it(
     installed: Path, sailed: Path, words: str, extra: str
 ) -> None:
@@ -203,6 +208,7 @@ def test_what_a_command_lacks_is_told_with_the_words_that_install_it(
     assert "Traceback" not in said
 
 
+@pytest.mark.long
 def test_a_terminal_without_the_live_view_shows_lines_instead(installed: Path, tmp_path: Path) -> None:
     """On a terminal, as a person starts it."""
     ports = [word for name in ("httpd", "ftpd", "sshd") for word in ("--set", f'simulation.{name}="127.0.0.1:0"')]

@@ -58,6 +58,7 @@ def test_the_desks_part_is_imported_without_what_only_linux_has() -> None:
     assert child.returncode == 0, child.stderr
 
 
+@pytest.mark.long
 def test_unit_tests_of_the_ground_part_pass_there() -> None:
     words = ["-p", "tests.console.anywhere", "-p", "no:cacheprovider", "-n", "0", "-q"]
     child = there(ROOT, "-m", "pytest", *words, *(f"tests/{name}" for name in TESTS))
