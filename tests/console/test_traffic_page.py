@@ -6,7 +6,7 @@ import pytest
 
 from tests.console.scenes import choose, pixel
 from tests.console.standin import Message, Standin, nearness, vessel
-from tests.console.test_page import Sail, sail, shown
+from tests.console.test_page import Sail, sail, second_of_moving, shown
 from tests.services.browser import Page
 
 __all__ = ["sail"]
@@ -144,5 +144,27 @@ def test_the_order_of_a_boat_and_a_guard_that_is_off_are_said(sail: Sail) -> Non
         gateway.boat(1).update(order=None)
         gateway.boat(2).update(guard="cannot avoid")
         await shown(page, gateway, f"!{words(order)} && {words('DelfimX: cannot keep clear of others')}")
+
+    sail(story)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("how", "wanted"), [("dragged", 30), ("zoomed", 15)])
+def test_the_map_with_two_hundred_vessels_follows_the_hand(sail: Sail, how: str, wanted: int) -> None:
+    """Each second they come anew. It waits for a second with so many drawings, as the test of ten boats does."""
+
+    async def story(page: Page, gateway: Standin) -> None:
+        near = [nearness(1, 20.0, 60.0, "near")]
+        crowd = [
+            vessel(f"V{i}", north_m=60 * (i // 20) - 300, east_m=60 * (i % 20) - 600, course_deg=float(i)) for i in range(200)
+        ]
+        await tell(gateway, *(each | ({"boats": near} if i % 4 == 0 else {}) for i, each in enumerate(crowd)))
+        await shown(page, gateway, "delfim.vessels().length === 200")
+        drawn = [0]
+        async with asyncio.timeout(60):
+            while max(drawn) < wanted:
+                await gateway.look()
+                drawn.append(await second_of_moving(page, gateway, how))
+        print(f"{how}: {max(drawn)} drawings of the map in a second")
 
     sail(story)

@@ -3,6 +3,7 @@ import Feature from "ol/Feature";
 import { type Geometry, LineString, Point } from "ol/geom";
 import Polygon, { circular } from "ol/geom/Polygon";
 import VectorLayer from "ol/layer/Vector";
+import VectorImageLayer from "ol/layer/VectorImage";
 import VectorSource from "ol/source/Vector";
 import { Fill, Icon, Stroke, Style, Text } from "ol/style";
 import type { Chart, Pixel } from "./chart";
@@ -20,6 +21,7 @@ const RAD = Math.PI / 180;
 const AHEAD_S = 180; // of a course vector, as far as a boat looks ahead
 const HEADING_PX = 26;
 const NAMES_FROM_ZOOM = 12;
+const NAMED = 40; // those that are met first; two hundred names take long to draw and cannot be read
 const ORDER_M = 60; // the line of an order is at least so long
 const ORDER_S = 60;
 
@@ -33,7 +35,8 @@ export class Others {
     private readonly state: State,
     private readonly watch: Watch,
   ) {
-    for (const source of [this.source, this.own]) chart.add(new VectorLayer({ source, updateWhileAnimating: true, updateWhileInteracting: true }), 5);
+    chart.add(new VectorImageLayer({ source: this.source, imageRatio: 1.5 }), 5); // one picture, moved and scaled while the view moves
+    chart.add(new VectorLayer({ source: this.own, updateWhileAnimating: true, updateWhileInteracting: true }), 5);
     chart.onZoom((zoom) => {
       const named = this.zoom >= NAMES_FROM_ZOOM;
       this.zoom = zoom;
@@ -56,7 +59,7 @@ export class Others {
 
   private draw(): void {
     this.source.clear(true);
-    this.source.addFeatures(this.state.vessels.flatMap((each) => this.vessel(each)));
+    this.source.addFeatures(this.state.vessels.flatMap((each, i) => this.vessel(each, i < NAMED)));
   }
 
   private drawOwn(): void {
@@ -66,7 +69,7 @@ export class Others {
     this.own.addFeatures(made);
   }
 
-  private vessel(vessel: Vessel): Feature[] {
+  private vessel(vessel: Vessel, named: boolean): Feature[] {
     const here = point(vessel);
     const grave = this.watch.gravity(vessel);
     const ink = grave === "none" ? palette.ink : palette.danger;
@@ -79,7 +82,7 @@ export class Others {
     if (grave !== "none" && !vessel.lost) add(new Polygon([domain(vessel)]), inQuestion(grave === "danger"));
     if (!vessel.lost && vessel.course_deg !== null && vessel.speed_mps > 0.1) {
       const ahead = point(towards(vessel, vessel.course_deg, vessel.speed_mps * AHEAD_S));
-      add(new LineString([here, ahead]), cased(ink, grave === "none" ? 1.2 : 2.2, [8, 5]));
+      add(new LineString([here, ahead]), grave === "none" ? new Style({ stroke: new Stroke({ color: ink, width: 1.2, lineDash: [8, 5] }) }) : cased(ink, 2.2, [8, 5]));
     }
     if (vessel.lost) add(circular([vessel.longitude_deg, vessel.latitude_deg], vessel.margin_m, 48).transform("EPSG:4326", "EPSG:3857"), cased(ink, 1.2, [6, 5]));
     const turned = vessel.heading_deg ?? vessel.course_deg;
@@ -87,7 +90,8 @@ export class Others {
       image: new Icon({ img: symbol(vessel, grave !== "none", turned !== null), rotateWithView: true, scale: grave === "none" ? 0.6 : 0.7, rotation: (turned ?? 0) * RAD }),
       zIndex: grave === "none" ? 4 : 6,
     });
-    if (grave !== "none" || this.zoom >= NAMES_FROM_ZOOM || vessel.kind === "distress") style.setText(label(vessel, grave !== "none"));
+    const far = grave === "none" && this.zoom < NAMES_FROM_ZOOM;
+    if (grave === "danger" || vessel.kind === "distress" || (named && !far)) style.setText(label(vessel, grave !== "none"));
     add(new Point(here), style);
     return made;
   }
