@@ -28,12 +28,38 @@ class Ship(NamedTuple):
     length_m: float
     kind: str
     tcpa_s: float
+    turns_s: float = math.inf  # when it changes its course ...
+    turn_rad: float = 0.0  # ... by this
 
     def at(self, t_s: float) -> "Ship":
+        if t_s > self.turns_s:
+            there = self._replace(turns_s=math.inf).at(self.turns_s)
+            return there._replace(course_rad=self.course_rad + self.turn_rad).at(t_s - self.turns_s)
         way_m = self.speed_mps * t_s
         return self._replace(
             north_m=self.north_m + way_m * math.cos(self.course_rad), east_m=self.east_m + way_m * math.sin(self.course_rad)
         )
+
+
+LATE_S = 150.0
+MUST_TURN = ("stand-on", "overtaken", "head-on")  # what the boat is for a vessel that must do something, too
+
+
+def late(ships: Sequence[Ship], seed: int) -> tuple[Ship, ...]:
+    """Who must keep clear turns 40 degrees to starboard, LATE_S before they meet."""
+    return tuple(
+        each._replace(turns_s=each.tcpa_s - LATE_S, turn_rad=math.radians(40.0)) if each.kind in MUST_TURN else each
+        for each in ships
+    )
+
+
+def turning(ships: Sequence[Ship], seed: int) -> tuple[Ship, ...]:
+    """Each turns 30 degrees to some side, 60 to 400 s before they meet."""
+    chance = random.Random(seed)
+    return tuple(
+        each._replace(turns_s=each.tcpa_s - chance.uniform(60.0, 400.0), turn_rad=math.radians(chance.choice((-30.0, 30.0))))
+        for each in ships
+    )
 
 
 class Instant(NamedTuple):

@@ -126,6 +126,16 @@ def test_a_path_is_resumed_where_the_boat_stands_on_it_and_begun_elsewhere() -> 
         assert leg != 1 or memory.swept_rad == pytest.approx(math.pi / 2.0)
 
 
+@pytest.mark.parametrize(("north_m", "onto_deg"), [(20.0, 45.0), (65.0, 45.0), (90.0, 75.1)])
+def test_from_far_off_a_path_the_boat_comes_back_at_45_degrees_but_not_past_its_end(north_m: float, onto_deg: float) -> None:
+    setpoint = Setpoint(plan=Plan("", (), (Line(0.0, 0.0, 100.0, 0.0, 1.5),)))
+    memory = enter(Mode.PATH, HERE, setpoint, SETTINGS)
+    away = HERE._replace(north_m=north_m, east_m=30.0)
+    _, reference, _ = control(Mode.PATH, memory, away, setpoint, SETTINGS, DT_S)
+    assert reference.heading_rad is not None
+    assert math.degrees(reference.heading_rad) == pytest.approx(-onto_deg, abs=0.5)
+
+
 def test_cross_track_is_positive_to_starboard() -> None:
     bearing_rad, cross_m, left_m = along(HERE._replace(north_m=10.0, east_m=3.0), 0.0, 0.0, 100.0, 0.0)
     assert (bearing_rad, cross_m, left_m) == (0.0, 3.0, 90.0)

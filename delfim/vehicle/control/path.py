@@ -59,10 +59,10 @@ def step(
         return memory, Reference(leg=memory.leg, done=True), STOP
     piece = path[memory.leg] if memory.leg >= 0 else _approach(memory, path[0])
     tangent_rad, cross_m, left_m, swept_rad = nearest(piece, motion, memory.swept_rad)
-    ahead_m = settings.control.path.lookahead_m
-    off_m = ahead_m if cross_m > ahead_m else -ahead_m if cross_m < -ahead_m else cross_m  # onto it at 45 degrees at most
+    ahead_m, last = settings.control.path.lookahead_m, memory.leg + 1 == len(path)
+    is_gentle = abs(cross_m) > ahead_m and not (last and left_m < abs(cross_m))  # onto it at 45 degrees, but for its end
+    off_m = math.copysign(ahead_m, cross_m) if is_gentle else cross_m
     course, heading_rad = course_to_steer(memory.course, motion, tangent_rad, off_m, settings.control.path, dt_s)
-    last = memory.leg + 1 == len(path)
     speed_mps = piece.speed_mps if setpoint.override_mps is None else setpoint.override_mps
     if last:
         speed_mps = min(speed_mps, max(math.sqrt(settings.control.speed.ramp_mps2 * max(left_m, 0.0)), CREEP_MPS))
