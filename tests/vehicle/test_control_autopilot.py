@@ -1,19 +1,23 @@
 """Heading and speed: the bounds of step responses that docs/control.md states, and the rules of saturation."""
 
 import math
+from pathlib import Path
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from delfim.config import Sea
+from delfim.config import Sea, load
 from delfim.geodesy import wrap
 from delfim.modes import Mode
+from delfim.simulator.model import Model, hull_of
 from delfim.vehicle.control.allocation import Allocation, thruster
 from delfim.vehicle.control.autopilot import clamp, entered, steer
 from delfim.vehicle.control.memory import Integrals, Memory, lacking
 from delfim.vehicle.state import Motion, Setpoint
 from tests.vehicle.closed_loop import ALL, DELFIMX, DT_S, SETTINGS, Boat, heading_step
+
+BOATS = Path(__file__).parents[2] / "etc/boats"
 
 THRUSTERS = Allocation([thruster(row) for row in DELFIMX.thrusters])
 AT_REST = Motion(ALL, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -26,6 +30,14 @@ def test_a_heading_step_settles_without_overshoot(degrees: float, within_s: floa
     assert over_deg < 2.5
     assert settled_s < within_s
     assert steady.rms < 0.3
+
+
+@pytest.mark.parametrize("name", ["heron", "otter"])
+def test_a_short_boat_turns_without_going_far_over(name: str) -> None:
+    """Its hull damps a turn less than control guesses."""
+    vehicle = load(BOATS / f"{name}.toml")
+    model = Model(hull_of(vehicle), Sea(), 1, 0.675, -0.161, 0.0, vehicle.thrusters)
+    assert heading_step(Boat(vehicle=vehicle, model=model), 90.0, 1.5)[0] < 6.0
 
 
 def test_wind_abeam_costs_a_few_degrees_not_the_heading() -> None:

@@ -23,6 +23,7 @@ NATURAL_RADPS: Final = 0.83  # of the heading, for a boat of 4.5 m; a shorter on
 NATURAL_RADPS_MAX: Final = 1.0  # at a navigation rate of 5 Hz, with motors that need 0.3 s
 NATURAL_M: Final = 4.5
 DAMPED: Final = 1.2  # of critical
+OWN: Final = 0.5  # of the damping of the heading, at least, is the autopilot's own: the water's is a guess
 LEAST_RATE: Final = 0.3  # of natural frequency times inertia: the least gain against a rate of turn
 SPEED_PER_S: Final = 0.8  # of the speed's loop, per mass
 AUTHORITY: Final = 0.75  # of the most yaw moment, that a heading error may ask for
@@ -97,7 +98,7 @@ def gains(vehicle: config.Vehicle, hull: Craft) -> Gains:
     derived = Gains(
         p_nm_per_rad=p_nm,
         p_limit_nm=limit_nm,
-        d_nm_per_radps=total - damping,
+        d_nm_per_radps=max(total - damping, OWN * total),
         turn_nm_per_radps=damping,
         i_nm_per_rad_s=p_nm / 23.0,
         i_limit_nm=0.22 * limit_nm,
