@@ -1,6 +1,6 @@
 """The vehicle's data: modes, inputs of control, set points, its outputs. SI units, no behaviour."""
 
-from collections import deque
+from collections import Counter, deque
 from dataclasses import dataclass, field
 from typing import NamedTuple, Protocol
 
@@ -257,6 +257,12 @@ class State:
     def count(self, name: str, by: int = 1) -> None:
         """Count an event that is not worth stopping for. Names are code, so the table is bounded."""
         self.counts[name] = self.counts.get(name, 0) + by
+
+    def count_lost(self, pgn: int, lost: Counter[str]) -> None:
+        """Count the fast packets of a PGN that were lost, by reason; `lost` is empty then."""
+        for reason, times in lost.items():
+            self.count(f"nmea2000_{pgn}_{reason.partition(': ')[2].replace(' ', '_')}", times)
+        lost.clear()
 
     def hear(self, told: Report | AisPart, by: str, now_s: float, key: str = "") -> None:
         """A report of another vessel, for the next look. Costs next to nothing, and is bounded."""

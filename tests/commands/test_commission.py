@@ -235,7 +235,9 @@ def test_the_desks_boat_is_open_to_this_computer_alone() -> None:
 
 def test_every_address_of_a_vehicles_file_is_a_door(made: Path) -> None:
     """A new key that listens somewhere belongs into `doors`."""
-    settings = config.load(made / "boat/boat.toml", ['mavlink.serial="/dev/ttyS2"', 'cantcpd.slcan=["0.0.0.0:29537"]'])
+    more = ['mavlink.serial="/dev/ttyS2"', 'cantcpd.slcan=["0.0.0.0:29537"]', 'fleet.broker="mqtts://broker.example:8883"']
+    at_broker = ['mavlink.peers=["127.0.0.1:14560"]', 'mavlink.listen="0.0.0.0:14555"']
+    settings = config.load(made / "boat/boat.toml", more + at_broker)
     told = " ".join(door.place for door in doors(settings, [row.name for row in services(settings)]))
     for name in settings.__struct_fields__:
         for key in ("listen", "slcan", "serial"):

@@ -47,12 +47,13 @@ SETPOINTS = st.builds(
     FLOATS,
     FLOATS,
     FLOATS,
-    st.none() | waypoints(),
-    st.none() | plans(),
-    st.integers(-2, 5),
-    st.none() | FLOATS,
-    FLOATS,
-    rows(st.tuples(FLOATS, FLOATS)),
+    target=st.none() | waypoints(),
+    via=rows(waypoints()),
+    plan=st.none() | plans(),
+    leg=st.integers(-2, 5),
+    guest_heading_rad=st.none() | FLOATS,
+    guest_speed_mps=FLOATS,
+    track=rows(st.tuples(FLOATS, FLOATS)),
 )
 MOTIONS = st.builds(Motion, st.sampled_from(SUBSETS), *[FLOATS] * 6)
 FRACTIONS = st.tuples(*[st.floats(-1.0, 1.0)] * 2)
@@ -111,7 +112,8 @@ def test_navigation_that_makes_no_sense_stops_and_leaves_no_trace(mode: Mode, fi
 def test_a_set_point_that_makes_no_sense_stops_or_changes_nothing(mode: Mode, value: float) -> None:
     pieces = (Arc(*[value] * 6), Line(*[value] * 5))
     plan = Plan("mad", (Waypoint(*[value] * 5),), pieces)
-    mad = Setpoint(value, value, value, value, Waypoint(*[value] * 5), plan, 0, value, value, ((value, value),) * 2)
+    place = Waypoint(*[value] * 5)
+    mad = Setpoint(value, value, value, value, place, (place,), plan, 0, value, value, ((value, value),) * 2)
     memory = enter(mode, KNOWN, mad, SETTINGS)
     after, reference, actuation = control(mode, memory, KNOWN, mad, SETTINGS, DT_S)
     assert math.isfinite(actuation.surge_n + actuation.yaw_nm)

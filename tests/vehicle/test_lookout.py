@@ -61,8 +61,21 @@ def test_a_recorded_harbour_is_seen_without_the_boat_that_recorded_it() -> None:
     assert set(dict(traffic.refused)) <= {"own transponder", "no vessel", "heard before", NOWHERE}
     assert traffic.at_s - traffic.own_s < 5.0
     assert traffic.at_s - traffic.heard_s < 5.0
-    assert state.counts == {}
+    assert state.counts == {"nmea2000_129038_timed_out": 2}
     assert not any(each.is_lost for each in traffic.targets)
+
+
+def test_a_report_that_lost_a_frame_on_the_bus_is_counted() -> None:
+    state, bus = State(), LockstepBus(ManualClock())
+    ais, world = AisBus(bus.bound(*FILTERS)), bus.bound()
+    for sequence in range(2):
+        for number, data in enumerate(split(bytes(27), sequence)):
+            if (sequence, number) != (0, 1):
+                world.sendmsg(Frame(extended(6 << 26 | 129038 << 8 | 7), data))
+    for sequence in range(2, 5):
+        world.sendmsg(Frame(extended(6 << 26 | 129038 << 8 | 7), split(bytes(27), sequence)[0]))
+    ais.read(state, 1.0)
+    assert state.counts["nmea2000_129038_incomplete"] == 2
 
 
 def test_the_other_recording_has_its_own_transponder_too() -> None:

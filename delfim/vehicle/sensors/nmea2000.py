@@ -75,7 +75,7 @@ class Nmea2000Instruments:
         if pgn in self._fast:
             whole = self._fast[pgn].feed(address, data, now_s)
             if self._lost:
-                self._count_lost(state, pgn)
+                state.count_lost(pgn, self._lost)
             if whole is None:
                 return
             data = whole
@@ -88,11 +88,6 @@ class Nmea2000Instruments:
             self._newest[name].put(address, value, now_s)
             if value is not None and self._newest[name].choose(now_s) == address:
                 state.measured[name] = value, now_s
-
-    def _count_lost(self, state: State, pgn: int) -> None:
-        for reason, times in self._lost.items():
-            state.count(f"nmea2000_{pgn}_{reason.partition(': ')[2].replace(' ', '_')}", times)
-        self._lost.clear()
 
     def _filed(self, state: State, address: int, told: Told, now_s: float) -> Iterator[tuple[str, float | None]]:
         """The values of a message; of a battery there are none, it goes into the health at once."""

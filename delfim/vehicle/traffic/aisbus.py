@@ -22,7 +22,8 @@ class AisBus:
     def __init__(self, socket: CanSocket) -> None:
         self.input: Readable = socket
         self._socket = socket
-        self._fast = {pgn: FastPacket(Counter()) for pgn in ais.PGNS}
+        self._lost = Counter[str]()  # fast packets, by reason, until they are counted in the state
+        self._fast = {pgn: FastPacket(self._lost) for pgn in ais.PGNS}
 
     def read(self, state: State, now_s: float) -> None:
         """Malformed messages are counted."""
@@ -42,6 +43,8 @@ class AisBus:
         if frame.arb & 7 != CAN_IDE or pgn not in self._fast or address > ADDRESS_MAX:
             return
         whole = self._fast[pgn].feed(address, frame.data, now_s)
+        if self._lost:
+            state.count_lost(pgn, self._lost)
         if whole is None:
             return
         try:
