@@ -51,6 +51,19 @@ class PlainRuntime(Runtime):
     def remove_reader(self, fd: int) -> None:
         asyncio.get_running_loop().remove_reader(fd)
 
+    @contextlib.contextmanager
+    def ticking(self, period_s: float, handler: Callable[[], object]) -> Iterator[None]:
+        async def tick() -> None:
+            while True:
+                await asyncio.sleep(period_s)
+                handler()
+
+        ticks = asyncio.ensure_future(tick())
+        try:
+            yield
+        finally:
+            ticks.cancel()
+
     def rehearsal(self, rehearsal: Practice | None) -> None:
         """There is no window in which it could be done."""
 
