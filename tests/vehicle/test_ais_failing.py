@@ -11,11 +11,11 @@ from delfim import config
 from delfim.modes import Mode
 from delfim.simulator.faults import fault
 from delfim.simulator.lockstep import Lockstep
-from delfim.slices import Sliced
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog
-from delfim.vehicle.traffic import lookout, watchkeeper
+from delfim.vehicle.traffic import lookout
 from delfim.vehicle.traffic.watchkeeper import LATE_S
+from tests.vehicle.test_lookout import slices
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
 SET = ("simulation.heading_deg=0.0", 'sensors.names=["sysstat", "nmea2000"]')
@@ -33,20 +33,11 @@ class Voyage:
     """The boat steers north at 1.5 m/s; its receiver fails after a while."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, fault: str, *vessels: config.SimulatedVessel, **failsafe: Any) -> None:
-        self.spent, spent = list[int](), list[int]()
-
-        class Counted(Sliced[Any]):
-            def step(self, most: int = 0) -> bool:
-                before, is_done = self.spent, super().step(most)
-                spent.append(self.spent - before)
-                return is_done
-
-        monkeypatch.setattr(lookout, "Sliced", Counted)
-        monkeypatch.setattr(watchkeeper, "Sliced", Counted)
         settings, replace = config.load(VEHICLE, SET), msgspec.structs.replace
         world = replace(settings.simulation, traffic=config.SimulatedTraffic(vessel=vessels))
         settings = replace(settings, simulation=world, failsafe=replace(settings.failsafe, **failsafe))
-        self.spent, self.run, self.orders, self.told = spent, Lockstep(settings, 1, lambda clock: NoLog()), 0, set[str]()
+        self.spent, self.orders, self.told = slices(monkeypatch), 0, set[str]()
+        self.run = Lockstep(settings, 1, lambda clock: NoLog())
         list(self.run.cycles(10.0))
         assert self.run.command(console.Course(0.0, BOAT_MPS)) is None
         self._fault = fault

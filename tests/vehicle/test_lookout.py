@@ -175,7 +175,8 @@ def _e7(angle_rad: float) -> bytes:
     return round(math.degrees(angle_rad) * 1e7).to_bytes(4, "little", signed=True)
 
 
-def test_a_crowd_is_watched_a_slice_in_each_step_and_kept_clear_of_within_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+def slices(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """The work that each slice of watching and deciding costs from now on, in the order in which they are done."""
     spent = list[int]()
 
     class Counted(Sliced[Any]):
@@ -186,6 +187,11 @@ def test_a_crowd_is_watched_a_slice_in_each_step_and_kept_clear_of_within_second
 
     monkeypatch.setattr(lookout, "Sliced", Counted)
     monkeypatch.setattr(watchkeeper, "Sliced", Counted)
+    return spent
+
+
+def test_a_crowd_is_watched_a_slice_in_each_step_and_kept_clear_of_within_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    spent = slices(monkeypatch)
     run = Lockstep(config.load(VEHICLE, ("simulation.heading_deg=0.0",)), 1, lambda clock: NoLog())
     for _ in run.cycles(10.0):
         pass
