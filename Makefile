@@ -78,6 +78,7 @@ pictures: $(READY) ## draw the documentation's pictures again
 	PYTHONSAFEPATH= $(BIN)/python -m tests.services.pictures docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.scenes docs/pictures
 	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_first_voyage docs/pictures
+	PYTHONSAFEPATH= $(BIN)/python -m tests.console.test_replayed_encounter docs/pictures
 
 bench: $(READY) ## measure the contracts of the design on this machine
 	PYTHONPATH=. $(BIN)/python -m bench $(ARGS)
@@ -86,7 +87,7 @@ image: $(READY) ## build the boat's image, kernel and initramfs, into run/image 
 	$(BIN)/python docker/image.py run/image $(ARGS)
 
 deb: $(READY) ## build the Debian packages, into run/deb (ARGS="--debian 13 --arch arm64", --try installs them in a new root)
-	$(BIN)/python docker/deb.py run/deb $(ARGS)
+	PYTHONSAFEPATH= $(BIN)/python docker/deb.py run/deb $(ARGS)
 
 release: $(READY) requirements/release.txt ## make the wheel and the source package of the tagged commit, into dist (ARGS="--sign KEY")
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/release.txt

@@ -21,8 +21,8 @@ from typing import Any, Final
 from bench.record import draw
 from delfim.campaign.rulecheck import Instant
 from delfim.geodesy import wrap
-from delfim.simulator.encounters import Encounter, Ship, drawn, read_encounters
-from delfim.simulator.nodes.shipping import axes_m, nearness
+from delfim.simulator.encounters import Encounter, Ship, StraightWay, drawn, read_encounters
+from delfim.simulator.nodes.shipping import axes_m, within
 from delfim.vehicle.target import Target
 from delfim.vehicle.traffic.encounter import Own
 from delfim.vehicle.traffic.keepclear import Caution, Memory, RouteAhead, decide
@@ -34,62 +34,79 @@ AFTER_S: Final = 300
 TRIALS: Final = (*((math.radians(10.0 * i), part) for i in range(36) for part in (1.0, 0.5)), (0.0, 0.0))
 FIGURES: Final = 3
 BLOCK: Final = 1000  # encounters that are kept together
+_new: Final = tuple.__new__  # of a named tuple, without its names
 
 
-def sail(encounter: Encounter, *, guarded: bool = True) -> tuple[list[float], list[tuple[float, float]]]:
-    """The nearest to each vessel, in domains, and the track, a point each 10 s."""
+def sail(encounter: Encounter) -> tuple[list[float], list[float], list[tuple[float, float]]]:
+    """The nearest to each vessel, in domains, with the guard and without it, where the boat goes on to the north; and the
+    track with it, a point each 10 s."""
     ships = encounter.targets
-    axes = [axes_m(ship.length_m) for ship in ships]
-    courses = [math.radians(ship.course_deg) for ship in ships]
+    ways, axes = [ship.way for ship in ships], [axes_m(ship.length_m) for ship in ships]
+    told = [_told(str(number), ship) for number, ship in enumerate(ships)]
     end_s = int(max(ship.tcpa_s for ship in ships)) + AFTER_S
     route = RouteAhead(((OWN_MPS * (end_s + 600.0), 0.0),), OWN_MPS)
     own, memory, order = Own(0.0, 0.0, 0.0, OWN_MPS), Memory(), None
-    nearest, track = [math.inf] * len(ships), list[tuple[float, float]]()
+    nearest, without, track = [math.inf] * len(ships), [math.inf] * len(ships), list[tuple[float, float]]()
     for t in range(end_s):
         if t % DECIDE_S == 0:
-            targets = [seen(i, ship, float(t)) for i, ship in enumerate(ships)]
-            if guarded:
-                memory, order, _ = decide(LIMITS, memory, own, route, targets, None, float(t))
-            for i, each in enumerate(targets):
-                near = nearness(own.north_m - each.north_m, own.east_m - each.east_m, courses[i], axes[i])
-                nearest[i] = min(nearest[i], near)
+            places = [way.at(float(t)) for way in ways]
+            targets = [_new(Target, (*head, *at, *tail)) for at, (head, tail) in zip(places, told, strict=True)]
+            memory, order, _ = decide(LIMITS, memory, own, route, targets, None, float(t))
+            _near(nearest, own.north_m, own.east_m, places, ways, axes)
+            _near(without, OWN_MPS * t, 0.0, places, ways, axes)
         if t % 10 == 0:
             track.append((round(own.north_m, 1), round(own.east_m, 1)))
         course_rad = math.atan2(-own.east_m, route.points[0][0] - own.north_m) if order is None else order.course_rad
         own = moved(own, course_rad, OWN_MPS if order is None else order.speed_mps)
-    return nearest, track
+    return nearest, without, track
 
 
-def seen(number: int, ship: Ship, t_s: float) -> Target:
-    north_m, east_m = ship.at(t_s)
+def _told(number: str, ship: Ship) -> tuple[tuple[object, ...], tuple[object, ...]]:
+    """What a target tells before its place, and after it."""
     course_rad = math.radians(ship.course_deg)
     is_known = (ship.length_m, ship.beam_m, True, 0.0, 0.0, False)
-    return Target(str(number), f"SHIP {number}", north_m, east_m, course_rad, ship.speed_mps, course_rad, *is_known, "A", 0)
+    return (number, f"SHIP {number}"), (course_rad, ship.speed_mps, course_rad, *is_known, "A", 0)
+
+
+def _near(
+    nearest: list[float],
+    north_m: float,
+    east_m: float,
+    places: Sequence[tuple[float, float]],
+    ways: Sequence[StraightWay],
+    axes: Sequence[tuple[float, float]],
+) -> None:
+    """Keeps how near each vessel came, with the boat here and the vessels at their places."""
+    for i, (n, e) in enumerate(places):
+        near = within(north_m - n, east_m - e, ways[i].c, ways[i].s, axes[i])
+        if near < nearest[i]:
+            nearest[i] = near
 
 
 def moved(own: Own, course_rad: float, speed_mps: float) -> Own:
     """The boat a second later."""
-    turn_rad = min(max(wrap(course_rad - own.course_rad), -LIMITS.turn_radps), LIMITS.turn_radps)
-    now_mps = own.speed_mps + min(max(speed_mps - own.speed_mps, -LIMITS.ramp_mps2), LIMITS.ramp_mps2)
-    now_rad = wrap(own.course_rad + turn_rad)
-    return Own(own.north_m + now_mps * math.cos(now_rad), own.east_m + now_mps * math.sin(now_rad), now_rad, now_mps)
+    north_m, east_m, was_rad, was_mps = own
+    most_rad, most_mps = LIMITS.turn_radps, LIMITS.ramp_mps2
+    now_rad = wrap(was_rad + min(max(wrap(course_rad - was_rad), -most_rad), most_rad))
+    now_mps = was_mps + min(max(speed_mps - was_mps, -most_mps), most_mps)
+    return Own(north_m + now_mps * math.cos(now_rad), east_m + now_mps * math.sin(now_rad), now_rad, now_mps)
 
 
 def solution(ships: Sequence[Ship]) -> tuple[float, float] | None:
     """A course, rad, and a part of the speed that stay clear of all from the start; None: none of the trials does."""
     end_s = max(ship.tcpa_s for ship in ships) + AFTER_S
-    ways = [(ship, math.radians(ship.course_deg), axes_m(ship.length_m)) for ship in ships]
+    ways = [(ship.way, axes_m(ship.length_m)) for ship in ships]
     return next(((course, part) for course, part in TRIALS if _is_clear(course, part * OWN_MPS, ways, end_s)), None)
 
 
 def _is_clear(
-    course_rad: float, speed_mps: float, ways: Sequence[tuple[Ship, float, tuple[float, float]]], end_s: float
+    course_rad: float, speed_mps: float, ways: Sequence[tuple[StraightWay, tuple[float, float]]], end_s: float
 ) -> bool:
     vn, ve, t_s = speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad), 0.0
     while t_s < end_s:
-        for ship, ship_rad, axes in ways:
-            north_m, east_m = ship.at(t_s)
-            if nearness(vn * t_s - north_m, ve * t_s - east_m, ship_rad, axes) < 1.0:
+        for way, axes in ways:
+            north_m, east_m = way.at(t_s)
+            if within(vn * t_s - north_m, ve * t_s - east_m, way.c, way.s, axes) < 1.0:
                 return False
         t_s += 5.0
     return True
@@ -98,8 +115,7 @@ def _is_clear(
 def one(given: Encounter | int) -> dict[str, Any]:
     """What came of an encounter, or of the random one of a seed."""
     encounter = drawn(given, OWN_MPS) if isinstance(given, int) else given
-    nearest, track = sail(encounter)
-    without, _ = sail(encounter, guarded=False)
+    nearest, without, track = sail(encounter)
     row: dict[str, Any] = {"name": encounter.id, "vessels": len(nearest), "nearest": round(min(nearest), FIGURES)}
     row |= {
         "without": round(min(without), FIGURES),
@@ -112,7 +128,7 @@ def one(given: Encounter | int) -> dict[str, Any]:
 
 
 def _there(ships: Sequence[Ship], courses: Sequence[float], t_s: float) -> tuple[tuple[float, float, float], ...]:
-    return tuple((*ship.at(t_s), course_rad) for ship, course_rad in zip(ships, courses, strict=True))
+    return tuple((*ship.way.at(t_s), course_rad) for ship, course_rad in zip(ships, courses, strict=True))
 
 
 def shown(row: dict[str, Any]) -> dict[str, Any]:

@@ -1,12 +1,13 @@
 """The record of encounters: sails DNV's set and Imazu's 22 cases with and without the guard, and writes what came of them.
 
-    python -m bench.record [--seeds N] [--bare N] [--workers N] [--output FOLDER]   sails, and prints the tables as Markdown
+    python -m bench.record [--seeds N] [--real N] [--bare N] [--workers N] [--output FOLDER]    sails, and prints the tables
     python -m bench.record --tell [--left FILE.png]            prints them of what is there, and draws who entered a domain
     python -m bench.record --picture FILE.png [--tracks FILE.json]                 draws Imazu's 22 cases with real ships
 
 The runs are those of etc/campaigns/encounters.toml, through the whole program in lock step, one seed after the other, so that
-what is there is a record of all encounters however early it is ended; the same command goes on. Without the guard it does not
-matter how others are heard: those runs, of the first few seeds, are of one kind. docs/encounters.md has the tables.
+what is there is a record of all encounters however early it is ended; the same command goes on. First N seeds of the sets in
+the boat's scale, then N of those with real ships. Without the guard it does not matter how others are heard: those runs, of
+the first few seeds, are of one kind. docs/encounters.md has the tables.
 """
 
 import argparse
@@ -49,24 +50,30 @@ select g.story, g."{HEARD}" as heard, g.seed, g.entered, b.entered as "entered w
 from runs g join runs b on g.story = b.story and g.seed = b.seed and g."{GUARD}" and not b."{GUARD}"
 where g.entered > b.entered or g.collisions > b.collisions"""
 BARE: Final = 3  # seeds that are sailed without the guard, too
+SIMILAR, REAL = "-similar:", "-real:"  # the scale, in the name of a story
 COLUMNS: Final = 6
 IMAZU: Final = "imazu22-real:"
 TITLE: Final = "Imazu's 22 cases, ships of 90 m: the boat (blue) goes north at 1.5 m/s; domains: nearest moment"
 
 
-def plan_of(seed: int, *, guarded: bool) -> Plan:
-    """All encounters with one seed of sea and noise."""
+def plan_of(seed: int, *, guarded: bool, scale: str = "") -> Plan:
+    """All encounters of a scale, or of both, with one seed of sea and noise."""
     _, plan = read(CAMPAIGN)
-    points = tuple(each for each in plan.points if each[1][GUARD] is guarded and (guarded or each[1][HEARD] == "perfect"))
-    digest = f"{plan.digest}-{seed}-{'on' if guarded else 'off'}"
+    points = tuple(
+        (story, values)
+        for story, values in plan.points
+        if scale in plan.stories[story].name and values[GUARD] is guarded and (guarded or values[HEARD] == "perfect")
+    )
+    digest = f"{plan.digest}-{scale}{seed}-{'on' if guarded else 'off'}"
     return plan._replace(points=points, seeds=Seeds(first=seed, count=1), digest=digest)
 
 
-def sail(seeds: int, bare: int, output: Path, workers: int) -> None:
-    for seed in range(1, seeds + 1):
-        for guarded in (True, False) if seed <= bare else (True,):
-            folder = output / f"seed-{seed:03}-{'on' if guarded else 'off'}"
-            conduct.sail(plan_of(seed, guarded=guarded), folder, 2, workers, None)
+def sail(seeds: int, real: int, bare: int, output: Path, workers: int) -> None:
+    for scale, count in ((SIMILAR, seeds), (REAL, real)):
+        for seed in range(1, count + 1):
+            for guarded in (True, False) if seed <= bare else (True,):
+                folder = output / f"seed{scale[:-1]}-{seed:03}-{'on' if guarded else 'off'}"
+                conduct.sail(plan_of(seed, guarded=guarded, scale=scale), folder, 2, workers, None)
 
 
 def connect(output: Path) -> duckdb.DuckDBPyConnection:
@@ -143,6 +150,7 @@ def draw(cases: list[dict[str, Any]], place: Path, title: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser()
     parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--real", type=int, default=1, help="The same, with real ships.")
     parser.add_argument("--bare", type=int, default=BARE, help="Of these, how many without the guard, too.")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--output", type=Path, default=Path("run/campaign/record"))
@@ -153,7 +161,7 @@ def main() -> None:
     asked = parser.parse_args()
     if asked.picture is None:
         if not asked.tell:
-            sail(asked.seeds, asked.bare, asked.output, asked.workers)
+            sail(asked.seeds, asked.real, asked.bare, asked.output, asked.workers)
         database = connect(asked.output)
         tell(database)
         _, rows = findings.asked(database, LEFT)

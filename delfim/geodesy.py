@@ -11,6 +11,7 @@ from typing import NamedTuple
 _A = 6378137.0  # WGS 84 semi-major axis, m
 _E2 = 6.69437999014e-3  # WGS 84 first eccentricity squared
 TAU = math.tau
+_remainder = math.remainder
 
 
 class Origin(NamedTuple):
@@ -44,7 +45,7 @@ def from_plane(at: Origin, north_m: float, east_m: float) -> tuple[float, float]
 
 def wrap(angle_rad: float) -> float:
     """The same angle in -pi..pi."""
-    return math.remainder(angle_rad, TAU)
+    return _remainder(angle_rad, TAU)
 
 
 def compass(angle_rad: float) -> float:

@@ -184,7 +184,7 @@ def unpack_propeller_command(data: bytes) -> PropellerCommand:
     if len(data) != PROPELLER_COMMAND.size:
         raise FormatError(f"propeller command of {len(data)} bytes instead of {PROPELLER_COMMAND.size}")
     rpm, flags, counter = PROPELLER_COMMAND.unpack(data)
-    return PropellerCommand(rpm, bool(flags & 1), counter)
+    return tuple.__new__(PropellerCommand, (rpm, bool(flags & 1), counter))
 
 
 class BatteriesCommand(NamedTuple):
@@ -203,7 +203,7 @@ def unpack_batteries_command(data: bytes) -> BatteriesCommand:
     if len(data) != BATTERIES_COMMAND.size:
         raise FormatError(f"batteries command of {len(data)} bytes instead of {BATTERIES_COMMAND.size}")
     flags, counter = BATTERIES_COMMAND.unpack(data)
-    return BatteriesCommand(bool(flags & 1), counter)
+    return tuple.__new__(BatteriesCommand, (bool(flags & 1), counter))
 
 
 class PropellerStatus(NamedTuple):
@@ -275,38 +275,38 @@ def pack_gps_status(s: GpsStatus) -> bytes:
 
 
 SystemStatus = PropellerStatus | BatteriesStatus | GpsStatus
+_PROPELLERS: Final = (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT)
+_BATTERIES: Final = (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT)
+_WELL: Final = Status.GOOD, Fault(0)
 
 
 def unpack_sysstat(node: int, data: bytes) -> SystemStatus:
     """The status that a node reports. Raises FormatError for a node that has none, a wrong length or a wrong status."""
     try:
-        if node in (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT):
+        if node in _PROPELLERS:
             status, faults, rpm, current, temperature, counter = PROPELLER_STATUS.unpack(data)
-            return PropellerStatus(
-                Status(status),
-                Fault(faults),
-                rpm if rpm != _I16_UNKNOWN else None,
-                current / 10 if current != _I16_UNKNOWN else None,
-                temperature if temperature != _I8_UNKNOWN else None,
-                counter,
-            )
-        if node in (Node.BATTERIES_STARBOARD, Node.BATTERIES_PORT):
-            status, faults, voltage, current, charge, temperature = BATTERIES_STATUS.unpack(data)
-            return BatteriesStatus(
-                Status(status),
-                Fault(faults),
-                voltage / 100 if voltage != _U16_UNKNOWN else None,
-                current / 10 if current != _I16_UNKNOWN else None,
-                charge / 200 if charge <= 200 else None,
-                temperature if temperature != _I8_UNKNOWN else None,
-            )
+            known_rpm = rpm if rpm != _I16_UNKNOWN else None
+            current_a = current / 10 if current != _I16_UNKNOWN else None
+            celsius = temperature if temperature != _I8_UNKNOWN else None
+            return tuple.__new__(PropellerStatus, (*_health(status, faults), known_rpm, current_a, celsius, counter))
+        if node in _BATTERIES:
+            status, faults, voltage, current, part, temperature = BATTERIES_STATUS.unpack(data)
+            voltage_v = voltage / 100 if voltage != _U16_UNKNOWN else None
+            current_a = current / 10 if current != _I16_UNKNOWN else None
+            celsius = temperature if temperature != _I8_UNKNOWN else None
+            charge = part / 200 if part <= 200 else None
+            return tuple.__new__(BatteriesStatus, (*_health(status, faults), voltage_v, current_a, charge, celsius))
         if node == Node.GPS:
             status, faults, fix, satellites, hdop, utc = GPS_STATUS.unpack(data)
-            known = None if hdop == _U8_UNKNOWN else hdop / 10
-            return GpsStatus(Status(status), Fault(faults), fix, satellites, known, utc)
+            return GpsStatus(*_health(status, faults), fix, satellites, None if hdop == _U8_UNKNOWN else hdop / 10, utc)
     except (struct.error, ValueError) as error:
         raise FormatError(f"system status of node {node:#04x}: {error}") from None
     raise FormatError(f"node {node:#04x} has no system status")
+
+
+def _health(status: int, faults: int) -> tuple[Status, Fault]:
+    """Without a look-up in the enumerations for a node that is well. Raises ValueError for a wrong status."""
+    return (Status(status), Fault(faults)) if status or faults else _WELL
 
 
 RESET_WORD: Final = 0x5EED  # so that no stray frame resets a boat
@@ -383,16 +383,16 @@ def unpack_shutdown_acknowledge(data: bytes) -> ShutdownAcknowledge:
 
 def _scaled(value: float | None, per_unit: float, unknown: int) -> int:
     """A field's integer; unknown where the value is None or does not fit below the unknown mark."""
-    if value is None or not abs(value * per_unit) < unknown:
+    if value is None or not -unknown < (units := value * per_unit) < unknown:
         return unknown
-    return round(value * per_unit)
+    return round(units)
 
 
 def _unsigned(value: float | None, per_unit: float, unknown: int) -> int:
     """The same for a field without sign."""
-    if value is None or not -0.5 <= value * per_unit < unknown:
+    if value is None or not -0.5 <= (units := value * per_unit) < unknown:
         return unknown
-    return round(value * per_unit)
+    return round(units)
 
 
 def _hdop(value: float | None) -> int:

@@ -34,6 +34,7 @@ class VesselFacts(NamedTuple):
     beam_m: float | None
     from_starboard_m: float | None  # of the antenna
     from_bow_m: float | None
+    is_own: bool = False  # by the boat's own transponder, about itself
 
 
 Report = VesselPosition | VesselFacts

@@ -3,7 +3,7 @@
     python docker/deb.py run/deb                 for this machine's release of Debian and its processor
     python docker/deb.py run/deb --debian 13     for another release, whose Python is another one
     python docker/deb.py run/deb --arch arm64    for another processor
-    python docker/deb.py run/deb --try           and try them in a new root of that release; needs root
+    python docker/deb.py run/deb --try           and try them in new roots of that release, below both inits; needs root
 
 Both are one environment of Python in /opt/delfim: the wheel of delfim and the wheels of requirements/, pinned and hashed, as
 their makers built them; no program of the target is run, so any machine builds for any other. Dates of files are
@@ -33,6 +33,17 @@ SUITES: Final = {"12": "bookworm", "13": "trixie"}
 NO_USE: Final = ("bin", "share", "lxml*")  # programs that pip wrote, their manuals, and what only MAVLink's generator needs
 TRIAL_S: Final = 1800
 LIBRARIES: Final = "libc6, libgcc-s1, libstdc++6, zlib1g"  # which the wheels leave to the system
+KERNEL: Final = (  # of User-Mode Linux, its console on our output
+    *("linux.uml", "mem=640M", "root=/dev/ubda", "rw", "init=/lib/systemd/systemd", "quiet", "selinux=0", "con=null"),
+    *("con0=null,fd:1", "console=tty0", "systemd.getty_auto=no", "systemd.show_status=no"),
+)
+LIFE: Final = """\
+[Unit]
+After=multi-user.target
+[Service]
+Type=oneshot
+ExecStart=/bin/sh /boot.sh {words}
+"""
 LAUNCHER: Final = """\
 #!/opt/delfim/bin/python -P
 import sys
@@ -73,7 +84,7 @@ def main() -> int:
     asked.add_argument("output", type=Path)
     asked.add_argument("--arch", choices=MACHINES, default=own_architecture(), help="the processor (%(default)s)")
     asked.add_argument("--debian", choices=RELEASES, default=own_release(), help="the release (%(default)s)")
-    asked.add_argument("--try", dest="trial", action="store_true", help="try them in a new root, as docker/debian/life.sh says")
+    asked.add_argument("--try", dest="trial", action="store_true", help="try them, as docker/debian/life.sh and boot.sh say")
     words = asked.parse_args()
     began_s = time.monotonic()
     output = words.output.resolve()
@@ -87,7 +98,10 @@ def main() -> int:
         print(f"{package.stat().st_size / 1e6:8.1f} MB  {package}, sha256 {digest[:16]}...")
     if words.trial:
         newer = packed(boat, work, words.debian, words.arch, ".1")
-        live(output / f"root-{words.debian}-{words.arch}", work / "root", words.debian, words.arch, [*packages, newer])
+        clean = output / f"root-{words.debian}-{words.arch}"
+        live(clean, work / "root", words.debian, words.arch, [*packages, newer])
+        if words.arch == own_architecture():
+            boot(clean, work / "booted", [packages[0], newer])
     shutil.rmtree(work)
     print(f"{output}: {time.monotonic() - began_s:.0f} s")
     return 0
@@ -206,19 +220,49 @@ def live(clean: Path, root: Path, release: str, arch: str, packages: list[Path])
     """Tries delfim, delfim-ground and a newer delfim in a copy of a clean root that debootstrap makes once; lintian reads them.
     The root has a network and processes of its own. For another processor the kernel needs an emulator: docs/install.md."""
     subprocess.run(["lintian", "--fail-on", "error", "--allow-root", *packages[:2]], check=True)
-    if not clean.exists():
-        needed = f"python3,iproute2,passwd,sysvinit-core,{LIBRARIES.replace(' ', '')}"  # so that apt fetches nothing later
+    if not (clean / "lib/systemd/systemd").exists():
+        needed = (
+            f"python3,iproute2,passwd,sysvinit-core,systemd,{LIBRARIES.replace(' ', '')}"  # so that apt fetches nothing later
+        )
         made = clean.with_suffix(".part")
         shutil.rmtree(made, ignore_errors=True)
         debootstrap = ["debootstrap", "--variant=minbase", f"--arch={arch}", f"--include={needed}", SUITES[release], str(made)]
         subprocess.run(debootstrap, check=True, stdout=subprocess.DEVNULL)
+        shutil.rmtree(clean, ignore_errors=True)
         made.rename(clean)
-    subprocess.run(["cp", "-a", clean, root], check=True)
-    put(root / "etc/dpkg/dpkg.cfg.d/quick", "force-unsafe-io\n")
-    for file in (SOURCES / "etc/delfimx.toml", PARTS / "life.sh", *packages):
-        shutil.copy(file, root)
+    furnish(clean, root, PARTS / "life.sh", *packages)
     space = ["unshare", "--net", "--mount", "--pid", "--fork", "--kill-child", "chroot", str(root)]
     subprocess.run([*space, "/bin/sh", "/life.sh", *(f"/{package.name}" for package in packages)], check=True, timeout=TRIAL_S)
+
+
+def boot(clean: Path, root: Path, packages: list[Path]) -> None:
+    """Tries delfim and a newer one below systemd, in a copy of the same root on a disk: booted twice, by User-Mode Linux."""
+    furnish(clean, root, PARTS / "boot.sh", *packages)
+    put(root / "etc/machine-id", f"{1:032x}\n")
+    (root / "var/log/journal").mkdir(exist_ok=True)  # so that the second boot reads what the first one said
+    units = root / "etc/systemd/system"
+    put(units / "life.service", LIFE.format(words=" ".join(f"/{package.name}" for package in packages)))
+    (units / "multi-user.target.wants").mkdir(exist_ok=True)
+    (units / "multi-user.target.wants/life.service").symlink_to("../life.service")
+    disk = root.with_suffix(".ext4")
+    subprocess.run(["mke2fs", "-q", "-t", "ext4", "-d", root, disk, "1500M"], check=True)
+    for _ in range(2):
+        words = ["timeout", str(TRIAL_S), *KERNEL, f"ubd0={disk}", f"uml_dir={root.parent}"]
+        with subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, text=True, errors="replace") as kernel:
+            said = ""
+            for line in kernel.stdout or ():
+                said += line
+                print(line, end="", flush=True)
+        if "boot: as it should be" not in said:
+            raise SystemExit("below systemd it is not as it should be")
+
+
+def furnish(clean: Path, root: Path, *more: Path) -> None:
+    """A copy of the clean root, with these files and a boat's."""
+    subprocess.run(["cp", "-a", clean, root], check=True)
+    put(root / "etc/dpkg/dpkg.cfg.d/quick", "force-unsafe-io\n")
+    for file in (SOURCES / "etc/delfimx.toml", *more):
+        shutil.copy(file, root)
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import importlib
 import os
 import shutil
 import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
@@ -18,7 +19,7 @@ from delfim import __version__
 ROOT = Path(__file__).parents[1]
 PARTS = ROOT / "docker/debian"
 SITE = "opt/delfim/lib/python3.13/site-packages"
-SCRIPTS = sorted([*PARTS.glob("*inst"), *PARTS.glob("*rm"), PARTS / "life.sh", PARTS / "default", ROOT / "etc/init.d/delfim"])
+SCRIPTS = sorted([*PARTS.glob("*inst"), *PARTS.glob("*rm"), *PARTS.glob("*.sh"), PARTS / "default", ROOT / "etc/init.d/delfim"])
 PROGRAMS = {"opt/delfim/bin/delfim", "etc/init.d/delfim", f"{SITE}/delfim/etc/init.d/delfim"}
 WHEELS = {  # as pip would install them
     "boat.txt": """delfim/__init__.py msgspec/__init__.py msgspec-1.dist-info/METADATA msgspec-1.dist-info/RECORD
@@ -131,6 +132,13 @@ def test_the_scripts_are_posix_shell(script: Path) -> None:
         subprocess.run(["shellcheck", "--shell=dash", "--severity=warning", "--exclude=SC1091,SC2034", script], check=True)
 
 
+def test_make_starts_it() -> None:
+    """Whose Python takes no module from the folder of the program, unless it is told to."""
+    make = ["make", "-s", f"--old-file={sys.prefix}/.ready", f"VENV={sys.prefix}", "deb", "ARGS=--help"]
+    done = subprocess.run(make, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert "Build the Debian packages." in done.stdout, done.stderr
+
+
 UNDER_WAY = "the boat is under way, in mode goto"
 
 
@@ -179,6 +187,8 @@ def test_the_unit_does_what_the_init_script_does() -> None:
     settings = dict(line.split("=") for line in (PARTS / "default").read_text().splitlines() if "=" in line)
     assert unit["Service"]["Environment"] == " ".join(f"{name}={value}" for name, value in settings.items())
     assert unit["Service"]["EnvironmentFile"] == "-/etc/default/delfim"
+    assert unit["Service"]["KillMode"] == "control-group", "all are asked to end, when the supervisor is killed, too"
+    assert unit["Service"]["OOMPolicy"] == "continue", "one program that needs too much memory does not end the boat"
     script = (ROOT / "etc/init.d/delfim").read_text()
     for command in ("supervise", "check"):
         assert f"/usr/bin/delfim {command} ${{VEHICLE}}" in (PARTS / "delfim.service").read_text()

@@ -9,11 +9,15 @@ from typing import Final, NamedTuple
 from delfim.campaign.rulecheck import Check, RuleTape, alterations
 from delfim.campaign.steertape import Deviation, SteerTape
 from delfim.clock import ManualClock
+from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.trial import Event
+from delfim.simulator.watch import TruePlace
 from delfim.vehicle.logbook import ORDERLY
 from delfim.vehicle.state import State, StateLog
-from delfim.vehicle.zones import clearance_m
+from delfim.vehicle.zones import Point
+
+STOPS: Final = (Mode.IDLE, Mode.HOLD)
 
 
 class RunTape:
@@ -23,12 +27,16 @@ class RunTape:
     def __init__(self, clock: ManualClock, beside: StateLog) -> None:
         self.clock, self.hash, self.beside = clock, hashlib.blake2b(digest_size=8), beside
         self.fastest_mps, self.cross_m = 0.0, Deviation()
+        self._form = struct.Struct("")
 
     def write(self, state: State, now_s: float) -> None:
         m, sent, cross_m = state.motion, state.actuation, state.reference.cross_track_m
         numbers = (now_s, *m[1:], *sent.thrust, *sent.angle_rad)
-        self.hash.update(struct.pack(f"<{len(numbers)}dB", *numbers, state.mode))
-        self.fastest_mps = max(self.fastest_mps, math.hypot(m.north_mps, m.east_mps))
+        if self._form.size != 8 * len(numbers) + 1:
+            self._form = struct.Struct(f"<{len(numbers)}dB")
+        self.hash.update(self._form.pack(*numbers, state.mode))
+        if (speed_mps := math.hypot(m.north_mps, m.east_mps)) > self.fastest_mps:
+            self.fastest_mps = speed_mps
         if cross_m is not None:
             self.cross_m.add(cross_m)
         self.beside.write(state, now_s)
@@ -48,36 +56,34 @@ class Truth:
     """What the hull did, whatever the boat knew: called after each cycle."""
 
     def __init__(self, run: Lockstep) -> None:
-        self._run, self._at_s = run, 0.0
+        self._run, self._drives, self._at_s = run, run.nodes.model.drives, 0.0
         self.way_m, self.energy_j, self.fence_m = 0.0, 0.0, math.inf
-        self.north_m: float | None = None  # from where the boat knew first that it was
-        self.east_m = 0.0
+        self.at: Point | None = None  # from where the boat knew first that it was
         self.rules, self.steered = RuleTape(run), SteerTape(run)
-        self.mode, self.reason = "", ""  # before the run was ended
-        self._stop: tuple[float, float] | None = None  # where it was last told to stop, while it moved
+        self.mode: Mode | None = None  # before the run was ended
+        self.reason = ""
+        self._stop: Point | None = None  # where it was last told to stop, while it moved
         self.stop_m: float | None = None
 
-    def look(self) -> None:
-        run = self._run
-        model, origin, now_s = run.nodes.model, run.state.origin, run.elapsed_s
-        self.rules.look()
-        was, self.mode, self.reason = self.mode, run.state.mode.name.lower(), run.state.reason
-        power_w = sum(drive.voltage_v * drive.current_a for drive in model.drives.values())
+    def look(self, place: TruePlace) -> None:
+        """`place`: of this cycle."""
+        state, now_s, at = self._run.state, self._run.elapsed_s, place.at
+        self.rules.look(now_s)
+        was, self.mode, self.reason = self.mode, state.mode, state.reason
+        power_w = sum([drive.voltage_v * drive.current_a for drive in self._drives.values()])
         self.energy_j, self._at_s = self.energy_j + power_w * (now_s - self._at_s), now_s
-        if origin is None:
+        if at is None:
             return
-        north_m = (model.latitude_rad - origin.latitude_rad) * origin.north_m_per_rad
-        east_m = (model.longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
-        if self.north_m is not None:
-            self.way_m += math.hypot(north_m - self.north_m, east_m - self.east_m)
-        if was and was != self.mode and self.mode in ("idle", "hold"):
-            self._stop, self.stop_m = (north_m, east_m), 0.0
+        if self.at is not None:
+            self.way_m += math.hypot(at[0] - self.at[0], at[1] - self.at[1])
+        if was is not self.mode and was is not None and self.mode in STOPS:
+            self._stop, self.stop_m = at, 0.0
         if self._stop is not None:
-            self.stop_m = max(self.stop_m or 0.0, math.dist(self._stop, (north_m, east_m)))
-        self.north_m, self.east_m = north_m, east_m
-        self.steered.look(north_m, east_m)
-        if (fence := run.vehicle.helm.plans.fence) is not None:
-            self.fence_m = min(self.fence_m, *(clearance_m(zone, north_m, east_m) for zone in fence.zones))
+            self.stop_m = max(self.stop_m or 0.0, math.dist(self._stop, at))
+        self.at = at
+        self.steered.look(now_s, at)
+        if (clear_m := place.clear_m(self.fence_m)) < self.fence_m:
+            self.fence_m = clear_m
 
 
 class Sailed(NamedTuple):
@@ -201,9 +207,9 @@ MEASURES: Final = (
     Measure("faults", "INTEGER", "faults that began", lambda s: len(_noticed(s))),
     Measure("unnoticed", "INTEGER", "of these, without any notice or mode after them", lambda s: _noticed(s).count(None)),
     Measure("noticed_s", "DOUBLE", "longest time until a fault was noticed", _slowest),
-    Measure("end_north_m", "DOUBLE", "true place of the end", lambda s: s.truth.north_m),
-    Measure("end_east_m", "DOUBLE", "true place of the end", lambda s: s.truth.east_m if s.truth.north_m is not None else None),
-    Measure("mode", "VARCHAR", "mode at the end", lambda s: s.truth.mode),
+    Measure("end_north_m", "DOUBLE", "true place of the end", lambda s: s.truth.at and s.truth.at[0]),
+    Measure("end_east_m", "DOUBLE", "true place of the end", lambda s: s.truth.at and s.truth.at[1]),
+    Measure("mode", "VARCHAR", "mode at the end", lambda s: s.truth.mode.name.lower() if s.truth.mode is not None else ""),
     Measure("end", "VARCHAR", "how it ended, in words", lambda s: s.end),
     Measure("digest", "VARCHAR", "of each cycle, and of the notes of the log", lambda s: s.tape.hash.hexdigest()),
 )

@@ -47,13 +47,14 @@ class RuleTape:
         self._run, self._due_s = run, 0.0
         self.instants = list[Instant]()
 
-    def look(self) -> None:
-        now_s, nodes = self._run.elapsed_s, self._run.nodes
-        if not nodes.vessels or now_s < self._due_s:
+    def look(self, now_s: float) -> None:
+        nodes = self._run.nodes
+        if now_s < self._due_s or not nodes.vessels:
             return
         self._due_s = now_s + LOOK_S
         model = nodes.model
-        course_rad, speed_mps = math.atan2(model.east_mps, model.north_mps), math.hypot(model.north_mps, model.east_mps)
+        north_mps, east_mps = model.north_mps, model.east_mps
+        course_rad, speed_mps = math.atan2(east_mps, north_mps), math.hypot(north_mps, east_mps)
         others = tuple((each.north_m, each.east_m, each.course_rad) for each in nodes.vessels)
         self.instants.append(Instant(now_s, model.north_m, model.east_m, course_rad, speed_mps, others))
 

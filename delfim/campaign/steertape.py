@@ -17,6 +17,8 @@ SETTLED, SETTLED_RAD = 0.05, math.radians(3.0)  # a turn is over within this par
 STAYS_S: Final = 10.0  # ... for so long; a gust may come later
 DRIVEN_M, NEAR = 2.0, 10  # between the places of the track that is remembered, and how many of them are looked through
 ALL: Final = frozenset({"position", "heading", "velocity"})
+# Asked for in each cycle: a lookup in the enumeration takes longer than the comparison.
+_HEADING, _COURSE, _HOLD, _HOME, _PATH, _PLAY = Mode.HEADING, Mode.COURSE, Mode.HOLD, Mode.HOME, Mode.PATH, Mode.PLAY
 
 
 class Deviation:
@@ -26,7 +28,9 @@ class Deviation:
         self.count, self._squares, self._most = 0, 0.0, 0.0
 
     def add(self, value: float) -> None:
-        self.count, self._squares, self._most = self.count + 1, self._squares + value * value, max(self._most, abs(value))
+        self.count, self._squares = self.count + 1, self._squares + value * value
+        if (size := abs(value)) > self._most:
+            self._most = size
 
     @property
     def rms(self) -> float | None:
@@ -64,29 +68,29 @@ class SteerTape:
     def resting(self) -> float | None:
         return self.rests / self.held_m.count if self.held_m.count else None
 
-    def look(self, north_m: float, east_m: float) -> None:
-        """`north_m` and `east_m`: true place in the local plane."""
-        state, model, now_s = self._run.state, self._run.nodes.model, self._run.elapsed_s
+    def look(self, now_s: float, here: Point) -> None:
+        """`here`: its true place in the local plane."""
+        state, model = self._run.state, self._run.nodes.model
         mode, since_s = state.mode, state.mode_s
         entered, self._mode_s = since_s != self._mode_s, since_s
-        if mode is Mode.HEADING:
+        if mode is _HEADING:
             self._turning(now_s, model.heading_rad)
-        elif mode is Mode.COURSE:
+        elif mode is _COURSE:
             self._turning(now_s, math.atan2(model.east_mps, model.north_mps))
-        elif mode is Mode.HOLD:
+        elif mode is _HOLD:
             if entered:
                 self._left = len(self._closest_m) if state.reason == "play done" else self._left
                 self.held_m, self.turned_deg, self.rests = Deviation(), Deviation(), 0
             if now_s - since_s >= STEADY_S:
-                self._holding(north_m, east_m)
-        elif mode is Mode.PATH:
-            self._following(now_s, entered, north_m, east_m)
-        elif mode is Mode.PLAY:
-            self._playing(north_m, east_m)
-        if mode is Mode.HOME:
-            self._returning(entered, (north_m, east_m))
-        elif not self._driven or math.dist(self._driven[-1], (north_m, east_m)) > DRIVEN_M:
-            self._driven.append((north_m, east_m))
+                self._holding(*here)
+        elif mode is _PATH:
+            self._following(now_s, entered, *here)
+        elif mode is _PLAY:
+            self._playing(*here)
+        if mode is _HOME:
+            self._returning(entered, here)
+        elif not self._driven or math.dist(self._driven[-1], here) > DRIVEN_M:
+            self._driven.append(here)
 
     def _turning(self, now_s: float, direction_rad: float) -> None:
         asked_rad = self._run.state.setpoint.heading_rad
@@ -136,7 +140,8 @@ class SteerTape:
         for number in range(max(leg - 1, 0), min(leg + 1, len(plan.waypoints))):
             to = plan.waypoints[number]
             far_m = math.hypot(to.north_m - north_m, to.east_m - east_m) - to.acceptance_m
-            self._closest_m[number] = min(self._closest_m[number], far_m)
+            if far_m < self._closest_m[number]:
+                self._closest_m[number] = far_m
 
     def _returning(self, entered: bool, here: Point) -> None:
         """The place on its track moves back with the boat, so that a long track costs no more than a short one."""

@@ -56,7 +56,7 @@ class Boat:
         self.warning = ""  # its last text that was a warning, while something is wrong
         self.target_is_new = False  # a target came after the last message about steering
         self.failsafe, self.ready = "", False
-        self.link, self.signed = "udp", False
+        self.link, self.signed = "udp", False  # "log": its own log is replayed
         self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
         self.rtt_ms: float | None = None
         self.synced_s = -math.inf

@@ -101,7 +101,7 @@ class Gateway:
         self.fleet: Fleet | TapePlayer
         if tapes:
             self.fleet = TapePlayer(tapes, clock, self.tell)
-            self.fleet.moved = self._show_tracks_to_all
+            self.fleet.moved = self._show_jump
         else:
             self.fleet = Fleet(clock, self._transmit, self.tell, key, self.me)
             if self.session is not None:
@@ -151,7 +151,7 @@ class Gateway:
             self.tell({"t": "boats", "at_s": self._utc_s(), "boats": self.fleet.snapshot()})
             for progress in self.fleet.progress():
                 self.tell(progress)
-        if (self._pages or self.viewers) and self._ticks % VESSEL_TICKS == 0:
+        if (self._pages or self.viewers) and self._ticks % self._vessel_ticks() == 0:
             self.tell(self._vessels())
 
     def _complain(self, name: str, reason: str) -> None:
@@ -250,9 +250,16 @@ class Gateway:
         now_s = fleet.at_s if isinstance(fleet, TapePlayer) else self._clock.monotonic_s()
         return {"t": "vessels", "at_s": self._utc_s(), **around(list(fleet.boats.values()), now_s)}
 
-    def _show_tracks_to_all(self) -> None:
+    def _vessel_ticks(self) -> int:
+        """Between two times that the pages are told of other vessels: in a fast replay they are not left behind."""
+        rate = self.fleet.rate if isinstance(self.fleet, TapePlayer) else 1.0
+        return max(round(VESSEL_TICKS / max(rate, 1.0)), SHOW_TICKS)
+
+    def _show_jump(self) -> None:
+        """The time of a replay has jumped: all tracks now, and with the next tick boats and vessels."""
         for page in self._pages:
             self._show_tracks(page)
+        self._ticks = -1
 
     def _show_tracks(self, page: Page) -> None:
         for number, boat in self.fleet.boats.items():

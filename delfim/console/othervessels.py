@@ -17,6 +17,7 @@ from delfim.vehicle.mavlink.vesselsout import GUARD, NUMBERS
 from delfim.vehicle.mavlink.vesselsout import number as number_of
 from delfim.vehicle.target import Danger, Target
 from delfim.vehicle.traffic.alarm import Alarms, Guarded, dangers
+from delfim.vehicle.traffic.beside import Company, company, danger_beside
 from delfim.vehicle.traffic.encounter import BEGINNINGS, Own
 from delfim.vehicle.traffic.keepclear import Caution, RouteAhead, measured
 from delfim.vehicle.traffic.reckoning import VesselTrack, begun
@@ -65,6 +66,7 @@ class VesselsTold:
         self._told_s: dict[int, float] = {}  # when that was
         self.heard_s = -math.inf  # the newest report of any of them
         self.alarms: Alarms = {}
+        self.company = Company()  # who moves as the boat does
         self.met: dict[str, Danger] = {}  # how near each vessel comes, by key
         self.judged_s = -math.inf  # when that was reckoned
         self._order_deg, self._words, self._order_s = math.nan, "", -math.inf
@@ -222,12 +224,15 @@ def _judged(boat: TellingBoat, tracks: Mapping[int, Known], now_s: float) -> Ite
     ahead = (way_m * math.cos(here.course_rad), way_m * math.sin(here.course_rad))
     targets = [each.target(number, at, now_s) for number, each in tracks.items()]
     targets = [each for each in targets if int(each.key) in boat.others.tracks or not _is_alike(each, here)]
+    targets.sort(key=lambda each: math.hypot(each.north_m, each.east_m))
+    beside = boat.others.company = company(boat.others.company, here, BOAT.length_m, targets, now_s)
     guard, order = boat.others.guard(now_s), boat.others.order(now_s)
     guarded: Guarded = "no" if guard != "on" else "away" if order else "on its way"
     way = RouteAhead((ahead,), speed_mps)
-    judging = dangers(NEAR, BOAT, here, way, targets, (), guarded, boat.others.alarms, now_s)
+    apart = [each for each in targets if not beside.has(each.key)]
+    judging = dangers(NEAR, BOAT, here, way, apart, (), guarded, boat.others.alarms, now_s)
     found, boat.others.alarms = Sliced(judging).finish()
-    return found
+    return (*found, *(danger_beside(each) for each in targets if beside.has(each.key)))
 
 
 def _own(boat: TellingBoat, now_s: float) -> tuple[Origin, float] | None:

@@ -76,6 +76,7 @@ class States:
             row = self._rows[at]
             boat = boats.setdefault(self._number, Boat(self._number, row.at_s))
             boat.name, boat.heard_s, boat.armed = self.name or boat.name, row.at_s, row.armed
+            boat.link, boat.ready = "log", True  # it tells of no link, and of nothing that keeps the boat from starting
             boat.enter(row.mode)
             boat.values |= row.values
             boat.reference |= row.reference

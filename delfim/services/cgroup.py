@@ -27,18 +27,23 @@ class Limits(NamedTuple):
         if not (self.memory_bytes or self.cpu):
             return True
         group = root / OURS / name
+        wanted = " ".join(f"+{each}" for each, limit in (("memory", self.memory_bytes), ("cpu", self.cpu)) if limit)
         try:
             if not (root / "cgroup.controllers").exists():
                 raise FileNotFoundError(2, "no control groups here", str(root))
+            with contextlib.suppress(OSError):
+                group.rmdir()  # with the limits of another file
             group.mkdir(parents=True, exist_ok=True)
             for above in (root, root / OURS):
-                (above / "cgroup.subtree_control").write_text("+memory +cpu")
-            (group / "memory.max").write_text(str(self.memory_bytes or "max"))
-            (group / "memory.oom.group").write_text("1")
-            (group / "cpu.max").write_text(f"{round(self.cpu * PERIOD_US) if self.cpu else 'max'} {PERIOD_US}")
+                (above / "cgroup.subtree_control").write_text(wanted)
+            if self.memory_bytes:
+                (group / "memory.max").write_text(str(self.memory_bytes))
+                (group / "memory.oom.group").write_text("1")
+            if self.cpu:
+                (group / "cpu.max").write_text(f"{round(self.cpu * PERIOD_US)} {PERIOD_US}")
             (group / "cgroup.procs").write_text(str(pid))
         except OSError as error:
-            _warn_once(f"{error.filename}: {error.strerror}")
+            _warn_once(f"{error.filename or group}: {error.strerror}")
             return False
         return True
 

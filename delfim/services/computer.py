@@ -179,14 +179,19 @@ def process(stat: str) -> tuple[int, str, int, int, int, int]:
 
 
 def program(name: str, words: list[str]) -> str:
-    """A process' name; of a Python program its own, not the interpreter's. Other arguments may be secret."""
+    """A process' name; of a Python program its own, not the interpreter's: its module or file, of delfim also the command and
+    the service. Other arguments, and a program that stands in the command itself, may be long and secret."""
     if not name.startswith("python"):
         return name
-    if "-m" in words[1:-1]:
-        module, command = [*words[words.index("-m") + 1 :], ""][:2]
-        return f"{module} {command}".strip() if module == "delfim" else module
-    script = next((word for word in words[1:] if word and not word.startswith("-")), "")
-    return os.path.basename(script) or name
+    what = next((number for number, word in enumerate(words[1:], 1) if word in ("-c", "-m") or word[:1] != "-"), len(words))
+    rest = [*words[what:], "", ""]
+    if rest[0] == "-c":
+        return f"{name} -c"
+    shown, rest = (rest[1], rest[2:]) if rest[0] == "-m" else (os.path.basename(rest[0]), rest[1:])
+    if shown != "delfim":
+        return shown or name
+    service = rest[rest.index("--service") + 1] if "--service" in rest[:-1] else ""
+    return f"delfim {rest[0]} {service}".strip()
 
 
 def temperature_c(root: Path) -> float | None:

@@ -230,8 +230,8 @@ class Supervisor:
 
     def _watch_beat(self) -> None:
         """A silent critical program is stopped at once, asked where it stands, and killed. Silence of another program is
-        only logged."""
-        now_s, child = time.monotonic(), self._critical
+        only logged. Who took the processor from us since the wait was over, took the beats from us, too."""
+        now_s, child = min(time.monotonic(), self._turn_s + TICK_S), self._critical
         for each in self._children:
             late = each is not child and each.beat_s is not None and now_s - each.beat_s > self._deadman_s
             if each.state == "running" and late and not each.is_silent:

@@ -16,20 +16,37 @@ from delfim import tables
 from delfim.errors import ConfigError, in_words
 from delfim.geodesy import from_plane, origin, wrap
 from delfim.outside import read_text
-from delfim.simulator.nodes.shipping import axes_m, nearness
+from delfim.simulator.nodes.shipping import axes_m, within
 from delfim.simulator.scenario import Scenario, laid_over, mission_of
 
 RANDOM: Final = "random"
 LATITUDE_DEG, LONGITUDE_DEG = 38.6, -9.6  # of the start: the open sea off Lisbon
 OWN_MPS: Final = 1.5  # of a random encounter, unless its scenario says another
-LEAD_S: Final = 900.0  # a run begins so long before the first domain would be entered, or with its encounter
-AFTER_S: Final = 400.0  # and ends so long after the last meeting
+LEAD_S: Final = 400.0  # a run begins so long before the first domain would be entered: all names were told
+AMPLE: Final = 5.0  # and at least so many times as long as the boat takes from the middle of a domain out of its side
+AFTER_S: Final = 300.0  # and ends so long after the last meeting
 START_S: Final = 10.0  # the boat has its speed about then, and the encounter begins
 PLAY_S: Final = 3.0
 FARTHER_S: Final = 600.0  # the mission goes on so far behind the end of the run
 LOOK_S: Final = 5.0  # step in which domains are looked for
 TARGETS_MAX: Final = 5
 CLEAR_S: Final = 240.0  # a random vessel would not come into anybody's domain before this
+
+
+class StraightWay(NamedTuple):
+    """The motion of a vessel that keeps course and speed: where it begins, and the cosine and the sine of its course."""
+
+    north_m: float
+    east_m: float
+    speed_mps: float
+    c: float
+    s: float
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        """North and east, m."""
+        north_m, east_m, speed_mps, c, s = self
+        way_m = speed_mps * t_s
+        return north_m + way_m * c, east_m + way_m * s
 
 
 class Ship(tables.Table, frozen=True):
@@ -45,10 +62,10 @@ class Ship(tables.Table, frozen=True):
     tcpa_s: float = 0.0
     dcpa_m: float = 0.0
 
-    def at(self, t_s: float) -> tuple[float, float]:
-        """North and east, m, if it keeps course and speed."""
-        course_rad, way_m = math.radians(self.course_deg), self.speed_mps * t_s
-        return self.north_m + way_m * math.cos(course_rad), self.east_m + way_m * math.sin(course_rad)
+    @property
+    def way(self) -> StraightWay:
+        course_rad = math.radians(self.course_deg)
+        return StraightWay(self.north_m, self.east_m, self.speed_mps, math.cos(course_rad), math.sin(course_rad))
 
 
 class Encounter(tables.Table, frozen=True):
@@ -99,7 +116,7 @@ def staged(scenario: Scenario, encounter: Encounter) -> Staged:
     """The scenario with the vessels of an encounter, all speeds and metres scaled to its `speed_mps`."""
     own_mps = encounter.own.speed_mps
     scale = scenario.speed_mps / own_mps if scenario.speed_mps else 1.0
-    begin_s = max(min(_entered_s(own_mps, ship) for ship in encounter.targets) - LEAD_S, 0.0)
+    begin_s = max(min(_entered_s(own_mps, ship) - _lead_s(own_mps, ship) for ship in encounter.targets), 0.0)
     seconds = START_S + max(ship.tcpa_s for ship in encounter.targets) - begin_s + AFTER_S
     rows = tuple(_row(ship, own_mps, scale, begin_s) for ship in encounter.targets)
     here = {"latitude_deg": LATITUDE_DEG, "longitude_deg": LONGITUDE_DEG, "heading_deg": 0.0}
@@ -118,7 +135,7 @@ def staged(scenario: Scenario, encounter: Encounter) -> Staged:
 
 def _row(ship: Ship, own_mps: float, scale: float, begin_s: float) -> dict[str, Any]:
     """A row of `simulation.traffic`. Until the encounter begins the vessel sails to where it then is."""
-    north_m, east_m = ship.at(begin_s - START_S)
+    north_m, east_m = ship.way.at(begin_s - START_S)
     return {
         "name": f"{ship.kind or 'vessel'}".upper()[:20],
         "length_m": ship.length_m * scale,
@@ -132,12 +149,17 @@ def _row(ship: Ship, own_mps: float, scale: float, begin_s: float) -> dict[str, 
     }
 
 
+def _lead_s(own_mps: float, ship: Ship) -> float:
+    """So long before a boat knows nothing of a vessel that it could act on yet."""
+    return max(LEAD_S, AMPLE * axes_m(ship.length_m)[1] / own_mps)
+
+
 def _entered_s(own_mps: float, ship: Ship) -> float:
     """When the boat would enter the domain of a vessel, or be nearest."""
-    axes, course_rad, t_s = axes_m(ship.length_m), math.radians(ship.course_deg), 0.0
+    axes, way, t_s = axes_m(ship.length_m), ship.way, 0.0
     while t_s < ship.tcpa_s:
-        north_m, east_m = ship.at(t_s)
-        if nearness(own_mps * t_s - north_m, -east_m, course_rad, axes) < 1.0:
+        north_m, east_m = way.at(t_s)
+        if within(own_mps * t_s - north_m, -east_m, way.c, way.s, axes) < 1.0:
             return t_s
         t_s += LOOK_S
     return ship.tcpa_s

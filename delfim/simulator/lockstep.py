@@ -10,6 +10,7 @@ from typing import Final, Self
 import msgspec
 
 from delfim import config
+from delfim.canproxy.socket import CanSocket
 from delfim.clock import ManualClock
 from delfim.modes import Mode
 from delfim.serialform import Form
@@ -26,7 +27,7 @@ from delfim.vehicle.state import State, StateLog
 
 CONSOLE_S: Final = 1.0  # the operator's console speaks this often
 WATCHDOG_S: Final = 0.1
-BURST: Final = 16  # most navigation messages that come at once, after a delay
+BURST: Final = 16  # times that an input which stays readable is read again: navigation after a delay, a bus with much to say
 
 
 class Lockstep:
@@ -63,6 +64,11 @@ class Lockstep:
         self._ports = {name: self.lines[device] for name, device in devices.items() if device in self.lines}
         line = self.lines.get(settings.handset.device)
         self._receiver = SimulatedReceiver(settings.handset, handset, line) if handset and line else None
+        queues = dict(item for each in buses.values() for item in each.queues.items())
+        self._sources = [
+            (each, queues[each.input] if isinstance(each.input, CanSocket) else None) for each in self.vehicle.sources
+        ]
+        self._queued = [(each, queues[each.input]) for each in self._inputs if isinstance(each.input, CanSocket)]
         self.guest = self.vehicle.guest
         self._others = tuple((i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in PLAYED)
         self._cycle_s = 1.0 / settings.navigation.rate_hz
@@ -98,24 +104,30 @@ class Lockstep:
     def cycle(self) -> None:
         """One navigation period: the nodes send, the loop runs, time passes."""
         clock, world, vehicle, faults = self.clock, self._world, self.vehicle, self.faults
-        now_s = clock.monotonic_s()
+        now_s, utc_ns = clock.monotonic_s(), clock.time_ns()
         nodes = faults if faults.busy else self.nodes
-        frames = nodes.step(now_s, clock.time_ns())
+        frames = nodes.step(now_s, utc_ns)
         self.bus.off = "bus_off" in faults.on
         world.send_many([frame[:2] for frame in frames])
         for devices, end in self._beside:
-            for frame in devices.step(now_s, clock.time_ns()):
-                end.sendmsg(frame)
+            if said := devices.step(now_s, utc_ns):
+                end.send_many([frame[:2] for frame in said])
         if self.nodes.instruments is not None:
-            for port, data in self.nodes.instruments.step(now_s, clock.time_ns()):
+            for port, data in self.nodes.instruments.step(now_s, utc_ns):
                 self._ports[port].put(data)
-        for _ in range(BURST if nodes is faults else 1):  # a socket that stays readable is read again
-            for source in vehicle.sources:
-                vehicle.on_navigation(source)
+        for source in vehicle.sources:
+            vehicle.on_navigation(source)
+        if nodes is faults:
+            self._navigate_again()
         if self._receiver is not None:
             self._receiver.speak(now_s)
         for each in self._inputs:
             vehicle.on_sensor(each)
+        for each, queue in self._queued:
+            for _ in range(BURST):
+                if not queue:
+                    break
+                vehicle.on_sensor(each)
         for hand in self._hands:
             for order in hand.orders(self.state, now_s):
                 vehicle.on_command(order, hand.name)
@@ -128,15 +140,26 @@ class Lockstep:
         for actuator in vehicle.propulsion.actuators:
             if actuator.period_s:
                 vehicle.on_outlet(actuator)
-        while (frame := world.receive()) is not None:  # type: ignore[assignment]
-            nodes.feed(frame, now_s)
+        while heard := world.receive_many():
+            for frame in heard:
+                nodes.feed(frame, now_s)
         for devices, end in self._beside:
-            while (frame := end.receive()) is not None:  # type: ignore[assignment]
-                devices.feed(frame, now_s)
+            while heard := end.receive_many():
+                for frame in heard:
+                    devices.feed(frame, now_s)
         sent = self.state.actuation
         for i, name in self._others:  # told by pulses, or by a front seat: their devices are played in tests
             self.nodes.model.push(name, sent.thrust[i], sent.angle_rad[i], sent.run)
         clock.advance(self._cycle_s)
+
+    def _navigate_again(self) -> None:
+        """Of late messages some come at once. Nobody knows whether a line has more."""
+        for _ in range(BURST - 1):
+            left = [source for source, queue in self._sources if queue is None or queue]
+            if not left:
+                return
+            for source in left:
+                self.vehicle.on_navigation(source)
 
     def cycles(self, seconds: float) -> Iterator[State]:
         """Run cycles for this many seconds; yields the state after each."""

@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from typing import Final
 
-from delfim.canproxy.socket import CanAddress, CanSocket, Many, accepts, receive_each, send_each
+from delfim.canproxy.socket import BATCH, CanAddress, CanSocket, Many, accepts
 from delfim.clock import Clock
 from delfim.errors import BusError, FormatError
 from delfim.frames import Frame
@@ -26,6 +26,7 @@ class LockstepBus:
     def __init__(self, clock: Clock, name: str = "lockstep", queue_max: int = QUEUE_MAX) -> None:
         self.clock, self.name, self.queue_max = clock, name, queue_max
         self.off = False  # bus-off, as after too many errors: nothing is sent or received
+        self.queues: dict[CanSocket, deque[Frame]] = {}  # the frames that wait in each open socket
         self._ends: list[_End] = []
         self._routes: dict[int, tuple[_End, ...]] = {}  # by arbitration field: the ends that accept it
 
@@ -36,6 +37,7 @@ class LockstepBus:
         self._ends.append(end)
         socket = CanSocket(end)
         socket.setblocking(False)
+        self.queues[socket] = end.queue
         return socket
 
     def bound(self, *filters: CanAddress, computer: str = "vehicle") -> CanSocket:
@@ -45,27 +47,36 @@ class LockstepBus:
             socket.bind(*filters)
         return socket
 
-    def deliver(self, sender: "_End", arb: int, data: bytes) -> None:
-        route = self._routes.get(arb)
-        if route is None:
-            if len(self._routes) >= _ROUTES_MAX:
-                self._routes.clear()
-            route = tuple(end for end in self._ends if any(accepts(address, arb) for address in end.addresses))
-            self._routes[arb] = route
-        t_ns = self.clock.time_ns()
-        for end in route:
-            if end is sender:
-                continue
-            if len(end.queue) < self.queue_max:
-                end.queue.append(_new(Frame, (arb, data, t_ns, _IFINDEX, end.computer == sender.computer)))
-            else:
-                end.dropped += 1
+    def deliver(self, sender: "_End", messages: Sequence[tuple[int, bytes]]) -> None:
+        """To all other ends that accept them. Raises FormatError for one that is no frame; those before it were sent."""
+        routes, room, t_ns, computer = self._routes, self.queue_max, self.clock.time_ns(), sender.computer
+        for arb, data in messages:
+            if len(data) > 8:
+                raise FormatError(f"{len(data)} bytes of data do not fit a CAN frame of 8")
+            route = routes.get(arb)
+            if route is None:
+                route = self._route(arb)
+            for end in route:
+                if end is sender:
+                    continue
+                if len(end.queue) < room:
+                    end.queue.append(_new(Frame, (arb, data, t_ns, _IFINDEX, end.computer == computer)))
+                else:
+                    end.dropped += 1
+
+    def _route(self, arb: int) -> "tuple[_End, ...]":
+        if len(self._routes) >= _ROUTES_MAX:
+            self._routes.clear()
+        route = tuple(end for end in self._ends if any(accepts(address, arb) for address in end.addresses))
+        self._routes[arb] = route
+        return route
 
     def changed(self, closed: "_End | None" = None) -> None:
         """An end was bound or closed."""
         self._routes.clear()
         if closed in self._ends:
             self._ends.remove(closed)
+            self.queues = {socket: queue for socket, queue in self.queues.items() if queue is not closed.queue}
 
 
 class _End:
@@ -94,23 +105,26 @@ class _End:
         return self.queue.popleft() if self.queue else None
 
     def receive_many(self) -> list[Frame]:
-        return receive_each(self.receive) if self.queue else []
+        queue = self.queue
+        return [queue.popleft() for _ in range(min(len(queue), BATCH))] if queue else []
 
     def send_many(self, messages: Sequence[tuple[int, bytes]]) -> int:
-        return send_each(self.send, messages)
+        bus = self._bus
+        if bus is None or bus.off:
+            return len(messages)
+        bus.deliver(self, messages)
+        return 0
 
     def mirror(self) -> Many | None:
         return None
 
     def send(self, arb: int, data: bytes, ifindex: int = 0) -> None:
-        if len(data) > 8:
-            raise FormatError(f"{len(data)} bytes of data do not fit a CAN frame of 8")
         if ifindex not in (0, _IFINDEX):
             raise BusError(f"{self.name} has index {_IFINDEX}: it does not send by interface {ifindex}")
         bus = self._open()
         if bus.off:
             raise BusError(f"{self.name}: bus-off")
-        bus.deliver(self, arb, bytes(data))
+        bus.deliver(self, ((arb, bytes(data)),))
 
     def rehearse(self) -> None:
         """Nothing: there are no caches to warm."""

@@ -115,6 +115,11 @@ def _dragged(hull: Hull, vehicle: Vehicle) -> Hull:
     return hull._replace(surge_n_per_mps=0.2 * ahead_n / boat.full_mps, surge_n_per_mps2=0.8 * ahead_n / boat.full_mps**2)
 
 
+Push = tuple[float, tuple[float, float, float] | None, float, float]
+"""Of a thruster in a step: its place to starboard of the middle, m; surge N, sway N and yaw Nm where the water's speed means
+nothing; for a propeller of DelfimX None, its thrust coefficients at rest and their loss per m/s of speed ahead."""
+
+
 class Bank(NamedTuple):
     """A round place with less water, BANK_M about its middle."""
 
@@ -143,6 +148,22 @@ class Model:
         self.drives = {row.name: Drive(row, hull.rpm_max, hull.rpm_per_s_max) for row in rows}
         arms = [math.copysign(hull.propeller_m, row.y_m) if row.driver == "dsor" else row.y_m for row in rows]
         self._arms = list(zip(self.drives.values(), arms, strict=True))  # m to starboard of the middle
+        self._motors = hull.motor_s, hull.coast_s, hull.idle_a, 3600.0 * hull.capacity_ah
+        self._propeller = hull.thrust * hull.propeller_diameter_m, hull.thrust_per_j, hull.astern
+        self._torque = (
+            *(hull.propeller_diameter_m, WATER * hull.propeller_diameter_m**4, hull.torque, hull.torque_per_j),
+            hull.motor_efficiency * VOLTAGE_V,
+        )
+        self._water = (  # of a mass, and of what the water does to the hull
+            *(hull.mass_kg + hull.added_surge_kg, hull.mass_kg + hull.added_sway_kg, hull.inertia_kgm2 + hull.added_yaw_kgm2),
+            *(hull.surge_n_per_mps, hull.surge_n_per_mps2, hull.sway_n_per_mps, hull.sway_n_per_mps2),
+            *(hull.yaw_nm_per_radps, hull.yaw_nm_per_radps2, hull.lift_kg_per_m, -hull.lift_m),
+            WATER * hull.propeller_diameter_m**3 * hull.hull_efficiency,
+        )
+        self._wind = (
+            *(hull.wind_surge, hull.frontal_m2, hull.wind_sway, hull.lateral_m2),
+            AIR * hull.wind_yaw * hull.lateral_m2 * hull.length_m,
+        )
         self.origin = origin(latitude_rad, longitude_rad)
         self.time_s = 0.0
         self.north_m = self.east_m = 0.0  # from where it started
@@ -172,7 +193,8 @@ class Model:
         """The reference of a thruster's motor controller, which limits it. NaN is motor off."""
         drive = self.drives[name]
         drive.run = run and math.isfinite(rpm)
-        drive.reference_rpm = min(max(rpm, -drive.rpm_max), drive.rpm_max) if drive.run else 0.0
+        most = drive.rpm_max
+        drive.reference_rpm = 0.0 if not drive.run else rpm if -most <= rpm <= most else math.copysign(most, rpm)
 
     def push(self, name: str, part: float, angle_rad: float = 0.0, run: bool = True) -> None:
         """The same as -1..1 of full command, with the angle of one that turns, as drivers are told. Without `run` it stays
@@ -187,8 +209,9 @@ class Model:
         steps = max(1, math.ceil(dt_s / STEP_S - 1e-9))
         h = dt_s / steps
         self._gust(dt_s)
+        air = self._air()
         for _ in range(steps):
-            self._move(h, [self._turn(drive, h) for drive in self.drives.values()])
+            self._move(h, self._pushing(h), air)
         self.time_s += dt_s
 
     @property
@@ -253,86 +276,97 @@ class Model:
             self._gust_north_mps = keep * self._gust_north_mps + self._random.gauss(0.0, new)
             self._gust_east_mps = keep * self._gust_east_mps + self._random.gauss(0.0, new)
 
+    def _air(self) -> tuple[float, float] | None:
+        """Velocity of the water through the air, north and east; None: no wind blows, and that of a current does not count."""
+        if not (self._gust_mps or self._mean_north_mps or self._mean_east_mps):
+            return None
+        north_mps = self.current_north_mps - self._mean_north_mps - self._gust_north_mps
+        return north_mps, self.current_east_mps - self._mean_east_mps - self._gust_east_mps
+
     def _turn(self, drive: Drive, h: float) -> float:
         """Motor, what turns it, and their load on the batteries; returns the mean rpm of the step."""
         if drive.row.steer is not None:
             drive.turn(h)
-        hull, before_rpm = self.hull, drive.rpm
-        driven, reference_rpm = drive.run and drive.powered, drive.reference_rpm
+        motor_s, coast_s, idle_a, capacity_as = self._motors
+        before_rpm, powered, motor_a = drive.rpm, drive.powered, 0.0
+        driven, reference_rpm = drive.run and powered, drive.reference_rpm
         if drive.fault is not None:
             driven, reference_rpm = drive.failing()
         if driven:
-            step = (reference_rpm - drive.rpm) * (1.0 - math.exp(-h / hull.motor_s))
-            most = drive.rpm_per_s_max * h
-            drive.rpm += min(max(step, -most), most)
+            step, most = (reference_rpm - before_rpm) * (1.0 - math.exp(-h / motor_s)), drive.rpm_per_s_max * h
+            drive.rpm = rpm = before_rpm + (step if -most <= step <= most else math.copysign(most, step))
+            motor_a = self._motor_a(rpm) if drive.curve is None else W_PER_N * abs(drive.curve.force(drive.part)) / VOLTAGE_V
         else:
-            drive.rpm *= math.exp(-h / hull.coast_s)
-        motor_a = 0.0
-        if driven and drive.curve is not None:
-            motor_a = W_PER_N * abs(drive.curve.force(drive.part)) / VOLTAGE_V
-        elif driven:
-            n, d = abs(drive.rpm) / 60.0, hull.propeller_diameter_m
-            ahead_mps = math.copysign(self.surge_mps, self.surge_mps * drive.rpm)
-            torque_nm = WATER * d**4 * n * (hull.torque * n * d - hull.torque_per_j * ahead_mps)
-            motor_a = max(torque_nm, 0.0) * math.tau * n / (hull.motor_efficiency * VOLTAGE_V)
+            drive.rpm = rpm = before_rpm * math.exp(-h / coast_s)
         drive.motor_a = motor_a
-        drive.current_a = motor_a + hull.idle_a if drive.powered else 0.0
-        drive.charge = max(drive.charge - drive.current_a * h / (3600.0 * hull.capacity_ah), 0.0)
+        drive.current_a = current_a = motor_a + idle_a if powered else 0.0
+        left = drive.charge - current_a * h / capacity_as
+        drive.charge = left if left > 0.0 else 0.0
         drive.temperature_c += (AMBIENT_C + 0.01 * motor_a * motor_a - drive.temperature_c) * h / 300.0
-        return 0.5 * (before_rpm + drive.rpm)
+        return 0.5 * (before_rpm + rpm)
 
-    def _move(self, h: float, rpm: list[float]) -> None:
+    def _motor_a(self, rpm: float) -> float:
+        """Into the motor of a propeller of DelfimX at these revolutions."""
+        d, water, torque, per_j, voltage_v = self._torque
+        n, ahead_mps = abs(rpm) / 60.0, math.copysign(self.surge_mps, self.surge_mps * rpm)
+        torque_nm = water * n * (torque * n * d - per_j * ahead_mps)
+        return torque_nm * math.tau * n / voltage_v if torque_nm > 0.0 else 0.0
+
+    def _pushing(self, h: float) -> list[Push]:
+        """Let the motors run for a step; what pushes the boat then."""
+        pushes: list[Push] = []
+        thrust, per_j, astern = self._propeller
+        for drive, y in self._arms:
+            rpm = self._turn(drive, h)
+            if drive.curve is None:
+                n = rpm / 60.0
+                bollard = thrust * n * abs(n) * (1.0 if n > 0.0 else astern)
+                pushes.append((y, None, bollard, per_j * abs(n)))
+            else:
+                x_n, y_n = drive.push_n(rpm / drive.rpm_max)
+                pushes.append((y, (x_n, y_n, drive.row.x_m * y_n - y * x_n), 0.0, 0.0))
+        return pushes
+
+    def _move(self, h: float, pushes: list[Push], air: tuple[float, float] | None) -> None:
         """One step by the midpoint rule (second-order Runge-Kutta)."""
         u, v, r, heading = self.surge_mps, self.sway_mps, self.yaw_rate_radps, self.heading_rad
         half = 0.5 * h
-        du, dv, dr = self._accelerations(u, v, r, heading, rpm)
+        du, dv, dr = self._accelerations(u, v, r, math.cos(heading), math.sin(heading), pushes, air)
         um, vm, rm, at = u + half * du, v + half * dv, r + half * dr, heading + half * r
-        du, dv, dr = self._accelerations(um, vm, rm, at, rpm)
         c, s = math.cos(at), math.sin(at)
+        du, dv, dr = self._accelerations(um, vm, rm, c, s, pushes, air)
         self.surge_mps, self.sway_mps, self.yaw_rate_radps = u + h * du, v + h * dv, r + h * dr
         self.heading_rad = (heading + h * rm) % math.tau
         self.north_m += h * (um * c - vm * s + self.current_north_mps)
         self.east_m += h * (um * s + vm * c + self.current_east_mps)
 
-    def _accelerations(self, u: float, v: float, r: float, heading: float, rpm: list[float]) -> tuple[float, float, float]:
-        """Accelerations of surge, sway and yaw, for velocities through the water. Letters are those of Fossen 2011."""
-        hull = self.hull
-        m11, m22 = hull.mass_kg + hull.added_surge_kg, hull.mass_kg + hull.added_sway_kg
-        ahead_n, aside_n, turn_nm = self._pushes(u, r, rpm)
-        # A slender body sheds its cross-flow where it ends: astern of the water that it meets.
-        a, x, abs_u = hull.lift_kg_per_m, -hull.lift_m, abs(u)
-        surge_n = ahead_n - (hull.surge_n_per_mps + hull.surge_n_per_mps2 * abs_u) * u + m22 * v * r
-        sway_n = aside_n - (hull.sway_n_per_mps + hull.sway_n_per_mps2 * abs(v)) * v - a * (abs_u * v + x * u * r) - m11 * u * r
-        yaw_nm = turn_nm - (hull.yaw_nm_per_radps + hull.yaw_nm_per_radps2 * abs(r)) * r
-        yaw_nm -= a * (x * u * v + x * x * abs_u * r) + (m22 - m11) * u * v
-        if self._gust_mps or self._mean_north_mps or self._mean_east_mps:
-            c, s = math.cos(heading), math.sin(heading)
-            north = self.current_north_mps - self._mean_north_mps - self._gust_north_mps
-            east = self.current_east_mps - self._mean_east_mps - self._gust_east_mps
-            ua, va = u + north * c + east * s, v + east * c - north * s  # through the air
-            q = 0.5 * AIR * math.hypot(ua, va)
-            surge_n -= q * hull.wind_surge * hull.frontal_m2 * ua
-            sway_n -= q * hull.wind_sway * hull.lateral_m2 * va
-            yaw_nm -= AIR * hull.wind_yaw * hull.lateral_m2 * hull.length_m * ua * va
-        return surge_n / m11, sway_n / m22, yaw_nm / (hull.inertia_kgm2 + hull.added_yaw_kgm2)
-
-    def _pushes(self, u: float, r: float, rpm: list[float]) -> tuple[float, float, float]:
-        """Surge, sway and yaw moment of all thrusters."""
+    def _accelerations(
+        self, u: float, v: float, r: float, c: float, s: float, pushes: list[Push], air: tuple[float, float] | None
+    ) -> tuple[float, float, float]:
+        """Accelerations of surge, sway and yaw, for velocities through the water. `c` and `s`: the heading's cosine and sine.
+        Letters are those of Fossen 2011."""
+        m11, m22, m66, surge, surge2, sway, sway2, yaw, yaw2, a, x, thrust = self._water
         surge_n = sway_n = yaw_nm = 0.0
-        for (drive, y), turns in zip(self._arms, rpm, strict=True):
-            if drive.curve is None:
-                push_n = self._thrust(turns, u - y * r)
+        for y, force, bollard, loss in pushes:
+            if force is None:
+                push_n = thrust * (bollard - loss * (u - y * r))
                 surge_n += push_n
                 yaw_nm -= y * push_n
             else:
-                x_n, y_n = drive.push_n(turns / drive.rpm_max)
-                surge_n += x_n
-                sway_n += y_n
-                yaw_nm += drive.row.x_m * y_n - y * x_n
-        return surge_n, sway_n, yaw_nm
-
-    def _thrust(self, rpm: float, inflow_mps: float) -> float:
-        """Thrust of one propeller, N. `inflow_mps` is the speed of the propeller ahead through the water."""
-        hull, n, d = self.hull, rpm / 60.0, self.hull.propeller_diameter_m
-        bollard = hull.thrust * d * n * abs(n) * (1.0 if n > 0.0 else hull.astern)
-        return WATER * d**3 * hull.hull_efficiency * (bollard - hull.thrust_per_j * abs(n) * inflow_mps)
+                surge_n += force[0]
+                sway_n += force[1]
+                yaw_nm += force[2]
+        # A slender body sheds its cross-flow where it ends: astern of the water that it meets.
+        abs_u = abs(u)
+        surge_n = surge_n - (surge + surge2 * abs_u) * u + m22 * v * r
+        sway_n = sway_n - (sway + sway2 * abs(v)) * v - a * (abs_u * v + x * u * r) - m11 * u * r
+        yaw_nm -= (yaw + yaw2 * abs(r)) * r
+        yaw_nm -= a * (x * u * v + x * x * abs_u * r) + (m22 - m11) * u * v
+        if air is not None:
+            (north, east), (ahead, frontal_m2, aside, lateral_m2, turn) = air, self._wind
+            ua, va = u + north * c + east * s, v + east * c - north * s  # through the air
+            q = 0.5 * AIR * math.hypot(ua, va)
+            surge_n -= q * ahead * frontal_m2 * ua
+            sway_n -= q * aside * lateral_m2 * va
+            yaw_nm -= turn * ua * va
+        return surge_n / m11, sway_n / m22, yaw_nm / m66

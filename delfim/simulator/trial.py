@@ -19,7 +19,7 @@ from delfim.simulator.encounters import OWN_MPS, RANDOM, drawn, staged, staged_o
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.shipping import Vessel
 from delfim.simulator.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, settings_of
-from delfim.simulator.watch import TURNS, Onlooker
+from delfim.simulator.watch import TURNS, Onlooker, TruePlace
 from delfim.vehicle import console
 from delfim.vehicle.state import NoLog, StateLog
 
@@ -48,8 +48,9 @@ class Recorder:
     """The run's history, as events."""
 
     def __init__(self, run: Lockstep) -> None:
-        self._run, self.events = run, list[Event]()
-        self._mode: tuple[Mode, str] | None = None
+        self._run, self.events, self._drives = run, list[Event](), run.nodes.model.drives
+        self._mode: Mode | None = None
+        self._reason = ""
         self._notices: set[tuple[str, str]] = set()
         self._stopped = False
         self.nearest_m: list[float] = []
@@ -58,32 +59,29 @@ class Recorder:
         self.events.append(Event(self._run.elapsed_s, kind, name, text))
 
     def look(self) -> None:
-        state, model, now_s = self._run.state, self._run.nodes.model, self._run.elapsed_s
-        if (state.mode, state.reason) != self._mode:
-            self._mode = state.mode, state.reason
+        state, now_s = self._run.state, self._run.elapsed_s
+        if state.mode is not self._mode or state.reason != self._reason:
+            self._mode, self._reason = state.mode, state.reason
             self.events.append(Event(now_s, "mode", state.mode.name.lower(), state.reason))
         if state.notices or self._notices:
             present = {(notice.name, notice.action) for notice in state.notices}
             news = [notice for notice in state.notices if (notice.name, notice.action) not in self._notices]
             self.events += [Event(now_s, "notice", notice.name, f"{notice.reason}: {notice.action}") for notice in news]
             self._notices = present
-        stopped = max(abs(drive.part) for drive in model.drives.values()) <= TURNS
+        stopped = max([abs(drive.part) for drive in self._drives.values()]) <= TURNS
         if stopped is not self._stopped:
             self._stopped = stopped
             self.events.append(Event(now_s, "propellers", "stopped" if stopped else "turning"))
 
-    def passes(self) -> None:
+    def passes(self, place: TruePlace) -> None:
         """How near the boat's true position came to each waypoint."""
-        state, model = self._run.state, self._run.nodes.model
-        plan, origin = state.setpoint.plan, state.origin
-        if plan is None or origin is None:
+        plan, at = self._run.state.setpoint.plan, place.at
+        if plan is None or at is None:
             return
         if len(self.nearest_m) != len(plan.waypoints):
             self.nearest_m = [math.inf] * len(plan.waypoints)
-        north_m = (model.latitude_rad - origin.latitude_rad) * origin.north_m_per_rad
-        east_m = (model.longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
         for number, to in enumerate(plan.waypoints):
-            away_m = math.hypot(north_m - to.north_m, east_m - to.east_m) - to.acceptance_m
+            away_m = math.hypot(at[0] - to.north_m, at[1] - to.east_m) - to.acceptance_m
             self.nearest_m[number] = min(self.nearest_m[number], away_m)
 
 
@@ -95,7 +93,7 @@ def sail(
     make_log: Callable[[ManualClock], StateLog] | None = None,
     *,
     patient: bool = True,
-    look: Callable[[Lockstep], object] | None = None,
+    look: Callable[[Lockstep, TruePlace], object] | None = None,
 ) -> Result:
     """One run. `mission` is the text of the scenario's mission file. The same seed gives the same bytes. An operator who is not
     patient gives an order once and accepts a refusal. `look` is called after each cycle.
@@ -104,7 +102,7 @@ def sail(
     watch, recorder, operator = Onlooker(run), Recorder(run), Operator(run, scenario, mission, patient)
     faults = [(each.at_s, fault_of(each, run.faults.thrusters)) for each in scenario.fault]
     broken = deque(sorted(faults, key=lambda pair: pair[0]))
-    guest_s = 0.0
+    guest_s, counts_waypoints = 0.0, any(expected.waypoints for expected in scenario.expect)
     for _ in run.cycles(scenario.seconds):
         while broken and broken[0][0] <= run.elapsed_s:
             each = broken.popleft()[1]
@@ -117,9 +115,9 @@ def sail(
         watch.look()
         recorder.look()
         if look is not None:
-            look(run)
-        if any(expected.waypoints for expected in scenario.expect):
-            recorder.passes()
+            look(run, watch.place)
+        if counts_waypoints:
+            recorder.passes(watch.place)
     missed = [words for expected in scenario.expect if (words := _missed(expected, recorder, run.elapsed_s, run.nodes.vessels))]
     run.close()
     return Result(recorder.events, [*watch.failures, *operator.failures, *missed], run.elapsed_s)

@@ -3,75 +3,118 @@
 import math
 from typing import Final
 
+from delfim.geodesy import from_plane
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.fence import Fence
 from delfim.vehicle.state import State
-from delfim.vehicle.zones import clearance_m
+from delfim.vehicle.zones import Point, clearance_m
 
 TURNS: Final = 0.0857  # of full command; above this, 120 rpm of DelfimX, a thruster gives relevant thrust
 COAST_S: Final = 4.0  # time in which a stopped one comes to rest
 ASTRAY_S: Final = 12.0  # the same for one that does not obey: detected, disconnected, coasted
 BLIND_S: Final = 0.5  # time beyond the limit until the watchdog acts
+ROUNDING_M: Final = 1e-6  # of a clearance, far more than that
 NOISE_M: Final = 1.5  # between the true and the measured position
 DECEIVED_M: Final = 3.0  # with a larger error of position a boat cannot keep its fence
 CUT: Final = "dsor"  # the driver whose thrusters the boat cuts off from their batteries
+_IDLE: Final = Mode.IDLE  # asked for in each cycle; the lookup in the enumeration takes longer than the comparison
+
+
+class TruePlace:
+    """Where the hull is in truth, for all who look at a run: found once in each cycle. Call `look` after it, before theirs."""
+
+    def __init__(self, run: Lockstep) -> None:
+        self._run, self._model, self._plans = run, run.nodes.model, run.vehicle.helm.plans
+        self.at: Point | None = None  # in the boat's local plane; None: it has none yet
+        self._found: tuple[Fence, Point, float] | None = None  # the clearance of a fence at a place
+
+    def look(self) -> None:
+        model, origin = self._model, self._run.state.origin
+        if origin is None:
+            self.at = None
+            return
+        latitude_rad, longitude_rad = from_plane(model.origin, model.north_m, model.east_m)
+        north_m = (latitude_rad - origin.latitude_rad) * origin.north_m_per_rad
+        self.at = north_m, (longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
+
+    def clear_m(self, within_m: float) -> float:
+        """Of the fence, negative outside it: exact where it is less than `within_m`. It is not found again before the boat can
+        have come so near: it loses no more of it than the way that it makes."""
+        fence, at = self._plans.fence, self.at
+        if fence is None or at is None or not fence.zones:
+            return math.inf
+        if self._found is not None and self._found[0] is fence:
+            _, there, clear_m = self._found
+            if at is there:
+                return clear_m
+            least_m = clear_m - math.dist(at, there) - ROUNDING_M
+            if least_m >= within_m:
+                return least_m
+        clear_m = min([clearance_m(zone, *at) for zone in fence.zones])
+        if not any(zone.areas for zone in fence.zones):  # from one area into the next it may lose more
+            self._found = fence, at, clear_m
+        return clear_m
 
 
 class Onlooker:
     """Call `look` after each cycle."""
 
     def __init__(self, run: Lockstep) -> None:
-        self._run, self._model, self._settings = run, run.nodes.model, run.settings
+        self._run, self._drives, self.place = run, run.nodes.model.drives, TruePlace(run)
         self.failures: list[str] = []
-        self._uncut = {row.name for row in self._settings.thrusters if row.driver != CUT}
+        self._uncut = {row.name for row in run.settings.thrusters if row.driver != CUT}
+        self._blind_s = run.settings.failsafe.navigation_silent.after_s + BLIND_S
         self._turning_since_s = math.inf
         self._was_inside, self._astray, self._drifted = True, False, False
 
     def look(self) -> None:
         run, state = self._run, self._run.state
-        now_s, sent, limits = run.elapsed_s, state.actuation, self._settings
-        idle = state.mode is Mode.IDLE
+        now_s, sent = run.elapsed_s, state.actuation
+        idle = state.mode is _IDLE
+        self.place.look()
         fastest = max(map(abs, sent.thrust))
         if not fastest <= 1.0 or (fastest and (idle or not sent.run)):
             self._fail(f"commanded {sent}")
         if idle and not state.reason:
             self._fail("stopped without a reason")
-        if not idle and now_s - state.navigation_s > limits.failsafe.navigation_silent.after_s + BLIND_S:
+        if not idle and now_s - state.navigation_s > self._blind_s:
             self._fail(f"sailing blind in mode {state.mode.name.lower()}")
-        self._adrift(idle, now_s)
+        if not (idle and self._turns()):
+            self._turning_since_s, self._astray = math.inf, False
+        else:
+            self._adrift(now_s)
         if (around := run.vehicle.helm.plans.fence) is not None:
             self._fenced(around, state, idle)
 
-    def _adrift(self, idle: bool, now_s: float) -> None:
+    def _turns(self) -> bool:
+        """Whether propellers give thrust. One that does not obey, and that the boat cannot cut off, is not its fault."""
+        drives = [drive for name, drive in self._drives.items() if not (drive.fault and name in self._uncut)]
+        return any(abs(drive.part) > TURNS for drive in drives)
+
+    def _adrift(self, now_s: float) -> None:
         """Propellers give thrust while nothing steers the boat. Neither a failed bus nor a node that tells it nothing is the
-        boat's fault: what turns then it learns afterwards. Nor is a thruster that does not obey and that it cannot cut off."""
-        model, on = self._model, self._run.faults.on
-        drives = [drive for name, drive in model.drives.items() if not (drive.fault and name in self._uncut)]
-        turns = any(abs(drive.part) > TURNS for drive in drives)
-        is_deaf = "bus_off" in on or "sensor_silent" in on or any(kind.startswith("frames_") for kind in on)
-        if not (idle and turns) or is_deaf:
+        boat's fault: what turns then it learns afterwards."""
+        on = self._run.faults.on
+        if "bus_off" in on or "sensor_silent" in on or any(kind.startswith("frames_") for kind in on):
             self._turning_since_s, self._astray = math.inf, False
             return
         self._turning_since_s = min(self._turning_since_s, now_s)
-        self._astray = self._astray or any(drive.fault for drive in model.drives.values())
+        self._astray = self._astray or any(drive.fault for drive in self._drives.values())
         if now_s - self._turning_since_s > (ASTRAY_S if self._astray else COAST_S):
             self._fail("adrift under power")
 
     def _fenced(self, around: Fence, state: State, idle: bool) -> None:
-        """A boat that obeys, knows its position and drives must not leave its fence. A stopped boat may drift, and one that was
-        within the margin when it began to drive may go on while it turns, until it has the margin again."""
-        model, origin = self._model, state.origin
-        if origin is None:
+        """A boat that obeys, knows its position and drives must not leave its fence. A stopped boat may drift, and so may one
+        that was told a wrong position; one that was within the margin when it began to drive, or learnt where it is, may go on
+        while it turns, until it has the margin again."""
+        at, clear_m = self.place.at, self.place.clear_m(around.limits.margin_m)
+        if at is None:
             return
-        north_m = (model.latitude_rad - origin.latitude_rad) * origin.north_m_per_rad
-        east_m = (model.longitude_rad - origin.longitude_rad) * origin.east_m_per_rad
-        clear_m = min((clearance_m(zone, north_m, east_m) for zone in around.zones), default=math.inf)
         inside, has_margin = clear_m > -NOISE_M, clear_m >= around.limits.margin_m
-        self._drifted = not has_margin and (idle or self._drifted)
-        deceived = math.dist((north_m, east_m), (state.motion.north_m, state.motion.east_m)) > DECEIVED_M
-        obeys = not any(drive.fault for drive in model.drives.values())
-        if self._was_inside and not inside and not self._drifted and not idle and obeys and not deceived:
+        deceived = not has_margin and math.dist(at, (state.motion.north_m, state.motion.east_m)) > DECEIVED_M
+        self._drifted = not has_margin and (idle or deceived or self._drifted)
+        if self._was_inside and not inside and not self._drifted and not any(drive.fault for drive in self._drives.values()):
             self._fail(f"outside the fence in mode {state.mode.name.lower()}")
         self._was_inside = inside
 

@@ -138,10 +138,11 @@ def _corners(zone: Zone, room_m: float) -> Iterator[Point]:
             for i in range(0 if area.keep_in else ROUND):
                 turn = math.tau * i / ROUND
                 yield area.north_m + reach_m * math.cos(turn), area.east_m + reach_m * math.sin(turn)
-        for side, after in zip(area.sides, (*area.sides[1:], *area.sides[:1]), strict=True):
-            back, on = math.hypot(side.by_north_m, side.by_east_m), math.hypot(after.by_north_m, after.by_east_m)
-            out_n, out_e = side.by_north_m / back - after.by_north_m / on, side.by_east_m / back - after.by_east_m / on
+        after = (*area.sides[1:], *area.sides[:1])
+        for (_, _, back_n, back_e, corner_n, corner_e), (_, _, on_n, on_e, _, _) in zip(area.sides, after, strict=True):
+            back, on = math.hypot(back_n, back_e), math.hypot(on_n, on_e)
+            out_n, out_e = back_n / back - on_n / on, back_e / back - on_e / on
             sharp = math.hypot(out_n, out_e)  # twice the sine of half the turn
             for turn in () if sharp < 1e-3 else (0.0,) if sharp < SHARP else (0.0, -FAN_RAD, FAN_RAD):
                 bearing = math.atan2(out_e, out_n) + turn
-                yield after.north_m + FAN * room_m * math.cos(bearing), after.east_m + FAN * room_m * math.sin(bearing)
+                yield corner_n + FAN * room_m * math.cos(bearing), corner_e + FAN * room_m * math.sin(bearing)

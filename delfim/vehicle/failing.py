@@ -26,6 +26,8 @@ class Failing:
             if state.failed:
                 state.failed, state.unsteerable = {}, self._propulsion.drop(())
             return found
+        if not found:
+            return found
         after_s = self._settings.failsafe.thruster.after_s
         lasting = {name: words for name, words in found.items() if now_s - self._since_s[name] >= after_s}
         if new := lasting.keys() - state.failed.keys():

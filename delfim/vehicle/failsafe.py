@@ -8,6 +8,7 @@ When a trouble ends, the boat does not resume what it was doing: the operator ac
 import math
 from collections.abc import Mapping
 from enum import IntEnum
+from operator import itemgetter
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -41,6 +42,7 @@ class Episode(NamedTuple):
 
 
 Memory = Mapping[Trigger, Episode]
+_new = tuple.__new__  # a third of the time of Episode(...): each trouble has one, ten times a second
 
 
 class Verdict(NamedTuple):
@@ -54,6 +56,8 @@ _DOES: Final = {Action.HOME: (Mode.HOME, Mode.HOLD), Action.HOLD: (Mode.HOLD,), 
 NO_TROUBLE: Final[Memory] = MappingProxyType({})
 _WELL: Final = Verdict(NO_TROUBLE, Action.NONE, "", ())
 _NEVER_S: Final = math.inf
+_NAMES: Final = {trigger: trigger.name.lower() for trigger in Trigger}  # as the vehicle's file has them
+_DONE: Final = {action: action.name.lower() for action in Action}
 
 
 class Rules:
@@ -68,7 +72,7 @@ class Rules:
 
 def _lasting_s(table: config.Failsafe, trigger: Trigger) -> float:
     """How long a trouble without an age of its own must last before the boat acts."""
-    row: config.Trouble | None = getattr(table, trigger.name.lower(), None)
+    row: config.Trouble | None = getattr(table, _NAMES[trigger], None)
     return 0.0 if row is None or isinstance(row, config.Silence) else row.after_s
 
 
@@ -79,7 +83,7 @@ def _action(table: config.Failsafe, trigger: Trigger, mode: Mode) -> Action:
         return Action.DISCONNECT if trigger is Trigger.THRUSTER and table.thruster.disconnect else Action.WARN
     if trigger is Trigger.CONTROL:
         return Action.STOP
-    row: config.Trouble = getattr(table, trigger.name.lower())
+    row: config.Trouble = getattr(table, _NAMES[trigger])
     own: str = getattr(row, mode.name.lower())
     return Action[(row.action if own == "same" else own).upper()]
 
@@ -91,7 +95,7 @@ def failsafe(rules: Rules, memory: Memory, state: State, inputs: Inputs, now_s: 
         return _WELL
     after = _remembered(rules, memory, found, now_s)
     worst, reason = Action.NONE, ""
-    notices = []
+    answers = list[tuple[Action, Notice]]()
     for trigger in sorted(after):
         episode = after[trigger]
         if episode.acting_s == _NEVER_S:
@@ -101,9 +105,9 @@ def failsafe(rules: Rules, memory: Memory, state: State, inputs: Inputs, now_s: 
             after[trigger] = episode._replace(answered=True)
         if action > worst:
             worst, reason = action, why
-        notices.append(Notice(trigger.name.lower(), why, episode.since_s, action.name.lower()))
-    notices.sort(key=lambda notice: -Action[notice.action.upper()])
-    return Verdict(after, worst, reason, tuple(notices))
+        answers.append((action, Notice(_NAMES[trigger], why, episode.since_s, _DONE[action])))
+    answers.sort(key=itemgetter(0), reverse=True)
+    return Verdict(after, worst, reason, tuple([notice for _, notice in answers]))
 
 
 def fallback(action: Action, reason: str, has: frozenset[str], setpoint: Setpoint) -> tuple[Mode, str]:
@@ -146,7 +150,7 @@ def _remembered(rules: Rules, memory: Memory, found: list[tuple[Trigger, str]], 
         since_s, acting_s, answered = (now_s, _NEVER_S, False) if was is None else (was.since_s, was.acting_s, was.answered)
         if acting_s == _NEVER_S and now_s - since_s >= rules.lasting_s[trigger]:
             acting_s = now_s
-        after[trigger] = Episode(reason, since_s, now_s, acting_s, answered)
+        after[trigger] = _new(Episode, (reason, since_s, now_s, acting_s, answered))
     for trigger, was in memory.items():
         if trigger not in after and was.acting_s != _NEVER_S and now_s - was.seen_s < rules.clear_s:
             after[trigger] = was

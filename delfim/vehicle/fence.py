@@ -16,6 +16,7 @@ from delfim.vehicle.state import Motion, Setpoint
 from delfim.vehicle.zones import LOOKS, Point, Zone, circle, clearance_m, cost, least, may, polygon, together
 
 BOXES: Final = 4  # boxes that are compared in the time of one comparison
+PARTS: Final = 1.0, 0.4  # of the radius to hold within, the next where no place has room for the one before
 RECEDES_M = 0.01  # a boat whose clearance shrinks by no more than this leaves a zone, or goes along it
 
 
@@ -121,20 +122,22 @@ def outside(fence: Fence, north_m: float, east_m: float) -> str | None:
     return None
 
 
-def place_to_hold(fence: Fence, at: Point, here: Point, track: Sequence[Point], radius_m: float) -> Work[Point]:
+def place_to_hold(fence: Fence, at: Point, here: Point, track: Sequence[Point], radius_m: float) -> Work[tuple[Point, float]]:
     """Where to hold so that drifting within `radius_m` keeps the margin: here, or else at the newest place of the
-    driven track (oldest first) with this room; here where no place has it. The boat goes there in a straight line from `at`,
-    which must not lead nearer to a zone: the track may have led around it.
+    driven track (oldest first) with this room; where no place has it, the same within a smaller part of the radius, which is
+    the second part of the answer, and at last here. The boat goes there in a straight line from `at`, which must not lead
+    nearer to a zone: the track may have led around it.
     """
-    for point in (here, *reversed(track)):
-        has_room, looked = _has_room(fence, point, radius_m + fence.limits.margin_m)
-        if has_room:
-            is_clear, more = _is_clear(fence, at, point)
-            if is_clear:
-                return point
-            looked += more
-        yield 2 * looked  # an expensive one has a slice to itself
-    return here
+    for part in PARTS:
+        for point in (here, *reversed(track)):
+            has_room, looked = _has_room(fence, point, part * radius_m + fence.limits.margin_m)
+            if has_room:
+                is_clear, more = _is_clear(fence, at, point)
+                if is_clear:
+                    return point, part
+                looked += more
+            yield 2 * looked  # an expensive one has a slice to itself
+    return here, PARTS[-1]
 
 
 def _is_clear(fence: Fence, at: Point, to: Point) -> tuple[bool, int]:

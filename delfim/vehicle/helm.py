@@ -52,7 +52,7 @@ class Helm:
         self.paused: Paused | None = None
         self.alone = Alone(settings.thrusters, state, propulsion, log)
         self._announcing = Announcing(state, log)
-        self._seeking: Sliced[Point] | None = None  # the search for a better place to hold
+        self._seeking: Sliced[tuple[Point, float]] | None = None  # the search for a better place to hold
         self._detour: detour.Detour | None = None  # and for a way round zones
         self._retreat: tuple[Point, ...] = ()  # the driven track, up to where the boat went back to; empty: it did not
         self._controlled_s = clock.monotonic_s()
@@ -128,8 +128,8 @@ class Helm:
         """Thrust that is not repeated ends; the mode stays. Thrust returns only after the joystick is released."""
         self.alone.fade(now_s)
         state, silent_s = self.state, now_s - self.state.manual_s
-        held = state.setpoint.starboard or state.setpoint.port
-        if state.mode is Mode.MANUAL and held and silent_s > self.settings.failsafe.manual_silent.thrust_s:
+        held = state.mode is Mode.MANUAL and (state.setpoint.starboard or state.setpoint.port)
+        if held and silent_s > self.settings.failsafe.manual_silent.thrust_s:
             self._release(f"no thrust: no manual command for {silent_s:.1f} s", now_s)
 
     def _release(self, reason: str, now_s: float) -> None:
@@ -149,10 +149,10 @@ class Helm:
         self.state.announced = self._announcing.news(self.plans.mission)
 
     def _seek(self) -> None:
-        """The place to hold moves to a better one as soon as that is found."""
+        """The place to hold moves to a better one as soon as that is found, and the radius to what the fence leaves."""
         if self._seeking is not None and self._seeking.step():
-            (north_m, east_m), self._seeking = self._seeking.result, None
-            self.memory = self.memory._replace(north_m=north_m, east_m=east_m)
+            ((north_m, east_m), room), self._seeking = self._seeking.result, None
+            self.memory = self.memory._replace(north_m=north_m, east_m=east_m, room=room)
 
     def finish(self) -> None:
         """The mode has reached its end: home if the mission says so, otherwise hold, or idle if the boat cannot hold or was

@@ -29,8 +29,9 @@ class Latency:
 
     def add(self, p: Profile) -> None:
         """One cycle. An impossible path (the wall clock was stepped in between) is not counted."""
-        path_ns = p.t4 - p.t0
-        if not 0 <= path_ns <= LONGEST_NS or p.t0 == 0:
+        t0, t1, t2, t3, t4, t5 = p
+        path_ns = t4 - t0
+        if not 0 <= path_ns <= LONGEST_NS or t0 == 0:
             return
         if self._skipped:
             self._skipped -= 1
@@ -38,14 +39,16 @@ class Latency:
         path_us = path_ns / 1e3
         self.n += 1
         self.counts[bisect_left(EDGES_US, path_us)] += 1
-        self.worst_us = max(self.worst_us, path_us)
+        if path_us > self.worst_us:
+            self.worst_us = path_us
+        if t1 < t0:  # the loop may have been awake before the last frame came
+            t1 = t0
         sums = self._sums_ns
-        t1 = max(p.t1, p.t0)  # the loop may have been awake before the last frame came
-        sums[0] += t1 - p.t0
-        sums[1] += p.t2 - t1
-        sums[2] += p.t3 - p.t2
-        sums[3] += p.t4 - p.t3
-        sums[4] += p.t5 - p.t4
+        sums[0] += t1 - t0
+        sums[1] += t2 - t1
+        sums[2] += t3 - t2
+        sums[3] += t4 - t3
+        sums[4] += t5 - t4
 
     def percentile_us(self, part: float, totals: list[int] | None = None) -> float:
         """The path that `part` (0..1) of all cycles did not exceed, to the histogram's resolution; 0 before the first.

@@ -80,9 +80,9 @@ class VehicleLoop:
         t4 = time_ns()
         self.guest.send()
         self._after(now_s)
-        state.profile = Profile(fix.t0_ns, t1, t2, t3, t4, state.profile.t5)
+        state.profile = tuple.__new__(Profile, (fix.t0_ns, t1, t2, t3, t4, state.profile.t5))  # in half the time
         self.log.write(state, now_s)
-        state.profile = Profile(fix.t0_ns, t1, t2, t3, t4, time_ns())
+        state.profile = tuple.__new__(Profile, (fix.t0_ns, t1, t2, t3, t4, time_ns()))
         self.latency.add(state.profile)
         return True
 
@@ -142,7 +142,7 @@ class VehicleLoop:
             self._lookout.look(state, now_s)
         inputs = Inputs(self.log.reason(), helm.plans.fence, self._failing.look(now_s))
         helm.troubles, action, reason, notices = failsafe.failsafe(helm.rules, helm.troubles, state, inputs, now_s)
-        if notices or state.notices:
+        if notices != state.notices:
             for text in failsafe.news(state.notices, notices):
                 self.log.note(text)
             state.notices = notices

@@ -3,6 +3,8 @@
 import math
 from typing import Final, Literal, NamedTuple
 
+import msgspec
+
 NEVER_S: Final = -1e9
 STATUS_UNKNOWN: Final = 15
 
@@ -65,4 +67,4 @@ class Traffic(NamedTuple):
     dangers: tuple[Danger, ...] = ()  # of each vessel
     guard: str = "off"  # "on", "off", "cannot avoid: " and why
     nearness: float = math.nan  # the least of all dangers; nan: there is nobody
-    told: tuple[VesselTold, ...] = ()  # the vessels in words, of this look or the one before
+    told: tuple[msgspec.Raw, ...] = ()  # the vessels in words, each as JSON, of this look or the one before

@@ -38,7 +38,8 @@ class Track:
     def add(self, north_m: float, east_m: float) -> None:
         """Add the boat's present place; metres in the local plane."""
         self._cut(north_m, east_m)
-        self._sweep()
+        if self._forgotten:
+            self._sweep()
         if self._points and math.dist(self._points[-1], (north_m, east_m)) < self._spacing_m:
             return
         if len(self._points) >= self._most:
@@ -66,7 +67,9 @@ class Track:
 
     def look_back(self) -> None:
         """Search some of the older points, newest first, for a harbour nearby. Call it now and then."""
-        for _ in range(min(BACK, self._unseen) if self._harbours else 0):
+        if not (self._unseen and self._harbours):
+            return
+        for _ in range(min(BACK, self._unseen)):
             self._unseen -= 1
             if self._passes(self._points[self._unseen]):
                 self._end, self._unseen = self._unseen, 0
@@ -77,12 +80,13 @@ class Track:
 
     def _cut(self, north_m: float, east_m: float) -> None:
         """Remove the points after the oldest one that the boat stands on."""
-        row, column = self._cell(north_m, east_m)
+        (row, column), newest = self._cell(north_m, east_m), self._cells.get
+        columns = column - 1, column, column + 1
         last = len(self._points) - 1
         keep = last
         for i in (row - 1, row, row + 1):
-            for j in (column - 1, column, column + 1):
-                index = self._cells.get((i, j), last)
+            for j in columns:
+                index = newest((i, j), last)
                 if index < keep and math.dist(self._points[index], (north_m, east_m)) < self._cut_m:
                     keep = index
         if keep == last:

@@ -6,6 +6,7 @@ compare it with `after_s` themselves: their class is a `config.Silence`.
 
 import math
 from collections.abc import Callable, Container, Mapping
+from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
 from typing import Final, NamedTuple, Self
@@ -38,8 +39,9 @@ class Inputs(NamedTuple):
     astray: Mapping[str, str] = MappingProxyType({})  # thrusters that do not do as commanded, as `astray` tells them
 
 
-class Look(NamedTuple):
-    """The data that a trouble is judged by."""
+@dataclass(slots=True)
+class Look:
+    """The data that a trouble is judged by. Slots, because all troubles together ask for some fifty fields."""
 
     settings: config.Vehicle
     state: State
@@ -56,10 +58,10 @@ def kill(look: Look) -> str | None:
 
 def _has_no_power(look: Look) -> bool:
     """The boat is killed, and all thrusters that ever reported are silent or without voltage."""
-    reports, stale_s = look.state.thrusters.values(), look.settings.sysstat.stale_s
-    if not (look.state.killed.reason and reports):
+    if not look.state.killed.reason:
         return False
-    return all(
+    reports, stale_s = look.state.thrusters.values(), look.settings.sysstat.stale_s
+    return bool(reports) and all(
         look.now_s - each.heard_s > stale_s or (each.voltage_v is not None and each.voltage_v < DEAD_V) for each in reports
     )
 
@@ -108,12 +110,13 @@ def navigation_silent(look: Look) -> str | None:
 
 def navigation_frozen(look: Look) -> str | None:
     state, age_s, after_s = look.state, look.now_s - look.state.changed_s, look.settings.failsafe.navigation_frozen.after_s
-    turns = state.actuation.run and max(map(abs, state.actuation.thrust), default=0.0) > TURNING
-    if state.mode is Mode.IDLE or not turns:
+    if state.mode is Mode.IDLE:
         return None
-    return (
-        f"navigation frozen for {age_s:.1f} s" if age_s > after_s else inputhealth.frozen(_inputs(state), look.now_s, after_s)
-    )
+    words = f"navigation frozen for {age_s:.1f} s" if age_s > after_s else None
+    if words is None and (words := inputhealth.frozen(_inputs(state), look.now_s, after_s)) is None:
+        return None
+    turns = state.actuation.run and max(map(abs, state.actuation.thrust), default=0.0) > TURNING
+    return words if turns else None
 
 
 def sensor_bad(look: Look) -> str | None:
@@ -141,8 +144,10 @@ def battery_low(look: Look) -> str | None:
 
 
 def thruster(look: Look) -> str | None:
-    state = look.state
-    words = ", ".join({**look.inputs.astray, **state.failed}.values())
+    state, astray = look.state, look.inputs.astray
+    if not (astray or state.failed):
+        return None
+    words = ", ".join({**astray, **state.failed}.values())
     return f"{words}: {state.unsteerable}" if words and state.unsteerable else words or None
 
 
@@ -197,9 +202,9 @@ def _traffic(look: Look, level: str) -> str | None:
     now = look.state.traffic
     if not now.dangers:
         return None
-    words = [each.words for each in now.dangers if each.level == level]
     if level == "near" and now.order is not None:
         return now.order.words
+    words = [each.words for each in now.dangers if each.level == level]
     if not words:
         return None
     cannot = f"; {now.guard}" if now.guard.startswith("cannot") else ""
@@ -263,11 +268,11 @@ def troubles(look: Look) -> list[tuple[Trigger, str]]:
 
 def charge(state: State) -> tuple[float, str]:
     """Charge of the emptier side, 0..1, and its name; (1, "") if no side reports."""
-    least, name = 1.0, ""
+    least, name, reports = 1.0, "", state.sysstat
     for batteries in _BATTERIES:
-        report = state.sysstat.get(batteries)
-        if report is not None and isinstance(report[0], BatteriesStatus):
-            known = report[0].charge
+        report = reports.get(batteries)
+        if report is not None and isinstance(status := report[0], BatteriesStatus):
+            known = status.charge
             if known is not None and (known < least or not name):
                 least, name = known, batteries
     return least, name
@@ -300,20 +305,20 @@ def low(
 def astray(settings: config.Vehicle, state: State, now_s: float) -> dict[str, str]:
     """The thrusters that do not do as commanded, by name, each with the reason in words. One that never reported
     does not count."""
-    found, sent = dict[str, str](), state.actuation
-    for row, thrust, angle_rad in zip(settings.thrusters, sent.thrust, sent.angle_rad, strict=False):
-        report = state.thrusters.get(row.name)
+    found, reports, (thrusts, angles_rad, runs) = dict[str, str](), state.thrusters, state.actuation
+    for row, thrust, angle_rad in zip(settings.thrusters, thrusts, angles_rad, strict=False):
+        report = reports.get(row.name)
         if report is None:
             continue
         age_s = now_s - report.heard_s
         if age_s > FRESH_S:
-            if sent.run and age_s > settings.sysstat.stale_s and row.driver != "dsor":  # of whose nodes sysstat tells
+            if runs and age_s > settings.sysstat.stale_s and row.driver != "dsor":  # of whose nodes sysstat tells
                 found[row.name] = f"{row.name} propeller silent for {age_s:.1f} s"
-        elif report.refuses and sent.run:
+        elif report.refuses and runs:
             found[row.name] = f"{row.name} thruster does not obey: {report.refuses}"
-        elif report.rpm is not None and (words := _revolving(settings, row, thrust if sent.run else None, report.rpm)):
+        elif report.rpm is not None and (words := _revolving(settings, row, thrust if runs else None, report.rpm)):
             found[row.name] = f"{row.name} propeller {words}"
-        elif report.angle_rad is not None and sent.run:
+        elif report.angle_rad is not None and runs:
             off_deg = math.degrees(abs(wrap(report.angle_rad - angle_rad)))
             if off_deg > settings.failsafe.thruster.error_deg:
                 stands_deg, asked_deg = math.degrees(report.angle_rad), math.degrees(angle_rad)

@@ -23,15 +23,9 @@ OVERLAP: Final = 4  # areas at one point whose clearance is compared; of more, t
 BARE: Final = 8  # stretches of a way that no area covers; a way with more leads through forbidden water
 
 
-class Side(NamedTuple):
-    """A side of a polygon: start, step and end. (Start and step do not add up to the end, to the last bit.)"""
-
-    north_m: float
-    east_m: float
-    by_north_m: float
-    by_east_m: float
-    to_north_m: float
-    to_east_m: float
+# A side of a polygon: north and east of its start, its step and its end, in m. (Start and step do not add up to the end, to the
+# last bit.) A bare tuple, which a loop takes apart in half the time.
+Side = tuple[float, float, float, float, float, float]
 
 
 class Part(NamedTuple):
@@ -58,7 +52,7 @@ class Zone(NamedTuple):
 def polygon(name: str, keep_in: bool, corners: Sequence[Point]) -> Zone:
     """A zone from the corners of a polygon, in either direction."""
     ends = [*corners[1:], corners[0]]
-    sides = tuple(Side(*a, b[0] - a[0], b[1] - a[1], *b) for a, b in zip(corners, ends, strict=True))
+    sides = tuple((*a, b[0] - a[0], b[1] - a[1], *b) for a, b in zip(corners, ends, strict=True))
     around = [*corners, corners[0]]
     parts = [Part(box_of(around[at : at + PART + 1]), sides[at : at + PART]) for at in range(0, len(sides), PART)]
     return Zone(name, keep_in, sides, box=box_of(corners), parts=tuple(parts))
@@ -153,16 +147,28 @@ def least(zone: Zone, a: Point, b: Point, within_m: float = math.inf) -> tuple[f
     if not (may(zone, *a) and may(zone, *b)):
         return min(clearance_m(zone, *a), clearance_m(zone, *b)), looked + len(zone.sides) // 2
     smallest = math.inf
+    (a_n, a_e), (b_n, b_e) = a, b
+    south, north = (a_n - within_m, b_n + within_m) if a_n < b_n else (b_n - within_m, a_n + within_m)
+    west, east = (a_e - within_m, b_e + within_m) if a_e < b_e else (b_e - within_m, a_e + within_m)
     for part in zone.parts:
         if apart(part.box, a, b, within_m):
             continue
         looked += 2 * len(part.sides)
-        smallest = min(smallest, _edge_m(part.sides, *a), _edge_m(part.sides, *b))
-        for n, e, _, _, to_n, to_e in part.sides:
+        near = [
+            side
+            for side in part.sides
+            if (side[0] <= north or side[4] <= north)
+            and (side[0] >= south or side[4] >= south)
+            and (side[1] <= east or side[5] <= east)
+            and (side[1] >= west or side[5] >= west)
+        ]
+        if not near:
+            continue  # the box around the sides is near, but none of them
+        smallest = min(smallest, _edge_m(near, *a), _edge_m(near, *b))
+        for n, e, _, _, to_n, to_e in near:
             if geodesy.segments_meet(a, b, (n, e), (to_n, to_e)):
                 return 0.0, looked
-            smallest = min(smallest, from_segment(a, by, (n, e)))
-        smallest = min(smallest, from_segment(a, by, part.sides[-1][4:]))
+            smallest = min(smallest, from_segment(a, by, (n, e)), from_segment(a, by, (to_n, to_e)))
     return smallest if smallest < within_m else math.inf, looked
 
 

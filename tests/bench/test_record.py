@@ -53,7 +53,9 @@ def test_the_record_sails_four_sets_with_and_without_the_guard_by_two_kinds_of_a
     assert {values[record.HEARD] for _, values in plan.points} == {"perfect", "B"}
     assert {values[record.GUARD] for _, values in plan.points} == {True}
     assert {values[record.GUARD] for _, values in bare.points} == {False}
-    assert plan.digest != bare.digest
+    scales = [record.plan_of(2, guarded=True, scale=each) for each in (record.SIMILAR, record.REAL)]
+    assert [each.runs for each in scales] == [(22 + 55) * 2] * 2
+    assert len({plan.digest, bare.digest, *(each.digest for each in scales)}) == 4
     assert plan.values(0, 2)["simulation.sea.wind_mps"] == bare.values(0, 2)["simulation.sea.wind_mps"], "side by side"
 
 

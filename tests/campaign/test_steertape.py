@@ -20,15 +20,13 @@ class Played:
 
     def __init__(self, mode: Mode, setpoint: Setpoint | None = None, reference: Reference | None = None) -> None:
         self.state = State(mode=mode, mode_s=0.0, setpoint=setpoint or Setpoint(), reference=reference or Reference())
-        self.elapsed_s = 0.0
         self.nodes = SimpleNamespace(model=SimpleNamespace(heading_rad=0.0, north_mps=1.0, east_mps=0.0))
         self.vehicle = SimpleNamespace(helm=SimpleNamespace(memory=SimpleNamespace(leg=0)))
         self.tape = SteerTape(cast(Lockstep, self))
 
     def look(self, at_s: float, north_m: float = 0.0, east_m: float = 0.0, **model: Any) -> None:
-        self.elapsed_s = at_s
         vars(self.nodes.model).update(model)
-        self.tape.look(north_m, east_m)
+        self.tape.look(at_s, (north_m, east_m))
 
 
 def test_of_a_spread_without_values_nothing_is_known() -> None:

@@ -14,6 +14,7 @@ from delfim.canproxy.nmea2000 import ais
 from delfim.canproxy.nmea2000.ais import decode
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.errors import FormatError
+from delfim.simulator.nodes import aisframes
 from delfim.vessels import VesselFacts, VesselPosition
 from tests.canproxy.pgn_of import pgn_of
 from tests.canproxy.test_recordings import BUSY, RAYMARINE, recording
@@ -24,6 +25,7 @@ STALLED = 1  # message that the recorder's pause of 1.2 s cut in two: too old fo
 
 def expected(pgn: int, raw: dict[str, Any], shown: dict[str, Any]) -> tuple[object, ...]:
     """The independent decoder's fields in the order and units of ours."""
+    own = raw["aisTransceiverInformation"] in (2, 3, 4)
     if pgn in (129038, 129039):
         place = [
             None if raw[k] is None or abs(raw[k]) > most else math.radians(raw[k])
@@ -32,11 +34,10 @@ def expected(pgn: int, raw: dict[str, Any], shown: dict[str, Any]) -> tuple[obje
         is_a, second = pgn == 129038, raw["timeStamp"]
         moves = raw["cog"], raw["sog"], raw["heading"], raw["rateOfTurn"] if is_a else None
         status = raw["navStatus"] if is_a else 15
-        own = raw["aisTransceiverInformation"] in (2, 3, 4)
         return (raw["userId"], *place, *moves, "AB"[not is_a], status, second if second < 60 else None, own)
     sizes = ("length", "beam", "positionReferenceFromStarboard", "positionReferenceFromBow")
     words = (shown.get("name") or None, shown.get("callsign") or None)
-    return (raw["userId"], *words, raw.get("typeOfShip"), *(raw.get(size) for size in sizes))
+    return (raw["userId"], *words, raw.get("typeOfShip"), *(raw.get(size) for size in sizes), own)
 
 
 def test_every_field_of_every_vessel_is_what_the_independent_decoder_says() -> None:
@@ -58,6 +59,17 @@ def test_every_field_of_every_vessel_is_what_the_independent_decoder_says() -> N
             for mine, other in zip(decode(pgn, data), expected(pgn, raw, shown), strict=True):
                 assert mine == (pytest.approx(other, abs=1e-9) if isinstance(other, float) else other)
     assert (count, missed) == (COUNTS, STALLED)
+
+
+@pytest.mark.parametrize("is_class_a", [True, False])
+@pytest.mark.parametrize(("transceiver", "is_own"), [(0, False), (1, False), (2, True), (3, True), (4, True)])
+def test_names_that_a_transponder_tells_of_its_own_boat_are_marked(is_class_a: bool, transceiver: int, is_own: bool) -> None:
+    """Sent on channel A or B, or not broadcast; the recordings have received ones alone."""
+    told = VesselFacts(263_000_009, "DELFIM", "CS1234", 36, 12.0, 4.0, 2.0, 6.0)
+    for pgn, data in aisframes.facts(told, is_class_a):
+        marked = data[:-2] + bytes((data[-2] | transceiver, data[-1]))
+        assert decode(pgn, marked).is_own == is_own
+        assert decode(pgn, marked[:-2]).is_own is False, "receivers of old leave it away"
 
 
 @given(st.sampled_from(sorted(ais.PGNS)), st.binary(max_size=100))

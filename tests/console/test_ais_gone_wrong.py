@@ -48,7 +48,7 @@ class Chain:
 
     def __init__(self, vessels: str) -> None:
         more = ['sensors.names=["sysstat", "nmea2000"]', "simulation.heading_deg=0.0"]
-        more += ['simulation.traffic.heard="perfect"'] if vessels is not CROWD else []  # a bus has no room for 220 a second
+        more += ['simulation.traffic.heard="perfect"'] if vessels is not CROWD else []  # nobody hears 220 a second
         more += [f'mavlink.peers=["{CONSOLE[0]}:{CONSOLE[1]}"]', f"simulation.traffic.vessel=[{vessels}]"]
         self.boat = Lockstep(config.load(ROOT / "etc/delfimx.toml", more), 1, lambda clock: NoLog())
         self.told: list[dict[str, Any]] = []

@@ -105,6 +105,22 @@ def test_a_boats_own_transponder_heard_by_another_boat_is_no_danger_to_it() -> N
     assert [each["boat"] for each in delfim["boats"]] == [2]
 
 
+def test_who_moves_as_a_boat_does_is_near_to_it_and_no_danger_until_it_is_off() -> None:
+    """Its own transponder, which its file does not name; or a tender alongside, which then leaves."""
+    sea, levels, said = Sea(1), list[str](), list[bool]()
+    sea.run(2.0)
+    for second in range(90):
+        east_m = 3.0 if second < 80 else 60.0
+        sea.boats[1].say(vessel(east_m=east_m, COG=2700, velocity=112, bow=2, stern=2, port=1, starboard=1))
+        sea.run(1.0)
+        (met,) = shown(sea)["MARIA"]["boats"]
+        levels.append(met["danger"])
+        said.append(met["words"].startswith("MARIA moves as this boat does"))
+    assert set(levels[:55]) == {"danger"}
+    assert set(levels[65:80]) == {"near"}
+    assert (any(said[:55]), all(said[65:80]), said[-1]) == (False, True, False)
+
+
 def test_two_hundred_vessels_of_a_boat_are_kept_the_newest() -> None:
     sea = Sea(1)
     sea.run(2.0)

@@ -30,6 +30,9 @@ def supervise(text: str) -> int:
         ctypes.CDLL(None).prctl(36, 1, 0, 0, 0)  # PR_SET_CHILD_SUBREAPER: orphans come here, as they come to PID 1
     for name, value in told.pop("constants").items():
         setattr(supervisor, name, value)
+    absences_s, monotonic, absent_s = list[float](), time.monotonic, told.pop("absent_s")
+    signal.signal(signal.SIGCONT, lambda *_: absences_s.append(absent_s))
+    vars(time)["monotonic"] = lambda: monotonic() + sum(absences_s)
 
     def stop() -> None:
         note(record, "bus", "stop")

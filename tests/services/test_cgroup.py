@@ -32,12 +32,29 @@ def test_limits_are_written_and_the_process_with_them(root: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("limits", "memory", "cpu"), [(Limits(1 << 20), "1048576", "max 100000"), (Limits(0, 2), "max", "200000 100000")]
+    ("limits", "controller", "files"),
+    [
+        (Limits(1 << 20), "+memory", {"memory.max", "memory.oom.group", "cgroup.procs"}),
+        (Limits(0, 2), "+cpu", {"cpu.max", "cgroup.procs"}),
+    ],
 )
-def test_the_other_is_without_limit(root: Path, limits: Limits, memory: str, cpu: str) -> None:
-    limits.hold("sshd", 1, root)
-    assert (root / "delfim/sshd/memory.max").read_text() == memory
-    assert (root / "delfim/sshd/cpu.max").read_text() == cpu
+def test_only_the_controller_that_is_needed_is_asked_for(root: Path, limits: Limits, controller: str, files: set[str]) -> None:
+    """A kernel with groups of real time refuses the processor's while one of these runs below systemd."""
+    assert limits.hold("sshd", 1, root)
+    assert {path.name for path in (root / "delfim/sshd").iterdir()} == files
+    assert (root / "cgroup.subtree_control").read_text() == controller
+    assert (root / "delfim/cgroup.subtree_control").read_text() == controller
+
+
+def test_a_limit_that_the_kernel_refuses_is_named(
+    root: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refused(*_: object) -> None:
+        raise OSError(22, "Invalid argument")  # of a write: without the file's name
+
+    monkeypatch.setattr(Path, "write_text", refused)
+    assert not Limits(1 << 20).hold("sshd", 1, root)
+    assert f"{root}/delfim/sshd: Invalid argument" in caplog.text
 
 
 def test_no_limits_no_group(root: Path) -> None:

@@ -8,7 +8,8 @@ import pytest
 
 from delfim.errors import ConfigError
 from delfim.simulator import trial
-from delfim.simulator.encounters import Encounter, axes_m, drawn, kind_of, nearness, staged_of
+from delfim.simulator.encounters import Encounter, drawn, kind_of, staged_of
+from delfim.simulator.nodes.shipping import axes_m, nearness
 from delfim.simulator.scenario import Scenario, load_scenario
 
 ROOT = Path(__file__).parents[2]

@@ -172,6 +172,9 @@ def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
         5262,  # the straight way from where the fence stopped it to where it holds led through the zone
         5272,  # a stopped boat drifts over the fence, and is further out when it has turned
         9147,  # the same, after navigation was silent
+        11155,  # between a zone and the fence there is no room to hold: it drifted over the fence within its radius
+        16528,  # the same
+        72894,  # navigation is frozen while it holds at rest: it learns only at the fence that it drifted there
         9931,  # a propeller is stuck while its node is silent, and is disconnected when the boat hears of it
     ],
 )

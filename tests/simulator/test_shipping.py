@@ -122,7 +122,8 @@ def test_name_and_size_come_at_once_and_then_every_six_minutes():
     told = [(t_s, each) for t_s, each in listened(there, 800.0) if isinstance(each, VesselFacts)]
     assert told[0][0] < 21.0
     assert [later[0] - before[0] for before, later in itertools.pairwise(told)] == pytest.approx([360.0, 360.0])
-    assert told[0][1][-2:] == pytest.approx((7.0, 70.0)), "of the antenna from starboard and from the bow"
+    facts = told[0][1]
+    assert (facts.from_starboard_m, facts.from_bow_m) == pytest.approx((7.0, 70.0)), "of the antenna"
 
 
 def test_noise_wanders_loss_is_a_fifth_and_perfect_reports_are_exact():

@@ -240,6 +240,14 @@ def test_hold_backs_up_to_a_point_close_astern() -> None:
     assert (actuation.surge_n, abs(actuation.yaw_nm)) == (0.0, SETTINGS.gains.p_limit_nm)  # far astern: turn
 
 
+def test_hold_comes_back_sooner_where_the_fence_leaves_less_room() -> None:
+    memory = enter(Mode.HOLD, HERE._replace(north_mps=0.0), Setpoint(), SETTINGS)
+    there = HERE._replace(north_m=3.0, north_mps=0.0)
+    _, _, resting = control(Mode.HOLD, memory, there, Setpoint(), SETTINGS, DT_S)
+    _, _, returning = control(Mode.HOLD, memory._replace(room=0.4), there, Setpoint(), SETTINGS, DT_S)
+    assert resting.surge_n == 0.0 > returning.surge_n
+
+
 @pytest.mark.parametrize("seed", range(6))
 def test_home_leads_back_along_the_driven_track(seed: int) -> None:
     off, end_m, points = home_errors(Boat(seed, current(seed, 6)))

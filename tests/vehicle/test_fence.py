@@ -318,19 +318,20 @@ def test_the_way_to_where_a_mode_begins_is_held_against_it():
 def test_it_holds_where_it_has_room():
     around = Fence((SQUARE,), LIMITS)
     track = ((0.0, 0.0), (0.0, 20.0), (0.0, 40.0), (0.0, 45.0))
-    for here, of, place in (
-        ((0.0, 10.0), track, (0.0, 10.0)),
-        ((0.0, 47.0), track, (0.0, 40.0)),
-        ((0.0, 47.0), ((0.0, 49.0),), (0.0, 47.0)),
+    for here, of, place, part in (
+        ((0.0, 10.0), track, (0.0, 10.0), 1.0),
+        ((0.0, 47.0), track, (0.0, 40.0), 1.0),
+        ((0.0, 47.0), ((0.0, 49.0),), (0.0, 47.0), 0.4),
+        ((0.0, 47.0), ((0.0, 44.0), (0.0, 46.0)), (0.0, 44.0), 0.4),
     ):
-        assert whole(fence.place_to_hold, around, here, here, of, 5.0) == place
+        assert whole(fence.place_to_hold, around, here, here, of, 5.0) == (place, part)
 
 
 def test_it_holds_where_the_straight_way_does_not_cross_a_zone_that_the_track_led_around():
     around = Fence((circle("the rock", False, (0.0, 0.0), 10.0),), LIMITS)
     here, beside, behind = (0.0, 12.0), (15.0, 15.0), (0.0, -25.0)
-    assert whole(fence.place_to_hold, around, here, here, (beside, behind), 5.0) == beside
-    assert whole(fence.place_to_hold, around, here, here, (behind,), 5.0) == here, "rather than through the rock"
+    assert whole(fence.place_to_hold, around, here, here, (beside, behind), 5.0) == (beside, 1.0)
+    assert whole(fence.place_to_hold, around, here, here, (behind,), 5.0) == (here, 0.4), "rather than through the rock"
 
 
 MISSION = """version = 1

@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
 from delfim import config, geodesy
@@ -149,8 +150,7 @@ def test_a_boat_among_others_sails_whatever_its_receiver_does(trouble: str) -> N
     assert state.traffic.at_s > 85.0
     assert all(math.isfinite(each.north_m) and math.isfinite(each.margin_m) for each in targets)
     assert all(each.is_lost for each in targets) == (trouble in ("silent", "frozen", "wrong"))
-    told_state = boat.vehicle.snapshot({})["traffic"]
-    assert isinstance(told_state, dict)
+    told_state = msgspec.json.decode(msgspec.json.encode(boat.vehicle.snapshot({})))["traffic"]
     assert len(told_state["targets"]) == len(targets)
 
 
@@ -209,3 +209,19 @@ def test_a_crowd_is_watched_a_slice_in_each_step_and_kept_clear_of_within_second
     assert max(after - before for before, after in pairwise(ordered)) < LATE_S, "with half the steps of a real boat"
     assert len(spent) <= 30.0 / 0.2, "one slice in each step"
     assert max(spent) < 2 * lookout.SLICE
+
+
+@pytest.mark.parametrize(("vessels", "is_lost"), [(110, False), (150, True)])
+def test_in_lock_step_as_much_is_heard_as_both_channels_of_ais_carry_and_more_is_counted(vessels: int, is_lost: bool) -> None:
+    """75 reports a second; 24 are taken in each look, of which lock step has five a second."""
+    rows = ",".join(f'{{name="V{i}", transponder="A", north_m={900 + 30 * i}, course_deg=90.0}}' for i in range(vessels))
+    more = (
+        'sensors.names=["sysstat", "nmea2000"]',
+        'simulation.traffic.heard="perfect"',
+        f"simulation.traffic.vessel=[{rows}]",
+    )
+    run = Lockstep(config.load(VEHICLE, more), 1, lambda clock: NoLog())
+    *_, state = run.cycles(20.0)
+    assert len(state.traffic.targets) == vessels
+    assert set(state.counts) == ({"traffic_dropped"} if is_lost else set())
+    assert is_lost or max(each.age_s for each in state.traffic.targets) <= 1.2

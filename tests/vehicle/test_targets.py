@@ -133,7 +133,9 @@ def test_the_boat_itself_is_no_target() -> None:
     tracked.hear(report(0.0, 0.0, mmsi=OWN), "nmea2000", 4.0)
     tracked.hear(report(0.0, 0.0, mmsi=MARIA, is_own=True), "nmea2000", 5.0)
     assert seen(tracked, 5.0) == ()
-    assert (tracked.own_s, tracked.heard_s, tracked.refused) == (5.0, NEVER_S, {"own transponder": 2})
+    tracked.facts(facts(mmsi=OWN, name="DELFIM"), 6.0)
+    tracked.facts(facts(mmsi=MARIA, name="DELFIM", is_own=True), 7.0)
+    assert (tracked.own_s, tracked.heard_s, tracked.refused) == (7.0, NEVER_S, {"own transponder": 2})
 
 
 def test_what_is_no_vessel_is_no_target_and_distress_is_a_kind_of_its_own() -> None:

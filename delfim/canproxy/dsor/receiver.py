@@ -30,6 +30,7 @@ from delfim.canproxy.dsor.protocol import (
 from delfim.frames import Frame
 
 REASSEMBLY_TIMEOUT_S: Final = 1.0
+_new = tuple.__new__  # a third of the time of Message(...)
 
 
 class _Assembly:
@@ -151,8 +152,9 @@ class Receiver:
             return
         if len(self._open) >= self._open_max:
             self._drop(min(self._open, key=lambda each: self._open[each].heard_s), "crowded out")
-        self._open[stream] = _Assembly(number, header, length, message, now_s)
-        self._acknowledge(arb, Ack.HEADER, number, 0)
+        self._open[stream] = assembly = _Assembly(number, header, length, message, now_s)
+        if assembly.answered:
+            self._acknowledge(arb, Ack.HEADER, number, 0)
 
     def _completed(self, arb: int, assembly: _Assembly, t_ns: int) -> Message | None:
         stream = arb & STREAM
@@ -162,12 +164,12 @@ class Receiver:
         del self._open[stream]
         if len(self._last) >= 128:
             del self._last[next(iter(self._last))]
-        self._last[stream] = _Received(assembly.number, assembly.header, assembly.next)
+        self._last[stream] = _new(_Received, (assembly.number, assembly.header, assembly.next))
         if assembly.answered:
             self._acknowledge(arb, Ack.COMPLETE, assembly.number, assembly.next)
         priority, source, destination, identifier, _, _, port, address = assembly.announced
         data = bytes(assembly.stream[len(assembly.header) : -4])  # less the CRC
-        return tuple.__new__(Message, (priority, source, destination, identifier, data, t_ns, port, address))  # the quick way
+        return _new(Message, (priority, source, destination, identifier, data, t_ns, port, address))
 
     def _misplaced(self, arb: int, assembly: _Assembly) -> None:
         """A body frame other than the expected one: repeated, too long or short, late, or after a lost one."""

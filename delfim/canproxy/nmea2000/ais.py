@@ -23,7 +23,10 @@ _POSITION: Final = struct.Struct("<BIiiBHH3sHh")
 _STATIC_A: Final = struct.Struct("<BII7s20sBHHHH")
 _NAME_B: Final = struct.Struct("<BI20s")
 _SIZE_B: Final = struct.Struct("<BIB7s7sHHHH")
+_OWN_AT: Final = {STATIC_A: 74, NAME_B: 25, SIZE_B: 33}  # byte of the transceiver information
 _OWN: Final = frozenset({2, 3, 4})  # transceiver information: sent on channel A, on B, not broadcast; 0 and 1 are received
+
+_Sizes = tuple[float | None, float | None, float | None, float | None]
 
 
 def decode(pgn: int, data: bytes) -> Report:
@@ -34,20 +37,20 @@ def decode(pgn: int, data: bytes) -> Report:
                 told: Report = _position(pgn, data)
             case 129794:
                 _, mmsi, _imo, call_sign, name, kind, *size = _STATIC_A.unpack_from(data)
-                told = VesselFacts(mmsi, _text(name), _text(call_sign), _kind(kind), *map(_tenths, size))
+                told = VesselFacts(mmsi, _text(name), _text(call_sign), _kind(kind), *_sizes(*size))
             case 129809:
                 _, mmsi, name = _NAME_B.unpack_from(data)
-                told = VesselFacts(mmsi, _text(name), *[None] * 6)
+                told = VesselFacts(mmsi, _text(name), None, None, None, None, None, None)
             case 129810:
                 _, mmsi, kind, _vendor, call_sign, *size = _SIZE_B.unpack_from(data)
-                told = VesselFacts(mmsi, None, _text(call_sign), _kind(kind), *map(_tenths, size))
+                told = VesselFacts(mmsi, None, _text(call_sign), _kind(kind), *_sizes(*size))
             case _:
                 raise FormatError(f"PGN {pgn} is not of AIS")
     except struct.error:
         raise FormatError(f"{len(data)} bytes are too few") from None
     if not 0 < told.mmsi <= MMSI_MAX:
         raise FormatError("no vessel has such a number")
-    return told
+    return told._replace(is_own=True) if (at := _OWN_AT.get(pgn)) is not None and _is_own(data, at) else told
 
 
 def _position(pgn: int, data: bytes) -> VesselPosition:
@@ -67,6 +70,15 @@ def _position(pgn: int, data: bytes) -> VesselPosition:
         second if second < 60 else None,
         radio[2] >> 3 in _OWN,
     )
+
+
+def _is_own(data: bytes, at: int) -> bool:
+    """Old receivers leave it away."""
+    return len(data) > at and data[at] & 0x1F in _OWN
+
+
+def _sizes(length: int, beam: int, from_starboard: int, from_bow: int) -> _Sizes:
+    return _tenths(length), _tenths(beam), _tenths(from_starboard), _tenths(from_bow)
 
 
 def _tenths(raw: int) -> float | None:

@@ -6,6 +6,7 @@ Every node is a clocked object without socket or task: `step(now_s, utc_ns)` ret
 
 import math
 from importlib import import_module
+from operator import itemgetter
 from typing import Final, Protocol, runtime_checkable
 
 from delfim import config
@@ -29,6 +30,7 @@ OTHER_BUSES: Final = (
     "vescs",
 )  # of other buses, with `devices_of` in each
 PLAYED: Final = ("dsor", "dronecan", "vesc")  # the drivers whose devices are here; all other motors are pushed as told
+_ARBITRATION: Final = itemgetter(0)
 STALL_S: Final = 1.0  # longer pauses of the whole simulator are left out of the modelled world
 
 
@@ -109,12 +111,8 @@ class Nodes:
             self.model.advance(min(now_s - self._stepped_s, STALL_S))
         self._stepped_s = now_s
         frames = [frame for node in self.named.values() for frame in node.step(now_s, utc_ns)]
-        frames.sort(key=_arbitration)
+        frames.sort(key=_ARBITRATION)
         return frames
-
-
-def _arbitration(frame: Frame) -> int:
-    return frame.arb
 
 
 def nodes_of(settings: config.Vehicle, seed: int, model: Model | None = None) -> Nodes:

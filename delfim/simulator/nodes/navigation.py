@@ -7,6 +7,7 @@ from typing import Final, NamedTuple
 from delfim import config
 from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.frames import Frame
+from delfim.geodesy import from_plane
 from delfim.messages import NAVIGATION_ID, NAVIGATION_PRIORITY, Navigation, Node, pack_navigation
 from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import Period
@@ -14,6 +15,8 @@ from delfim.simulator.nodes.period import Period
 POSITION_ERROR_S: Final = 60.0  # correlation time of a satellite receiver's error
 YAW_RATE_NOISE_RADPS: Final = math.radians(0.2)
 FIX, SATELLITES, HDOP = 3, 10, 0.9
+_ADDRESSED: Final = NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID
+_new = tuple.__new__  # a third of the time of Message(...)
 
 
 class Noise(NamedTuple):
@@ -68,8 +71,7 @@ class NavigationNode:
         self._said = said
         data = pack_navigation(said)
         self._counter += 1
-        message = Message(NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID, data)
-        return segments(message, self._counter)
+        return segments(_new(Message, (*_ADDRESSED, data, 0, None, None)), self._counter)
 
     def measured(self, utc_ns: int) -> Navigation:
         """The sensors' values. The position's error is a first-order Gauss-Markov process, as a receiver's is."""
@@ -78,10 +80,11 @@ class NavigationNode:
         self._north_m = self._keep * self._north_m + gauss(0.0, new_m)
         self._east_m = self._keep * self._east_m + gauss(0.0, new_m)
         origin = model.origin
-        return Navigation(
+        latitude_rad, longitude_rad = from_plane(origin, model.north_m, model.east_m)
+        values = (
             utc_ns,
-            model.latitude_rad + self._north_m / origin.north_m_per_rad,
-            model.longitude_rad + self._east_m / origin.east_m_per_rad,
+            latitude_rad + self._north_m / origin.north_m_per_rad,
+            longitude_rad + self._east_m / origin.east_m_per_rad,
             model.north_mps + gauss(0.0, noise.speed_mps),
             model.east_mps + gauss(0.0, noise.speed_mps),
             model.heading_rad + gauss(0.0, noise.heading_rad),
@@ -92,7 +95,10 @@ class NavigationNode:
             self.satellites,
             HDOP,
             self._counter,
+            None,
+            None,
         )
+        return _new(Navigation, values)
 
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, NavigationNode]:

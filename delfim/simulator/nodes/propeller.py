@@ -23,7 +23,8 @@ from delfim.simulator.model import Model
 from delfim.simulator.nodes.period import TOLERANCE_S, Period
 
 PROPELLER_STATUS_S: Final = 0.2
-_WELL: Final = Fault(0)
+_new = tuple.__new__  # a third of the time of Frame(...)
+_WELL: Final = Status.GOOD, Fault(0)
 
 
 class PropellerNode:
@@ -36,10 +37,11 @@ class PropellerNode:
         self._model, self._name = model, row.name
         self._drive = model.drives[row.name]
         self._node = (Node.PROPELLER_STARBOARD, Node.PROPELLER_PORT)[row.address]
+        self._arb = sysstat_arb(self._node)
         self._sign = -1 if row.reversed else 1
         self.hears = ((PROPELLER_STARBOARD, PROPELLER_PORT)[row.address], RESET)
         self._status = Period(PROPELLER_STATUS_S)
-        self._commanded_s = -math.inf
+        self._silent_s = -math.inf  # it stops then
         self._heard_counter = -1
         self._counter = 0
         self.malformed = 0
@@ -47,8 +49,7 @@ class PropellerNode:
 
     @property
     def due_s(self) -> float:
-        silent_s = self._commanded_s + PROPELLER_TIMEOUT_S
-        return min(self._status.due_s, silent_s) if self._drive.run else self._status.due_s
+        return min(self._status.due_s, self._silent_s) if self._drive.run else self._status.due_s
 
     def feed(self, frame: Frame, now_s: float) -> None:
         """A command to this side. Malformed ones are counted and change nothing."""
@@ -56,33 +57,31 @@ class PropellerNode:
             self._status.reset(frame.data, self._node, now_s)
             return
         try:
-            command = unpack_propeller_command(frame.data)
+            rpm, run, counter = unpack_propeller_command(frame.data)
         except FormatError:
             self.malformed += 1
             return
-        if command.counter != self._heard_counter:
-            self._heard_counter, self._commanded_s = command.counter, now_s
-        self._model.command(self._name, self._sign * command.rpm, command.run and not self._silent(now_s))
+        if counter != self._heard_counter:
+            self._heard_counter, self._silent_s = counter, now_s + PROPELLER_TIMEOUT_S
+        self._model.command(self._name, self._sign * rpm, run and now_s + TOLERANCE_S < self._silent_s)
 
     def step(self, now_s: float, utc_ns: int) -> list[Frame]:
-        silent, drive = self._silent(now_s), self._drive
+        silent, drive = now_s + TOLERANCE_S >= self._silent_s, self._drive
         if silent:
             self._model.command(self._name, 0.0, False)
         if not self._status.passed(now_s) or self.silent:
             return []
-        faults = Fault.NO_COMMAND if silent else _WELL
-        if not drive.powered:
-            faults |= Fault.LOW_VOLTAGE
-        if self.bad:
-            faults |= Fault.HARDWARE
-        status = Status.BAD if faults else Status.GOOD
+        status, faults = self._faulty(silent) if silent or self.bad or not drive.powered else _WELL
         self._counter += 1
         rpm = self._sign * round(drive.rpm)
-        report = PropellerStatus(status, faults, rpm, drive.motor_a, round(drive.temperature_c), self._counter)
-        return [Frame(sysstat_arb(self._node), pack_propeller_status(report))]
+        told = status, faults, rpm, drive.motor_a, round(drive.temperature_c), self._counter
+        return [_new(Frame, (self._arb, pack_propeller_status(_new(PropellerStatus, told)), 0, 0, False))]
 
-    def _silent(self, now_s: float) -> bool:
-        return now_s + TOLERANCE_S >= self._commanded_s + PROPELLER_TIMEOUT_S
+    def _faulty(self, silent: bool) -> tuple[Status, Fault]:
+        faults = Fault.NO_COMMAND if silent else Fault(0)
+        if not self._drive.powered:
+            faults |= Fault.LOW_VOLTAGE
+        return Status.BAD, faults | Fault.HARDWARE if self.bad else faults
 
 
 def nodes(settings: config.Vehicle, model: Model, seed: int) -> dict[str, PropellerNode]:

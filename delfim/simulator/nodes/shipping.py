@@ -18,6 +18,7 @@ from delfim.simulator.model import Model
 from delfim.simulator.nodes.aisframes import facts, framed, position
 from delfim.simulator.nodes.aivdm import facts_said, position_said
 from delfim.simulator.nodes.period import TOLERANCE_S, Period
+from delfim.simulator.nodes.talkers import placed
 from delfim.vessels import VesselFacts, VesselPosition
 
 FIRST_MMSI: Final = 235_000_000
@@ -49,7 +50,11 @@ def axes_m(length_m: float) -> tuple[float, float]:
 
 def nearness(north_m: float, east_m: float, course_rad: float, axes: tuple[float, float]) -> float:
     """How far a point so far from a vessel is in its domain: 0 in the middle, 1 on the edge."""
-    c, s = math.cos(course_rad), math.sin(course_rad)
+    return within(north_m, east_m, math.cos(course_rad), math.sin(course_rad), axes)
+
+
+def within(north_m: float, east_m: float, c: float, s: float, axes: tuple[float, float]) -> float:
+    """The same, by the cosine and the sine of the course."""
     return math.hypot((north_m * c + east_m * s) / axes[0], (east_m * c - north_m * s) / axes[1])
 
 
@@ -62,9 +67,11 @@ class Vessel:
         if row.latitude_deg is not None and row.longitude_deg is not None:
             self.north_m, self.east_m = to_plane(model.origin, math.radians(row.latitude_deg), math.radians(row.longitude_deg))
         self.course_rad, self.speed_mps = math.radians(row.course_deg), row.speed_mps
+        self._c, self._s = math.cos(self.course_rad), math.sin(self.course_rad)
         self.rate_radps = 0.0  # positive to starboard
         self.silent = silent_of(row, manner)
-        self._turns = sorted(turns_of(row, manner, random))
+        self._turns = [(at_s, math.radians(course_deg)) for at_s, course_deg in sorted(turns_of(row, manner, random))]
+        self._turn_radps = math.radians(row.turn_dps)
         self._t_s = 0.0
         self._axes_m = axes_m(row.length_m)
         self.nearest, self.nearest_m = math.inf, math.inf  # in domains, and from middle to middle
@@ -73,25 +80,34 @@ class Vessel:
     def sail(self, t_s: float) -> None:
         """On to this time since the start."""
         h = t_s - self._t_s
-        self._t_s = t_s
-        wanted_rad = self.course_rad
-        for at_s, course_deg in self._turns:
+        self._t_s, way_m, wanted_rad = t_s, self.speed_mps * h, self.course_rad
+        for at_s, course_rad in self._turns:
             if at_s <= t_s:
-                wanted_rad = math.radians(course_deg)
-        most_rad = math.radians(self.row.turn_dps) * h
+                wanted_rad = course_rad
+        if wanted_rad == self.course_rad:
+            self.rate_radps = 0.0
+            self.north_m, self.east_m = self.north_m + way_m * self._c, self.east_m + way_m * self._s
+        else:
+            self._turn(wanted_rad, way_m, h)
+        self._measure()
+
+    def _turn(self, wanted_rad: float, way_m: float, h: float) -> None:
+        """On by this way in this time, towards another course."""
+        most_rad = self._turn_radps * h
         turned_rad = min(max(wrap(wanted_rad - self.course_rad), -most_rad), most_rad)
-        middle_rad, way_m = self.course_rad + 0.5 * turned_rad, self.speed_mps * h
+        middle_rad = self.course_rad + 0.5 * turned_rad
         self.north_m, self.east_m = self.north_m + way_m * math.cos(middle_rad), self.east_m + way_m * math.sin(middle_rad)
         self.course_rad, self.rate_radps = self.course_rad + turned_rad, turned_rad / h if h else 0.0
-        self._measure()
+        self._c, self._s = math.cos(self.course_rad), math.sin(self.course_rad)
 
     def _measure(self) -> None:
         """The boat's place in the domain of this vessel, 1 on its edge."""
         north_m, east_m = self._model.north_m - self.north_m, self._model.east_m - self.east_m
-        near = nearness(north_m, east_m, self.course_rad, self._axes_m)
+        near, near_m = within(north_m, east_m, self._c, self._s, self._axes_m), math.hypot(north_m, east_m)
         if near < self.nearest:
             self.nearest, self.nearest_s = near, self._t_s
-        self.nearest_m = min(self.nearest_m, math.hypot(north_m, east_m))
+        if near_m < self.nearest_m:
+            self.nearest_m = near_m
 
 
 class Spoken(NamedTuple):
@@ -113,31 +129,38 @@ class Transponder:
         self._lost = 0.0 if self._is_perfect else max(row.lost, lost)
         self._noise_m = row.noise_m if noise and not self._is_perfect else 0.0
         self._error_m = [random.gauss(0.0, self._noise_m) for _ in "ne"]
-        self._said_s = -random.uniform(0.0, self.interval_s)  # its last position
+        self._straight_s, self._turning_s = self._intervals_s()
+        self._said_s = -random.uniform(0.0, self._straight_s)  # its last position
         self._last: VesselPosition | None = None
         self._facts_due_s = random.uniform(0.0, FIRST_STATIC_S)
 
-    @property
-    def interval_s(self) -> float:
-        """Between two positions (ITU-R M.1371): of class A by speed and turning, of class B "CS" by speed."""
-        vessel = self._vessel
-        knots, is_turning = vessel.speed_mps / KNOT_MPS, abs(vessel.rate_radps) > 1e-3
+    def _intervals_s(self) -> tuple[float, float]:
+        """Between two positions, straight on and turning (ITU-R M.1371): of class A by speed and turning, of class B "CS" by
+        speed. A vessel keeps its speed."""
+        knots = self._vessel.speed_mps / KNOT_MPS
         if self._is_perfect:
-            return PERFECT_S
+            return PERFECT_S, PERFECT_S
         if not self._is_class_a:
-            return 30.0 if knots > 2.0 else 180.0
-        if vessel.row.status in RESTING and knots <= 3.0:
-            return 180.0
+            return (30.0, 30.0) if knots > 2.0 else (180.0, 180.0)
+        if self._vessel.row.status in RESTING and knots <= 3.0:
+            return 180.0, 180.0
         if knots > 23.0:
-            return 2.0
-        slow = knots <= 14.0
-        return (10.0 / 3.0 if slow else 2.0) if is_turning else (10.0 if slow else 6.0)
+            return 2.0, 2.0
+        return (10.0, 10.0 / 3.0) if knots <= 14.0 else (6.0, 2.0)
+
+    def is_due(self, t_s: float) -> bool:
+        """Whether it has a position or its facts to tell."""
+        return t_s >= self._facts_due_s or self._is_position_due(t_s)
+
+    def _is_position_due(self, t_s: float) -> bool:
+        interval_s = self._turning_s if abs(self._vessel.rate_radps) > 1e-3 else self._straight_s
+        return t_s >= self._said_s + interval_s - TOLERANCE_S
 
     def speak(self, t_s: float, second: int, frozen: bool, wrong_m: float) -> Iterator[Spoken]:
         """Each message of this instant that is heard. Of a receiver that is `frozen` the position is the last one; `wrong_m` is
         how far it may be off."""
         status = self._vessel.row.status if self._is_class_a else None
-        if t_s >= self._said_s + self.interval_s - TOLERANCE_S:
+        if self._is_position_due(t_s):
             told = self._told(t_s, wrong_m)
             self._last = told = self._last if frozen and self._last is not None else told
             if self._is_heard(t_s):
@@ -192,6 +215,7 @@ class Shipping:
         self._sequence = dict[int, int]()
         self._late = deque[tuple[float, Spoken]](maxlen=LATE_MAX)  # when due
         self.sentences = deque[bytes](maxlen=SENTENCES_MAX)  # the same for a line of NMEA 0183, which takes them from here
+        self._has_line = bool(placed(settings))
         self._said = 0
         self.silent = self.frozen = False  # frozen: it repeats the last position of each vessel
         self.late_s = 0.0
@@ -223,7 +247,8 @@ class Shipping:
         for vessel in self.vessels:
             vessel.sail(t_s)
         for each in self._transponders:
-            self._late.extend((now_s + self.late_s, said) for said in each.speak(t_s, second, self.frozen, self.wrong_m))
+            if each.is_due(t_s):
+                self._late.extend((now_s + self.late_s, said) for said in each.speak(t_s, second, self.frozen, self.wrong_m))
         frames = list[Frame]()
         while self._late and self._late[0][0] <= now_s:
             frames += self._hear(self._late.popleft()[1])
@@ -236,11 +261,13 @@ class Shipping:
             return
         self._said += 1
         if isinstance(told, VesselPosition):
-            self.sentences.append(position_said(told, status, second))
             messages = [position(told, status, second)]
+            if self._has_line:
+                self.sentences.append(position_said(told, status, second))
         else:
-            self.sentences.extend(facts_said(told, is_class_a, self._said))
             messages = list(facts(told, is_class_a))
+            if self._has_line:
+                self.sentences.extend(facts_said(told, is_class_a, self._said))
         for pgn, data in messages:
             yield from framed(pgn, data, self._next(pgn))
 

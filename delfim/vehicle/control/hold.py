@@ -1,8 +1,9 @@
 """Hold: stay near a point.
 
-Inside the radius the boat rests and drifts; outside it drives back, turned to the point, or astern when the point is close
-behind it. Each drive ends near the point, and a drive that would have to turn in place turns first, so the boat never circles.
-After the first return it lies with the bow into the drift, and each further return is a straight push ahead.
+Inside the radius, or the part of it that the fence leaves, the boat rests and drifts; outside it drives back, turned to the
+point, or astern when the point is close behind it. Each drive ends near the point, and a drive that would have to turn in
+place turns first, so the boat never circles. After the first return it lies with the bow into the drift, and each further
+return is a straight push ahead.
 
 A boat whose thrusters push it sideways without turning it does not rest: it keeps the point itself, on the heading that it had
 when it came there. Where current and wind are stronger than its push to the side it leaves the radius, drives back as
@@ -39,13 +40,14 @@ def step(
     memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
 ) -> tuple[Memory, Reference, Wanted]:
     hold = settings.control.hold
+    radius_m = memory.room * hold.radius_m
     north_m, east_m = memory.north_m - motion.north_m, memory.east_m - motion.east_m
     distance_m, bearing_rad = math.hypot(north_m, east_m), math.atan2(east_m, north_m)
     driving = memory.driving
-    if driving and distance_m < 0.4 * hold.radius_m:
+    if driving and distance_m < 0.4 * radius_m:
         driving = 0
-    elif not driving and distance_m > hold.radius_m:
-        behind = abs(wrap(bearing_rad - motion.heading_rad)) > ASTERN_RAD and distance_m < ASTERN_RADII * hold.radius_m
+    elif not driving and distance_m > radius_m:
+        behind = abs(wrap(bearing_rad - motion.heading_rad)) > ASTERN_RAD and distance_m < ASTERN_RADII * radius_m
         driving = -1 if behind else 1
     if not driving and settings.hull.aside_n:
         heading_rad = motion.heading_rad if memory.driving or memory.heading_rad is None else memory.heading_rad

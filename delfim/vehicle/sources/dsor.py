@@ -51,7 +51,7 @@ class DsorNavigation:
     def _fix(self, message: Message, now_s: float) -> Fix | None:
         self.heard_s = now_s
         try:
-            return Fix(unpack_navigation(message.data), message.t_ns, now_s)
+            return tuple.__new__(Fix, (unpack_navigation(message.data), message.t_ns, now_s))  # half the time of Fix(...)
         except FormatError:
             self._state.count("navigation_malformed")
             return None

@@ -15,6 +15,8 @@ Leg = tuple[float, float, float, float, float, float]  # from_s, to_s, north_m a
 
 STILL = 1e-12  # square of a relative speed, in domains per second, that is none
 
+_new = tuple.__new__  # a third of the time of Approach(...)
+
 
 class Domain(NamedTuple):
     """The water around another vessel that the own boat keeps out of."""
@@ -42,15 +44,13 @@ def domain(target: Target, ahead_m: float, abeam_m: float) -> Domain:
     """The domain with these half axes, which are greater than zero."""
     cos, sin = math.cos(target.course_rad), math.sin(target.course_rad)
     north_mps, east_mps = target.speed_mps * cos, target.speed_mps * sin
-    return Domain(
-        *(target.north_m, target.east_m, north_mps, east_mps),
-        *(cos / ahead_m, sin / ahead_m, -sin / abeam_m, cos / abeam_m),
-    )
+    place = target.north_m, target.east_m, north_mps, east_mps
+    return _new(Domain, (*place, cos / ahead_m, sin / ahead_m, -sin / abeam_m, cos / abeam_m))
 
 
 def approach(around: Domain, legs: Sequence[Leg], until_s: float, after_s: float = 0.0) -> Approach:
     """The nearest approach from `after_s` to `until_s`. Infinitely far where no leg lies between them."""
-    return Approach(*passing_by(around, legs, until_s, after_s))
+    return _new(Approach, passing_by(around, legs, until_s, after_s))
 
 
 def passing_by(around: Domain, legs: Sequence[Leg], until_s: float, after_s: float = 0.0) -> tuple[float, float, float, float]:

@@ -28,12 +28,11 @@ from delfim.vehicle.zones import Point
 MOST: Final = 12  # vessels that are judged: those that could be met first
 PASS: Final = 2  # comparisons that how one way passes one vessel costs
 OFFSETS_DEG: Final = 30, -30, 45, -45, 60, -60, 75, -75, 90, -90, 120, -120, 150, -150, 180
-OFFSETS: Final = tuple(map(math.radians, OFFSETS_DEG))  # of courses to try, from the route
+OFFSETS: Final = tuple(map(math.radians, OFFSETS_DEG))  # of courses to try, from the route; to port where negative
 PARTS: Final = (1.0, 0.5)  # of the speed that is asked for
-AHEAD_LENGTHS, ABEAM_LENGTHS = (
-    4.0,
-    1.6,
-)  # half axes of the domain in lengths of the vessel (Y. Fujii, K. Tanaka, J. Navigation 1971)
+TRIALS: Final = tuple((offset, part) for offset in OFFSETS for part in PARTS)
+# Half axes of the domain in lengths of the vessel (Y. Fujii, K. Tanaka, J. Navigation 1971).
+AHEAD_LENGTHS, ABEAM_LENGTHS = 4.0, 1.6
 AHEAD_MIN_M, ABEAM_MIN_M = 50.0, 30.0
 SOFT: Final = 1.3  # so many domains are better than one
 LOOK_MAX_S: Final = 900.0
@@ -45,7 +44,6 @@ CHANGE, STEADY = 6.0, 0.15  # another course must be better than the one steered
 LEAVE: Final = 5.0  # the route is not left for less
 HELD_S: Final = 30.0  # an order that leads into nothing stands for so long: others must see what the boat does (rule 8 b)
 FROM_STARBOARD: Final = ("head-on", "give-way")  # vessels for which the boat does not turn to port (rules 14 and 15)
-ABOUT_RAD: Final = math.radians(-175.0)  # a turn beyond is to neither side
 AGAINST_RULE, TO_PORT = 60.0, 40.0
 STARBOARD, PORT, SLOWER = 10.0, 13.0, 12.0  # a right angle to either side; a stop
 INSIDE, DEEP, NEAR = 100.0, 900.0, 15.0  # entering the domain, its middle, and the edge of what is soft
@@ -53,6 +51,8 @@ ASHORE: Final = 10_000.0  # no vessel is a reason to cross the fence
 FARTHEST: Final = 2.5  # domains: beyond, a vessel costs nothing
 SLOWEST_MPS: Final = 0.3  # a slower boat counts as this fast
 PLAUSIBLE_M, PLAUSIBLE_MPS, LONGEST_M = 1e6, 100.0, 1000.0
+
+_new = tuple.__new__  # a third of the time of Seen(...): a decision makes some hundred tuples
 
 
 class Caution(NamedTuple):
@@ -103,6 +103,15 @@ class Decision(NamedTuple):
     passes: tuple[PassedBy, ...]  # of the vessels in question
 
 
+class WideBerth(NamedTuple):
+    """A vessel's domain and what follows from its size."""
+
+    around: Domain
+    look_s: float
+    late_s: float
+    far_m: float  # from its domain at most
+
+
 class Seen(NamedTuple):
     """A vessel that is judged."""
 
@@ -110,7 +119,7 @@ class Seen(NamedTuple):
     around: Domain
     look_s: float
     late_s: float
-    far_m: float  # from its domain at most
+    without: Approach  # if the boat goes on along its route
     duty: Duty | None  # None: not in question
     rule: str  # what is penalised: "ahead", "port", "starboard"; empty: nothing
 
@@ -134,7 +143,7 @@ def deciding(
     limits: Caution, memory: Memory, own: Own, route: RouteAhead, targets: Sequence[Target], around: Fence | None, now_s: float
 ) -> Work[Decision]:
     """One decision, once a second. Never raises; input that is not finite counts as not there."""
-    if not (plausible(*own) and all(map(_plausible_at, route.points)) and 0.0 <= route.speed_mps < PLAUSIBLE_MPS):
+    if not (plausible(*own, *chain.from_iterable(route.points)) and 0.0 <= route.speed_mps < PLAUSIBLE_MPS):
         return Decision(Memory(), None, ())
     on = route_legs(own, route)
     ahead_rad = own.course_rad
@@ -166,11 +175,10 @@ def deciding(
 
 def plausible(*values: float) -> bool:
     """Whether positions, courses and speeds are numbers that make sense."""
-    return all(-PLAUSIBLE_M < value < PLAUSIBLE_M for value in values)
-
-
-def _plausible_at(point: Point) -> bool:
-    return plausible(*point)
+    for value in values:  # noqa: SIM110 - a generator costs three times as much
+        if not -PLAUSIBLE_M < value < PLAUSIBLE_M:
+            return False
+    return True
 
 
 def _in_question(
@@ -183,37 +191,39 @@ def _in_question(
     on: Sequence[Leg],
 ) -> Work[list[Seen]]:
     """The vessels to judge, the first to meet first, each with what the boat owes it."""
-    near = list[tuple[float, int, Target]]()
+    near, (north_m, east_m, _, own_mps) = list[tuple[float, int, Target]](), own
     for number, target in enumerate(targets):
         yield 1
         its_mps, length_m = target.speed_mps, target.length_m
-        far_m = math.hypot(target.north_m - own.north_m, target.east_m - own.east_m) - AHEAD_LENGTHS * length_m
+        far_m = math.hypot(target.north_m - north_m, target.east_m - east_m) - AHEAD_LENGTHS * length_m
         if 0.0 <= its_mps < PLAUSIBLE_MPS and 0.0 <= length_m < LONGEST_M and -PLAUSIBLE_M < far_m < PLAUSIBLE_M:
-            near.append((far_m / (its_mps + own.speed_mps + SLOWEST_MPS), number, target))
+            near.append((far_m / (its_mps + own_mps + SLOWEST_MPS), number, target))
     known, seen = dict(memory.duties), list[Seen]()
     for _, _, target in nsmallest(MOST, near):
-        if not plausible(target.course_rad):
+        if not -PLAUSIBLE_M < target.course_rad < PLAUSIBLE_M:
             continue
         yield PASS
-        this = measured(limits, own, speed_mps, target)
-        passed, owed = approach(this.around, on, 2.0 * this.look_s), known.get(target.key)
-        if owed is None and passed.nearness < SOFT:
-            owed = duty(own if own.speed_mps >= SLOWEST_MPS else Own(*own[:2], ahead_rad, speed_mps), target)
-        if passed.nearness >= SOFT and this.far_m > this.look_s * (target.speed_mps + own.speed_mps):
-            continue  # even if both went for each other
-        seen.append(this._replace(duty=owed, rule=_rule(owed, target)))
+        around, look_s, late_s, far_m = measured(limits, own, speed_mps, target)
+        without, owed = approach(around, on, 2.0 * look_s), known.get(target.key)
+        if without.nearness >= SOFT:
+            if far_m > look_s * (target.speed_mps + own_mps):
+                continue  # even if both went for each other
+        elif owed is None:
+            owed = duty(own if own_mps >= SLOWEST_MPS else Own(north_m, east_m, ahead_rad, speed_mps), target)
+        seen.append(_new(Seen, (target, around, look_s, late_s, without, owed, _rule(owed, target))))
     return seen
 
 
-def measured(limits: Caution, own: Own, speed_mps: float, target: Target) -> Seen:
-    """A vessel with its domain, not judged yet."""
-    more_m = (target.margin_m if 0.0 < target.margin_m < PLAUSIBLE_M else 0.0) + limits.length_m / 2.0
-    ahead_m = max(AHEAD_LENGTHS * target.length_m, AHEAD_MIN_M) + more_m
-    abeam_m = max(ABEAM_LENGTHS * target.length_m, ABEAM_MIN_M) + more_m
+def measured(limits: Caution, own: Own, speed_mps: float, target: Target) -> WideBerth:
+    """A vessel's domain, and how long it matters."""
+    length_m, margin_m, least_s = target.length_m, target.margin_m, limits.look_s
+    more_m = (margin_m if 0.0 < margin_m < PLAUSIBLE_M else 0.0) + limits.length_m / 2.0
+    ahead_m = max(AHEAD_LENGTHS * length_m, AHEAD_MIN_M) + more_m
+    abeam_m = max(ABEAM_LENGTHS * length_m, ABEAM_MIN_M) + more_m
     out_s = abeam_m / max(speed_mps, SLOWEST_MPS)
     far_m = math.hypot(target.north_m - own.north_m, target.east_m - own.east_m) - 1.5 * ahead_m
-    look_s = min(max(AMPLE * out_s, limits.look_s), max(LOOK_MAX_S, limits.look_s))
-    return Seen(target, domain(target, ahead_m, abeam_m), look_s, LATE * out_s + LATE_S, far_m, None, "")
+    look_s = min(max(AMPLE * out_s, least_s), max(LOOK_MAX_S, least_s))
+    return _new(WideBerth, (domain(target, ahead_m, abeam_m), look_s, LATE * out_s + LATE_S, far_m))
 
 
 def _rule(owed: Duty | None, target: Target) -> str:
@@ -239,23 +249,26 @@ def _cheapest(
     """The best trial; None: to go on along the route. To port for a vessel head-on or from starboard only if all else leads
     into a domain; but a course to port that is steered already may be kept."""
     lowest, best, extra = _cost(scene, on, 0.0, 1.0, 2.0, math.inf, is_route=True), None, CHANGE
-    trials = [Choice(ahead_rad + offset, part, is_last=False) for offset in OFFSETS for part in PARTS]
-    trials += [Choice(ahead_rad, part, is_last=False) for part in (0.5, 0.0)]
-    last, chosen = list[Choice](), on
-    if any(each.duty in FROM_STARBOARD and approach(each.around, on, 2.0 * each.look_s).nearness < SOFT for each in scene.seen):
-        last = [each._replace(is_last=True) for each in trials if ABOUT_RAD < wrap(each.course_rad - ahead_rad) < 0.0]
-        trials = [each for each in trials if not ABOUT_RAD < wrap(each.course_rad - ahead_rad) < 0.0]
+    last, chosen, costs = list[Choice](), on, PASS * (1 + len(scene.seen))
+    if any(each.duty in FROM_STARBOARD and each.without.nearness < SOFT for each in scene.seen):
+        trials = [_new(Choice, (ahead_rad + offset, part, False)) for offset, part in TRIALS if offset > 0.0]
+        last = [_new(Choice, (ahead_rad + offset, part, True)) for offset, part in TRIALS if offset < 0.0]
+    else:
+        trials = [_new(Choice, (ahead_rad + offset, part, False)) for offset, part in TRIALS]
+    trials += [_new(Choice, (ahead_rad, part, False)) for part in (0.5, 0.0)]
     if was is not None:
         trials.insert(0, was)
         lowest, extra = lowest + CHANGE, 0.0
     for each in chain(trials, last):
         if last and each is last[0] and not _leads_in(scene, chosen):
             break
-        yield PASS * (1 + len(scene.seen))
-        legs, turn_rad = _tried(limits, own, each, route), wrap(each.course_rad - ahead_rad)
-        cost = _cost(scene, legs, turn_rad, each.part, 2.0, lowest - extra) + extra
-        if cost < lowest:
-            best, lowest, chosen = each, cost, legs
+        yield costs
+        turn_rad, enough = wrap(each.course_rad - ahead_rad), lowest - extra
+        if _deviation(scene, turn_rad, each.part) < enough:
+            legs = _tried(limits, own, each, route)
+            cost = _cost(scene, legs, turn_rad, each.part, 2.0, enough) + extra
+            if cost < lowest:
+                best, lowest, chosen = each, cost, legs
         if not extra:  # the first was the course that is steered
             extra = CHANGE + STEADY * lowest
     return None if best is None else best._replace(course_rad=wrap(best.course_rad))
@@ -267,7 +280,7 @@ def _tried(limits: Caution, own: Own, choice: Choice, route: RouteAhead) -> tupl
 
 def _leads_in(scene: Scene, legs: Sequence[Leg]) -> bool:
     """Whether a way leads into a domain, or ashore."""
-    is_in = any(approach(each.around, legs, each.look_s).nearness < 1.0 for each in scene.seen)
+    is_in = any(passing_by(each.around, legs, each.look_s)[0] < 1.0 for each in scene.seen)
     return is_in or (scene.shore is not None and scene.shore.meets(legs, STATIC_S, is_route=False))
 
 
@@ -275,12 +288,13 @@ def _cost(
     scene: Scene, legs: Sequence[Leg], turn_rad: float, part: float, far: float, enough: float, is_route: bool = False
 ) -> float:
     """The cost of a trial; any number of at least `enough` where it is more. `far`: times the look ahead."""
-    sideways = STARBOARD if turn_rad > 0.0 else PORT
-    cost = scene.weary * abs(turn_rad) / (0.5 * math.pi) * sideways + (1.0 - part) * SLOWER
+    cost = _deviation(scene, turn_rad, part)
     deviates, turns_to_port = bool(turn_rad) or part < 1.0, -2.0 < turn_rad < 0.0
-    for _, around, look_s, _, _, _, rule in scene.seen:
+    for _, around, look_s, _, without, _, rule in scene.seen:
         if cost >= enough:
             return cost
+        if is_route and without[0] >= FARTHEST:
+            continue
         nearness, at_s, ahead, starboard = passing_by(around, legs, look_s * far)
         if nearness >= FARTHEST:
             continue
@@ -298,6 +312,12 @@ def _cost(
     return cost
 
 
+def _deviation(scene: Scene, turn_rad: float, part: float) -> float:
+    """The cost of another course and speed, whoever is about: of a trial the least."""
+    sideways = STARBOARD if turn_rad > 0.0 else PORT
+    return scene.weary * abs(turn_rad) / (0.5 * math.pi) * sideways + (1.0 - part) * SLOWER
+
+
 def _hazard(nearness: float, at_s: float, look_s: float) -> float:
     if nearness < 1.0:
         return (INSIDE + DEEP * (1.0 - nearness)) / (1.0 + (at_s / look_s) ** 2)
@@ -306,10 +326,9 @@ def _hazard(nearness: float, at_s: float, look_s: float) -> float:
 
 def _passes(seen: Sequence[Seen], on: Sequence[Leg], legs: Sequence[Leg]) -> tuple[PassedBy, ...]:
     found = list[PassedBy]()
-    for each in seen:
-        without = approach(each.around, on, 2.0 * each.look_s)
-        now = without if legs is on else approach(each.around, legs, 2.0 * each.look_s)
-        found.append(PassedBy(each.target.key, without, now.nearness))
+    for target, around, look_s, _, without, _, _ in seen:
+        nearness = without.nearness if legs is on else passing_by(around, legs, 2.0 * look_s)[0]
+        found.append(_new(PassedBy, (target.key, without, nearness)))
     return tuple(found)
 
 

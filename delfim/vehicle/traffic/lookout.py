@@ -27,7 +27,7 @@ class TrafficLookout:
     def hear(self, state: State) -> None:
         """Call it with the watchdog. Never raises."""
         waiting = state.heard
-        for _ in range(min(len(waiting), AT_ONCE)):
+        for _ in range(min(len(waiting), AT_ONCE)) if waiting else ():
             self._take(waiting.popleft())
 
     def look(self, state: State, now_s: float) -> None:

@@ -68,7 +68,7 @@ class Tracker:
 
     def facts(self, facts: VesselFacts, now_s: float, key: str = "") -> None:
         """Name and size, or a part of them: what is not told keeps."""
-        if not key and facts.mmsi == self._settings.mmsi:
+        if not key and (facts.is_own or facts.mmsi == self._settings.mmsi):
             self.own_s = now_s
             return
         self.heard_s = now_s

@@ -3,25 +3,29 @@
 import math
 from typing import Final
 
+import msgspec
+
 from delfim.geodesy import Origin, from_plane
 from delfim.slices import Work
 from delfim.vehicle.target import NEVER_S, CourseOrder, Danger, Target, Traffic, VesselTold
 
-TOLD: Final = 4  # comparisons that the words for one vessel cost
+TOLD: Final = 5  # comparisons that the words for one vessel cost
+_encode: Final = msgspec.json.Encoder().encode
 
 
-def making(traffic: Traffic, origin: Origin | None) -> Work[tuple[VesselTold, ...]]:
-    """The words for all vessels, the nearest first: `Traffic.told`. Places and ages are those of `Traffic.at_s`."""
-    known, vessels = {each.key: each for each in traffic.dangers}, list[VesselTold]()
+def making(traffic: Traffic, origin: Origin | None) -> Work[tuple[msgspec.Raw, ...]]:
+    """The words for all vessels, the nearest first: `Traffic.told`. Places and ages are those of `Traffic.at_s`. They are
+    encoded here, in slices and once, and not in the callback that tells the state, nor for each who watches it."""
+    known, vessels = {each.key: each for each in traffic.dangers}, list[msgspec.Raw]()
     for each in traffic.targets:
         yield TOLD
         if origin is not None:
-            vessels.append(vessel_told(each, origin) | danger_told(known.get(each.key)))
+            vessels.append(msgspec.Raw(_encode(vessel_told(each, origin) | danger_told(known.get(each.key)))))
     return tuple(vessels)
 
 
 def traffic_told(traffic: Traffic, now_s: float, awaits: bool = False) -> dict[str, object] | None:
-    """All vessels as made last; None where nobody was ever heard, unless the boat `awaits` somebody."""
+    """All vessels as made last, encoded; None where nobody was ever heard, unless the boat `awaits` somebody."""
     if traffic.heard_s == traffic.own_s == NEVER_S and not awaits:
         return None
     return {
@@ -59,9 +63,15 @@ def vessel_told(target: Target, origin: Origin) -> VesselTold:
 
 def danger_told(danger: Danger | None) -> VesselTold:
     """What is not finite is None: beyond all numbers, or not reckoned yet."""
-    numbers = {name: getattr(danger, name, math.nan) for name in ("cpa_m", "tcpa_s", "nearness")}
-    told: VesselTold = {name: round(each, 2) if math.isfinite(each) else None for name, each in numbers.items()}
-    return told | {"danger": "none" if danger is None else danger.level}
+    if danger is None:
+        return {"cpa_m": None, "tcpa_s": None, "nearness": None, "danger": "none"}
+    _, cpa_m, tcpa_s, nearness, level, _ = danger
+    return {
+        "cpa_m": round(cpa_m, 2) if math.isfinite(cpa_m) else None,
+        "tcpa_s": round(tcpa_s, 2) if math.isfinite(tcpa_s) else None,
+        "nearness": round(nearness, 2) if math.isfinite(nearness) else None,
+        "danger": level,
+    }
 
 
 def _ordered(order: CourseOrder | None, now_s: float) -> dict[str, object] | None:

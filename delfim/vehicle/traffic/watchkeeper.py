@@ -23,6 +23,7 @@ from delfim.vehicle.helm import Helm
 from delfim.vehicle.state import Motion, Reference, Setpoint, State, StateLog, Wanted
 from delfim.vehicle.target import NEVER_S, CourseOrder, Target
 from delfim.vehicle.traffic import alarm, keepclear
+from delfim.vehicle.traffic.beside import Company, company, danger_beside
 from delfim.vehicle.traffic.keepclear import Caution, PassedBy, RouteAhead, deciding
 from delfim.vehicle.traffic.routeahead import own_of, route_ahead
 from delfim.vehicle.traffic.vesselwords import making, traffic_told
@@ -33,6 +34,8 @@ SILENT_S: Final = 360.0  # a lost vessel is kept clear of until its last report 
 SLOW: Final = 0.5  # of the speed, where the guard cannot work
 TURN_MIN_RADPS, TURN_MAX_RADPS = 0.05, 0.5
 LEGS: Final = (Mode.PLAY, Mode.GOTO, Mode.HOME)
+
+_new = tuple.__new__  # a fifth of the time of Memory._replace(...): steps are on the critical path
 
 
 def caution(settings: config.Vehicle, limits: Settings) -> Caution:
@@ -50,6 +53,7 @@ class Watchkeeper:
         self._modes = frozenset(mode for mode in Mode if mode.name.lower() in names)
         self._alarms: alarm.Alarms
         self._memory, self._alarms = keepclear.Memory(), {}
+        self._company = Company()
         self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
         self._looked_s = NEVER_S  # `Traffic.at_s` of the present round
         self._round: Sliced[None] | None = None
@@ -83,6 +87,7 @@ class Watchkeeper:
         failing, order, self._passes = f"no {' and no '.join(missing)}" if missing else "", None, ()
         if not missing:
             self._route = route_ahead(state.mode, helm.memory, state.setpoint, state.motion, helm.limits)
+            self._accompany(helm.settings.boat.length_m, now_s)
         if state.mode not in self._modes:
             self._memory, failing = keepclear.Memory(), ""
         elif not missing:
@@ -103,8 +108,21 @@ class Watchkeeper:
         state.traffic = state.traffic._replace(order=order, guard=words)
         self._act(helm, order, failing if state.traffic.targets else "", now_s)
 
+    def _accompany(self, length_m: float, now_s: float) -> None:
+        """Who moves as the boat does, in a boat of this length."""
+        state, was = self._state, self._company
+        self._company = company(was, own_of(state.motion), length_m, state.traffic.targets, now_s)
+        for each in self._beside():
+            if not was.has(each.key):
+                self._log.note(f"traffic: {danger_beside(each).words}")
+
+    def _beside(self) -> list[Target]:
+        return [each for each in self._state.traffic.targets if self._company.has(each.key)]
+
     def _watched(self) -> list[Target]:
-        return [each for each in self._state.traffic.targets if not each.is_lost or each.age_s < SILENT_S]
+        """All but those that were silent for long, and those that come along wherever the boat goes."""
+        targets, beside = self._state.traffic.targets, self._company
+        return [each for each in targets if (not each.is_lost or each.age_s < SILENT_S) and not beside.has(each.key)]
 
     def _act(self, helm: Helm, order: CourseOrder | None, failing: str, now_s: float) -> None:
         """From now on the steps of the mode are these."""
@@ -127,13 +145,10 @@ class Watchkeeper:
         was = LineOfSight(memory.course.crab_rad)
         course, heading_rad = course_to_steer(was, motion, order.course_rad, 0.0, settings.control.path, dt_s)
         integrals, wanted = steer(memory.integrals, motion, heading_rad, order.speed_mps, settings, dt_s)
-        reference = reference._replace(
-            heading_rad=wrap(heading_rad),
-            speed_mps=order.speed_mps,
-            course_rad=order.course_rad,
-            done=reference.done and mode is not Mode.PATH,  # its end is passed abeam, however far away
-        )
-        return after._replace(integrals=integrals, course=course), reference, wanted
+        done = reference.done and mode is not Mode.PATH  # its end is passed abeam, however far away
+        told = wrap(heading_rad), order.speed_mps, *reference[2:7], done, reference.reason, order.course_rad
+        reference = _new(Reference, told)
+        return _new(Memory, (integrals, course, *after[2:])), reference, wanted
 
     def _resume(self, helm: Helm) -> None:
         """Past and clear: the present leg begins anew from here."""
@@ -168,7 +183,7 @@ class Watchkeeper:
         told = yield from alarm.dangers(near, boat, own, self._route, watched, passes, guarded, self._alarms, now_s)
         found, self._alarms = told
         nearness = min((each.nearness for each in found), default=math.nan)
-        state.traffic = state.traffic._replace(dangers=found, nearness=nearness)
+        state.traffic = state.traffic._replace(dangers=found + tuple(map(danger_beside, self._beside())), nearness=nearness)
 
 
 def _slowly(

@@ -103,12 +103,13 @@ export class Others {
       if (!place || !boat.order) return [];
       const far_m = Math.max(ORDER_M, (boat.speed_mps ?? 0) * ORDER_S);
       const line = new Feature(new LineString([point(place), point(towards(place, boat.order.course_deg, far_m))]));
+      const isWest = Math.sin(boat.order.course_deg * RAD) < 0;
       const words = new Text({
         text: boat.order.words.replace(/, (?!CPA)/g, ",\n"),
         font: "600 13px system-ui, sans-serif",
-        textAlign: "left",
-        offsetX: 14,
-        offsetY: -16,
+        textAlign: isWest ? "right" : "left", // beyond the line, not over it
+        offsetX: isWest ? -14 : 14,
+        offsetY: -16 * Math.cos(boat.order.course_deg * RAD),
         fill: new Fill({ color: palette.steer }),
         stroke: new Stroke({ color: palette.halo, width: 4 }),
       });

@@ -147,7 +147,7 @@ class Chip {
     if (hand) text(this.speed, hand.silent ? "thrust 0" : `P ${hand.port_pct} · S ${hand.starboard_pct} %`);
     else if (boat.mode === "manual") text(this.speed, `P ${port} · S ${starboard} %`);
     else if (boat.mode === "idle" || boat.mode === null) text(this.speed, speed);
-    else text(this.speed, `${actions.speed_pct(boat)} % · ${speed}`);
+    else text(this.speed, boat.link.kind === "log" ? speed : `${actions.speed_pct(boat)} % · ${speed}`);
     this.speed.classList.toggle("bad", hand?.silent ?? false);
   }
 
@@ -244,7 +244,8 @@ function zeroLine(plot: uPlot): void {
   plot.ctx.restore();
 }
 
-function missionWords({ mode, mission: { name, count, current, state } }: Boat): string {
+function missionWords({ mode, link, mission: { name, count, current, state } }: Boat): string {
+  if (link.kind === "log") return ""; // it holds no mission
   if (!count) return state === "unknown" ? "mission not read" : "no mission aboard";
   const waypoints = count === 1 ? "1 waypoint" : `${count} waypoints`;
   return `${name === UNNAMED ? "mission" : name}: ${mode === "play" && current !== null ? `waypoint ${current + 1} of ${count}` : waypoints}`;
@@ -265,6 +266,7 @@ function batteryWords({ battery_pct, battery_v }: Boat): string {
 }
 
 function linkWords({ link }: Boat): string {
+  if (link.kind === "log") return "from the boat's own log";
   const parts = [`${link.profile || link.kind} ${link.rtt_ms === null ? "" : `${Math.round(link.rtt_ms)} ms`}`];
   if (link.loss_pct !== null) parts.push(`${link.loss_pct < 9.95 ? link.loss_pct.toFixed(1) : Math.round(link.loss_pct)} % lost`);
   parts.push(link.signed ? "signed" : "unsigned");

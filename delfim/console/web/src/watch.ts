@@ -28,7 +28,7 @@ export class Watch {
     private readonly sound: Sound,
   ) {
     state.on(["vessels"], () => this.look());
-    setInterval(() => this.alarming.length && !state.replaying && sound.alarm(), AGAIN_MS);
+    setInterval(() => this.alarming.length && sound.alarm(), AGAIN_MS);
   }
 
   setZone(m: number): void {
@@ -45,8 +45,9 @@ export class Watch {
     return this.inside.has(vessel.key) ? graver(known, "near") : known;
   }
 
-  /** Vessels in danger of which nobody has taken note. */
+  /** Vessels in danger of which nobody has taken note; none in a replay. */
   get alarming(): Vessel[] {
+    if (this.state.replaying) return [];
     return this.state.vessels.filter((each) => this.gravity(each) === "danger" && this.noted.get(each.key) !== "danger");
   }
 
