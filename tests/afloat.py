@@ -22,6 +22,7 @@ def running(tmp_path: Path, port: int, *more: str, package: Path = ROOT) -> Iter
         f'log.directory="{tmp_path}/log"',
         f'runtime.run_directory="{tmp_path}"',
         'supervisor.hardware_watchdog=""',
+        "supervisor.deadman_s=30.0",  # a machine that stands still for a second is not what is tested here
         'httpd.listen="127.0.0.1:0"',
         'cantcpd.listen=["127.0.0.1:0"]',
         'guest.listen="127.0.0.1:0"',

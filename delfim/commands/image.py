@@ -12,7 +12,7 @@ from delfim.console.link import Link
 from delfim.errors import DelfimError, Refused
 from delfim.services import imagefile, slots
 
-ANSWER_S = 3.0  # for the vehicle's answer
+ANSWER_S = 10.0  # for the answer of a vehicle on a busy board
 
 
 def options(parser: argparse.ArgumentParser) -> None:
