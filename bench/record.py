@@ -1,13 +1,16 @@
 """The record of encounters: sails DNV's set and Imazu's 22 cases with and without the guard, and writes what came of them.
 
-    python -m bench.record [--seeds N] [--real N] [--bare N] [--workers N] [--output FOLDER]    sails, and prints the tables
-    python -m bench.record --tell [--left FILE.png]            prints them of what is there, and draws who entered a domain
+    python -m bench.record [--first N] [--seeds N] [--real N] [--bare N] [--workers N] [--output FOLDER]
+                                                         sails, and prints the tables
+    python -m bench.record --tell [--left FILE.png]      prints them of what is there, and draws who entered a domain
+    python -m bench.record --tell --keep FILE.parquet    adds what is there to that file: a row for each run
+    python -m bench.record --tell --output docs/record.parquet                     prints the tables of such a file
     python -m bench.record --picture FILE.png [--tracks FILE.json]                 draws Imazu's 22 cases with real ships
 
 The runs are those of etc/campaigns/encounters.toml, through the whole program in lock step, one seed after the other, so that
 what is there is a record of all encounters however early it is ended; the same command goes on. First N seeds of the sets in
 the boat's scale, then N of those with real ships. Without the guard it does not matter how others are heard: those runs, of
-the first few seeds, are of one kind. docs/encounters.md has the tables.
+the first few seeds, are of one kind. docs/encounters.md has the tables, docs/record.parquet the runs that they are made of.
 """
 
 import argparse
@@ -49,6 +52,9 @@ WORSE: Final = f"""
 select g.story, g."{HEARD}" as heard, g.seed, g.entered, b.entered as "entered without", g.collisions, b.collisions as "without"
 from runs g join runs b on g.story = b.story and g.seed = b.seed and g."{GUARD}" and not b."{GUARD}"
 where g.entered > b.entered or g.collisions > b.collisions"""
+KEPT: Final = f"""story, "{HEARD}", "{GUARD}", seed, vessels, collisions, entered, nearest, nearest_m, alterations, off_m,
+    rules_asked, rules_broken, "end", error, digest, version"""
+RUN: Final = f'story, "{HEARD}", "{GUARD}", seed'  # the columns that say what was sailed
 BARE: Final = 3  # seeds that are sailed without the guard, too
 SIMILAR, REAL = "-similar:", "-real:"  # the scale, in the name of a story
 COLUMNS: Final = 6
@@ -68,19 +74,31 @@ def plan_of(seed: int, *, guarded: bool, scale: str = "") -> Plan:
     return plan._replace(points=points, seeds=Seeds(first=seed, count=1), digest=digest)
 
 
-def sail(seeds: int, real: int, bare: int, output: Path, workers: int) -> None:
-    for scale, count in ((SIMILAR, seeds), (REAL, real)):
-        for seed in range(1, count + 1):
+def sail(first: int, seeds: int, real: int, bare: int, output: Path, workers: int) -> None:
+    """The seeds from `first` on; `seeds`, `real` and `bare` are the last of their kind."""
+    for scale, last in ((SIMILAR, seeds), (REAL, real)):
+        for seed in range(first, last + 1):
             for guarded in (True, False) if seed <= bare else (True,):
                 folder = output / f"seed{scale[:-1]}-{seed:03}-{'on' if guarded else 'off'}"
                 conduct.sail(plan_of(seed, guarded=guarded, scale=scale), folder, 2, workers, None)
 
 
 def connect(output: Path) -> duckdb.DuckDBPyConnection:
-    """All that was sailed, as the table `runs`."""
+    """All that was sailed, as the table `runs`; of a folder, or of a file that `keep` wrote."""
     database = duckdb.connect()
-    findings.asked(database, f"create view runs as select * from {parts(output / 'seed-*')}")
+    place = f"'{output}'" if output.is_file() else parts(output / "seed-*")
+    findings.asked(database, f"create view runs as select * from {place}")
     return database
+
+
+def keep(database: duckdb.DuckDBPyConnection, place: Path) -> None:
+    """Adds the runs to this file, in place of those of the same story, reports, guard and seed."""
+    rows = f"select {KEPT} from runs"
+    if place.exists():
+        rows += f" union all by name select {KEPT} from '{place}' anti join runs using ({RUN})"
+    new = place.with_suffix(".new")
+    findings.asked(database, f"copy ({rows} order by {RUN}) to '{new}' (format parquet, compression zstd)")
+    new.replace(place)
 
 
 def markdown(names: list[str], rows: list[tuple[Any, ...]]) -> str:
@@ -149,21 +167,25 @@ def draw(cases: list[dict[str, Any]], place: Path, title: str) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser()
-    parser.add_argument("--seeds", type=int, default=1)
+    parser.add_argument("--first", type=int, default=1)
+    parser.add_argument("--seeds", type=int, default=1, help="The last of those that are sailed in the boat's scale.")
     parser.add_argument("--real", type=int, default=1, help="The same, with real ships.")
     parser.add_argument("--bare", type=int, default=BARE, help="Of these, how many without the guard, too.")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
     parser.add_argument("--output", type=Path, default=Path("run/campaign/record"))
     parser.add_argument("--tell", action="store_true", help="Sail nothing.")
     parser.add_argument("--left", type=Path)
+    parser.add_argument("--keep", type=Path)
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--tracks", type=Path)
     asked = parser.parse_args()
     if asked.picture is None:
         if not asked.tell:
-            sail(asked.seeds, asked.real, asked.bare, asked.output, asked.workers)
+            sail(asked.first, asked.seeds, asked.real, asked.bare, asked.output, asked.workers)
         database = connect(asked.output)
         tell(database)
+        if asked.keep:
+            keep(database, asked.keep)
         _, rows = findings.asked(database, LEFT)
         if asked.left and rows:
             draw(tracks((story, heard, seed) for story, heard, seed, *_ in rows), asked.left, "Domains entered")

@@ -71,22 +71,37 @@ def test_random_encounters_are_kept_in_blocks_and_gone_on_with(tmp_path, monkeyp
     assert len(list(tmp_path.iterdir())) == 1, "a block that is not complete is sailed again"
 
 
-def test_the_tables_name_what_failed(capsys):
+def sailed(seed: int = 1) -> Any:
     duckdb: Any = pytest.importorskip("duckdb")
     database = duckdb.connect()
     database.execute(
         f"""create table runs as select 'imazu22-real:imazu-0' || i as story, 'B' as "{record.HEARD}",
-        i < 3 as "{record.GUARD}", 1 as seed, i as point, 1 as vessels, 0 as collisions,
+        i < 3 as "{record.GUARD}", {seed} as seed, 'd' as digest, 'v' as version, i as point, 1 as vessels, 0 as collisions,
         case when i = 2 then 1 else 0 end as entered, 0.5::double * i as nearest, 100.0::double as nearest_m, 2 as alterations,
         90.0::double as off_m, 3 as rules_asked,
         case when i = 1 then '8a in ample time: give-way 1' else '' end as rules_broken,
         'time' as "end", '' as error from range(1, 5) r(i)"""
     )
-    record.tell(database)
+    return database
+
+
+def test_the_tables_name_what_failed(capsys):
+    record.tell(sailed())
     told = capsys.readouterr().out
     assert "| imazu22-real | B | on | 2 | 2 | 0 | 1 | 0.5 | 0.75 | 100 | 2 | 90 | 6 | 5 |" in told
     assert "| 8a in ample time | 1 | 1 |" in told
     assert "| imazu22-real:imazu-02 | B | 1 | 1 | 100 | 1 |" in told
+
+
+def test_runs_are_kept_in_a_file_each_once_and_tell_the_same_tables(tmp_path, capsys):
+    place = tmp_path / "record.parquet"
+    for seed in (1, 2, 1):
+        record.keep(sailed(seed), place)
+    kept = record.connect(place)
+    assert kept.execute("select count(*), count(distinct seed) from runs").fetchall() == [(8, 2)]
+    record.tell(kept)
+    assert "| imazu22-real | B | on | 4 | 4 | 0 | 2 |" in capsys.readouterr().out
+    assert list(tmp_path.iterdir()) == [place]
 
 
 def test_the_page_of_tracks_is_drawn(tmp_path):
