@@ -43,7 +43,7 @@ heading() { # the simulated boat sails
     nodes=$!
     has_heading() { state | grep -q 'heading [0-9]'; }
     until_s 60 has_heading
-    { echo heading 90 0.5; sleep 1000; } | delfim drive $FILE >/dev/null &
+    { until mode heading; do echo heading 90 0.5; sleep 1; done; sleep 1000; } | delfim drive $FILE >/dev/null &
     until_s 60 mode heading
 }
 not_before() { [ "$(of MainPID)" != "$1" ] && there; }

@@ -61,7 +61,7 @@ begin under way: an upgrade is refused, and the boat sails on
 delfim nodes $FILE >/dev/null 2>&1 &
 has_heading() { state | grep -q 'heading [0-9]'; }
 until_s 60 has_heading
-{ echo heading 90 0.5; sleep 1000; } | delfim drive $FILE >/dev/null &
+{ until mode heading; do echo heading 90 0.5; sleep 1; done; sleep 1000; } | delfim drive $FILE >/dev/null &
 until_s 60 mode heading
 fails apt install "$3"
 grep -q 'under way, in mode heading' /tmp/apt

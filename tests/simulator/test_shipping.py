@@ -144,6 +144,16 @@ def test_noise_wanders_loss_is_a_fifth_and_perfect_reports_are_exact():
         assert to_plane(model.origin, each.latitude_rad, each.longitude_rad) == pytest.approx((3.0 * t_s, 0.0), abs=0.02)
 
 
+def test_name_and_size_were_told_before_the_run_began_and_are_known():
+    """A run is cut from a longer voyage: the first telling stands for many, and is heard however much is lost."""
+    for seed in range(20):
+        there, _ = shipping(one(heard="B", lost=0.9, speed_mps=3.0, length_m=35.0), seed=seed)
+        heard = [(t_s, each) for t_s, each in listened(there, 3000.0) if isinstance(each, VesselFacts)]
+        assert heard[0][0] < 21.0
+        assert {each.length_m for t_s, each in heard if t_s < 21.0} == {35.0, None}, "two messages: name, size"
+        assert len(heard) < 16, "the later ones are lost as all else is"
+
+
 def test_the_same_seed_says_the_same_and_another_one_does_not():
     said = [list(listened(shipping(one(speed_mps=3.0), noise=True, seed=seed)[0], 300.0)) for seed in (1, 1, 2)]
     assert said[0] == said[1] != said[2]

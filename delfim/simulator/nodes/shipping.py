@@ -26,7 +26,7 @@ KNOT_MPS: Final = 1852.0 / 3600.0
 SENTENCES_MAX: Final = 256  # that a line has not taken yet; there may be none
 LATE_MAX: Final = 4096  # messages of a late receiver that are under way
 STATIC_S: Final = 360.0  # between two tellings of name and size
-FIRST_STATIC_S: Final = 20.0  # the first one comes within this time
+FIRST_STATIC_S: Final = 20.0  # the first one comes within this time; it stands for those before the run, and is not lost
 PERFECT_S: Final = 1.0
 RESTING: Final = (1, 5)  # status: at anchor, moored
 WANDER_S: Final = 60.0  # of the error of a position
@@ -133,6 +133,7 @@ class Transponder:
         self._said_s = -random.uniform(0.0, self._straight_s)  # its last position
         self._last: VesselPosition | None = None
         self._facts_due_s = random.uniform(0.0, FIRST_STATIC_S)
+        self._facts_lost = 0.0  # part of the tellings of name and size that nobody hears
 
     def _intervals_s(self) -> tuple[float, float]:
         """Between two positions, straight on and turning (ITU-R M.1371): of class A by speed and turning, of class B "CS" by
@@ -163,16 +164,17 @@ class Transponder:
         if self._is_position_due(t_s):
             told = self._told(t_s, wrong_m)
             self._last = told = self._last if frozen and self._last is not None else told
-            if self._is_heard(t_s):
+            if self._is_heard(t_s, self._lost):
                 yield Spoken(told, status, self._is_class_a, second)
         if t_s >= self._facts_due_s:
             self._facts_due_s = t_s + STATIC_S
-            if self._is_heard(t_s):
+            is_heard, self._facts_lost = self._is_heard(t_s, self._facts_lost), self._lost
+            if is_heard:
                 yield Spoken(self._facts(), status, self._is_class_a, second)
 
-    def _is_heard(self, t_s: float) -> bool:
+    def _is_heard(self, t_s: float, lost: float) -> bool:
         begin_s, end_s = self._vessel.silent
-        return self._random.random() >= self._lost and not begin_s <= t_s < end_s
+        return self._random.random() >= lost and not begin_s <= t_s < end_s
 
     def _told(self, t_s: float, wrong_m: float) -> VesselPosition:
         """Its antenna, course and speed, with their errors, as coarse as AIS is."""
