@@ -1,6 +1,8 @@
 """The look at the computer, against the texts that the kernel and iproute2 write."""
 
 import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -167,3 +169,11 @@ def test_a_process_is_as_the_supervisor_and_its_service_say():
     ended = Service(state="failed", reason="exit code 100")
     assert service(ended, own % ("no such user", 7)).reason == "no such user"
     assert service(ended, own % ("no such user", 7)).state == "failed"
+
+
+def test_the_sampler_loads_no_loop():
+    """It is a process of its own on every boat that has a page, and asyncio with ssl is 5 MB."""
+    look = "import sys, delfim.services.computer; print(*sys.modules)"
+    loaded = set(subprocess.run([sys.executable, "-c", look], capture_output=True, text=True, check=True).stdout.split())
+    assert "msgspec" in loaded
+    assert loaded & {"asyncio", "ssl", "aiohttp"} == set()
