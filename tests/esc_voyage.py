@@ -82,7 +82,13 @@ def often(bus: CanSocket) -> int:
 
 def voyage(folder: Path, bus: str) -> None:
     """From the start to the dead-man, on this bus. Raises AssertionError."""
-    values = (*BOAT, f'dronecan.interface="{bus}"', f'httpd.listen="127.0.0.1:{PAGE}"', "mavlink.enabled=false")
+    values = (
+        *BOAT,
+        f'dronecan.interface="{bus}"',
+        f'httpd.listen="127.0.0.1:{PAGE}"',
+        "mavlink.enabled=false",
+        "supervisor.deadman_s=1.0",
+    )
     with esc_pair(bus, silent_s=3600.0) as pair, running(folder, 14550, *values) as command:
         said(pair, "zero")
         state = asked(command, "manual", starboard=0.5, port=-0.25)

@@ -134,6 +134,7 @@ def afloat(tmp_path: Path, driver: str) -> Iterator[tuple[Motors, Path]]:
             'sysstat.required=["gps"]',
             "mavlink.enabled=false",
             "simulation.motors=false",
+            "supervisor.deadman_s=1.0",
             *motors.values,
         )
         yield motors, opened.enter_context(running(tmp_path, 14550, *values))

@@ -91,7 +91,13 @@ def test_a_new_driver_is_commanded_and_limited_and_stopped_by_the_dead_man(tmp_p
     copy.row("delfim/config.py", "class Vehicle(Table, frozen=True):", TABLE)
     copy.row("delfim/config.py", "    dsor: Dsor = Dsor()", "    motor: Motor = Motor()\n")
     end, port = os.openpty()
-    values = (ROWS, f'motor.device="{os.ttyname(port)}"', 'sysstat.required=["gps"]', "mavlink.enabled=false")
+    values = (
+        ROWS,
+        f'motor.device="{os.ttyname(port)}"',
+        'sysstat.required=["gps"]',
+        "mavlink.enabled=false",
+        "supervisor.deadman_s=1.0",
+    )
     with running(tmp_path, 14550, *values, package=copy.place) as command:
         thrust = list[float]()
         while not thrust or thrust[-1] < 0.9:
