@@ -136,8 +136,9 @@ def draw(cases: list[dict[str, Any]], place: Path, title: str) -> None:
     from matplotlib import pyplot as plt
     from matplotlib.patches import Ellipse
 
-    lines = math.ceil(len(cases) / COLUMNS)
-    figure, frames = plt.subplots(lines, COLUMNS, figsize=(3.0 * COLUMNS, 3.3 * lines), squeeze=False)
+    columns = min(COLUMNS, len(cases))
+    lines, wide_in = math.ceil(len(cases) / columns), 3.0 if columns == COLUMNS else 6.0
+    figure, frames = plt.subplots(lines, columns, figsize=(wide_in * columns, (wide_in + 0.3) * lines), squeeze=False)
     for axes in frames.flat[len(cases) :]:
         axes.set_visible(False)
     for axes, case in zip(frames.flat, cases, strict=False):
@@ -158,7 +159,7 @@ def draw(cases: list[dict[str, Any]], place: Path, title: str) -> None:
         axes.set_xlim(-half_m, half_m)
         axes.set_ylim(middle_m - half_m, middle_m + half_m)
         axes.set_aspect("equal")
-        axes.set_title(f"{case['name']}: {min(each[3] for each in case['vessels']):.2f} domains", fontsize=8)
+        axes.set_title(f"{case['name']}: {min(each[3] for each in case['vessels']):.3g} domains", fontsize=8)
         axes.tick_params(labelsize=6)
     figure.suptitle(title)
     figure.tight_layout(rect=(0.0, 0.0, 1.0, 0.985))
