@@ -15,7 +15,7 @@ from delfim.vehicle.fence import Fence
 from delfim.vehicle.target import CourseOrder, Target
 from delfim.vehicle.traffic.cpa import approach, closest, domain
 from delfim.vehicle.traffic.encounter import Own, duty, stands_on
-from delfim.vehicle.traffic.keepclear import Memory, RouteAhead, decide, route_legs
+from delfim.vehicle.traffic.keepclear import Choice, Memory, RouteAhead, decide, route_legs
 from delfim.vehicle.traffic.watchkeeper import caution
 from delfim.vehicle.zones import circle, clearance_m, polygon
 from tests.vehicle.encounters import LIMITS, encounters, place, sail, score, target
@@ -121,6 +121,26 @@ def test_an_order_that_leads_into_nothing_stands_for_half_a_minute() -> None:
     changed_s = [now.t_s for was, now in pairwise(log) if abs(wrap(now.course_rad - was.course_rad)) > 0.2]
     assert changed_s
     assert all(after - before >= 28.0 for before, after in pairwise(changed_s))
+
+
+@pytest.mark.parametrize("ahead_m", [180.0, 240.0, 300.0])
+def test_a_boat_before_a_ships_bow_rather_enters_another_domain_than_being_struck(ahead_m: float) -> None:
+    """Two ships turn in on both sides of a boat that lies stopped: the one comes straight at it, the other would pass."""
+    stopped, route = Choice(math.radians(347.0), 0.0, is_last=False), RouteAhead(((5000.0, 0.0),), 1.5)
+    before = Memory(CourseOrder(stopped.course_rad, 0.0, 0.0, "", "0", 0.5, 0.0), stopped, 0.0, 1.0)
+    coming = seen_from_it(-ahead_m, 19.0, 25.0, 6.1)._replace(key="0")
+    passing = seen_from_it(-217.0 - (ahead_m - 182.0) * 4.3 / 6.1, -156.0, 40.0, 4.3)._replace(key="1")
+    limits = LIMITS._replace(stand_on="small")
+    order = decide(limits, before, Own(0.0, 0.0, 0.0, 0.0), route, [coming, passing], None, 10.0).order
+    assert order is not None
+    assert order.speed_part == 1.0
+    assert order.nearness > 0.28, "0.13 where it lies"
+
+
+def seen_from_it(ahead_m: float, starboard_m: float, course_deg: float, speed_mps: float) -> Target:
+    """A ship of 90 m, so far ahead of the boat and to starboard on its own course."""
+    c, s = math.cos(math.radians(course_deg)), math.sin(math.radians(course_deg))
+    return ship(ahead_m * c - starboard_m * s, ahead_m * s + starboard_m * c, course_deg, speed_mps, 90.0)
 
 
 def test_the_boat_stands_on_for_whom_the_owner_says() -> None:

@@ -47,6 +47,7 @@ FROM_STARBOARD: Final = ("head-on", "give-way")  # vessels for which the boat do
 AGAINST_RULE, TO_PORT = 60.0, 40.0
 STARBOARD, PORT, SLOWER = 10.0, 13.0, 12.0  # a right angle to either side; a stop
 INSIDE, DEEP, NEAR = 100.0, 900.0, 15.0  # entering the domain, its middle, and the edge of what is soft
+HALF, STRUCK = 0.5, 3000.0  # nearer than so, each domain costs so much more: two domains entered are better than one collision
 ASHORE: Final = 10_000.0  # no vessel is a reason to cross the fence
 FARTHEST: Final = 2.5  # domains: beyond, a vessel costs nothing
 SLOWEST_MPS: Final = 0.3  # a slower boat counts as this fast
@@ -320,7 +321,10 @@ def _deviation(scene: Scene, turn_rad: float, part: float) -> float:
 
 def _hazard(nearness: float, at_s: float, look_s: float) -> float:
     if nearness < 1.0:
-        return (INSIDE + DEEP * (1.0 - nearness)) / (1.0 + (at_s / look_s) ** 2)
+        cost = INSIDE + DEEP * (1.0 - nearness)
+        if nearness < HALF:
+            cost += STRUCK * (HALF - nearness)
+        return cost / (1.0 + (at_s / look_s) ** 2)
     return NEAR * (SOFT - nearness) / (SOFT - 1.0) if nearness < SOFT else 0.0
 
 
