@@ -321,9 +321,7 @@ def _deviation(scene: Scene, turn_rad: float, part: float) -> float:
 
 def _hazard(nearness: float, at_s: float, look_s: float) -> float:
     if nearness < 1.0:
-        cost = INSIDE + DEEP * (1.0 - nearness)
-        if nearness < HALF:
-            cost += STRUCK * (HALF - nearness)
+        cost = INSIDE + DEEP * (1.0 - nearness) + STRUCK * max(HALF - nearness, 0.0)
         return cost / (1.0 + (at_s / look_s) ** 2)
     return NEAR * (SOFT - nearness) / (SOFT - 1.0) if nearness < SOFT else 0.0
 
