@@ -154,6 +154,15 @@ def test_name_and_size_were_told_before_the_run_began_and_are_known():
         assert len(heard) < 16, "the later ones are lost as all else is"
 
 
+@pytest.mark.parametrize("speed_mps", [0.8, 3.0])  # below 2 knots class B reports each 3 minutes
+def test_a_position_was_told_before_the_run_began_and_is_known(speed_mps):
+    for seed in range(20):
+        there, _ = shipping(one(heard="B", lost=0.9, speed_mps=speed_mps), seed=seed)
+        times = [t_s for t_s, _ in positions(list(listened(there, 3000.0)))]
+        assert times[0] < (181.0 if speed_mps < 1.0 else 31.0)
+        assert len(times) < 40, "the later ones are lost"
+
+
 def test_the_same_seed_says_the_same_and_another_one_does_not():
     said = [list(listened(shipping(one(speed_mps=3.0), noise=True, seed=seed)[0], 300.0)) for seed in (1, 1, 2)]
     assert said[0] == said[1] != said[2]

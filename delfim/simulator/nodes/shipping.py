@@ -26,7 +26,7 @@ KNOT_MPS: Final = 1852.0 / 3600.0
 SENTENCES_MAX: Final = 256  # that a line has not taken yet; there may be none
 LATE_MAX: Final = 4096  # messages of a late receiver that are under way
 STATIC_S: Final = 360.0  # between two tellings of name and size
-FIRST_STATIC_S: Final = 20.0  # the first one comes within this time; it stands for those before the run, and is not lost
+FIRST_STATIC_S: Final = 20.0  # the first one comes within this time
 PERFECT_S: Final = 1.0
 RESTING: Final = (1, 5)  # status: at anchor, moored
 WANDER_S: Final = 60.0  # of the error of a position
@@ -133,7 +133,9 @@ class Transponder:
         self._said_s = -random.uniform(0.0, self._straight_s)  # its last position
         self._last: VesselPosition | None = None
         self._facts_due_s = random.uniform(0.0, FIRST_STATIC_S)
-        self._facts_lost = 0.0  # part of the tellings of name and size that nobody hears
+        # Part of the positions, and of the tellings of name and size, that nobody hears. The first of each stands for those
+        # before the run and is not lost: a vessel was in reach for an hour, and a slow one tells its position each 3 minutes.
+        self._position_lost = self._facts_lost = 0.0
 
     def _intervals_s(self) -> tuple[float, float]:
         """Between two positions, straight on and turning (ITU-R M.1371): of class A by speed and turning, of class B "CS" by
@@ -164,7 +166,8 @@ class Transponder:
         if self._is_position_due(t_s):
             told = self._told(t_s, wrong_m)
             self._last = told = self._last if frozen and self._last is not None else told
-            if self._is_heard(t_s, self._lost):
+            is_heard, self._position_lost = self._is_heard(t_s, self._position_lost), self._lost
+            if is_heard:
                 yield Spoken(told, status, self._is_class_a, second)
         if t_s >= self._facts_due_s:
             self._facts_due_s = t_s + STATIC_S
