@@ -3,6 +3,7 @@
 import json
 import math
 from multiprocessing.pool import ThreadPool
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,6 +12,7 @@ from bench import encounters, record
 from delfim.campaign.rulecheck import Instant
 from delfim.simulator.encounters import Encounter, Ship, drawn
 
+ROOT = Path(__file__).parents[2]
 HEAD_ON = Ship(north_m=1500.0, east_m=0.0, course_deg=180.0, speed_mps=1.5, length_m=20.0, kind="head-on", tcpa_s=500.0)
 
 
@@ -102,6 +104,18 @@ def test_runs_are_kept_in_a_file_each_once_and_tell_the_same_tables(tmp_path, ca
     record.tell(kept)
     assert "| imazu22-real | B | on | 4 | 4 | 0 | 2 |" in capsys.readouterr().out
     assert list(tmp_path.iterdir()) == [place]
+
+
+def test_the_pages_have_the_figures_of_the_kept_record():
+    kept = record.connect(ROOT / "docs/record.parquet")
+    guarded = f'where "{record.GUARD}"'
+    runs, ships, seeds = kept.execute(f"select count(*), sum(vessels), max(seed) from runs {guarded}").fetchone()
+    bad = kept.execute(f"select sum(entered), sum(collisions), count(*) filter (error != '') from runs {guarded}").fetchone()
+    page = (ROOT / "docs/encounters.md").read_text()
+    assert f"**{runs:,} runs with the guard, in which the boat meets {ships:,} ships: no collision, no domain entered**" in page
+    assert f"Seeds 1 to {seeds} of" in page
+    assert f"{runs:,} runs, {ships:,} ships" in (ROOT / "README.md").read_text()
+    assert bad == (0, 0, 0)
 
 
 def test_the_page_of_tracks_is_drawn(tmp_path):
