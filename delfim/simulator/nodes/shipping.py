@@ -133,9 +133,6 @@ class Transponder:
         self._said_s = -random.uniform(0.0, self._straight_s)  # its last position
         self._last: VesselPosition | None = None
         self._facts_due_s = random.uniform(0.0, FIRST_STATIC_S)
-        # Part of the positions, and of the tellings of name and size, that nobody hears. The first of each stands for those
-        # before the run and is not lost: a vessel was in reach for an hour, and a slow one tells its position each 3 minutes.
-        self._position_lost = self._facts_lost = 0.0
 
     def _intervals_s(self) -> tuple[float, float]:
         """Between two positions, straight on and turning (ITU-R M.1371): of class A by speed and turning, of class B "CS" by
@@ -164,20 +161,20 @@ class Transponder:
         how far it may be off."""
         status = self._vessel.row.status if self._is_class_a else None
         if self._is_position_due(t_s):
-            told = self._told(t_s, wrong_m)
+            told, is_first = self._told(t_s, wrong_m), self._last is None
             self._last = told = self._last if frozen and self._last is not None else told
-            is_heard, self._position_lost = self._is_heard(t_s, self._position_lost), self._lost
-            if is_heard:
+            if self._is_heard(t_s, is_first):
                 yield Spoken(told, status, self._is_class_a, second)
         if t_s >= self._facts_due_s:
-            self._facts_due_s = t_s + STATIC_S
-            is_heard, self._facts_lost = self._is_heard(t_s, self._facts_lost), self._lost
-            if is_heard:
+            is_first, self._facts_due_s = self._facts_due_s <= FIRST_STATIC_S, t_s + STATIC_S
+            if self._is_heard(t_s, is_first):
                 yield Spoken(self._facts(), status, self._is_class_a, second)
 
-    def _is_heard(self, t_s: float, lost: float) -> bool:
+    def _is_heard(self, t_s: float, is_first: bool) -> bool:
+        """The first of a kind stands for those before the run and is not lost: a vessel was in reach for an hour, and a slow
+        one tells its position each 3 minutes."""
         begin_s, end_s = self._vessel.silent
-        return self._random.random() >= lost and not begin_s <= t_s < end_s
+        return (self._random.random() >= self._lost or is_first) and not begin_s <= t_s < end_s
 
     def _told(self, t_s: float, wrong_m: float) -> VesselPosition:
         """Its antenna, course and speed, with their errors, as coarse as AIS is."""
