@@ -17,6 +17,7 @@ from delfim.vehicle.control.control import control
 from delfim.vehicle.state import NoLog, State
 from delfim.vehicle.target import Traffic
 from delfim.vehicle.traffic import watchkeeper
+from delfim.vehicle.traffic.routeahead import route_ahead
 from delfim.vehicle.traffic.watchkeeper import LATE_S
 from tests.vehicle.encounters import Ship, place, target
 
@@ -241,3 +242,12 @@ def test_the_state_tells_the_order_and_how_near_each_vessel_comes() -> None:
     assert vessel["nearness"] > 1.0
     assert vessel["cpa_m"] > 20.0
     assert vessel["tcpa_s"] > 50.0
+
+
+def test_the_boat_is_not_reckoned_faster_than_its_file_allows() -> None:
+    voyage = Voyage("control.speed.max_mps=1.2", "control.speed.cruise_mps=1.0")
+    helm = voyage.run.vehicle.helm
+    asked, motion = voyage.state.setpoint._replace(speed_mps=1.5), voyage.state.motion
+    assert route_ahead(Mode.COURSE, helm.memory, asked, motion, helm.limits).speed_mps == 1.2
+    by_hand = motion._replace(north_mps=2.0, east_mps=0.0)
+    assert route_ahead(Mode.MANUAL, helm.memory, asked, by_hand, helm.limits).speed_mps == 2.0

@@ -29,8 +29,9 @@ def own_of(motion: Motion) -> Own:
 
 
 def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, settings: Settings) -> RouteAhead:
-    """A boat that stays at a place goes back there; without a mode's own way it goes on as it does."""
-    own, override_mps, has_end = own_of(motion), setpoint.override_mps, True
+    """A boat that stays at a place goes back there; without a mode's own way it goes on as it does. Whatever is asked, it goes
+    no faster than its file allows, or than it goes by hand."""
+    own, speeds, override_mps, has_end = own_of(motion), settings.control.speed, setpoint.override_mps, True
     points, speed_mps, here = list[Point](), 0.0, (memory.north_m, memory.east_m)  # the last: where it stays, if it does
     if mode is Mode.PLAY and setpoint.plan is not None and not memory.left_s > 0.0:
         ahead = list(islice(setpoint.plan.waypoints, memory.leg, memory.leg + POINTS))
@@ -48,14 +49,14 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
     elif mode in (Mode.COURSE, Mode.HEADING, Mode.GREX, Mode.MANUAL):
         asked_rad = setpoint.heading_rad if mode is Mode.COURSE else own.course_rad
         points = [(own.north_m + FAR_M * math.cos(asked_rad), own.east_m + FAR_M * math.sin(asked_rad))]
-        speeds = {Mode.MANUAL: own.speed_mps, Mode.GREX: setpoint.guest_speed_mps}
-        speed_mps, override_mps, has_end = speeds.get(mode, setpoint.speed_mps), None, False
+        asked = {Mode.MANUAL: own.speed_mps, Mode.GREX: setpoint.guest_speed_mps}
+        speed_mps, override_mps, has_end = asked.get(mode, setpoint.speed_mps), None, False
     if points and override_mps is not None:
         speed_mps = override_mps
     if points and speed_mps >= LIES_MPS:
-        return RouteAhead(tuple(points), speed_mps, has_end)
+        return RouteAhead(tuple(points), min(speed_mps, max(speeds.max_mps, own.speed_mps)), has_end)
     is_away = mode is not Mode.IDLE and math.dist(here, (own.north_m, own.east_m)) > 2.0 * settings.control.hold.radius_m
-    return RouteAhead((here,) if is_away and not points else (), settings.control.speed.cruise_mps, has_end=False)
+    return RouteAhead((here,) if is_away and not points else (), min(speeds.cruise_mps, speeds.max_mps), has_end=False)
 
 
 def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Settings) -> tuple[list[Point], float]:
