@@ -5,6 +5,7 @@ from itertools import islice
 from typing import Final
 
 from delfim.modes import Mode
+from delfim.vehicle import setpoints
 from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.control.path import APPROACH, arc_point, nearest, start
 from delfim.vehicle.state import Line, Motion, Setpoint
@@ -56,7 +57,7 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
     if points and speed_mps >= LIES_MPS:
         return RouteAhead(tuple(points), min(speed_mps, max(speeds.max_mps, own.speed_mps)), has_end)
     is_away = mode is not Mode.IDLE and math.dist(here, (own.north_m, own.east_m)) > 2.0 * settings.control.hold.radius_m
-    return RouteAhead((here,) if is_away and not points else (), min(speeds.cruise_mps, speeds.max_mps), has_end=False)
+    return RouteAhead((here,) if is_away and not points else (), setpoints.speed(None, speeds), has_end=False)
 
 
 def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Settings) -> tuple[list[Point], float]:
