@@ -142,7 +142,7 @@ export class Popup {
       if (width + 2 * MARGIN_PX <= stop.left) left = clamp(left, width, stop.left);
       else {
         top = clamp(top, height, stop.top);
-        this.box.style.maxHeight = `${stop.top - 2 * MARGIN_PX}px`;
+        if (height > stop.top - 2 * MARGIN_PX) this.box.style.maxHeight = `${stop.top - 2 * MARGIN_PX}px`;
       }
     }
     this.box.style.left = `${left}px`;

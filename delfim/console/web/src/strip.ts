@@ -5,6 +5,7 @@ import type { Actions } from "./actions";
 import { attribute, make, text } from "./dom";
 import type { Drive } from "./drive";
 import { bearing, metres } from "./geo";
+import { bars, linkWords, weakWords } from "./link";
 import { measuredWords } from "./measured";
 import { palette } from "./palette";
 import { UNNAMED } from "./mission";
@@ -65,9 +66,13 @@ class Chip {
   private readonly heading = make("span.heading");
   private readonly left = make("span.left");
   private readonly trouble = make("p.trouble");
+  private readonly weak = make("p.trouble.weak");
+  private readonly bars = make("span.bars", make("i"), make("i"), make("i"), make("i"));
   private readonly measured = make("p.measured");
   private readonly link = make("span.link");
-  private readonly mission = make("span.mission");
+  private readonly missionName = make("span");
+  private readonly missionAt = make("span");
+  private readonly mission = make("span.mission", this.missionName, this.missionAt);
   private readonly badge = make("span.badge");
   private readonly groups = GROUPS.map((name) => make("i", make("span", name)));
   private readonly graphs: [Graph, Graph] = [new Graph("port"), new Graph("starboard")];
@@ -78,10 +83,11 @@ class Chip {
   constructor(boat: Boat, chosen: (boat: Boat, at: [number, number]) => void) {
     this.boat = boat;
     this.root.append(
-      make("div.row.head", this.dot, this.name, this.battery, this.age),
+      make("div.row.head", this.dot, this.name, this.battery, this.bars, this.age),
       make("div.row.state", this.mode, this.speed),
       make("div.row.going", this.heading, this.left),
       this.trouble,
+      this.weak,
       this.measured,
       make("div.row.graphs", this.graphs[0].root, this.graphs[1].root),
       make("div.row.ages", ...this.groups),
@@ -103,7 +109,7 @@ class Chip {
     text(this.age, ageWords(age));
     this.drawMode(boat, actions);
     this.drawSpeed(boat, drive, actions);
-    text(this.heading, boat.heading_deg === null ? "" : `heading ${bearing(boat.heading_deg)}`);
+    text(this.heading, boat.heading_deg === null ? "" : `hdg ${bearing(boat.heading_deg)}`);
     text(this.left, leftWords(boat));
     text(this.battery, batteryWords(boat));
     this.battery.classList.toggle("bad", boat.battery_pct !== null && boat.battery_pct < 20);
@@ -117,7 +123,7 @@ class Chip {
       attribute(this.groups[i]!, "title", `${group}: ${ageWords(its)}${group === "position" && boat.fix ? ` · ${boat.fix}, ${boat.satellites ?? "?"} satellites` : ""}`);
     });
     this.drawMission(boat, state);
-    text(this.link, linkWords(boat));
+    this.drawLink(boat, age);
     if (fresh) {
       const live = freshness(age_s(state, boat, "rpm")) !== "lost";
       this.graphs.forEach((graph, i) => graph.push(state.at_s, live ? boat.rpm[i as 0 | 1] : null));
@@ -158,10 +164,23 @@ class Chip {
     this.trouble.classList.toggle("bad", found?.grave ?? false);
   }
 
+  private drawLink(boat: Boat, age: number): void {
+    const [count, weak] = [bars(boat, freshness(age)), weakWords(boat)];
+    text(this.link, linkWords(boat));
+    text(this.weak, weak);
+    this.weak.hidden = !weak || count === 0;
+    this.bars.hidden = count === null;
+    attribute(this.bars, "data-bars", String(count));
+    attribute(this.bars, "aria-label", `link: ${count} of 4 bars`);
+    attribute(this.bars, "role", "img");
+  }
+
   private drawMission(boat: Boat, state: State): void {
     const progress = state.progress.get(boat.id);
     const compared = state.compared(boat);
-    text(this.mission, progress ? `${progress.what} ${Math.round(progress.part * 100)} %` : missionWords(boat));
+    const [name, at] = progress ? ["", `${progress.what} ${Math.round(progress.part * 100)} %`] : missionWords(boat);
+    text(this.missionName, name);
+    text(this.missionAt, at);
     const { count } = boat.mission;
     const planned = state.plans.get(boat.id)?.mission.waypoints.length ?? 0;
     const words = !count ? (planned ? "not sent" : "") : compared === "unknown" ? "unread" : compared;
@@ -244,11 +263,12 @@ function zeroLine(plot: uPlot): void {
   plot.ctx.restore();
 }
 
-function missionWords({ mode, link, mission: { name, count, current, state } }: Boat): string {
-  if (link.kind === "log") return ""; // it holds no mission
-  if (!count) return state === "unknown" ? "mission not read" : "no mission aboard";
+/** Its name, which may be cut off, and the rest. */
+function missionWords({ mode, link, mission: { name, count, current, state } }: Boat): [string, string] {
+  if (link.kind === "log" && !count) return ["", ""];
+  if (!count) return ["", state === "unknown" ? "mission not read" : "no mission aboard"];
   const waypoints = count === 1 ? "1 waypoint" : `${count} waypoints`;
-  return `${name === UNNAMED ? "mission" : name}: ${mode === "play" && current !== null ? `waypoint ${current + 1} of ${count}` : waypoints}`;
+  return [`${name === UNNAMED ? "mission" : name}: `, mode === "play" && current !== null ? `waypoint ${current + 1} of ${count}` : waypoints];
 }
 
 /** The distance to the place that it steers for, and the time to get there at the present speed. */
@@ -256,19 +276,12 @@ function leftWords({ mode, reference, speed_mps }: Boat): string {
   const left_m = reference?.distance_m;
   if (left_m == null || mode === "idle" || mode === "manual") return "";
   const [far, left_s] = [left_m < 1000 ? `${left_m.toFixed(0)} m` : metres(left_m), left_m / Math.max(speed_mps ?? 0, STILL_MPS)];
-  const time = (speed_mps ?? 0) < STILL_MPS ? "" : left_s < 100 ? ` · ${left_s.toFixed(0)} s` : ` · ${(left_s / 60).toFixed(0)} min`;
+  const long = left_s < 6000 ? `${(left_s / 60).toFixed(0)} min` : `${(left_s / 3600).toFixed(left_s < 36_000 ? 1 : 0)} h`;
+  const time = (speed_mps ?? 0) < STILL_MPS ? "" : left_s < 100 ? ` · ${left_s.toFixed(0)} s` : ` · ${long}`;
   return `${far}${time} to go`;
 }
 
 function batteryWords({ battery_pct, battery_v }: Boat): string {
   if (battery_pct !== null) return `${Math.round(battery_pct)} %`;
   return battery_v === null ? "" : `${battery_v.toFixed(1)} V`;
-}
-
-function linkWords({ link }: Boat): string {
-  if (link.kind === "log") return "from the boat's own log";
-  const parts = [`${link.profile || link.kind} ${link.rtt_ms === null ? "" : `${Math.round(link.rtt_ms)} ms`}`];
-  if (link.loss_pct !== null) parts.push(`${link.loss_pct < 9.95 ? link.loss_pct.toFixed(1) : Math.round(link.loss_pct)} % lost`);
-  parts.push(link.signed ? "signed" : "unsigned");
-  return parts.join(" · ");
 }

@@ -32,6 +32,7 @@ export class Traffic {
       this.draw();
     });
     this.note.addEventListener("click", () => watch.acknowledge());
+    this.note.hidden = true;
     this.note.title = "the sound stops; the vessel stays red (K)";
     box.append(this.line, this.orders, this.table, this.note);
     this.table.addEventListener("pointerup", (event) => this.choose(event));
