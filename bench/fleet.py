@@ -97,7 +97,7 @@ def _ignore(topic: str, frame: bytes) -> None:
 async def _voyage(number: int, system: int, boats: int, line: BrokerLine, key: bytes) -> None:
     """One boat: evenly among the others of its second."""
     dialect, clock, name = wire.dialect, SystemClock(), f"boat{number}"
-    sender = wire.Sender(system, dialect.MAV_COMP_ID_AUTOPILOT1, key, Signing(key, clock, {}).stamp)
+    sender = wire.Sender(system, dialect.MAV_COMP_ID_AUTOPILOT1, key, Signing(key, clock).stamp)
     state = State(mode="play", reason="operator", boat=name, latitude_deg=38.7, longitude_deg=-9.2, age_s={"navigation": 0.1})
     await asyncio.sleep(number / boats)
     while True:

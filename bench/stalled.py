@@ -26,7 +26,7 @@ class Radio:
         os.set_blocking(self._end, False)
         self.port = os.ttyname(self._boats)
         secret = read_key(key)
-        self._sender = Sender(SYSTEM, COMPONENT, secret, Signing(secret, SystemClock(), {}).stamp)
+        self._sender = Sender(SYSTEM, COMPONENT, secret, Signing(secret, SystemClock()).stamp)
         self._stalls, self._ended, self._said = threading.Event(), threading.Event(), 0
         self._thread = threading.Thread(target=self._run, name="radio")
 

@@ -22,7 +22,7 @@ from delfim.logging import nodelog
 from delfim.logging.reading import read_log
 from delfim.simulator.scenario import load_scenario
 from delfim.vehicle import console
-from delfim.vehicle.mavlink.signing import new_key, read_key, write_stamps
+from delfim.vehicle.mavlink.signing import Kept, new_key, read_key, write_stamps
 from delfim.vehicle.mission import load_mission
 from tests.console.fakeboat import FakeBoat
 from tests.console.test_charts import _points, chart, geotiff, mbtiles, png, world
@@ -167,7 +167,7 @@ def keys(folder: Path) -> None:
     new_key(folder / "key")
     (folder / "ntrip").write_text("ana:secret\n")
     (folder / "address").write_text("35\n")
-    write_stamps(folder / "stamps", {(255, 190, 1): 123_456_789, (250, 190, 2): 99})
+    write_stamps(folder / "stamps", Kept(7, 5, [((255, 190, 1), 123_456_789), ((250, 190, 2), 99)]))
     (folder / "host_key").write_bytes(asyncssh.generate_private_key("ssh-ed25519").export_private_key("openssh"))
     words = [
         "openssl",

@@ -83,11 +83,16 @@ class Fleet:
         for message in codec.decode(data):
             self.record(bytes(message.get_msgbuf()))
             self._take(address, message)
+        if codec.doubt:
+            self._complain(codec.doubt, self._clock.monotonic_s())
+            codec.doubt = ""
 
     def _take(self, address: Address, message: Any) -> None:
         number, now_s = message.get_srcSystem(), self._clock.monotonic_s()
-        if number == self.me:
-            self._complain(number, address, now_s)
+        if number == self.me:  # a boat may take one for the other
+            where = in_words(address)
+            words = f"a console on {where} has our number, {number}: start one of the two with another --number"
+            self._complain(words, now_s)
         if message.get_srcComponent() != mavlink.MAV_COMP_ID_AUTOPILOT1 or number in (0, self.me):
             return
         if number not in self.boats:
@@ -119,12 +124,10 @@ class Fleet:
             each.pop(number, None)
         return True
 
-    def _complain(self, number: int, address: Address, now_s: float) -> None:
-        """Warns that another console uses our number: a boat may take one for the other."""
+    def _complain(self, words: str, now_s: float) -> None:
+        """Warns of what is wrong on the link, on the pages."""
         if now_s - self._complained_s > COMPLAIN_S:
             self._complained_s = now_s
-            where = in_words(address)
-            words = f"a console on {where} has our number, {number}: start one of the two with another --number"
             self._tell({"t": "text", "boat": None, "severity": 2, "text": words, "at_s": self._utc_s()})
 
     def _say(self, number: int, severity: int, text: str) -> None:

@@ -11,7 +11,7 @@ from typing import Any, Final
 from delfim.clock import Clock, SystemClock
 from delfim.errors import ConfigError, FormatError
 from delfim.vehicle.mavlink import wire
-from delfim.vehicle.mavlink.signing import Signing, new_key, read_key, read_stamps, write_stamps
+from delfim.vehicle.mavlink.signing import FrameVerdict, Signing, new_key, read_key, read_stamps, write_stamps
 
 mavlink: Final = wire.dialect
 
@@ -19,11 +19,6 @@ SYSTEM: Final = 250  # of a console that has no other number; QGroundControl and
 COMPONENT: Final = mavlink.MAV_COMP_ID_MISSIONPLANNER
 STREAMS: Final = 1024  # of boats: some for each number
 STAMPS_S: Final = 10.0  # between two writings of the time stamps
-_SENT: Final = (
-    0,
-    SYSTEM,
-    COMPONENT,
-)  # whatever the number of this console is: the stream of what is sent, among the stamps that are kept
 
 
 class Key:
@@ -38,28 +33,29 @@ class Key:
             raise ConfigError(str(file), "key", f"{error.reason}; make one with: delfim console --keygen {file}") from None
         self._clock = clock or SystemClock()
         self._file = file.with_suffix(".stamps")
-        self._signing = Signing(self.secret, self._clock, read_stamps(self._file, STREAMS), STREAMS)
+        self._signing = Signing(self.secret, self._clock, read_stamps(self._file), STREAMS)
         self._due_s = self._clock.monotonic_s()
 
     def stamp(self) -> int:
         """The time stamp of the next frame: ticks of 10 us since 2015, as the clock runs."""
         stamp = self._signing.stamp()
-        self._signing.stamps[_SENT] = stamp
         if self._clock.monotonic_s() >= self._due_s:
             self._due_s = self._clock.monotonic_s() + STAMPS_S
-            write_stamps(self._file, self._signing.stamps)
+            write_stamps(self._file, self._signing.kept())
         return stamp
 
-    def fault(self, frame: bytes) -> str:
-        """The fault of a received frame's signature, empty if it is valid. A frame is valid once."""
-        return self._signing.judge(frame).fault
+    def judge(self, frame: bytes) -> FrameVerdict:
+        """A received frame's signature. A frame is valid once."""
+        return self._signing.judge(frame)
 
 
 class Codec:
-    """One end of one conversation. A `stream` may cut frames anywhere, datagrams hold whole ones. `counts`: the refused."""
+    """One end of one conversation. A `stream` may cut frames anywhere, datagrams hold whole ones. `counts`: the refused.
+    `doubt`: why a boat is not believed whose key is right, in words; empty: all are."""
 
     def __init__(self, key: Key | None = None, *, stream: bool = False, me: int = SYSTEM) -> None:
         self.counts = {"heard": 0, "refused": 0}
+        self.doubt = ""
         self._key, self._stream, self._cutter = key, stream, wire.Cutter()
         secret, stamp = (None, _no_stamp) if key is None else (key.secret, key.stamp)
         self.encode = wire.Sender(me, COMPONENT, secret, stamp).pack
@@ -79,8 +75,9 @@ class Codec:
             return None
         if message is None:
             return None
-        if self._key is not None and self._key.fault(frame):
+        if self._key is not None and (verdict := self._key.judge(frame)).fault:
             self.counts["refused"] += 1
+            self.doubt = f"boat {message.get_srcSystem()} {verdict.words}" if verdict.words else self.doubt
             return None
         self.counts["heard"] += 1
         return message

@@ -82,6 +82,8 @@ class ClockKeeper:
         if len(believed) > 1 and abs(differ_s := (offset_ns - believed[1][1]) / 1e9) > AGREE_S:
             self._say("disagree", f"{source} is {_seconds(differ_s)} off {believed[1][0]}: neither is taken")
             return None
+        if abs(off_s) <= AGREE_S:
+            self.status = self.status._replace(is_right=True)
         return self._due(source, off_s, now_s, idle) if may_set else None
 
     def _due(self, source: str, off_s: float, now_s: float, idle: bool) -> Correction | None:
@@ -90,7 +92,7 @@ class ClockKeeper:
                 self._say("late", f"it is {_seconds(off_s)} off {source} and is set when the boat is idle")
                 return None
             self._right_s = now_s
-            self.status = self.status._replace(off_s=0.0)
+            self.status = self.status._replace(off_s=0.0, is_right=True)
             return Correction("step", -off_s, source)
         if self._right_s is not None and abs(off_s) > STEP_S + DRIFT * (now_s - self._right_s):
             self._say("jump", f"{source} is {_seconds(-off_s)} off the clock, which was right in this run: it is not taken")

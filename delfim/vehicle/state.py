@@ -169,6 +169,7 @@ class ClockStatus(NamedTuple):
     source: str = ""  # whose time it has, or is compared with; empty: none was heard
     off_s: float | None = None  # the clock minus that time; None: it is not heard now
     fault: str = ""  # why a time is not taken, in words
+    is_right: bool = False  # it was set in this run, or found as a source tells it
 
 
 class Announced(NamedTuple):

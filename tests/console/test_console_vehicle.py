@@ -54,7 +54,7 @@ class Afloat:
         vehicle = boat.vehicle
         vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1))
         self.radio = Radio(boat.clock, 3, **radio)
-        signing = Signing(secret, boat.clock, {}) if secret else None
+        signing = Signing(secret, boat.clock) if secret else None
         self.station = Station(vehicle, lambda asked, who: self._obey(asked, who), self._down, signing)
         self.told: list[dict[str, Any]] = []
         self.obeyed: list[console.Commands] = []

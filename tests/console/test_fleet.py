@@ -14,7 +14,8 @@ from delfim.console.fleet import ASKS, Fleet
 from delfim.console.mavlink import Key, keygen
 from delfim.errors import ConfigError, FormatError, Refused
 from delfim.modes import Mode
-from delfim.vehicle.mavlink import plans
+from delfim.vehicle.mavlink import plans, wire
+from delfim.vehicle.mavlink.signing import Signing
 from tests.console.fakeboat import FakeBoat, Radio
 
 SQUARE = {
@@ -605,6 +606,21 @@ def test_what_a_boat_said_is_shown_with_its_age(sea: Sea) -> None:
     sea.boats[1].say(mavlink.MAVLink_statustext_message(4, b"navigation silent for 1.0 s: warn", 0, 0))
     sea.run(5.0)
     assert sea.shown(1)["reason_age_s"] == pytest.approx(5.0, abs=0.2)
+
+
+def test_a_boat_with_another_time_is_not_shown_but_told(tmp_path: Path) -> None:
+    keygen(tmp_path / "key")
+    here, aboard = (ManualClock(time_ns=1_795_000_000_000_000_000 + ns) for ns in (0, 3 * 3_600_000_000_000))
+    key, told = Key(tmp_path / "key", here), list[dict[str, Any]]()
+    fleet = Fleet(here, lambda address, data: None, told.append, key)
+    beat = mavlink.MAVLink_heartbeat_message(12, 0, 0, 0, 4, 3)
+    frame = wire.Sender(4, 1, key.secret, Signing(key.secret, aboard).stamp).pack(beat)
+    for _ in range(2):
+        fleet.receive("udp", frame)
+    assert fleet.snapshot() == []
+    assert [(each["severity"], each["text"]) for each in told] == [
+        (2, "boat 4 signs 180 minutes ahead of the clock here, and is not believed: one of the two clocks is wrong")
+    ]
 
 
 def test_with_a_key_a_whole_fleet_has_room(tmp_path: Path) -> None:

@@ -61,7 +61,7 @@ def test_a_clock_of_1970_is_stepped_once_when_its_source_was_steady():
     assert desk.seconds(ENOUGH - 1) == []
     assert desk.second() == Correction("step", pytest.approx(YEARS_S), TIME_FRAME)
     assert desk.off_s == pytest.approx(0.0, abs=1e-6)
-    assert desk.keeper.status == ("kept by this program", TIME_FRAME, 0.0, "")
+    assert desk.keeper.status == ("kept by this program", TIME_FRAME, 0.0, "", True)
     assert desk.seconds(60) == ["slew"] * 8
 
 

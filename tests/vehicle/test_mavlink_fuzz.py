@@ -207,7 +207,7 @@ def test_a_peer_that_came_by_itself_is_forgotten_and_others_are_greeted(boat):
 
 def test_own_stamps_only_grow(boat):
     boat.clock.step(-1e6)
-    signing = Signing(bytes(32), boat.clock, {})
+    signing = Signing(bytes(32), boat.clock)
     stamps = [signing.stamp() for _ in range(3)]
     boat.clock.step(-1e5)
     stamps += [signing.stamp() for _ in range(3)]

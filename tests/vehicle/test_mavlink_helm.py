@@ -67,7 +67,7 @@ def at_sea(make_boat, key: bytes | None) -> SimpleNamespace:
         log.append(command)
         return vehicle.on_command(command, operator)
 
-    station = Station(vehicle, obey, radio, Signing(key, boat.clock, {}) if key else None)
+    station = Station(vehicle, obey, radio, Signing(key, boat.clock) if key else None)
     sea = SimpleNamespace(boat=boat, state=boat.state, station=station, radio=radio, log=log, consoles={})
     boat.ready()
     vehicle.on_command(console.LoadMission(MISSION))
@@ -83,7 +83,7 @@ def spoken(sea, who: str, port: int, key: bytes | None, link: int) -> Console:
         sea.radio,
         numbers[0],
         ("127.0.0.1", port),
-        Signing(key, sea.boat.clock, {}) if key else None,
+        Signing(key, sea.boat.clock) if key else None,
         numbers[1],
         link,
     )

@@ -84,12 +84,12 @@ class Sea:
         self.master = -1
         self.plug()
         self.serial = StationSerial(settings, boat.clock, lambda frame, address: self.station.receive(frame, address))
-        signing = Signing(KEY, boat.clock, {})
+        signing = Signing(KEY, boat.clock)
         send, is_ready = lambda data, _: self.serial.send(data), lambda _: self.serial.is_ready()
         self.station = Station(boat.vehicle, boat.vehicle.on_command, send, signing, None, is_ready)
         self.radio = Radio(self.master, boat.clock, **radio)
         self.cutter, self.heard = wire.Cutter(), list[tuple[float, Any]]()
-        self.sender = wire.Sender(250, 190, KEY, Signing(KEY, boat.clock, {}).stamp)
+        self.sender = wire.Sender(250, 190, KEY, Signing(KEY, boat.clock).stamp)
         boat.ready()
         self.pass_time(0.1)
 
@@ -273,7 +273,7 @@ def test_the_port_is_served_on_the_loop(boat, tmp_path: Path) -> None:
     settings = config.Mavlink(listen="127.0.0.1:0", peers=(), key=str(tmp_path / "key"), serial=os.ttyname(port))
     boat.vehicle.helm.settings = config.Vehicle(boat=config.BoatTable(name="test", id=1), mavlink=settings)
     boat.ready()
-    sender, board = wire.Sender(250, 190, KEY, Signing(KEY, boat.clock, {}).stamp), dict[str, Any]()
+    sender, board = wire.Sender(250, 190, KEY, Signing(KEY, boat.clock).stamp), dict[str, Any]()
 
     async def serve() -> None:
         with MavlinkLink(boat.vehicle, boat.vehicle.on_command, None, tmp_path / "stamps", board):

@@ -113,6 +113,7 @@ class KeptClock(Facts, frozen=True):
     source: str = ""  # whose time it has, or is compared with; empty: none was heard
     off_s: float | None = None  # the clock minus that time; null: it is not heard now
     fault: str = ""  # why a time is not taken, in words
+    is_right: bool = False  # it was set in this run, or found as a source tells it
 
 
 class AnnouncedItem(Facts, frozen=True):

@@ -2,9 +2,11 @@
 and so into the log.
 """
 
+import logging
 import math
 import secrets
 from collections.abc import Callable
+from typing import Final
 
 from delfim.vehicle import console
 from delfim.vehicle.loop import HELD_BY_HAND, VehicleLoop
@@ -15,8 +17,12 @@ from delfim.vehicle.mavlink.peers import HEARD_S, Peer, Peers
 from delfim.vehicle.mavlink.sequences import Sequences
 from delfim.vehicle.mavlink.signing import Signing
 from delfim.vehicle.mavlink.telemetry import TelemetryView
-from delfim.vehicle.mavlink.wire import GUEST, Address, Message, Speaker
+from delfim.vehicle.mavlink.wire import GUEST, Address, Message, Speaker, dialect
 from delfim.vehicle.state import HANDSET
+
+DOUBT_S: Final = 30.0  # between two texts that a console is not believed
+
+log = logging.getLogger(__name__)
 
 Obey = Callable[[console.Commands, str], str | None]
 Review = Callable[[str, console.Plan, Callable[[str | None], None]], None]
@@ -49,11 +55,19 @@ class Consoles:
         self._obey = obey
         self._review = review or (lambda operator, command, answer: answer(obey(command, operator)))
         self._news = News(boat, self.peers, self.missions)
-        self._owner_s = self._namesakes_s = -math.inf
+        self._owner_s = self._namesakes_s = self._doubted_s = -math.inf
         self._run = secrets.token_hex(8)
 
     def count(self, name: str) -> None:
         self.counts[name] = self.counts.get(name, 0) + 1
+
+    def doubt(self, words: str) -> None:
+        """Tell that a console with the right key is not obeyed, to those that are, and the log."""
+        now_s = self.clock.monotonic_s()
+        if now_s - self._doubted_s > DOUBT_S:
+            self._doubted_s = now_s
+            log.warning("%s", words)
+            self.peers.say(dialect.MAV_SEVERITY_ERROR, words)
 
     def tick(self, now_s: float) -> None:
         """Tell what changed, and forget consoles that are gone."""

@@ -72,9 +72,11 @@ class Station:
 
     def _frame(self, frame: bytes, address: Address) -> str:
         """Returns the fault of the frame, to be counted; empty if it was addressed to another system."""
-        fault, age_s = self._judged(frame, address)
-        if fault:
-            return fault
+        verdict = self._judged(frame, address)
+        if verdict.fault:
+            if verdict.words:
+                self.consoles.doubt(f"console {frame[5]} {verdict.words}")
+            return verdict.fault
         try:
             message = wire.decode(frame)
         except FormatError:
@@ -90,7 +92,7 @@ class Station:
         handler = HANDLERS.get(message.get_msgId())
         if handler is None or not _meant(message, consoles.system):
             return ""
-        if consoles.sequences.is_late(address, source, frame[4], now_s) or age_s > self._command_age_s:
+        if consoles.sequences.is_late(address, source, frame[4], now_s) or verdict.age_s > self._command_age_s:
             return "late"
         handler(consoles, peer, source, message)
         return ""
@@ -99,7 +101,7 @@ class Station:
         """Holders of the key may speak; without a key, programs on this computer. With a key they need it too: other programs
         and other users' shells run here."""
         if self._signing is not None:
-            return self._signing.judge(frame)
+            return self._signing.judge(frame, address)
         return FrameVerdict("" if _loopback(address[0]) else "unsigned")
 
     # Out.

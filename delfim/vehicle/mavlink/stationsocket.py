@@ -17,7 +17,7 @@ from delfim import config
 from delfim.rtcm import doorstep
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.consoles import Obey, Review
-from delfim.vehicle.mavlink.signing import Signing, read_key, read_stamps, write_stamps
+from delfim.vehicle.mavlink.signing import Kept, Signing, read_key, read_stamps, write_stamps
 from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mavlink.stationserial import StationSerial
 from delfim.vehicle.mavlink.wire import DATAGRAM_BYTES, Address
@@ -43,7 +43,7 @@ class MavlinkLink:
     ) -> None:
         settings = boat.helm.settings.mavlink
         self._loop, self._board, self._stamps = asyncio.get_running_loop(), board, stamps
-        self._signing = Signing(read_key(settings.key), boat.clock, read_stamps(stamps)) if settings.key else None
+        self._signing = self._signed(boat, stamps) if settings.key else None
         self._socket = _bound(settings.listen)
         self._serial = StationSerial(settings, boat.clock, self._came) if settings.serial else None
         self._opening: asyncio.Future[None] | None = None
@@ -75,7 +75,7 @@ class MavlinkLink:
             self._loop.remove_reader(self._serial.fileno())
             self._serial.close()
         if self._signing is not None:
-            self._write(self._stamps, self._signing.stamps)
+            self._write(self._stamps, self._signing.kept())
 
     def report(self) -> dict[str, object]:
         """JSON-ready."""
@@ -119,7 +119,7 @@ class MavlinkLink:
             self._opening = self._loop.run_in_executor(None, self._serial.open)
         if self._signing is not None and self._loop.time() - self._written_s > STAMPS_S:
             self._written_s = self._loop.time()
-            self._loop.run_in_executor(None, self._write, self._stamps, dict(self._signing.stamps))
+            self._loop.run_in_executor(None, self._write, self._stamps, self._signing.kept())
 
     def _is_ready(self, address: Address) -> bool:
         return self._serial is None or address != self._serial.address or self._serial.is_ready()
@@ -141,9 +141,14 @@ class MavlinkLink:
             return False
 
     @staticmethod
-    def _write(path: Path, stamps: dict[tuple[int, int, int], int]) -> None:
+    def _signed(boat: VehicleLoop, stamps: Path) -> Signing:
+        key = read_key(boat.helm.settings.mavlink.key)
+        return Signing(key, boat.clock, read_stamps(stamps), is_right=lambda: boat.state.computer.clock.is_right)
+
+    @staticmethod
+    def _write(path: Path, kept: Kept) -> None:
         with contextlib.suppress(OSError):  # no disk: the check of the log reports it
-            write_stamps(path, stamps)
+            write_stamps(path, kept)
 
 
 def _bound(listen: str) -> socket.socket:

@@ -1,0 +1,209 @@
+"""Signatures and clocks: whatever clocks, replays and restarts do, no frame is obeyed twice, and nobody whose clock is right is
+shut out for long."""
+
+import json
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
+
+from delfim.clock import ManualClock
+from delfim.vehicle.mavlink import wire
+from delfim.vehicle.mavlink.signing import OFF_S, PER_S, STREAMS, Kept, Signing, read_stamps, write_stamps
+from delfim.vehicle.mavlink.wire import dialect
+
+KEY = bytes(range(32))
+YEAR_S = 365.25 * 86_400.0
+NOW_NS = 1_795_000_000_000_000_000  # in November 2026
+
+
+def beat(sender: Signing, system: int, component: int = 190) -> bytes:
+    """A signed heartbeat."""
+    return wire.Sender(system, component, KEY, sender.stamp).pack(dialect.MAVLink_heartbeat_message(6, 8, 0, 0, 4, 3))
+
+
+def at(off_s: float = 0.0) -> ManualClock:
+    return ManualClock(time_ns=NOW_NS + round(off_s * 1e9))
+
+
+def stream(frame: bytes) -> tuple[int, int, int]:
+    return frame[-13], frame[5], frame[6]
+
+
+def stamp(frame: bytes) -> int:
+    return int.from_bytes(frame[-12:-6], "little")
+
+
+def restarted(signing: Signing, path, clock: ManualClock, **options: object) -> Signing:
+    write_stamps(path, signing.kept())
+    return Signing(KEY, clock, read_stamps(path), **options)
+
+
+def test_a_console_a_year_ahead_shuts_nobody_out(tmp_path):
+    clock = at()
+    boat = Signing(KEY, clock)
+    verdict = boat.judge(beat(Signing(KEY, at(YEAR_S)), 222))
+    assert verdict.fault == "ahead"
+    assert verdict.words == "signs 365 days ahead of the clock here, and is not believed: one of the two clocks is wrong"
+    clock.advance(12.0)
+    boat = restarted(boat, tmp_path / "stamps", clock)
+    assert boat.judge(beat(Signing(KEY, clock), 223)).fault == ""
+    assert boat.judge(beat(Signing(KEY, clock), 222)).fault == "", "the same console, its clock set"
+    assert stamp(beat(boat, 1)) <= stamp(beat(Signing(KEY, clock), 1)) + PER_S, "nor does the boat sign ahead"
+
+
+def test_stamps_that_were_kept_from_a_year_ahead_heal(tmp_path):
+    """Those of the format before, too."""
+    ahead = stamp(beat(Signing(KEY, at(YEAR_S)), 222))
+    for text in (json.dumps([[[0, 222, 190], ahead]]), json.dumps({"sent": ahead, "forgotten": ahead, "heard": []})):
+        (tmp_path / "stamps").write_text(text)
+        clock = at()
+        boat = Signing(KEY, clock, read_stamps(tmp_path / "stamps"))
+        assert stamp(beat(boat, 1)) < ahead - PER_S * YEAR_S / 2
+        boat.judge(beat(Signing(KEY, clock), 221))
+        clock.advance(OFF_S + 1.0)
+        assert boat.judge(beat(Signing(KEY, clock), 222)).fault == ""
+        assert boat.judge(beat(Signing(KEY, clock), 223)).fault == ""
+
+
+def test_a_boat_that_does_not_know_the_time_obeys_who_is_ahead_and_heals_when_it_does():
+    """Its clock stopped with the boat, a week ago; nobody would be obeyed."""
+    clock, known = at(-7 * 86_400.0), False
+    boat = Signing(KEY, clock, is_right=lambda: known)
+    right, wrong = Signing(KEY, at()), Signing(KEY, at(YEAR_S))
+    for console, number in ((right, 250), (wrong, 222), (right, 250)):
+        assert boat.judge(beat(console, number)).fault == ""
+    assert boat.judge(beat(Signing(KEY, at(1.0)), 249)).fault == "", "one that is new, too"
+    clock.step(7 * 86_400.0)
+    known = True
+    assert boat.judge(beat(wrong, 222)).fault == "ahead"
+    clock.advance(2 * OFF_S)
+    assert boat.judge(beat(Signing(KEY, clock), 222)).fault == ""
+
+
+def test_the_speaker_that_was_heard_first_is_forgotten_first():
+    clock = at()
+    boat, console = Signing(KEY, clock), Signing(KEY, clock)
+    old = beat(console, 250, 1)
+    assert boat.judge(old).fault == ""
+    for component in range(2, STREAMS + 2):
+        clock.advance(0.1)
+        assert boat.judge(beat(console, 250, component)).fault == ""
+    assert len(boat.heard) == STREAMS
+    assert boat.judge(old).fault == "replayed", "what was heard of it is not new"
+    clock.advance(0.1)
+    assert boat.judge(beat(console, 250, 1)).fault == ""
+
+
+def test_a_console_whose_clock_is_set_back_is_not_late():
+    """By less than a minute its stamps go on; by more they begin anew, and the boat never took those that were ahead."""
+    clock, theirs = at(), at(30.0)
+    boat, console = Signing(KEY, clock), Signing(KEY, theirs)
+    for back_s in (0.0, 29.0, 10.0):
+        theirs.step(-back_s)
+        for _ in range(5):
+            clock.advance(1.0)
+            theirs.advance(1.0)
+            verdict = boat.judge(beat(console, 250))
+            assert (verdict.fault, round(verdict.age_s, 2)) == ("", 0.0)
+
+
+def test_two_computers_with_one_number_are_each_judged_by_its_own_clock():
+    """One after the other, five seconds apart: the second is not late for that."""
+    clock = at()
+    boat, first, second = Signing(KEY, clock), Signing(KEY, at(5.0)), Signing(KEY, at(10.0))
+    assert boat.judge(beat(first, 250), ("192.0.2.7", 14550)).fault == ""
+    clock.advance(60.0)
+    assert boat.judge(beat(second, 250), ("192.0.2.8", 14550)).age_s == 0.0
+    again = boat.judge(beat(first, 250), ("192.0.2.7", 14550))
+    assert again.fault == "replayed"
+
+
+class Clocks(RuleBasedStateMachine):
+    """A boat that knows the time from some moment on, three consoles whose clocks are set back and forth, one whose clock is
+    right, and somebody who hears everything and plays it again."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.true_s = 0.0
+        self.aboard, self.known, self.streams = at(-1e6), False, 8
+        self.boat = self._boat(None)
+        self.clocks = [at(), at(40.0), at(YEAR_S)]
+        self.consoles = [Signing(KEY, clock) for clock in self.clocks]
+        self.right = at()
+        self.good = Signing(KEY, self.right)
+        self.heard: list[bytes] = []
+        self.obeyed: dict[bytes, float] = {}
+        self.last: dict[tuple[int, int, int], int] = {}
+
+    def _boat(self, kept: Kept | None) -> Signing:
+        return Signing(KEY, self.aboard, kept, self.streams, lambda: self.known)
+
+    @initialize(streams=st.sampled_from((3, 8)))
+    def begin(self, streams: int) -> None:
+        """There are eight speakers."""
+        self.streams = streams
+        self.boat = self._boat(None)
+
+    def _hear(self, frame: bytes) -> str:
+        fault = self.boat.judge(frame).fault
+        if not fault:
+            assert frame not in self.obeyed, "a frame is obeyed once"
+            assert stamp(frame) > self.last.get(stream(frame), -1) or self.known, "never an older one"
+            self.obeyed[frame] = self.true_s
+            self.last[stream(frame)] = stamp(frame)
+        return fault
+
+    @rule(who=st.integers(0, 2), component=st.integers(1, 2), arrives=st.booleans())
+    def say(self, who: int, component: int, arrives: bool) -> None:
+        frame = beat(self.consoles[who], 250 + who, component)
+        self.heard.append(frame)
+        if arrives:
+            self._hear(frame)
+
+    @rule(data=st.data())
+    def play_again(self, data: st.DataObject) -> None:
+        if self.heard:
+            self._hear(data.draw(st.sampled_from(self.heard)))
+
+    @rule(seconds=st.sampled_from((0.01, 1.0, 30.0, 61.0, 3600.0)))
+    def wait(self, seconds: float) -> None:
+        self.true_s += seconds
+        for clock in (self.aboard, self.right, *self.clocks):
+            clock.advance(seconds)
+
+    @rule(who=st.integers(0, 2), seconds=st.sampled_from((-YEAR_S, -3600.0, -59.0, -5.0, 5.0, 59.0, 3600.0, YEAR_S)))
+    def set_a_console(self, who: int, seconds: float) -> None:
+        self.clocks[who].step(seconds)
+
+    @rule(who=st.integers(0, 2))
+    def restart_a_console(self, who: int) -> None:
+        self.consoles[who] = Signing(KEY, self.clocks[who], self.consoles[who].kept())
+
+    @rule()
+    def restart_the_boat(self) -> None:
+        self.boat = self._boat(self.boat.kept())
+
+    @rule()
+    def get_a_fix(self) -> None:
+        self.aboard.step((self.right.time_ns() - self.aboard.time_ns()) / 1e9)
+        self.known = True
+
+    @rule()
+    def a_right_console_is_obeyed(self) -> None:
+        """Whatever the others say, and at once."""
+        for component in (1, 2):
+            frame = beat(self.good, 249, component)
+            self.heard.append(frame)
+            fault = self._hear(frame)
+            assert fault == "" or self.streams == 3, "others have its place"
+
+    @invariant()
+    def stamps_only_grow(self) -> None:
+        frames = [stamp(beat(console, 1)) for console in (self.good, self.good)]
+        assert frames == sorted(set(frames))
+        assert len(self.boat.heard) <= self.streams
+
+
+Clocks.TestCase.settings = settings(max_examples=150, stateful_step_count=40, deadline=None)
+test_clocks = Clocks.TestCase
