@@ -320,9 +320,9 @@ class Sea:
         await select(page, number)
         return page, boat
 
-    def nothing_amiss(self) -> None:
+    async def nothing_amiss(self) -> None:
         """Nothing was missing on the page, and it asked nobody but the gateway."""
-        assert not self.page.complaints, self.page.complaints
+        await self.page.nothing_amiss()
         url = self.url.partition("?")[0]
         own = "data:", "about:", url, url.replace("http", "ws")
         assert [each for each in self.page.requests if not each.startswith(own)] == []

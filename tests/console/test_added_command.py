@@ -67,7 +67,7 @@ def sailed(tmp_path_factory: pytest.TempPathFactory) -> Sailed:
     async def voyage() -> list[int]:
         async with operating(folder, env=env, gateway_env=env) as sea:
             rung = await _rung(sea, env)
-            sea.nothing_amiss()
+            await sea.nothing_amiss()
             return rung
 
     return Sailed(folder / "1/log", asyncio.run(voyage()), program.told)

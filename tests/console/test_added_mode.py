@@ -57,7 +57,7 @@ def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
 
         async def told(story: Story) -> None:
             await story(sea, *await sea.at_rest(1))
-            sea.nothing_amiss()
+            await sea.nothing_amiss()
 
         yield lambda story: runner.run(told(story))
 

@@ -258,17 +258,18 @@ def heading(turned_deg: float) -> dict[str, Any]:
 
 
 STOP = {"command": "stop"}
+GO_HOME = {"command": "mode", "mode": "home"}
 PAUSE, CONTINUE = {"command": "pause"}, {"command": "continue"}
 MODES = {
     "I": ("Idle", "idle", STOP),
     "M": ("Manual", "manual", {"command": "mode", "mode": "manual"}),
     "H": ("Heading", "heading", heading(0.0)),
+    "L": ("Go home", "home", GO_HOME),
     "G": ("Go to waypoint 1", "goto", {"command": "goto", "latitude_deg": None}),
     "P": ("Path following", "path", {"command": "mode", "mode": "path"}),
     "Y": ("Play mission", "play", {"command": "play", "leg": 0}),
     "X": ("GREX", "grex", {"command": "mode", "mode": "grex", "refused": "no set point from the guest"}),
 }
-GO_HOME = {"command": "mode", "mode": "home"}
 ROWS: dict[str, Row] = {
     "corner.: stop(state.selected": Row(corner("stop"), "stop", STOP),
     "corner.: stopAll(": Row(corner("stop-all"), "stop", STOP),
@@ -325,7 +326,6 @@ ROWS: dict[str, Row] = {
     'menus.more: Hold this position: mode(boat, "hold"': Row(
         menu("More", "Hold this position"), "hold", {"command": "mode", "mode": "hold"}
     ),
-    'menus.more: Go home: mode(boat, "home"': Row(menu("More", "Go home"), "home", GO_HOME),
     "menus.more: Arm": Row(menu("More", "Arm"), "arm", {"command": "arm"}),
     "menus.more: Disarm": Row(menu("More", "Disarm", after=("h",)), "disarm", STOP),
     "menus.more: command(boat.id, command": Row(menu("More", "Reset the peripherals"), "reset", {"command": "reset"}),
@@ -374,7 +374,7 @@ def test_each_word_of_the_gateway_is_said_by_the_page() -> None:
 
 def test_a_key_does_one_thing() -> None:
     modes = re.findall(r'\{ key: "(\w)", mode:', (SOURCE / "keys.ts").read_text())
-    pressed = ["W", *modes, *(row.key for row in ORDERS.values() if row.key)]
+    pressed = ["K", "W", *modes, *(row.key for row in ORDERS.values() if row.key)]
     assert len(pressed) == len(set(pressed)) > 9
 
 
@@ -418,7 +418,7 @@ def test_what_the_page_says_is_what_the_vehicle_obeys(sea: tuple[asyncio.Runner,
         await row.way(its, page, boat)
         if row.told is not None:
             await obeyed(boat, began_ns, before, row.told)
-        its.nothing_amiss()
+        await its.nothing_amiss()
 
     runner.run(story())
 

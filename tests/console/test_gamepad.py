@@ -26,7 +26,7 @@ def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
             await unplug(sea.page)
             await story(sea)
             await unplug(sea.page)
-            sea.nothing_amiss()
+            await sea.nothing_amiss()
 
         yield lambda story: runner.run(told(story))
 

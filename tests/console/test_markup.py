@@ -81,6 +81,5 @@ def test_markup_in_names_and_texts_is_text(tmp_path: Path) -> None:
             await choose(page, "Messages")
             await page.until(f"{ITEMS}.some(each => each.includes({MARK!r}))")
             assert await page.value("[window.owned ?? 0, document.querySelectorAll('img, body script').length]") == [0, 0]
-            assert page.complaints == []
 
     asyncio.run(main())

@@ -53,9 +53,13 @@ def sail(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Sail]:
 
         async def told(story: Story) -> None:
             await story(sea)
-            sea.nothing_amiss()
+            await sea.nothing_amiss()
 
         yield lambda story: runner.run(told(story))
+
+
+def menu_titles() -> str:
+    return "[...document.querySelectorAll('.popup .item .title')].map((each) => each.firstChild.data)"
 
 
 async def pressed(page: Page, boat: Boat, key: str, mode: str) -> None:
@@ -84,6 +88,43 @@ def test_each_key_of_the_thesis_is_seen_at_the_vehicle(sail: Sail) -> None:
         await page.press(" ")
         await boat.until(lambda state: state["mode"] == "idle" and turning(0, 0)(state))
         await shown_mode(page, 2, "idle")
+
+    sail(story)
+
+
+def test_a_boat_that_falls_silent_under_way_leaves_the_map_to_all(sail: Sail) -> None:
+    async def story(sea: Sea) -> None:
+        page, boat = await sea.at_rest(2)
+        await drawn(page, boat, [(60, -69), (60, 69), (-60, 69)])
+        await sent(page)
+        await pressed(page, boat, "y", "play")
+        await page.until("document.querySelector('.selected .left').textContent.endsWith('to go')")
+        sea.radios[1].cut()
+        try:
+            await page.until("document.querySelector('[data-boat=\"2\"]').dataset.age === 'lost'")
+            await page.value("new Promise(done => setTimeout(done, 1100))")
+            assert await page.value("delfim.frames()") > 0, "of the last second"
+            assert await page.value("document.getElementById('failed').hidden")
+        finally:
+            sea.radios[1].mend()
+        await page.until("document.querySelector('[data-boat=\"2\"]').dataset.age === 'fresh'")
+
+    sail(story)
+
+
+def test_a_boat_goes_home_along_its_track_though_no_home_is_planned(sail: Sail) -> None:
+    async def story(sea: Sea) -> None:
+        page, boat = await sea.at_rest(1)
+        await pressed(page, boat, "h", "heading")
+        await page.press("5")
+        await boat.until(lambda state: state["speed_mps"] > 0.5)
+        await boat.sails_on(20)
+        await pressed(page, boat, "l", "home")
+        await pressed(page, boat, "i", "idle")
+        await page.press("Enter")
+        assert (await page.value(menu_titles()))[:4] == ["Stop", "Pause: hold here", "Continue", "Go home"]
+        await choose(page, "Go home")
+        await boat.until(lambda state: state["mode"] == "home")
 
     sail(story)
 

@@ -37,7 +37,6 @@ async def sailing(gateway: Standin) -> AsyncIterator[Page]:
         await opened(page, gateway)
         await show(page, -120, -120, 120, 120)
         yield page
-        assert page.complaints == []
         assert foreign(page, gateway) == []
 
 
@@ -348,9 +347,9 @@ def test_a_menu_is_worked_by_keys_and_shows_the_keys(sail: Sail) -> None:
     async def story(page: Page, gateway: Standin) -> None:
         await page.press("Enter")
         assert await page.value("[...document.querySelectorAll('.popup kbd')].map(k => k.textContent)") == [
-            *("Space", "B", "C", "I", "M", "H", "G", "P", "Y", "X", "0 … 8")
+            *("Space", "B", "C", "L", "I", "M", "H", "G", "P", "Y", "X", "0 … 8")
         ]
-        for _ in range(11):
+        for _ in range(12):
             await page.press("ArrowDown")
         await page.press("Enter")
         await page.until("document.querySelector('.field') !== null")
@@ -401,7 +400,8 @@ def test_a_message_that_cannot_be_taken_costs_itself_alone(sail: Sail) -> None:
             for socket in gateway.sockets:
                 await socket.send_str(text)
         await settled(page, gateway)
-        assert await page.value("delfim.online()")
+        assert await page.value("delfim.online() && !document.getElementById('failed').hidden")
+        page.complaints.clear()
 
     sail(story)
 
@@ -836,6 +836,28 @@ def test_a_page_that_asked_elsewhere_or_missed_something_would_be_noticed() -> N
                     while len(page.complaints) < number:
                         await page.value("document.title")
             assert foreign(page, gateway) == ["http://198.51.100.7/chart.png"]
+            page.complaints.clear()
+
+    asyncio.run(told())
+
+
+def test_a_page_that_failed_says_so_until_it_is_loaded_again() -> None:
+    """In a timer as the map's drawing, in a promise, and while it takes a message."""
+
+    async def told() -> None:
+        wrongs = "setTimeout(() => null.way)", "void Promise.reject(new TypeError('no way'))", ""
+        async with Standin(two()).serving() as gateway, tab() as page:
+            await opened(page, gateway)
+            for wrong in wrongs:
+                assert await page.value("document.getElementById('failed').hidden")
+                await page.value(wrong)
+                if not wrong:
+                    await gateway.tell({"t": "boats", "at_s": gateway.at_s, "boats": [{"id": 1}]})
+                await page.until("document.getElementById('failed').innerText.includes('TypeError')")
+                assert all("TypeError" in each for each in page.complaints)
+                page.complaints.clear()
+                await page.reload()
+                await page.until("window.delfim !== undefined")
 
     asyncio.run(told())
 

@@ -57,7 +57,6 @@ async def met(folder: Path) -> None:
                 link.ask("stop")
             async with aiohttp.ClientSession() as session, session.get(url.split("?")[0] + "api/boats") as answer:
                 assert answer.status == 403, "not for everybody"
-        assert page.complaints == []
 
 
 @pytest.mark.long

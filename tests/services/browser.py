@@ -46,7 +46,7 @@ class Page:
         self._socket, self._group = socket, group
         self._numbers = itertools.count(1)
         self._front = ""  # the tab that hides this one
-        self.complaints: list[str] = []  # of the page's console: errors, what the policy refused
+        self.complaints: list[str] = []  # of the page's console: errors, what the policy refused; a test ends with none
         self.requests: list[str] = []  # addresses, once the domain Network is enabled
         self.origins: set[str] = set()  # that were opened
 
@@ -70,6 +70,11 @@ class Page:
             answer = {"method": "Page.handleJavaScriptDialog", "params": {"accept": True}}
             await self._socket.send_json({"id": next(self._numbers), **answer})
         return told
+
+    async def nothing_amiss(self) -> None:
+        """The page had nothing to complain of."""
+        await self.value("document.title")  # what it said before is heard by then
+        assert not self.complaints, self.complaints
 
     def sleep(self) -> None:
         """All of the browser stands still, as on a laptop that was closed."""
@@ -190,7 +195,9 @@ async def browser(folder: Path, *more: str) -> AsyncIterator[Page]:
             async with session.get(f"http://127.0.0.1:{port}/json") as answer:
                 tab = next(each for each in await answer.json() if each["type"] == "page")
             async with session.ws_connect(tab["webSocketDebuggerUrl"], max_msg_size=0) as socket:
-                yield Page(socket, child.pid)
+                page = Page(socket, child.pid)
+                yield page
+                await page.nothing_amiss()
     finally:
         with contextlib.suppress(ProcessLookupError):
             child.send_signal(signal.SIGTERM)
@@ -213,6 +220,8 @@ async def tab() -> AsyncIterator[Page]:
             page = Page(socket, child.pid)
             try:
                 yield page
+                if child.poll() is None:
+                    await page.nothing_amiss()
             finally:
                 if child.poll() is None:
                     await page.call("Network.clearBrowserCookies")

@@ -347,7 +347,10 @@ const steering = (): Style[] => cased(palette.steer, 2.2, [2, 5]);
 /** A ring around the place that the boat steers for. */
 function target(): Style {
   return new Style({
-    geometry: (feature) => new Point((feature.getGeometry() as LineString).getLastCoordinate()),
+    geometry: (feature) => {
+      const line = feature.getGeometry() as LineString | undefined; // a boat that is lost has none
+      return line && new Point(line.getLastCoordinate());
+    },
     image: new Disc({ radius: 17, stroke: new Stroke({ color: palette.steer, width: 2.2 }) }),
   });
 }

@@ -9,6 +9,7 @@ import { Check } from "./check";
 import { Corner, card, dryRunCard, whereWords } from "./corner";
 import { text } from "./dom";
 import { Drive } from "./drive";
+import { tellFailures } from "./failed";
 import { Fleet, position } from "./fleet";
 import { Pad } from "./gamepad";
 import { Hints } from "./hints";
@@ -35,6 +36,7 @@ const REACH_TOUCH_PX = 32;
 
 const element = (id: string): HTMLElement => document.getElementById(id)!;
 
+tellFailures(element("failed"));
 const state = new State();
 const sound = new Sound();
 const messages = new Messages(element("messages"), state, sound);

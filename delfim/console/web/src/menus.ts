@@ -18,7 +18,8 @@ import { ZONES_M } from "./watch";
 import type { Watch } from "./watch";
 import type { Boat, Mode, Place } from "./wire";
 
-const ELSEWHERE: ReadonlySet<Mode> = new Set(["hold", "home", "course"]); // modes with an entry of their own
+const ELSEWHERE: ReadonlySet<Mode> = new Set(["hold", "course"]); // modes with an entry of their own
+const NOTES: Record<Mode, string> = { goto: HOLDS_THERE, home: "back along the way it came, then hold" };
 const PROFILES = ["lean", "radio", "wifi"];
 
 export class Menus {
@@ -42,14 +43,16 @@ export class Menus {
       return this.popup.menu(at, { title: boat.name, colour: boat.colour }, [...this.planning.recorded(boat, this.fleet.way(boat.id)), ...this.view(place)]);
     }
     const command = this.commands(boat);
-    const enter = (mode: Mode, title: string): Item => ({ title, ...(mode === "goto" && { note: HOLDS_THERE }), tick: boat.mode === mode, do: () => this.planning.sail(boat, mode) });
+    const enter = (mode: Mode, title: string): Item => ({ title, note: NOTES[mode], tick: boat.mode === mode, do: () => this.planning.sail(boat, mode) });
     const keyed = KEYED.filter(({ mode }) => boat.modes.includes(mode));
     const others = boat.modes.filter((mode) => !ELSEWHERE.has(mode) && !keyed.some((each) => each.mode === mode));
-    const modes = [...keyed.map(({ key, mode, title }) => ({ ...enter(mode, title), key })), ...others.map((mode) => enter(mode, capital(mode)))];
+    const entries = (home: boolean) => keyed.filter(({ mode }) => (mode === "home") === home).map(({ key, mode, title }) => ({ ...enter(mode, title), key }));
+    const modes = [...entries(false), ...others.map((mode) => enter(mode, capital(mode)))];
     this.popup.menu(at, { title: boat.name, colour: boat.colour }, [
       { title: "Stop", key: "Space", do: () => this.actions.stop(boat.id) },
       command("Pause: hold here", "pause", boat.mode === "idle" && "the boat is idle", "B"),
       command("Continue", "continue", boat.mode !== "hold" && "nothing is paused", "C"),
+      ...entries(true),
       "line",
       ...modes,
       "line",
@@ -126,7 +129,6 @@ export class Menus {
     const command = this.commands(boat);
     return [
       { title: "Hold this position", note: "thrusters start again when it drifts off", do: () => void this.actions.mode(boat, "hold") },
-      { title: "Go home", note: "back along the way it came, then hold", refuse: boat.home ? undefined : "no home aboard: set one in the plan and send it", do: () => void this.actions.mode(boat, "home") },
       "line",
       boat.armed ? command("Disarm", "disarm") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
       ...this.state.orders.filter(({ title }) => title).map(({ command, title, key }): Item => ({ title, ...(key && { key }), do: () => void this.actions.command(boat.id, command) })),

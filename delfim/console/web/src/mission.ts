@@ -117,7 +117,8 @@ export function spoken(mission: Mission): Mission {
 }
 
 /** The inverse: a path that leads through the waypoints is their legs; any other one stays a path of its own. */
-export function understood(mission: Mission): Mission {
+export function understood(told: Mission): Mission {
+  const mission = { ...told, fence: told.fence ?? [], obstacles: told.obstacles ?? [] }; // another program may leave them out
   const { path: pieces = [], waypoints } = mission;
   if (pieces.length !== waypoints.length || !pieces.some(({ turn_deg }) => turn_deg)) return mission;
   const ends = pieces.map((_, i) => path({ ...mission, path: pieces.slice(0, i + 1) }).at(-1)!);

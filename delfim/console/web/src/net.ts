@@ -53,13 +53,13 @@ export class Net {
     socket.onclose = () => this.lost(socket);
   }
 
-  /** A message that cannot be read is dropped; the others are not affected. */
+  /** A message that cannot be taken is dropped, and the page says so (failed.ts); the others are not affected. */
   private hear(text: string): void {
     this.heardAt = performance.now();
     try {
       this.take(JSON.parse(text) as Heard);
     } catch (error) {
-      console.warn("a message was not understood:", error, text.slice(0, 200));
+      reportError(error);
     }
   }
 
