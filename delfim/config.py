@@ -494,6 +494,19 @@ class PwmChannel(Table, frozen=True):
         return self.neutral_us + min(abs(fraction), 1.0) * (end_us - self.neutral_us)
 
 
+class PwmCut(Table, frozen=True):
+    """An output of the computer that takes the motors their pulses or their power: OE of a PCA9685, or a relay. The supervisor
+    sets it when the outlet hangs and cannot be ended (docs/pwm.md)."""
+
+    chip: Annotated[str, text("(/dev/gpiochip[0-9]+)?", "/dev/gpiochipNUMBER, or empty")] = ""  # of the pin; empty: none
+    line: Annotated[str, text("[^ ]{0,31}", "a name without blanks, as gpioinfo lists it")] = ""  # name of the pin
+    at: Literal["high", "low"] = "high"  # the level that cuts them off; the other one is held meanwhile
+
+    def __post_init__(self) -> None:
+        if bool(self.chip) != bool(self.line):
+            raise ValueError("an output needs both its chip and its line")
+
+
 class Pwm(Table, frozen=True):
     """Motors and servos that are told by pulses: the kernel's PWM, or a PCA9685 (docs/pwm.md)."""
 
@@ -503,6 +516,7 @@ class Pwm(Table, frozen=True):
     rate_hz: Annotated[float, msgspec.Meta(ge=40.0, le=330.0)] = 50.0  # pulses a second
     arm_s: Annotated[float, msgspec.Meta(ge=0.0, le=60.0)] = 3.0  # neutral for so long after the start: an ESC arms by it
     channel: dict[PwmNumber, PwmChannel] = msgspec.field(default_factory=dict)  # those with other pulses than usual
+    cut: PwmCut = PwmCut()
 
 
 class Vesc(Table, frozen=True):
@@ -784,6 +798,13 @@ class AisSilent(Silence, frozen=True):
     action: ActionName = "warn"
 
 
+class OutletSilent(Silence, frozen=True):
+    """The motors may turn: the outlet, which writes their pulses, does not answer, or cannot write a stop (docs/pwm.md). Told
+    in idle, too."""
+
+    after_s: Seconds = 1.5  # age of its last answer
+
+
 class LogNotWritable(Trouble, frozen=True):
     """The state log is not being written."""
 
@@ -815,6 +836,7 @@ class Failsafe(Table, frozen=True):
     traffic: TrafficNear = TrafficNear()
     traffic_close: TrafficClose = TrafficClose()
     ais_silent: AisSilent = AisSilent()
+    outlet: OutletSilent = OutletSilent()
 
 
 class Area(Table, frozen=True):

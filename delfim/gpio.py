@@ -1,4 +1,4 @@
-"""A line of a GPIO chip as input, by its name, over Linux' character device (GPIO v2 of linux/gpio.h, kernel 5.10).
+"""A line of a GPIO chip, by its name, over Linux' character device (GPIO v2 of linux/gpio.h, kernel 5.10).
 
 Names and not numbers: a newer board of the same family may count its lines otherwise, as the Raspberry Pi 5 does.
 """
@@ -16,16 +16,17 @@ with suppress(ImportError):  # Linux alone has it, and the console's dry run bui
     import fcntl
 
 Bias = Literal["pull-up", "pull-down", "none"]
-CHIP_INFO, LINE_INFO, GET_LINE, GET_VALUES = 0x8044B401, 0xC100B405, 0xC250B407, 0xC010B40E  # ioctl
+CHIP_INFO, LINE_INFO, GET_LINE, GET_VALUES, SET_VALUES = 0x8044B401, 0xC100B405, 0xC250B407, 0xC010B40E, 0xC010B40F  # ioctl
 CHIP: Final = struct.Struct("=32s32sI")  # gpiochip_info: name, label, number of lines
 INFO: Final = struct.Struct("=32s32sI188x")  # gpio_v2_line_info: name, consumer, offset
 REQUEST: Final = struct.Struct("=I252x32sQI20xIIQQ216xII20xi")  # gpio_v2_line_request, with one line and one attribute
 VALUES: Final = struct.Struct("=QQ")  # gpio_v2_line_values: bits, mask
 EVENT: Final = struct.Struct("=QIIII24x")  # gpio_v2_line_event: time, what, line, numbers
 RISING: Final = 1  # what an event is; 2 is falling
-INPUT, EDGES = 1 << 2, 1 << 4 | 1 << 5
+INPUT, OUTPUT, EDGES = 1 << 2, 1 << 3, 1 << 4 | 1 << 5
 BIASES: Final[dict[Bias, int]] = {"pull-up": 1 << 8, "pull-down": 1 << 9, "none": 1 << 10}
-DEBOUNCE, DEBOUNCE_US = 3, 5_000  # attribute; a contact bounces for a few milliseconds
+LEVELS, DEBOUNCE = 2, 3  # attributes: of an output at its start, of an input
+DEBOUNCE_US: Final = 5_000  # a contact bounces for a few milliseconds
 EVENTS_MAX: Final = 16  # of the kernel's buffer, for one line
 
 
@@ -65,15 +66,42 @@ class GpioLine:
         os.close(self._fd)
 
 
+class GpioOutput:
+    """An output. It never waits."""
+
+    def __init__(self, fd: int) -> None:
+        self._fd = fd
+
+    def put(self, is_high: bool) -> None:
+        """Raises OSError."""
+        fcntl.ioctl(self._fd, SET_VALUES, array.array("B", VALUES.pack(is_high, 1)))
+
+    def close(self) -> None:
+        """Most chips keep the level."""
+        os.close(self._fd)
+
+
 def open_gpio(chip: str, name: str, bias: Bias) -> GpioLine:
     """Raises DelfimError where there is no such chip or line, or another program has it."""
+    line = _requested(chip, name, INPUT | EDGES | BIASES[bias], DEBOUNCE, DEBOUNCE_US, EVENTS_MAX)
+    os.set_blocking(line, False)
+    return GpioLine(line)
+
+
+def open_output(chip: str, name: str, is_high: bool) -> GpioOutput:
+    """With this level from the start. Raises as `open_gpio`."""
+    return GpioOutput(_requested(chip, name, OUTPUT, LEVELS, int(is_high), 0))
+
+
+def _requested(chip: str, name: str, flags: int, attribute: int, value: int, events: int) -> int:
+    """The line, for this program alone. Raises DelfimError."""
     try:
         fd = os.open(chip, os.O_RDWR | os.O_CLOEXEC)
     except OSError as error:
         raise DelfimError(f"{chip}: {error.strerror}") from None
     try:
         wanted = array.array("B", REQUEST.pack(
-            _offset(fd, chip, name), b"delfim", INPUT | EDGES | BIASES[bias], 1, DEBOUNCE, 0, DEBOUNCE_US, 1, 1, EVENTS_MAX, -1
+            _offset(fd, chip, name), b"delfim", flags, 1, attribute, 0, value, 1, 1, events, -1
         ))  # fmt: skip
         fcntl.ioctl(fd, GET_LINE, wanted)
     except OSError as error:
@@ -81,8 +109,7 @@ def open_gpio(chip: str, name: str, bias: Bias) -> GpioLine:
     finally:
         os.close(fd)
     line: int = REQUEST.unpack(wanted.tobytes())[-1]
-    os.set_blocking(line, False)
-    return GpioLine(line)
+    return line
 
 
 def _offset(fd: int, chip: str, name: str) -> int:

@@ -158,6 +158,8 @@ def run(file: str, overrides: Sequence[str], *, service: str | None, beat_fd: in
 
 def outlet(file: str, overrides: Sequence[str], *, beat_fd: int) -> int:
     """`delfim outlet`: the pulses of motors that would turn for ever, and nothing else. Raises DelfimError, OSError."""
+    if beat_fd >= 0:
+        faulthandler.register(STACKS_SIGNAL, beat_fd, chain=True)
     from delfim.services.outlet import serve
     from delfim.vehicle.actuators.pwm import channels
 
@@ -194,15 +196,16 @@ def supervise(
     kernelclock.set_from_battery(settings.clock.set, settings.buses)  # before any log has a name
     log.info("delfim %s starts %s, sha256 %s, with %s", *_started(file, overrides))
     _above(settings.runtime.fifo_priority)
-    from delfim.services.stop import PropellerStop
+    from delfim.services.stop import CutOff, PropellerStop
     from delfim.services.supervisor import Supervisor
 
     limits = settings.supervisor
-    with contextlib.closing(PropellerStop(settings)) as stop:
+    with contextlib.closing(PropellerStop(settings)) as stop, contextlib.closing(CutOff(settings.pwm.cut)) as cut:
         supervisor = Supervisor(
             programs,
             stop=stop,
             calm=stop.close,
+            cut=cut,
             deadman_s=limits.deadman_s,
             backoff_s=limits.backoff_s,
             backoff_max_s=limits.backoff_max_s,

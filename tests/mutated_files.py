@@ -341,7 +341,7 @@ def page_token(here: Path) -> Said:
 
 
 def supervisors_record(here: Path) -> Said:
-    from delfim.services.supervisor import last_deadman
+    from delfim.services.supervisorfile import last_deadman
     from delfim.suite import _told
 
     with contextlib.redirect_stdout(io.StringIO()):

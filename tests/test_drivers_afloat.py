@@ -198,6 +198,27 @@ def test_pulses_stop_at_the_death_of_the_runtime_and_of_the_outlet_and_go_on_whe
     assert motors.stopped(), "the end in order"
 
 
+@pytest.mark.parametrize("also_runtime", [False, True], ids=["the outlet", "and the runtime"])
+def test_an_outlet_that_hangs_under_way_is_ended_and_the_boat_says_why(tmp_path: Path, also_runtime: bool) -> None:
+    with afloat(tmp_path, "pwm") as (motors, command):
+        sailed(motors, command, until=(1.0, -1.0))
+        os.kill(process(tmp_path, "outlet"), signal.SIGSTOP)
+        if also_runtime:
+            os.kill(process(tmp_path, "runtime"), signal.SIGKILL)
+        deadline_s = time.monotonic() + PATIENCE_S
+        while not motors.stopped():
+            assert time.monotonic() < deadline_s
+        outlet = json.loads((tmp_path / "supervisor.json").read_text())["programs"]["outlet"]
+        assert outlet["restarts"] == 1
+        assert "dead-man; it did not say where it stood: T (stopped)" in outlet["reason"]
+        if not also_runtime:
+            with Link(command, PATIENCE_S) as link:
+                while "the motors may turn: the outlet" not in (state := link.ask("state"))["reason"]:
+                    assert time.monotonic() < deadline_s, state["reason"]
+                link.ask("stop")  # the stick was never let go
+        sailed(motors, command, until=(0.5, 0.5))
+
+
 def test_the_connection_of_a_stop_ends_with_it() -> None:
     """A boat's own computer that nobody reads would wait for us; and the next stop needs a connection again."""
     with contextlib.ExitStack() as opened:

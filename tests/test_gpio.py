@@ -22,8 +22,10 @@ PROGRAM = """
 int main(void) {
     printf("%zu %zu %zu %zu %zu\\n", sizeof(struct gpiochip_info), sizeof(struct gpio_v2_line_info),
            sizeof(struct gpio_v2_line_request), sizeof(struct gpio_v2_line_values), sizeof(struct gpio_v2_line_event));
-    printf("%lu %lu %lu %lu\\n", (unsigned long)GPIO_GET_CHIPINFO_IOCTL, (unsigned long)GPIO_V2_GET_LINEINFO_IOCTL,
-           (unsigned long)GPIO_V2_GET_LINE_IOCTL, (unsigned long)GPIO_V2_LINE_GET_VALUES_IOCTL);
+    printf("%lu %lu %lu %lu %lu\\n", (unsigned long)GPIO_GET_CHIPINFO_IOCTL, (unsigned long)GPIO_V2_GET_LINEINFO_IOCTL,
+           (unsigned long)GPIO_V2_GET_LINE_IOCTL, (unsigned long)GPIO_V2_LINE_GET_VALUES_IOCTL,
+           (unsigned long)GPIO_V2_LINE_SET_VALUES_IOCTL);
+    printf("%d %d\\n", GPIO_V2_LINE_FLAG_OUTPUT, GPIO_V2_LINE_ATTR_ID_OUTPUT_VALUES);
     struct gpio_v2_line_request r = {.offsets = {7}, .consumer = "delfim", .num_lines = 1, .event_buffer_size = 16, .fd = -1};
     r.config.flags = GPIO_V2_LINE_FLAG_INPUT | GPIO_V2_LINE_FLAG_EDGE_RISING | GPIO_V2_LINE_FLAG_EDGE_FALLING
                      | GPIO_V2_LINE_FLAG_BIAS_PULL_UP;
@@ -69,10 +71,12 @@ def pin():
 def test_the_structures_are_the_kernels(tmp_path):
     (tmp_path / "gpio.c").write_text(PROGRAM)
     subprocess.run(["cc", "-o", tmp_path / "gpio", tmp_path / "gpio.c"], check=True)
-    sizes, numbers, request = subprocess.run([tmp_path / "gpio"], capture_output=True, text=True).stdout.split("\n")
+    sizes, numbers, output, request = subprocess.run([tmp_path / "gpio"], capture_output=True, text=True).stdout.split("\n")
     structures = (gpio.CHIP, gpio.INFO, gpio.REQUEST, gpio.VALUES, gpio.EVENT)
     assert [int(each) for each in sizes.split()] == [each.size for each in structures]
-    assert [int(each) for each in numbers.split()] == [gpio.CHIP_INFO, gpio.LINE_INFO, gpio.GET_LINE, gpio.GET_VALUES]
+    ours = [gpio.CHIP_INFO, gpio.LINE_INFO, gpio.GET_LINE, gpio.GET_VALUES, gpio.SET_VALUES]
+    assert [int(each) for each in numbers.split()] == ours
+    assert [int(each) for each in output.split()] == [gpio.OUTPUT, gpio.LEVELS]
     flags = gpio.INPUT | gpio.EDGES | gpio.BIASES["pull-up"]
     packed = gpio.REQUEST.pack(7, b"delfim", flags, 1, gpio.DEBOUNCE, 0, gpio.DEBOUNCE_US, 1, 1, gpio.EVENTS_MAX, -1)
     assert packed.hex() == request
@@ -112,7 +116,7 @@ def test_a_file_that_is_no_chip_is_refused_in_words(tmp_path):
 def test_a_line_is_found_by_its_name_on_a_chip_that_is_played(tmp_path, monkeypatch):
     """The kernel's answers, as linux/gpio.h has them."""
     (tmp_path / "gpiochip9").touch()
-    asked = []
+    asked, levels = [], []
 
     def answer(fd, number, data):
         if number == gpio.CHIP_INFO:
@@ -120,6 +124,8 @@ def test_a_line_is_found_by_its_name_on_a_chip_that_is_played(tmp_path, monkeypa
         elif number == gpio.LINE_INFO:
             offset = gpio.INFO.unpack(data.tobytes())[2]
             data[:] = type(data)("B", gpio.INFO.pack((b"LED", b"KILL", b"FAN")[offset], b"", offset))
+        elif number == gpio.SET_VALUES:
+            levels.append(gpio.VALUES.unpack(data.tobytes()))
         else:
             asked.append(gpio.REQUEST.unpack(data.tobytes()))
             granted = (*asked[-1][:-1], socket.socket().detach())
@@ -128,5 +134,11 @@ def test_a_line_is_found_by_its_name_on_a_chip_that_is_played(tmp_path, monkeypa
     monkeypatch.setattr(gpio.fcntl, "ioctl", answer)
     gpio.open_gpio(str(tmp_path / "gpiochip9"), "KILL", "pull-up").close()
     assert asked[0][0] == 1
+    output = gpio.open_output(str(tmp_path / "gpiochip9"), "FAN", True)
+    output.put(False)
+    output.close()
+    assert asked[1][0] == 2
+    assert asked[1][2:7] == (gpio.OUTPUT, 1, gpio.LEVELS, 0, 1), "high from the start"
+    assert levels == [(0, 1)]
     with pytest.raises(DelfimError, match="has no line named STOP; gpioinfo lists them"):
         gpio.open_gpio(str(tmp_path / "gpiochip9"), "STOP", "pull-up")

@@ -317,7 +317,7 @@ READ_BY = {  # function: the readers above that come by it
     "services/nmea2000d.py: __init__": {"address on NMEA 2000"},
     "services/numbering.py: known_numbers": {"numbers of DroneCAN devices"},
     "outside.py: read_credentials": {"password at a caster"},
-    "services/supervisor.py: last_deadman": {"supervisor's record"},
+    "services/supervisorfile.py: last_deadman": {"supervisor's record"},
     "services/slots.py: environment": {"boot environment"},
     "services/slots.py: manifest": {"manifest of a slot"},
     "services/imagefile.py: verify": {"image"},

@@ -23,7 +23,8 @@ log = logging.getLogger(__name__)
 class Supervised(NamedTuple):
     """One program. The critical one has the dead-man; there is at most one. The others run on processors that nobody else wants
     (SCHED_IDLE): being niced does not make the kernel take a processor from them at once when the critical one wakes. A guard,
-    which stops motors, is no less urgent than the critical one: it starts at once, and ends last if it is the first of them."""
+    which holds motors, is no less urgent than the critical one: it has the dead-man, too, starts at once, and ends last if it
+    is the first of them."""
 
     name: str
     argv: tuple[str, ...]
@@ -49,13 +50,18 @@ class Child:
     is_silent: bool = False  # silent, and not critical
     verdict: str = ""  # why it is or was killed by us
     kill_s: float = inf  # when it is killed for its silence
+    dead_s: float = inf  # when it should be dead of that
     since_s: float = 0.0  # monotonic, of the last change of state
+
+    @property
+    def is_urgent(self) -> bool:
+        return self.program.critical or self.program.guard
 
     def spawn(self) -> None:
         """Start it, with a pipe to beat on. Raises OSError."""
         program = self.program
         self.start_s, self.beat_s, self.is_silent, self.is_leaving = time.monotonic(), None, False, False
-        self.verdict, self.kill_s = "", inf
+        self.verdict, self.kill_s, self.dead_s = "", inf, inf
         self.pipe, beat = os.pipe()
         os.set_blocking(self.pipe, False)
         os.set_inheritable(beat, True)
@@ -67,7 +73,7 @@ class Child:
         finally:
             os.close(beat)
         program.limits.hold(program.name, self.pid)
-        if not (program.critical or program.guard):
+        if not self.is_urgent:
             try:
                 os.sched_setscheduler(self.pid, os.SCHED_IDLE, os.sched_param(0))
             except OSError as error:

@@ -7,8 +7,9 @@ an old one, when its connection ends, at SIGTERM, and when the supervisor is gon
 commands holds the motors. After the start, and after a fault of the hardware, channels stay neutral for `pwm.arm_s`: an ESC
 arms by that.
 
-The death of this process leaves a pulse standing until the supervisor has started it again, which begins with neutral.
-Against the death of the computer there is only hardware: the kill relay.
+The death of this process leaves a pulse standing until the supervisor has started it again, which begins with neutral; that
+it hangs, until the supervisor's dead-man has killed it. Against a bus that holds it in the kernel there is `pwm.cut`, and
+against the death of the computer only hardware: the kill relay.
 """
 
 import logging

@@ -30,7 +30,8 @@ from delfim.services.garbage import Collector
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop, Practice
 from delfim.services.privileges import asked, real_time, set_privileges
 from delfim.services.servicestatus import ServiceStatus, Stage
-from delfim.services.supervisor import EXIT_PERMANENT, last_deadman
+from delfim.services.supervisor import EXIT_PERMANENT
+from delfim.services.supervisorfile import last_deadman
 from delfim.services.window import NavigationWindow
 
 BEAT_S: Final = 0.1  # the longest time between two beats of a healthy loop

@@ -50,6 +50,20 @@ def request(place: str | Path, word: Word, reason: str) -> None:
         asking.send(f"{word} {reason}".encode())
 
 
+def listening(path: Path) -> socket.socket | None:
+    """The supervisor's socket for requests; None if it cannot be opened: signals remain."""
+    path.unlink(missing_ok=True)
+    requests = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
+    try:
+        requests.bind(str(path))
+        os.chmod(path, 0o660)
+    except OSError as error:
+        log.error("%s: %s; going on without it", path, error.strerror)
+        requests.close()
+        return None
+    return requests
+
+
 def is_listening(place: str | Path) -> bool:
     """Whether a supervisor would hear a request."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as asking:

@@ -1,6 +1,7 @@
 """The supervisor's own way to actuators and bus, for when the runtime does not beat: loaded beforehand, opened when needed."""
 
 import contextlib
+import logging
 from collections.abc import Sequence
 from importlib import import_module
 
@@ -9,12 +10,15 @@ from delfim.canproxy.opening import open_bound, open_can
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import SystemClock
 from delfim.errors import DelfimError, in_words
+from delfim.gpio import GpioOutput, open_output
 from delfim.messages import SHUTDOWN_ACKNOWLEDGE, ShutdownAcknowledge, ShutdownStage, pack_shutdown_acknowledge
 from delfim.serialform import Form
 from delfim.serialline import SerialLine
 from delfim.vehicle import actuators
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.links import Links
+
+log = logging.getLogger(__name__)
 
 
 class PropellerStop:
@@ -75,3 +79,31 @@ def opened_driver(settings: config.Vehicle, name: str) -> tuple[Actuator, contex
             return opening.enter_context(contextlib.closing(SerialLine(device, baud, SystemClock(), form=form)))
 
         return actuators.open_actuator(name, settings, Links(bus, line)), opening.pop_all()
+
+
+class CutOff:
+    """The output of the computer that takes motors their pulses or their power, for when nobody else can stop them. When
+    called, sets it; returns what that came to, in words. It is held from the start."""
+
+    def __init__(self, settings: config.PwmCut) -> None:
+        self._at_high, self._name, self._trouble = settings.at == "high", settings.line, ""
+        self._line: GpioOutput | None = None
+        if settings.chip:
+            try:
+                self._line = open_output(settings.chip, settings.line, not self._at_high)
+            except DelfimError as error:
+                self._trouble = f"pwm.cut: {error}"
+                log.error("%s; nothing aboard can cut off the motors", self._trouble)
+
+    def __call__(self, off: bool) -> str:
+        if self._line is None:
+            return self._trouble or "the boat has no pwm.cut; use the kill switch"
+        try:
+            self._line.put(self._at_high is off)
+        except OSError as error:
+            return f"pwm.cut: {self._name}: {error.strerror}; use the kill switch"
+        return f"{self._name} cut them off" if off else f"{self._name} lets them turn again"
+
+    def close(self) -> None:
+        if self._line is not None:
+            self._line.close()

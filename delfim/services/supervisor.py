@@ -1,20 +1,19 @@
 """The supervisor: the parent of all programs, and the dead-man. It fits for PID 1.
 
 It starts the programs, each in a session of its own, and restarts those that die. Every program gets `--beat-fd N`, the
-write end of a pipe. The critical one beats on it; when the beat stops, whatever the reason, the supervisor itself stops the
-propellers, has the program write into the pipe where its threads stand and die of it, kills it STACKS_S later if it did not,
-and starts it again. A program whose pipe breaks knows that the supervisor is gone.
+write end of a pipe, and beats on it. When the beat stops, whatever the reason, the supervisor has the program write into the
+pipe where its threads stand and die of it, kills it STACKS_S later if it did not, and starts it again. That is the dead-man of
+the critical one, whose propellers it stops first, and of a guard; any other may be silent for longer. A guard that even the
+kernel cannot end has its motors cut off. A program whose pipe breaks knows that the supervisor is gone.
 
 It ends on a signal or on a word at its socket (delfim.services.shutdown), the critical program first; the caller does
 the rest. It does not handle dependencies or logs. It never waits for anything but time and its children.
 """
 
-import json
 import logging
 import os
 import select
 import signal
-import socket
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
@@ -22,14 +21,15 @@ from math import inf
 from pathlib import Path
 from typing import Final, Literal, cast, get_args
 
-from delfim.errors import FormatError
-from delfim.outside import parse_json, read_file
 from delfim.services.children import LAST_WORD, STACKS_SIGNAL, Child, Supervised, ended, process_state, stood
-from delfim.services.shutdown import Word
+from delfim.services.shutdown import Word, listening
+from delfim.services.supervisorfile import write_state
 from delfim.services.watchdog import Watchdog
 
 EXIT_PERMANENT: Final = 100  # of a program: do not start me again
-START_S: Final = 60.0  # a critical program may take so long to its first beat: a slow board reads it from a slow card
+START_S: Final = 60.0  # the critical program and a guard may take so long to the first beat: a slow board, a slow card
+START_OTHERS_S: Final = 300.0  # the others come up together, and have what the critical one leaves of the processor
+SILENT_S: Final = 30.0  # then one of these is killed and started again
 HEAD_START_S: Final = 5.0  # the others wait so long for its first beat: until then it has the processor to itself
 STOP_EVERY_S: Final = 0.1  # between two stop frames while nothing beats
 STACKS_S: Final = 0.1  # for a silent program to write where its threads stand, while stop frames are already sent
@@ -62,6 +62,7 @@ class Supervisor:
 
     stop: sends frames that stop the propellers; its exceptions are logged, and the rest goes on.
     calm: called when the runtime beats again after stops: what they opened can be closed.
+    cut: takes the motors of a guard their power or their pulses (True), or gives it back. Returns what that came to, in words.
     state_file: JSON for the other programs, replaced at each change.
     watchdog: device, "" for none; if it does not exist there is none.
     requests: UNIX socket for "off REASON" and the like; None for none.
@@ -76,6 +77,7 @@ class Supervisor:
         *,
         stop: Callable[[], None],
         calm: Callable[[], None] = lambda: None,
+        cut: Callable[[bool], str] = lambda off: "",
         deadman_s: float,
         backoff_s: float,
         backoff_max_s: float,
@@ -87,13 +89,14 @@ class Supervisor:
         self._children = [Child(program) for program in sorted(programs, key=lambda program: not program.critical)]
         self._critical = next((child for child in self._children if child.program.critical), None)
         self._stop, self._calm, self._stop_error = stop, calm, ""
+        self._cut, self._is_cut = cut, False
         self._deadman_s, self._backoff_s, self._backoff_max_s = deadman_s, backoff_s, backoff_max_s
         self._state_file = state_file
         self._watchdog = Watchdog(watchdog)
         self._deadman: dict[str, object] | None = None  # last event
         self._stop_due_s: float | None = None  # when to send stop frames again; None: the critical program is in charge
         self._init, self._signals = init, INIT_SIGNALS if init else SIGNALS
-        self._requests = _listening(requests) if requests else None
+        self._requests = listening(requests) if requests else None
         self.word: Word | Literal[""] = ""
         self.reason = ""
         self._wake = -1  # readable when a signal came
@@ -199,7 +202,7 @@ class Supervisor:
             log.error("%s: %s: not to be started again", child.program.name, child.reason)
             self._change(child, "failed")
         else:
-            if child.verdict:
+            if child.verdict and child.is_urgent:
                 child.pause_s = 0.0  # deadman_s paces it
             elif now_s - child.start_s > self._backoff_max_s:
                 child.pause_s = self._backoff_s
@@ -211,50 +214,69 @@ class Supervisor:
 
     def _kill(self, child: Child, verdict: str) -> None:
         """The whole group. Its log writers live in sessions of their own and finish what they were given."""
-        child.verdict = verdict
+        child.verdict, child.dead_s = verdict, time.monotonic() + KILL_S
         log.critical("%s: %s", child.program.name, verdict)
         os.killpg(child.pid, signal.SIGKILL)
 
     # The dead-man.
 
-    def _deadline_s(self) -> float:
-        """When the critical program has been silent for too long, and after that, when it is killed."""
-        child = self._critical
-        if child is None or child.state != "running":
+    def _deadline_s(self, child: Child) -> float:
+        """When it has been silent for too long; after that, when it is killed, and when it should be dead."""
+        if child.state != "running":
             return inf
         if child.verdict:
-            return child.kill_s
+            return min(child.kill_s, child.dead_s)
         if child.beat_s is None:
-            return child.start_s + START_S
-        return child.beat_s + (END_CRITICAL_S if child.is_leaving else self._deadman_s)
+            return child.start_s + (START_S if child.is_urgent else START_OTHERS_S)
+        if child.is_leaving and child.program.critical:
+            return child.beat_s + END_CRITICAL_S
+        return child.beat_s + (self._deadman_s if child.is_urgent else SILENT_S)
 
     def _watch_beat(self) -> None:
-        """A silent critical program is stopped at once, asked where it stands, and killed. Silence of another program is
-        only logged. Who took the processor from us since the wait was over, took the beats from us, too."""
-        now_s, child = min(time.monotonic(), self._turn_s + TICK_S), self._critical
-        for each in self._children:
-            late = each is not child and each.beat_s is not None and now_s - each.beat_s > self._deadman_s
-            if each.state == "running" and late and not each.is_silent:
-                self._noted(each, "does not answer", is_silent=True)
-        if child is None or now_s < self._deadline_s():
-            return
-        if child.verdict:
+        """Who took the processor from us since the wait was over, took the beats from us, too."""
+        now_s = min(time.monotonic(), self._turn_s + TICK_S)
+        for child in self._children:
+            if now_s >= self._deadline_s(child):
+                self._overdue(child, now_s)
+            elif child.state != "running" or child.is_urgent or child.is_silent or child.beat_s is None:
+                continue
+            elif now_s - child.beat_s > self._deadman_s:
+                self._noted(child, "does not answer", is_silent=True)
+
+    def _overdue(self, child: Child, now_s: float) -> None:
+        """A silent program: the propellers of the critical one are stopped at once, it is asked where it stands, and killed."""
+        if child.kill_s < inf:
             self._finish(child, process_state(child.pid))
-            return
-        silent_s = now_s - (child.start_s if child.beat_s is None else child.beat_s)
-        child.verdict = f"{'no beat' if child.beat_s is None else 'beat stopped'} for {silent_s:.1f} s: dead-man"
-        self._stop_due_s, child.kill_s = now_s, now_s + STACKS_S
-        os.kill(child.pid, STACKS_SIGNAL)
+        elif child.verdict:
+            self._outlives(child)
+        else:
+            silent_s = now_s - (child.start_s if child.beat_s is None else child.beat_s)
+            words = "dead-man" if child.is_urgent else "killed"
+            child.verdict = f"{'no beat' if child.beat_s is None else 'beat stopped'} for {silent_s:.1f} s: {words}"
+            child.kill_s = now_s + STACKS_S
+            if child.program.critical:
+                self._stop_due_s = now_s
+            os.kill(child.pid, STACKS_SIGNAL)
+
+    def _outlives(self, child: Child) -> None:
+        """It waits in the kernel for hardware that does not answer, and is killed when that does."""
+        child.dead_s = inf
+        words = f"does not answer, and cannot be killed: {process_state(child.pid)}"
+        if child.program.guard:
+            self._is_cut = True
+            words += f"; THE MOTORS MAY TURN: {self._cut(True)}"
+        self._noted(child, words, is_silent=True)
 
     def _finish(self, child: Child, otherwise: str) -> None:
         """Kill a program that survived the question, and all its group; log where it stood, or its state, and all
         stacks."""
-        child.kill_s = inf
+        child.kill_s, child.dead_s = inf, time.monotonic() + KILL_S
         with suppress(ProcessLookupError):
             os.killpg(child.pid, signal.SIGKILL)
         stacks = child.stacks()
         child.verdict += f"; {stood(stacks) or f'it did not say where it stood: {otherwise}'}"
-        self._deadman = {"reason": child.verdict, "at_s": time.monotonic()}
+        if child.program.critical:
+            self._deadman = {"reason": child.verdict, "at_s": time.monotonic()}
         log.critical("%s: %s", child.program.name, child.verdict)
         for thread in filter(None, stacks.split("\n\n")):
             log.critical("%s", thread)
@@ -286,7 +308,7 @@ class Supervisor:
         """For a beat, a death, a signal, or the next deadline."""
         now_s = time.monotonic()
         due_s = [self._due_s(child) for child in self._children if child.state == "waiting"]
-        due_s += [now_s + TICK_S, self._deadline_s(), inf if self._stop_due_s is None else self._stop_due_s]
+        due_s += [now_s + TICK_S, *map(self._deadline_s, self._children), inf if self._stop_due_s is None else self._stop_due_s]
         pipes = {child.pipe: child for child in self._children if child.pipe >= 0 and not child.verdict}
         requests = [self._requests.fileno()] if self._requests else []
         wait_s = max(0.0, min(due_s) - now_s)
@@ -314,6 +336,9 @@ class Supervisor:
         now_s = time.monotonic()
         if child.is_silent and child.beat_s is not None:
             self._noted(child, f"did not answer for {now_s - child.beat_s:.1f} s", is_silent=False)
+        if child.program.guard and self._is_cut and child.beat_s is not None:  # since its first one it has written neutral
+            self._is_cut = False
+            log.warning("%s: beats again: %s", child.program.name, self._cut(False))
         child.beat_s, child.is_leaving = now_s, told.endswith(LAST_WORD)
         if child.program.critical and child.is_leaving:  # it commands nothing more: the propellers are ours
             self._stop_due_s = now_s
@@ -326,12 +351,26 @@ class Supervisor:
         self._is_ending = True
         critical = [child for child in self._children if child.program.critical]
         for child in critical + [child for child in reversed(self._children) if not child.program.critical]:
-            if child.program.guard:  # it stops its motors as it ends, and takes no stop any more
-                self._stop_due_s = None
+            if child.program.guard:
+                self._end_guard(child)
+                continue
             self._end_child(child, END_CRITICAL_S if child.program.critical else END_S)
             if child.program.critical:
                 self._stop_due_s = time.monotonic()  # until the others have ended, too
                 self._keep_stopped()
+
+    def _end_guard(self, child: Child) -> None:
+        """It stops its motors as it ends, and takes no stop any more. One that died of anything else left them as they were: it
+        is started once more, and begins with neutral."""
+        self._stop_due_s = None
+        self._end_child(child, END_S)
+        if child.pid and child.dead_s < inf:
+            self._outlives(child)
+        elif not child.pid and child.state != "failed" and child.reason != ended(0):
+            self._start(child)
+            while child.pid and child.beat_s is None and time.monotonic() < child.start_s + END_CRITICAL_S:
+                self._wait()
+            self._end_child(child, END_S)
 
     def _end_child(self, child: Child, patience_s: float) -> None:
         if child.state == "waiting":
@@ -353,41 +392,7 @@ class Supervisor:
         self._tell()
 
     def _tell(self) -> None:
-        programs = {
-            each.program.name: {
-                "state": each.state,
-                "pid": each.pid,
-                "restarts": each.restarts,
-                "reason": each.reason,
-                "since_s": each.since_s,
-            }
-            for each in self._children
-        }
-        new = self._state_file.with_suffix(".new")
         try:
-            new.write_text(json.dumps({"pid": os.getpid(), "programs": programs, "deadman": self._deadman}))
-            new.replace(self._state_file)
+            write_state(self._state_file, self._children, self._deadman)
         except OSError as error:
             log.error("%s: %s", self._state_file, error.strerror)
-
-
-def _listening(path: Path) -> socket.socket | None:
-    """The socket for requests; None if it cannot be opened: signals remain."""
-    path.unlink(missing_ok=True)
-    listening = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-    try:
-        listening.bind(str(path))
-        os.chmod(path, 0o660)
-    except OSError as error:
-        log.error("%s: %s; going on without it", path, error.strerror)
-        return None
-    return listening
-
-
-def last_deadman(path: Path) -> dict[str, object]:
-    """The last event of the dead-man, from the state file; empty where there was none."""
-    try:
-        event = parse_json(read_file(path))["deadman"]
-    except (OSError, FormatError, KeyError, TypeError):
-        return {}
-    return event if isinstance(event, dict) else {}

@@ -30,7 +30,7 @@ NUMBERS: Final = 20  # simulations on one computer at most
 PORTS: Final = 10  # distance between the ports of two simulations
 PAGE, BOATS = "127.0.0.1:8765", "127.0.0.1:14550"  # of the console, where it is free
 RADIOS = ("mavlink.key", "mavlink.serial", "slipd.device")
-HANDS: Final = ("handset.device", "kill.chip", "kill.line")  # a simulated boat has none of the real one
+HANDS: Final = ("handset.device", "kill.chip", "kill.line", "pwm.cut.chip", "pwm.cut.line")  # none of the real boat's
 
 
 class Berth:

@@ -53,6 +53,7 @@ Kind = Literal[
     "ais_frozen",
     "ais_late",
     "ais_wrong",
+    "outlet_silent",
 ]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
 ABOARD: Final = frozenset(
@@ -63,6 +64,7 @@ WHERE: Final = dict.fromkeys(("sensor_bad", "sensor_silent"), SENSORS)
 PARTS: Final = "navigation_silent", "navigation_frozen"  # of one kind of sensor, or of all and the navigation node
 OF_THRUSTERS: Final = ("thruster_dead", "thruster_stuck", "thruster_reversed", "battery_sag")  # at a row of the vehicle's file
 OF_COMPASS: Final = ("heading_jumping", "compass_cable", "gyro_drift")  # on a boat that has one
+OF_PULSES: Final = ("outlet_silent",)  # in lock step, where motors are told by pulses
 OF_AIS: Final = ("ais_silent", "ais_frozen", "ais_late", "ais_wrong")  # where there are other vessels
 VALUES: Final = {  # default, and its meaning
     "navigation_jumping": (40.0, "metres to the north"),
@@ -152,6 +154,7 @@ class Faults(Broken):
     def __init__(self, nodes: Nodes, seed: int) -> None:
         super().__init__()
         self.nodes, self.model, self.thrusters = nodes, nodes.model, tuple(nodes.model.drives)
+        self.is_outlet = False  # whether somebody plays the outlet, who may fall silent
         self._random = Random(f"faults {seed}")
         self._late: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # when due: to the bus ...
         self._late_heard: deque[tuple[float, Frame]] = deque(maxlen=LATE_MAX)  # ... and from it
@@ -255,6 +258,8 @@ class Faults(Broken):
             raise FormatError(f"{broken.kind}: this boat has no {broken.where}")
         if broken.kind in OF_COMPASS and not self.nodes.compasses:
             raise FormatError(f"{broken.kind}: this boat has no compass")
+        if broken.kind in OF_PULSES and not self.is_outlet:
+            raise FormatError(f"{broken.kind}: in lock step alone, on a boat by pulses; in real time, kill -STOP its outlet")
         if broken.kind in OF_AIS and self.nodes.shipping is None:
             raise FormatError(f"{broken.kind}: there are no other vessels")
         super().begin(broken, now_s)

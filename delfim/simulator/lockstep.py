@@ -13,6 +13,7 @@ from delfim import config
 from delfim.canproxy.socket import CanSocket
 from delfim.clock import ManualClock
 from delfim.modes import Mode
+from delfim.pulses import STATES, PulseAnswer, pack_answer, socket_path, unpack_command
 from delfim.serialform import Form
 from delfim.simulator.faults import Breakage, Faults, FaultyLog
 from delfim.simulator.handset import HandsetAt, SimulatedReceiver
@@ -71,6 +72,8 @@ class Lockstep:
         self._queued = [(each, queues[each.input]) for each in self._inputs if isinstance(each.input, CanSocket)]
         self.guest = self.vehicle.guest
         self._others = tuple((i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in PLAYED)
+        self._outlet = self.lines.get(f"unix:{socket_path(settings.runtime.run_directory)}")
+        self.faults.is_outlet = self._outlet is not None
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
 
@@ -148,9 +151,18 @@ class Lockstep:
                 for frame in heard:
                     devices.feed(frame, now_s)
         sent = self.state.actuation
+        if self._outlet is not None and "outlet_silent" not in faults.on:
+            self._answer(self._outlet)
         for i, name in self._others:  # told by pulses, or by a front seat: their devices are played in tests
-            self.nodes.model.push(name, sent.thrust[i], sent.angle_rad[i], sent.run)
+            if "outlet_silent" not in faults.on or self.settings.thrusters[i].driver != "pwm":
+                self.nodes.model.push(name, sent.thrust[i], sent.angle_rad[i], sent.run)
         clock.advance(self._cycle_s)
+
+    def _answer(self, outlet: LockstepLine) -> None:
+        """As the outlet does, which holds the last pulses while it is silent."""
+        while outlet.written:
+            command = unpack_command(outlet.written.popleft())
+            outlet.put(pack_answer(PulseAnswer(command.counter, STATES[2 * command.run], "")))
 
     def _navigate_again(self) -> None:
         """Of late messages some come at once. Nobody knows whether a line has more."""

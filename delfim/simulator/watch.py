@@ -18,6 +18,9 @@ ROUNDING_M: Final = 1e-6  # of a clearance, far more than that
 NOISE_M: Final = 1.5  # between the true and the measured position
 DECEIVED_M: Final = 3.0  # with a larger error of position a boat cannot keep its fence
 CUT: Final = "dsor"  # the driver whose thrusters the boat cuts off from their batteries
+_TOLD_NOTHING: Final = frozenset(
+    {"bus_off", "sensor_silent", "outlet_silent"}
+)  # faults after which a propeller is told nothing, or tells nothing
 _IDLE: Final = Mode.IDLE  # asked for in each cycle; the lookup in the enumeration takes longer than the comparison
 
 
@@ -93,10 +96,10 @@ class Onlooker:
         return any(abs(drive.part) > TURNS for drive in drives)
 
     def _adrift(self, now_s: float) -> None:
-        """Propellers give thrust while nothing steers the boat. Neither a failed bus nor a node that tells it nothing is the
-        boat's fault: what turns then it learns afterwards."""
+        """Propellers give thrust while nothing steers the boat. Neither a failed bus, nor an outlet that hangs, nor a node that
+        tells it nothing is the boat's fault: what turns then it learns afterwards."""
         on = self._run.faults.on
-        if "bus_off" in on or "sensor_silent" in on or any(kind.startswith("frames_") for kind in on):
+        if not _TOLD_NOTHING.isdisjoint(on) or any(kind.startswith("frames_") for kind in on):
             self._turning_since_s, self._astray = math.inf, False
             return
         self._turning_since_s = min(self._turning_since_s, now_s)

@@ -12,7 +12,7 @@ from delfim.vehicle.failsafe import Action, Rules
 from delfim.vehicle.fence import outside
 from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import HANDSET, State
-from delfim.vehicle.troubles import Inputs, Trigger, charge, handset_missed, low, unheard, voltage
+from delfim.vehicle.troubles import Inputs, Trigger, charge, handset_missed, low, outlet_missed, unheard, voltage
 
 EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
 HEARD_S = 5.0  # a console silent for longer counts as lost
@@ -42,6 +42,7 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
         Check("computer", not state.computer.is_starting, starting if state.computer.is_starting else "started"),
         _navigation(rules, state, age_s, now_s),
         Check("sensors", bad is None, bad or f"{len(rules.settings.sysstat.required or ())} nodes report good"),
+        *_outlet(rules, state, now_s),
         _gnss(rules, state),
         _clock(rules, state, age_s, time_ns),
         Check("log", not inputs.log_reason, f"no log, no start: {inputs.log_reason}" if inputs.log_reason else "being written"),
@@ -78,11 +79,19 @@ def _allowed(rules: Rules, name: str, mode: Mode) -> bool:
         return mode is Mode.MANUAL
     if name == "gnss":
         return rules.actions[Trigger.GNSS_POOR][mode] <= Action.WARN
+    if name == "outlet":
+        return rules.actions[Trigger.OUTLET][mode] <= Action.WARN
     if name == "battery":
         return rules.actions[Trigger.BATTERY_CRITICAL][mode] < Action.STOP
     if name == "hand-set":
         return not rules.settings.handset.mandatory
     return name == "log" and not rules.settings.log.required
+
+
+def _outlet(rules: Rules, state: State, now_s: float) -> list[Check]:
+    """A line where motors are told by pulses."""
+    missed = outlet_missed(rules.settings, state, now_s)
+    return [Check("outlet", not missed, missed or "it answers")] if "pwm" in rules.settings.drivers else []
 
 
 def _handset(settings: config.HandsetTable, state: State) -> str:

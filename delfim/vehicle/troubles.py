@@ -221,6 +221,25 @@ def ais_silent(look: Look) -> str | None:
     return f"AIS silent for {age_s:.0f} s: other vessels are not seen" if is_silent else None
 
 
+def outlet(look: Look) -> str | None:
+    return outlet_missed(look.settings, look.state, look.now_s) or None
+
+
+def outlet_missed(settings: config.Vehicle, state: State, now_s: float) -> str:
+    """Why motors that are told by pulses may turn whatever they are told, in words; empty: they do not, or there are none. A
+    pulse stands until the outlet writes another one."""
+    row = next((row for row in settings.thrusters if row.driver == "pwm"), None)
+    if row is None:
+        return ""
+    report = state.thrusters.get(row.name)
+    if report is None:
+        return "the motors may turn: the outlet, which writes their pulses, has not answered yet"
+    age_s = now_s - report.heard_s
+    if age_s > settings.failsafe.outlet.after_s:
+        return f"the motors may turn: the outlet, which writes their pulses, has been silent for {age_s:.1f} s"
+    return f"the motors may turn: {report.refuses}" if report.refuses and not state.actuation.run else ""
+
+
 def log(look: Look) -> str | None:
     return f"log not written: {look.inputs.log_reason}" if look.inputs.log_reason else None
 
@@ -256,6 +275,7 @@ class Trigger(IntEnum):
     TRAFFIC = 17, traffic
     TRAFFIC_CLOSE = 18, traffic_close
     AIS_SILENT = 19, ais_silent
+    OUTLET = 23, outlet
 
 
 _SEEN: Final = tuple((trigger, trigger.sees) for trigger in Trigger)  # ten times a second: no look-ups in an enumeration

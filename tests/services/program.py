@@ -39,9 +39,15 @@ def supervise(text: str) -> int:
         if broken:
             raise OSError("bus-off")
 
+    def cut(off: bool) -> str:
+        note(record, "bus", "cut" if off else "uncut")
+        return "cut off" if off else "may turn"
+
+    if told.pop("unkillable"):  # as one that waits in the kernel for a bus
+        vars(os)["killpg"] = lambda pid, number: None
     programs = [children.Supervised(name, tuple(argv), *kinds) for name, argv, *kinds in told.pop("programs")]
     files = {name: Path(told.pop(name)) for name in ("state_file", "requests")}
-    supervising = supervisor.Supervisor(programs, stop=stop, calm=lambda: note(record, "bus", "calm"), **files, **told)
+    supervising = supervisor.Supervisor(programs, stop=stop, calm=lambda: note(record, "bus", "calm"), cut=cut, **files, **told)
     code = supervising.run_forever()
     print(f"ended by {supervising.word!r}, {supervising.reason!r}", file=sys.stderr)
     return code

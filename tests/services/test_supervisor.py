@@ -54,6 +54,7 @@ class Suite:
         deadman_s: float = 5.0,  # no test that has another subject fails because the machine is busy
         init: bool = False,
         absent_s: float = 0.0,
+        unkillable: bool = False,
         **constants: float,
     ) -> None:
         """absent_s: so much later it is on its clock each time when it was stopped and goes on."""
@@ -71,6 +72,7 @@ class Suite:
             "requests": str(self.requests),
             "init": init,
             "absent_s": absent_s,
+            "unkillable": unkillable,
         }
         self.process = subprocess.Popen(
             [*prefix, *PROGRAM, "supervise", json.dumps(told)], stderr=subprocess.PIPE, text=True, start_new_session=True
@@ -276,7 +278,57 @@ def test_a_runtime_that_never_beats_is_killed_after_its_grace(suite: Suite) -> N
     assert re.match(r"no beat for \d+\.\d s: dead-man; it ", suite.state()["programs"]["runtime"]["reason"])
 
 
-def test_other_programs_have_no_deadman_but_their_silence_is_told(suite: Suite) -> None:
+@pytest.mark.parametrize("how", ["busy", "stopped"])
+def test_a_silent_guard_is_killed_and_started_again_and_the_runtime_goes_on(suite: Suite, how: str) -> None:
+    suite.program("runtime", critical=True)
+    suite.program("outlet", f"stall={how}", guard=True)
+    suite.start(deadman_s=DEADMAN_S)
+    until(lambda: len(suite.events("outlet", "beat")) == 2)
+    told = suite.state()
+    assert re.match(r"beat stopped for \d\.\d s: dead-man; it ", told["programs"]["outlet"]["reason"])
+    assert (told["programs"]["outlet"]["restarts"], told["programs"]["runtime"]["restarts"]) == (1, 0)
+    assert told["deadman"] is None
+    assert suite.events("bus") == []
+
+
+def test_a_guard_that_outlives_its_kill_has_its_motors_cut_off_until_another_one_beats(suite: Suite) -> None:
+    suite.program("runtime", critical=True)
+    suite.program("outlet", "stall=stopped", guard=True)
+    suite.start(deadman_s=DEADMAN_S, unkillable=True, KILL_S=0.2)
+    until(lambda: suite.events("bus", "cut"))
+    words = "does not answer, and cannot be killed: T (stopped); THE MOTORS MAY TURN: cut off"
+    until(lambda: suite.state()["programs"]["outlet"]["reason"] == words)
+    assert suite.state()["programs"]["runtime"]["restarts"] == 0
+    os.kill(suite.state()["programs"]["outlet"]["pid"], signal.SIGKILL)
+    until(lambda: suite.events("bus", "uncut"))
+    assert suite.events("bus", "uncut")[0].at_s > suite.events("outlet", "beat")[1].at_s
+    assert len(suite.events("bus", "cut")) == 1
+    suite.terminate()
+    assert f"outlet: {words}" in suite.said
+
+
+def test_a_guard_that_hangs_at_the_end_is_started_once_more_to_stop_its_motors(suite: Suite) -> None:
+    suite.program("runtime", critical=True)
+    suite.program("outlet", guard=True)
+    suite.start(END_S=0.2)
+    until(lambda: len(suite.events(word="beat")) == 2)
+    os.kill(suite.state()["programs"]["outlet"]["pid"], signal.SIGSTOP)
+    assert suite.terminate() == 0
+    assert [event.word for event in suite.events("outlet") if event.word != "beat"] == ["start", "start", "end"]
+
+
+def test_another_program_may_be_silent_for_longer_and_is_then_killed_and_started_again(suite: Suite) -> None:
+    suite.program("runtime", critical=True)
+    suite.program("sshd", "stall=stopped")
+    suite.start(SILENT_S=DEADMAN_S)
+    until(lambda: len(suite.events("sshd", "beat")) == 2)
+    sshd = suite.state()["programs"]["sshd"]
+    assert re.fullmatch(r"beat stopped for .* s: killed; it did not say where it stood: T \(stopped\)", sshd["reason"])
+    assert suite.state()["programs"]["runtime"]["restarts"] == 0
+    assert suite.events("bus") == []
+
+
+def test_the_silence_of_other_programs_is_told_before(suite: Suite) -> None:
     suite.program("runtime", critical=True)
     suite.program("sshd", "stall=stopped")
     suite.start(deadman_s=DEADMAN_S)

@@ -24,6 +24,7 @@ from delfim.simulator.faults import (
     KINDS,
     OF_AIS,
     OF_COMPASS,
+    OF_PULSES,
     OF_THRUSTERS,
     VALUES,
     WHERE,
@@ -231,7 +232,7 @@ def test_a_fault_that_cannot_be_is_refused_in_words(words, reason):
 @given(
     st.lists(
         st.tuples(
-            st.sampled_from([kind for kind in KINDS if kind not in (*OF_COMPASS, *OF_AIS)]),
+            st.sampled_from([kind for kind in KINDS if kind not in (*OF_COMPASS, *OF_AIS, *OF_PULSES)]),
             st.integers(0, 4),
             st.floats(0.1, 5.0),
             st.booleans(),

@@ -28,9 +28,11 @@ from delfim.vehicle.target import Danger, Traffic
 from delfim.vehicle.troubles import Inputs, Trigger, astray
 
 ALL = frozenset({"position", "heading", "velocity"})
+BOW = config.ThrusterTable(name="bow", driver="pwm", y_m=0.0, thrust_n=(-10.0, 10.0))
 RULES = Rules(
     config.Vehicle(
         boat=config.BoatTable(name="test"),
+        thrusters=(*config.Vehicle(boat=config.BoatTable(name="test")).thrusters, BOW),
         handset=config.HandsetTable(device="/dev/receiver"),
         failsafe=config.Failsafe(shallow=config.Shallow(min_depth_m=1.0)),
     )
@@ -53,6 +55,7 @@ def state(mode: Mode, now_s: float = 100.0) -> State:
     here.navigation_s = here.changed_s = here.console_s = here.manual_s = here.guest_s = now_s
     rpm = round(1200.0 * here.actuation.thrust[1])
     here.thrusters = {name: ThrusterReport(now_s, rpm) for name in ("starboard", "port")}
+    here.thrusters["bow"] = ThrusterReport(now_s)
     here.sysstat = {
         "gps": (GpsStatus(*well, 3, 9, 0.9, 0), now_s),
         "propeller_starboard": (PropellerStatus(*well, rpm, 1.0, 20, 0), now_s),
@@ -106,6 +109,8 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             here.traffic = Traffic(dangers=(Danger("1", 4.0, 9.0, 0.5, "danger", "MARIA is close"),))
         case Trigger.AIS_SILENT:
             here.traffic = Traffic(heard_s=now_s - 180.1)
+        case Trigger.OUTLET:
+            here.thrusters["bow"] = ThrusterReport(now_s - 1.6)
         case Trigger.LOG:
             inputs = Inputs("disk full", None)
     return here, inputs
@@ -141,6 +146,7 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.TRAFFIC: (Action.WARN, {}),
     Trigger.TRAFFIC_CLOSE: (Action.WARN, {}),
     Trigger.AIS_SILENT: (Action.WARN, {}),
+    Trigger.OUTLET: (Action.STOP, {}),
     Trigger.SHALLOW: (Action.BACK, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
 }
 

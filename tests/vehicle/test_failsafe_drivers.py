@@ -282,7 +282,7 @@ def test_the_wire_says_what_the_table_says(driver, mode, armed):
             boat = Boat(driver, mode, UNDER_WAY, armed=armed, fault=fault)
             boat.source.says = boat.source.says._replace(**VALUES[name].change)
             boat.pass_time(age_s, trouble)
-            must_stop = must_be_zero(mode, age_s, VALUES[name], trouble)
+            must_stop = must_be_zero(mode, age_s, VALUES[name], trouble) or (driver == "pwm" and fault is silence)
             if trouble == "navigation_frozen":  # a trouble while motors turn: a boat that rests needs no stop
                 must_stop = must_stop or max(map(abs, boat.state.actuation.thrust)) > TURNING or not boat.state.actuation.run
             how = f"{trouble} ({fault.__name__})" if fault else trouble

@@ -76,7 +76,9 @@ VALUES = {
     "no velocity": Value({"north_mps": None, "east_mps": None}, "velocity"),
 }
 AGES_S = (0.0, 0.8, 1.2, 1.6)  # of the last navigation message at the end
-UNTOLD = {Trigger.CONTROL, Trigger.NAVIGATION_SILENT, Trigger.BATTERY_LOW}  # by values and ages; a battery is critical here
+UNTOLD = {  # by values and ages; a battery is critical here; pulses have no outlet here
+    *(Trigger.CONTROL, Trigger.NAVIGATION_SILENT, Trigger.BATTERY_LOW, Trigger.OUTLET),
+}
 TROUBLES = ("none", *(trigger.name.lower() for trigger in Trigger if trigger not in UNTOLD))
 AHEAD = config.Zones(keep_out=(config.Area(centre=((math.degrees(0.675) + 1e-4, math.degrees(-0.16)),), radius_m=10.0),))
 NEEDS = {

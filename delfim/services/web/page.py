@@ -99,7 +99,7 @@ def troubles(view: PageView) -> Iterable[tuple[str, str, str]]:
             yield "bad", "dead-man", str(vehicle.deadman.get("reason", ""))
     computer = report.computer
     for name, service in [*report.services.items(), *(computer.supervisor if computer else {}).items()]:
-        if service.state in ("waiting", "failed") or service.reason == "does not answer":
+        if service.state in ("waiting", "failed") or service.reason.startswith("does not answer"):
             yield "bad", name, f"{service.state}: {service.reason}"
         for part, words in service.figures.get("troubles", {}).items():
             yield "bad", f"{name} {part}", str(words)
