@@ -295,8 +295,7 @@ def _fences(boat: VehicleLoop) -> list[Row]:
         return Motion(ALL, north_m, 0.0, 0.0, 0.0, -1.5, 0.0)
 
     def onto(f: fence.Fence) -> object:
-        far = Setpoint(target=To(9000.0, 9000.0, 1.5, 5.0))
-        return fence.crossing(f, Mode.GOTO, near(0.0), far)
+        return fence.crossing(f, near(0.0), (9000.0, 9000.0))
 
     own = config.FenceTable()
     around = Sliced(fence.survey(own, zones(boat), _origin(boat))).finish()

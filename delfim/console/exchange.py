@@ -6,14 +6,15 @@ from typing import Any, Final
 from delfim.console import plan
 from delfim.console.boats import SILENT_S, Boat
 from delfim.console.requests import Answer
-from delfim.console.transfer import ORDER, Download, OutgoingItems
+from delfim.console.transfer import ORDER, SAILING, Download, OutgoingItems
 from delfim.errors import Refused
-from delfim.vehicle.mavlink.plans import MISSION, Item
+from delfim.vehicle.mavlink.plans import FENCE, MISSION, Item
 
 READ_AGAIN_S: Final = 10.0  # plans that could not be read
 NO_MISSION: Final[dict[str, Any]] = {"name": "", "count": 0, "current": None, "state": "none", "digest": None}
 NO_ZONES: Final[dict[str, Any]] = {"home": None, "fence": [], "obstacles": [], "zones": []}
 ASKED: Final = ("MISSION_REQUEST", "MISSION_REQUEST_INT")
+SAILS: Final = ("play", "path")
 SAID: Final = (*ASKED, "MISSION_COUNT", "MISSION_ITEM_INT", "MISSION_ACK")  # by a boat, of its plans
 
 
@@ -71,20 +72,27 @@ class Exchange:
         self.missions.setdefault(number, {})["here"] = plan.with_digest(mission)
 
     def upload(self, boat: Boat, answer: Answer) -> None:
-        """Sends the plan on the screen to the boat, and reads it back to compare. Raises Refused."""
+        """Sends the plan on the screen to the boat, and reads it back to compare. To a boat that sails its mission and gets
+        another fence, too: in the other order, if the first is refused. Raises Refused.
+        """
         number = boat.number
         mission = self.missions.get(number, {}).get("here")
         if mission is None:
             raise Refused("the boat has no plan to send")
         self._begin(number)
-        groups = plan.items_of(mission)
+        groups, aboard = plan.items_of(mission), self.missions[number].get("aboard")
+        fenced = aboard is not None and plan.items_of(aboard)[FENCE] == groups[FENCE]
+        orders = [ORDER] if fenced or boat.mode not in SAILS else [SAILING, ORDER]
 
         def next_kind(place: int) -> None:
-            kind = ORDER[place]
+            kind = orders[0][place]
 
             def ended(reason: str) -> None:
                 self._transfers.pop(number, None)
-                if reason:
+                if reason and place == 0 and orders[1:]:
+                    orders.pop(0)
+                    next_kind(0)
+                elif reason:
                     self._over(number, "upload")
                     answer(False, reason)
                 elif place + 1 < len(ORDER):

@@ -14,6 +14,7 @@ from delfim.vehicle.mavlink.plans import FENCE, ITEMS, MISSION, RALLY, Item
 REPEAT_S: Final = 1.5
 TIMEOUT_S: Final = 60.0
 ORDER: Final = (FENCE, RALLY, MISSION)  # the boat forgets a mission that a new fence cuts, so the mission comes last
+SAILING: Final = (MISSION, FENCE, RALLY)  # it refuses a fence that cuts the mission it sails: that gets out of its way first
 
 
 Ended = Callable[[str], None]  # with the reason; empty on success

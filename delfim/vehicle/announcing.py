@@ -4,7 +4,7 @@ from typing import Final
 
 from delfim.modes import Mode
 from delfim.vehicle.mission import Mission, PayloadItem
-from delfim.vehicle.state import Announced, Plan, State, StateLog
+from delfim.vehicle.state import Announced, State, StateLog
 
 KEPT: Final = 20  # the newest
 
@@ -15,22 +15,23 @@ class Announcing:
 
     def __init__(self, state: State, log: StateLog) -> None:
         self._state, self._log = state, log
-        self._on: tuple[Plan | None, int] = None, -1  # the plan, and the leg whose actions were announced
+        self._on: tuple[int, int] = 0, -1  # the number of the plan, and the leg whose actions were announced
         self._count = 0
 
     def news(self, mission: Mission | None) -> tuple[Announced, ...]:
         """The newest of all that were announced, oldest first."""
         state, plan = self._state, self._state.setpoint.plan
+        number = plan.number if plan is not None else 0
         if state.mode is Mode.PLAY:
-            now = plan, state.reference.leg
+            now = number, state.reference.leg
         elif state.mode is Mode.IDLE:
-            now = None, -1
-        elif self._on[0] is plan and plan is not None and state.reason.startswith("play done"):
-            now = plan, len(plan.waypoints)
+            now = 0, -1
+        elif plan is not None and self._on[0] == number and state.reason.startswith("play done"):
+            now = number, len(plan.waypoints)
         else:
             return state.announced
         before, self._on = self._on, now
-        same = now[0] is before[0]
+        same = now[0] == before[0]
         if mission is None or (same and now[1] == before[1]):
             return state.announced
         first = max(before[1] + 1 if same and before[1] < now[1] else 0, state.setpoint.leg)  # short legs come several at once

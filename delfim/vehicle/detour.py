@@ -10,7 +10,6 @@ from collections.abc import Iterator, Sequence
 from heapq import heappop, heappush
 from typing import Final, NamedTuple
 
-from delfim.modes import Mode
 from delfim.slices import Sliced, Work
 from delfim.vehicle import fence
 from delfim.vehicle.fence import RECEDES_M, Fence
@@ -50,7 +49,8 @@ def begun(around: Fence | None, motion: Motion, setpoint: Setpoint) -> Detour | 
     to = setpoint.target
     if around is None or to is None or "position" not in motion.has:
         return None
-    why, limits, target = fence.crossing(around, Mode.GOTO, motion, setpoint), around.limits, (to.north_m, to.east_m)
+    limits, target = around.limits, (to.north_m, to.east_m)
+    why = fence.crossing(around, motion, target)
     if why is None or too_far(target, motion):
         return None
     # With room to stop before what is ahead at each corner, or as missions, or as near as the fence lets a boat go.

@@ -10,9 +10,8 @@ from collections.abc import Sequence
 from typing import Final, NamedTuple
 
 from delfim import config, geodesy
-from delfim.modes import Mode
 from delfim.slices import Work
-from delfim.vehicle.state import Motion, Setpoint
+from delfim.vehicle.state import Motion
 from delfim.vehicle.zones import LOOKS, Point, Zone, circle, clearance_m, cost, least, may, polygon, together
 
 BOXES: Final = 4  # boxes that are compared in the time of one comparison
@@ -164,15 +163,13 @@ def _has_room(fence: Fence, point: Point, room_m: float) -> tuple[bool, int]:
     return True, looked
 
 
-def crossing(fence: Fence, mode: Mode, motion: Motion, setpoint: Setpoint) -> str | None:
+def crossing(fence: Fence, motion: Motion, to: Point | None) -> str | None:
     """Why the fence forbids the straight way to where a mode first goes, in words. Within the margin it may lead away."""
-    waypoints = setpoint.plan.waypoints if setpoint.plan is not None else ()
-    to = waypoints[setpoint.leg] if mode is Mode.PLAY else setpoint.target if mode is Mode.GOTO else None
     if to is None:
         return None
     here, left = (motion.north_m, motion.east_m), LOOKS
     for zone in fence.zones:
-        smallest, looked = least(zone, here, (to.north_m, to.east_m), fence.limits.margin_m)
+        smallest, looked = least(zone, here, to, fence.limits.margin_m)
         if smallest < fence.limits.margin_m and smallest < clearance_m(zone, *here) - RECEDES_M:
             return f"the way leads {through(zone, smallest)}"
         left -= looked

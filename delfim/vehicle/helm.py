@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from delfim import config, geodesy
 from delfim.clock import Clock
@@ -21,20 +21,13 @@ from delfim.vehicle.failsafe import Action
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import Plan, Reference, Setpoint, State, StateLog, Wanted
+from delfim.vehicle.state import Reference, Setpoint, State, StateLog, Wanted
 from delfim.vehicle.track import Track, back
 from delfim.vehicle.troubles import Inputs, unstopped
+from delfim.vehicle.underway import SAILS, Paused, UnderWay, under_way
 from delfim.vehicle.zones import Point
 
 PUSHED_S = 1.0  # manual commands at shorter intervals are one push of the joystick
-
-
-class Paused(NamedTuple):
-    """A mode that a hold interrupted."""
-
-    mode: Mode
-    memory: Memory
-    plan: Plan | None
 
 
 class Helm:
@@ -46,7 +39,7 @@ class Helm:
         self.limits, self.step = settings_of(settings), step  # another one keeps clear of other vessels
         self.memory = begin(Mode.IDLE, state.motion, state.setpoint, self.limits)
         self.track = Track(settings.control.home)
-        self.plans = Plans(settings.fence, self.limits, state, self.track, log)
+        self.plans = Plans(settings.fence, self.limits, state, self.track, log, self._under_way)
         self.rules, self.troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
         self.paused: Paused | None = None
@@ -202,7 +195,8 @@ class Helm:
         if entered is not Mode.HOLD:
             self.paused = None
         elif state.mode not in (Mode.IDLE, Mode.MANUAL, Mode.HOLD) and not state.reference.done:
-            self.paused = Paused(state.mode, self.memory, state.setpoint.plan)
+            plan = state.setpoint.plan
+            self.paused = Paused(state.mode, self.memory, plan.number if plan is not None else 0)
         if state.mode is Mode.PLAY and entered is not Mode.PLAY and not state.reference.done:
             state.setpoint = state.setpoint._replace(leg=self.memory.leg)
 
@@ -218,9 +212,10 @@ class Helm:
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
                 reason = "no set point from the guest"
             memory = begin(mode, state.motion, setpoint, self.limits) if resumed is None else resumed
-            reason = reason or setpoints.too_far(first(mode, memory, setpoint), state.motion)
+            to = None if reason else first(mode, memory, setpoint)
+            reason = reason or setpoints.too_far(to, state.motion) or self.plans.barred(mode, memory.leg)
             if reason is None and self.plans.fence is not None:
-                reason = fence.crossing(self.plans.fence, mode, state.motion, setpoint)
+                reason = fence.crossing(self.plans.fence, state.motion, to)
             if reason is not None:
                 raise Refused(f"{mode.name.lower()} refused: {reason}")
         state.setpoint = setpoint
@@ -307,11 +302,14 @@ class Helm:
         if mode is Mode.GOTO and setpoint.via:
             self._go_to(setpoint, now_s)
             return
-        if mode in (Mode.PLAY, Mode.PATH) and paused.plan is not setpoint.plan:
+        if mode in SAILS and (setpoint.plan is None or setpoint.plan.number != paused.number):
             raise Refused("continue refused: the mission has changed since the pause; choose the mode again")
         # The track grew, or another leg was chosen.
         afresh = mode is Mode.HOME or (mode is Mode.PLAY and setpoint.leg != memory.leg)
         self._request(mode, setpoint, now_s, None if afresh else memory)
+
+    def _under_way(self) -> UnderWay | None:
+        return under_way(self.state.mode, self.memory.leg, self.paused, self.state.setpoint.plan)
 
     def _load(self, command: console.Plan, now_s: float) -> None:
         if isinstance(command, console.LoadMission) and command.more:

@@ -2,8 +2,8 @@
 
 import math
 from collections.abc import Iterator
-from itertools import pairwise
-from typing import NamedTuple
+from itertools import islice, pairwise
+from typing import Final, NamedTuple
 
 from delfim import geodesy
 from delfim.slices import Work
@@ -26,18 +26,28 @@ class Stretch(NamedTuple):
     around: Box
 
 
-def complaint(fence: Fence, plan: Plan, radius_m: float) -> Work[str | None]:
+class Behind(NamedTuple):
+    """How many legs, and pieces of the path, a boat has behind it."""
+
+    legs: int
+    pieces: int
+
+
+NOTHING: Final = Behind(0, 0)
+
+
+def complaint(fence: Fence, plan: Plan, radius_m: float, behind: Behind = NOTHING) -> Work[str | None]:
     """Why the fence forbids a mission, in words: a leg or path nearer than `mission_margin_m`; a corner where the boat,
     whichever way it points while it turns, has less than the stopping distance and `margin_m` ahead; or a place to wait at
-    without room to drift about within `radius_m`.
+    without room to drift about within `radius_m`. What is behind the boat is left out.
     """
     room_m = radius_m + fence.limits.margin_m
-    for number, to in enumerate(plan.waypoints, 1):
+    for number, to in islice(enumerate(plan.waypoints, 1), behind.legs, None):
         for zone in fence.zones if to.hold_s else ():
             if (yield from searched(zone, (to.north_m, to.east_m), (to.north_m, to.east_m), room_m)) < room_m:
                 return f"no room to wait at waypoint {number}: {zone.name} is nearer than {room_m:g} m"
         yield 1 + len(fence.zones) // BOXES if to.hold_s else 0
-    for ways in (_legs(plan), _pieces(plan)):
+    for ways in (_legs(plan, behind.legs), _pieces(plan, behind.pieces)):
         way, around, zones = next(ways, None), None, fence.zones
         while way is not None:
             if way.around is not around:
@@ -96,19 +106,19 @@ def _stops(a: Point, b: Point, onwards: Stretch, room_m: float) -> Iterator[Poin
         yield b[0] + room_m * math.cos(heading_rad), b[1] + room_m * math.sin(heading_rad)
 
 
-def _legs(plan: Plan) -> Iterator[Stretch]:
+def _legs(plan: Plan, behind: int) -> Iterator[Stretch]:
     """The straight pieces of the waypoints to play. At the last one the boat has stopped."""
     at = [(to.north_m, to.east_m) for to in plan.waypoints]
     if len(at) == 1:
         yield Stretch("waypoint 1", at[0], at[0], 0.0, box_of(at))
-    for number, (a, b) in enumerate(pairwise(at), 2):
+    for number, (a, b) in islice(enumerate(pairwise(at), 2), max(behind - 1, 0), None):
         end_mps = 0.0 if number == len(at) else plan.waypoints[number - 1].speed_mps
         yield Stretch(f"the leg to waypoint {number}", a, b, end_mps, box_of((a, b)))
 
 
-def _pieces(plan: Plan) -> Iterator[Stretch]:
+def _pieces(plan: Plan, behind: int) -> Iterator[Stretch]:
     """The straight pieces of the path to follow, arcs in chords; a circle is checked only once."""
-    for number, piece in enumerate(plan.path, 1):
+    for number, piece in islice(enumerate(plan.path, 1), behind, None):
         name = f"piece {number} of the path"
         end_mps = 0.0 if number == len(plan.path) else piece.speed_mps
         if isinstance(piece, Line):

@@ -105,6 +105,7 @@ class Plan(NamedTuple):
     waypoints: tuple[Waypoint, ...]
     path: tuple[Line | Arc, ...]
     then_home: bool = False  # at the end; otherwise the boat holds
+    number: int = 0  # of the plans aboard, from 1: one that changes while it is sailed keeps it
 
 
 class Setpoint(NamedTuple):

@@ -214,6 +214,34 @@ async def sent_first(sea: Sea, page: Page, boat: Boat) -> None:
     await boat.until(lambda state: state["mode"] == "play")
 
 
+def changed(way: Callable[[Page], Awaitable[object]]) -> Callable[[Sea, Page, Boat], Awaitable[object]]:
+    """A waypoint is added while the mission is sailed, and sent; the boat sails on."""
+
+    async def sent(sea: Sea, page: Page, boat: Boat) -> None:
+        await page.press("y")
+        await shown_mode(page, 2, "mission")
+        await page.until(ENTERED)
+        await other_plan(sea, page, boat)
+        legs = boat.state()["legs"]
+        await way(page)
+        await badge(page, "same")
+        await boat.until(lambda state: state["mode"] == "play" and state["legs"] != legs)
+        assert await page.value("document.querySelector('.selected .changes').hidden")
+
+    return sent
+
+
+async def asked_to_play(page: Page) -> None:
+    await page.press("y")
+    await choose(page, "Send changes")
+
+
+async def button_pressed(page: Page) -> None:
+    at = "(r => [r.x + r.width / 2, r.y + r.height / 2])(document.querySelector('.selected .changes').getBoundingClientRect())"
+    x, y = await page.value(at)
+    await page.mouse((x, y))
+
+
 async def held_first(sea: Sea, page: Page, boat: Boat) -> None:
     """Another plan is drawn while one is sailed, and played from its second waypoint on."""
     await page.press("y")
@@ -331,7 +359,7 @@ ROWS: dict[str, Row] = {
     "menus.more: command(boat.id, command": Row(menu("More", "Reset the peripherals"), "reset", {"command": "reset"}),
     "menus.more: Take control": Row(taken, "take", {"command": "take"}),
     "menus.more: Link:: profile(boat.id, name": Row(profile),
-    "planning.mission: Send to the boat: send(boat": Row(menu("Mission", "Send to the boat"), told={"command": "upload"}),
+    "planning.mission: Send: send(boat": Row(menu("Mission", "Send to the boat"), told={"command": "upload"}),
     'planning.fetch: mission(boat.id, "download"': Row(fetched),
     'planning.dryRun: mission(boat.id, "dryrun"': Row(dry_run),
     'planning.save: mission(boat.id, "save", name': Row(saved),
@@ -349,6 +377,8 @@ ROWS: dict[str, Row] = {
     'planning.home: Go home: mode(boat, "home"': Row(on_map(*HOME, "Go home"), "home", GO_HOME),
     # What another plan than the one aboard needs first.
     'planning.send: mission(boat.id, "upload"': Row(sent_first, "play", {"command": "play", "leg": 0}),
+    "planning.sail: Send changes: send(boat": Row(changed(asked_to_play), told={"command": "upload"}),
+    'strip.constructor: mission(this.boat.id, "upload"': Row(changed(button_pressed), told={"command": "upload"}),
     "planning.replace: send(boat": Row(sent_first, told={"command": "upload"}),
     'planning.replace: command(boat.id, "hold"': Row(held_first, "hold", {"command": "mode", "mode": "hold"}),
     'planning.sail: command(boat.id, "play"': Row(held_first, "play", {"command": "play", "leg": 1}),

@@ -8,13 +8,12 @@ from hypothesis import strategies as st
 
 from delfim import config, geodesy
 from delfim.errors import ConfigError
-from delfim.modes import Mode
 from delfim.slices import Sliced
 from delfim.vehicle import fence
 from delfim.vehicle.fence import Fence, stopping_m
 from delfim.vehicle.legs import complaint
 from delfim.vehicle.mission import canonical, digest, parse_mission
-from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
+from delfim.vehicle.state import Arc, Line, Motion, Plan, Waypoint
 from delfim.vehicle.zones import LOOKS, Zone, circle, clearance_m, least, polygon, searched, together
 
 LIMITS = config.FenceTable()
@@ -304,15 +303,10 @@ def test_a_turn_that_points_at_the_fence_needs_room_too():
 
 def test_the_way_to_where_a_mode_begins_is_held_against_it():
     around = Fence((WALL,), LIMITS)
-    behind, before = Setpoint(target=to(40, 0)), Setpoint(target=to(0, 30))
-    assert fence.crossing(around, Mode.GOTO, motion(0.0, 0.0), behind) == "the way leads through wall"
-    assert fence.crossing(around, Mode.GOTO, motion(0.0, 0.0), before) is None
-    played = Setpoint(plan=Plan("", (to(0, 0), to(40, 0)), ()), leg=1)
-    assert fence.crossing(around, Mode.PLAY, motion(0.0, 0.0), played) == "the way leads through wall"
-    assert fence.crossing(around, Mode.PLAY, motion(0.0, 0.0), played._replace(leg=0)) is None
-    assert fence.crossing(around, Mode.GOTO, motion(0.0, 0.0), played._replace(leg=0)) is None
-    assert fence.crossing(around, Mode.HEADING, motion(0.0, 0.0), behind) is None
-    assert fence.crossing(around, Mode.GOTO, motion(19.0, 0.0), before) is None, "out of the margin it may go"
+    assert fence.crossing(around, motion(0.0, 0.0), (40.0, 0.0)) == "the way leads through wall"
+    assert fence.crossing(around, motion(0.0, 0.0), (0.0, 30.0)) is None
+    assert fence.crossing(around, motion(0.0, 0.0), None) is None
+    assert fence.crossing(around, motion(19.0, 0.0), (0.0, 30.0)) is None, "out of the margin it may go"
 
 
 def test_it_holds_where_it_has_room():

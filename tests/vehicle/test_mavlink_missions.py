@@ -385,12 +385,23 @@ def test_a_new_upload_takes_the_place_of_the_one_before(sea):
     assert len(sea.vehicle.helm.plans.mission.waypoint) == 2
 
 
-def test_while_it_is_played_a_mission_is_not_changed(sea):
+def test_a_mission_that_is_played_is_changed_ahead_and_not_behind_and_not_cleared(sea):
     upload(sea.console, items_of(zigzag(3)))
     sea.console.command(300)
-    heard = upload(sea.console, items_of(zigzag(2)))
+    sail(sea, 0.5)
+    heard = upload(sea.console, items_of(zigzag(5, speed_mps=0.7)))
+    assert newest(heard, "MISSION_ACK").type == OK
+    assert newest(heard, "MISSION_CHECKSUM").checksum == checksum([*items_of(zigzag(5, speed_mps=0.7))])
+    assert (sea.state.mode, len(sea.state.setpoint.plan.waypoints)) == (Mode.PLAY, 5)
+    assert newest(upload(sea.console, items_of(zigzag(3))), "MISSION_ACK").type == OK
+    there = Item(plans.WAYPOINT, x=386_927_000, y=-92_150_000)
+    heard = upload(sea.console, [there, there._replace(y=-92_151_000)])
     assert newest(heard, "MISSION_ACK").type == DENIED
-    assert "being played" in texts(heard)
+    assert "waypoint 1 is at another place, and the boat is on the leg to waypoint 1" in texts(heard)
+    heard = upload(sea.console, [Item(plans.CIRCLE_OUT, 5.0, x=there.x, y=there.y - 10_000)], FENCE)
+    assert newest(heard, "MISSION_ACK").type == OK
+    heard = upload(sea.console, [Item(plans.CIRCLE_OUT, 50.0, x=there.x, y=there.y)], FENCE)
+    assert newest(heard, "MISSION_ACK").type == DENIED
     heard = sea.console.say("mission_clear_all", 1, 1, 255)
     assert newest(heard, "MISSION_ACK").type == DENIED
     assert len(sea.vehicle.helm.plans.mission.waypoint) == 3

@@ -11,7 +11,7 @@ from delfim.vehicle import console
 PLACES = [(38.6925, -9.2150), (38.6930, -9.2150), (38.6930, -9.2140)]  # the boat is at the first one
 ROWS = ", ".join(f"{{ latitude_deg = {north}, longitude_deg = {east} }}" for north, east in PLACES)
 MISSION = console.LoadMission(f'version = 1\nname = "survey"\nwaypoint = [{ROWS}]\n')
-OTHER = console.LoadMission(f'version = 1\nname = "other"\nwaypoint = [{ROWS}]\n')
+OTHER = console.LoadMission(MISSION.text.replace("38.6925", "38.6926"))
 ASIDE = {"longitude_rad": math.radians(-9.21495)}  # 4 m beside the line of the second leg
 
 

@@ -21,7 +21,7 @@ class News:
         self._boat, self._peers, self._missions = boat, peers, missions
         self._said: tuple[Mode, str, tuple[tuple[str, str], ...], str, str] | None = None
         self._told: dict[tuple[str, str], tuple[str, float]] = {}  # by trouble and action: the last text, and when it was told
-        self._leg_now: tuple[object, int] = None, 0
+        self._leg_now: tuple[int, int] = 0, 0  # the number of the plan, and its leg
         self._announced = 0
         self._ordered: tuple[str, float, float] | None = None
 
@@ -83,8 +83,8 @@ class News:
     def _tell_reached(self) -> None:
         """The boat reached a waypoint of the mission: tell its item to everybody."""
         state = self._boat.state
-        plan, leg = (state.setpoint.plan, state.reference.leg) if state.mode is Mode.PLAY else (None, 0)
-        was, self._leg_now = self._leg_now, (plan, leg)
-        done = state.reason.startswith("play done") and was[0] is not None
-        if done or (plan is not None and plan is was[0] and leg > was[1]):
+        plan = state.setpoint.plan if state.mode is Mode.PLAY else None
+        was, self._leg_now = self._leg_now, (plan.number, state.reference.leg) if plan is not None else (0, 0)
+        done = state.reason.startswith("play done") and was[0] > 0
+        if done or (was[0] == self._leg_now[0] > 0 and self._leg_now[1] > was[1]):
             self._peers.tell_all([dialect.MAVLink_mission_item_reached_message(self._missions.number(was[1]))])

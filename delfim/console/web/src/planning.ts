@@ -50,7 +50,9 @@ export class Planning {
     const verb = mode === "play" ? "play it" : mode === "path" ? "follow it" : "go to its waypoint 1";
     const { name, count } = boat.mission;
     const other = compared === "none" || !count ? "no mission is aboard" : from !== undefined && "its waypoints differ from the plan’s";
+    const goesOn = isSailing(boat) && boat.mode === mode && from === undefined;
     this.popup.menu(this.chart.middle()[1], { title: boat.name, colour: boat.colour, note: "The plan is not aboard" }, [
+      ...(goesOn ? [{ title: "Send changes", note: "what is ahead; the boat sails on", do: () => void this.send(boat) }] : []),
       {
         title: `${isSailing(boat) ? "Hold, send" : "Send"} the plan, then ${verb}`,
         note: `${plan.name} · ${plan.waypoints.length} waypoints, the dashed line`,
@@ -116,7 +118,7 @@ export class Planning {
     const nobody = boat.id === NOBODY ? NO_BOAT : undefined;
     const others = this.state.boats.filter((each) => each.id !== boat.id);
     return [
-      { title: "Send to the boat", note: this.compared(boat), refuse: nobody ?? none ?? (isSailing(boat) && "the boat is sailing a mission: hold or stop it first"), do: () => void this.send(boat) },
+      { title: `Send ${isSailing(boat) ? "changes" : "to the boat"}`, note: this.compared(boat), refuse: nobody ?? none, do: () => void this.send(boat) },
       { title: "Read from the boat", refuse: nobody, do: () => this.fetch(boat) },
       { title: "Dry run", refuse: none, note: "in the simulator: time and distance", do: () => this.dryRun(boat) },
       "line",
@@ -351,7 +353,7 @@ export class Planning {
   }
 }
 
-const isSailing = ({ mode }: Boat): boolean => mode === "play" || mode === "path";
+export const isSailing = ({ mode }: Boat): boolean => mode === "play" || mode === "path";
 const speedField = (value: number): Field => ({ title: "Speed", unit: speedUnit(), value: shownSpeed(value), step: 0.1, least: 0, most: inKnots ? 20 : 10, zero: "the boat’s own" });
 const acceptanceField = (value: number): Field => ({ title: "Acceptance", unit: "m", value, step: 0.5, least: 0, most: 100, zero: "the boat’s own" });
 const stayField = (value: number): Field => ({ title: "Stay", unit: "s", value, step: 10, least: 0, most: 86400, zero: "go on at once" });

@@ -9,6 +9,7 @@ import { bars, linkWords, weakWords } from "./link";
 import { measuredWords } from "./measured";
 import { palette } from "./palette";
 import { UNNAMED } from "./mission";
+import { isSailing } from "./planning";
 import type { State } from "./state";
 import { age_s, ageWords, freshness, trouble } from "./state";
 import { speedWords } from "./units";
@@ -45,7 +46,7 @@ export class Strips {
     for (const boat of this.state.boats) {
       let chip = this.chips.get(boat.id);
       if (!chip) {
-        chip = new Chip(boat, this.chosen);
+        chip = new Chip(boat, this.actions, this.chosen);
         this.chips.set(boat.id, chip);
         const next = this.state.boats.find((each) => each.id > boat.id && this.chips.has(each.id));
         this.parent.insertBefore(chip.root, next ? this.chips.get(next.id)!.root : null);
@@ -74,13 +75,14 @@ class Chip {
   private readonly missionAt = make("span");
   private readonly mission = make("span.mission", this.missionName, this.missionAt);
   private readonly badge = make("span.badge");
+  private readonly changes = make("button.changes", "Send changes");
   private readonly groups = GROUPS.map((name) => make("i", make("span", name)));
   private readonly graphs: [Graph, Graph] = [new Graph("port"), new Graph("starboard")];
   private boat: Boat;
   private askedAt = 0;
   private asked: string | null = null;
 
-  constructor(boat: Boat, chosen: (boat: Boat, at: [number, number]) => void) {
+  constructor(boat: Boat, actions: Actions, chosen: (boat: Boat, at: [number, number]) => void) {
     this.boat = boat;
     this.root.append(
       make("div.row.head", this.dot, this.name, this.battery, this.bars, this.age),
@@ -92,8 +94,14 @@ class Chip {
       make("div.row.graphs", this.graphs[0].root, this.graphs[1].root),
       make("div.row.ages", ...this.groups),
       make("div.row.small", this.mission, this.badge),
+      make("div.row.small", this.changes),
       make("div.row.small", this.link),
     );
+    this.changes.tabIndex = -1;
+    this.changes.addEventListener("click", (event) => {
+      event.stopPropagation();
+      void actions.mission(this.boat.id, "upload");
+    });
     this.root.addEventListener("click", (event) => chosen(this.boat, [event.clientX, event.clientY]));
     this.root.addEventListener("contextmenu", (event) => event.preventDefault());
   }
@@ -187,6 +195,7 @@ class Chip {
     text(this.badge, words);
     attribute(this.badge, "data-state", words.replace(" ", "-"));
     this.badge.hidden = !words;
+    this.changes.hidden = !(planned && compared === "differs" && isSailing(boat) && !progress && !state.replaying);
   }
 }
 
