@@ -81,6 +81,7 @@ DsorVehicle = Annotated[int, msgspec.Meta(ge=0, le=0xF0, multiple_of=16)]
 BitRate = Annotated[int, msgspec.Meta(ge=10_000, le=1_000_000)]
 ActionName = Literal["warn", "hold", "back", "home", "stop"]
 ModeAction = Literal["same", "warn", "hold", "back", "home", "stop"]
+ReturnName = Literal["same", "hold", "resume", "home", "idle"]
 EndMode = Literal["hold", "idle"]
 FixName = Literal["2d", "3d", "differential", "rtk_float", "rtk"]  # from bad to good
 Position = tuple[Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)], Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]]
@@ -812,6 +813,38 @@ class LogNotWritable(Trouble, frozen=True):
     action: ActionName = "warn"
 
 
+if TYPE_CHECKING:
+
+    class _AfterRestart(Table, frozen=True): ...
+else:
+    _AfterRestart = msgspec.defstruct(
+        "_AfterRestart",
+        [(mode.name.lower(), ReturnName, "same") for mode in Mode if mode is not Mode.IDLE],
+        bases=(Table,),
+        frozen=True,
+        forbid_unknown_fields=True,
+        kw_only=True,
+    )
+
+
+class Restarted(_AfterRestart, frozen=True):
+    """After a crash, a dead-man, or a power cut under way: `action`, unless the key of the mode before names another one."""
+
+    within_s: Annotated[float, msgspec.Meta(ge=1.0, le=86_400.0)] = 600.0  # a boat that was off for longer stays idle
+    action: Literal["hold", "resume", "home", "idle"] = "hold"  # resume: the mode of before, from where it was
+    manual: ReturnName = "idle"
+    home: ReturnName = "resume"
+
+    def __post_init__(self) -> None:
+        if self.after("manual") == "resume":
+            raise ValueError("thrust by hand is not resumed: manual is hold, home or idle")
+
+    def after(self, mode: str) -> str:
+        """What follows for the mode before, by its name in the vehicle's file."""
+        own: str = getattr(self, mode)
+        return self.action if own == "same" else own
+
+
 class Failsafe(Table, frozen=True):
     """The response of the boat to each trouble in each mode (docs/failsafe.md). In idle there is nothing to stop."""
 
@@ -837,6 +870,7 @@ class Failsafe(Table, frozen=True):
     traffic_close: TrafficClose = TrafficClose()
     ais_silent: AisSilent = AisSilent()
     outlet: OutletSilent = OutletSilent()
+    restarted: Restarted = Restarted()
 
 
 class Area(Table, frozen=True):
@@ -1630,7 +1664,7 @@ def mission_place(file: str, vehicle: Vehicle) -> Path:
     return place
 
 
-CHANGEABLE = ("control.", "failsafe.console_silent.", "failsafe.manual_silent.")  # while the program runs
+CHANGEABLE = ("control.", "failsafe.console_silent.", "failsafe.manual_silent.", "log.required")  # while the program runs
 
 
 def changed(settings: Vehicle, key: str, value: float | str) -> Vehicle:
@@ -1643,7 +1677,10 @@ def changed(settings: Vehicle, key: str, value: float | str) -> Vehicle:
         if not isinstance(inner := getattr(tables[-1], name, None), Table):
             raise ConfigError("the vehicle's file", key, "no such key")
         tables.append(inner)
-    if not isinstance(getattr(tables[-1], last, None), float | str):
+    before = getattr(tables[-1], last, None)
+    if isinstance(before, bool):
+        value = {"yes": True, "no": False}.get(value, value) if isinstance(value, str) else value
+    elif not isinstance(before, float | str):
         raise ConfigError("the vehicle's file", key, "no such key")
     table = tables.pop()
     try:  # checks this table alone: the whole file may hold a long fence

@@ -247,6 +247,7 @@ def test_the_vehicles_state_is_changed_by_the_loop_alone() -> None:
         "alone",
         "failing",
         "planning",
+        "returning",
         "navigation",
         "estimated",
         "traffic/lookout",

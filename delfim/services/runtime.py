@@ -16,7 +16,7 @@ import os
 import signal
 import time
 from collections.abc import Awaitable, Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from contextvars import copy_context
 from pathlib import Path
 from types import ModuleType
@@ -29,7 +29,7 @@ from delfim.services.children import LAST_WORD
 from delfim.services.garbage import Collector
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop, Practice
 from delfim.services.privileges import asked, real_time, set_privileges
-from delfim.services.servicestatus import ServiceStatus, Stage
+from delfim.services.servicestatus import ServiceStatus, Stage, status_file
 from delfim.services.supervisor import EXIT_PERMANENT
 from delfim.services.supervisorfile import last_deadman
 from delfim.services.window import NavigationWindow
@@ -37,6 +37,7 @@ from delfim.services.window import NavigationWindow
 BEAT_S: Final = 0.1  # the longest time between two beats of a healthy loop
 SETTLE_S: Final = 1.0  # a service is starting for this long; the cost of its callbacks counts afterwards
 STOP_S: Final = 1.0  # time for a service to end after its cancellation
+SIGNALS: Final = {each.name: each for each in (signal.SIGTERM, signal.SIGINT)}  # by which the program is told to end
 TELL_S: Final = 1.0  # a process of its own reports its service this often
 
 log = logging.getLogger(__name__)
@@ -221,6 +222,18 @@ class Runtime:
             self._stop_reason = reason
             self._stopping.set()
 
+    def ends_in_order(self) -> bool:
+        """Whether somebody told the program to end, and the supervisor lives to do so: whoever ends all that a dead supervisor
+        started sends the same signal."""
+        if self._stop_reason not in SIGNALS:
+            return False
+        with suppress(BlockingIOError):
+            try:
+                return self._beat_fd < 0 or os.write(self._beat_fd, b".") > 0
+            except BrokenPipeError:
+                return False
+        return True
+
     # The life of the process.
 
     def main(self, services: Sequence[LoadedService]) -> int:
@@ -242,7 +255,7 @@ class Runtime:
         for row in services:
             account = Account(row.name, budget_s if row.budget_s is None else row.budget_s)
             self.status[row.name] = ServiceStatus(row.name, self._place, account, os.getpid(), self.clock.monotonic_s())
-        for number in (signal.SIGTERM, signal.SIGINT):
+        for number in SIGNALS.values():
             self._loop.add_signal_handler(number, self.stop, number.name)
         async with asyncio.TaskGroup() as group:
             for row in services:
@@ -254,7 +267,7 @@ class Runtime:
             self._collector.tick()
             if self._place == "process" and self._beat_fd >= 0:
                 place = Path(self.config.runtime.run_directory)
-                self._tell({name: _status_file(place / f"service-{name}.json") for name in self.status})
+                self._tell({name: status_file(place / f"service-{name}.json") for name in self.status})
             await self._stopping.wait()
             stuck = [row.name for row in reversed(services) if not await self._end(row.name)]
             if stuck:  # the group would wait for ever
@@ -385,13 +398,3 @@ class Runtime:
                 told = status.report(self.clock.monotonic_s()) | self._shown(name) | {"tasks": len(asyncio.all_tasks())}
                 told["busy_s"] = round(time.process_time(), 3)
                 os.ftruncate(files[name], os.pwrite(files[name], json.dumps(told).encode(), 0))
-
-
-def _status_file(path: Path) -> int:
-    """A descriptor, -1 if it cannot be opened."""
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    except OSError as error:
-        log.warning("%s: %s; going on without it", path, error.strerror)
-        return -1

@@ -1,11 +1,17 @@
 """The state of a service of the runtime, for its page and its console."""
 
+import logging
+import os
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Literal
 
 from delfim.services.priority import Account
 
 Stage = Literal["starting", "running", "waiting", "failed", "stopped"]
+
+
+log = logging.getLogger(__name__)
 
 
 @dataclass(slots=True)
@@ -36,3 +42,13 @@ class ServiceStatus:
             "longest_callback_s": round(self.account.longest_s, 6),
             "over_budget": self.account.over_budget,
         }
+
+
+def status_file(path: Path) -> int:
+    """A descriptor, -1 if it cannot be opened."""
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        return os.open(path, os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC, 0o644)
+    except OSError as error:
+        log.warning("%s: %s; going on without it", path, error.strerror)
+        return -1

@@ -30,6 +30,7 @@ from delfim.services.guestdoor import GuestDoor
 from delfim.services.kernelclock import KernelClock
 from delfim.services.runtime import Runtime
 from delfim.services.telling import tellers
+from delfim.services.voyagekeeping import VoyageKeeping
 from delfim.vehicle.build import build
 from delfim.vehicle.command import CommandServer
 from delfim.vehicle.console import Commands, ShutDown
@@ -135,6 +136,8 @@ async def serve(runtime: Runtime) -> None:
         boat, inputs, hands, outlets = build(
             settings, clock, state, Links(opened.bus, opened.line, opened.gpio), record_to, make_guest
         )
+        keeping = VoyageKeeping(settings, clock, boat)
+        links.callback(lambda: keeping.close(runtime.ends_in_order()))
         links.callback(boat.helm.stop, "shutdown")  # undone first of all
         for source in boat.sources:
             links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))
@@ -152,7 +155,7 @@ async def serve(runtime: Runtime) -> None:
             links.callback(runtime.rehearsal, None)
         for each in set(inputs).difference(hands):
             links.enter_context(runtime.reading(each.input.fileno(), partial(boat.on_sensor, each)))
-        await _attend(runtime, boat, hands, log, opened, links, broken)
+        await _attend(runtime, boat, hands, log, keeping, opened, links, broken)
 
 
 async def _attend(
@@ -160,6 +163,7 @@ async def _attend(
     boat: VehicleLoop,
     hands: tuple[Hand, ...],
     log: Logbook,
+    voyage: VoyageKeeping,
     opened: OpenedLinks,
     links: contextlib.ExitStack,
     broken: Breakable | None,
@@ -168,8 +172,7 @@ async def _attend(
     settings, figures = runtime.config, dict[str, object]()
 
     def measure() -> None:  # not for each answer, which would be a long callback
-        figures.update({name: report() for name, report in runtime.board.items() if name not in runtime.status})
-        figures.update(runtime.report())
+        figures.update({name: told() for name, told in runtime.board.items() if name not in runtime.status} | runtime.report())
 
     def snapshot() -> dict[str, object]:
         return boat.snapshot({"boat": settings.boat.name, "log": log.status()._asdict(), **figures})
@@ -185,10 +188,10 @@ async def _attend(
 
     mavlink = runtime.load("delfim.vehicle.mavlink.stationsocket") if settings.mavlink.enabled else None
     reviews, aboard = Reviews(boat, obeyed, asyncio.get_running_loop()), {hand.name for hand in hands}
+    voyage.bring_back(obeyed, reviews)
     commands = CommandServer(obeyed, reviews, snapshot, settings.console.clients)
     await _serve_console(commands, settings.console.socket, links)
-    if settings.guest.enabled:
-        await _serve_guest(boat, settings.guest, links)
+    await _serve_guest(boat, settings.guest, links)
     attend = _attended(runtime, boat, hands, obeyed, links)
     measure()
     ticks, computer, keeping = 0, boat.state.computer, _clock_keeping(runtime, opened, log)
@@ -199,6 +202,7 @@ async def _attend(
         attend()
         boat.on_watchdog(computer)
         log.watch(boat.state)
+        voyage.look()
         opened.write()
         if mavlink and mavlink.done():
             link, mavlink = mavlink.result().MavlinkLink, None
@@ -293,6 +297,8 @@ async def _serve_console(commands: CommandServer, path: str, links: contextlib.E
 
 async def _serve_guest(boat: VehicleLoop, table: config.GuestTable, links: contextlib.ExitStack) -> None:
     """A boat without its guest sails: if it cannot listen or has no key, the log says so."""
+    if not table.enabled:
+        return
     try:
         door = GuestDoor(table, boat.guest, boat.state, boat.clock)
         links.callback(door.close)

@@ -22,6 +22,7 @@ import msgspec
 from delfim import config
 from delfim.errors import DelfimError
 from delfim.logging.blackbox import device
+from delfim.logging.keptwriter import VOYAGE
 from delfim.pulses import CHANNELS
 from delfim.simulator.nodes import PLAYED
 
@@ -87,6 +88,8 @@ def berth(folder: str | None) -> Iterator[Berth]:
                     continue
                 held.enter_context(tried.pop_all())
                 break
+        for each in (*place.glob(f"{VOYAGE}-*"), *(place / "log").glob(f"{VOYAGE}-*")):
+            each.unlink()  # a simulation is a voyage of its own
         yield Berth(number, place)
 
 

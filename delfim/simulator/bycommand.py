@@ -8,6 +8,7 @@ import asyncio
 import contextlib
 import json
 import os
+import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +18,7 @@ from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError, FormatError, Refused
 from delfim.outside import parse_json
-from delfim.simulator.faults import ABOARD, Broken, FaultyGuest, FaultyLog, fault
+from delfim.simulator.faults import ABOARD, Breakage, Broken, FaultyGuest, FaultyLog, fault
 from delfim.vehicle.state import State, StateLog
 
 ANSWER_S: Final = 2.0
@@ -130,6 +131,13 @@ class Aboard(Broken):
 
     def guest(self, state: State, clock: Clock) -> FaultyGuest:
         return FaultyGuest(state, clock, self)
+
+    def begin(self, broken: Breakage, now_s: float) -> None:
+        """A restart is a death without a word, as soon as the answer is sent."""
+        if broken.kind == "restarted":
+            self._loop.call_soon(os.kill, os.getpid(), signal.SIGKILL)
+        else:
+            super().begin(broken, now_s)
 
     @property
     def deaf(self) -> str | None:

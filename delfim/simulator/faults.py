@@ -54,10 +54,11 @@ Kind = Literal[
     "ais_late",
     "ais_wrong",
     "outlet_silent",
+    "restarted",
 ]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
 ABOARD: Final = frozenset(
-    {"console_lost", "guest_lost", "disk_full", "disk_slow"}
+    {"console_lost", "guest_lost", "disk_full", "disk_slow", "restarted"}
 )  # not of the nodes: in the boat's own program
 SENSORS: Final = ("gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port")
 WHERE: Final = dict.fromkeys(("sensor_bad", "sensor_silent"), SENSORS)
@@ -81,6 +82,7 @@ VALUES: Final = {  # default, and its meaning
     "gyro_drift": (1.0, "degrees a second more each minute"),
     "ais_late": (60.0, "seconds"),
     "ais_wrong": (2000.0, "metres, at most, each time another way"),
+    "restarted": (2.0, "seconds, in lock step, that the program is not there"),
 }
 LATE_MAX: Final = 4096  # frames under way at once
 HANGS_S: Final = 5.0  # a log reports that it was not written for this long

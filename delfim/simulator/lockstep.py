@@ -10,7 +10,7 @@ from typing import Final, Self
 import msgspec
 
 from delfim import config
-from delfim.canproxy.socket import CanSocket
+from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import ManualClock
 from delfim.modes import Mode
 from delfim.pulses import STATES, PulseAnswer, pack_answer, socket_path, unpack_command
@@ -21,9 +21,11 @@ from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.model import Model
 from delfim.simulator.nodes import PLAYED, nodes_of
-from delfim.vehicle import console
+from delfim.slices import Sliced
+from delfim.vehicle import console, voyage
 from delfim.vehicle.build import build
 from delfim.vehicle.links import Links
+from delfim.vehicle.returning import RESTART
 from delfim.vehicle.state import State, StateLog
 
 CONSOLE_S: Final = 1.0  # the operator's console speaks this often
@@ -54,28 +56,78 @@ class Lockstep:
         self._beside = [(each, buses[each.interface].bound(*each.hears, computer="devices")) for each in self.nodes.beside]
         self._world.bind(*self.nodes.hears)
         self.faults = Faults(self.nodes, seed)
-        self.state = State()
         self.log = make_log(self.clock)
-        record_to = FaultyLog(self.log, self.faults)
         self.lines = dict[str, LockstepLine]()  # by device
-        links = Links(lambda name, filters: buses.get(name, bus).bound(*filters), self._line)
-        aboard = settings if handset else msgspec.structs.replace(settings, handset=config.HandsetTable())
-        self.vehicle, self._inputs, self._hands, _ = build(aboard, self.clock, self.state, links, record_to)
+        self._aboard = settings if handset else msgspec.structs.replace(settings, handset=config.HandsetTable())
+        self._opened = list[CanSocket]()
+        self._start()
         devices = {name: port.device.replace("gpsd:", "tcp:") for name, port in settings.nmea0183.ports.items()}
         self._ports = {name: self.lines[device] for name, device in devices.items() if device in self.lines}
         line = self.lines.get(settings.handset.device)
         self._receiver = SimulatedReceiver(settings.handset, handset, line) if handset and line else None
-        queues = dict(item for each in buses.values() for item in each.queues.items())
-        self._sources = [
-            (each, queues[each.input] if isinstance(each.input, CanSocket) else None) for each in self.vehicle.sources
-        ]
-        self._queued = [(each, queues[each.input]) for each in self._inputs if isinstance(each.input, CanSocket)]
-        self.guest = self.vehicle.guest
         self._others = tuple((i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in PLAYED)
         self._outlet = self.lines.get(f"unix:{socket_path(settings.runtime.run_directory)}")
         self.faults.is_outlet = self._outlet is not None
         self._cycle_s = 1.0 / settings.navigation.rate_hz
         self._watchdog_s = self._console_s = 0.0
+
+    def _start(self) -> None:
+        """The boat's program, from its beginning."""
+        self.state = State()
+        links = Links(self._bus, self._line)
+        record_to = FaultyLog(self.log, self.faults)
+        self.vehicle, self._inputs, self._hands, _ = build(self._aboard, self.clock, self.state, links, record_to)
+        queues = dict(item for each in self.buses.values() for item in each.queues.items())
+        self._sources = [
+            (each, queues[each.input] if isinstance(each.input, CanSocket) else None) for each in self.vehicle.sources
+        ]
+        self._queued = [(each, queues[each.input]) for each in self._inputs if isinstance(each.input, CanSocket)]
+        self.guest = self.vehicle.guest
+
+    def kept(self, boot: str = "a boot") -> bytes:
+        """The voyage, as the boat keeps it now."""
+        plan = voyage.plan_command(self.vehicle.helm)
+        line = Sliced(console.written(plan)).finish() if plan is not None else b""
+        return voyage.text(self._own(boot), self.vehicle.helm, self.state, line)
+
+    def _own(self, boot: str) -> voyage.KeptHead:
+        return voyage.KeptHead(self.settings.boat.name, "", boot, self.clock.time_ns(), self.clock.monotonic_s())
+
+    def restart(self, off_s: float, kept: bytes | None = None, boot: str = "a boot") -> None:
+        """The boat's program dies, and starts again after this time with the voyage that it had kept, or with this one. Another
+        `boot`: the computer was off."""
+        told = self.kept() if kept is None else kept
+        for end in self._opened:
+            end.close()
+        self._opened.clear()
+        for name in self.nodes.model.drives:
+            self.nodes.model.push(name, 0.0, 0.0, False)
+        until_s = self.elapsed_s + off_s
+        while self.elapsed_s < until_s:
+            self._drift()
+        self._start()
+        found = voyage.read(told, self.settings, self._own(boot))
+        for command in (found.back, *found.sent):
+            self.vehicle.on_command(command, RESTART)
+
+    def _drift(self) -> None:
+        """One navigation period without the boat's program."""
+        now_s, nodes = self.elapsed_s, self.faults if self.faults.busy else self.nodes
+        self._world.send_many([frame[:2] for frame in nodes.step(now_s, self.clock.time_ns())])
+        for devices, end in self._beside:
+            end.send_many([frame[:2] for frame in devices.step(now_s, self.clock.time_ns())])
+        if self.nodes.instruments is not None:
+            self.nodes.instruments.step(now_s, self.clock.time_ns())
+        while self._world.receive_many():
+            pass
+        for _, end in self._beside:
+            while end.receive_many():
+                pass
+        self.clock.advance(self._cycle_s)
+
+    def _bus(self, name: str, filters: tuple[CanAddress, ...]) -> CanSocket:
+        self._opened.append(self.buses.get(name, self.bus).bound(*filters))
+        return self._opened[-1]
 
     def _line(self, device: str, baud: int, form: Form = "8N1") -> LockstepLine:
         return self.lines.setdefault(device, LockstepLine(self.clock))
@@ -95,6 +147,9 @@ class Lockstep:
 
     def breaks(self, broken: Breakage) -> None:
         """Begin a fault now."""
+        if broken.kind == "restarted":
+            self.restart(broken.value)
+            return
         if broken.kind == "clock_stepped":
             self.clock.step(broken.value)
         self.faults.begin(broken, self.elapsed_s)

@@ -28,7 +28,7 @@ class TruePlace:
     """Where the hull is in truth, for all who look at a run: found once in each cycle. Call `look` after it, before theirs."""
 
     def __init__(self, run: Lockstep) -> None:
-        self._run, self._model, self._plans = run, run.nodes.model, run.vehicle.helm.plans
+        self._run, self._model = run, run.nodes.model
         self.at: Point | None = None  # in the boat's local plane; None: it has none yet
         self._found: tuple[Fence, Point, float] | None = None  # the clearance of a fence at a place
 
@@ -44,7 +44,7 @@ class TruePlace:
     def clear_m(self, within_m: float) -> float:
         """Of the fence, negative outside it: exact where it is less than `within_m`. It is not found again before the boat can
         have come so near: it loses no more of it than the way that it makes."""
-        fence, at = self._plans.fence, self.at
+        fence, at = self._run.vehicle.helm.plans.fence, self.at
         if fence is None or at is None or not fence.zones:
             return math.inf
         if self._found is not None and self._found[0] is fence:

@@ -24,6 +24,12 @@ class Check(NamedTuple):
     reason: str  # in words, for either answer
 
 
+_WATCHED = {  # lines that a trouble watches under way
+    "navigation": Trigger.NAVIGATION_SILENT,
+    "sensors": Trigger.SENSOR_BAD,
+    "log": Trigger.LOG,
+    "hand-set": Trigger.HANDSET_SILENT,
+}
 ADVISORY = frozenset({"clock", "mission", "link", "last shutdown", "image"})  # shown, but they forbid no mode
 
 
@@ -65,16 +71,19 @@ def _level(settings: config.Vehicle, state: State, now_s: float) -> str:
     return f"{name.replace('_', ' ')} at {volts:.1f} V" if name else "no charge reported"
 
 
-def refusal(rules: Rules, mode: Mode, lines: list[Check]) -> str | None:
-    """The reason of the first line that forbids a mode; None if none does."""
+def refusal(rules: Rules, mode: Mode, lines: list[Check], is_at_sea: bool) -> str | None:
+    """The reason of the first line that forbids a mode; None if none does. `is_at_sea`: the boat left idle in this voyage."""
     for line in lines:
-        if not line.ok and line.name not in ADVISORY and not _allowed(rules, line.name, mode):
+        if not line.ok and line.name not in ADVISORY and not _allowed(rules, line.name, mode, is_at_sea):
             return line.reason
     return None
 
 
-def _allowed(rules: Rules, name: str, mode: Mode) -> bool:
-    """A boat outside its fence may be driven back by hand; with low batteries the failsafe table decides."""
+def _allowed(rules: Rules, name: str, mode: Mode, is_at_sea: bool) -> bool:
+    """A boat outside its fence may be driven back by hand; with low batteries the failsafe table decides. A boat at sea that
+    stopped, or was restarted, is not on the quay: what would not stop it under way does not keep it there."""
+    if is_at_sea and name in _WATCHED and rules.actions[_WATCHED[name]][mode] < Action.STOP:
+        return True
     if name == "fence":
         return mode is Mode.MANUAL
     if name == "gnss":
@@ -85,7 +94,7 @@ def _allowed(rules: Rules, name: str, mode: Mode) -> bool:
         return rules.actions[Trigger.BATTERY_CRITICAL][mode] < Action.STOP
     if name == "hand-set":
         return not rules.settings.handset.mandatory
-    return name == "log" and not rules.settings.log.required
+    return name == "log" and (not rules.settings.log.required or mode in (Mode.MANUAL, Mode.HOME))
 
 
 def _outlet(rules: Rules, state: State, now_s: float) -> list[Check]:
@@ -138,6 +147,8 @@ def _clock(rules: Rules, state: State, age_s: float, time_ns: int) -> Check:
 
 def _fence(state: State, inputs: Inputs) -> Check:
     fence = inputs.fence
+    if state.fence_lost:
+        return Check("fence", False, state.fence_lost)
     if fence is None:
         return Check("fence", True, "none")
     if "position" not in state.motion.has:

@@ -18,6 +18,7 @@ from delfim.outside import UNREADABLE
 from delfim.slices import Work
 from delfim.vehicle.mission import Mission as MissionTables
 from delfim.vehicle.state import State
+from delfim.vehicle.voyagestate import VoyageState
 
 Degrees = Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)]
 Latitude = Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
@@ -184,7 +185,7 @@ class Reset(Command, frozen=True):
 
 
 class Set(Command, frozen=True):
-    """Change a key of the vehicle's file until the program ends."""
+    """Change a key of the vehicle's file, for this voyage."""
 
     key: Annotated[str, msgspec.Meta(max_length=64)]
     value: float | Annotated[str, msgspec.Meta(max_length=64)]
@@ -200,6 +201,19 @@ class Watch(Command, frozen=True):
     quick: bool = False
 
 
+class Return(Command, frozen=True):
+    """Go on after a restart, as the vehicle's file says (`returning.py`). The program gives it to itself, and what the operator
+    had sent after it; a console may not."""
+
+    sailed: VoyageState
+    t_ns: int = 0  # when it was written
+    age_s: float | None = None  # how long ago; None: the computer's clock does not say
+    why_not: str = ""  # why the boat does not go on, in words
+    fence: bool = False  # zones were aboard, or may have been
+    mission: str = ""  # the name of the mission that was aboard
+    lost: bool = False  # neither of them is sent again
+
+
 class ShutDown(Command, frozen=True):
     """Stop and end everything in order, so that the power may be cut; or restart the computer."""
 
@@ -209,7 +223,7 @@ class ShutDown(Command, frozen=True):
 Commands = (
     Alive | Stop | Kill | Clear | Leave | SetMode | Manual | Actuate | Heading | Course | SetSpeed | Goto | Pause | Continue
     | LoadMission | Upload | Play | Leg | Unload | SetFence | Rally
-    | Take | Arm | Reset | Set | TellState | Watch | ShutDown
+    | Take | Arm | Reset | Set | TellState | Watch | Return | ShutDown
 )  # fmt: skip
 KINDS: dict[str, type[Command]] = {str(kind.__struct_config__.tag): kind for kind in get_args(Commands)}  # by their words
 Halts = Stop | Kill  # anybody may stop the boat, whoever commands it

@@ -72,13 +72,15 @@ class Rules:
 
 def _lasting_s(table: config.Failsafe, trigger: Trigger) -> float:
     """How long a trouble without an age of its own must last before the boat acts."""
-    row: config.Trouble | None = getattr(table, _NAMES[trigger], None)
-    return 0.0 if row is None or isinstance(row, config.Silence) else row.after_s
+    row: object = getattr(table, _NAMES[trigger], None)
+    return row.after_s if isinstance(row, config.Trouble) and not isinstance(row, config.Silence) else 0.0
 
 
 def _action(table: config.Failsafe, trigger: Trigger, mode: Mode) -> Action:
     if trigger is Trigger.KILL:  # in idle, too: the worst of all that is shown
         return Action.STOP
+    if trigger is Trigger.RESTARTED:  # its table says what the boat does once
+        return Action.WARN
     if mode is Mode.IDLE:
         return Action.DISCONNECT if trigger is Trigger.THRUSTER and table.thruster.disconnect else Action.WARN
     if trigger is Trigger.CONTROL:

@@ -15,7 +15,7 @@ import msgspec
 
 from delfim.clock import Clock
 from delfim.outside import UNREADABLE
-from delfim.vehicle.state import State
+from delfim.vehicle.state import Setpoint, State
 from delfim.vessels import VesselFacts, VesselPosition
 
 LINE_BYTES = 1024  # longer input is not a set point
@@ -142,3 +142,15 @@ def sighted(line: bytes, state: State, now_s: float) -> bool:
     state.hear(VesselPosition(0, *place, course_rad, seen.speed_mps, heading_rad, None, "payload"), "guest", now_s, key)
     state.hear(VesselFacts(0, seen.id, None, None, seen.length_m, seen.beam_m, None, None), "guest", now_s, key)
     return True
+
+
+def told(line: bytes, state: State, is_lookout: bool, now_s: float) -> Setpoint | None:
+    """The set points with what a line of the guest asks for; None: it asks for nothing. A vessel that it sees is heard, where
+    the guest is a look-out; a malformed line is counted."""
+    asked = reference(line)
+    if asked is None:
+        if not (is_lookout and sighted(line, state, now_s)):
+            state.count("guest_malformed")
+        return None
+    heading_rad, speed_mps = math.radians(asked.heading_deg % 360.0), max(asked.speed_mps, 0.0)
+    return state.setpoint._replace(guest_heading_rad=heading_rad, guest_speed_mps=speed_mps)

@@ -18,6 +18,7 @@ from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.failsafe import Action
+from delfim.vehicle.paused import Paused
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
@@ -41,6 +42,7 @@ class Helm:
         self.track = Track(settings.control.home)
         self.plans = Plans(settings.fence, self.limits, state, self.track, log, self._under_way)
         self.rules, self.troubles = failsafe.Rules(settings), failsafe.NO_TROUBLE
+        self.changed = dict[str, float | str]()  # keys of the vehicle's file that consoles set
         self.taken = False  # the failsafe changed the mode; a joystick held over does not change it back
         self.paused: Paused | None = None
         self.alone = Alone(settings.thrusters, state, propulsion, log)
@@ -79,7 +81,7 @@ class Helm:
 
     def unfit(self, lines: list[Check] | None = None) -> str | None:
         """Why the boat cannot leave idle, in words; None: it can. Manual needs least: if it is forbidden, so is every mode."""
-        return refusal(self.rules, Mode.MANUAL, self.checks() if lines is None else lines)
+        return refusal(self.rules, Mode.MANUAL, self.checks() if lines is None else lines, self.state.has_left_idle)
 
     def home(self) -> tuple[float, float] | None:
         """(latitude_rad, longitude_rad) of the end of the way home; None where no track was driven yet."""
@@ -186,6 +188,7 @@ class Helm:
         if mode is not state.mode:
             state.mode_s = self._clock.monotonic_s()
         state.armed = mode is not Mode.IDLE
+        state.has_left_idle |= state.armed
         state.mode, state.reason, state.reference = mode, reason, Reference()
         self._log.note(f"{mode.name.lower()}: {reason}")
 
@@ -200,15 +203,16 @@ class Helm:
         if state.mode is Mode.PLAY and entered is not Mode.PLAY and not state.reference.done:
             state.setpoint = state.setpoint._replace(leg=self.memory.leg)
 
-    def _request(self, mode: Mode, setpoint: Setpoint, now_s: float, resumed: Memory | None = None) -> None:
-        """The one door: enter the mode the operator asks for, with its set points. Raises Refused; nothing has changed then."""
+    def request(self, mode: Mode, setpoint: Setpoint, now_s: float, resumed: Memory | None = None, restarted: str = "") -> None:
+        """The one door: enter the mode the operator asks for, with its set points, or the one after a restart, which gives a
+        reason. Raises Refused; nothing has changed then."""
         state = self.state
         if mode is Mode.HOME:
             setpoint = setpoint._replace(track=self.track.way_home())
         if mode is not state.mode and resumed is None:
             setpoint = setpoint._replace(override_mps=None)
         if mode is not Mode.IDLE:
-            reason = refusal(self.rules, mode, self.checks()) or admit(mode, state.motion.has, setpoint)
+            reason = refusal(self.rules, mode, self.checks(), state.has_left_idle) or admit(mode, state.motion.has, setpoint)
             if reason is None and mode is Mode.GREX and now_s - state.guest_s > self.settings.failsafe.guest_silent.after_s:
                 reason = "no set point from the guest"
             memory = begin(mode, state.motion, setpoint, self.limits) if resumed is None else resumed
@@ -219,8 +223,9 @@ class Helm:
             if reason is not None:
                 raise Refused(f"{mode.name.lower()} refused: {reason}")
         state.setpoint = setpoint
-        self.troubles, self.taken = failsafe.overruled(self.troubles), False
-        self.enter(mode, "operator" if resumed is None else "operator continues", resumed)
+        if not restarted:
+            self.troubles, self.taken = failsafe.overruled(self.troubles), False
+        self.enter(mode, restarted or ("operator" if resumed is None else "operator continues"), resumed)
 
     def obey(self, command: console.Commands, now_s: float) -> None:
         """Raises DelfimError with the reason why not."""
@@ -258,10 +263,10 @@ class Helm:
         elif wanted is Mode.PLAY and self.paused is not None and self.paused.mode is Mode.PLAY:
             self._continue(None, now_s)
             return
-        self._request(wanted, setpoint, now_s)
+        self.request(wanted, setpoint, now_s)
 
     def _head(self, command: console.Heading | console.Course, now_s: float) -> None:
-        self._request(*setpoints.headed(command, self.state, self.settings.control.speed), now_s)
+        self.request(*setpoints.headed(command, self.state, self.settings.control.speed), now_s)
 
     def _set_speed(self, command: console.SetSpeed, now_s: float) -> None:
         speed_mps = setpoints.speed(command.speed_mps, self.settings.control.speed)
@@ -276,7 +281,7 @@ class Helm:
         """Straight there, or, where zones are in the way, round them once a way is found: meanwhile goto waits."""
         setpoint = setpoint._replace(via=())
         found = detour.begun(self.plans.fence, self.state.motion, setpoint)
-        self._request(Mode.GOTO, setpoint._replace(target=None) if found else setpoint, now_s)
+        self.request(Mode.GOTO, setpoint._replace(target=None) if found else setpoint, now_s)
         self._detour = found
         if found is not None:
             self._log.note(f"goto: {found.why}: a way round is looked for")
@@ -306,7 +311,7 @@ class Helm:
             raise Refused("continue refused: the mission has changed since the pause; choose the mode again")
         # The track grew, or another leg was chosen.
         afresh = mode is Mode.HOME or (mode is Mode.PLAY and setpoint.leg != memory.leg)
-        self._request(mode, setpoint, now_s, None if afresh else memory)
+        self.request(mode, setpoint, now_s, None if afresh else memory)
 
     def _under_way(self) -> UnderWay | None:
         return under_way(self.state.mode, self.memory.leg, self.paused, self.state.setpoint.plan)
@@ -335,7 +340,7 @@ class Helm:
         if (reason := MODES[Mode.PLAY].lacks(setpoint)) is not None:
             raise Refused(f"leg refused: {reason}")
         if self.state.mode is Mode.PLAY:
-            self._request(Mode.PLAY, setpoint, now_s)
+            self.request(Mode.PLAY, setpoint, now_s)
         self.state.setpoint = self.state.setpoint._replace(leg=leg)
 
     def _push(self, command: console.Manual, now_s: float) -> None:
@@ -348,7 +353,7 @@ class Helm:
             raise Refused(f"manual refused: {state.reason}; release the joystick for {PUSHED_S:g} s or choose a mode")
         state.setpoint = setpoint = state.setpoint._replace(starboard=starboard, port=port)
         if state.mode is not Mode.MANUAL:
-            self._request(Mode.MANUAL, setpoint, now_s)
+            self.request(Mode.MANUAL, setpoint, now_s)
 
     def _arm(self, command: console.Arm, now_s: float) -> None:
         if self.state.mode is Mode.IDLE and (reason := self.unfit()) is not None:
@@ -361,6 +366,7 @@ class Helm:
             self.settings = settings = config.changed(self.settings, command.key, command.value)
         except ConfigError as error:
             raise Refused(f"set refused: {error.key}: {error.reason}; {error.allowed}") from None
+        self.changed[command.key] = command.value
         self.limits = self.plans.limits = settings_of(settings)
         if command.key.startswith("failsafe."):
             self.rules = failsafe.Rules(settings)
@@ -385,7 +391,7 @@ _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] 
     console.Continue: Helm._continue,
     console.LoadMission: Helm._load,
     console.Upload: Helm._load,
-    console.Play: lambda helm, command, now_s: helm._request(Mode.PLAY, helm.state.setpoint._replace(leg=command.leg), now_s),
+    console.Play: lambda helm, command, now_s: helm.request(Mode.PLAY, helm.state.setpoint._replace(leg=command.leg), now_s),
     console.Leg: Helm._choose,
     console.Unload: lambda helm, command, now_s: helm.plans.unload(),
     console.SetFence: Helm._load,

@@ -12,8 +12,6 @@ The handlers are plain functions: no await, no wait, no exception for bad input.
 replay in lock step calls them; clock, sockets and log are handed in.
 """
 
-import math
-
 from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError
@@ -22,12 +20,13 @@ from delfim.vehicle import console, failsafe, thrusters
 from delfim.vehicle.actuators import Actuator
 from delfim.vehicle.failing import Failing
 from delfim.vehicle.failsafe import Action
-from delfim.vehicle.grex import Guest, reference, sighted
+from delfim.vehicle.grex import Guest, told
 from delfim.vehicle.helm import Helm
 from delfim.vehicle.latency import Latency
 from delfim.vehicle.links import LoopInput
 from delfim.vehicle.navigation import Fix, Source, take
 from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.returning import RESTART, Returning
 from delfim.vehicle.safe import STOP
 from delfim.vehicle.state import HANDSET, Profile, StartConditions, State, StateLog
 from delfim.vehicle.traffic.lookout import TrafficLookout
@@ -60,6 +59,7 @@ class VehicleLoop:
         self._failing = Failing(settings, state, propulsion, log)
         self._lookout = TrafficLookout(settings.traffic)
         self._watchkeeper = Watchkeeper(settings, clock, state, log)
+        self.returning = Returning(settings, self.helm, state)
         self.latency = Latency(skipped=COLD_CYCLES)
         guest.on_line, state.actuation = self.on_guest, propulsion.still
 
@@ -99,6 +99,8 @@ class VehicleLoop:
         if isinstance(command, console.Alive) and state.operator not in ("", operator):  # nor do other consoles
             return None
         state.console_s = now_s
+        if operator == RESTART or isinstance(command, console.Return):
+            return self.returning.obey(command, operator, now_s)
         is_below = state.operator == HANDSET != operator
         if is_below and not isinstance(command, console.Halts):
             return f"refused: {HELD_BY_HAND}"
@@ -109,22 +111,15 @@ class VehicleLoop:
         if not isinstance(command, console.Alive):
             if not is_below and not isinstance(command, console.Kill):
                 state.operator = "" if isinstance(command, console.Leave) else operator
+            self.returning.overruled(command)
             self.helm.steer(now_s)
         return None
 
     def on_guest(self, line: bytes) -> None:
-        """A line of the guest computer: its set point, obeyed in GREX mode only, or a vessel that it sees. A malformed one is
-        counted."""
-        state = self.state
-        if (asked := reference(line)) is None:
-            is_heard = "guest" in self.helm.settings.traffic.hears
-            if not (is_heard and sighted(line, state, self.clock.monotonic_s())):
-                state.count("guest_malformed")
-            return
-        state.guest_s = self.clock.monotonic_s()
-        state.setpoint = state.setpoint._replace(
-            guest_heading_rad=math.radians(asked.heading_deg % 360.0), guest_speed_mps=max(asked.speed_mps, 0.0)
-        )
+        """A line of the guest computer: its set point, obeyed in GREX mode only, or a vessel that it sees."""
+        is_lookout = "guest" in self.helm.settings.traffic.hears
+        if (setpoint := told(line, self.state, is_lookout, self.clock.monotonic_s())) is not None:
+            self.state.guest_s, self.state.setpoint = self.clock.monotonic_s(), setpoint
 
     def on_namesakes(self, words: str) -> None:
         """Two consoles with one number, in words; empty: there are none."""
@@ -137,6 +132,7 @@ class VehicleLoop:
         now_s = state.watchdog_s = self.clock.monotonic_s()
         helm = self.helm
         helm.go_on()
+        self.returning.look(now_s)
         self._lookout.hear(state)
         if not self._watchkeeper.look(helm, now_s):
             self._lookout.look(state, now_s)

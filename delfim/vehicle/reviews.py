@@ -14,6 +14,7 @@ from delfim.vehicle import console
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mission import Mission
 from delfim.vehicle.missionreader import Reading, gathered
+from delfim.vehicle.returning import RESTART
 
 AGAIN = 3  # times that a review is repeated because the boat's settings changed meanwhile
 QUIET = console.Alive | console.TellState | console.Watch
@@ -63,6 +64,8 @@ class Reviews:
 
     def hear(self, command: console.Commands, operator: str) -> None:
         """A command was obeyed or refused: a stop, or a command of another operator, ends the review."""
+        if self._now is not None and self._now.operator == RESTART:
+            return  # what was aboard before is loaded whoever commands now; only a newer plan ends that
         if isinstance(command, console.Stop | console.ShutDown):
             self.cancel("a stop was commanded")
         elif self._now is not None and operator != self._now.operator and not isinstance(command, QUIET):

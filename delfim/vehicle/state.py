@@ -218,6 +218,9 @@ class State:
     reason: str = "started"  # why the boat is in this mode, in words
     mode_s: float = -1e9  # monotonic time it entered the mode
     armed: bool = False  # the boat left idle, or may; the propellers turn only when armed
+    has_left_idle: bool = False  # in this voyage, restarts included: it is at sea
+    restarted: str = ""  # what the boat does after a restart, in words, until somebody commands; empty: it was not restarted
+    fence_lost: str = ""  # why zones that were aboard before a restart are not, in words; empty: they are, or there were none
     navigation: Navigation | None = None
     source: str = ""  # the source of navigation
     inputs: dict[str, tuple[InputHealth, ...]] = field(default_factory=dict)  # of the estimator, by source; others have none

@@ -53,6 +53,16 @@ class Track:
         """(north_m, east_m) of each remembered point, oldest first."""
         return tuple(self._points)
 
+    def remembered(self) -> tuple[tuple[Point, ...], float]:
+        """The points, and their spacing now."""
+        return tuple(self._points), self._spacing_m
+
+    def restore(self, points: tuple[Point, ...], spacing_m: float) -> None:
+        """Go on with a track that was remembered; it replaces the present one."""
+        self._points, self._spacing_m, self._forgotten = list(points), spacing_m, []
+        self._cells = {self._cell(*point): index for index, point in enumerate(points)}
+        self._end, self._unseen = 0, len(points)
+
     def way_home(self) -> tuple[Point, ...]:
         """The track from the last harbour that it passed, as far as the search has come."""
         return tuple(self._points[self._end :])

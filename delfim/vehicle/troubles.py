@@ -244,6 +244,10 @@ def log(look: Look) -> str | None:
     return f"log not written: {look.inputs.log_reason}" if look.inputs.log_reason else None
 
 
+def restarted(look: Look) -> str | None:
+    return look.state.restarted or None
+
+
 class Trigger(IntEnum):
     """The troubles, named as in the vehicle's file, with their numbers (bits in the log) and detecting functions. Of two
     with the same action the first one gives the reason."""
@@ -275,6 +279,7 @@ class Trigger(IntEnum):
     TRAFFIC = 17, traffic
     TRAFFIC_CLOSE = 18, traffic_close
     AIS_SILENT = 19, ais_silent
+    RESTARTED = 22, restarted  # always a warning: what the boat did is told until somebody commands
     OUTLET = 23, outlet
 
 

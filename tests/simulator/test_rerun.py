@@ -21,15 +21,16 @@ from delfim.logging.table import frames, table
 from delfim.modes import Mode
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.rerun import rerun
-from delfim.vehicle import console
+from delfim.vehicle import console, voyage
 from delfim.vehicle.actuators.dsor import Propellers
 from delfim.vehicle.estimated import between
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.propulsion import Propulsion
+from delfim.vehicle.returning import RESTART
 from delfim.vehicle.sources.nmea2000 import Nmea2000Navigation
 from delfim.vehicle.state import State
-from tests.logging.sailing import Day, logged, sailed
+from tests.logging.sailing import MISSION, Day, logged, sailed
 
 
 @pytest.fixture(scope="module")
@@ -274,3 +275,25 @@ def test_the_instant_at_which_a_position_is_too_old_is_repeated_however_late_the
     boat.end()
     result = rerun([file for file in logged(tmp_path) if file.id in ("state", "n2k", "lockstep")], None)
     assert result.exact, result.text()
+
+
+def test_a_voyage_that_goes_on_after_a_restart_is_repeated_bit_by_bit(tmp_path):
+    before = Day(tmp_path / "before")
+    before.sail(4.0)
+    for command in (console.LoadMission(MISSION), console.Play()):
+        assert before.command(command) is None
+    before.sail(15.0)
+    told = voyage.read(before.sailing.kept(), before.settings, voyage.KeptHead("DelfimX", "", "a boot", 0, 0.0))
+    after = Day(tmp_path / "after")
+    for command in (told.back, *told.sent):
+        after.clock.advance(0.01)
+        refused = after.sailing.vehicle.on_command(command, RESTART)
+        after.log.command(command, refused, after.sailing.state, RESTART)
+    after.sail(8.0)
+    assert after.sailing.state.mode is Mode.HOLD
+    assert after.command(console.Continue()) is None
+    after.sail(8.0)
+    after.end()
+    result = rerun(logged(tmp_path / "after"), None)
+    assert result.exact, result.text()
+    assert result.frames > 100

@@ -104,8 +104,8 @@ def test_heading_is_shown_on_the_compass(boat):
 
 
 def test_what_may_be_asked_is_obeyed() -> None:
-    """But for those that only ask for the state, which the loop answers."""
-    assert set(helm._OBEYED) == set(console.KINDS.values()) - {console.TellState, console.Watch}
+    """But for those that the loop answers: they only ask for the state, or are the program's own."""
+    assert set(helm._OBEYED) == set(console.KINDS.values()) - {console.TellState, console.Watch, console.Return}
 
 
 @pytest.mark.parametrize(

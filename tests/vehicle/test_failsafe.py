@@ -111,6 +111,8 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             here.traffic = Traffic(heard_s=now_s - 180.1)
         case Trigger.OUTLET:
             here.thrusters["bow"] = ThrusterReport(now_s - 1.6)
+        case Trigger.RESTARTED:
+            here.restarted = "it was in play; hold now"
         case Trigger.LOG:
             inputs = Inputs("disk full", None)
     return here, inputs
@@ -147,6 +149,7 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.TRAFFIC_CLOSE: (Action.WARN, {}),
     Trigger.AIS_SILENT: (Action.WARN, {}),
     Trigger.OUTLET: (Action.STOP, {}),
+    Trigger.RESTARTED: (Action.WARN, {}),
     Trigger.SHALLOW: (Action.BACK, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
 }
 

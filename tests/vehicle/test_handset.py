@@ -6,7 +6,7 @@ from delfim import config
 from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.loop import HELD_BY_HAND
-from delfim.vehicle.state import HANDSET, Line, Plan, Waypoint
+from delfim.vehicle.state import HANDSET, Line, Plan, StartConditions, Waypoint
 from tests.vehicle import receivers
 
 DEVICE = "/dev/receiver"
@@ -243,7 +243,7 @@ def test_a_hand_set_that_has_not_the_boat_is_lost_with_a_warning_only(hand):
 def test_a_boat_that_cannot_be_driven_stops_when_it_is_taken(hand):
     hand.hold(FREE)
     mission(hand)
-    hand.boat.log.why = "no space left on device"
+    hand.boat.state.computer = StartConditions(is_starting=True)
     hand.hold(TAKEN, 0.1)
     assert (hand.boat.state.mode, hand.boat.state.operator) == (Mode.IDLE, HANDSET)
 

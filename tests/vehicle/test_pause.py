@@ -7,6 +7,7 @@ import pytest
 from delfim import config
 from delfim.modes import Mode
 from delfim.vehicle import console
+from delfim.vehicle.state import StartConditions
 
 PLACES = [(38.6925, -9.2150), (38.6930, -9.2150), (38.6930, -9.2140)]  # the boat is at the first one
 ROWS = ", ".join(f"{{ latitude_deg = {north}, longitude_deg = {east} }}" for north, east in PLACES)
@@ -94,8 +95,8 @@ def test_a_leg_that_is_chosen_during_the_pause_is_the_one_that_is_sailed(boat):
 def test_a_boat_that_is_unfit_does_not_go_on(boat):
     under_way(boat)
     boat.vehicle.on_command(console.Pause())
-    boat.log.why = "disk full"
-    assert boat.vehicle.on_command(console.Continue()) == "play refused: no log, no start: disk full"
+    boat.state.computer = StartConditions(is_starting=True)
+    assert (boat.vehicle.on_command(console.Continue()) or "").startswith("play refused: the program is still starting")
     assert boat.vehicle.snapshot({})["paused"] == "play", "it may be asked again"
 
 

@@ -67,7 +67,8 @@ def test_the_check_before_the_start_names_the_silent_value() -> None:
     run.state.measured = {}
     line = next(line for line in helm.checks() if line.name == "sensors")
     assert (line.ok, line.reason) == (False, "depth_m not heard yet")
-    assert refusal(helm.rules, Mode.MANUAL, [line]) == line.reason
+    assert refusal(helm.rules, Mode.MANUAL, [line], is_at_sea=False) == line.reason
+    assert refusal(helm.rules, Mode.MANUAL, [line], is_at_sea=True) == line.reason, "the table stops a boat for it, too"
 
 
 @pytest.mark.parametrize(

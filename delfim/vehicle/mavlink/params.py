@@ -1,4 +1,4 @@
-"""Numbers of the vehicle's file as MAVLink's parameters. Ranges are the file's own; a change lasts until the program ends."""
+"""Numbers of the vehicle's file as MAVLink's parameters. Ranges are the file's own; a change lasts for the voyage, restarts included."""
 
 from typing import Any, Final, NamedTuple
 
@@ -22,6 +22,7 @@ PROFILE: Final = "LINK_PROFILE"  # of the asking peer: 0 lean, 1 radio, 2 wifi
 PARAMS: Final = (
     Param("LOSS_TIMEOUT", "failsafe.console_silent.after_s", "s"),
     Param("LOSS_ACTION", "failsafe.console_silent.action", "", ("warn", "hold", "home", "stop")),
+    Param("LOG_REQUIRED", "log.required", "", ("no", "yes")),
     Param("MAN_TIMEOUT", "failsafe.manual_silent.after_s", "s"),
     Param("MAN_THRUST_TIME", "failsafe.manual_silent.thrust_s", "s"),
     Param("SPEED_MAX", "control.speed.max_mps", "m/s"),
@@ -57,7 +58,7 @@ def value(settings: config.Vehicle, param: Param) -> float:
     table: Any = settings
     for part in param.key.split("."):
         table = getattr(table, part)
-    return float(param.choices.index(table) if param.choices else table)
+    return float(param.choices.index(table) if isinstance(table, str) and param.choices else table)
 
 
 def command(name: str, number: float) -> console.Commands:
