@@ -1,4 +1,4 @@
-"""Numbers of the vehicle's file as MAVLink's parameters. Ranges are the file's own; a change lasts for the voyage, restarts included."""
+"""Numbers of the vehicle's file as MAVLink's parameters. Ranges are the file's own; a change lasts for the voyage."""
 
 from typing import Any, Final, NamedTuple
 
