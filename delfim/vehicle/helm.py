@@ -18,7 +18,6 @@ from delfim.vehicle.control.control import control as step
 from delfim.vehicle.control.control import enter as begin
 from delfim.vehicle.control.hull import filled
 from delfim.vehicle.failsafe import Action
-from delfim.vehicle.paused import Paused
 from delfim.vehicle.planning import Plans
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
@@ -322,10 +321,6 @@ class Helm:
         else:
             self.plans.accept(command)
 
-    def _call_at(self, command: console.Rally, now_s: float) -> None:
-        self.plans.rally = command.points
-        self.plans.call_at()
-
     def _reset(self, command: console.Reset, now_s: float) -> None:
         if self.state.mode is not Mode.IDLE:
             raise Refused("reset refused: stop first")
@@ -395,7 +390,7 @@ _OBEYED: Final[dict[type[console.Command], Callable[[Helm, Any, float], None]]] 
     console.Leg: Helm._choose,
     console.Unload: lambda helm, command, now_s: helm.plans.unload(),
     console.SetFence: Helm._load,
-    console.Rally: Helm._call_at,
+    console.Rally: lambda helm, command, now_s: helm.plans.call_at(command.points),
     console.Take: Helm._hear,
     console.Arm: Helm._arm,
     console.Reset: Helm._reset,

@@ -246,8 +246,9 @@ class Plans:
         self._track.look_back()
         self.remains.let_go()
 
-    def call_at(self) -> None:
-        """Lay the harbours into the plane."""
+    def call_at(self, rally: tuple[tuple[float, float], ...] | None = None) -> None:
+        """Lay the harbours into the plane; other ones, degrees, where they are given."""
+        self.rally = self.rally if rally is None else rally
         if (at := self._state.origin) is not None:
             harbours = tuple(geodesy.to_plane(at, math.radians(place[0]), math.radians(place[1])) for place in self.rally)
             self._track.call_at(harbours, self.limits.control.path.acceptance_m)

@@ -12,8 +12,8 @@ from delfim.errors import DelfimError, Refused
 from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.helm import Helm
-from delfim.vehicle.paused import Paused
 from delfim.vehicle.state import State
+from delfim.vehicle.underway import Paused
 
 RESTART: Final = "restart"  # the operator who gives these commands
 NEAR_M: Final = 100.0  # a boat that sails on is no farther from where it was ...
@@ -145,7 +145,8 @@ class Returning:
         helm.request(mode, setpoint, now_s, sailed.memory if is_same else None, f"restarted: {self._was()}")
         paused = sailed.paused if was is Mode.HOLD else (sailed.mode, sailed.memory)
         if mode is Mode.HOLD and paused is not None and paused[0] != "manual":
-            helm.paused = Paused(Mode[paused[0].upper()], paused[1], state.setpoint.plan)
+            plan = state.setpoint.plan
+            helm.paused = Paused(Mode[paused[0].upper()], paused[1], plan.number if plan is not None else 0)
 
     def _give_up(self, why: str) -> None:
         self._state.restarted, self._back = f"{self._was()}; {why}: the boat stays idle", None
