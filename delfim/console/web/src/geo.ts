@@ -92,3 +92,14 @@ export function position({ latitude_deg, longitude_deg }: Place): string {
   };
   return `${part(latitude_deg, 2, "NS")}  ${part(longitude_deg, 3, "EW")}`;
 }
+
+/** Degrees as people write them: 38.69, -9.215, 38°41.234′N, N 38 41 14. `letters` are those of its two directions. */
+export function degreesIn(words: string, letters: string): number | null {
+  const found = new RegExp(`^\\s*([-+]?)([${letters}]?)((?:[^\\d.,${letters}]*\\d+(?:[.,]\\d*)?){1,3})[^\\d${letters}]*([${letters}]?)\\s*$`, "i").exec(words);
+  const [, sign, before, figures, after] = found ?? [];
+  const parts = (figures ?? "").match(/\d+(?:[.,]\d*)?/g)?.map((each) => Number(each.replace(",", "."))) ?? [];
+  const letter = (before || after || "").toUpperCase();
+  if (!parts.length || (before && after) || (sign === "-" && letter) || parts.slice(1).some((each) => each >= 60)) return null;
+  const size = parts.reduce((sum, each, i) => sum + each / 60 ** i, 0);
+  return sign === "-" || letter === letters[1] ? -size : size;
+}

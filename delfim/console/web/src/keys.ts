@@ -141,7 +141,7 @@ export class Keys {
   private taken(event: KeyboardEvent): boolean {
     const { replaying } = this.state;
     if (event.code === "Space" && !replaying) return this.stop(event);
-    if (!event.ctrlKey && !event.altKey && this.screen.menuTakes(event.key)) return true;
+    if (!event.ctrlKey && !event.altKey && this.screen.menuTakes(event.shiftKey && event.key === "Tab" ? "Shift Tab" : event.key)) return true;
     if (replaying) return this.screen.replayTakes(event.code) || this.view(event);
     return this.digit(event) || this.view(event) || this.arrow(event) || this.letter(event);
   }
@@ -212,10 +212,13 @@ export class Keys {
   }
 }
 
-/** Whether the key types a letter of a name. Space is stop wherever it is pressed. */
+/** Whether the key writes into a field. Space is stop wherever it is pressed; in a number the arrows move on, and letters are modes. */
 function isTyped(event: KeyboardEvent): boolean {
-  const into = event.target instanceof HTMLInputElement && event.target.type === "text";
-  return into && event.code !== "Space" && !["Enter", "Escape", "Tab", "F1"].includes(event.key);
+  const { target, key } = event;
+  if (!(target instanceof HTMLInputElement) || target.type !== "text" || event.code === "Space" || ["Enter", "Escape", "Tab", "F1"].includes(key)) return false;
+  if (key === "ArrowUp" || key === "ArrowDown") return false;
+  if (event.ctrlKey) return !event.altKey && "acvxz".includes(key.toLowerCase());
+  return target.inputMode !== "decimal" || (!event.altKey && /^([\d.,+-]|Backspace|Delete|Home|End)$/.test(key));
 }
 
 function which(event: KeyboardEvent): Thrusters {

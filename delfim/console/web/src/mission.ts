@@ -8,7 +8,7 @@ const SPIRAL_STEP_DEG = 20;
 const ARC_DEG = 5;
 const JOINT_M = 1;
 const TRACK_M = 2;
-const WAYPOINTS_MOST = 1000; // of a mission
+export const WAYPOINTS_MOST = 1000; // of a mission
 
 export const waypoint = (place: Place): Waypoint => ({
   latitude_deg: place.latitude_deg,

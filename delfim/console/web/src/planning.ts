@@ -1,15 +1,17 @@
 // The menus and forms of a plan: the mission as a whole, its waypoints, patterns, fence, obstacles and home, and how it gets aboard.
 import type { Actions } from "./actions";
 import type { Chart, Pixel } from "./chart";
-import { bearing, bearing_deg, distance_m, duration, metres, position } from "./geo";
+import { bearing, bearing_deg, degreesIn, distance_m, duration, metres, position } from "./geo";
 import type { Messages } from "./messages";
 import * as M from "./mission";
+import { KINDS, newPattern, patternAt, withPattern } from "./patterns";
+import type { Found } from "./patterns";
 import type { Handle, Plans } from "./plans";
 import type { Entry, Field, Item, Popup } from "./popup";
 import { NOBODY } from "./state";
 import type { State } from "./state";
 import { enteredSpeed_mps, inKnots, shownSpeed, speedUnit, speedWords } from "./units";
-import type { Boat, Mission, Mode, Place, Waypoint } from "./wire";
+import type { Boat, Mission, Mode, Pattern, Place, Waypoint } from "./wire";
 
 const AMONG_MISSION: ReadonlySet<Mode> = new Set(["play", "path", "goto"]); // modes that sail the mission aboard
 export const HOLDS_THERE = "then hold: thrusters start again; or idle, if its file says so"; // control.goto.end
@@ -102,9 +104,11 @@ export class Planning {
     const before = this.state.plan(boat.id).mission;
     let next = before;
     const live = (values: number[]) => {
-      next = made(before, values);
-      this.plans.preview(next);
-      return `${next.waypoints.length} waypoints · ${metres(M.length_m(next))}`;
+      const wanted = made(before, values);
+      const count = wanted.waypoints.length;
+      if (count > M.WAYPOINTS_MOST) return { refuse: `${count} waypoints: a mission has ${M.WAYPOINTS_MOST} at most` };
+      this.plans.preview((next = wanted));
+      return `${count} waypoints · ${metres(M.length_m(next))}`;
     };
     this.popup.form(ASIDE, title, fields, live, (ok) => {
       this.plans.preview(null);
@@ -220,42 +224,16 @@ export class Planning {
   }
 
   private patterns(boat: Boat, place: Place): Entry[] {
-    const heading = M.mainHeading_deg(this.state.plan(boat.id).mission);
     const from_deg = boat.latitude_deg === null ? 0 : bearing_deg(place, boat as Place);
-    const onto = (mission: Mission, fresh: Waypoint[]): Mission => ({ ...mission, waypoints: [...mission.waypoints, ...fresh] });
-    const number = (title: string, value: number, least: number, step = 5): Field => ({ title, unit: "m", value, step, least, most: 2000 });
-    const side: Field = { title: "Turning to", unit: "", value: 1, step: 1, least: 0, most: 1, zero: "port", show: () => "starboard" };
-    return [
-      {
-        title: "Lawn-mower…",
-        do: () =>
-          this.shape(
-            boat,
-            "Lawn-mower",
-            [
-              number("Length", 100, 10),
-              number("Width", 60, 0),
-              number("Spacing", 15, 2, 1),
-              { title: "Along", unit: "°", value: heading, step: 5, least: 0, most: 360, around: true, show: bearing },
-            ],
-            (mission, [length, width, spacing, along]) => onto(mission, M.lawnMower(place, length!, width!, spacing!, along!)),
-          ),
-      },
-      {
-        title: "Circle…",
-        do: () =>
-          this.shape(boat, "Circle", [number("Radius", 40, 5), side], (mission, [radius, turn]) =>
-            onto(mission, M.circle(place, radius!, from_deg, turn === 1)),
-          ),
-      },
-      {
-        title: "Spiral…",
-        do: () =>
-          this.shape(boat, "Spiral", [number("Radius", 40, 5), number("Spacing", 10, 2, 1), side], (mission, [radius, spacing, turn]) =>
-            onto(mission, M.spiral(place, radius!, spacing!, from_deg, turn === 1)),
-          ),
-      },
-    ];
+    const kinds = Object.keys(KINDS) as Pattern["kind"][];
+    return kinds.map((kind) => ({ title: `${KINDS[kind].title}…`, do: () => this.patternForm(boat, newPattern(kind, place, from_deg, this.state.plan(boat.id).mission)) }));
+  }
+
+  private patternForm(boat: Boat, pattern: Pattern, instead?: Found): void {
+    const { title, fields } = KINDS[pattern.kind];
+    this.shape(boat, title, [...fields(pattern.values), ...placeFields(pattern.centre)], (mission, numbers) =>
+      withPattern(mission, { ...pattern, values: numbers.slice(0, -2), centre: placeIn(numbers) }, instead),
+    );
   }
 
   private marks(boat: Boat, place: Place): Entry[] {
@@ -280,6 +258,7 @@ export class Planning {
     const { mission } = this.state.plan(boat.id);
     const [its, last] = [mission.waypoints[index]!, mission.waypoints.length - 1];
     const before = mission.waypoints[index - 1];
+    const found = patternAt(mission, index);
     const middle = (a: Place, b: Place): Place => ({ latitude_deg: (a.latitude_deg + b.latitude_deg) / 2, longitude_deg: (a.longitude_deg + b.longitude_deg) / 2 });
     const shift = (by: -1 | 1, refuse: boolean): Item => ({
       title: by < 0 ? "Earlier in the order" : "Later in the order",
@@ -289,6 +268,8 @@ export class Planning {
     const note = before ? `${bearing(bearing_deg(before, its))}  ${metres(distance_m(before, its))}` : position(its);
     this.popup.menu(at, { title: `Waypoint ${index + 1}`, colour: boat.colour, note }, [
       { title: "Speed, acceptance, stay…", note: waypointWords(its), do: () => this.waypointForm(boat, index) },
+      this.position(boat, `Waypoint ${index + 1}`, its, (each, to) => M.moveWaypoint(each, index, to)),
+      ...(found ? [{ title: `Change the ${KINDS[found.pattern.kind].title.toLowerCase()}…`, note: `waypoints ${found.first + 1} to ${found.first + found.count}`, do: () => this.patternForm(boat, found.pattern, found) }] : []),
       { title: "Leg to it", refuse: before ? undefined : "it is the first", note: "as path following sails it", sub: () => this.legs(boat, index) },
       "line",
       { title: "Insert before", refuse: before ? undefined : "it is the first", do: () => this.change(boat, (each) => M.insertWaypoint(each, index, middle(before!, its))) },
@@ -304,6 +285,11 @@ export class Planning {
       { title: "Play from here", refuse: boat.id === NOBODY && NO_BOAT, do: () => this.sail(boat, "play", index) },
       { title: "Go to this point", note: HOLDS_THERE, refuse: boat.id === NOBODY && NO_BOAT, do: () => void this.actions.command(boat.id, "goto_point", { latitude_deg: its.latitude_deg, longitude_deg: its.longitude_deg }) },
     ]);
+  }
+
+  /** Where something is, as numbers. */
+  private position(boat: Boat, title: string, its: Place, moved: (mission: Mission, to: Place) => Mission): Item {
+    return { title: "Position…", note: position(its), do: () => this.shape(boat, title, placeFields(its), (mission, numbers) => moved(mission, placeIn(numbers))) };
   }
 
   private legs(boat: Boat, index: number): Entry[] {
@@ -327,6 +313,7 @@ export class Planning {
     const its = this.state.plan(boat.id).mission.obstacles[index]!;
     this.popup.menu(at, { title: "Obstacle", note: `radius ${metres(its.radius_m)}` }, [
       { title: "Radius…", do: () => this.obstacleForm(boat, index, its, its.radius_m) },
+      this.position(boat, "Obstacle", its, (each, to) => M.setObstacle(each, index, { ...to, radius_m: its.radius_m })),
       { title: "Delete", do: () => this.change(boat, (each) => M.deleteObstacle(each, index)) },
     ]);
   }
@@ -339,20 +326,31 @@ export class Planning {
   }
 
   private corner(boat: Boat, index: number, at: Pixel): void {
+    const its = M.cornerPlace(this.state.plan(boat.id).mission.fence[index]!);
     this.popup.menu(at, { title: `Fence corner ${index + 1}` }, [
+      this.position(boat, `Fence corner ${index + 1}`, its, (each, to) => M.moveCorner(each, index, to)),
       { title: "Delete the corner", do: () => this.change(boat, (each) => M.deleteCorner(each, index)) },
       { title: "Delete the fence", do: () => this.change(boat, (each) => ({ ...each, fence: [] })) },
     ]);
   }
 
   private home(boat: Boat, at: Pixel): void {
+    const its = this.state.plan(boat.id).mission.home!;
     this.popup.menu(at, { title: "Home", colour: boat.colour }, [
       { title: "Go home", do: () => void this.actions.mode(boat, "home") },
+      this.position(boat, "Home", its, (each, home) => ({ ...each, home })),
       { title: "Delete", do: () => this.change(boat, (each) => ({ ...each, home: null })) },
     ]);
   }
 }
 
+const degreesField = (title: string, value: number, letters: string, most: number): Field => ({
+  ...{ title, unit: "°", value, step: 1e-5, least: -most, most },
+  show: (deg) => `${deg.toFixed(6)}°`,
+  read: (words) => degreesIn(words, letters),
+});
+const placeFields = ({ latitude_deg, longitude_deg }: Place): Field[] => [degreesField("Latitude", latitude_deg, "NS", 89), degreesField("Longitude", longitude_deg, "EW", 180)];
+const placeIn = (numbers: number[]): Place => ({ latitude_deg: numbers.at(-2)!, longitude_deg: numbers.at(-1)! });
 export const isSailing = ({ mode }: Boat): boolean => mode === "play" || mode === "path";
 const speedField = (value: number): Field => ({ title: "Speed", unit: speedUnit(), value: shownSpeed(value), step: 0.1, least: 0, most: inKnots ? 20 : 10, zero: "the boat’s own" });
 const acceptanceField = (value: number): Field => ({ title: "Acceptance", unit: "m", value, step: 0.5, least: 0, most: 100, zero: "the boat’s own" });

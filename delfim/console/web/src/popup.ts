@@ -1,10 +1,12 @@
-// Pop-up menus and forms: one pointing button, or arrows, Enter and Esc. Only the name of a mission is typed.
+// Pop-up menus and forms: one pointing button, or arrows, Enter and Esc. Numbers and the name of a mission can be typed.
 import { make, text } from "./dom";
 
 const MARGIN_PX = 8;
 const NAME_MOST = 60;
 const AGAIN_MS = 400;
 const AGAIN_EVERY_MS = 60;
+const SPAN_TYPED = 1; // a field of two words is not typed
+const TOUCH = matchMedia("(pointer: coarse)").matches; // there a field that has the focus opens a keyboard over the map
 const MEANT_MS = 300; // a click that comes sooner hits a menu that nobody can have read
 
 export interface Item {
@@ -29,7 +31,11 @@ export interface Field {
   around?: boolean; // a compass goes around
   zero?: string; // a word to show for 0
   show?: (value: number) => string;
+  read?: (words: string) => number | null; // where it is written in more ways than as a number
 }
+
+/** What a form says of its numbers, or why they cannot be. */
+export type Said = string | { refuse: string };
 
 interface Open {
   move(by: number): void;
@@ -54,8 +60,8 @@ export class Popup {
     this.box.hidden = true;
     parent.append(this.box);
     this.box.addEventListener("contextmenu", (event) => event.preventDefault());
-    // The keyboard of a touch screen, which opens for a name, also resizes the window.
-    window.addEventListener("resize", () => (this.open instanceof NameView ? this.place() : this.close()));
+    // The keyboard of a touch screen also resizes the window.
+    window.addEventListener("resize", () => (this.open && document.activeElement instanceof HTMLInputElement ? this.place() : this.close()));
     this.box.addEventListener("pointerdown", () => (this.meant = performance.now() - this.shownAt > MEANT_MS), { capture: true });
     // A finger that opened the menu by a long press is lifted over it: that is no click. Clicks without a pointer have no detail.
     this.box.addEventListener("click", (event) => event.detail && !this.meant && event.stopPropagation(), { capture: true });
@@ -78,11 +84,12 @@ export class Popup {
   takes(key: string): boolean {
     const open = this.open;
     if (!open) return false;
-    if (key === "ArrowDown" || key === "ArrowUp") open.move(key === "ArrowDown" ? 1 : -1);
+    if (key === "ArrowDown" || key === "Tab") open.move(1);
+    else if (key === "ArrowUp" || key === "Shift Tab") open.move(-1);
     else if (key === "ArrowRight" || key === "ArrowLeft") open.change(key === "ArrowRight" ? 1 : -1);
     else if (key === "Enter") open.enter();
     else if (key === "Escape") open.back();
-    else return false;
+    else return open instanceof FormView && /^[\d.,]$/.test(key); // a number that misses its field is no speed
     return true;
   }
 
@@ -92,7 +99,7 @@ export class Popup {
     this.show(heading, entries, []);
   }
 
-  form(at: [number, number], title: string, fields: Field[], live: (values: number[]) => string, done: (ok: boolean) => void): void {
+  form(at: [number, number], title: string, fields: Field[], live: (values: number[]) => Said, done: (ok: boolean) => void): void {
     this.close();
     const view = new FormView(this.box, title, fields, live, (ok) => {
       this.open = null;
@@ -208,7 +215,7 @@ class MenuView implements Open {
   }
 }
 
-/** The only text field. Space is stop here, too: where a touch screen's keyboard sends one, a dash takes its place. */
+/** A text field. Space is stop here, too: where a touch screen's keyboard sends one, a dash takes its place. */
 class NameView implements Open {
   private readonly input = make("input.name");
 
@@ -253,33 +260,37 @@ class NameView implements Open {
 
 class FormView implements Open {
   private readonly values: number[];
-  private readonly shown: HTMLElement[] = [];
+  private readonly inputs: HTMLInputElement[] = [];
   private readonly rows: HTMLElement[] = [];
   private readonly words = make("p.words");
+  private readonly faults: string[] = []; // of what is typed in each field
   private focus = 0;
+  private refused = "";
 
   constructor(
     box: HTMLElement,
     title: string,
     private readonly fields: Field[],
-    private readonly live: (values: number[]) => string,
+    private readonly live: (values: number[]) => Said,
     private readonly done: (ok: boolean) => void,
   ) {
     this.values = fields.map((each) => each.value);
-    const button = (words: string, kind: string, ok: boolean) => {
+    const button = (words: string, kind: string, act: () => void) => {
       const made = make(`button.${kind}`, words);
       made.tabIndex = -1;
-      made.addEventListener("click", () => done(ok));
+      made.addEventListener("click", act);
       return made;
     };
     box.replaceChildren(
       make("header", make("b", title)),
       ...fields.map((_, i) => this.row(i)),
       this.words,
-      make("div.choice", button("Cancel", "plain", false), button("OK", "main", true)),
+      make("div.choice", button("Cancel", "plain", () => done(false)), button("OK", "main", () => this.enter())),
     );
-    this.move(0);
-    this.tell();
+    fields.forEach((_, i) => this.tell(i));
+    this.say();
+    this.rows[0]?.classList.add("focus");
+    if (!TOUCH) requestAnimationFrame(() => this.inputs[this.focus]?.select());
   }
 
   cancelled(): void {
@@ -287,28 +298,54 @@ class FormView implements Open {
   }
 
   move(by: number): void {
-    this.focus = (this.focus + by + this.rows.length) % this.rows.length;
-    this.rows.forEach((row, i) => row.classList.toggle("focus", i === this.focus));
+    this.inputs[this.focus]!.blur();
+    this.enterField((this.focus + by + this.rows.length) % this.rows.length);
+    if (!TOUCH) this.inputs[this.focus]!.select();
   }
 
   change(by: number): void {
     this.step(this.focus, by);
+    if (!TOUCH) this.inputs[this.focus]!.select();
   }
 
   enter(): void {
-    this.done(true);
+    if (!this.refused) this.done(true);
   }
 
   back(): void {
     this.done(false);
   }
 
+  private enterField(index: number): void {
+    this.focus = index;
+    this.rows.forEach((row, i) => row.classList.toggle("focus", i === index));
+  }
+
   private row(index: number): HTMLElement {
-    const value = make("output");
-    this.shown.push(value);
-    const row = make("div.field", make("span.title", this.fields[index]!.title), this.stepper(index, -1), value, this.stepper(index, 1));
+    const { title, least, most, read } = this.fields[index]!;
+    const input = make("input");
+    Object.assign(input, { type: "text", inputMode: read ? "text" : "decimal", readOnly: most - least <= SPAN_TYPED, tabIndex: -1, autocomplete: "off", spellcheck: false });
+    input.setAttribute("aria-label", title);
+    input.addEventListener("focus", () => this.enterField(index));
+    input.addEventListener("click", () => input.select());
+    input.addEventListener("input", () => this.typed(index));
+    input.addEventListener("blur", () => this.faults[index] || this.tell(index));
+    this.inputs.push(input);
+    const row = make("div.field", make("span.title", title), this.stepper(index, -1), input, this.stepper(index, 1));
     this.rows.push(row);
     return row;
+  }
+
+  /** A number counts as soon as it is one that may be. */
+  private typed(index: number): void {
+    const { title, least, most, unit, around, read } = this.fields[index]!;
+    const { value: words } = this.inputs[index]!;
+    const found = read ? read(words) : (/^\s*([-+]?\d*[.,]?\d+)\D*$/.exec(words)?.[1]?.replace(",", ".") ?? null);
+    const value = found === null ? NaN : Number(found);
+    const good = value >= least && value <= most;
+    if (good) this.values[index] = around ? Math.round(value) : value;
+    this.faults[index] = good ? "" : `${title}: ${least} to ${most} ${unit}`;
+    this.say();
   }
 
   /** A button that repeats while it is held, in larger steps after a while. */
@@ -319,6 +356,7 @@ class FormView implements Open {
     let timer = 0;
     const stop = () => clearTimeout(timer);
     button.addEventListener("pointerdown", (event) => {
+      event.preventDefault();
       button.setPointerCapture(event.pointerId);
       let count = 0;
       const again = () => {
@@ -336,16 +374,25 @@ class FormView implements Open {
     const wanted = Math.round((this.values[index]! + by * step) / step) * step;
     const span = most - least;
     this.values[index] = around ? ((((wanted - least) % span) + span) % span) + least : Math.max(least, Math.min(most, wanted));
-    this.tell();
+    this.faults[index] = "";
+    this.enterField(index);
+    this.tell(index);
+    this.say();
   }
 
-  private tell(): void {
-    this.fields.forEach(({ unit, zero, step, show }, i) => {
-      const value = this.values[i]!;
-      const digits = step < 1 ? 1 : 0;
-      text(this.shown[i]!, value === 0 && zero ? zero : show ? show(value) : `${value.toFixed(digits)} ${unit}`);
-    });
-    text(this.words, this.live(this.values));
+  private tell(index: number): void {
+    const { unit, zero, step, show } = this.fields[index]!;
+    const value = this.values[index]!;
+    const [short, typed] = [value.toFixed(step < 1 ? 1 : 0), String(Number(value.toFixed(3)))];
+    this.inputs[index]!.value = value === 0 && zero ? zero : show ? show(value) : `${Number(short) === Number(typed) ? short : typed} ${unit}`;
+  }
+
+  private say(): void {
+    const fault = this.faults.find(Boolean);
+    const said = fault ? { refuse: fault } : this.live(this.values);
+    this.refused = typeof said === "string" ? "" : said.refuse;
+    text(this.words, typeof said === "string" ? said : said.refuse);
+    this.words.classList.toggle("bad", Boolean(this.refused));
   }
 }
 

@@ -32,6 +32,14 @@ export interface PathPoint extends Place {
   speed_mps?: number;
 }
 
+/** What a pattern's waypoints were made of, in the plan on the screen. */
+export interface Pattern {
+  kind: "lawn" | "circle" | "spiral";
+  centre: Place;
+  from_deg: number; // where a circle begins
+  values: number[]; // of its form
+}
+
 export interface Mission {
   name: string;
   waypoints: Waypoint[];
@@ -40,6 +48,7 @@ export interface Mission {
   zones?: Zone[];
   home: Place | null;
   path?: PathPoint[]; // of its own, beside the waypoints
+  patterns?: Pattern[];
 }
 
 export type Pair = [number | null, number | null];
