@@ -106,7 +106,7 @@ instruments = ["gps:receiver", "compass:compass", "compass:gyro"]  # what each p
 
 
 class Answers(NamedTuple):
-    """Lengths in m, thrust of one motor at full power ahead in N, the place in degrees."""
+    """Lengths in m, thrust of one motor at full power ahead in N, the speed that all reach in m/s, the place in degrees."""
 
     name: str
     length_m: float
@@ -114,6 +114,7 @@ class Answers(NamedTuple):
     mass_kg: float
     motors: str
     thrust_n: float
+    full_mps: float
     sensors: str
     latitude_deg: float
     longitude_deg: float
@@ -128,6 +129,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--mass", metavar="KG", help="Its mass as it sails, in kilograms.")
     parser.add_argument("--motors", metavar="KIND", help=_kinds(MOTORS))
     parser.add_argument("--thrust", metavar="N", help="Force of one motor at full power ahead, in newtons.")
+    parser.add_argument("--speed", metavar="MPS", help="Its speed at full power in calm water, in metres a second.")
     parser.add_argument("--sensors", metavar="KIND", help=_kinds(SENSORS))
     told = "Where it lies, in degrees, north and east positive (default: Lisbon)."
     parser.add_argument("--where", nargs=2, metavar=("LAT", "LON"), help=told)
@@ -160,6 +162,9 @@ def run(asked: argparse.Namespace) -> int:
 
 def _answers(asked: argparse.Namespace, stem: str) -> Answers:
     """Each from its option, or typed, or its default."""
+    from delfim import config
+    from delfim.vehicle.control.hull import full_mps
+
     ask = _Asking(asked)
     name = ask("name", "Name of the boat", stem, _name)
     length_m = ask("length", "Its length over all, m", "1.5", _positive)
@@ -168,9 +173,11 @@ def _answers(asked: argparse.Namespace, stem: str) -> Answers:
     motors = ask("motors", "Motors", "esc", _one_of(MOTORS), MOTORS)
     usual_n = (3.0 if motors == "rudder" else 2.0) * mass_kg  # as boats of etc/boats have it
     thrust_n = ask("thrust", "Force of one motor at full power ahead, N", f"{usual_n:.3g}", _positive)
+    guess_mps = full_mps(config.BoatTable(name, length_m=length_m))
+    speed_mps = ask("speed", "Its speed at full power in calm water, m/s", f"{guess_mps:.3g}", _positive)
     sensors = ask("sensors", "Position and heading from", "usb", _one_of(SENSORS), SENSORS)
     latitude_deg, longitude_deg = ask("where", "Where it lies: latitude and longitude, degrees", LISBON, _place)
-    return Answers(name, length_m, beam_m, mass_kg, motors, thrust_n, sensors, latitude_deg, longitude_deg)
+    return Answers(name, length_m, beam_m, mass_kg, motors, thrust_n, speed_mps, sensors, latitude_deg, longitude_deg)
 
 
 class _Asking:
@@ -256,10 +263,10 @@ id = 1  # on the console's link: another one for each boat, 1 to 249
 length_m = {of.length_m:g}
 beam_m = {of.beam_m:g}
 mass_kg = {of.mass_kg:g}  # as it sails
-# full_mps = 2.0  # speed at full thrust in calm water; without it, it is guessed
+full_mps = {of.full_mps:g}  # speed at full power in calm water: measure it, for the autopilot reckons with it
 
 [can]
-interface = "canloop:can0"  # a bus within the computer: no node of DelfimX is on this boat
+interface = "canloop:nodes"  # a bus within the computer: no node of DelfimX is on this boat
 
 # Motors, a table each: place in metres ahead and to starboard of the middle, force in newtons at full power astern and ahead
 # (measure it with a spring scale at a jetty).

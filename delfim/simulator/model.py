@@ -15,6 +15,7 @@ from typing import Final, Literal, NamedTuple
 from delfim.config import DELFIMX, Sea, ThrusterTable, Vehicle
 from delfim.geodesy import from_plane, origin
 from delfim.simulator.propulsor import AMBIENT_C, VOLTAGE_V, W_PER_N, Drive
+from delfim.vehicle.control.hull import full_mps
 
 Side = Literal["starboard", "port"]  # the thrusters of DelfimX
 
@@ -104,15 +105,17 @@ def hull_of(vehicle: Vehicle) -> Hull:
 
 
 def _dragged(hull: Hull, vehicle: Vehicle) -> Hull:
-    """With the drag ahead of the file, or the one that full thrust overcomes at `full_mps`, a fifth of it linear. That says
-    nothing for the propellers of DelfimX, which lose thrust with speed."""
+    """With the drag ahead of the file, or the one that full thrust overcomes at the speed of the file, or at the one that the
+    autopilot takes without it; a fifth of it linear. That says nothing for the propellers of DelfimX, which lose thrust with
+    speed."""
     boat = vehicle.boat
     if boat.drag_n_per_mps is not None or boat.drag_n_per_mps2 is not None:
         return hull._replace(surge_n_per_mps=boat.drag_n_per_mps or 0.0, surge_n_per_mps2=boat.drag_n_per_mps2 or 0.0)
-    if boat.full_mps is None or "dsor" in vehicle.drivers:
+    if "dsor" in vehicle.drivers:
         return hull
     ahead_n = sum(max(row.ends_n[1] * math.cos(math.radians(row.angle_deg)), 0.0) for row in vehicle.thrusters)
-    return hull._replace(surge_n_per_mps=0.2 * ahead_n / boat.full_mps, surge_n_per_mps2=0.8 * ahead_n / boat.full_mps**2)
+    most_mps = full_mps(boat)
+    return hull._replace(surge_n_per_mps=0.2 * ahead_n / most_mps, surge_n_per_mps2=0.8 * ahead_n / most_mps**2)
 
 
 Push = tuple[float, tuple[float, float, float] | None, float, float]

@@ -10,6 +10,7 @@ from delfim import config
 from delfim.__main__ import main
 from delfim.commands.new import MOTORS, SENSORS
 from delfim.simulator.lockstep import Lockstep
+from delfim.vehicle.console import LoadMission, Play
 from delfim.vehicle.mission import load_mission
 from delfim.vehicle.state import NoLog
 
@@ -38,12 +39,29 @@ def test_each_boat_passes_the_check_and_sails_past_its_first_waypoint(
     run.close()
 
 
+@pytest.mark.parametrize("words", [[], ["--length", "1.2", "--beam", "0.93", "--mass", "30", "--thrust", "60"]])
+@pytest.mark.parametrize("motors", MOTORS)
+def test_no_boat_sails_much_faster_than_it_is_told(motors: str, words: list[str]) -> None:
+    """Whatever the force of its motors: model and autopilot take one speed at full power."""
+    assert main(["new", "boat.toml", "--yes", "--motors", motors, *words]) == 0
+    run = Lockstep(config.load("boat.toml"), 1, lambda clock: NoLog())
+    assert run.command(LoadMission(Path("boat-mission.toml").read_text())) is None
+    playing, most_mps = False, 0.0
+    for _ in run.cycles(90.0):
+        playing = playing or run.command(Play()) is None
+        most_mps = max(most_mps, run.nodes.model.surge_mps)
+    asked_mps = run.settings.control.speed.cruise_mps
+    run.close()
+    assert 0.9 * asked_mps < most_mps < 1.15 * asked_mps
+
+
 def test_options_are_what_the_file_says() -> None:
     words = ["--name", "Lua", "--length", "2", "--beam", "1,1", "--mass", "55", "--thrust", "120", "--motors", "vesc"]
+    words += ["--speed", "2.5"]
     assert main(["new", "lua.toml", *words, "--sensors", "nmea2000", "--where", "-33.85", "151.24"]) == 0
     settings = config.load("lua.toml")
     boat = settings.boat
-    assert (boat.name, boat.length_m, boat.beam_m, boat.mass_kg) == ("Lua", 2.0, 1.1, 55.0)
+    assert (boat.name, boat.length_m, boat.beam_m, boat.mass_kg, boat.full_mps) == ("Lua", 2.0, 1.1, 55.0, 2.5)
     assert [row.thrust_n[1] for row in settings.thrusters] == [120.0, 120.0]
     assert (settings.vesc.interface, settings.nmea2000.interface) == ("can0", "can1"), "a bus carries one protocol"
     first = load_mission("lua-mission.toml").waypoint[-1]
@@ -53,7 +71,7 @@ def test_options_are_what_the_file_says() -> None:
 def test_on_a_terminal_it_asks_and_asks_again_for_what_is_wrong(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    answers = ["my boat", "MyBoat", "two", "2.5", "", "", "oars", "rudder", "", "", "52.1, 4.2"]
+    answers = ["my boat", "MyBoat", "two", "2.5", "", "", "oars", "rudder", "", "", "", "52.1, 4.2"]
     monkeypatch.setattr("sys.stdin", Terminal("\n".join(answers) + "\n"))
     assert main(["new", "boat.toml"]) == 0
     out = capsys.readouterr().out

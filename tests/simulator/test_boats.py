@@ -26,6 +26,20 @@ def test_each_boat_has_its_number_its_source_and_its_row_in_the_document():
     assert all(sources)
 
 
+@pytest.mark.parametrize("file", [file for file in BOATS if file.stem != "skiff"], ids=lambda file: file.stem)
+def test_no_boat_sails_much_faster_than_it_is_told(file: Path):
+    """Over the ground. The skiff is left out: its motor idles at 60 N, and pushes as hard as it must turn the boat."""
+    run = Lockstep(config.load(file), 1, lambda clock: NoLog())
+    assert run.command(console.LoadMission(config.mission_place(str(file), run.settings).read_text())) is None
+    playing, most_mps = False, 0.0
+    for _ in run.cycles(90.0):
+        playing = playing or run.command(console.Play()) is None
+        model = run.nodes.model
+        most_mps = max(most_mps, math.hypot(model.north_mps, model.east_mps)) if playing else 0.0
+    run.close()
+    assert most_mps < 1.15 * run.settings.control.speed.cruise_mps
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("file", BOATS, ids=lambda file: file.stem)
 def test_a_boat_sails_its_mission(file: Path):

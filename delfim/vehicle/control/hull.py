@@ -67,12 +67,16 @@ def craft(vehicle: config.Vehicle) -> Craft:
     inertia_kgm2 = mass_kg * (GYRATION * boat.length_m) ** 2
     ahead_n = thrusters.surge_n[1]
     if boat.drag_n_per_mps is None and boat.drag_n_per_mps2 is None:
-        full_mps = FROUDE * math.sqrt(9.81 * boat.length_m) if boat.full_mps is None else boat.full_mps
-        linear, square = 0.0, ahead_n / full_mps**2
+        linear, square = 0.0, ahead_n / full_mps(boat) ** 2
     else:
         linear, square = boat.drag_n_per_mps or 0.0, boat.drag_n_per_mps2 or 0.0
     damping = DAMPING * boat.length_m**3
     return Craft(ADDED * mass_kg, inertia_kgm2, damping, linear, square, ahead_n, thrusters.yaw_nm, _aside_n(thrusters))
+
+
+def full_mps(boat: config.BoatTable) -> float:
+    """The file's, or a guess: no boat without planing is much faster, for the waves that it makes."""
+    return FROUDE * math.sqrt(9.81 * boat.length_m) if boat.full_mps is None else boat.full_mps
 
 
 def _aside_n(thrusters: Allocation) -> float:
