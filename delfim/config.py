@@ -1014,6 +1014,11 @@ class Mavlink(Table, frozen=True):
         if self.serial and not self.key:
             raise ValueError("anybody may be heard on a radio: it needs a key; make one with: delfim console --keygen FILE")
 
+    @property
+    def unreachable(self) -> tuple[str, ...]:
+        """The peers beyond this computer, if it is the only one that `listen` reaches."""
+        return tuple(peer for peer in self.peers if is_loopback(self.listen) and not is_loopback(peer))
+
 
 class FleetTable(Table, frozen=True):
     """An MQTT broker, at which consoles hear the boat and whoever may read it finds its state (docs/fleets.md)."""

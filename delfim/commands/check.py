@@ -58,13 +58,15 @@ def _told(vehicle: config.Vehicle) -> str:
 
 def _at_sea(vehicle: config.Vehicle, running: list[str]) -> bool:
     """Prints the boat's doors. Whether it must not go to sea with them."""
-    from delfim.services.doors import doors
+    from delfim.services.doors import doors, unheard
 
     found = doors(vehicle, running)
     titles = {"anyone": "Open to anyone:", "known": "Behind a key or a password:", "here": "On this computer alone:"}
     for reach, title in titles.items():
         rows = [f"  {door.service:8} {door.place:24} {door.who}: {door.may}" for door in found if door.reach == reach]
         print(title, *(rows or ["  nothing"]), sep="\n")
+    if reason := unheard(vehicle):
+        print(f"delfim: warning: no console can reach this boat: {reason}", file=sys.stderr)
     faults = [door.fault for door in found if door.fault]
     if faults:
         print("delfim: the boat must not go to sea like this:", *(f"  {fault}" for fault in faults), sep="\n", file=sys.stderr)
@@ -79,6 +81,8 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
     for key, bus in vehicle.outside("interface").items():
         if ":" not in bus and not Path("/sys/class/net", bus).exists():
             yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not"
+    for peer in vehicle.mavlink.unreachable:
+        yield f"mavlink.peers: {peer} cannot be reached, for mavlink.listen is {vehicle.mavlink.listen}; write 0.0.0.0 there"
     files = {"mavlink.key": vehicle.mavlink.key, "mavlink.serial": vehicle.mavlink.serial, "kill.chip": vehicle.kill.chip}
     files |= {"corrections.credentials": vehicle.corrections.credentials}
     files |= {"corrections.to": to} if (to := vehicle.corrections.to).startswith("/") else {}

@@ -6,7 +6,7 @@ the file with all answers was found good and no door lets a stranger move the bo
 
 import argparse
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from ipaddress import IPv4Interface
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -14,9 +14,10 @@ from typing import Any, Final, NamedTuple
 from delfim import config
 from delfim.commands import overrides, shipped
 from delfim.errors import DelfimError, Refused
+from delfim.services import commissioned
+from delfim.services.commissioned import BOAT
 
 FILE: Final = "etc/delfimx-sea.toml"
-BOAT: Final = "/log/.boat"  # aboard; names with a dot in front are given out by no service
 USER: Final = "[A-Za-z][A-Za-z0-9_-]{0,31}"
 
 
@@ -35,8 +36,9 @@ QUESTIONS: Final = (
     Question("radio", "Serial port of the radio, such as /dev/ttyS1; a space for none", "slipd.device"),
     Question("radio-address", "Address of the boat on the radio", "slipd.address"),
     Question("console", "Address of the operator's computer, the other end of the radio where there is one", "slipd.peer"),
-    Question("network", "Address of the boat on the payload's network, with its length", default="192.168.1.10/24"),
-    Question("interface", "Interface of that network", default="eth0"),
+    Question("for", "What its computer runs: the image, or debian with the package", default="image"),
+    Question("network", "Address of the boat on its own network, with its length", default="192.168.1.10/24"),
+    Question("interface", "Interface of that network, which the image sets up", default="eth0"),
     Question("users", "Users, who may log in by SSH and fetch and upload files, with commas; NAME=FILE.pub: has an ssh key"),
 )
 
@@ -59,37 +61,55 @@ def options(parser: argparse.ArgumentParser) -> None:
 def run(asked: argparse.Namespace) -> int:
     from delfim import tables
     from delfim.services import vehiclefile
+    from delfim.suite import services
 
     settings = config.load(asked.file, asked.set)
-    answers = {each.option: _answer(each, asked, settings) for each in QUESTIONS}
-    crew = _users(answers["users"])
-    network, secrets = _network(answers["network"]), _secrets(answers, crew, _consoles_key(asked.fleet))
-    changes = {"boat.name": answers["name"], "boat.id": _number(answers["id"])} | _addresses(answers, network)
+    answers = dict[str, str]()
+    for each in QUESTIONS:
+        answers[each.option] = _answer(each, asked, settings, answers)
+    crew, network = _users(answers["users"]), _network(answers["network"])
+    if answers["for"] not in ("image", "debian"):
+        raise DelfimError(f"--for {answers['for']}: there are image and debian")
+    secrets = _secrets(answers, crew, _consoles_key(asked.fleet), settings)
+    changes = {"boat.name": answers["name"], "boat.id": _number(answers["id"])}
+    changes |= _addresses(answers, network, settings) | _opened(settings)
     changes |= {key: value for one in asked.set for key, value in _flat(tables.read_override(one))}
     changes |= secrets.settings
+    mission = _mission(asked.file, settings)
+    changes |= dict.fromkeys(("simulation.mission",) if mission else (), "".join(mission))
     text = vehiclefile.changed(asked.file, changes)
     _is_fit(text, asked.file)
     output = Path(asked.output)
-    _write(output, text, secrets.files)
-    print(_next_steps(output, answers, list(crew), network))
+    copies = {f"{place}/{name}": content for name, content in mission.items() for place in ("boat", "shore")}
+    _write(output, text, secrets.files | copies)
+    made = config.load(output / "shore/boat.toml")
+    print(f"{answers['name']} is commissioned. All files in {output} are secret; nobody but you can read them.\n")
+    print(commissioned.carried(output, made, answers["for"], network, answers["interface"]))
+    print(commissioned.ashore(output, made, str(network.ip), list(crew), [row.name for row in services(made)]))
     return 0
 
 
-def _answer(question: Question, asked: argparse.Namespace, settings: config.Vehicle) -> str:
-    """An option, else what is typed, else the default."""
+def _answer(question: Question, asked: argparse.Namespace, settings: config.Vehicle, before: Mapping[str, str]) -> str:
+    """An option, else what is typed, else the default. What only a radio has is not asked for without one."""
     given: str | None = getattr(asked, question.option.replace("-", "_"))
     if given is not None:
         return given.strip()
-    default = question.default
+    default, is_known = question.default, bool(question.key)
     if question.key:
         table, _, key = question.key.partition(".")
         default = str(getattr(getattr(settings, table), key))
+    if question.key.startswith("slipd.") and before.get("radio") == "":
+        if question.option == "radio-address":
+            return default
+        default, is_known = "", False  # the file's console is at the radio's other end
+    if question.option == "interface" and before["for"] == "debian":
+        return default
     if not asked.yes:
         if not sys.stdin.isatty():
             raise DelfimError(f"nobody is here to ask: give --{question.option}, or --yes for what the file has")
         typed = input(f"{question.words}{f' [{default}]' if default else ''}: ")
         default = typed.strip() if typed else default
-    if not default and not question.key:
+    if not default and not is_known:
         raise DelfimError(f"--{question.option} is missing: {question.words}")
     return default
 
@@ -137,17 +157,40 @@ def _network(text: str) -> IPv4Interface:
     raise DelfimError(f"--network {text}: not ADDRESS/LENGTH, such as 192.168.1.10/24")
 
 
-def _addresses(answers: Mapping[str, str], network: IPv4Interface) -> dict[str, Any]:
-    """The networks of the others: the console may watch the bus, and so may the payload's network, where the guest is."""
-    payload = str(network.network)
-    return {
-        "slipd.device": answers["radio"],
-        "slipd.address": answers["radio-address"],
-        "slipd.peer": answers["console"],
-        "mavlink.peers": [f"{answers['console']}:14550"],
-        "cantcpd.watch": ["127.0.0.0/8", answers["console"], payload],
-        "guest.networks": [payload],
-    }
+def _addresses(answers: Mapping[str, str], network: IPv4Interface, settings: config.Vehicle) -> dict[str, Any]:
+    """The networks of the others: the console may watch the bus, and so may the boat's own network, where the guest is."""
+    own, console = str(network.network), answers["console"]
+    radio = {"slipd.device": answers["radio"], "slipd.address": answers["radio-address"], "slipd.peer": console}
+    found: dict[str, Any] = radio if answers["radio"] else {"slipd.device": ""} if settings.slipd.device else {}
+    found |= {"mavlink.peers": [f"{console}:14550", *([settings.fleet.listen] if settings.fleet.broker else [])]}
+    if settings.guest.enabled:
+        found |= {"guest.networks": [own]}
+    if commissioned.bus(settings):
+        found |= {"cantcpd.watch": ["127.0.0.0/8", console, own]}
+    return found
+
+
+def _opened(settings: config.Vehicle) -> dict[str, Any]:
+    """The doors for which commands are printed, on every address of the boat where the file has its own computer's alone. The
+    ports stay the file's: Debian has an sshd of its own on port 22."""
+    names = ["mavlink", "httpd", "ftpd", "sshd", *(["guest"] if settings.guest.enabled else [])]
+    places = {f"{name}.listen": getattr(settings, name).listen for name in names}
+    found: dict[str, Any] = {key: _everywhere(place) for key, place in places.items()}
+    if commissioned.bus(settings):
+        found |= {"cantcpd.listen": [_everywhere(place) for place in settings.cantcpd.listen]}
+    return found
+
+
+def _everywhere(listen: str) -> str:
+    return f"0.0.0.0:{config.address(listen)[1]}" if config.is_loopback(listen) else listen
+
+
+def _mission(file: str, settings: config.Vehicle) -> dict[str, str]:
+    """The file's mission, by its name beside the copies of the file. Raises ConfigError, OSError."""
+    from delfim.outside import read_text
+
+    place = config.mission_place(file, settings) if settings.simulation.mission else None
+    return {place.name: read_text(place)} if place else {}
 
 
 class Secrets(NamedTuple):
@@ -157,7 +200,8 @@ class Secrets(NamedTuple):
     settings: dict[str, Any]
 
 
-def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: str) -> Secrets:
+def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: str, file: config.Vehicle) -> Secrets:
+    """`file`: which ports and guest the boat has."""
     import datetime
     from secrets import token_hex
 
@@ -168,25 +212,24 @@ def _secrets(answers: Mapping[str, str], crew: Mapping[str, str], console_key: s
     places = [
         each for each in (answers["radio-address"] if answers["radio"] else "", answers["network"].partition("/")[0]) if each
     ]
-    guest_key = f"{token_hex(32)}\n"
     host, tls = credentials.ssh_key(boat), credentials.certificate(boat, places, datetime.datetime.now(datetime.UTC))
-    known = " ".join(host.public.split()[:2])
+    known, port = " ".join(host.public.split()[:2]), config.address(file.sshd.listen)[1]
     files = {
         "boat/mavlink.key": console_key,
-        "boat/guest.key": guest_key,
         "boat/ftpd.pem": tls.certificate + tls.key,
         "boat/ssh_host_ed25519": host.private,
         "shore/mavlink.key": console_key,
         "shore/boat.crt": tls.certificate,
-        "shore/known_hosts": "".join(f"{place} {known}\n" for place in places),
-        "guest/guest.key": guest_key,
+        "shore/known_hosts": "".join(f"{place if port == 22 else f'[{place}]:{port}'} {known}\n" for place in places),
     }
     settings: dict[str, Any] = {
         "mavlink.key": f"{BOAT}/mavlink.key",
-        "guest.key": f"{BOAT}/guest.key",
         "ftpd.certificate": f"{BOAT}/ftpd.pem",
         "sshd.host_key": f"{BOAT}/ssh_host_ed25519",
     }
+    if file.guest.enabled:
+        files["boat/guest.key"] = files["guest/guest.key"] = f"{token_hex(32)}\n"
+        settings["guest.key"] = f"{BOAT}/guest.key"
     for user, public in crew.items():
         password = credentials.password()
         files[f"shore/{user}.password"] = f"{password}\n"
@@ -227,38 +270,3 @@ def _write(output: Path, text: str, files: Mapping[str, str]) -> None:
         place.parent.mkdir(mode=0o700, exist_ok=True)
         with open(os.open(place, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w", encoding="utf-8") as file:
             file.write(content)
-
-
-def _next_steps(output: Path, answers: Mapping[str, str], crew: Sequence[str], network: IPv4Interface) -> str:
-    boat, user = answers["radio-address"] if answers["radio"] else str(network.ip), crew[0]
-    shore, name = output / "shore", answers["name"]
-    key = f"-i {shore}/{user}.key " if (shore / f"{user}.key").exists() else ""
-    words = f"VEHICLE={BOAT}/boat.toml NET={answers['interface']} ADDRESS={network}"
-    radio = _shore(config.load(shore / "boat.toml").slipd)
-    return f"""{name} is commissioned. All files in {output} are secret; nobody but you can read them.
-
-To the boat, by hand and never over the radio:
-    cp -r {output}/boat /MOUNTED-LOG-PARTITION/.boat      then there: chown -R root: .boat; chmod 700 .boat
-    words for its kernel (boot/grub/boat.cfg or cmdline.txt): {words}
-To the guest computer: {output}/guest/guest.key (docs/guest.md)
-To the operator's computer: {shore}, where you type
-{radio}    delfim console --boats 0.0.0.0:14550 --key {shore}/mavlink.key --vehicle {shore}/boat.toml
-    ssh {key}-o UserKnownHostsFile={shore}/known_hosts {user}@{boat}
-    lftp -u {user} -e 'set ftp:ssl-force true; set ssl:ca-file {shore}/boat.crt' {boat}
-    delfim can dump socketcand:{boat}:29536:can0
-    browser: http://{boat}/
-Each user has a key (unless they had one) and a password of their own there: {", ".join(crew)}. Give each their files, boat.crt
-and known_hosts.
-
-Before it goes into the water: delfim check --sea {output}/boat/boat.toml, and docs/sea.md."""
-
-
-def _shore(line: config.Slipd) -> str:
-    """The command for the radio's other end; empty without a radio."""
-    if not line.device:
-        return ""
-    boat, ashore = (f"{line.address}={line.station}", f"{line.peer}/24") if line.station else (line.address, line.peer)
-    return (
-        f"    sudo delfim shore /dev/ttyUSB0 --boats {boat} --address {ashore} \\\n"
-        f"        --baud {line.baud} --radio-bps {line.radio_bps} --encapsulation {line.encapsulation} --mtu {line.mtu}\n"
-    )

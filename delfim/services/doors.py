@@ -52,6 +52,18 @@ def _console(settings: config.Vehicle) -> Iterator[Entrance]:
         )
 
 
+def unheard(settings: config.Vehicle) -> str:
+    """Why no console on another computer can reach the boat; "": one can."""
+    mavlink = settings.mavlink
+    if not mavlink.enabled:
+        return "mavlink.enabled is false"
+    if not mavlink.key:
+        return "mavlink.key is empty, and without a key only this computer is heard"
+    if config.is_loopback(mavlink.listen) and not (mavlink.serial or settings.fleet.broker):
+        return f"mavlink.listen is {mavlink.listen}, which only this computer reaches"
+    return ""
+
+
 _STEER: Final = "be the guest computer, which steers in mode grex"
 
 

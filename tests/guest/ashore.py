@@ -19,13 +19,21 @@ _CLONE_NEWNET = 0x40000000
 @contextlib.contextmanager
 def network() -> Iterator[None]:
     """This thread in a network of its own, with one end of a wire to the guest in it: tap0."""
+    with alone():
+        for words in ("tuntap add tap0 mode tap", f"address add {SHORE}/24 dev tap0", "link set tap0 up"):
+            subprocess.run(["ip", *words.split()], check=True, env={"PATH": PATH})
+        yield
+
+
+@contextlib.contextmanager
+def alone() -> Iterator[None]:
+    """This thread, and the programs that it starts, in a network of its own."""
     libc = ctypes.CDLL(None, use_errno=True)
     with open("/proc/thread-self/ns/net") as ours:
         if libc.unshare(_CLONE_NEWNET):
             pytest.skip(f"a network of its own needs root: {os.strerror(ctypes.get_errno())}")
         try:
-            for words in ("link set lo up", "tuntap add tap0 mode tap", f"address add {SHORE}/24 dev tap0", "link set tap0 up"):
-                subprocess.run(["ip", *words.split()], check=True, env={"PATH": PATH})
+            subprocess.run(["ip", "link", "set", "lo", "up"], check=True, env={"PATH": PATH})
             yield
         finally:
             assert libc.setns(ours.fileno(), _CLONE_NEWNET) == 0

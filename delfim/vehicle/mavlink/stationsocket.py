@@ -45,6 +45,8 @@ class MavlinkLink:
         self._loop, self._board, self._stamps = asyncio.get_running_loop(), board, stamps
         self._signing = self._signed(boat, stamps) if settings.key else None
         self._socket = _bound(settings.listen)
+        for peer in settings.unreachable:
+            log.warning("mavlink: no datagram reaches %s from %s: mavlink.listen is this computer's own", peer, settings.listen)
         self._serial = StationSerial(settings, boat.clock, self._came) if settings.serial else None
         self._opening: asyncio.Future[None] | None = None
         whole = boat.helm.settings

@@ -1,0 +1,90 @@
+"""What a person does with the files that `delfim commission` made: what is carried where, and what is typed ashore.
+
+A command is told for each door that somebody ashore can open; tests/commands/test_opened_doors.py types them.
+"""
+
+from collections.abc import Collection, Iterator, Sequence
+from ipaddress import IPv4Interface
+from pathlib import Path
+from typing import Final
+
+from delfim import config
+
+BOAT: Final = "/log/.boat"  # aboard; names with a dot in front are given out by no service
+
+
+def bus(settings: config.Vehicle) -> str:
+    """The boat's first bus that is more than a loop within its computer, which somebody ashore may watch; "" for none."""
+    return next((each for each in settings.buses if not each.startswith("canloop:")), "")
+
+
+def carried(output: Path, settings: config.Vehicle, kind: str, network: IPv4Interface, interface: str) -> str:
+    """Where the files go; `kind` is what the boat's computer runs, image or debian. An image has no system to log in to."""
+    if kind == "debian":
+        login = f"USER@{network.ip}"
+        lines = [
+            "To the boat's computer by cable, with the package installed (docs/install.md); USER is yours there:",
+            f"    scp -r {output}/boat {login}:.boat",
+            f"    ssh -t {login} 'sudo mv -T .boat {BOAT} && sudo chown -R root: {BOAT}'",
+            f"    ssh -t {login} 'sudo sed -i s,^VEHICLE=.*,VEHICLE={BOAT}/boat.toml, /etc/default/delfim'",
+            f"    ssh -t {login} 'sudo service delfim restart'",
+        ]
+    else:
+        lines = [
+            "To the boat's disk, by hand and never over the radio; /mnt is where its log partition is mounted (docs/image.md):",
+            f"    sudo cp -r {output}/boat /mnt/.boat",
+            "    sudo chown -R root: /mnt/.boat; sudo chmod 700 /mnt/.boat",
+            "    words for its kernel (boot/grub/boat.cfg or cmdline.txt): "
+            f"VEHICLE={BOAT}/boat.toml NET={interface} ADDRESS={network}",
+        ]
+    if settings.guest.enabled:
+        lines.append(f"To the guest computer: {output}/guest/guest.key (docs/guest.md)")
+    return "\n".join(lines)
+
+
+def ashore(output: Path, settings: config.Vehicle, own: str, crew: Sequence[str], running: Collection[str]) -> str:
+    """The commands for the operator's computer, and what is left to do. `own`: the boat's address where it has no radio."""
+    shore = output / "shore"
+    commands = "\n".join(f"    {line}" for line in _commands(shore, settings, own, crew[0], running))
+    return f"""To the operator's computer: {shore}, where you type
+{commands}
+Each user has a key (unless they had one) and a password of their own there: {", ".join(crew)}. Give each their files, boat.crt
+and known_hosts.
+
+Before it goes into the water: delfim check --sea {output}/boat/boat.toml, and docs/sea.md."""
+
+
+def _commands(shore: Path, settings: config.Vehicle, own: str, user: str, running: Collection[str]) -> Iterator[str]:
+    """One for each door that is open beyond the boat's computer."""
+    from delfim.canproxy.cantcp.server import bus_name
+
+    line, mavlink = settings.slipd, settings.mavlink
+    boat = line.address if line.device else own
+    if line.device:
+        yield from _shore(line)
+    if not config.is_loopback(mavlink.listen):
+        yield f"delfim console --boats 0.0.0.0:14550 --key {shore}/mavlink.key --vehicle {shore}/boat.toml"
+    if "sshd" in running and not config.is_loopback(listen := settings.sshd.listen):
+        key = f"-i {shore}/{user}.key " if (shore / f"{user}.key").exists() else ""
+        yield f"ssh {_port('-p', listen, 22)}{key}-o UserKnownHostsFile={shore}/known_hosts {user}@{boat}"
+    if "ftpd" in running and not config.is_loopback(listen := settings.ftpd.listen):
+        tls = f"set ftp:ssl-force true; set ssl:ca-file {shore}/boat.crt"
+        yield f"lftp {_port('-p', listen, 21)}-u {user} -e '{tls}' {boat}"
+    watched = bus(settings)
+    if "cantcpd" in running and watched and not config.is_loopback(listen := settings.cantcpd.listen[0]):
+        yield f"delfim can dump socketcand:{boat}:{config.address(listen)[1]}:{bus_name(watched)}"
+    if "httpd" in running and not config.is_loopback(listen := settings.httpd.listen):
+        port = config.address(listen)[1]
+        yield f"browser: http://{boat}{'' if port == 80 else f':{port}'}/"
+
+
+def _port(option: str, listen: str, usual: int) -> str:
+    port = config.address(listen)[1]
+    return "" if port == usual else f"{option} {port} "
+
+
+def _shore(line: config.Slipd) -> Iterator[str]:
+    """The command for the radio's other end."""
+    boat, ashore = (f"{line.address}={line.station}", f"{line.peer}/24") if line.station else (line.address, line.peer)
+    yield f"sudo delfim shore /dev/ttyUSB0 --boats {boat} --address {ashore} \\"
+    yield f"    --baud {line.baud} --radio-bps {line.radio_bps} --encapsulation {line.encapsulation} --mtu {line.mtu}"
