@@ -50,13 +50,26 @@ def connect(folder: Path) -> duckdb.DuckDBPyConnection:
     if not any(folder.glob("part-*.parquet")):
         raise DelfimError(f"no results in {folder}")
     database = duckdb.connect()
-    asked(database, f"create view runs as select * from {parts(folder)}")
+    try:
+        database.execute(f"create view runs as select * from {parts(folder)}")
+        database.execute("set allowed_directories = [?]", [f"{folder}/"])
+    except duckdb.Error as error:
+        raise DelfimError(str(error).partition("\n")[0]) from None
+    return _locked(database)
+
+
+def _locked(database: duckdb.DuckDBPyConnection) -> duckdb.DuckDBPyConnection:
+    """A campaign's file may come from anybody: its SQL reaches no other file, no network, no extension and no variable here."""
+    database.execute("set enable_external_access = false; set python_enable_replacements = false")
+    database.execute("set lock_configuration = true")
     return database
 
 
 def asked(database: duckdb.DuckDBPyConnection, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """The columns and rows that SQL gives. Raises DelfimError with DuckDB's words."""
+    """The columns and rows that a SELECT gives. Raises DelfimError with DuckDB's words, and for anything but one SELECT."""
     try:
+        if [each.type for each in database.extract_statements(sql)] != [duckdb.StatementType.SELECT]:
+            raise DelfimError("not one SELECT: nothing else is done")
         answer = database.execute(sql)
         return [each[0] for each in answer.description or ()], answer.fetchall()
     except duckdb.Error as error:
@@ -67,7 +80,7 @@ def rehearse(file: CampaignFile, plan: Plan) -> list[Printed]:
     """Asks everything of results without a run, before the first one is sailed; returns the tables, which have columns alone.
     Raises DelfimError for what is no SQL."""
     with duckdb.connect() as database:
-        database.register("runs", schema(plan).empty_table())
+        _locked(database).register("runs", schema(plan).empty_table())
         verdicts(database, file.must)
         return answered(database, file.answers)
 

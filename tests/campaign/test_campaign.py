@@ -48,6 +48,40 @@ def digests(folder: Path) -> dict[tuple[int, int], str]:
     return {(point, seed): digest for point, seed, digest in rows}
 
 
+HOSTILE = {
+    "writes": "copy (select 'echo owned') to '{place}/profile' (format csv, header false, quote '')",
+    "writes beside the results": "copy (select 1) to '{folder}/more.csv'",
+    "reads": "select content from read_text('{place}/secret')",
+    "reads by a detour": "select content from read_text('{folder}/../secret')",
+    "lists": "select file from glob('{place}/*')",
+    "opens a database": "attach '{place}/base.db' as base",
+    "does two things": "select 1; copy (select 1) to '{place}/profile'",
+    "unlocks": "set enable_external_access = true",
+    "explains": "explain analyze copy (select 1) to '{place}/profile'",
+}
+
+
+@pytest.mark.parametrize("sql", HOSTILE.values(), ids=HOSTILE)
+def test_the_sql_of_a_file_reads_the_results_alone_and_writes_nothing(sailed, tmp_path, sql):
+    _, folder = sailed
+    places = tmp_path, folder, folder.parent
+    for place in places[::2]:
+        (place / "secret").write_text("secret")
+    (tmp_path / "file").mkdir()
+    before = {each: each.stat().st_mtime_ns for place in places for each in place.iterdir() if each.is_file()}
+    sql = sql.format(place=tmp_path, folder=folder)
+    for kind, words in (("table", sql), ("pass", f"1) from runs; {sql}")):
+        file, plan = read(
+            written(tmp_path / "file", 'scenario = "mixed"', f"[[{kind}]]", 'name = "slip"', f'sql = """{words}"""')
+        )
+        with pytest.raises(DelfimError, match="slip: "):
+            findings.rehearse(file, plan)
+        with pytest.raises(DelfimError, match="slip: "):
+            findings.verdicts(findings.connect(folder), file.must)
+            findings.answered(findings.connect(folder), file.answers)
+    assert before == {each: each.stat().st_mtime_ns for place in places for each in place.iterdir() if each.is_file()}
+
+
 def test_it_judges_reports_and_has_every_run_once(sailed, capsys):
     path, folder = sailed
     assert set(digests(folder)) == set(itertools.product((0, 1), range(3, 8)))
