@@ -133,13 +133,13 @@ def _cat_lines(chosen: Selection, *, events: bool) -> Iterator[str]:
         ]
         yield from heapq.merge(*streams, key=lambda line: line[1:18]) if len(streams) > 1 else streams[0]
         return
-    from delfim.logging.reading import read_log
+    from delfim.logging.reading import read_lines
 
     for file in chosen.files:
-        for line in read_log(file.path)[0].splitlines(keepends=True):
+        for line in read_lines(file.path):
             match = re.match(rb'\{"t_ns": ([0-9]+)', line)
-            if match and line.endswith(b"\n") and chosen.span.has(int(match[1])):
-                yield line.decode(errors="replace")
+            if match and chosen.span.has(int(match[1])):
+                yield line.decode(errors="replace") + "\n"
 
 
 def _cat_state(chosen: Selection, fields: str | None) -> None:

@@ -3,18 +3,23 @@
 A file that is here in full is not fetched again; one that is here in part goes on where it stopped (NAME.part), also after a
 lost link. On arrival its size is compared and a gzip file's checksums are verified; a damaged one is fetched once more from
 its beginning, and accepted if both copies agree. One that lacks its end was cut by a power failure or is still being written.
+
+The boat is not believed: only names that logs have are taken; its listing, its sizes, what its files inflate to are bounded.
 """
 
 import asyncio
 import contextlib
 import ftplib
 import getpass
+import hashlib
 import os
 import posixpath
+import re
+import shutil
 import ssl
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
@@ -23,13 +28,17 @@ from urllib.parse import SplitResult, unquote, urlsplit
 from delfim.errors import DelfimError
 from delfim.logging import tree
 from delfim.logging.progress import progress
-from delfim.logging.reading import raw
-from delfim.logging.repair import pieces
+from delfim.logging.reading import LOG_BYTES, raw
+from delfim.logging.repair import condition
 from delfim.logging.tree import Span
 
 ATTEMPTS: Final = 5  # in a row without a byte
 TIMEOUT_S: Final = 20.0
 BLOCK: Final = 1 << 16
+ENTRIES: Final = 200_000  # of all listings of a boat: a year's logs are fewer
+FREE_BYTES: Final = 1 << 26  # that stay free on this disk
+TIMES_NS: Final = range(1 << 62)  # that a file can have here
+_KINDS: Final = re.compile(r"[0-9-]+(-repaired)?\.(state|log|jsonl|meta\.jsonl)(\.gz)?")
 
 
 class RemoteFile(NamedTuple):
@@ -62,19 +71,29 @@ def fetch(url: str, directory: Path, ids: Sequence[str], span: Span, *, summary:
     try:
         with contextlib.closing(connect()) as boat:
             entries = wanted(boat.entries(), ids, span, summary=summary)
-    except (OSError, EOFError, ftplib.Error) as error:
+    except (OSError, EOFError, ftplib.Error, UnicodeError) as error:
         raise DelfimError(f"{urlsplit(url).hostname}: {error or type(error).__name__}") from None
-    outcome = transfer(connect, entries, directory, lambda words: print(words, file=sys.stderr))
+    outcome = transfer(connect, entries, directory, _tell)
     return outcome, time.monotonic() - began_s
 
 
+def _tell(words: str) -> None:
+    print(words, file=sys.stderr)
+
+
 def wanted(entries: Sequence[RemoteFile], ids: Sequence[str], span: Span, *, summary: bool) -> list[RemoteFile]:
-    """The log files among these, in the order in which they matter: sidecars, state logs, the rest; the newest first."""
+    """The log files among these, in the order in which they matter: sidecars, state logs, the rest; the newest first. One that
+    cannot be a log is told of."""
     margin_ns = tree.LATE_S * 1_000_000_000
     result = []
     for entry in entries:
         parts = entry.path.split("/")
-        if len(parts) != 3 or not tree.is_log(parts[0], parts[2]) or (ids and parts[1] not in ids):
+        if len(parts) != 3 or not (tree.is_log(parts[0], parts[2]) and tree.is_id(parts[1]) and _KINDS.fullmatch(parts[2])):
+            continue
+        if ids and parts[1] not in ids:
+            continue
+        if not 0 <= entry.size <= LOG_BYTES or entry.changed_ns not in TIMES_NS:
+            _tell(f"{entry.path}: left out: no log has its size or time as the boat tells them")
             continue
         if summary and not (parts[1] == "state" or parts[2].endswith(".jsonl")):
             continue
@@ -93,6 +112,9 @@ def transfer(
     due = [entry for entry in entries if _size(directory / entry.path) != entry.size]
     total = sum(entry.size - _here(directory / entry.path, entry.size) for entry in due)
     tell(f"{len(due)} files to fetch, {total / 1e6:.1f} MB; {len(entries) - len(due)} are here")
+    directory.mkdir(parents=True, exist_ok=True)
+    if total > (free := shutil.disk_usage(directory).free - FREE_BYTES):
+        raise DelfimError(f"{directory} has room for {max(free, 0) / 1e6:.1f} MB: fetch a part, by --id, --from and --to")
     told, fetched, cut, arrived = progress("fetch", total, bytes=True), [], [], [0]
 
     def count(data: bytes) -> None:
@@ -129,20 +151,21 @@ class _Link:
                 before = file.tell()
 
                 def sink(data: bytes) -> None:
-                    file.write(data)
-                    count(data)
+                    if file.tell() >= size:
+                        raise EOFError("it grew meanwhile")
+                    count(data[: size - file.tell()])
+                    file.write(data[: size - file.tell()])
 
                 try:
                     self._boat = self._boat or self._connect()
                     self._boat.read(path, before, sink)
                     lost = "the transfer ended early" if file.tell() < size else ""
-                except (OSError, EOFError, ftplib.Error) as error:
+                except (OSError, EOFError, ftplib.Error, UnicodeError) as error:
                     lost = str(error) or type(error).__name__
                     self._drop()
                 attempts = 0 if file.tell() > before else attempts + 1
                 if lost and attempts >= ATTEMPTS:
                     raise DelfimError(f"{path}: {lost}; run the same command again to go on from here")
-            file.truncate(size)  # it grew meanwhile
             file.flush()
             os.fsync(file.fileno())
 
@@ -165,11 +188,11 @@ def _fetched(link: _Link, entry: RemoteFile, target: Path, count: Callable[[byte
     link.read(entry.path, part, entry.size, count)
     how = _condition(part)
     if how == "damaged":
-        first = part.read_bytes()
+        first = _digest(part)
         part.unlink()
         link.read(entry.path, part, entry.size, count)
         how = _condition(part)
-        if how == "damaged" and part.read_bytes() != first:
+        if how == "damaged" and _digest(part) != first:
             part.unlink()
             raise DelfimError(f"{entry.path}: arrives damaged, differently each time; try again on a better link")
     os.utime(part, ns=(entry.changed_ns, entry.changed_ns))
@@ -177,14 +200,34 @@ def _fetched(link: _Link, entry: RemoteFile, target: Path, count: Callable[[byte
     return not how
 
 
+def _is_id(name: str) -> bool:
+    """A folder with another name is told of."""
+    if not tree.is_id(name):
+        _tell(f"{tree.readable(name)}: left out: no log has such a name")
+    return tree.is_id(name)
+
+
+def _number(text: str) -> int:
+    """-1: none."""
+    return int(text) if text.isascii() and text.isdecimal() and len(text) < 19 else -1
+
+
+def _changed_ns(text: str) -> int:
+    """The time of a listing, which may have fractions of a second; -1: none."""
+    try:
+        return int(datetime.strptime(text[:14], "%Y%m%d%H%M%S").replace(tzinfo=UTC).timestamp()) * 1_000_000_000
+    except ValueError:
+        return -1
+
+
 def _condition(file: Path) -> str:
-    """ "damaged", "cut", or "" for whole: of a gzip file; others carry no checksum."""
-    if not file.name.removesuffix(".part").endswith(".gz"):
-        return ""
-    return min((piece.trouble.partition(" ")[0] for piece in pieces(raw(file))), key=_ORDER.index, default="")
+    """That of a gzip file; others carry no checksum."""
+    return condition(raw(file)) if file.name.removesuffix(".part").endswith(".gz") else ""
 
 
-_ORDER: Final = ("damaged", "cut", "")  # worst first
+def _digest(file: Path) -> bytes:
+    with file.open("rb") as data:
+        return hashlib.file_digest(data, "sha256").digest()
 
 
 def _size(file: Path) -> int:
@@ -227,16 +270,32 @@ class Ftp:
         self._root = unquote(url.path) or "/"
 
     def entries(self) -> list[RemoteFile]:
-        return list(self._walk("", 3))
+        self._left = ENTRIES
+        return [
+            RemoteFile(f"{day}/{id_}/{name}", _number(facts.get("size", "")), _changed_ns(facts.get("modify", "")))
+            for day in filter(tree.is_day, self._folders(""))
+            for id_ in filter(_is_id, self._folders(day))
+            for name, facts in self._listed(f"{day}/{id_}")
+            if facts.get("type") == "file"
+        ]
 
-    def _walk(self, below: str, depth: int) -> Iterator[RemoteFile]:
-        for name, facts in list(self._ftp.mlsd(posixpath.join(self._root, below))):
-            path = posixpath.join(below, name)
-            if facts.get("type") == "dir" and depth > 1:
-                yield from self._walk(path, depth - 1)
-            elif facts.get("type") == "file":
-                changed = datetime.strptime(facts["modify"][:14], "%Y%m%d%H%M%S").replace(tzinfo=UTC)
-                yield RemoteFile(path, int(facts["size"]), int(changed.timestamp()) * 1_000_000_000)
+    def _folders(self, below: str) -> list[str]:
+        return [name for name, facts in self._listed(below) if facts.get("type") == "dir"]
+
+    def _listed(self, below: str) -> list[tuple[str, dict[str, str]]]:
+        """A folder by MLSD (RFC 3659). ftplib's own keeps a listing that never ends."""
+        found = list[tuple[str, dict[str, str]]]()
+
+        def entry(line: str) -> None:
+            self._left -= 1
+            facts, _, name = line.partition(" ")
+            pairs = (fact.lower().partition("=") for fact in facts.split(";")[:-1])
+            found.append((name, {key: value for key, _, value in pairs}))
+            if self._left < 0:
+                raise DelfimError(f"the boat lists more than {ENTRIES} files: these are no logs")
+
+        self._ftp.retrlines(f"MLSD {posixpath.join(self._root, below)}", entry)
+        return found
 
     def read(self, path: str, offset: int, sink: Callable[[bytes], object]) -> None:
         self._ftp.retrbinary(f"RETR {posixpath.join(self._root, path)}", sink, BLOCK, offset or None)
@@ -269,16 +328,21 @@ class Sftp:
         return await self._connection.start_sftp_client()
 
     def entries(self) -> list[RemoteFile]:
+        self._left = ENTRIES
         found: list[RemoteFile] = self._run(self._walk("", 3))
         return found
 
     async def _walk(self, below: str, depth: int) -> list[RemoteFile]:
         found: list[RemoteFile] = []
         async for each in self._client.scandir(posixpath.join(self._root, below)):
-            path, its = posixpath.join(below, str(each.filename)), each.attrs
-            if its.type == self._ssh.FILEXFER_TYPE_DIRECTORY and depth > 1 and not str(each.filename).startswith("."):
+            self._left -= 1
+            if self._left < 0:
+                raise DelfimError(f"the boat lists more than {ENTRIES} files: these are no logs")
+            name, its = str(each.filename), each.attrs
+            path = posixpath.join(below, name)
+            if its.type == self._ssh.FILEXFER_TYPE_DIRECTORY and depth > 1 and (tree.is_day if depth == 3 else _is_id)(name):
                 found += await self._walk(path, depth - 1)
-            elif its.type == self._ssh.FILEXFER_TYPE_REGULAR:
+            elif its.type == self._ssh.FILEXFER_TYPE_REGULAR and depth == 1:
                 found.append(RemoteFile(path, its.size or 0, int(its.mtime or 0) * 1_000_000_000))
         return found
 

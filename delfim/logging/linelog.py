@@ -14,7 +14,7 @@ from delfim.logging.blackbox import device
 from delfim.logging.liblog import event_line
 from delfim.logging.nodelog import line
 from delfim.logging.openlog import open_log
-from delfim.logging.reading import read_log
+from delfim.logging.reading import read_lines
 from delfim.logging.tree import LogFile
 from delfim.outside import parse_json
 
@@ -71,7 +71,7 @@ class LineLog:
 def pieces(files: Iterable[LogFile]) -> Iterator[Piece]:
     """The pieces in these logs. Unreadable lines are left out."""
     for file in files:
-        for told in read_log(file.path)[0].splitlines():
+        for told in read_lines(file.path):
             try:
                 what = parse_json(told)
                 data = what["text"].encode() if "text" in what else bytes.fromhex(what["hex"])

@@ -1,7 +1,7 @@
 """Reading log files, on any computer: the writers need Linux, the readers do not."""
 
 import zlib
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Annotated, Any, Final, NamedTuple
 
@@ -11,6 +11,7 @@ from delfim.errors import FormatError
 from delfim.outside import parse_json, read_file
 
 LOG_BYTES: Final = 1 << 27  # of a log that is read, inflated or not: a larger one was made to exhaust memory
+LINE_BYTES: Final = 1 << 24  # of a line
 STEP: Final = 1 << 12  # bytes of a member that are inflated at a time
 MOMENT_MAX_S: Final = 1e10  # of a clock
 
@@ -28,26 +29,41 @@ def raw(path: str | Path) -> bytes:
     return read_file(path, LOG_BYTES)
 
 
-def member(data: bytes, at: int, before: int = 0) -> Member:
-    """The gzip member that begins there, up to its end or its damage: in large steps, then byte by byte. `before` is the
-    content of the members before it."""
-    stream, content, step = zlib.decompressobj(wbits=31), bytearray(), STEP
-    content_max = LOG_BYTES - before
-    while at < len(data):
-        untouched = stream.copy()
-        try:
-            content += stream.decompress(data[at : at + step], content_max - len(content) + 1)
-        except zlib.error:
-            if step == 1:
-                return Member(bytes(content), at, "damaged")
-            stream, step = untouched, 1
-            continue
-        if len(content) > content_max:
-            return Member(bytes(content), at, "damaged")
-        at += min(step, len(data) - at) - len(stream.unused_data)
-        if stream.eof:
-            return Member(bytes(content), at, "")
-    return Member(bytes(content), at, "cut")
+class Inflating:
+    """The content of the gzip member that begins `at` there, in pieces, up to its end or its damage: in large steps, then byte
+    by byte. More than `bytes_max` is damage. `end`, `trouble`: of a `Member`, after the last piece."""
+
+    def __init__(self, data: bytes, at: int, bytes_max: int) -> None:
+        self.end, self.trouble = at, "cut"
+        self._data, self._bytes_max = data, bytes_max
+
+    def __iter__(self) -> Iterator[bytes]:
+        stream, step, left = zlib.decompressobj(wbits=31), STEP, self._bytes_max
+        while self.end < len(self._data):
+            untouched = stream.copy()
+            try:
+                piece = stream.decompress(self._data[self.end : self.end + step], left + 1)
+            except zlib.error:
+                if step == 1:
+                    self.trouble = "damaged"
+                    return
+                stream, step = untouched, 1
+                continue
+            yield piece
+            left -= len(piece)
+            if left < 0:
+                self.trouble = "damaged"
+                return
+            self.end += min(step, len(self._data) - self.end) - len(stream.unused_data)
+            if stream.eof:
+                self.trouble = ""
+                return
+
+
+def member(data: bytes, at: int) -> Member:
+    """The gzip member that begins there."""
+    its = Inflating(data, at, LOG_BYTES)
+    return Member(b"".join(its), its.end, its.trouble)
 
 
 def read_log(path: str | Path) -> tuple[bytes, str]:
@@ -55,17 +71,38 @@ def read_log(path: str | Path) -> tuple[bytes, str]:
 
     A file that a power cut left without its end gives everything up to the last flush.
     """
+    troubles = list[str]()
+    content = b"".join(_pieces(path, troubles.append))
+    return content, "".join(troubles)
+
+
+def read_lines(path: str | Path, tell: Callable[[str], object] = lambda trouble: None) -> Iterator[bytes]:
+    """The whole lines of a log file, deflated or not, without their ends. A piece of it is in memory at a time: a small file
+    may hold a hundred megabytes of nothing. Its damage is told in words. Raises OSError."""
+    rest = b""
+    for piece in _pieces(path, tell):
+        *lines, rest = (rest + piece).split(b"\n")
+        yield from lines
+        if len(rest) > LINE_BYTES:
+            return
+
+
+def _pieces(path: str | Path, tell: Callable[[str], object]) -> Iterator[bytes]:
+    """The content of a log file; its damage is told in words."""
     data = raw(path)
     if data[:2] != b"\x1f\x8b":
-        return data, ""
-    parts, size, at = [], 0, 0
+        yield data
+        return
+    size, at = 0, 0
     while at < len(data):
-        content, at, trouble = member(data, at, size)
-        parts.append(content)
-        size += len(content)
-        if trouble:
-            return b"".join(parts), f"{path}: {trouble} after {size} bytes of content"
-    return b"".join(parts), ""
+        its = Inflating(data, at, LOG_BYTES - size)
+        for piece in its:
+            size += len(piece)
+            yield piece
+        at = its.end
+        if its.trouble:
+            tell(f"{path}: {its.trouble} after {size} bytes of content")
+            return
 
 
 Degrees = Annotated[float, msgspec.Meta(ge=0.0, le=360.0)]

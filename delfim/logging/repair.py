@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 from delfim.errors import FormatError
 from delfim.logging.candump import parse_line
 from delfim.logging.filelog import sync_directory
-from delfim.logging.reading import member, raw
+from delfim.logging.reading import LOG_BYTES, Inflating, member, raw
 from delfim.logging.statelog import Schema
 from delfim.logging.tree import LogFile
 
@@ -84,6 +84,18 @@ def pieces(data: bytes) -> Iterator[GzipPiece]:
                 content, _, _ = member(data[at:end], 0)
             yield GzipPiece(data[at:end], content, f"{how} after {len(content)} bytes of the member at {at}")
         at = end
+
+
+def condition(data: bytes) -> str:
+    """ "damaged", "cut", or "" for whole: of a gzip file, as `pieces` tells it. No more of its content than a piece is kept."""
+    size, at = 0, 0
+    while at < len(data):
+        its = Inflating(data, at, LOG_BYTES - size)
+        size += sum(map(len, its))
+        if its.trouble:
+            return "damaged" if data.find(MEMBER, at + 1) >= 0 else its.trouble
+        at = its.end
+    return ""
 
 
 def _records(suffix: str) -> Callable[[bytes], bytes]:

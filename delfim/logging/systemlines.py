@@ -7,7 +7,7 @@ from datetime import UTC, datetime
 from typing import Any, Final
 
 from delfim.errors import FormatError, one_line
-from delfim.logging.reading import read_log
+from delfim.logging.reading import read_lines
 from delfim.logging.tree import Run, Span
 from delfim.outside import parse_json
 
@@ -20,7 +20,7 @@ def texts(runs: Iterable[Run], span: Span, level: str) -> Iterator[str]:
     for run in runs:
         told = []
         for file in run.files:
-            for line in read_log(file.path)[0].splitlines():
+            for line in read_lines(file.path):
                 with contextlib.suppress(FormatError, LookupError, TypeError, ValueError, OverflowError):
                     found = parse_json(line)
                     if span.has(found["t_ns"]) and LEVELS[found["level"]] >= LEVELS[level]:

@@ -8,12 +8,13 @@ import heapq
 import logging
 import time
 from collections.abc import Iterable, Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from delfim.errors import DelfimError, FormatError
 from delfim.frames import Frame
 from delfim.logging.candump import parse_line
-from delfim.logging.reading import read_log
+from delfim.logging.reading import read_lines, read_log
 from delfim.logging.statelog import Schema
 from delfim.logging.tree import ALWAYS, LogFile, Span, is_running
 
@@ -71,10 +72,10 @@ def lines(files: Iterable[LogFile], span: Span = ALWAYS) -> Iterator[str]:
     """The lines of black boxes in this time, bus after bus, as they were written."""
     low, high = (f"{t_ns // 1000:016}" for t_ns in span)  # stamps have microseconds
     for file in files:
-        for line in _text(file):
-            stamp = line[1:18].replace(".", "").zfill(16)
-            if low <= stamp <= high and line.endswith("\n"):
-                yield line
+        for each in read_lines(file.path, partial(_complain, file)):
+            line = each.decode("ascii", "replace")
+            if low <= line[1:18].replace(".", "").zfill(16) <= high:
+                yield line + "\n"
 
 
 def _part(file: LogFile) -> tuple[Schema, "NDArray[Any]"] | None:
@@ -114,9 +115,3 @@ def _frames(files: Iterable[LogFile], span: Span) -> Iterator[tuple[str, Frame]]
 def _complain(file: LogFile, complaint: str) -> None:
     if complaint and not is_running(file, time.time_ns()):  # a file being written has no end yet
         logger.warning("%s (delfim log repair puts it right)", complaint)
-
-
-def _text(file: LogFile) -> list[str]:
-    content, complaint = read_log(file.path)
-    _complain(file, complaint)
-    return content.decode("ascii", "replace").splitlines(keepends=True)

@@ -25,6 +25,7 @@ PAUSE_S: Final = 60  # between the files of one run
 LATE_S: Final = 2  # a file may hold records so much older or younger than its name and its time say
 RUNNING_S: Final = 5  # a log is written at least this often
 _NAME: Final = re.compile(r"([0-9]{2})([0-9]{2})([0-9]{2})(?:-([0-9]+))?(-repaired)?(\.[a-z0-9.]+)")
+_ID: Final = re.compile(r"(?!\.)[A-Za-z0-9_.-]{1,128}(?<!\.)")
 _DAY: Final = re.compile(r"[0-9]{4}(0[1-9]|1[0-2])(0[1-9]|[12][0-9]|3[01])")
 _META: Final = ".meta.jsonl"
 _SECOND: Final = 1_000_000_000
@@ -189,6 +190,15 @@ def default_place() -> str:
 def is_log(day: str, name: str) -> bool:
     """Whether files of such a name in a folder of such a day are log files or sidecars."""
     return bool(_DAY.fullmatch(day) and _NAME.fullmatch(name)) and not name.endswith(".part")
+
+
+def is_day(name: str) -> bool:
+    return bool(_DAY.fullmatch(name))
+
+
+def is_id(name: str) -> bool:
+    """Whether a program of a boat calls its logs so. No such name leads elsewhere, on any system."""
+    return bool(_ID.fullmatch(name))
 
 
 def begins(day: str, name: str) -> int:
