@@ -305,7 +305,7 @@ READ_BY = {  # function: the readers above that come by it
     "console/warp.py: warp": {"PNG", "JPEG", "GeoTIFF"},
     "logging/reading.py: raw": LOGS,
     "logging/reading.py: read_events": LOGS,
-    "logging/reading.py: read_log": LOGS,
+    "logging/reading.py: _pieces": LOGS,
     "logging/repair.py: repair": {"state log", "black box", "sidecar"},
     "logging/systemlog.py: recent": {"last lines of the system log"},
     "logging/tree.py: _end": {"sidecar"},
@@ -332,7 +332,7 @@ READ_BY = {  # function: the readers above that come by it
 OTHERS = {  # what the kernel tells, and what is only copied or digested
     *("commands/commission.py: _mission", "commands/image.py: confirm", "commands/image.py: status"),
     *("outside.py: read_file", "outside.py: read_text"),
-    *("logging/fetch.py: _condition", "logging/fetch.py: _fetched", "logging/fetch.py: _read"),
+    *("logging/fetch.py: _condition", "logging/fetch.py: _digest", "logging/fetch.py: _read"),
     *("campaign/store.py: flush", "services/firstcontact.py: user_of", "services/numbering.py: identity"),
     *("services/cgroup.py: exceeded", "services/computer.py: _read", "services/shutdown.py: _read"),
     *("services/slipd.py: _counters", "services/slipd.py: carrier_source"),
