@@ -40,6 +40,7 @@ from delfim.vehicle.track import Track
 from delfim.vehicle.traffic import keepclear
 from delfim.vehicle.traffic.encounter import Own
 from delfim.vehicle.traffic.targets import MOST
+from delfim.vehicle.traffic.trialways import Caution, RouteAhead
 from delfim.vehicle.zones import Point, Zone, polygon
 from delfim.vessels import VesselPosition
 
@@ -189,8 +190,8 @@ def _vessels(settings: config.Vehicle) -> list[Row]:
 
     def decided() -> Callbacks:
         random.seed(1)
-        own, route = Own(0.0, 0.0, 0.0, 1.5), keepclear.RouteAhead(((5000.0, 0.0),), 1.5)
-        limits = keepclear.Caution(4.5, 0.26, 0.4)
+        own, route = Own(0.0, 0.0, 0.0, 1.5), RouteAhead(((5000.0, 0.0),), 1.5)
+        limits = Caution(4.5, 0.26, 0.4)
         them = [_met(random, str(i)) for i in range(keepclear.MOST)]
         yield from _slices(keepclear.deciding(limits, keepclear.Memory(), own, route, them, None, 0.0))
 

@@ -25,7 +25,8 @@ from delfim.simulator.encounters import Encounter, Ship, StraightWay, drawn, rea
 from delfim.simulator.nodes.shipping import axes_m, within
 from delfim.vehicle.target import Target
 from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.keepclear import Caution, Memory, RouteAhead, decide
+from delfim.vehicle.traffic.keepclear import Memory, decide
+from delfim.vehicle.traffic.trialways import Caution, RouteAhead
 
 OWN_MPS: Final = 1.5
 LIMITS: Final = Caution(length_m=4.5, turn_radps=math.radians(15.0), ramp_mps2=0.4)

@@ -336,6 +336,8 @@ class TrafficGuard(Table, frozen=True):
     modes: GuardedModes = ("hold", "goto", "play", "path", "home", "course")  # in which course and speed may change
     look_s: Annotated[float, msgspec.Meta(ge=60.0, le=900.0)] = 180.0  # 180: a crowded harbour, 420: open water
     stand_on: Literal["never", "small", "always"] = "small"  # for vessels that must give way: none, those below 20 m, all
+    away_m: Annotated[float, msgspec.Meta(ge=10.0, le=100_000.0)] = 1000.0  # so far from leg or place others may move the boat
+    away_s: Annotated[float, msgspec.Meta(ge=10.0, le=86_400.0)] = 1800.0  # and for so long; then on_failure, for as long again
     on_failure: Literal["warn", "slow", "hold"] = "warn"  # where the guard cannot work: go on, at half speed, or hold
 
 
@@ -729,6 +731,13 @@ class FenceNear(Trouble, frozen=True):
     action: ActionName = "hold"
 
 
+class FenceLeft(Trouble, frozen=True):
+    """The boat is farther than `fence.margin_m` outside the fence, and comes no nearer."""
+
+    after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 15.0  # for this long: it must turn
+    manual: ModeAction = "warn"
+
+
 class ThrusterAstray(Trouble, frozen=True):
     """A thruster does not do as commanded, by its own report: it is dead, stuck, reversed or no longer heard."""
 
@@ -861,6 +870,7 @@ class Failsafe(Table, frozen=True):
     battery_low: BatteryLow = BatteryLow()
     battery_critical: BatteryCritical = BatteryCritical()
     fence: FenceNear = FenceNear()
+    fence_left: FenceLeft = FenceLeft()
     thruster: ThrusterAstray = ThrusterAstray()
     gnss_poor: GnssPoor = GnssPoor()
     handset_silent: HandsetSilent = HandsetSilent()
@@ -1357,6 +1367,10 @@ class SimulatedVessel(Table, frozen=True):
     silent_to_s: Annotated[float, msgspec.Meta(ge=0.0)] | None = None  # ... to here, or to the end
     lost: Fraction = 0.0  # part of its reports that nobody hears
     noise_m: Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)] = 5.0  # standard deviation of its position, which wanders
+    follows_m: Annotated[float, msgspec.Meta(ge=0.0, le=20_000.0)] | None = None  # always so far from the boat: a forged one
+    follows_deg: Annotated[float, msgspec.Meta(ge=-360.0, le=360.0)] = 0.0  # from there in this direction, by north
+    sides_s: Annotated[float, msgspec.Meta(ge=0.0, le=86_400.0)] = 0.0  # it changes to the boat's other side so often; 0: never
+    chases: bool = False  # it steers for the boat, as fast as it turns
     meets_s: Annotated[float, msgspec.Meta(ge=0.0)] | None = None  # when it is nearest if nobody does anything; for `manner`
     meeting: MeetingName = ""  # what meeting it is for the boat, by rules 13 to 15; for `manner`, and for who judges the run
 

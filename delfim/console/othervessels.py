@@ -19,9 +19,10 @@ from delfim.vehicle.target import Danger, Target
 from delfim.vehicle.traffic.alarm import Alarms, Guarded, dangers
 from delfim.vehicle.traffic.beside import Company, company, danger_beside
 from delfim.vehicle.traffic.encounter import BEGINNINGS, Own
-from delfim.vehicle.traffic.keepclear import Caution, RouteAhead, measured
+from delfim.vehicle.traffic.keepclear import measured
 from delfim.vehicle.traffic.reckoning import VesselTrack, begun
 from delfim.vehicle.traffic.targets import DISTRESS, kept_s, silence_s
+from delfim.vehicle.traffic.trialways import Caution, RouteAhead
 from delfim.vehicle.traffic.vesselwords import danger_told, vessel_told
 from delfim.vessels import VesselFacts, VesselPosition
 

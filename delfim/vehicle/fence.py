@@ -16,6 +16,7 @@ from delfim.vehicle.zones import LOOKS, Point, Zone, circle, clearance_m, cost, 
 
 BOXES: Final = 4  # boxes that are compared in the time of one comparison
 PARTS: Final = 1.0, 0.4  # of the radius to hold within, the next where no place has room for the one before
+BACK_MPS: Final = 0.1  # a boat outside comes back if it is so much nearer each second
 RECEDES_M = 0.01  # a boat whose clearance shrinks by no more than this leaves a zone, or goes along it
 
 
@@ -118,6 +119,26 @@ def outside(fence: Fence, north_m: float, east_m: float) -> str | None:
         clear_m = clearance_m(zone, north_m, east_m)
         if clear_m < 0.0:
             return f"{-clear_m:.1f} m {'outside the' if zone.keep_in else 'inside'} {zone.name}"
+    return None
+
+
+def left(fence: Fence, motion: Motion) -> str | None:
+    """Which zone the boat violates by more than the margin without coming nearer to where it may be, in words."""
+    here, looked = (motion.north_m, motion.east_m), 0
+    for zone in fence.zones:
+        south, west, north, east = zone.box
+        if not zone.keep_in and not (south <= here[0] <= north and west <= here[1] <= east):
+            continue
+        looked += len(zone.parts) + len(zone.areas)
+        if not may(zone, *here):
+            out_m = -clearance_m(zone, *here)
+            soon_m = -clearance_m(zone, here[0] + motion.north_mps, here[1] + motion.east_mps)
+            comes_back = "velocity" in motion.has and soon_m < out_m - BACK_MPS
+            if out_m > fence.limits.margin_m and not comes_back:
+                return f"{out_m:.1f} m {'outside the' if zone.keep_in else 'inside'} {zone.name} and not coming back"
+            looked += 2 * cost(zone, here)
+        if looked > LOOKS:
+            break
     return None
 
 

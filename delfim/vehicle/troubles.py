@@ -16,7 +16,7 @@ from delfim.geodesy import wrap
 from delfim.messages import BatteriesStatus, Node
 from delfim.modes import Mode
 from delfim.vehicle import gnss, inputhealth
-from delfim.vehicle.fence import Fence, ahead, outside
+from delfim.vehicle.fence import Fence, ahead, left, outside
 from delfim.vehicle.sensors import sysstat
 from delfim.vehicle.state import HandsetReport, State
 from delfim.vehicle.target import NEVER_S
@@ -178,6 +178,12 @@ def fence(look: Look) -> str | None:
     return outside(around, motion.north_m, motion.east_m) if mode is Mode.IDLE else ahead(around, motion)
 
 
+def fence_left(look: Look) -> str | None:
+    around, motion = look.inputs.fence, look.state.motion
+    is_watched = around is not None and look.state.mode is not Mode.IDLE and "position" in motion.has
+    return left(around, motion) if around is not None and is_watched else None
+
+
 def gnss_poor(look: Look) -> str | None:
     return gnss.poor(look.settings.failsafe.gnss_poor, look.state.navigation)
 
@@ -190,7 +196,7 @@ def shallow(look: Look) -> str | None:
 
 
 def traffic(look: Look) -> str | None:
-    """The guard has the hysteresis."""
+    """The guard has the hysteresis, and words of its own while it moves the boat."""
     return _traffic(look, "near")
 
 
@@ -199,16 +205,14 @@ def traffic_close(look: Look) -> str | None:
 
 
 def _traffic(look: Look, level: str) -> str | None:
-    now = look.state.traffic
-    if not now.dangers:
-        return None
+    now, place = look.state.traffic, look.state.reference
     if level == "near" and now.order is not None:
-        return now.order.words
-    words = [each.words for each in now.dangers if each.level == level]
+        away = f"; {place.distance_m:.0f} m from its place" if look.state.mode is Mode.HOLD and place.distance_m else ""
+        return now.order.words + away
+    words, cannot = [each.words for each in now.dangers if each.level == level], now.guard.startswith("cannot")
     if not words:
-        return None
-    cannot = f"; {now.guard}" if now.guard.startswith("cannot") else ""
-    return f"{words[0]}{f', and {len(words) - 1} more' if len(words) > 1 else ''}{cannot}"
+        return now.guard if cannot and level == "near" else None
+    return f"{words[0]}{f', and {len(words) - 1} more' if len(words) > 1 else ''}{f'; {now.guard}' if cannot else ''}"
 
 
 def ais_silent(look: Look) -> str | None:
@@ -279,6 +283,7 @@ class Trigger(IntEnum):
     TRAFFIC = 17, traffic
     TRAFFIC_CLOSE = 18, traffic_close
     AIS_SILENT = 19, ais_silent
+    FENCE_LEFT = 20, fence_left
     RESTARTED = 22, restarted  # always a warning: what the boat did is told until somebody commands
     OUTLET = 23, outlet
 

@@ -12,7 +12,8 @@ from delfim.geodesy import wrap
 from delfim.vehicle.fence import Fence
 from delfim.vehicle.target import Target
 from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.keepclear import Caution, Memory, RouteAhead, decide
+from delfim.vehicle.traffic.keepclear import Memory, decide
+from delfim.vehicle.traffic.trialways import Caution, RouteAhead
 
 SETS = Path(__file__).parents[2] / "etc" / "encounters"
 LIMITS = Caution(length_m=4.5, turn_radps=math.radians(15.0), ramp_mps2=0.4, stand_on="always")

@@ -94,6 +94,8 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             here.guest_s = now_s - 5.1
         case Trigger.FENCE:
             here.motion, inputs = OUTWARDS, Inputs("", FENCE)
+        case Trigger.FENCE_LEFT:
+            here.motion, inputs = OUTWARDS._replace(north_m=54.0, north_mps=0.0), Inputs("", FENCE)
         case Trigger.GNSS_POOR:
             assert here.navigation is not None
             here.navigation = here.navigation._replace(satellites=4)
@@ -140,6 +142,7 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.CONSOLE_SILENT: (Action.HOLD, {Mode.MANUAL: Action.STOP, Mode.HOME: Action.WARN}),
     Trigger.GUEST_SILENT: (Action.NONE, {Mode.GREX: Action.HOLD}),
     Trigger.FENCE: (Action.HOLD, {}),
+    Trigger.FENCE_LEFT: (Action.STOP, {Mode.MANUAL: Action.WARN}),
     Trigger.BATTERY_LOW: (Action.HOLD, {Mode.MANUAL: Action.WARN, Mode.HOME: Action.WARN}),
     Trigger.LOG: (Action.WARN, {}),
     Trigger.GNSS_POOR: (Action.WARN, {}),
@@ -157,9 +160,9 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
 @pytest.mark.parametrize("mode", DRIVING, ids=lambda mode: mode.name)
 @pytest.mark.parametrize("trigger", Trigger, ids=lambda trigger: trigger.name)
 def test_every_trouble_in_every_mode_does_what_the_table_says_and_says_why(trigger, mode):
-    """6 s long: longer than any trouble must last, shorter than the pause before home."""
+    """16 s long: longer than any trouble must last, shorter than the pause before home."""
     usual, exceptions = TABLE[trigger]
-    verdict = watched(trigger, mode, 6.0)
+    verdict = watched(trigger, mode, 16.0)
     assert verdict.action is exceptions.get(mode, usual)
     if verdict.action is not Action.NONE:
         notice = verdict.notices[0]

@@ -49,6 +49,7 @@ SETTINGS = config.Vehicle(
         gnss_poor=config.GnssPoor(after_s=0.2),
         shallow=config.Shallow(min_depth_m=1.0, after_s=0.2),
         handset_silent=config.HandsetSilent(after_s=0.5),
+        fence_left=config.FenceLeft(after_s=0.2),
     ),
 )
 
@@ -81,6 +82,7 @@ UNTOLD = {  # by values and ages; a battery is critical here; pulses have no out
 }
 TROUBLES = ("none", *(trigger.name.lower() for trigger in Trigger if trigger not in UNTOLD))
 AHEAD = config.Zones(keep_out=(config.Area(centre=((math.degrees(0.675) + 1e-4, math.degrees(-0.16)),), radius_m=10.0),))
+BEHIND = config.Zones(keep_in=(config.Area(centre=((math.degrees(0.675) - 5e-4, math.degrees(-0.16)),), radius_m=10.0),))
 NEEDS = {
     Mode.HEADING: {"heading"},
     Mode.GREX: {"heading"},
@@ -181,8 +183,9 @@ class Boat:
             self.state.traffic = Traffic(heard_s=self.clock.monotonic_s() - 200.0)
         if trouble == "restarted":
             self.state.restarted = "it was in play; hold now"
-        if trouble == "fence":
-            self.vehicle.helm.plans.fence = Sliced(fence.survey(self.settings.fence, AHEAD, self.state.origin)).finish()
+        if trouble in ("fence", "fence_left"):
+            zones = AHEAD if trouble == "fence" else BEHIND
+            self.vehicle.helm.plans.fence = Sliced(fence.survey(self.settings.fence, zones, self.state.origin)).finish()
         for tick in range(1, ticks + 1):
             self.clock.advance(0.1)
             now_s = self.clock.monotonic_s()
@@ -227,6 +230,7 @@ def must_be_zero(mode: Mode, age_s: float, value: Value, trouble: str) -> bool:
         "sensor_bad": True,
         "kill": True,
         "manual_silent": mode is Mode.MANUAL,
+        "fence_left": mode is not Mode.MANUAL or value.missing != "position",  # by hand outwards: it holds, and is stopped
         "console_silent": mode is Mode.MANUAL,
         "battery_critical": mode not in (Mode.MANUAL, Mode.HOME),
         "thruster": mode is not Mode.MANUAL,

@@ -15,7 +15,8 @@ from delfim.vehicle.fence import Fence
 from delfim.vehicle.target import CourseOrder, Target
 from delfim.vehicle.traffic.cpa import approach, closest, domain
 from delfim.vehicle.traffic.encounter import Own, duty, stands_on
-from delfim.vehicle.traffic.keepclear import Choice, Memory, RouteAhead, decide, route_legs
+from delfim.vehicle.traffic.keepclear import Choice, Memory, decide
+from delfim.vehicle.traffic.trialways import RouteAhead, route_legs
 from delfim.vehicle.traffic.watchkeeper import caution
 from delfim.vehicle.zones import circle, clearance_m, polygon
 from tests.vehicle.encounters import LIMITS, encounters, place, sail, score, target
@@ -278,6 +279,23 @@ def test_no_encounter_drives_the_boat_over_the_fence(half_m: float) -> None:
         log = sail(ships, around=Fence((channel, rock), config.FenceTable()))
         assert min(clearance_m(zone, *now.own[:2]) for now in log for zone in (channel, rock)) > 3.0
         assert min(score(log).nearness) >= 0.999
+
+
+@pytest.mark.parametrize("ghosts", [1, 4, 12])
+@pytest.mark.parametrize("clear_m", [40.0, 12.0, 7.0, 5.0, 1.0, -5.0])
+@pytest.mark.parametrize("speed_mps", [0.0, 0.05, 1.5])
+def test_however_many_are_near_no_order_leads_over_the_fence(ghosts: int, clear_m: float, speed_mps: float) -> None:
+    """The fence is to the west. What is left may be a stop; a boat that is too near, or outside, may come back in."""
+    sea = polygon("sea", True, [(-900.0, -clear_m), (-900.0, 900.0), (900.0, 900.0), (900.0, -clear_m)])
+    arc = [math.radians(45.0 + 90.0 * i / ghosts) for i in range(ghosts)]
+    around = [ship(20.0 * math.cos(a), 20.0 * math.sin(a), 0.0, 0.0, 60.0)._replace(key=str(i)) for i, a in enumerate(arc)]
+    own, memory = Own(0.0, 0.0, math.radians(-60.0), speed_mps), Memory()
+    for t in range(3):
+        route = RouteAhead((), 1.5, has_end=False)
+        memory, order, _ = decide(LIMITS, memory, own, route, around, Fence((sea,), config.FenceTable()), float(t))
+        if order is not None and order.speed_mps:
+            there = math.sin(order.course_rad) * order.speed_mps * 20.0
+            assert clearance_m(sea, 0.0, there) > min(6.0, clear_m - 0.02)
 
 
 def test_a_zone_in_the_way_is_sailed_round() -> None:

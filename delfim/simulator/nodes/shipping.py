@@ -1,7 +1,7 @@
 """Other vessels of the simulated world: how they move, what a boat hears of them by AIS, and how near they come in truth.
 
-They sail by the rows of `simulation.traffic` in the vehicle's file; none of them sees the boat. A receiver on the NMEA 2000 bus
-speaks their AIS with the intervals of ITU-R M.1371 (docs/encounters.md).
+They sail by the rows of `simulation.traffic` in the vehicle's file; none of them sees the boat but those that follow or chase
+it. A receiver on the NMEA 2000 bus speaks their AIS with the intervals of ITU-R M.1371 (docs/encounters.md).
 """
 
 import math
@@ -81,15 +81,27 @@ class Vessel:
         """On to this time since the start."""
         h = t_s - self._t_s
         self._t_s, way_m, wanted_rad = t_s, self.speed_mps * h, self.course_rad
+        if self.row.chases:
+            wanted_rad = math.atan2(self._model.east_m - self.east_m, self._model.north_m - self.north_m)
         for at_s, course_rad in self._turns:
             if at_s <= t_s:
                 wanted_rad = course_rad
-        if wanted_rad == self.course_rad:
+        if self.row.follows_m is not None:
+            self._follow(self.row.follows_m, t_s)
+        elif wanted_rad == self.course_rad:
             self.rate_radps = 0.0
             self.north_m, self.east_m = self.north_m + way_m * self._c, self.east_m + way_m * self._s
         else:
             self._turn(wanted_rad, way_m, h)
         self._measure()
+
+    def _follow(self, away_m: float, t_s: float) -> None:
+        """To its place beside the boat, whatever it tells of its course and speed."""
+        sides_s, bearing_rad = self.row.sides_s, math.radians(self.row.follows_deg)
+        if sides_s and t_s // sides_s % 2.0:
+            bearing_rad += math.pi
+        self.north_m = self._model.north_m + away_m * math.cos(bearing_rad)
+        self.east_m = self._model.east_m + away_m * math.sin(bearing_rad)
 
     def _turn(self, wanted_rad: float, way_m: float, h: float) -> None:
         """On by this way in this time, towards another course."""

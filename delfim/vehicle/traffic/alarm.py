@@ -9,7 +9,8 @@ from delfim.slices import Work
 from delfim.vehicle.target import Danger, Target
 from delfim.vehicle.traffic.cpa import approach, closest, passing_by
 from delfim.vehicle.traffic.encounter import AT_REST_MPS, Own
-from delfim.vehicle.traffic.keepclear import Caution, PassedBy, RouteAhead, measured, plausible, route_legs
+from delfim.vehicle.traffic.keepclear import PassedBy, measured, plausible
+from delfim.vehicle.traffic.trialways import Caution, RouteAhead, route_legs
 
 OVER: Final = 1.5  # a danger is over when every measure was beyond so many times its limit ...
 OVER_S: Final = 10.0  # ... for so long

@@ -23,7 +23,7 @@ from delfim.vehicle.target import CourseOrder, Target
 from delfim.vehicle.traffic.cpa import Approach, Domain, Leg, approach, domain, passing_by
 from delfim.vehicle.traffic.encounter import PRIVILEGED, Duty, Own, duty, passing, stands_on, words
 from delfim.vehicle.traffic.shoreline import Shoreline
-from delfim.vehicle.zones import Point
+from delfim.vehicle.traffic.trialways import LOOK_MAX_S, Caution, RouteAhead, route_legs, trial_legs
 
 MOST: Final = 12  # vessels that are judged: those that could be met first
 PASS: Final = 2  # comparisons that how one way passes one vessel costs
@@ -35,7 +35,6 @@ TRIALS: Final = tuple((offset, part) for offset in OFFSETS for part in PARTS)
 AHEAD_LENGTHS, ABEAM_LENGTHS = 4.0, 1.6
 AHEAD_MIN_M, ABEAM_MIN_M = 50.0, 30.0
 SOFT: Final = 1.3  # so many domains are better than one
-LOOK_MAX_S: Final = 900.0
 AMPLE: Final = 4.0  # times that leaving the domain abeam takes: ample time (rule 8 a)
 LATE, LATE_S = 1.8, 40.0  # the same, and seconds: a vessel that ought to give way has not (rule 17 a ii)
 ESCAPE_S: Final = 30.0  # by then the boat has had time to get out
@@ -48,30 +47,12 @@ AGAINST_RULE, TO_PORT = 60.0, 40.0
 STARBOARD, PORT, SLOWER = 10.0, 13.0, 12.0  # a right angle to either side; a stop
 INSIDE, DEEP, NEAR = 100.0, 900.0, 15.0  # entering the domain, its middle, and the edge of what is soft
 HALF, STRUCK = 0.5, 3000.0  # nearer than so, each domain costs so much more: two domains entered are better than one collision
-ASHORE: Final = 10_000.0  # no vessel is a reason to cross the fence
+ASHORE: Final = 1e6  # no vessel is a reason to cross the fence, nor are MOST of them together
 FARTHEST: Final = 2.5  # domains: beyond, a vessel costs nothing
 SLOWEST_MPS: Final = 0.3  # a slower boat counts as this fast
 PLAUSIBLE_M, PLAUSIBLE_MPS, LONGEST_M = 1e6, 100.0, 1000.0
 
 _new = tuple.__new__  # a third of the time of Seen(...): a decision makes some hundred tuples
-
-
-class Caution(NamedTuple):
-    """The boat, and how cautious it is."""
-
-    length_m: float
-    turn_radps: float  # how fast it turns
-    ramp_mps2: float  # how fast it changes its speed
-    look_s: float = 180.0  # a vessel that is met later does not matter yet, unless leaving its domain takes long
-    stand_on: str = "small"  # to which vessels that must give way: "never", "small" (below 20 m), "always"
-
-
-class RouteAhead(NamedTuple):
-    """The way ahead without other vessels."""
-
-    points: tuple[Point, ...]  # nearest first; none: the boat stays where it is
-    speed_mps: float  # asked for; of a boat that stays, what it may use
-    has_end: bool = True  # False: a course, which a fence ends and does not bend
 
 
 class PassedBy(NamedTuple):
@@ -88,6 +69,7 @@ class Choice(NamedTuple):
     course_rad: float
     part: float  # of the speed that is asked for
     is_last: bool  # to port where that is not allowed: all else leads into a domain
+    is_ashore: bool = False  # a stop: all else leads over the fence
 
 
 class Memory(NamedTuple):
@@ -252,11 +234,11 @@ def _cheapest(
     lowest, best, extra = _cost(scene, on, 0.0, 1.0, 2.0, math.inf, is_route=True), None, CHANGE
     last, chosen, costs = list[Choice](), on, PASS * (1 + len(scene.seen))
     if any(each.duty in FROM_STARBOARD and each.without.nearness < SOFT for each in scene.seen):
-        trials = [_new(Choice, (ahead_rad + offset, part, False)) for offset, part in TRIALS if offset > 0.0]
-        last = [_new(Choice, (ahead_rad + offset, part, True)) for offset, part in TRIALS if offset < 0.0]
+        trials = [_new(Choice, (ahead_rad + offset, part, False, False)) for offset, part in TRIALS if offset > 0.0]
+        last = [_new(Choice, (ahead_rad + offset, part, True, False)) for offset, part in TRIALS if offset < 0.0]
     else:
-        trials = [_new(Choice, (ahead_rad + offset, part, False)) for offset, part in TRIALS]
-    trials += [_new(Choice, (ahead_rad, part, False)) for part in (0.5, 0.0)]
+        trials = [_new(Choice, (ahead_rad + offset, part, False, False)) for offset, part in TRIALS]
+    trials += [_new(Choice, (ahead_rad, part, False, False)) for part in (0.5, 0.0)]
     if was is not None:
         trials.insert(0, was)
         lowest, extra = lowest + CHANGE, 0.0
@@ -272,6 +254,8 @@ def _cheapest(
                 best, lowest, chosen = each, cost, legs
         if not extra:  # the first was the course that is steered
             extra = CHANGE + STEADY * lowest
+    if best is not None and lowest >= ASHORE:  # no choice
+        return _new(Choice, (wrap(ahead_rad), 0.0, False, True))
     return None if best is None else best._replace(course_rad=wrap(best.course_rad))
 
 
@@ -345,7 +329,7 @@ def _ordered(
     now_s: float,
 ) -> CourseOrder:
     """The order, with the vessel that it is for: the first whose domain the boat would enter if it went on."""
-    course_rad, part, is_last = best
+    course_rad, part, is_last, is_ashore = best
     asked = [(each.without.at_s, i) for i, each in enumerate(passes) if each.without.nearness < SOFT]
     if not asked and was is not None:
         asked = [(0.0, i) for i, each in enumerate(passes) if each.key == was.key]
@@ -358,6 +342,8 @@ def _ordered(
         text, key = f"keeping clear of {scene.shore.name if scene.shore and scene.shore.name else 'the way back'}", ""
     if is_last:
         text += ", to port as nothing else is clear"
+    if is_ashore:
+        text += ", as all else leads over the fence"
     if nearness < 1.0:
         text += ", nothing is clear"
     return CourseOrder(course_rad, part, part * speed_mps, text + speed, key, nearness, now_s)
@@ -370,30 +356,3 @@ def _said(this: Seen, on: Sequence[Leg], legs: Sequence[Leg]) -> str:
     owed: Duty = this.duty or "give-way"
     is_late = owed == "stand-on" and approach(this.around, on, this.look_s).at_s <= this.late_s
     return f"{words(owed, this.target, is_late)}, {passing(owed, passed.ahead, passed.starboard)}, CPA {cpa_m:.0f} m"
-
-
-def route_legs(own: Own, route: RouteAhead) -> list[Leg]:
-    """The way along the route at the speed asked for; then the boat stays."""
-    at, from_s, legs, speed_mps = (own.north_m, own.east_m), 0.0, list[Leg](), route.speed_mps
-    for to in route.points if speed_mps > 0.05 else ():
-        far_m = math.dist(at, to)
-        if far_m < 0.1:
-            continue
-        to_s = from_s + far_m / speed_mps
-        scale = speed_mps / far_m
-        legs.append((from_s, to_s, *at, (to[0] - at[0]) * scale, (to[1] - at[1]) * scale))
-        at, from_s = to, to_s
-        if from_s > 2.0 * LOOK_MAX_S:
-            break
-    legs.append((from_s, math.inf, *at, 0.0, 0.0))
-    return legs
-
-
-def trial_legs(limits: Caution, own: Own, course_rad: float, speed_mps: float) -> tuple[Leg, Leg]:
-    """Turning is a wait on the old course, half as long as the turn takes; so is a change of speed."""
-    turn_s = abs(wrap(course_rad - own.course_rad)) / limits.turn_radps
-    wait_s = 0.5 * max(turn_s, abs(speed_mps - own.speed_mps) / limits.ramp_mps2)
-    vn, ve = own.speed_mps * math.cos(own.course_rad), own.speed_mps * math.sin(own.course_rad)
-    first = (0.0, wait_s, own.north_m, own.east_m, vn, ve)
-    there = own.north_m + vn * wait_s, own.east_m + ve * wait_s
-    return first, (wait_s, math.inf, *there, speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad))

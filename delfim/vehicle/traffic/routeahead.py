@@ -10,7 +10,7 @@ from delfim.vehicle.control.memory import Memory, Settings
 from delfim.vehicle.control.path import APPROACH, arc_point, nearest, start
 from delfim.vehicle.state import Line, Motion, Setpoint
 from delfim.vehicle.traffic.encounter import Own
-from delfim.vehicle.traffic.keepclear import RouteAhead
+from delfim.vehicle.traffic.trialways import RouteAhead
 from delfim.vehicle.zones import Point
 
 POINTS: Final = 12
@@ -57,7 +57,8 @@ def route_ahead(mode: Mode, memory: Memory, setpoint: Setpoint, motion: Motion, 
     if points and speed_mps >= LIES_MPS:
         return RouteAhead(tuple(points), min(speed_mps, max(speeds.max_mps, own.speed_mps)), has_end)
     is_away = mode is not Mode.IDLE and math.dist(here, (own.north_m, own.east_m)) > 2.0 * settings.control.hold.radius_m
-    return RouteAhead((here,) if is_away and not points else (), setpoints.speed(None, speeds), has_end=False)
+    place = None if points else here
+    return RouteAhead((here,) if is_away and not points else (), setpoints.speed(None, speeds), has_end=False, place=place)
 
 
 def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Settings) -> tuple[list[Point], float]:

@@ -24,9 +24,12 @@ from delfim.vehicle.state import Motion, Reference, Setpoint, State, StateLog, W
 from delfim.vehicle.target import NEVER_S, CourseOrder, Target
 from delfim.vehicle.traffic import alarm, keepclear
 from delfim.vehicle.traffic.beside import Company, company, danger_beside
-from delfim.vehicle.traffic.keepclear import Caution, PassedBy, RouteAhead, deciding
+from delfim.vehicle.traffic.keepclear import PassedBy, deciding
+from delfim.vehicle.traffic.leash import Leash, paid_out
 from delfim.vehicle.traffic.routeahead import own_of, route_ahead
+from delfim.vehicle.traffic.trialways import Caution, RouteAhead
 from delfim.vehicle.traffic.vesselwords import making, traffic_told
+from delfim.vehicle.troubles import Trigger
 
 LATE_S: Final = 5.0  # an older order does not count
 SLICE: Final = 200  # comparisons of one step
@@ -53,7 +56,7 @@ class Watchkeeper:
         self._modes = frozenset(mode for mode in Mode if mode.name.lower() in names)
         self._alarms: alarm.Alarms
         self._memory, self._alarms = keepclear.Memory(), {}
-        self._company = Company()
+        self._company, self._leash = Company(), Leash()
         self._passes, self._route = tuple[PassedBy, ...](), RouteAhead((), 0.0)
         self._looked_s = NEVER_S  # `Traffic.at_s` of the present round
         self._round: Sliced[None] | None = None
@@ -84,12 +87,14 @@ class Watchkeeper:
     def _decide(self, helm: Helm, now_s: float) -> Work[None]:
         state, mode = self._state, self._state.mode
         missing = sorted({"position", "velocity"} - state.motion.has)
-        failing, order, self._passes = f"no {' and no '.join(missing)}" if missing else "", None, ()
+        failing, order, self._passes = f"no {' and no '.join(missing)}" if missing else self._denied(helm), None, ()
         if not missing:
             self._route = route_ahead(state.mode, helm.memory, state.setpoint, state.motion, helm.limits)
             self._accompany(helm.settings.boat.length_m, now_s)
         if state.mode not in self._modes:
             self._memory, failing = keepclear.Memory(), ""
+        elif failing and not missing:
+            self._memory = keepclear.Memory()
         elif not missing:
             own, boat, fence = own_of(state.motion), caution(helm.settings, helm.limits), helm.plans.fence
             try:
@@ -100,6 +105,10 @@ class Watchkeeper:
                 order = None if order is None else order._replace(at_s=self._clock.monotonic_s())
             except (ValueError, ArithmeticError) as error:  # the mission goes on as the vehicle's file says
                 self._memory, failing = keepclear.Memory(), f"the guard failed: {error}"
+        if not missing:
+            to = state.setpoint
+            task = mode, to.target, to.heading_rad, to.plan
+            self._leash = paid_out(self._leash, self._guard, task, self._route, own_of(state.motion), order, now_s)
         if order is None and state.traffic.order is not None:
             self._resume(helm)
         self._note(order)
@@ -107,6 +116,12 @@ class Watchkeeper:
         words = f"cannot avoid: {failing}" if failing and state.traffic.targets else is_guarded
         state.traffic = state.traffic._replace(order=order, guard=words)
         self._act(helm, order, failing if state.traffic.targets else "", now_s)
+
+    def _denied(self, helm: Helm) -> str:
+        """Why the guard must leave the boat alone, in words: near the fence its mode alone steers it, and others move it no
+        farther, and for no longer, than its file says."""
+        near = helm.troubles.get(Trigger.FENCE) or helm.troubles.get(Trigger.FENCE_LEFT)
+        return f"the fence goes before: {near.reason}" if near is not None else self._leash.spent
 
     def _accompany(self, length_m: float, now_s: float) -> None:
         """Who moves as the boat does, in a boat of this length."""

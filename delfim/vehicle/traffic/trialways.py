@@ -1,0 +1,57 @@
+"""The ways that a decision compares, as straight legs: on along the route, and trials of another course and speed."""
+
+import math
+from typing import Final, NamedTuple
+
+from delfim.geodesy import wrap
+from delfim.vehicle.traffic.cpa import Leg
+from delfim.vehicle.traffic.encounter import Own
+from delfim.vehicle.zones import Point
+
+LOOK_MAX_S: Final = 900.0
+
+
+class Caution(NamedTuple):
+    """The boat, and how cautious it is."""
+
+    length_m: float
+    turn_radps: float  # how fast it turns
+    ramp_mps2: float  # how fast it changes its speed
+    look_s: float = 180.0  # a vessel that is met later does not matter yet, unless leaving its domain takes long
+    stand_on: str = "small"  # to which vessels that must give way: "never", "small" (below 20 m), "always"
+
+
+class RouteAhead(NamedTuple):
+    """The way ahead without other vessels."""
+
+    points: tuple[Point, ...]  # nearest first; none: the boat stays where it is
+    speed_mps: float  # asked for; of a boat that stays, what it may use
+    has_end: bool = True  # False: a course, which a fence ends and does not bend
+    place: Point | None = None  # where a boat stays that does not go on
+
+
+def route_legs(own: Own, route: RouteAhead) -> list[Leg]:
+    """The way along the route at the speed asked for; then the boat stays."""
+    at, from_s, legs, speed_mps = (own.north_m, own.east_m), 0.0, list[Leg](), route.speed_mps
+    for to in route.points if speed_mps > 0.05 else ():
+        far_m = math.dist(at, to)
+        if far_m < 0.1:
+            continue
+        to_s = from_s + far_m / speed_mps
+        scale = speed_mps / far_m
+        legs.append((from_s, to_s, *at, (to[0] - at[0]) * scale, (to[1] - at[1]) * scale))
+        at, from_s = to, to_s
+        if from_s > 2.0 * LOOK_MAX_S:
+            break
+    legs.append((from_s, math.inf, *at, 0.0, 0.0))
+    return legs
+
+
+def trial_legs(limits: Caution, own: Own, course_rad: float, speed_mps: float) -> tuple[Leg, Leg]:
+    """Turning is a wait on the old course, half as long as the turn takes; so is a change of speed."""
+    turn_s = abs(wrap(course_rad - own.course_rad)) / limits.turn_radps
+    wait_s = 0.5 * max(turn_s, abs(speed_mps - own.speed_mps) / limits.ramp_mps2)
+    vn, ve = own.speed_mps * math.cos(own.course_rad), own.speed_mps * math.sin(own.course_rad)
+    first = (0.0, wait_s, own.north_m, own.east_m, vn, ve)
+    there = own.north_m + vn * wait_s, own.east_m + ve * wait_s
+    return first, (wait_s, math.inf, *there, speed_mps * math.cos(course_rad), speed_mps * math.sin(course_rad))
