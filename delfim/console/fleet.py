@@ -12,6 +12,7 @@ from typing import Any, Final, NamedTuple
 from delfim.clock import Clock
 from delfim.console import plan
 from delfim.console.boats import SILENT_S, Boat
+from delfim.console.drivers import INPUT_S, Drivers
 from delfim.console.exchange import SAID, Exchange, planned
 from delfim.console.mavlink import SYSTEM, Codec, Key, mavlink
 from delfim.console.orders import order, row_of
@@ -23,14 +24,12 @@ from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
 ASKS: Final = 12  # for a minute: requests for name and modes
-INPUT_S: Final = 0.6
 DEAF_S: Final = 1.0  # after a sleep messages of pages are refused for so long: a page must see that it was released
 BOATS_MAX: Final = 32
 SIGNED_MAX: Final = 199  # with a key nobody can invent boats: as many as there are numbers below those of consoles
 PEERS_MAX: Final = 64
 COMPLAIN_S: Final = 60.0
 AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
-UNUSED: Final = 32767  # of an axis in MANUAL_CONTROL
 PROFILES: Final = ("lean", "radio", "wifi")  # values of the parameter that chooses
 PROFILE: Final = b"LINK_PROFILE"
 REASON_S: Final = 0.5  # a refusal and its reason come in separate messages
@@ -62,7 +61,7 @@ class Fleet:
         self._peers: dict[Address, Codec] = {}
         self._ways = Ways()
         self._requests = Requests(self._send, self._send_all)
-        self._inputs: dict[int, tuple[int, float]] = {}  # by boat in manual: number and time of the last input
+        self._drivers = Drivers(self._send, self._say)
         self._ticked_s, self._deaf_until_s, self._slept_s = clock.monotonic_s(), -math.inf, 0.0
         self._beat_s = self._complained_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
@@ -120,6 +119,7 @@ class Fleet:
         del self.boats[number]
         self._ways.forget(number)
         self._exchange.forget(number)
+        self._drivers.end(number)
         for each in (self._texts, self._refused, self._profiles):
             each.pop(number, None)
         return True
@@ -211,9 +211,8 @@ class Fleet:
             self._look_for_twins(boat, now_s)
         for number, address in self._ways.to_ask(now_s):
             self._put(address, mavlink.MAVLink_param_ext_request_read_message(number, AUTOPILOT, BOAT_RUN.encode(), -1))
-        for number, (_, heard_s) in list(self._inputs.items()):
-            if now_s - heard_s > INPUT_S:
-                self.release(number, "no input from the page")
+        for number in self._drivers.late(now_s):
+            self.release(number, "no input from the page")
         self._requests.tick(now_s)
         for number, (until_s, *_) in list(self._refused.items()):
             if now_s >= until_s:
@@ -245,14 +244,16 @@ class Fleet:
         """All boats for the page, in order of their numbers."""
         now_s = self._clock.monotonic_s()
         return [
-            boat.snapshot(now_s) | {"owner": boat.commander in (0, self.me)} | planned(boat, self.missions.get(number, {}))
+            boat.snapshot(now_s)
+            | {"owner": boat.commander in (0, self.me), "driver": self._drivers.page_of(number)}
+            | planned(boat, self.missions.get(number, {}))
             for number, boat in sorted(self.boats.items())
         ]
 
     # Requests of the operator.
 
-    def command(self, number: int, word: str, words: dict[str, Any], answer: Answer) -> None:
-        """Sends a command of the page. Raises Refused if it cannot be sent; otherwise calls `answer` once, with the boat's
+    def command(self, number: int, word: str, words: dict[str, Any], answer: Answer, page: int = 0) -> None:
+        """Sends a command of this page. Raises Refused if it cannot be sent; otherwise calls `answer` once, with the boat's
         answer or at the end of the wait."""
         boat, now_s = self._use(number), self._clock.monotonic_s()
         row = row_of(word, boat.modes) if word != "profile" else None
@@ -265,8 +266,10 @@ class Fleet:
         asked = order(word, row, words)
         if word == "play":
             asked = asked._replace(numbers=(float(self._item(number, int(asked.numbers[0]))), 0.0))
-        if word != "manual":
-            self._inputs.pop(number, None)
+        if word == "manual":
+            self._drivers.begin(boat, page)
+        else:
+            self._drivers.end(number)
         if row.mode:
             boat.asked, boat.asked_s = row.mode, now_s
         boat.released = False
@@ -277,35 +280,24 @@ class Fleet:
         aboard = self.missions.get(number, {}).get("aboard")
         return waypoint if aboard is None or not aboard["waypoints"] else plan.item_of(aboard, waypoint)
 
-    def input(self, number: int, count: int, port_pct: float, starboard_pct: float) -> None:
-        """Sends thrust to a boat in manual at once. An input older than the last one is ignored."""
-        boat = self._use(number)
-        last, _ = self._inputs.get(number, (-1, 0.0))
-        now_s = self._clock.monotonic_s()
-        if self._asleep_s(now_s) > INPUT_S:
-            return
-        if count <= last or not (math.isfinite(port_pct) and math.isfinite(starboard_pct)):
-            return
-        self._inputs[number] = count, now_s
-        boat.released = False
-        self._thrust(number, port_pct, starboard_pct)
+    def input(self, number: int, count: int, port_pct: float, starboard_pct: float, page: int = 0) -> None:
+        """Sends thrust that this page gives to a boat in manual at once, if no other page drives it."""
+        boat, now_s = self._use(number), self._clock.monotonic_s()
+        if self._asleep_s(now_s) <= INPUT_S:
+            self._drivers.input(boat, page, count, port_pct, starboard_pct, now_s)
 
     def _asleep_s(self, now_s: float) -> float:
         """How long this computer slept, if it has just woken up: a page's message may be that old."""
         return self._slept_s if now_s < self._deaf_until_s else now_s - self._ticked_s
 
-    def release(self, number: int, why: str) -> None:
-        """Ends thrust by hand: zero once, then silence."""
-        if self._inputs.pop(number, None) is None:
-            return
-        self._thrust(number, 0.0, 0.0)
-        if number in self.boats:
-            self.boats[number].released = True
-            self._say(number, 4, f"manual thrust set to 0: {why}")
+    def release(self, number: int, why: str, page: int | None = None) -> None:
+        """Ends thrust by hand, if it is this page's (None: anyone's): zero once, then silence."""
+        if number in self.boats and page in (None, self._drivers.page_of(number)):
+            self._drivers.release(self.boats[number], why)
 
-    def release_all(self, why: str) -> None:
-        for number in list(self._inputs):
-            self.release(number, why)
+    def release_all(self, why: str, page: int | None = None) -> None:
+        for number in self._drivers.driven():
+            self.release(number, why, page)
 
     def put(self, number: int, mission: dict[str, Any]) -> None:
         """Takes the plan on the screen for a boat. Raises FormatError, Refused."""
@@ -355,11 +347,6 @@ class Fleet:
             self._profiles[number] = chosen._replace(due_s=now_s + REPEAT_S)
             value, kind = float(PROFILES.index(chosen.name)), mavlink.MAV_PARAM_TYPE_REAL32
             self._send(number, mavlink.MAVLink_param_set_message(number, AUTOPILOT, PROFILE, value, kind))
-
-    def _thrust(self, number: int, port_pct: float, starboard_pct: float) -> None:
-        port, starboard = (max(-100.0, min(100.0, each)) for each in (port_pct, starboard_pct))
-        x, r = round(5.0 * (port + starboard)), round(5.0 * (port - starboard))
-        self._send(number, mavlink.MAVLink_manual_control_message(number, x, UNUSED, UNUSED, r, 0))
 
     def _send(self, number: int, message: Any) -> None:
         if number in self._ways.routes:

@@ -52,10 +52,9 @@ def encoded(message: Any) -> str:
 class Page:
     """One browser. Messages beyond BACKLOG_BYTES are left out, but for answers."""
 
-    def __init__(self, link: web.WebSocketResponse, request: web.Request) -> None:
-        self._link, self._request = link, request
+    def __init__(self, link: web.WebSocketResponse, request: web.Request, number: int) -> None:
+        self._link, self._request, self.number = link, request, number
         self.queue: asyncio.Queue[str | None] = asyncio.Queue(maxsize=QUEUE_MAX + 1)  # None: the end
-        self.steers: set[int] = set()  # boats that this page drives by hand
 
     def tell(self, message: dict[str, Any]) -> None:
         transport = self._request.transport
@@ -112,7 +111,7 @@ class Gateway:
         self._clock, self._pages = clock, set[Page]()
         self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
         self._desk = Desk(self.fleet, missions, vehicle, self.charts)
-        self._ticks = 0
+        self._ticks = self._opened = 0
         self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
         self.app.router.add_get("/", self._index)
         self.app.router.add_get("/ws", self._socket)
@@ -198,15 +197,15 @@ class Gateway:
             raise web.HTTPServiceUnavailable(text="too many pages are open: close one\n")
         link = web.WebSocketResponse(heartbeat=5.0, max_msg_size=MESSAGE_BYTES)
         await link.prepare(request)
-        page = Page(link, request)
+        self._opened += 1
+        page = Page(link, request, self._opened)
         self._greet(page)
         self._pages.add(page)
         try:
             await asyncio.gather(self._listen(page, link), page.write())
         finally:
             self._pages.discard(page)
-            for number in page.steers:
-                self.fleet.release(number, "the page was closed")
+            self.fleet.release_all("the page was closed", page.number)
         return link
 
     async def _listen(self, page: Page, link: web.WebSocketResponse) -> None:
@@ -224,6 +223,7 @@ class Gateway:
                 "t": "hello",
                 "version": __version__,
                 "me": self.me,
+                "page": page.number,
                 "backgrounds": self.charts.backgrounds,
                 "charts": self.charts.folder,
                 "boats": fleet.snapshot(),
@@ -282,10 +282,9 @@ class Gateway:
         fleet = self.fleet
         match asked:
             case said.Input(boat=number):
-                fleet.input(number, asked.n, asked.port_pct, asked.starboard_pct)
-                page.steers.add(number)
+                fleet.input(number, asked.n, asked.port_pct, asked.starboard_pct, page.number)
             case said.Release(boat=number, why=why):
-                fleet.release(number, why[:80])
+                fleet.release(number, why[:80], page.number)
             case said.Command(boat="all"):
                 if asked.command != "stop":
                     raise Refused("only stop can be given to all boats")
@@ -294,7 +293,7 @@ class Gateway:
                 if asked.command == "stop":
                     fleet.release(number, "stop")
                 numbers = {name: value for name, value in words.items() if name not in said.NO_NUMBERS}
-                fleet.command(number, asked.command, numbers, answer)
+                fleet.command(number, asked.command, numbers, answer, page.number)
             case said.Profile(boat=number, profile=profile):
                 fleet.command(number, "profile", {"profile": profile}, answer)
             case said.Replay():

@@ -101,16 +101,16 @@ class TapePlayer:
     def receive(self, address: Any, data: bytes) -> None:
         """Real boats are not part of a replay."""
 
-    def release(self, number: int, why: str) -> None:
+    def release(self, number: int, why: str, page: int | None = None) -> None:
         """Nothing is steered."""
 
-    def release_all(self, why: str) -> None:
+    def release_all(self, why: str, page: int | None = None) -> None:
         """Nothing is steered."""
 
-    def input(self, number: int, count: int, port_pct: float, starboard_pct: float) -> None:
+    def input(self, number: int, count: int, port_pct: float, starboard_pct: float, page: int = 0) -> None:
         """Nothing is steered."""
 
-    def command(self, number: int, word: str, words: dict[str, Any], answer: Any) -> NoReturn:
+    def command(self, number: int, word: str, words: dict[str, Any], answer: Any, page: int = 0) -> NoReturn:
         raise Refused("this is a replay: there is no boat to command")
 
     def put(self, number: int, mission: dict[str, Any]) -> NoReturn:

@@ -61,6 +61,7 @@ def boat(number: int, name: str, colour: str, *, north_m: float = 0.0, east_m: f
         "obstacles": [],
         "ghost": None,
         "released": False,
+        "driver": 0,
         "age_s": {"heard": 0.1, "position": 0.1, "attitude": 0.1, "rpm": 0.1, "battery": 0.9},
         "link": {"kind": "udp", "profile": "wifi", "rtt_ms": 3.2, "loss_pct": 0.0, "bytes_per_s": 1960, "signed": True},
         "mission": {"name": "", "count": 0, "current": None, "state": "none", "digest": None},
@@ -110,6 +111,7 @@ class Standin:
         self.hello: Message = {
             "version": "0",
             "me": 250,
+            "page": 1,
             "orders": OFFERED,
             "heard_on": ["127.0.0.1:14550"],
             "backgrounds": list(backgrounds),

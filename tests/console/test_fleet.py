@@ -191,6 +191,29 @@ def test_thrust_follows_the_page_and_ends_when_the_page_does(sea: Sea) -> None:
     assert sea.boats[2].thrust == []
 
 
+def test_one_page_drives_and_the_others_are_told_which(sea: Sea) -> None:
+    sea.fleet.command(1, "manual", {}, lambda well, why: None, 1)
+    for n in range(10, 13):
+        sea.fleet.input(1, n, 30.0, 30.0, 1)
+        sea.fleet.input(1, n + 50, 60.0, 60.0, 2)  # it has counted further
+        sea.run(0.2)
+    assert sea.boats[1].thrust == [(300, 0)] * 3
+    assert sea.shown(1)["driver"] == 1
+    sea.fleet.release(1, "another window is in front", 2)
+    sea.run(0.2)
+    assert sea.boats[1].thrust == [(300, 0)] * 3, "it was not its to release"
+    sea.fleet.command(1, "manual", {}, lambda well, why: None, 2)
+    sea.fleet.input(1, 13, 30.0, 30.0, 1)
+    sea.fleet.input(1, 1, 60.0, 60.0, 2)
+    sea.run(0.2)
+    assert sea.boats[1].thrust == [*[(300, 0)] * 3, (0, 0), (600, 0)]
+    assert sea.shown(1)["driver"] == 2
+    sea.fleet.release_all("the page was closed", 2)
+    sea.run(0.2)
+    assert sea.boats[1].thrust[-1] == (0, 0)
+    assert sea.shown(1)["driver"] == 0
+
+
 def test_after_the_computer_slept_what_the_page_said_meanwhile_moves_nothing(sea: Sea) -> None:
     sea.run(3.0)
     sea.fleet.input(1, 1, 40.0, 40.0)

@@ -16,7 +16,7 @@ import pytest
 from delfim import messages
 from tests.console.chain import Boat, Sea, afternoon, select, shown_mode, turning
 from tests.console.scenes import choose
-from tests.services.browser import Page
+from tests.services.browser import Page, tab
 
 NORTH_M = 1 / 111_111
 THRUST: tuple[tuple[str, tuple[str, ...], int, int], ...] = (  # thesis 4.3: key, held with it, port, starboard, percent
@@ -339,6 +339,41 @@ async def sent(page: Page) -> None:
     await page.until("document.querySelector('.selected .badge').textContent !== 'same'")
     await mission(page, "Send to the boat")
     await page.until("document.querySelector('.selected .badge').textContent === 'same'", 60)
+
+
+def test_two_pages_of_one_console_see_who_drives(sail: Sail) -> None:
+    """At two windows that both have the focus, as on two computers."""
+    line = "document.querySelector('[data-boat=\"2\"] .trouble:not(.weak)')"
+    speed = "document.querySelector('[data-boat=\"2\"] .speed').textContent"
+
+    async def story(sea: Sea) -> None:
+        page, boat = await sea.at_rest(2)
+        await page.call("Emulation.setFocusEmulationEnabled", enabled=True)
+        async with tab() as other:
+            await other.call("Emulation.setFocusEmulationEnabled", enabled=True)
+            await other.open(sea.url, width=1280, height=800, scale=1.0)
+            await other.until("document.querySelectorAll('.chip').length === 2")
+            await select(other, 2)
+            await pressed(page, boat, "m", "manual")
+            await page.press("3")
+            await boat.until(turning(30, 30))
+            await other.until(f"!{line}.hidden && {line}.textContent.includes('driven from another page')")
+            await other.until(f"{speed} === 'P 30 · S 30 %'")
+            await other.press("6")
+            await other.until("document.getElementById('messages').textContent.includes('press M here to take over')")
+            await boat.sails_on(WATCHED)
+            assert turning(30, 30)(boat.state())
+            await other.press("m")
+            await boat.until(turning(0, 0))
+            await other.press("6")
+            await boat.until(turning(60, 60))
+            await other.until(f"{speed} === 'P 60 · S 60 %' && {line}.hidden")
+            await page.until(f"{speed} === 'P 60 · S 60 %' && !{line}.hidden")
+        await boat.until(turning(0, 0))
+        await page.call("Emulation.setFocusEmulationEnabled", enabled=False)
+        await page.call("Page.bringToFront")
+
+    sail(story)
 
 
 # The dead-man.

@@ -76,19 +76,19 @@ export class Actions {
 
   /** 0 to 80 %: of the thrust in manual, of the speed in the other modes. */
   speed(boat: Boat, which: Thrusters, pct: number): void {
-    if (this.byHand(boat)) this.drive.set(boat.id, which, pct);
+    if (this.byHand(boat)) this.byPage(boat, () => this.drive.set(boat.id, which, pct));
     else if (which === "both") this.setSpeed(boat, pct);
     else this.oneOnly(boat);
   }
 
   faster(boat: Boat, which: Thrusters, by: number): void {
-    if (this.byHand(boat)) this.drive.faster(boat.id, which, by);
+    if (this.byHand(boat)) this.byPage(boat, () => this.drive.faster(boat.id, which, by));
     else if (which === "both") this.setSpeed(boat, Math.max(0, Math.min(100, this.speed_pct(boat) + by)));
     else this.oneOnly(boat);
   }
 
   turn(boat: Boat, which: Thrusters, by: number): void {
-    if (this.byHand(boat)) this.drive.turn(boat.id, which, by);
+    if (this.byHand(boat)) this.byPage(boat, () => this.drive.turn(boat.id, which, by));
     else if (which !== "both") this.oneOnly(boat);
     else if (this.inMode(boat, "heading") || this.inMode(boat, "course")) this.headTo(boat, (this.heading_deg(boat) + by + 360) % 360);
     else this.say(boat.id, 6, "Left and Right work in manual, heading and course mode only");
@@ -156,11 +156,17 @@ export class Actions {
   }
 
   setThrust(boat: Boat, port_pct: number, starboard_pct: number): void {
-    this.drive.setBoth(boat.id, port_pct, starboard_pct);
+    this.byPage(boat, () => this.drive.setBoth(boat.id, port_pct, starboard_pct));
   }
 
   byHand(boat: Boat): boolean {
     return this.inMode(boat, "manual");
+  }
+
+  /** Thrust is this page's to set, unless another page drives. */
+  private byPage(boat: Boat, set: () => void): void {
+    if (this.state.drivenElsewhere(boat) && !this.drive.hand(boat.id)) this.say(boat.id, 4, "driven from another page: press M here to take over");
+    else set();
   }
 
   private inMode(boat: Boat, mode: Mode): boolean {

@@ -6,6 +6,7 @@ import type { State } from "./state";
 const STREAM_MS = 200;
 const ASLEEP_MS = 1000; // a timer that stands still for so long means that the page, or the laptop, slept
 const MOST_PCT = 100;
+const TAKE_MS = 1000; // for the gateway to know that this page drives now
 const CONFIRM_MS = 3000; // a boat that is not in manual so long after the request is not driven
 
 export type Thrusters = "both" | "port" | "starboard";
@@ -16,6 +17,7 @@ interface Hand {
   n: number;
   silent: boolean;
   released: boolean; // as the gateway said last
+  begun: number; // when this page took it
   since: number; // when manual mode was asked for; -Infinity once the boat was seen in it
 }
 
@@ -45,7 +47,8 @@ export class Drive {
   /** The operator asked for manual mode: start from zero. */
   begin(id: number): void {
     const [n, released] = [this.hands.get(id)?.n ?? 0, this.state.byId(id)?.released ?? false];
-    this.hands.set(id, { port_pct: 0, starboard_pct: 0, n, silent: false, released, since: performance.now() });
+    const now = performance.now();
+    this.hands.set(id, { port_pct: 0, starboard_pct: 0, n, silent: false, released, begun: now, since: now });
     this.changed();
   }
 
@@ -109,6 +112,7 @@ export class Drive {
       const boat = this.state.byId(id);
       if (boat?.mode === "manual") hand.since = -Infinity;
       else if (boat?.asked !== "manual" && performance.now() - hand.since > CONFIRM_MS) this.end(id);
+      if (boat && this.state.drivenElsewhere(boat) && performance.now() - hand.begun > TAKE_MS) this.end(id);
       if (boat?.released && !hand.released) this.fall(hand);
       hand.released = boat?.released ?? false;
     }

@@ -21,7 +21,7 @@ export const NONE: Boat = {
   ...{ id: NOBODY, name: "", colour: "", latitude_deg: null, longitude_deg: null, heading_deg: null, course_deg: null, speed_mps: null },
   ...{ mode: null, asked: null, modes: [], armed: false, owner: true, commander: 0, twins: [], ready: false, reason: "", failsafe: "", rpm: [null, null], thrust_pct: [null, null] },
   ...{ speed_pct: null, battery_v: null, battery_pct: null, roll_deg: null, pitch_deg: null, satellites: null, fix: null, reference: null },
-  ...{ home: null, fence: [], obstacles: [], ghost: null, released: false },
+  ...{ home: null, fence: [], obstacles: [], ghost: null, released: false, driver: 0 },
   age_s: { heard: null, position: null, attitude: null, rpm: null, battery: null },
   link: { kind: "", profile: "", rtt_ms: null, loss_pct: null, bytes_per_s: null, signed: false },
   mission: { name: "", count: 0, current: null, state: "none", digest: null },

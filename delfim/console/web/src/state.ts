@@ -67,6 +67,11 @@ export class State {
     return this.hello?.replay != null;
   }
 
+  /** Whether another page of this console drives the boat by hand. */
+  drivenElsewhere(boat: Boat): boolean {
+    return boat.mode === "manual" && boat.driver > 0 && boat.driver !== this.hello?.page;
+  }
+
   byId(id: number): Boat | undefined {
     return this.boats.find((each) => each.id === id);
   }

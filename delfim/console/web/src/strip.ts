@@ -121,7 +121,7 @@ class Chip {
     text(this.left, leftWords(boat));
     text(this.battery, batteryWords(boat));
     this.battery.classList.toggle("bad", boat.battery_pct !== null && boat.battery_pct < 20);
-    this.drawTrouble(boat);
+    this.drawTrouble(boat, state);
     const values = measuredWords(boat, Math.max(0, state.frameAge_s - 0.2));
     text(this.measured, values);
     this.measured.hidden = !values;
@@ -158,15 +158,16 @@ class Chip {
     const hand = drive.hand(boat.id);
     const speed = boat.speed_mps === null ? "" : speedWords(boat.speed_mps);
     const [port, starboard] = boat.thrust_pct.map((each) => (each === null ? "–" : Math.round(each)));
-    if (hand) text(this.speed, hand.silent ? "thrust 0" : `P ${hand.port_pct} · S ${hand.starboard_pct} %`);
+    if (hand) text(this.speed, hand.silent ? "thrust 0" : `P ${asked(port!, hand.port_pct)} · S ${asked(starboard!, hand.starboard_pct)} %`);
     else if (boat.mode === "manual") text(this.speed, `P ${port} · S ${starboard} %`);
     else if (boat.mode === "idle" || boat.mode === null) text(this.speed, speed);
     else text(this.speed, boat.link.kind === "log" ? speed : `${actions.speed_pct(boat)} % · ${speed}`);
     this.speed.classList.toggle("bad", hand?.silent ?? false);
   }
 
-  private drawTrouble(boat: Boat): void {
-    const found = trouble(boat);
+  private drawTrouble(boat: Boat, state: State): void {
+    const elsewhere = state.drivenElsewhere(boat) ? { words: "driven from another page: M here takes over", grave: false } : null;
+    const found = trouble(boat) ?? elsewhere;
     text(this.trouble, found?.words ?? "");
     this.trouble.hidden = !found;
     this.trouble.classList.toggle("bad", found?.grave ?? false);
@@ -289,6 +290,9 @@ function leftWords({ mode, reference, speed_mps }: Boat): string {
   const time = (speed_mps ?? 0) < STILL_MPS ? "" : left_s < 100 ? ` · ${left_s.toFixed(0)} s` : ` · ${long}`;
   return `${far}${time} to go`;
 }
+
+/** What is in force, and what was asked for where that is something else. */
+const asked = (now: number | string, wanted: number): string => (now === wanted ? `${wanted}` : `${now}→${wanted}`);
 
 function batteryWords({ battery_pct, battery_v }: Boat): string {
   if (battery_pct !== null) return `${Math.round(battery_pct)} %`;

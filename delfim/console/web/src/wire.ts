@@ -111,6 +111,7 @@ export interface Boat {
   guard?: string | null; // "on", "off", "cannot avoid"; null: it does not say
   ghost: (Place & { radius_m: number }) | null;
   released: boolean;
+  driver: number; // the page of this console that drives it by hand; 0: none
 }
 
 export type Gravity = "none" | "near" | "danger";
@@ -174,7 +175,7 @@ export interface TimeLine {
 }
 
 export type Heard =
-  | { t: "hello"; version: string; me: number; heard_on?: string[]; charts?: string; orders: Order[]; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
+  | { t: "hello"; version: string; me: number; page: number; heard_on?: string[]; charts?: string; orders: Order[]; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "boats"; at_s: number; boats: Boat[] }
   | { t: "vessels"; at_s: number; vessels: Vessel[]; heard_s: number | null }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
