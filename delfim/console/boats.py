@@ -7,6 +7,7 @@ from typing import Any, Final, NamedTuple
 
 from delfim.console.mavlink import mavlink
 from delfim.console.othervessels import VesselsTold
+from delfim.console.reception import Reception
 from delfim.console.words import Words
 from delfim.modes import Mode
 from delfim.vehicle.mavlink.params import BOAT_NAME
@@ -14,7 +15,6 @@ from delfim.vehicle.mavlink.vesselsout import GUARDED, ORDERED
 
 COLOURS: Final = ("#d1495b", "#2e86ab", "#e8b04a", "#5b9a68", "#8e5ea2", "#d97b29", "#3a7d7c", "#b0567f", "#6b705c", "#1b4965")
 SILENT_S: Final = 3.5
-LOSS_SPAN_S: Final = 20.0
 CHECKSUM_S: Final = 6.0  # the time for a boat to send the checksum of its plans before they are read
 NAME_MAX: Final = 32
 TRACK_MAX: Final = 36_000  # points: ten hours at one a second
@@ -61,20 +61,21 @@ class Boat:
         self.rtt_ms: float | None = None
         self.synced_s = -math.inf
         self.released = False
-        self.profile = "wifi"
-        self.asks = 0  # requests for its name and its modes
+        self.before = ""  # the name that it had until now, as another boat
+        self.is_named = False  # it has told its name since it was silent last
+        self.profile = ""  # until it has told it
+        self.asks = 0  # requests for its name, its modes and its profile
         self.checksum: int | None = None  # of the plans aboard, as the boat sends it
         self.read: int | None = None  # the same, when they were read
         self.read_due_s = now_s + CHECKSUM_S
-        self._since_s, self._bytes = now_s, 0
-        self._seen: dict[int, int] = {}  # by component: the last sequence number
-        self._arrivals: deque[tuple[float, int, int]] = deque()  # time, bytes, messages missing before it
-        self._missing = 0
+        self._reception = Reception(now_s)
 
     def receive(self, message: Any, now_s: float, utc_s: float) -> None:
         """Takes any message of this boat."""
+        if now_s - self.heard_s > SILENT_S:  # it may be another boat with this number by now
+            self.is_named, self.profile, self.asks, self.synced_s = False, "", 0, -math.inf
         self.heard_s = now_s
-        self._count(message, now_s)
+        self._reception.count(message, now_s)
         handler = _HANDLERS.get(message.get_type())
         if handler is not None:
             handler(self, message)
@@ -90,9 +91,15 @@ class Boat:
         elif (was is None and len(self.measured) < MEASURED_MAX) or (was is not None and was.stamp_ms != stamp_ms):
             self.measured[name] = Measured(round(value, 3), stamp_ms, self.heard_s)
 
-    @property
-    def is_unnamed(self) -> bool:
-        return self.name == f"boat {self.number}"
+    def rename(self, text: str) -> None:
+        """Takes its name. If it is another boat than it was, what is known of that one is forgotten."""
+        name = _printable(text) or self.name
+        self.before = self.name if self.name not in (name, f"boat {self.number}") else ""
+        self.name, self.is_named = name, True
+        if self.before:
+            for each in (self.values, self.measured, self.reference, self.at_s, self._modes_told):
+                each.clear()
+            self.has_told_modes, self.asks, self.reason, self.failsafe, self.warning = False, 0, "", "", ""
 
     def enter(self, number: int) -> None:
         """Enters a mode; the target of the mode before is forgotten."""
@@ -117,7 +124,6 @@ class Boat:
     def snapshot(self, now_s: float) -> dict[str, Any]:
         """The boat as the page shows it."""
         v = self.values
-        self._forget(now_s)
         ages = {"heard": round(now_s - self.heard_s, 2)} | {
             name: self.age_s(kind, now_s)
             for name, kind in (
@@ -159,38 +165,12 @@ class Boat:
                 "signed": self.signed,
                 "profile": self.profile,
                 "rtt_ms": self.rtt_ms,
-                "loss_pct": self._loss_pct(),
-                "bytes_per_s": round(self._bytes / min(max(now_s - self._since_s, 1.0), LOSS_SPAN_S)),
+                "loss_pct": self._reception.loss_pct(now_s),
+                "bytes_per_s": self._reception.bytes_per_s(now_s),
             },
             "ghost": self._ghost(now_s),
             "released": self.released,
         }
-
-    def _count(self, message: Any, now_s: float) -> None:
-        """Counts sequence numbers and bytes."""
-        component, sequence = message.get_srcComponent(), message.get_seq()
-        ahead = (sequence - self._seen.get(component, sequence - 1)) & 0xFF
-        if 0 < ahead < 128:
-            self._seen[component] = sequence
-        missing = ahead - 1 if 0 < ahead < 128 else -1 if ahead else 0  # a frame that comes late had counted as missing
-        size = len(message.get_msgbuf())
-        self._arrivals.append((now_s, size, missing))
-        self._bytes += size
-        self._missing += missing
-        self._forget(now_s)
-
-    def _forget(self, now_s: float) -> None:
-        """Drops arrivals older than twenty seconds."""
-        arrivals = self._arrivals
-        while arrivals and arrivals[0][0] < now_s - LOSS_SPAN_S:
-            _, size, missing = arrivals.popleft()
-            self._bytes -= size
-            self._missing -= missing
-
-    def _loss_pct(self) -> float:
-        missing = max(self._missing, 0)
-        heard = len(self._arrivals)
-        return round(100.0 * missing / (heard + missing), 1) if heard else 0.0
 
     def _extend(self, utc_s: float) -> None:
         """Adds to the past track, a point a second."""
@@ -333,7 +313,7 @@ def _depth(boat: Boat, m: Any) -> None:
 
 def _name(boat: Boat, m: Any) -> None:
     if m.param_id == BOAT_NAME:
-        boat.name = _printable(m.param_value) or boat.name
+        boat.rename(m.param_value)
 
 
 def _available(boat: Boat, m: Any) -> None:

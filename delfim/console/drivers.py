@@ -1,7 +1,7 @@
-"""Thrust by hand. A page drives a boat, one at a time: the one that asked for manual last, or that gave thrust first. What any other
-page gives is left out, and each page is told who drives.
+"""Thrust by hand. One page at a time drives a boat: the one that asked for manual last, or that gave thrust first. What any
+other page gives is left out, and each page is told who drives.
 
-The page's input is passed on as it comes and never repeated; when none came for INPUT_S the boat gets zero once, and then nothing.
+The page's input is passed on as it comes and never repeated; when none came for INPUT_S the boat gets zero once, then nothing.
 """
 
 import math

@@ -23,7 +23,7 @@ from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN
 
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
-ASKS: Final = 12  # for a minute: requests for name and modes
+ASKS: Final = 12  # for a minute: requests for name, modes and profile
 DEAF_S: Final = 1.0  # after a sleep messages of pages are refused for so long: a page must see that it was released
 BOATS_MAX: Final = 32
 SIGNED_MAX: Final = 199  # with a key nobody can invent boats: as many as there are numbers below those of consoles
@@ -181,6 +181,11 @@ class Fleet:
                 boat.profile == chosen.name, "" if boat.profile == chosen.name else f"the boat keeps profile {boat.profile}"
             )
 
+    def _on_name(self, boat: Boat, message: Any, now_s: float) -> None:
+        if message.param_id == BOAT_NAME and boat.before:
+            self.missions.get(boat.number, {}).pop("aboard", None)
+            self._say(boat.number, 4, f"number {boat.number} is now {boat.name}: it was {boat.before}")
+
     def _on_sync(self, boat: Boat, message: Any, now_s: float) -> None:
         if message.tc1:
             boat.rtt_ms = round(now_s * 1e3 - message.ts1 / 1e6, 1)
@@ -229,12 +234,14 @@ class Fleet:
         boat.twins = twins
 
     def _ask_once(self, boat: Boat) -> None:
-        """Asks for name and modes until they are known, up to ASKS times."""
+        """Asks for name, profile and modes until they are known, up to ASKS times."""
         boat.asks += 1
         if boat.asks > ASKS:
             return
         to = boat.number, AUTOPILOT
-        if boat.is_unnamed:
+        if not boat.profile:
+            self._send(boat.number, mavlink.MAVLink_param_request_read_message(*to, PROFILE, -1))
+        if not boat.is_named:
             self._send(boat.number, mavlink.MAVLink_param_ext_request_read_message(*to, BOAT_NAME.encode(), -1))
         if not boat.has_told_modes:
             modes = mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES, *(0.0,) * 6  # all of them
@@ -378,6 +385,7 @@ _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
     "COMMAND_ACK": Fleet._on_ack,
     "STATUSTEXT": Fleet._on_text,
     "PARAM_VALUE": Fleet._on_param,
+    "PARAM_EXT_VALUE": Fleet._on_name,
     "TIMESYNC": Fleet._on_sync,
     **dict.fromkeys(SAID, Fleet._on_mission),
 }

@@ -22,7 +22,7 @@ class FakeBoat:
         self.number, self.clock, self._say = number, clock, say
         self.mode, self.thrust, self.obeyed = 4, [], []
         self.refuse: str | None = None
-        self.profile = 2
+        self.profile: int | None = 2  # None: it knows no such parameter
         self.position = [386_900_000 + number * 1000, -92_150_000]
         self.aboard: dict[int, list[Any]] = {0: [], 1: [], 2: []}
         self._incoming: tuple[int, int, list[Any]] | None = None
@@ -80,6 +80,8 @@ class FakeBoat:
         elif kind == "PARAM_SET":
             self.profile = int(m.param_value)
             self.say(mavlink.MAVLink_param_value_message(m.param_id.encode(), m.param_value, m.param_type, 1, 0))
+        elif kind == "PARAM_REQUEST_READ" and self.profile is not None:
+            self.say(mavlink.MAVLink_param_value_message(m.param_id.encode(), self.profile, 9, 1, 0))
         elif kind == "PARAM_EXT_REQUEST_READ":
             self.asked_name += m.param_id == "BOAT_NAME"
             value = {"BOAT_NAME": self.name, "BOAT_RUN": self.run}[m.param_id]

@@ -191,6 +191,30 @@ def test_thrust_follows_the_page_and_ends_when_the_page_does(sea: Sea) -> None:
     assert sea.boats[2].thrust == []
 
 
+def test_another_boat_with_the_number_has_its_own_name() -> None:
+    """After a silence the number may be another boat's."""
+    sea = Sea(1, outages=lambda now_s: 110.0 <= now_s < 116.0)
+    boat = sea.boats[1]
+    boat.name, boat.profile = "Alfa", 2
+    sea.run(10.0)
+    assert (sea.shown(1)["name"], sea.shown(1)["link"]["profile"]) == ("Alfa", "wifi")
+    sea.run(6.0)
+    boat.name, boat.profile = "DelfimX", 1
+    sea.told.clear()
+    sea.run(3.0)
+    assert (sea.shown(1)["name"], sea.shown(1)["link"]["profile"]) == ("DelfimX", "radio")
+    warned = [each["text"] for each in sea.told if each.get("severity") == 4]
+    assert warned == ["number 1 is now DelfimX: it was Alfa"]
+
+
+def test_a_profile_that_was_not_told_is_not_shown() -> None:
+    sea = Sea(1, 2)
+    sea.boats[1].profile = None
+    sea.boats[2].profile = 1
+    sea.run(8.0)
+    assert [sea.shown(n)["link"]["profile"] for n in (1, 2)] == ["", "radio"]
+
+
 def test_one_page_drives_and_the_others_are_told_which(sea: Sea) -> None:
     sea.fleet.command(1, "manual", {}, lambda well, why: None, 1)
     for n in range(10, 13):

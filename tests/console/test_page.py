@@ -276,6 +276,19 @@ def test_after_a_lost_gateway_nothing_moves_by_itself(sail: Sail) -> None:
     sail(story)
 
 
+def test_no_line_is_drawn_where_a_boat_was_not_heard_or_cannot_have_been() -> None:
+    async def told() -> None:
+        gateway = Standin(two())
+        at_s, points = gateway.at_s - 400, []
+        for begun_s, north_m in ((0, 0), (160, 0), (220, 300)):  # a silence of a minute; 300 m away a second later
+            points += [[at_s + begun_s + n, *place(north_m + n, 0)] for n in range(60)]
+        gateway.history = {1: points}
+        async with sailing(gateway) as page:
+            assert await page.value("[delfim.pieces(1), delfim.pieces(2)]") == [4, 1], "the last one is where it is now"
+
+    asyncio.run(told())
+
+
 def test_the_track_is_whole_again_after_the_link_to_the_gateway_was_lost() -> None:
     async def told() -> None:
         gateway = Standin(two())

@@ -1,15 +1,16 @@
-// The boats on the map: symbol, name, past track, course, reference, ghost when silent, and what is aboard: fence, obstacles, home.
+// The boats on the map: symbol, name, past track, course, reference, ghost when silent, and what is aboard.
 import Feature from "ol/Feature";
-import { Circle, type Geometry, LineString, Point } from "ol/geom";
-import Polygon, { circular } from "ol/geom/Polygon";
+import { type Circle, LineString, Point, type Polygon } from "ol/geom";
+import { circular } from "ol/geom/Polygon";
 import VectorLayer from "ol/layer/Vector";
 import VectorImageLayer from "ol/layer/VectorImage";
 import VectorSource from "ol/source/Vector";
 import { Circle as Disc, Fill, Icon, Stroke, Style, Text } from "ol/style";
+import { keptAboard } from "./aboard";
 import type { Chart, Pixel } from "./chart";
 import { point } from "./chart";
-import { towards } from "./geo";
-import { inked, palette, theme } from "./palette";
+import { distance_m, towards } from "./geo";
+import { cased, inked, palette, theme } from "./palette";
 import type { State } from "./state";
 import { age_s, ageWords, freshness } from "./state";
 import type { Boat, Place } from "./wire";
@@ -17,6 +18,9 @@ import type { Boat, Place } from "./wire";
 const CHUNK = 500;
 const CHUNKS_MOST = 72; // ten hours at a point a second, as many as the gateway keeps
 const EVERY_S = 1;
+const GAP_S = 15; // where nothing was heard for so long no track is drawn
+const JUMP_MPS = 15; // nor where a boat would have been faster, beyond ...
+const JUMP_M = 20; // ... so far: another boat, or another fix
 const AHEAD_S = 60;
 const RAD = Math.PI / 180;
 const LETTER_PX = 8;
@@ -42,6 +46,7 @@ interface Shown {
   points: number[][];
   closed: Feature<LineString>[];
   last_s: number;
+  last: Place | null; // the last point
   icon: Icon | null;
   name: Text | null;
   side: (typeof SIDES)[number];
@@ -122,7 +127,13 @@ export class Fleet {
   /** How many points of a boat's track are kept. */
   points(id: number): number {
     const shown = this.shown.get(id);
-    return shown ? shown.closed.length * (CHUNK - 1) + shown.points.length : 0;
+    return shown ? shown.closed.reduce((sum, each) => sum + each.getGeometry()!.getCoordinates().length - 1, shown.points.length) : 0;
+  }
+
+  /** In how many pieces it is kept. */
+  pieces(id: number): number {
+    const shown = this.shown.get(id);
+    return shown ? shown.closed.length + Math.sign(shown.points.length) : 0;
   }
 
   clearTracks(): void {
@@ -206,6 +217,7 @@ export class Fleet {
       points: [],
       closed: [],
       last_s: -Infinity,
+      last: null,
       icon: null,
       name: null,
       side: SIDES[0],
@@ -247,20 +259,30 @@ export class Fleet {
   private append(shown: Shown, boat: Boat, at_s: number, place: Place): void {
     if (at_s < shown.last_s - 5) this.forget(shown); // a replay went back
     if (at_s - shown.last_s < EVERY_S) return;
-    shown.last_s = at_s;
+    if (this.isApart(shown, at_s, place)) this.close(shown, boat);
+    [shown.last_s, shown.last] = [at_s, place];
     shown.points.push(point(place));
-    if (shown.points.length < CHUNK) return;
+    if (shown.points.length >= CHUNK) this.close(shown, boat, [point(place)]);
+  }
+
+  private isApart({ last, last_s }: Shown, at_s: number, place: Place): boolean {
+    if (!last) return false;
+    return (!this.state.replaying && at_s - last_s > GAP_S) || distance_m(last, place) > JUMP_M + JUMP_MPS * (at_s - last_s);
+  }
+
+  /** The track goes on from these points. */
+  private close(shown: Shown, boat: Boat, onwards: number[][] = []): void {
     const closed = new Feature(new LineString(shown.points));
     closed.setStyle(track(boat));
     this.closedTracks.addFeature(closed);
     shown.closed.push(closed);
     if (shown.closed.length > CHUNKS_MOST) this.closedTracks.removeFeature(shown.closed.shift()!);
-    shown.points = [shown.points.at(-1)!];
+    shown.points = onwards;
   }
 
   private forget(shown: Shown): void {
     this.closedTracks.removeFeatures(shown.closed);
-    Object.assign(shown, { points: [], closed: [], last_s: -Infinity });
+    Object.assign(shown, { points: [], closed: [], last_s: -Infinity, last: null });
   }
 
   private repaint(): void {
@@ -281,50 +303,8 @@ export class Fleet {
   }
 }
 
-export function keptAboard(kept: Pick<Boat, "fence" | "obstacles" | "zones" | "home">, planned = false): Feature[] {
-  const made: Feature[] = [];
-  const dash = planned ? { lineDash: [6, 5] } : {};
-  const line = (way: Geometry) => {
-    const edge = new Feature(way);
-    edge.setStyle(cased(palette.danger, 2, planned ? [10, 6] : undefined));
-    made.push(edge);
-  };
-  const filled = (area: Geometry) => {
-    const out = new Feature(area);
-    out.setStyle(new Style({ fill: new Fill({ color: palette.dangerFill }), stroke: new Stroke({ color: palette.danger, width: 1.8, ...dash }) }));
-    made.push(out);
-  };
-  const ring = (corners: [number, number][]) => [...corners, corners[0]!].map(([latitude_deg, longitude_deg]) => point({ latitude_deg, longitude_deg }));
-  const disc = ({ latitude_deg, longitude_deg }: Place, radius_m: number) => circular([longitude_deg, latitude_deg], radius_m, 48).transform("EPSG:4326", "EPSG:3857") as Polygon;
-  if (kept.fence.length > 2) line(new LineString(ring(kept.fence)));
-  for (const each of kept.obstacles) filled(disc(each, each.radius_m));
-  for (const { kind, polygon, centre, radius_m } of kept.zones ?? []) {
-    const area = centre.length ? disc({ latitude_deg: centre[0]![0], longitude_deg: centre[0]![1] }, radius_m) : new Polygon([ring(polygon)]);
-    if (kind === "keep_out") filled(area);
-    else line(new LineString(area.getCoordinates()[0]!));
-  }
-  if (kept.home) {
-    const home = new Feature(new Point(point(kept.home)));
-    home.setStyle(
-      new Style({
-        image: new Disc({ radius: 10, fill: new Fill({ color: palette.handle }), stroke: new Stroke({ color: palette.soft, width: 2 }) }),
-        text: new Text({ text: "H", font: "700 12px system-ui, sans-serif", fill: new Fill({ color: palette.ink }), offsetY: 1 }),
-      }),
-    );
-    made.push(home);
-  }
-  return made;
-}
-
 function track(boat: Boat): Style {
   return new Style({ stroke: new Stroke({ color: inked(boat.colour, 0.6), width: 4.5 }) });
-}
-
-/** A line that is seen on any chart: its colour over a halo. */
-export function cased(color: string, width: number, lineDash?: number[]): Style[] {
-  const stroke = (tint: string, wide: number) =>
-    new Style({ stroke: new Stroke({ color: tint, width: wide, lineCap: lineDash ? "butt" : "round", ...(lineDash ? { lineDash } : {}) }) });
-  return [stroke(palette.halo, width + 2.4), stroke(color, width)];
 }
 
 export function position(boat: Boat): Place | null {

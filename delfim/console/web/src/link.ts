@@ -29,7 +29,7 @@ export function weakWords({ link }: Boat): string {
 
 export function linkWords({ link }: Boat): string {
   if (link.kind === "log") return "from the boat's own log";
-  const parts = [`${link.profile || link.kind} ${link.rtt_ms === null ? "" : `${Math.round(link.rtt_ms)} ms`}`];
+  const parts = [`${link.profile || "?"} ${link.rtt_ms === null ? "" : `${Math.round(link.rtt_ms)} ms`}`];
   if (link.loss_pct !== null) parts.push(`${link.loss_pct < 9.95 ? link.loss_pct.toFixed(1) : Math.round(link.loss_pct)} % lost`);
   parts.push(link.signed ? "signed" : "unsigned");
   return parts.join(" · ");

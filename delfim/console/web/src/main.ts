@@ -287,6 +287,7 @@ Object.assign(window, {
     harbours: () => land.harbours,
     ways: () => fleet.wayPoints,
     points: (boat: number) => fleet.points(boat),
+    pieces: (boat: number) => fleet.pieces(boat),
     frames: ofLastSecond,
     vessels: () => state.vessels.map((each) => [each.name, watch.gravity(each)]),
   },

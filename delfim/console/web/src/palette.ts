@@ -1,5 +1,7 @@
 // Day and night. Day is made for the sun: dark ink on a pale sea. Night keeps the eyes adapted: dim, and no white.
 
+import { Stroke, Style } from "ol/style";
+
 export type Theme = "day" | "night";
 
 export interface Palette {
@@ -84,4 +86,11 @@ export function inked(colour: string, alpha = 1): string {
   const light = (0.299 * rgb[0] + 0.587 * rgb[1] + 0.114 * rgb[2]) / 255;
   const factor = theme === "day" ? Math.min(1, 0.5 / Math.max(light, 0.01)) : Math.min(1, 0.72 / Math.max(light, 0.01));
   return `rgba(${rgb.map((each) => Math.round(each * factor)).join(",")},${alpha})`;
+}
+
+/** A line that is seen on any chart: its colour over a halo. */
+export function cased(color: string, width: number, lineDash?: number[]): Style[] {
+  const stroke = (tint: string, wide: number) =>
+    new Style({ stroke: new Stroke({ color: tint, width: wide, lineCap: lineDash ? "butt" : "round", ...(lineDash ? { lineDash } : {}) }) });
+  return [stroke(palette.halo, width + 2.4), stroke(color, width)];
 }

@@ -8,10 +8,10 @@ import VectorSource from "ol/source/Vector";
 import { Circle as Disc, Fill, RegularShape, Stroke, Style, Text } from "ol/style";
 import type { Chart, Pixel } from "./chart";
 import { placeOf, point } from "./chart";
-import { cased, keptAboard } from "./fleet";
+import { keptAboard } from "./aboard";
 import { bearing, bearing_deg, distance_m, metres } from "./geo";
 import { alike, cornerPlace, insertCorner, insertWaypoint, leg, moveCorner, moveWaypoint, path as pathOf, setObstacle } from "./mission";
-import { inked, palette } from "./palette";
+import { cased, inked, palette } from "./palette";
 import type { State } from "./state";
 import type { Boat, Mission, Place, Waypoint } from "./wire";
 
