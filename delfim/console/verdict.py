@@ -7,6 +7,7 @@ from typing import Any, Final
 from delfim import config, geodesy
 from delfim.console.plan import checked_tables
 from delfim.slices import Work
+from delfim.vehicle.estimate import in_hours, mission_s
 from delfim.vehicle.planning import laid
 
 NO_FILE: Final = "checked with the usual limits, because no boat's file was given (--vehicle FILE)"
@@ -15,9 +16,9 @@ NO_FILE: Final = "checked with the usual limits, because no boat's file was give
 def verdict(
     plan: Mapping[str, Any], place: tuple[float, float] | None, vehicle: config.Vehicle | None, charts: Iterable[dict[str, Any]]
 ) -> Work[str]:
-    """Remarks on a plan that the boat would take, or an empty string. `place` is the boat's, degrees, if it is known; otherwise
-    the boat is taken to be at the first waypoint. Raises ConfigError, Refused with the reason why the boat would not take it.
-    """
+    """Remarks on a plan that the boat would take; the first is how long it takes by its length. `place` is the boat's, degrees,
+    if it is known; otherwise the boat is taken to be at the first waypoint. Raises ConfigError, Refused with the reason why the
+    boat would not take it."""
     mission = checked_tables(plan)
     first = mission.waypoint[0]
     at = place or (first.latitude_deg, first.longitude_deg)
@@ -25,7 +26,9 @@ def verdict(
     control, fence = (vehicle.control, vehicle.fence) if vehicle is not None else (config.ControlTable(), config.FenceTable())
     yield from laid(mission, origin, control, fence)
     places = [(each.latitude_deg, each.longitude_deg) for each in mission.waypoint]
-    remarks = [_uncharted(places, [each["extent"] for each in charts]), "" if vehicle is not None else NO_FILE]
+    time_s = mission_s(mission, control.speed.cruise_mps)
+    remarks = [f"about {in_hours(time_s)}" if len(places) > 1 else ""]
+    remarks += [_uncharted(places, [each["extent"] for each in charts]), "" if vehicle is not None else NO_FILE]
     return "; ".join(filter(None, remarks))
 
 

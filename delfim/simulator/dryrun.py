@@ -2,7 +2,8 @@
 
 python -m delfim.simulator.dryrun FILE [--set KEY=VALUE]... reads a mission's text from standard input and prints one JSON
 object: `end` in words, `well`, `time_s`, `distance_m`, `track` as [latitude_deg, longitude_deg] once a second or less often. A
-process of its own, so that the caller need not wait: an hour's mission takes four seconds.
+process of its own, so that the caller need not wait: an hour's mission takes four seconds. It is given up after three times of
+what its length and speeds ask for, and an hour, or two days.
 """
 
 import argparse
@@ -19,17 +20,21 @@ from delfim.geodesy import from_plane
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
+from delfim.vehicle.estimate import in_hours, mission_s
+from delfim.vehicle.mission import read_mission
 from delfim.vehicle.state import NoLog
 
-LIMIT_S: Final = 6 * 3600.0
+LONGEST_S: Final = 48 * 3600.0
 POINTS_MAX: Final = 2000
 
 
-def sail(settings: config.Vehicle, mission: str, limit_s: float = LIMIT_S, seed: int = 1) -> dict[str, Any]:
+def sail(settings: config.Vehicle, mission: str, limit_s: float | None = None, seed: int = 1) -> dict[str, Any]:
     """The answer, JSON-ready."""
     run = Lockstep(settings, seed, lambda clock: NoLog())
     track: list[tuple[float, float]] = []
     end, begun_s, next_s = run.command(console.LoadMission(mission)) or "", 0.0, 0.0
+    if limit_s is None:
+        limit_s = 0.0 if end else min(3600.0 + 3.0 * _expected_s(mission, settings), LONGEST_S)
     for state in run.cycles(0.0 if end else limit_s):
         if not begun_s:
             begun_s = run.elapsed_s if run.command(console.Play()) is None else 0.0
@@ -47,12 +52,16 @@ def sail(settings: config.Vehicle, mission: str, limit_s: float = LIMIT_S, seed:
     thinned = track[:: max(len(track) // POINTS_MAX, 1)]
     line = [from_plane(origin, north_m, east_m) for north_m, east_m in thinned] if origin is not None else []
     return {
-        "end": end or f"not done after {limit_s:.0f} s",
+        "end": end or f"not done after {in_hours(limit_s)} at sea",
         "well": end == "mission done",
         "time_s": round(run.elapsed_s - begun_s, 1),
         "distance_m": round(sum(math.dist(a, b) for a, b in pairwise(track)), 1),
         "track": [[round(math.degrees(latitude), 7), round(math.degrees(longitude), 7)] for latitude, longitude in line],
     }
+
+
+def _expected_s(mission: str, settings: config.Vehicle) -> float:
+    return mission_s(read_mission(mission), settings.control.speed.cruise_mps)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -42,6 +42,7 @@ def plan(*places: tuple[float, float], **more: Any) -> dict[str, Any]:
 
 FENCE = [list(place(*each).values()) for each in ((0.0, 0.0), (1.0, 0.0), (1.0, 1.0), (0.0, 1.0))]
 ROCK = place(0.5, 0.5) | {"radius_m": 20.0}
+ABOUT = "19 min"  # 1.7 km
 INSIDE = (0.2, 0.2), (0.2, 0.8), (0.8, 0.8)
 WRONG = {
     "fence": plan(*INSIDE[:2], (1.2, 0.8), fence=FENCE),
@@ -75,11 +76,12 @@ def test_the_check_refuses_in_the_words_of_the_boat_that_loads_the_plan(what: st
 def test_the_check_says_what_is_on_no_chart_and_whose_limits_it_took() -> None:
     west, south, east, north = WEST, SOUTH, WEST + 0.01, SOUTH + 0.01
     charts = ({"extent": (west, south, east, north)}, {"extent": (0.0, 0.0, 1.0, 1.0)})
-    assert judged(plan(*INSIDE)) == f"well: {NO_FILE}"
-    assert judged(plan(*INSIDE), config.load(VEHICLE), charts) == "well: on no chart: waypoints 2, 3"
+    assert judged(plan(*INSIDE)) == f"well: about {ABOUT}; {NO_FILE}"
+    assert judged(plan(*INSIDE), config.load(VEHICLE), charts) == f"well: about {ABOUT}; on no chart: waypoints 2, 3"
     assert judged(plan(INSIDE[0]), config.load(VEHICLE), charts) == "well: "
     many = [(0.05 * number, 0.9) for number in range(12)]
-    assert judged(plan(*many), config.load(VEHICLE), charts) == "well: on no chart: waypoints 1, 2, 3, 4, 5 and 7 more"
+    words = judged(plan(*many), config.load(VEHICLE), charts)
+    assert words.endswith("; on no chart: waypoints 1, 2, 3, 4, 5 and 7 more")
 
 
 def test_the_gateway_goes_on_while_a_mission_is_read_and_reads_none_that_is_too_long(tmp_path: Path) -> None:
@@ -101,7 +103,7 @@ def test_the_gateway_goes_on_while_a_mission_is_read_and_reads_none_that_is_too_
             assert "too much time or memory" in reasons[0]
             assert "are not read" in reasons[1]
             assert "this is a pipe" in reasons[2]
-            assert reasons[3] == ""
+            assert reasons[3] == f"about {ABOUT}"
 
     asyncio.run(main())
 

@@ -124,7 +124,8 @@ export class Actions {
     const carries = deed !== "list" && deed !== "load" && deed !== "download";
     const more = { ...(carries ? { mission: spoken(this.state.plan(boat).mission) } : {}), ...(name === undefined ? {} : { name }) };
     const answer = await this.net.ask({ t: "mission", boat, do: deed, ...more });
-    if (!answer.ok) this.say(boat, 3, refusal(deed === "put" ? "plan" : deed, answer.reason));
+    const what = deed === "put" ? "plan" : deed === "dryrun" ? "dry run" : deed;
+    if (!answer.ok) this.say(boat || null, 3, refusal(what, answer.reason));
     return answer;
   }
 

@@ -124,7 +124,7 @@ export class Planning {
     return [
       { title: `Send ${isSailing(boat) ? "changes" : "to the boat"}`, note: this.compared(boat), refuse: nobody ?? none, do: () => void this.send(boat) },
       { title: "Read from the boat", refuse: nobody, do: () => this.fetch(boat) },
-      { title: "Dry run", refuse: none, note: "in the simulator: time and distance", do: () => this.dryRun(boat) },
+      { title: "Dry run", refuse: none, note: "in the simulator: time and distance", do: () => void this.dryRun(boat) },
       "line",
       { title: "Save", note: mission.name, refuse: none, do: () => this.save(boat, mission.name) },
       { title: "Save under a new name…", refuse: none, do: () => this.saveAs(boat) },
@@ -191,8 +191,11 @@ export class Planning {
     });
   }
 
-  private dryRun(boat: Boat): void {
-    this.messages.say(boat.id || null, 6, "dry run started");
+  /** A day's mission takes a minute or more: what its length says is told meanwhile. */
+  private async dryRun(boat: Boat): Promise<void> {
+    const { reason } = await this.actions.check(boat.id, this.state.plan(boat.id).mission);
+    const about = /^about [^;]+/.exec(reason)?.[0];
+    this.messages.say(boat.id || null, 6, `dry run under way${about ? `; ${about} by length and speed` : ""}`);
     void this.actions.mission(boat.id, "dryrun");
   }
 
