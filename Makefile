@@ -28,7 +28,7 @@ export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/$(BIN)
 
 .DEFAULT_GOAL := help
 .DELETE_ON_ERROR:
-.PHONY: help run test test-long again fast seeds check page docs pictures bench image deb release system guest-shell formats lock clean
+.PHONY: help run test test-long again fast seeds check page docs pictures bench image deb wheel release system guest-shell formats lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):.*## \(.*\)/  make \1\t\2/p' $(MAKEFILE_LIST) | expand -t 22
@@ -89,6 +89,11 @@ image: $(READY) ## build the boat's image, kernel and initramfs, into run/image 
 
 deb: $(READY) ## build the Debian packages, into run/deb (ARGS="--debian 13 --arch arm64", --try installs them in a new root)
 	PYTHONSAFEPATH= $(BIN)/python docker/deb.py run/deb $(ARGS)
+
+wheel: $(BOAT) ## make the wheel of this checkout as it is, into dist; it needs no tag
+	@rm -rf build
+	@$(BIN)/python -m pip wheel --quiet --disable-pip-version-check --no-deps --no-build-isolation --wheel-dir dist .
+	@ls dist/*.whl
 
 release: $(READY) requirements/release.txt ## make the wheel and the source package of the tagged commit, into dist (ARGS="--sign KEY")
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes --no-deps -r requirements/release.txt

@@ -14,7 +14,7 @@ LINK: Final = re.compile(r"(?:\]\(|(?:href|src)=\")(?!\w+:)([^)#\s\"]+)")
 NAMED: Final = re.compile(r"\[((?:[\w./-]*/)?([\w-]+\.md))\]\(((?:[\w./-]*/)?\2)(#[^)\s]*)?\)")
 ENTRY: Final = re.compile(r"\[([^\]]+)\]\(([^)#\s]+\.md)\)")
 ITEM: Final = re.compile(r"[*-] |\d+\. ")
-NOT_RUN: Final = re.compile(r"^( *)<!-- not run: it (.+) -->$", re.MULTILINE)
+NOT_RUN: Final = re.compile(r"^( *)<!-- not run: it (.+) -->\n+((?:\1    .*\n|\n(?=\1    ))+|\1```[^`]*```\n)", re.MULTILINE)
 RUN: Final = re.compile(r"^ *<!-- run -->\n\n", re.MULTILINE)
 START: Final = ("README.md", "CONTRIBUTING.md", "CHANGELOG.md", "docs/README.md")
 
@@ -47,8 +47,9 @@ def titled(text: str, name: str, titles: Mapping[str, str]) -> str:
 
 
 def shown(text: str) -> str:
-    """A document as the site shows it: the mark of a block of commands that no test runs becomes a line that says so."""
-    return RUN.sub("", NOT_RUN.sub(r'\1<p class="mark">No test runs this: it \2.</p>', "\n".join(_deepened(text.split("\n")))))
+    """A document as the site shows it: the mark of a block of commands that no test runs becomes a line below that says so."""
+    below = r'\n\3\n\1<p class="mark">No test runs this: it \2.</p>\n'
+    return RUN.sub("", NOT_RUN.sub(below, "\n".join(_deepened(text.split("\n")))))
 
 
 def _deepened(lines: Sequence[str]) -> Iterator[str]:

@@ -175,7 +175,7 @@ def test_a_link_says_the_title_of_its_page_where_it_only_had_the_name_of_a_file(
 def test_a_page_says_which_commands_no_test_runs() -> None:
     block = "<!-- not run: it needs a boat -->\n\n    ssh boat\n\n<!-- run -->\n\n    delfim\n"
     told = shown(f"Say:\n\n{block}\n1. First:\n\n       ip link\n")
-    assert '<p class="mark">No test runs this: it needs a boat.</p>\n\n    ssh boat\n\n    delfim\n' in told
+    assert '\n    ssh boat\n\n<p class="mark">No test runs this: it needs a boat.</p>\n\n    delfim\n' in told
     assert told.endswith("1. First:\n\n        ip link\n")
 
 
@@ -229,6 +229,9 @@ def test_a_reader_without_a_network_finds_and_sees_everything(site: Path) -> Non
             await page.open(f"{site.as_uri()}/docs/runtime.html", width=1280, height=900)
             await page.until("!!document.querySelector('div.mermaid')")  # pre, until it is drawn
             assert [url for url in page.requests if not url.startswith(("file:", "blob:", "data:"))] == []
+            await page.open(f"{site.as_uri()}/docs/vehicle-file.html", width=390, height=844)
+            widths = await page.value("[...document.querySelectorAll('.md-typeset table')].map(each => each.scrollWidth)")
+            assert sum(width > 370 for width in widths) <= 0.2 * len(widths), "a phone shows all columns of a table"
 
     asyncio.run(read())
 

@@ -23,3 +23,9 @@ def test_a_first_run_says_that_it_installs_once_and_installs_nothing_for_tests()
 
 def test_what_tests_need_comes_with_the_first_target_that_needs_it():
     assert "-r requirements/test.txt" in planned("check", "READY=.venv/.nobody-made-this")
+
+
+def test_the_wheel_of_a_checkout_needs_neither_a_tag_nor_what_was_built_before():
+    steps = planned("wheel")
+    assert steps.index("rm -rf build") < steps.index("-m pip wheel")
+    assert "release.py" not in steps
