@@ -671,6 +671,13 @@ class NavigationJumping(Silence, frozen=True):
     after_s: Seconds = 0.5  # from the first one that was refused to the last
 
 
+class NavigationTwice(Silence, frozen=True):
+    """Messages of the navigation node that do not follow one another: somebody else speaks in its name."""
+
+    after_s: Seconds = 10.0  # three within this time
+    manual: ModeAction = "warn"
+
+
 class NavigationFrozen(Silence, frozen=True):
     """Navigation messages that are identical to the last bit while the propellers turn."""
 
@@ -863,6 +870,7 @@ class Failsafe(Table, frozen=True):
     navigation_silent: NavigationSilent = NavigationSilent()
     navigation_jumping: NavigationJumping = NavigationJumping()
     navigation_frozen: NavigationFrozen = NavigationFrozen()
+    navigation_twice: NavigationTwice = NavigationTwice()
     sensor_bad: SensorBad = SensorBad()
     console_silent: ConsoleSilent = ConsoleSilent()
     manual_silent: ManualSilent = ManualSilent()
@@ -1084,8 +1092,13 @@ class Cantcpd(Table, frozen=True):
     slcan: Ports = ()  # addresses and ports that serve the first bus in slcan
     buses: tuple[Interface, ...] = ()  # that clients can open, by name or its part after the last colon; empty: the boat's
     watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
-    transmit: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # the networks, among these, that may also send frames
-    barred: tuple[Identifiers, ...] = ("040-043", "0A0", "0C8")  # no client may send these: to actuators, reset, shutdown
+    transmit: tuple[Network, ...] = ()  # the networks, among these, that may also send frames: no password keeps others out
+    barred: tuple[Identifiers, ...] = (
+        "040-043",
+        "0A0",
+        "0C0",
+        "0C8",
+    )  # nobody sends these: to actuators, reset, time, shutdown
     clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once; beyond, the oldest without a bus is closed
     clients_per_address: Annotated[int, msgspec.Meta(ge=1, le=64)] = 8  # likewise, from one address
     queue_bytes: Annotated[int, msgspec.Meta(ge=8192, le=16 << 20)] = 1 << 18  # of one client; if full, the oldest frames go
@@ -1316,6 +1329,7 @@ class PayloadTable(Table, frozen=True):
     memory_max_mb: Annotated[int, msgspec.Meta(ge=1, le=1 << 20)] = 128  # of all; without control groups, of each process
     cpu_max: Annotated[float, msgspec.Meta(gt=0.0, le=1024.0)] = 0.5  # processors, of what nobody else wants
     processes_max: Annotated[int, msgspec.Meta(ge=1, le=1000)] = 16  # processes and threads at once
+    network: bool = False  # it may connect, also to the boat's doors on this computer; otherwise it has no network at all
 
     def __post_init__(self) -> None:
         if not self.command[0].startswith("/"):
@@ -1578,10 +1592,10 @@ class Vehicle(Table, frozen=True):
         return f"{source}.sensors" if source in self.drivers else source
 
     @property
-    def motor_buses(self) -> tuple[str, ...]:
-        """The interfaces that carry the commands of a driver and nothing else."""
-        buses = self.outside("interface").items()
-        return tuple(interface for key, interface in buses if key.partition(".")[0] in self.drivers)
+    def closed_buses(self) -> tuple[str, ...]:
+        """The interfaces where only devices speak: they command motors, or tell the boat where it is."""
+        buses, kinds = self.outside("interface").items(), {*self.drivers, *self.navigation.sources}
+        return tuple(interface for key, interface in buses if key.partition(".")[0] in kinds)
 
     def _check_fleet(self) -> None:
         if not (self.mavlink.enabled and self.mavlink.key):

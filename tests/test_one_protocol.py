@@ -70,7 +70,7 @@ def test_buses_of_their_own_are_fine_and_set_up_with_their_own_bit_rates():
     settings = config.load(VEHICLE, (TWIN, 'navigation.sources=["nmea2000", "dsor"]', 'dronecan.interface="can2"'))
     assert settings.bit_rates == {"can0": 500_000, "can1": 250_000, "can2": 1_000_000}
     assert settings.buses == ("can0", "can1", "can2")
-    assert settings.motor_buses == ("can2",)
+    assert settings.closed_buses == ("can1", "can2")
 
 
 @pytest.mark.parametrize(

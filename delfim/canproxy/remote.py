@@ -1,13 +1,15 @@
 """A bus behind a socketcand server (cantcpd, or the reference one) as a transport of CanSocket.
 
 socketcand does not carry remote and error frames, filters (frames are filtered after reception), or any report of a frame
-that the server refused to send. `rebind` restores a broken connection on the same file
-descriptor.
+that the server refused to send; cantcpd tells of those when it is asked (`confirm`). `rebind` restores a broken connection on
+the same file descriptor.
 """
 
 import errno
 import os
+import select
 import socket
+import time
 from collections.abc import Callable, Sequence
 from typing import Final
 
@@ -78,6 +80,23 @@ class Remote:
 
     def rehearse(self) -> None:
         """Nothing: the server would send any frame to the bus."""
+
+    def confirm(self) -> None:
+        """Ask whether all that was sent is on the bus; waits for CONNECT_S at most. A server that does not know the question is
+        believed. Raises BusError."""
+        deadline_s = time.monotonic() + CONNECT_S
+        self._unsent += b"< unsent >"
+        while (left_s := deadline_s - time.monotonic()) > 0.0:
+            self._push()
+            if (element := self._element()) is None:
+                select.select([self._socket], [self._socket] if self._unsent else [], [], left_s)
+                continue
+            word, number, *why = [*element.decode("ascii", "replace").split(), "", ""]
+            if word == "unsent" and number != "0":
+                raise BusError(f"{self.name}: {number} of these frames were not sent: {' '.join(why).strip()}")
+            if word in ("unsent", "error"):
+                return
+        raise BusError(f"{self.name}: the server does not say whether it sent these frames")
 
     def rebind(self) -> bool:
         if not self._failed:

@@ -66,6 +66,13 @@ class Many(Protocol):
     def mirror(self) -> "Many | None": ...
 
 
+@runtime_checkable
+class Answering(Protocol):
+    """A transport whose other end may refuse to send, and says so when it is asked."""
+
+    def confirm(self) -> None: ...  # may wait; raises BusError
+
+
 def receive_each(receive: Callable[[], Frame | None]) -> list[Frame]:
     """`receive_many` one by one, for a transport that has no such call."""
     frames: list[Frame] = []
@@ -121,6 +128,11 @@ class CanSocket:
         else:
             self.receive_many = partial(receive_each, transport.receive)
             self.send_many = partial(send_each, self._send_now)
+
+    def confirm(self) -> None:
+        """Wait until it is known that what was sent was not refused. Raises BusError, with the reason in words."""
+        if isinstance(self._transport, Answering):
+            self._transport.confirm()
 
     def mirror(self) -> Many | None:
         """For the warm-up: the same code on buffers of its own, which receives its own frames and never reaches the bus. None

@@ -92,13 +92,31 @@ class TellTraffic(NamedTuple):
     period_s: float
 
 
+class TellUnsent(NamedTuple):
+    """Tell how many frames of this client were not sent, and why the last one was not. Not of the reference server."""
+
+
 class Hangup(NamedTuple):
     """End the connection once the text is out."""
 
     text: bytes
 
 
-Action = Reply | Open | Enter | Close | Transmit | Cycle | Update | Delete | Subscribe | Unsubscribe | TellTraffic | Hangup
+Action = (
+    Reply
+    | Open
+    | Enter
+    | Close
+    | Transmit
+    | Cycle
+    | Update
+    | Delete
+    | Subscribe
+    | Unsubscribe
+    | TellTraffic
+    | TellUnsent
+    | Hangup
+)
 
 
 @dataclass(slots=True)
@@ -181,6 +199,8 @@ class SocketcandSession:
             return Enter(mode)
         if name == "echo" and not arguments:
             return Reply(ECHO)
+        if name == "unsent" and not arguments:
+            return TellUnsent()
         command = _COMMANDS[self.mode].get(name)
         return command(arguments) if command else Reply(UNKNOWN)
 

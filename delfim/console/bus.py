@@ -132,6 +132,7 @@ def send(asked: argparse.Namespace) -> int:
     with open_can(asked.bus) as can:
         for frame in wanted:
             can.sendmsg(frame)
+        can.confirm()
     return 0
 
 
@@ -145,6 +146,7 @@ def generate(asked: argparse.Namespace) -> int:
             number += 1
             due_s = max(due_s + asked.gap_ms / 1000, time.monotonic() - asked.gap_ms / 1000)
             time.sleep(max(0.0, due_s - time.monotonic()))
+        can.confirm()
     return 0
 
 
@@ -201,6 +203,8 @@ def replay(asked: argparse.Namespace) -> int:
                     buses[name] = links.enter_context(open_can(name))
                 buses[name].sendmsg(frame._replace(ifindex=0))
                 sent += 1
+        for each in buses.values():
+            each.confirm()
     print(f"delfim can replay: {sent} frames sent, {skipped} left out", file=sys.stderr)
     return 0
 

@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 
 from delfim import config
+from delfim.canproxy.cantcp.access import Access
 from delfim.canproxy.cantcp.server import CanServer
 from delfim.services.runtime import Runtime
 
@@ -13,8 +14,8 @@ async def serve(runtime: Runtime) -> None:
     settings, loop = runtime.config, asyncio.get_running_loop()
     interfaces = settings.cantcpd.buses or settings.buses
     with contextlib.ExitStack() as links:
-        limits, motors = settings.can.receive_buffer_bytes, settings.motor_buses
-        server = CanServer(settings.cantcpd, interfaces, runtime, runtime.clock, limits, motors)
+        access = Access(settings.cantcpd, settings.can, settings.closed_buses)
+        server = CanServer(settings.cantcpd, interfaces, runtime, runtime.clock, settings.can.receive_buffer_bytes, access)
         links.callback(server.close)
         asked = [(address, server.slcan_connection) for address in settings.cantcpd.slcan]
         asked += [(address, server.connection) for address in settings.cantcpd.listen]

@@ -1,7 +1,9 @@
-"""Becomes a payload program, confined: `python -m delfim.services.confine GROUP USER MEMORY-MB CPU PROCESSES PROGRAM WORD...`
+"""Becomes a payload program, confined:
+`python -m delfim.services.confine GROUP USER MEMORY-MB CPU PROCESSES NETWORK PROGRAM WORD...`
 
-Limits, an unprivileged user, no CAN sockets, no way to more rights; then the program takes the place of this one. It is a
-program of its own because a process with threads may do nothing of this between fork and exec.
+Limits, an unprivileged user, no network (unless NETWORK is "network"), no CAN sockets, no way to more rights; then the program
+takes the place of this one. It is a program of its own because a process with threads may do nothing of this between fork and
+exec.
 """
 
 import contextlib
@@ -23,15 +25,19 @@ from delfim.services.nocan import forbid_can
 FILES: Final = 256  # open at once
 FIRST_TO_GO: Final = "1000"  # when the computer's memory is full
 PARENT_DEATH_SIGNAL, NO_NEW_PRIVILEGES = 1, 38  # sys/prctl.h
+CLONE_NEWUSER, CLONE_NEWNET = 0x1000_0000, 0x4000_0000  # linux/sched.h
+NETWORK, ALONE = "network", "alone"  # words of the command line
 
 
-def confine(group: str, user: str, memory_bytes: int, cpu: float, processes_max: int) -> dict[str, str]:
+def confine(group: str, user: str, memory_bytes: int, cpu: float, processes_max: int, network: bool) -> dict[str, str]:
     """Confine this process for good; returns the program's environment. Raises OSError, PermanentFailure."""
     logging.disable()  # the service has said once whether there are control groups
     held = Limits(memory_bytes, cpu).hold(group, os.getpid())
     with contextlib.suppress(OSError):
         Path("/proc/self/oom_score_adj").write_text(FIRST_TO_GO)
     os.sched_setscheduler(0, os.SCHED_IDLE, os.sched_param(0))
+    if not network:
+        _leave_networks()
     _prctl(NO_NEW_PRIVILEGES, 1)
     forbid_can()
     account = _become(user)
@@ -46,6 +52,21 @@ def confine(group: str, user: str, memory_bytes: int, cpu: float, processes_max:
     signal.signal(signal.SIGPIPE, signal.SIG_DFL)
     names = {"USER": account.pw_name, "LOGNAME": account.pw_name, "HOME": account.pw_dir}
     return {"PATH": "/usr/local/bin:/usr/bin:/bin", "LANG": "C.UTF-8", **names}
+
+
+def _leave_networks() -> None:
+    """To a network namespace of its own, where there is nothing, not even the loopback. Whoever is not root needs a user
+    namespace for it, and is in it who he is. Raises PermanentFailure."""
+    uid, gid = os.getuid(), os.getgid()
+    try:
+        _call("unshare", CLONE_NEWNET | (CLONE_NEWUSER if uid else 0))
+        if uid:
+            Path("/proc/self/setgroups").write_text("deny")
+            Path("/proc/self/uid_map").write_text(f"{uid} {uid} 1")
+            Path("/proc/self/gid_map").write_text(f"{gid} {gid} 1")
+    except OSError as error:
+        why = f"this kernel keeps no program from the network: {error.strerror}"
+        raise PermanentFailure(f"{why}; its table needs network = true, and then it reaches the boat's doors") from None
 
 
 def _become(name: str) -> pwd.struct_passwd:
@@ -71,14 +92,19 @@ def _at_most(what: int, limit: int) -> None:
 
 
 def _prctl(what: int, value: int) -> None:
-    if ctypes.CDLL(None, use_errno=True).prctl(what, value, 0, 0, 0):
+    _call("prctl", what, value, 0, 0, 0)
+
+
+def _call(name: str, *numbers: int) -> None:
+    """A function of the C library that Python lacks. Raises OSError."""
+    if ctypes.CDLL(None, use_errno=True)[name](*numbers):
         raise OSError(ctypes.get_errno(), os.strerror(ctypes.get_errno()))
 
 
-def main(group: str, user: str, memory_mb: str, cpu: str, processes_max: str, *command: str) -> int:
+def main(group: str, user: str, memory_mb: str, cpu: str, processes_max: str, network: str, *command: str) -> int:
     """Returns only where the program cannot be run; standard error says why."""
     try:
-        names = confine(group, user, int(memory_mb) << 20, float(cpu), int(processes_max))
+        names = confine(group, user, int(memory_mb) << 20, float(cpu), int(processes_max), network == NETWORK)
         os.execve(command[0], command, names)
     except (OSError, PermanentFailure) as error:
         os.write(2, f"{in_words(error)}\n".encode())

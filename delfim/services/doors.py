@@ -99,7 +99,8 @@ def _cantcpd(settings: config.Vehicle) -> Iterator[Entrance]:
     for listen in (*table.listen, *table.slcan):
         watching, sending = _beyond(table.watch), [each for each in _beyond(table.transmit) if _beyond(table.watch)]
         if config.is_loopback(listen) or not watching:
-            yield Entrance("cantcpd", listen, "here", EVERY, "read the buses and send frames")
+            may = "read the buses and send frames" if table.transmit else "read the buses"
+            yield Entrance("cantcpd", listen, "here", EVERY, may)
             continue
         fault = f"cantcpd.transmit: anyone in {_networks(sending)} may send frames, which move the boat" if sending else ""
         may = "read the buses and send frames" if sending else "read the buses"

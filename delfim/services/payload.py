@@ -24,6 +24,7 @@ from delfim.logging.openlog import open_log
 from delfim.services import processes
 from delfim.services.cgroup import ROOT, Limits
 from delfim.services.children import ended
+from delfim.services.confine import ALONE, NETWORK
 from delfim.services.payloadlines import VALUES, BoundedLines, Value, lines, values
 from delfim.services.runtime import Runtime
 from delfim.services.supervisor import EXIT_PERMANENT
@@ -85,7 +86,8 @@ class Payload(asyncio.SubprocessProtocol):
     async def _once(self) -> tuple[int, str]:
         """One life of the program: its exit code, and how it ended in words."""
         table, loop = self._table, asyncio.get_running_loop()
-        limits = map(str, (table.memory_max_mb, table.cpu_max, table.processes_max))
+        limits = tuple(map(str, (table.memory_max_mb, table.cpu_max, table.processes_max)))
+        limits = (*limits, NETWORK if table.network else ALONE)
         words = (sys.executable, "-m", "delfim.services.confine", self._group, table.user, *limits, *table.command)
         self._ended.clear()
         self._silent.clear()

@@ -55,6 +55,7 @@ Kind = Literal[
     "ais_wrong",
     "outlet_silent",
     "restarted",
+    "navigation_forged",
 ]
 KINDS: Final[tuple[str, ...]] = get_args(Kind)
 ABOARD: Final = frozenset(
@@ -80,6 +81,7 @@ VALUES: Final = {  # default, and its meaning
     "heading_jumping": (50.0, "degrees to starboard"),
     "compass_cable": (6.0, "degrees for each ampere of the first thruster"),
     "gyro_drift": (1.0, "degrees a second more each minute"),
+    "navigation_forged": (-60.0, "degrees by which a second sender turns each heading"),
     "ais_late": (60.0, "seconds"),
     "ais_wrong": (2000.0, "metres, at most, each time another way"),
     "restarted": (2.0, "seconds, in lock step, that the program is not there"),
@@ -220,6 +222,8 @@ class Faults(Broken):
                 navigation.jump_m = value
                 for receiver in receivers:
                     receiver.jump_m = value
+            case "navigation_forged":
+                navigation.forged_rad = math.radians(value)
             case "gnss_poor":
                 navigation.satellites = min(max(round(value), 0), SATELLITES) if on else SATELLITES
                 for receiver in receivers:

@@ -21,7 +21,9 @@ from delfim.simulator.trial import Result, sail
 MIXED: Final = "mixed"
 START_S, QUIET_S = 8.0, 15.0  # no fault before the boat is ready, nor at the end
 MIXABLE: Final = tuple(
-    kind for kind in KINDS if kind not in (*OF_COMPASS, *OF_AIS, *OF_PULSES, "corrections_lost", "restarted")
+    kind
+    for kind in KINDS
+    if kind not in (*OF_COMPASS, *OF_AIS, *OF_PULSES, "corrections_lost", "restarted", "navigation_forged")
 )  # others need more parts
 HALF_M: Final = 65.0  # distance of the fence's sides from the start
 

@@ -236,6 +236,7 @@ class State:
     setpoint: Setpoint = field(default_factory=Setpoint)
     reference: Reference = field(default_factory=Reference)
     actuation: Actuation = field(default_factory=lambda: Actuation((), (), False))  # as sent; before that, empty
+    twice: deque[float] = field(default_factory=lambda: deque(maxlen=3))  # when navigation last did not follow on itself
     thrusters: dict[str, ThrusterReport] = field(default_factory=dict)  # by row: its last report
     failed: dict[str, str] = field(default_factory=dict)  # thrusters that dropped out, by row, and why; until the boat is idle
     unsteerable: str = ""  # why the boat cannot be steered without them, in words; empty: it can

@@ -119,6 +119,13 @@ def navigation_frozen(look: Look) -> str | None:
     return words if turns else None
 
 
+def navigation_twice(look: Look) -> str | None:
+    twice = look.state.twice
+    if len(twice) < 3 or look.now_s - twice[0] > look.settings.failsafe.navigation_twice.after_s:
+        return None
+    return "two senders of navigation: messages of its node do not follow one another, and nobody knows which are true"
+
+
 def sensor_bad(look: Look) -> str | None:
     wrong = sysstat.wrong(look.state, look.settings.sysstat, look.now_s, _PROPELLERS if _has_no_power(look) else ())
     return wrong or unheard(look.settings.sensors, look.state, look.now_s)
@@ -286,6 +293,7 @@ class Trigger(IntEnum):
     FENCE_LEFT = 20, fence_left
     RESTARTED = 22, restarted  # always a warning: what the boat did is told until somebody commands
     OUTLET = 23, outlet
+    NAVIGATION_TWICE = 24, navigation_twice
 
 
 _SEEN: Final = tuple((trigger, trigger.sees) for trigger in Trigger)  # ten times a second: no look-ups in an enumeration

@@ -22,6 +22,7 @@ import can
 import pytest
 
 from delfim import config
+from delfim.__main__ import main
 from delfim.canproxy.canloop import open_canloop
 from delfim.canproxy.cantcp import client as client_file
 from delfim.canproxy.cantcp.access import Access
@@ -29,12 +30,26 @@ from delfim.canproxy.cantcp.bcm import JOBS_MAX
 from delfim.canproxy.cantcp.beacon import DATAGRAM_BYTES, announce, datagram
 from delfim.canproxy.cantcp.client import ADDRESSES_MAX, Client
 from delfim.canproxy.cantcp.server import CanServer, bus_name
+from delfim.canproxy.dsor.protocol import Message, segments
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING, CanAddress, CanSocket
 from delfim.clock import SystemClock
 from delfim.errors import BusError
 from delfim.frames import CAN_RTR, Frame, extended, standard
-from delfim.messages import BATTERIES_PORT, BATTERIES_STARBOARD, PROPELLER_PORT, PROPELLER_STARBOARD, RESET, SHUTDOWN
+from delfim.messages import (
+    BATTERIES_PORT,
+    BATTERIES_STARBOARD,
+    NAVIGATION_ID,
+    NAVIGATION_PRIORITY,
+    PROPELLER_PORT,
+    PROPELLER_STARBOARD,
+    RESET,
+    SHUTDOWN,
+    TIME_FRAME,
+    Node,
+    sysstat_arb,
+    time_frame,
+)
 
 T = TypeVar("T")
 ROOT = Path(__file__).parents[2]
@@ -55,8 +70,9 @@ class Loop:
 class Served:
     """A server in a thread of its own, as clients block."""
 
-    def __init__(self, buses: list[str], motors: tuple[str, ...] = (), **settings: Any) -> None:
-        self._settings, self._buses, self._motors = config.Cantcpd(**settings), buses, motors
+    def __init__(self, buses: list[str], closed: tuple[str, ...] = (), **settings: Any) -> None:
+        self._settings, self._buses = config.Cantcpd(**{"transmit": ("127.0.0.0/8",), **settings}), buses
+        self._access = Access(self._settings, None, closed)
         self._ready, self._never, self._stop = threading.Event(), threading.Event(), asyncio.Event()
         self.defects: list[dict[str, Any]] = []  # exceptions that reached the loop
         self._thread = threading.Thread(target=lambda: asyncio.run(self._run()))
@@ -64,7 +80,7 @@ class Served:
     async def _run(self) -> None:
         self.loop = asyncio.get_running_loop()
         self.loop.set_exception_handler(lambda _, context: self.defects.append(context))
-        self.server = CanServer(self._settings, self._buses, Loop(), SystemClock(), motors=self._motors)
+        self.server = CanServer(self._settings, self._buses, Loop(), SystemClock(), access=self._access)
         listening = await self.loop.create_server(self.server.connection, "127.0.0.1", 0)
         serial = await self.loop.create_server(self.server.slcan_connection, "127.0.0.1", 0)
         self.port, self.slcan_port = (each.sockets[0].getsockname()[1] for each in (listening, serial))
@@ -600,12 +616,27 @@ def test_access_by_network_and_identifier() -> None:
     assert not access.is_barred(extended(0x40 << 18))
 
 
-def test_by_default_only_this_computer_transmits_and_nobody_commands_the_boat() -> None:
+def test_by_default_nobody_transmits_and_who_may_does_not_command_the_boat_nor_speak_as_its_nodes() -> None:
     access = Access(config.Cantcpd())
-    assert access.may_transmit("127.0.0.1")
-    assert not access.may_transmit("192.168.1.5")
+    assert not access.may_transmit("127.0.0.1")
+    assert not access.may_transmit("::1")
+    access = Access(config.Cantcpd(transmit=("127.0.0.0/8",)), config.Can(vehicle=0xD0))
     actuators = PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT
-    assert [arb for arb in map(standard, range(0x800)) if access.is_barred(arb)] == [*actuators, RESET, SHUTDOWN]
+    refused = [arb for arb in map(standard, range(0x800)) if access.refusal("127.0.0.1", "can0", arb)]
+    assert refused == [*actuators, RESET, TIME_FRAME, SHUTDOWN, time_frame(0xD0)]
+    assert not access.refusal("127.0.0.1", "can1", time_frame(0xD0)), "on another bus it is another frame"
+
+
+@pytest.mark.parametrize("node", set(Node) - {Node.BROADCAST})
+def test_nobody_speaks_in_the_name_of_a_node_of_the_boat(node: Node) -> None:
+    access = Access(config.Cantcpd(transmit=("127.0.0.0/8",)), config.Can())
+    for priority in (0, NAVIGATION_PRIORITY, 255):
+        message = Message(priority, node, Node.BROADCAST, NAVIGATION_ID, bytes(32))
+        for arb in (*(frame.arb for frame in segments(message, 7)), sysstat_arb(node)):
+            assert "is for the boat's own nodes alone" in access.refusal("127.0.0.1", "can0", arb)
+            assert not access.refusal("127.0.0.1", "can1", arb)
+    other = segments(Message(NAVIGATION_PRIORITY, 0x30, Node.BROADCAST, NAVIGATION_ID, bytes(32)), 7)
+    assert not any(access.refusal("127.0.0.1", "can0", frame.arb) for frame in other)
 
 
 def test_who_may_not_watch_is_not_greeted(name: str) -> None:
@@ -617,14 +648,34 @@ def test_who_may_not_watch_is_not_greeted(name: str) -> None:
 
 def test_who_may_only_watch_does_not_transmit(name: str, bus: CanSocket) -> None:
     with Served([f"canloop:{name}"], transmit=()) as served, Peer(served, f"< open {name} >") as peer:
+        peer.say("< unsent >")
+        assert peer.element() == "< unsent 0 the bus did not take it >"
         peer.say("< send 123 0 >< add 0 1000 123 0 >< rawmode >")
         assert peer.element() == "< ok >"
-        peer.say("< send 123 0 >< echo >")
+        peer.say("< send 123 0 >< unsent >< echo >")
+        assert peer.element() == "< unsent 3 its network may only watch (cantcpd.transmit) >"
         assert peer.element() == "< echo >"
         assert served.counts()["refused"] == 3
         bus.sendto(b"\1", CanAddress(standard(1)))
         assert peer.frame() == ("001", "01")
     assert bus.receive() is None
+
+
+def test_the_tool_says_when_frames_were_not_sent(
+    name: str, bus: CanSocket, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    with Served([f"canloop:{name}"], transmit=()) as served:
+        there = f"socketcand:127.0.0.1:{served.port}:{name}"
+        assert main(["can", "send", there, "123#01", "124#"]) != 0
+        assert f"{there}: 2 of these frames were not sent: its network may only watch" in capsys.readouterr().err
+        assert main(["can", "gen", "-n", "3", "-g", "1", there]) != 0
+        (tmp_path / "log").write_text(f"(1436509052.249713) {name} 123#01\n")
+        assert main(["can", "replay", str(tmp_path / "log"), f"{there}={name}"]) != 0
+    with Served([f"canloop:{name}"]) as served:
+        assert main(["can", "send", f"socketcand:127.0.0.1:{served.port}:{name}", "123#01"]) == 0
+        assert bus.recvmsg().arb == standard(0x123)
+        assert main(["can", "send", f"socketcand:127.0.0.1:{served.port}:{name}", "040#01"]) != 0
+        assert "1 of these frames were not sent: 40 is barred" in capsys.readouterr().err
 
 
 def test_barred_identifiers_are_not_sent_by_anybody(served: Served, bus: CanSocket, name: str) -> None:
@@ -635,7 +686,7 @@ def test_barred_identifiers_are_not_sent_by_anybody(served: Served, bus: CanSock
 
 def test_a_bus_of_motors_may_be_watched_and_nobody_sends_there(name: str, bus: CanSocket) -> None:
     buses = [f"canloop:{name}"]
-    with Served(buses, motors=tuple(buses)) as served, Peer(served, f"< open {name} >") as peer:
+    with Served(buses, closed=tuple(buses)) as served, Peer(served, f"< open {name} >") as peer:
         peer.say("< send 123 0 >< add 0 1000 123 0 >< rawmode >")
         assert peer.element() == "< ok >"
         assert served.counts()["refused"] == 2
@@ -821,6 +872,7 @@ class Daemon:
         settings = [
             f'can.interface="{interface}"',
             f'cantcpd.listen=["127.0.0.1:{self.port}"]',
+            'cantcpd.transmit=["127.0.0.0/8"]',
             f'runtime.run_directory="{place}"',
             f'console.socket="{place}/command"',
             f'log.directory="{place}"',

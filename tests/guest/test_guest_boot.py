@@ -196,7 +196,8 @@ from delfim.services import processes
 from delfim.services.cgroup import Limits
 
 def carried(name, words):
-    command = [sys.executable, "-m", "delfim.services.confine", name, "nobody", "32", "0.5", "8", "/bin/sh", "-c", words]
+    limits = ["nobody", "32", "0.5", "8", "alone"]
+    command = [sys.executable, "-m", "delfim.services.confine", name, *limits, "/bin/sh", "-c", words]
     return subprocess.Popen(command, stdout=subprocess.PIPE, start_new_session=True)
 
 eater = carried("payload-eater", "tail /dev/zero; echo alive")

@@ -101,6 +101,38 @@ def open_folder() -> Iterator[Path]:
         yield Path(folder)
 
 
+KNOCKS = """import json, socket, sys
+for family, place in ((socket.AF_INET, ("127.0.0.1", int(sys.argv[1]))), (socket.AF_UNIX, sys.argv[2])):
+    with socket.socket(family) as door:
+        print(json.dumps({family.name: door.connect_ex(place) == 0}), flush=True)
+for line in sys.stdin:
+    print('{"told": true}', flush=True)
+"""
+
+
+@needs_python
+def test_a_program_has_no_network_unless_its_table_says_so_and_is_told_and_heard_all_the_same(tmp_path: Path) -> None:
+    """Neither a door on this computer, nor a socket without a file, as the canloop of a simulation is."""
+
+    async def test() -> None:
+        hidden = f"\0payload {os.getpid()}"
+        with socket.create_server(("127.0.0.1", 0)) as door, socket.socket(socket.AF_UNIX) as abstract:
+            abstract.bind(hidden)
+            abstract.listen()
+            words = (
+                PYTHON,
+                "-c",
+                KNOCKS.replace("sys.argv[1]", str(door.getsockname()[1])).replace("sys.argv[2]", repr(hidden)),
+            )
+            open_one = config.PayloadTable(command=words, network=True)
+            async with carried(tmp_path, alone=words, open=open_one) as suite:
+                figures = await suite.until(lambda it: {"alone told", "open told"} <= it["values"].keys())
+        reached = {name: each["value"] for name, each in figures["values"].items() if "AF_" in name}
+        assert reached == {"alone AF_INET": False, "alone AF_UNIX": False, "open AF_INET": True, "open AF_UNIX": True}
+
+    run(test)
+
+
 @needs_python
 def test_the_example_in_python_reports_a_depth_that_is_logged_and_shown(tmp_path: Path) -> None:
     async def test() -> None:

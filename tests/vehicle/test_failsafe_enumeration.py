@@ -174,6 +174,8 @@ class Boat:
         )
         if trouble == "gnss_poor":
             self.source.says = self.source.says._replace(satellites=3)
+        if trouble == "navigation_twice":
+            self.state.twice.extend([self.clock.monotonic_s()] * 3)
         if trouble == "shallow":
             self.state.measured["depth_m"] = 0.5, self.clock.monotonic_s()
         if trouble in ("traffic", "traffic_close"):
@@ -234,6 +236,7 @@ def must_be_zero(mode: Mode, age_s: float, value: Value, trouble: str) -> bool:
         "console_silent": mode is Mode.MANUAL,
         "battery_critical": mode not in (Mode.MANUAL, Mode.HOME),
         "thruster": mode is not Mode.MANUAL,
+        "navigation_twice": mode is not Mode.MANUAL,
     }.get(trouble, False)
     return mode is Mode.IDLE or age_s > 1.0 or value.wild or lacks or stops or (held and value.missing != "")
 

@@ -1,10 +1,15 @@
 """Access to the buses by TCP: which addresses may watch and transmit, and which identifiers are barred (the vehicle's file)."""
 
 import ipaddress
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
+from typing import Final
 
 from delfim import config
-from delfim.frames import CAN_IDE, extended, standard
+from delfim.canproxy.dsor.protocol import SOURCE_AT
+from delfim.frames import CAN_IDE, extended, identifier, standard
+from delfim.messages import Node, time_frame
+
+_OWN: Final = frozenset(Node) - {Node.BROADCAST}
 
 
 class Networks:
@@ -19,9 +24,11 @@ class Networks:
 
 
 class Access:
-    """The networks that may watch and transmit, and the barred identifiers."""
+    """The networks that may watch and transmit, the barred identifiers, and what only the boat's nodes say."""
 
-    def __init__(self, settings: config.Cantcpd) -> None:
+    def __init__(self, settings: config.Cantcpd, can: config.Can | None = None, closed: Collection[str] = ()) -> None:
+        """`can`: the bus of the boat's nodes. `closed`: the interfaces where only devices speak."""
+        self._can, self._closed = can, closed
         self._watch, self._transmit = Networks(settings.watch), Networks(settings.transmit)
         self._barred = [_range(text) for text in settings.barred]
 
@@ -30,6 +37,22 @@ class Access:
 
     def may_transmit(self, host: str) -> bool:
         return host in self._transmit
+
+    def refusal(self, host: str, interface: str, arb: int) -> str:
+        """Why a client there may not send this on this bus, in words; empty: it may."""
+        if not self.may_transmit(host):
+            return "its network may only watch (cantcpd.transmit)"
+        if interface in self._closed:
+            return "only devices speak on this bus: they command motors, or tell the boat where it is"
+        if self.is_barred(arb):
+            return f"{identifier(arb):X} is barred"
+        return f"{identifier(arb):X} is for the boat's own nodes alone" if self._poses(interface, arb) else ""
+
+    def _poses(self, interface: str, arb: int) -> bool:
+        """Whether this is the time, or comes from a node of the boat: by such messages it sails."""
+        if self._can is None or interface != self._can.interface:
+            return False
+        return arb >> SOURCE_AT & 0x7F in _OWN if arb & CAN_IDE else arb == time_frame(self._can.vehicle)
 
     def is_barred(self, arb: int) -> bool:
         return any(low <= arb <= high and not (arb ^ low) & CAN_IDE for low, high in self._barred)

@@ -5,7 +5,7 @@ import logging
 import socket
 import struct
 from collections import Counter, deque
-from collections.abc import Collection, Mapping
+from collections.abc import Mapping
 from math import inf
 from typing import Any, Final, cast
 
@@ -17,7 +17,6 @@ from delfim.canproxy.cantcp.bcm import JOBS_MAX, Cycles, Subscription
 from delfim.canproxy.cantcp.outbox import Outbox, Timers
 from delfim.canproxy.cantcp.sharedbus import FRAMES_A_CALL, Ear, SharedBus
 from delfim.errors import BusError
-from delfim.frames import identifier
 
 INPUT_BYTES: Final = 512  # of a client's commands in one call: 40 frames to send
 HOLD_S: Final = 0.02  # from the answer to `rawmode` to the first frame: clients compare what they read with "< ok >"
@@ -48,7 +47,7 @@ class Client(asyncio.BufferedProtocol):
         self._todo: deque[socketcand.Action] = deque()
         self._full_since_s = inf  # since when the bus has taken nothing
         self._bus: SharedBus | None = None
-        self._may_transmit = False
+        self._why_unsent = "the bus did not take it"  # of the last frame that was not sent
         self._cycles = Cycles()
         self._statistics_s = inf  # between two reports
         self._timers = Timers()
@@ -67,7 +66,6 @@ class Client(asyncio.BufferedProtocol):
             self._warn(f"refused: {refusal}")
             self._transport.abort()
             return
-        self._may_transmit = self._clients.access.may_transmit(self.host)
         self._clients.inside.add(self)
         self._transport.set_write_buffer_limits(high=WRITE_BYTES, low=WRITE_BYTES // 4)
         peer = transport.get_extra_info("socket")
@@ -186,6 +184,9 @@ class Client(asyncio.BufferedProtocol):
                 self._subscribe(arb, Subscription(interval_s, masks))
             case socketcand.Unsubscribe(arb) if self._bus:
                 self._bus.unwatch(self._ear, arb)
+            case socketcand.TellUnsent():
+                unsent = self.counts["refused"] + self.counts["not transmitted"]
+                replies.append(f"< unsent {unsent} {self._why_unsent} >".encode())
             case socketcand.TellTraffic(period_s):
                 self._statistics_s = max(period_s, STATISTICS_S_MIN) if period_s else inf
                 self._timers.cancel(self._on_statistics)
@@ -241,16 +242,13 @@ class Client(asyncio.BufferedProtocol):
 
     def _allowed(self, arb: int) -> bool:
         """Whether this client may send this identifier; a refusal is counted, and logged once."""
-        is_of_motors = self._bus is not None and self._bus.interface in self._clients.motors
-        if self._may_transmit and not is_of_motors and not self._clients.access.is_barred(arb):
-            return True
-        why = "its network may only watch"
-        if self._may_transmit:
-            why = "the bus of the motors is for the boat alone" if is_of_motors else f"{identifier(arb):X} is barred"
-        if not self.counts["refused"]:
-            self._warn(f"may not transmit: {why}")
-        self.counts["refused"] += 1
-        return False
+        why = self._clients.access.refusal(self.host, self._bus.interface if self._bus else "", arb)
+        if why:
+            if not self.counts["refused"]:
+                self._warn(f"may not transmit: {why}")
+            self.counts["refused"] += 1
+            self._why_unsent = why
+        return not why
 
     def _transmit(self, arb: int, data: bytes) -> bool:
         """False when the bus is full and there is time to try again."""
@@ -296,8 +294,8 @@ class Client(asyncio.BufferedProtocol):
 class Clients:
     """The connected clients, the limits for new ones, and the counts of those that left."""
 
-    def __init__(self, settings: config.Cantcpd, motors: Collection[str] = ()) -> None:
-        self.settings, self.access, self.motors = settings, Access(settings), motors
+    def __init__(self, settings: config.Cantcpd, access: Access) -> None:
+        self.settings, self.access = settings, access
         self.inside: set[Client] = set()
         self.refused = 0  # connections
         self.left: dict[str, Counter[str]] = {}  # by address: counts of clients that have left

@@ -13,12 +13,13 @@ delfim.canproxy.socketcand; how to connect the usual programs: docs/cantcpd.md.
 import asyncio
 import logging
 import re
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Final
 
 from delfim import config
 from delfim.canproxy import socketcand
 from delfim.canproxy.cantcp import slcan
+from delfim.canproxy.cantcp.access import Access
 from delfim.canproxy.cantcp.beacon import announce
 from delfim.canproxy.cantcp.client import Client, Clients
 from delfim.canproxy.cantcp.sharedbus import Readers, SharedBus
@@ -39,10 +40,10 @@ class CanServer:
         readers: Readers,
         clock: Clock,
         receive_buffer_bytes: int = 1 << 20,
-        motors: Collection[str] = (),
+        access: Access | None = None,
     ) -> None:
-        """`motors` are the interfaces, among these, that carry commands to motors alone: nobody may send there."""
-        self.clients = Clients(settings, motors)
+        """`access`: None where only the settings decide."""
+        self.clients = Clients(settings, access or Access(settings))
         self.buses: Mapping[str, SharedBus] = {
             bus_name(interface): SharedBus(bus_name(interface), interface, readers, clock, receive_buffer_bytes)
             for interface in interfaces

@@ -16,6 +16,7 @@ POSITION_ERROR_S: Final = 60.0  # correlation time of a satellite receiver's err
 YAW_RATE_NOISE_RADPS: Final = math.radians(0.2)
 FIX, SATELLITES, HDOP = 3, 10, 0.9
 _ADDRESSED: Final = NAVIGATION_PRIORITY, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID
+_FORGED: Final = NAVIGATION_PRIORITY + 1, Node.NAVIGATION, Node.BROADCAST, NAVIGATION_ID  # behind it on the bus
 _new = tuple.__new__  # a third of the time of Message(...)
 
 
@@ -45,6 +46,7 @@ class NavigationNode:
         self.jump_m = 0.0  # error of the position, to the north
         self.satellites = SATELLITES
         self.frozen = False  # the sensors repeat their values
+        self.forged_rad = 0.0  # another one sends each message again, with a heading that is turned by so much; 0: nobody
         self.repeating = False  # the node sends its last message again and again
         self._said: Navigation | None = None
 
@@ -71,7 +73,11 @@ class NavigationNode:
         self._said = said
         data = pack_navigation(said)
         self._counter += 1
-        return segments(_new(Message, (*_ADDRESSED, data, 0, None, None)), self._counter)
+        frames = segments(_new(Message, (*_ADDRESSED, data, 0, None, None)), self._counter)
+        if self.forged_rad and said.heading_rad is not None:
+            forged = said._replace(heading_rad=said.heading_rad + self.forged_rad, utc_ns=utc_ns + 1)
+            frames += segments(_new(Message, (*_FORGED, pack_navigation(forged), 0, None, None)), self._counter)
+        return frames
 
     def measured(self, utc_ns: int) -> Navigation:
         """The sensors' values. The position's error is a first-order Gauss-Markov process, as a receiver's is."""

@@ -5,7 +5,7 @@ from delfim.canproxy.dsor.protocol import Message, message_filter
 from delfim.canproxy.dsor.receiver import Receiver
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.errors import BusError, FormatError
-from delfim.messages import NAVIGATION_ID, Node, unpack_navigation
+from delfim.messages import NAVIGATION_ID, Navigation, Node, unpack_navigation
 from delfim.vehicle.links import Links
 from delfim.vehicle.navigation import FRAMES_PER_READ, Fix
 from delfim.vehicle.state import State
@@ -21,6 +21,8 @@ class DsorNavigation:
     def __init__(self, socket: CanSocket, state: State, node: int = Node.VEHICLE) -> None:
         self.input, self._state = socket, state
         self.heard_s = -1e9
+        self._last: Navigation | None = None
+        self._counter = 0  # of the message that follows it
         self._receive_many = socket.receive_many
         self._receiver = Receiver(node, lambda message: message.id == NAVIGATION_ID)
 
@@ -51,10 +53,20 @@ class DsorNavigation:
     def _fix(self, message: Message, now_s: float) -> Fix | None:
         self.heard_s = now_s
         try:
-            return tuple.__new__(Fix, (unpack_navigation(message.data), message.t_ns, now_s))  # half the time of Fix(...)
+            navigation = unpack_navigation(message.data)
         except FormatError:
             self._state.count("navigation_malformed")
             return None
+        if (navigation.counter - self._counter) & 0x80:
+            self._stepped_back(navigation, now_s)
+        self._last, self._counter = navigation, navigation.counter + 1
+        return tuple.__new__(Fix, (navigation, message.t_ns, now_s))  # half the time of Fix(...)
+
+    def _stepped_back(self, navigation: Navigation, now_s: float) -> None:
+        """A message that does not come after the one before, whoever of two sent which. A node that repeats itself is one."""
+        if self._last is not None and navigation != self._last:
+            self._state.count("navigation_twice")
+            self._state.twice.append(now_s)
 
     def report(self, now_s: float) -> dict[str, object]:
         return dict(self._receiver.errors)
