@@ -261,6 +261,14 @@ def _plans(boat: VehicleLoop, largest: console.Upload) -> list[Row]:
         yield None
         yield boat.on_command(largest)
 
+    def changed(command: console.Upload | console.SetFence) -> Callbacks:
+        """While the boat sails: looked at, and accepted."""
+        for before in (largest, console.Play()):
+            assert boat.on_command(before) is None
+        yield from _slices(boat.helm.plans.look(command))
+        yield boat.on_command(command)
+        assert boat.on_command(console.Stop()) is None
+
     def items(draft: Any, told: Iterator[plans.Item]) -> Callbacks:
         yield None
         for number, item in enumerate(told):
@@ -277,6 +285,8 @@ def _plans(boat: VehicleLoop, largest: console.Upload) -> list[Row]:
         Row("fence looked at, around the largest mission", lambda: _slices(boat.helm.plans.look(fenced))),
         Row("mission written for the log", lambda: _slices(console.written(largest))),
         Row("mission accepted", accepted),
+        Row("mission changed under way", lambda: changed(largest)),
+        Row("fence changed under way", lambda: changed(fenced)),
         Row("line of the command socket", _once(lambda: console.parse(_line()))),
         Row("polygon, a star", lambda: _slices(geodesy.polygon_fault(star))),
     ]

@@ -19,7 +19,7 @@ from mavsdk.plugins.action import ActionError
 from mavsdk.plugins.geofence import Circle, FenceType, GeofenceData, Point, Polygon
 from mavsdk.plugins.mission import MissionItem as PlanItem
 from mavsdk.plugins.mission import MissionPlan
-from mavsdk.plugins.mission_raw import MissionItem
+from mavsdk.plugins.mission_raw import MissionItem, MissionRawError
 
 from delfim.console.link import Link
 from tests.afloat import running
@@ -41,10 +41,10 @@ async def armed(action: ActionAsync) -> bool:
     return False
 
 
-def items() -> list[MissionItem]:
+def items(places: list[tuple[float, float]] = PLACES) -> list[MissionItem]:
     return [
         MissionItem(n, 6, 16, int(n == 0), 1, 0.0, 3.0, 0.0, float("nan"), round(lat * 1e7), round(lon * 1e7), 0.0, 0)
-        for n, (lat, lon) in enumerate(PLACES)
+        for n, (lat, lon) in enumerate(places)
     ]
 
 
@@ -93,6 +93,11 @@ async def sailed(path: Path) -> list[str]:
             return abs(v.north_m_s) + abs(v.east_m_s) > 0.3
 
         await until(moving)
+        await mission.upload_mission(items([*PLACES, (38.6909, -9.2141)]))  # while it sails
+        modes.append(mode())
+        assert len(await mission.download_mission()) == 4
+        with pytest.raises(MissionRawError, match="DENIED"):
+            await mission.upload_mission(items([(38.6915, -9.2149), *PLACES[1:]]))
         for pause in (mission.pause_mission, action.hold):
             await pause()
             modes.append(mode())
@@ -161,7 +166,7 @@ def test_connect_watch_upload_download_start_hold_return_disarm(tmp_path):
     """And what was sailed so repeats bit by bit from its logs: nothing moved the boat that is not in them."""
     with running(tmp_path, PORT) as path:
         modes = asyncio.run(asyncio.wait_for(sailed(path), 240))
-    assert modes == ["idle", "play", "hold", "play", "hold", "play", "home", "idle"]
+    assert modes == ["idle", "play", "play", "hold", "play", "hold", "play", "home", "idle"]
     words = [sys.executable, "-m", "delfim", "log", "replay", str(tmp_path / "log")]
     replayed = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert "all the same, bit by bit" in replayed.stdout, replayed

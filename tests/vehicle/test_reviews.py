@@ -145,6 +145,33 @@ def test_the_largest_mission_takes_many_slices_and_the_boat_sails_meanwhile(sea,
     assert max(counted) <= MOST_AT_ONCE
 
 
+@pytest.mark.parametrize("changed", ["mission", "fence"])
+def test_the_largest_change_under_way_takes_many_slices_and_the_boat_sails_meanwhile(sea, counted, changed):
+    """All of a mission but what is behind and the leg under way; and the largest fence, around as much."""
+    large = mission(1000, 100)
+    for command in (console.Upload(large), console.Play()):
+        assert sea.vehicle.on_command(command) is None
+    first, *_ = large.waypoint
+    others = [Waypoint(latitude_deg=each.latitude_deg - 1e-4, longitude_deg=each.longitude_deg) for each in large.waypoint[1:]]
+    other = Mission(version=1, name="other", waypoint=(first, *others), path=large.path, fence=zones())
+    counted.clear()
+    answers: list[str | None] = []
+    command = console.Upload(other) if changed == "mission" else console.SetFence(zones())
+    sea.reviews.begin("local", command, answers.append)
+    cycles = 0
+    while sea.turns:
+        turn(sea, 20)
+        sea.boat.pass_time(0.1)
+        sea.boat.navigate()
+        sea.vehicle.on_command(console.Alive())
+        cycles += 1
+        assert sea.state.mode is Mode.PLAY
+    assert answers == [None]
+    assert cycles > 100
+    assert max(counted) <= MOST_AT_ONCE
+    assert len(sea.vehicle.helm.plans.fence.zones) == 101
+
+
 def test_what_cannot_be_done_is_refused_in_words_and_changes_nothing(sea):
     inside = config.Zones(keep_out=(config.Area(name="reef", polygon=ring(-0.001, 0.001, 0.0003)),))
     answers: list[str | None] = []
