@@ -7,7 +7,7 @@ from typing import Final
 from delfim.geodesy import wrap
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
-from delfim.vehicle.control.path import APPROACH, nearest
+from delfim.vehicle.control.path import nearest
 from delfim.vehicle.state import Arc, Motion, Plan
 from delfim.vehicle.zones import Point, from_segment
 
@@ -123,7 +123,7 @@ class SteerTape:
 
     def _following(self, now_s: float, entered: bool, north_m: float, east_m: float) -> None:
         leg, plan = self._run.vehicle.helm.memory.leg, self._run.state.setpoint.plan
-        if entered or leg == APPROACH:
+        if entered or leg < 0:
             self._joined_s = now_s
         if plan is not None and now_s - self._joined_s > CORNER_S and leg < len(plan.path):
             piece = plan.path[leg]

@@ -53,6 +53,7 @@ WORDS: dict[str, Word] = {
         ("latitude_deg longitude_deg", "speed_mps", "end"),
     ),
     "play": Word("play the mission, from a leg; the first is 1", (), ("leg",)),
+    "path": Word("follow the mission's path, from a piece; the first is 1", (), ("piece",)),
     "pause": Word("hold here; continue goes on from here"),
     "continue": Word("go on with what a hold interrupted, from where it was"),
     "mission": Word("load a mission file", ("file",)),
@@ -84,7 +85,7 @@ def command(words: list[str]) -> dict[str, Any]:
     if missing or len(rest) > len(word.names):
         wrong = f"{missing} is missing" if missing else f"{rest[len(word.names)]!r} is too much"
         raise FormatError(f"{wrong}: {word.shape(verb)}")
-    said = dict(zip(word.names, rest, strict=False))
+    said, shape = dict(zip(word.names, rest, strict=False)), word.shape(verb)
     match verb:
         case "reboot":
             return {"command": "shutdown", "reboot": True}
@@ -92,17 +93,20 @@ def command(words: list[str]) -> dict[str, Any]:
             return {"command": verb, "text": _file(said["file"])}
         case "mode":
             return {"command": verb, "mode": said["name"]}
-    return {"command": verb} | {name: _number(name, text, word.shape(verb)) for name, text in said.items()} | end
+        case "path":
+            verb, end = "mode", {"mode": "path"}
+    return {"command": verb} | {name: _number(name, text, shape) for name, text in said.items()} | end
 
 
 def _number(name: str, text: str, where: str) -> float | int:
-    """Raises FormatError. Legs are counted from 1, as on the page; the vehicle counts them from 0."""
+    """Raises FormatError. Legs and pieces are counted from 1, as on the page; the vehicle counts them from 0."""
     with contextlib.suppress(ValueError):
-        if name == "leg" and int(text) >= 1:
+        if name in ("leg", "piece") and int(text) >= 1:
             return int(text) - 1
-        if name not in ("leg", "end") and math.isfinite(float(text)):
+        if name not in ("leg", "piece", "end") and math.isfinite(float(text)):
             return float(text)
-    kind = {"leg": "a whole number from 1 on", "end": "hold or idle"}.get(name, "a number")
+    whole = "a whole number from 1 on"
+    kind = {"leg": whole, "piece": whole, "end": "hold or idle"}.get(name, "a number")
     raise FormatError(f"{name} must be {kind}, not {text!r}: {where}")
 
 

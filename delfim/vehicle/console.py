@@ -64,9 +64,11 @@ class Leave(Command, frozen=True):
 
 
 class SetMode(Command, frozen=True, tag="mode"):
-    """Enter a mode with the set points as they are; manual without thrust, goto without a point: the boat waits for one."""
+    """Enter a mode with the set points as they are; manual without thrust, goto without a point: the boat waits for one.
+    `piece` is the piece of the path to begin with; without it a path begins at its first, or goes on after a pause."""
 
     mode: str
+    piece: Annotated[int, msgspec.Meta(ge=0, le=100_000)] | None = None
 
 
 class Manual(Command, frozen=True):

@@ -180,10 +180,8 @@ class Helm:
             self.memory = resumed._replace(integrals=self.memory.integrals)
         if mode is Mode.HOLD or (mode is Mode.GOTO and state.setpoint.target is None):
             self._settle((self.memory.north_m, self.memory.east_m), self.track.points())
-        # The boat does not skip pieces without a word.
-        if mode is Mode.PATH and resumed is None and self.memory.leg > 0 and state.setpoint.plan is not None:
-            pieces = len(state.setpoint.plan.path)
-            reason = f"{reason}; begins at piece {self.memory.leg + 1} of {pieces}, the first that the boat stands on"
+        if mode is Mode.PATH and resumed is None and state.setpoint.piece and state.setpoint.plan is not None:
+            reason = f"{reason}; begins at piece {state.setpoint.piece + 1} of {len(state.setpoint.plan.path)}"
         if mode is not state.mode:
             state.mode_s = self._clock.monotonic_s()
         state.armed = mode is not Mode.IDLE
@@ -259,9 +257,11 @@ class Helm:
             setpoint = setpoints.onwards(wanted, self.state, self.settings.control.speed)
         elif wanted is Mode.GOTO:  # waits for a point
             setpoint = setpoint._replace(target=None, via=())
-        elif wanted is Mode.PLAY and self.paused is not None and self.paused.mode is Mode.PLAY:
+        elif command.piece is None and (way := self._under_way()) is not None and way.is_paused and way.mode is wanted:
             self._continue(None, now_s)
             return
+        elif wanted is Mode.PATH:
+            setpoint = setpoint._replace(piece=command.piece or 0)
         self.request(wanted, setpoint, now_s)
 
     def _head(self, command: console.Heading | console.Course, now_s: float) -> None:

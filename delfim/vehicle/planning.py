@@ -15,6 +15,7 @@ from delfim.modes import Mode
 from delfim.slices import Remains, Sliced, Work
 from delfim.vehicle import console, fence, legs, underway
 from delfim.vehicle.control.memory import Settings
+from delfim.vehicle.control.path import piece_of
 from delfim.vehicle.legs import NOTHING, Behind
 from delfim.vehicle.mission import Mission, checked, plan, read_mission
 from delfim.vehicle.state import Plan, State, StateLog
@@ -199,7 +200,9 @@ class Plans:
             self.found(looked.origin)
         self._number += not goes_on
         leg = min(state.setpoint.leg, len(looked.laid.plan.waypoints) - 1) if goes_on else 0
-        state.setpoint = state.setpoint._replace(plan=looked.laid.plan._replace(number=self._number), leg=leg)
+        piece = min(state.setpoint.piece, max(len(looked.laid.plan.path) - 1, 0)) if goes_on else 0
+        planned = looked.laid.plan._replace(number=self._number)
+        state.setpoint = state.setpoint._replace(plan=planned, leg=leg, piece=piece)
         self.mission, self.zones, self.fence, self._laying = looked.mission, looked.mission.fence, looked.around, None
 
     def _go_on_with(self, looked: Looked, now: underway.UnderWay) -> None:
@@ -219,7 +222,7 @@ class Plans:
         """Why a mode cannot sail the mission from a leg or piece on: a fence that came under way forbids what was behind."""
         since = self._behind.legs if mode is Mode.PLAY else self._behind.pieces if mode is Mode.PATH else 0
         what = "waypoint" if mode is Mode.PLAY else "piece"
-        return f"the fence forbids the mission before {what} {since + 1}: begin there" if max(leg, 0) < since else None
+        return f"the fence forbids the mission before {what} {since + 1}: begin there" if piece_of(leg) < since else None
 
     def _leave(self, mission: Mission | None, planned: Plan | None, around: fence.Fence | None) -> None:
         """Free the parts that will be replaced."""
@@ -262,4 +265,4 @@ class Plans:
 
     def _forget(self) -> None:
         self.mission, self._behind = None, NOTHING
-        self._state.setpoint = self._state.setpoint._replace(plan=None, leg=0)
+        self._state.setpoint = self._state.setpoint._replace(plan=None, leg=0, piece=0)

@@ -119,6 +119,7 @@ class Setpoint(NamedTuple):
     via: tuple[Waypoint, ...] = ()  # goto: by these before it, round zones
     plan: Plan | None = None
     leg: int = 0  # first leg to play
+    piece: int = 0  # first piece of the path to follow
     guest_heading_rad: float | None = None
     guest_speed_mps: float = 0.0
     track: tuple[tuple[float, float], ...] = ()  # driven so far, oldest first: the way home

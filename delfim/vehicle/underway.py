@@ -8,6 +8,7 @@ from delfim.modes import Mode
 from delfim.slices import Work
 from delfim.vehicle import fence
 from delfim.vehicle.control.memory import Memory
+from delfim.vehicle.control.path import piece_of
 from delfim.vehicle.legs import Behind
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Waypoint
 
@@ -43,10 +44,10 @@ class Same(NamedTuple):
 def under_way(mode: Mode, leg: int, paused: Paused | None, plan: Plan | None) -> UnderWay | None:
     """How a plan is sailed. None: it is not, and was not interrupted."""
     if mode in SAILS:
-        return UnderWay(mode, max(leg, 0))
+        return UnderWay(mode, piece_of(leg))
     if paused is None or paused.mode not in SAILS or plan is None or plan.number != paused.number:
         return None
-    return UnderWay(paused.mode, max(paused.memory.leg, 0), is_paused=True)
+    return UnderWay(paused.mode, piece_of(paused.memory.leg), is_paused=True)
 
 
 def same(was: Plan, new: Plan) -> Work[Same]:

@@ -1,14 +1,14 @@
 """Missions, paths, station keeping and the way home in current and noise: the bounds of docs/control.md."""
 
-import itertools
 import math
+from itertools import pairwise
 
 import pytest
 
 from delfim.config import Sea
 from delfim.geodesy import wrap
 from delfim.modes import Mode
-from delfim.vehicle.control.control import control, enter
+from delfim.vehicle.control.control import admit, control, enter, first
 from delfim.vehicle.control.guidance import along
 from delfim.vehicle.control.path import APPROACH
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Setpoint, Waypoint
@@ -107,29 +107,42 @@ def test_an_arc_of_more_than_one_turn_is_sailed_to_its_end() -> None:
     assert len(on_arcs) * DT_S * 1.5 == pytest.approx(4.0 * math.pi * 20.0, rel=0.2)
 
 
-def test_a_path_is_resumed_where_the_boat_stands_on_it_and_begun_elsewhere() -> None:
+def test_a_path_begins_at_its_first_piece_or_at_the_one_that_is_told_wherever_the_boat_is() -> None:
     path = (
         Line(0.0, 0.0, 100.0, 0.0, 1.5),
         Arc(100.0, 20.0, 20.0, -math.pi / 2.0, math.pi, 1.5),
         Line(100.0, 40.0, 0.0, 40.0, 1.5),
     )
     setpoint = Setpoint(plan=Plan("", (), path))
-    for north_m, east_m, leg in (
-        (50.0, 2.0, 0),
-        (120.0, 20.0, 1),
-        (50.0, 42.0, 2),
-        (50.0, 20.0, APPROACH),
-        (-60.0, 0.0, APPROACH),
-    ):
-        memory = enter(Mode.PATH, HERE._replace(north_m=north_m, east_m=east_m), setpoint, SETTINGS)
-        assert memory.leg == leg
-        assert leg != 1 or memory.swept_rad == pytest.approx(math.pi / 2.0)
+    for north_m, east_m in ((50.0, 2.0), (120.0, 20.0), (50.0, 42.0), (50.0, 20.0)):
+        there = HERE._replace(north_m=north_m, east_m=east_m)
+        for piece, begins in enumerate(((0.0, 0.0), (100.0, 0.0), (100.0, 40.0))):
+            told = setpoint._replace(piece=piece)
+            memory = enter(Mode.PATH, there, told, SETTINGS)
+            assert first(Mode.PATH, memory, told) == pytest.approx(begins)
+            _, reference, _ = control(Mode.PATH, memory, there, told, SETTINGS, DT_S)
+            assert reference[5:7] == (pytest.approx(begins[1]), piece)
+            assert reference.north_m == pytest.approx(begins[0])
+    assert admit(Mode.PATH, ALL, setpoint._replace(piece=3)) == "no piece 4: the path has pieces 1 to 3"
+
+
+@pytest.mark.parametrize("start_m", [(0.0, 0.0), (60.0, 1.0), (3.0, 40.0)])
+def test_a_survey_whose_lines_pass_where_the_boat_lies_is_sailed_from_end_to_end(start_m: tuple[float, float]) -> None:
+    """Lines of a hundred metres, ten metres apart; the boat lies at one of their ends, or on one of them."""
+    ends = [(n, 10.0 * i) for i in range(5) for n in ((0.0, 100.0) if i % 2 == 0 else (100.0, 0.0))]
+    path = tuple(Line(*a, *b, 1.5) for a, b in pairwise(ends))
+    boat = Boat()
+    boat.model.north_m, boat.model.east_m = start_m
+    for piece in (0, 6):
+        setpoint = Setpoint(plan=Plan("", (), path), piece=piece)
+        legs = [x.leg for x in boat.sail(Mode.PATH, setpoint, 900.0) if x.mode is Mode.PATH]
+        assert list(dict.fromkeys(legs)) == [APPROACH - piece, *range(piece, len(path))]
 
 
 @pytest.mark.parametrize(("north_m", "onto_deg"), [(20.0, 45.0), (65.0, 45.0), (90.0, 75.1)])
 def test_from_far_off_a_path_the_boat_comes_back_at_45_degrees_but_not_past_its_end(north_m: float, onto_deg: float) -> None:
     setpoint = Setpoint(plan=Plan("", (), (Line(0.0, 0.0, 100.0, 0.0, 1.5),)))
-    memory = enter(Mode.PATH, HERE, setpoint, SETTINGS)
+    memory = enter(Mode.PATH, HERE, setpoint, SETTINGS)._replace(leg=0)
     away = HERE._replace(north_m=north_m, east_m=30.0)
     _, reference, _ = control(Mode.PATH, memory, away, setpoint, SETTINGS, DT_S)
     assert reference.heading_rad is not None
@@ -225,7 +238,7 @@ def test_hold_rests_in_calm_water() -> None:
 def test_hold_does_not_circle() -> None:
     boat = Boat(sea=Sea(current_mps=0.5), heading_rad=math.pi / 2.0)
     headings = [x.truth.heading_rad for x in boat.sail(Mode.HOLD, Setpoint(), 600.0)]
-    turned_rad = sum(abs(math.remainder(b - a, math.tau)) for a, b in itertools.pairwise(headings))
+    turned_rad = sum(abs(math.remainder(b - a, math.tau)) for a, b in pairwise(headings))
     assert turned_rad < 2.0 * math.tau  # in ten minutes: once into the drift, and the small corrections
 
 

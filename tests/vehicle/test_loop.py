@@ -183,14 +183,35 @@ def test_a_mission_that_was_loaded_before_the_position_was_known_is_not_sailed_a
     assert "km to go; up to 20 km are allowed" in far
 
 
-def test_a_path_that_is_begun_in_the_middle_says_so(boat):
+def test_a_path_is_begun_in_the_middle_only_when_told_and_says_so(boat):
     places = [(38.6920, -9.2140), (38.6920, -9.2150), (38.6930, -9.2150), (38.6930, -9.2140)]
     rows = ", ".join(f"{{ latitude_deg = {latitude}, longitude_deg = {longitude} }}" for latitude, longitude in places)
     boat.ready()
     assert boat.vehicle.on_command(console.LoadMission(f'version = 1\nname = "survey"\nwaypoint = [{rows}]\n')) is None
     assert boat.vehicle.on_command(console.SetMode("path")) is None
-    assert boat.state.reason == "operator; begins at piece 2 of 3, the first that the boat stands on"
+    assert (boat.state.reason, boat.state.reference.leg) == ("operator", 0), "the boat lies at the end of the first piece"
+    assert boat.vehicle.on_command(console.SetMode("path", piece=1)) is None
+    assert (boat.state.reason, boat.state.reference.leg) == ("operator; begins at piece 2 of 3", 1)
     assert boat.log.notes[-1] == f"path: {boat.state.reason}"
+    assert boat.vehicle.on_command(console.SetMode("path", piece=3)) == "path refused: no piece 4: the path has pieces 1 to 3"
+    assert boat.vehicle.on_command(console.SetMode("path")) is None
+    assert boat.state.reason == "operator"
+
+
+def test_a_path_goes_on_after_a_pause_where_it_was(boat):
+    boat.ready()
+    rows = ", ".join(f"{{ latitude_deg = {38.6925 + 0.001 * n}, longitude_deg = -9.2150 }}" for n in range(3))
+    boat.vehicle.on_command(console.LoadMission(f'version = 1\nname = "survey"\nwaypoint = [{rows}]\n'))
+    boat.vehicle.on_command(console.SetMode("path"))
+    boat.pass_time(0.4)
+    assert boat.vehicle.helm.memory.leg == 0
+    for word in (console.SetMode("path"), console.Continue()):
+        boat.vehicle.on_command(console.SetMode("hold"))
+        assert boat.vehicle.on_command(word) is None
+        assert (boat.state.reason, boat.vehicle.helm.memory.leg) == ("operator continues", 0)
+    boat.vehicle.on_command(console.SetMode("hold"))
+    assert boat.vehicle.on_command(console.SetMode("path", piece=1)) is None
+    assert (boat.state.reason, boat.vehicle.helm.memory.leg) == ("operator; begins at piece 2 of 2", -2)
 
 
 def test_navigation_silence_stops_the_boat_within_its_limit_and_says_why(boat):

@@ -82,6 +82,8 @@ def test_another_mission_is_not_sailed_from_the_middle(boat):
     refused = boat.vehicle.on_command(console.Continue())
     assert refused == "continue refused: the mission has changed since the pause; choose the mode again"
     assert boat.state.mode is Mode.HOLD
+    assert boat.vehicle.on_command(console.SetMode("play")) is None, "it is chosen again"
+    assert (boat.state.mode, boat.state.reason, boat.state.reference.leg) == (Mode.PLAY, "operator", 0)
 
 
 def test_a_leg_that_is_chosen_during_the_pause_is_the_one_that_is_sailed(boat):

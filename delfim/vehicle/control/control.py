@@ -60,8 +60,8 @@ def first(mode: Mode, memory: Memory, setpoint: Setpoint) -> tuple[float, float]
     plan, to = setpoint.plan, setpoint.target if mode is Mode.GOTO else None
     if mode is Mode.PLAY and plan is not None:
         to = plan.waypoints[setpoint.leg]
-    if mode is Mode.PATH and plan is not None and memory.leg == path.APPROACH:
-        return path.start(plan.path[0])
+    if mode is Mode.PATH and plan is not None and memory.leg < 0:
+        return path.start(plan.path[path.piece_of(memory.leg)])
     return None if to is None else (to.north_m, to.east_m)
 
 

@@ -1,8 +1,8 @@
 """Path following: lines and arcs, with a cross-track error bounded as `docs/control.md` states.
 
-A boat off the path goes to its beginning; a boat on it, within the acceptance radius, continues from the first piece that it
-stands on: so a path is resumed after a hold. At a corner the boat leaves a line early by R tan(angle / 2), where
-a turn of radius R begins that ends on the next one. A boat that kept clear of others comes back at 45 degrees.
+A boat goes to the beginning of the first piece, or of the one that it is told to begin with, wherever it is. At a corner the
+boat leaves a line early by R tan(angle / 2), where a turn of radius R begins that ends on the next one. A boat that kept clear
+of others comes back at 45 degrees.
 """
 
 import math
@@ -17,7 +17,7 @@ from delfim.vehicle.state import Arc, Line, Motion, Reference, Setpoint, Wanted
 NEEDS = frozenset({"position", "heading", "velocity"})
 SENTENCE = "Follows the mission's lines and arcs, then holds."
 
-APPROACH = -1  # leg: on the way to where the path begins
+APPROACH = -1  # leg: on the way to where the first piece begins; to the second it is -2, and so on
 TURN_S = 3.0  # radius of a turn at a corner, over speed
 CORNER_MAX_RAD = math.radians(120.0)
 
@@ -25,30 +25,19 @@ CORNER_MAX_RAD = math.radians(120.0)
 def lacks(setpoint: Setpoint) -> str | None:
     if setpoint.plan is None:
         return "no mission loaded"
-    return None if setpoint.plan.path else "the mission has no path: it needs two waypoints, or pieces of a path"
+    pieces = len(setpoint.plan.path)
+    if not pieces:
+        return "the mission has no path: it needs two waypoints, or pieces of a path"
+    return None if setpoint.piece < pieces else f"no piece {setpoint.piece + 1}: the path has pieces 1 to {pieces}"
 
 
 def enter(motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
-    memory = Memory(entered(motion), north_m=motion.north_m, east_m=motion.east_m, leg=APPROACH)
-    reach_m = settings.control.path.acceptance_m
-    for leg, piece in enumerate(setpoint.plan.path if setpoint.plan is not None else ()):
-        if _far(piece, motion.north_m, motion.east_m, reach_m):
-            continue
-        _, cross_m, left_m, swept_rad = nearest(piece, motion, 0.0)
-        if abs(cross_m) <= reach_m and 0.0 <= left_m <= _length_m(piece) + reach_m:
-            return memory._replace(leg=leg, swept_rad=swept_rad)
-    return memory
+    return Memory(entered(motion), north_m=motion.north_m, east_m=motion.east_m, leg=APPROACH - setpoint.piece)
 
 
-def _far(piece: Line | Arc, north_m: float, east_m: float, reach_m: float) -> bool:
-    """Whether a piece is certainly out of reach: a quick test, because a path has up to a thousand pieces."""
-    if isinstance(piece, Arc):
-        return abs(math.hypot(north_m - piece.north_m, east_m - piece.east_m) - piece.radius_m) > reach_m
-    a, b = (piece.north_m, piece.to_north_m) if piece.north_m < piece.to_north_m else (piece.to_north_m, piece.north_m)
-    if not a - 2.0 * reach_m <= north_m <= b + 2.0 * reach_m:
-        return True
-    a, b = (piece.east_m, piece.to_east_m) if piece.east_m < piece.to_east_m else (piece.to_east_m, piece.east_m)
-    return not a - 2.0 * reach_m <= east_m <= b + 2.0 * reach_m
+def piece_of(leg: int) -> int:
+    """The piece that the boat is on, or on the way to."""
+    return max(leg, APPROACH - leg)
 
 
 def step(
@@ -57,9 +46,10 @@ def step(
     path = setpoint.plan.path if setpoint.plan is not None else ()
     if memory.leg >= len(path):
         return memory, Reference(leg=memory.leg, done=True), STOP
-    piece = path[memory.leg] if memory.leg >= 0 else _approach(memory, path[0])
+    onwards = memory.leg + 1 if memory.leg >= 0 else piece_of(memory.leg)
+    piece = path[memory.leg] if memory.leg >= 0 else _approach(memory, path[onwards])
     tangent_rad, cross_m, left_m, swept_rad = nearest(piece, motion, memory.swept_rad)
-    ahead_m, last = settings.control.path.lookahead_m, memory.leg + 1 == len(path)
+    ahead_m, last = settings.control.path.lookahead_m, onwards == len(path)
     is_gentle = abs(cross_m) > ahead_m and not (last and left_m < abs(cross_m))  # onto it at 45 degrees, but for its end
     off_m = math.copysign(ahead_m, cross_m) if is_gentle else cross_m
     course, heading_rad = course_to_steer(memory.course, motion, tangent_rad, off_m, settings.control.path, dt_s)
@@ -69,13 +59,13 @@ def step(
     turn_radps = math.copysign(speed_mps / piece.radius_m, piece.turn_rad) if isinstance(piece, Arc) else 0.0
     integrals, wanted = steer(memory.integrals, motion, heading_rad, speed_mps, settings, dt_s, turn_radps)
     north_m, east_m = _end(piece)
-    reference = Reference(wrap(heading_rad), speed_mps, cross_m, max(left_m, 0.0), north_m, east_m, max(memory.leg, 0))
+    reference = Reference(wrap(heading_rad), speed_mps, cross_m, max(left_m, 0.0), north_m, east_m, piece_of(memory.leg))
     after = Memory(integrals, course, *memory[2:5], swept_rad)
     if last:
         return after, reference._replace(done=True) if left_m <= 0.0 else reference, wanted
-    if left_m > _wheel_over_m(tangent_rad, path[memory.leg + 1], speed_mps, ahead_m):
+    if left_m > _wheel_over_m(tangent_rad, path[onwards], speed_mps, ahead_m):
         return after, reference, wanted
-    return after._replace(leg=memory.leg + 1, swept_rad=0.0), reference, wanted
+    return after._replace(leg=onwards, swept_rad=0.0), reference, wanted
 
 
 def _approach(memory: Memory, first: Line | Arc) -> Line:
@@ -115,12 +105,6 @@ def start(piece: Line | Arc) -> tuple[float, float]:
 
 def _end(piece: Line | Arc) -> tuple[float, float]:
     return (piece.to_north_m, piece.to_east_m) if isinstance(piece, Line) else arc_point(piece, piece.turn_rad)
-
-
-def _length_m(piece: Line | Arc) -> float:
-    if isinstance(piece, Line):
-        return math.hypot(piece.to_north_m - piece.north_m, piece.to_east_m - piece.east_m)
-    return abs(piece.turn_rad) * piece.radius_m
 
 
 def arc_point(arc: Arc, turned_rad: float) -> tuple[float, float]:

@@ -7,7 +7,7 @@ from typing import Final
 from delfim.modes import Mode
 from delfim.vehicle import setpoints
 from delfim.vehicle.control.memory import Memory, Settings
-from delfim.vehicle.control.path import APPROACH, arc_point, nearest, start
+from delfim.vehicle.control.path import arc_point, nearest, piece_of, start
 from delfim.vehicle.state import Line, Motion, Setpoint
 from delfim.vehicle.traffic.encounter import Own
 from delfim.vehicle.traffic.trialways import RouteAhead
@@ -65,8 +65,9 @@ def _along_path(memory: Memory, setpoint: Setpoint, motion: Motion, settings: Se
     """From beside the path the boat comes onto it at 45 degrees, then along its pieces."""
     assert setpoint.plan is not None
     path, points, leg = setpoint.plan.path, list[Point](), memory.leg
-    if leg == APPROACH:
-        points, leg = [start(path[0])], 0
+    if leg < 0:
+        leg = piece_of(leg)
+        points = [start(path[leg])]
     else:
         tangent_rad, cross_m, left_m, _ = nearest(path[leg], motion, memory.swept_rad)
         if abs(cross_m) > settings.control.path.lookahead_m:
