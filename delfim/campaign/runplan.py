@@ -18,6 +18,7 @@ import msgspec
 from delfim import config, tables
 from delfim.errors import ConfigError, FormatError
 from delfim.outside import read_text
+from delfim.simulator.chased import DRAWN
 from delfim.simulator.encounters import staged_of
 from delfim.simulator.scenario import FaultAt, Scenario, fault_of, load_scenario
 from delfim.vehicle.mission import load_mission
@@ -25,7 +26,6 @@ from delfim.vehicle.mission import load_mission
 POINTS_MAX: Final = 100_000
 RUNS_MAX: Final = 100_000_000
 ENDING: Final = 256  # a batch has at most one in so many of the runs that are left
-MIXED: Final = "mixed"
 FAULT: Final = "fault."  # keys that begin with it lie over each fault of a scenario
 Key = Annotated[str, tables.text(r"[a-z][a-z0-9_]*(\.([a-z][a-z0-9_]*|[0-9]{1,4}))*", "a key of the vehicle's file, with dots")]
 Number = float | int
@@ -77,7 +77,7 @@ class Seeds(tables.Table, frozen=True):
 
 class CampaignFile(tables.Table, frozen=True):
     """The file. `vehicle`, `scenario` and `mission` are files beside it, one or several: each boat sails each of the others.
-    The scenario "mixed" draws faults from the seed."""
+    The scenarios "mixed" and "chased" are drawn from the seed."""
 
     version: Literal[1]
     name: Name
@@ -101,7 +101,7 @@ class CampaignFile(tables.Table, frozen=True):
 
 
 class Story(NamedTuple):
-    """What is sailed: a boat, and a scenario's file, "mixed", or a mission, with the texts that belong to it."""
+    """What is sailed: a boat, and a scenario's file, "mixed", "chased", or a mission, with the texts that belong to it."""
 
     name: str
     boat: str  # name of the vehicle's file
@@ -240,7 +240,7 @@ def _names(asked: str | tuple[str, ...]) -> tuple[str, ...]:
 
 def _trials(folder: Path, name: str) -> Iterator[tuple[str, dict[str, Any] | None, str]]:
     """(name, scenario's file, mission's text) of a scenario's file, or of each of its encounters."""
-    if name == MIXED:
+    if name in DRAWN:
         yield name, None, ""
         return
     path = folder / name

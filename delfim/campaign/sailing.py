@@ -16,9 +16,10 @@ from delfim.campaign.measures import MEASURES, RunTape, Sailed, Truth
 from delfim.campaign.runplan import Batch, Plan, broken_of, laid, parted
 from delfim.clock import ManualClock
 from delfim.errors import DelfimError
+from delfim.simulator.chased import DRAWN
 from delfim.simulator.encounters import OWN_MPS, RANDOM, drawn, staged
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.mixed import mixed, mixed_mission
+from delfim.simulator.mixed import mixed_mission
 from delfim.simulator.scenario import Scenario, laid_upon
 from delfim.simulator.trial import sail
 from delfim.simulator.watch import TruePlace
@@ -124,7 +125,7 @@ def sailed_run(
             scenario = broken_of(scenario, faults, plan.name)
     elif not story.mission:
         settings = tables.decode(tree, config.Vehicle, plan.name)
-        scenario, mission, patient = mixed(seed, settings), mixed_mission(settings.simulation), False
+        scenario, mission, patient = DRAWN[story.name](seed, settings), mixed_mission(settings.simulation), False
     if scenario is not None:
         tree = laid(laid_upon(tree, scenario), values)  # the campaign's values lie uppermost
     settings = tables.decode(tree, config.Vehicle, plan.name)

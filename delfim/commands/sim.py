@@ -46,7 +46,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     example_file(parser, nargs="?", default=OWN_FILE)
     parser.add_argument("--mission", metavar="FILE", type=shipped, help="Sail this one instead of simulation.mission of FILE.")
     parser.add_argument(
-        "--scenario", metavar="FILE", type=shipped, help='Sail this scenario in lock step; "mixed" draws faults from the seed.'
+        "--scenario", metavar="FILE", type=shipped, help='Sail this scenario in lock step; the seed draws "mixed" and "chased".'
     )
     parser.add_argument(
         "--for", type=seconds, dest="for_s", metavar="SECONDS", help="End after this time, not with the mission."
@@ -82,10 +82,10 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _scenario(asked: argparse.Namespace) -> int:
-    from delfim.simulator import mixed, trial
+    from delfim.simulator import chased, mixed, trial
 
-    if asked.scenario == mixed.MIXED:
-        result = mixed.sail_mixed(asked.file, asked.seed, tuple(asked.set))
+    if draw := chased.DRAWN.get(asked.scenario):
+        result = mixed.sail_mixed(asked.file, asked.seed, tuple(asked.set), draw)
     else:
         result = trial.run_file(asked.scenario, asked.file, asked.seed, tuple(asked.set))
     print(*trial.report(result), sep="\n")

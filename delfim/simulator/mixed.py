@@ -34,7 +34,7 @@ def mixed(seed: int, vehicle: config.Vehicle) -> Scenario:
     places = {kind: tuple(name for name in names if name in nodes) for kind, names in WHERE.items()}
     places |= dict.fromkeys(OF_THRUSTERS, tuple(row.name for row in vehicle.thrusters))
     seconds = random.uniform(60.0, 120.0)
-    place = partial(_place, here)
+    place = partial(place_of, here)
     corners = [place(n * HALF_M, e * HALF_M) for n, e in ((1, -1), (1, 1), (-1, 1), (-1, -1))]
     sea = {
         "current_mps": random.uniform(0.0, 0.4),
@@ -58,7 +58,7 @@ def mixed(seed: int, vehicle: config.Vehicle) -> Scenario:
     )
 
 
-def _place(here: config.Simulation, north_m: float, east_m: float) -> list[float]:
+def place_of(here: config.Simulation, north_m: float, east_m: float) -> list[float]:
     """[latitude_deg, longitude_deg] of a point at this distance from the start."""
     at = geodesy.origin(math.radians(here.latitude_deg), math.radians(here.longitude_deg))
     return [round(math.degrees(angle), 7) for angle in geodesy.from_plane(at, north_m, east_m)]
@@ -66,7 +66,7 @@ def _place(here: config.Simulation, north_m: float, east_m: float) -> list[float
 
 def mixed_mission(here: config.Simulation) -> str:
     """The text of its mission: once around, clear of the fence."""
-    corners = [_place(here, *corner) for corner in ((-40.0, -40.0), (-40.0, 40.0), (15.0, 40.0), (15.0, -40.0))]
+    corners = [place_of(here, *corner) for corner in ((-40.0, -40.0), (-40.0, 40.0), (15.0, 40.0), (15.0, -40.0))]
     rows = [f"[[waypoint]]\nlatitude_deg = {latitude}\nlongitude_deg = {longitude}\n" for latitude, longitude in corners]
     return "\n".join(['version = 1\nname = "Once around"\n', *rows])
 
@@ -101,10 +101,12 @@ def _fault(random: Random, seconds: float, places: dict[str, tuple[str, ...]]) -
     return FaultAt(at_s=at_s, kind=kind, where=random.choice(places[kind]) if kind in places else "", value=value, for_s=for_s)
 
 
-def sail_mixed(vehicle: str | Path, seed: int, overrides: tuple[str, ...] = ()) -> Result:
+def sail_mixed(
+    vehicle: str | Path, seed: int, overrides: tuple[str, ...] = (), draw: Callable[[int, config.Vehicle], Scenario] = mixed
+) -> Result:
     """The run of a seed with a vehicle's file. Raises ConfigError. A refused order is not a failure here."""
     here = config.load(vehicle, overrides)
-    scenario = mixed(seed, here)
+    scenario = draw(seed, here)
     return sail(scenario, settings_of(scenario, vehicle, overrides), seed, mixed_mission(here.simulation), patient=False)
 
 

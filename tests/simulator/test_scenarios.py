@@ -10,6 +10,7 @@ import pytest
 from delfim import config
 from delfim.errors import ConfigError
 from delfim.simulator import mixed, scenario, trial
+from delfim.simulator.chased import chased
 from delfim.simulator.faults import KINDS
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.watch import Onlooker
@@ -163,6 +164,12 @@ def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
     """No exception, not adrift under power, inside the fence, no stop without a reason: `pytest --seeds 1000` for more."""
     bad = {seed: result.failures for seed in seeds if (result := mixed.sail_mixed(VEHICLE, seed)).failures}
     assert not bad, "\n".join(f"{mixed.again(str(VEHICLE), 'mixed', seed, [])}: {why}" for seed, why in bad.items())
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5])
+def test_vessels_that_follow_and_chase_the_boat_drive_it_nowhere(seed):
+    """The first of etc/campaigns/chased.toml: outside the fence in none."""
+    assert not mixed.sail_mixed(VEHICLE, seed, (), chased).failures
 
 
 @pytest.mark.parametrize(

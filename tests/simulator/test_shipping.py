@@ -12,7 +12,7 @@ from delfim import config
 from delfim.canproxy.nmea2000 import ais
 from delfim.canproxy.nmea2000.fastpacket import FastPacket
 from delfim.clock import ManualClock
-from delfim.geodesy import to_plane
+from delfim.geodesy import to_plane, wrap
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.model import Hull, Model
 from delfim.simulator.nodes import nodes_of
@@ -294,3 +294,19 @@ def test_a_boat_with_a_line_of_nmea_0183_hears_them_there():
     assert sum(line.startswith(b"!AIVDM,1,1,,A,B") for line in lines) == pytest.approx(30, abs=1)
     assert sum(line.startswith(b"!AIVDM,1,1,,A,H") for line in lines) == 2
     assert max(map(len, lines)) <= 80
+
+
+def test_a_forged_vessel_stays_beside_the_boat_and_changes_sides_and_one_that_chases_comes() -> None:
+    there, model = shipping(one(follows_m=20.0, follows_deg=90.0, sides_s=30.0, speed_mps=3.0))
+    chaser, its = shipping(one(chases=True, speed_mps=3.0, turn_dps=5.0, north_m=300.0))
+    places = list[tuple[float, float]]()
+    for t in range(301):
+        for each, boat in ((there, model), (chaser, its)):
+            boat.north_m, boat.east_m = -2.0 * t, 5.0
+            each.step(t / 5.0, 0)
+        places.append((there.vessels[0].north_m - model.north_m, there.vessels[0].east_m - model.east_m))
+    assert places[100] == pytest.approx((0.0, 20.0))
+    assert places[200] == pytest.approx((0.0, -20.0))
+    vessel = chaser.vessels[0]
+    bearing_rad = math.atan2(its.east_m - vessel.east_m, its.north_m - vessel.north_m)
+    assert wrap(bearing_rad - vessel.course_rad) == pytest.approx(0.0, abs=0.01)
