@@ -115,14 +115,23 @@ class Fleet:
         silent = [boat for boat in self.boats.values() if not (boat.used or boat.signed) and now_s - boat.heard_s > SILENT_S]
         if not silent:
             return False
-        number = min(silent, key=lambda boat: boat.heard_s).number
+        self._drop(min(silent, key=lambda boat: boat.heard_s).number)
+        return True
+
+    def forget(self, number: int) -> None:
+        """Takes a silent boat out of the list, until it is heard again. Raises Refused."""
+        boat = self._boat(number)
+        if self._clock.monotonic_s() - boat.heard_s <= SILENT_S or self._requests.wait_for(number):
+            raise Refused(f"{boat.name} is heard, or a command to it is under way")
+        self._drop(number)
+
+    def _drop(self, number: int) -> None:
         del self.boats[number]
         self._ways.forget(number)
         self._exchange.forget(number)
         self._drivers.end(number)
         for each in (self._texts, self._refused, self._profiles):
             each.pop(number, None)
-        return True
 
     def _complain(self, words: str, now_s: float) -> None:
         """Warns of what is wrong on the link, on the pages."""

@@ -296,6 +296,10 @@ class Gateway:
                 fleet.command(number, asked.command, numbers, answer, page.number)
             case said.Profile(boat=number, profile=profile):
                 fleet.command(number, "profile", {"profile": profile}, answer)
+            case said.Forget(boat=number):
+                fleet.forget(number)
+                self.tell({"t": "forgotten", "boat": number})
+                answer(True, "")
             case said.Replay():
                 if not isinstance(fleet, TapePlayer):
                     raise Refused("nothing is being replayed")
@@ -308,12 +312,12 @@ class Gateway:
         """Answers when all boats have stopped, or one has failed to."""
         fleet = self.fleet
         fleet.release_all("stop")
-        waiting = set(fleet.boats)
+        waiting, names = set(fleet.boats), {number: boat.name for number, boat in fleet.boats.items()}
 
         def stopped(number: int, well: bool, why: str) -> None:
             waiting.discard(number)
             if not well:
-                answer(False, f"{fleet.boats[number].name}: {why}")
+                answer(False, f"{names[number]}: {why}")
             elif not waiting:
                 answer(True, "")
 

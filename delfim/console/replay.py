@@ -116,6 +116,9 @@ class TapePlayer:
     def put(self, number: int, mission: dict[str, Any]) -> NoReturn:
         raise Refused("this is a replay: there is no boat to plan for")
 
+    def forget(self, number: int) -> NoReturn:
+        raise Refused("this is a replay: its boats are those of the recording")
+
     def upload(self, number: int, answer: Any) -> NoReturn:
         raise Refused("this is a replay: there is no boat to send to")
 

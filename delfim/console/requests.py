@@ -49,6 +49,10 @@ class Requests:
     def __len__(self) -> int:
         return len(self._waiting)
 
+    def wait_for(self, boat: int) -> bool:
+        """Whether a command to this boat is under way."""
+        return any(each.boat == boat for each in self._waiting)
+
     def begin(
         self,
         boat: int,

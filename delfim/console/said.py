@@ -44,6 +44,12 @@ class Profile(Said, frozen=True):
     profile: str  # lean, radio or wifi
 
 
+class Forget(Said, frozen=True):
+    """Takes a silent boat off all pages, until it is heard again."""
+
+    boat: Number
+
+
 class Replay(Said, frozen=True):
     """Where a replay goes on, and how fast."""
 
@@ -103,5 +109,5 @@ class Mission(Said, frozen=True):
     name: str = ""
 
 
-Message = Command | Input | Release | Profile | Replay | Mission
+Message = Command | Input | Release | Profile | Forget | Replay | Mission
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

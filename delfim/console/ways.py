@@ -76,7 +76,7 @@ class Ways:
 
     def to_stop(self, number: int, now_s: float) -> list[Address]:
         """Every address that may be this boat."""
-        ways, route = self._ways[number], self.routes[number]
+        ways, route = self._ways.get(number, {}), self.routes.get(number)
         return [address for address, way in ways.items() if address == route or now_s - way.heard_s < STOP_S]
 
     def are_idle(self, number: int, now_s: float) -> bool:

@@ -95,6 +95,25 @@ def test_boats_are_found_and_shown_with_the_age_of_each_group(sea: Sea) -> None:
     assert two["ghost"] is None
 
 
+def test_a_silent_boat_is_forgotten_until_it_is_heard_again(sea: Sea) -> None:
+    boat = sea.boats[1]
+    with pytest.raises(Refused, match="is heard"):
+        sea.fleet.forget(1)
+    boat.tick, tick, boat.hear = lambda: None, boat.tick, lambda data: None  # type: ignore[method-assign]
+    sea.run(5.0)
+    sea.ask(1, "stop")
+    with pytest.raises(Refused, match="a command to it is under way"):
+        sea.fleet.forget(1)
+    sea.run(61.0)
+    assert sea.answers == [(False, "no answer from the boat")]
+    sea.fleet.forget(1)
+    sea.run(3.0)
+    assert [each["id"] for each in sea.fleet.snapshot()] == [2]
+    boat.tick = tick  # type: ignore[method-assign]
+    sea.run(3.0)
+    assert [each["id"] for each in sea.fleet.snapshot()] == [1, 2]
+
+
 def test_a_trouble_is_shown_though_something_harmless_was_said_after_it(sea: Sea) -> None:
     boat = sea.boats[1]
     sea.run(1.0)

@@ -6,8 +6,8 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from tests.console.scenes import opened
-from tests.console.standin import Message, Standin, boat, reference
+from tests.console.scenes import at_work, choose, opened, show, survey, waypoints
+from tests.console.standin import Message, Standin, boat, place, reference
 from tests.console.test_page import shown, text_of, two
 from tests.services.browser import Page, tab
 
@@ -112,3 +112,84 @@ def test_a_menu_on_a_touch_screen_shows_no_keys_and_leaves_a_part_of_the_map(tou
         assert await page.value(OUTSIDE) == []
 
     look(Standin(two()), PHONE if touch else DESK, story, touch=touch)
+
+
+def test_a_lost_boat_is_forgotten_and_leaves_nothing() -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("Enter")
+        await choose(page, "More")
+        await page.until("document.querySelector('.popup').textContent.includes('Forget it')")
+        await page.value(
+            "[...document.querySelectorAll('.item')].find((each) => each.textContent.includes('Forget it')).click()"
+        )
+        await page.press("Escape")
+        await page.press("Escape")
+        gateway.boat(1)["age_s"] = dict.fromkeys(gateway.boat(1)["age_s"], 42.0)
+        gateway.boat(1)["ghost"] = {"latitude_deg": 38.69, "longitude_deg": -9.215, "radius_m": 400}
+        await shown(page, gateway, "document.querySelector('[data-boat=\"1\"]').dataset.age === 'lost'")
+        assert [each for each in gateway.said if each["t"] == "forget"] == [], "one that is heard is not"
+        await page.press("Enter")
+        await choose(page, "More", "Forget it")
+        await gateway.until(lambda m: m["t"] == "forget" and m["boat"] == 1)
+        del gateway.boats[0]
+        await gateway.tell({"t": "forgotten", "boat": 1})
+        await shown(page, gateway, "document.querySelectorAll('.chip').length === 1")
+        assert await page.value("document.querySelector('.selected').dataset.boat") == "2"
+        assert await page.value("delfim.points(1)") == 0
+
+    look(Standin(two()), DESK, story)
+
+
+def test_of_five_hundred_waypoints_those_are_numbered_that_have_room_and_the_round_ones_first() -> None:
+    """Near by all in sight have their numbers; from afar first, last and tens that do not lie upon each other."""
+
+    async def story(page: Page, gateway: Standin) -> None:
+        lines = [(-200.0 + along, 5.0 * row) for row in range(250) for along in ((0, 400) if row % 2 == 0 else (400, 0))]
+        mission = {**survey(), "waypoints": waypoints(lines)}
+        await gateway.tell({"t": "mission", "boat": 1, "where": "here", "mission": mission})
+        await page.until("delfim.drawn().plan === 500")
+        for metres, least, most in ((700, 10, 130), (40, 495, 500)):
+            await show(page, -metres, -10, metres, 2 * metres)
+            if metres == 40:
+                await page.value("delfim.fit(38.69018, -9.21502, 38.69022, -9.21498)")
+            await page.until(f"delfim.numbers() >= {least} && delfim.numbers() <= {most}")
+
+    look(Standin(two()), DESK, story)
+
+
+def test_on_a_chart_words_stand_on_plates_and_before_a_boat_is_heard_the_chart_is_in_sight() -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.until("document.documentElement.classList.contains('charted')")
+        (south, west), (north, east) = place(-300, -620), place(360, 620)
+        corners = await page.value(f"[delfim.pixel({south}, {west}), delfim.pixel({north}, {east})]")
+        assert all(0 <= x <= 1440 and 0 <= y <= 860 for x, y in corners), corners
+        assert abs(corners[0][0] - corners[1][0]) > 500
+        (middle_x, middle_y) = [(a + b) / 2 for a, b in zip(*corners, strict=True)]
+        assert await page.value(f"document.elementFromPoint({middle_x}, {middle_y}).tagName") == "CANVAS", (
+            "nothing covers its middle"
+        )
+        await page.point(700, 300)
+        for part in (".ol-scale-line", "#where"):
+            alpha = await page.value(f"getComputedStyle(document.querySelector('{part}')).backgroundColor")
+            assert "0.9" in alpha, part
+        await page.mouse((middle_x, middle_y))
+        await choose(page, "Show the chart")
+
+    gateway = at_work()
+    gateway.boats, gateway.plans, gateway.aboard = [], {}, {}
+    look(gateway, DESK, story)
+
+
+def test_f6_reaches_the_buttons_that_have_no_key() -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.until("!document.getElementById('hint').hidden")
+        for _ in range(9):
+            await page.press("F6")
+            if await page.value("document.activeElement.ariaLabel") == "No more hints":
+                break
+        await page.press("Enter")
+        assert await page.value("document.getElementById('hint').hidden")
+        await page.press("Enter")
+        await page.until("document.querySelector('.item') !== null")
+
+    look(Standin(two()), DESK, story)

@@ -258,7 +258,10 @@ def test_hints_lead_from_the_first_menu_to_a_mission_and_do_not_come_again(visit
         await it.page.press("Enter")
         await choose(it.page, "Mission", "Send to the boat")
         await hinted("“Play mission”")
-        boat.mode = 10
+        boat.mode = 10  # of its own accord
+        await it.until("document.querySelector('.mode').textContent === 'mission'")
+        await hinted("“Play mission”")
+        await it.page.press("y")
         await hinted("stops the boat")
         await it.page.press(" ")
         await it.until("document.getElementById('hint').hidden")

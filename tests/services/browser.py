@@ -34,6 +34,7 @@ VIRTUAL_KEYS = {
     "ArrowRight": 39,
     "ArrowDown": 40,
     "F1": 112,
+    "F6": 117,
     "+": 187,
     "-": 189,
 }

@@ -20,6 +20,8 @@ function refusal(what: string, reason: string): string {
 export class Actions {
   /** Boats that were told to stop and have not confirmed it. */
   readonly stopping = new Set<number>();
+  /** The commands and the deeds of missions that somebody at this page has had done. */
+  readonly did = new Set<string>();
   private readonly wantedMode = new Map<number, { mode: Mode; at: number }>();
   private readonly wanted_pct = new Map<number, { pct: number; at: number }>();
   private readonly wanted_deg = new Map<number, { deg: number; at: number }>();
@@ -36,7 +38,8 @@ export class Actions {
 
   async command(boat: number, command: string, more: More = {}): Promise<Answer> {
     const answer = await this.net.ask({ t: "command", boat, command, ...more });
-    if (!answer.ok) this.say(boat, 3, refusal(command.replace("_", " "), answer.reason));
+    if (answer.ok) this.did.add(command);
+    else this.say(boat, 3, refusal(command.replace("_", " "), answer.reason));
     return answer;
   }
 
@@ -125,7 +128,8 @@ export class Actions {
     const more = { ...(carries ? { mission: spoken(this.state.plan(boat).mission) } : {}), ...(name === undefined ? {} : { name }) };
     const answer = await this.net.ask({ t: "mission", boat, do: deed, ...more });
     const what = deed === "put" ? "plan" : deed === "dryrun" ? "dry run" : deed;
-    if (!answer.ok) this.say(boat || null, 3, refusal(what, answer.reason));
+    if (answer.ok) this.did.add(deed);
+    else this.say(boat || null, 3, refusal(what, answer.reason));
     return answer;
   }
 
@@ -144,6 +148,12 @@ export class Actions {
   async profile(boat: number, profile: string): Promise<void> {
     const answer = await this.net.ask({ t: "profile", boat, profile });
     if (!answer.ok) this.say(boat, 4, refusal("link profile", answer.reason));
+  }
+
+  /** Take a silent boat off all pages, until it is heard again. */
+  async forget(boat: number): Promise<void> {
+    const answer = await this.net.ask({ t: "forget", boat });
+    if (!answer.ok) this.say(boat, 4, refusal("forget", answer.reason));
   }
 
   replay(to: { at_s?: number; rate?: number }): void {
@@ -187,6 +197,7 @@ export class Actions {
       this.wantedMode.delete(id);
       this.stopping.add(id);
     }
+    this.did.add("stop");
     this.changed();
     for (let left = STOP_MOST; left > 0 && ids.some((id) => this.stopping.has(id)); left--) {
       if ((await this.net.ask({ t: "command", boat, command: "stop" })).ok) return;

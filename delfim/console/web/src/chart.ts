@@ -3,7 +3,7 @@ import OlMap from "ol/Map";
 import type MapBrowserEvent from "ol/MapBrowserEvent";
 import View from "ol/View";
 import ScaleLine from "ol/control/ScaleLine";
-import { boundingExtent, buffer, extend, isEmpty, createEmpty } from "ol/extent";
+import { boundingExtent, buffer, containsExtent, createEmpty, extend, getWidth, intersects, isEmpty } from "ol/extent";
 import type { Extent } from "ol/extent";
 import DragPan from "ol/interaction/DragPan";
 import MouseWheelZoom from "ol/interaction/MouseWheelZoom";
@@ -205,7 +205,14 @@ export class Chart {
     return all;
   }
 
+  /** Shows the charts, unless what is in sight is a part of one. */
+  findCharts(): void {
+    const [all, seen] = [this.chartExtent(), this.view.calculateExtent(this.map.getSize())];
+    if (!containsExtent(all, seen) && !(intersects(all, seen) && getWidth(seen) < getWidth(all))) this.fit([]);
+  }
+
   private showGraticule(): void {
+    document.documentElement.classList.toggle("charted", this.charted); // words lie on plates there
     this.graticule?.setVisible(!this.charted);
   }
 }

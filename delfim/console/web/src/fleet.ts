@@ -76,6 +76,7 @@ export class Fleet {
     state.on(["boats"], () => this.extend());
     state.on(["boats", "selection"], () => this.draw());
     state.on(["theme"], () => this.repaint());
+    state.on(["forgotten"], () => this.sweep());
   }
 
   /** The boat whose symbol is nearest to this pixel, within reach. */
@@ -201,6 +202,18 @@ export class Fleet {
     const { ghost } = boat;
     put(shown.ghost, ghost ? (circular([ghost.longitude_deg, ghost.latitude_deg], ghost.radius_m, 48).transform("EPSG:4326", "EPSG:3857") as Polygon) : null);
     put(shown.ghostSymbol, ghost ? new Point(point(ghost)) : null);
+  }
+
+  /** Boats that were forgotten leave nothing on the map. */
+  private sweep(): void {
+    for (const [id, shown] of this.shown) {
+      if (this.state.byId(id)) continue;
+      this.forget(shown);
+      this.tails.removeFeatures([shown.tail, shown.reference, shown.course]);
+      this.live.removeFeatures([shown.ghost, shown.ghostSymbol, shown.ring, shown.symbol]);
+      this.shown.delete(id);
+    }
+    this.draw();
   }
 
   private of(boat: Boat): Shown {
@@ -341,7 +354,7 @@ function put<G extends Point | LineString | Polygon | Circle>(feature: Feature<G
 
 const symbols = new Map<string, HTMLCanvasElement>();
 
-/** A catamaran from above, twice as large as it is shown; hollow when the link is lost. */
+/** A hull from above with its bow, twice as large as it is shown; hollow when the link is lost. */
 function symbol(colour: string, hollow: boolean): HTMLCanvasElement {
   const key = `${colour}|${hollow}|${theme}`;
   const known = symbols.get(key);
@@ -351,26 +364,15 @@ function symbol(colour: string, hollow: boolean): HTMLCanvasElement {
   const pen = canvas.getContext("2d")!;
   pen.translate(30, 42);
   pen.lineJoin = "round";
-  const hulls = new Path2D();
-  for (const side of [-1, 1]) {
-    hulls.moveTo(side * 16, -38);
-    hulls.bezierCurveTo(side * 23, -22, side * 23, 14, side * 21, 35);
-    hulls.lineTo(side * 11, 35);
-    hulls.bezierCurveTo(side * 9, 14, side * 9, -22, side * 16, -38);
-    hulls.closePath();
-  }
-  const deck = new Path2D();
-  deck.roundRect(-17, -4, 34, 34, 5);
+  const hull = new Path2D("M0 -38 C11 -26 18 -10 18 6 L15 35 L-15 35 L-18 6 C-18 -10 -11 -26 0 -38 Z");
   const stroke = (tint: string, width: number) => {
     [pen.strokeStyle, pen.lineWidth] = [tint, width];
-    pen.stroke(deck);
-    pen.stroke(hulls);
+    pen.stroke(hull);
   };
   stroke(palette.halo, 11);
   stroke(hollow ? inked(colour) : theme === "day" ? "#0d2230" : "#02080c", 5.5);
   pen.fillStyle = hollow ? palette.sea : colour;
-  pen.fill(deck);
-  pen.fill(hulls);
+  pen.fill(hull);
   symbols.set(key, canvas);
   return canvas;
 }

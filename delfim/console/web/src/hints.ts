@@ -6,7 +6,7 @@ import type { State } from "./state";
 import type { Boat } from "./wire";
 
 const KEPT = "delfim.hinted"; // how many were done
-const SAILS: ReadonlySet<string | null> = new Set(["play", "path", "goto"]);
+const SAILS = ["play", "path", "goto"];
 const TOUCH = matchMedia("(pointer: coarse)").matches;
 
 interface Hint {
@@ -26,20 +26,21 @@ export class Hints {
     },
     {
       words: () => "Draw a mission: “Add waypoint” in the menu of a place, two of them or more. Drag one to move it",
-      done: (boat) => this.planned(boat) > 1 || this.aboard(boat),
+      done: () => this.did.has("draw"),
     },
     {
       words: (boat) => (boat ? "Menu, “Mission”, “Send to the boat”: what is dashed is only on this screen" : "Menu, “Mission”, “Save”: a file on this computer. The first boat that is heard gets the plan, too"),
-      done: (boat) => (boat ? this.aboard(boat) : this.saved),
+      done: (boat) => this.did.has(boat ? "upload" : "save"),
     },
-    { words: (boat) => (boat ? `“Play mission” in the boat’s menu${TOUCH ? "" : ", or Y,"} sails what is aboard` : ""), done: (boat) => SAILS.has(boat?.mode ?? null) },
-    { words: (boat) => (boat ? `The red corner${TOUCH ? "" : ", or Space,"} stops the boat at once` : ""), done: (boat) => boat !== null && !SAILS.has(boat.mode) },
+    { words: (boat) => (boat ? `“Play mission” in the boat’s menu${TOUCH ? "" : ", or Y,"} sails what is aboard` : ""), done: () => SAILS.some((each) => this.did.has(each)) },
+    { words: (boat) => (boat ? `The red corner${TOUCH ? "" : ", or Space,"} stops the boat at once` : ""), done: () => this.did.has("stop") },
   ];
 
   constructor(
     private readonly hint: HTMLElement,
     nobody: HTMLElement,
     private readonly state: State,
+    private readonly did: ReadonlySet<string>, // by the hand of whoever is at this page; what boats do by themselves is no lesson
     popup: Popup,
   ) {
     const close = make("button", "×");
@@ -51,7 +52,7 @@ export class Hints {
     state.on(["hello", "boats", "plan", "missions"], () => {
       this.draw();
       nobody.hidden = !state.hello || state.replaying || state.boats.length > 0;
-      nobody.classList.toggle("aside", this.planned(null) > 0);
+      nobody.classList.toggle("aside", this.planned > 0 || state.backgrounds.length > 0);
       if (!nobody.hidden) nobody.replaceChildren(make("b", state.nobody), make("span", "You can plan a mission now: it becomes the plan of the first boat."));
     });
     this.draw();
@@ -77,15 +78,7 @@ export class Hints {
     this.hint.hidden = !words;
   }
 
-  private planned(boat: Boat | null): number {
-    return this.state.plans.get(boat?.id ?? NOBODY)?.mission.waypoints.length ?? 0;
-  }
-
-  private get saved(): boolean {
-    return this.state.names.includes(this.state.plan(NOBODY).mission.name);
-  }
-
-  private aboard(boat: Boat | null): boolean {
-    return boat !== null && this.state.compared(boat) === "same";
+  private get planned(): number {
+    return this.state.plans.get(NOBODY)?.mission.waypoints.length ?? 0;
   }
 }

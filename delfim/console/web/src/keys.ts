@@ -27,6 +27,7 @@ const SCREEN: Group = [
     ["W", "crosshair: arrows move the map, Enter opens the menu of the place"],
     ["K", "take note of vessels in danger: the sound stops"],
     ["Esc", "close"],
+    ["F6", "the next button on the screen; Enter presses it"],
     ["F1", "this card"],
   ],
 ];
@@ -117,6 +118,7 @@ const ARROWS = new Set(["ArrowUp", "ArrowDown", "ArrowLeft", "ArrowRight"]);
 
 export class Keys {
   private lastArrow = -Infinity;
+  private reached: HTMLElement | null = null; // by F6
 
   constructor(
     private readonly state: State,
@@ -159,6 +161,8 @@ export class Keys {
     if (event.key === "Tab" && !event.ctrlKey && !event.altKey) this.next(event.shiftKey ? -1 : 1);
     else if (event.key.toUpperCase() === "W" && !event.ctrlKey && !event.altKey) this.screen.aim();
     else if (event.key.toUpperCase() === "K" && !event.ctrlKey && !event.altKey) this.screen.acknowledge();
+    else if (event.key === "F6") this.reach(event.shiftKey ? -1 : 1);
+    else if (event.key === "Enter" && this.reached?.getClientRects().length && document.activeElement === this.reached) this.reached.click();
     else if (event.key === "F1") this.screen.toggleCard();
     else if (event.key === "Escape") this.screen.closeMenu();
     else if (event.key === "Enter") this.screen.openMenu();
@@ -167,6 +171,14 @@ export class Keys {
     else if (event.ctrlKey && !event.altKey && event.key.toLowerCase() === "z") this.screen.undo();
     else return false;
     return true;
+  }
+
+  /** The buttons that no other key presses: those of hints, vessels, a replay. STOP is Space, a menu has its arrows. */
+  private reach(by: number): void {
+    const buttons = [...document.querySelectorAll<HTMLElement>("button")].filter((each) => each.getClientRects().length && !each.closest("#corner, .popup"));
+    const at = this.reached ? buttons.indexOf(this.reached) : by < 0 ? 0 : -1;
+    this.reached = buttons[(at + by + buttons.length) % buttons.length] ?? null;
+    this.reached?.focus();
   }
 
   private next(by: number): void {
@@ -215,7 +227,7 @@ export class Keys {
 /** Whether the key writes into a field. Space is stop wherever it is pressed; in a number the arrows move on, and letters are modes. */
 function isTyped(event: KeyboardEvent): boolean {
   const { target, key } = event;
-  if (!(target instanceof HTMLInputElement) || target.type !== "text" || event.code === "Space" || ["Enter", "Escape", "Tab", "F1"].includes(key)) return false;
+  if (!(target instanceof HTMLInputElement) || target.type !== "text" || event.code === "Space" || ["Enter", "Escape", "Tab", "F1", "F6"].includes(key)) return false;
   if (key === "ArrowUp" || key === "ArrowDown") return false;
   if (event.ctrlKey) return !event.altKey && "acvxz".includes(key.toLowerCase());
   return target.inputMode !== "decimal" || (!event.altKey && /^([\d.,+-]|Backspace|Delete|Home|End)$/.test(key));

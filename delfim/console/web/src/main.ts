@@ -53,7 +53,7 @@ const others = new Others(chart, state, watch);
 const plans = new Plans(chart, state, (mission) => edit(state.planning, mission));
 const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo);
 const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, messages, sound, watch, () => keyCard.toggle());
-const hints = new Hints(element("hint"), element("nobody"), state, popup);
+const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
 const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close(), nobody);
@@ -108,6 +108,7 @@ function heard(message: Heard): void {
       state.backgrounds = message.backgrounds;
       chart.setBackgrounds(message.backgrounds);
       fleet.forgetWays();
+      if (!message.boats.length && !moved) chart.findCharts();
       took(message.boats, state.at_s);
       state.tell("hello");
       void net.ask({ t: "mission", boat: state.planning, do: "list" });
@@ -120,6 +121,9 @@ function heard(message: Heard): void {
       return fleet.whole(message.boat, message.points);
     case "track":
       return fleet.history(message.boat, message.start ?? false, message.points);
+    case "forgotten":
+      lost.delete(message.boat);
+      return state.forget(message.boat);
     case "text":
       return messages.say(message.boat, message.severity, message.text);
     case "mission":
@@ -165,6 +169,7 @@ function nobody(): void {
 }
 
 function edit(boat: number, mission: Mission): void {
+  if (mission.waypoints.length > 1) actions.did.add("draw");
   state.plan(boat).change(mission);
   planned(boat);
 }
@@ -289,6 +294,7 @@ Object.assign(window, {
     points: (boat: number) => fleet.points(boat),
     pieces: (boat: number) => fleet.pieces(boat),
     frames: ofLastSecond,
+    numbers: () => plans.numbers,
     vessels: () => state.vessels.map((each) => [each.name, watch.gravity(each)]),
   },
 });

@@ -2,6 +2,7 @@
 import type { Actions } from "./actions";
 import type { Chart, Pixel } from "./chart";
 import type { Fleet } from "./fleet";
+import type { Field } from "./form";
 import { bearing, position } from "./geo";
 import { KEYED } from "./keys";
 import type { Messages } from "./messages";
@@ -10,8 +11,9 @@ import { setTheme, theme } from "./palette";
 import { HOLDS_THERE, NONE } from "./planning";
 import type { Planning } from "./planning";
 import type { Handle, Plans } from "./plans";
-import type { Entry, Field, Item, Popup } from "./popup";
+import type { Entry, Item, Popup } from "./popup";
 import type { Sound } from "./sound";
+import { age_s, freshness } from "./state";
 import type { State } from "./state";
 import { inKnots, setKnots } from "./units";
 import { ZONES_M } from "./watch";
@@ -133,6 +135,7 @@ export class Menus {
       boat.armed ? command("Disarm", "disarm") : command("Arm", "arm", !boat.ready && (boat.reason || "not ready")),
       ...this.state.orders.filter(({ title }) => title).map(({ command, title, key }): Item => ({ title, ...(key && { key }), do: () => void this.actions.command(boat.id, command) })),
       command("Take control", "take", boat.owner && "this console is in control"),
+      { title: "Forget it", note: "off all pages, until it is heard again", refuse: freshness(age_s(this.state, boat)) !== "lost" && "it is heard", do: () => void this.actions.forget(boat.id) },
       "line",
       ...PROFILES.map((name): Item => ({ title: `Link: ${name}`, tick: boat.link.profile === name, do: () => void this.actions.profile(boat.id, name) })),
     ];
@@ -141,7 +144,7 @@ export class Menus {
   private view(place: Place | null): Entry[] {
     const entries: Entry[] = [
       { title: "Ruler from here", refuse: place ? undefined : "the boat’s position is not known", do: () => this.plans.measure(place) },
-      { title: "Show everything", do: () => this.chart.fit(this.everything(), 250) },
+      { title: this.everything().length || !this.chart.charted ? "Show everything" : "Show the chart", do: () => this.chart.fit(this.everything(), 250) },
       { title: "Screen", sub: () => this.screen() },
       { title: "Keys and lines", key: "F1", do: this.card },
     ];

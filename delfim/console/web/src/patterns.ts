@@ -2,7 +2,7 @@
 // for as long as its waypoints are where the pattern put them.
 import { bearing, distance_m } from "./geo";
 import { circle, lawnMower, mainHeading_deg, spiral } from "./mission";
-import type { Field } from "./popup";
+import type { Field } from "./form";
 import type { Mission, Pattern, Place, Waypoint } from "./wire";
 
 const SAME_M = 0.02; // coordinates may be rounded on their way

@@ -1,13 +1,14 @@
 // The menus and forms of a plan: the mission as a whole, its waypoints, patterns, fence, obstacles and home, and how it gets aboard.
 import type { Actions } from "./actions";
 import type { Chart, Pixel } from "./chart";
+import type { Field } from "./form";
 import { bearing, bearing_deg, degreesIn, distance_m, duration, metres, position } from "./geo";
 import type { Messages } from "./messages";
 import * as M from "./mission";
 import { KINDS, newPattern, patternAt, withPattern } from "./patterns";
 import type { Found } from "./patterns";
 import type { Handle, Plans } from "./plans";
-import type { Entry, Field, Item, Popup } from "./popup";
+import type { Entry, Item, Popup } from "./popup";
 import { NOBODY } from "./state";
 import type { State } from "./state";
 import { enteredSpeed_mps, inKnots, shownSpeed, speedUnit, speedWords } from "./units";

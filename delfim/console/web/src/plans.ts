@@ -18,6 +18,7 @@ import type { Boat, Mission, Place, Waypoint } from "./wire";
 const REACH_PX = 14;
 const REACH_TOUCH_PX = 26;
 const LEG_FOR_MIDDLE_PX = 80;
+const NUMBER_PX = 24; // between two discs with numbers
 const ASIDE_PX = 25; // between two discs that stand side by side
 const DRAFT = [8, 6];
 
@@ -64,6 +65,11 @@ export class Plans {
     });
     chart.map.on("moveend", () => this.draw());
     chart.map.addInteraction(new Dragging(this, state, changed));
+  }
+
+  /** How many numbers of waypoints are drawn. */
+  get numbers(): number {
+    return this.marks.getFeatures().filter((each) => (each.getStyle() as Style).getText()).length;
   }
 
   /** Show another mission in place of the plan; null shows the plan again. */
@@ -168,11 +174,10 @@ export class Plans {
     this.legs.addFeatures(drawnLegs(mission, look.colour, 2.2, look.lineDash));
     const sails = !look.lineDash && (boat?.mode === "play" || boat?.mode === "goto");
     const [current, last] = [sails ? boat!.mission.current : null, mission.waypoints.length - 1];
-    const drawn = crowded(this.chart, mission.waypoints);
+    const drawn = numbered(this.chart, mission.waypoints, current);
     const aside = besideTheFirst(this.chart, mission.waypoints);
     mission.waypoints.forEach((each, i) => {
-      if (!drawn[i] && i !== current && i !== 0 && i !== last) return;
-      this.marks.addFeature(drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0));
+      if (drawn.has(i)) this.marks.addFeature(drawnWaypoint(each, i, i === current, look, aside && i === last ? ASIDE_PX : 0));
     });
   }
 
@@ -260,15 +265,21 @@ function drawnLegs(mission: Mission, colour: string, width: number, lineDash?: n
   });
 }
 
-/** Which waypoints have room for their number: a spiral of a hundred is not a hundred discs. */
-function crowded(chart: Chart, waypoints: Waypoint[]): boolean[] {
-  let last: Pixel | null = null;
-  return waypoints.map((each) => {
-    const pixel = chart.pixelOf(each);
-    const room = !last || !pixel || Math.hypot(pixel[0] - last[0], pixel[1] - last[1]) > 20;
-    if (room) last = pixel;
-    return room;
-  });
+/** The waypoints that show their number: the first, the last, the one under way; then of the others, each tenth before the rest,
+ * those that lie upon none of them. */
+function numbered(chart: Chart, waypoints: Waypoint[], current: number | null): Set<number> {
+  const [always, shown, cells] = [[0, waypoints.length - 1, current ?? 0], new Set<number>(), new Map<string, Pixel[]>()];
+  const order = waypoints.map((_, i) => i).sort((a, b) => Number((b + 1) % 10 === 0) - Number((a + 1) % 10 === 0));
+  for (const i of waypoints.length ? [...always, ...order] : []) {
+    const pixel = shown.has(i) ? null : chart.pixelOf(waypoints[i]!);
+    if (!pixel) continue;
+    const [x, y] = [Math.floor(pixel[0] / NUMBER_PX), Math.floor(pixel[1] / NUMBER_PX)];
+    const near = [-1, 0, 1].flatMap((right) => [-1, 0, 1].flatMap((down) => cells.get(`${x + right} ${y + down}`) ?? []));
+    if (!always.includes(i) && near.some((its) => Math.hypot(its[0] - pixel[0], its[1] - pixel[1]) < NUMBER_PX)) continue;
+    shown.add(i);
+    cells.set(`${x} ${y}`, [...(cells.get(`${x} ${y}`) ?? []), pixel]);
+  }
+  return shown;
 }
 
 /** Whether the last waypoint would hide the first one, as when a mission ends where it began. */

@@ -2,7 +2,7 @@
 import { Plan, UNNAMED, alike, empty, same } from "./mission";
 import type { Background, Boat, Heard, Mission, Order, Vessel } from "./wire";
 
-export type Topic = "boats" | "selection" | "plan" | "online" | "hello" | "missions" | "progress" | "dryrun" | "theme" | "vessels";
+export type Topic = "boats" | "selection" | "plan" | "online" | "hello" | "missions" | "progress" | "dryrun" | "theme" | "vessels" | "forgotten";
 type Hello = Extract<Heard, { t: "hello" }>;
 export type DryRun = Extract<Heard, { t: "dryrun" }>;
 
@@ -91,6 +91,15 @@ export class State {
     this.tell("boats");
   }
 
+  /** A silent boat that the operator no longer wants to see, until it is heard again. */
+  forget(id: number): void {
+    this.boats = this.boats.filter((each) => each.id !== id);
+    for (const kept of [this.plans, this.aboard, this.progress, this.dryruns]) kept.delete(id);
+    this.tell("forgotten");
+    if (this.selected === id) this.select(this.boats[0]?.id ?? null);
+    this.tell("boats");
+  }
+
   takeVessels(vessels: Vessel[], heard_s: number | null): void {
     this.vessels = vessels;
     this.reported = heard_s === null ? null : performance.now() - 1000 * heard_s;
@@ -111,7 +120,7 @@ export class State {
     return true;
   }
 
-  select(id: number): void {
+  select(id: number | null): void {
     this.selected = id;
     this.tell("selection");
   }

@@ -38,6 +38,9 @@ export class Strips {
     state.on(["boats"], () => this.draw(true));
     state.on(["selection", "progress", "plan"], () => this.draw(false));
     state.on(["theme"], () => this.chips.forEach((chip) => chip.repaint()));
+    state.on(["forgotten"], () => {
+      for (const [id, chip] of this.chips) if (!state.byId(id) && this.chips.delete(id)) chip.root.remove();
+    });
     setInterval(() => this.draw(false), 250); // ages grow while nothing arrives
   }
 

@@ -181,6 +181,7 @@ export type Heard =
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
   | { t: "whole_track"; boat: number; points: [number, number, number][] }
   | { t: "text"; boat: number | null; severity: number; text: string; at_s: number }
+  | { t: "forgotten"; boat: number }
   | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
   | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }
   | { t: "missions"; names: string[] }
@@ -198,6 +199,7 @@ export type Said =
       })
   | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
   | { t: "profile"; boat: number; profile: string }
+  | { t: "forget"; boat: number }
   | { t: "replay"; at_s?: number; rate?: number };
 
 // Sent without a number: nobody waits for an answer.
