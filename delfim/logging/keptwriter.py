@@ -10,6 +10,7 @@ thread of its own: a disk that hangs does not keep the record from the other one
 each directory why it is not written, when that changes. It ends when the pipe does.
 """
 
+import contextlib
 import hmac
 import json
 import os
@@ -79,7 +80,8 @@ class NewestRecord:
     """The newest record, for the threads that write it."""
 
     def __init__(self, sequence: int) -> None:
-        self.sequence, self.record = sequence, b""
+        self.first = self.sequence = sequence
+        self.record = b""
         self.ended = False
         self.changed = threading.Condition()
 
@@ -96,7 +98,7 @@ class NewestRecord:
 
 def keep(newest: NewestRecord, directory: str, name: str, key: bytes) -> None:
     """The thread of one directory."""
-    done, told = newest.sequence, ""
+    done, told = newest.first, ""
     while True:
         with newest.changed:
             while newest.sequence == done and not newest.ended:
@@ -111,10 +113,15 @@ def keep(newest: NewestRecord, directory: str, name: str, key: bytes) -> None:
             why = error.strerror or str(error)
         if why != told:
             told = why
-            os.write(sys.stdout.fileno(), json.dumps({"directory": directory, "reason": why}).encode() + b"\n")
+            _say(directory, why)
 
 
-def _messages(fd: int) -> "list[bytes]":
+def _say(directory: str, why: str) -> None:
+    with contextlib.suppress(OSError):  # nobody listens any more: the last record is written all the same
+        os.write(sys.stdout.fileno(), json.dumps({"directory": directory, "reason": why}).encode() + b"\n")
+
+
+def _messages(fd: int) -> list[bytes]:
     """The next complete messages; empty at the end of the pipe."""
     found, buffer = list[bytes](), _rest
     while not found:

@@ -14,6 +14,8 @@ import can
 import pytest
 
 from delfim.logging.candump import parse_line
+from delfim.logging.kept import newest
+from delfim.logging.keptwriter import VOYAGE
 from delfim.logging.reading import read_log
 from delfim.logging.repair import repair
 from delfim.logging.statelog import columns, read_state
@@ -65,9 +67,18 @@ def test_a_power_cut_costs_a_second_and_no_human(disk, tmp_path, cut, request):
         for file in its:
             opens(file)
         lost_s[id_] = round(ended_s - max(last_s(file) for file in its[-2:]), 3)
-    print(f"cut {cut}: missing, s: {lost_s}, of {len(found)} files")
+    print(f"cut {cut}: missing, s: {lost_s}, of {len(found)} files; voyage in mode {kept(place)}")
     assert max(lost_s.values()) <= LOST_S
     shutil.rmtree(place)
+
+
+def kept(place: Path) -> str:
+    """The mode of the voyage that the next boot goes on with."""
+    _, record = newest([str(place)], VOYAGE, b"")
+    assert record is not None
+    mode = json.loads(record.split(b"\n")[1])["mode"]
+    assert mode == "heading"
+    return str(mode)
 
 
 def power_cut(disk: Path, folder: Path, frames_per_s: int, after_s: float) -> float:

@@ -15,7 +15,7 @@ import pytest
 from delfim.logging.repair import repair
 from delfim.logging.tree import files
 from tests.guest.harness import PATH, guest, missing
-from tests.guest.test_power_cut import LOST_S, last_s, opens, tool
+from tests.guest.test_power_cut import LOST_S, kept, last_s, opens, tool
 
 pytestmark = pytest.mark.long
 
@@ -142,5 +142,6 @@ def lost_s(disk: Path, at_s: float) -> float:
         for file in its:
             opens(file)
         result = max(result, at_s - max(last_s(file) for file in its))
+    kept(place)
     shutil.rmtree(place)
     return result
