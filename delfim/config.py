@@ -23,9 +23,9 @@ _PORT = "([0-9]{1,4}|[1-5][0-9]{4}|6[0-4][0-9]{3}|65[0-4][0-9]{2}|655[0-2][0-9]|
 Name = Annotated[str, text("[A-Za-z][A-Za-z0-9_-]{0,31}", "a letter, then up to 31 letters, digits, _ or -")]
 Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 BatteryVoltage = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
-Seconds = Annotated[float, msgspec.Meta(gt=0.0, le=3600.0)]
-Metres = Annotated[float, msgspec.Meta(gt=0.0, le=10_000.0)]
-Speed = Annotated[float, msgspec.Meta(gt=0.0, le=30.0)]  # m/s
+Seconds = Annotated[float, msgspec.Meta(ge=0.001, le=3600.0)]
+Metres = Annotated[float, msgspec.Meta(ge=0.01, le=10_000.0)]
+Speed = Annotated[float, msgspec.Meta(ge=0.05, le=30.0)]  # m/s: a slower boat does not move, and says that it does
 StickPulse = Annotated[float, msgspec.Meta(ge=800.0, le=2200.0)]  # us, of a channel of a hand-set
 STICK_US = 100.0  # the least way of a stick to either side
 Gain = Annotated[float, msgspec.Meta(ge=0.0, le=1e7)]
@@ -590,7 +590,7 @@ class SpeedTable(Table, frozen=True):
     p_n_per_mps: Gain | None = None  # surge for a speed error
     i_n_per_m: Gain | None = None  # integral gain: surge for a speed error that lasts
     i_limit_n: Gain | None = None  # limit of the integral
-    ramp_mps2: Annotated[float, msgspec.Meta(gt=0.0, le=10.0)] = 0.4  # how fast the speed asked for may change
+    ramp_mps2: Annotated[float, msgspec.Meta(ge=0.01, le=10.0)] = 0.4  # how fast the speed asked for may change
     cruise_mps: Speed = 1.5  # for a command or a waypoint that names no speed
     max_mps: Speed = 2.2  # highest speed that a mode may ask for
 
@@ -691,7 +691,7 @@ class SensorBad(Trouble, frozen=True):
 class ConsoleSilent(Silence, frozen=True):
     """No message from the operator's console."""
 
-    after_s: Seconds = 10.0  # age of the last one
+    after_s: Annotated[float, msgspec.Meta(ge=0.5, le=3600.0)] = 10.0  # age of the last one; consoles say something each second
     action: ActionName = "home"
     manual: ModeAction = "stop"
     home: ModeAction = "warn"
@@ -700,8 +700,10 @@ class ConsoleSilent(Silence, frozen=True):
 class ManualSilent(Silence, frozen=True):
     """No manual command, in manual mode: first no thrust, then this."""
 
-    after_s: Seconds = 5.0  # age of the last one
-    thrust_s: Seconds = 1.8  # age of the last one at which thrust goes to zero, at the next look of the watchdog: within 2 s
+    after_s: Annotated[float, msgspec.Meta(ge=0.1, le=3600.0)] = 5.0  # age of the last one
+    thrust_s: Annotated[float, msgspec.Meta(ge=0.1, le=3600.0)] = (
+        1.8  # age of the last one at which thrust goes to zero, at the next look of the watchdog: within 2 s
+    )
 
 
 class GuestSilent(Silence, frozen=True):

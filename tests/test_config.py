@@ -87,13 +87,21 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
         # out of range
         (BOAT + "id = 250", "boat.id", "250 is not allowed", "1 to 249"),
         (BOAT + "id = 9999999999999999999999", "boat.id", "9999999999999999999999 is not allowed", "1 to 249"),
-        (BOAT + "length_m = nan", "boat.length_m", "nan is not allowed", "more than 0.0 to 10000.0"),
-        (BOAT + "length_m = inf", "boat.length_m", "inf is not allowed", "more than 0.0 to 10000.0"),
+        (BOAT + "length_m = nan", "boat.length_m", "nan is not allowed", "0.01 to 10000.0"),
+        (BOAT + "length_m = inf", "boat.length_m", "inf is not allowed", "0.01 to 10000.0"),
         (
             BOAT + "[failsafe.navigation_silent]\nafter_s = 0",
             "failsafe.navigation_silent.after_s",
             "0 is not allowed",
-            "more than 0.0 to 3600.0",
+            "0.001 to 3600.0",
+        ),
+        (BOAT + "[control.speed]\nmax_mps = 1e-38", "control.speed.max_mps", "1e-38 is not allowed", "0.05 to 30.0"),
+        (BOAT + "[control.speed]\nramp_mps2 = 1e-38", "control.speed.ramp_mps2", "1e-38 is not allowed", "0.01 to 10.0"),
+        (
+            BOAT + "[failsafe.console_silent]\nafter_s = 1e-38",
+            "failsafe.console_silent.after_s",
+            "1e-38 is not allowed",
+            "0.5 to 3600.0",
         ),
         (BOAT + "[runtime]\nnice = 20", "runtime.nice", "20 is not allowed", "-20 to 19"),
         (BOAT + "[runtime]\ncpus = [0, -1]", "runtime.cpus[1]", "-1 is not allowed", "0 to 1023"),
@@ -122,9 +130,9 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
         # other types
         ("boat = 3", "boat", "3 is a whole number, not a table", f"a table of {BOAT_KEYS}"),
         ('[[boat]]\nname = "x"', "boat", "this is a list, not a table", f"a table of {BOAT_KEYS}"),
-        (BOAT + 'length_m = "4"', "boat.length_m", '"4" is text, not a number', "more than 0.0 to 10000.0"),
-        (BOAT + "length_m = true", "boat.length_m", "true is true or false, not a number", "more than 0.0 to 10000.0"),
-        (BOAT + "length_m = 1979-05-27", "boat.length_m", "1979-05-27 is a date, not a number", "more than 0.0 to 10000.0"),
+        (BOAT + 'length_m = "4"', "boat.length_m", '"4" is text, not a number', "0.01 to 10000.0"),
+        (BOAT + "length_m = true", "boat.length_m", "true is true or false, not a number", "0.01 to 10000.0"),
+        (BOAT + "length_m = 1979-05-27", "boat.length_m", "1979-05-27 is a date, not a number", "0.01 to 10000.0"),
         (BOAT + '[runtime]\nwindow = "yes"', "runtime.window", '"yes" is text, not true or false', "true or false"),
         (BOAT + "[log]\ndirectory = 3", "log.directory", "3 is a whole number, not text", "text"),
         (
@@ -241,7 +249,7 @@ def test_everything_that_is_wrong_is_told_at_once() -> None:
     assert "navigation" in told["colour"][1]
     assert told["boat.name"] == ("missing", "")
     assert told["boat.id"] == ("250 is not allowed", "1 to 249")
-    assert told["boat.length_m"] == ('"4" is text, not a number', "more than 0.0 to 10000.0")
+    assert told["boat.length_m"] == ('"4" is text, not a number', "0.01 to 10000.0")
     assert told["runtime.cpus[1]"][0] == "-1 is not allowed"
     assert told["runtime.cpus[3]"][0] == "5000 is not allowed"
     assert told["fence.keep_out[0].centre[0][0]"] == ("91 is not allowed", "-89.0 to 89.0")

@@ -85,7 +85,7 @@ class Combined:
         """A message for the vehicle when this sentence completes a position of the chosen talker. Never raises."""
         talker = f"{port}:{'GN' if sentence.talker in _GNSS else sentence.talker}"
         if talker not in self._heard_s:
-            if len(self._heard_s) == TALKERS_MAX:
+            if len(self._heard_s) == TALKERS_MAX and not self._has_room(talker, port, now_s):
                 self.strangers += 1
                 return None
             self._heard_s[talker] = now_s
@@ -96,6 +96,21 @@ class Combined:
             return self._moving(talker, sentence.formatter, message, now_s)
         self._file(talker, message, now_s)
         return None
+
+    def _has_room(self, talker: str, port: str, now_s: float) -> bool:
+        """Forgets the talker that was silent for longest, if it gives no values any more or the new one is preferred: noise
+        makes up talkers, and the receiver must be heard after it."""
+        oldest = min(self._heard_s, key=self._heard_s.__getitem__)
+        if now_s - self._heard_s[oldest] <= max(SLOW_S, self._stale_s) and not {talker, port}.intersection(
+            self._settings.preferred
+        ):
+            return False
+        del self._heard_s[oldest]
+        self._receivers.pop(oldest, None)
+        self._ranks = {key: rank for key, rank in self._ranks.items() if key[0] != oldest}
+        for newest in (*self._newest.values(), self._talking):
+            newest.put(oldest, None, now_s)
+        return True
 
     def _file(self, talker: str, message: object, now_s: float) -> None:
         """A value that is no position, under its kind."""

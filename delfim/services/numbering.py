@@ -65,7 +65,7 @@ class Numbering:
 
     def _hear(self, source: int, message: Message, now_s: float) -> None:
         if source:
-            self.allocator.taken.add(source)
+            self.allocator.hear(source, now_s)
             if source == self._node.number and isinstance(message, NodeStatus):
                 self._node.hear(message, now_s)
         elif self._place is not None and isinstance(message, NumberRequest):
@@ -79,11 +79,11 @@ class Numbering:
             log.warning("numbering: node %d asks this computer to start again: refused, for this is the operator's", nodes[0])
 
     def _answer(self, asked: NumberRequest, place: Path) -> None:
-        known = len(self.allocator.table)
+        known = dict(self.allocator.table)
         answer = self.allocator.feed(asked, self._clock.monotonic_s())
         if answer is None:
             return
-        if len(self.allocator.table) > known:
+        if self.allocator.table != known:
             log.info("numbering: %s gets number %d", answer.identity.hex(), answer.node)
             try:
                 keep(place, self.allocator.table)

@@ -41,7 +41,7 @@ from delfim.canproxy.dronecan.datatypes import (
     decode,
 )
 from delfim.canproxy.dronecan.fields import DataType, WireField, pack, unpack
-from delfim.canproxy.dronecan.nodenumbers import FOLLOW_UP_S, Allocator
+from delfim.canproxy.dronecan.nodenumbers import FOLLOW_UP_S, SILENT_S, Allocator
 from delfim.canproxy.dronecan.transfers import COMMAND, SENSOR, STATUS, Publisher, Transfer, TransferReceiver, checksum
 from delfim.canproxy.socket import accepts
 from delfim.errors import FormatError
@@ -482,12 +482,12 @@ def test_a_device_gets_a_number_part_by_part_and_the_same_one_when_it_comes_back
     table: dict[bytes, int] = {}
     first, second = bytes(range(16)), bytes(range(1, 17))
     allocator = Allocator(table, own=10)
-    allocator.taken.add(125)
+    allocator.hear(125, 0.0)
     told = [NumberRequest(0, False, first[:6]), NumberRequest(0, False, first[:12]), NumberRequest(124, False, first)]
     assert answers(allocator, asking(first)) == told
     assert answers(allocator, asking(second, preferred=10))[-1].node == 11, "upward from the one that it would like"
     again = Allocator(dict(table), own=10)
-    again.taken.add(124)
+    again.hear(124, 0.0)
     assert answers(again, asking(first))[-1].node == 124, "although somebody speaks with it: that is the device itself"
 
 
@@ -517,6 +517,22 @@ def test_when_all_numbers_are_given_away_the_next_device_gets_none():
     assert answers(allocator, asking(bytes(range(16))))[-1] is None
     assert allocator.refused == 1
     assert len(table) == 124
+
+
+def test_made_up_devices_do_not_have_all_numbers_for_ever():
+    """The number that was silent for longest goes to the next one that asks; devices that speak keep theirs."""
+    table = {bytes(15) + bytes((number,)): number for number in range(1, 126) if number != 10}
+    allocator, true = Allocator(table, own=10), bytes(range(16))
+    assert answers(allocator, asking(true))[-1] is None, "nobody had the time to speak yet"
+    for number in range(1, 126):
+        allocator.hear(number, 50.0 if number == 77 else 100.0)
+    late = [allocator.feed(each, 49.0 + SILENT_S + i / 10.0) for i, each in enumerate(asking(true))]
+    assert late[-1] is None
+    late = [allocator.feed(each, 50.0 + SILENT_S + i / 10.0) for i, each in enumerate(asking(true))]
+    assert late[-1] == NumberRequest(77, False, true)
+    assert (len(table), table[true]) == (124, 77)
+    again = [allocator.feed(each, 55.0 + SILENT_S + i / 10.0) for i, each in enumerate(asking(bytes(15) + b"\x4d"))]
+    assert again[-1] is None, "but not to another one as soon"
 
 
 @given(st.lists(st.tuples(st.integers(0, 127), st.booleans(), st.binary(max_size=16))))

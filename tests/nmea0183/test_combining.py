@@ -256,6 +256,18 @@ def test_talkers_are_bounded():
     assert boat.combined.status(100.0)["talkers_too_many"] == 2 * TALKERS_MAX
 
 
+@pytest.mark.parametrize(("preferred", "pause_s"), [((), SLOW_S + 0.1), (("gnss",), 0.0), (("gnss:GN",), 0.0)])
+def test_a_receiver_is_heard_after_noise_that_made_up_talkers(preferred, pause_s):
+    """Those that are silent give way; to a preferred one the others, too."""
+    boat = Boat(preferred=preferred)
+    for i in range(TALKERS_MAX):
+        boat.hear(f"{chr(81 + i % 10)}{i // 10}HDT,10.0,T", port="compass")
+    boat.now_s += pause_s
+    assert [n.fix for i in (1, 2) for n in boat.hear(rmc(i))] == [2, 2]
+    assert len(boat.combined.status(boat.now_s)["talkers"]) == TALKERS_MAX
+    assert boat.combined.strangers == 0
+
+
 def test_each_message_has_the_next_counter():
     boat = Boat()
     counters = [n.counter for i in range(40) for n in boat.hear(rmc(i))]

@@ -8,7 +8,9 @@ from itertools import count
 from random import Random
 from typing import NamedTuple, Protocol
 
+import msgspec
 import pytest
+from pymavlink.dialects.v20 import development as dialect
 
 from delfim import config
 from delfim.canproxy.opening import open_bound
@@ -363,6 +365,28 @@ def test_the_gimbal_of_a_boat_is_not_taken_for_its_board() -> None:
     board.report(1.0)
     driver.inputs[0].read(State(), 1.0)
     assert driver.send(AHEAD, 1.0) == 0
+
+
+def test_only_the_autopilot_of_the_board_speaks_for_it() -> None:
+    """A gimbal or a camera on it has its system number, and may say that it is an autopilot, or tell a battery of its own."""
+    settings = DRIVERS["mavlink_front_seat"].settings
+    table = config.MavlinkFrontSeat(battery=True)
+    wire, state = Wire(), State()
+    links = Links(lambda name, filters: None, lambda device, baud: wire)
+    driver = open_actuator("mavlink_front_seat", msgspec.structs.replace(settings, mavlink_front_seat=table), links)
+    greet(driver, RoverDevice(None, wire))
+    gimbal = dialect.MAVLink(None, 1, dialect.MAV_COMP_ID_GIMBAL)
+    for told in (
+        dialect.MAVLink_heartbeat_message(26, 12, 0, 0, 4, 3),
+        dialect.MAVLink_sys_status_message(0, 0, 0, 0, 3_200, 10, 3, 0, 0, 0, 0, 0, 0),
+    ):
+        wire.waiting.append(told.pack(gimbal))
+    driver.inputs[0].read(state, 1.0)
+    assert state.sysstat == {}
+    assert state.thrusters == {}
+    wire.written.clear()
+    assert driver.send(AHEAD, 1.0) == 0
+    assert wire.written
 
 
 def test_a_px4_at_rest_hears_its_sticks_in_the_middle_all_the_time() -> None:

@@ -712,7 +712,7 @@ def test_a_parameter_is_changed_within_its_range_and_logged(sea):
     assert sea.log == [console.Set("control.speed.max_mps", 1.8)]
     answers = sea.console.say("param_set", 1, 1, b"SPEED_MAX", -3.0, 9)
     assert newest(answers, "PARAM_VALUE").param_value == pytest.approx(1.8)
-    assert "more than 0.0 to 30.0" in texts(answers)
+    assert "0.05 to 30.0" in texts(answers)
     answers = sea.console.say("param_set", 1, 1, b"LOSS_ACTION", 3.0, 9)
     assert sea.vehicle.helm.settings.failsafe.console_silent.action == "stop"
     assert newest(sea.console.say("param_request_read", 1, 1, b"LOSS_ACTION", -1), "PARAM_VALUE").param_value == 3.0

@@ -23,6 +23,7 @@ from delfim.vehicle.sensors.sysstat import NAMES
 from delfim.vehicle.state import Actuation, State, ThrusterReport
 
 FULL: Final = 1000
+AUTOPILOT: Final = dialect.MAV_COMP_ID_AUTOPILOT1  # a gimbal or a camera of the board has its system number, too
 HEARTBEAT_TICKS: Final = 5  # of `repeat`: once a second
 OLDEST: Final = (1, 16)  # PX4 before it had no such manual mode of boats, or read the throttle in another way
 UNKNOWN_V, UNKNOWN_A, UNKNOWN_CHARGE = 0xFFFF, -1, -1
@@ -106,7 +107,7 @@ class MavlinkBoard:
             for message in self._codec.parse_buffer(data) or ():
                 if message.get_type() == "BAD_DATA":
                     state.count("mavlink_front_seat_malformed")
-                elif message.get_srcSystem() == self._board:
+                elif (message.get_srcSystem(), message.get_srcComponent()) == (self._board, AUTOPILOT):
                     self._hear(message, state, now_s)
 
     def report(self) -> dict[str, object]:
@@ -127,7 +128,7 @@ class MavlinkBoard:
 
     def _hear(self, message: Any, state: State, now_s: float) -> None:
         kind = message.get_type()
-        if kind == "HEARTBEAT" and message.autopilot in NUMBERS:  # other devices of the boat have none
+        if kind == "HEARTBEAT" and message.autopilot in NUMBERS:
             self._number = message.autopilot
             self._wrong = self._judged()
             self._faults = (self._wrong,) if self._wrong else self._why_not(message)
