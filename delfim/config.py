@@ -24,6 +24,7 @@ Name = Annotated[str, text("[A-Za-z][A-Za-z0-9_-]{0,31}", "a letter, then up to 
 Fraction = Annotated[float, msgspec.Meta(ge=0.0, le=1.0)]
 BatteryVoltage = Annotated[float, msgspec.Meta(ge=0.0, le=1000.0)]
 Seconds = Annotated[float, msgspec.Meta(ge=0.001, le=3600.0)]
+Moment = Annotated[float, msgspec.Meta(ge=0.1, le=3600.0)]  # s: not below the period of the watchdog
 Metres = Annotated[float, msgspec.Meta(ge=0.01, le=10_000.0)]
 Speed = Annotated[float, msgspec.Meta(ge=0.05, le=30.0)]  # m/s: a slower boat does not move, and says that it does
 StickPulse = Annotated[float, msgspec.Meta(ge=800.0, le=2200.0)]  # us, of a channel of a hand-set
@@ -700,10 +701,8 @@ class ConsoleSilent(Silence, frozen=True):
 class ManualSilent(Silence, frozen=True):
     """No manual command, in manual mode: first no thrust, then this."""
 
-    after_s: Annotated[float, msgspec.Meta(ge=0.1, le=3600.0)] = 5.0  # age of the last one
-    thrust_s: Annotated[float, msgspec.Meta(ge=0.1, le=3600.0)] = (
-        1.8  # age of the last one at which thrust goes to zero, at the next look of the watchdog: within 2 s
-    )
+    after_s: Moment = 5.0  # age of the last one
+    thrust_s: Moment = 1.8  # age of the last one at which thrust goes to zero, at the next look of the watchdog: within 2 s
 
 
 class GuestSilent(Silence, frozen=True):
@@ -1557,6 +1556,9 @@ class Vehicle(Table, frozen=True):
             self._check_fleet()
         if self.ros.commands and not self.guest.enabled:
             raise ValueError("ros.commands: it steers as the guest: guest.enabled must be true")
+        here, networks = (ip_address("127.0.0.1"), ip_address("::1")), list(map(ip_network, self.guest.networks))
+        if self.ros.commands and not any(each in network for each in here for network in networks):
+            raise ValueError("ros.commands: it steers as the guest: guest.networks must have 127.0.0.0/8, where it comes from")
         if "nmea0183" in (*self.navigation.sources, *self.sensors.names) and not self.nmea0183.ports:
             raise ValueError("nmea0183 needs a port: a table [nmea0183.ports.NAME] with its device")
         if self.guest.enabled and self.nmea0183.guest.device:

@@ -164,7 +164,7 @@ def _addresses(answers: Mapping[str, str], network: IPv4Interface, settings: con
     found: dict[str, Any] = radio if answers["radio"] else {"slipd.device": ""} if settings.slipd.device else {}
     found |= {"mavlink.peers": [f"{console}:14550", *([settings.fleet.listen] if settings.fleet.broker else [])]}
     if settings.guest.enabled:
-        found |= {"guest.networks": [own]}
+        found |= {"guest.networks": [*(["127.0.0.0/8"] if settings.ros.commands else []), own]}
     if commissioned.bus(settings):
         found |= {"cantcpd.watch": ["127.0.0.0/8", console, own]}
     return found

@@ -101,9 +101,8 @@ class Combined:
         """Forgets the talker that was silent for longest, if it gives no values any more or the new one is preferred: noise
         makes up talkers, and the receiver must be heard after it."""
         oldest = min(self._heard_s, key=self._heard_s.__getitem__)
-        if now_s - self._heard_s[oldest] <= max(SLOW_S, self._stale_s) and not {talker, port}.intersection(
-            self._settings.preferred
-        ):
+        is_fresh = now_s - self._heard_s[oldest] <= max(SLOW_S, self._stale_s)
+        if is_fresh and not {talker, port}.intersection(self._settings.preferred):
             return False
         del self._heard_s[oldest]
         self._receivers.pop(oldest, None)

@@ -115,7 +115,7 @@ class GuestLine:
         while True:
             try:
                 await self._once()
-                self.reason = "the vehicle closed the connection"
+                self.reason = "the vehicle closed the connection: its log says why"
             except TimeoutError:
                 self.reason = "the vehicle does not answer"
             except (OSError, ValueError, *UNREADABLE) as error:
@@ -129,7 +129,9 @@ class GuestLine:
         try:
             if self._key is not None:
                 async with asyncio.timeout(ANSWER_S):
-                    challenge = msgspec.json.decode(await reader.readline(), type=_Challenge).challenge
+                    if not (line := await reader.readline()):
+                        return
+                    challenge = msgspec.json.decode(line, type=_Challenge).challenge
                 writer.write(msgspec.json.encode({"proof": proof(self._key, challenge)}) + b"\n")
             self._writer, self.reason = writer, ""
             while await reader.readline():

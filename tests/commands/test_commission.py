@@ -66,6 +66,17 @@ def test_the_boats_file_has_the_answers_and_keeps_the_comments(made: Path) -> No
     assert set(vehicle.ftpd.users) == set(vehicle.sshd.users) == {"ana", "rui"}
 
 
+def test_what_steers_from_ros_aboard_may_come_to_the_guests_door(tmp_path: Path) -> None:
+    """It comes from this computer, and has the key."""
+    file = tmp_path / "boat.toml"
+    ros = '[ros]\nrouter = "tcp/127.0.0.1:7447"\ncommands = true\n[guest]\nenabled = true\n'
+    file.write_text(f'[boat]\nname = "Otter"\n{ros}')
+    assert main(["commission", str(file), *WORDS, "--console", "10.0.0.2", "--output", str(tmp_path / "out")]) == 0
+    vehicle = config.load(tmp_path / "out/boat/boat.toml")
+    assert vehicle.guest.networks == ("127.0.0.0/8", "10.77.0.0/24")
+    assert vehicle.guest.key
+
+
 def test_keys_and_passwords_fit_their_locks(made: Path) -> None:
     vehicle = config.load(made / "boat/boat.toml")
     for user in ("ana", "rui"):

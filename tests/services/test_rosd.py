@@ -343,6 +343,10 @@ def test_nothing_of_it_runs_or_is_loaded_unless_the_file_asks_and_then_it_is_a_p
         ('router = "tcp/192.168.1.7:7447"\ncommands = true', "of this computer"),
         ("commands = true", "of this computer"),
         ('router = "tcp/127.0.0.1:7447"\ncommands = true\n[guest]\nenabled = false', "guest.enabled"),
+        (
+            'router = "tcp/127.0.0.1:7447"\ncommands = true\n[guest]\nenabled = true\nnetworks = ["10.0.0.0/8"]',
+            "guest.networks must have 127.0.0.0/8",
+        ),
         ('router = "tcp/127.0.0.1:7447"\nnamespace = "7-otters"', "small letters"),
     ],
 )

@@ -15,6 +15,7 @@ from delfim import config, tables
 from delfim.errors import ConfigError
 from delfim.services import guestdoor
 from delfim.services.guestdoor import GuestDoor
+from delfim.services.rossteering import GuestLine
 from delfim.simulator.guest import Zigzag, guest
 from delfim.vehicle.grex import proof
 from delfim.vehicle.mavlink.signing import new_key, read_key
@@ -237,3 +238,14 @@ def test_beyond_this_computer_the_file_must_name_a_key(table, is_refused):
             tables.decode(table, config.GuestTable, "boat.toml")
     else:
         assert msgspec.structs.asdict(tables.decode(table, config.GuestTable, "boat.toml"))["listen"] == table["listen"]
+
+
+def test_steering_from_ros_that_the_door_refuses_says_where_the_reason_is(boat, locked):
+    async def story(opened: Opened, door: GuestDoor, port: int) -> None:
+        line = GuestLine(msgspec.structs.replace(locked, listen=f"{HOME}:{port}"))
+        following = asyncio.create_task(line.follow())
+        await until(lambda: line.reason != "not connected yet")
+        following.cancel()
+        assert line.reason == "the vehicle closed the connection: its log says why"
+
+    at_the_door(boat, msgspec.structs.replace(locked, networks=("10.0.0.0/8",)), story)
