@@ -10,9 +10,13 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final, NamedTuple
 
+from delfim.commands import PACKAGE
 from delfim.errors import ConfigError, DelfimError, FormatError
+from delfim.outside import read_text
 
+OWN: Final = "own"
 LISBON: Final = "38.6907 -9.2153"
+WHERE: Final = "Where it lies: latitude and longitude, degrees"
 MASS_KG_PER_M2: Final = 20.0  # of length times beam, as config.BoatTable guesses it
 MOTORS: Final = {
     "esc": "two motors on ESCs, port and starboard, told by pulses (docs/pwm.md)",
@@ -26,6 +30,7 @@ SENSORS: Final = {
     "nmea2000": "a receiver and a compass on an NMEA 2000 bus (docs/nmea2000.md)",
     "dronecan": "a receiver and a compass on a DroneCAN bus (docs/dronecan.md)",
 }
+OF_OWN: Final = ("length", "beam", "mass", "motors", "thrust", "speed", "sensors")  # options of a boat of one's own
 ON_CAN: Final = ("dronecan", "vesc", "nmea2000")  # each needs a bus, and a bus carries one protocol
 
 
@@ -109,6 +114,7 @@ class Answers(NamedTuple):
     """Lengths in m, thrust of one motor at full power ahead in N, the speed that all reach in m/s, the place in degrees."""
 
     name: str
+    number: int
     length_m: float
     beam_m: float
     mass_kg: float
@@ -123,7 +129,9 @@ class Answers(NamedTuple):
 def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("file", metavar="FILE", help="Write this file, such as myboat.toml; it must not exist.")
     parser.add_argument("--yes", action="store_true", help="Ask nothing: what has no option gets its default.")
+    parser.add_argument("--boat", metavar="BOAT", help=f"One of etc/boats to begin with: {', '.join(_shipped())}; or own.")
     parser.add_argument("--name", metavar="NAME", help="Name of the boat (default: that of FILE).")
+    parser.add_argument("--id", metavar="NUMBER", help="Its number, 1 to 249, of which no other boat has the same.")
     for name in ("length", "beam"):
         parser.add_argument(f"--{name}", metavar="M", help=f"Its {name} over all, in metres.")
     parser.add_argument("--mass", metavar="KG", help="Its mass as it sails, in kilograms.")
@@ -147,10 +155,19 @@ def run(asked: argparse.Namespace) -> int:
     for place in (file, mission):
         if place.exists():
             raise DelfimError(f"{place} exists already, and nothing is replaced: name another file")
-    answers = _answers(asked, file.stem)
+    ask = _Asking(asked)
+    boats = {OWN: "a boat of your own: more questions follow"} | {name: _about(place) for name, place in _shipped().items()}
+    boat = ask("boat", "Which boat", OWN, _one_of(boats), boats)
+    if boat == OWN:
+        answers = _answers(ask, file.stem)
+        text, rectangle = _text(answers, file.name, mission.name), _mission_text(answers.name, answers.length_m, *answers[-2:])
+    else:
+        if given := [each for each in OF_OWN if getattr(asked, each) is not None]:
+            raise DelfimError(f"--{given[0]}: {boat} has its own; leave this away, and change the file afterwards")
+        text, rectangle = _copied(ask, _shipped()[boat], file.stem, mission.name)
     try:
-        mission.write_text(_mission_text(answers), encoding="utf-8")
-        file.write_text(_text(answers, file.name, mission.name), encoding="utf-8")
+        mission.write_text(rectangle, encoding="utf-8")
+        file.write_text(text, encoding="utf-8")
         config.load(file)
     except ConfigError as error:
         for place in (file, mission):
@@ -160,13 +177,39 @@ def run(asked: argparse.Namespace) -> int:
     return 0
 
 
-def _answers(asked: argparse.Namespace, stem: str) -> Answers:
+def _shipped() -> dict[str, Path]:
+    """The boats to start from, by name."""
+    return {place.stem: place for place in sorted((PACKAGE / "etc/boats").glob("*.toml"))}
+
+
+def _about(place: Path) -> str:
+    """The first sentence of its file."""
+    return read_text(place).removeprefix("# ").replace("\n# ", " ").partition(". ")[0]
+
+
+def _copied(ask: "_Asking", place: Path, stem: str, mission: str) -> tuple[str, str]:
+    """One of the boats to start from, with another name, number and place; and its mission."""
+    from delfim import config
+    from delfim.services.vehiclefile import changed
+
+    name, number = ask("name", "Name of the boat", stem, _name), _number_of(ask)
+    latitude_deg, longitude_deg = ask("where", WHERE, LISBON, _place)
+    values: dict[str, Any] = {"boat.name": name, "boat.id": number, "simulation.mission": mission}
+    values |= {"simulation.latitude_deg": latitude_deg, "simulation.longitude_deg": longitude_deg}
+    length_m = config.load(place).boat.length_m
+    return changed(str(place), values), _mission_text(name, length_m, latitude_deg, longitude_deg)
+
+
+def _number_of(ask: "_Asking") -> int:
+    return int(ask("id", "Its number, 1 to 249, of which no other boat has the same", "1", _number))
+
+
+def _answers(ask: "_Asking", stem: str) -> Answers:
     """Each from its option, or typed, or its default."""
     from delfim import config
     from delfim.vehicle.control.hull import full_mps
 
-    ask = _Asking(asked)
-    name = ask("name", "Name of the boat", stem, _name)
+    name, number = ask("name", "Name of the boat", stem, _name), _number_of(ask)
     length_m = ask("length", "Its length over all, m", "1.5", _positive)
     beam_m = ask("beam", "Its beam over all, m", f"{0.5 * length_m:.3g}", _positive)
     mass_kg = ask("mass", "Its mass as it sails, kg", f"{MASS_KG_PER_M2 * length_m * beam_m:.3g}", _positive)
@@ -176,8 +219,9 @@ def _answers(asked: argparse.Namespace, stem: str) -> Answers:
     guess_mps = full_mps(config.BoatTable(name, length_m=length_m))
     speed_mps = ask("speed", "Its speed at full power in calm water, m/s", f"{guess_mps:.3g}", _positive)
     sensors = ask("sensors", "Position and heading from", "usb", _one_of(SENSORS), SENSORS)
-    latitude_deg, longitude_deg = ask("where", "Where it lies: latitude and longitude, degrees", LISBON, _place)
-    return Answers(name, length_m, beam_m, mass_kg, motors, thrust_n, speed_mps, sensors, latitude_deg, longitude_deg)
+    latitude_deg, longitude_deg = ask("where", WHERE, LISBON, _place)
+    hull = length_m, beam_m, mass_kg
+    return Answers(name, number, *hull, motors, thrust_n, speed_mps, sensors, latitude_deg, longitude_deg)
 
 
 class _Asking:
@@ -214,6 +258,12 @@ def _name(text: str) -> str:
     if kept != text or not text[:1].isalpha() or len(text) > 32:
         raise FormatError("a name is a letter, then up to 31 letters, digits, _ or -")
     return text
+
+
+def _number(text: str) -> int:
+    if not (text.isdecimal() and 1 <= int(text) <= 249):
+        raise FormatError("this must be a whole number from 1 to 249")
+    return int(text)
 
 
 def _positive(text: str) -> float:
@@ -259,7 +309,7 @@ def _text(of: Answers, file: str, mission: str) -> str:
 
 [boat]
 name = "{of.name}"
-id = 1  # on the console's link: another one for each boat, 1 to 249
+id = {of.number}  # on the console's link: another one for each boat, 1 to 249
 length_m = {of.length_m:g}
 beam_m = {of.beam_m:g}
 mass_kg = {of.mass_kg:g}  # as it sails
@@ -312,14 +362,14 @@ thrust_n = [{-0.6 * of.thrust_n:.3g}, {of.thrust_n:.3g}]
     return rows
 
 
-def _mission_text(of: Answers) -> str:
+def _mission_text(name: str, length_m: float, latitude_deg: float, longitude_deg: float) -> str:
     """A rectangle of legs of about fifteen lengths of the boat, ahead of it and to its starboard, as it lies: bow north."""
     from delfim.geodesy import from_plane, origin
 
-    leg_m = max(15.0 * of.length_m, 30.0)
-    at = origin(math.radians(of.latitude_deg), math.radians(of.longitude_deg))
+    leg_m = max(15.0 * length_m, 30.0)
+    at = origin(math.radians(latitude_deg), math.radians(longitude_deg))
     rows = "# A rectangle to begin with. Keys and ranges: docs/missions.md. Draw your own in the console.\n"
-    rows += f'version = 1\nname = "{of.name}"\n'
+    rows += f'version = 1\nname = "{name}"\n'
     for north, east in ((1, 0), (1, 1), (0, 1), (0, 0)):
         latitude_rad, longitude_rad = from_plane(at, north * leg_m, east * leg_m)
         rows += f"\n[[waypoint]]\nlatitude_deg = {math.degrees(latitude_rad):.6f}\n"

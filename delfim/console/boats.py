@@ -47,6 +47,7 @@ class Boat:
         self.asked: str | None = None
         self.asked_s = -math.inf
         self.at_s: dict[str, float] = {}  # when each group of values was heard last
+        self.has: set[str] = set()  # of rpm and battery, what it has ever told: motors on pulses tell neither
         self.values: dict[str, Any] = {}
         self.measured: dict[str, Measured] = {}
         self.reference: dict[str, Any] = {}
@@ -97,7 +98,7 @@ class Boat:
         self.before = self.name if self.name not in (name, f"boat {self.number}") else ""
         self.name, self.is_named = name, True
         if self.before:
-            for each in (self.values, self.measured, self.reference, self.at_s, self._modes_told):
+            for each in (self.values, self.measured, self.reference, self.at_s, self.has, self._modes_told):
                 each.clear()
             self.has_told_modes, self.asks, self.reason, self.failsafe, self.warning = False, 0, "", "", ""
 
@@ -124,14 +125,12 @@ class Boat:
     def snapshot(self, now_s: float) -> dict[str, Any]:
         """The boat as the page shows it."""
         v = self.values
-        ages = {"heard": round(now_s - self.heard_s, 2)} | {
-            name: self.age_s(kind, now_s)
-            for name, kind in (
-                ("position", "GLOBAL_POSITION_INT"),
-                ("attitude", "ATTITUDE"),
-                ("rpm", "RAW_RPM"),
-                ("battery", "SYS_STATUS"),
-            )
+        ages = {
+            "heard": round(now_s - self.heard_s, 2),
+            "position": self.age_s("GLOBAL_POSITION_INT", now_s),
+            "attitude": self.age_s("ATTITUDE", now_s),
+            "rpm": self.age_s("RAW_RPM", now_s) if "rpm" in self.has else None,
+            "battery": self.age_s("SYS_STATUS", now_s) if "battery" in self.has else None,
         }
         if self.asked is not None and (self.asked == self.mode or now_s - self.asked_s > 10.0):
             self.asked = None
@@ -247,6 +246,7 @@ def _degrees(angle_rad: float) -> float | None:
 def _rpm(boat: Boat, m: Any) -> None:
     if m.index in (0, 1):
         known = math.isfinite(m.frequency)
+        boat.has |= {"rpm"} if known else set()
         boat.values["starboard_rpm" if m.index else "port_rpm"] = round(m.frequency) if known else None
 
 
@@ -262,6 +262,7 @@ def _power(boat: Boat, m: Any) -> None:
     boat.ready = bool(m.onboard_control_sensors_health & mavlink.MAV_SYS_STATUS_PREARM_CHECK)
     boat.values["battery_v"] = m.voltage_battery / 1000.0 if m.voltage_battery != 65535 else None
     boat.values["battery_pct"] = m.battery_remaining if m.battery_remaining >= 0 else None
+    boat.has |= {"battery"} if m.voltage_battery != 65535 or m.battery_remaining >= 0 else set()
 
 
 def _gps(boat: Boat, m: Any) -> None:
@@ -336,6 +337,7 @@ def _lean(boat: Boat, m: Any) -> None:
     boat.enter(m.custom_mode)
     boat.reference["heading_deg"] = m.target_heading * 2.0
     boat.reference["distance_m"] = m.target_distance * 10.0 or None
+    boat.has |= {"battery"} if m.battery >= 0 else set()
     boat.values |= {
         "latitude_deg": m.latitude / 1e7,
         "longitude_deg": m.longitude / 1e7,

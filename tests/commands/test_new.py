@@ -8,7 +8,7 @@ import pytest
 
 from delfim import config
 from delfim.__main__ import main
-from delfim.commands.new import MOTORS, SENSORS
+from delfim.commands.new import MOTORS, SENSORS, _shipped
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle.console import LoadMission, Play
 from delfim.vehicle.mission import load_mission
@@ -39,6 +39,21 @@ def test_each_boat_passes_the_check_and_sails_past_its_first_waypoint(
     run.close()
 
 
+@pytest.mark.parametrize("boat", _shipped())
+def test_each_known_boat_gets_a_name_a_number_a_place_and_a_mission(boat: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--yes", "--boat", boat, "--name", "Lua", "--id", "7", "--where", "52.1", "4.2"]
+    assert main(["new", "boat.toml", *words]) == 0
+    assert main(["check", "boat.toml"]) == 0
+    assert "mission" not in capsys.readouterr().err
+    settings = config.load("boat.toml")
+    assert (settings.boat.name, settings.boat.id, settings.simulation.latitude_deg) == ("Lua", 7, 52.1)
+    assert settings.thrusters == config.load(_shipped()[boat]).thrusters
+    run = Lockstep(settings, 1, lambda clock: NoLog())
+    assert run.sail(Path("boat-mission.toml").read_text(), 70.0).startswith("time")
+    assert run.state.reference.leg >= 1
+    run.close()
+
+
 @pytest.mark.parametrize("words", [[], ["--length", "1.2", "--beam", "0.93", "--mass", "30", "--thrust", "60"]])
 @pytest.mark.parametrize("motors", MOTORS)
 def test_no_boat_sails_much_faster_than_it_is_told(motors: str, words: list[str]) -> None:
@@ -57,7 +72,7 @@ def test_no_boat_sails_much_faster_than_it_is_told(motors: str, words: list[str]
 
 def test_options_are_what_the_file_says() -> None:
     words = ["--name", "Lua", "--length", "2", "--beam", "1,1", "--mass", "55", "--thrust", "120", "--motors", "vesc"]
-    words += ["--speed", "2.5"]
+    words += ["--boat", "own", "--id", "9", "--speed", "2.5"]
     assert main(["new", "lua.toml", *words, "--sensors", "nmea2000", "--where", "-33.85", "151.24"]) == 0
     settings = config.load("lua.toml")
     boat = settings.boat
@@ -71,14 +86,23 @@ def test_options_are_what_the_file_says() -> None:
 def test_on_a_terminal_it_asks_and_asks_again_for_what_is_wrong(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    answers = ["my boat", "MyBoat", "two", "2.5", "", "", "oars", "rudder", "", "", "", "52.1, 4.2"]
+    answers = ["raft", "", "my boat", "MyBoat", "250", "5", "two", "2.5", "", "", "oars", "rudder", "", "", "", "52.1, 4.2"]
     monkeypatch.setattr("sys.stdin", Terminal("\n".join(answers) + "\n"))
     assert main(["new", "boat.toml"]) == 0
     out = capsys.readouterr().out
-    for told in ("a name is a letter", "this must be a number above 0", "there are esc, rudder", "usb        a GPS mouse"):
+    for told in (
+        "there are own, bait-boat",
+        "blueboat   BlueBoat of",
+        "a whole number from 1",
+        "a name is a letter",
+        "this must be a number above 0",
+        "there are esc, rudder",
+        "usb        a GPS mouse",
+    ):
         assert told in out
     settings = config.load("boat.toml")
     assert (settings.boat.name, settings.boat.length_m, settings.boat.beam_m) == ("MyBoat", 2.5, 1.25)
+    assert settings.boat.id == 5
     assert settings.thrusters[0].steer is not None
     assert settings.simulation.latitude_deg == 52.1
 
@@ -93,7 +117,13 @@ def test_on_a_terminal_it_asks_and_asks_again_for_what_is_wrong(
             ["--yes", "--where", "91", "0"],
             "--where 91 0: a latitude goes from -85 to 85 here, and a longitude from -180 to 180",
         ),
-        ([], "nobody is here to ask: give --name, or --yes for all defaults"),
+        ([], "nobody is here to ask: give --boat, or --yes for all defaults"),
+        (["--yes", "--boat", "raft"], "--boat raft: there are own, bait-boat, blueboat, float, heron, otter, skiff, wam-v"),
+        (
+            ["--yes", "--boat", "otter", "--motors", "esc"],
+            "--motors: otter has its own; leave this away, and change the file afterwards",
+        ),
+        (["--yes", "--id", "250"], "--id 250: this must be a whole number from 1 to 249"),
     ],
 )
 def test_what_cannot_be_is_refused_in_a_line_and_nothing_is_written(

@@ -3,6 +3,7 @@
 It stands in for a vehicle where the link between the two is what is tested; the whole vehicle is met in test_operating.py.
 """
 
+import math
 import time
 from collections.abc import Callable
 from random import Random
@@ -37,6 +38,7 @@ class FakeBoat:
         self.name, self.run, self.asked_name = "", "", 0
         self.modes: list[tuple[int, bytes]] = []  # numbers and names that it tells; none: it knows no such question
         self.asked_modes = 0
+        self.tells = True  # its revolutions and its battery; otherwise, that both are unknown
         self._said_s = -1.0
 
     def say(self, *messages: Any) -> None:
@@ -55,9 +57,9 @@ class FakeBoat:
         self.say(
             self._heartbeat(),
             mavlink.MAVLink_global_position_int_message(round(now_s * 1e3), *self.position, 0, 0, 100, 50, 0, 9000),
-            mavlink.MAVLink_raw_rpm_message(0, 300.0),
-            mavlink.MAVLink_raw_rpm_message(1, 310.0),
-            mavlink.MAVLink_sys_status_message(0, 0, 0, 100, 48_000, -1, 80, 0, 0, 0, 0, 0, 0),
+            mavlink.MAVLink_raw_rpm_message(0, 300.0 if self.tells else math.nan),
+            mavlink.MAVLink_raw_rpm_message(1, 310.0 if self.tells else math.nan),
+            mavlink.MAVLink_sys_status_message(0, 0, 0, 100, *((48_000, -1, 80) if self.tells else (65535, -1, -1)), *[0] * 6),
         )
 
     def hear(self, data: bytes) -> None:

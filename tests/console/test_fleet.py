@@ -114,6 +114,19 @@ def test_a_silent_boat_is_forgotten_until_it_is_heard_again(sea: Sea) -> None:
     assert [each["id"] for each in sea.fleet.snapshot()] == [1, 2]
 
 
+def test_what_a_boat_never_tells_has_no_age() -> None:
+    """A boat with motors on pulses and without a battery node: no green bar for what nobody told."""
+    sea = Sea(1)
+    sea.boats[1].tells = False
+    sea.run(3.0)
+    ages = sea.shown(1)["age_s"]
+    assert (ages["rpm"], ages["battery"]) == (None, None)
+    sea.boats[1].tells = True
+    sea.run(2.0)
+    ages = sea.shown(1)["age_s"]
+    assert max(ages["rpm"], ages["battery"]) < 2.0
+
+
 def test_a_trouble_is_shown_though_something_harmless_was_said_after_it(sea: Sea) -> None:
     boat = sea.boats[1]
     sea.run(1.0)

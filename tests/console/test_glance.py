@@ -54,6 +54,16 @@ def test_a_weak_link_is_amber_with_its_cause_and_with_what_it_means_for_a_stop(s
     look(Standin(two()), size, story)
 
 
+def test_a_boat_that_tells_no_revolutions_has_no_graph_of_them() -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        graphs = "document.querySelector('[data-boat=\"1\"] .graphs').hidden"
+        await shown(page, gateway, f"{graphs} === false")
+        gateway.boat(1)["age_s"]["rpm"] = None
+        await shown(page, gateway, f"{graphs} === true")
+
+    look(Standin(two()), DESK, story)
+
+
 OUTSIDE = """[...document.querySelectorAll('.chip *, .popup *')].filter((each) => {
   const [box, its] = [each.closest('.chip, .popup').getBoundingClientRect(), each.getBoundingClientRect()];
   const cut = each.scrollWidth > each.clientWidth + 1 && getComputedStyle(each).display !== 'inline';

@@ -81,6 +81,7 @@ class Chip {
   private readonly changes = make("button.changes", "Send changes");
   private readonly groups = GROUPS.map((name) => make("i", make("span", name)));
   private readonly graphs: [Graph, Graph] = [new Graph("port"), new Graph("starboard")];
+  private readonly revolutions = make("div.row.graphs", this.graphs[0].root, this.graphs[1].root);
   private boat: Boat;
   private askedAt = 0;
   private asked: string | null = null;
@@ -94,7 +95,7 @@ class Chip {
       this.trouble,
       this.weak,
       this.measured,
-      make("div.row.graphs", this.graphs[0].root, this.graphs[1].root),
+      this.revolutions,
       make("div.row.ages", ...this.groups),
       make("div.row.small", this.mission, this.badge),
       make("div.row.small", this.changes),
@@ -133,6 +134,7 @@ class Chip {
       attribute(this.groups[i]!, "data-age", boat.age_s[group] === null ? "none" : freshness(its, group));
       attribute(this.groups[i]!, "title", `${group}: ${ageWords(its)}${group === "position" && boat.fix ? ` · ${boat.fix}, ${boat.satellites ?? "?"} satellites` : ""}`);
     });
+    this.revolutions.hidden = boat.age_s.rpm === null; // motors on pulses tell none
     this.drawMission(boat, state);
     this.drawLink(boat, age);
     if (fresh) {
