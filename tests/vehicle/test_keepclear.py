@@ -312,3 +312,12 @@ def test_a_zone_in_the_way_is_sailed_round() -> None:
             break
     assert math.dist(own[:2], (400.0, 0.0)) < 5.0
     assert said == {"", "keeping clear of the rock"}
+
+
+def test_a_boat_that_steers_for_the_fence_stops_where_each_way_leads_over_it() -> None:
+    sea = polygon("sea", True, [(-900.0, -5.0), (-900.0, 900.0), (900.0, 900.0), (900.0, -5.0)])
+    own, route = Own(0.0, 0.0, math.radians(-90.0), 1.5), RouteAhead(((0.0, -5000.0),), 1.5, has_end=False)
+    _, order, _ = decide(LIMITS, Memory(), own, route, [ship(0.0, 20.0, 0.0, 0.0)], Fence((sea,), config.FenceTable()), 0.0)
+    assert order is not None
+    assert order.speed_part == 0.0
+    assert order.words.endswith(", as all else leads over the fence, nothing is clear, stopped")

@@ -254,7 +254,7 @@ def _cheapest(
                 best, lowest, chosen = each, cost, legs
         if not extra:  # the first was the course that is steered
             extra = CHANGE + STEADY * lowest
-    if best is not None and lowest >= ASHORE:  # no choice
+    if lowest >= ASHORE and (best is not None or scene.seen):  # no choice, nor is the route
         return _new(Choice, (wrap(ahead_rad), 0.0, False, True))
     return None if best is None else best._replace(course_rad=wrap(best.course_rad))
 

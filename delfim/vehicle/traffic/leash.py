@@ -43,8 +43,9 @@ def paid_out(
     is_led = order is not None and order.speed_mps > 0.0
     led_s = was.led_s + passed_s if is_led else max(was.led_s - passed_s, 0.0)
     way, spent = was.way if task == was.task else (), was.spent if led_s > 0.0 else ""
-    if order is None:  # who rested may be asked for again at once: then it is the same way still
-        return Leash(task, way if led_s > 0.0 or was.spent else (), led_s, spent, now_s)
+    if order is None:  # a leg begins anew; a course has none, and whoever leads the boat again soon leads it from the same line
+        is_same = not route.has_end and (led_s > 0.0 or was.spent)
+        return Leash(task, way if is_same else (), led_s, spent, now_s)
     way = (route.place,) if route.place is not None else way or (here, *route.points)
     away_m = _away_m(way, here)
     if away_m >= limits.away_m:
