@@ -7,7 +7,7 @@ import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Annotated, Any, ClassVar, Final, Literal, NamedTuple, TypeVar, Union, get_args, get_origin, get_type_hints
 
 import msgspec
 
@@ -106,7 +106,26 @@ def decode(tree: dict[str, object], kind: type[T], file: str) -> T:
 
 def complaints(tree: object, kind: type[Table], file: str) -> Iterator[ConfigError]:
     """All faults of a table from parsed TOML."""
-    return (ConfigError(file, wrong.key.lstrip("."), wrong.reason, wrong.allowed) for wrong in _wrong(tree, kind, ""))
+    for wrong in _wrong(tree, kind, ""):
+        reason, key = wrong.reason, wrong.key.lstrip(".")
+        if wrong.reason == UNKNOWN and (elsewhere := _elsewhere(key, kind)):
+            reason += f"; did you mean {elsewhere}?"
+        yield ConfigError(file, key, reason, "" if reason != wrong.reason else wrong.allowed)
+
+
+def _elsewhere(key: str, kind: type[Table]) -> str:
+    """Where in the whole file there is a key of this name, its unit apart, nearest to the root; empty: nowhere."""
+    word, ahead = key.rpartition(".")[2], [("", kind)]
+    while ahead:
+        within = [(f"{path}.{name}".lstrip("."), hint) for path, table in ahead for name, hint in keys(table).items()]
+        if found := [path for path, _ in within if re.fullmatch(rf"{re.escape(word)}(_[a-z0-9]+)?", path.rpartition(".")[2])]:
+            return min(found, key=lambda path: len(path.rpartition(".")[2]))
+        ahead = [(path, bare) for path, hint in within if isinstance(bare := _bare(hint), type) and issubclass(bare, Table)]
+    return ""
+
+
+UNKNOWN: Final = "unknown key"
+ALL: Final = "the tables of docs/vehicle-file.md, which `delfim describe` prints"
 
 
 class Wrong(NamedTuple):
@@ -142,7 +161,7 @@ def _wrong_in_table(value: dict[str, Any], kind: type[Table], key: str) -> Itera
             yield from _wrong(one, hints[word], f"{key}.{word}")
         else:
             near = f"; it is now {kind.MOVED[word]}" if word in kind.MOVED else did_you_mean(word, hints)
-            yield Wrong(f"{key}.{word}", f"unknown key{near}", "" if near else ", ".join(hints))
+            yield Wrong(f"{key}.{word}", f"{UNKNOWN}{near}", "" if near else ", ".join(hints) if key else ALL)
     for field in msgspec.structs.fields(kind):
         if field.required and field.name not in value:
             yield Wrong(f"{key}.{field.name}", "missing")

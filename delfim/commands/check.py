@@ -1,9 +1,11 @@
 """`delfim check`: lists the faults of a vehicle's file, and the devices and files it names that this computer lacks."""
 
 import argparse
+import contextlib
 import os
 import sys
 from collections.abc import Iterator
+from ipaddress import IPv4Interface, ip_network
 from pathlib import Path
 
 from delfim import config
@@ -83,6 +85,8 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
             yield f"{key}: this computer has no {bus}; the boat needs it, `delfim sim` does not"
     for peer in vehicle.mavlink.unreachable:
         yield f"mavlink.peers: {peer} cannot be reached, for mavlink.listen is {vehicle.mavlink.listen}; write 0.0.0.0 there"
+    if vehicle.canip.enabled and vehicle.canip.address:
+        yield from _on_the_bus(vehicle)
     files = {"mavlink.key": vehicle.mavlink.key, "mavlink.serial": vehicle.mavlink.serial, "kill.chip": vehicle.kill.chip}
     files |= {"corrections.credentials": vehicle.corrections.credentials}
     files |= {"corrections.to": to} if (to := vehicle.corrections.to).startswith("/") else {}
@@ -98,3 +102,16 @@ def _doubts(file: str, vehicle: config.Vehicle) -> Iterator[str]:
             load_mission(config.mission_place(file, vehicle))
         except ConfigError as error:
             yield str(error)
+
+
+def _on_the_bus(vehicle: config.Vehicle) -> Iterator[str]:
+    """Addresses of the file that the network of canip takes from all others: what is sent to them goes onto the bus."""
+    bus = IPv4Interface(vehicle.canip.address).network
+    named = {"guest.networks": vehicle.guest.networks if vehicle.guest.enabled else (), "cantcpd.watch": vehicle.cantcpd.watch}
+    named |= {"mavlink.peers": tuple(config.address(peer)[0] for peer in vehicle.mavlink.peers)}
+    named |= {"slipd.peer": (vehicle.slipd.peer,) if vehicle.slipd.device else ()}
+    for key, places in named.items():
+        for place in places:
+            with contextlib.suppress(ValueError):  # a name of a host, or IPv6
+                if bus.overlaps(ip_network(place)):
+                    yield f"canip.address: its network {bus} has {place} of {key}, too: answers to it go onto the bus"

@@ -37,7 +37,7 @@ QUESTIONS: Final = (
     Question("radio-address", "Address of the boat on the radio", "slipd.address"),
     Question("console", "Address of the operator's computer, the other end of the radio where there is one", "slipd.peer"),
     Question("for", "What its computer runs: the image, or debian with the package", default="image"),
-    Question("network", "Address of the boat on its own network, with its length", default="192.168.1.10/24"),
+    Question("network", "Address of the boat on its own network, with its length", default="192.168.2.10/24"),
     Question("interface", "Interface of that network, which the image sets up", default="eth0"),
     Question("users", "Users, who may log in by SSH and fetch and upload files, with commas; NAME=FILE.pub: has an ssh key"),
 )
@@ -154,7 +154,7 @@ def _network(text: str) -> IPv4Interface:
             return IPv4Interface(text)
     except ValueError:
         pass
-    raise DelfimError(f"--network {text}: not ADDRESS/LENGTH, such as 192.168.1.10/24")
+    raise DelfimError(f"--network {text}: not ADDRESS/LENGTH, such as 192.168.2.10/24")
 
 
 def _addresses(answers: Mapping[str, str], network: IPv4Interface, settings: config.Vehicle) -> dict[str, Any]:

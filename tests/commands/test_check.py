@@ -58,6 +58,22 @@ def test_what_is_not_on_this_computer_is_a_warning(check, tmp_path):
     assert main(["sim", str(tmp_path / "boat.toml"), "--lockstep"]) == 2
 
 
+@pytest.mark.parametrize(
+    ("table", "key"),
+    [
+        ('[guest]\nenabled = true\nkey = "/dev/null"\nnetworks = ["192.168.1.0/24"]', "192.168.1.0/24 of guest.networks"),
+        ('[mavlink]\nlisten = "0.0.0.0:14555"\npeers = ["192.168.1.20:14550"]', "192.168.1.20 of mavlink.peers"),
+        ('[cantcpd]\nwatch = ["127.0.0.0/8", "192.168.1.7"]', "192.168.1.7 of cantcpd.watch"),
+        ('[mavlink]\nlisten = "0.0.0.0:14555"\npeers = ["192.168.2.20:14550"]', ""),
+    ],
+)
+def test_a_network_that_the_bus_takes_from_the_others_is_told(check, table, key):
+    text = '[boat]\nname = "x"\n[can]\ninterface = "canloop:x"\n[canip]\nenabled = true\n'
+    code, _, err = check(text + table)
+    told = f"delfim: warning: canip.address: its network 192.168.1.0/24 has {key}, too: answers to it go onto the bus"
+    assert (code, err.splitlines()) == (0, [told] if key else [])
+
+
 def test_a_mission_that_is_wrong_is_told_too(check, tmp_path):
     (tmp_path / "wrong.toml").write_text(
         'version = 1\nname = "wrong"\n[[waypoint]]\nlatitude_deg = 91.0\nlongitude_deg = 0.0\n'
