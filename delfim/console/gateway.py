@@ -97,6 +97,8 @@ class Gateway:
         admission = Admission(token)
         self.token = admission.token
         self.me = number or own_number(self.token)
+        self._clock, self._pages = clock, set[Page]()
+        self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
         self.fleet: Fleet | TapePlayer
         if tapes:
             self.fleet = TapePlayer(tapes, clock, self.tell)
@@ -108,8 +110,6 @@ class Gateway:
         self.broker: BrokerLine | None = None
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
-        self._clock, self._pages = clock, set[Page]()
-        self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
         self._desk = Desk(self.fleet, missions, vehicle, self.charts)
         self._ticks = self._opened = 0
         self.app = web.Application(middlewares=[admission.admit], client_max_size=MESSAGE_BYTES)
@@ -240,6 +240,8 @@ class Gateway:
             for number, track in fleet.tracks().items():
                 for points in _chunks(track):
                     page.tell({"t": "whole_track", "boat": number, "points": points})
+            for number, graphs in fleet.graphs().items():
+                page.tell({"t": "graphs", "boat": number, "graphs": graphs})
         for number, missions in fleet.missions.items():
             for where, mission in missions.items():
                 page.tell({"t": "mission", "boat": number, "where": where, "mission": mission})

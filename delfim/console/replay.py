@@ -11,13 +11,14 @@ from delfim.console.boats import Boat
 from delfim.console.exchange import planned
 from delfim.console.plan import mission_of
 from delfim.console.statetape import States
-from delfim.console.tape import Tape, TlogTape, Track
+from delfim.console.tape import Graphs, Tape, TlogTape, Track
 from delfim.errors import DelfimError, FormatError, Refused, in_words
 from delfim.logging.statelog import read_state
 
 RATE_MAX: Final = 60.0
 EVENTS_MAX: Final = 300  # marks on the time line
 TRACK_MAX: Final = 4000  # points of a whole track
+GRAPH_MAX: Final = 600  # points of a graph
 
 
 class TapePlayer:
@@ -92,6 +93,16 @@ class TapePlayer:
             for number, track in tape.tracks.items():
                 whole[number] = sorted([*whole.get(number, ()), *track])
         return {number: track[:: len(track) // TRACK_MAX + 1] for number, track in whole.items()}
+
+    def graphs(self) -> dict[int, Graphs]:
+        """Speed, charge and the values of sensors of each boat over the time line, at most GRAPH_MAX points each."""
+        whole: dict[int, Graphs] = {}
+        for tape in self._tapes:
+            for number, graphs in tape.graphs.items():
+                for name, points in graphs.items():
+                    its = whole.setdefault(number, {})
+                    its[name] = sorted([*its.get(name, ()), *points])
+        return {number: {n: each[:: len(each) // GRAPH_MAX + 1] for n, each in its.items()} for number, its in whole.items()}
 
     # These need real boats.
 

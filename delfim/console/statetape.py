@@ -12,8 +12,10 @@ import msgspec
 
 from delfim import config
 from delfim.console.boats import Boat, Measured
+from delfim.console.loggedmissions import logged_missions
 from delfim.console.mavlink import mavlink
-from delfim.console.tape import LAST_S, Missions, Text, Track, between
+from delfim.console.plan import item_of
+from delfim.console.tape import GRAPHED, LAST_S, Graphs, Missions, Text, Track, between, sample
 from delfim.errors import FormatError
 from delfim.logging.reading import in_order, read_events
 from delfim.logging.statelog import read_state
@@ -64,7 +66,13 @@ class States:
         self.texts.sort()
         self._vessels.sort(key=itemgetter(0))
         self.tracks = {self._number: track}
-        self.missions: dict[int, Missions] = {}  # a state log holds none
+        given = sorted((told for file in files for told in _events(file)), key=lambda told: told.get("t_ns", 0))
+        self._missions = logged_missions(given)
+        self.missions: dict[int, Missions] = {self._number: self._missions}
+        self.graphs: dict[int, Graphs] = {self._number: {}}
+        for row in self._rows:
+            told = {name: row.values[name] for name in GRAPHED} | row.measured
+            sample(self.graphs[self._number], row.at_s, told)
         self.from_s, self.to_s = self._times[0], self._times[-1]
 
     def seek(self, boats: dict[int, Boat], at_s: float) -> None:
@@ -79,7 +87,7 @@ class States:
             boat.link, boat.ready = "log", True  # it tells of no link, and of nothing that keeps the boat from starting
             boat.enter(row.mode)
             boat.values |= row.values
-            boat.reference |= row.reference
+            boat.reference |= row.reference | {"leg": self._item(row)}
             boat.measured = {name: Measured(value, 0, row.at_s) for name, value in row.measured.items()}
             boat.at_s |= dict.fromkeys(("GLOBAL_POSITION_INT", "ATTITUDE", "RAW_RPM", "SYS_STATUS"), row.at_s)
             track = self.tracks[self._number]
@@ -87,6 +95,13 @@ class States:
             boat.track.extend(track[begin:end])
             self._look(boat, row, from_s, to_s)
         return () if from_s < self.from_s else between(self.texts, from_s, to_s)
+
+    def _item(self, row: LogRow) -> int | None:
+        """The leg, as the item of the mission that the console counts."""
+        known, leg = bisect_right(self._missions, row.at_s, key=itemgetter(0)), row.reference["leg"]
+        if leg is None or not known or not 0 <= leg < len(self._missions[known - 1][1]["waypoints"]):
+            return None
+        return item_of(self._missions[known - 1][1], int(leg))
 
     def _look(self, boat: Boat, row: LogRow, from_s: float, to_s: float) -> None:
         """The other vessels, and what the boat does for them."""

@@ -7,7 +7,7 @@ import contextlib
 import math
 import struct
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, NamedTuple, Protocol
 
@@ -19,6 +19,7 @@ from delfim.console.session import STAMP
 from delfim.console.words import Words
 from delfim.errors import FormatError
 from delfim.outside import read_file
+from delfim.vehicle.mavlink.ardupilot import WaterDepth
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
 
 SESSION_BYTES: Final = 1 << 30  # of a session that is replayed: a boat's day has a tenth of that
@@ -27,10 +28,22 @@ VESSELS_S: Final = 1500.0  # the same of other vessels: one that lies, reports s
 _V1, _V2, _SIGNED = 0xFE, 0xFD, 0x01
 _SHOWS_PLACE: Final = (mavlink.MAVLINK_MSG_ID_GLOBAL_POSITION_INT, mavlink.MAVLINK_MSG_ID_HIGH_LATENCY2)
 _TOLD_ONCE: Final = (mavlink.MAVLINK_MSG_ID_PARAM_EXT_VALUE, mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES)  # when the boat was found
+_SAMPLED: Final = (
+    mavlink.MAVLINK_MSG_ID_SYS_STATUS,
+    WaterDepth.id,
+    mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT,
+)
+SAMPLED_MAX: Final = 4096
 _MISSION: Final = (mavlink.MAVLINK_MSG_ID_MISSION_COUNT, mavlink.MAVLINK_MSG_ID_MISSION_ITEM_INT)
 _FIRST_S, LAST_S = 1e9, 4e9  # 2001 to 2096: stamps that are times
 
+GRAPHED: Final = ("speed_mps", "battery_pct")  # beside the values of sensors
+GRAPH_S: Final = 1.0  # between points
+GRAPHS_MAX: Final = 12
+OLD_S: Final = 6.0  # a value of a sensor that is older is not drawn
+
 Track = list[tuple[float, float, float]]
+Graphs = dict[str, list[tuple[float, float]]]  # by name with unit: (at_s, value)
 Missions = list[tuple[float, dict[str, Any]]]  # when it was known, in order of time
 
 
@@ -52,11 +65,24 @@ def _at(text: Text) -> float:
     return text.at_s
 
 
+def sample(graphs: Graphs, at_s: float, told: Mapping[str, float | None]) -> None:
+    """One more point of each graph whose value is known, unless the last is newer than GRAPH_S."""
+    for name, value in told.items():
+        points = graphs.get(name)
+        if value is None or (points is None and len(graphs) >= GRAPHS_MAX):
+            continue
+        if points is None:
+            points = graphs[name] = []
+        if not points or at_s >= points[-1][0] + GRAPH_S:
+            points.append((round(at_s, 1), round(value, 3)))
+
+
 class Tape(Protocol):
     from_s: float  # since 1970
     to_s: float
     tracks: dict[int, Track]  # by boat: (at_s, latitude_deg, longitude_deg), a point a second
     missions: dict[int, Missions]  # by boat: the missions read from it
+    graphs: dict[int, Graphs]  # by boat
     texts: list[Text]  # in order of time
     complaint: str  # the fault of the recording; empty if there is none
 
@@ -77,6 +103,9 @@ class TlogTape:
         self._places: list[int] = []
         self.tracks: dict[int, Track] = {}
         self.missions: dict[int, Missions] = {}
+        self.graphs: dict[int, Graphs] = {}
+        self._sampled: dict[int, Boat] = {}  # with the values that are graphed
+        self._sampled_s: dict[tuple[int, int, bytes], float] = {}  # by boat, message and name
         self.texts: list[Text] = []
         self._read: dict[tuple[int, int], tuple[int, list[Item]]] = {}  # by boat and type: how many, and those so far
         self._words: dict[int, Words] = {}  # by boat
@@ -157,6 +186,8 @@ class TlogTape:
             self._known.setdefault(number, Boat(number, at_s)).receive(message, at_s, at_s)
         if self._number(start) == mavlink.MAVLINK_MSG_ID_AIS_VESSEL and self._data[start] == _V2:
             self._vessels.setdefault(self._system(start), []).append((at_s, start, end))
+        if self._number(start) in _SAMPLED:
+            self._sample(at_s, start, end)
         if self._number(start) in _MISSION:
             self._remember_mission(at_s, self._message(start, end))
         if self._number(start) not in _SHOWS_PLACE:
@@ -170,6 +201,22 @@ class TlogTape:
         boat = Boat(message.get_srcSystem(), at_s)
         boat.receive(message, at_s, at_s)
         track.extend(boat.track)
+        others = self._sampled.get(boat.number, boat)
+        told = {name: {**others.values, **boat.values}.get(name) for name in GRAPHED}
+        told |= {name: each.value for name, each in others.measured.items() if at_s - each.at_s < OLD_S}
+        sample(self.graphs.setdefault(boat.number, {}), at_s, told)
+
+    def _sample(self, at_s: float, start: int, end: int) -> None:
+        """Values for the graphs, each once a second."""
+        number = self._number(start)
+        name = self._data[start + 18 : start + 28] if number == mavlink.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT else b""
+        key = self._system(start), number, name
+        if at_s < self._sampled_s.get(key, -math.inf) + GRAPH_S or len(self._sampled_s) >= SAMPLED_MAX:
+            return
+        message = self._message(start, end)
+        if message is not None:
+            self._sampled_s[key] = at_s
+            self._sampled.setdefault(key[0], Boat(key[0], at_s)).receive(message, at_s, at_s)
 
     def _remember_text(self, at_s: float, message: Any) -> None:
         if message is None:

@@ -5,6 +5,7 @@ recording. Boats are a few lines that speak MAVLink; the whole vehicle is met in
 import asyncio
 import contextlib
 import io
+import math
 import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from pathlib import Path
@@ -358,6 +359,8 @@ def test_a_replay_says_so_with_its_keys_its_whole_way_and_its_events(tmp_path: P
         session.tick()
     session.flush()
 
+    way = [(38.6901, -9.215), (38.6901 + 600e-6, -9.215)]
+
     async def told() -> None:
         async with console(tmp_path, open_tapes([tmp_path / "sessions"])) as it:
             page = it.page
@@ -368,6 +371,22 @@ def test_a_replay_says_so_with_its_keys_its_whole_way_and_its_events(tmp_path: P
             assert [(severity, 49 < float(left.rstrip("%")) < 52) for severity, left, _ in marks] == [("grave", True)]
             assert marks[0][2].endswith("failsafe: battery low")
             assert await page.value("delfim.ways()") == 60, "also what was not played yet"
+            (first, last), (bar,) = (
+                await page.value(f"[{', '.join(f'delfim.pixel({place[0]}, {place[1]})' for place in way)}]"),
+                await page.value("[document.getElementById('replay').getBoundingClientRect().top]"),
+            )
+            assert all(270 < x < 1200 and 0 < y < bar for x, y in (first, last)), "the whole way is in sight"
+            assert math.dist(first, last) > 300, "and fills the map"
+            assert await page.value("document.querySelectorAll('.values figure').length") == 2, "speed and battery"
+            await page.press("f")
+            await page.value(f"delfim.fit({way[0][0] + 1.0}, {way[0][1]}, {way[0][0] + 1.001}, {way[0][1] + 0.001})")
+            await page.until(f"(([x, y]) => x > 0 && x < 1200 && y > 0 && y < 760)(delfim.pixel({way[0][0]}, {way[0][1]}))")
+            await page.press("f")
+            for _ in range(5):
+                await page.press("ArrowUp")
+            await page.until("delfim.points(1) >= 40")
+            assert await page.value("delfim.points(1)") <= 61, "a point for each second, though it plays a minute in one"
+            await page.press(" ")
             await page.press("F1")
             text = await page.value("document.getElementById('card').innerText")
             assert "10 s on, 10 s back" in text

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim import config
-from delfim.clock import ManualClock
+from delfim.clock import Clock, ManualClock
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import mavlink
 from delfim.console.othervessels import around
@@ -217,6 +217,55 @@ def test_the_state_log_of_a_vehicle_plays_too(sailed: Path) -> None:
     played.replay.seek(played.replay.from_s)
     played.replay.seek(at_s)
     assert list(played.replay.boats[2].track) == track
+
+
+def test_a_state_log_has_the_missions_that_the_boat_was_given_and_graphs_of_its_values(tmp_path: Path) -> None:
+    more = 'log.state_method="write"', 'sensors.names=["sysstat", "nmea2000"]'
+    settings = config.load(ROOT / "etc/delfimx.toml", [f'log.directory="{tmp_path}"', *more])
+    books: list[Logbook] = []
+
+    def logbook(clock: Clock) -> Logbook:
+        books.append(Logbook(settings, clock))
+        return books[0]
+
+    run = Lockstep(settings, 1, logbook)
+    text = (ROOT / "etc/missions/doca.toml").read_text()
+    for part, refused in ((text[:100], None), ("not a mission", "mission refused"), (text[100:], None)):
+        at = 100 if part == text[100:] else 0
+        books[0].command(console.LoadMission(text=part, at=at, more=part == text[:100]), refused, run.state)
+    run.sail(text, 60.0)
+    books[0].command(console.LoadMission(text="no mission"), None, run.state)
+    books[0].command(console.Unload(), None, run.state)
+    run.close()
+    played = Played(tmp_path)
+    played.run(50.0)
+    boat = played.shown(2)
+    assert (boat["mission"]["name"], boat["mission"]["count"], boat["mission"]["current"]) == ("Doca", 12, 2)
+    played.replay.seek(played.replay.to_s)
+    drawn = [len(told["mission"]["waypoints"]) for told in played.told if told["t"] == "mission"]
+    assert drawn == [12, 0], "and nothing of what was refused or could not be read"
+    graphs = played.replay.graphs()[2]
+    assert {"speed_mps", "battery_pct", "depth_m"} <= graphs.keys()
+    assert 55 <= len(graphs["speed_mps"]) <= 62
+    assert {value for _, value in graphs["depth_m"]} == {12.0}
+    assert max(value for _, value in graphs["speed_mps"]) > 1.0
+
+
+def test_a_session_has_graphs_of_what_the_link_told(tmp_path: Path) -> None:
+    sea = Sea(1)
+    session = Session(tmp_path, sea.clock)
+    sea.fleet.record = session.put
+    sea.run(3.0)
+    for second in range(30):
+        if second < 20:
+            sea.boats[1].say(mavlink.MAVLink_named_value_float_message(1000 * second, b"depth_m", 10.0 + second))
+        sea.run(1.0)
+    session.flush()
+    graphs = Played(tmp_path).replay.graphs()[1]
+    assert 25 <= len(graphs["speed_mps"]) <= 34
+    assert {value for _, value in graphs["battery_pct"]} == {80}
+    depths = [value for _, value in graphs["depth_m"]]
+    assert (depths[0], depths[-1], 20 <= len(depths) <= 27) == (10.0, 29.0, True), "what is old is not drawn"
 
 
 def test_session_and_state_logs_play_together(recorded: Path, sailed: Path) -> None:

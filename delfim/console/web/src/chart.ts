@@ -162,11 +162,12 @@ export class Chart {
   }
 
   /** Bring a place into the middle when it is not well in sight. */
-  follow(place: Place): void {
+  follow(place: Place, duration = 250): void {
     const pixel = this.pixelOf(place);
     const [width, height] = this.map.getSize() ?? [0, 0];
     const inner = pixel && pixel[0] > 0.3 * width! && pixel[0] < 0.85 * width! && pixel[1] > 0.15 * height! && pixel[1] < 0.85 * height!;
-    if (!inner) this.view.animate({ center: point(place), duration: 250 });
+    if (!inner && duration) this.view.animate({ center: point(place), duration });
+    else if (!inner) this.view.setCenter(point(place));
   }
 
   /** A touch that has become something else: a drag of a handle is no long press. */

@@ -61,7 +61,7 @@ export class Fleet {
   private readonly ways = new VectorSource({ useSpatialIndex: true });
   private readonly waysLayer = new VectorImageLayer({ source: this.ways, imageRatio: 2 }); // on the map in a replay only
   private readonly aboard = new VectorSource({ useSpatialIndex: false });
-  private readonly wholes = new Map<number, Place[]>();
+  private readonly wholes = new Map<number, { at_s: number; place: Place }[]>();
   private aboardKey = "";
 
   constructor(
@@ -102,9 +102,11 @@ export class Fleet {
 
   /** The whole track of a recorded run, under the part that was sailed up to the time shown. */
   whole(id: number, points: [number, number, number][]): void {
-    this.wholes.set(id, points.map(([, latitude_deg, longitude_deg]) => ({ latitude_deg, longitude_deg })));
+    const known = this.wholes.get(id) ?? [];
+    const before = known.at(-1);
+    this.wholes.set(id, [...known, ...points.map(([at_s, latitude_deg, longitude_deg]) => ({ at_s, place: { latitude_deg, longitude_deg } }))]);
     if (!this.ways.getFeatures().length) this.chart.add(this.waysLayer, 2);
-    const line = new LineString(points.map(([, latitude_deg, longitude_deg]) => point({ latitude_deg, longitude_deg })));
+    const line = new LineString([...(before ? [point(before.place)] : []), ...points.map(([, latitude_deg, longitude_deg]) => point({ latitude_deg, longitude_deg }))]);
     const way = new Feature(line);
     way.setStyle(() => cased(palette.soft, 1.2));
     this.ways.addFeature(way);
@@ -112,11 +114,16 @@ export class Fleet {
 
   /** The whole track of a boat of a recorded run. */
   way(id: number): Place[] {
-    return this.wholes.get(id) ?? [];
+    return (this.wholes.get(id) ?? []).map(({ place }) => place);
+  }
+
+  /** All of them. */
+  get allWays(): Place[] {
+    return [...this.wholes.keys()].flatMap((id) => this.way(id));
   }
 
   get wayPoints(): number {
-    return this.ways.getFeatures().reduce((sum, way) => sum + (way.getGeometry() as LineString).getCoordinates().length, 0);
+    return this.allWays.length;
   }
 
   forgetWays(): void {
@@ -148,7 +155,11 @@ export class Fleet {
     const { boats, at_s } = this.state;
     for (const boat of boats) {
       const place = position(boat);
-      if (place && at_s && freshness(age_s(this.state, boat)) !== "lost") this.append(this.of(boat), boat, at_s - (boat.age_s.position ?? 0), place);
+      if (!place || !at_s || freshness(age_s(this.state, boat)) === "lost") continue;
+      const [shown, now_s] = [this.of(boat), at_s - (boat.age_s.position ?? 0)];
+      // A fast replay shows a boat each few seconds: between them it went along its whole way.
+      if (shown.last_s > -Infinity) for (const each of this.wholes.get(boat.id) ?? []) if (each.at_s > shown.last_s && each.at_s < now_s) this.append(shown, boat, each.at_s, each.place);
+      this.append(shown, boat, now_s, place);
     }
   }
 

@@ -39,6 +39,7 @@ export const REPLAY_CARD: readonly Group[] = [
       ["Space", "play, pause"],
       ["→ ←", "10 s on, 10 s back"],
       ["↑ ↓", "faster, slower"],
+      ["F", "follow the boat, or no longer"],
     ],
   ],
   [

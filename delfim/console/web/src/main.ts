@@ -57,7 +57,7 @@ const hints = new Hints(element("hint"), element("nobody"), state, actions.did, 
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
 const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close(), nobody);
-const replay = new Replay(element("replay"), state, actions);
+const replay = new Replay(element("replay"), state, actions, (place) => chart.follow(place, 0));
 new Keys(state, actions, {
   menuTakes: (key) => popup.takes(key) || (key === "Escape" && keyCard.close()) || aim.takes(key),
   closeMenu: escape,
@@ -95,7 +95,7 @@ state.on(["boats", "plan"], show);
 for (const event of ["pointerdown", "wheel"]) element("map").addEventListener(event, () => (moved = true), { capture: true, passive: true });
 state.on(["selection"], () => document.querySelector(".chip.selected")?.scrollIntoView({ block: "nearest", inline: "nearest" }));
 setInterval(listen, 500);
-new ResizeObserver(pad).observe(element("strips"));
+for (const name of ["strips", "replay"]) new ResizeObserver(pad).observe(element(name));
 window.addEventListener("beforeunload", (event) => {
   if (state.boats.some((boat) => drive.hand(boat.id) || (boat.armed && boat.owner))) event.preventDefault();
 });
@@ -118,7 +118,14 @@ function heard(message: Heard): void {
     case "vessels":
       return state.takeVessels(message.vessels, message.heard_s);
     case "whole_track":
-      return fleet.whole(message.boat, message.points);
+      fleet.whole(message.boat, message.points);
+      if (!moved) chart.fit(menus.everything());
+      return;
+    case "graphs":
+      replay.take(message.boat, message.graphs);
+      pad();
+      if (!moved) chart.fit(menus.everything());
+      return;
     case "track":
       return fleet.history(message.boat, message.start ?? false, message.points);
     case "forgotten":
@@ -264,7 +271,9 @@ function show(): void {
 
 function pad(): void {
   const { offsetWidth, offsetHeight } = element("strips");
-  chart.setPadding(innerWidth <= 700 ? [offsetHeight + 20, 30, 130, 30] : [40, 110, 60, offsetWidth + 30]);
+  const bar = element("replay").offsetHeight;
+  document.documentElement.style.setProperty("--bar", `${bar}px`);
+  chart.setPadding(innerWidth <= 700 ? [offsetHeight + 20, 30, bar || 130, 30] : [40, 110, 60 + bar, offsetWidth + 30]);
 }
 
 /** For tests and for the curious. `frames`: how often the map was drawn in the last second. */

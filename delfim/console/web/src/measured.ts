@@ -22,6 +22,7 @@ const UNITS: Record<string, (value: number) => string> = {
   s: (s) => `${s.toFixed(0)} s`,
   mps: speedWords,
   rad: (rad) => `${((Math.round((rad * 180) / Math.PI) + 360) % 360).toFixed(0)}°`,
+  pct: (pct) => `${pct.toFixed(0)} %`,
   c: (c) => `${c.toFixed(1)} °C`,
   v: (v) => `${v.toFixed(1)} V`,
   a: (a) => `${a.toFixed(1)} A`,
@@ -32,11 +33,12 @@ const UNITS: Record<string, (value: number) => string> = {
 export function measuredWords({ measured }: Boat, more_s: number): string {
   return Object.entries(measured ?? {})
     .filter(([, { age_s }]) => age_s + more_s <= GONE_S)
-    .map(([name, { value, age_s }]) => words(name, value).replaceAll(" ", "\u00a0") + (age_s + more_s > OLD_S ? ` (${ageWords(age_s + more_s)} ago)` : ""))
+    .map(([name, { value, age_s }]) => valueWords(name, value).replaceAll(" ", "\u00a0") + (age_s + more_s > OLD_S ? ` (${ageWords(age_s + more_s)} ago)` : ""))
     .join(" · ");
 }
 
-function words(name: string, value: number): string {
+/** A value by its name with unit, in words. */
+export function valueWords(name: string, value: number): string {
   const [, stem, unit] = /^(.*)_([a-z]+)$/.exec(name) ?? ["", name, ""];
   const shown = UNITS[unit!];
   return shown ? `${NAMES[stem!] ?? stem!.replaceAll("_", " ")} ${shown(value)}` : `${name} ${Number(value.toPrecision(4))}`;

@@ -156,7 +156,7 @@ export class Menus {
     const boats = this.state.boats.flatMap((boat) => (boat.latitude_deg === null ? [] : [boat as Place]));
     const aboard = this.state.boats.flatMap((boat) => this.state.aboardOf(boat) ?? []);
     const missions = [...aboard, ...[...this.state.plans.values()].map(({ mission }) => mission)];
-    return [...boats, ...missions.flatMap((each) => [...each.waypoints, ...M.path(each), ...each.fence.map(M.cornerPlace)])];
+    return [...boats, ...this.fleet.allWays, ...missions.flatMap((each) => [...each.waypoints, ...M.path(each), ...each.fence.map(M.cornerPlace)])];
   }
 
   private screen(): Entry[] {

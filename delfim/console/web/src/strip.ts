@@ -197,7 +197,7 @@ class Chip {
     text(this.missionAt, at);
     const { count } = boat.mission;
     const planned = state.plans.get(boat.id)?.mission.waypoints.length ?? 0;
-    const words = !count ? (planned ? "not sent" : "") : compared === "unknown" ? "unread" : compared;
+    const words = boat.link.kind === "log" ? "" : !count ? (planned ? "not sent" : "") : compared === "unknown" ? "unread" : compared;
     text(this.badge, words);
     attribute(this.badge, "data-state", words.replace(" ", "-"));
     this.badge.hidden = !words;

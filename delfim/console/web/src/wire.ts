@@ -160,6 +160,9 @@ export interface Order {
   key: string;
 }
 
+/** Values over the time of a replay: [at_s, value] by name with unit. */
+export type Graphs = Record<string, [number, number][]>;
+
 /** A mark on the time line of a replay. */
 export interface Event {
   at_s: number;
@@ -180,6 +183,7 @@ export type Heard =
   | { t: "vessels"; at_s: number; vessels: Vessel[]; heard_s: number | null }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
   | { t: "whole_track"; boat: number; points: [number, number, number][] }
+  | { t: "graphs"; boat: number; graphs: Graphs }
   | { t: "text"; boat: number | null; severity: number; text: string; at_s: number }
   | { t: "forgotten"; boat: number }
   | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
