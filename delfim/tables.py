@@ -78,6 +78,8 @@ def _override(tree: dict[str, Any], override: str) -> None:
     try:
         if not equals:
             raise ValueError("no =")
+        if not value.strip():
+            raise ValueError('nothing after =; write a number, true, a word, "" for no text or [] for no list')
         *tables, last = key.strip().split(".")
         for table in tables:
             tree = tree.setdefault(table, {})

@@ -189,6 +189,9 @@ def test_the_unit_does_what_the_init_script_does() -> None:
     assert unit["Service"]["EnvironmentFile"] == "-/etc/default/delfim"
     assert unit["Service"]["KillMode"] == "control-group", "all are asked to end, when the supervisor is killed, too"
     assert unit["Service"]["OOMPolicy"] == "continue", "one program that needs too much memory does not end the boat"
+    assert {"AF_CAN", "AF_NETLINK"} <= set(unit["Service"]["RestrictAddressFamilies"].split())
+    needed = "RestrictRealtime", "ProtectClock", "ProtectControlGroups", "PrivateDevices", "PrivateMounts", "NoNewPrivileges"
+    assert not set(needed).intersection(unit["Service"]), "priorities, clock, limits, buses, /log, and sudo in a shell"
     script = (ROOT / "etc/init.d/delfim").read_text()
     for command in ("supervise", "check"):
         assert f"/usr/bin/delfim {command} ${{VEHICLE}}" in (PARTS / "delfim.service").read_text()

@@ -52,7 +52,7 @@ class Formatter(argparse.HelpFormatter):
 
     def _get_help_string(self, action: argparse.Action) -> str:
         told = action.help or ""
-        has_one = action.default not in (None, False, "", argparse.SUPPRESS) and action.default != []
+        has_one = not isinstance(action.default, bool) and action.default not in (None, "", argparse.SUPPRESS, [])
         return f"{told} (default: %(default)s)" if has_one and "%(default)" not in told else told
 
 

@@ -15,8 +15,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
-from importlib.util import find_spec
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -24,22 +23,17 @@ from delfim import config
 from delfim.canproxy.opening import open_can
 from delfim.canproxy.socket import ANYTHING
 from delfim.commands import OWN_FILE, example_file, seconds, shipped
-from delfim.console.drive import line
-from delfim.console.link import Link
-from delfim.errors import BusError, ConfigError, DelfimError, Refused
+from delfim.console.onlooker import CTRL_C, START_S, Voyage
+from delfim.errors import BusError, ConfigError, DelfimError
 from delfim.modes import Mode
 from delfim.simulator.berth import BOATS, PAGE, SIMULATED, Berth, berth, settings_of
 from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.mission import Mission, canonical, load_mission
 
-START_S = 60.0  # the suite must answer within this time: a busy machine loads it slowly
-END_S = 10.0  # and have ended within this time
+END_S = 10.0  # a program must have ended within this time
 QUIET_S = 0.25  # a bus that was silent for this long is free
 LOCKSTEP_S = 7200.0  # longest mission in lock step
 PAUSE_NS = 5_000_000_000  # a longer gap between two records does not count as way
-CTRL_C, GONE = "ended by Ctrl-C", "the vehicle's program has ended"
-
-Show = Callable[[dict[str, Any], str], None]  # a state, and words beside it
 
 
 def options(parser: argparse.ArgumentParser) -> None:
@@ -57,6 +51,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="Print one JSON object for each state.")
     told = "Run the console in the browser, too, and stay until Ctrl-C (docs/console.md)."
     parser.add_argument("--console", action="store_true", help=told)
+    parser.add_argument("--no-browser", dest="browser", action="store_false", help="With --console: do not open the browser.")
     parser.add_argument(
         "--page", metavar="ADDRESS:PORT", help=f"Serve the console's page here (default: {PAGE}, or the next free)."
     )
@@ -127,7 +122,7 @@ def _real_time(asked: argparse.Namespace, settings: config.Vehicle, mission: Mis
                 voyage.end = CTRL_C
             signal.signal(signal.SIGINT, signal.SIG_IGN)  # they end in order, each within END_S
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        voyage.report(its.folder)
+        _report(voyage, settings, mission, its.folder)
         return _code(voyage.end)
 
 
@@ -138,6 +133,7 @@ def _console(asked: argparse.Namespace, settings: config.Vehicle, its: Berth) ->
     page = asked.page or its.address(PAGE)
     words = ["--vehicle", asked.file, "--boats", boats, "--page", page]
     words += ["--key", settings.mavlink.key] if settings.mavlink.key else []
+    words += [] if asked.browser else ["--no-browser"]
     kept = [word for name in ("missions", "charts", "sessions", "token") for word in (f"--{name}", str(place / name))]
     return [*words, *kept], boats, page
 
@@ -153,89 +149,19 @@ def _announced(console: "subprocess.Popen[bytes]") -> str:
     return next((word.rstrip(";") for word in told.split() if word.startswith("http")), "")
 
 
-class Voyage:
-    """A mission sailed in real time, seen from outside: shown while it lasts, summed up afterwards."""
+def _report(voyage: Voyage, settings: config.Vehicle, mission: Mission, folder: Path) -> None:
+    """The summary and the pictures."""
+    from delfim.logging.statelog import columns
 
-    def __init__(self, asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> None:
-        self._asked, self._settings, self._mission = asked, settings, mission
-        self._began_s, self._began_utc_s = time.monotonic(), time.time()
-        self._played_s: float | None = None
-        self._last: dict[str, Any] | None = None  # state
-        self.address, self.end = "", ""
-        self.troubles = dict[str, str]()  # troubles of the boat: the last words about each
-
-    def sail(self, boat: "subprocess.Popen[bytes]") -> None:
-        """Load the mission, play it as soon as the boat is fit, and watch until it ends; with a console until Ctrl-C. Raises
-        DelfimError where the boat never answers, or refuses the mission."""
-        with _shown(self._asked, self._mission) as show:
-            while not self.end:
-                try:
-                    self._watch(show, boat)
-                except Refused:
-                    raise
-                except DelfimError:  # its program ended; with a console it is watched again when it was started again
-                    if self._last is None:
-                        raise
-                    show(self._last, f"{self._words()}  THE BOAT DOES NOT ANSWER")
-                    if boat.poll() is not None or not self._asked.console:
-                        self.end = GONE
-
-    def _watch(self, show: Show, boat: "subprocess.Popen[bytes]") -> None:
-        socket = self._settings.console.socket
-        with _connected(socket, boat) as operator, _connected(socket, boat) as onlooker:
-            operator.ask("mission", text=canonical(self._mission))
-            self._began_s = time.monotonic() if self._last is None else self._began_s
-            for state in self._watched(operator, onlooker):
-                self._last = state
-                show(state, self._words())
-
-    def _watched(self, operator: Link, onlooker: Link) -> Iterator[dict[str, Any]]:
-        alive_s = 0.0
-        for state in onlooker.watch():
-            yield state
-            now_s = time.monotonic()
-            if now_s - alive_s > 1.0:
-                alive_s = now_s
-                with contextlib.suppress(Refused):  # not heard: a fault by command
-                    operator.ask("alive")
-            if self._played_s is None:
-                with contextlib.suppress(Refused):  # not fit yet; the view shows why
-                    operator.ask("play")
-                    self._played_s = now_s
-            else:
-                self.end, sailed_s = self._ended(state), now_s - self._played_s
-                news = (notice for notice in state["notices"] if notice["age_s"] < sailed_s)  # not those of the start
-                self.troubles |= {notice["name"]: notice["reason"] for notice in news}
-            if self._asked.for_s is not None and now_s - self._began_s > self._asked.for_s:
-                self.end = f"time: {self._asked.for_s:.0f} s sailed, mode {state['mode']}"
-            if self.end:
-                return
-
-    def _ended(self, state: dict[str, Any]) -> str:
-        """How the mission ended, in words. Where there is a console, its operator goes on."""
-        if self._asked.console or state["operator"] != "local":
-            return ""
-        if state["reason"].startswith("play done"):
-            return f"mission done in {time.monotonic() - self._began_s:.0f} s"
-        return f"stopped: {state['reason']}" if state["mode"] == "idle" else ""
-
-    def _words(self) -> str:
-        """The words beside a state: the time, the console's address, and how to end the simulation."""
-        return f"{_clock(time.monotonic() - self._began_s)}  {f'console {self.address}  ' if self.address else ''}Ctrl-C ends"
-
-    def report(self, folder: Path) -> None:
-        """The summary and the pictures."""
-        from delfim.logging.statelog import columns
-
-        log = Path(self._settings.log.directory)
-        files = [file for file in log.glob("*/state/*.state*") if file.stat().st_mtime > self._began_utc_s]
-        data = columns(files)
-        print(f"delfim: {self.end}")
-        rows = [("time", _clock(time.monotonic() - self._began_s)), *_figures(data)]
-        rows.append(("troubles", "; ".join(f"{name}: {reason}" for name, reason in self.troubles.items()) or "none"))
-        rows.append(("log", _beside(log)))
-        print("\n".join(f"  {name:12} {words}" for name, words in rows), flush=True)
-        _pictures(data, self._mission, self._settings, folder)
+    log = Path(settings.log.directory)
+    files = [file for file in log.glob("*/state/*.state*") if file.stat().st_mtime > voyage.began_utc_s]
+    data = columns(files)
+    print(f"delfim: {voyage.end}")
+    rows = [("time", voyage.time()), *_figures(data)]
+    rows.append(("troubles", "; ".join(f"{name}: {reason}" for name, reason in voyage.troubles.items()) or "none"))
+    rows.append(("log", _beside(log)))
+    print("\n".join(f"  {name:12} {words}" for name, words in rows), flush=True)
+    _pictures(data, mission, settings, folder)
 
 
 def _figures(data: dict[str, list[Any]]) -> list[tuple[str, str]]:
@@ -294,53 +220,6 @@ def _process(command: str, *arguments: str, stdout: int | None = None) -> Iterat
             child.stdout.close()
 
 
-def _connected(path: str, boat: "subprocess.Popen[bytes]") -> Link:
-    """A link to the vehicle as soon as it listens. Raises DelfimError when it does not within START_S."""
-    until = time.monotonic() + START_S
-    while True:
-        try:
-            return Link(path)
-        except DelfimError:
-            if boat.poll() is not None:
-                raise DelfimError("the boat's program has ended; its error stands above") from None
-            if time.monotonic() > until:
-                raise
-            time.sleep(0.02)
-
-
-@contextlib.contextmanager
-def _shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Show]:
-    """How states are shown, with a few words beside each: a live view, one line a second, or JSON."""
-    if asked.json:
-        yield lambda state, words: print(json.dumps(state), flush=True)
-    elif asked.plain or not sys.stdout.isatty() or find_spec("rich") is None:
-        last = [0.0]
-
-        def plain(state: dict[str, Any], words: str) -> None:
-            if time.monotonic() - last[0] >= 1.0:
-                last[0] = time.monotonic()
-                path = "/".join(f"{state['latency'][name]:.0f}" for name in ("p50_us", "p99_us", "worst_us"))
-                print(f"{words.split()[0]}  {line(state)}  path {path} us", flush=True)
-
-        lacks = "" if asked.plain or not sys.stdout.isatty() else "; the live view needs delfim[ground]"
-        print(f"delfim: Ctrl-C ends{lacks}", flush=True)
-        yield plain
-    else:
-        from rich.live import Live
-
-        from delfim.console.view import View
-
-        view = View([(w.latitude_deg, w.longitude_deg) for w in mission.waypoint])
-        with Live(view.render(), refresh_per_second=5, screen=True) as live:
-
-            def lively(state: dict[str, Any], words: str) -> None:
-                view.feed(state, words)
-                live.update(view.render(*live.console.size))
-
-            yield lively
-            live.stop()
-
-
 def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Mission) -> int:
     """The same mission as fast as the machine can; the state log's bytes depend on file, mission and seed alone."""
     from delfim.logging.statelog import columns
@@ -389,10 +268,6 @@ def _pictures(
         plot.latency(data, f"{settings.boat.name}: critical path, t0 to t4", output / "latency.png")
         print(f", {output}/latency.png", end="")
     print(flush=True)
-
-
-def _clock(seconds: float) -> str:
-    return f"{int(seconds) // 3600}:{int(seconds) // 60 % 60:02}:{int(seconds) % 60:02}"
 
 
 def _beside(path: Path) -> str:

@@ -16,8 +16,6 @@ from typing import Any, Final
 
 from aiohttp import web
 
-from delfim.console.georeference import WORLD_FILES, placed
-from delfim.console.warp import SIDE_MAX
 from delfim.errors import ConfigError
 
 WARP_S: Final = 60.0
@@ -25,6 +23,7 @@ ZOOM_MAX: Final = 24
 TILE_BYTES: Final = 8 << 20
 TAKING_STEPS: Final = 100_000_000  # of SQLite for a look at all tiles: ten million of them without an index
 TILE_STEPS: Final = 10_000_000  # of SQLite for one tile; a file's "tiles" may be a view that never ends
+IMAGES: Final = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 WORLD: Final = (-180.0, -85.05, 180.0, 85.05)
 KINDS: Final = ((b"\x89PNG", "image/png"), (b"\xff\xd8", "image/jpeg"), (b"RIFF", "image/webp"))
 _AGE: Final = {"Cache-Control": "max-age=3600"}
@@ -56,7 +55,7 @@ class Charts:
 
     def _take(self, file: Path) -> None:
         add: Callable[[Path], dict[str, Any]]
-        if file.suffix.lower() in WORLD_FILES:
+        if file.suffix.lower() in IMAGES:
             add = self._add_image
         elif file.suffix.lower() == ".mbtiles":
             add = self._add_tiles
@@ -70,6 +69,11 @@ class Charts:
             self.faults.append(str(error))
 
     def _add_image(self, file: Path) -> dict[str, Any]:
+        try:  # Pillow is needed by charts alone
+            from delfim.console.georeference import placed
+            from delfim.console.warp import SIDE_MAX
+        except ModuleNotFoundError as error:
+            raise ConfigError(str(file), "image", f"it needs {error.name}: pip install 'delfim[ground]'") from None
         image = placed(file)
         shown = image.upright and file.suffix.lower() in (".png", ".jpg", ".jpeg") and max(image.size) <= SIDE_MAX
         self._images[file.stem] = file

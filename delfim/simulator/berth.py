@@ -57,6 +57,16 @@ class Berth:
         return f"{wanted}-{self.number}" if self.number > 1 and wanted.startswith("canloop:") else wanted
 
 
+OWN_PLACES: Final = {f"{name}.{key}" for name in ("ftpd", "sshd") for key in ("root", "listen")} | {
+    "httpd.listen",
+    "sshd.host_key",
+}
+HEEDED: Final = {  # of the settings below, those into which what the operator set has gone already
+    *("boat.id", "guest.listen", "mavlink.listen", "cantcpd.listen", "cantcpd.slcan", "thrusters", "handset.mandatory"),
+    *("simulation.faults", "runtime.fifo_priority"),
+}
+
+
 class BerthSettings(NamedTuple):
     """A simulated boat's overrides of its file, and the part of them that is shown."""
 
@@ -143,6 +153,9 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
     if not set(vehicle.drivers) <= set(PLAYED):
         texts["pwm.chip"] = f"{place}/pwmchip0"
         values |= {"pwm.arm_s": "0.5", "pwm.channel": "{}", "thrusters": _toml(_by_pulses(vehicle.thrusters))}
+    texts = {key: text for key, text in texts.items() if not (key in OWN_PLACES and key in named)}
+    if own := sorted({*texts, *values}.intersection(named) - HEEDED):
+        raise DelfimError(f"--set {own[0]}: each simulation has its own; --output DIRECTORY names its folder")
     overrides = [f"{key}={_quoted(text)}" for key, text in texts.items()] + [f"{key}={value}" for key, value in values.items()]
     moved = [f"{key} is {texts[key]}" for key in _beside(vehicle, its) if key in texts]
     return BerthSettings(overrides, boat_id, page, moved)

@@ -303,6 +303,8 @@ def test_lockstep_sails_the_whole_mission_and_repeats_itself_byte_for_byte(tmp_p
     [
         (("check", "/no/such/file"), "No such file"),
         (("check", VEHICLE, "--set", "runtime.window=3"), "runtime.window"),
+        (("check", VEHICLE, "--set", "x="), "nothing after =; write a number"),
+        (("sim", "--set", "log.directory='/log'", VEHICLE), "each simulation has its own; --output DIRECTORY"),
         (("check", VEHICLE, "--set", "nonsense"), "not KEY=VALUE"),
         (("drive", "--set", "console.socket='/no/such/socket'", VEHICLE, "stop"), "is it running"),
         (("run", VEHICLE, "--set", "services.nonsense.enabled=true"), "there is no such service"),

@@ -138,3 +138,12 @@ def test_a_folder_in_use_is_refused_or_passed_over_and_free_again_afterwards(tmp
             assert other.folder != Path("run/sim")
     with berth("run/sim") as again:
         assert again.folder == Path("run/sim")
+
+
+def test_what_the_operator_sets_wins_or_is_refused():
+    with berth(None) as its:
+        named = ('ftpd.root="/srv"', 'httpd.listen="127.0.0.1:8123"')
+        settings = changed([*named, *settings_of(changed([*named]), its, ("ftpd.root", "httpd.listen")).overrides])
+        assert (settings.ftpd.root, settings.httpd.listen) == ("/srv", "127.0.0.1:8123")
+        with pytest.raises(DelfimError, match=r"--set console\.socket: each simulation has its own; --output"):
+            settings_of(VEHICLE, its, ("console.socket",))
