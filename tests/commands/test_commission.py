@@ -132,6 +132,20 @@ def test_it_says_what_to_copy_where_and_no_secret(tmp_path: Path, capsys: pytest
         assert (made / file).read_text().strip() not in told
 
 
+def test_for_debian_it_says_the_commands_that_put_the_files_where_the_package_finds_them(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    made, default = tmp_path / "out", tmp_path / "default"
+    assert commission(made, *WORDS, "--for", "debian") == 0
+    told = capsys.readouterr().out
+    assert f"    scp -r {made}/boat USER@10.77.0.2:.boat\n" in told
+    assert "kernel" not in told
+    default.write_text((ROOT / "docker/debian/default").read_text())
+    (edit,) = re.findall(r"'sudo (sed .*) /etc/default/delfim'", told)
+    subprocess.run([*edit.split(), default], check=True)
+    assert "VEHICLE=/log/.boat/boat.toml\n" in default.read_text()
+
+
 def test_keys_that_a_boat_knows_are_not_replaced(made: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = (made / "boat/mavlink.key").read_text()
     assert commission(made, *WORDS) == 2
@@ -151,6 +165,7 @@ def test_a_boat_without_a_radio(tmp_path: Path) -> None:
         (("--yes",), 2, "--users is missing"),
         ((), 2, "nobody is here to ask: give --name, or --yes"),
         ((*WORDS, "--id", "250"), 2, "boat.id: 250 is not allowed"),
+        ((*WORDS, "--for", "windows"), 2, "--for windows: there are image and debian"),
         ((*WORDS, "--id", "two"), 2, "--id two: not a number"),
         ((*WORDS, "--users", "ana,9x"), 2, "'9x': not a name"),
         ((*WORDS, "--users", f"ana={SEA}"), 2, "delfimx-sea.toml is no public ssh key"),
