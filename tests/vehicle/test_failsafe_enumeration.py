@@ -6,6 +6,7 @@ taken apart again.
 """
 
 import math
+from importlib import import_module
 from itertools import pairwise, product
 from typing import Literal, NamedTuple
 
@@ -83,12 +84,7 @@ UNTOLD = {  # by values and ages; a battery is critical here; pulses have no out
 TROUBLES = ("none", *(trigger.name.lower() for trigger in Trigger if trigger not in UNTOLD))
 AHEAD = config.Zones(keep_out=(config.Area(centre=((math.degrees(0.675) + 1e-4, math.degrees(-0.16)),), radius_m=10.0),))
 BEHIND = config.Zones(keep_in=(config.Area(centre=((math.degrees(0.675) - 5e-4, math.degrees(-0.16)),), radius_m=10.0),))
-NEEDS = {
-    Mode.HEADING: {"heading"},
-    Mode.GREX: {"heading"},
-    Mode.COURSE: {"heading", "velocity"},
-    **{mode: {"position", "heading", "velocity"} for mode in (Mode.HOLD, Mode.PLAY, Mode.HOME, Mode.GOTO, Mode.PATH)},
-}
+NEEDS = {mode: import_module(f"delfim.vehicle.control.{mode.name.lower()}").NEEDS for mode in Mode}
 
 
 class Sensors:
@@ -220,7 +216,7 @@ class Boat:
 
 def must_be_zero(mode: Mode, age_s: float, value: Value, trouble: str) -> bool:
     """By the rules of docs/failsafe.md, in the words of this test."""
-    lacks = value.missing in NEEDS.get(mode, set())
+    lacks = value.missing in NEEDS[mode]
     held = {
         "console_silent": mode not in (Mode.MANUAL, Mode.HOME),
         "guest_silent": mode is Mode.GREX,

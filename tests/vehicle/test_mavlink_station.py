@@ -103,7 +103,7 @@ def test_another_autopilots_modes_move_nothing(sea, number, sub):
     assert sea.log == []
 
 
-@pytest.mark.parametrize("number", [1, 2, 6, 13, 16, 103, -1, 3.5, math.nan, math.inf])
+@pytest.mark.parametrize("number", [1, 2, 6, 13, 16, max(Mode) + 1, -1, 3.5, math.nan, math.inf])
 def test_no_such_mode(sea, number):
     assert sea.console.mode(number)[0] == DENIED
     assert sea.state.mode is Mode.IDLE
