@@ -39,7 +39,7 @@ Interface = Annotated[
     ),
 ]
 NodeName = Literal["gps", "propeller_starboard", "propeller_port", "batteries_starboard", "batteries_port"]
-SourceName = Literal["dsor", "nmea2000", "dronecan", "nmea0183"]  # files in delfim/vehicle/sources
+SourceName = Literal["dsor", "nmea2000", "dronecan", "nmea0183", "mavlink_front_seat"]  # files in delfim/vehicle/sources
 DriverName = Literal[
     "dronecan", "dsor", "heron", "mavlink_front_seat", "otter", "pwm", "vesc"
 ]  # files in delfim/vehicle/actuators
@@ -549,7 +549,7 @@ class HeronTable(Table, frozen=True):
 
 
 class MavlinkFrontSeat(Table, frozen=True):
-    """The front seat of a boat with ArduRover or PX4 (docs/front-seat.md)."""
+    """A board with ArduRover or PX4 (docs/front-seat.md): its motors, its position and heading, or both by one line."""
 
     device: Device = "tcp:127.0.0.1:5760"  # the board, or a router of its messages
     baud: Baud = 115_200  # of a serial port

@@ -115,7 +115,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             BOAT + "[navigation]\nsources = []",
             "navigation.sources",
             "an empty list is not allowed",
-            "1 to 4 of dsor, nmea2000, dronecan, nmea0183",
+            "1 to 5 of dsor, nmea2000, dronecan, nmea0183, mavlink_front_seat",
         ),
         # not one of the words
         (BOAT + '[log]\nwhen_full = "Panic"', "log.when_full", '"Panic" is not allowed', "delete-oldest, stop"),
@@ -123,7 +123,7 @@ def test_tables_arrays_and_services(tmp_path: Path) -> None:
             BOAT + '[navigation]\nsources = ["gps"]',
             "navigation.sources[0]",
             '"gps" is not allowed',
-            "dsor, nmea2000, dronecan, nmea0183",
+            "dsor, nmea2000, dronecan, nmea0183, mavlink_front_seat",
         ),
         (
             BOAT + '[services.ftpd]\n[services.httpd]\nplace = "moon"',

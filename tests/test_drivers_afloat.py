@@ -9,7 +9,7 @@ import socket
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol
 
 import pytest
 
@@ -165,6 +165,27 @@ def sailed_mps(command: Path) -> float:
 
 def process(tmp_path: Path, name: str) -> int:
     return int(json.loads((tmp_path / "supervisor.json").read_text())["programs"][name]["pid"])
+
+
+def test_a_boat_sails_by_the_position_and_heading_of_its_board(tmp_path: Path) -> None:
+    """On a serial port, in real time; the board is played by `delfim nodes`."""
+    values = (
+        'navigation.sources=["mavlink_front_seat"]',
+        f'mavlink_front_seat.device="{tmp_path}/board"',
+        "mavlink.enabled=false",
+    )
+    with running(tmp_path, 14550, *values) as command:
+        deadline_s, state = time.monotonic() + PATIENCE_S, dict[str, Any]()
+        while not (state.get("mode") == "course" and (state["speed_mps"] or 0.0) > 0.5):
+            assert time.monotonic() < deadline_s, state
+            with contextlib.suppress(DelfimError), Link(command, PATIENCE_S) as link:  # it does not run yet, or is not fit yet
+                state = link.ask("state")
+                if state["mode"] == "idle":
+                    link.ask("course", course_deg=90.0, speed_mps=1.0)
+        told = state["mavlink_front_seat"]
+        assert (state["source"], state["fix"], told["receiver"]["fix"]) == ("mavlink_front_seat", 3, 3)
+        assert abs(state["utc_ns"] - time.time_ns()) < 60e9
+        assert state["age_s"]["navigation"] < 1.0
 
 
 @pytest.mark.long

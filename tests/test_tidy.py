@@ -31,6 +31,7 @@ KINDS = {
     "dronecan.py",
     "dsor.py",
     "grex.py",
+    "mavlink_front_seat.py",
     "navigation.py",
     "nmea0183.py",
     "nmea2000.py",

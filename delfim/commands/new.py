@@ -29,6 +29,7 @@ SENSORS: Final = {
     "usb": "a GPS mouse and a compass that speak NMEA 0183, on a USB port each (docs/nmea0183.md)",
     "nmea2000": "a receiver and a compass on an NMEA 2000 bus (docs/nmea2000.md)",
     "dronecan": "a receiver and a compass on a DroneCAN bus (docs/dronecan.md)",
+    "ardupilot": "a Pixhawk or another board with ArduRover, and the receiver and compass on it (docs/front-seat.md)",
 }
 OF_OWN: Final = ("length", "beam", "mass", "motors", "thrust", "speed", "sensors")  # options of a boat of one's own
 ON_CAN: Final = ("dronecan", "vesc", "nmea2000")  # each needs a bus, and a bus carries one protocol
@@ -43,6 +44,10 @@ ADDRESSES: Final = {
 }
 RUDDER: Final = """\
 steer = { kind = "rudder", address = 1, angle_max_deg = 35.0, rate_dps = 60.0 }  # the channel of its servo
+"""
+BOARD: Final = """\
+[mavlink_front_seat]
+device = "tcp:127.0.0.1:5760"  # the board, or its serial port as "/dev/ttyACM0"
 """
 PULSES: Final = """\
 [pwm]
@@ -60,10 +65,7 @@ interface = "{interface}"
 interface = "{interface}"
 command = "duty"  # a part of the battery's voltage; "rpm" is steadier, and needs rpm_max of each motor
 """,
-    "ardupilot": """\
-[mavlink_front_seat]
-device = "tcp:127.0.0.1:5760"  # the board, or its serial port as "/dev/ttyACM0"
-""",
+    "ardupilot": BOARD,
 }
 SENSOR_TABLES: Final = {
     "usb": """\
@@ -104,6 +106,13 @@ estimator = true  # makes one navigation of separate sensors: docs/estimator.md
 [dronecan]
 interface = "{interface}"
 """,
+    "ardupilot": """\
+[navigation]
+sources = ["mavlink_front_seat"]  # the board is asked for its position so often:
+rate_hz = 10.0
+
+"""
+    + BOARD,
 }
 INSTRUMENTS: Final = """\
 instruments = ["gps:receiver", "compass:compass", "compass:gyro"]  # what each port is
@@ -218,7 +227,8 @@ def _answers(ask: "_Asking", stem: str) -> Answers:
     thrust_n = ask("thrust", "Force of one motor at full power ahead, N", f"{usual_n:.3g}", _positive)
     guess_mps = full_mps(config.BoatTable(name, length_m=length_m))
     speed_mps = ask("speed", "Its speed at full power in calm water, m/s", f"{guess_mps:.3g}", _positive)
-    sensors = ask("sensors", "Position and heading from", "usb", _one_of(SENSORS), SENSORS)
+    usual = "ardupilot" if motors == "ardupilot" else "usb"
+    sensors = ask("sensors", "Position and heading from", usual, _one_of(SENSORS), SENSORS)
     latitude_deg, longitude_deg = ask("where", WHERE, LISBON, _place)
     hull = length_m, beam_m, mass_kg
     return Answers(name, number, *hull, motors, thrust_n, speed_mps, sensors, latitude_deg, longitude_deg)
@@ -338,9 +348,10 @@ mission = "{mission}"
 
 
 def _sensors(of: Answers, buses: dict[str, str]) -> str:
-    """Motors and sensors on DroneCAN share its table, which stands at the motors."""
+    """Motors and sensors on one bus or board share its table, which stands at the motors."""
     text = SENSOR_TABLES[of.sensors].format(interface=buses.get(of.sensors))
-    return text.partition("\n[dronecan]")[0] + "\n" if of.motors == of.sensors == "dronecan" else text
+    table = {"dronecan": "\n[dronecan]", "ardupilot": "\n[mavlink_front_seat]"}.get(of.sensors, "")
+    return text.partition(table)[0] + "\n" if table and of.motors == of.sensors else text
 
 
 def _thrusters(of: Answers) -> str:

@@ -120,8 +120,8 @@ class Opened:
                     read(self._clock.monotonic_s())
         now_s = self._clock.monotonic_s()
         figures = {source.name: {**source.report(now_s), "messages": self._messages[source.name]} for source in self._sources}
-        ports = {name: self._lines[_opened(port.device)] for name, port in self._settings.nmea0183.ports.items() if self._lines}
-        troubles = self._troubles | {name: line.trouble for name, line in ports.items()}
+        ports = {name: self._lines.get(_opened(port.device)) for name, port in self._settings.nmea0183.ports.items()}
+        troubles = self._troubles | {name: line.trouble for name, line in ports.items() if line is not None}
         measured = {name: value for name, (value, _) in self._state.measured.items()}
         return SensorsTold(now_s, copy.deepcopy(figures), troubles, dict(self._values), measured)
 

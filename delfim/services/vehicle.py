@@ -87,7 +87,8 @@ class OpenedLinks:
         else:
             table = settings.nmea0183
             ports, outs = (port.device for port in table.ports.values()), (out.to for out in table.out.values())
-            may_lack = device in {*ports, *outs, table.guest.device}
+            board = settings.mavlink_front_seat.device if "mavlink_front_seat" in settings.navigation.sources else ""
+            may_lack = device in {*ports, *outs, table.guest.device, board}
             line = SerialLine(device, baud, clock, log.heard, may_lack, form, Allowance(SECOND_BYTES, clock.monotonic_s))
         self._links.callback(line.close)
         if not line.rebind():

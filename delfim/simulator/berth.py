@@ -25,6 +25,7 @@ from delfim.logging.blackbox import device
 from delfim.logging.keptwriter import VOYAGE
 from delfim.pulses import CHANNELS
 from delfim.simulator.nodes import PLAYED
+from delfim.simulator.nodes.talkers import BOARD
 
 SIMULATED: Final = "run/sim"  # the folder of the first one
 NUMBERS: Final = 20  # simulations on one computer at most
@@ -129,6 +130,7 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
         "runtime.run_directory": str(place),
         "supervisor.hardware_watchdog": "",
         **{f"nmea0183.ports.{name}.device": _device(name, port.device, its) for name, port in vehicle.nmea0183.ports.items()},
+        **_board(vehicle, its),
         **_beside(vehicle, its),
         **{key: "" for key in (*RADIOS, *HANDS, *_corrected(vehicle), *_shared(vehicle, named)) if key not in named},
         "guest.listen": free("guest.listen", vehicle.guest.listen),
@@ -159,6 +161,12 @@ def settings_of(vehicle: config.Vehicle, its: Berth, named: Collection[str]) -> 
     overrides = [f"{key}={_quoted(text)}" for key, text in texts.items()] + [f"{key}={value}" for key, value in values.items()]
     moved = [f"{key} is {texts[key]}" for key in _beside(vehicle, its) if key in texts]
     return BerthSettings(overrides, boat_id, page, moved)
+
+
+def _board(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:
+    """Where a board is played that tells the boat its position; its motors are told by pulses here."""
+    table = vehicle.mavlink_front_seat
+    return {f"{BOARD}.device": _device("board", table.device, its)} if BOARD in vehicle.navigation.sources else {}
 
 
 def _beside(vehicle: config.Vehicle, its: Berth) -> dict[str, str]:

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Final, Protocol, Self
 
 from delfim import config
+from delfim.simulator.nodes.talkers import port_devices
 
 UNREAD_BYTES: Final = 2048  # of a pty that nobody reads, which would keep old positions for its next reader
 CONNECT_S: Final = 1.0  # between two attempts
@@ -122,8 +123,8 @@ class InstrumentLines:
 
     def __init__(self, settings: config.Vehicle, ports: Iterable[str]) -> None:
         """Raises OSError."""
-        table, run = settings.nmea0183.ports, Path(settings.runtime.run_directory)
-        made = {name: _end(table[name].device, run) for name in ports}
+        table, run = port_devices(settings), Path(settings.runtime.run_directory)
+        made = {name: _end(table[name], run) for name in ports}
         self._ends = {name: end for name, end in made.items() if end is not None}
 
     def __enter__(self) -> Self:

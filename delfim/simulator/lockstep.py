@@ -21,6 +21,7 @@ from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstepbus import LockstepBus
 from delfim.simulator.model import Model
 from delfim.simulator.nodes import PLAYED, nodes_of
+from delfim.simulator.nodes.talkers import port_devices
 from delfim.slices import Sliced
 from delfim.vehicle import console, voyage
 from delfim.vehicle.build import build
@@ -61,8 +62,7 @@ class Lockstep:
         self._aboard = settings if handset else msgspec.structs.replace(settings, handset=config.HandsetTable())
         self._opened = list[CanSocket]()
         self._start()
-        devices = {name: port.device.replace("gpsd:", "tcp:") for name, port in settings.nmea0183.ports.items()}
-        self._ports = {name: self.lines[device] for name, device in devices.items() if device in self.lines}
+        self._ports = {name: self.lines[device] for name, device in port_devices(settings).items() if device in self.lines}
         line = self.lines.get(settings.handset.device)
         self._receiver = SimulatedReceiver(settings.handset, handset, line) if handset and line else None
         self._others = tuple((i, row.name) for i, row in enumerate(settings.thrusters) if row.driver not in PLAYED)

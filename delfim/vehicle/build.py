@@ -1,25 +1,36 @@
 """The boat put together, for the runtime, lock step, replay, warm-up and tests; each hands in its clock, links and log."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import NamedTuple, Protocol, cast
 
 from delfim import config
 from delfim.canproxy.socket import CanAddress, CanSocket
 from delfim.clock import Clock
+from delfim.serialform import Form
 from delfim.vehicle.actuators import open_actuator
 from delfim.vehicle.estimated import between
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.hands import Hand
 from delfim.vehicle.handset import open_handset
 from delfim.vehicle.killswitch import KillSwitch
-from delfim.vehicle.links import Links, LoopInput
+from delfim.vehicle.links import Links, LoopInput, ReadableLine
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.navigation import open_sources
 from delfim.vehicle.pilotline import open_pilot_line
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.sensors import open_sensors
+from delfim.vehicle.sharedline import SecondEnd
 from delfim.vehicle.state import State, StateLog
 from delfim.vehicle.traffic.aisbus import open_ais_bus
+
+
+class SharingSource(Protocol):
+    """A source whose line carries the motors of the same board, too."""
+
+    device: str
+
+    def share(self) -> SecondEnd: ...
+    def hand_on_to(self, inputs: tuple[LoopInput, ...]) -> None: ...  # these read it
 
 
 class Built(NamedTuple):
@@ -41,6 +52,7 @@ def build(
 ) -> Built:
     """The vehicle of this file. Its sources are `vehicle.sources`. Raises DelfimError where an input cannot be opened."""
     sources = open_sources(settings, links, state)
+    board = next((cast(SharingSource, each) for each in sources if hasattr(each, "share")), None)
     if settings.navigation.estimator:
         sources = between(sources, settings, state)
     hands = _hands(settings, links)
@@ -51,11 +63,17 @@ def build(
         outlets.append(links.bus(interface, filters))
         return outlets[-1]
 
-    to_actuators = links._replace(bus=outlet)
+    def line(device: str, baud: int, form: Form = "8N1") -> ReadableLine:
+        return board.share() if board is not None and board.device == device else links.line(device, baud, form)
+
+    to_actuators = links._replace(bus=outlet, line=line)
     actuators = tuple(open_actuator(name, settings, to_actuators) for name in settings.drivers)
     propulsion = Propulsion(actuators, links.bus(settings.can.interface, ()), settings.thrusters, state)
     vehicle = VehicleLoop(settings, clock, state, sources, propulsion, make_guest(state, clock), log)
-    reports: list[LoopInput] = [each for actuator in actuators for each in actuator.inputs]
+    told = [each for actuator in actuators for each in actuator.inputs]
+    reports = [each for each in told if not isinstance(each.input, SecondEnd)]
+    if board is not None:
+        board.hand_on_to(tuple(each for each in told if isinstance(each.input, SecondEnd)))
     if settings.nmea0183.guest.device:
         reports.append(open_pilot_line(settings, links, vehicle.guest))
     if (ais := open_ais_bus(settings, links)) is not None:

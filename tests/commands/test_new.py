@@ -83,6 +83,16 @@ def test_options_are_what_the_file_says() -> None:
     assert (first.latitude_deg, first.longitude_deg) == (-33.85, 151.24)
 
 
+def test_a_board_gives_motors_and_is_the_usual_sensor_then() -> None:
+    assert main(["new", "pix.toml", "--yes", "--motors", "ardupilot"]) == 0
+    settings = config.load("pix.toml")
+    assert (settings.drivers, settings.navigation.sources) == (("mavlink_front_seat",), ("mavlink_front_seat",))
+    assert Path("pix.toml").read_text().count("[mavlink_front_seat]") == 1
+    assert main(["new", "own.toml", "--yes", "--motors", "esc", "--sensors", "ardupilot"]) == 0
+    settings = config.load("own.toml")
+    assert (settings.drivers, settings.navigation.sources) == (("pwm",), ("mavlink_front_seat",))
+
+
 def test_on_a_terminal_it_asks_and_asks_again_for_what_is_wrong(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -7,6 +7,7 @@ multiplexer. Bytes come out: simulator/instrumentlines.py brings them to a pty o
 import math
 from collections import deque
 from collections.abc import Callable, Iterator
+from importlib import import_module
 from typing import Any, Final, NamedTuple, Protocol
 
 from delfim import config
@@ -28,12 +29,18 @@ from delfim.simulator.nodes.navigation import FIX, HDOP
 from delfim.simulator.nodes.period import Period
 
 AIS_S: Final = 0.2  # between two looks at what was heard
+BOARD: Final = "mavlink_front_seat"  # a port of its own
 
 
 class Measuring(Protocol):
     @property
     def due_s(self) -> float: ...
     def step(self, now_s: float) -> Any | None: ...  # what it measures now, None while it says nothing
+
+
+class SimulatedBoard(Protocol):
+    def moved(self, moved: AntennaMotion, receiver: GnssReceiver, utc_ns: int) -> bytes: ...
+    def turned(self, turn: Turn, utc_ns: int) -> bytes: ...
 
 
 class Instrument(NamedTuple):
@@ -71,6 +78,8 @@ class SimulatedInstruments:
         self._variation_rad = math.radians(settings.nmea0183.variation_deg)
         self.receivers, self.compasses = list[GnssReceiver](), list[Compass]()
         self._all = [one for each in placed(settings) for one in self._made(*each.split(":"))]
+        if BOARD in settings.navigation.sources:
+            self._all += self._board(settings)
 
     @property
     def ports(self) -> frozenset[str]:
@@ -108,6 +117,17 @@ class SimulatedInstruments:
         elif kind == "ais" and self._ais is not None:
             yield Instrument(port, AisLine(self._ais), lambda said, utc_ns: bytes(said))
 
+    def _board(self, settings: config.Vehicle) -> Iterator[Instrument]:
+        """A Pixhawk with a receiver and a compass that know where north is."""
+        says: SimulatedBoard = import_module(f"{__package__}.boards").PlayedBoard(settings.mavlink_front_seat.board)
+        if self._here.receiver_hz:
+            receiver = GnssReceiver(self._model, self._here, self._seed, BOARD)
+            self.receivers.append(receiver)
+            yield Instrument(BOARD, receiver, lambda moved, utc_ns: says.moved(moved, receiver, utc_ns))
+        if self._here.compass_hz:
+            self.compasses.append(Compass(self._model, self._here, self._seed, BOARD))
+            yield Instrument(BOARD, self.compasses[-1], says.turned)
+
     def _heading(self, turn: Turn, utc_ns: int) -> bytes:
         """A magnetic compass that does not know the variation of the place."""
         return framed(f"HCHDG,{_degrees(turn.heading_rad - self._variation_rad)},,,,")
@@ -144,8 +164,15 @@ def placed(settings: config.Vehicle) -> tuple[str, ...]:
     return settings.simulation.instruments or tuple(f"{first}:{kind}" for kind in config.INSTRUMENTS)
 
 
+def port_devices(settings: config.Vehicle) -> dict[str, str]:
+    """The devices of all ports, by their names."""
+    ports = {name: port.device.replace("gpsd:", "tcp:") for name, port in settings.nmea0183.ports.items()}
+    return ports | {BOARD: settings.mavlink_front_seat.device}
+
+
 def instruments_of(
     settings: config.Vehicle, model: Model, seed: int, ais: deque[bytes] | None = None
 ) -> SimulatedInstruments | None:
     """The instruments that the vehicle's file calls for; None: there are none."""
-    return SimulatedInstruments(settings, model, seed, ais) if placed(settings) else None
+    has_any = placed(settings) or BOARD in settings.navigation.sources
+    return SimulatedInstruments(settings, model, seed, ais) if has_any else None
