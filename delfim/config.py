@@ -807,6 +807,13 @@ class TrafficClose(Trouble, frozen=True):
     action: ActionName = "warn"
 
 
+class TrafficUnclear(Trouble, frozen=True):
+    """The boat cannot heed all vessels: more are in its way than the guard judges, or come near than are known, more is
+    reported than it can take, or the reports of one vessel contradict each other. In a crowd, or as somebody forges AIS."""
+
+    action: ActionName = "warn"
+
+
 class AisSilent(Silence, frozen=True):
     """No report of other vessels, from a receiver that has given some. With a transponder of one's own on the bus: not even its
     own report."""
@@ -888,6 +895,7 @@ class Failsafe(Table, frozen=True):
     traffic: TrafficNear = TrafficNear()
     traffic_close: TrafficClose = TrafficClose()
     ais_silent: AisSilent = AisSilent()
+    traffic_unclear: TrafficUnclear = TrafficUnclear()
     outlet: OutletSilent = OutletSilent()
     restarted: Restarted = Restarted()
 

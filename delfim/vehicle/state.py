@@ -66,7 +66,8 @@ class Sighting(NamedTuple):
     key: str = ""  # of the vessel, where it is not its number of AIS
 
 
-HEARD_MAX = 256  # reports that wait for the next look
+HEARD_MAX = 512  # reports that wait for the next look
+HEARD_MANY = 128  # from so many on a vessel's newest report replaces the one that waits
 HANDSET = "hand-set"  # the operator at the radio control, who is above all others
 NOWHERE = Motion(frozenset(), 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -250,7 +251,7 @@ class State:
     guest_s: float = -1e9
     watchdog_s: float = -1e9  # when the watchdog ran last
     guest_connected: bool = False
-    heard: deque[Sighting] = field(default_factory=deque)  # reports of other vessels that nobody looked at yet
+    heard: dict[object, Sighting] = field(default_factory=dict)  # reports of other vessels that nobody looked at yet, in order
     traffic: Traffic = field(default_factory=Traffic)  # other vessels
     handset: HandsetReport | None = None  # None: never heard, or there is none
     killed: Killed = field(default_factory=Killed)
@@ -272,11 +273,23 @@ class State:
         lost.clear()
 
     def hear(self, told: Report | AisPart, by: str, now_s: float, key: str = "") -> None:
-        """A report of another vessel, for the next look. Costs next to nothing, and is bounded."""
-        if len(self.heard) < HEARD_MAX:
-            self.heard.append(Sighting(told, by, now_s, key))
-        else:
-            self.count("traffic_dropped")
+        """A report of another vessel, for the next look. Costs next to nothing, and is bounded: where many wait, of each vessel
+        the newest alone, so that nobody who speaks often keeps the others out."""
+        waiting, name = self.heard, object()
+        if len(waiting) >= HEARD_MANY:
+            name = _sender(told, key) or name
+            if name in waiting or len(waiting) >= HEARD_MAX:
+                self.count("traffic_dropped")
+            if name not in waiting and len(waiting) >= HEARD_MAX:
+                return
+        waiting[name] = Sighting(told, by, now_s, key)
+
+
+def _sender(told: Report | AisPart, key: str) -> object:
+    """What two reports have in common of which the newer one suffices; None: they are a part of one."""
+    if isinstance(told, AisPart):  # type and number of a message stand in its first 38 bits
+        return told.payload[:7] if told.parts == 1 else None
+    return type(told), key or told.mmsi
 
 
 class StateLog(Protocol):

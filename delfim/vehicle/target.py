@@ -63,8 +63,10 @@ class Traffic(NamedTuple):
     heard_s: float = NEVER_S  # the last report of anybody else
     own_s: float = NEVER_S  # the last report of the boat's own transponder
     refused: tuple[tuple[str, int], ...] = ()  # reports that were not taken, by reason in words, and how many
+    unclear: str = ""  # why these may not be all, in words
     order: CourseOrder | None = None  # in force
     dangers: tuple[Danger, ...] = ()  # of each vessel
     guard: str = "off"  # "on", "off", "cannot avoid: " and why
     nearness: float = math.nan  # the least of all dangers; nan: there is nobody
+    unjudged: str = ""  # why the guard cannot heed all of them, in words
     told: tuple[msgspec.Raw, ...] = ()  # the vessels in words, each as JSON, of this look or the one before

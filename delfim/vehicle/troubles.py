@@ -222,6 +222,11 @@ def _traffic(look: Look, level: str) -> str | None:
     return f"{words[0]}{f', and {len(words) - 1} more' if len(words) > 1 else ''}{f'; {now.guard}' if cannot else ''}"
 
 
+def traffic_unclear(look: Look) -> str | None:
+    """The look-out and the guard have the words."""
+    return look.state.traffic.unjudged or look.state.traffic.unclear or None
+
+
 def ais_silent(look: Look) -> str | None:
     now, limits = look.state.traffic, look.settings.failsafe.ais_silent
     own_age_s, age_s = look.now_s - now.own_s, look.now_s - now.heard_s
@@ -291,6 +296,7 @@ class Trigger(IntEnum):
     TRAFFIC_CLOSE = 18, traffic_close
     AIS_SILENT = 19, ais_silent
     FENCE_LEFT = 20, fence_left
+    TRAFFIC_UNCLEAR = 21, traffic_unclear
     RESTARTED = 22, restarted  # always a warning: what the boat did is told until somebody commands
     OUTLET = 23, outlet
     NAVIGATION_TWICE = 24, navigation_twice

@@ -111,6 +111,8 @@ def troubled(trigger: Trigger, mode: Mode, now_s: float = 100.0) -> tuple[State,
             here.traffic = Traffic(dangers=(Danger("1", 4.0, 9.0, 0.5, "danger", "MARIA is close"),))
         case Trigger.AIS_SILENT:
             here.traffic = Traffic(heard_s=now_s - 180.1)
+        case Trigger.TRAFFIC_UNCLEAR:
+            here.traffic = Traffic(unclear="more vessels than the boat can know")
         case Trigger.NAVIGATION_TWICE:
             here.twice.extend((now_s - 2.0, now_s - 1.0, now_s))
         case Trigger.OUTLET:
@@ -153,6 +155,7 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
     Trigger.TRAFFIC: (Action.WARN, {}),
     Trigger.TRAFFIC_CLOSE: (Action.WARN, {}),
     Trigger.AIS_SILENT: (Action.WARN, {}),
+    Trigger.TRAFFIC_UNCLEAR: (Action.WARN, {}),
     Trigger.OUTLET: (Action.STOP, {}),
     Trigger.RESTARTED: (Action.WARN, {}),
     Trigger.NAVIGATION_TWICE: (Action.STOP, {Mode.MANUAL: Action.WARN}),

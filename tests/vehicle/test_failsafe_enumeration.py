@@ -179,6 +179,8 @@ class Boat:
             self.state.traffic = Traffic(dangers=(Danger("1", 40.0, 90.0, 0.5, level, f"MARIA: {level}"),))
         if trouble == "ais_silent":
             self.state.traffic = Traffic(heard_s=self.clock.monotonic_s() - 200.0)
+        if trouble == "traffic_unclear":
+            self.state.traffic = Traffic(unjudged="13 vessels in the way")
         if trouble == "restarted":
             self.state.restarted = "it was in play; hold now"
         if trouble in ("fence", "fence_left"):

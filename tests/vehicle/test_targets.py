@@ -26,7 +26,7 @@ JUMP, TWICE, TWO, FULL = (
     "jump faster than 60 kn",
     "heard before",
     "two vessels with one number",
-    "too many: the farthest are not kept",
+    "too many: those met last are not kept",
 )
 NOWHERE = "no position, or none that a vessel can have"
 

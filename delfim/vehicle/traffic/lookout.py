@@ -1,6 +1,7 @@
 """The look-out: ten times a second some reports into the tracker, once a second all vessels into the vehicle's state, a slice
 of them at a time."""
 
+from itertools import islice
 from typing import Final
 
 from delfim.config import TrafficTable
@@ -8,12 +9,13 @@ from delfim.errors import FormatError
 from delfim.nmea0183.aissentences import AisMessages
 from delfim.slices import Sliced, Work
 from delfim.vehicle.state import Sighting, State
-from delfim.vehicle.target import NEVER_S, Target, Traffic
-from delfim.vehicle.traffic.targets import Tracker
+from delfim.vehicle.target import NEVER_S, Target
+from delfim.vehicle.traffic.targets import MOST, Tracker
 from delfim.vessels import VesselFacts, VesselPosition
 
 AT_ONCE: Final = 24  # reports that one step takes; a busy harbour brings one
 LOOK_S: Final = 1.0
+TOLD_S: Final = 10.0  # what was missed is told for so long
 SLICE: Final = 200  # comparisons of one step
 
 
@@ -21,14 +23,16 @@ class TrafficLookout:
     def __init__(self, settings: TrafficTable) -> None:
         self.tracker, self._hears_lines = Tracker(settings), "nmea0183" in settings.hears
         self._lines = dict[str, AisMessages]()  # by port
-        self._looked_s = NEVER_S
+        self._looked_s = self._flooded_s = NEVER_S
+        self._dropped = 0
         self._look: Sliced[tuple[Target, ...]] | None = None
 
     def hear(self, state: State) -> None:
         """Call it with the watchdog. Never raises."""
         waiting = state.heard
-        for _ in range(min(len(waiting), AT_ONCE)) if waiting else ():
-            self._take(waiting.popleft())
+        if waiting:
+            for name in tuple(islice(waiting, AT_ONCE)):
+                self._take(waiting.pop(name))
 
     def look(self, state: State, now_s: float) -> None:
         """Call it after `hear` where nothing else has a slice of work to do. Never raises."""
@@ -39,11 +43,30 @@ class TrafficLookout:
             self._looked_s, own = now_s, state.motion
             here = (own.north_m, own.east_m) if "position" in own.has else (0.0, 0.0)
             origin = state.origin
-            self._look = Sliced(_nobody() if origin is None else tracker.looked(now_s, origin, *here))
+            self._look = Sliced(
+                _nobody() if origin is None else tracker.looked(now_s, origin, *here, own.north_mps, own.east_mps)
+            )
         if self._look.step(SLICE):
             targets, self._look = self._look.result, None
-            heard = Traffic(targets, self._looked_s, tracker.heard_s, tracker.own_s, tuple(tracker.refused.items()))
-            state.traffic = Traffic(*heard[:5], *state.traffic[5:])  # the guard's part stays
+            state.traffic = state.traffic._replace(
+                targets=targets,
+                at_s=self._looked_s,
+                heard_s=tracker.heard_s,
+                own_s=tracker.own_s,
+                refused=tuple(tracker.refused.items()),
+                unclear=self._unclear(state),
+            )
+
+    def _unclear(self, state: State) -> str:
+        """Why the vessels that are known may not be all, in words; empty: nothing speaks for it."""
+        now_s, dropped, (disputed_s, name) = self._looked_s, state.counts.get("traffic_dropped", 0), self.tracker.disputed
+        if dropped > self._dropped:
+            self._dropped, self._flooded_s = dropped, now_s
+        if now_s - self._flooded_s < TOLD_S:
+            return f"more reports of other vessels than the boat can take: {dropped} dropped"
+        if now_s - self.tracker.left_out_s < TOLD_S:
+            return f"more vessels than the boat can know: of those that come near it knows {MOST}"
+        return f"reports of {name} contradict each other: there may be more than one" if now_s - disputed_s < TOLD_S else ""
 
     def _take(self, sighting: Sighting) -> None:
         told, by, at_s, key = sighting

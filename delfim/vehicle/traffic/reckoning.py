@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from delfim.geodesy import Origin, compass, to_plane, wrap
-from delfim.vehicle.target import Target
+from delfim.vehicle.target import NEVER_S, Target
 from delfim.vessels import VesselFacts, VesselPosition
 
 KNOT: Final = 1852.0 / 3600.0
@@ -28,6 +28,10 @@ DRIFT_MPS: Final = 2.5  # by what it grows if that is not known
 MARGIN_MAX_M: Final = 500.0
 SAME_RAD: Final = 5e-8  # 0.3 m: the ways round a position differently
 STUCK_M: Final = 10.0  # of way, after which a vessel is not at the same place
+# A report of the vessel itself is so near to where it is reckoned, its velocity so near to the last one: noise, lateness, ...
+OFF_M, OFF_S, OFF_MPS = 30.0, 2.0, 3.0
+OFF_MPS2: Final = 2.0  # ... and what it can have done since
+DOUBT_S: Final = 60.0  # a place told for a vessel that is believed elsewhere is minded for so long
 LENGTH_M, BEAM_M = (1.0, 500.0), (0.3, 100.0)  # that a vessel can have
 SIZES: Final = {"A": (50.0, 10.0), "B": (15.0, 5.0), "fleet": (5.0, 2.5), "payload": (15.0, 5.0), "distress": (15.0, 5.0)}
 
@@ -54,12 +58,39 @@ class VesselTrack:
     size: tuple[float, float] | None = None  # length and beam
     ahead_m: float = 0.0  # from the antenna to the middle of the hull
     starboard_m: float = 0.0
+    doubt_m: float = 0.0  # how far off its reckoned place it was told to be, by others who are not believed either, and when
+    doubt_s: float = NEVER_S
 
     def can_be_at(self, new: "VesselTrack") -> bool:
         """Whether it can have come there since its last report."""
         most_m = JUMP_M + JUMP_MPS * max(new.at_s - self.at_s, 0.0)
+        return math.hypot(*self._way_to(new)) <= most_m
+
+    def _way_to(self, new: "VesselTrack") -> tuple[float, float]:
+        """North and east, m."""
         east = wrap(new.longitude_rad - self.longitude_rad) * math.cos((self.latitude_rad + new.latitude_rad) / 2.0)
-        return RADIUS_M * math.hypot(new.latitude_rad - self.latitude_rad, east) <= most_m
+        return RADIUS_M * (new.latitude_rad - self.latitude_rad), RADIUS_M * east
+
+    def strays(self, new: "VesselTrack", late_s: float = 0.0) -> tuple[float, float]:
+        """How far a report is from where this vessel is reckoned at its time, m, and the same, or the change of velocity, as a
+        part of what one vessel can do: beyond 1 the two contradict each other. `late_s`: so long before the last report it
+        was made; then it is compared with where the vessel was."""
+        passed_s = -late_s or max(new.at_s - self.at_s, 0.0)
+        (north_m, east_m), changed_s = self._way_to(new), max(passed_s, 0.0)
+        velocity, its = self._velocity, new._velocity
+        if velocity is None:
+            far_m = math.hypot(north_m, east_m)
+            return far_m, far_m / (OFF_M + JUMP_MPS * abs(passed_s))
+        far_m = math.hypot(north_m - velocity[0] * passed_s, east_m - velocity[1] * passed_s)
+        off = far_m / (OFF_M + OFF_S * math.hypot(*velocity) + 0.5 * OFF_MPS2 * changed_s * changed_s)
+        if its is None:
+            return far_m, off
+        return far_m, max(off, math.dist(velocity, its) / (OFF_MPS + OFF_MPS2 * changed_s))
+
+    def doubt(self, far_m: float, now_s: float) -> None:
+        """It may be so far from where it is reckoned."""
+        self.doubt_m = max(far_m, self.doubt_m if now_s - self.doubt_s < DOUBT_S else 0.0)
+        self.doubt_s = now_s
 
     def is_at(self, new: "VesselTrack") -> bool:
         """Whether that is the same place, but for rounding."""
@@ -113,6 +144,15 @@ class VesselTrack:
         return 1.0 if speed_mps < FAST_MPS else 0.6 if speed_mps < FASTER_MPS else 0.5
 
     @property
+    def _velocity(self) -> tuple[float, float] | None:
+        """North and east, m/s; None: not known."""
+        if self._lies:
+            return 0.0, 0.0
+        if self.speed_mps is None or self.course_rad is None:
+            return None
+        return self.speed_mps * math.cos(self.course_rad), self.speed_mps * math.sin(self.course_rad)
+
+    @property
     def _lies(self) -> bool:
         if self.status in RESTING:
             return (self.speed_mps or 0.0) < RESTING_MPS
@@ -123,6 +163,8 @@ class VesselTrack:
         north_m, east_m = to_plane(origin, self.latitude_rad, self.longitude_rad)
         heading_rad, speed_mps = self.heading_rad, self.speed_mps or 0.0
         course_rad, margin_m = self.course_rad if self.course_rad is not None else heading_rad, MARGIN_M + MARGIN_MPS * age_s
+        if age_s + self.at_s - self.doubt_s < DOUBT_S:
+            margin_m += self.doubt_m
         if self._lies:
             speed_mps = 0.0
         elif self.speed_mps is None or course_rad is None:

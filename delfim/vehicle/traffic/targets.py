@@ -26,6 +26,8 @@ SAME_S: Final = 5.0  # the same place by another way within this time is the sam
 RIVAL_S: Final = 400.0  # a refused report is compared with the next one for so long
 KEPT_S: Final = 400.0  # a lost vessel stays on the map for so long ...
 KEPT_NEAR_S: Final = 45.0  # ... and one of the fleet or of a payload
+SOON_S: Final = 900.0  # a vessel that would be met so soon ought to be known
+DRIFT_MPS: Final = 0.3  # who neither closes nor draws apart may yet
 RECKONED: Final = 3  # comparisons that where one vessel is now costs
 
 
@@ -37,11 +39,13 @@ class Tracker:
         self._settings = settings
         self.heard_s = self.own_s = NEVER_S
         self.refused = dict[str, int]()
+        self.disputed = NEVER_S, ""  # when the reports of a vessel contradicted each other last, and which one
         self._tracks = dict[str, VesselTrack]()
         self._facts = dict[str, VesselFacts]()  # by key; the last heard stands last
         self._by_kind = dict[str, int]()
-        self._here: tuple[Origin, float, float] | None = None  # of the last `at`
-        self._found = list[tuple[float, Target]]()  # by the last `at`: who is how far away
+        self.left_out_s = NEVER_S  # when a vessel that is met soon was not kept
+        self._here: tuple[Origin, tuple[float, float, float, float]] | None = None  # of the last `at`
+        self._found = list[tuple[float, Target]]()  # by the last `at`: who is met when
         self._leaving = list[tuple[bool, float, str]]()  # of these: who gives way, the first of them last
 
     def __len__(self) -> int:
@@ -88,10 +92,12 @@ class Tracker:
         """All vessels now, at once."""
         return Sliced(self.looked(now_s, origin, north_m, east_m)).finish()
 
-    def looked(self, now_s: float, origin: Origin, north_m: float, east_m: float) -> Work[tuple[Target, ...]]:
-        """All vessels now, those near this place of the plane first. Forgets who was silent for long. Reports may be
-        heard between two slices."""
-        found = list[tuple[float, Target]]()
+    def looked(
+        self, now_s: float, origin: Origin, north_m: float, east_m: float, north_mps: float = 0.0, east_mps: float = 0.0
+    ) -> Work[tuple[Target, ...]]:
+        """All vessels now, those near this place of the plane first, where the boat is, with its velocity. Forgets who was
+        silent for long. Reports may be heard between two slices."""
+        found, meets, own = list[tuple[float, Target]](), list[tuple[float, Target]](), (north_m, east_m, north_mps, east_mps)
         for key, track in tuple(self._tracks.items()):
             yield RECKONED
             if self._tracks.get(key) is not track:
@@ -103,8 +109,9 @@ class Tracker:
                 continue
             target = track.target(key, age_s, age_s > lost_s, origin)
             found.append((math.hypot(target.north_m - north_m, target.east_m - east_m), target))
+            meets.append((met_s(own, *target[2:6]), target))
         found.sort(key=itemgetter(0))
-        self._here, self._found, self._leaving = (origin, north_m, east_m), found, []
+        self._here, self._found, self._leaving = (origin, own), meets, []
         return tuple(target for _, target in found)
 
     def _place(self, key: str, new: VesselTrack, is_named: bool) -> None:
@@ -115,15 +122,17 @@ class Tracker:
             self._begin(key, new)
             return
         other = self._tracks.get(_other(key))
-        for track in (first,) if other is None else (first, other):
-            if track.can_be_at(new):
-                if track.is_stuck(new):
-                    self.refuse("the same place of a vessel that moves")
-                elif _is_known(track, new):
-                    self.refuse("heard before")
-                else:
-                    track.take(new)
+        near = [track for track in ((first,) if other is None else (first, other)) if track.can_be_at(new)]
+        for track in near:
+            if track.is_stuck(new):
+                self.refuse("the same place of a vessel that moves")
                 return
+            if _is_known(track, new):
+                self.refuse("heard before")
+                return
+        if near:
+            self._go_on(key, near, new, is_named)
+            return
         self.refuse("jump faster than 60 kn")
         rival, first.rival = first.rival, new
         if rival is None or new.at_s - rival.at_s > RIVAL_S or not rival.can_be_at(new):
@@ -134,13 +143,32 @@ class Tracker:
             self.refuse("two vessels with one number")
             self._begin(_other(key), new)
 
+    def _go_on(self, key: str, near: list[VesselTrack], new: VesselTrack, is_named: bool) -> None:
+        """The next report of one of these, which are not far off; or, where it contradicts all of them, another vessel with
+        that number. Which of them is real cannot be known, so both are there until one falls silent."""
+        found = [(*track.strays(new)[::-1], i) for i, track in enumerate(near)]
+        off, far_m, best = min(found)
+        if off <= 1.0 or is_named:
+            near[best].take(new)
+            if len(near) == 1:
+                return
+        else:
+            other = self._tracks.get(_other(key))
+            if other is None or new.at_s - other.at_s > silence_s(self._settings, other):
+                self.refuse("two vessels with one number")
+                self._begin(_other(key), new)
+            else:
+                self.refuse("more than two vessels with one number")
+                near[best].doubt(far_m, new.at_s)
+        self.disputed = new.at_s, self._tracks[key].name or key
+
     def _begin(self, key: str, new: VesselTrack) -> None:
         """A vessel that is new, if there is room, or another one in the place of this key."""
         before, kind = self._tracks.get(key), new.kind
         if before is not None:
             new.kind = before.kind
         elif self._by_kind.get(kind, 0) >= MOST_OF.get(kind, MOST + 1) or not self._has_room(new):
-            self.refuse("too many: the farthest are not kept")
+            self.refuse("too many: those met last are not kept")
             return
         else:
             self._by_kind[kind] = self._by_kind.get(kind, 0) + 1
@@ -149,24 +177,31 @@ class Tracker:
         self._tracks[key] = new
 
     def _has_room(self, new: VesselTrack) -> bool:
-        """Whether this one fits. When all places are taken the farthest gives way, a lost one before those that are heard;
-        those that came since the last `at` stay until the next."""
+        """Whether this one fits. When all places are taken the one that is met last gives way, a lost one before those that are
+        heard; those that came since the last `at` stay until the next."""
         if len(self._tracks) < MOST:
             return True
         if self._found:
-            self._leaving = sorted((target.is_lost, away_m, target.key) for away_m, target in self._found)
+            self._leaving = sorted((target.is_lost, meets_s, target.key) for meets_s, target in self._found)
             self._found = []
-        while self._leaving and self._here is not None:
-            is_lost, away_m, key = self._leaving[-1]
-            origin, north_m, east_m = self._here
-            new_north_m, new_east_m = to_plane(origin, new.latitude_rad, new.longitude_rad)
-            if key in self._tracks and not is_lost and math.hypot(new_north_m - north_m, new_east_m - east_m) >= away_m:
-                return False
+        if self._here is None:
+            return False
+        origin, own = self._here
+        place, speed_mps = to_plane(origin, new.latitude_rad, new.longitude_rad), new.speed_mps or 0.0
+        new_s = met_s(own, *place, new.course_rad or 0.0, speed_mps)
+        while self._leaving:
+            is_lost, meets_s, key = self._leaving[-1]
+            if key in self._tracks and not is_lost and new_s >= meets_s:
+                break
             self._leaving.pop()
             if key in self._tracks:
                 self._forget(key)
-                self.refuse("too many: the farthest are not kept")
+                self.refuse("too many: those met last are not kept")
+                if not is_lost and meets_s < SOON_S:
+                    self.left_out_s = new.at_s
                 return True
+        if new_s < SOON_S:
+            self.left_out_s = new.at_s
         return False
 
     def _forget(self, key: str) -> None:
@@ -176,6 +211,16 @@ class Tracker:
     def refuse(self, reason: str) -> None:
         """Count a report that is not taken."""
         self.refused[reason] = self.refused.get(reason, 0) + 1
+
+
+def met_s(own: tuple[float, float, float, float], north_m: float, east_m: float, course_rad: float, speed_mps: float) -> float:
+    """When a vessel is met that closes as now, s; of those that draw apart the nearer ones sooner. `own`: the boat's place and
+    velocity, to the north and to the east."""
+    north_m, east_m = north_m - own[0], east_m - own[1]
+    north_mps, east_mps = speed_mps * math.cos(course_rad) - own[2], speed_mps * math.sin(course_rad) - own[3]
+    far_m = math.hypot(north_m, east_m)
+    closing_mps = -(north_m * north_mps + east_m * east_mps) / max(far_m, 1.0)
+    return far_m / max(closing_mps + DRIFT_MPS, 1e-3)
 
 
 def silence_s(limits: TrafficTable, track: VesselTrack) -> float:
@@ -198,10 +243,12 @@ def _other(key: str) -> str:
 
 def _is_known(track: VesselTrack, new: VesselTrack) -> bool:
     """Whether this report was heard before, by another way or again by the same one, or is older than the last."""
-    age_s, is_there = new.at_s - track.at_s, track.is_at(new)
+    age_s = new.at_s - track.at_s
     if age_s < 0.0:
         return True
     if new.second is None or track.second is None:
-        return is_there and new.by != track.by and age_s < SAME_S
+        return new.by != track.by and age_s < SAME_S and track.is_at(new)
     later_s = (new.second - track.second) % 60
-    return age_s < ORDER_S and (is_there if later_s == 0 else later_s > 30)
+    if age_s >= ORDER_S or 0 < later_s <= 30:
+        return False
+    return track.is_at(new) if later_s == 0 else track.strays(new, 60.0 - later_s)[1] <= 1.0

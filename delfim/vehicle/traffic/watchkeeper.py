@@ -24,6 +24,7 @@ from delfim.vehicle.state import Motion, Reference, Setpoint, State, StateLog, W
 from delfim.vehicle.target import NEVER_S, CourseOrder, Target
 from delfim.vehicle.traffic import alarm, keepclear
 from delfim.vehicle.traffic.beside import Company, company, danger_beside
+from delfim.vehicle.traffic.judged import judged
 from delfim.vehicle.traffic.keepclear import PassedBy, deciding
 from delfim.vehicle.traffic.leash import Leash, paid_out
 from delfim.vehicle.traffic.routeahead import own_of, route_ahead
@@ -88,6 +89,7 @@ class Watchkeeper:
         state, mode = self._state, self._state.mode
         missing = sorted({"position", "velocity"} - state.motion.has)
         failing, order, self._passes = f"no {' and no '.join(missing)}" if missing else self._denied(helm), None, ()
+        unjudged = ""
         if not missing:
             self._route = route_ahead(state.mode, helm.memory, state.setpoint, state.motion, helm.limits)
             self._accompany(helm.settings.boat.length_m, now_s)
@@ -98,7 +100,8 @@ class Watchkeeper:
         elif not missing:
             own, boat, fence = own_of(state.motion), caution(helm.settings, helm.limits), helm.plans.fence
             try:
-                found = yield from deciding(boat, self._memory, own, self._route, self._watched(), fence, now_s)
+                watched, unjudged = yield from judged(boat, own, self._route, self._memory.choice, self._watched())
+                found = yield from deciding(boat, self._memory, own, self._route, watched, fence, now_s)
                 if state.mode is not mode:
                     return  # another one since: decided for with the next look
                 self._memory, order, self._passes = found
@@ -114,7 +117,7 @@ class Watchkeeper:
         self._note(order)
         is_guarded = "on" if state.mode in self._modes else "off"
         words = f"cannot avoid: {failing}" if failing and state.traffic.targets else is_guarded
-        state.traffic = state.traffic._replace(order=order, guard=words)
+        state.traffic = state.traffic._replace(order=order, guard=words, unjudged=unjudged)
         self._act(helm, order, failing if state.traffic.targets else "", now_s)
 
     def _denied(self, helm: Helm) -> str:
