@@ -14,7 +14,10 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.scenario import laid_over
 from delfim.simulator.watch import Onlooker
 from delfim.vehicle import console
+from delfim.vehicle.control.control import control
+from delfim.vehicle.fence import Fence
 from delfim.vehicle.state import NoLog
+from delfim.vehicle.zones import circle
 
 VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
 START_S = 10.0
@@ -84,6 +87,26 @@ def test_a_boat_that_holds_is_not_driven_out_of_its_fence(sea: dict[str, float])
     assert attack.watch.failures == []
     assert attack.away_m < 80.0
     assert attack.run.state.mode is Mode.HOLD
+
+
+@pytest.mark.parametrize("at_s", [40.0, 40.2, 40.4, 40.6, 40.8])
+def test_no_order_stands_while_the_fence_is_a_trouble(at_s: float) -> None:
+    """Of a boat that is led by one, and finds a fence 4 m ahead of it, whenever the next decision is due."""
+    attack = Attack(FLEET).obey(console.SetMode("hold")).after(at_s)
+    state, helm = attack.run.state, attack.run.vehicle.helm
+    assert state.traffic.order is not None
+    motion = state.motion
+    assert math.hypot(motion.north_mps, motion.east_mps) > 0.5
+    course_rad = math.atan2(motion.east_mps, motion.north_mps)
+    centre = motion.north_m - 96.0 * math.cos(course_rad), motion.east_m - 96.0 * math.sin(course_rad)
+    helm.plans.fence = Fence((circle("ring", True, centre, 100.0),), config.FenceTable())
+    attack.after(0.6)
+    assert "fence" in attack.notices
+    assert state.traffic.order is None
+    assert helm.step is control
+    attack.after(2.0)
+    assert state.traffic.guard.startswith("cannot avoid: the fence goes before: ring")
+    assert "traffic: cannot avoid: the fence goes before" in attack.notes
 
 
 def test_a_boat_that_steers_a_course_is_not_driven_out_of_its_fence() -> None:

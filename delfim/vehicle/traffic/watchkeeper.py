@@ -65,6 +65,9 @@ class Watchkeeper:
 
     def look(self, helm: Helm, now_s: float) -> bool:
         """Call it with the watchdog. Returns whether it did a slice of work: the next look of the look-out waits for it."""
+        if self._state.traffic.order is not None and self._denied(helm):  # at once: the next decision is a second away
+            self._resume(helm)
+            self._state.traffic, helm.step = self._state.traffic._replace(order=None), control
         if self._round is None and self._looked_s < self._state.traffic.at_s:
             self._looked_s = self._state.traffic.at_s
             self._round = Sliced(self._watch(helm, now_s))
