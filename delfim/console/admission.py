@@ -20,6 +20,20 @@ from delfim.outside import read_text
 TOKEN_BYTES: Final = 12
 NUMBERS: Final = range(200, 255)  # of consoles; QGroundControl and MAVProxy have 255
 _TOKEN: Final = re.compile(r"[\w-]{16}", re.ASCII)
+CLOSED: Final = """<!doctype html>
+<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1"><title>Delfim</title>
+<style>
+:root { color-scheme: light dark; }
+body { font: 17px/1.5 system-ui, sans-serif; max-width: 34em; margin: 18vh auto; padding: 0 1.2em; }
+code { font-size: 15px; }
+</style>
+<h1>This console is locked</h1>
+<p>The address needs the console's token, and this one has none or another one.</p>
+<p>Open the address that <code>delfim console</code> printed when it started: it ends with <code>?token=…</code>.
+On the console's computer the token is also in the file <code>~/.local/state/delfim/console.token</code>, unless
+<code>--token</code> names another.</p>
+</html>
+"""
 LOOPBACK: Final = ("127.0.0.1", "localhost", "[::1]")
 
 
@@ -42,6 +56,8 @@ class Admission:
         cookie = f"delfim-{port}"  # a browser keeps cookies by host, and several consoles may be on one
         given = request.query.get("token") or request.cookies.get(cookie) or ""
         if not hmac.compare_digest(given.encode(), self.token.encode()):
+            if "text/html" in request.headers.get("Accept", ""):  # a person with a browser
+                raise web.HTTPForbidden(text=CLOSED, content_type="text/html")
             raise web.HTTPForbidden(text="open the address that the console printed when it started: ...?token=...\n")
         response: web.StreamResponse = await handler(request)
         if "token" in request.query and not response.prepared:

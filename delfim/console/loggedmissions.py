@@ -17,7 +17,7 @@ EMPTY: Final = Mission(version=1, name="", waypoint=())
 
 def logged_missions(events: Iterable[dict[str, Any]]) -> list[tuple[float, dict[str, Any]]]:
     """When, and what was aboard from then on. What cannot be read is left out: a log may come from anywhere."""
-    found = []
+    found: list[tuple[float, Mission]] = []
     for at_s, mission in _missions(events):
         if not found or found[-1][1] != mission:
             found.append((at_s, mission))

@@ -5,7 +5,7 @@ compare it with `after_s` themselves: their class is a `config.Silence`.
 """
 
 import math
-from collections.abc import Callable, Container, Mapping
+from collections.abc import Callable, Collection, Container, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 from types import MappingProxyType
@@ -127,7 +127,11 @@ def navigation_twice(look: Look) -> str | None:
 
 
 def sensor_bad(look: Look) -> str | None:
-    wrong = sysstat.wrong(look.state, look.settings.sysstat, look.now_s, _PROPELLERS if _has_no_power(look) else ())
+    state, required = look.state, look.settings.sysstat
+    but: Collection[str] = _PROPELLERS if _has_no_power(look) else ()
+    if state.mode is Mode.IDLE and state.cycles < required.stale_s * look.settings.navigation.rate_hz:
+        but = {*but, *(name for name in required.required or () if name not in state.sysstat)}  # each has its time to report
+    wrong = sysstat.wrong(state, required, look.now_s, but)
     return wrong or unheard(look.settings.sensors, look.state, look.now_s)
 
 

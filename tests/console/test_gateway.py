@@ -265,6 +265,21 @@ def test_only_pages_of_this_console_speak_with_it(
     asyncio.run(main())
 
 
+def test_a_person_with_a_wrong_token_is_told_where_the_right_one_is(tmp_path: Path) -> None:
+    async def main() -> None:
+        async with opened(tmp_path) as sea, aiohttp.ClientSession(cookie_jar=aiohttp.DummyCookieJar()) as stranger:
+            async with stranger.get(f"{sea.url}?token=wrong", headers={"Accept": "text/html,*/*"}) as answer:
+                assert (answer.status, answer.content_type) == (403, "text/html")
+                text = await answer.text()
+            assert "?token=…" in text
+            assert "<style>" in text
+            assert sea.gateway.token not in text
+            async with stranger.get(f"{sea.url}api/boats?token=wrong") as answer:
+                assert (answer.status, answer.content_type) == (403, "text/plain"), "programs get a line"
+
+    asyncio.run(main())
+
+
 def test_the_token_is_kept_so_that_a_page_finds_its_console_again(tmp_path: Path) -> None:
     file = tmp_path / "state" / "console.token"
     token = kept_token(file)

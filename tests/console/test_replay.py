@@ -233,9 +233,11 @@ def test_a_state_log_has_the_missions_that_the_boat_was_given_and_graphs_of_its_
     for part, refused in ((text[:100], None), ("not a mission", "mission refused"), (text[100:], None)):
         at = 100 if part == text[100:] else 0
         books[0].command(console.LoadMission(text=part, at=at, more=part == text[:100]), refused, run.state)
-    run.sail(text, 60.0)
+    run.sail(text, 58.0)
     books[0].command(console.LoadMission(text="no mission"), None, run.state)
     books[0].command(console.Unload(), None, run.state)
+    for _ in run.cycles(2.0):
+        pass
     run.close()
     played = Played(tmp_path)
     played.run(50.0)

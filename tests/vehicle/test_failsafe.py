@@ -218,6 +218,20 @@ def test_reasons_are_for_people(trigger, reason):
 
 
 @pytest.mark.parametrize(
+    ("mode", "cycles", "told"),
+    [(Mode.IDLE, 1, False), (Mode.IDLE, 24, False), (Mode.IDLE, 25, True), (Mode.PLAY, 1, True), (Mode.MANUAL, 1, True)],
+)
+def test_a_boat_that_lies_idle_since_its_start_gives_each_node_its_time_to_report(mode, cycles, told):
+    here = state(mode)
+    here.cycles = cycles
+    del here.sysstat["gps"]
+    notices = look(RULES, NO_TROUBLE, here, WELL, 100.0).notices
+    assert [notice.reason for notice in notices] == (["gps has not reported"] if told else [])
+    here = troubled(Trigger.SENSOR_BAD, Mode.IDLE)[0]
+    assert [notice.reason for notice in look(RULES, NO_TROUBLE, here, WELL, 100.0).notices] == ["gps bad: no signal"]
+
+
+@pytest.mark.parametrize(
     ("trigger", "after_s"),
     [(Trigger.BATTERY_LOW, 5.0), (Trigger.BATTERY_CRITICAL, 5.0), (Trigger.THRUSTER, 4.0), (Trigger.LOG, 5.0)],
 )
