@@ -6,7 +6,9 @@ and counted. Nobody waits for the broker.
 
 import asyncio
 import contextlib
+import errno
 import re
+import secrets
 import socket
 import ssl
 from collections import Counter, deque
@@ -32,6 +34,8 @@ SOCKET: Final = (  # what leaves leaves at once; bytes that the kernel keeps of 
     (socket.SOL_SOCKET, socket.SO_RCVBUF, 65_536),
 )
 PAYLOAD_BYTES: Final = 2048  # a larger message is none of ours
+PACKET_BYTES: Final = 1 << 16  # a larger one ends the connection before it is read: the library would keep all of it
+PUBLISH, QUALITY = 0x30, 0x06  # in the first byte of a packet
 UP, DOWN, STATE, LINK = "up", "down", "state", "link"  # frames of the boat, frames to it, its state, whether it is there
 _BROKER: Final = re.compile(r"(mqtts?)://([A-Za-z0-9.-]+|\[[0-9A-Fa-f:]+\]):(\d{1,5})(?:/([A-Za-z0-9_-]{1,40}))?").fullmatch
 
@@ -80,6 +84,7 @@ class BrokerLine:
         self._tls = _context(authorities) if place.tls else None
         self._frames: deque[tuple[float, str, bytes]] = deque(maxlen=held)
         self._kept: dict[str, bytes] = {}  # by topic: the newest, not sent yet
+        self._identifier = f"delfim-{place.root}-{boat}-{secrets.token_hex(8)}" if boat else None
         self._news = asyncio.Event()
         self._is_cancelled = False
 
@@ -120,10 +125,10 @@ class BrokerLine:
     async def _once(self, library: Any) -> None:
         """One connection, until it ends."""
         place, link = self.place, self.place.topic(self._boat, LINK)
-        async with library.Client(
+        client = library.Client(
             place.host,
             place.port,
-            identifier=f"delfim-{place.root}-{self._boat}" if self._boat else None,
+            identifier=self._identifier,  # another one that names it puts this one off, so nobody knows it
             will=library.Will(link, b"lost", qos=1, retain=True) if self._boat else None,
             keepalive=ALIVE_S,
             timeout=ANSWER_S,
@@ -131,7 +136,9 @@ class BrokerLine:
             socket_options=SOCKET,
             queue_type=lambda maxsize: _Handover(self._take),
             **self._login,
-        ) as client:
+        )
+        _bound(client)
+        async with client:
             try:
                 await self._converse(client, link)
             except asyncio.CancelledError:
@@ -152,7 +159,14 @@ class BrokerLine:
         self.reason = ""
         async with asyncio.TaskGroup() as group:
             group.create_task(self._send(client))
+            if self._boat:
+                group.create_task(self._tell_again(client, link))
             group.create_task(self._listen(client))
+
+    async def _tell_again(self, client: "aiomqtt.Client", link: str) -> None:
+        """The will of a connection that this boat lost without a word may be told after it is back."""
+        await asyncio.sleep(2.0 * ALIVE_S)
+        await client.publish(link, b"here", qos=1, retain=True)
 
     async def _send(self, client: "aiomqtt.Client") -> None:
         """A slow broker slows this down, and frames are dropped."""
@@ -195,6 +209,22 @@ class _Handover(asyncio.Queue["aiomqtt.Message"]):
 
     def put_nowait(self, item: "aiomqtt.Message") -> None:
         self._take(item)
+
+
+def _bound(client: "aiomqtt.Client") -> None:
+    """What is too long is refused as soon as its length is read, and so is what the broker wants to be asked about: the library
+    keeps each such message."""
+    library: Any = client._client
+    receive = library._sock_recv
+
+    def bounded(size: int) -> bytes:
+        command: int = library._in_packet["command"]
+        if size > PACKET_BYTES or (command & 0xF0 == PUBLISH and command & QUALITY):
+            raise OSError(errno.EMSGSIZE, "the broker sends what nobody asked for")
+        data: bytes = receive(size)
+        return data
+
+    library._sock_recv = bounded
 
 
 def _context(authorities: str) -> ssl.SSLContext:

@@ -1325,7 +1325,9 @@ class ServiceTable(Table, frozen=True):
 
     enabled: bool = True  # run it
     place: Literal["default", "runtime", "process"] = "default"  # runtime: its loop; process: a process of idle priority
-    memory_max_mb: Megabytes = 0  # of its process and all that it starts; beyond, it is restarted; 0: no limit
+    memory_max_mb: Megabytes | None = (
+        None  # of its process and all that it starts, restarted beyond; 0: no limit; without: 256, at sea
+    )
     cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
     log: Literal["debug", "info", "warning", "error"] = "info"  # the least level of its words that the system log keeps
 

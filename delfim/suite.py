@@ -41,6 +41,7 @@ class Service(NamedTuple):
     late: bool = False  # loaded while the vehicle already sails
     uvloop: bool = True  # in a process of its own, where it is installed
     when: Callable[[config.Vehicle], object] = lambda settings: True  # whether the vehicle's file has work for it
+    memory_max_mb: int = 256  # in a process of its own, unless the vehicle's file says otherwise
 
     def loaded(self) -> Start:
         """The coroutine for the runtime. If a package is missing, one that reports it: the other services go on."""
@@ -92,7 +93,14 @@ SERVICES = (
     ),
     Service("httpd", "delfim.services.httpd:serve", late=True),
     Service("ftpd", "delfim.services.ftpd:serve", place="process", when=lambda settings: settings.ftpd.users),
-    Service("sshd", "delfim.services.sshd:serve", place="process", when=lambda settings: settings.sshd.users, uvloop=False),
+    Service(
+        "sshd",
+        "delfim.services.sshd:serve",
+        place="process",
+        when=lambda settings: settings.sshd.users,
+        uvloop=False,
+        memory_max_mb=0,  # programs of its users count, too
+    ),
     Service("powerd", "delfim.services.powerd:serve"),
     Service("payload", "delfim.services.payload:serve", place="process", when=lambda settings: settings.payload, uvloop=False),
     Service(
@@ -184,7 +192,7 @@ def supervise(
         own = (*program, "outlet", file, *(word for one in overrides for word in ("--set", one)))
         programs.append(Supervised("outlet", own, guard=True))
     programs += [
-        Supervised(row.name, (*command, "--service", row.name), limits=_limits(settings, row.name))
+        Supervised(row.name, (*command, "--service", row.name), limits=_limits(settings, row))
         for row in services(settings)
         if row.place == "process"
     ]
@@ -247,9 +255,12 @@ def _above(fifo_priority: int) -> None:
             real_time(fifo_priority + 1)
 
 
-def _limits(settings: config.Vehicle, name: str) -> cgroup.Limits:
-    asked = settings.services.get(name, config.ServiceTable())
-    return cgroup.Limits(asked.memory_max_mb << 20, asked.cpu_max)
+def _limits(settings: config.Vehicle, row: Service) -> cgroup.Limits:
+    """Those of the vehicle's file; at sea also the memory of a service that nobody limited."""
+    asked = settings.services.get(row.name, config.ServiceTable())
+    usual_mb = 0 if settings.simulation.faults else row.memory_max_mb
+    is_asked = bool(asked.memory_max_mb or asked.cpu_max)
+    return cgroup.Limits((usual_mb if asked.memory_max_mb is None else asked.memory_max_mb) << 20, asked.cpu_max, is_asked)
 
 
 def _last_act(settings: config.Vehicle, reason: str, tell: Callable[[bool, Sequence[str]], None]) -> bool:

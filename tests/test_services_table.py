@@ -10,8 +10,9 @@ import pytest
 from delfim import config
 from delfim.clock import SystemClock
 from delfim.errors import PermanentFailure
+from delfim.services.cgroup import Limits
 from delfim.services.runtime import LoadedService, Runtime
-from delfim.suite import SERVICES, Service, services
+from delfim.suite import SERVICES, Service, _limits, services
 
 VEHICLE = Path(__file__).parents[1] / "etc" / "delfimx.toml"
 
@@ -38,6 +39,23 @@ def test_some_services_run_only_where_their_own_table_asks_for_them(service: str
     assert service not in names()
     assert service in names(override)
     assert service not in names(override, f"services.{service}.enabled=false")
+
+
+@pytest.mark.parametrize(
+    ("overrides", "memory_bytes", "is_asked"),
+    [
+        ((), 256 << 20, False),
+        (("simulation.faults=true",), 0, False),
+        (("services.syslogd.memory_max_mb=64",), 64 << 20, True),
+        (("services.syslogd.memory_max_mb=0",), 0, False),
+    ],
+)
+def test_a_service_of_its_own_process_has_a_limit_of_memory_at_sea(
+    overrides: tuple[str, ...], memory_bytes: int, is_asked: bool
+) -> None:
+    settings = config.load(VEHICLE, overrides)
+    (row,) = (row for row in services(settings) if row.name == "syslogd")
+    assert _limits(settings, row) == Limits(memory_bytes, 0.0, is_asked)
 
 
 def test_a_name_that_is_no_service_is_refused() -> None:

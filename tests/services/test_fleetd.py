@@ -129,7 +129,7 @@ def test_a_boat_is_found_and_commanded_and_its_state_is_kept_for_who_comes_later
 def test_a_boat_that_is_gone_is_told_by_its_last_will(tmp_path: Path) -> None:
     async def main(port: int) -> None:
         line = line_of(port, boat="Otter")
-        namesake = aiomqtt.Client("127.0.0.1", port, identifier="delfim-tagus-Otter")
+        namesake = aiomqtt.Client("127.0.0.1", port, identifier=line._identifier)
         async with following(line), namesake:  # the broker throws the first one out
             assert (await heard(port, "tagus/Otter/link", 1))[0][1] == b"lost"
 
@@ -234,6 +234,50 @@ def test_a_retained_order_is_an_old_one_and_a_huge_one_is_none(tmp_path: Path) -
                 await until(lambda: orders)
         assert orders == [b"now"]
         assert line.counts["refused"] == 3
+
+    with broker(tmp_path) as port:
+        asyncio.run(main(port))
+
+
+@pytest.mark.parametrize(
+    "packet",
+    [b"\x30\x80\x80\x80\x7f", b"\x30\x81\x80\x04", b"\x34\x0c\x00\x01x\0\1" + bytes(7)],
+    ids=["256 MB", "just too long", "to be asked about"],
+)
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # paho drops a socket that failed, unclosed
+def test_a_broker_that_sends_more_than_anybody_asked_for_is_left_at_once(packet: bytes) -> None:
+    """A broker that says yes to everything, and then announces a message: nothing of that is read, or kept."""
+
+    async def main() -> None:
+        async def talk(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            answers = {0x10: b"\x20\2\0\0", 0x82: b"\x90\3\0\1\0" + packet}
+            while data := await reader.read(1000):
+                writer.write(answers.get(data[0], b""))
+            writer.close()
+
+        server = await asyncio.start_server(talk, "127.0.0.1", 0)
+        line = line_of(server.sockets[0].getsockname()[1])
+        async with server, asyncio.timeout(60), asyncio.TaskGroup() as group:
+            following = group.create_task(line.follow())
+            await until(lambda: line.counts["connected"] == 2 and line.reason)
+            following.cancel()
+        assert line.counts["heard"] == line.counts["refused"] == 0
+
+    asyncio.run(main())
+
+
+@needs_mosquitto
+def test_who_takes_the_name_of_a_boat_does_not_put_it_off(tmp_path: Path) -> None:
+    async def main(port: int) -> None:
+        line = line_of(port, hear=lambda topic, data: None, boat="Otter")
+        async with following(line), aiomqtt.Client("127.0.0.1", port, identifier="delfim-tagus-Otter") as thief:
+            await thief.subscribe("tagus/Otter/link")
+            async for message in thief.messages:
+                assert message.payload == b"here"
+                break
+            line.put("tagus/Otter/up", b"frame")
+            await until(lambda: line.counts["sent"])
+            assert line.counts["connected"] == 1
 
     with broker(tmp_path) as port:
         asyncio.run(main(port))
