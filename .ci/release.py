@@ -1,4 +1,4 @@
-"""`make release`: the wheel and the source package of the tagged commit, checked, with their checksums and what changed.
+"""`make release`: the wheel and the source package of the tagged commit, checked, with checksums, bill of materials, changes.
 
 Both are made from what git has, not from the working folder, and with the commit's time for all times: whoever builds the tag
 again gets the same bytes. With --sign the checksums are signed:
@@ -10,6 +10,7 @@ import argparse
 import gzip
 import hashlib
 import io
+import json
 import os
 import re
 import shutil
@@ -24,6 +25,7 @@ ROOT = Path(__file__).parents[1]
 NAMESPACE = "delfim-release"  # so that no signature of a boat's image is taken for one of a release
 WHEEL_BYTES = 3_000_000
 ALSO = {"pyproject.toml", "README.md", "LICENSE", "CHANGELOG.md", "delfim/console/web/build.mjs"}  # in the source package
+SHIPPED = "boat", "services", "ground", "formats", "campaign", "fleet", "foxglove", "ros"  # the files of requirements
 NOT_SHIPPED = ("delfim/console/web/",)  # sources of the page, which is shipped built
 
 
@@ -38,8 +40,10 @@ def main() -> None:
     check(ROOT, *made)
     notes = words.output / f"delfim-{version}.md"
     notes.write_text(changes(ROOT, version), encoding="utf-8")
-    sums = words.output / "SHA256SUMS"
-    sums.write_text("".join(f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n" for file in (*made, notes)))
+    bill = words.output / f"delfim-{version}.cdx.json"
+    bill.write_text(materials(ROOT, version), encoding="utf-8")
+    sums, told = words.output / "SHA256SUMS", (*made, notes, bill)
+    sums.write_text("".join(f"{hashlib.sha256(file.read_bytes()).hexdigest()}  {file.name}\n" for file in told))
     if words.sign:
         subprocess.run(["ssh-keygen", "-q", "-Y", "sign", "-n", NAMESPACE, "-f", words.sign, sums], check=True)
     print(sums.read_text(), end="")
@@ -110,6 +114,34 @@ def check(root: Path, wheel: Path, packed: Path) -> None:
     if faults:
         raise SystemExit("\n".join(f"make release: {fault}" for fault in faults))
     subprocess.run([sys.executable, "-m", "twine", "check", "--strict", wheel, packed], check=True)
+
+
+def materials(root: Path, version: str) -> str:
+    """The bill of materials (CycloneDX 1.5): the packages that are pinned for what is shipped, and those that the page is built
+    of. It has no time and no number of its own: whoever makes it again gets the same bytes."""
+    pinned = (re.findall(r"^([\w.-]+)==([^\s;]+)", (root / f"requirements/{name}.txt").read_text(), re.M) for name in SHIPPED)
+    purls = {f"pkg:pypi/{name.lower().replace('_', '-')}@{release}" for each in pinned for name, release in each}
+    page = json.loads((root / "delfim/console/web/package-lock.json").read_text(encoding="utf-8"))["packages"]
+    purls |= {
+        f"pkg:npm/{place.rpartition('node_modules/')[2].replace('@', '%40')}@{each['version']}"
+        for place, each in page.items()
+        if place and not each.get("dev") and not each.get("peer")
+    }
+    parts = [(purl, *purl.partition("/")[2].replace("%40", "@").rsplit("@", 1)) for purl in sorted(purls)]
+    delfim = {"type": "application", "bom-ref": "delfim", "name": "delfim", "version": version}
+    return json.dumps(
+        {
+            "bomFormat": "CycloneDX",
+            "specVersion": "1.5",
+            "version": 1,
+            "metadata": {"component": delfim},
+            "components": [
+                {"type": "library", "bom-ref": purl, "name": name, "version": release, "purl": purl}
+                for purl, name, release in parts
+            ],
+        },
+        indent=1,
+    )
 
 
 def changes(root: Path, version: str) -> str:

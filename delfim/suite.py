@@ -67,7 +67,9 @@ class Service(NamedTuple):
         return start
 
 
-# In the order of start. They are stopped in reverse, so that propulsion stops first and logs close last.
+# In the order of start. They are stopped in reverse, so that propulsion stops first and logs close last. No uvloop: sshd and
+# payload, because it hands a program's streams to it as copies that outlive it, and those that serve one line, bus or peer:
+# it gains them nothing for its 2 MB of memory (docs/decisions/0004-uvloop.md).
 SERVICES = (
     Service("syslogd", "delfim.services.syslogd:serve", place="process", uvloop=False),
     Service("canzlogd", "delfim.services.canzlogd:serve"),

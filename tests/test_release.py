@@ -1,6 +1,7 @@
 """What people download: `make release` of a scratch repository, and its wheel in an environment that has nothing else."""
 
 import importlib.metadata
+import json
 import os
 import pty
 import re
@@ -30,7 +31,20 @@ def git(folder: Path, *words: str) -> str:
 def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A repository of one tagged commit: the files as they are here."""
     folder = tmp_path_factory.mktemp("source")
-    names = git(ROOT, "ls-files", "-coz", "--exclude-standard", "delfim", "etc", ".ci", "*.toml", "*.md", "*.in", "LICENSE")
+    names = git(
+        ROOT,
+        "ls-files",
+        "-coz",
+        "--exclude-standard",
+        "delfim",
+        "etc",
+        ".ci",
+        "requirements",
+        "*.toml",
+        "*.md",
+        "*.in",
+        "LICENSE",
+    )
     for name in names.split("\0"):
         if name and (ROOT / name).exists():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
@@ -59,7 +73,12 @@ def made(source: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_it_holds_wheel_source_changes_and_signed_checksums(made: Path) -> None:
     dist = made / "dist"
     wheel, packed, notes = f"delfim-{__version__}-py3-none-any.whl", f"delfim-{__version__}.tar.gz", f"delfim-{__version__}.md"
-    assert sorted(file.name for file in dist.iterdir()) == sorted([wheel, packed, notes, "SHA256SUMS", "SHA256SUMS.sig"])
+    bill = f"delfim-{__version__}.cdx.json"
+    its = wheel, packed, notes, bill, "SHA256SUMS", "SHA256SUMS.sig"
+    assert sorted(file.name for file in dist.iterdir()) == sorted(its)
+    parts = {part["purl"] for part in json.loads((dist / bill).read_text())["components"]}
+    assert {name.partition("/")[2].partition("@")[0] for name in parts} >= {"msgspec", "asyncssh", "numpy", "ol"}
+    assert not [name for name in parts if "pytest" in name or "esbuild" in name], "tools are not shipped"
     assert (dist / wheel).stat().st_size < 3_000_000
     subprocess.run(["sha256sum", "--check", "--quiet", "SHA256SUMS"], cwd=dist, check=True)
     (made / "signers").write_text(f"yard {(made / 'yard.pub').read_text()}")
