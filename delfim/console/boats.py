@@ -57,6 +57,7 @@ class Boat:
         self.warning = ""  # its last text that was a warning, while something is wrong
         self.target_is_new = False  # a target came after the last message about steering
         self.failsafe, self.ready = "", False
+        self.forced = ""  # its last text about a mode that it entered by itself
         self.link, self.signed = "udp", False  # "log": its own log is replayed
         self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
         self.rtt_ms: float | None = None
@@ -100,7 +101,7 @@ class Boat:
         if self.before:
             for each in (self.values, self.measured, self.reference, self.at_s, self.has, self._modes_told):
                 each.clear()
-            self.has_told_modes, self.asks, self.reason, self.failsafe, self.warning = False, 0, "", "", ""
+            self.has_told_modes, self.asks, self.reason, self.failsafe, self.warning, self.forced = False, 0, "", "", "", ""
 
     def enter(self, number: int) -> None:
         """Enters a mode; the target of the mode before is forgotten."""
@@ -150,6 +151,7 @@ class Boat:
             "reason": self.reason,
             "reason_age_s": round(now_s - self.reason_s, 1) if self.reason else None,
             "failsafe": self.failsafe,
+            "forced": self.forced.partition(": ")[2] if self.forced.startswith(f"{self.mode}: ") else "",
             "rpm": [v.get("port_rpm"), v.get("starboard_rpm")],
             "thrust_pct": [v.get("port_pct"), v.get("starboard_pct")],
             "reference": {key: self.reference.get(key) for key in _REFERENCE},

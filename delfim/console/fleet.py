@@ -7,19 +7,21 @@ and neither does a console that slept: it refuses older messages of pages, but f
 
 import math
 from collections.abc import Callable
-from typing import Any, Final, NamedTuple
+from typing import Any, Final
 
 from delfim.clock import Clock
 from delfim.console import plan
+from delfim.console.alarms import is_trouble
 from delfim.console.boats import SILENT_S, Boat
 from delfim.console.drivers import INPUT_S, Drivers
 from delfim.console.exchange import SAID, Exchange, planned
 from delfim.console.mavlink import SYSTEM, Codec, Key, mavlink
 from delfim.console.orders import order, row_of
-from delfim.console.requests import LIFE_S, REPEAT_S, Answer, Requests
+from delfim.console.profiles import Profiles
+from delfim.console.requests import LIFE_S, Answer, Requests
 from delfim.console.ways import Address, Ways, in_words
-from delfim.errors import FormatError, Refused
-from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN
+from delfim.errors import Refused
+from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN, TROUBLES
 
 HEARTBEAT_S: Final = 1.0
 TIMESYNC_S: Final = 5.0
@@ -30,19 +32,9 @@ SIGNED_MAX: Final = 199  # with a key nobody can invent boats: as many as there 
 PEERS_MAX: Final = 64
 COMPLAIN_S: Final = 60.0
 AUTOPILOT: Final = mavlink.MAV_COMP_ID_AUTOPILOT1
-PROFILES: Final = ("lean", "radio", "wifi")  # values of the parameter that chooses
-PROFILE: Final = b"LINK_PROFILE"
+WARNING: Final = int(mavlink.MAV_SEVERITY_WARNING)
 REASON_S: Final = 0.5  # a refusal and its reason come in separate messages
 Tell = Callable[[dict[str, Any]], None]
-
-
-class AskedProfile(NamedTuple):
-    """A link profile that is requested and not yet confirmed."""
-
-    name: str
-    answer: Answer
-    begun_s: float
-    due_s: float
 
 
 class Fleet:
@@ -56,6 +48,7 @@ class Fleet:
         self._exchange = Exchange(self._send, tell)
         self.missions = self._exchange.missions
         self.record: Callable[[bytes], None] = lambda frame: None  # every valid frame received, and every frame sent
+        self.troubles: Callable[[int, int], None] = lambda number, bits: None  # that a boat tells
         self._clock, self._transmit, self._tell, self._key = clock, transmit, tell, key
         self._boats_max, self._peers_max = (BOATS_MAX, PEERS_MAX) if key is None else (SIGNED_MAX, 2 * SIGNED_MAX)
         self._peers: dict[Address, Codec] = {}
@@ -66,7 +59,7 @@ class Fleet:
         self._beat_s = self._complained_s = -math.inf
         self._texts: dict[int, tuple[float, str]] = {}
         self._refused: dict[int, tuple[float, int, int]] = {}  # by boat: end of the wait for the reason, command, result
-        self._profiles: dict[int, AskedProfile] = {}
+        self._profiles = Profiles(self._send)
 
     # Messages from the boats.
 
@@ -130,18 +123,20 @@ class Fleet:
         self._ways.forget(number)
         self._exchange.forget(number)
         self._drivers.end(number)
-        for each in (self._texts, self._refused, self._profiles):
+        self._profiles.forget(number)
+        for each in (self._texts, self._refused):
             each.pop(number, None)
 
     def _complain(self, words: str, now_s: float) -> None:
         """Warns of what is wrong on the link, on the pages."""
         if now_s - self._complained_s > COMPLAIN_S:
             self._complained_s = now_s
-            self._tell({"t": "text", "boat": None, "severity": 2, "text": words, "at_s": self._utc_s()})
+            self._tell({"t": "text", "boat": None, "severity": 2, "text": words, "at_s": self._utc_s(), "alarm": "console"})
 
-    def _say(self, number: int, severity: int, text: str) -> None:
-        """Shows a message about a boat on the pages."""
-        self._tell({"t": "text", "boat": number, "severity": severity, "text": text, "at_s": self._utc_s()})
+    def _say(self, number: int, severity: int, text: str, alarm: str = "") -> None:
+        """Shows a message about a boat on the pages. `alarm`: whose it is, the boat's or the console's, where it may be one."""
+        told = {"t": "text", "boat": number, "severity": severity, "text": text, "at_s": self._utc_s()}
+        self._tell(told | {"alarm": alarm} if alarm and severity <= WARNING else told)
 
     def _on_ack(self, boat: Boat, message: Any, now_s: float) -> None:
         if (
@@ -168,7 +163,10 @@ class Fleet:
         if boat.failsafe.partition(" for ")[0] == text.partition(" for ")[0]:  # the same trouble, as long as it is now
             boat.failsafe = text
         self._texts[boat.number] = now_s, text
-        self._say(boat.number, message.severity, text)
+        if text.partition(": ")[0] in boat.modes.values():
+            boat.forced = text if message.severity <= mavlink.MAV_SEVERITY_ALERT else ""
+        text = text.replace(f"console {self.me} commands", "this console commands")
+        self._say(boat.number, message.severity, text, alarm="boat" if is_trouble(message.severity, text) else "")
         if message.severity <= mavlink.MAV_SEVERITY_WARNING:
             boat.warning = text
             self._give_reason(boat.number, text)
@@ -180,20 +178,12 @@ class Fleet:
             self._requests.acknowledged(number, command, result, text, 0)
 
     def _on_param(self, boat: Boat, message: Any, now_s: float) -> None:
-        chosen = self._profiles.get(boat.number)
-        if message.param_id != PROFILE.decode() or message.param_value not in range(len(PROFILES)):
-            return
-        boat.profile = PROFILES[int(message.param_value)]
-        if chosen is not None:
-            del self._profiles[boat.number]
-            chosen.answer(
-                boat.profile == chosen.name, "" if boat.profile == chosen.name else f"the boat keeps profile {boat.profile}"
-            )
+        self._profiles.hear(boat, message)
 
     def _on_name(self, boat: Boat, message: Any, now_s: float) -> None:
         if message.param_id == BOAT_NAME and boat.before:
             self.missions.get(boat.number, {}).pop("aboard", None)
-            self._say(boat.number, 4, f"number {boat.number} is now {boat.name}: it was {boat.before}")
+            self._say(boat.number, 4, f"number {boat.number} is now {boat.name}: it was {boat.before}", "console")
 
     def _on_sync(self, boat: Boat, message: Any, now_s: float) -> None:
         if message.tc1:
@@ -231,15 +221,14 @@ class Fleet:
         for number, (until_s, *_) in list(self._refused.items()):
             if now_s >= until_s:
                 self._give_reason(number, "")
-        for number in list(self._profiles):
-            self._choose(number, now_s)
+        self._profiles.tick(now_s)
         self._exchange.tick(now_s)
 
     def _look_for_twins(self, boat: Boat, now_s: float) -> None:
         twins = [in_words(each) for each in self._ways.twins(boat.number, now_s)]
         if twins and sorted(twins) != sorted(boat.twins):
             words = f"{len(twins)} boats have the number {boat.number}: {' and '.join(twins)}; STOP goes to all of them"
-            self._say(boat.number, 1, words)
+            self._say(boat.number, 1, words, "console")
         boat.twins = twins
 
     def _ask_once(self, boat: Boat) -> None:
@@ -249,7 +238,7 @@ class Fleet:
             return
         to = boat.number, AUTOPILOT
         if not boat.profile:
-            self._send(boat.number, mavlink.MAVLink_param_request_read_message(*to, PROFILE, -1))
+            self._profiles.ask(boat.number)
         if not boat.is_named:
             self._send(boat.number, mavlink.MAVLink_param_ext_request_read_message(*to, BOAT_NAME.encode(), -1))
         if not boat.has_told_modes:
@@ -277,7 +266,7 @@ class Fleet:
         if self._asleep_s(now_s) > LIFE_S and not stop:
             raise Refused("the console's computer slept: give the command again")
         if row is None:
-            self._set_profile(boat, words["profile"], answer, now_s)
+            self._profiles.choose(number, words["profile"], answer, now_s)
             return
         asked = order(word, row, words)
         if word == "play":
@@ -344,26 +333,6 @@ class Fleet:
             raise Refused(f"no boat {number}")
         return self.boats[number]
 
-    def _set_profile(self, boat: Boat, profile: str, answer: Answer, now_s: float) -> None:
-        if profile not in PROFILES:
-            raise FormatError(f"no profile {profile!r}: there are {', '.join(PROFILES)}")
-        before = self._profiles.pop(boat.number, None)
-        if before is not None:
-            before.answer(False, "replaced by a newer choice")
-        self._profiles[boat.number] = AskedProfile(profile, answer, now_s, now_s)
-        self._choose(boat.number, now_s)
-
-    def _choose(self, number: int, now_s: float) -> None:
-        """Sends the request, repeats it, or gives it up."""
-        chosen = self._profiles[number]
-        if now_s - chosen.begun_s > LIFE_S:
-            del self._profiles[number]
-            chosen.answer(False, "no answer from the boat")
-        elif now_s >= chosen.due_s:
-            self._profiles[number] = chosen._replace(due_s=now_s + REPEAT_S)
-            value, kind = float(PROFILES.index(chosen.name)), mavlink.MAV_PARAM_TYPE_REAL32
-            self._send(number, mavlink.MAVLink_param_set_message(number, AUTOPILOT, PROFILE, value, kind))
-
     def _send(self, number: int, message: Any) -> None:
         if number in self._ways.routes:
             self._put(self._ways.routes[number], message)
@@ -396,5 +365,6 @@ _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
     "PARAM_VALUE": Fleet._on_param,
     "PARAM_EXT_VALUE": Fleet._on_name,
     "TIMESYNC": Fleet._on_sync,
+    "NAMED_VALUE_INT": lambda fleet, boat, m, _: fleet.troubles(boat.number, m.value) if m.name == TROUBLES else None,
     **dict.fromkeys(SAID, Fleet._on_mission),
 }

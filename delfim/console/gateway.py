@@ -24,6 +24,7 @@ from delfim.console.charts import Charts
 from delfim.console.desk import Desk
 from delfim.console.fleet import Fleet
 from delfim.console.mavlink import Key
+from delfim.console.onwatch import WatchKeeper
 from delfim.console.orders import OFFERED
 from delfim.console.othervessels import around
 from delfim.console.radio import radio
@@ -31,6 +32,7 @@ from delfim.console.replay import TapePlayer
 from delfim.console.session import Session
 from delfim.console.tape import Tape
 from delfim.console.udp import Udp
+from delfim.console.watchlog import table
 from delfim.errors import DelfimError, Refused
 
 PAGE: Final = Path(__file__).with_name("page")
@@ -55,6 +57,10 @@ class Page:
     def __init__(self, link: web.WebSocketResponse, request: web.Request, number: int) -> None:
         self._link, self._request, self.number = link, request, number
         self.queue: asyncio.Queue[str | None] = asyncio.Queue(maxsize=QUEUE_MAX + 1)  # None: the end
+
+    @property
+    def who(self) -> str:
+        return f"page {self.number} at {self._request.remote}"
 
     def tell(self, message: dict[str, Any]) -> None:
         transport = self._request.transport
@@ -100,6 +106,7 @@ class Gateway:
         self._clock, self._pages = clock, set[Page]()
         self.viewers: list[Callable[[dict[str, Any]], None]] = []  # other programs that hear what pages hear
         self.fleet: Fleet | TapePlayer
+        self.watch = WatchKeeper(self._broadcast, self._utc_s, self._name)
         if tapes:
             self.fleet = TapePlayer(tapes, clock, self.tell)
             self.fleet.moved = self._show_jump
@@ -107,6 +114,7 @@ class Gateway:
             self.fleet = Fleet(clock, self._transmit, self.tell, key, self.me)
             if self.session is not None:
                 self.fleet.record = self.session.put
+            self.fleet.troubles = self.watch.alarms.troubles
         self.broker: BrokerLine | None = None
         self._complaints: dict[str, str] = {}  # the last complaint about each link and file, to say it once
         self.heard_on: list[str] = [*self.radios]  # addresses and radios, for the page
@@ -117,6 +125,7 @@ class Gateway:
         self.app.router.add_get("/ws", self._socket)
         self.app.router.add_get("/api/boats", self._boats)
         self.app.router.add_get("/foxglove.json", self._layout)
+        self.app.router.add_get("/watch.csv", self._table)
         self.charts.routes(self.app)
         if PAGE.is_dir():
             self.app.router.add_static("/", PAGE)
@@ -127,20 +136,33 @@ class Gateway:
             each.close()
         if self.session is not None:
             self.session.flush()
+            self._keep()
         self.charts.close()
 
     def tell(self, message: dict[str, Any]) -> None:
-        """Sends to every page and viewer."""
+        """Sends to every page and viewer; a text is kept in the log of the watch."""
+        self._broadcast(message)
+        if message["t"] == "text" and not isinstance(self.fleet, TapePlayer):
+            self.watch.hear(message)
+
+    def _broadcast(self, message: dict[str, Any]) -> None:
         for page in self._pages:
             page.tell(message)
         for view in self.viewers:
             view(message)
 
+    def _name(self, number: int) -> str:
+        return self.fleet.boats[number].name if number in self.fleet.boats else ""
+
     def tick(self) -> None:
         self.fleet.tick()
+        if isinstance(self.fleet, Fleet):
+            self.watch.tick(self.fleet.boats.values(), self._clock.monotonic_s())
         if self.session is not None:
-            self.session.tick()
+            if self.session.tick():
+                self._keep()
             self._complain("recording of the session", self.session.reason)
+            self._complain("log of the watch", self.watch.log.reason)
         for name, each in self.radios.items():
             self._complain(name, each.reason)
         if self.broker is not None:
@@ -153,15 +175,26 @@ class Gateway:
         if (self._pages or self.viewers) and self._ticks % self._vessel_ticks() == 0:
             self.tell(self._vessels())
 
+    def _keep(self) -> None:
+        """Writes the log of the watch beside the frames."""
+        if self.session is not None and self.session.file is not None:
+            self.watch.log.write(self.session.file.with_suffix(".csv"))
+
     def _complain(self, name: str, reason: str) -> None:
         """Tells the pages once for each reason."""
-        if reason != self._complaints.get(name, ""):
-            self._complaints[name] = reason
-            self.tell(self._text(f"{name}: {reason or 'works again'}"))
+        before = self._complaints.get(name, "")
+        if reason == before:
+            return
+        self._complaints[name] = reason
+        well = self._text(f"{name}: works again", 6)
+        self.tell(self._text(f"{name}: {reason}") | {"alarm": "console"} if reason else well)
+        for words, is_so in ((before, False), (reason, True)):
+            if words:
+                self.watch.alarms.hold(None, 4, f"{name}: {words}", self._utc_s(), is_so)
 
-    def _text(self, words: str) -> dict[str, Any]:
-        """A warning of the console itself."""
-        return {"t": "text", "boat": None, "severity": 4, "text": words, "at_s": self._utc_s()}
+    def _text(self, words: str, severity: int = 4) -> dict[str, Any]:
+        """Words of the console itself."""
+        return {"t": "text", "boat": None, "severity": severity, "text": words, "at_s": self._utc_s()}
 
     def _receive(self, address: Any, data: bytes) -> None:
         self.fleet.receive(address, data)
@@ -192,6 +225,11 @@ class Gateway:
         boats = [boat["name"] for boat in self.fleet.snapshot()]
         return web.json_response(foxglove.layout(boats), headers={"Content-Disposition": "attachment"})
 
+    async def _table(self, request: web.Request) -> web.Response:
+        """The log of the watch as a table."""
+        named = {"Content-Disposition": 'attachment; filename="watch.csv"'}
+        return web.Response(text=table(self.watch.log.lines), content_type="text/csv", headers=named)
+
     async def _socket(self, request: web.Request) -> web.WebSocketResponse:
         if len(self._pages) >= PAGES_MAX:
             raise web.HTTPServiceUnavailable(text="too many pages are open: close one\n")
@@ -201,10 +239,12 @@ class Gateway:
         page = Page(link, request, self._opened)
         self._greet(page)
         self._pages.add(page)
+        self.watch.note(None, page.who, "page", "opened")
         try:
             await asyncio.gather(self._listen(page, link), page.write())
         finally:
             self._pages.discard(page)
+            self.watch.note(None, page.who, "page", "closed")
             self.fleet.release_all("the page was closed", page.number)
         return link
 
@@ -234,6 +274,7 @@ class Gateway:
         )
         for fault in (*self.charts.faults, *(f"{name}: {reason}" for name, reason in self._complaints.items() if reason)):
             page.tell(self._text(fault))
+        self.watch.greet(page.tell)
         page.tell(self._vessels())
         self._show_tracks(page)
         if isinstance(fleet, TapePlayer):
@@ -282,6 +323,7 @@ class Gateway:
 
     def _ask(self, page: Page, asked: said.Message, words: dict[str, Any], answer: Callable[[bool, str], None]) -> None:
         fleet = self.fleet
+        answer = self.watch.ordered(page.who, asked, words, answer)
         match asked:
             case said.Input(boat=number):
                 fleet.input(number, asked.n, asked.port_pct, asked.starboard_pct, page.number)
@@ -300,7 +342,11 @@ class Gateway:
                 fleet.command(number, "profile", {"profile": profile}, answer)
             case said.Forget(boat=number):
                 fleet.forget(number)
+                self.watch.alarms.forget(number)
                 self.tell({"t": "forgotten", "boat": number})
+                answer(True, "")
+            case said.Acknowledge(ids=ids):
+                self.watch.acknowledge(page.who, ids)
                 answer(True, "")
             case said.Replay():
                 if not isinstance(fleet, TapePlayer):

@@ -57,6 +57,12 @@ class Replay(Said, frozen=True):
     rate: float | None = None  # of real time; 0 stands still
 
 
+class Acknowledge(Said, frozen=True):
+    """Somebody has taken note of these alarms."""
+
+    ids: Annotated[list[int], msgspec.Meta(max_length=100)]
+
+
 class Place(msgspec.Struct, frozen=True):
     latitude_deg: Annotated[float, msgspec.Meta(ge=-89.0, le=89.0)]
     longitude_deg: Annotated[float, msgspec.Meta(ge=-180.0, le=180.0)]
@@ -109,5 +115,5 @@ class Mission(Said, frozen=True):
     name: str = ""
 
 
-Message = Command | Input | Release | Profile | Forget | Replay | Mission
+Message = Command | Input | Release | Profile | Forget | Replay | Acknowledge | Mission
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

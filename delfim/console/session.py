@@ -33,12 +33,14 @@ class Session:
         self._pending += STAMP.pack(self._clock.time_ns() // 1000)
         self._pending += frame
 
-    def tick(self) -> None:
-        """Called often: writes the frames to the disk once a second."""
+    def tick(self) -> bool:
+        """Called often: writes the frames to the disk once a second. Whether it did now."""
         now_s = self._clock.monotonic_s()
-        if now_s >= self._due_s:
-            self._due_s = now_s + FLUSH_S
-            self.flush()
+        if now_s < self._due_s:
+            return False
+        self._due_s = now_s + FLUSH_S
+        self.flush()
+        return True
 
     def flush(self) -> None:
         if not self._pending:

@@ -25,7 +25,7 @@ from tests.services.browser import Page, tab
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"
 PATIENCE_S = 60.0
-BERTHS = ((38.6907, -9.2153), (38.6907, -9.2165))  # a hundred metres apart
+BERTHS = ((38.6907, -9.2153), (38.6907, -9.2165), (38.6907, -9.2177))  # a hundred metres apart
 
 
 class Turning(NamedTuple):
@@ -297,7 +297,7 @@ class Sea:
         await self.found()
 
     async def found(self) -> None:
-        await self.page.until("document.querySelectorAll('.chip').length === 2", PATIENCE_S)
+        await self.page.until(f"document.querySelectorAll('.chip').length === {len(self.boats)}", PATIENCE_S)
         for number, boat in enumerate(self.boats, 1):
             await boat.until(lambda state: state["age_s"]["navigation"] is not None and state["age_s"]["navigation"] < 1)
             await self.page.until(f"document.querySelector('[data-boat=\"{number}\"] .trouble').hidden", PATIENCE_S)
@@ -309,6 +309,7 @@ class Sea:
         """All boats were stopped and have said so, this one is selected; the page, and the boat."""
         page, boat = self.page, self.boats[number - 1]
         await page.press("Escape")
+        await page.press("k")
         before = [len(radio.said) for radio in self.radios]
         await page.press(" ", ("Shift",))
         for each, radio, since in zip(self.boats, self.radios, before, strict=True):
@@ -329,7 +330,7 @@ class Sea:
 
 
 async def select(page: Page, number: int) -> None:
-    if await page.value("document.querySelector('.selected').dataset.boat") != str(number):
+    while await page.value("document.querySelector('.selected').dataset.boat") != str(number):
         await page.press("Tab")
     await page.until(f"document.querySelector('.selected').dataset.boat === '{number}'")
 
@@ -340,17 +341,17 @@ async def shown_mode(page: Page, number: int, words: str) -> None:
 
 @contextlib.asynccontextmanager
 async def operating(
-    folder: Path, *more: str, env: dict[str, str] | None = None, gateway_env: dict[str, str] | None = None
+    folder: Path, *more: str, count: int = 2, env: dict[str, str] | None = None, gateway_env: dict[str, str] | None = None
 ) -> AsyncIterator[Sea]:
-    """`more` settings of the boats; `env` of their programs and of the gateway's, where they are not ours."""
+    """`count` boats; `more` settings of the boats; `env` of their programs and of the gateway's, where they are not ours."""
     gateway = Gateway(folder, gateway_env)
-    radios = [Radio(gateway.boats) for _ in BERTHS]
+    radios = [Radio(gateway.boats) for _ in range(count)]
     ports = [await radio.open() for radio in radios]
     try:
         url = await asyncio.to_thread(gateway.start)
-        first, second = (afloat(folder / str(n), n, port, more, env) for n, port in enumerate(ports, 1))
-        with first as one, second as two:
-            sea = Sea(folder, gateway, url, [one, two], radios)
+        with contextlib.ExitStack() as programs:
+            boats = [programs.enter_context(afloat(folder / str(n), n, port, more, env)) for n, port in enumerate(ports, 1)]
+            sea = Sea(folder, gateway, url, boats, radios)
             try:
                 await sea.browse()
                 yield sea

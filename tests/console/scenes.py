@@ -210,10 +210,13 @@ async def silent(page: Page, gateway: Standin, day: Day, picture: Picture) -> No
     delfim["age_s"] = dict.fromkeys(delfim["age_s"], 23.0)
     delfim["rpm"] = [None, None]
     delfim["ghost"] = {"latitude_deg": at[0] + 12 / M_PER_DEG, "longitude_deg": at[1] - 0.0001, "radius_m": 22}
-    gateway.boat(2).update(mode="idle", failsafe="battery low: 18 %, idle")
+    gateway.boat(2).update(mode="idle", forced="battery low: 18 %")
     gateway.boat(2)["mission"]["state"] = "differs"
     gateway.boat(2)["battery_pct"] = 18
-    await gateway.tell({"t": "text", "boat": 2, "severity": 2, "text": "failsafe: battery low, idle", "at_s": gateway.at_s})
+    stop = {"id": 2, "boat": 2, "severity": 2, "text": "battery low: 18 %: stop"}
+    lost = {"id": 1, "boat": 1, "severity": 4, "text": "link lost: nothing is heard from it"}
+    alarms = [each | {"at_s": gateway.at_s, "lasts": True, "seen": each is lost} for each in (stop, lost)]
+    await gateway.tell({"t": "alarms", "alarms": alarms})
     await gateway.frame()
     await picture("night")
 

@@ -75,11 +75,11 @@ def test_markup_in_names_and_texts_is_text(tmp_path: Path) -> None:
             await choose(page, "Mission", "Load", MARK)
             await says(page, "#messages", "is no name for a mission")
             await page.press("Escape")
-            await page.mouse((500.0, 500.0))
+            await page.mouse((500.0, 600.0))
             await choose(page, "Screen")
             await page.until(f"{ITEMS}.includes('Chart: {MARK}')")
-            await choose(page, "Messages")
-            await page.until(f"{ITEMS}.some(each => each.includes({MARK!r}))")
+            await choose(page, "Log of the watch")
+            await says(page, "#log")
             assert await page.value("[window.owned ?? 0, document.querySelectorAll('img, body script').length]") == [0, 0]
 
     asyncio.run(main())

@@ -740,7 +740,7 @@ def test_one_commands_and_others_take_over_by_saying_so(sea):
     assert sea.console.mode(3)[0] == ACCEPTED
     result, words = other.mode(5)
     assert (result, sea.state.mode) == (LATER, Mode.HEADING)
-    assert "console 250 commands; take over first" in words
+    assert "console 251 refused: console 250 commands; take over first" in words
     other.say("manual_control", 1, 500, 0, 0, 0, 0)
     assert other.command(32100, 0, 1)[0] == ACCEPTED
     assert other.mode(5)[0] == ACCEPTED

@@ -124,7 +124,7 @@ class Consoles:
             return None
         self.count("not_owner")
         same = "another " if self.owner == source.system else ""
-        return f"{same}console {self.owner} commands; take over first"
+        return f"console {source.system} refused: {same}console {self.owner} commands; take over first"
 
     @property
     def owner(self) -> int:

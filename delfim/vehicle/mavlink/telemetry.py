@@ -13,9 +13,10 @@ from delfim.geodesy import compass, from_plane, wrap
 from delfim.messages import BatteriesStatus, Node
 from delfim.modes import Mode
 from delfim.vehicle import sensors, thrusters
-from delfim.vehicle.failsafe import Action
+from delfim.vehicle.failsafe import Action, bits
 from delfim.vehicle.loop import VehicleLoop
 from delfim.vehicle.mavlink.ardupilot import WaterDepth, Wind
+from delfim.vehicle.mavlink.params import TROUBLES
 from delfim.vehicle.mavlink.plans import ALL
 from delfim.vehicle.mavlink.vesselsout import guard, ordered, vessels
 from delfim.vehicle.mavlink.wire import Message, dialect
@@ -222,7 +223,8 @@ def checksum(view: TelemetryView) -> Iterator[Message]:
         yield dialect.MAVLink_mission_checksum_message(ALL, known)
 
 
-def owner(view: TelemetryView) -> Iterator[Message]:
+def numbers(view: TelemetryView) -> Iterator[Message]:
+    yield dialect.MAVLink_named_value_int_message(_boot_ms(view), TROUBLES.encode(), bits(view.boat.state.notices))
     yield dialect.MAVLink_named_value_int_message(_boot_ms(view), b"OWNER", view.owner)
     yield from guard(view.boat.state, _boot_ms(view))
 
@@ -326,7 +328,7 @@ ROWS: Final = (
     TelemetryRow(dialect.MAVLINK_MSG_ID_NAV_CONTROLLER_OUTPUT, NEVER_S, 1.0, 0.5, steering),
     TelemetryRow(dialect.MAVLINK_MSG_ID_MISSION_CURRENT, NEVER_S, 1.0, 1.0, current),
     TelemetryRow(dialect.MAVLINK_MSG_ID_MISSION_CHECKSUM, 5.0, 5.0, 5.0, checksum),
-    TelemetryRow(dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT, NEVER_S, 5.0, 1.0, owner),
+    TelemetryRow(dialect.MAVLINK_MSG_ID_NAMED_VALUE_INT, NEVER_S, 5.0, 1.0, numbers),
     TelemetryRow(dialect.MAVLINK_MSG_ID_NAMED_VALUE_FLOAT, NEVER_S, 5.0, 1.0, floats),
     TelemetryRow(WaterDepth.id, NEVER_S, 1.0, 0.5, depth, _sounded),
     TelemetryRow(Wind.id, NEVER_S, 5.0, 1.0, wind, _blown),

@@ -25,7 +25,7 @@ const SCREEN: Group = [
   [
     ["+ −", "zoom"],
     ["W", "crosshair: arrows move the map, Enter opens the menu of the place"],
-    ["K", "take note of vessels in danger: the sound stops"],
+    ["K", "acknowledge the alarms on the screen, and vessels in danger: the sound stops"],
     ["Esc", "close"],
     ["F6", "the next button on the screen; Enter presses it"],
     ["F1", "this card"],
@@ -110,7 +110,7 @@ export interface Screen {
   follow(): void;
   zoom(by: number): void;
   undo(): void;
-  /** Somebody has taken note of the vessels in danger: the sound stops. */
+  /** Somebody has taken note of the alarms and of the vessels in danger: the sound stops. */
   acknowledge(): void;
   replayTakes(key: string): boolean;
 }

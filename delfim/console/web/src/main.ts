@@ -3,6 +3,7 @@ import "ol/ol.css";
 import "./style.css";
 import { Actions } from "./actions";
 import { Aim } from "./aim";
+import { Alarms } from "./alarms";
 import type { Pixel } from "./chart";
 import { Chart } from "./chart";
 import { Check } from "./check";
@@ -25,10 +26,11 @@ import { Popup } from "./popup";
 import { Replay } from "./replay";
 import { Sound } from "./sound";
 import { Others, vesselLines } from "./others";
-import { NOBODY, State, age_s, ageWords, freshness } from "./state";
+import { NOBODY, State, ageWords } from "./state";
 import { Strips } from "./strip";
 import { Traffic } from "./traffic";
 import { Watch } from "./watch";
+import { WatchLog } from "./watchlog";
 import type { Boat, Heard, Mission, Place, Vessel } from "./wire";
 
 const REACH_PX = 22;
@@ -39,8 +41,10 @@ const element = (id: string): HTMLElement => document.getElementById(id)!;
 tellFailures(element("failed"));
 const state = new State();
 const sound = new Sound();
-const messages = new Messages(element("messages"), state, sound);
+const messages = new Messages(element("said"), state, sound);
 const net = new Net(heard, online);
+const alarms = new Alarms(element("alarms"), state, net, sound);
+const watchLog = new WatchLog(document.body);
 const drive = new Drive(net, state, () => strips.draw(false));
 const actions = new Actions(net, state, drive, (boat, severity, words) => messages.say(boat, severity, words), () => corner.draw());
 const popup = new Popup(document.body, element("corner"));
@@ -52,14 +56,14 @@ const watch = new Watch(state, sound);
 const others = new Others(chart, state, watch);
 const plans = new Plans(chart, state, (mission) => edit(state.planning, mission));
 const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, messages, sound, watch, () => keyCard.toggle());
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, () => keyCard.toggle());
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
 const corner = new Corner(element("stop"), element("stop-all"), state, actions, () => popup.close(), nobody);
 const replay = new Replay(element("replay"), state, actions, (place) => chart.follow(place, 0));
 new Keys(state, actions, {
-  menuTakes: (key) => popup.takes(key) || (key === "Escape" && keyCard.close()) || aim.takes(key),
+  menuTakes: (key) => popup.takes(key) || (key === "Escape" && (keyCard.close() || watchLog.close())) || aim.takes(key),
   closeMenu: escape,
   openMenu,
   toggleCard: () => {
@@ -78,7 +82,10 @@ new Keys(state, actions, {
     chart.zoom(by);
   },
   undo,
-  acknowledge: () => watch.acknowledge(),
+  acknowledge: () => {
+    watch.acknowledge();
+    alarms.acknowledge();
+  },
   replayTakes: (code) => replay.takes(code),
 });
 dryRunCard(element("dryrun"), state);
@@ -87,7 +94,6 @@ new Check(element("check"), state, actions);
 new Pad(state, actions, drive, (boat, severity, words) => messages.say(boat, severity, words));
 
 let [placed, fitted, moved] = [false, false, false]; // a boat was brought into view; a mission too; the operator has chosen the view
-const lost = new Set<number>();
 
 chart.paint();
 state.on(["theme"], () => chart.paint());
@@ -129,10 +135,13 @@ function heard(message: Heard): void {
     case "track":
       return fleet.history(message.boat, message.start ?? false, message.points);
     case "forgotten":
-      lost.delete(message.boat);
       return state.forget(message.boat);
     case "text":
-      return messages.say(message.boat, message.severity, message.text);
+      return message.alarm ? undefined : messages.say(message.boat, message.severity, message.text);
+    case "alarms":
+      return alarms.take(message.alarms);
+    case "log":
+      return watchLog.take(message.lines, message.all);
     case "mission":
       return tookMission(message.boat, message.where, understood(message.mission));
     case "missions":
@@ -248,16 +257,9 @@ function hover(place: Place, pixel: Pixel): void {
   element("map").style.cursor = plans.measuring ? "crosshair" : over ? "pointer" : "";
 }
 
-/** Says once that a boat fell silent, and once that it is back. */
+/** How long ago the gateway was heard. */
 function listen(): void {
   if (!net.online) text(element("offline").lastElementChild!, `last message ${ageWords(state.frameAge_s)} ago`);
-  for (const boat of state.boats) {
-    const age = age_s(state, boat);
-    if (freshness(age) === "lost" && !lost.has(boat.id)) {
-      lost.add(boat.id);
-      if (Number.isFinite(age)) messages.say(boat.id, 4, "link lost: nothing is heard from it");
-    } else if (freshness(age) === "fresh" && lost.delete(boat.id)) messages.say(boat.id, 6, "heard again");
-  }
 }
 
 /** The view is chosen once when the first boat is seen, and once more when its mission is, unless the operator has moved the map. */

@@ -5,7 +5,6 @@ import type { Fleet } from "./fleet";
 import type { Field } from "./form";
 import { bearing, position } from "./geo";
 import { KEYED } from "./keys";
-import type { Messages } from "./messages";
 import * as M from "./mission";
 import { setTheme, theme } from "./palette";
 import { HOLDS_THERE, NONE } from "./planning";
@@ -33,7 +32,7 @@ export class Menus {
     private readonly fleet: Fleet,
     private readonly plans: Plans,
     private readonly planning: Planning,
-    private readonly messages: Messages,
+    private readonly log: () => void,
     private readonly sound: Sound,
     private readonly watch: Watch,
     private readonly card: () => void,
@@ -176,7 +175,7 @@ export class Menus {
       { title: "Guard zone", note: this.watch.zone_m ? `${this.watch.zone_m} m around each boat, on this page` : "none on this page", sub: () => this.zones() },
       ...charts,
       "line",
-      { title: "Messages", sub: () => this.said() },
+      { title: "Log of the watch", do: this.log },
       { title: "Clear the tracks", do: () => this.fleet.clearTracks() },
       { title: "Full screen", do: () => void document.documentElement.requestFullscreen() },
     ];
@@ -190,14 +189,6 @@ export class Menus {
   private toggle(chart: string): void {
     this.chart.toggle(chart);
     this.state.tell("theme");
-  }
-
-  private said(): Entry[] {
-    if (!this.messages.kept.length) return [{ title: "No messages", refuse: "none since the page was opened" }];
-    return this.messages.kept.slice(0, 12).map(({ boat, text, at }) => {
-      const its = boat === null ? undefined : this.state.byId(boat);
-      return { title: text, note: `${at.toLocaleTimeString("en-GB")} ${its?.name ?? ""}`, ...(its ? { colour: its.colour } : {}) };
-    });
   }
 }
 

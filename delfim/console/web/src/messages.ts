@@ -1,10 +1,10 @@
-// Messages of the boats and the gateway: on the screen for a while, in the list for the session, with a sound when it matters.
+// Messages of the boats and the gateway: on the screen for a while, with a sound when it matters. The gateway keeps them (watchlog.ts).
 import { make, text } from "./dom";
 import type { Sound } from "./sound";
 import type { State } from "./state";
 
 const SHOWN_MOST = 4;
-const KEPT_MOST = 200;
+const KEPT_MOST = 20;
 const SHOWN_MS = 7000;
 const GRAVE_MS = 25_000;
 const SAME_MS = 3000;
@@ -20,7 +20,7 @@ export interface Message {
 export const severityWord = (severity: number): string => (severity <= 3 ? "grave" : severity === 4 ? "warning" : "notice");
 
 export class Messages {
-  readonly kept: Message[] = [];
+  private readonly kept: Message[] = []; // to know what comes again
 
   constructor(
     private readonly parent: HTMLElement,

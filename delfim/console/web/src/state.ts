@@ -182,6 +182,7 @@ export function ageWords(age: number): string {
 export function trouble(boat: Boat): { words: string; grave: boolean } | null {
   if (boat.twins.length) return { words: `number ${boat.id} is used twice: ${boat.twins.join(" and ")}`, grave: true };
   if (boat.failsafe) return { words: boat.failsafe === boat.reason ? saidWords(boat) : boat.failsafe, grave: true };
+  if (boat.forced) return { words: `${boat.mode === "idle" ? "stopped" : boat.mode}: ${boat.forced}`, grave: true };
   if (!boat.owner) return { words: inControl(boat), grave: false };
   if (!boat.ready) return { words: saidWords(boat) || "not ready", grave: false };
   return null;

@@ -74,6 +74,7 @@ export interface Boat {
   reason: string;
   reason_age_s?: number | null; // since it was said
   failsafe: string;
+  forced?: string; // why it entered its mode by itself; "": it was told to
   rpm: Pair;
   thrust_pct: Pair;
   speed_pct: number | null;
@@ -177,6 +178,27 @@ export interface TimeLine {
   events?: Event[];
 }
 
+/** What is wrong, or was, and was not acknowledged. */
+export interface Alarm {
+  id: number;
+  boat: number | null;
+  severity: number; // MAVLink's: 0 emergency .. 7 debug
+  text: string;
+  at_s: number;
+  lasts: boolean; // its cause is there now
+  seen: boolean; // acknowledged
+}
+
+/** Of the log of the watch. */
+export interface WatchLine {
+  at_s: number;
+  boat: number | null;
+  name: string;
+  who: string;
+  what: string; // "alarm", "warning", "notice", "order", "refused", "acknowledged", "page"
+  text: string;
+}
+
 export type Heard =
   | { t: "hello"; version: string; me: number; page: number; heard_on?: string[]; charts?: string; orders: Order[]; backgrounds: Background[]; boats: Boat[]; replay: TimeLine | null }
   | { t: "boats"; at_s: number; boats: Boat[] }
@@ -184,8 +206,10 @@ export type Heard =
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
   | { t: "whole_track"; boat: number; points: [number, number, number][] }
   | { t: "graphs"; boat: number; graphs: Graphs }
-  | { t: "text"; boat: number | null; severity: number; text: string; at_s: number }
   | { t: "forgotten"; boat: number }
+  | { t: "text"; boat: number | null; severity: number; text: string; at_s: number; alarm?: string }
+  | { t: "alarms"; alarms: Alarm[] }
+  | { t: "log"; lines: WatchLine[]; all?: boolean }
   | { t: "answer"; seq: number; ok: boolean; reason: string; stage?: string }
   | { t: "mission"; boat: number; where: "here" | "aboard"; mission: Mission }
   | { t: "missions"; names: string[] }
@@ -204,6 +228,7 @@ export type Said =
   | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
   | { t: "profile"; boat: number; profile: string }
   | { t: "forget"; boat: number }
+  | { t: "acknowledge"; ids: number[] }
   | { t: "replay"; at_s?: number; rate?: number };
 
 // Sent without a number: nobody waits for an answer.
