@@ -255,6 +255,15 @@ async def replayed(page: Page, picture: Picture) -> None:
         day = Day(gateway)
         await day.sail(0.1)
         await opened(page, gateway)
+        await page.value("document.querySelector('#hint button').click()")
+        await page.press("Tab")
+        times = [gateway.at_s - 300 + 3 * n for n in range(600)]
+        values = {
+            "speed_mps": [[t, SPEED_MPS - 0.5 * max(0.0, math.cos(t / 31)) ** 30 + 0.03 * math.sin(t)] for t in times],
+            "depth_m": [[t, 6.0 + 2.2 * math.sin(t / 160) + 0.6 * math.sin(t / 47)] for t in times],
+            "battery_pct": [[t, 91.0 - n / 120] for n, t in enumerate(times)],
+        }
+        await gateway.tell({"t": "graphs", "boat": 2, "graphs": values})
         await show(page, -150, -300, 180, 260)
         await day.sail(180)
         await caught_up(page, gateway)
