@@ -17,6 +17,7 @@ import argparse
 import json
 import math
 import os
+import signal
 import sys
 from collections.abc import Iterable
 from pathlib import Path
@@ -87,7 +88,7 @@ def connect(output: Path) -> duckdb.DuckDBPyConnection:
     """All that was sailed, as the table `runs`; of a folder, or of a file that `keep` wrote."""
     database = duckdb.connect()
     place = f"'{output}'" if output.is_file() else parts(output / "seed-*")
-    findings.asked(database, f"create view runs as select * from {place}")
+    database.execute(f"create view runs as select * from {place}")
     return database
 
 
@@ -97,7 +98,7 @@ def keep(database: duckdb.DuckDBPyConnection, place: Path) -> None:
     if place.exists():
         rows += f" union all by name select {KEPT} from '{place}' anti join runs using ({RUN})"
     new = place.with_suffix(".new")
-    findings.asked(database, f"copy ({rows} order by {RUN}) to '{new}' (format parquet, compression zstd)")
+    database.execute(f"copy ({rows} order by {RUN}) to '{new}' (format parquet, compression zstd)")
     new.replace(place)
 
 
@@ -180,6 +181,7 @@ def main() -> None:
     parser.add_argument("--picture", type=Path)
     parser.add_argument("--tracks", type=Path)
     asked = parser.parse_args()
+    signal.signal(signal.SIGPIPE, signal.SIG_DFL)  # `... | head`
     if asked.picture is None:
         if not asked.tell:
             sail(asked.first, asked.seeds, asked.real, asked.bare, asked.output, asked.workers)

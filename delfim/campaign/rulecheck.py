@@ -10,6 +10,7 @@ from delfim.geodesy import wrap
 from delfim.simulator.encounters import START_S
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes.shipping import Vessel, axes_m, nearness
+from delfim.vehicle import setpoints
 
 LOOK_S: Final = 1.0
 GIVE_WAY: Final = ("head-on", "give-way", "overtaking")  # what the boat must keep clear in
@@ -65,7 +66,7 @@ class RuleTape:
 
     def checks(self) -> list[Check]:
         """Of each vessel that has a `meeting`, the rules that ask something of the boat."""
-        vessels, own_mps = self._run.nodes.vessels, self._run.settings.control.speed.cruise_mps
+        vessels, own_mps = self._run.nodes.vessels, setpoints.speed(None, self._run.settings.control.speed)
         met = [(i, each) for i, each in enumerate(vessels) if each.row.meeting]
         sailed = [each for each in self.instants if each.t_s >= START_S]
         if not met or not sailed:

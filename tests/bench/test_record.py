@@ -2,6 +2,9 @@
 
 import json
 import math
+import os
+import subprocess
+import sys
 from multiprocessing.pool import ThreadPool
 from pathlib import Path
 from typing import Any
@@ -85,6 +88,15 @@ def sailed(seed: int = 1) -> Any:
         'time' as "end", '' as error from range(1, 5) r(i)"""
     )
     return database
+
+
+def test_who_reads_only_the_first_lines_sees_no_traceback():
+    read, write = os.pipe()
+    os.close(read)
+    words = [sys.executable, "-m", "bench.record", "--tell", "--output", "docs/record.parquet"]
+    done = subprocess.run(words, cwd=ROOT, stdout=write, stderr=subprocess.PIPE, check=False)
+    os.close(write)
+    assert done.stderr == b""
 
 
 def test_the_tables_name_what_failed(capsys):

@@ -1,6 +1,7 @@
 """How a run kept the rules of the road, by geometry: tapes of motions that keep them, and that break them."""
 
 import math
+import sys
 from types import SimpleNamespace
 from typing import Any
 
@@ -30,7 +31,11 @@ def tape(row: config.SimulatedVessel, turn_s: float, turn_deg: float, part: floa
     """The boat goes north, and from `turn_s` to `back_s` on another course, at a part of its speed."""
     traffic = config.SimulatedTraffic(vessel=(row,))
     run = Lockstep(
-        config.Vehicle(boat=config.BoatTable(name="test"), simulation=config.Simulation(traffic=traffic)),
+        config.Vehicle(
+            boat=config.BoatTable(name="test"),
+            simulation=config.Simulation(traffic=traffic),
+            control=config.ControlTable(speed=config.SpeedTable(max_mps=OWN_MPS)),
+        ),
         1,
         lambda clock: NoLog(),
     )
@@ -78,6 +83,12 @@ OVERTAKEN = met("overtaking", 0.0, 0.5, 300.0)
 )
 def test_a_manoeuvre_keeps_the_rules_or_breaks_them(row, turn_s, turn_deg, part, rules):
     assert broken(row, turn_s, turn_deg, part) == rules
+
+
+def test_a_boat_is_judged_by_the_speed_that_its_file_allows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its cruising speed is 1.5 m/s, of which it may make 1.0: that is no slowing down."""
+    monkeypatch.setattr(sys.modules[__name__], "OWN_MPS", 1.0)
+    assert broken(met("head-on", 180.0, 2.0, 300.0), 100, 45.0) == set()
 
 
 def test_who_passes_ahead_of_one_from_starboard_is_told():

@@ -1,5 +1,7 @@
 """What a worker does: a run of a point and a seed, and what is measured of it."""
 
+import itertools
+
 import pytest
 
 from delfim.campaign import sailing
@@ -15,6 +17,14 @@ def test_a_run_that_cannot_be_sailed_is_a_row_with_its_error(tmp_path):
     (row,) = sailing.sail_batch(plan, Batch(0, ((0, 1),)), sailing.VERSION)
     assert not row["ok"]
     assert row["error"].startswith("TooLong: not over after 1e-09 s of computing")
+
+
+def test_a_computer_that_slept_ends_no_run(tmp_path, monkeypatch):
+    _, plan = read(written(tmp_path, 'scenario = "mixed"', "seeds = {count = 1}", "seconds = 60"))
+    slept = itertools.count(0.0, 1e6)
+    monkeypatch.setattr(sailing.time, "monotonic", lambda: next(slept))
+    (row,) = sailing.sail_batch(plan, Batch(0, ((0, 1),)), sailing.VERSION)
+    assert row["error"] == ""
 
 
 def test_a_worker_with_other_code_is_refused_with_both_named(tmp_path):

@@ -14,7 +14,8 @@ from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.control.control import control
-from delfim.vehicle.state import NoLog, State
+from delfim.vehicle.control.memory import Memory
+from delfim.vehicle.state import Motion, NoLog, Setpoint, State, Waypoint
 from delfim.vehicle.target import Traffic
 from delfim.vehicle.traffic import watchkeeper
 from delfim.vehicle.traffic.routeahead import route_ahead
@@ -209,6 +210,16 @@ def test_where_the_guard_fails_the_boat_does_as_its_file_says(does: str, monkeyp
         state.traffic = state.traffic._replace(at_s=voyage.run.elapsed_s - 0.1)
         voyage.run.cycle()
     assert voyage.run.vehicle.helm.step is control
+
+
+def test_half_the_speed_is_half_of_what_the_file_allows() -> None:
+    limits = Voyage("control.speed.max_mps=1.0").run.vehicle.helm.limits
+    motion = Motion(frozenset({"position", "heading", "velocity"}), 0.0, 0.0, 0.0, 0.0, 1.0, 0.0)
+    setpoint = Setpoint(target=Waypoint(900.0, 0.0, 1.0, 5.0))
+    memory = Memory()
+    for _ in range(50):
+        memory, reference, _ = watchkeeper._slowly(Mode.GOTO, memory, motion, setpoint, limits, 0.2)
+    assert reference.speed_mps == pytest.approx(0.5)
 
 
 def test_legs_are_checked_off_while_the_boat_is_away() -> None:

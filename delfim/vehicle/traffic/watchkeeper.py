@@ -14,6 +14,7 @@ from delfim.clock import Clock
 from delfim.geodesy import wrap
 from delfim.modes import Mode
 from delfim.slices import Sliced, Work
+from delfim.vehicle import setpoints
 from delfim.vehicle.control.autopilot import steer
 from delfim.vehicle.control.control import control
 from delfim.vehicle.control.guidance import course_to_steer
@@ -211,7 +212,6 @@ def _slowly(
     mode: Mode, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
 ) -> tuple[Memory, Reference, Wanted]:
     """One step of a mode at half the speed that is set for it, or half the cruising speed."""
-    set_mps = setpoint.override_mps
-    slow_mps = SLOW * (settings.control.speed.cruise_mps if set_mps is None else set_mps)
+    slow_mps = SLOW * setpoints.speed(setpoint.override_mps, settings.control.speed)
     slow = setpoint._replace(speed_mps=SLOW * setpoint.speed_mps, override_mps=slow_mps)
     return control(mode, memory, motion, slow, settings, dt_s)
