@@ -2,6 +2,8 @@
 
 import asyncio
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from io import BytesIO
 from pathlib import Path
@@ -250,3 +252,16 @@ def test_no_folder_is_no_charts(tmp_path: Path) -> None:
         charts = Charts(folder)
         assert (charts.backgrounds, charts.faults) == ([], [])
         charts.close()
+
+
+def test_a_console_without_images_needs_no_pillow(tmp_path: Path) -> None:
+    """An image says in words what it lacks."""
+    (tmp_path / "chart.png").write_bytes(b"")
+    program = f"""
+import sys
+sys.modules["PIL"] = None
+from pathlib import Path
+from delfim.console.gateway import Charts
+print(Charts(None).faults, Charts(Path({str(tmp_path)!r})).faults)"""
+    told = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
+    assert told == f"[] [\"{tmp_path}/chart.png: image: it needs PIL: pip install 'delfim[ground]'\"]\n"
