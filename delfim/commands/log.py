@@ -111,7 +111,9 @@ def _cat(asked: argparse.Namespace) -> int:
         _cat_state(chosen, asked.fields)
         return 0
     is_empty = True
-    for line in _cat_lines(chosen, events=asked.events):
+    if asked.json and not asked.events:
+        raise DelfimError("--json is for --events; `delfim log export` writes the rest for programs")
+    for line in _cat_lines(chosen, events=asked.events, as_json=asked.json):
         is_empty = False
         sys.stdout.write(line)
     if is_empty and (asked.from_ or asked.to):
@@ -119,11 +121,14 @@ def _cat(asked: argparse.Namespace) -> int:
     return 0
 
 
-def _cat_lines(chosen: Selection, *, events: bool) -> Iterator[str]:
+def _cat_lines(chosen: Selection, *, events: bool, as_json: bool) -> Iterator[str]:
     """The events, or the frames of the black boxes by time, or the nodes' messages: lines of JSON that begin with the time."""
     if events:
+        from delfim.logging.eventtable import table
+
         told = sorted(tree.events(chosen.files, chosen.span), key=lambda each: each["t_ns"])
-        yield from (json.dumps(event) + "\n" for event in told)
+        lines_of = map(json.dumps, told) if as_json else table(told)
+        yield from (f"{line}\n" for line in (lines_of if told else ()))
         return
     if boxes := chosen.black_box():
         from delfim.logging.table import lines
@@ -270,20 +275,12 @@ def _modes() -> dict[int, str]:
 
 
 def _waypoints(chosen: Selection) -> list[tuple[float, float, float]]:
-    """Of the mission that was loaded last, as the commands in the sidecar tell."""
+    """Of the mission that was sailed last, as the sidecar tells."""
     from delfim.config import PathTable
-    from delfim.vehicle.mission import parse_mission
+    from delfim.console.loggedmissions import sailed
 
-    mission = text = ""
-    for event in tree.events(chosen.state()):
-        if event["event"] == "command" and event["value"]["command"] == "mission" and not event["refused"]:
-            part = event["value"]
-            text = part["text"] if not part.get("at") else text + part["text"]
-            mission = mission if part.get("more") else text
-    if not mission:
-        return []
-    radius_m = PathTable().acceptance_m
-    points = parse_mission(mission, "the mission in the log").waypoint
+    mission, radius_m = sailed(tree.events(chosen.state())), PathTable().acceptance_m
+    points = mission.waypoint if mission is not None else ()
     return [(each.latitude_deg, each.longitude_deg, each.acceptance_m or radius_m) for each in points]
 
 
@@ -342,7 +339,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     cat = reader("cat", _cat, "Print a log as text: state, black box, events (--events), or, as `cat system`, the system log.")
     cat.add_argument("--level", choices=systemlines.LEVELS, default="debug", help="Print the system log from this level on.")
     cat.add_argument("--fields", metavar="NAME,...", help="Print only these fields of the state.")
-    cat.add_argument("--events", action="store_true", help="Print commands, changes of mode and losses, as lines of JSON.")
+    cat.add_argument("--events", action="store_true", help="Print commands, changes of mode and losses, as a table.")
+    cat.add_argument("--json", action="store_true", help="With --events: print lines of JSON with all they have, for programs.")
     info = reader("info", _info, "Sum up a run: track, modes, warnings, latency.")
     for one in (ls, info):
         one.add_argument("--json", action="store_true", help="Print JSON, for programs.")

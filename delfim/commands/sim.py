@@ -77,13 +77,22 @@ def run(asked: argparse.Namespace) -> int:
 
 
 def _scenario(asked: argparse.Namespace) -> int:
+    from delfim.logging.statelog import columns
     from delfim.simulator import chased, mixed, trial
 
+    logged = bool(asked.output)
+    overrides = (*asked.set, *(_kept(asked) if logged else ()))
     if draw := chased.DRAWN.get(asked.scenario):
-        result = mixed.sail_mixed(asked.file, asked.seed, tuple(asked.set), draw)
+        result = mixed.sail_mixed(asked.file, asked.seed, overrides, draw, logged=logged)
     else:
-        result = trial.run_file(asked.scenario, asked.file, asked.seed, tuple(asked.set))
+        result = trial.run_file(asked.scenario, asked.file, asked.seed, overrides, logged=logged)
     print(*trial.report(result), sep="\n")
+    if logged:
+        settings = config.load(asked.file, overrides)
+        log = Path(settings.log.directory)
+        data = columns(log.glob("*/state/*.state*"))
+        print("\n".join(f"  {name:12} {words}" for name, words in [*_figures(data), ("log", _beside(log))]))
+        _pictures(data, Mission(version=1, name=asked.scenario, waypoint=()), settings, Path(asked.output), timed=False)
     if result.failures:
         print(f"delfim: failed; again: {mixed.again(asked.file, asked.scenario, asked.seed, asked.set)}", file=sys.stderr)
         return 1
@@ -226,11 +235,8 @@ def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Miss
     from delfim.simulator.external import SteppedModel
     from delfim.simulator.lockstep import Lockstep
 
-    output = Path(asked.output or SIMULATED)
-    log = output.resolve() / f"lockstep-{asked.seed}"
-    log.parent.mkdir(parents=True, exist_ok=True)
-    shutil.rmtree(log, ignore_errors=True)
-    settings = config.load(asked.file, [*asked.set, f'log.directory="{log}"', 'log.state_method="write"'])
+    settings = config.load(asked.file, [*asked.set, *_kept(asked)])
+    log = Path(settings.log.directory)
     started = time.monotonic()
     model = SteppedModel.of(settings)
     if model is not None:
@@ -244,14 +250,25 @@ def _lockstep(asked: argparse.Namespace, settings: config.Vehicle, mission: Miss
     data = columns(log.glob("*/state/*.state*"))
     print(f"delfim: {end}; {run.elapsed_s:.0f} s sailed in {wall_s:.2f} s, {run.elapsed_s / wall_s:.0f} times real time")
     print("\n".join(f"  {name:12} {words}" for name, words in [*_figures(data), ("log", _beside(log))]), flush=True)
-    _pictures(data, mission, settings, output, timed=False)
+    _pictures(data, mission, settings, log.parent, timed=False)
     return _code(end)
+
+
+def _kept(asked: argparse.Namespace) -> tuple[str, ...]:
+    """Where a run in lock step keeps its log: nothing of one before stays."""
+    log = Path(asked.output or SIMULATED).resolve() / f"lockstep-{asked.seed}"
+    shutil.rmtree(log, ignore_errors=True)
+    log.parent.mkdir(parents=True, exist_ok=True)
+    return f'log.directory="{log}"', 'log.state_method="write"'
 
 
 def _pictures(
     data: dict[str, list[Any]], mission: Mission, settings: config.Vehicle, output: Path, *, timed: bool = True
 ) -> None:
     """Track of a run, and its latency where time was real, as PNG from the state log."""
+    from delfim.console.loggedmissions import sailed
+    from delfim.logging import tree
+
     try:
         from delfim.logging import plot
     except ModuleNotFoundError as error:  # on a boat, in its container
@@ -261,13 +278,15 @@ def _pictures(
         print("delfim: nothing was logged, so there are no pictures", file=sys.stderr)
         return
     acceptance_m = settings.control.path.acceptance_m
+    last = tree.choose(tree.files([settings.log.directory]), "last", time.time_ns())
+    mission = sailed(tree.events(file for run in last for file in run.files)) or mission
     marks = [(w.latitude_deg, w.longitude_deg, w.acceptance_m or acceptance_m) for w in mission.waypoint]
     plot.track(data, marks, f"{settings.boat.name}: {mission.name}", output / "track.png")
-    print(f"  {'pictures':12} {output}/track.png", end="", flush=True)
+    drawn = [output / "track.png"]
     if timed:
         plot.latency(data, f"{settings.boat.name}: critical path, t0 to t4", output / "latency.png")
-        print(f", {output}/latency.png", end="")
-    print(flush=True)
+        drawn.append(output / "latency.png")
+    print(f"  {'pictures':12} {', '.join(map(str, drawn))}", flush=True)
 
 
 def _beside(path: Path) -> str:

@@ -1,5 +1,6 @@
 """The missions that a boat was given, by the commands in the sidecars of its log, as the page has them."""
 
+import math
 from collections.abc import Iterable, Iterator
 from typing import Any, Final
 
@@ -22,6 +23,16 @@ def logged_missions(events: Iterable[dict[str, Any]]) -> list[tuple[float, dict[
         if not found or found[-1][1] != mission:
             found.append((at_s, mission))
     return [(at_s, with_digest(page_of(mission) | {"home": None})) for at_s, mission in found]
+
+
+def sailed(events: Iterable[dict[str, Any]]) -> Mission | None:
+    """The mission that was aboard when a mission was begun last, or else the one that was sent last; None: there was none."""
+    told = sorted(events, key=lambda each: each["t_ns"])
+    begun_s = max(
+        (each["t_ns"] / 1e9 for each in told if each["event"] == "mode" and each.get("value") == "play"), default=math.inf
+    )
+    found = [(at_s, mission) for at_s, mission in _missions(told) if mission.waypoint]
+    return next((mission for at_s, mission in reversed(found) if at_s <= begun_s), found[-1][1] if found else None)
 
 
 def _missions(events: Iterable[dict[str, Any]]) -> Iterator[tuple[float, Mission]]:

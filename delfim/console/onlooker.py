@@ -142,7 +142,7 @@ def shown(asked: argparse.Namespace, mission: Mission) -> Iterator[Show]:
 
         from delfim.console.view import View
 
-        view = View([(w.latitude_deg, w.longitude_deg) for w in mission.waypoint])
+        view = View([(w.latitude_deg, w.longitude_deg) for w in mission.waypoint], mission.name)
         with Live(view.render(), refresh_per_second=5, screen=True) as live:
 
             def lively(state: dict[str, Any], words: str) -> None:

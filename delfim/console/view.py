@@ -22,10 +22,10 @@ _ARROWS = "↑↗→↘↓↙←↖"
 
 
 class View:
-    """Feed it states; render it as often as you like. Waypoints are (latitude_deg, longitude_deg)."""
+    """Feed it states; render it as often as you like. Waypoints are (latitude_deg, longitude_deg), of the mission `name`."""
 
-    def __init__(self, waypoints: list[tuple[float, float]]) -> None:
-        self.waypoints = waypoints
+    def __init__(self, waypoints: list[tuple[float, float]], name: str) -> None:
+        self.waypoints, self.name = waypoints, name
         self.track: deque[tuple[float, float]] = deque(maxlen=POINTS_MAX)
         self.state: dict[str, Any] | None = None
         self.words = ""
@@ -33,6 +33,8 @@ class View:
     def feed(self, state: dict[str, Any], words: str = "") -> None:
         """A state, and the words above it."""
         self.state, self.words = state, words
+        if state["mission"] not in (None, self.name):  # another one was sent: of it only the name is told here
+            self.waypoints = []
         if state["latitude_deg"] is not None:
             self.track.append((state["latitude_deg"], state["longitude_deg"]))
 

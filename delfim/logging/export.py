@@ -28,10 +28,11 @@ Events = Iterable[Mapping[str, Any]]  # of the sidecars
 
 def to_csv(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
     """For people and spreadsheets: a line a record, names with units in the first, degrees, modes by name; unknown values are
-    empty. The first column is the time in UTC."""
+    empty. The first column is the time in UTC; the stamps of the loop and of its inputs come last."""
     its = units(schema)
-    heads = [f"{name} [{_DEGREES.get(its.get(name, ''), its[name])}]" if its.get(name) else name for name in columns]
-    lists = [_readable(name, its.get(name, ""), column) for name, column in columns.items()]
+    names = sorted(columns, key=lambda name: name in _STAMPS)
+    heads = [f"{name} [{_DEGREES.get(its.get(name, ''), its[name])}]" if its.get(name) else name for name in names]
+    lists = [_readable(name, its.get(name, ""), columns[name]) for name in names]
     with file.open("w", newline="", encoding="utf-8") as text:
         writer = csv.writer(text)
         writer.writerow(["utc", *heads])
@@ -40,12 +41,22 @@ def to_csv(columns: Columns, schema: Schema, events: Events, file: Path) -> None
 
 
 _DEGREES: Final = {"rad": "deg", "rad/s": "deg/s"}
+_STAMPS: Final = ("utc_ns", "t0", "t1", "t2", "t3", "t4", "previous_t5", "console_s", "guest_s", "watchdog_s")
+_NEVER_S: Final = -1e8  # a stamp before that: not heard yet
 
 
 def _readable(name: str, unit: str, column: "NDArray[Any]") -> list[Any]:
     import numpy as np
 
-    values = (np.degrees(column.astype(float)).round(9) if unit in _DEGREES else column).tolist()
+    if column.dtype.kind == "f":
+        single, column = (
+            column.dtype.itemsize == 4,
+            np.degrees(column.astype(float)) if unit in _DEGREES else column.astype(float),
+        )
+        column = column.round(6) if single else column.round(9)
+    values = column.tolist()
+    if name in _STAMPS:
+        return ["" if value < _NEVER_S else value for value in values]
     if name == "mode":
         names = {int(mode): mode.name.lower() for mode in Mode}
         return [names.get(value, value) for value in values]

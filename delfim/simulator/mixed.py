@@ -17,6 +17,7 @@ from delfim.simulator.faults import KINDS, OF_AIS, OF_COMPASS, OF_PULSES, OF_THR
 from delfim.simulator.nodes import nodes_of
 from delfim.simulator.scenario import FaultAt, Scenario, ScenarioGuest, settings_of
 from delfim.simulator.trial import Result, sail
+from delfim.vehicle.logbook import Logbook
 
 MIXED: Final = "mixed"
 START_S, QUIET_S = 8.0, 15.0  # no fault before the boat is ready, nor at the end
@@ -102,12 +103,19 @@ def _fault(random: Random, seconds: float, places: dict[str, tuple[str, ...]]) -
 
 
 def sail_mixed(
-    vehicle: str | Path, seed: int, overrides: tuple[str, ...] = (), draw: Callable[[int, config.Vehicle], Scenario] = mixed
+    vehicle: str | Path,
+    seed: int,
+    overrides: tuple[str, ...] = (),
+    draw: Callable[[int, config.Vehicle], Scenario] = mixed,
+    *,
+    logged: bool = False,
 ) -> Result:
     """The run of a seed with a vehicle's file. Raises ConfigError. A refused order is not a failure here."""
     here = config.load(vehicle, overrides)
     scenario = draw(seed, here)
-    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, mixed_mission(here.simulation), patient=False)
+    settings = settings_of(scenario, vehicle, overrides)
+    log = partial(Logbook, settings) if logged else None
+    return sail(scenario, settings, seed, mixed_mission(here.simulation), log, patient=False)
 
 
 def again(vehicle: str, scenario: str, seed: int, overrides: Sequence[str]) -> str:

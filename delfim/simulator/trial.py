@@ -6,6 +6,7 @@ Every run is also checked against the invariants of `delfim.simulator.watch`.
 import math
 from collections import deque
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Final, Literal, NamedTuple
 
@@ -21,6 +22,7 @@ from delfim.simulator.nodes.shipping import Vessel
 from delfim.simulator.scenario import Expect, OperatorWord, Scenario, fault_of, load_scenario, settings_of
 from delfim.simulator.watch import TURNS, Onlooker, TruePlace
 from delfim.vehicle import console
+from delfim.vehicle.logbook import Logbook
 from delfim.vehicle.state import NoLog, StateLog
 
 RETRY_S: Final = 1.0  # a refused operator repeats the order at this interval ...
@@ -154,6 +156,8 @@ class Operator:
         """Whether the operator is done with the order."""
         name, now_s = str(order.command.__struct_config__.tag), self._run.elapsed_s
         why = self._run.command(order.command)
+        if isinstance(log := self._run.log, Logbook):
+            log.command(order.command, why, self._run.state, "scenario")
         if order.refused:
             recorder.add("command", name, f"refused: {why}" if why else "")
             if order.refused not in (why or ""):
@@ -214,8 +218,10 @@ def _since(after: float | str, events: list[Event]) -> float | None:
     return next((e.t_s for e in reversed(events) if e.kind in ("fault", "command") and e.name == after), None)
 
 
-def run_file(path: str | Path, vehicle: str | Path, seed: int, overrides: tuple[str, ...] = ()) -> Result:
-    """A scenario file, sailed; FILE:NAME is one of its encounters. Raises ConfigError."""
+def run_file(
+    path: str | Path, vehicle: str | Path, seed: int, overrides: tuple[str, ...] = (), *, logged: bool = False
+) -> Result:
+    """A scenario file, sailed; FILE:NAME is one of its encounters. `logged`: its log is written, too. Raises ConfigError."""
     file, _, name = str(path).partition(".toml:")
     file = f"{file}.toml" if name else file
     here = load_scenario(file)
@@ -226,7 +232,8 @@ def run_file(path: str | Path, vehicle: str | Path, seed: int, overrides: tuple[
         if name not in found:
             raise ConfigError(file, "encounters", f"{name or 'no name'}: name one, as {file}:{next(iter(found))}")
         _, scenario, mission = found[name]
-    return sail(scenario, settings_of(scenario, vehicle, overrides), seed, mission)
+    settings = settings_of(scenario, vehicle, overrides)
+    return sail(scenario, settings, seed, mission, partial(Logbook, settings) if logged else None)
 
 
 def report(result: Result) -> list[str]:

@@ -51,7 +51,12 @@ def test_cat_prints_state_frames_and_events(log):
     assert [int(line.split("\t")[0]) for line in lines[1:]] == list(range(1, len(lines)))
     frames = log("cat", "--id", "lockstep").splitlines()
     assert all(re.fullmatch(r"\(\d{10}\.\d{6}\) lockstep [0-9A-F]+#[0-9A-F]* [RT]", line) for line in frames)
-    told = [json.loads(line) for line in log("cat", "--events").splitlines()]
+    table = log("cat", "--events").splitlines()
+    assert table[0].split() == ["UTC", "WHO", "WHAT", "RESULT"]
+    assert re.search(r"^2010-01-01 00:00:\d\d +boat +mode play +local$|^.* mode play ", "\n".join(table), re.MULTILINE)
+    assert any(re.match(r"2010-01-01 .* mission text .*  done$", line) for line in table)
+    assert "watchdog" not in "".join(table)
+    told = [json.loads(line) for line in log("cat", "--events", "--json").splitlines()]
     assert [event["event"] for event in told][:2] == ["start", "start"]
     assert sum(event["event"] == "command" for event in told) == 6
 

@@ -377,3 +377,15 @@ def test_black_box_and_page_work_in_processes_of_their_own_and_a_guest_steers(tm
     assert set(seen["services"]) >= {"vehicle", "httpd"}
     assert set(seen["computer"]["supervisor"]) == {"runtime", "syslogd", "canzlogd", "httpd"}
     assert list((tmp_path / "out").glob("log/*/*/*.log.gz")), "and works"
+
+
+def test_a_scenario_leaves_its_log_and_its_track_where_it_is_told_to(tmp_path, typed):
+    words = ("sim", VEHICLE, "--scenario", str(ROOT / "etc/scenarios/calm-mission.toml"))
+    alone, kept = typed(*words)[1], typed(*words, "--output", str(tmp_path / "kept"))[1]
+    events = [line for line in alone.splitlines() if re.match(r" *[0-9.]+ s  ", line)]
+    assert events == [line for line in kept.splitlines() if re.match(r" *[0-9.]+ s  ", line)], "the same voyage"
+    assert f"pictures     {tmp_path}/kept/track.png" in kept
+    assert (tmp_path / "kept/track.png").stat().st_size > 10_000
+    told = typed("log", "cat", "--events", str(tmp_path / "kept"))[1]
+    assert re.search(r"  scenario +mission text .*done$", told, re.MULTILINE)
+    assert re.search(r"  boat +mode play +operator$", told, re.MULTILINE)

@@ -30,7 +30,7 @@ def shown(view: View, width: int = 130, height: int = 40) -> str:
 
 @pytest.mark.parametrize(("width", "height", "chart"), [(80, 24, False), (80, 40, True), (110, 50, True), (130, 24, True)])
 def test_everything_that_matters_is_on_the_screen(state, width, height, chart):
-    view = View(SQUARE)
+    view = View(SQUARE, "square")
     view.feed(state)
     text = shown(view, width, height)
     for words in (
@@ -48,11 +48,11 @@ def test_everything_that_matters_is_on_the_screen(state, width, height, chart):
 
 
 def test_before_the_first_state_it_waits():
-    assert "waiting for the vehicle" in shown(View(SQUARE))
+    assert "waiting for the vehicle" in shown(View(SQUARE, "square"))
 
 
 def test_the_chart_keeps_its_size_and_draws_track_waypoints_and_boat(state):
-    view = View(SQUARE)
+    view = View(SQUARE, "square")
     for step in range(50):
         view.feed({**state, "latitude_deg": 38.0 + step * 2e-5, "longitude_deg": -9.0})
     rows = view.chart()
@@ -64,8 +64,16 @@ def test_the_chart_keeps_its_size_and_draws_track_waypoints_and_boat(state):
     assert any(arrow in text for arrow in "↑↗→↘↓↙←↖")
 
 
+def test_of_another_mission_than_its_own_it_draws_no_waypoints(state):
+    view = View(SQUARE, "square")
+    view.feed({**state, "latitude_deg": 38.0, "longitude_deg": -9.0, "mission": "square"})
+    assert "3" in "".join(view.chart())
+    view.feed({**state, "latitude_deg": 38.0, "longitude_deg": -9.0, "mission": "another"})
+    assert "3" not in "".join(view.chart())
+
+
 def test_a_boat_that_never_had_a_position_can_be_shown(boat):
-    view = View([])
+    view = View([], "")
     view.feed(json.loads(console.answer(None, boat.vehicle.snapshot({})))["state"])
     assert "never heard" in shown(view)
 
@@ -91,7 +99,7 @@ def test_warnings_say_what_is_wrong(boat, state):
 
 @pytest.mark.parametrize(("width", "height"), [(80, 24), (130, 24), (110, 50)])
 def test_the_time_the_consoles_address_and_what_ends_it_are_always_there(state, width, height):
-    view = View(SQUARE)
+    view = View(SQUARE, "square")
     view.feed(state, "0:12:34  console http://127.0.0.1:8765/?token=AbCdEfGhIjKlMnOp  Ctrl-C ends")
     text = shown(view, width, height)
     for words in ("0:12:34", "http://127.0.0.1:8765/?token=AbCdEfGhIjKlMnOp", "Ctrl-C ends"):

@@ -95,7 +95,11 @@ def test_csv_has_every_field_of_every_record_in_degrees_with_units(day, tmp_path
     with written(day, tmp_path, "csv").open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == len(columns["t1"])
-    assert [head.partition(" ")[0] for head in rows[0]] == ["utc", *schema.names]
+    heads = [head.partition(" ")[0] for head in rows[0]]
+    assert sorted(heads) == sorted(["utc", *schema.names])
+    assert heads[-3:] == ["console_s", "guest_s", "watchdog_s"], "stamps of inputs stand apart"
+    assert {row["guest_s [s]"] for row in rows} == {""}, "never heard"
+    assert max(len(value.partition(".")[2]) for row in rows for head, value in row.items() if head != "utc") <= 9
     assert {"latitude [deg]", "yaw_rate [deg/s]", "cross_track [m]", "starboard_rpm [1/min]", "t1 [ns]", "mode", "run"} <= {
         *rows[0]
     }
