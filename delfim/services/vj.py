@@ -170,7 +170,7 @@ class Decompressor:
         if mask & _NEW_C:
             self._last, at, self._is_tossing = data[1], 2, False
         header = self._slots.get(self._last)
-        if self._is_tossing or header is None:
+        if self._is_tossing or header is None or len(data) < at + 2:
             return None
         tcp = (header[0] & 15) * 4
         carried = struct.unpack_from("!H", header, 2)[0] - len(header)

@@ -111,6 +111,15 @@ def test_no_bytes_can_harm_the_decompressor(lines: list[bytes]) -> None:
     assert other.decompress(Compressor().compress(packet)) == packet
 
 
+def test_a_line_that_ends_too_early_leaves_the_connection_that_it_names_as_it_was() -> None:
+    one, other = Compressor(), Decompressor()
+    for n in range(4):
+        packets = [tcp(port=port, seq=1000 + 10 * n, data=b"d" * 10, number=2 * n + port) for port in range(2)]
+        for packet in packets:
+            assert other.decompress(one.compress(packet)) == packet
+        assert other.decompress(bytes((COMPRESSED | 0x40, 0, 7))) is None, "of slot 0, with half a checksum"
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_after_a_loss_nothing_false_is_delivered_until_tcp_repeats(seed: int) -> None:
     """What refers to a lost packet is wrong and would fail TCP's own checksum; a line that knows of the loss tosses it."""
