@@ -22,7 +22,7 @@ from delfim.logging import systemlines, tree
 from delfim.logging.progress import progress, tracked
 from delfim.logging.tree import LogFile, Run, Span
 
-STATE_FORMATS = ("csv", "parquet", "gpx", "kml", "mcap", "mat")
+STATE_FORMATS = ("csv", "parquet", "gpx", "kml", "mcap", "mat", "soundings")
 BOX_FORMATS = ("log", "asc", "blf", "mf4")
 
 SYSTEM = "system"  # the id of the words of the programs
@@ -192,15 +192,17 @@ def _export(asked: argparse.Namespace) -> int:
     from delfim.logging.table import table
 
     chosen = _selection(asked)
-    file = Path(asked.output or f"{chosen.name}.{asked.format}")
+    is_depth = asked.format == "soundings"
+    file = Path(asked.output or f"{chosen.name}.{asked.format}{'.csv' if is_depth else ''}")
     if asked.format in canexport.FORMATS:
         count = canexport.write(_frames(chosen, str(file)), file, asked.format)
     else:
         columns, schema = table(tracked(str(file), chosen.state(), *_sizes(chosen.state())), chosen.span)
         told = list(tree.events(chosen.state(), chosen.span))
         export.FORMATS[asked.format](columns, schema, told, file)
-        count = len(columns["t1"])
-    print(f"{file}: {count} {'frames' if asked.format in canexport.FORMATS else 'records'}, {_size(file.stat().st_size)}")
+        count = sum(each["event"] == "sounding" for each in told) if is_depth else len(columns["t1"])
+    what = "frames" if asked.format in canexport.FORMATS else "soundings" if is_depth else "records"
+    print(f"{file}: {count} {what}, {_size(file.stat().st_size)}")
     return 0
 
 

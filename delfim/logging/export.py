@@ -1,4 +1,5 @@
-"""State logs in formats of other programs: CSV, Parquet, GPX, KML, MCAP (Foxglove, Lichtblick) and MAT (Octave, MATLAB, scipy).
+"""State logs in formats of other programs: CSV, Parquet, GPX, KML, MCAP (Foxglove, Lichtblick) and MAT (Octave, MATLAB, scipy);
+and the soundings alone.
 
 Numbers stay in SI units and radians, as they were logged, except in CSV and where the format itself has degrees.
 """
@@ -6,6 +7,7 @@ Numbers stay in SI units and radians, as they were logged, except in CSV and whe
 import csv
 import json
 import math
+from bisect import bisect_left
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
@@ -21,6 +23,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 
+SOUNDED_NS: Final = 2_000_000_000  # between positions further apart nobody knows where a sounding was taken
 GAP_NS: Final = 10_000_000_000  # without positions: the track is broken here
 
 Events = Iterable[Mapping[str, Any]]  # of the sidecars
@@ -61,6 +64,28 @@ def _readable(name: str, unit: str, column: "NDArray[Any]") -> list[Any]:
         names = {int(mode): mode.name.lower() for mode in Mode}
         return [names.get(value, value) for value in values]
     return ["" if isinstance(value, float) and math.isnan(value) else value for value in values]
+
+
+def to_soundings(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
+    """CSV for charts: each sounding once, at its own time, where the boat was then, between the positions before and after."""
+    points = list(_positions(columns))
+    stamps = [point[0] for point in points]
+    with file.open("w", newline="", encoding="utf-8") as text:
+        writer = csv.writer(text)
+        writer.writerow(["utc", "latitude [deg]", "longitude [deg]", "depth_m [m]", "depth_offset_m [m]"])
+        for told in (event for event in events if event["event"] == "sounding"):
+            t_ns = told["t_ns"] - round((told["monotonic_s"] - told["measured_s"]) * 1e9)
+            after = bisect_left(stamps, t_ns)
+            place: tuple[object, object] = "", ""
+            if 0 < after < len(points) and stamps[after] - stamps[after - 1] <= SOUNDED_NS:
+                place = _between(points[after - 1], points[after], t_ns)
+            writer.writerow([_iso(t_ns), *place, told["depth_m"], told.get("offset_m", "")])
+
+
+def _between(a: tuple[int, float, float], b: tuple[int, float, float], t_ns: int) -> tuple[float, float]:
+    part = (t_ns - a[0]) / (b[0] - a[0])
+    east_deg = math.remainder(b[2] - a[2], 360.0)
+    return round(a[1] + part * (b[1] - a[1]), 9), round(math.remainder(a[2] + part * east_deg, 360.0), 9)
 
 
 def to_parquet(columns: Columns, schema: Schema, events: Events, file: Path) -> None:
@@ -136,6 +161,8 @@ def to_mcap(columns: Columns, schema: Schema, events: Events, file: Path) -> Non
             writer.add_message(channels[of], t_ns, json.dumps(message).encode(), t_ns)
 
         for event in sorted(events, key=lambda each: each["t_ns"]):
+            if event["event"] == "sounding":
+                continue
             if event["event"] == "vessels":
                 add(topics.TARGETS, event["t_ns"], topics.targets(event["value"]))
             else:
@@ -175,6 +202,7 @@ FORMATS: Final[dict[str, Callable[[Columns, Schema, Events, Path], None]]] = {
     "kml": to_kml,
     "mcap": to_mcap,
     "mat": to_mat,
+    "soundings": to_soundings,
 }
 
 

@@ -128,6 +128,18 @@ class LoggedVessel(msgspec.Struct):
     lost: bool
 
 
+Second = Annotated[float, msgspec.Meta(gt=-MOMENT_MAX_S, lt=MOMENT_MAX_S)]
+
+
+class LoggedSounding(msgspec.Struct, frozen=True):
+    """The fields that readers understand."""
+
+    monotonic_s: Second
+    measured_s: Second
+    depth_m: float
+    offset_m: float = 0.0
+
+
 def read_events(path: str | Path) -> Iterator[dict[str, Any]]:
     """The events of a sidecar, a line each; unreadable lines are left out: the power may have failed in the middle of one.
     Raises OSError."""
@@ -152,14 +164,16 @@ def _is_event(told: dict[str, Any]) -> bool:
         value = told.get("value")
         if not isinstance(value, dict) or not isinstance(value.get("command"), str) or "refused" not in told:
             return False
-    if told["event"] == "vessels" and not _are_vessels(told.get("value")):
+    if told["event"] == "vessels" and not _is_of(list[LoggedVessel], told.get("value")):
+        return False
+    if told["event"] == "sounding" and not _is_of(LoggedSounding, told):
         return False
     return type(told.get("t_ns")) is int and 0 <= told["t_ns"] < 1 << 63
 
 
-def _are_vessels(value: object) -> bool:
+def _is_of(kind: Any, value: object) -> bool:
     try:
-        msgspec.convert(value, list[LoggedVessel])
+        msgspec.convert(value, kind)
     except msgspec.ValidationError:
         return False
     return True

@@ -17,7 +17,7 @@ STAGES: Final = ("poll", "navigation", "control", "propulsion", "log")
 STEPPED_NS: Final = 10_000_000_000  # no cycle takes as long: the wall clock was stepped during it
 GAP: Final = 2.5  # periods without a record that are reported
 EVENTS_MAX: Final = 20  # reported in full
-QUIET: Final = ("start", "end", "command", "watchdog", "vessels")  # events that are not troubles
+QUIET: Final = ("start", "end", "command", "watchdog", "vessels", "sounding")  # events that are not troubles
 
 
 def summary(files: Sequence[LogFile], span: Span, modes: dict[int, str]) -> dict[str, Any]:

@@ -130,9 +130,10 @@ class Combined:
                 else:
                     accuracy_m = math.hypot(north_m, east_m)
                     self._measure("accuracy", talker, {"position_sigma_m": accuracy_m}, now_s, accuracy_m)
-            case Sounding(depth_m):
+            case Sounding(depth_m, offset_m):
                 if depth_m is not None:
-                    self._measure("depth", talker, {"depth_m": depth_m}, now_s)
+                    offset = {} if offset_m is None else {"depth_offset_m": offset_m}
+                    self._measure("depth", talker, {"depth_m": depth_m} | offset, now_s)
             case Breeze(angle_rad, speed_mps, is_apparent):
                 if angle_rad is not None and speed_mps is not None:
                     name = "apparent" if is_apparent else "true"

@@ -1,6 +1,7 @@
 """The vehicle's state log: a record a cycle, and events in the sidecar beside it (docs/log-format.md)."""
 
 import logging
+import math
 from collections.abc import Callable
 from typing import Final
 
@@ -19,6 +20,7 @@ from delfim.vehicle.state import State
 COMMAND_MAX: Final = 160  # characters of a command in the system log; all of it is in the sidecar
 VESSELS_S: Final = 10.0  # between two lists of other vessels ...
 VESSELS_MAX: Final = 20  # ... the nearest of them
+UNSOUNDED: Final = math.nan, -1e9
 ORDERLY: Final = ("operator", "shutdown")  # begin the reasons of changes of mode that were meant to be
 
 
@@ -36,7 +38,7 @@ class Logbook:
         self._log = open_log(settings.log, "state", ".state", settings.log.state_method, clock, header=schema.header)
         self._writer = StateWriter(self._log.put, schema)
         self.status, self.poll = self._log.status, self._log.poll
-        self._noted, self._vessels_s = False, -1e9
+        self._noted, self._vessels_s, self._sounding = False, -1e9, UNSOUNDED
         self._say, self._manual = say, ""  # why the last manual command was refused
         self.event("start", version=__version__, settings=tables.shown(settings))
 
@@ -87,14 +89,19 @@ class Logbook:
             self._say(logging.INFO if text.endswith(": over") else logging.WARNING, "vehicle: %s", text)
 
     def watch(self, state: State) -> None:
-        """Called after each check of the watchdog: logs its time when something was noted since the one before, and now and
-        then where other vessels are."""
+        """Called after each check of the watchdog: logs its time when something was noted since the one before, now and
+        then where other vessels are, and each new sounding."""
         if self._noted:
             self._noted = False
             self.event("watchdog", at_s=state.watchdog_s)
         elif state.traffic.told and state.watchdog_s - self._vessels_s >= VESSELS_S:
             self._vessels_s = state.watchdog_s
             self._note({"event": "vessels", "value": state.traffic.told[:VESSELS_MAX]})
+        if (sounding := state.measured.get("depth_m", UNSOUNDED)) != self._sounding:  # records repeat it: a chart needs it once
+            self._sounding = depth_m, at_s = sounding
+            offset_m, told_s = state.measured.get("depth_offset_m", UNSOUNDED)
+            offset = {"offset_m": offset_m} if told_s == at_s else {}
+            self._note({"event": "sounding", "measured_s": at_s, "depth_m": depth_m} | offset)
 
     def reason(self) -> str:
         status = self._log.status()

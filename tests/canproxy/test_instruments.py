@@ -50,7 +50,7 @@ def expected(pgn: int, f: dict[str, Any]) -> object:
         case 128259:
             return (("speed_water_mps", f["speedWaterReferenced"]),)
         case 128267:
-            return (("depth_m", f["depth"]),)
+            return ("depth_m", f["depth"]), ("depth_offset_m", f["offset"])
         case 130306:
             kind = {2: "apparent", 3: "true", 4: "true"}.get(f["reference"])
             return kind and ((f"wind_{kind}_rad", f["windAngle"]), (f"wind_{kind}_mps", f["windSpeed"]))
@@ -144,8 +144,18 @@ class Bus:
         self.sensor.read(self.state, 0.0)
 
 
-def depth(metres: float | None) -> bytes:
-    return struct.pack("<BIhB", 0, 0xFFFFFFFF if metres is None else round(metres * 100), 0, 0xFF)
+def depth(metres: float | None, offset_mm: int = 0x7FFF) -> bytes:
+    return struct.pack("<BIhB", 0, 0xFFFFFFFF if metres is None else round(metres * 100), offset_mm, 0xFF)
+
+
+@pytest.mark.parametrize(("told_mm", "offset_m"), [(-400, -0.4), (1250, 1.25), (0, 0.0)])
+def test_the_place_of_the_transducer_is_kept(told_mm: int, offset_m: float) -> None:
+    """Above zero to the water line, below to the keel."""
+    bus = Bus()
+    bus.say(instruments.WATER_DEPTH, depth(4.0), 12, 1.0)
+    assert "depth_offset_m" not in bus.state.measured
+    bus.say(instruments.WATER_DEPTH, depth(4.0, told_mm), 12, 2.0)
+    assert bus.state.measured == {"depth_m": (4.0, 2.0), "depth_offset_m": (pytest.approx(offset_m), 2.0)}
 
 
 def test_the_preferred_sounder_counts_and_another_one_after_its_silence() -> None:
@@ -234,7 +244,7 @@ def test_a_boat_without_another_use_for_the_bus_logs_and_tells_its_depth() -> No
     run = Lockstep(settings, 1, lambda clock: NoLog())
     run.cycle()
     assert run.state.measured["depth_m"] == (12.0, 0.0), "of the modelled sounder"
-    assert run.vehicle.snapshot({})["measured"] == {"depth_m": 12.0}
+    assert run.vehicle.snapshot({})["measured"] == {"depth_m": 12.0, "depth_offset_m": 0.0}
     logged = dict(zip([f.name for f in fields(settings)], values(fields(settings), run.state, 0.0), strict=True))
     assert (logged["depth_m"], math.isnan(logged["water_c"])) == (12.0, True)  # type: ignore[arg-type]
 

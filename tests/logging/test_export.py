@@ -18,6 +18,7 @@ from delfim.logging import canexport, export, tree
 from delfim.logging.candump import format_line
 from delfim.logging.reading import read_events
 from delfim.logging.table import table
+from delfim.vehicle import console
 from tests.logging.sailing import Day, logged, sailed
 
 FORMATS_MISSING = "needs the packages of `make formats`"
@@ -75,6 +76,49 @@ def test_other_vessels_are_in_the_log_and_in_what_maps_read(met, tmp_path):
     marks = {mark.findtext("{*}name"): mark for mark in root.iter("{http://www.opengis.net/kml/2.2}Placemark")}
     assert {"track", "MARIA", "<TEJO>"} <= marks.keys()
     assert len(marks["MARIA"].findall(".//{*}when")) == len(marks["MARIA"].findall(".//{*}coord")) >= 5
+
+
+def test_each_sounding_stands_once_at_its_own_time_and_place(tmp_path):
+    """The records repeat the last one, cycle after cycle; a chart of that would have depths where none was measured."""
+    sailing = Day(tmp_path, 'sensors.names=["sysstat", "nmea2000"]')
+    sailing.sail(5.0)
+    assert sailing.command(console.Course(90.0, 1.5)) is None
+    sailing.sail(40.0)
+    sailing.end()
+    state = [file for file in logged(tmp_path) if file.id == "state"]
+    columns, schema, events = *table(state), list(tree.events(state))
+    assert np.count_nonzero(~np.isnan(columns["depth_m"])) > 150
+    with written((columns, schema, events), tmp_path, "soundings").open(newline="") as text:
+        rows = list(csv.DictReader(text))
+    assert 40 <= len(rows) <= 46, "one a second"
+    assert len({row["utc"] for row in rows}) == len(rows)
+    assert {(row["depth_m [m]"], row["depth_offset_m [m]"]) for row in rows} == {("12.0", "0.0")}
+    moments = columns["monotonic_s"]
+    for event, row in zip((each for each in events if each["event"] == "sounding"), rows, strict=True):
+        east_deg = np.interp(event["measured_s"], moments, np.degrees(columns["longitude"]))
+        assert row["longitude [deg]"] == "" or float(row["longitude [deg]"]) == pytest.approx(east_deg, abs=1e-7)
+    assert sum(bool(row["longitude [deg]"]) for row in rows) >= len(rows) - 2, "but at both ends"
+
+
+def test_a_sounding_between_two_records_lies_between_their_places_and_in_a_gap_nowhere(day, tmp_path):
+    columns, schema, _ = day
+    t_ns = int(columns["t1"][50] + columns["t1"][51]) // 2
+    told = {"event": "sounding", "t_ns": t_ns + 70_000_000, "monotonic_s": 9.07, "measured_s": 9.0, "depth_m": 4.2}
+    with written((columns, schema, [told]), tmp_path, "soundings").open(newline="") as text:
+        (row,) = csv.DictReader(text)
+    middle = np.degrees(columns["latitude"][50:52]).mean()
+    assert float(row["latitude [deg]"]) == pytest.approx(middle, abs=1e-8)
+    assert (row["depth_m [m]"], row["depth_offset_m [m]"]) == ("4.2", "")
+    far = type(columns)({name: column[[0, -1]] for name, column in columns.items()})
+    with written((far, schema, [told]), tmp_path, "soundings").open(newline="") as text:
+        assert next(csv.DictReader(text))["latitude [deg]"] == ""
+
+
+@pytest.mark.parametrize("wrong", [{"depth_m": "deep"}, {"measured_s": None}, {"monotonic_s": 1e300}, {"offset_m": []}])
+def test_soundings_of_a_damaged_sidecar_are_left_out(tmp_path, wrong):
+    told = {"event": "sounding", "t_ns": 1, "monotonic_s": 2.0, "measured_s": 1.0, "depth_m": 3.0, "offset_m": 0.5}
+    (tmp_path / "a.meta.jsonl").write_text(f"{json.dumps(told)}\n{json.dumps(told | wrong)}\n")
+    assert list(read_events(tmp_path / "a.meta.jsonl")) == [told]
 
 
 @pytest.mark.parametrize(

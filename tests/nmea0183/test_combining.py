@@ -241,6 +241,7 @@ def test_pitch_and_roll_by_the_names_and_signs_of_the_file():
 def test_values_beside_navigation_and_their_time():
     boat = Boat("gnss", "compass", "sounder")
     boat.hear("SDDPT,7.5,0.5,", "WIMWV,45.0,R,10.0,M,A", "WIMWV,60.0,T,18.0,K,A", port="sounder")
+    assert boat.measured["depth_offset_m"] == (0.5, 100.0)
     boat.hear("GPGST,120000.00,,,,,3.0,4.0,5.0", "SDDPT,9.9,,")
     assert boat.measured["depth_m"] == (9.9, 100.0), "the port gnss stands first"
     assert boat.measured["position_sigma_m"] == (5.0, 100.0)

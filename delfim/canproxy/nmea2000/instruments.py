@@ -25,7 +25,7 @@ FAST: Final = frozenset({BATTERY_CHARGE})  # fast packets; all others are single
 DEPTH_MAX_M, SPEED_MAX_MPS = 12_000.0, 200.0
 KELVIN: Final = 273.15
 COLD_C, HOT_C = -100.0, 200.0
-_U16, _U32 = 0xFFFD, 0xFFFFFFFD  # these and two above: not available, error, reserved
+_U16, _U32, _I16 = 0xFFFD, 0xFFFFFFFD, 0x7FFD  # these and two above: not available, error, reserved
 _WINDS: Final = {2: "apparent", 3: "true", 4: "true"}  # by reference: angles from the bow. 0 and 1 are directions from north
 _PLACES: Final = {0: "water_c", 1: "air_c"}  # of a temperature
 
@@ -67,8 +67,10 @@ def _water_speed(_sid: int, speed: int, _ground: int, _kind: int, _reserved: int
     return (("speed_water_mps", _speed(speed, "speed through the water in m/s")),)
 
 
-def _depth(_sid: int, depth: int, _offset: int, _range: int) -> Told:
-    return (("depth_m", None if depth >= _U32 else _bounded(depth * 0.01, 0.0, DEPTH_MAX_M, "depth in m")),)
+def _depth(_sid: int, depth: int, offset: int, _range: int) -> Told:
+    """The offset in 0.001 m: above zero from the transducer to the water line, below to the keel."""
+    depth_m = None if depth >= _U32 else _bounded(depth * 0.01, 0.0, DEPTH_MAX_M, "depth in m")
+    return ("depth_m", depth_m), ("depth_offset_m", None if offset >= _I16 else offset * 0.001)
 
 
 def _wind(_sid: int, speed: int, angle: int, reference: int, _reserved: int) -> Told:

@@ -44,7 +44,8 @@ class Nmea2000Instruments:
         self._names = Names(settings.nmea2000.preferred_sources, device_name(facts_of(settings).unique))
         preferred, stale_s = self._names.preferred, settings.sensors.stale_s
         self._batteries = settings.nmea2000.batteries
-        self._newest = {value.name: Newest[int, float](preferred, stale_s) for value in VALUES}
+        names = (*(value.name for value in VALUES), "depth_offset_m")
+        self._newest = {name: Newest[int, float](preferred, stale_s) for name in names}
         self._powers = tuple(Newest[int, Battery](preferred, stale_s) for _ in self._batteries)
         self._charges = tuple(Newest[int, float](preferred, stale_s) for _ in self._batteries)
         self._lost = Counter[str]()  # fast packets, by reason, until they are counted in the state
