@@ -7,7 +7,7 @@ from typing import Any, Final
 from delfim.logging.summary import utc
 
 HEADS: Final = ("UTC", "WHO", "WHAT", "RESULT")
-LEFT_OUT: Final = ("watchdog", "vessels")  # signs of life, and where others were
+LEFT_OUT: Final = ("watchdog", "vessels", "sounding")  # signs of life, where others were, and depths
 BY_HAND: Final = "manual"  # ten a second while a joystick is held
 LONG: Final = 60  # of what was ordered; a mission's text is longer
 
