@@ -190,6 +190,23 @@ def test_on_a_chart_words_stand_on_plates_and_before_a_boat_is_heard_the_chart_i
     look(gateway, DESK, story)
 
 
+@pytest.mark.parametrize("size", [DESK, (1000, 600), PHONE], ids=["desk", "small", "phone"])
+def test_all_of_the_card_of_keys_can_be_scrolled_to(size: tuple[int, int]) -> None:
+    async def story(page: Page, gateway: Standin) -> None:
+        await page.press("F1")
+        await page.until("document.querySelector('#card:not([hidden]) .line') !== null")
+        await page.value("[...document.querySelectorAll('#card .line')].at(-1).scrollIntoView({ block: 'nearest' }), 0")
+        right, bottom, most_right, most_bottom = await page.value(
+            "((its, box) => [its.right, its.bottom, box.right, box.bottom])"
+            "([...document.querySelectorAll('#card .line')].at(-1).getBoundingClientRect(), "
+            "document.querySelector('#card').getBoundingClientRect())"
+        )
+        assert (right <= most_right + 1, bottom <= most_bottom + 1) == (True, True)
+        assert await page.value("document.querySelector('#card').scrollWidth <= document.querySelector('#card').clientWidth")
+
+    look(Standin(two()), size, story)
+
+
 def test_f6_reaches_the_buttons_that_have_no_key() -> None:
     async def story(page: Page, gateway: Standin) -> None:
         await page.until("!document.getElementById('hint').hidden")

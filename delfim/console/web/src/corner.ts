@@ -74,7 +74,7 @@ export function card(parent: HTMLElement, state: State): { toggle(): void; close
   parent.append(box);
   return {
     toggle: () => {
-      box.replaceChildren(...(state.replaying ? REPLAY_CARD : CARD).map(group), legend());
+      box.replaceChildren(make("div", ...(state.replaying ? REPLAY_CARD : CARD).map(group), legend()));
       box.hidden = !box.hidden;
     },
     close: () => {
