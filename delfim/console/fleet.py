@@ -278,7 +278,13 @@ class Fleet:
         if row.mode:
             boat.asked, boat.asked_s = row.mode, now_s
         boat.released = False
-        self._requests.begin(number, asked, answer, now_s, stop=stop)
+
+        def answered(well: bool, why: str) -> None:
+            if not well and boat.asked_s == now_s:  # nothing newer was asked for
+                boat.asked = None
+            answer(well, why)
+
+        self._requests.begin(number, asked, answered, now_s, stop=stop)
 
     def _item(self, number: int, waypoint: int) -> int:
         """The number of a waypoint's item, to play from, if the mission aboard is known. Raises FormatError."""

@@ -223,6 +223,15 @@ def test_thrust_follows_the_page_and_ends_when_the_page_does(sea: Sea) -> None:
     assert sea.boats[2].thrust == []
 
 
+def test_a_mode_that_was_refused_is_not_shown_as_asked_for(sea: Sea) -> None:
+    sea.boats[1].refuse = "not now"
+    sea.ask(1, "hold")
+    assert sea.shown(1)["asked"] == "hold"
+    sea.run(1.0)
+    assert sea.answers == [(False, "not now")]
+    assert sea.shown(1)["asked"] is None
+
+
 def test_another_boat_with_the_number_has_its_own_name() -> None:
     """After a silence the number may be another boat's."""
     sea = Sea(1, outages=lambda now_s: 110.0 <= now_s < 116.0)
