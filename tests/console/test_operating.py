@@ -283,7 +283,9 @@ async def drawn(page: Page, boat: Boat, places: list[tuple[float, float]]) -> tu
     """Waypoints by mouse, metres north and east of the selected boat; where the last one is."""
     found = await shown(page, boat, places)
     for place in found:
-        await page.mouse(await page.value(f"delfim.pixel({place[0]}, {place[1]})"))
+        x, y = await page.value(f"delfim.pixel({place[0]}, {place[1]})")
+        await page.until(f"document.elementFromPoint({x}, {y}).tagName === 'CANVAS'")  # no message covers it any more
+        await page.mouse((x, y))
         await choose(page, "Add waypoint")
     return found[-1]
 

@@ -38,7 +38,6 @@ async def a_boat_falls_silent(sea: Sea, picture: Picture) -> None:
     """The map goes on, the alarm stays until it is seen, and then as long as the boat is silent."""
     page, boat = sea.page, sea.boats[0]
     await select(page, 1)
-    await page.until(f"{SAID} === 0", PATIENCE_S)  # which would cover the map
     await drawn(page, boat, [(60, -30), (60, 30), (-40, 30)])
     await sent(page)
     await pressed(page, boat, "y", "play")

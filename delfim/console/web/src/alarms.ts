@@ -5,7 +5,7 @@ import type { Sound } from "./sound";
 import type { State } from "./state";
 import type { Alarm } from "./wire";
 
-const SHOWN_MOST = 5;
+const shownMost = (): number => (innerWidth <= 700 ? 3 : 5); // a phone's map has room for fewer
 const GRAVE = 3;
 const AGAIN_MS = 4000; // a grave one sounds again, until it is acknowledged
 
@@ -41,7 +41,7 @@ export class Alarms {
 
   /** All that are on the screen: what is hidden below them comes up. */
   acknowledge(): void {
-    const ids = this.list.slice(0, SHOWN_MOST).flatMap(({ id, seen }) => (seen ? [] : [id]));
+    const ids = this.list.slice(0, shownMost()).flatMap(({ id, seen }) => (seen ? [] : [id]));
     if (ids.length) void this.net.ask({ t: "acknowledge", ids });
   }
 
@@ -50,7 +50,7 @@ export class Alarms {
   }
 
   private draw(): void {
-    const shown = this.list.slice(0, SHOWN_MOST);
+    const shown = this.list.slice(0, shownMost());
     while (this.lines.children.length > shown.length) this.lines.lastElementChild!.remove();
     while (this.lines.children.length < shown.length) this.lines.append(make("p", make("i.dot"), make("b"), make("span"), make("small")));
     shown.forEach((alarm, i) => this.drawLine(this.lines.children[i] as HTMLElement, alarm));
