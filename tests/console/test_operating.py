@@ -94,20 +94,20 @@ def test_each_key_of_the_thesis_is_seen_at_the_vehicle(sail: Sail) -> None:
 
 def test_a_boat_that_falls_silent_under_way_leaves_the_map_to_all(sail: Sail) -> None:
     async def story(sea: Sea) -> None:
-        page, boat = await sea.at_rest(2)
+        page, boat = await sea.at_rest(1)
         await drawn(page, boat, [(60, -69), (60, 69), (-60, 69)])
         await sent(page)
         await pressed(page, boat, "y", "play")
         await page.until("document.querySelector('.selected .left').textContent.endsWith('to go')")
-        sea.radios[1].cut()
+        sea.radios[0].cut()
         try:
-            await page.until("document.querySelector('[data-boat=\"2\"]').dataset.age === 'lost'")
+            await page.until("document.querySelector('[data-boat=\"1\"]').dataset.age === 'lost'")
             await page.value("new Promise(done => setTimeout(done, 1100))")
             assert await page.value("delfim.frames()") > 0, "of the last second"
             assert await page.value("document.getElementById('failed').hidden")
         finally:
-            sea.radios[1].mend()
-        await page.until("document.querySelector('[data-boat=\"2\"]').dataset.age === 'fresh'")
+            sea.radios[0].mend()
+        await page.until("document.querySelector('[data-boat=\"1\"]').dataset.age === 'fresh'")
 
     sail(story)
 
