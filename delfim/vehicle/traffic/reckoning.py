@@ -71,21 +71,21 @@ class VesselTrack:
         east = wrap(new.longitude_rad - self.longitude_rad) * math.cos((self.latitude_rad + new.latitude_rad) / 2.0)
         return RADIUS_M * (new.latitude_rad - self.latitude_rad), RADIUS_M * east
 
-    def strays(self, new: "VesselTrack", late_s: float = 0.0) -> tuple[float, float]:
-        """How far a report is from where this vessel is reckoned at its time, m, and the same, or the change of velocity, as a
-        part of what one vessel can do: beyond 1 the two contradict each other. `late_s`: so long before the last report it
-        was made; then it is compared with where the vessel was."""
+    def strays(self, new: "VesselTrack", late_s: float = 0.0) -> tuple[float, float, float]:
+        """How far a report is from where this vessel is reckoned at its time: as a part of what one vessel can do since its
+        last report, beyond 1 the two contradict each other; of what it does at once; and in m. Place and velocity both count.
+        `late_s`: so long before the last report it was made; then it is compared with where the vessel was."""
         passed_s = -late_s or max(new.at_s - self.at_s, 0.0)
         (north_m, east_m), changed_s = self._way_to(new), max(passed_s, 0.0)
         velocity, its = self._velocity, new._velocity
         if velocity is None:
             far_m = math.hypot(north_m, east_m)
-            return far_m, far_m / (OFF_M + JUMP_MPS * abs(passed_s))
+            return far_m / (OFF_M + JUMP_MPS * abs(passed_s)), far_m / OFF_M, far_m
         far_m = math.hypot(north_m - velocity[0] * passed_s, east_m - velocity[1] * passed_s)
-        off = far_m / (OFF_M + OFF_S * math.hypot(*velocity) + 0.5 * OFF_MPS2 * changed_s * changed_s)
-        if its is None:
-            return far_m, off
-        return far_m, max(off, math.dist(velocity, its) / (OFF_MPS + OFF_MPS2 * changed_s))
+        near_m = OFF_M + OFF_S * math.hypot(*velocity)
+        changed_mps = 0.0 if its is None else math.dist(velocity, its)
+        off = far_m / (near_m + 0.5 * OFF_MPS2 * changed_s * changed_s)
+        return max(off, changed_mps / (OFF_MPS + OFF_MPS2 * changed_s)), far_m / near_m + changed_mps / OFF_MPS, far_m
 
     def doubt(self, far_m: float, now_s: float) -> None:
         """It may be so far from where it is reckoned."""

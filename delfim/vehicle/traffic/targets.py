@@ -117,12 +117,8 @@ class Tracker:
     def _place(self, key: str, new: VesselTrack, is_named: bool) -> None:
         """File a report under the vessel it can be of: the one of this key, or another one with the same number. `is_named`: no
         number of AIS, which a program may give to something else."""
-        first = self._tracks.get(key)
-        if first is None:
-            self._begin(key, new)
-            return
-        other = self._tracks.get(_other(key))
-        near = [track for track in ((first,) if other is None else (first, other)) if track.can_be_at(new)]
+        tracks = [track for each in (key, _other(key)) if (track := self._tracks.get(each)) is not None]
+        near = [track for track in tracks if track.can_be_at(new)]
         for track in near:
             if track.is_stuck(new):
                 self.refuse("the same place of a vessel that moves")
@@ -132,6 +128,9 @@ class Tracker:
                 return
         if near:
             self._go_on(key, near, new, is_named)
+            return
+        if (first := self._tracks.get(key)) is None:
+            self._begin(key, new)
             return
         self.refuse("jump faster than 60 kn")
         rival, first.rival = first.rival, new
@@ -146,21 +145,24 @@ class Tracker:
     def _go_on(self, key: str, near: list[VesselTrack], new: VesselTrack, is_named: bool) -> None:
         """The next report of one of these, which are not far off; or, where it contradicts all of them, another vessel with
         that number. Which of them is real cannot be known, so both are there until one falls silent."""
-        found = [(*track.strays(new)[::-1], i) for i, track in enumerate(near)]
-        off, far_m, best = min(found)
-        if off <= 1.0 or is_named:
+        found = [(off > 1.0, unlike, far_m, i) for i, track in enumerate(near) for off, unlike, far_m in (track.strays(new),)]
+        contradicts, _, far_m, best = min(found)
+        if not contradicts or is_named:
             near[best].take(new)
-            if len(near) == 1:
+            if sum(self._speaks(track, new.at_s) for track in near) < 2:
                 return
         else:
-            other = self._tracks.get(_other(key))
-            if other is None or new.at_s - other.at_s > silence_s(self._settings, other):
+            free = _other(key) if key in self._tracks else key
+            if free not in self._tracks or not self._speaks(self._tracks[free], new.at_s):
                 self.refuse("two vessels with one number")
-                self._begin(_other(key), new)
+                self._begin(free, new)
             else:
                 self.refuse("more than two vessels with one number")
                 near[best].doubt(far_m, new.at_s)
-        self.disputed = new.at_s, self._tracks[key].name or key
+        self.disputed = new.at_s, near[best].name or key
+
+    def _speaks(self, track: VesselTrack, now_s: float) -> bool:
+        return now_s - track.at_s <= silence_s(self._settings, track)
 
     def _begin(self, key: str, new: VesselTrack) -> None:
         """A vessel that is new, if there is room, or another one in the place of this key."""
@@ -251,4 +253,4 @@ def _is_known(track: VesselTrack, new: VesselTrack) -> bool:
     later_s = (new.second - track.second) % 60
     if age_s >= ORDER_S or 0 < later_s <= 30:
         return False
-    return track.is_at(new) if later_s == 0 else track.strays(new, 60.0 - later_s)[1] <= 1.0
+    return track.is_at(new) if later_s == 0 else track.strays(new, 60.0 - later_s)[0] <= 1.0
