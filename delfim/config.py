@@ -1102,12 +1102,7 @@ class Cantcpd(Table, frozen=True):
     buses: tuple[Interface, ...] = ()  # that clients can open, by name or its part after the last colon; empty: the boat's
     watch: tuple[Network, ...] = ("127.0.0.0/8", "::1/128")  # networks that may connect
     transmit: tuple[Network, ...] = ()  # the networks, among these, that may also send frames: no password keeps others out
-    barred: tuple[Identifiers, ...] = (
-        "040-043",
-        "0A0",
-        "0C0",
-        "0C8",
-    )  # nobody sends these: to actuators, reset, time, shutdown
+    barred: tuple[Identifiers, ...] = ("040-043", "0A0", "0C0", "0C8")  # nobody sends these: to actuators, reset, time, off
     clients: Annotated[int, msgspec.Meta(ge=1, le=64)] = 16  # connections at once; beyond, the oldest without a bus is closed
     clients_per_address: Annotated[int, msgspec.Meta(ge=1, le=64)] = 8  # likewise, from one address
     queue_bytes: Annotated[int, msgspec.Meta(ge=8192, le=16 << 20)] = 1 << 18  # of one client; if full, the oldest frames go
@@ -1325,9 +1320,7 @@ class ServiceTable(Table, frozen=True):
 
     enabled: bool = True  # run it
     place: Literal["default", "runtime", "process"] = "default"  # runtime: its loop; process: a process of idle priority
-    memory_max_mb: Megabytes | None = (
-        None  # of its process and all that it starts, restarted beyond; 0: no limit; without: 256, at sea
-    )
+    memory_max_mb: Megabytes | None = None  # of its process and all it starts, restarted beyond; 0: no limit; null: 256, at sea
     cpu_max: Annotated[float, msgspec.Meta(ge=0.0, le=1024.0)] = 0.0  # processors that its process may use; 0: no limit
     log: Literal["debug", "info", "warning", "error"] = "info"  # the least level of its words that the system log keeps
 
