@@ -217,6 +217,8 @@ def traffic_close(look: Look) -> str | None:
 
 def _traffic(look: Look, level: str) -> str | None:
     now, place = look.state.traffic, look.state.reference
+    if not now.dangers:
+        return None
     if level == "near" and now.order is not None:
         away = f"; {place.distance_m:.0f} m from its place" if look.state.mode is Mode.HOLD and place.distance_m else ""
         return now.order.words + away
