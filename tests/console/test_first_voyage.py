@@ -167,7 +167,7 @@ async def drawn(you: Visit, boat: Boat) -> None:
     await you.taps_the_sea(places[0])
     await you.sees("Add waypoint")
     await you.picture("menu")
-    await you.sees("The red corner")
+    await you.sees("Draw a mission")
     await you.chooses("Mission")
     await you.chooses("New mission")
     for place in places:
