@@ -77,14 +77,16 @@ def read_log(path: str | Path) -> tuple[bytes, str]:
 
 
 def read_lines(path: str | Path, tell: Callable[[str], object] = lambda trouble: None) -> Iterator[bytes]:
-    """The whole lines of a log file, deflated or not, without their ends. A piece of it is in memory at a time: a small file
-    may hold a hundred megabytes of nothing. Its damage is told in words. Raises OSError."""
+    """The lines of a log file, deflated or not, without their ends; the last one may be torn. A piece of it is in memory at a
+    time: a small file may hold a hundred megabytes of nothing. Its damage is told in words. Raises OSError."""
     rest = b""
     for piece in _pieces(path, tell):
         *lines, rest = (rest + piece).split(b"\n")
         yield from lines
         if len(rest) > LINE_BYTES:
             return
+    if rest:
+        yield rest
 
 
 def _pieces(path: str | Path, tell: Callable[[str], object]) -> Iterator[bytes]:

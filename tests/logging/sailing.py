@@ -7,10 +7,12 @@ import pytest
 from delfim import config
 from delfim.canproxy.socket import ANYTHING
 from delfim.clock import ManualClock
-from delfim.logging import blackbox
+from delfim.logging import blackbox, linelog
 from delfim.logging.blackbox import BlackBox
+from delfim.logging.linelog import LineLog
 from delfim.logging.openlog import open_log
 from delfim.logging.tree import LogFile, files
+from delfim.simulator.line import LockstepLine
 from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console
 from delfim.vehicle.logbook import Logbook
@@ -34,6 +36,20 @@ class Day:
         with pytest.MonkeyPatch.context() as patch:  # files of the clock of the simulation need no child
             patch.setattr(blackbox, "open_log", lambda *words, **more: open_log(*words[:3], "zwrite", *words[4:], **more))
             self.box = BlackBox(self.sockets, self.settings.log, self.clock)
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(linelog, "open_log", lambda *words: open_log(*words[:3], "zwrite", words[4]))
+            self.lines = [self._heard(name, line) for name, line in self.sailing.lines.items()]
+
+    def _heard(self, name: str, line: LockstepLine) -> LineLog:
+        """The black box of a line, as the service of the vehicle has it."""
+        log, put = LineLog(name, self.settings.log, self.clock), line.put
+
+        def heard(data: bytes) -> None:
+            log.heard(self.clock.time_ns(), data)
+            put(data)
+
+        line.put = heard
+        return log
 
     def _opened(self, clock: ManualClock) -> Logbook:
         self.log = Logbook(self.settings, clock)
@@ -51,6 +67,8 @@ class Day:
         for each in self.sockets:
             while self.box.on_readable(each):
                 pass
+        for line in self.lines:
+            line.write()
 
     def sail(self, seconds: float) -> None:
         for state in self.sailing.cycles(seconds):
@@ -63,6 +81,8 @@ class Day:
         self.clock.advance(0.01)
         self.sailing.vehicle.helm.stop("shutdown")
         self.boxed()
+        for line in self.lines:
+            line.close()
         self.log.close()
         self.box.close()
 

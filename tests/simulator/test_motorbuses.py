@@ -34,7 +34,7 @@ from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.nodes import nodes_of
 from delfim.vehicle import console
 from delfim.vehicle.actuators import vesc
-from delfim.vehicle.state import NoLog
+from delfim.vehicle.state import NoLog, ThrusterReport
 from tests.simulator.test_pulsefiles import rows, written
 
 FLOAT = Path(__file__).parents[2] / "etc/boats/float.toml"
@@ -126,7 +126,8 @@ def test_a_controller_without_power_is_silent(driver: str) -> None:
 def test_motors_of_which_nobody_speaks_report_nothing(driver: str) -> None:
     run = under_way(boat(driver))
     assert run.nodes.beside == ()
-    assert run.state.thrusters == {}
+    told = {name: report._replace(heard_s=0.0) for name, report in run.state.thrusters.items()}
+    assert set(told.values()) <= {ThrusterReport(0.0)}, "of an outlet one hears that it writes, and no more"
 
 
 def test_what_turns_does_so_with_the_number_of_its_actuator() -> None:
