@@ -340,6 +340,19 @@ def page_token(here: Path) -> Said:
     return [kept_token(here / "token")]
 
 
+def kept_voyage(here: Path) -> Said:
+    from delfim import config
+    from delfim.logging.kept import newest
+    from delfim.vehicle import voyage
+
+    def told() -> None:
+        _, record = newest([str(here)], "voyage", b"")
+        assert record is not None
+        voyage.read(record, config.Vehicle(boat=config.BoatTable(name="test")), voyage.KeptHead("test", "", "", 0, 0.0))
+
+    return refused(told)
+
+
 def supervisors_record(here: Path) -> Said:
     from delfim.services.supervisorfile import last_deadman
     from delfim.suite import _told
@@ -402,6 +415,7 @@ READERS = {
     "stamps": Reader("stamps", stamps, TEXT),
     "host key": Reader("host_key", host_key, TEXT),
     "certificate": Reader("boat.pem", certificate, TEXT),
+    "kept voyage": Reader("voyage-1", kept_voyage, (*BINARY, *TEXT)),
     "page's token": Reader("token", page_token, TEXT),
     "supervisor's record": Reader("record", supervisors_record, TEXT),
 }

@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 import asyncssh
+import msgspec
 import pytest
 
 from delfim.campaign.runplan import read
@@ -19,11 +20,14 @@ from delfim.console.fleet import Fleet
 from delfim.console.replay import open_tapes
 from delfim.console.session import Session
 from delfim.logging import nodelog
+from delfim.logging.keptwriter import packed
 from delfim.logging.reading import read_log
 from delfim.simulator.scenario import load_scenario
 from delfim.vehicle import console
 from delfim.vehicle.mavlink.signing import Kept, new_key, read_key, write_stamps
 from delfim.vehicle.mission import load_mission
+from delfim.vehicle.voyage import KeptHead
+from delfim.vehicle.voyagestate import VoyageState
 from tests.console.fakeboat import FakeBoat
 from tests.console.test_charts import _points, chart, geotiff, mbtiles, png, world
 from tests.logging.sailing import MISSION, Day
@@ -185,6 +189,8 @@ def keys(folder: Path) -> None:
     (folder / "boat.pem").write_bytes(b"".join((folder / name).read_bytes() for name in ("key.pem", "cert.pem")))
     (folder / "user.pub").write_bytes(asyncssh.generate_private_key("ssh-ed25519").export_public_key("openssh"))
     (folder / "numbers").write_text(json.dumps({"00" * 15 + "07": 125, "ff" * 16: 20}))
+    voyage = KeptHead("test", "", "", 0, 0.0), VoyageState(), console.Rally(((38.69, -9.21),))
+    (folder / "voyage-1").write_bytes(packed(1, b"\n".join(map(msgspec.json.encode, voyage)), b""))
     (folder / "token").write_text("Zm9vYmFyYmF6cXV4cXV1eA\n")
     record = {"stage": "safe", "at_s": 12.5, "holders": ["state", "can0"], "deadman": {"at_s": 1.5, "reason": "silent"}}
     (folder / "record").write_text(json.dumps(record))
@@ -236,6 +242,7 @@ SAMPLES = {
         "certificate",
         "supervisor's record",
         "page's token",
+        "kept voyage",
     ),
     images: ("image", "boot environment", "manifest of a slot"),
 }
@@ -298,6 +305,7 @@ READ_BY = {  # function: the readers above that come by it
     "console/framefilter.py: decoder": {"CAN database"},
     "console/charts.py: _add_tiles": {"MBTiles"},
     "console/admission.py: kept_token": {"page's token"},
+    "logging/kept.py: newest": {"kept voyage"},
     "console/drive.py: _file": {"mission to send"},
     "console/georeference.py: _header": {"PNG", "JPEG", "GeoTIFF"},
     "console/georeference.py: _world": {"world file"},
@@ -338,6 +346,7 @@ OTHERS = {  # what the kernel tells, and what is only copied or digested
     *("services/slipd.py: _counters", "services/slipd.py: carrier_source"),
     *("services/imagefile.py: _digest", "services/slots.py: _digest_of_disk", "services/imagefile.py: pack"),
     *("services/slots.py: present_notice", "services/children.py: process_state", "services/processes.py: _all"),
+    "services/voyagekeeping.py: _boot",
     *("services/kernelclock.py: _read", "suite.py: _started", "simulator/nodes/pulsefiles.py: _part"),
 }
 
