@@ -102,7 +102,7 @@ class Instrument:
 def enlarged(tmp_path: Path) -> Enlarged:
     copy = Enlarged(tmp_path / "copy")
     copy.file("delfim/vehicle/sources/compass.py", COMPASS)
-    copy.row("delfim/config.py", '"nmea0183"]  # files in delfim/vehicle/sources', '"compass", ')
+    copy.row("delfim/config.py", '"mavlink_front_seat"]  # files in delfim/vehicle/sources', '"compass", ')
     copy.row("delfim/config.py", "class Vehicle(Table, frozen=True):", TABLE)
     copy.row("delfim/config.py", "    nmea2000: Nmea2000 = Nmea2000()", "    compass: Compass = Compass()\n")
     return copy

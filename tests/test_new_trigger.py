@@ -46,4 +46,4 @@ def test_a_new_trigger_fires_and_its_reason_is_on_the_state_and_the_boat_does_wh
                 continue
         assert state["reason"] == "10 satellites"
         assert ("few_satellites", "10 satellites") in {(each["name"], each["reason"]) for each in state["notices"]}
-    assert "few_satellites: 10 satellites: hold" in copy.told("log", "cat", "--events", str(tmp_path / "log"))
+    assert "few_satellites: 10 satellites: hold" in copy.told("log", "cat", "--events", "--json", str(tmp_path / "log"))

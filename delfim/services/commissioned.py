@@ -56,7 +56,7 @@ Before it goes into the water: delfim check --sea {output}/boat/boat.toml, and d
 
 def _commands(shore: Path, settings: config.Vehicle, own: str, user: str, running: Collection[str]) -> Iterator[str]:
     """One for each door that is open beyond the boat's computer."""
-    from delfim.canproxy.cantcp.server import bus_name
+    from delfim.canproxy.cantcp.access import bus_name
 
     line, mavlink = settings.slipd, settings.mavlink
     boat = line.address if line.device else own

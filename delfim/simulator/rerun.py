@@ -48,10 +48,11 @@ from delfim.simulator.recorded import (
 )
 from delfim.vehicle import console
 from delfim.vehicle.build import build
+from delfim.vehicle.checks import STARTING
 from delfim.vehicle.grex import Guest
 from delfim.vehicle.links import Links
 from delfim.vehicle.loop import LOCAL, REPEAT_S
-from delfim.vehicle.state import NoLog, State
+from delfim.vehicle.state import NoLog, StartConditions, State
 
 COMMANDS: Final = (PROPELLER_STARBOARD, PROPELLER_PORT, BATTERIES_STARBOARD, BATTERIES_PORT)
 LATER_NS: Final = 50_000_000  # the black box may stamp a frame this much later than the vehicle
@@ -249,6 +250,7 @@ class Rerun:
     def _command(self, due: Due) -> None:
         event = due.what
         self.log.why = event["refused"]
+        self.state.computer = StartConditions(is_starting=event["refused"].endswith(STARTING))
         command = console.parse(msgspec.json.encode(event["value"]))
         refused = self.vehicle.on_command(command, event.get("operator", LOCAL)) or ""
         self.log.why = ""

@@ -15,6 +15,7 @@ from delfim.vehicle.state import HANDSET, State
 from delfim.vehicle.troubles import Inputs, Trigger, charge, handset_missed, low, outlet_missed, unheard, voltage
 
 EARLIEST_NS = 1_230_768_000_000_000_000  # 2009: a clock before that was never set
+STARTING = "the program is still starting and the dead-man does not watch it yet; wait a few seconds"
 HEARD_S = 5.0  # a console silent for longer counts as lost
 
 
@@ -42,10 +43,9 @@ def checks(rules: Rules, state: State, inputs: Inputs, now_s: float, time_ns: in
     missed = handset_missed(rules.settings.handset, state.handset, now_s)
     heard_s = now_s - state.console_s
     heard = f"console heard {heard_s:.1f} s ago" if heard_s < 1e8 else "console never heard"
-    starting = "the program is still starting and the dead-man does not watch it yet; wait a few seconds"
     return [
         Check("kill", not state.killed.reason, f"kill: {state.killed.reason}" if state.killed.reason else "none"),
-        Check("computer", not state.computer.is_starting, starting if state.computer.is_starting else "started"),
+        Check("computer", not state.computer.is_starting, STARTING if state.computer.is_starting else "started"),
         _navigation(rules, state, age_s, now_s),
         Check("sensors", bad is None, bad or f"{len(rules.settings.sysstat.required or ())} nodes report good"),
         *_outlet(rules, state, now_s),

@@ -94,7 +94,8 @@ def test_who_reads_only_the_first_lines_sees_no_traceback():
     read, write = os.pipe()
     os.close(read)
     words = [sys.executable, "-m", "bench.record", "--tell", "--output", "docs/record.parquet"]
-    done = subprocess.run(words, cwd=ROOT, stdout=write, stderr=subprocess.PIPE, check=False)
+    here = os.environ | {"PYTHONPATH": str(ROOT)}
+    done = subprocess.run(words, cwd=ROOT, env=here, stdout=write, stderr=subprocess.PIPE, check=False)
     os.close(write)
     assert done.stderr == b""
 

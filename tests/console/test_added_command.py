@@ -21,7 +21,7 @@ NUMBER = 31010  # MAV_CMD_USER_1
 ROWS = {
     "delfim/vehicle/console.py": {
         "    reboot: bool = False\n": '\n\nclass Bell(Command, frozen=True):\n    """The bell, once."""\n',
-        "    | Take | Arm | Reset | Set | TellState | Watch | ShutDown\n": "    | Bell\n",
+        "    | Take | Arm | Reset | Set | TellState | Watch | Return | ShutDown\n": "    | Bell\n",
     },
     "delfim/vehicle/helm.py": {
         '        """Nothing: the loop has already noted that the console is there, or commands."""\n': (
@@ -34,7 +34,7 @@ ROWS = {
     },
     "delfim/console/orders.py": {
         'title="Reset the peripherals", key="R"),\n': (
-            f'    "bell": OrderRow(lambda n: CommandLong({NUMBER}, ()), title="Ring the bell", key="L"),\n'
+            f'    "bell": OrderRow(lambda n: CommandLong({NUMBER}, ()), title="Ring the bell", key="U"),\n'
         )
     },
     "delfim/vehicle/record.py": {
@@ -86,7 +86,7 @@ async def _rung(sea: Sea, env: dict[str, str]) -> list[int]:
     await page.press("Enter")
     await choose(page, "More", "Ring the bell")
     await heard()
-    await page.press("l")
+    await page.press("u")
     await heard()
     console = wire.Sender(OTHER, 190, None, lambda: 0)
     sea.radios[0].say(console.pack(ordered(1, CONTROL, 0.0, 1.0)) + console.pack(ordered(1, NUMBER)))

@@ -24,6 +24,7 @@ LAST = 0x7FE  # cangen is not told to send it: after it comes nothing more
 
 def daemon() -> subprocess.Popen[bytes]:
     settings = ["--set", 'can.interface="vcan0"', "--set", f'runtime.run_directory="{FOLDER}"']
+    settings += ["--set", 'cantcpd.transmit=["127.0.0.0/8"]']
     return subprocess.Popen([sys.executable, "-m", "delfim", "run", "etc/delfimx.toml", "--service", "cantcpd", *settings])
 
 

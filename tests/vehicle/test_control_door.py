@@ -113,7 +113,7 @@ def test_a_set_point_that_makes_no_sense_stops_or_changes_nothing(mode: Mode, va
     pieces = (Arc(*[value] * 6), Line(*[value] * 5))
     plan = Plan("mad", (Waypoint(*[value] * 5),), pieces)
     place = Waypoint(*[value] * 5)
-    mad = Setpoint(value, value, value, value, place, (place,), plan, 0, value, value, ((value, value),) * 2)
+    mad = Setpoint(value, value, value, value, place, (place,), plan, 0, 0, value, value, ((value, value),) * 2)
     memory = enter(mode, KNOWN, mad, SETTINGS)
     after, reference, actuation = control(mode, memory, KNOWN, mad, SETTINGS, DT_S)
     assert math.isfinite(actuation.surge_n + actuation.yaw_nm)

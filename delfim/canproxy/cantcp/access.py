@@ -1,6 +1,7 @@
 """Access to the buses by TCP: which addresses may watch and transmit, and which identifiers are barred (the vehicle's file)."""
 
 import ipaddress
+import re
 from collections.abc import Collection, Iterable
 from typing import Final
 
@@ -68,3 +69,8 @@ def _range(text: str) -> tuple[int, int]:
 def _address(host: str) -> ipaddress.IPv4Address | ipaddress.IPv6Address:
     address = ipaddress.ip_address(host.partition("%")[0])
     return getattr(address, "ipv4_mapped", None) or address
+
+
+def bus_name(interface: str) -> str:
+    """The name by which clients open an interface: the part after its last colon, 16 characters at most."""
+    return re.sub(r"[^A-Za-z0-9_.-]", "-", interface.rpartition(":")[2])[:16]

@@ -12,14 +12,13 @@ delfim.canproxy.socketcand; how to connect the usual programs: docs/cantcpd.md.
 
 import asyncio
 import logging
-import re
 from collections.abc import Iterable, Mapping
 from typing import Final
 
 from delfim import config
 from delfim.canproxy import socketcand
 from delfim.canproxy.cantcp import slcan
-from delfim.canproxy.cantcp.access import Access
+from delfim.canproxy.cantcp.access import Access, bus_name
 from delfim.canproxy.cantcp.beacon import announce
 from delfim.canproxy.cantcp.client import Client, Clients
 from delfim.canproxy.cantcp.sharedbus import Readers, SharedBus
@@ -100,8 +99,3 @@ class CanServer:
             client.abort()
         for bus in self.buses.values():
             bus.close()
-
-
-def bus_name(interface: str) -> str:
-    """The name by which clients open an interface: the part after its last colon, 16 characters at most."""
-    return re.sub(r"[^A-Za-z0-9_.-]", "-", interface.rpartition(":")[2])[:16]
