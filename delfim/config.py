@@ -638,15 +638,15 @@ class ControlTable(Table, frozen=True):
 if TYPE_CHECKING:
 
     class _EachMode(Table, frozen=True): ...
+
+    class _AfterRestart(Table, frozen=True): ...
 else:  # one key for each mode in which something can be stopped
-    _EachMode = msgspec.defstruct(
-        "_EachMode",
-        [(mode.name.lower(), ModeAction, "same") for mode in Mode if mode is not Mode.IDLE],
-        bases=(Table,),
-        frozen=True,
-        forbid_unknown_fields=True,
-        kw_only=True,
-    )
+
+    def _each_mode(name: str, actions: object) -> type[Table]:
+        keys = [(mode.name.lower(), actions, "same") for mode in Mode if mode is not Mode.IDLE]
+        return msgspec.defstruct(name, keys, bases=(Table,), frozen=True, forbid_unknown_fields=True, kw_only=True)
+
+    _EachMode, _AfterRestart = _each_mode("_EachMode", ModeAction), _each_mode("_AfterRestart", ReturnName)
 
 
 class Trouble(_EachMode, frozen=True):
@@ -835,20 +835,6 @@ class LogNotWritable(Trouble, frozen=True):
 
     after_s: Annotated[float, msgspec.Meta(ge=0.0, le=3600.0)] = 5.0  # for this long
     action: ActionName = "warn"
-
-
-if TYPE_CHECKING:
-
-    class _AfterRestart(Table, frozen=True): ...
-else:
-    _AfterRestart = msgspec.defstruct(
-        "_AfterRestart",
-        [(mode.name.lower(), ReturnName, "same") for mode in Mode if mode is not Mode.IDLE],
-        bases=(Table,),
-        frozen=True,
-        forbid_unknown_fields=True,
-        kw_only=True,
-    )
 
 
 class Restarted(_AfterRestart, frozen=True):

@@ -63,7 +63,7 @@ class Returning:
             state.restarted = f"{back.why_not}; the boat stays idle"
         elif sailed.mode != "idle":
             self._back, self._began_s = back, now_s
-            state.restarted = f"{self._was()}"
+            state.restarted = self._was()
 
     def _loaded(self, refused: str) -> None:
         """The plan of before was sent; `refused`: why it is not aboard, in words; empty: it is."""
