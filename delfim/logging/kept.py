@@ -1,6 +1,7 @@
 """A record that survives crashes, a full disk and power cuts: the newest one, kept whole by a child (`keptwriter.py`). Its
 writer never waits: what the pipe has no room for is written with the next record."""
 
+import asyncio
 import contextlib
 import json
 import logging
@@ -19,6 +20,8 @@ from delfim.logging.keptwriter import LENGTH, RECORD_MAX, SLOTS, slot, unpacked
 
 PROGRAM: Final = (sys.executable, "-m", "delfim.logging.keptwriter")
 PIPE_BYTES: Final = 1 << 20
+CLOSE_S: Final = 0.8  # less than a service has for its end
+LOOK_S: Final = 0.01
 
 log = logging.getLogger(__name__)
 
@@ -71,17 +74,18 @@ class Keeper:
             log.error("voyage: its writer ended (%s) and is started again", child.returncode)
             self._bury(child)
 
-    def close(self, timeout_s: float = 1.0) -> None:
-        """The child writes what it was given, and ends."""
+    async def close(self, timeout_s: float = CLOSE_S) -> None:
+        """The child gets what it was given, writes it and ends; waits for that at most so long, while the loop turns."""
         child = self._child
         if child is None or child.stdin is None:
             return
-        os.set_blocking(child.stdin.fileno(), True)
-        with contextlib.suppress(OSError):
-            child.stdin.write(self._rest)
-        self._bury(child)
-        with contextlib.suppress(subprocess.TimeoutExpired):  # it goes on, in a session of its own
-            child.wait(timeout_s)
+        for _ in range(round(timeout_s / LOOK_S) + 1):
+            if not child.stdin.closed and self._send_rest():
+                child.stdin.close()
+            if child.poll() is not None:
+                break
+            await asyncio.sleep(LOOK_S)
+        self._bury(child)  # one that still writes goes on, in a session of its own
 
     def _start(self) -> None:
         try:  # in a session of its own: a signal to the parent's group leaves it alone, and it finishes the pipe

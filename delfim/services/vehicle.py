@@ -123,6 +123,12 @@ class OpenedLinks:
 
 async def serve(runtime: Runtime) -> None:
     """The critical program as a service: opens its links, hands them to the loop, and stops the boat when it ends."""
+    async with contextlib.AsyncExitStack() as last:
+        await _sail(runtime, last)
+
+
+async def _sail(runtime: Runtime, last: contextlib.AsyncExitStack) -> None:
+    """`last`: what takes its time at the end, when the boat has stopped and all links are closed."""
     settings, clock = runtime.config, runtime.clock
     with contextlib.ExitStack() as links:
         last_shutdown = _last_shutdown(Path(settings.log.directory), links)
@@ -138,7 +144,8 @@ async def serve(runtime: Runtime) -> None:
             settings, clock, state, Links(opened.bus, opened.line, opened.gpio), record_to, make_guest
         )
         keeping = VoyageKeeping(settings, clock, boat)
-        links.callback(lambda: keeping.close(runtime.ends_in_order()))
+        last.push_async_callback(keeping.close)
+        links.callback(lambda: keeping.end(runtime.ends_in_order()))
         links.callback(boat.helm.stop, "shutdown")  # undone first of all
         for source in boat.sources:
             links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))

@@ -31,7 +31,7 @@ log = logging.getLogger(__name__)
 
 
 class VoyageKeeping:
-    """`bring_back` once, before navigation is heard; then `look` ten times a second, and `close` at the end."""
+    """`bring_back` once, before navigation is heard; then `look` ten times a second; `end` and `close` at the end."""
 
     def __init__(self, settings: config.Vehicle, clock: Clock, boat: VehicleLoop) -> None:
         self._settings, self._clock, self._boat = settings, clock, boat
@@ -109,11 +109,14 @@ class VoyageKeeping:
         else:
             asyncio.get_running_loop().call_soon(self._write_on, plan_of, work)
 
-    def close(self, in_order: bool) -> None:
-        """`in_order`: the program was told to end, and the boat was stopped for that."""
+    def end(self, in_order: bool) -> None:
+        """Keep the end of the voyage. `in_order`: the program was told to end, and the boat was stopped for that."""
         if in_order and self._plan_line is not None:
             self._keep((), in_order=True)
-        self._keeper.close()
+
+    async def close(self) -> None:
+        """Wait, not for long, until the disk has it."""
+        await self._keeper.close()
 
     def _keep(self, now: tuple[object, ...], in_order: bool = False) -> None:
         kept = self._now(in_order)

@@ -1,5 +1,6 @@
 """A record that survives: slots torn at every byte, disks that fail, a writer that dies or hangs."""
 
+import asyncio
 import errno
 import os
 import threading
@@ -72,12 +73,12 @@ def test_the_newest_record_is_kept_in_both_places_and_goes_on_in_the_next_run(tm
     keeper = Keeper([str(place) for place in places], "voyage", KEY, 0)
     for number in range(5):
         assert keeper.put(b"record %d" % number)
-    keeper.close(60.0)
+    asyncio.run(keeper.close(60.0))
     assert {newest([str(place)], "voyage", KEY)[1] for place in places} == {b"record 4"}
     sequence, _ = newest([str(place) for place in places], "voyage", KEY)
     again = Keeper([str(places[0])], "voyage", KEY, sequence)
     again.put(b"of the next run")
-    again.close(60.0)
+    asyncio.run(again.close(60.0))
     assert newest([str(place) for place in places], "voyage", KEY)[1] == b"of the next run"
 
 
@@ -92,7 +93,7 @@ def test_a_place_that_fails_does_not_keep_the_record_from_the_other(tmp_path):
     (tmp_path / "nowhere").mkdir()
     keeper.put(b"there, too")
     until(keeper, tmp_path / "nowhere", b"there, too")
-    keeper.close(60.0)
+    asyncio.run(keeper.close(60.0))
 
 
 def test_a_writer_that_died_is_started_again(tmp_path):
@@ -106,7 +107,7 @@ def test_a_writer_that_died_is_started_again(tmp_path):
         keeper.poll()
     assert keeper.put(b"after")
     until(keeper, tmp_path, b"after")
-    keeper.close(60.0)
+    asyncio.run(keeper.close(60.0))
 
 
 def test_a_pipe_that_is_full_does_not_hold_the_caller(tmp_path):
@@ -124,7 +125,46 @@ def test_a_pipe_that_is_full_does_not_hold_the_caller(tmp_path):
         keeper.poll()
         NEVER.wait(0.01)
     until(keeper, tmp_path, b"last")
-    keeper.close(60.0)
+    asyncio.run(keeper.close(60.0))
+
+
+def test_the_loop_turns_while_the_child_writes_its_last(tmp_path):
+    """The child is stopped, with more in hand than the pipe holds, and goes on when the loop says so."""
+    keeper = Keeper([str(tmp_path)], "voyage", KEY, 0)
+    keeper.put(b"first")
+    until(keeper, tmp_path, b"first")
+    child = keeper._child
+    assert child is not None
+    os.kill(child.pid, 19)
+    last = bytes(4 << 20)
+    assert keeper.put(last)
+
+    async def end() -> None:
+        closing = asyncio.create_task(keeper.close(60.0))
+        for _ in range(10):
+            await asyncio.sleep(0)
+        assert not closing.done()
+        os.kill(child.pid, 18)
+        await closing
+
+    asyncio.run(end())
+    assert child.returncode == 0
+    assert newest([str(tmp_path)], "voyage", KEY)[1] == last
+
+
+def test_a_child_that_hangs_is_not_waited_for(tmp_path):
+    keeper = Keeper([str(tmp_path)], "voyage", KEY, 0)
+    keeper.put(b"first")
+    until(keeper, tmp_path, b"first")
+    child = keeper._child
+    assert child is not None
+    os.kill(child.pid, 19)
+    keeper.put(b"last")
+    asyncio.run(keeper.close(0.0))
+    assert newest([str(tmp_path)], "voyage", KEY)[1] == b"first"
+    os.kill(child.pid, 18)
+    assert child.wait(60.0) == 0, "it finishes what it was given"
+    assert newest([str(tmp_path)], "voyage", KEY)[1] == b"last"
 
 
 @pytest.mark.parametrize("call", ["open", "pwrite", "ftruncate", "fsync"])
