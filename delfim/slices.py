@@ -4,7 +4,9 @@ The generator yields how much it has done since it last yielded, in comparisons 
 it found. Work is counted and no clock is read, so that a run in lock step comes out the same each time.
 """
 
-from collections.abc import Generator, Iterable
+from collections import deque
+from collections.abc import Generator, Iterable, Iterator
+from itertools import islice
 from typing import Final, Generic, TypeVar
 
 from delfim.errors import Refused
@@ -47,17 +49,25 @@ class Sliced(Generic[T]):
 
 
 class Remains:
-    """Garbage that is freed a little at a time: to free all that a large plan is made of takes longer than a
-    callback may."""
+    """Garbage that is freed a little at a time: to free all that a large plan is made of, or only to list it, takes longer
+    than a callback may."""
 
     def __init__(self) -> None:
-        self._things: list[object] = []
+        self._walks = deque[Iterator[object]]()  # through what was dropped, which lives until its walk is over
+        self._things: list[object] = []  # met on these walks
 
     def add(self, *things: Iterable[object]) -> None:
         """The parts of something large, just before it is dropped."""
-        for parts in things:
-            self._things.extend(parts)
+        self._walks.extend(map(iter, things))
 
     def let_go(self) -> None:
         """Frees some; more if there is much, so that nobody can make it grow for ever. Call it now and then."""
-        del self._things[-max(LET_GO, len(self._things) // 20) :]
+        many = max(LET_GO, (len(self._things) + len(self._walks)) // 20)
+        del self._things[-many:]
+        left = many
+        while self._walks and left > 0:
+            met = list(islice(self._walks[0], left))
+            self._things += met
+            if len(met) < left:
+                self._walks.popleft()
+            left -= len(met) + 1

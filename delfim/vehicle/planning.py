@@ -4,7 +4,7 @@ A boat that sails its mission goes on with another one that has the same places 
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import NamedTuple
 
 import msgspec
@@ -77,6 +77,15 @@ def forbidden(around: fence.Fence | None, planned: Plan, radius_m: float, behind
     if around is None or why is None or behind == NOTHING:
         return why, NOTHING
     return (yield from legs.complaint(around, planned, radius_m, behind)), behind
+
+
+def _parts(around: fence.Fence) -> Iterator[object]:
+    """All that a fence is made of."""
+    for zone in around.zones:
+        for area in (zone, *zone.areas):
+            yield area
+            yield from area.sides
+            yield from area.parts
 
 
 class Plans:
@@ -227,13 +236,12 @@ class Plans:
     def _leave(self, mission: Mission | None, planned: Plan | None, around: fence.Fence | None) -> None:
         """Free the parts that will be replaced."""
         if around is not None:
-            zones = [area for zone in around.zones for area in (zone, *zone.areas)]
-            self.remains.add(zones, *(zone.sides for zone in zones), *(zone.parts for zone in zones))
+            self.remains.add(_parts(around))
         if planned is not None:
             self.remains.add(planned.waypoints, planned.path)
         if mission is not None:
-            areas = (*mission.fence.keep_in, *mission.fence.keep_out)
-            self.remains.add(mission.waypoint, mission.path, mission.action, *(each.polygon for each in areas))
+            corners = (corner for area in (*mission.fence.keep_in, *mission.fence.keep_out) for corner in area.polygon)
+            self.remains.add(mission.waypoint, mission.path, mission.action, corners)
 
     def found(self, origin: geodesy.Origin) -> None:
         """A local plane exists from now on: lay the fence into it, slice by slice."""
