@@ -19,7 +19,7 @@ FLEET: Final = 10
 def chased(seed: int, vehicle: config.Vehicle) -> Scenario:
     """The run of a seed."""
     random, here = Random(f"chased {seed}"), vehicle.simulation
-    place, seconds = partial(place_of, here), random.uniform(240.0, 600.0)
+    place, seconds = partial(place_of, here), random.uniform(180.0, 480.0)
     sea = {
         "current_mps": random.uniform(0.0, 0.4),
         "current_to_deg": random.uniform(0.0, 360.0),
@@ -76,7 +76,7 @@ def _orders(random: Random, place: Callable[[float, float], list[float]]) -> lis
             {"command": "play"},
         ]
         orders.append({"at_s": at_s, **random.choice(choices)})
-        at_s += random.uniform(15.0, 90.0)
+        at_s += random.uniform(15.0, 60.0)
     return orders
 
 
