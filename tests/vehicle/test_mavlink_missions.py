@@ -13,7 +13,7 @@ from delfim.errors import FormatError
 from delfim.modes import Mode
 from delfim.slices import Sliced
 from delfim.vehicle import console
-from delfim.vehicle.mavlink import plans
+from delfim.vehicle.mavlink import missions, plans
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, RALLY, Item
 from delfim.vehicle.mission import CARRIED, HOLD_MAX_S, Mission, PathPoint, Waypoint, canonical, parse_mission
 from delfim.vehicle.missionreader import gathered, written
@@ -407,6 +407,126 @@ def test_a_mission_that_is_played_is_changed_ahead_and_not_behind_and_not_cleare
     assert len(sea.vehicle.helm.plans.mission.waypoint) == 3
 
 
+# A part of a plan.
+
+
+def rewrite(console_: Console, first: int, items: list[Item], kind: int = MISSION) -> list:
+    """Over a link that loses nothing; all that came back."""
+    heard = console_.say("mission_write_partial_list", 1, 1, first, first + len(items) - 1, kind)
+    for number, item in enumerate(items, first):
+        if any(m.get_type() == "MISSION_ACK" for m in heard):
+            break  # refused already
+        assert newest(heard, "MISSION_REQUEST_INT").seq == number
+        heard += console_.say("mission_item_int", *fields(number, item, kind))
+    return heard
+
+
+@pytest.mark.parametrize("autopilot", ["generic", "ardurover"])
+@pytest.mark.parametrize(("first", "count"), [(0, 1), (7, 3), (19, 1), (19, 6), (20, 2), (0, 20), (0, 25)])
+def test_a_part_of_a_mission_is_written_and_the_rest_stays(boat, autopilot, first, count):
+    sea, homes = afloat(boat, autopilot=autopilot), int(autopilot == "ardurover")
+    sail(sea, 0.5)
+    before, after = items_of(zigzag(20)), items_of(zigzag(27))
+    upload(sea.console, [Item(16, x=1, y=1)] * homes + before)
+    part = [each._replace(y=each.y + 500) for each in after[first : first + count]]
+    heard = rewrite(sea.console, first + homes, part)
+    assert newest(heard, "MISSION_ACK").type == OK
+    whole = [*before[:first], *part, *before[first + count :]]
+    assert newest(heard, "MISSION_CHECKSUM").checksum == checksum(whole)
+    assert download(sea.console)[homes:] == whole
+    assert isinstance(sea.log[-1], console.Upload), "through the one door"
+
+
+def test_the_home_item_alone_changes_nothing(boat):
+    sea = afloat(boat, autopilot="ardurover")
+    sail(sea, 0.5)
+    upload(sea.console, [Item(16, x=1, y=1), *items_of(zigzag(3))])
+    assert newest(rewrite(sea.console, 0, [Item(16, x=7, y=7)]), "MISSION_ACK").type == OK
+    assert download(sea.console)[1:] == items_of(zigzag(3))
+
+
+def test_a_part_of_the_fence_and_of_the_harbours_is_written(sea):
+    rings = [Item(plans.CIRCLE_OUT, 5.0 + n, x=386_960_000 + 3_000 * n, y=-92_180_000) for n in range(4)]
+    harbours = list(plans.rally_items([(38.69, -9.215), (38.691, -9.215)]))
+    upload(sea.console, rings, FENCE)
+    upload(sea.console, harbours, RALLY)
+    assert newest(rewrite(sea.console, 2, [rings[2]._replace(p1=9.5)], FENCE), "MISSION_ACK").type == OK
+    assert [each.p1 for each in download(sea.console, FENCE)] == [5.0, 6.0, 9.5, 8.0]
+    assert newest(rewrite(sea.console, 1, [harbours[1]._replace(x=386_920_000)], RALLY), "MISSION_ACK").type == OK
+    assert sea.vehicle.helm.plans.rally == ((38.69, -9.215), (38.692, -9.215))
+
+
+def test_waypoints_ahead_of_a_boat_under_way_are_written_and_those_behind_are_not(sea):
+    upload(sea.console, items_of(zigzag(5)))
+    sea.console.command(300, 1)
+    sail(sea, 0.5)
+    ahead = [each._replace(y=each.y + 900) for each in items_of(zigzag(5))[3:]]
+    assert newest(rewrite(sea.console, 3, ahead), "MISSION_ACK").type == OK
+    assert (sea.state.mode, sea.state.reference.leg) == (Mode.PLAY, 1)
+    aboard = items_of(zigzag(5))[:3] + ahead
+    assert download(sea.console) == aboard
+    heard = rewrite(sea.console, 0, [aboard[0]._replace(y=-92_151_000)])
+    assert newest(heard, "MISSION_ACK").type == DENIED
+    assert "waypoint 1 is at another place, and the boat is on the leg to waypoint 2" in texts(heard)
+    assert (sea.state.mode, download(sea.console)) == (Mode.PLAY, aboard)
+
+
+@pytest.mark.parametrize(("first", "last"), [(4, 4), (-1, 2), (2, 1), (0, 2000)])
+def test_a_part_that_is_none_is_refused_in_words(sea, first, last):
+    upload(sea.console, items_of(zigzag(3)))
+    heard = sea.console.say("mission_write_partial_list", 1, 1, first, last, MISSION)
+    assert newest(heard, "MISSION_ACK").type == 13
+    assert f"items {first} to {last} are no part of a plan of 3" in texts(heard)
+
+
+def test_an_item_that_makes_no_sense_ends_a_part_and_nothing_changes(sea):
+    upload(sea.console, items_of(zigzag(3)))
+    heard = rewrite(sea.console, 1, [Item(177), Item(16, **HERE)])
+    assert newest(heard, "MISSION_ACK").type == UNSUPPORTED
+    heard = rewrite(sea.console, 0, [Item(20)])
+    assert newest(heard, "MISSION_ACK").type == INVALID
+    assert "item 1: the mission ends with NAV_RETURN_TO_LAUNCH before it" in texts(heard), "the one that stays is in its way"
+    assert download(sea.console) == items_of(zigzag(3))
+
+
+def test_a_part_of_a_plan_that_changed_meanwhile_is_refused(sea):
+    upload(sea.console, items_of(zigzag(3)))
+    sea.console.say("mission_write_partial_list", 1, 1, 2, 2, MISSION)
+    sea.vehicle.on_command(console.LoadMission(canonical(zigzag(8))))
+    heard = sea.console.say("mission_item_int", *fields(2, items_of(zigzag(3))[2], MISSION))
+    assert newest(heard, "MISSION_ACK").type == DENIED
+    assert "the plan aboard changed while a part of it came" in texts(heard)
+    assert len(sea.vehicle.helm.plans.mission.waypoint) == 8
+
+
+def test_a_part_gets_through_when_items_and_the_answer_are_lost(sea):
+    items = items_of(zigzag(6))
+    upload(sea.console, items)
+    moved = items[4]._replace(y=-92_149_000)
+    sea.console.say("mission_write_partial_list", 1, 1, 4, 4, MISSION)
+    heard = sail(sea, 2.5)
+    assert {m.seq for m in heard if m.get_type() == "MISSION_REQUEST_INT"} == {4}, "it asks again"
+    for _ in range(2):
+        heard = sea.console.say("mission_item_int", *fields(4, moved, MISSION))
+        assert newest(heard, "MISSION_ACK").type == OK
+    assert (len(sea.log), download(sea.console)) == (2, [*items[:4], moved, items[5]])
+
+
+def test_a_part_of_an_unknown_type_or_from_an_onlooker_is_refused(sea):
+    upload(sea.console, items_of(zigzag(3)))
+    assert newest(sea.console.say("mission_write_partial_list", 1, 1, 0, 0, 7), "MISSION_ACK").type == UNSUPPORTED
+    other = Console(sea.station, sea.radio, system=251, address=("127.0.0.1", 14551))
+    assert newest(other.say("mission_write_partial_list", 1, 1, 0, 0, MISSION), "MISSION_ACK").type == DENIED
+
+
+def test_no_slice_of_a_part_takes_many_items(sea):
+    """The items that stay go into the plan a few at a time, between other work."""
+    upload(sea.console, items_of(zigzag(900)))
+    sea.station.receive(sea.console.frame("mission_write_partial_list", 1, 1, 899, 899, MISSION), sea.console.address)
+    turns = sum(1 for _ in iter(sea.station.turn, False))
+    assert turns >= 899 // missions.KEPT
+
+
 def test_clearing(sea):
     upload(sea.console, items_of(zigzag(3)))
     upload(sea.console, plans.rally_items([(38.69, -9.2)]), RALLY)
@@ -436,7 +556,7 @@ def test_an_onlooker_downloads_and_does_not_upload(sea):
 
 @pytest.mark.parametrize(
     ("name", "more"),
-    [("mission_item", (0,) * 12), ("mission_write_partial_list", (0, 1, 0)), ("mission_request_partial_list", (0, 1, 0))],
+    [("mission_item", (0,) * 12), ("mission_request_partial_list", (0, 1, 0))],
 )
 def test_older_ways_are_answered(sea, name, more):
     assert newest(sea.console.say(name, 1, 1, *more), "MISSION_ACK").type == UNSUPPORTED

@@ -98,6 +98,11 @@ def _counted(consoles: Consoles, peer: Peer, source: Speaker, message: Message) 
         consoles.missions.counted(_Line(consoles, peer, source), source, message, consoles.clock.monotonic_s())
 
 
+def _rewritten(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
+    if _may(consoles, peer, source, message):
+        consoles.missions.rewritten(_Line(consoles, peer, source), source, message, consoles.clock.monotonic_s())
+
+
 def _item(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
     consoles.missions.item(_Line(consoles, peer, source), source, message, consoles.clock.monotonic_s())
 
@@ -108,7 +113,7 @@ def _clear(consoles: Consoles, peer: Peer, source: Speaker, message: Message) ->
 
 
 def _old_item(consoles: Consoles, peer: Peer, source: Speaker, message: Message) -> None:
-    """MISSION_ITEM, MISSION_WRITE_PARTIAL_LIST, MISSION_REQUEST_PARTIAL_LIST: refused, newer messages do the same."""
+    """MISSION_ITEM, MISSION_REQUEST_PARTIAL_LIST: refused, newer messages do the same."""
     unsupported = dialect.MAV_MISSION_UNSUPPORTED
     consoles.peers.tell(peer, [dialect.MAVLink_mission_ack_message(*source.party, unsupported, message.mission_type)])
 
@@ -329,7 +334,7 @@ HANDLERS: Final[dict[int, Callable[[Consoles, Peer, Speaker, Message], None]]] =
     dialect.MAVLINK_MSG_ID_MISSION_COUNT: _counted,
     dialect.MAVLINK_MSG_ID_MISSION_ITEM_INT: _item,
     dialect.MAVLINK_MSG_ID_MISSION_ITEM: _old_item,
-    dialect.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: _old_item,
+    dialect.MAVLINK_MSG_ID_MISSION_WRITE_PARTIAL_LIST: _rewritten,
     dialect.MAVLINK_MSG_ID_MISSION_REQUEST_PARTIAL_LIST: _old_item,
     dialect.MAVLINK_MSG_ID_MISSION_CLEAR_ALL: _clear,
     dialect.MAVLINK_MSG_ID_MISSION_SET_CURRENT: _set_current,

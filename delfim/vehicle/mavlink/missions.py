@@ -1,8 +1,8 @@
 """MAVLink's mission protocol, the vehicle's side: uploads item by item, downloads, checksums.
 
-An upload changes nothing before its last item has come and the plan is valid. A download needs no memory: each item is
-requested by its number. Both survive lost frames: the vehicle repeats its requests and its answers
-(mavlink.io/en/services/mission.html).
+An upload changes nothing before its last item has come and the plan is valid. One of a part of a plan is the same with the
+items aboard before and behind it. A download needs no memory: each item is requested by its number. Both survive lost frames:
+the vehicle repeats its requests and its answers (mavlink.io/en/services/mission.html).
 """
 
 from collections.abc import Callable, Iterator
@@ -19,6 +19,7 @@ from delfim.vehicle.mavlink.wire import Message, Speaker, dialect
 
 AGAIN_S: Final = 1.0  # after this silence the next item is requested again ...
 GIVE_UP_S: Final = 20.0  # ... until nothing came for this long
+KEPT: Final = 4  # items aboard that one slice puts into a plan of which a part comes
 KINDS: Final = (MISSION, FENCE, RALLY)
 OK: Final = int(dialect.MAV_MISSION_ACCEPTED)
 INVALID: Final = int(dialect.MAV_MISSION_INVALID)
@@ -36,14 +37,27 @@ class ConsoleLine(Protocol):
 
 
 class IncomingItems:
-    """An upload under way: how many items came, and when the next one was requested."""
+    """An upload under way: the items from `came` up to `count` are still to come, and when the next one was requested."""
 
-    def __init__(self, line: ConsoleLine, source: Speaker, kind: int, count: int, now_s: float) -> None:
+    def __init__(self, line: ConsoleLine, source: Speaker, kind: int, came: int, count: int, now_s: float) -> None:
         self.line, self.source, self.kind, self.count = line, source, kind, count
+        self.first = self.came = came
         self.draft: plans.Draft = _DRAFTS[kind]()
-        self.came = 0
+        self.part_of: plans.Told | None = None  # the plan whose part comes; None: a whole one comes
+        self.kept: list[Item] = []  # those of it that stay: so many `before` the ones that come, and the others behind them
+        self.before = self.at = 0
         self.frame: int | None = None  # of its places
         self.heard_s = self.asked_s = now_s
+
+    @property
+    def keeps(self) -> bool:
+        """Whether an item that stays is the next one of the plan."""
+        return self.at < (len(self.kept) if self.came == self.count else self.before)
+
+    def keep(self) -> tuple[int, Item]:
+        """That item, and its number in the plan."""
+        at, self.at = self.at, self.at + 1
+        return at - self.before + (self.first if at < self.before else self.count), self.kept[at]
 
 
 class Done(NamedTuple):
@@ -72,7 +86,9 @@ class Missions:
     # The plans aboard.
 
     def step(self) -> bool:
-        """One slice of preparing the plans for download. Returns whether there is more to do."""
+        """One slice of preparing the plans for download, or for an upload of a part. Returns whether there is more to do."""
+        if self._keep():
+            return True
         if self._telling is None and self._summing is None:
             kind = next((kind for kind in KINDS if self._told[kind].plan is not self._plan(kind)), None)
             if kind is not None:
@@ -183,9 +199,31 @@ class Missions:
             refused = UNSUPPORTED if kind not in KINDS else dialect.MAV_MISSION_NO_SPACE
             line.tell(dialect.MAVLink_mission_ack_message(*source.party, refused, kind))
             return
-        self._upload = IncomingItems(line, source, kind, count, now_s)
-        self._done = None
-        self._next(self._upload, now_s)
+        self._begin(IncomingItems(line, source, kind, 0, count, now_s))
+
+    def rewritten(self, line: ConsoleLine, source: Speaker, message: Message, now_s: float) -> None:
+        """MISSION_WRITE_PARTIAL_LIST: these items of the plan aboard come anew, or are appended; the others stay."""
+        kind, first, last = message.mission_type, message.start_index, message.end_index
+        if kind not in KINDS:
+            line.tell(dialect.MAVLink_mission_ack_message(*source.party, UNSUPPORTED, kind))
+            return
+        if (known := self.own(kind)) is None:
+            self._answer(line, source, kind, "the plan is still being prepared: ask again in a moment", DENIED)
+            return
+        homes = self._homes(kind, known)
+        count = len(known.items) + homes
+        if not 0 <= first <= min(last, count) or last >= ITEMS:
+            why = f"items {first} to {last} are no part of a plan of {count}: it begins in it or right behind it, and {ITEMS} are the most"
+            self._answer(line, source, kind, why, dialect.MAV_MISSION_INVALID_SEQUENCE)
+            return
+        upload = IncomingItems(line, source, kind, first, last + 1, now_s)
+        upload.part_of, upload.before = known, max(first - homes, 0)
+        upload.kept = known.items[: upload.before] + known.items[last + 1 - homes :]
+        self._begin(upload)
+
+    def _begin(self, upload: IncomingItems) -> None:
+        self._upload, self._done = upload, None
+        self._next(upload, upload.heard_s)
 
     def item(self, line: ConsoleLine, source: Speaker, message: Message, now_s: float) -> None:
         """MISSION_ITEM_INT. An item that was not requested is a repeat, or late."""
@@ -198,15 +236,32 @@ class Missions:
         if message.seq != upload.came:
             return
         m, upload.came = message, upload.came + 1
-        if upload.frame is None and m.frame in plans.GLOBAL:
-            upload.frame = m.frame
-        if upload.kind != MISSION or m.seq or not self._home_first:
+        item = Item(m.command, m.param1, m.param2, m.param3, m.param4, m.x, m.y, m.z, m.frame)
+        if self._add(upload, m.seq, item):
+            self._next(upload, now_s)
+
+    def _add(self, upload: IncomingItems, number: int, item: Item) -> bool:
+        """Put an item into the plan that comes. One that makes no sense ends the upload: False."""
+        if upload.frame is None and item.frame in plans.GLOBAL:
+            upload.frame = item.frame
+        if upload.kind != MISSION or number or not self._home_first:
             try:
-                upload.draft.add(m.seq, Item(m.command, m.param1, m.param2, m.param3, m.param4, m.x, m.y, m.z, m.frame))
+                upload.draft.add(number, item)
             except FormatError as error:
                 self._end(upload, error)
-                return
-        self._next(upload, now_s)
+                return False
+        return True
+
+    def _keep(self) -> bool:
+        """A slice of the items that stay goes into the plan of which a part comes. Whether there was something to do."""
+        upload = self._upload
+        if upload is None or not upload.keeps:
+            return False
+        for _ in range(KEPT):
+            if upload.keeps and not self._add(upload, *upload.keep()):
+                return True
+        self._next(upload, self._boat.clock.monotonic_s())
+        return True
 
     def tick(self, now_s: float) -> None:
         """Ask again; or give up."""
@@ -221,14 +276,16 @@ class Missions:
             self._next(upload, now_s)
 
     def _next(self, upload: IncomingItems, now_s: float) -> None:
-        """Ask for the next item; after the last one, accept the plan."""
+        """Ask for the next item, if it is the console's; after the last one, accept the plan."""
         upload.asked_s = now_s
+        if upload.keeps:
+            return
         if upload.came < upload.count:
             upload.line.tell(dialect.MAVLink_mission_request_int_message(*upload.source.party, upload.came, upload.kind))
             return
         try:
             self._upload, command = None, self._command(upload)
-        except FormatError as error:
+        except DelfimError as error:
             self._end(upload, error)
             return
         upload.line.ask(command, lambda refused: self._end(upload, None if refused is None else Refused(refused)))
@@ -258,8 +315,10 @@ class Missions:
         self._answer(upload.line, upload.source, upload.kind, None if fault is None else str(fault), wrong)
 
     def _command(self, upload: IncomingItems) -> console.Commands:
-        """Raises FormatError."""
-        if upload.count <= (upload.kind == MISSION and self._home_first):
+        """Raises FormatError; Refused where the plan of a part is no longer the one aboard."""
+        if upload.part_of is not None and upload.part_of.plan is not self._plan(upload.kind):
+            raise Refused("the plan aboard changed while a part of it came: read it, and send the part again")
+        if upload.part_of is None and upload.count <= (upload.kind == MISSION and self._home_first):
             return _CLEAR[upload.kind]
         match upload.draft:
             case plans.ZonesDraft():
