@@ -100,6 +100,8 @@ def test_connect_mode_arm_load_list_play_hold_disarm(tmp_path):
         assert state(path)["mission"] is None
         proxy.say("wp load good.txt", "MISSION_ACK: TYPE_MISSION: ACCEPTED")
         proxy.say("wp list", "38.6909000000 -9.2149000000 0.000000 p1=5.0 p2=3.0", "38.6912000000")
+        proxy.say("wp param 2 2 4.5", "MISSION_ACK: TYPE_MISSION: ACCEPTED")  # MISSION_WRITE_PARTIAL_LIST
+        proxy.say("wp list", "38.6909000000 -9.2149000000 0.000000 p1=5.0 p2=3.0", "p2=4.5")
         proxy.say("arm throttle", "COMPONENT_ARM_DISARM: ACCEPTED")
         proxy.say("mode AUTO", "AP: play: operator", "DO_SET_MODE: ACCEPTED")
         until(lambda: (state(path)["speed_mps"] or 0.0) > 0.5)

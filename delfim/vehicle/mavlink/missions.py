@@ -213,7 +213,7 @@ class Missions:
         homes = self._homes(kind, known)
         count = len(known.items) + homes
         if not 0 <= first <= min(last, count) or last >= ITEMS:
-            why = f"items {first} to {last} are no part of a plan of {count}: it begins in it or right behind it, and {ITEMS} are the most"
+            why = f"items {first} to {last} are no part of a plan of {count}: a part begins in it, or right behind it"
             self._answer(line, source, kind, why, dialect.MAV_MISSION_INVALID_SEQUENCE)
             return
         upload = IncomingItems(line, source, kind, first, last + 1, now_s)
