@@ -99,6 +99,15 @@ def _play(n: Numbers) -> CommandLong:
     return CommandLong(mavlink.MAV_CMD_MISSION_START, (leg, 0.0))
 
 
+def _path(n: Numbers) -> CommandLong:
+    whole = _enter("path", Mode.PATH).make(n)
+    if "piece" not in n:
+        return whole
+    if n["piece"] < 0.0 or n["piece"] != int(n["piece"]):
+        raise FormatError(f"path: piece is the number of a piece, not {n['piece']:g}")
+    return whole._replace(numbers=(*whole.numbers, n["piece"] + 1.0))
+
+
 def _pause(n: Numbers) -> CommandLong:
     return CommandLong(mavlink.MAV_CMD_DO_PAUSE_CONTINUE, (0.0,))
 
@@ -138,6 +147,7 @@ ORDERS: Final[dict[str, OrderRow]] = {
     "course": OrderRow(_course, "course", takes=("course_deg",)),
     "goto_point": OrderRow(_goto_point, "goto", needs=("latitude_deg", "longitude_deg"), takes=("speed_mps",)),
     "play": OrderRow(_play, "play", takes=("leg",)),
+    "path": OrderRow(_path, "path", takes=("piece",)),
     "pause": OrderRow(_pause, "hold", key="B"),
     "continue": OrderRow(_continue, key="C"),
     "speed": OrderRow(_speed, takes=("speed_mps", "speed_pct")),

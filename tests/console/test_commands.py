@@ -371,6 +371,9 @@ ROWS: dict[str, Row] = {
     'planning.waypoint: Play from here: sail(boat, "play", index': Row(
         on_map(*PLACES[2], "Play from here"), "play", {"command": "play", "leg": 2}
     ),
+    'planning.waypoint: Follow the path from here: sail(boat, "path", index': Row(
+        on_map(*PLACES[1], "Follow the path from here"), "path", {"command": "mode", "mode": "path", "piece": 1}
+    ),
     'planning.waypoint: Go to this point: command(boat.id, "goto_point"': Row(
         on_map(*PLACES[1], "Go to this point"), "goto_point", {"command": "goto", "place": PLACES[1]}
     ),
@@ -382,6 +385,9 @@ ROWS: dict[str, Row] = {
     "planning.replace: send(boat": Row(sent_first, told={"command": "upload"}),
     'planning.replace: command(boat.id, "hold"': Row(held_first, "hold", {"command": "mode", "mode": "hold"}),
     'planning.sail: command(boat.id, "play"': Row(held_first, "play", {"command": "play", "leg": 1}),
+    'planning.sail: command(boat.id, "path"': Row(
+        on_map(*PLACES[0], "Follow the path from here"), "path", {"command": "mode", "mode": "path", "piece": 0}
+    ),
     "key: B": Row(keys("h", "b"), "pause", PAUSE),
     "key: C": Row(keys("h", "b", "c"), "continue", CONTINUE),
     # Entries that the gateway offers, as it offers the reset.

@@ -327,6 +327,7 @@ def test_a_console_draws_a_number_of_its_own_and_keeps_it(tmp_path: Path) -> Non
         '{"t":"command","boat":1,"command":"goto_point","latitude_deg":38}',
         '{"t":"command","boat":"all","command":"play"}',
         '{"t":"command","boat":1,"command":"play","leg":1.5}',
+        '{"t":"command","boat":1,"command":"path","piece":-1}',
         '{"t":"profile","boat":1,"profile":"fast"}',
         '{"t":"release","boat":1,"why":3}',
         '{"t":"replay","at_s":1}',

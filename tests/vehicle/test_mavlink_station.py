@@ -80,6 +80,36 @@ def test_a_mode_is_entered_by_its_number_and_seen_within_a_tick(sea, number, mod
     assert bool(beat.base_mode & 128) is (mode != "IDLE"), "armed"
 
 
+@pytest.mark.parametrize(("sub", "piece"), [(0, 0), (1, 0), (2, 1)])
+def test_a_path_begins_at_the_piece_that_the_third_number_names(sea, sub, piece):
+    sea.vehicle.on_command(console.LoadMission(MISSION))
+    assert sea.console.mode(100, sub)[0] == ACCEPTED
+    sail(sea, 0.3)
+    assert (sea.state.mode, sea.state.reference.leg) == (Mode.PATH, piece)
+    assert sea.state.reason == ("operator; begins at piece 2 of 2" if piece else "operator")
+
+
+def test_a_paused_path_goes_on_and_one_with_a_piece_begins_there(sea):
+    sea.vehicle.on_command(console.LoadMission(MISSION))
+    for sub, piece in ((2, 1), (0, 1), (1, 0)):
+        assert sea.console.mode(100, sub)[0] == ACCEPTED
+        sail(sea, 0.3)
+        assert sea.state.reference.leg == piece
+        sea.console.command(193, 0)
+
+
+@pytest.mark.parametrize("sub", [-1, 0.5, 65536, math.nan, math.inf])
+def test_a_piece_of_a_path_is_a_whole_number(sea, sub):
+    sea.vehicle.on_command(console.LoadMission(MISSION))
+    assert sea.console.mode(100, sub)[0] == DENIED
+    assert sea.state.mode is Mode.IDLE
+
+
+def test_a_piece_that_the_path_does_not_have_is_refused(sea):
+    sea.vehicle.on_command(console.LoadMission(MISSION))
+    assert sea.console.mode(100, 3) == (LATER, " path refused: no piece 3: the path has pieces 1 to 2")
+
+
 def test_grex_is_entered_when_its_guest_speaks(sea):
     assert sea.console.mode(101)[0] == LATER
     sea.vehicle.on_guest(b'{"heading_deg": 90, "speed_mps": 1.5}')

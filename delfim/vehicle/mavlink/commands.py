@@ -66,8 +66,11 @@ def stops(o: Order) -> bool:
 
 
 def _mode(o: Order, boat: Terms) -> console.Commands:
-    """DO_SET_MODE. Raises FormatError for a mode that is not ours, which must change nothing."""
+    """DO_SET_MODE. Raises FormatError for a mode that is not ours, which must change nothing. The third number of the path is
+    the piece to begin with, from 1: no other autopilot has that mode."""
     base, custom, sub = o.p[:3]
+    if sub and custom == Mode.PATH:
+        return console.asked(console.SetMode, mode="path", piece=_whole(sub) - 1)
     if sub:
         if (custom, sub) not in PX4:
             raise FormatError(f"mode {custom:g}/{sub:g} is another autopilot's: choose one of this boat's modes")

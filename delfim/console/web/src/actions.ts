@@ -10,7 +10,7 @@ const STOP_AGAIN_MS = 200;
 const STOP_MOST = 150; // 30 s; then the gateway's own repetition and the boat's own failsafe remain
 
 export type Say = (boat: number | null, severity: number, text: string) => void;
-type More = Partial<Place> & { heading_deg?: number; course_deg?: number; speed_pct?: number; leg?: number };
+type More = Partial<Place> & { heading_deg?: number; course_deg?: number; speed_pct?: number; leg?: number; piece?: number };
 
 /** The text of a refusal. A boat names the refused command itself: "play refused: no mission loaded". */
 function refusal(what: string, reason: string): string {

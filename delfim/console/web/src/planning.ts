@@ -45,6 +45,7 @@ export class Planning {
   sail(boat: Boat, mode: Mode, from?: number): void {
     const begin = () => {
       if (from === undefined) void this.actions.mode(boat, mode);
+      else if (mode === "path") void this.actions.command(boat.id, "path", { piece: from });
       else void this.actions.command(boat.id, "play", { leg: from });
     };
     const plan = this.state.plan(boat.id).mission;
@@ -287,8 +288,17 @@ export class Planning {
       { title: "Delete", do: () => this.change(boat, (each) => M.deleteWaypoint(each, index)) },
       "line",
       { title: "Play from here", refuse: boat.id === NOBODY && NO_BOAT, do: () => this.sail(boat, "play", index) },
+      { title: "Follow the path from here", refuse: this.noPiece(boat, index), do: () => this.sail(boat, "path", index) },
       { title: "Go to this point", note: HOLDS_THERE, refuse: boat.id === NOBODY && NO_BOAT, do: () => void this.actions.command(boat.id, "goto_point", { latitude_deg: its.latitude_deg, longitude_deg: its.longitude_deg }) },
     ]);
+  }
+
+  /** Why no piece of the path begins at a waypoint. */
+  private noPiece(boat: Boat, index: number): string | false {
+    const { path, waypoints } = this.state.plan(boat.id).mission;
+    if (boat.id === NOBODY) return NO_BOAT;
+    if (path?.length) return "the mission has a path of its own";
+    return index === waypoints.length - 1 && "the path ends here";
   }
 
   /** Where something is, as numbers. */
