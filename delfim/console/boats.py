@@ -8,6 +8,7 @@ from typing import Any, Final, NamedTuple
 from delfim.console.mavlink import mavlink
 from delfim.console.othervessels import VesselsTold
 from delfim.console.reception import Reception
+from delfim.console.wayhome import HeardTrack
 from delfim.console.words import Words
 from delfim.modes import Mode
 from delfim.vehicle.mavlink.params import BOAT_NAME
@@ -60,6 +61,7 @@ class Boat:
         self.forced = ""  # its last text about a mode that it entered by itself
         self.link, self.signed = "udp", False  # "log": its own log is replayed
         self.track: deque[tuple[float, float, float]] = deque(maxlen=TRACK_MAX)
+        self.heard_track = HeardTrack()
         self.rtt_ms: float | None = None
         self.synced_s = -math.inf
         self.released = False
@@ -101,6 +103,7 @@ class Boat:
         if self.before:
             for each in (self.values, self.measured, self.reference, self.at_s, self.has, self._modes_told):
                 each.clear()
+            self.heard_track = HeardTrack()
             self.has_told_modes, self.asks, self.reason, self.failsafe, self.warning, self.forced = False, 0, "", "", "", ""
 
     def enter(self, number: int) -> None:
@@ -178,6 +181,7 @@ class Boat:
         latitude_deg, longitude_deg = self.values.get("latitude_deg"), self.values.get("longitude_deg")
         if latitude_deg is not None and longitude_deg is not None and (not self.track or utc_s - self.track[-1][0] >= 1.0):
             self.track.append((round(utc_s, 1), latitude_deg, longitude_deg))
+            self.heard_track.add(latitude_deg, longitude_deg)
 
     def _ghost(self, now_s: float) -> dict[str, float] | None:
         """The estimated position of a silent boat on its last course, and the error of it."""

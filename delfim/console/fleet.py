@@ -60,6 +60,7 @@ class Fleet:
         self._texts: dict[int, tuple[float, str]] = {}
         self._refused: dict[int, tuple[float, int, int]] = {}  # by boat: end of the wait for the reason, command, result
         self._profiles = Profiles(self._send)
+        self._homes = set[int]()  # boats that were asked where their way home ends
 
     # Messages from the boats.
 
@@ -124,6 +125,7 @@ class Fleet:
         self._exchange.forget(number)
         self._drivers.end(number)
         self._profiles.forget(number)
+        self._homes.discard(number)
         for each in (self._texts, self._refused):
             each.pop(number, None)
 
@@ -188,6 +190,12 @@ class Fleet:
     def _on_sync(self, boat: Boat, message: Any, now_s: float) -> None:
         if message.tc1:
             boat.rtt_ms = round(now_s * 1e3 - message.ts1 / 1e6, 1)
+
+    def _on_home(self, boat: Boat, message: Any, now_s: float) -> None:
+        if boat.number in self._homes:
+            self._homes.discard(boat.number)
+            way = boat.heard_track.way_home(message.latitude / 1e7, message.longitude / 1e7)
+            self._tell({"t": "way_home", "boat": boat.number, **way})
 
     def _on_mission(self, boat: Boat, message: Any, now_s: float) -> None:
         self._exchange.receive(boat, message, now_s)
@@ -324,6 +332,12 @@ class Fleet:
         """Reads the mission aboard. Raises Refused."""
         self._exchange.download(self._boat(number), answer)
 
+    def ask_home(self, number: int) -> None:
+        """Asks where the boat's way home ends; the pages are told the way when it answers. Raises Refused."""
+        self._homes.add(self._boat(number).number)
+        where = mavlink.MAVLINK_MSG_ID_HOME_POSITION, *(0.0,) * 6
+        self._send(number, mavlink.MAVLink_command_long_message(number, AUTOPILOT, mavlink.MAV_CMD_REQUEST_MESSAGE, 0, *where))
+
     def progress(self) -> list[dict[str, Any]]:
         """The progress of mission transfers."""
         return self._exchange.progress()
@@ -371,6 +385,7 @@ _HANDLERS: Final[dict[str, Callable[[Fleet, Boat, Any, float], None]]] = {
     "PARAM_VALUE": Fleet._on_param,
     "PARAM_EXT_VALUE": Fleet._on_name,
     "TIMESYNC": Fleet._on_sync,
+    "HOME_POSITION": Fleet._on_home,
     "NAMED_VALUE_INT": lambda fleet, boat, m, _: fleet.troubles(boat.number, m.value) if m.name == TROUBLES else None,
     **dict.fromkeys(SAID, Fleet._on_mission),
 }

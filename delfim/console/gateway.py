@@ -345,6 +345,9 @@ class Gateway:
                 self.watch.alarms.forget(number)
                 self.tell({"t": "forgotten", "boat": number})
                 answer(True, "")
+            case said.Home(boat=number):
+                fleet.ask_home(number)
+                answer(True, "")
             case said.Acknowledge(ids=ids):
                 self.watch.acknowledge(page.who, ids)
                 answer(True, "")

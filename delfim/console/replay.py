@@ -130,6 +130,9 @@ class TapePlayer:
     def forget(self, number: int) -> NoReturn:
         raise Refused("this is a replay: its boats are those of the recording")
 
+    def ask_home(self, number: int) -> NoReturn:
+        raise Refused("this is a replay: there is no boat to ask")
+
     def upload(self, number: int, answer: Any) -> NoReturn:
         raise Refused("this is a replay: there is no boat to send to")
 

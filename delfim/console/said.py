@@ -50,6 +50,12 @@ class Forget(Said, frozen=True):
     boat: Number
 
 
+class Home(Said, frozen=True):
+    """Asks where a boat's way home ends; `way_home` tells it."""
+
+    boat: Number
+
+
 class Replay(Said, frozen=True):
     """Where a replay goes on, and how fast."""
 
@@ -115,5 +121,5 @@ class Mission(Said, frozen=True):
     name: str = ""
 
 
-Message = Command | Input | Release | Profile | Forget | Replay | Acknowledge | Mission
+Message = Command | Input | Release | Profile | Forget | Home | Replay | Acknowledge | Mission
 NO_NUMBERS = frozenset({"t", "seq", "boat", "command"})

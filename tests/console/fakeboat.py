@@ -104,6 +104,10 @@ class FakeBoat:
 
     def _command(self, m: Any) -> None:
         if m.command == mavlink.MAV_CMD_REQUEST_MESSAGE:
+            if m.param1 == mavlink.MAVLINK_MSG_ID_HOME_POSITION:
+                place = *self.position, 0, 0.0, 0.0, 0.0, [1.0, 0.0, 0.0, 0.0]
+                self.say(mavlink.MAVLink_home_position_message(*place, 0.0, 0.0, 0.0))
+                return
             assert m.param1 == mavlink.MAVLINK_MSG_ID_AVAILABLE_MODES
             self._tell_modes()
             return

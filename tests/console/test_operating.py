@@ -14,7 +14,7 @@ from typing import Any
 import pytest
 
 from delfim import messages
-from tests.console.chain import Boat, Sea, afternoon, select, shown_mode, turning
+from tests.console.chain import PATIENCE_S, Boat, Sea, afternoon, select, shown_mode, turning
 from tests.console.scenes import choose
 from tests.services.browser import Page, tab
 
@@ -123,8 +123,15 @@ def test_a_boat_goes_home_along_its_track_though_no_home_is_planned(sail: Sail) 
         await pressed(page, boat, "i", "idle")
         await page.press("Enter")
         assert (await page.value(menu_titles()))[:4] == ["Stop", "Pause: hold here", "Continue", "Go home"]
+        await page.until("delfim.wayHome(1).startsWith('home: ')", PATIENCE_S)  # drawn before it is ordered
+        await page.press("Escape")
+        assert not await page.value("delfim.wayHome(1)")
+        await page.press("Enter")
         await choose(page, "Go home")
         await boat.until(lambda state: state["mode"] == "home")
+        await page.until("delfim.wayHome(1).startsWith('home: ')", PATIENCE_S)  # and while it is sailed
+        await pressed(page, boat, "i", "idle")
+        await page.until("!delfim.wayHome(1)")
 
     sail(story)
 

@@ -31,6 +31,7 @@ import { Strips } from "./strip";
 import { Traffic } from "./traffic";
 import { Watch } from "./watch";
 import { WatchLog } from "./watchlog";
+import { WayHome } from "./wayhome";
 import type { Boat, Heard, Mission, Place, Vessel } from "./wire";
 
 const REACH_PX = 22;
@@ -56,7 +57,9 @@ const watch = new Watch(state, sound);
 const others = new Others(chart, state, watch);
 const plans = new Plans(chart, state, (mission) => edit(state.planning, mission));
 const planning = new Planning(popup, state, actions, chart, plans, messages, edit, undo);
-const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, () => keyCard.toggle());
+const wayHome = new WayHome(chart, state, net);
+popup.closed = () => wayHome.show(null);
+const menus = new Menus(popup, state, actions, chart, fleet, plans, planning, () => watchLog.open(), sound, watch, wayHome, () => keyCard.toggle());
 const hints = new Hints(element("hint"), element("nobody"), state, actions.did, popup);
 const aim = new Aim(element("map"), chart, { seen: (place) => text(element("where"), whereWords(place, state)), chosen: press, added: (place) => !state.replaying && planning.add(place) });
 const strips = new Strips(element("strips"), state, drive, actions, (boat, at) => chosen(boat, at));
@@ -127,6 +130,8 @@ function heard(message: Heard): void {
       fleet.whole(message.boat, message.points);
       if (!moved) chart.fit(menus.everything());
       return;
+    case "way_home":
+      return wayHome.take(message);
     case "graphs":
       replay.take(message.boat, message.graphs);
       pad();
@@ -306,6 +311,7 @@ Object.assign(window, {
     pieces: (boat: number) => fleet.pieces(boat),
     frames: ofLastSecond,
     numbers: () => plans.numbers,
+    wayHome: (boat: number) => wayHome.words(boat),
     vessels: () => state.vessels.map((each) => [each.name, watch.gravity(each)]),
   },
 });

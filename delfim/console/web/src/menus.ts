@@ -17,6 +17,7 @@ import type { State } from "./state";
 import { inKnots, setKnots } from "./units";
 import { ZONES_M } from "./watch";
 import type { Watch } from "./watch";
+import type { WayHome } from "./wayhome";
 import type { Boat, Mode, Place } from "./wire";
 
 const ELSEWHERE: ReadonlySet<Mode> = new Set(["hold", "course"]); // modes with an entry of their own
@@ -35,6 +36,7 @@ export class Menus {
     private readonly log: () => void,
     private readonly sound: Sound,
     private readonly watch: Watch,
+    private readonly wayHome: WayHome,
     private readonly card: () => void,
   ) {}
 
@@ -66,6 +68,7 @@ export class Menus {
       { title: "Mission", sub: () => this.planning.mission(boat) },
       { title: "More", sub: () => this.more(boat) },
     ]);
+    this.wayHome.show(boat.id);
   }
 
   /** The menu of the bare map. */

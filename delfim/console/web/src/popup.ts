@@ -25,6 +25,7 @@ export class Popup {
   private readonly box = make("div.popup");
   private shownAt = 0;
   opened = () => {}; // called each time that a menu or form is shown
+  closed = () => {};
   private meant = false; // the pointer came down after the menu was shown
 
   constructor(
@@ -53,6 +54,7 @@ export class Popup {
     this.box.hidden = true;
     this.box.replaceChildren();
     if (open instanceof FormView) open.cancelled();
+    this.closed();
   }
 
   /** True when an open menu or form has taken the key. */

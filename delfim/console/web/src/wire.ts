@@ -205,6 +205,7 @@ export type Heard =
   | { t: "vessels"; at_s: number; vessels: Vessel[]; heard_s: number | null }
   | { t: "track"; boat: number; start?: boolean; points: [number, number, number][] }
   | { t: "whole_track"; boat: number; points: [number, number, number][] }
+  | { t: "way_home"; boat: number; points: [number, number][]; whole: boolean }
   | { t: "graphs"; boat: number; graphs: Graphs }
   | { t: "forgotten"; boat: number }
   | { t: "text"; boat: number | null; severity: number; text: string; at_s: number; alarm?: string }
@@ -224,10 +225,12 @@ export type Said =
         speed_pct?: number;
         speed_mps?: number;
         leg?: number;
+        piece?: number;
       })
   | { t: "mission"; boat: number; do: MissionDeed; mission?: Mission; name?: string }
   | { t: "profile"; boat: number; profile: string }
   | { t: "forget"; boat: number }
+  | { t: "home"; boat: number }
   | { t: "acknowledge"; ids: number[] }
   | { t: "replay"; at_s?: number; rate?: number };
 
