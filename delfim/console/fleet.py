@@ -19,6 +19,7 @@ from delfim.console.mavlink import SYSTEM, Codec, Key, mavlink
 from delfim.console.orders import order, row_of
 from delfim.console.profiles import Profiles
 from delfim.console.requests import LIFE_S, Answer, Requests
+from delfim.console.transfer import REFUSED
 from delfim.console.ways import Address, Ways, in_words
 from delfim.errors import Refused
 from delfim.vehicle.mavlink.params import BOAT_NAME, BOAT_RUN, TROUBLES
@@ -145,13 +146,17 @@ class Fleet:
             message.command == mavlink.MAV_CMD_REQUEST_MESSAGE
         ):  # nobody waits for it, and what was refused before waits for its reason
             return
-        said_s, text = self._texts.get(boat.number, (-math.inf, ""))
-        reason = text if now_s - said_s < REASON_S else ""
+        reason = self._said(boat.number)
         fine = message.result in (mavlink.MAV_RESULT_ACCEPTED, mavlink.MAV_RESULT_IN_PROGRESS)
         if fine or reason:
             self._requests.acknowledged(boat.number, message.command, message.result, reason, message.get_seq())
         else:
             self._refused[boat.number] = now_s + REASON_S, message.command, message.result
+
+    def _said(self, number: int) -> str:
+        """What the boat said just now; empty: nothing."""
+        said_s, text = self._texts.get(number, (-math.inf, ""))
+        return text if self._clock.monotonic_s() - said_s < REASON_S else ""
 
     def _on_heartbeat(self, boat: Boat, message: Any, now_s: float) -> None:
         if self._ways.are_idle(boat.number, now_s):
@@ -325,8 +330,12 @@ class Fleet:
         boat.used = True
 
     def upload(self, number: int, answer: Answer) -> None:
-        """Sends the plan on the screen to the boat, and reads it back to compare. Raises Refused."""
-        self._exchange.upload(self._boat(number), answer)
+        """Sends the plan on the screen to the boat, and reads it back; a boat that refuses it has said why. Raises Refused."""
+
+        def ended(well: bool, why: str) -> None:
+            answer(well, (self._said(number) if why.startswith(REFUSED) else "") or why)
+
+        self._exchange.upload(self._boat(number), ended)
 
     def download(self, number: int, answer: Answer) -> None:
         """Reads the mission aboard. Raises Refused."""

@@ -13,6 +13,7 @@ from delfim.vehicle.mavlink.plans import FENCE, ITEMS, MISSION, RALLY, Item
 
 REPEAT_S: Final = 1.5
 TIMEOUT_S: Final = 60.0
+REFUSED: Final = "refused: "  # begins the reason of a transfer that the boat ended
 ORDER: Final = (FENCE, RALLY, MISSION)  # the boat forgets a mission that a new fence cuts, so the mission comes last
 SAILING: Final = (MISSION, FENCE, RALLY)  # it refuses a fence that cuts the mission it sails: that gets out of its way first
 
@@ -49,7 +50,7 @@ class OutgoingItems:
             well = message.type == mavlink.MAV_MISSION_ACCEPTED
             if well and self._asked_for < len(self._items) - 1:
                 return  # a late answer to an earlier upload
-            self._ended("" if well else f"refused: {_result(message.type)}")
+            self._ended("" if well else f"{REFUSED}{_result(message.type)}")
         elif 0 <= message.seq < len(self._items):
             self._asked_for = message.seq
             self.part = message.seq / len(self._items)
@@ -96,7 +97,7 @@ class Download:
         kind = message.get_type()
         if kind == "MISSION_ACK":
             if message.type != mavlink.MAV_MISSION_ACCEPTED:  # acceptance is a late answer to an upload
-                self._ended(f"refused: {_result(message.type)}")
+                self._ended(f"{REFUSED}{_result(message.type)}")
         elif kind == "MISSION_COUNT" and self._count < 0:
             if message.count > ITEMS:
                 self._ended(f"the boat has {message.count} items, the console takes {ITEMS} at most")

@@ -87,7 +87,7 @@ def test_a_boat_without_bits_has_alarms_until_they_are_seen() -> None:
         (1, f"idle: {DEAD}", True),
         (4, f"{DEAD}: warn", True),
         (3, "a setting was refused by the disk", True),
-        (4, "no waypoint at item 0 or after it", False),
+        (4, "no mission is aboard", False),
         (3, "play refused: no mission loaded", False),
         (5, "idle: operator", False),
     ],

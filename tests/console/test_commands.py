@@ -459,6 +459,28 @@ def test_what_the_page_says_is_what_the_vehicle_obeys(sea: tuple[asyncio.Runner,
     runner.run(story())
 
 
+def test_a_refused_plan_is_told_once_and_in_the_boats_words(sea: tuple[asyncio.Runner, Sea]) -> None:
+    runner, its = sea
+
+    async def story() -> None:
+        page, boat = await its.at_rest(2)
+        await select(page, 2)
+        await page.press("y")
+        await shown_mode(page, 2, "mission")
+        await page.until(ENTERED)
+        await on_map(*PLACES[0], "Delete")(its, page, boat)
+        await badge(page, "differs")
+        await menu("Mission", "Send changes")(its, page, boat)
+        await says(page, "mission refused: waypoint 1 is at another place")
+        await page.until("!document.querySelector('.selected').textContent.includes('upload ')")  # the answer has come
+        refusals = "[...document.querySelectorAll('.message')].map(m => m.textContent).filter(each => each.includes('refused'))"
+        assert len(await page.value(refusals)) == 1, await page.value(refusals)
+        await page.press("z", ("Control",))
+        await badge(page, "same")
+
+    runner.run(story())
+
+
 async def obeyed(boat: Boat, began_ns: int, before: dict[str, Any], wanted: dict[str, Any]) -> None:
     """The vehicle is told something like this, and does it unless it is to be refused."""
 

@@ -209,7 +209,17 @@ def test_the_place_that_a_boat_steers_for_is_that_of_its_mode(sea: Afloat, profi
 
 def test_a_refusal_is_told_in_the_vehicles_words(sea: Afloat) -> None:
     well, why = sea.ask("play")
-    assert (well, why) == (False, "no waypoint at item 0 or after it")
+    assert (well, why) == (False, "no mission is aboard")
+
+
+def test_so_is_the_refusal_of_a_plan(sea: Afloat) -> None:
+    answers: list[tuple[bool, str]] = []
+    there = [{"latitude_deg": 40.0 + n / 1e3, "longitude_deg": -9.21} for n in range(2)]
+    sea.fleet.put(1, {"name": "far", "waypoints": there})
+    sea.fleet.upload(1, lambda well, why: answers.append((well, why)))
+    sea.run(10.0)
+    assert [well for well, _ in answers] == [False]
+    assert answers[0][1].startswith("uploaded: waypoint[0]: 145.1 km from the boat")
 
 
 def test_a_mission_comes_back_as_it_went(sea: Afloat) -> None:

@@ -245,6 +245,8 @@ class Told(NamedTuple):
 
     def leg_of(self, number: int) -> int:
         """The leg that leads to an item, or to the first waypoint after it. Raises FormatError where there is none."""
+        if not self.waypoints:
+            raise FormatError("no mission is aboard")
         leg = bisect_left(self.waypoints, number)
         if leg == len(self.waypoints):
             raise FormatError(f"no waypoint at item {number} or after it")

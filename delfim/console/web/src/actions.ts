@@ -12,9 +12,11 @@ const STOP_MOST = 150; // 30 s; then the gateway's own repetition and the boat's
 export type Say = (boat: number | null, severity: number, text: string) => void;
 type More = Partial<Place> & { heading_deg?: number; course_deg?: number; speed_pct?: number; leg?: number; piece?: number };
 
+const REPLACED = "replaced by a newer command"; // of the operator's own
+
 /** The text of a refusal. A boat names the refused command itself: "play refused: no mission loaded". */
 function refusal(what: string, reason: string): string {
-  return reason.includes(" refused: ") ? reason : `${what} refused: ${reason || "no reason given"}`;
+  return reason.includes(" refused: ") ? reason : `${what} refused: ${reason.replace(/^refused: /, "") || "no reason given"}`;
 }
 
 export class Actions {
@@ -39,7 +41,7 @@ export class Actions {
   async command(boat: number, command: string, more: More = {}): Promise<Answer> {
     const answer = await this.net.ask({ t: "command", boat, command, ...more });
     if (answer.ok) this.did.add(command);
-    else this.say(boat, 3, refusal(command.replace("_", " "), answer.reason));
+    else if (answer.reason !== REPLACED) this.say(boat, 3, refusal(command.replace("_", " "), answer.reason));
     return answer;
   }
 
