@@ -112,12 +112,14 @@ class BrokerLine:
         import aiomqtt
 
         pause_s, longest_s = PAUSES_S
-        while not self._is_cancelled:
+        while True:
             self.reason = self.reason or "not connected"
             try:
                 await self._once(aiomqtt)
             except* (aiomqtt.MqttError, OSError) as errors:
                 self.reason = _why(errors)
+            if self._is_cancelled:
+                raise asyncio.CancelledError
             pause_s = PAUSES_S[0] if self.counts["connected"] > self.counts["tried"] else min(2.0 * pause_s, longest_s)
             self.counts["tried"] = self.counts["connected"]
             await asyncio.sleep(pause_s)
@@ -170,7 +172,8 @@ class BrokerLine:
 
     async def _send(self, client: "aiomqtt.Client") -> None:
         """A slow broker slows this down, and frames are dropped."""
-        while True:
+        task = asyncio.current_task()
+        while task is None or not task.cancelling():  # asyncio.wait_for of Python 3.11 gives an answer that comes with the end
             await self._news.wait()
             self._news.clear()
             while self._kept:

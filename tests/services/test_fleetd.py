@@ -195,6 +195,55 @@ def test_on_a_link_that_is_away_no_more_waits_than_the_bound_and_it_is_told(
         asyncio.run(main(port, int((tmp_path / f"mosquitto-{port}.pid").read_text())))
 
 
+def test_a_line_that_cannot_say_goodbye_is_cancelled_at_once_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    begun = asyncio.Event()
+
+    class Client:
+        def __init__(self, *_: object, **__: object) -> None:
+            self._client = SimpleNamespace(_sock_recv=None)
+
+        async def __aenter__(self) -> "Client":
+            return self
+
+        async def __aexit__(self, *_: object) -> None:
+            raise aiomqtt.MqttError("Operation timed out")
+
+        async def subscribe(self, *_: object, **__: object) -> None:
+            begun.set()
+            await asyncio.Event().wait()
+
+    async def main() -> None:
+        following = asyncio.create_task(line_of(1).follow())
+        await begun.wait()
+        following.cancel()
+        async with asyncio.timeout(60):
+            await asyncio.wait([following])
+        assert following.cancelled()
+
+    monkeypatch.setattr(aiomqtt, "Client", Client)
+    asyncio.run(main())
+
+
+def test_a_cancellation_that_comes_with_an_answer_is_not_lost() -> None:
+    """asyncio.wait_for of Python 3.11, with which the client waits, then gives the answer."""
+
+    class Client:
+        async def publish(self, *_: object, **__: object) -> None:
+            with contextlib.suppress(asyncio.CancelledError):
+                await asyncio.Event().wait()
+
+    async def main() -> None:
+        line = line_of(1)
+        line.keep("tagus/Otter/state", b"state")
+        sending = asyncio.create_task(line._send(Client()))  # type: ignore[arg-type]
+        await until(lambda: not line._kept)
+        sending.cancel()
+        async with asyncio.timeout(60):
+            await asyncio.wait([sending])
+
+    asyncio.run(main())
+
+
 def test_a_frame_that_waited_too_long_is_not_sent_and_a_slow_broker_costs_the_oldest() -> None:
     async def main() -> None:
         clock, sent = ManualClock(), list[bytes]()
