@@ -164,6 +164,7 @@ def lay_out_system(boat: Path, version: str) -> None:
     (boat / "opt/delfim/bin/python").symlink_to("/usr/bin/python3")
     (boat / "usr/bin").mkdir(parents=True)
     (boat / "usr/bin/delfim").symlink_to("/opt/delfim/bin/delfim")
+    put(boat / "usr/share/bash-completion/completions/delfim", 'eval "$(delfim completion)"\n')  # at the first Tab
     put(boat / "etc/init.d/delfim", (SOURCES / "etc/init.d/delfim").read_text(), 0o755)
     put(boat / "etc/default/delfim", (PARTS / "default").read_text())
     put(boat / "usr/lib/systemd/system/delfim.service", (PARTS / "delfim.service").read_text())

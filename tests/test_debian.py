@@ -95,6 +95,7 @@ def test_the_boats_package_holds_the_environment_the_command_the_service_and_its
         "etc/delfim/",
     } <= names.keys()
     assert {"opt/delfim/pyvenv.cfg", "usr/lib/systemd/system/delfim.service", "etc/default/delfim"} <= names.keys()
+    assert "usr/share/bash-completion/completions/delfim" in names
     assert f"{SITE}/delfim/etc/delfimx.toml" in names
     assert f"{SITE}/pymavlink/dialects/v20/common.py" in names
     assert not [name for name in names if any(each in name for each in ("lxml", "share/man", "generator", "v10", "RECORD"))]

@@ -23,6 +23,7 @@ GROUPS: Final[dict[str, dict[str, str]]] = {  # commands by task, each with a se
         "drive": "Drive a boat from the command line: one command, or a prompt if none is given.",
         "sensors": "Show what each sensor says, how often and who is believed; find a new one's baud rate (docs/sensors.md).",
         "can": "Look at a CAN bus, send, make traffic, count, and play a log back onto it.",
+        "completion": "Print a script with which the shell completes commands and options (docs/install.md).",
         "log": "List, sum up, plot, export, replay, repair and fetch logs (docs/logs.md).",
     },
     "Describe a boat": {
