@@ -1,6 +1,7 @@
 """The site's sources: the documents where they stand in the checkout, with the files that they point to, and the list of pages.
 
-The list is that of docs/README.md: a heading is a tab of the site, a link to a document in a list below it a page of the tab.
+The list is that of docs/README.md: a heading is a tab of the site, one below it a group of its pages, a link to a document in a
+list below them a page.
 """
 
 import os
@@ -23,7 +24,7 @@ def staged(root: Path, place: Path, generated: Mapping[str, str]) -> list[Any]:
     """Writes the sources into an empty folder, and returns the list of pages as mkdocs takes it (nav). `generated` are pages of
     the reference, text by path. A file that a document points to and that is not there is left out: mkdocs says so."""
     nav = pages((root / "docs/README.md").read_text(encoding="utf-8"), generated)
-    titles = {to: title for tab in nav for entries in tab.values() for entry in entries for title, to in entry.items()}
+    titles = dict(titles_of(nav))
     texts = dict(generated)
     for path in sorted(_reached(root)):
         if path.suffix == ".md":
@@ -68,15 +69,32 @@ def pages(index: str, generated: Mapping[str, str]) -> list[Any]:
     nav: list[Any] = [{"Delfim": [{"Delfim": "README.md"}, {"All pages": "docs/README.md"}]}]
     for section in re.split(r"^## ", index, flags=re.MULTILINE)[1:]:
         title, _, body = section.partition("\n")
-        listed = "".join(re.findall(r"^\* .*\n(?:  .*\n)*", body, re.MULTILINE))
-        found = {_path(to, "docs/README.md"): name[0].upper() + name[1:] for name, to in ENTRY.findall(listed)}
-        entries = [{name: to} for to, name in found.items()]
+        alone, *groups = re.split(r"^### ", body, flags=re.MULTILINE)
+        entries: list[dict[str, Any]] = _listed(alone)
         if title == "Reference":
+            found = dict(titles_of(entries))
             entries[1:1] = [
                 {text.partition("\n")[0].removeprefix("# "): to} for to, text in generated.items() if to not in found
             ]
+        entries += [{name: _listed(below)} for name, _, below in (group.partition("\n") for group in groups)]
         nav.append({title: entries})
     return nav
+
+
+def _listed(body: str) -> list[dict[str, Any]]:
+    """The pages of the lists of a section, each once."""
+    listed = "".join(re.findall(r"^\* .*\n(?:  .*\n)*", body, re.MULTILINE))
+    found = {_path(to, "docs/README.md"): name[0].upper() + name[1:] for name, to in ENTRY.findall(listed)}
+    return [{name: to} for to, name in found.items()]
+
+
+def titles_of(entries: Sequence[Mapping[str, Any]]) -> Iterator[tuple[str, str]]:
+    """The path of each page, and its title."""
+    for title, to in (item for entry in entries for item in entry.items()):
+        if isinstance(to, str):
+            yield to, title
+        else:
+            yield from titles_of(to)
 
 
 def _path(link: str, name: str) -> str:

@@ -23,7 +23,7 @@ from delfim.__main__ import parsed
 from delfim.commands import SENTENCES
 from manual import __main__ as manual
 from manual.reference import generated
-from manual.staging import pages, shown, titled
+from manual.staging import pages, shown, titled, titles_of
 from tests.services.browser import tab
 
 ROOT = Path(__file__).parents[1]
@@ -159,10 +159,13 @@ def test_a_command_that_does_not_exist_is_found(line: str, why: str, capsys: pyt
 def test_the_site_has_a_tab_for_each_kind_of_page_and_every_document_in_one() -> None:
     nav = pages((ROOT / "docs/README.md").read_text(), {"docs/metrics.md": "# Metrics\n"})
     assert [title for tab in nav for title in tab] == ["Delfim", "Tutorials", "How-to", "Reference", "Explanation"]
-    listed = [to for tab in nav[1:] for entries in tab.values() for entry in entries for to in entry.values()]
+    listed = [to for to, _ in titles_of(nav[1:])]
     assert len(listed) == len(set(listed))
     documents = {str(path.relative_to(ROOT)) for path in DOCUMENTS} - {"README.md", "docs/README.md"}
     assert documents | {"docs/metrics.md", "CHANGELOG.md", "etc/encounters/README.md"} == set(listed)
+    groups = {name: len(below) for group in nav[2]["How-to"] for name, below in group.items()}
+    assert list(groups)[:3] == ["Your boat", "At sea", "Links ashore"]
+    assert max(groups.values()) <= 6, "a list that one can look over"
 
 
 def test_a_link_says_the_title_of_its_page_where_it_only_had_the_name_of_a_file() -> None:
