@@ -24,6 +24,7 @@ from delfim.services.door import Door, Patience, bulk, hashed, matches
 from delfim.services.ftpfiles import FtpFiles
 from delfim.services.runtime import Runtime
 from delfim.services.uploads import NoRoom
+from delfim.services.workers import worked
 
 IDLE_S: Final = 300.0  # without a command of a client that is logged in
 HANDSHAKE_S: Final = 10.0  # of TLS
@@ -306,7 +307,7 @@ class FtpServer(aioftp.Server):
         )
 
     async def _work(self, do: Callable[..., T], *arguments: Any) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._workers, do, *arguments)
+        return await worked(self._workers, do, *arguments)
 
 
 async def serve(runtime: Runtime) -> None:

@@ -44,8 +44,8 @@ async def carried(connection: Any) -> AsyncIterator[Any]:
             await stream.writer.wait_closed()
         connection.response("226", "transfer complete")
     except (DelfimError, OSError) as error:
-        full = isinstance(error, NoRoom)
-        connection.response("452" if full else "426", str(error) if full else "transfer broken off")
+        words = str(error) if isinstance(error, DelfimError) else "transfer broken off"
+        connection.response("452" if isinstance(error, NoRoom) else "426", words)
         raise Answered from None
     finally:
         stream.writer.transport.abort()

@@ -1,7 +1,6 @@
 """Files over FTP: lists, reading, and uploads that are whole or not there. Methods are named as the commands of the RFC."""
 
 import contextlib
-import fcntl
 import fnmatch
 import logging
 import os
@@ -17,10 +16,9 @@ from delfim.clock import Clock
 from delfim.errors import DelfimError
 from delfim.services.ftpdata import BLOCK_BYTES, carried
 from delfim.services.jail import Jail
-from delfim.services.uploads import Uploads
+from delfim.services.uploads import PART, Uploads
 
 ENTRIES_MAX: Final = 20_000  # of a directory
-PART: Final = ".part"
 MONTHS: Final = ("Jan", "Feb", "Mar", "Apr", "May", "Jun", "Jul", "Aug", "Sep", "Oct", "Nov", "Dec")
 HALF_A_YEAR_S: Final = 180 * 86_400
 
@@ -43,10 +41,7 @@ class FtpFiles:
         }  # fmt: skip
 
     async def cwd(self, connection: Any, rest: Any) -> bool:
-        real = self._real(connection, str(rest))
-        if not await self._work(os.path.isdir, real):
-            raise DelfimError("no such directory")
-        connection.current_directory = PurePosixPath(self._jail.shown(real))
+        connection.current_directory = PurePosixPath(await self._work(self._folder, self._path(connection, str(rest))))
         connection.response("250", "ok")
         return True
 
@@ -54,21 +49,21 @@ class FtpFiles:
         return await self.cwd(connection, "..")
 
     async def size(self, connection: Any, rest: str) -> bool:
-        status = await self._work(self._status, self._real(connection, rest))
+        status = await self._work(self._status, self._path(connection, rest))
         if not stat.S_ISREG(status.st_mode):
             raise DelfimError("not a plain file")
         connection.response("213", str(status.st_size))
         return True
 
     async def mdtm(self, connection: Any, rest: str) -> bool:
-        status = await self._work(self._status, self._real(connection, rest))
+        status = await self._work(self._status, self._path(connection, rest))
         connection.response("213", _stamp(status.st_mtime))
         return True
 
     async def mlst(self, connection: Any, rest: Any) -> bool:
-        real = self._real(connection, rest)
-        status = await self._work(self._status, real)
-        connection.response("250", ("Facts:", _facts_line(self._jail.shown(real), status), "End"), True)
+        path = self._path(connection, rest)
+        status = await self._work(self._status, path)
+        connection.response("250", ("Facts:", _facts_line(path, status), "End"), True)
         return True
 
     async def ls(self, connection: Any, rest: str) -> bool:
@@ -83,11 +78,11 @@ class FtpFiles:
     async def _list(self, connection: Any, rest: str, line: Callable[[str, os.stat_result], str]) -> bool:
         folder, _, names = rest.rpartition("/")
         if set(names) & set("*?["):  # clients leave it to the server which names are meant
-            real = self._real(connection, folder or ("/" if rest.startswith("/") else ""))
+            path = self._path(connection, folder or ("/" if rest.startswith("/") else ""))
             before = f"{folder}/" if "/" in rest else ""
-            lines = await self._work(self._listed, real, lambda name, status: line(before + name, status), names)
+            lines = await self._work(self._listed, path, lambda name, status: line(before + name, status), names)
         else:
-            lines = await self._work(self._listed, self._real(connection, rest), line)
+            lines = await self._work(self._listed, self._path(connection, rest), line)
         text = "".join(f"{each}\r\n" for each in lines).encode("utf-8", "surrogateescape")
         async with carried(connection) as stream:
             for start in range(0, len(text), BLOCK_BYTES):
@@ -96,7 +91,7 @@ class FtpFiles:
 
     async def stat(self, connection: Any, rest: str) -> bool:
         if rest:
-            lines = await self._work(self._listed, self._real(connection, _without_options(rest)), self._list_line)
+            lines = await self._work(self._listed, self._path(connection, _without_options(rest)), self._list_line)
             connection.response("213", ("Status:", *lines, "End"), True)
         else:
             connection.response("211", f"{self._boat}: {connection.user.login} is logged in")
@@ -104,37 +99,37 @@ class FtpFiles:
 
     async def retr(self, connection: Any, rest: Any) -> bool:
         offset = self._offset(connection)
-        fd = await self._work(self._jail.open, self._path(connection, rest))
         sent = offset
-        try:
-            async with carried(connection) as stream:
-                while block := await self._work(os.pread, fd, BLOCK_BYTES, sent):
-                    await stream.write(block)
-                    sent += len(block)
-        finally:
-            os.close(fd)
-            self.sent_bytes += sent - offset
-            log.info("ftpd: %s read %r, %d bytes", connection.user.login, rest, sent - offset)
+        with contextlib.ExitStack() as closing:
+            fd = await self._work(self._opened, closing, self._path(connection, rest))
+            try:
+                async with carried(connection) as stream:
+                    while block := await self._work(os.pread, fd, BLOCK_BYTES, sent):
+                        await stream.write(block)
+                        sent += len(block)
+            finally:
+                self.sent_bytes += sent - offset
+                log.info("ftpd: %s read %r, %d bytes", connection.user.login, rest, sent - offset)
         return True
 
     async def stor(self, connection: Any, rest: Any, append: bool = False) -> bool:
         """Into a part file, renamed when all of it is on the disk. A broken upload leaves its part, to be resumed."""
         path, offset = self._writable(connection, rest), self._offset(connection)
-        fd, at = await self._work(_part, self.uploads, path, offset, append)
-        began = at
-        try:
-            async with carried(connection) as stream:
-                while block := await stream.read(BLOCK_BYTES):
-                    await self._work(self.uploads.write, fd, block, at)
-                    at += len(block)
-                if connection.aborted:  # which looks like the end
-                    raise ConnectionAbortedError
-                await self._work(os.fsync, fd)
-                await self._work(self.uploads.rename, path + PART, path)
-        finally:
-            os.close(fd)
-            self.received_bytes += at - began
-            log.warning("ftpd: %s wrote %r, %d bytes", connection.user.login, path, at - began)
+        with contextlib.ExitStack() as closing:
+            fd, began = await self._work(_part, closing, self.uploads, path, offset, append)
+            at = began
+            try:
+                async with carried(connection) as stream:
+                    while block := await stream.read(BLOCK_BYTES):
+                        await self._work(self.uploads.write, fd, block, at)
+                        at += len(block)
+                    await self._work(os.fsync, fd)
+                    if connection.aborted or connection.command_connection.reader.at_eof():  # both look like the end
+                        raise ConnectionAbortedError
+                    await self._work(self.uploads.finish, fd, path)
+            finally:
+                self.received_bytes += at - began
+                log.warning("ftpd: %s wrote %r, %d bytes", connection.user.login, path, at - began)
         return True
 
     async def appe(self, connection: Any, rest: Any) -> bool:
@@ -177,9 +172,6 @@ class FtpFiles:
         """The client's path, from the root."""
         return os.path.normpath(os.path.join("/", str(connection.current_directory), rest))
 
-    def _real(self, connection: Any, rest: str) -> str:
-        return self._jail.real(self._path(connection, rest))
-
     def _writable(self, connection: Any, rest: str) -> str:
         """The client's path, from the root, for users who may write. Raises DelfimError."""
         if not self._users[connection.user.login or ""].upload:
@@ -194,24 +186,38 @@ class FtpFiles:
 
     # Blocking calls, run by a worker.
 
-    def _status(self, real: str) -> os.stat_result:
+    def _opened(self, closing: contextlib.ExitStack, path: str) -> int:
+        fd = self._jail.open(path)
+        closing.callback(os.close, fd)
+        return fd
+
+    def _folder(self, path: str) -> str:
+        """As clients see it, links followed."""
+        with self._jail.folder(path):
+            return self._jail.shown(self._jail.real(path))
+
+    def _status(self, path: str) -> os.stat_result:
         """Of a file, or of its part that is here until the rest comes."""
         try:
-            return os.stat(real)
+            return self._jail.status(path)
         except FileNotFoundError:
-            if real.startswith(self.uploads.folder + "/"):
-                return os.stat(real + PART)
+            if self.uploads.has(path):
+                return self._jail.status(path + PART)
             raise
 
-    def _listed(self, real: str, line: Callable[[str, os.stat_result], str], pattern: str = "*") -> list[str]:
+    def _listed(self, path: str, line: Callable[[str, os.stat_result], str], pattern: str = "*") -> list[str]:
         """A line for each entry, or for the file itself. Links that lead out are left out."""
-        if not os.path.isdir(real):
-            return [line(os.path.basename(real), os.stat(real))]
+        status = self._jail.status(path)
+        if not stat.S_ISDIR(status.st_mode):
+            return [line(os.path.basename(path), status)]
         found = []
-        names = (name for name in sorted(fnmatch.filter(os.listdir(real), pattern)) if not set(name) & {"\r", "\n"})
-        for name in islice(names, ENTRIES_MAX):
-            with contextlib.suppress(OSError, DelfimError):
-                found.append(line(name, os.stat(self._jail.real(os.path.join(self._jail.shown(real), name)))))
+        with self._jail.folder(path) as folder:
+            names = sorted(name for name in fnmatch.filter(os.listdir(folder), pattern) if not set(name) & {"\r", "\n"})
+            for name in islice((name for name in names if name[0] != "."), ENTRIES_MAX):
+                with contextlib.suppress(OSError, DelfimError):
+                    status = os.stat(name, dir_fd=folder, follow_symlinks=False)
+                    is_link = stat.S_ISLNK(status.st_mode)
+                    found.append(line(name, self._jail.status(os.path.join(path, name)) if is_link else status))
         return found
 
     def _list_line(self, name: str, status: os.stat_result) -> str:
@@ -223,26 +229,19 @@ class FtpFiles:
         return f"{stat.filemode(status.st_mode)} {status.st_nlink:3} boat boat {status.st_size:12} {date} {name}"
 
 
-def _part(uploads: Uploads, path: str, offset: int, append: bool) -> tuple[int, int]:
-    """The part of an upload, open and locked, and where to go on writing. A file of that name stays until all of the
-    new one is there. Raises DelfimError, OSError."""
-    fd = uploads.open(path + PART, os.O_RDWR | os.O_CREAT)
-    try:
-        try:
-            fcntl.flock(fd, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            raise DelfimError("another client is writing it") from None
-        if (append or offset) and not os.fstat(fd).st_size:
-            with contextlib.suppress(FileNotFoundError):
-                uploads.copy(path, fd)
-        size = os.fstat(fd).st_size
-        if offset > size:
-            raise DelfimError(f"there are only {size} bytes of it")
-        at = size if append else offset
-        os.ftruncate(fd, at)
-    except BaseException:
-        os.close(fd)
-        raise
+def _part(closing: contextlib.ExitStack, uploads: Uploads, path: str, offset: int, append: bool) -> tuple[int, int]:
+    """The part of an upload, open, this client's alone, and closed by `closing`; and where to go on writing. A file of that
+    name stays until all of the new one is there. Raises DelfimError, OSError."""
+    fd = uploads.open(path + PART, os.O_RDWR | os.O_CREAT, alone=True)
+    closing.callback(os.close, fd)
+    if (append or offset) and not os.fstat(fd).st_size:
+        with contextlib.suppress(FileNotFoundError):
+            uploads.copy(path, fd)
+    size = os.fstat(fd).st_size
+    if offset > size:
+        raise DelfimError(f"there are only {size} bytes of it")
+    at = size if append else offset
+    os.ftruncate(fd, at)
     return fd, at
 
 

@@ -31,6 +31,7 @@ from delfim.services.runtime import Runtime
 from delfim.services.web import api, document, files, metrics, saidlines
 from delfim.services.web.board import Board, Lookout
 from delfim.services.web.subpages import checks_page, listing, system_page
+from delfim.services.workers import worked
 
 EVERY_S: Final = (1.0, 60.0)  # between two events of a page
 IDLE_S: Final = 15.0  # for a request to arrive, and between two of them
@@ -216,11 +217,8 @@ class Site:
             return _html(listing(path, found, is_all))
         if await self._work(files.is_directory, self._jail, path):
             return web.Response(status=308, headers={**HEADERS, "Location": quote(os.fsencode(f"/logs{path}/"))})
-        file = await self._work(files.opened, self._jail, path)
-        try:
-            return await self._send(request, file, path)
-        finally:
-            os.close(file.fd)
+        with contextlib.ExitStack() as closing:
+            return await self._send(request, await self._work(files.opened, closing, self._jail, path), path)
 
     async def _send(self, request: web.BaseRequest, file: files.OpenFile, path: str) -> web.StreamResponse:
         asked = request.headers.get("Range")
@@ -254,7 +252,7 @@ class Site:
         return response
 
     async def _work(self, do: Callable[..., T], *arguments: Any) -> T:
-        return await asyncio.get_running_loop().run_in_executor(self._workers, do, *arguments)
+        return await worked(self._workers, do, *arguments)
 
 
 async def serve(runtime: Runtime) -> None:

@@ -25,7 +25,10 @@ class Jail:
         """The real path, which need not exist. A link is followed as long as it stays inside."""
         if "\0" in path:
             raise DelfimError("no such file")
-        real = os.path.realpath(os.path.join(self.root, path.lstrip("/")))
+        try:
+            real = os.path.realpath(os.path.join(self.root, path.lstrip("/")))
+        except RecursionError:
+            raise DelfimError("a chain of links") from None
         if not self._holds(real):
             raise DelfimError("outside of what may be seen")
         if "/." in real[len(self.root.rstrip("/")) :]:
@@ -45,17 +48,32 @@ class Jail:
             raise
         return fd
 
+    def status(self, path: str) -> os.stat_result:
+        """Of a file or folder. Raises OSError."""
+        with self.at(path) as (folder, name):
+            return os.stat(name, dir_fd=folder, follow_symlinks=False)
+
     @contextlib.contextmanager
     def at(self, path: str) -> Iterator[tuple[int, str]]:
         """The folder of a path, open, and the name in it. Raises OSError."""
-        folder, name = os.path.split(self.real(path))
-        if not self._holds(folder):
-            raise DelfimError("not a plain file")  # the root itself
+        real = self.real(path)
+        folder, name = (real, ".") if real == self.root else os.path.split(real)
+        with self._opened(folder) as fd:
+            yield fd, name
+
+    @contextlib.contextmanager
+    def folder(self, path: str) -> Iterator[int]:
+        """A folder, open. Raises OSError."""
+        with self._opened(self.real(path)) as fd:
+            yield fd
+
+    @contextlib.contextmanager
+    def _opened(self, folder: str) -> Iterator[int]:
         fd = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
         try:
             if not self._holds(os.readlink(f"/proc/self/fd/{fd}")):  # a link was put there between check and opening
                 raise DelfimError("outside of what may be seen")
-            yield fd, name
+            yield fd
         finally:
             os.close(fd)
 

@@ -1,6 +1,5 @@
 """Files over SSH: SFTP and SCP inside of a jail, read and written by two workers."""
 
-import asyncio
 import contextlib
 import errno
 import io
@@ -15,6 +14,7 @@ import asyncssh
 from delfim.errors import DelfimError
 from delfim.services.jail import Jail
 from delfim.services.uploads import NoRoom, Uploads
+from delfim.services.workers import worked
 
 READ_BYTES: Final = 32 << 10  # of a file, at once: more drives the vehicle out of the processor's cache
 
@@ -75,7 +75,7 @@ class SftpFiles(asyncssh.SFTPServer):
         self.channel.exit(0)
 
     async def work(self, do: Callable[..., Any], *arguments: Any) -> Any:
-        return await asyncio.get_running_loop().run_in_executor(self._workers, do, *arguments)
+        return await worked(self._workers, do, *arguments)
 
     def map_path(self, path: bytes) -> bytes:
         """In a worker. Raises OSError."""

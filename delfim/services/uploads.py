@@ -3,12 +3,17 @@
 The logs keep the rest (delfim.logging.guard). Room is looked for before each new name and every LOOK_BYTES over all files
 together, because many small files fill a disk as well as one large one, and folders take its inodes. Everything here blocks on
 the disk: call it in a worker.
+
+A file that is being written is locked (flock), by every daemon. Nobody else removes, renames or replaces it meanwhile: what is
+still written into a file without a name would be counted nowhere, and two that write one file would make a third.
 """
 
+import contextlib
+import fcntl
 import logging
 import os
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final
 
 from delfim import config
@@ -16,10 +21,14 @@ from delfim.errors import DelfimError
 from delfim.logging.guard import free_bytes, upload_room, used
 from delfim.services.jail import Jail
 
+PART: Final = ".part"  # behind the name of what is not all here yet
 LOOK_BYTES: Final = 1 << 20
 INODES_SHARE: Final = 0.25  # of the disk's inodes stay with the logs
 
 log = logging.getLogger(__name__)
+
+
+BEING_WRITTEN: Final = "another client is writing it"
 
 
 class NoRoom(DelfimError):
@@ -44,13 +53,21 @@ class Uploads:
         except OSError as error:
             log.warning("no uploads: %s: %s", self.folder, error.strerror)
 
-    def open(self, path: str, flags: int, mode: int = 0o644) -> int:
-        """A descriptor of a plain file. Raises OSError as os.open does."""
+    def open(self, path: str, flags: int, mode: int = 0o644, *, alone: bool = False) -> int:
+        """A descriptor of a plain file, locked: `alone` or beside others who are not. Raises OSError as os.open does."""
         inner = self._inner(path)
         if flags & os.O_CREAT:
             self._name(inner)
         self._take(0)
-        return self._jail.open(inner, flags, mode)
+        fd = self._jail.open(inner, flags, mode)
+        try:
+            _lock(fd, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+            if not os.path.samestat(os.fstat(fd), self._jail.status(inner)):  # it became another file before it was locked
+                raise DelfimError(BEING_WRITTEN)
+        except BaseException:
+            os.close(fd)
+            raise
+        return fd
 
     def make_folder(self, path: str) -> None:
         inner = self._inner(path)
@@ -60,7 +77,7 @@ class Uploads:
             os.mkdir(name, 0o755, dir_fd=folder)
 
     def remove(self, path: str) -> None:
-        with self._jail.at(self._inner(path)) as (folder, name):
+        with self._jail.at(self._inner(path)) as (folder, name), _idle(folder, name):
             os.unlink(name, dir_fd=folder)
 
     def remove_folder(self, path: str) -> None:
@@ -69,15 +86,29 @@ class Uploads:
 
     def rename(self, source: str, target: str) -> None:
         """The new name is on the disk when this returns, and replaces a file of that name."""
-        with self._jail.at(self._inner(source)) as (old, name), self._jail.at(self._inner(target)) as (new, new_name):
+        with (
+            self._jail.at(self._inner(source)) as (old, name),
+            self._jail.at(self._inner(target)) as (new, new_name),
+            _idle(old, name),
+            _idle(new, new_name),
+        ):
             os.rename(name, new_name, src_dir_fd=old, dst_dir_fd=new)
             os.fsync(new)
+
+    def finish(self, fd: int, path: str) -> None:
+        """The part of a file, all of it on the disk and open, gets the file's name. Raises OSError."""
+        with self._jail.at(self._inner(path)) as (folder, name), _idle(folder, name):
+            if not os.path.samestat(os.fstat(fd), os.stat(name + PART, dir_fd=folder, follow_symlinks=False)):
+                raise DelfimError("its part is another file now")  # its folder was renamed, and another one put there
+            os.rename(name + PART, name, src_dir_fd=folder, dst_dir_fd=folder)
+            os.fsync(folder)
 
     def apply(self, path: str, do: Callable[[int], object]) -> None:
         """Do something with a file or folder that is there, open for reading."""
         with self._jail.at(self._inner(path)) as (folder, name):
             fd = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
             try:
+                _lock(fd, fcntl.LOCK_SH)
                 do(fd)
             finally:
                 os.close(fd)
@@ -107,15 +138,18 @@ class Uploads:
         finally:
             os.close(source)
 
+    def has(self, path: str) -> bool:
+        """Whether a path is in the folder."""
+        return path.startswith(f"/{self._limits.upload_folder}/")
+
     def _inner(self, path: str) -> str:
         """The path within the folder."""
-        before = f"/{self._limits.upload_folder}/"
         path = os.path.normpath(path)
-        if not path.startswith(before):
-            raise DelfimError(f"you can only write in {before.rstrip('/')}")
+        if not self.has(path):
+            raise DelfimError(f"you can only write in /{self._limits.upload_folder}")
         if not path.isprintable():  # no program that lists it could show it
             raise DelfimError("a name must be of printable characters, in UTF-8")
-        return path.removeprefix(before)
+        return path.removeprefix(f"/{self._limits.upload_folder}/")
 
     def _name(self, inner: str) -> None:
         """Room for a name. Raises NoRoom."""
@@ -144,3 +178,26 @@ class Uploads:
         if left < size:
             raise NoRoom("the disk is full" if free < size else "the uploads have used up their room: delete some")
         self._left_bytes = min(left, max(size, LOOK_BYTES))
+
+
+@contextlib.contextmanager
+def _idle(folder: int, name: str) -> Iterator[None]:
+    """A name that nobody writes, until the end of the block. Raises DelfimError."""
+    try:
+        fd = os.open(name, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC, dir_fd=folder)
+    except OSError:  # none, a link, or a file of somebody else: whoever changes it will be told
+        yield
+        return
+    try:
+        _lock(fd, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(fd)
+
+
+def _lock(fd: int, kind: int) -> None:
+    """Until the descriptor is closed. Raises DelfimError."""
+    try:
+        fcntl.flock(fd, kind | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise DelfimError(BEING_WRITTEN) from None

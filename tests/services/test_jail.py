@@ -71,7 +71,17 @@ def test_only_plain_files_are_opened(jail, tmp_path, path):
         jail.open(path)
 
 
-def test_a_link_put_there_after_the_look_is_noticed(jail, tmp_path, monkeypatch):
+def listed(jail):
+    with jail.folder("folder") as folder:
+        return os.listdir(folder)
+
+
+@pytest.mark.parametrize(
+    "look",
+    [lambda jail: jail.open("folder/file"), lambda jail: jail.status("folder/file"), listed],
+    ids=["file", "status", "list"],
+)
+def test_a_link_put_there_after_the_look_is_noticed(jail, tmp_path, monkeypatch, look):
     """The folder becomes a link to the outside between the look and the opening."""
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "elsewhere/file").write_text("outside")
@@ -85,7 +95,27 @@ def test_a_link_put_there_after_the_look_is_noticed(jail, tmp_path, monkeypatch)
 
     monkeypatch.setattr(jail, "real", slow)
     with pytest.raises(DelfimError, match="outside"):
-        jail.open("folder/file")
+        look(jail)
+
+
+def test_a_link_in_the_place_of_a_file_is_not_followed(jail, tmp_path, monkeypatch):
+    real = jail.real
+
+    def slow(path):
+        found = real(path)
+        (tmp_path / "root/folder/file").unlink()
+        (tmp_path / "root/folder/file").symlink_to(tmp_path / "secret")
+        return found
+
+    monkeypatch.setattr(jail, "real", slow)
+    assert jail.status("folder/file").st_size != (tmp_path / "secret").stat().st_size
+
+
+def test_a_chain_of_links_is_refused_in_words(jail, tmp_path):
+    for number in range(1500):
+        (tmp_path / f"root/{number}").symlink_to(str(number + 1))
+    with pytest.raises(DelfimError, match="chain of links"):
+        jail.real("0")
 
 
 def test_a_file_is_not_read_ahead(jail, tmp_path):

@@ -2,7 +2,9 @@
 
 import os
 import re
+import stat
 from calendar import month_name
+from contextlib import ExitStack
 from typing import Final, NamedTuple
 
 from delfim.errors import FormatError
@@ -58,23 +60,27 @@ class OpenFile(NamedTuple):
         return f'"{self.mtime_ns:x}-{self.bytes:x}"'
 
 
-def opened(jail: Jail, path: str) -> OpenFile:
-    """Raises DelfimError, OSError."""
+def opened(closing: ExitStack, jail: Jail, path: str) -> OpenFile:
+    """A plain file, which `closing` closes. Raises DelfimError, OSError."""
     fd = jail.open(path)
+    closing.callback(os.close, fd)
     status = os.fstat(fd)
     return OpenFile(fd, status.st_size, status.st_mtime_ns)
 
 
 def is_directory(jail: Jail, path: str) -> bool:
-    """Raises DelfimError for a path that leads out."""
-    return os.path.isdir(jail.real(path))
+    """False where there is nothing. Raises DelfimError for a path that leads out."""
+    try:
+        return stat.S_ISDIR(jail.status(path).st_mode)
+    except OSError:
+        return False
 
 
 def entries(jail: Jail, path: str) -> tuple[list[Entry], bool]:
     """The entries of a directory, newest names first, directories before files; and whether that is all. Links out of the
     jail are not listed. Raises DelfimError, OSError."""
     found = []
-    with os.scandir(jail.real(path)) as scan:
+    with jail.folder(path) as fd, os.scandir(fd) as scan:
         for each in scan:
             if each.is_symlink() or each.name.startswith("."):
                 continue
