@@ -17,6 +17,7 @@ from delfim.services.vj import Compressor, Decompressor
 
 DATA, POLL, ANSWER, DONE = b"\x01", b"\x02", b"\x03", b"\x04"  # the first byte of a frame; no packet of (C)SLIP begins with it
 GRANT_MAX: Final = 4000  # bytes: they fit in the port's own buffer
+PLAIN: Final = b"\x45"  # the first byte of a packet of IPv4 without options, which might name another way
 FRAME_MAX: Final = 12  # bytes of a frame without a packet, every byte of it escaped
 CRC_ESCAPED: Final = 2  # bytes by which a checksum may be longer than another one
 SOON_S: Final = 0.05  # to the next poll of a boat that said nothing; each time twice as long
@@ -129,8 +130,9 @@ class PolledBoat:
 class _Peer:
     """A boat, as the shore knows it."""
 
-    def __init__(self, name: str, station: int, compresses: bool) -> None:
-        self.name, self.route = name, Route(station, compresses)
+    def __init__(self, address: bytes, station: int, compresses: bool) -> None:
+        self.address, self.route = address, Route(station, compresses)
+        self.name = ".".join(map(str, address))
         self.misses = MISSES  # turns without an answer, MISSES at most: away until it has answered
         self.is_busy = False  # packets were carried in its turn
         self.is_garbled = False  # its last turn had noise and no answer
@@ -170,7 +172,7 @@ class PollingShore:
         packet's."""
         self._strangers = 0
         self._deframer = Deframer()
-        self._peers = {address: _Peer(".".join(map(str, address)), station, compresses) for address, station in boats.items()}
+        self._peers = {address: _Peer(address, station, compresses) for address, station in boats.items()}
         self._bytes_per_s, self._turnaround_s = bytes_per_s, turnaround_s
         self._least = 2 * (mtu + FRAME_MAX)  # bytes of the longest packet and DONE, every byte escaped
         self._grant = min(max(round(airtime_s * bytes_per_s), self._least), GRANT_MAX)
@@ -194,7 +196,8 @@ class PollingShore:
             peer.due_s = min(peer.due_s, now_s)
 
     def heard(self, data: bytes, now_s: float) -> list[bytes]:
-        """The packets in these bytes, which only the boat whose turn it is may send."""
+        """The packets in these bytes, which only the boat whose turn it is may send: in its own name, and not to another boat,
+        where a computer that forwards would send them on."""
         packets = []
         for body in opened(self._deframer, data):
             turn = self._turn
@@ -204,7 +207,10 @@ class PollingShore:
                 continue
             elif body[:1] == ANSWER and (packet := turn.route.packet(body[2:])) is not None:
                 turn.is_busy = True
-                packets.append(packet)
+                if packet[:1] == PLAIN and packet[12:16] == turn.address and packet[16:20] not in self._peers:
+                    packets.append(packet)
+                else:
+                    self._strangers += 1
             elif body[:1] == DONE:
                 self._turn = None
                 turn.answered(body[2:] == b"\1", now_s)

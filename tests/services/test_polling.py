@@ -14,8 +14,20 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from delfim.services.packetqueue import IPTOS_LOWDELAY, QUEUE_MAX
-from delfim.services.polling import AWAY_S, DONE, IDLE_S, MISSES, POLL, UNPOLLED_S, PolledBoat, PollingShore, opened, sealed
-from delfim.services.slip import Deframer
+from delfim.services.polling import (
+    ANSWER,
+    AWAY_S,
+    DONE,
+    IDLE_S,
+    MISSES,
+    POLL,
+    UNPOLLED_S,
+    PolledBoat,
+    PollingShore,
+    opened,
+    sealed,
+)
+from delfim.services.slip import PACKET_MAX, Deframer
 
 BYTES_PER_S: Final = 10_000.0  # 100 kbit/s, 8N1
 DELAY_S: Final = 0.01  # through both radios
@@ -26,8 +38,8 @@ SLICE_BYTES: Final = 50
 ADDRESSES = (b"\x0a\0\0\2", b"\x0a\0\0\1", b"\x0a\0\0\3")  # the shore's, and the boats' of stations 1 and 2
 
 
-def packet(to: int, number: int, size: int = MTU, tos: int = 0) -> bytes:
-    head = struct.pack("!BBHHHBBH4s4s", 0x45, tos, size, 0, 0, 64, 17, 0, b"\0\0\0\0", ADDRESSES[to])
+def packet(to: int, number: int, size: int = MTU, tos: int = 0, *, source: int = 0) -> bytes:
+    head = struct.pack("!BBHHHBBH4s4s", 0x45, tos, size, 0, 0, 64, 17, 0, ADDRESSES[source], ADDRESSES[to])
     return (head + number.to_bytes(4, "big")).ljust(size, b"\xc0" if number % 3 == 2 else b"x")  # some of it is escaped
 
 
@@ -105,7 +117,7 @@ TRAFFIC = st.lists(
 def test_nobody_talks_over_another_one_and_a_packet_comes_once_or_never(seed: int, loss: float, traffic: list) -> None:
     air, sent = Air(seed, loss), [Counter[bytes](), Counter[bytes](), Counter[bytes]()]
     for number, (t_s, (end, to), size) in enumerate(traffic):
-        each = packet(to, number, size)
+        each = packet(to, number, size, source=end)
         sent[to][each] += 1
         air.at(t_s, lambda end=end, each=each: air.offer(end, each))
     air.run(15.0)
@@ -123,7 +135,7 @@ def loaded(air: Air) -> None:
     def fill() -> None:
         for boat in (1, 2):
             for _ in range(QUEUE_MAX):
-                air.offer(boat, packet(0, 3 * boat))
+                air.offer(boat, packet(0, 3 * boat, source=boat))
         air.at(air.now_s + 0.05, fill)
 
     fill()
@@ -136,7 +148,7 @@ def test_two_boats_share_the_line_and_an_urgent_packet_has_its_turn() -> None:
     loaded(air)
     for number in range(200):
         end, to = ((0, 2), (2, 0), (0, 1), (1, 0))[number % 4]
-        urgent = packet(to, 1000 + number, 100, IPTOS_LOWDELAY)
+        urgent = packet(to, 1000 + number, 100, IPTOS_LOWDELAY, source=end)
         air.at(2.0 + 0.1037 * number, lambda end=end, urgent=urgent: air.offer(end, urgent))
     air.run(22.0)
     bytes_of = Counter[int]()
@@ -164,7 +176,7 @@ def test_an_idle_line_is_nearly_silent_and_its_boats_are_asked_often_enough() ->
     air.run(1.0)
     air.polls.clear()
     for number in range(10):
-        air.at(2.0 + number, lambda number=number: air.offer(1, packet(0, number, 100)))
+        air.at(2.0 + number, lambda number=number: air.offer(1, packet(0, number, 100, source=1)))
     air.run(10.0)
     assert max(t_s - 2.0 - int.from_bytes(each[20:24], "big") for t_s, each in air.received[0]) < IDLE_S + 0.08
     assert air.polls[2] == pytest.approx(10.0 / IDLE_S, rel=0.2)
@@ -245,3 +257,45 @@ def test_noise_hurts_nobody(pieces: list[bytes], is_sealed: bool) -> None:
             end.offer(each, float(number))
             end.heard(data, float(number))
             assert len(end.speak(float(number))) <= 4000
+
+
+@pytest.mark.parametrize(
+    "forged",
+    [
+        packet(2, 1, 100, source=1),  # to the second boat: a computer that forwards would send it on
+        packet(2, 1, 100, source=0),  # ... as if the shore commanded it
+        packet(0, 1, 100, source=2),  # as if the second boat said it
+        b"\x46" + packet(0, 1, 100, source=1)[1:],  # with options, which may name a way
+        packet(0, 1, 100, source=1)[:15],
+    ],
+    ids=["to another boat", "in the shore's name", "in another boat's name", "with options", "cut"],
+)
+def test_a_boat_speaks_in_its_own_name_and_to_the_shore(forged: bytes) -> None:
+    air = Air()
+    air.run(3.0)
+    turn = sealed(ANSWER, b"\1", forged) + sealed(ANSWER, b"\1", packet(0, 2, 100, source=1)) + sealed(DONE, b"\1", b"\0")
+    air.shore._turn, dropped = air.shore._peers[ADDRESSES[1]], air.shore.dropped
+    assert air.shore.heard(turn, air.now_s) == [packet(0, 2, 100, source=1)]
+    assert air.shore.dropped == dropped + 1
+
+
+def test_whatever_a_boat_sends_ashore_it_reaches_no_other_boat(mutations: int) -> None:
+    """4,000 mutated turns of a hostile boat, 100,000 with --mutations 1000; the other one is asked as often as ever."""
+    chance, shore, polled, now_s = random.Random(1), Air().shore, Counter[int](), 0.0
+    for _ in range(100 * mutations):
+        now_s = max(shore.due_s(), now_s) + 0.001
+        polled.update(body[1] for body in opened(Deframer(), shore.speak(now_s)) if body and body[:1] == POLL)
+        kind, station = (
+            chance.choice((ANSWER, ANSWER, ANSWER, DONE, POLL, b"\x01", b"\xff")),
+            chance.choice((b"\1", b"\1", b"\2")),
+        )
+        body = bytearray(packet(chance.randrange(3), 1, chance.randrange(24, MTU), source=chance.randrange(3)))
+        for _ in range(chance.randrange(4)):
+            body[chance.randrange(len(body))] = chance.randrange(256)
+        frame = sealed(kind, station, bytes(body[: chance.choice((1, 20, MTU))]))
+        noise = chance.choice((b"", b"", b"", chance.randbytes(chance.randrange(5000))))
+        for each in shore.heard(frame + noise + sealed(DONE, b"\1", b"\1"), now_s):
+            assert each[12:16] in ADDRESSES[1:]
+            assert each[16:20] not in ADDRESSES[1:]
+        assert len(shore._deframer._rest) <= 2 * PACKET_MAX
+    assert polled[2] >= now_s / (AWAY_S + 1.0)
