@@ -19,7 +19,11 @@ FILES = sorted((Path(__file__).parents[2] / "etc/missions").glob("*.toml"))
 LARGE = "".join(f"[k{i}.a.b.c.d.e]\n" for i in range(55_000))  # a megabyte of it is a quarter of a gigabyte of tables
 
 
-@pytest.mark.parametrize("made", [*FILES, mission(2), mission(1000, 1000, zones())], ids=str)
+@pytest.mark.parametrize(
+    "made",
+    [*FILES, mission(2), mission(1000, 1000, zones())],
+    ids=lambda made: made.stem if isinstance(made, Path) else f"{len(made.waypoint)} waypoints",
+)
 def test_a_mission_is_put_together_as_it_was_in_slices(made, monkeypatch):
     made = load_mission(made) if isinstance(made, Path) else made
     work, spent = Sliced(gathered([line.rstrip() for line in written(made)])), 0
