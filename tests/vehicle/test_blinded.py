@@ -23,6 +23,7 @@ SET = ("simulation.heading_deg=0.0", 'sensors.names=["sysstat", "nmea2000"]')
 MMSI = 244_660_123
 BOAT_MPS, SHIP_MPS, MEETS_S = 1.5, 5.0, 260.0
 SECOND_S = 5  # by which forged reports are newer
+Place = tuple[float, float]  # north and east of the boat, m
 
 
 class Voyage:
@@ -108,14 +109,31 @@ def test_a_ship_whose_number_is_forged_beside_it_is_kept_clear_of(kind: str, new
     assert any("contradict each other" in each for each in voyage.told)
 
 
-def test_a_number_that_is_told_all_over_the_place_is_told_of() -> None:
-    """Where the ship is cannot be known then."""
+@pytest.mark.parametrize(("far_m", "course_rad"), [(140.0, 1.0), (1000.0, None)])
+def test_a_ship_whose_number_is_told_all_over_the_place_is_kept_clear_of(far_m: float, course_rad: float | None) -> None:
     voyage, random = Voyage(), Random(1)
-    for _ in voyage.sail(60.0):
-        north_m, east_m = random.uniform(-140.0, 140.0), random.uniform(-140.0, 140.0)
-        voyage.told_at(voyage.ship.north_m + north_m, voyage.ship.east_m + east_m, 1.0, SHIP_MPS, MMSI)
+    for _ in voyage.sail(MEETS_S + 30.0):
+        north_m, east_m = random.uniform(-far_m, far_m), random.uniform(-far_m, far_m)
+        moves_rad = random.uniform(0.0, math.tau) if course_rad is None else course_rad
+        voyage.told_at(voyage.ship.north_m + north_m, voyage.ship.east_m + east_m, moves_rad, SHIP_MPS, MMSI)
+    assert voyage.ship.nearest > 0.9
     assert "reports of MARIA contradict each other: there may be more than one" in voyage.told
-    assert voyage.run.state.traffic.targets[0].margin_m > 100.0
+
+
+@pytest.mark.parametrize(("places", "at_once"), [([(0.0, 2000.0)], True), ([(0.0, 2000.0), (0.0, -2000.0)], False)])
+def test_a_ship_is_heeded_although_its_number_was_heard_at_the_boat_and_elsewhere(places: list[Place], at_once: bool) -> None:
+    """Who comes along is left alone; a ship that comes under that number is not. `at_once`: all places are told together."""
+    voyage = Voyage(silent_from_s=0.0, silent_to_s=130.0)
+    for i, _ in enumerate(voyage.sail(MEETS_S + 30.0)):
+        if i % 5:
+            continue
+        own = voyage.run.state.motion
+        moves = math.atan2(own.east_mps, own.north_mps), math.hypot(own.north_mps, own.east_mps)
+        told = [(0.0, 0.0), *(places if at_once else [places[i // 5 % len(places)]])]
+        for north_m, east_m in told if voyage.run.elapsed_s > 100.0 else told[:1]:
+            voyage.told_at(own.north_m + north_m, own.east_m + east_m, *moves, MMSI, second=voyage.second)
+    assert any("moves as this boat does" in each for each in voyage.told)
+    assert voyage.ship.nearest > 0.9
 
 
 def test_harmless_boats_around_hide_no_ship() -> None:

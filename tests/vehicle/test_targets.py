@@ -185,6 +185,24 @@ def test_of_two_with_one_number_the_one_that_goes_on_is_one() -> None:
     assert tracked.refused == {TWO: 1}
 
 
+def test_of_many_with_one_number_those_that_are_met_last_give_way() -> None:
+    """The boat lies; the ship comes last."""
+    tracked = tracker()
+    for i in range(6):
+        tracked.hear(report(1000.0 + 400.0 * i, 300.0 * (-1.0) ** i), "nmea2000", 1.0 + 0.1 * i)
+        tracked.hear(report(1000.0 + 400.0 * i, 300.0 * (-1.0) ** i), "nmea2000", 2.0 + 0.1 * i)
+    assert len(seen(tracked, 3.0)) == 6, "drawing apart"
+    for second in (10.0, 20.0):
+        tracked.hear(report(5000.0 - 5.0 * second, 0.0, course_rad=math.pi), "nmea2000", second)
+    targets = seen(tracked, 20.0)
+    assert len(targets) == 6
+    assert [each.speed_mps * math.cos(each.course_rad) for each in targets].count(-5.0) == 1
+    tracked.hear(report(4900.0, 900.0), "nmea2000", 21.0)
+    tracked.hear(report(4905.0, 900.0), "nmea2000", 22.0)
+    assert len(seen(tracked, 22.0)) == 6
+    assert tracked.refused["too many vessels with one number: those met last are not kept"] >= 1
+
+
 def test_a_first_position_that_was_wrong_is_given_up() -> None:
     tracked = tracker()
     tracked.hear(report(30_000.0, 0.0), "nmea2000", 0.0)
@@ -335,7 +353,7 @@ def calls(work: Callable[[], object]) -> int:
 
 
 def test_a_report_costs_the_same_however_many_vessels_there_are() -> None:
-    """But for one after each look, which puts the list of the farthest in order."""
+    """But for one after each look, which puts the list of the farthest in order. Many contradict others of their number."""
     tracked, random = tracker(), Random(2)
     for second in range(80):
         assert calls(partial(seen, tracked, float(second))) <= 100 * MOST
@@ -345,8 +363,8 @@ def test_a_report_costs_the_same_however_many_vessels_there_are() -> None:
             costs.append(calls(partial(tracked.hear, told, "nmea2000", float(second))))
             tracked.facts(facts(mmsi=MARIA + 50 * second + i), float(second))
         *others, dearest = sorted(costs)
-        assert others[-1] <= 100
-        assert dearest <= 100 + 3 * MOST
+        assert others[-1] <= 150
+        assert dearest <= 150 + 3 * MOST
     assert len(tracked) == MOST
     assert len(tracked._facts) == FACTS_MOST
 

@@ -9,21 +9,23 @@ from operator import itemgetter
 from typing import Final
 
 from delfim.config import TrafficTable
-from delfim.geodesy import Origin, to_plane
+from delfim.geodesy import Origin
 from delfim.slices import Sliced, Work
 from delfim.vehicle.target import NEVER_S, Target
 from delfim.vehicle.traffic.reckoning import VesselTrack, begun
 from delfim.vessels import VesselFacts, VesselPosition
 
 MOST: Final = 200  # vessels that are known at once
+NUMBER: Final = 9  # digits of a number of AIS
 MOST_OF: Final = {"payload": 64, "fleet": 32}  # of these, so that a program gone wrong leaves room for ships
 FACTS_MOST: Final = 2 * MOST
 DISTRESS: Final = ("970", "972", "974")  # search and rescue transmitter, man over board, emergency beacon
 NO_VESSELS: Final = ("00", "99", "111")  # base stations, aids to navigation, aircraft
-OTHER: Final = " b"  # ends the key of a second vessel with one number
+OTHERS: Final = (" b", " c", " d", " e", " f")  # end the keys of more vessels with one number
 ORDER_S: Final = 15.0  # two reports within this time are put in order by the second in which they were taken
 SAME_S: Final = 5.0  # the same place by another way within this time is the same report
 RIVAL_S: Final = 400.0  # a refused report is compared with the next one for so long
+GLITCHES_S: Final = 30.0  # two of them from different places within this time are no accident
 KEPT_S: Final = 400.0  # a lost vessel stays on the map for so long ...
 KEPT_NEAR_S: Final = 45.0  # ... and one of the fleet or of a payload
 SOON_S: Final = 900.0  # a vessel that would be met so soon ought to be known
@@ -84,7 +86,7 @@ class Tracker:
         self._facts[key] = facts
         while len(self._facts) > FACTS_MOST:
             del self._facts[next(iter(self._facts))]
-        for each in (key, _other(key)):
+        for each in _keys(key):
             if (track := self._tracks.get(each)) is not None:
                 track.measure(facts)
 
@@ -117,7 +119,7 @@ class Tracker:
     def _place(self, key: str, new: VesselTrack, is_named: bool) -> None:
         """File a report under the vessel it can be of: the one of this key, or another one with the same number. `is_named`: no
         number of AIS, which a program may give to something else."""
-        tracks = [track for each in (key, _other(key)) if (track := self._tracks.get(each)) is not None]
+        tracks = [track for each in _keys(key) if (track := self._tracks.get(each)) is not None]
         near = [track for track in tracks if track.can_be_at(new)]
         for track in near:
             if track.is_stuck(new):
@@ -132,15 +134,18 @@ class Tracker:
         if (first := self._tracks.get(key)) is None:
             self._begin(key, new)
             return
-        self.refuse("jump faster than 60 kn")
         rival, first.rival = first.rival, new
-        if rival is None or new.at_s - rival.at_s > RIVAL_S or not rival.can_be_at(new):
+        passed_s = math.inf if rival is None else new.at_s - rival.at_s
+        is_there = rival is not None and passed_s <= RIVAL_S and rival.can_be_at(new)
+        if not (is_there or is_named) and passed_s <= GLITCHES_S and self._met_s(new, new.at_s) < SOON_S:
+            self._part(key, new)
+            self.disputed = new.at_s, first.name or key
             return
-        if first.reports == 1 or is_named:
+        self.refuse("jump faster than 60 kn")
+        if is_there and (first.reports == 1 or is_named):
             self._begin(key, new)
-        else:
-            self.refuse("two vessels with one number")
-            self._begin(_other(key), new)
+        elif is_there:
+            self._part(key, new)
 
     def _go_on(self, key: str, near: list[VesselTrack], new: VesselTrack, is_named: bool) -> None:
         """The next report of one of these, which are not far off; or, where it contradicts all of them, another vessel with
@@ -151,15 +156,34 @@ class Tracker:
             near[best].take(new)
             if sum(self._speaks(track, new.at_s) for track in near) < 2:
                 return
-        else:
-            free = _other(key) if key in self._tracks else key
-            if free not in self._tracks or not self._speaks(self._tracks[free], new.at_s):
-                self.refuse("two vessels with one number")
-                self._begin(free, new)
-            else:
-                self.refuse("more than two vessels with one number")
-                near[best].doubt(far_m, new.at_s)
+        elif not self._part(key, new):
+            near[best].doubt(far_m, new.at_s)
         self.disputed = new.at_s, near[best].name or key
+
+    def _part(self, key: str, new: VesselTrack) -> bool:
+        """Another vessel with this number: in a place that is free, in that of a later one that is silent, or else of the one
+        that is met last, if this one is met sooner. Returns whether it has one."""
+        keys, tracks = _keys(key), self._tracks
+        free = next((each for each in keys if each not in tracks), None)
+        free = free or next((each for each in keys[1:] if not self._speaks(tracks[each], new.at_s)), None)
+        if free is None:
+            met = {each: self._met_s(tracks[each], new.at_s) for each in keys}
+            free = max(keys, key=lambda each: met[each])
+            if self._met_s(new, new.at_s) >= met[free]:
+                self.refuse("too many vessels with one number: those met last are not kept")
+                return False
+        self.refuse("two vessels with one number")
+        if free in tracks:
+            self._forget(free)
+        self._begin(free, new)
+        return True
+
+    def _met_s(self, track: VesselTrack, now_s: float) -> float:
+        """When a vessel is met by the boat as it moved at the last look."""
+        if self._here is None:
+            return math.inf
+        origin, own = self._here
+        return met_s(own, *track.target("", max(now_s - track.at_s, 0.0), False, origin)[2:6])
 
     def _speaks(self, track: VesselTrack, now_s: float) -> bool:
         return now_s - track.at_s <= silence_s(self._settings, track)
@@ -174,7 +198,7 @@ class Tracker:
             return
         else:
             self._by_kind[kind] = self._by_kind.get(kind, 0) + 1
-        if (facts := self._facts.get(key.removesuffix(OTHER))) is not None:
+        if (facts := self._facts.get(key if new.kind in MOST_OF else key[:NUMBER])) is not None:
             new.measure(facts)
         self._tracks[key] = new
 
@@ -186,11 +210,7 @@ class Tracker:
         if self._found:
             self._leaving = sorted((target.is_lost, meets_s, target.key) for meets_s, target in self._found)
             self._found = []
-        if self._here is None:
-            return False
-        origin, own = self._here
-        place, speed_mps = to_plane(origin, new.latitude_rad, new.longitude_rad), new.speed_mps or 0.0
-        new_s = met_s(own, *place, new.course_rad or 0.0, speed_mps)
+        new_s = self._met_s(new, new.at_s)
         while self._leaving:
             is_lost, meets_s, key = self._leaving[-1]
             if key in self._tracks and not is_lost and new_s >= meets_s:
@@ -239,8 +259,9 @@ def kept_s(track: VesselTrack) -> float:
     return KEPT_NEAR_S if track.kind in MOST_OF else KEPT_S
 
 
-def _other(key: str) -> str:
-    return key + OTHER
+def _keys(key: str) -> tuple[str, ...]:
+    """Of all vessels that speak with one number."""
+    return key, *(key + other for other in OTHERS)
 
 
 def _is_known(track: VesselTrack, new: VesselTrack) -> bool:
