@@ -51,6 +51,7 @@ class Returning:
         if state.armed or state.navigation is not None:
             raise Refused("return refused: the boat sails already")
         state.killed, state.operator, state.has_left_idle = sailed.killed, sailed.operator, sailed.has_left_idle
+        state.traffic = state.traffic._replace(beside=sailed.beside)
         if sailed.origin is not None:
             self._helm.plans.found(geodesy.origin(*sailed.origin))
             self._helm.track.restore(sailed.track, sailed.spacing_m)

@@ -7,6 +7,7 @@ import msgspec
 
 NEVER_S: Final = -1e9
 STATUS_UNKNOWN: Final = 15
+BESIDE_MAX: Final = 8  # vessels that moved as the boat did and are remembered
 
 
 class Target(NamedTuple):
@@ -69,4 +70,5 @@ class Traffic(NamedTuple):
     guard: str = "off"  # "on", "off", "cannot avoid: " and why
     nearness: float = math.nan  # the least of all dangers; nan: there is nobody
     unjudged: str = ""  # why the guard cannot heed all of them, in words
+    beside: tuple[str, ...] = ()  # keys of those that moved as the boat did, also before a restart
     told: tuple[msgspec.Raw, ...] = ()  # the vessels in words, each as JSON, of this look or the one before

@@ -64,6 +64,7 @@ def sailed(helm: Helm, state: State) -> VoyageState:
         here=(state.motion.north_m, state.motion.east_m) if "position" in state.motion.has else None,
         track=track,
         spacing_m=spacing_m,
+        beside=state.traffic.beside,
     )
 
 
@@ -117,8 +118,9 @@ def read(told: bytes, settings: config.Vehicle, own: KeptHead) -> KeptVoyage:
 
 
 def refused(why: str, before: VoyageState | None = None, *, fence: bool = True) -> KeptVoyage:
-    """A return that brings nothing back but a kill. `fence`: one was aboard, or may have been."""
-    kept = VoyageState(killed=before.killed) if before is not None else VoyageState()
+    """A return that brings nothing back but a kill, and who moved as this boat does. `fence`: one was aboard, or may have
+    been."""
+    kept = VoyageState(killed=before.killed, beside=before.beside) if before is not None else VoyageState()
     return KeptVoyage(console.Return(kept, why_not=why, fence=fence, lost=True))
 
 

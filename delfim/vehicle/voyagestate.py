@@ -7,6 +7,7 @@ import msgspec
 from delfim.modes import mode_named
 from delfim.vehicle.control.memory import Memory
 from delfim.vehicle.state import Killed, Setpoint, Waypoint
+from delfim.vehicle.target import BESIDE_MAX
 
 TRACK_MAX = 1500  # points, as `control.home.points` allows
 
@@ -31,14 +32,15 @@ class VoyageState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     here: tuple[float, float] | None = None
     track: Annotated[tuple[tuple[float, float], ...], msgspec.Meta(max_length=TRACK_MAX)] = ()  # driven, oldest first
     spacing_m: Annotated[float, msgspec.Meta(gt=0.0)] = 5.0  # of its points
+    beside: Annotated[tuple[str, ...], msgspec.Meta(max_length=BESIDE_MAX)] = ()  # keys of vessels that came along
 
     def __post_init__(self) -> None:
         for name in (self.mode, self.paused[0] if self.paused is not None else self.mode):
             mode_named(name)
 
     def ended(self) -> "VoyageState":
-        """What is left of a voyage that is over: who commands, a kill, and nothing that moves."""
-        return VoyageState(operator=self.operator, killed=self.killed)
+        """What is left of a voyage that is over: who commands, a kill, the transponder aboard, and nothing that moves."""
+        return VoyageState(operator=self.operator, killed=self.killed, beside=self.beside)
 
     def wanted(self, now: Setpoint) -> Setpoint:
         """The set points of the voyage, with the plan that is aboard now."""

@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from random import Random
 
+import msgspec
 import pytest
 
 from delfim import config
@@ -86,6 +87,27 @@ def test_a_boat_stops_swerving_for_its_own_transponder_and_says_so(every_s: floa
     assert voyage.notes.count(f"traffic: {WORDS}") == 1
 
 
+@pytest.mark.parametrize(
+    ("every_s", "kind", "more"),
+    [(2.0, "B", {}), (30.0, "B", {}), (10.0, "A", {"in_order": True}), (2.0, "B", {"digest": "0"})],
+    ids=["killed", "killed, seldom heard", "ended in order", "another file"],
+)
+def test_a_boat_that_starts_again_keeps_its_course_with_its_own_transponder_aboard(
+    every_s: float, kind: str, more: dict[str, object]
+) -> None:
+    voyage = Voyage(itself, every_s, kind)
+    list(voyage.sail(150.0))
+    kept, _, rest = voyage.run.kept().partition(b"\n")
+    voyage.run.restart(1.0, msgspec.json.encode(msgspec.json.decode(kept) | more) + b"\n" + rest)
+    list(voyage.sail(10.0))
+    assert voyage.run.command(console.Course(0.0, 1.5)) is None
+    begun_m = voyage.run.state.motion.north_m
+    for state in voyage.sail(100.0):
+        assert state.traffic.order is None
+    assert state.motion.north_m - begun_m == pytest.approx(147.0, abs=8.0)
+    assert [each.words for each in state.traffic.dangers] == [WORDS]
+
+
 class Tender:
     """It lies alongside, 5 m off, until it leaves to the east; after a while it comes back towards the bow of the boat."""
 
@@ -158,6 +180,19 @@ def test_reports_that_are_old_neither_begin_nor_end_it() -> None:
     each_half_minute = seen(lambda t: 6.0 if t % 30 <= FRESH_S else 300.0, age_s=lambda t: float(t % 30))
     assert each_half_minute.index(True) in range(60, 64)
     assert all(each_half_minute[64:])
+
+
+def test_who_is_remembered_is_one_with_its_first_report_from_the_boat_s_place_or_no_longer() -> None:
+    def first(far_m: float, age_s: float = 1.0, kind: str = "B", others: int = 0) -> Company:
+        vessel = Target("1", "TUG", far_m, 0.0, 0.0, 1.5, math.nan, 15.0, 5.0, False, 10.0, age_s, False, kind, 0)
+        nearer = [vessel._replace(key=f"other {i}", east_m=20.0 + i) for i in range(others)]
+        return company(Company(remembered=("1",)), OWN, LENGTH_M, (*nearer, vessel), 100.0)
+
+    assert (first(6.0).has("1"), first(6.0).remembered) == (True, ("1",))
+    assert (first(25.0).has("1"), first(25.0).remembered) == (False, ()), "so far off it has to stay for a minute again"
+    assert (first(3000.0, others=9).has("1"), first(3000.0, others=9).remembered) == (False, ())
+    assert (first(6.0, age_s=FRESH_S + 1.0).has("1"), first(6.0, age_s=FRESH_S + 1.0).remembered) == (False, ("1",))
+    assert not first(6.0, kind="payload").has("1")
 
 
 def test_one_that_is_off_is_a_vessel_like_others_at_once_and_has_to_stay_for_a_minute_again() -> None:

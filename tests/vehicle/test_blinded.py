@@ -136,6 +136,22 @@ def test_a_ship_is_heeded_although_its_number_was_heard_at_the_boat_and_elsewher
     assert voyage.ship.nearest > 0.9
 
 
+def test_a_ship_that_had_the_number_of_who_came_along_is_heeded_after_a_restart() -> None:
+    voyage = Voyage(silent_from_s=0.0, silent_to_s=130.0)
+    for i, _ in enumerate(voyage.sail(90.0)):
+        own = voyage.run.state.motion
+        if i % 5 == 0:
+            moves = math.atan2(own.east_mps, own.north_mps), math.hypot(own.north_mps, own.east_mps)
+            voyage.told_at(own.north_m, own.east_m, *moves, MMSI, second=voyage.second)
+    assert voyage.run.state.traffic.beside == (str(MMSI),)
+    voyage.run.restart(1.0)
+    list(voyage.run.cycles(5.0))
+    assert voyage.run.command(console.Course(0.0, BOAT_MPS)) is None
+    list(voyage.sail(MEETS_S - 60.0))
+    assert voyage.ship.nearest > 0.9
+    assert voyage.run.state.traffic.beside == ()
+
+
 def test_harmless_boats_around_hide_no_ship() -> None:
     """Twelve of them abeam, on the boat's course and at its speed."""
     voyage = Voyage()

@@ -132,8 +132,9 @@ class Watchkeeper:
 
     def _accompany(self, length_m: float, now_s: float) -> None:
         """Who moves as the boat does, in a boat of this length."""
-        state, was = self._state, self._company
+        state, was = self._state, self._company._replace(remembered=self._state.traffic.beside)
         self._company = company(was, own_of(state.motion), length_m, state.traffic.targets, now_s)
+        state.traffic = state.traffic._replace(beside=self._company.remembered)
         for each in self._beside():
             if not was.has(each.key):
                 self._log.note(f"traffic: {danger_beside(each).words}")
