@@ -53,9 +53,11 @@ def laid(
     before: fence.Fence | None = None,
     was: Plan | None = None,
     now: underway.UnderWay | None = None,
+    spared: Behind = NOTHING,
 ) -> Work[Laid]:
     """A mission in the local plane. `before`: a fence in this plane with the boat's own zones. `now`: the boat sails the plan
-    that `was`. Raises ConfigError, Refused where the boat cannot or must not sail it.
+    that `was`. `spared`: what is not held against the fence where it does not. Raises ConfigError, Refused where the boat
+    cannot or must not sail it.
     """
     yield from checked(mission)
     planned = yield from plan(mission, origin, control)
@@ -64,7 +66,7 @@ def laid(
     if now is not None and why is not None and not now.is_paused:
         raise Refused(f"mission refused: {why}; {underway.SAILING}")
     around = yield from fence.survey(limits, mission.fence, origin, before)
-    behind = NOTHING if now is None or why is not None else underway.behind(now, not mission.path)
+    behind = spared if now is None else NOTHING if why is not None else underway.behind(now, not mission.path)
     why, behind = yield from forbidden(around, planned, control.hold.radius_m, behind)
     if why is not None:
         raise Refused(f"mission refused: {why}")
@@ -106,7 +108,8 @@ class Plans:
         self.rally: tuple[tuple[float, float], ...] = ()  # harbours, degrees
         self.fence = fence.unlaid(fence_settings, self.zones)  # the boat's and the mission's; None: none
         self._fence, self._state, self._track, self._log, self._under_way = fence_settings, state, track, log, sailed
-        self._number, self._behind = 0, NOTHING  # of the newest plan; what of it the fence forbids
+        self._number, self.behind = 0, NOTHING  # of the newest plan; what of it the fence forbids
+        self.spared = NOTHING  # what the fence forbade of the plan before a restart, which is about to be loaded again
         self._laying: Sliced[fence.Fence | None] | None = None  # of the fence into the plane
         self._looked: Looked | None = None
         self._text = ""  # of a mission, as received so far
@@ -143,7 +146,7 @@ class Plans:
         looked, now = self._looked, self._under_way()
         if looked is None or looked.command is not command:
             return False
-        if looked.behind != NOTHING and not self._goes_on(looked, now):
+        if looked.behind not in (NOTHING, self.spared) and not self._goes_on(looked, now):
             return False
         return all(was is now for was, now in zip(looked.basis, self._basis(), strict=True))
 
@@ -161,7 +164,7 @@ class Plans:
         first = mission.waypoint[0]
         origin = state.origin or geodesy.origin(math.radians(first.latitude_deg), math.radians(first.longitude_deg))
         was, now = state.setpoint.plan, self._under_way()
-        found = yield from laid(mission, origin, self.limits.control, self._fence, self.fence, was, now)
+        found = yield from laid(mission, origin, self.limits.control, self._fence, self.fence, was, now, self.spared)
         return Looked(command, basis, None, mission, found, origin, found.around, None, found.behind)
 
     def _look_at_zones(self, command: console.SetFence) -> Work[Looked]:
@@ -184,7 +187,7 @@ class Plans:
         """
         if not self.has_looked(command):
             Sliced(self.look(command)).finish()
-        looked, self._looked, self._text, state = self._looked, None, "", self._state
+        looked, self._looked, self._text, self.spared, state = self._looked, None, "", NOTHING, self._state
         assert looked is not None
         if looked.wrong is not None:
             raise looked.wrong
@@ -193,7 +196,7 @@ class Plans:
             self._go_on_with(looked, now)
         goes_on = self._goes_on(looked, now)
         self._leave(self.mission, state.setpoint.plan, self.fence)
-        self.fence, self._laying, self._behind = looked.around, None, looked.behind
+        self.fence, self._laying, self.behind = looked.around, None, looked.behind
         if isinstance(command, console.SetFence):
             self.zones = command.zones
             if self.mission is not None:
@@ -229,7 +232,7 @@ class Plans:
 
     def barred(self, mode: Mode, leg: int) -> str | None:
         """Why a mode cannot sail the mission from a leg or piece on: a fence that came under way forbids what was behind."""
-        since = self._behind.legs if mode is Mode.PLAY else self._behind.pieces if mode is Mode.PATH else 0
+        since = self.behind.legs if mode is Mode.PLAY else self.behind.pieces if mode is Mode.PATH else 0
         what = "waypoint" if mode is Mode.PLAY else "piece"
         return f"the fence forbids the mission before {what} {since + 1}: begin there" if piece_of(leg) < since else None
 
@@ -272,5 +275,5 @@ class Plans:
         self._forget()
 
     def _forget(self) -> None:
-        self.mission, self._behind = None, NOTHING
+        self.mission, self.behind = None, NOTHING
         self._state.setpoint = self._state.setpoint._replace(plan=None, leg=0, piece=0)

@@ -12,6 +12,7 @@ from delfim.errors import DelfimError, Refused
 from delfim.modes import Mode
 from delfim.vehicle import console
 from delfim.vehicle.helm import Helm
+from delfim.vehicle.legs import NOTHING, Behind
 from delfim.vehicle.state import State
 from delfim.vehicle.underway import Paused
 
@@ -55,6 +56,7 @@ class Returning:
         if sailed.origin is not None:
             self._helm.plans.found(geodesy.origin(*sailed.origin))
             self._helm.track.restore(sailed.track, sailed.spacing_m)
+        self._helm.plans.spared = Behind(*sailed.behind)
         if back.fence:
             state.fence_lost = _lost(back.why_not if back.lost else "they are being loaded")
         self._is_loaded = not (back.mission or back.fence) or back.lost
@@ -80,7 +82,7 @@ class Returning:
         """Somebody commands: the boat does that, and nothing of before."""
         self._back, self._state.restarted = None, ""
         if isinstance(command, console.Plan | console.Unload):
-            self._state.fence_lost = ""
+            self._state.fence_lost, self._helm.plans.spared = "", NOTHING
 
     def look(self, now_s: float) -> None:
         """Go on, as soon as that is possible."""

@@ -64,6 +64,7 @@ def sailed(helm: Helm, state: State) -> VoyageState:
         here=(state.motion.north_m, state.motion.east_m) if "position" in state.motion.has else None,
         track=track,
         spacing_m=spacing_m,
+        behind=helm.plans.behind,
         beside=state.traffic.beside,
     )
 

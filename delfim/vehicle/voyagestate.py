@@ -10,6 +10,7 @@ from delfim.vehicle.state import Killed, Setpoint, Waypoint
 from delfim.vehicle.target import BESIDE_MAX
 
 TRACK_MAX = 1500  # points, as `control.home.points` allows
+Rows = Annotated[int, msgspec.Meta(ge=0, le=1_000_000)]
 
 
 class VoyageState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -32,6 +33,7 @@ class VoyageState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     here: tuple[float, float] | None = None
     track: Annotated[tuple[tuple[float, float], ...], msgspec.Meta(max_length=TRACK_MAX)] = ()  # driven, oldest first
     spacing_m: Annotated[float, msgspec.Meta(gt=0.0)] = 5.0  # of its points
+    behind: tuple[Rows, Rows] = (0, 0)  # legs and pieces of the mission that the fence forbids, and the boat had behind it
     beside: Annotated[tuple[str, ...], msgspec.Meta(max_length=BESIDE_MAX)] = ()  # keys of vessels that came along
 
     def __post_init__(self) -> None:
@@ -39,8 +41,9 @@ class VoyageState(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             mode_named(name)
 
     def ended(self) -> "VoyageState":
-        """What is left of a voyage that is over: who commands, a kill, the transponder aboard, and nothing that moves."""
-        return VoyageState(operator=self.operator, killed=self.killed, beside=self.beside)
+        """What is left of a voyage that is over: who commands, a kill, the transponder aboard, what a fence forbade of the
+        mission, and nothing that moves."""
+        return VoyageState(operator=self.operator, killed=self.killed, behind=self.behind, beside=self.beside)
 
     def wanted(self, now: Setpoint) -> Setpoint:
         """The set points of the voyage, with the plan that is aboard now."""

@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from delfim import config
+from delfim.geodesy import from_plane
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
 from delfim.simulator.watch import Onlooker
@@ -31,6 +32,7 @@ centre = [[38.6895, -9.2150]]
 radius_m = 600
 """
 GUEST = b'{"heading_deg": 90.0, "speed_mps": 1.0}'
+ORDER, ENDED = {"in_order": True}, "it was ended in order; the boat stays idle"
 WAYS = {  # into each mode, by a boat that has a mission
     Mode.MANUAL: console.Manual(0.4, 0.4),
     Mode.HEADING: console.Heading(90.0, 1.2),
@@ -116,6 +118,39 @@ def test_a_mode_that_is_resumed_has_its_leg_its_set_points_and_its_place(mode):
     assert now.leg == memory.leg
     if mode is not Mode.HEADING:
         assert (now.north_m, now.east_m) == pytest.approx((memory.north_m, memory.east_m))
+
+
+@pytest.mark.parametrize(
+    ("action", "mode", "more"), [("hold", Mode.HOLD, {}), ("resume", Mode.PLAY, {}), ("hold", Mode.IDLE, ORDER)]
+)
+def test_a_leg_behind_the_boat_that_a_fence_forbids_strands_it_not(action, mode, more):
+    """The fence came under way."""
+    run = sailing(Mode.PLAY, f'failsafe.restarted.action="{action}"')
+    plan, helm = run.state.setpoint.plan, run.vehicle.helm
+    assert run.command(console.Play(3)) is None
+    go_on(run, 2)
+    (a, b), origin = plan.waypoints[:2], run.state.origin
+    middle = from_plane(origin, (a.north_m + b.north_m) / 2.0, (a.east_m + b.east_m) / 2.0)
+    reef = config.Area(name="reef", centre=(tuple(map(math.degrees, middle)),), radius_m=2.0)
+    zones = config.Zones(keep_in=helm.plans.zones.keep_in, keep_out=(reef,))
+    assert run.command(console.SetFence(zones)) is None
+    go_on(run, 2)
+    run.restart(1.0, kept_by(run, **more))
+    go_on(run, 3)
+    state, helm = run.state, run.vehicle.helm
+    assert (state.mode, helm.plans.zones, state.fence_lost) == (mode, zones, "")
+    assert helm.plans.mission is not None
+    assert state.restarted == (f"it was in play on leg 4; {action if action == 'hold' else 'play'} now" if not more else ENDED)
+    assert run.command(console.Play(0)) == "play refused: the fence forbids the mission before waypoint 4: begin there"
+    assert run.command(console.Continue() if mode is Mode.HOLD else console.Play(3)) is None
+    go_on(run, 1)
+    assert (state.mode, helm.memory.leg) == (Mode.PLAY, 3)
+    mission = helm.plans.mission
+    assert run.command(console.Stop()) is None
+    refused = run.command(console.Upload(mission))
+    assert refused == "mission refused: the leg to waypoint 2 leads through reef; missions keep 6 m away", (
+        "of a new one all is judged"
+    )
 
 
 def test_a_boat_whose_console_stays_silent_goes_home_along_the_driven_track():
