@@ -1,6 +1,7 @@
 """The failsafe in the loop: what the propellers are told, and that only the operator starts anything again."""
 
 import math
+from pathlib import Path
 
 import pytest
 
@@ -8,8 +9,12 @@ from delfim import config, messages
 from delfim.frames import Frame
 from delfim.messages import Fault, Node, PropellerStatus, Status
 from delfim.modes import Mode
+from delfim.simulator.faults import fault
+from delfim.simulator.lockstep import Lockstep
 from delfim.vehicle import console, failing, troubles
+from delfim.vehicle.state import NoLog
 
+VEHICLE = Path(__file__).parents[2] / "etc/delfimx.toml"
 NORTH_8_M = math.radians(38.6925) + 8.0 / 6_360_000
 
 
@@ -53,6 +58,23 @@ def test_manual_mode_by_name_begins_without_thrust(boat):
     boat.pass_time(1.0)
     assert boat.state.mode is Mode.MANUAL
     assert boat.propellers()[0].rpm == 0
+
+
+@pytest.mark.parametrize(("turns", "mode"), [(True, Mode.IDLE), (False, Mode.HOLD)])
+def test_navigation_that_freezes_in_hold_stops_the_boat_where_its_propellers_turn(turns: bool, mode: Mode) -> None:
+    """A current sets it out of the radius, again and again. At rest nothing in the messages says that they are old."""
+    current = "simulation.sea.current_mps=0.4", "simulation.sea.current_to_deg=90.0"
+    run = Lockstep(config.load(VEHICLE, current), 1, lambda clock: NoLog())
+    list(run.cycles(5.0))
+    assert run.command(console.SetMode("hold")) is None
+    list(run.cycles(20.0))
+    for state in run.cycles(120.0):
+        if (max(map(abs, state.actuation.thrust)) > 2.0 * troubles.TURNING) is turns:
+            break
+    run.faults.begin(fault("navigation_frozen"), run.elapsed_s)
+    *_, state = run.cycles(4.0)
+    assert state.mode is mode
+    assert ("navigation frozen for 3." in state.reason) is turns
 
 
 def test_positions_that_jump_stop_the_boat_before_they_would_be_believed(boat):
