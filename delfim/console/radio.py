@@ -1,7 +1,8 @@
 """A serial radio: MAVLink on a stream of bytes, without datagrams. The codec finds the frames in it, each time at a 0xFD.
 
-A thread waits for bytes, because that is the one way that works on Linux, macOS and Windows; it only reads and hands over. The
-port may go and come back: it is opened again every two seconds.
+A thread waits for bytes, because that is the one way that works on Linux, macOS and Windows; it only reads and hands over, and
+reads on when the loop has taken them: bytes faster than that are lost in the port, whose room is bounded. The port may go and
+come back: it is opened again every two seconds.
 """
 
 import asyncio
@@ -18,7 +19,7 @@ BITS_PER_BYTE: Final = 10  # 8N1
 BACKLOG_S: Final = 0.5  # of bytes on their way to the air; what would wait behind them is stale when it leaves
 AGAIN_S: Final = 2.0
 READ_S: Final = 0.2
-READ_BYTES: Final = 4096
+READ_BYTES: Final = 2048  # in one turn of the loop: noise made of beginnings of frames takes up to 17 us a byte
 
 
 class Radio:
@@ -29,7 +30,7 @@ class Radio:
         self._baud, self._receive = baud, receive
         self._port: serial.Serial | None = None
         self._loop: asyncio.AbstractEventLoop | None = None
-        self._ended = threading.Event()
+        self._ended, self._taken = threading.Event(), threading.Event()
         self._thread = threading.Thread(target=self._run, name=f"radio {device}", daemon=True)
 
     def start(self) -> None:
@@ -70,10 +71,19 @@ class Radio:
 
     def _hand_over(self, data: bytes) -> None:
         assert self._loop is not None
+        self._taken.clear()
         try:
-            self._loop.call_soon_threadsafe(self._receive, ("serial", self.device), data)
+            self._loop.call_soon_threadsafe(self._take, data)
         except RuntimeError:  # the loop has ended
             self._ended.set()
+        while not self._ended.is_set() and not self._taken.wait(READ_S):
+            pass
+
+    def _take(self, data: bytes) -> None:
+        try:
+            self._receive(("serial", self.device), data)
+        finally:
+            self._taken.set()
 
 
 def radio(words: str, receive: Callable[[Any, bytes], None]) -> Radio:

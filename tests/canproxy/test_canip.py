@@ -299,7 +299,7 @@ def test_without_tun_the_service_stays_down_and_says_why(monkeypatch: pytest.Mon
 
 
 def test_mutated_frames_make_no_datagram_that_is_too_long_and_it_goes_on(mutations: int) -> None:
-    """3,000 frames of real transfers with bits turned, shortened, in any order and from any node; 100,000 with --mutations 1334."""
+    """3,000 frames of real transfers with bits turned, shortened, in any order, of any node; 100,000 with --mutations 1334."""
 
     async def main() -> None:
         chance, frames, heard = random.Random(1), list[Frame](), list[bytes]()

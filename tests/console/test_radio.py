@@ -1,7 +1,9 @@
 """A serial radio: a real port (a pseudo terminal), noise, and a port that goes and comes."""
 
 import asyncio
+import json
 import os
+import threading
 import tty
 from collections.abc import Callable
 from pathlib import Path
@@ -9,13 +11,14 @@ from random import Random
 from typing import Any
 
 import pytest
+import serial
 from hypothesis import given
 from hypothesis import strategies as st
 
 from delfim.clock import ManualClock, SystemClock
-from delfim.console.fleet import Fleet
+from delfim.console.fleet import BOATS_MAX, Fleet
 from delfim.console.mavlink import Codec, mavlink
-from delfim.console.radio import radio
+from delfim.console.radio import READ_BYTES, radio
 from delfim.errors import ConfigError
 from tests.console.fakeboat import FakeBoat
 
@@ -108,3 +111,85 @@ def test_bytes_that_mean_nothing_are_bounded_and_harmless(data: bytes) -> None:
     codec = Codec(stream=True)
     assert list(codec.decode(data)) == []
     assert len(codec._cutter.rest) <= 292
+
+
+class EndlessPort:
+    """A port that always has more. `READ_ON` is set when it was read 20 times."""
+
+    in_waiting, out_waiting = 4096, 0
+
+    def __init__(self, *_: object, **__: object) -> None:
+        self.reads = 0
+
+    def __enter__(self) -> "EndlessPort":
+        return self
+
+    def __exit__(self, *_: object) -> None: ...
+
+    def read(self, size: int) -> bytes:
+        self.reads += 1
+        if self.reads == 20:
+            READ_ON.set()
+        return b"\xfe" * size
+
+
+READ_ON = threading.Event()
+
+
+def test_bytes_that_the_loop_cannot_take_stay_in_the_port(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A radio that never stops would fill the memory, and the loop's turn would be as long as all that waits."""
+    monkeypatch.setattr(serial, "Serial", EndlessPort)
+    READ_ON.clear()
+
+    async def main() -> None:
+        turns, over = list[tuple[int, bool]](), asyncio.Event()
+
+        def receive(address: Any, data: bytes) -> None:
+            turns.append((len(data), not turns and READ_ON.wait(0.2)))  # a slow turn
+            over.set()
+
+        port = radio("/dev/radio", receive)
+        port.start()
+        await over.wait()
+        await asyncio.to_thread(port.close)
+        assert turns[0][0] <= READ_BYTES + 1
+        assert not turns[0][1], "it was read on"
+
+    asyncio.run(main())
+
+
+def test_whatever_comes_over_a_radio_the_console_shows_its_boats(mutations: int) -> None:
+    """2,000 mutated pieces of a boat's stream, 100,000 with --mutations 2000; what the page gets is JSON all the time."""
+    chance, clock, said = Random(1), ManualClock(), list[bytes]()
+    fleet = Fleet(clock, lambda address, data: None, lambda message: json.dumps(message, allow_nan=False))
+    boat = FakeBoat(3, clock, said.append)
+    for _ in range(30):
+        clock.advance(0.1)
+        boat.tick()
+    for number in range(50 * mutations):
+        fleet.receive(("serial", "/dev/radio"), mutated(chance, chance.choice(said)))
+        clock.advance(0.01)
+        if number % 50 == 0:
+            fleet.tick()
+            json.dumps(fleet.snapshot(), allow_nan=False)
+        assert len(fleet._peers["serial", "/dev/radio"]._cutter.rest) <= 292
+    assert len(fleet.boats) <= BOATS_MAX
+    assert fleet._peers["serial", "/dev/radio"].counts["heard"] > 5 * mutations
+
+
+def mutated(chance: Random, said: bytes) -> bytes:
+    """As it is, with a bit turned, cut, of beginnings only, or of any content and any boat with the right checksum."""
+    frame, how = bytearray(said), chance.randrange(6)
+    if how == 0:
+        frame[chance.randrange(len(frame))] ^= 1 << chance.randrange(8)
+    elif how == 1:
+        del frame[chance.randrange(len(frame)) :]
+    elif how == 2:
+        return chance.choice((b"\xfd", b"\xfe", b"\xfd\xff\0")) * chance.randrange(200)
+    elif how == 3:
+        frame[10:-2] = chance.choice((chance.randbytes(len(frame) - 12), bytes([255]) * (len(frame) - 12)))
+        frame[5] = chance.randrange(256)
+        crc = mavlink.x25crc(bytes(frame[1:-2]))
+        crc.accumulate(bytes((mavlink.mavlink_map[int.from_bytes(frame[7:10], "little")].crc_extra,)))
+        frame[-2:] = int(crc.crc).to_bytes(2, "little")
+    return bytes(frame)
