@@ -48,6 +48,7 @@ const LINES: readonly (readonly [string, string])[] = [
   ["draft", "a plan not yet sent to the boat"],
   ["band", "its path, for path following"],
   ["steering", "where the boat is steering"],
+  ["home", "its way home, while its menu is open or it goes there"],
   ["course", "its course, a minute ahead"],
   ["track", "its past track"],
   ["vessel", "another vessel, three minutes ahead"],
