@@ -87,7 +87,7 @@ def sail(first: int, seeds: int, real: int, bare: int, output: Path, workers: in
 def connect(output: Path) -> duckdb.DuckDBPyConnection:
     """All that was sailed, as the table `runs`; of a folder, or of a file that `keep` wrote. Ends where nothing was."""
     if not output.is_file() and not any(output.glob("seed-*")):
-        sys.exit(f"bench.record: nothing was sailed into {output}; the record that is kept: --tell --output docs/record.parquet")
+        sys.exit(f"bench.record: nothing was sailed into {output}; what is kept: --tell --output docs/record.parquet")
     database = duckdb.connect()
     place = f"'{output}'" if output.is_file() else parts(output / "seed-*")
     database.execute(f"create view runs as select * from {place}")

@@ -148,5 +148,5 @@ def test_what_a_random_encounter_came_to_can_be_drawn(tmp_path):
 
 
 def test_where_nothing_was_sailed_it_says_so(tmp_path):
-    with pytest.raises(SystemExit, match=r"nothing was sailed into .*; the record that is kept: --tell --output"):
+    with pytest.raises(SystemExit, match=r"nothing was sailed into .*; what is kept: --tell --output"):
         record.connect(tmp_path)
