@@ -17,6 +17,7 @@ from delfim.vehicle.zones import LOOKS, Point, Zone, circle, clearance_m, cost, 
 BOXES: Final = 4  # boxes that are compared in the time of one comparison
 PARTS: Final = 1.0, 0.4  # of the radius to hold within, the next where no place has room for the one before
 BACK_MPS: Final = 0.1  # a boat outside comes back if it is so much nearer each second
+FAR_M: Final = 10.0  # from the place to hold, farther than a boat drifts that nobody leads away
 RECEDES_M = 0.01  # a boat whose clearance shrinks by no more than this leaves a zone, or goes along it
 
 
@@ -197,6 +198,12 @@ def crossing(fence: Fence, motion: Motion, to: Point | None) -> str | None:
         if left < 0:
             return f"the way passes too many corners of zones, {zone.name} among them: go there in shorter stretches"
     return None
+
+
+def cuts_off(fence: Fence | None, motion: Motion, place: Point) -> bool:
+    """Whether a zone is on the straight way back to a place that the boat is far away from."""
+    is_far = math.dist(place, (motion.north_m, motion.east_m)) > FAR_M
+    return fence is not None and is_far and crossing(fence, motion, place) is not None
 
 
 def through(zone: Zone, least: float) -> str:

@@ -88,14 +88,16 @@ class Helm:
         return geodesy.from_plane(at, *end) if end is not None and at is not None else None
 
     def fall_back(self, action: Action, reason: str, now_s: float) -> None:
-        """Do the failsafe's action, or the next safer one that is possible."""
+        """Do the failsafe's action, or the next safer one that is possible. A boat that holds and was led away from its place
+        holds anew, where it is, if a zone is on the way back."""
         state = self.state
         if action is Action.DISCONNECT:
             self._propulsion.disconnect(unstopped(self.settings, state, now_s))
             return
         setpoint = state.setpoint._replace(track=self.track.way_home())
         mode, reason = failsafe.fallback(action, reason, state.motion.has, setpoint)
-        if mode is not state.mode:
+        holds, place = action is Action.HOLD and self._seeking is None, (self.memory.north_m, self.memory.east_m)
+        if mode is not state.mode or (mode is Mode.HOLD and holds and fence.cuts_off(self.plans.fence, state.motion, place)):
             state.setpoint, self.taken = setpoint, True
             self.enter(mode, reason)
             self.steer(now_s)
@@ -330,13 +332,12 @@ class Helm:
         """Nothing: the loop has already noted that the console is there, or commands."""
 
     def _choose(self, command: console.Leg, now_s: float) -> None:
-        leg = command.leg
-        setpoint = self.state.setpoint._replace(leg=leg)
+        setpoint = self.state.setpoint._replace(leg=command.leg)
         if (reason := MODES[Mode.PLAY].lacks(setpoint)) is not None:
             raise Refused(f"leg refused: {reason}")
         if self.state.mode is Mode.PLAY:
             self.request(Mode.PLAY, setpoint, now_s)
-        self.state.setpoint = self.state.setpoint._replace(leg=leg)
+        self.state.setpoint = self.state.setpoint._replace(leg=command.leg)
 
     def _push(self, command: console.Manual, now_s: float) -> None:
         """Manual thrust. After the failsafe took it away, the operator first lets go: by silence, or by asking for none."""

@@ -16,12 +16,13 @@ from delfim.errors import Refused
 from delfim.modes import Mode
 from delfim.vehicle import console, fence
 from delfim.vehicle.command import CommandServer
+from delfim.vehicle.failsafe import Action
 from delfim.vehicle.mavlink import plans
 from delfim.vehicle.mavlink.plans import FENCE, MISSION, Item
 from delfim.vehicle.mavlink.station import Station
 from delfim.vehicle.mission import Mission, PathPoint, Waypoint, canonical
 from delfim.vehicle.reviews import Reviews
-from delfim.vehicle.zones import polygon
+from delfim.vehicle.zones import circle, polygon
 from tests.vehicle.mavlink_console import Console, Radio, newest, texts
 from tests.vehicle.test_mavlink_missions import fields
 from tests.vehicle_fixtures import MOST_AT_ONCE
@@ -347,6 +348,19 @@ def test_a_better_place_to_hold_is_found_later(sea, counted):
         sea.vehicle.helm.go_on()
     assert (sea.vehicle.helm.memory.north_m, sea.vehicle.helm.memory.east_m) == (0.0, 0.0)
     assert max(counted) <= MOST_AT_ONCE
+
+
+@pytest.mark.parametrize("is_between", [True, False])
+def test_a_boat_that_was_led_away_from_its_place_goes_back_through_no_zone(sea, is_between):
+    zone = circle("rock", False, (0.0, 50.0 if is_between else -50.0), 10.0)
+    sea.vehicle.helm.plans.fence = fence.Fence((zone,), config.FenceTable())
+    sea.boat.state.motion = sea.state.motion._replace(north_m=0.0, east_m=0.0, north_mps=0.0, east_mps=0.0)
+    sea.vehicle.helm.enter(Mode.HOLD, "test")
+    sea.boat.state.motion = sea.state.motion._replace(east_m=100.0)
+    sea.vehicle.helm.fall_back(Action.HOLD, "rock 4 m away", sea.boat.clock.monotonic_s())
+    assert sea.state.mode is Mode.HOLD
+    assert sea.vehicle.helm.memory.east_m == (100.0 if is_between else 0.0)
+    assert (sea.state.reason == "rock 4 m away") is is_between
 
 
 def test_what_large_plans_were_made_of_is_let_go_little_by_little(sea):
