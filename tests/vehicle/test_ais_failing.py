@@ -81,7 +81,7 @@ def test_the_boat_keeps_clear_and_goes_on_where_its_receiver_fails(
     assert voyage.orders
     assert (state.mode, state.traffic.order) == (Mode.COURSE, None), "past, and on its course again"
     assert set(dict(state.traffic.refused)) == refused
-    more = {"ais_silent": {"ais_silent"}, "ais_wrong": {"traffic_unclear", "traffic_close"}}
+    more = {"ais_silent": {"ais_silent"}, "ais_wrong": {"traffic_unclear"}}
     assert voyage.told == {"traffic"} | more.get(broken, set())
 
 
