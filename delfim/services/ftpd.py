@@ -23,8 +23,8 @@ from delfim.services import ftpdata
 from delfim.services.door import Door, Patience, bulk, hashed, matches
 from delfim.services.ftpfiles import FtpFiles
 from delfim.services.runtime import Runtime
+from delfim.services.threads import worked
 from delfim.services.uploads import NoRoom
-from delfim.services.workers import worked
 
 IDLE_S: Final = 300.0  # without a command of a client that is logged in
 HANDSHAKE_S: Final = 10.0  # of TLS

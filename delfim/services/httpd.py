@@ -28,10 +28,10 @@ from delfim.logging.tree import readable
 from delfim.services.door import Door, bulk
 from delfim.services.jail import Jail
 from delfim.services.runtime import Runtime
+from delfim.services.threads import worked
 from delfim.services.web import api, document, files, metrics, saidlines
 from delfim.services.web.board import Board, Lookout
 from delfim.services.web.subpages import checks_page, listing, system_page
-from delfim.services.workers import worked
 
 EVERY_S: Final = (1.0, 60.0)  # between two events of a page
 IDLE_S: Final = 15.0  # for a request to arrive, and between two of them

@@ -13,8 +13,8 @@ import asyncssh
 
 from delfim.errors import DelfimError
 from delfim.services.jail import Jail
+from delfim.services.threads import worked
 from delfim.services.uploads import NoRoom, Uploads
-from delfim.services.workers import worked
 
 READ_BYTES: Final = 32 << 10  # of a file, at once: more drives the vehicle out of the processor's cache
 
