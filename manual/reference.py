@@ -16,6 +16,7 @@ import msgspec
 
 from delfim import messages, tables
 from delfim.__main__ import declared
+from delfim.audit import auditor
 from delfim.commands import GROUPS
 from delfim.console import orders, said
 from delfim.console.describe import describe
@@ -37,6 +38,7 @@ def generated() -> dict[str, str]:
         "docs/websocket.md": websocket_page(),
         "docs/can-messages.md": can_page(),
         "docs/metrics.md": metrics_page(),
+        "docs/audit-rules.md": audit_page(),
     }
 
 
@@ -263,6 +265,13 @@ def metrics_page() -> str:
         rows.append((f"`{name}`", kind, labels, told))
     about = "What the boat's page tells Prometheus at `/metrics`: base units, the unit in the name. What is unknown is missing."
     return "\n".join(["# Metrics", "", about, "", *_table(("name", "kind", "labels", ""), rows)]) + "\n"
+
+
+def audit_page() -> str:
+    """The rules of the second auditor."""
+    rows = [(f"`{each.name}`", each.sentence, f"[{each.source}]({each.source})") for each in auditor.RULES]
+    about = "What `delfim log audit` judges a log by, and the document that promises it ([how](logs.md#a-second-opinion))."
+    return "\n".join(["# Rules of the second auditor", "", about, "", *_table(("rule", "what must hold", "by"), rows)]) + "\n"
 
 
 def example(hint: Any) -> Any:

@@ -11,8 +11,9 @@ from delfim.campaign.steertape import Deviation, SteerTape
 from delfim.clock import ManualClock
 from delfim.modes import Mode
 from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.trial import Event
+from delfim.simulator.trial import Event, OrderLog
 from delfim.simulator.watch import TruePlace
+from delfim.vehicle.console import Commands
 from delfim.vehicle.logbook import ORDERLY
 from delfim.vehicle.state import State, StateLog
 from delfim.vehicle.zones import Point
@@ -44,6 +45,10 @@ class RunTape:
     def note(self, text: str) -> None:
         self.hash.update(text.encode())
         self.beside.note(text)
+
+    def command(self, command: Commands, refused: str | None, state: State, operator: str) -> None:
+        if isinstance(self.beside, OrderLog):
+            self.beside.command(command, refused, state, operator)
 
     def reason(self) -> str:
         return ""

@@ -87,6 +87,7 @@ class CampaignFile(tables.Table, frozen=True):
     seconds: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)] = 3600.0  # of a mission, at most
     limit_s: Annotated[float, msgspec.Meta(gt=0.0, le=86_400.0)] = 300.0  # of computing for a run
     seeds: Seeds = Seeds()
+    audit: bool = False  # each run's log is judged by the second auditor: what it finds is a failure
     latin: bool = False  # draw evenly: each of as many slices of a range as there are seeds is met once
     vary: dict[Key, Annotated[tuple[Scalar, ...], msgspec.Meta(min_length=1)] | Steps] = msgspec.field(default_factory=dict)
     draw: dict[Key, Draw] = msgspec.field(default_factory=dict)
@@ -129,6 +130,7 @@ class Plan(NamedTuple):
     seeds: Seeds
     seconds: float
     limit_s: float
+    audit: bool = False
 
     @property
     def runs(self) -> int:
@@ -194,9 +196,10 @@ def read(path: str | Path) -> tuple[CampaignFile, Plan]:
     rows = [dict(zip(ways, row, strict=True)) for row in product(*ways.values())]
     points = tuple((story, row) for story in range(len(stories)) for row in rows)
     kept = {"stories": stories, "points": points, "draw": file.draw, "latin": file.latin}
+    kept |= {"audit": True} if file.audit else {}
     sailed = msgspec.json.encode(kept | {"seeds": file.seeds, "seconds": file.seconds}, order="sorted")
     digest = hashlib.sha256(sailed).hexdigest()[:16]
-    plan = Plan(file.name, digest, stories, points, file.draw, file.latin, file.seeds, file.seconds, file.limit_s)
+    plan = Plan(file.name, digest, stories, points, file.draw, file.latin, file.seeds, file.seconds, file.limit_s, file.audit)
     for number in range(len(points)):
         try:
             _try(plan, number, str(place))

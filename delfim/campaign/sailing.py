@@ -8,10 +8,12 @@ import platform
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
+from tempfile import TemporaryDirectory
 from typing import Any, Final
 
 import delfim
 from delfim import config, tables
+from delfim.audit import auditor
 from delfim.campaign.measures import MEASURES, RunTape, Sailed, Truth
 from delfim.campaign.runplan import Batch, Plan, broken_of, laid, parted
 from delfim.clock import ManualClock
@@ -95,7 +97,7 @@ def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
     story = plan.stories[plan.points[point][0]]
     row: dict[str, Any] = {"batch": number, "point": point, "seed": seed, "vehicle": story.boat, "story": story.name} | values
     try:
-        sailed, failures = sailed_run(plan, point, seed)
+        sailed, failures = (_audited if plan.audit else sailed_run)(plan, point, seed)
         row |= {"ok": not failures, "failures": failures, "error": ""}
         row |= {measure.name: measure.value(sailed) for measure in MEASURES}
     except Exception as error:  # a defect, or a limit: a result of this run, not the end of the campaign
@@ -107,6 +109,13 @@ def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
         "pid": os.getpid(),
         "version": VERSION,
     }
+
+
+def _audited(plan: Plan, point: int, seed: int) -> tuple[Sailed, list[str]]:
+    """The same with its log, which the second auditor judges; what it finds is among the failures."""
+    with TemporaryDirectory(prefix="delfim-audit-") as folder:
+        sailed, failures = sailed_run(plan, point, seed, log=folder)
+        return sailed, [*failures, *(f"audit: {words}" for words in auditor.complaints(folder))]
 
 
 def sailed_run(

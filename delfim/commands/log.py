@@ -221,6 +221,16 @@ def _replay(asked: argparse.Namespace) -> int:
     return 0 if result.exact else 1
 
 
+def _audit(asked: argparse.Namespace) -> int:
+    from delfim.audit import auditor
+
+    asked.all = not asked.run
+    chosen = _selection(asked)
+    verdicts = auditor.audit(chosen.runs, chosen.span)
+    print(*auditor.text(verdicts), sep="\n")
+    return int(any(each.findings for each in verdicts))
+
+
 def _repair(asked: argparse.Namespace) -> int:
     from delfim.logging.repair import repair
 
@@ -361,11 +371,16 @@ def options(parser: argparse.ArgumentParser) -> None:
     replay.add_argument("--bus", metavar="INTERFACE", help="Send the black box onto this bus, as vcan0 or canloop:can0.")
     replay.add_argument("--speed", type=float, default=1.0, help="Multiple of real time; 0 is as fast as the bus takes it.")
     replay.add_argument("--only", choices=["received", "sent"], help="Send only frames that the computer received, or sent.")
+    audit = reader(
+        "audit",
+        _audit,
+        "Judge logs by what the documents promise. Without --run, all of them; exit code 1: something is broken.",
+    )
     text = "Repair logs that a power cut left incomplete: writes whole copies beside the originals. Without --run, all of them."
     repair = reader("repair", _repair, text)
     repair.add_argument("--in-place", action="store_true", help="Replace the originals.")
     told = f"Trees, days, folders or files (default: {' or '.join(tree.PLACES)})."
-    for one in (ls, cat, info, plot, export, replay, repair):  # after the verb's own options
+    for one in (ls, cat, info, plot, export, replay, audit, repair):  # after the verb's own options
         one.add_argument("path", nargs="*", metavar="PATH", help=told)
         one.set_defaults(many="path")
     text = "Fetch logs from a boat (ftp://user@boat/log, sftp://user@boat/log): verified, and resumed after a lost link."

@@ -131,7 +131,7 @@ def choose(found: Sequence[LogFile], name: str | None, now_ns: int) -> list[Run]
     if name != "last" and len({run.begin_ns // _SECOND // 60 for run in chosen}) > 1:
         raise DelfimError(f"{name} may be one of {', '.join(sorted({run.name for run in chosen}))}")
     main = chosen[-1]
-    return [run for run in every if run is main or (run.id != main.id and _meet(run, main))]
+    return [run for run in every if run is main or (run.id != main.id and meet(run, main))]
 
 
 def within(chosen: Iterable[Run], span: Span) -> list[LogFile]:
@@ -282,5 +282,6 @@ def is_running(file: LogFile, now_ns: int) -> bool:
     return abs(now_ns - file.end_ns) < RUNNING_S * _SECOND
 
 
-def _meet(one: Run, other: Run) -> bool:
+def meet(one: Run, other: Run) -> bool:
+    """Whether two runs share a moment."""
     return one.begin_ns <= other.end_ns and other.begin_ns <= one.end_ns

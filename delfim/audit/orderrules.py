@@ -1,0 +1,145 @@
+"""Rules of orders and modes: who changes the mode, and what an order leads to."""
+
+from collections.abc import Iterator
+from typing import Final
+
+from delfim.audit.evidence import IDLE, LOOK_S, SAME_S, Evidence, ModeChange, Order, spells
+from delfim.audit.rule import Finding, Rule
+
+NAMED: Final = ("manual", "heading", "course", "goto", "play", "path")  # orders that are called as their modes
+BY_OPERATOR: Final = "operator"
+ENDS: Final = {"goto": ("hold", IDLE), "play": ("hold",), "path": ("hold",), "home": ("hold",)}  # of modes that are done
+SHORTEST: Final = 8  # letters of a reason
+STICK_S: Final = 1.05  # a stick that was let go says nothing for a second
+PROGRAM: Final = ("shutdown", "end of the run", "started", "stopped")  # the program's own ends and begins
+
+
+def mode_causes(e: Evidence) -> Iterator[Finding]:
+    for each in e.modes:
+        if complaint := _uncaused(e, each):
+            yield Finding(each.t_s, f"from {each.before} to {each.mode} ({each.reason}): {complaint}")
+
+
+def _uncaused(e: Evidence, change: ModeChange) -> str:
+    """Why nothing in the log explains a change of mode; empty where something does."""
+    reason, mode = change.reason, change.mode
+    if not reason:
+        return "without a reason"
+    if reason.startswith(BY_OPERATOR):
+        return _unordered(e, change)
+    if reason == f"{change.before} done":
+        return "" if mode in ENDS.get(change.before, ()) else f"{change.before} does not end in {mode}"
+    if reason.startswith("restarted: "):
+        return (
+            ""
+            if any(abs(each.begin_s - change.t_s) < LOOK_S for each in e.named("restarted")) or change.before == IDLE
+            else "?"
+        )
+    if mode == IDLE and reason.startswith(PROGRAM):
+        return ""
+    if mode == change.before:
+        return ""  # it waits, and says for what
+    return _untroubled(e, change)
+
+
+def _untroubled(e: Evidence, change: ModeChange) -> str:
+    """Why no trouble explains it. A trouble that is present is noted again only where its action changes."""
+    said = ""
+    for alarm in e.alarms:
+        told = [each for each in alarm.told if each.t_s <= change.t_s + SAME_S]
+        if not told or alarm.end_s < change.t_s - SAME_S:
+            continue
+        near = [each for each in told if each.t_s >= change.t_s - SAME_S] or told[-1:]
+        if any(_leads(each.action, change.mode) for each in near):
+            return ""
+        said = f"{alarm.name} says {near[-1].action}" if near[-1].words in change.reason else said
+    return said or "nobody ordered it, and no trouble with such an action is present"
+
+
+def _leads(action: str, mode: str) -> bool:
+    return {"stop": mode == IDLE, "hold": mode == "hold", "back": mode == "hold", "home": mode in ("home", "hold")}.get(
+        action, False
+    )
+
+
+def _unordered(e: Evidence, change: ModeChange) -> str:
+    if change.mode in ("manual", IDLE) and _has_handset(e):
+        return ""  # take-over and giving back are no orders of the sidecar
+    if change.mode == "goto" and change.before == "goto":
+        return ""  # the way round that it waited for
+    return (
+        "" if any(_asks(each, change.mode) for each in e.obeyed(change.t_s, LOOK_S)) else "no order of this time asked for it"
+    )
+
+
+def _has_handset(e: Evidence) -> bool:
+    return bool(e.setting("handset.device"))
+
+
+def _asks(order: Order, mode: str) -> bool:
+    """Whether an order may lead to this mode."""
+    if order.name == "mode":
+        return str(order.value.get("mode")) == mode or mode in ("hold", IDLE)
+    if order.name in NAMED:
+        return order.name == mode
+    if order.name in ("stop", "clear", "kill", "shutdown"):
+        return mode == IDLE
+    return True  # continue, pause and what else there is: their modes depend on the past
+
+
+def idle_left(e: Evidence) -> Iterator[Finding]:
+    for each in e.modes:
+        if each.before == IDLE and each.mode != IDLE and not each.reason.startswith((BY_OPERATOR, "restarted: ")):
+            yield Finding(each.t_s, f"the boat left idle for {each.mode} by itself ({each.reason})")
+
+
+def refused_changes_nothing(e: Evidence) -> Iterator[Finding]:
+    for order in e.orders:
+        if not order.refused:
+            continue
+        if len(order.refused.strip()) < SHORTEST:
+            yield Finding(order.t_s, f"{order.name} was refused without a reason")
+        for each in e.changes(order.t_s, SAME_S):
+            if each.reason.startswith(BY_OPERATOR) and not e.obeyed(order.t_s, LOOK_S) and not _has_handset(e):
+                yield Finding(order.t_s, f"{order.name} was refused ({order.refused}), and the boat went to {each.mode}")
+
+
+def orders_obeyed(e: Evidence) -> Iterator[Finding]:
+    pushed_s = -STICK_S  # the last order of a stick: one that stays pushed after a failsafe is ignored
+    for order in e.orders:
+        if order.refused:
+            continue
+        asked = str(order.value.get("mode")) if order.name == "mode" else order.name if order.name in NAMED else ""
+        asked = IDLE if order.name == "stop" else asked
+        near = {each.mode for each in e.changes(order.t_s, LOOK_S)} | {e.mode_at(order.t_s + SAME_S)}
+        is_stick = order.name == "manual" and order.t_s - pushed_s < STICK_S
+        if asked and asked not in near and not is_stick:
+            yield Finding(order.t_s, f"{order.name} was obeyed, and the boat is in {', '.join(sorted(near))}")
+        pushed_s = order.t_s if order.name == "manual" else pushed_s
+
+
+def modes_agree(e: Evidence) -> Iterator[Finding]:
+    said = [e.mode_at(float(t_s)) for t_s in e.t_s]
+    for first, _ in spells(e.record_modes != said):
+        t_s = float(e.t_s[first])
+        if e.record_modes[first] not in e.modes_about(t_s):
+            yield Finding(t_s, f"the records say {e.record_modes[first]}, the sidecar {said[first]}")
+
+
+RULES: Final = (
+    Rule(
+        "mode-causes",
+        "Each change of mode has its cause: an order, a trouble with such an action, or the end of a mode.",
+        "failsafe.md#the-table",
+        mode_causes,
+    ),
+    Rule("idle-left", "Nobody leaves idle by himself, but after a restart.", "failsafe.md#the-table", idle_left),
+    Rule(
+        "refused-changes-nothing",
+        "An order that is refused has a reason, and changes nothing.",
+        "failsafe.md#checks-before-the-start",
+        refused_changes_nothing,
+    ),
+    Rule("orders-obeyed", "An order that is not refused leads to its mode.", "control.md", orders_obeyed),
+    Rule("modes-agree", "Records and sidecar tell the same mode.", "log-format.md#the-state-log-state", modes_agree),
+)
