@@ -225,7 +225,7 @@ class NavigationTable(Table, frozen=True):
     rate_hz: Annotated[float, msgspec.Meta(ge=0.5, le=1000.0)] = 5.0  # messages a second that the navigation node sends
     stale_s: Seconds = 1.0  # a source silent for longer is not used
     jump_mps: Speed = 15.0  # a position that would need more than this speed is refused ...
-    jump_m: Metres = 10.0  # ... unless it is this close
+    jump_m: Metres = 10.0  # ... where it is more than this beyond what that speed allows
     estimator: bool = False  # for sources of separate sensors: smooth them and fill their gaps (docs/estimator.md)
 
     def __post_init__(self) -> None:

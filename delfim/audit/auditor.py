@@ -31,7 +31,7 @@ class Judged(NamedTuple):
     unjudged: str
 
 
-class Verdict(NamedTuple):
+class AuditedRun(NamedTuple):
     run: str
     cycles: int
     began_ns: int  # wall clock of the time since boot 0
@@ -59,12 +59,12 @@ def judge(evidence: Evidence) -> tuple[Judged, ...]:
     return tuple(found)
 
 
-def _verdicts(run: Run, others: Iterable[Run], span: Span) -> Iterator[Verdict]:
+def _verdicts(run: Run, others: Iterable[Run], span: Span) -> Iterator[AuditedRun]:
     """Of a run of the state log. `others` are those of the same time, black boxes among them. Raises DelfimError."""
     try:
         columns, _ = table(run.files, span)
     except DelfimError as why:
-        yield Verdict(run.name, 0, run.begin_ns, tuple(Judged(rule, (), str(why)) for rule in RULES))
+        yield AuditedRun(run.name, 0, run.begin_ns, tuple(Judged(rule, (), str(why)) for rule in RULES))
         return
     boxes = [file for other in others for file in other.files if file.suffix in (".log", ".log.gz")]
     sent = dict[str, list[Sent]]()
@@ -73,10 +73,10 @@ def _verdicts(run: Run, others: Iterable[Run], span: Span) -> Iterator[Verdict]:
             sent.setdefault(bus, []).append(Sent(frame.t_ns, frame.identifier, frame.data))
     for each in parts(run.name, columns, list(tree.events(run.files, span)), sent, list(tree.events(boxes, span))):
         began_ns = int(each.column("t1")[-1]) - round(float(each.t_s[-1]) * 1e9)
-        yield Verdict(run.name, len(each.t_s), began_ns, judge(each))
+        yield AuditedRun(run.name, len(each.t_s), began_ns, judge(each))
 
 
-def audit(chosen: Sequence[Run], span: Span = ALWAYS) -> list[Verdict]:
+def audit(chosen: Sequence[Run], span: Span = ALWAYS) -> list[AuditedRun]:
     """Of all runs of a state log among these. Raises DelfimError where there is none."""
     runs = [run for run in chosen if run.id == "state"]
     if not runs:
@@ -91,7 +91,7 @@ def complaints(folder: str) -> list[str]:
     return [words for each in verdicts for words in each.words()]
 
 
-def text(verdicts: Sequence[Verdict]) -> list[str]:
+def text(verdicts: Sequence[AuditedRun]) -> list[str]:
     """The table of what was judged, each finding with its time, and what could not be judged."""
     lines = [f"{'RULE':26}{'RUNS':>5}{'BROKEN':>8}  WHAT MUST HOLD"]
     for i, rule in enumerate(RULES):
@@ -109,7 +109,7 @@ def text(verdicts: Sequence[Verdict]) -> list[str]:
     return lines + _unjudged(verdicts)
 
 
-def _unjudged(verdicts: Sequence[Verdict]) -> list[str]:
+def _unjudged(verdicts: Sequence[AuditedRun]) -> list[str]:
     whys = dict[tuple[str, str], int]()
     for each in verdicts:
         for judged in each.judged:

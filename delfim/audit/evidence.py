@@ -32,7 +32,7 @@ class Unjudged(DelfimError):
     """The log does not have what a rule needs; the reason in words."""
 
 
-class Told(NamedTuple):
+class Noted(NamedTuple):
     """What a notice said, from this time on."""
 
     t_s: float
@@ -40,11 +40,11 @@ class Told(NamedTuple):
     action: str
 
 
-class Alarm(NamedTuple):
+class LoggedTrouble(NamedTuple):
     """A trouble from its first note to the one that says that it is over; infinite where none does."""
 
     name: str
-    told: tuple[Told, ...]
+    told: tuple[Noted, ...]
     end_s: float
 
     @property
@@ -59,7 +59,7 @@ class ModeChange(NamedTuple):
     reason: str
 
 
-class Order(NamedTuple):
+class LoggedOrder(NamedTuple):
     t_s: float
     name: str
     value: Mapping[str, Any]
@@ -181,10 +181,10 @@ class Evidence:
         return np.array([names.get(int(number), f"number {number}") for number in numbers])[places]
 
     @cached_property
-    def orders(self) -> list[Order]:
+    def orders(self) -> list[LoggedOrder]:
         its = (each for each in self.events if each["event"] == "command")
         return [
-            Order(
+            LoggedOrder(
                 float(each.get("at_s", each["monotonic_s"])),
                 str(each["value"]["command"]),
                 each["value"],
@@ -195,11 +195,11 @@ class Evidence:
         ]
 
     @cached_property
-    def _obeyed(self) -> tuple[list[float], list[Order]]:
+    def _obeyed(self) -> tuple[list[float], list[LoggedOrder]]:
         its = sorted((each for each in self.orders if not each.refused), key=lambda each: each.t_s)
         return [each.t_s for each in its], its
 
-    def obeyed(self, t_s: float, within_s: float) -> list[Order]:
+    def obeyed(self, t_s: float, within_s: float) -> list[LoggedOrder]:
         """Orders that were not refused, so close to this time."""
         times, its = self._obeyed
         return its[bisect.bisect_left(times, t_s - within_s) : bisect.bisect_right(times, t_s + within_s)]
@@ -210,21 +210,21 @@ class Evidence:
         return self.modes[bisect.bisect_left(times, t_s - within_s) : bisect.bisect_right(times, t_s + within_s)]
 
     @cached_property
-    def alarms(self) -> list[Alarm]:
+    def alarms(self) -> list[LoggedTrouble]:
         """Troubles, by when they began. What else a note tells is in `words`."""
-        running, found = dict[str, list[Told]](), list[Alarm]()
+        running, found = dict[str, list[Noted]](), list[LoggedTrouble]()
         for t_s, name, words, action in self._notes():
             if action:
-                running.setdefault(name, []).append(Told(t_s, words, action))
+                running.setdefault(name, []).append(Noted(t_s, words, action))
             elif name in running:
-                found.append(Alarm(name, tuple(running.pop(name)), t_s))
-        found += [Alarm(name, tuple(told), math.inf) for name, told in running.items()]
+                found.append(LoggedTrouble(name, tuple(running.pop(name)), t_s))
+        found += [LoggedTrouble(name, tuple(told), math.inf) for name, told in running.items()]
         return sorted(found, key=lambda each: each.begin_s)
 
     @cached_property
-    def words(self) -> list[Told]:
+    def words(self) -> list[Noted]:
         """Notes that are no trouble's: a thrust that ended, a thruster that dropped out."""
-        return [Told(t_s, words, "") for t_s, name, words, action in self._notes() if not name and not action]
+        return [Noted(t_s, words, "") for t_s, name, words, action in self._notes() if not name and not action]
 
     def _notes(self) -> Iterator[tuple[float, str, str, str]]:
         """Time, trouble, words, action; without an action the trouble is over, without a name it is a note of another kind."""
@@ -240,7 +240,7 @@ class Evidence:
             else:
                 yield t_s, "", value, ""
 
-    def named(self, *names: str) -> list[Alarm]:
+    def named(self, *names: str) -> list[LoggedTrouble]:
         return [each for each in self.alarms if each.name in names]
 
     def is_told(self, names: Iterable[str], t_s: float, late_s: float = LOOK_S) -> bool:

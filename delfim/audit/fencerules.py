@@ -22,7 +22,7 @@ AWAY: Final = ("manual", "hold", IDLE)  # what a boat outside may be in
 Array = NDArray[np.float64]
 
 
-class Zones:
+class FenceZones:
     """One fence: areas of which the boat stays in one, and areas that it stays out of."""
 
     def __init__(self, tables: Mapping[str, Any], zero: tuple[float, float]) -> None:
@@ -81,7 +81,7 @@ class FenceView:
         if not known.any():
             raise Unjudged("no record has a position")
         zero = (float(latitude[known][0]), float(longitude[known][0]))
-        fences = [(-np.inf, Zones(table, zero)), *_of_missions(e, zero)]
+        fences = [(-np.inf, FenceZones(table, zero)), *_of_missions(e, zero)]
         if not any(zones.keep_in or zones.keep_out for _, zones in fences):
             raise Unjudged("there is no fence")
         at_m = fences[0][1].plane_m(latitude, longitude)
@@ -106,16 +106,16 @@ def _view(e: Evidence) -> FenceView:
     return FenceView(e)
 
 
-def _of_missions(e: Evidence, zero: tuple[float, float]) -> list[tuple[float, Zones]]:
+def _of_missions(e: Evidence, zero: tuple[float, float]) -> list[tuple[float, FenceZones]]:
     """The fences of missions that were accepted, each with its time."""
-    found = list[tuple[float, Zones]]()
+    found = list[tuple[float, FenceZones]]()
     for each in e.orders:
         if each.name == "mission" and not each.refused:
             try:
                 told = tomllib.loads(str(each.value.get("text", "")))
             except tomllib.TOMLDecodeError:
                 raise Unjudged("a mission came in pieces") from None
-            found.append((each.t_s, Zones(told.get("fence", {}), zero)))
+            found.append((each.t_s, FenceZones(told.get("fence", {}), zero)))
     return found
 
 

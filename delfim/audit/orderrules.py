@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from typing import Final
 
-from delfim.audit.evidence import IDLE, LOOK_S, SAME_S, Evidence, ModeChange, Order, spells
+from delfim.audit.evidence import IDLE, LOOK_S, SAME_S, Evidence, LoggedOrder, ModeChange, spells
 from delfim.audit.rule import Finding, Rule
 
 NAMED: Final = ("manual", "heading", "course", "goto", "play", "path")  # orders that are called as their modes
@@ -76,7 +76,7 @@ def _has_handset(e: Evidence) -> bool:
     return bool(e.setting("handset.device"))
 
 
-def _asks(order: Order, mode: str) -> bool:
+def _asks(order: LoggedOrder, mode: str) -> bool:
     """Whether an order may lead to this mode."""
     if order.name == "mode":
         return str(order.value.get("mode")) == mode or mode in ("hold", IDLE)

@@ -156,7 +156,7 @@ def positions_steady(e: Evidence) -> Iterator[Finding]:
     most_mps, near_m = e.setting("navigation.jump_mps"), e.setting("navigation.jump_m")
     jump_m = np.hypot(np.diff(e.column("north")), np.diff(e.column("east")))
     frozen = repeats(e)
-    for at in np.flatnonzero(jump_m > np.maximum(most_mps * np.diff(e.t_s), near_m) + 1.0):
+    for at in np.flatnonzero(jump_m > most_mps * np.diff(e.t_s) + near_m + 1.0):
         told = e.is_told(["navigation_jumping"], e.t_s[at + 1], 1.0)
         if not told and not e.lost[at] and not frozen[at]:
             yield Finding(e.t_s[at + 1], f"the boat believed a jump of {jump_m[at]:.0f} m")
@@ -249,7 +249,7 @@ RULES: Final = (
     ),
     Rule(
         "positions-steady",
-        "A position that needs more than navigation.jump_mps is not believed.",
+        "A position more than navigation.jump_m beyond what navigation.jump_mps allows is not believed.",
         "failsafe.md#the-table",
         positions_steady,
     ),

@@ -8,7 +8,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from delfim.audit.evidence import ACTIONS, IDLE, LOOK_S, SAME_S, TROUBLES, Alarm, Evidence, Told, Unjudged, repeats, spells
+from delfim.audit.evidence import (
+    ACTIONS,
+    IDLE,
+    LOOK_S,
+    SAME_S,
+    TROUBLES,
+    Evidence,
+    LoggedTrouble,
+    Noted,
+    Unjudged,
+    repeats,
+    spells,
+)
 from delfim.audit.rule import Finding, Rule
 
 FOR_S: Final = re.compile(r"(?:silent|lost|frozen|command|hanging) for ([0-9.]+) s")
@@ -26,7 +38,7 @@ def table_obeyed(e: Evidence) -> Iterator[Finding]:
             yield from _told_as_table(e, alarm, told)
 
 
-def _told_as_table(e: Evidence, alarm: Alarm, told: Told) -> Iterator[Finding]:
+def _told_as_table(e: Evidence, alarm: LoggedTrouble, told: Noted) -> Iterator[Finding]:
     """What it says against the row of one of the modes about this time: the table is asked in the mode of before."""
     modes = e.modes_about(told.t_s, LOOK_S)
     rows = {mode: e.action(alarm.name, mode) for mode in modes}
@@ -52,7 +64,7 @@ def _told_as_table(e: Evidence, alarm: Alarm, told: Told) -> Iterator[Finding]:
         yield Finding(told.t_s, f"{alarm.name} ({told.words}) only warns; the table says {action} in {mode}")
 
 
-def _is_excused(e: Evidence, alarm: Alarm) -> bool:
+def _is_excused(e: Evidence, alarm: LoggedTrouble) -> bool:
     """Whether the documents allow it to warn all the same: other thrusters carry on; the boat is where the action leads to."""
     return alarm.name in ("thruster", "handset_silent", "manual_silent") or e.mode_at(alarm.begin_s) in (
         *ENDS[e.action(alarm.name, e.mode_at(alarm.begin_s))],
@@ -112,11 +124,11 @@ def told_in_time(e: Evidence) -> Iterator[Finding]:
             yield Finding(first.t_s, f"{alarm.name} ({first.words}) is told too late: after_s is {after_s:g}")
 
 
-def _acted(e: Evidence, alarm: Alarm) -> bool:
+def _acted(e: Evidence, alarm: LoggedTrouble) -> bool:
     return any(each.reason == alarm.told[0].words for each in e.changes(alarm.begin_s, SAME_S))
 
 
-def _again(e: Evidence, alarm: Alarm) -> bool:
+def _again(e: Evidence, alarm: LoggedTrouble) -> bool:
     """Whether it ended a moment ago, as where another mode asked for it."""
     return any(each.end_s <= alarm.begin_s < each.end_s + SURE_S for each in e.named(alarm.name))
 

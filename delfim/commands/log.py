@@ -324,6 +324,11 @@ def _size(count: float) -> str:
     return f"{count:.1f} GB"
 
 
+def _plot_options(plot: argparse.ArgumentParser) -> None:
+    plot.add_argument("--format", choices=["png", "svg"], default="png", help="Plot in this format.")
+    plot.add_argument("--output", metavar="DIRECTORY", help="Put the pictures here (default: a folder named after the run).")
+
+
 def options(parser: argparse.ArgumentParser) -> None:
     verbs = parser.add_subparsers(title="verbs", required=True, metavar="VERB")
 
@@ -357,8 +362,7 @@ def options(parser: argparse.ArgumentParser) -> None:
     for one in (ls, info):
         one.add_argument("--json", action="store_true", help="Print JSON, for programs.")
     plot = reader("plot", _plot, "Plot a run: track, speeds, propellers, references, latency.")
-    plot.add_argument("--format", choices=["png", "svg"], default="png", help="Plot in this format.")
-    plot.add_argument("--output", metavar="DIRECTORY", help="Put the pictures here (default: a folder named after the run).")
+    _plot_options(plot)
     export = reader("export", _export, "Write a run in a format of other programs.")
     told = f"{', '.join(STATE_FORMATS)}: the state; {', '.join(BOX_FORMATS)}: the black box."
     export.add_argument("format", choices=[*STATE_FORMATS, *BOX_FORMATS], metavar="FORMAT", help=told)
@@ -371,11 +375,8 @@ def options(parser: argparse.ArgumentParser) -> None:
     replay.add_argument("--bus", metavar="INTERFACE", help="Send the black box onto this bus, as vcan0 or canloop:can0.")
     replay.add_argument("--speed", type=float, default=1.0, help="Multiple of real time; 0 is as fast as the bus takes it.")
     replay.add_argument("--only", choices=["received", "sent"], help="Send only frames that the computer received, or sent.")
-    audit = reader(
-        "audit",
-        _audit,
-        "Judge logs by what the documents promise. Without --run, all of them; exit code 1: something is broken.",
-    )
+    text = "Judge logs by what the documents promise. Without --run, all of them; exit code 1: something is broken."
+    audit = reader("audit", _audit, text)
     text = "Repair logs that a power cut left incomplete: writes whole copies beside the originals. Without --run, all of them."
     repair = reader("repair", _repair, text)
     repair.add_argument("--in-place", action="store_true", help="Replace the originals.")
