@@ -51,6 +51,10 @@ fast: $(MORE) ## run the tests that need no guest, with ARGS="..." and WORKERS a
 seeds: $(MORE) ## sail a campaign of 1,000 runs of mixed faults (docs/campaigns.md)
 	$(BIN)/delfim campaign etc/campaigns/mixed.toml $(ARGS)
 
+.PHONY: mutants
+mutants: $(MORE) ## change the safety core, one place at a time, and see that a test notices (docs/mutants.md; ARGS="--since HEAD~1")
+	PYTHONPATH=. $(BIN)/python -m bench.mutants $(ARGS)
+
 .PHONY: encounters
 encounters: $(MORE) ## sail DNV's encounters and Imazu's with and without the guard (docs/encounters.md; ARGS="--seeds 100")
 	$(BIN)/python -m bench.record $(ARGS)

@@ -1,0 +1,101 @@
+"""Changes the safety core, one place at a time, and asks its tests: `make mutants` (docs/mutants.md).
+
+    python -m bench.mutants [FILE.py ...] [--since REVISION] [-j N] [--cpu SECONDS]
+
+Without files, the whole core. With --since only changes of lines that differ from that revision. What was tried of the same
+file by the same tests is not tried again (run/mutants). It fails at a change that no test notices and that has no reason in
+tests/survivors.toml, and at a reason for a change that does not survive any more.
+"""
+
+import argparse
+import re
+import subprocess
+import sys
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Final
+
+from bench.mutants.changes import MODULE, Change, changes
+from bench.mutants.choice import Choice, refreshed
+from bench.mutants.core import CORE
+from bench.mutants.ledger import Figures, Ledger, reasons, shown
+from bench.mutants.workers import Worker, copied
+
+SAMPLE: Final = 9  # tests that have to pass without a change, before any is made
+CPU_S: Final = 5.0  # of tests for a change, those that are most likely to notice it first
+
+
+def touched(file: str, since: str) -> set[int]:
+    """The lines of a file that are not as they were in that revision."""
+    command = ["git", "diff", "--unified=0", since, "--", file]
+    differs = subprocess.run(command, capture_output=True, check=True, text=True).stdout
+    lines = set[int]()
+    for start, count in re.findall(r"^@@ \S+ \+(\d+)(?:,(\d+))? @@", differs, re.MULTILINE):
+        lines.update(range(int(start), int(start) + int(count or 1)))
+    return lines
+
+
+def tried(file: str, found: list[Change], numbers: list[int], choice: Choice, ledger: Ledger, jobs: int) -> None:
+    """Tries the changes that the ledger does not know yet, side by side, and writes down what came of each."""
+    open_ones = [number for number in numbers if not ledger.knows(found[number], choice.tests(found[number].function))]
+    if not open_ones:
+        return
+    questions = iter(open_ones)
+    files = choice.files({found[number].function for number in open_ones})
+
+    def work(index: int) -> None:
+        with Worker(copied(index), file, files) as worker:
+            tests = choice.fresh(MODULE)[:SAMPLE]
+            answer = worker.ask(None, tests, tests, choice.cpu_s(tests))
+            if answer["by"]:
+                raise RuntimeError(f"{answer['by']} fails without any change of {file}")
+            for number in questions:  # shared: each takes the next one
+                change = found[number]
+                tests = choice.tests(change.function)
+                answer = worker.ask(number, tests, choice.fresh(change.function), choice.cpu_s(tests))
+                choice.noticed(change.function, answer["by"])
+                ledger.write(change, tests, answer)
+                by = answer["by"] or "SURVIVES"
+                print(f"{ledger.count}/{len(numbers)} {file}:{change.line}: {change.name}: {by}", flush=True)
+
+    with ThreadPoolExecutor(jobs) as pool:
+        list(pool.map(work, range(min(jobs, len(open_ones)))))
+
+
+def run(files: Sequence[str], since: str | None, jobs: int, cpu_s: float) -> int:
+    """Tries all, prints the figures and what has no reason, or no survivor; 1 if there is any."""
+    rows, complaints = list[Figures](), list[str]()
+    why = reasons()
+    for file in files:
+        source = Path(file).read_text()
+        _, found = changes(source)
+        lines = None if since is None else touched(file, since)
+        numbers = [n for n, each in enumerate(found) if lines is None or lines & set(range(each.line, each.end + 1))]
+        ledger = Ledger(file, source)
+        if numbers:
+            tried(file, found, numbers, Choice(file, refreshed(), cpu_s), ledger, jobs)
+        survivors = [found[n] for n in numbers if ledger.survived(found[n])]
+        told = why.get(file, {})
+        rows.append(Figures(file, len(found), len(numbers), len(survivors), sum(each.name in told for each in survivors)))
+        complaints += [f"{file}:{each.line}: no test notices '{each.name}'" for each in survivors if each.name not in told]
+        alive, names = {each.name for each in survivors}, {found[n].name for n in numbers}
+        gone = [name for name in told if name not in alive and (since is None or name in names)]
+        complaints += [f"{file}: tests/survivors.toml has a reason for '{name}', which does not survive" for name in gone]
+    print(shown(rows))
+    print(*complaints, sep="\n")
+    return 1 if complaints else 0
+
+
+def main(words: Sequence[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(prog="python -m bench.mutants", description=__doc__.split("\n\n")[0])
+    parser.add_argument("files", nargs="*", default=list(CORE), metavar="FILE.py")
+    parser.add_argument("--since", metavar="REVISION", help="only changes of lines that differ from it")
+    parser.add_argument("-j", type=int, default=2, help="so many side by side (%(default)s)")
+    parser.add_argument("--cpu", type=float, default=CPU_S, help="seconds of tests for a change (%(default)s)")
+    told = parser.parse_args(words)
+    return run(told.files, told.since, told.j, told.cpu)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,106 @@
+"""Which tests are asked about a change: those that call its function, the file's own ones first, short before long."""
+
+import json
+import re
+import subprocess
+import sys
+from collections import defaultdict
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from bench.mutants.changes import MODULE
+from bench.mutants.core import CORE, NOT_ASKED, TESTS
+from bench.mutants.reach import digest
+
+REACH: Final = Path("run/mutants/reach.jsonl")
+FILE_S: Final = 0.5  # to import one more file of tests
+STARTS: Final = re.compile(r"\b(subprocess|Popen)\b")  # programs, in which calls are not seen
+
+Reach = dict[str, dict[str, Any]]  # file of tests: what is called when it is imported, and each test's time and what it calls
+
+
+@cache
+def refreshed() -> Reach:
+    """The map of all tests, after those that are new or have changed have been run once."""
+    files = [str(path) for words in TESTS for path in sorted(Path().glob(words)) if path.name not in NOT_ASKED]
+    known = _known()
+    stale = [file for file in files if file not in known or known[file]["digest"] != digest(Path(file))]
+    if stale:
+        print(f"watching {len(stale)} files of tests once: {REACH}", flush=True)
+        REACH.parent.mkdir(parents=True, exist_ok=True)
+        told = json.dumps({"output": str(REACH), "tests": stale, "files": CORE})
+        quiet = subprocess.DEVNULL
+        subprocess.run([sys.executable, "-m", "bench.mutants.reach"], input=told, text=True, check=True, stdout=quiet)
+        known = _known()
+    return {file: known[file] for file in files if file in known}
+
+
+def _known() -> dict[str, Any]:
+    """The newest line of each file."""
+    return {row["file"]: row for row in map(json.loads, REACH.read_text().splitlines())} if REACH.exists() else {}
+
+
+class Choice:
+    """The tests for the changes of one file, within a time."""
+
+    def __init__(self, file: str, reach: Reach, cpu_s: float) -> None:
+        self._cpu_s, self._times_s = cpu_s, dict[str, float]()
+        for row in reach.values():
+            self._times_s |= {test: each["cpu_s"] for test, each in row["tests"].items()}
+        own = {name for name in reach if _is_about(Path(name).read_text(), file)}
+        starts = {name for name in own if STARTS.search(Path(name).read_text())}
+        self._calls, blind = defaultdict[str, list[str]](list), list[str]()
+        for name, row in reach.items():
+            imported = row["imported"].get(file, []) if name in own else []
+            for test, each in row["tests"].items():
+                functions = [*each["calls"].get(file, []), *imported]
+                for function in {*functions, MODULE} if functions else ():
+                    self._calls[function].append(test)
+                if not functions and name in starts:
+                    blind.append(test)
+        self._order = {test: (_file(test) not in own, self._times_s[test]) for test in self._times_s}
+        self._blind = sorted(blind, key=self._order.__getitem__)
+        self._hints = dict[str, str]()
+
+    def tests(self, function: str) -> list[str]:
+        """Those that call it, the likeliest first, as many as there is time for."""
+        return self._within(function, 0.0)
+
+    def fresh(self, function: str) -> list[str]:
+        """The same where each file has to be imported again."""
+        return self._within(function, FILE_S)
+
+    def _within(self, function: str, file_s: float) -> list[str]:
+        chosen, files, left_s = list[str](), set[str](), self._cpu_s
+        for test in (*sorted(self._calls[function], key=self._order.__getitem__), *self._blind):
+            left_s -= self._times_s[test] + (0.0 if _file(test) in files else file_s)
+            if left_s < 0.0 and chosen:
+                break
+            chosen.append(test)
+            files.add(_file(test))
+        hint = self._hints.get(function)
+        return chosen if hint not in chosen else [hint, *(test for test in chosen if test != hint)]
+
+    def files(self, functions: set[str]) -> list[str]:
+        return sorted({_file(test) for function in functions for test in self.tests(function)})
+
+    def cpu_s(self, tests: list[str]) -> float:
+        """What they may take: a change that makes them much slower is noticed."""
+        return 5.0 + 3.0 * sum(self._times_s[test] for test in tests)
+
+    def noticed(self, function: str, by: str) -> None:
+        """Who noticed a change of a function is likely to notice the next one."""
+        if by in self._times_s:
+            self._hints[function] = by
+
+
+def _file(test: str) -> str:
+    return test.partition("::")[0]
+
+
+def _is_about(text: str, file: str) -> bool:
+    """Whether a file of tests imports this file."""
+    dotted = file.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
+    parent, _, stem = dotted.rpartition(".")
+    return re.search(rf"\b{dotted}\b(?!\.)|from {parent} import [^#\n]*\b{stem}\b", text) is not None

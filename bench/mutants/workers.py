@@ -1,0 +1,73 @@
+"""Copies of the checkout, and the programs that try changes in them, each in a network and among processes of its own."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+FOLDER: Final = Path("run/mutants")
+ALONE: Final = ("unshare", "--pid", "--fork", "--kill-child", "--mount-proc", "--net")
+
+
+def copied(index: int) -> Path:
+    """A copy of all files of the checkout, as they are now."""
+    folder = (FOLDER / f"tree-{index}").resolve()
+    listing = subprocess.run(["git", "ls-files", "-coz", "--exclude-standard"], capture_output=True, check=True).stdout.decode()
+    for name in filter(None, listing.split("\0")):
+        source, target = Path(name), folder / name
+        if source.is_symlink() and not target.is_symlink():
+            target.parent.mkdir(parents=True, exist_ok=True)
+            target.symlink_to(source.readlink())
+        elif not source.is_symlink() and source.is_file() and not _is_same(source, target):
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(source, target)
+    return folder
+
+
+def _is_same(source: Path, target: Path) -> bool:
+    if not target.exists():
+        return False
+    ours, theirs = source.stat(), target.stat()
+    return (ours.st_size, ours.st_mtime_ns) == (theirs.st_size, theirs.st_mtime_ns)
+
+
+@cache
+def alone() -> tuple[str, ...]:
+    """What gives a program its own processes and network: a changed supervisor ends nobody else. Nothing, if not permitted."""
+    return ALONE if subprocess.run([*ALONE, "true"], capture_output=True).returncode == 0 else ()
+
+
+class Worker:
+    """A program that tries changes of one file (trial.py)."""
+
+    def __init__(self, folder: Path, file: str, tests: list[str]) -> None:
+        environment = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+        environment |= {"PYTHONPATH": str(folder), "PYTHONSAFEPATH": "1"}
+        up = ("sh", "-c", 'ip link set lo up; exec "$@"', "sh") if alone() else ()
+        command = [*alone(), *up, sys.executable, "-m", "bench.mutants.trial", file, *tests]
+        pipe = subprocess.PIPE
+        self._program = subprocess.Popen(
+            command, cwd=folder, env=environment, stdin=pipe, stdout=pipe, text=True, start_new_session=True
+        )
+
+    def ask(self, number: int | None, tests: list[str], fresh: list[str], cpu_s: float) -> dict[str, str]:
+        """Tries one change, or, without a number, that the tests pass as the file is."""
+        assert self._program.stdin is not None
+        assert self._program.stdout is not None
+        print(
+            json.dumps({"number": number, "tests": tests, "fresh": fresh, "cpu_s": cpu_s}), file=self._program.stdin, flush=True
+        )
+        answer: dict[str, str] = json.loads(self._program.stdout.readline())
+        return answer
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        self._program.kill()
+        self._program.wait()

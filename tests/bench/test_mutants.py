@@ -1,0 +1,197 @@
+"""The changes of the safety core that `make mutants` tries: which there are, who is asked, and what comes of it."""
+
+import ast
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from bench.mutants import ledger, reach
+from bench.mutants.changes import changed, changes, functions
+from bench.mutants.choice import Choice
+from bench.mutants.core import CORE
+from bench.mutants.ledger import Figures, Ledger, reasons, shown
+
+ROOT = Path(__file__).parents[2]
+
+
+def tried(source: str) -> list[str]:
+    """What each change makes of one statement."""
+    return [ast.unparse(changed(source, number)) for number in range(len(changes(source)[1]))]
+
+
+@pytest.mark.parametrize(
+    ("source", "become"),
+    [
+        ("a < b", ["pass", "a <= b", "a >= b"]),
+        ("x = a == b", ["x = a != b"]),
+        ("x = a <= b < c", ["x = a < b < c", "x = a > b < c", "x = a <= b <= c", "x = a <= b >= c"]),
+        ("x = a is None", ["x = a is not None"]),
+        ("x = a and f(b or c)", ["x = a and f(b and c)", "x = a or f(b or c)"]),
+        ("x = a + b * c", ["x = a - b * c", "x = a + b / c"]),
+        ("x = -a", ["x = a"]),
+        ("x = not a", ["x = a"]),
+        ("x = 7", ["x = 8"]),
+        ("x = 0.0", ["x = 1.0"]),
+        ("x = 0.4", ["x = 0.8"]),
+        ("x = True", ["x = False"]),
+        ("x.y = z", ["pass"]),
+        ("x += y", ["pass", "x -= y"]),
+        ("x = y if z else w", ["x = y if not z else w"]),
+        ("x = [y for y in z if y]", ["x = [y for y in z if not y]"]),
+        ("raise x", ["pass"]),
+        ('x: int = "words"', []),
+        ('"""Words."""', []),
+        ('if __name__ == "__main__":\n    main(1)', []),
+    ],
+)
+def test_one_place_changes_at_a_time(source: str, become: list[str]) -> None:
+    assert sorted(tried(source)) == sorted(become)
+
+
+def test_an_answer_is_not_given_and_a_condition_is_negated() -> None:
+    source = "def f(x: int = 1) -> int:\n    '''One.'''\n    if x:\n        return g(x)\n    return None"
+    assert [change.name for change in changes(source)[1]] == [
+        "<module> | def f(x: int = 1) -> int: | 1 → 2",
+        "f | if x: | not x",
+        "f | return g(x) | return None",
+    ]
+
+
+def test_a_change_has_its_name_for_itself_wherever_its_line_stands() -> None:
+    for file in CORE:
+        source = (ROOT / file).read_text()
+        names = [change.name for change in changes(source)[1]]
+        assert len(set(names)) == len(names) > 0
+        assert [change.name for change in changes(f"\n\n{source}")[1]] == names
+
+
+def test_a_function_belongs_to_the_outermost_one() -> None:
+    source = "class A:\n    class B:\n        def f(self):\n            def g(): ...\n\ndef h(): ...\n"
+    assert [(name, function.name) for name, function in functions(ast.parse(source))] == [
+        ("A.B.f", "f"),
+        ("A.B.f", "g"),
+        ("h", "h"),
+    ]
+
+
+def test_each_reason_is_one_of_a_change_that_there_is() -> None:
+    for file, told in reasons(ROOT / ledger.REASONS).items():
+        names = {change.name for change in changes((ROOT / file).read_text())[1]}
+        assert set(told) - names == set(), f"{file} has changed: its survivors are others now"
+        assert all(told.values())
+
+
+def row(**calls: list[str]) -> dict[str, Any]:
+    """A test that takes so long, by what it calls of one file."""
+    return {"calls": {"delfim/vehicle/gate.py": calls["calls"]}, "cpu_s": float(calls["cpu_s"][0])}
+
+
+def test_the_files_own_tests_are_asked_first_and_within_a_time(tmp_path: Path) -> None:
+    own, other = tmp_path / "test_own.py", tmp_path / "test_other.py"
+    own.write_text("from delfim.vehicle.gate import limited\n")
+    other.write_text("import delfim\n")
+    known = {
+        str(other): {"imported": {}, "tests": {f"{other}::quick": row(calls=["limited"], cpu_s=["0.1"])}},
+        str(own): {
+            "imported": {"delfim/vehicle/gate.py": ["table"]},
+            "tests": {
+                f"{own}::long": row(calls=["limited"], cpu_s=["2"]),
+                f"{own}::short": row(calls=["limited", "_turned"], cpu_s=["1"]),
+            },
+        },
+    }
+    choice = Choice("delfim/vehicle/gate.py", known, 3.2)
+    assert choice.tests("limited") == [f"{own}::short", f"{own}::long", f"{other}::quick"]
+    assert choice.fresh("limited") == [f"{own}::short"], "each file has to be imported, too"
+    assert choice.tests("_turned") == [f"{own}::short"]
+    assert choice.tests("table") == [f"{own}::short", f"{own}::long"], "what is called when they are imported"
+    choice.noticed("limited", f"{other}::quick")
+    assert choice.tests("limited")[0] == f"{other}::quick"
+    assert Choice("delfim/vehicle/gate.py", known, 0.5).tests("limited") == [f"{own}::short"], "never none"
+
+
+def test_what_was_tried_is_known_until_the_file_or_its_tests_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ledger, "FOLDER", tmp_path)
+    tests = [f"{tmp_path / name}::test" for name in ("test_a.py", "test_b.py")]
+    for name in ("test_a.py", "test_b.py"):
+        (tmp_path / name).write_text("old")
+    source = "x = 1\ny = 2\n"
+    noticed, survivor = changes(source)[1]
+    book = Ledger("delfim/x.py", source)
+    book.write(noticed, tests, {"result": "noticed", "by": tests[0]})
+    book.write(survivor, tests, {"result": "survived", "by": ""})
+    again = Ledger("delfim/x.py", source)
+    assert [again.knows(change, tests) for change in (noticed, survivor)] == [True, True]
+    assert [again.survived(change) for change in (noticed, survivor)] == [False, True]
+    (tmp_path / "test_b.py").write_text("new")
+    assert [again.knows(change, tests) for change in (noticed, survivor)] == [True, False], "it may be noticed now"
+    (tmp_path / "test_a.py").write_text("new")
+    assert not again.knows(noticed, tests)
+    assert not Ledger("delfim/x.py", f"{source}z = 3\n").knows(noticed, tests)
+
+
+def test_the_table_does_not_count_what_cannot_be_noticed() -> None:
+    lines = shown([Figures("a.py", 10, 10, 2, 1), Figures("b.py", 5, 0, 0, 0)]).splitlines()
+    assert lines[2:] == [
+        "| `a.py` | 10 | 10 | 8 | 1 | 88.9 % |",
+        "| `b.py` | 5 | 0 | 0 | 0 | – |",
+        "| `all` | 15 | 10 | 8 | 1 | 88.9 % |",
+    ]
+
+
+PROGRAM = (
+    "LIMIT = 3\n\n\ndef limited(x):\n    if x > LIMIT:\n        return LIMIT\n    return x\n\n\ndef table():\n    return 5\n"
+)
+TESTS = """from sample import LIMIT, limited, table
+
+FIVE = table()
+
+
+def test_limit():
+    assert LIMIT == 3
+    assert limited(4) == 3
+
+
+def test_table():
+    assert FIVE == 5
+"""
+
+
+def test_changes_are_tried_in_functions_that_are_there_and_by_importing_them_again(tmp_path: Path) -> None:
+    (tmp_path / "sample.py").write_text(PROGRAM)
+    (tmp_path / "test_sample.py").write_text(TESTS)
+    (tmp_path / "pytest.ini").write_text("[pytest]\nmarkers = long\n")
+    tests, found = ["test_sample.py::test_limit", "test_sample.py::test_table"], changes(PROGRAM)[1]
+    questions = [{"number": number, "tests": tests, "fresh": tests, "cpu_s": 9.0} for number in (None, *range(len(found)))]
+    command = [sys.executable, "-m", "bench.mutants.trial", "sample.py", "test_sample.py"]
+    environment = dict(os.environ, PYTHONPATH=f"{tmp_path}:{ROOT}")
+    asked = "".join(f"{json.dumps(question)}\n" for question in questions)
+    answers = subprocess.run(command, cwd=tmp_path, env=environment, input=asked, capture_output=True, text=True, check=True)
+    first, *others = map(json.loads, answers.stdout.splitlines())
+    assert first["result"] == "survived"
+    assert {change.name: answer["by"].rpartition("::")[2] for change, answer in zip(found, others, strict=True)} == {
+        "<module> | LIMIT = 3 | 3 → 4": "test_limit",
+        "limited | if x > LIMIT: | > → >=": "",
+        "limited | if x > LIMIT: | > → <=": "test_limit",
+        "limited | return LIMIT | return None": "test_limit",
+        "limited | return x | return None": "",
+        "table | return 5 | return None": "test_table",
+        "table | return 5 | 5 → 6": "test_table",
+    }
+    assert (tmp_path / "sample.py").read_text() == PROGRAM
+
+
+def test_calls_are_seen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "seen.py"
+    path.write_text('def f():\n    """Words."""\n    return f.__doc__\n')
+    loader = reach.Loader("seen", str(path))
+    loader.file = "delfim/seen.py"
+    names: dict[str, Any] = {}
+    monkeypatch.setattr(reach, "SEEN", seen := set[tuple[str, str]]())
+    exec(loader.get_code("seen"), names)
+    assert (names["f"](), seen) == ("Words.", {("delfim/seen.py", "f")})
