@@ -58,6 +58,20 @@ def test_a_stop_is_immediate(wanted: Actuation) -> None:
     assert limited(wanted, Actuation((1.0, 1.0), (0.0, 0.0), True), TWO, 0.001) == TWO.still
 
 
+@pytest.mark.parametrize(("asked", "sent"), [(-9.0, -1.0), (-1.5, -1.0), (-1.0, -1.0), (1.0, 1.0), (1.5, 1.0), (9.0, 1.0)])
+def test_no_thruster_is_told_more_than_all(asked: float, sent: float) -> None:
+    """However much is asked, and however little time its rate needs."""
+    for limits in (TWO, MIXED):
+        after = limited(Actuation((asked, asked), (0.0, 0.0), True), Actuation((0.0, 0.0), (0.0, 0.0), True), limits, 60.0)
+        assert after == Actuation((sent, sent), (0.0, 0.0), True)
+
+
+@pytest.mark.parametrize("limits", [TWO, MIXED])
+def test_a_step_of_time_that_runs_backwards_changes_nothing(limits: GateLimits) -> None:
+    was = Actuation((0.3, -0.4), (0.1, 2.0), True)
+    assert limited(Actuation((0.9, -0.9), (0.5, -2.0), True), was, limits, -0.5) == was
+
+
 def test_after_a_stop_thrust_begins_at_zero() -> None:
     after = limited(Actuation((0.9, 0.9), (0.0, 0.0), True), TWO.still, TWO, 0.1)
     assert after.thrust == pytest.approx((0.06667, 0.06667))
@@ -67,6 +81,13 @@ def test_what_turns_turns_at_its_rate_and_the_short_way_round() -> None:
     was = Actuation((0.0, 0.5), (math.radians(30.0), math.radians(175.0)), True)
     after = limited(Actuation((0.0, 0.5), (1.0, math.radians(-170.0)), True), was, MIXED, 0.1)
     assert [math.degrees(angle) for angle in after.angle_rad] == pytest.approx([33.0, -176.0])
+    assert after.run
+
+
+@pytest.mark.parametrize(("asked_deg", "sent_deg"), [(-90.0, -9.0), (-3.0, -3.0), (0.0, 0.0), (3.0, 3.0), (90.0, 9.0)])
+def test_what_turns_all_round_does_so_to_either_side(asked_deg: float, sent_deg: float) -> None:
+    was, wanted = ((Actuation((0.5, 0.5), (0.0, math.radians(angle)), True)) for angle in (0.0, asked_deg))
+    assert math.degrees(limited(wanted, was, MIXED, 0.1).angle_rad[1]) == pytest.approx(sent_deg)
 
 
 def test_an_angle_that_is_not_finite_is_a_stop_and_a_stop_leaves_the_angles() -> None:
@@ -78,6 +99,6 @@ def test_an_angle_that_is_not_finite_is_a_stop_and_a_stop_leaves_the_angles() ->
 def test_a_thruster_gives_no_thrust_in_a_sector_that_is_forbidden() -> None:
     thrust = [
         limited(Actuation((0.4, 0.4), (angle, 0.0), True), Actuation((0.4, 0.4), (angle, 0.0), True), MIXED, 0.1).thrust
-        for angle in map(math.radians, (9.0, 15.0, 21.0))
+        for angle in map(math.radians, (9.0, 10.0, 15.0, 20.0, 21.0))
     ]
-    assert thrust == [(0.4, 0.4), (0.0, 0.4), (0.4, 0.4)]
+    assert thrust == [(0.4, 0.4), (0.4, 0.4), (0.0, 0.4), (0.4, 0.4), (0.4, 0.4)], "its edges are allowed"
