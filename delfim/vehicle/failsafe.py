@@ -38,7 +38,7 @@ class Episode(NamedTuple):
     since_s: float
     seen_s: float  # last time it was detected
     acting_s: float  # when it had lasted for `after_s`; infinite before
-    answered: bool = False  # the boat went home for it, or the operator overruled that
+    answered: bool  # the boat went home for it, or the operator overruled that
 
 
 Memory = Mapping[Trigger, Episode]
