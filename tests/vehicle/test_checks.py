@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import pytest
 
 from delfim import config, messages
@@ -9,11 +10,18 @@ from delfim.frames import Frame
 from delfim.messages import BatteriesStatus, Fault, Node, Status
 from delfim.modes import Mode
 from delfim.vehicle import console
-from delfim.vehicle.state import ClockStatus, StartConditions
+from delfim.vehicle.checks import Check, checks, refusal
+from delfim.vehicle.failsafe import Rules
+from delfim.vehicle.fence import Fence
+from delfim.vehicle.state import HANDSET, ClockStatus, HandsetReport, StartConditions
+from delfim.vehicle.troubles import Inputs
 
 AROUND = config.FenceTable(
     keep_in=(config.Area(polygon=((38.692, -9.216), (38.693, -9.216), (38.693, -9.214), (38.692, -9.214))),)
 )
+
+
+WELL = Inputs("", None)
 
 
 def lines(boat) -> dict[str, tuple[bool, str]]:
@@ -218,3 +226,127 @@ def test_satellite_navigation_that_becomes_poor_does_what_the_table_says(make_bo
             boat.vehicle.on_watchdog()
         assert boat.state.mode is mode
     assert boat.state.reason == f"satellite navigation poor: {reason}"
+
+
+PLAIN = config.Vehicle(boat=config.BoatTable(name="test"))
+LINES = {
+    *("kill", "computer", "navigation", "sensors", "outlet", "gnss", "clock", "log", "battery", "fence", "mission", "hand-set"),
+    *("link", "last shutdown", "image"),
+}
+TOLD = {"clock", "mission", "link", "last shutdown", "image"}  # and no more
+WARN, HOLD, STOP = ({"action": word} for word in ("warn", "hold", "stop"))
+
+
+def allowed(line: str, at_sea: bool = False, vehicle: config.Vehicle = PLAIN, **failsafe: config.Trouble) -> set[Mode]:
+    """The modes that may be entered although this line alone is not in order."""
+    rules = Rules(msgspec.structs.replace(vehicle, failsafe=config.Failsafe(**failsafe)))
+    wrong = [Check(name, name != line, f"why {name}") for name in sorted(LINES)]
+    told = {mode: refusal(rules, mode, wrong, at_sea) for mode in Mode}
+    assert {reason for reason in told.values() if reason is not None} <= {f"why {line}"}
+    return {mode for mode in Mode if told[mode] is None}
+
+
+def test_a_line_that_is_only_told_forbids_nothing_and_the_first_of_the_others_is_the_reason():
+    assert {line for line in LINES if allowed(line) == set(Mode)} == TOLD | {"gnss", "hand-set"}
+    both = [Check("link", False, "a"), Check("kill", True, "b"), Check("computer", False, "c"), Check("sensors", False, "d")]
+    assert refusal(Rules(PLAIN), Mode.HEADING, both, False) == "c"
+    assert refusal(Rules(PLAIN), Mode.HEADING, [], False) is None
+
+
+@pytest.mark.parametrize(
+    ("line", "key", "table", "ashore", "at_sea"),
+    [
+        ("kill", "log", config.LogNotWritable, (False, False, False), (False, False, False)),
+        ("navigation", "navigation_silent", config.NavigationSilent, (False, False, False), (True, True, False)),
+        ("sensors", "sensor_bad", config.SensorBad, (False, False, False), (True, True, False)),
+        ("hand-set", "handset_silent", config.HandsetSilent, (False, False, False), (True, True, False)),
+        ("log", "log", config.LogNotWritable, (False, False, False), (True, True, False)),
+        ("gnss", "gnss_poor", config.GnssPoor, (True, False, False), (True, False, False)),
+        ("outlet", "outlet", config.OutletSilent, (True, False, False), (True, False, False)),
+        ("battery", "battery_critical", config.BatteryCritical, (True, True, False), (True, True, False)),
+    ],
+)
+def test_a_line_forbids_a_mode_by_the_table_of_its_trouble(line, key, table, ashore, at_sea):
+    """In heading, which has no key of its own: where the boat is only warned, holds, or stops."""
+    handset = config.HandsetTable(device="/dev/receiver", mandatory=True)
+    vehicle = msgspec.structs.replace(PLAIN, handset=handset)
+    for how, may, may_at_sea in zip((WARN, HOLD, STOP), ashore, at_sea, strict=True):
+        rows = {key: table(**how)}
+        assert (Mode.HEADING in allowed(line, False, vehicle, **rows)) is may
+        assert (Mode.HEADING in allowed(line, True, vehicle, **rows)) is may_at_sea
+
+
+def test_a_line_forbids_all_modes_but_those_that_bring_the_boat_back():
+    assert allowed("fence") == allowed("fence", at_sea=True) == {Mode.MANUAL}
+    assert allowed("log", log=config.LogNotWritable(action="stop")) == {Mode.MANUAL, Mode.HOME}
+    free = msgspec.structs.replace(PLAIN, log=config.LogTable(required=False))
+    assert allowed("log", vehicle=free) == set(Mode)
+    assert allowed("kill") == allowed("computer", at_sea=True) == set()
+    assert allowed("hand-set") == set(Mode)
+
+
+def test_a_console_is_lost_after_five_seconds_and_two_of_one_name_are_none(boat):
+    boat.ready()
+    now_s, helm = boat.clock.monotonic_s(), boat.vehicle.helm
+    for age_s, told in (
+        (4.9, (True, "console heard 4.9 s ago")),
+        (5.0, (False, "console heard 5.0 s ago")),
+        (9e7, (False, "console heard 90000000.0 s ago")),
+        (1e8, (False, "console never heard")),
+    ):
+        boat.state.console_s = now_s - age_s
+        assert lines(boat)["link"] == told
+    boat.state.console_s, boat.state.namesakes = now_s, "two of one name"
+    assert lines(boat)["link"] == (False, "two of one name")
+    assert {line.name for line in helm.checks()} == LINES - {"outlet"}
+
+
+def test_the_line_of_the_fence_says_what_it_waits_for(make_boat):
+    boat = make_boat(fence=AROUND)
+    boat.ready()
+    assert boat.navigate(latitude_rad=math.radians(38.6925), longitude_rad=math.radians(-9.215))
+    assert lines(boat)["fence"] == (True, "1 zones, the boat is where it may be")
+    boat.state.fence_lost = "its file is gone"
+    assert lines(boat)["fence"] == (False, "its file is gone")
+    boat.state.fence_lost, helm = "", boat.vehicle.helm
+    unlaid = Inputs("", Fence((), AROUND, is_laid=False))
+    told = checks(helm.rules, boat.state, unlaid, boat.clock.monotonic_s(), boat.clock.time_ns())
+    assert [line[1:] for line in told if line.name == "fence"] == [(False, "its zones are still being prepared: wait a moment")]
+
+
+def test_the_line_of_navigation_is_right_up_to_its_age(boat):
+    boat.ready()
+    stale_s = boat.vehicle.helm.rules.settings.navigation.stale_s
+    boat.state.navigation_s, boat.state.inputs = boat.clock.monotonic_s() - stale_s, {}
+    assert lines(boat)["navigation"] == (True, f"dsor, {stale_s:.1f} s old")
+    boat.state.navigation_s -= 0.1
+    assert lines(boat)["navigation"] == (False, f"navigation silent for {stale_s + 0.1:.1f} s")
+
+
+def test_a_clock_is_set_from_2009_on_and_five_seconds_are_in_order(boat):
+    boat.ready()
+    helm, navigation = boat.vehicle.helm, boat.state.navigation
+    now_s = boat.clock.monotonic_s()
+
+    def clock(time_ns: int) -> Check:
+        return next(each for each in checks(helm.rules, boat.state, WELL, now_s, time_ns) if each.name == "clock")
+
+    age_ns = round((now_s - boat.state.navigation_s) * 1e9)
+    for off_s, ok in ((-5.1, False), (-5.0, True), (5.0, True), (5.1, False)):
+        assert clock(navigation.utc_ns + age_ns + round(off_s * 1e9)).ok is ok
+    boat.state.navigation = navigation._replace(utc_ns=0)
+    assert clock(1_230_768_000_000_000_000) == Check("clock", True, "navigation gives no time to compare with")
+    assert clock(1_230_767_999_999_999_999) == Check("clock", False, "the computer's clock was never set")
+    boat.state.computer = StartConditions(clock=ClockStatus("kept by this program", fault="it jumps"))
+    assert clock(1_230_768_000_000_000_000).ok is False
+
+
+def test_the_hand_set_says_whether_it_has_the_boat_and_how_good_its_radio_is(make_boat):
+    boat = make_boat(handset=config.HandsetTable(device="/dev/receiver"))
+    boat.ready()
+    assert lines(boat)["hand-set"] == (False, "hand-set not heard yet")
+    report = HandsetReport(boat.clock.monotonic_s(), 0.0, 0.0, takes=False, kills=False)
+    boat.state.handset = report
+    assert lines(boat)["hand-set"] == (True, "heard")
+    boat.state.handset, boat.state.operator = report._replace(quality_pct=0), HANDSET
+    assert lines(boat)["hand-set"] == (True, "has the boat, radio 0%")

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from delfim.canproxy.socket import CanSocket
 from delfim.modes import Mode
-from delfim.vehicle.control.control import MODES, Memory, admit, control, enter
+from delfim.vehicle.control.control import MODES, Memory, Settings, admit, control, enter, first
 from delfim.vehicle.propulsion import Propulsion
 from delfim.vehicle.safe import STOP
-from delfim.vehicle.state import NOWHERE, Arc, Line, Motion, Plan, Setpoint, State, Wanted, Waypoint
+from delfim.vehicle.state import NOWHERE, Arc, Line, Motion, Plan, Reference, Setpoint, State, Wanted, Waypoint
 from tests.vehicle.closed_loop import ALL, DELFIMX, DT_S, SETTINGS
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -105,6 +105,71 @@ def test_navigation_that_makes_no_sense_stops_and_leaves_no_trace(mode: Mode, fi
     after, reference, actuation = control(mode, memory, motion, READY, SETTINGS, DT_S)
     assert (after, actuation) == (memory, STOP)
     assert reference.reason == "navigation makes no sense"
+
+
+@pytest.mark.parametrize("sign", [-1.0, 1.0])
+@pytest.mark.parametrize(("field", "most"), [*zip(Motion._fields[1:], (1e7, 1e7, 1e3, 1e3, 100.0, 100.0), strict=True)])
+def test_navigation_makes_sense_up_to_its_limits(field: str, most: float, sign: float) -> None:
+    for part, reason in ((0.999, ""), (1.0, "navigation makes no sense")):
+        motion = Motion(**{**KNOWN._asdict(), field: sign * part * most})
+        assert (
+            control(Mode.HEADING, enter(Mode.HEADING, KNOWN, READY, SETTINGS), motion, READY, SETTINGS, DT_S)[1].reason
+            == reason
+        )
+        assert (enter(Mode.HOLD, motion, READY, SETTINGS) == Memory()) is (part == 1.0)
+
+
+@pytest.mark.parametrize(("dt_s", "is_refused"), [(-1e-9, True), (0.0, False), (0.5, False), (9.9e6, False), (1e7, True)])
+def test_a_step_of_time_makes_sense_within_its_limits(dt_s: float, is_refused: bool) -> None:
+    memory = enter(Mode.HEADING, KNOWN, READY, SETTINGS)
+    _, reference, wanted = control(Mode.HEADING, memory, KNOWN, READY, SETTINGS, dt_s)
+    assert reference.reason == ("navigation makes no sense" if is_refused else "")
+    assert wanted.run is not is_refused
+
+
+class Failing:
+    """A mode whose numbers go wrong."""
+
+    NEEDS: frozenset[str] = frozenset()
+    SENTENCE = "It fails."
+
+    def __init__(self, told: Wanted | None) -> None:
+        self._told = told
+
+    def lacks(self, setpoint: Setpoint) -> str | None:
+        return None
+
+    def enter(self, motion: Motion, setpoint: Setpoint, settings: Settings) -> Memory:
+        raise OverflowError
+
+    def step(
+        self, memory: Memory, motion: Motion, setpoint: Setpoint, settings: Settings, dt_s: float
+    ) -> tuple[Memory, Reference, Wanted]:
+        if self._told is None:
+            raise ValueError
+        return Memory(leg=7), Reference(), self._told
+
+
+@pytest.mark.parametrize("told", [None, Wanted(math.nan), Wanted(0.0, math.inf), Wanted(0.0, 0.0, -math.inf)])
+def test_a_mode_that_fails_or_asks_for_what_is_not_finite_stops(monkeypatch: pytest.MonkeyPatch, told: Wanted | None) -> None:
+    memory, mad = Memory(leg=3), "set point makes no sense"
+    monkeypatch.setitem(MODES, Mode.HOLD, Failing(told))
+    assert enter(Mode.HOLD, KNOWN, READY, SETTINGS) == Memory()
+    assert control(Mode.HOLD, memory, KNOWN, READY, SETTINGS, DT_S) == (memory, Reference(reason=mad), STOP)
+
+
+def test_where_a_mode_goes_first() -> None:
+    place, begun = Waypoint(7.0, 8.0, 1.0, 2.0), Memory(leg=0)
+    two = PLAN._replace(waypoints=(*PLAN.waypoints, place))
+    assert first(Mode.GOTO, Memory(), READY._replace(target=place)) == (7.0, 8.0)
+    assert first(Mode.HOLD, Memory(), READY._replace(target=place)) is None
+    assert first(Mode.PLAY, Memory(), READY._replace(plan=two, leg=1)) == (7.0, 8.0)
+    assert first(Mode.PLAY, Memory(), READY._replace(plan=None)) is None
+    assert first(Mode.GOTO, Memory(), READY) is None
+    assert first(Mode.PATH, Memory(leg=-1), READY) == (0.0, 0.0)
+    assert first(Mode.PATH, begun, READY) is None, "it is on the path"
+    assert first(Mode.PATH, Memory(leg=-1), READY._replace(plan=None)) is None
+    assert first(Mode.HEADING, Memory(leg=-1), READY) is None
 
 
 @pytest.mark.parametrize("mode", Mode)

@@ -250,9 +250,101 @@ def test_a_boat_at_rest_is_not_stopped_and_one_of_unknown_velocity_is_when_it_is
     assert fence.ahead(around, unknown._replace(north_m=0.0)) is None
 
 
+DISC = circle("disc", True, (0.0, 0.0), 50.0)
+SLOW = config.FenceTable(margin_m=3.0, reaction_s=1.0, deceleration_mps2=0.5)  # 2 m at 1 m/s
+
+
+@pytest.mark.parametrize(("speed_mps", "way_m"), [(0.0, 0.0), (1.0, 2.0), (2.0, 6.0)])
+def test_the_stopping_distance_is_that_of_the_reaction_and_of_the_drag(speed_mps, way_m):
+    assert stopping_m(SLOW, speed_mps) == way_m
+
+
+@pytest.mark.parametrize("zone", [DISC, SQUARE])
+@pytest.mark.parametrize(
+    ("north_m", "north_mps", "says"),
+    [
+        (45.0, 1.0, None),  # it stops at the margin
+        (45.5, 1.0, "4.5 m away at 1.0 m/s"),
+        (48.0, 0.005, None),  # it goes along the edge
+        (48.0, 0.015, "2.0 m away at 0.0 m/s"),
+        (54.0, 1.0, "0.0 m away at 1.0 m/s"),
+        (54.0, -1.0, None),
+    ],
+)
+def test_ahead_counts_the_stopping_distance_to_the_metre(zone, north_m, north_mps, says):
+    told = None if says is None else f"{zone.name} {says}"
+    assert fence.ahead(Fence((zone,), SLOW), motion(north_m, 0.0, north_mps, 0.0)) == told
+    assert fence.ahead(Fence((zone,), SLOW), motion(0.0, north_m, 0.0, north_mps)) == told
+
+
+@pytest.mark.parametrize(("north_m", "near"), [(46.9, False), (47.1, True)])
+def test_an_unknown_velocity_stops_within_the_margin(north_m, near):
+    unknown = motion(north_m, 0.0, 9.0, 9.0, frozenset({"position"}))
+    assert (fence.ahead(Fence((SQUARE,), SLOW), unknown) is not None) is near
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+@pytest.mark.parametrize(
+    ("at_m", "mps", "known", "says"),
+    [
+        (53.0, 0.0, True, None),  # within the margin
+        (53.5, 0.0, True, "3.5 m outside the {} and not coming back"),
+        (53.5, -0.05, True, "3.5 m outside the {} and not coming back"),
+        (53.5, -0.15, True, None),
+        (53.5, -0.15, False, "3.5 m outside the {} and not coming back"),
+        (53.5, 0.15, True, "3.5 m outside the {} and not coming back"),
+    ],
+)
+def test_left_is_beyond_the_margin_and_not_coming_back(axis, at_m, mps, known, says):
+    has = ALL if known else frozenset({"position"})
+    place, speed = ((at_m, 0.0), (mps, 0.0)) if axis == 0 else ((0.0, at_m), (0.0, mps))
+    for zone in (DISC, SQUARE):
+        told = None if says is None else says.format(zone.name)
+        assert fence.left(Fence((zone,), SLOW), motion(*place, *speed, has)) == told
+
+
+@pytest.mark.parametrize("offset", [(4.0, 0.0), (-4.0, 0.0), (0.0, 4.0), (0.0, -4.0)])
+def test_left_is_in_a_zone_to_stay_out_of_too(offset):
+    """On each side of its middle; beside it, it is not."""
+    north_m, east_m = offset
+    around = Fence((ROCK,), SLOW)
+    assert fence.left(around, motion(north_m, 100.0 + east_m)) == "6.0 m inside rock and not coming back"
+    assert fence.outside(around, north_m, 100.0 + east_m) == "6.0 m inside rock"
+    assert fence.left(around, motion(5.0 * north_m, 100.0 + 5.0 * east_m)) is None
+    assert fence.outside(around, 5.0 * north_m, 100.0 + 5.0 * east_m) is None
+
+
+def test_on_the_edge_is_where_the_boat_may_be():
+    for zone in (DISC, SQUARE, circle("", False, (50.0, 100.0), 100.0)):
+        assert fence.outside(Fence((zone,), SLOW), 50.0, 0.0) is None
+
+
+@pytest.mark.parametrize(
+    ("least_m", "inwards", "outwards"),
+    [
+        (0.5, "0.5 m past pond", "0.5 m past rock"),
+        (0.0, "out of the pond", "through rock"),
+        (-1.0, "out of the pond", "through rock"),
+    ],
+)
+def test_a_way_is_told_by_what_it_passes(least_m, inwards, outwards):
+    assert (fence.through(POND, least_m), fence.through(ROCK, least_m)) == (inwards, outwards)
+
+
+def test_a_way_that_leaves_a_margin_may_do_so_but_not_come_nearer():
+    around = Fence((DISC,), SLOW)
+    assert fence.crossing(around, motion(48.0, 0.0), (45.0, 0.0)) is None
+    assert fence.crossing(around, motion(48.0, 0.0), (47.995, 0.0)) is None
+    assert fence.crossing(around, motion(48.0, 0.0), (48.015, 0.0)) == "the way leads 2.0 m past disc"
+    assert fence.crossing(around, motion(40.0, 0.0), (47.0, 0.0)) is None, "to the margin"
+    hold = whole(fence.place_to_hold, around, (48.0, 0.0), (48.5, 0.0), ((45.0, 0.0),), 2.0)
+    assert hold == ((45.0, 0.0), 1.0), "the margin and the radius, to the metre"
+
+
 def test_outside_is_told_with_the_distance():
     around = Fence((SQUARE, ROCK), LIMITS)
     assert fence.outside(around, 0.0, 0.0) is None
+    assert fence.outside(around, 50.0, 0.0) is None
     assert fence.outside(around, 62.0, 0.0) == "12.0 m outside the square"
     assert fence.outside(Fence((ROCK,), LIMITS), 0.0, 96.0) == "6.0 m inside rock"
 
