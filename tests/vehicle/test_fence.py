@@ -2,6 +2,7 @@
 
 import math
 
+import msgspec
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
@@ -17,6 +18,7 @@ from delfim.vehicle.state import Arc, Line, Motion, Plan, Waypoint
 from delfim.vehicle.zones import LOOKS, Zone, circle, clearance_m, least, polygon, searched, together
 
 LIMITS = config.FenceTable()
+WITH = msgspec.structs.replace
 
 
 def whole(work, *arguments: object):
@@ -489,3 +491,94 @@ def test_a_fence_that_cannot_be_meant_is_refused_in_words(wrong, reason):
     with pytest.raises(ConfigError) as refused:
         parse_mission(MISSION[: MISSION.index("[fence]")] + "[fence]\n" + wrong)
     assert reason in str(refused.value)
+
+
+# What it costs: each answer is given up, safely, after LOOKS comparisons.
+
+SLOPE = polygon("slope", False, [(0.0, 0.0), (10.0, 0.0), (0.0, 10.0)])  # not in the corner of its box
+EIGHT = polygon("eight", False, [(20.0 * math.cos(at), 20.0 * math.sin(at)) for at in (math.tau * i / 8 for i in range(8))])
+TEN = together("ten", [circle("", True, (0.0, float(i)), 50.0) for i in range(10)])
+
+
+@pytest.mark.parametrize(("zone", "north_m", "east_m", "most"), [(SLOPE, 9.0, 9.0, 200), (TEN, 0.0, 0.0, 20)])
+def test_outside_watches_so_many_zones(zone, north_m, east_m, most):
+    assert fence.outside(Fence((zone,) * most, SLOW), north_m, east_m) is None
+    words = f"in more zones than can be watched, {zone.name} among them: use fewer zones"
+    assert fence.outside(Fence((zone,) * (most + 1), SLOW), north_m, east_m) == words
+
+
+@pytest.mark.parametrize(
+    ("zone", "at", "most"),
+    [(SLOPE, (9.0, 9.0), 200), (TEN, (0.0, 0.0), 20), (EIGHT, (17.6, 0.0), 40)],  # the last one: in it, by less than the margin
+)
+def test_left_looks_at_so_many_zones(zone, at, most):
+    deep = circle("deep", False, at, 9.0)
+    assert fence.left(Fence((*(zone,) * most, deep), SLOW), motion(*at)) == "9.0 m inside deep and not coming back"
+    assert fence.left(Fence((*(zone,) * (most + 1), deep), SLOW), motion(*at)) is None
+
+
+@pytest.mark.parametrize(
+    ("zone", "north_m", "north_mps", "most"),
+    [(DISC, 0.0, 1.0, 200), (SQUARE, 0.0, 1.0, 22), (SQUARE, 48.0, -1.0, 20)],  # the last one: away from an edge that is near
+)
+def test_ahead_looks_at_so_many_zones(zone, north_m, north_mps, most):
+    assert fence.ahead(Fence((zone,) * most, SLOW), motion(north_m, 0.0, north_mps)) is None
+    words = f"too many corners of zones close by to watch, {zone.name} among them: simplify the zones"
+    assert fence.ahead(Fence((zone,) * (most + 1), SLOW), motion(north_m, 0.0, north_mps)) == words
+
+
+def test_a_way_passes_so_many_zones():
+    assert fence.crossing(Fence((DISC,) * 200, SLOW), motion(0.0, 0.0), (9.0, 0.0)) is None
+    words = "the way passes too many corners of zones, disc among them: go there in shorter stretches"
+    assert fence.crossing(Fence((DISC,) * 201, SLOW), motion(0.0, 0.0), (9.0, 0.0)) == words
+
+
+def test_a_place_to_hold_is_looked_for_among_so_many_zones():
+    """Where it has room, and where only the way to it passes too many; with what it says that it cost."""
+    corner = polygon("corner", False, [(20.0, 50.0), (-20.0, 50.0), (20.0, -10.0)])
+    for zone, at, here, most, cost in (
+        (DISC, (0.0, 0.0), (0.0, 0.0), 200, 2 * (201 + 50 + 1)),
+        (corner, (-18.0, -8.0), (-40.0, -8.0), 28, 2 * (203 + 7 + 1)),
+    ):
+        assert whole(fence.place_to_hold, Fence((zone,) * most, SLOW), at, here, (), 5.0) == (here, 1.0)
+        assert list(fence.place_to_hold(Fence((zone,) * most, SLOW), at, here, (), 5.0)) == []
+        assert whole(fence.place_to_hold, Fence((zone,) * (most + 1), SLOW), at, here, (), 5.0) == (here, 0.4)
+        assert list(fence.place_to_hold(Fence((zone,) * (most + 1), SLOW), at, here, (), 5.0)) == [cost, cost]
+
+
+HARBOUR = config.Area(polygon=((38.6, -9.3), (38.8, -9.3), (38.8, -9.1), (38.6, -9.1)))
+BUOY = config.Area(centre=((38.7, -9.25),), radius_m=5.0)
+PLACE = geodesy.origin(math.radians(38.69), math.radians(-9.21))
+
+
+def test_zones_are_laid_with_their_names_and_what_they_cost():
+    own = config.FenceTable(keep_in=(HARBOUR,), keep_out=(BUOY, HARBOUR))
+    assert list(fence.survey(own, config.Zones(), PLACE)) == [9, 1, 9]
+    laid = whole(fence.survey, own, config.Zones(keep_in=(HARBOUR, HARBOUR)), PLACE)
+    assert [(zone.name, zone.keep_in) for zone in laid.zones] == [
+        ("keep-in zone", True),
+        ("keep-out zone 1", False),
+        ("keep-out zone 2", False),
+        ("mission's keep-in zones", True),
+    ]
+    assert (laid.own, laid.is_laid) == (3, True)
+    assert [area.name for area in laid.zones[3].areas] == ["mission's keep-in zone 1", "mission's keep-in zone 2"]
+    named = whole(fence.survey, config.FenceTable(keep_in=(WITH(HARBOUR, name="bay"),)), config.Zones(), PLACE)
+    assert [zone.name for zone in named.zones] == ["keep-in zone"]
+
+
+def test_the_boats_own_zones_are_taken_from_a_fence_in_this_plane():
+    own, mission = config.FenceTable(keep_out=(BUOY, BUOY)), config.Zones(keep_out=(HARBOUR,))
+    before = whole(fence.survey, own, mission, PLACE)
+    assert list(fence.survey(own, mission, PLACE, before)) == [9], "only the mission's"
+    again = whole(fence.survey, own, config.Zones(), PLACE, before)
+    assert (again.zones, again.own) == (before.zones[:2], 2)
+    assert whole(fence.survey, own, mission, PLACE, fence.unlaid(own, mission)) == before
+    assert Fence((), own) == (((), own, 0, True))
+
+
+@pytest.mark.parametrize("which", ["keep_in", "keep_out"])
+def test_there_is_a_fence_as_soon_as_anybody_has_a_zone(which):
+    zones = {which: (BUOY,)}
+    for own, mission in ((config.FenceTable(**zones), config.Zones()), (config.FenceTable(), config.Zones(**zones))):
+        assert fence.unlaid(own, mission) == Fence((), own, 0, False)
