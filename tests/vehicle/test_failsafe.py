@@ -165,6 +165,7 @@ TABLE: dict[Trigger, tuple[Action, dict[Mode, Action]]] = {
 
 def test_the_actions_differ_and_are_ordered_by_severity() -> None:
     assert [action.name for action in sorted(Action)] == ["NONE", "WARN", "HOLD", "BACK", "HOME", "STOP", "DISCONNECT"]
+    assert list(Action) == list(range(7))
 
 
 @pytest.mark.parametrize("mode", DRIVING, ids=lambda mode: mode.name)
@@ -343,6 +344,12 @@ def test_the_worst_is_told_first_wherever_it_stands_in_the_table():
     here.guest_s = 94.0
     told = look(RULES, NO_TROUBLE, here, inputs, 100.0).notices
     assert [(notice.name, notice.action) for notice in told] == [("outlet", "stop"), ("guest_silent", "hold")]
+
+
+@pytest.mark.parametrize(("left_s", "action"), [(0.5, Action.HOLD), (0.0, Action.HOME), (-0.5, Action.HOME)])
+def test_home_begins_when_the_pause_is_over(left_s, action):
+    memory = {Trigger.CONSOLE_SILENT: Episode("console silent", 50.0, 99.9, 100.0 - RULES.pause_s + left_s, False)}
+    assert look(RULES, memory, *troubled(Trigger.CONSOLE_SILENT, Mode.HOLD), 100.0).action is action
 
 
 def test_who_was_sent_home_is_not_sent_again():
