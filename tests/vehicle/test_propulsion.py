@@ -150,6 +150,9 @@ def test_a_thruster_alone_takes_the_thrust_of_starboard() -> None:
     propulsion = Propulsion((), cast(CanSocket, None), DELFIMX, State())
     propulsion.alone(1)
     assert propulsion.send(Wanted(hand=(0.25, -0.5)), 1.0).thrust == (0.0, 0.25)
+    turning = Propulsion((), cast(CanSocket, None), (OUTBOARD, BOW), State())
+    turning.alone(0)
+    assert turning.send(Wanted(hand=(0.25, -0.5)), 1.0) == ((0.25, 0.0), (0.0, 0.0), True), "it does not turn"
     propulsion.alone(None)
     propulsion.send(STOP, 2.0)
     assert propulsion.send(Wanted(hand=(0.25, -0.5)), 3.0).thrust == (0.25, -0.5)
@@ -203,6 +206,7 @@ def test_a_reset_that_the_bus_does_not_take_is_refused_and_all_drivers_disconnec
         (0.1, -1.5, 80.0, None, (-0.5, 0.5, 0.0)),  # the little that it pushes ahead turns the boat, too
         (-0.1, 1.5, 80.0, None, (0.5, -0.5, 0.0)),
         (-0.1, -1.5, 80.0, None, (-0.5, 0.5, 0.0)),
+        (0.5, 1.03, 61.0, None, (0.5, -0.5, 0.0)),
         (-1.9, 0.0, 0.0, 40.0, (0.5, 0.5, -40.0)),
         (1.9, 0.0, 0.0, 40.0, (0.5, 0.5, 40.0)),
         (1.9, 0.0, 0.0, 180.0, (0.5, 0.5, 90.0)),
