@@ -91,7 +91,7 @@ class Server(Listener):
                 _say(self._answers, {"result": "fresh"})
                 continue
             codes = {} if number is None else _codes(changed(source, number), path)
-            chosen = [items[test] for test in question["tests"]]
+            chosen = [items[test] for test in question["tests"] if test in items]
             _say(self._answers, _forked(partial(self._run, chosen, functions, codes), question["cpu_s"]))
         return True
 

@@ -582,3 +582,15 @@ def test_there_is_a_fence_as_soon_as_anybody_has_a_zone(which):
     zones = {which: (BUOY,)}
     for own, mission in ((config.FenceTable(**zones), config.Zones()), (config.FenceTable(), config.Zones(**zones))):
         assert fence.unlaid(own, mission) == Fence((), own, 0, False)
+
+
+def test_zones_elsewhere_cost_nothing():
+    elsewhere, deep = (EIGHT,) * 201, circle("deep", False, (99.0, 0.0), 9.0)
+    assert fence.outside(Fence(elsewhere, SLOW), 99.0, 0.0) is None
+    assert fence.left(Fence((*elsewhere, deep), SLOW), motion(99.0, 0.0)) == "9.0 m inside deep and not coming back"
+
+
+def test_a_way_that_keeps_the_margin_to_the_metre_is_a_way():
+    beside = Fence((circle("beside", False, (0.0, 13.0), 10.0),), SLOW)
+    assert fence.crossing(beside, motion(-20.0, 0.0), (20.0, 0.0)) is None
+    assert whole(fence.place_to_hold, beside, (-20.0, 0.0), (20.0, 0.0), (), 5.0) == ((20.0, 0.0), 1.0)
