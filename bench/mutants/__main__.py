@@ -22,6 +22,7 @@ from bench.mutants.core import CORE
 from bench.mutants.ledger import Figures, Ledger, reasons, shown
 from bench.mutants.workers import Worker, copied
 
+ALL: Final = frozenset({MODULE})
 SAMPLE: Final = 9  # tests that have to pass without a change, before any is made
 CPU_S: Final = 5.0  # of tests for a change, those that are most likely to notice it first
 
@@ -38,23 +39,23 @@ def touched(file: str, since: str) -> set[int]:
 
 def tried(file: str, found: list[Change], numbers: list[int], choice: Choice, ledger: Ledger, jobs: int) -> None:
     """Tries the changes that the ledger does not know yet, side by side, and writes down what came of each."""
-    open_ones = [number for number in numbers if not ledger.knows(found[number], choice.tests(found[number].function))]
+    open_ones = [number for number in numbers if not ledger.knows(found[number], choice.tests(found[number].asks))]
     if not open_ones:
         return
     questions = iter(open_ones)
-    files = choice.files({found[number].function for number in open_ones})
+    files = choice.files({found[number].asks for number in open_ones})
 
     def work(index: int) -> None:
         with Worker(copied(index), file, files) as worker:
-            tests = choice.fresh(MODULE)[:SAMPLE]
+            tests = choice.fresh(ALL)[:SAMPLE]
             answer = worker.ask(None, tests, tests, choice.cpu_s(tests))
             if answer["by"]:
                 raise RuntimeError(f"{answer['by']} fails without any change of {file}")
             for number in questions:  # shared: each takes the next one
                 change = found[number]
-                tests = choice.tests(change.function)
-                answer = worker.ask(number, tests, choice.fresh(change.function), choice.cpu_s(tests))
-                choice.noticed(change.function, answer["by"])
+                tests = choice.tests(change.asks)
+                answer = worker.ask(number, tests, choice.fresh(change.asks), choice.cpu_s(tests))
+                choice.noticed(change.asks, answer["by"])
                 ledger.write(change, tests, answer)
                 by = answer["by"] or "SURVIVES"
                 print(f"{ledger.count}/{len(numbers)} {file}:{change.line}: {change.name}: {by}", flush=True)

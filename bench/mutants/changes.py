@@ -81,6 +81,7 @@ class Change(NamedTuple):
     """One change: `make` does it to the tree that it was found in."""
 
     function: str  # as its code names itself, or MODULE
+    asks: frozenset[str]  # the functions whose tests may notice it: of a table, those that use its name
     line: int
     end: int
     name: str  # function | text of the line | what changes: the same wherever the line stands in the file
@@ -90,13 +91,16 @@ class Change(NamedTuple):
 def changes(source: str) -> tuple[ast.Module, list[Change]]:
     """The tree of a file, and all changes of it, in an order that depends on the file alone."""
     tree, lines, known, found = ast.parse(source), source.splitlines(), Counter[str](), list[Change]()
+    users = _users(tree)
     for place in _places(tree, MODULE, 0):
         for what, make in _of(place):
             line = getattr(place.node, "lineno", place.line)
             name = f"{place.function} | {lines[line - 1].strip()} | {what}"
             known[name] += 1
             again = f" ({known[name]})" if known[name] > 1 else ""
-            found.append(Change(place.function, line, getattr(place.node, "end_lineno", line), name + again, make))
+            asks = users.get(line) if place.function == MODULE else None
+            asks = asks or frozenset({place.function})
+            found.append(Change(place.function, asks, line, getattr(place.node, "end_lineno", line), name + again, make))
     return tree, found
 
 
@@ -120,6 +124,21 @@ def functions(
             yield from functions(child, f"{inside}{child.name}.")
         else:
             yield from functions(child, inside, outermost)
+
+
+def _users(tree: ast.Module) -> dict[int, frozenset[str]]:
+    """By the line of what stands outside functions: the functions that use its names, and those of its class."""
+    used, users = dict[str, set[str]](), dict[int, frozenset[str]]()
+    for name, function in functions(tree):
+        used.setdefault(name, set()).update(each.id for each in ast.walk(function) if isinstance(each, ast.Name))
+    for statement in tree.body:
+        own = str(getattr(statement, "name", ""))
+        names = {own} | {
+            each.id for each in ast.walk(statement) if isinstance(each, ast.Name) and isinstance(each.ctx, ast.Store)
+        }
+        found = frozenset(name for name, uses in used.items() if uses & names or (own and name.startswith(f"{own}.")))
+        users.update(dict.fromkeys(range(statement.lineno, (statement.end_lineno or statement.lineno) + 1), found))
+    return users
 
 
 def _places(node: ast.AST, function: str, line: int, inside: str = "") -> Iterator[Place]:

@@ -59,40 +59,41 @@ class Choice:
                     self._calls[function].append(test)
                 if not functions and name in starts:
                     blind.append(test)
-        self._order = {test: (_file(test) not in own, self._times_s[test]) for test in self._times_s}
+        self._order = {test: (_file(test) not in own, self._times_s[test], test) for test in self._times_s}
         self._blind = sorted(blind, key=self._order.__getitem__)
-        self._hints = dict[str, str]()
+        self._hints = dict[frozenset[str], str]()
 
-    def tests(self, function: str) -> list[str]:
-        """Those that call it, the likeliest first, as many as there is time for."""
-        return self._within(function, 0.0)
+    def tests(self, functions: frozenset[str]) -> list[str]:
+        """Those that call one of them, the likeliest first, as many as there is time for."""
+        return self._within(functions, 0.0)
 
-    def fresh(self, function: str) -> list[str]:
+    def fresh(self, functions: frozenset[str]) -> list[str]:
         """The same where each file has to be imported again."""
-        return self._within(function, FILE_S)
+        return self._within(functions, FILE_S)
 
-    def _within(self, function: str, file_s: float) -> list[str]:
+    def _within(self, functions: frozenset[str], file_s: float) -> list[str]:
         chosen, files, left_s = list[str](), set[str](), self._cpu_s
-        for test in (*sorted(self._calls[function], key=self._order.__getitem__), *self._blind):
+        callers = {test for function in functions for test in self._calls[function]}
+        for test in (*sorted(callers, key=self._order.__getitem__), *self._blind):
             left_s -= self._times_s[test] + (0.0 if _file(test) in files else file_s)
             if left_s < 0.0 and chosen:
                 break
             chosen.append(test)
             files.add(_file(test))
-        hint = self._hints.get(function)
+        hint = self._hints.get(functions)
         return chosen if hint not in chosen else [hint, *(test for test in chosen if test != hint)]
 
-    def files(self, functions: set[str]) -> list[str]:
-        return sorted({_file(test) for function in functions for test in self.tests(function)})
+    def files(self, asked: set[frozenset[str]]) -> list[str]:
+        return sorted({_file(test) for functions in asked for test in self.tests(functions)})
 
     def cpu_s(self, tests: list[str]) -> float:
         """What they may take: a change that makes them much slower is noticed."""
         return 5.0 + 3.0 * sum(self._times_s[test] for test in tests)
 
-    def noticed(self, function: str, by: str) -> None:
+    def noticed(self, functions: frozenset[str], by: str) -> None:
         """Who noticed a change of a function is likely to notice the next one."""
         if by in self._times_s:
-            self._hints[function] = by
+            self._hints[functions] = by
 
 
 def _file(test: str) -> str:

@@ -62,6 +62,19 @@ def test_an_answer_is_not_given_and_a_condition_is_negated() -> None:
     ]
 
 
+def test_of_a_table_the_functions_are_asked_that_use_it() -> None:
+    source = (
+        "LIMIT = 3\nALONE = 4\nclass A:\n    ONE = 1\n    def f(self):\n        return LIMIT\ndef g(most=2):\n    return A()\n"
+    )
+    asks = {change.name.rpartition(" | ")[2]: change.asks for change in changes(source)[1] if change.function == "<module>"}
+    assert asks == {
+        "3 → 4": frozenset({"A.f"}),
+        "4 → 5": frozenset({"<module>"}),
+        "1 → 2": frozenset({"A.f", "g"}),
+        "2 → 3": frozenset({"<module>"}),
+    }
+
+
 def test_a_change_has_its_name_for_itself_wherever_its_line_stands() -> None:
     for file in CORE:
         source = (ROOT / file).read_text()
@@ -106,13 +119,13 @@ def test_the_files_own_tests_are_asked_first_and_within_a_time(tmp_path: Path) -
         },
     }
     choice = Choice("delfim/vehicle/gate.py", known, 3.2)
-    assert choice.tests("limited") == [f"{own}::short", f"{own}::long", f"{other}::quick"]
-    assert choice.fresh("limited") == [f"{own}::short"], "each file has to be imported, too"
-    assert choice.tests("_turned") == [f"{own}::short"]
-    assert choice.tests("table") == [f"{own}::short", f"{own}::long"], "what is called when they are imported"
-    choice.noticed("limited", f"{other}::quick")
-    assert choice.tests("limited")[0] == f"{other}::quick"
-    assert Choice("delfim/vehicle/gate.py", known, 0.5).tests("limited") == [f"{own}::short"], "never none"
+    assert choice.tests(frozenset({"limited"})) == [f"{own}::short", f"{own}::long", f"{other}::quick"]
+    assert choice.fresh(frozenset({"limited"})) == [f"{own}::short"], "each file has to be imported, too"
+    assert choice.tests(frozenset({"_turned"})) == [f"{own}::short"]
+    assert choice.tests(frozenset({"table"})) == [f"{own}::short", f"{own}::long"], "what is called when they are imported"
+    choice.noticed(frozenset({"limited"}), f"{other}::quick")
+    assert choice.tests(frozenset({"limited"}))[0] == f"{other}::quick"
+    assert Choice("delfim/vehicle/gate.py", known, 0.5).tests(frozenset({"limited"})) == [f"{own}::short"], "never none"
 
 
 def test_what_was_tried_is_known_until_the_file_or_its_tests_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,6 +55,15 @@ def test_a_short_touch_kills(sailing, pin):
     assert not sailing.state.killed.held
 
 
+def test_a_short_touch_kills_once(sailing, pin):
+    pin.becomes(True)
+    pin.becomes(False)
+    sailing.attend()
+    assert sailing.vehicle.on_command(console.Clear(), "console 7") is None
+    sailing.attend()
+    assert not sailing.state.killed.reason
+
+
 def test_a_pin_that_was_open_before_anybody_listened_kills(boat, pin):
     pin.is_high = True
     boat.hands = (KillSwitch(SETTINGS, pin.line),)
