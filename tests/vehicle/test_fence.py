@@ -256,9 +256,9 @@ DISC = circle("disc", True, (0.0, 0.0), 50.0)
 SLOW = config.FenceTable(margin_m=3.0, reaction_s=1.0, deceleration_mps2=0.5)  # 2 m at 1 m/s
 
 
-@pytest.mark.parametrize(("speed_mps", "way_m"), [(0.0, 0.0), (1.0, 2.0), (2.0, 6.0)])
-def test_the_stopping_distance_is_that_of_the_reaction_and_of_the_drag(speed_mps, way_m):
-    assert stopping_m(SLOW, speed_mps) == way_m
+@pytest.mark.parametrize(("reaction_s", "speed_mps", "way_m"), [(1.0, 0.0, 0.0), (1.0, 1.0, 2.0), (2.0, 2.0, 8.0)])
+def test_the_stopping_distance_is_that_of_the_reaction_and_of_the_drag(reaction_s, speed_mps, way_m):
+    assert stopping_m(WITH(SLOW, reaction_s=reaction_s), speed_mps) == way_m
 
 
 @pytest.mark.parametrize("zone", [DISC, SQUARE])
