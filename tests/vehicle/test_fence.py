@@ -535,15 +535,17 @@ def test_a_way_passes_so_many_zones():
 
 def test_a_place_to_hold_is_looked_for_among_so_many_zones():
     """Where it has room, and where only the way to it passes too many; with what it says that it cost."""
+    far = circle("far", False, (999.0, 999.0), 1.0)  # which only counts
     corner = polygon("corner", False, [(20.0, 50.0), (-20.0, 50.0), (20.0, -10.0)])
     for zone, at, here, most, cost in (
         (DISC, (0.0, 0.0), (0.0, 0.0), 200, 2 * (201 + 50 + 1)),
         (corner, (-18.0, -8.0), (-40.0, -8.0), 28, 2 * (203 + 7 + 1)),
     ):
-        assert whole(fence.place_to_hold, Fence((zone,) * most, SLOW), at, here, (), 5.0) == (here, 1.0)
-        assert list(fence.place_to_hold(Fence((zone,) * most, SLOW), at, here, (), 5.0)) == []
-        assert whole(fence.place_to_hold, Fence((zone,) * (most + 1), SLOW), at, here, (), 5.0) == (here, 0.4)
-        assert list(fence.place_to_hold(Fence((zone,) * (most + 1), SLOW), at, here, (), 5.0)) == [cost, cost]
+        watched, too_many = (Fence((far, far, *(zone,) * count), SLOW) for count in (most, most + 1))
+        assert whole(fence.place_to_hold, watched, at, here, (), 5.0) == (here, 1.0)
+        assert list(fence.place_to_hold(watched, at, here, (), 5.0)) == []
+        assert whole(fence.place_to_hold, too_many, at, here, (), 5.0) == (here, 0.4)
+        assert list(fence.place_to_hold(too_many, at, here, (), 5.0)) == [cost, cost]
 
 
 HARBOUR = config.Area(polygon=((38.6, -9.3), (38.8, -9.3), (38.8, -9.1), (38.6, -9.1)))
