@@ -59,6 +59,10 @@ mutants: $(MORE) ## change the safety core, one place at a time, and see that a 
 encounters: $(MORE) ## sail DNV's encounters and Imazu's with and without the guard (docs/encounters.md; ARGS="--seeds 100")
 	$(BIN)/python -m bench.record $(ARGS)
 
+.PHONY: oracles
+oracles: $(READY) ## make anew what the tests hold today's behaviour against (CONTRIBUTING.md; ARGS="boats telemetry": some of it)
+	PYTHONPATH=. $(BIN)/python -m tests.oracles $(ARGS)
+
 check: $(READY) $(NPM) ## style, types and the direction of imports
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
