@@ -12,7 +12,7 @@ from tests.oracles.voyages import VOYAGES, Voyage
 
 def _sailed(voyage: Voyage) -> Trace:
     """Without the values of its cycles, which are many."""
-    return voyage.sail({})._replace(values=(), at_s=())
+    return voyage.sail({})._replace(columns={}, at_s=())
 
 
 def _sail(kind: str, workers: ProcessPoolExecutor) -> None:

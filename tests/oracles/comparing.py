@@ -151,7 +151,7 @@ def _fields(kept: Trace, now: Trace, row: Row, group: str, cycle: int) -> Iterat
     told = list(commands(row, kept.told_by))
     at = cycle if len(told) > 1 else row.end
     if group == "commanded" and told:
-        both = [(name, value, float(now.values[at - 1][name])) for name, value in told[at - row.end - 1].items()]
+        both = [(name, value, float(now.columns[name][at - 1])) for name, value in told[at - row.end - 1].items()]
         changed = [each for each in both if abs(each[1] - each[2]) > 5e-4 * (math.pi if each[0].endswith("_angle") else 1.0)]
         for name, then, here in changed:
             yield f"{'' if at == cycle else f'at cycle {at} '}field {name}: kept {then:.3f}, now {here:.3f}"
@@ -167,7 +167,7 @@ def _fields(kept: Trace, now: Trace, row: Row, group: str, cycle: int) -> Iterat
         if end and name in kept.ends[end]:
             yield f"at {_cycle(now, end)} field {name}: kept {kept.ends[end][name]:.5g}, now {now.ends[end][name]:.5g}"
         elif len(names) == 1:
-            yield f"field {name}: now {now.values[cycle - 1][name]}"
+            yield f"field {name}: now {now.columns[name][cycle - 1]}"
 
 
 def _cycle(trace: Trace, cycle: int) -> str:

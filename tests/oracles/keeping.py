@@ -61,8 +61,9 @@ def _trace_lines(trace: Trace) -> Iterable[str]:
     yield f"rate_hz = {trace.rate_hz:g}"
     yield f"seconds = {trace.seconds!r}"
     yield _block("marks", (f"{cycle} {' '.join(mark)}" for cycle, mark in trace.marks.items()))
-    yield _block("told", (f"{at_s:.3f} {words}" for at_s, words in trace.told))
-    yield _block("failures", trace.failures)
+    yield _block("told", (f"{at_s:g} {words}" for at_s, words in trace.told))
+    if trace.failures:
+        yield _block("failures", trace.failures)
     yield _block("ends", (f"{c} {' '.join(f'{value:.5g}' for value in values.values())}" for c, values in trace.ends.items()))
     yield _block("rows", (f"{row.end} {row.letters} {row.commands}" for row in trace.rows))
 
@@ -89,7 +90,9 @@ def kept_traces(kind: str) -> tuple[dict[str, Trace], str]:
             rows,
             ends,
             [(float(at_s), text) for at_s, text in words],
-            told["failures"].splitlines(),
+            told.get("failures", "").splitlines(),
+            {},
+            (),
         )
     return found, made
 

@@ -47,9 +47,10 @@ def test_another_gain_is_found_in_the_cycle_and_the_command_that_it_changed_firs
     assert match, told
     cycle, at_s, name, kept, now = match.groups()
     assert float(at_s) == pytest.approx(int(cycle) / 5.0)
-    for trace, value in ((sailed(), kept), (sailed("control.heading.p_nm_per_rad=60.0"), now)):
-        assert float(value) == pytest.approx(trace.values[int(cycle) - 1][f"{name}_command"], abs=1e-3)
-    before = [each.values[int(cycle) - 2] for each in (sailed(), sailed("control.heading.p_nm_per_rad=60.0"))]
+    traces = sailed(), sailed("control.heading.p_nm_per_rad=60.0")
+    for trace, value in zip(traces, (kept, now), strict=True):
+        assert float(value) == pytest.approx(trace.columns[f"{name}_command"][int(cycle) - 1], abs=1e-3)
+    before = [[column[int(cycle) - 2] for column in each.columns.values()] for each in traces]
     assert repr(before[0]) == repr(before[1])
 
 

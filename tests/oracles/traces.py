@@ -57,7 +57,7 @@ class Row(NamedTuple):
 
 
 class Trace(NamedTuple):
-    """What is kept of a voyage; the values of all cycles, too, while it is at hand."""
+    """What is kept of a voyage; the values of all cycles, too, while they are at hand."""
 
     groups: dict[str, tuple[str, ...]]  # names of fields
     seconds: float
@@ -67,8 +67,8 @@ class Trace(NamedTuple):
     ends: dict[int, dict[str, float]]
     told: list[tuple[float, str]]
     failures: list[str]
-    values: Sequence[dict[str, Any]] = ()  # of each cycle, by field
-    at_s: Sequence[float] = ()  # of each cycle
+    columns: dict[str, Sequence[Any]]  # values by field, of each cycle; not kept
+    at_s: Sequence[float]  # of each cycle; not kept
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -133,7 +133,7 @@ class Tape:
             {},
             sorted([*notes, *self.told], key=itemgetter(0)),
             self.failures,
-            [dict(zip(names, values, strict=True)) for values in self._values],
+            dict(zip(names, zip(*self._values, strict=True), strict=True)),
             self._at_s,
         )
         _write(trace, [[packer.pack(values) for packer in packers] for values in self._values], layout)
@@ -155,25 +155,26 @@ class Packer(NamedTuple):
 
 def _write(trace: Trace, packed: list[list[bytes]], layout: Layout) -> None:
     """Marks, rows and ends of the cycles."""
-    digest, fields, done = hashlib.blake2b(digest_size=8), dict.fromkeys(trace.names, 0), 0
+    digest, fields, told_by, done, marked = hashlib.blake2b(digest_size=8), dict.fromkeys(trace.names, 0), trace.told_by, 0, 0
+    digits = [name for name in trace.columns if name in DIGITS or name in told_by]
     marks = {*(round(each_s * layout.rate_hz) for each_s in MARKS_S), len(packed)}
     ends = {round(each_s * layout.rate_hz) for each_s in ENDS_S}
     for cycle, groups in enumerate(packed, 1):
-        values = trace.values[cycle - 1]
         digest.update(b"".join(groups))
-        for name in fields:
-            fields[name] = zlib.crc32(repr(values[name]).encode(), fields[name])
         if cycle in marks:
-            trace.marks[cycle] = digest.hexdigest(), _letters(fields.values())
+            for name, before in fields.items():
+                text = "".join(map(repr, trace.columns[name][marked:cycle]))
+                fields[name] = zlib.crc32(text.encode(), before)
+            trace.marks[cycle], marked = (digest.hexdigest(), _letters(fields.values())), cycle
         if cycle in ends:
-            trace.ends[cycle] = {name: float(values[name]) for name in values if name in DIGITS or name in trace.told_by}
+            trace.ends[cycle] = {name: float(trace.columns[name][cycle - 1]) for name in digits}
         is_fine = cycle <= layout.fine_s * layout.rate_hz
         if cycle - done < round((1.0 if is_fine else layout.coarse_s) * layout.rate_hz) and cycle not in marks:
             continue
         rows = packed[done:cycle] if is_fine else [[b"".join(each) for each in zip(*packed[done:cycle], strict=True)]]
         letters = "".join(_letters(map(zlib.crc32, each)) for each in rows)
-        told = trace.values[done:cycle] if layout.each and is_fine else (values,)
-        commands = "".join(_command(each[name], name) for each in told for name in trace.told_by)
+        told = range(done if layout.each and is_fine else cycle - 1, cycle)
+        commands = "".join(_command(trace.columns[name][place], name) for place in told for name in told_by)
         trace.rows.append(Row(cycle, letters, commands))
         done = cycle
 
