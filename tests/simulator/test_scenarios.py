@@ -182,7 +182,7 @@ def test_mixed_faults_end_in_nothing_that_must_never_happen(seeds):
 
 @pytest.mark.parametrize("seed", [1, 2, 5, 4452])
 def test_vessels_that_follow_and_chase_the_boat_drive_it_nowhere(seed):
-    """Some of etc/campaigns/chased.toml: outside the fence in none, though led away from a place to hold beyond a zone (4452)."""
+    """Some of etc/campaigns/chased.toml: outside the fence in none, though led away from its place beyond a zone (4452)."""
     assert not mixed.sail_mixed(VEHICLE, seed, (), chased).failures
 
 
