@@ -154,7 +154,7 @@ def _fill(state: State) -> None:
     order = CourseOrder(0.25, 0.5, 0.75, "keeping clear of MARIA", FERRY.key, 1.375, NOW_S - 3.0)
     dangers = Danger(FERRY.key, 35.0, 120.0, 0.625, "danger", "crossing"), Danger(YACHT.key, 55.0, -4.0, 2.5, "none")
     state.traffic = Traffic(
-        (YACHT, FERRY), NOW_S - 0.1, NOW_S - 4.0, NOW_S - 6.0, (("too far", 2),), "", order, dangers, "on", 0.625, "", SEEN
+        (YACHT, FERRY), NOW_S - 0.1, NOW_S - 4.0, NOW_S - 6.0, (("too far", 2),), "", order, dangers, "on", 0.625, "", told=SEEN
     )  # fmt: skip
 
 
