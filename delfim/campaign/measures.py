@@ -10,8 +10,8 @@ from delfim.campaign.rulecheck import Check, RuleTape, alterations
 from delfim.campaign.steertape import Deviation, SteerTape
 from delfim.clock import ManualClock
 from delfim.modes import Mode
-from delfim.simulator.lockstep import Lockstep
-from delfim.simulator.trial import Event, OrderLog
+from delfim.simulator.lockstep import Lockstep, OrderLog
+from delfim.simulator.trial import Event
 from delfim.simulator.watch import TruePlace
 from delfim.vehicle.console import Commands
 from delfim.vehicle.logbook import ORDERLY

@@ -5,7 +5,7 @@ same seed gives the same bytes. It leaves out event loop, sockets and processes,
 """
 
 from collections.abc import Callable, Iterator
-from typing import Final, Self
+from typing import Final, Protocol, Self, runtime_checkable
 
 import msgspec
 
@@ -32,6 +32,13 @@ from delfim.vehicle.state import State, StateLog
 CONSOLE_S: Final = 1.0  # the operator's console speaks this often
 WATCHDOG_S: Final = 0.1
 BURST: Final = 16  # times that an input which stays readable is read again: navigation after a delay, a bus with much to say
+
+
+@runtime_checkable
+class OrderLog(Protocol):
+    """A log that keeps orders, as the Logbook does."""
+
+    def command(self, command: console.Commands, refused: str | None, state: State, operator: str) -> None: ...
 
 
 class Lockstep:
@@ -145,6 +152,13 @@ class Lockstep:
         """Give a command of the operator; returns why it was refused, or None."""
         return self.vehicle.on_command(command)
 
+    def order(self, command: console.Commands, operator: str) -> str | None:
+        """The same, and it is logged, as the doors of the boat do with each."""
+        why = self.command(command)
+        if isinstance(self.log, OrderLog):
+            self.log.command(command, why, self.state, operator)
+        return why
+
     def breaks(self, broken: Breakage) -> None:
         """Begin a fault now."""
         if broken.kind == "restarted":
@@ -238,14 +252,14 @@ class Lockstep:
     def sail(self, mission: str, limit_s: float, look: Callable[[Self], object] = lambda run: None) -> str:
         """Load a mission's text, play it as soon as the boat is fit, and sail until it ends; how it ended, in words. `look` is
         called after each cycle."""
-        reason = self.command(console.LoadMission(mission))
+        reason = self.order(console.LoadMission(mission), "simulation")
         if reason is not None:
             return f"stopped: {reason}"
         playing = False
         for state in self.cycles(limit_s):
             look(self)
             if not playing:
-                playing = self.command(console.Play()) is None
+                playing = self.order(console.Play(), "simulation") is None
             elif state.reason.startswith("play done"):
                 return f"mission done in {self.elapsed_s:.0f} s"
             elif state.mode is Mode.IDLE:

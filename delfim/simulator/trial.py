@@ -8,7 +8,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Final, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Final, Literal, NamedTuple
 
 import msgspec
 
@@ -23,19 +23,12 @@ from delfim.simulator.scenario import Expect, OperatorWord, Scenario, fault_of, 
 from delfim.simulator.watch import TURNS, Onlooker, TruePlace
 from delfim.vehicle import console
 from delfim.vehicle.logbook import Logbook
-from delfim.vehicle.state import NoLog, State, StateLog
+from delfim.vehicle.state import NoLog, StateLog
 
 RETRY_S: Final = 1.0  # a refused operator repeats the order at this interval ...
 PATIENCE_S: Final = 15.0  # ... and gives up after this time
 GUEST_S: Final = 0.5
 HELD_S: Final = 0.5
-
-
-@runtime_checkable
-class OrderLog(Protocol):
-    """A log that keeps orders, as the Logbook does."""
-
-    def command(self, command: console.Commands, refused: str | None, state: State, operator: str) -> None: ...
 
 
 class Event(NamedTuple):
@@ -150,7 +143,7 @@ class Operator:
         now_s = self._run.elapsed_s
         if self._held is not None and now_s >= self._again_s:
             self._again_s = now_s + HELD_S
-            self._order(self._held)
+            self._run.order(self._held, "scenario")
             self._held = self._held if now_s < self._held_s else None
         elif self._orders and self._orders[0].at_s <= now_s and now_s >= self._again_s:
             order = self._orders[0]
@@ -162,7 +155,7 @@ class Operator:
     def _give(self, order: OperatorWord, recorder: Recorder) -> bool:
         """Whether the operator is done with the order."""
         name, now_s = str(order.command.__struct_config__.tag), self._run.elapsed_s
-        why = self._order(order.command)
+        why = self._run.order(order.command, "scenario")
         if order.refused:
             recorder.add("command", name, f"refused: {why}" if why else "")
             if order.refused not in (why or ""):
@@ -178,13 +171,6 @@ class Operator:
         if self._patience_s:
             self.failures.append(f"{name} at {order.at_s:g} s: {why}")
         return True
-
-    def _order(self, command: console.Commands) -> str | None:
-        """Gives it, and logs it as the doors of the boat do, repetitions too. Returns why it was refused, or None."""
-        why = self._run.command(command)
-        if isinstance(log := self._run.log, OrderLog):
-            log.command(command, why, self._run.state, "scenario")
-        return why
 
 
 def _missed(expected: Expect, recorder: Recorder, end_s: float, vessels: Sequence[Vessel]) -> str | None:
