@@ -24,6 +24,7 @@ SYSTEM_PROGRAMS := linux.uml modprobe ip candump busybox dmsetup e2fsck chromium
 	qemu-system-x86_64 qemu-system-aarch64 qemu-aarch64 grub-mkimage octave-cli podman gpsd str2str mosquitto
 
 export PYTHONSAFEPATH := 1
+unexport PYTHONDONTWRITEBYTECODE # with it each program that a test starts compiles all of Delfim again
 export PATH := $(PATH):/usr/sbin:/sbin:$(CURDIR)/$(BIN)
 
 .DEFAULT_GOAL := help

@@ -596,3 +596,20 @@ def test_a_way_that_keeps_the_margin_to_the_metre_is_a_way():
     beside = Fence((circle("beside", False, (0.0, 13.0), 10.0),), SLOW)
     assert fence.crossing(beside, motion(-20.0, 0.0), (20.0, 0.0)) is None
     assert whole(fence.place_to_hold, beside, (-20.0, 0.0), (20.0, 0.0), (), 5.0) == ((20.0, 0.0), 1.0)
+
+
+@pytest.mark.parametrize(
+    ("east_m", "zones", "is_cut_off"),
+    [
+        (100.0, [circle("rock", False, (0.0, 50.0), 10.0)], True),
+        (100.0, [circle("rock", False, (0.0, 50.0), 10.0), circle("far", False, (500.0, 0.0), 1.0)], True),
+        (100.0, [circle("rock", False, (0.0, 150.0), 10.0)], False),
+        (100.0, [], False),
+        (fence.FAR_M, [circle("rock", False, (0.0, 5.0), 1.0)], False),
+        (math.nextafter(fence.FAR_M, 11.0), [circle("rock", False, (0.0, 5.0), 1.0)], True),
+        (100.0, None, False),
+    ],
+)
+def test_a_place_is_cut_off_by_a_zone_on_the_straight_way_back(east_m, zones, is_cut_off):
+    around = None if zones is None else Fence(tuple(zones), config.FenceTable())
+    assert fence.cuts_off(around, motion(0.0, east_m), (0.0, 0.0)) is is_cut_off
