@@ -12,7 +12,7 @@ from typing import Final, Literal, NamedTuple
 
 from delfim.services.cgroup import Limits
 
-LAST_WORD: Final = b"e"  # in the pipe after the beats: the services have ended, the process ends next
+LAST_WORD: Final = b"e"  # in the pipe after the beats: the boat is stopped or the services have ended, the process ends next
 STACKS_SIGNAL: Final[signal.Signals] = getattr(signal, "SIGUSR2", signal.SIGTERM)  # asks for that; Windows runs no children
 STACKS_BYTES: Final = 65536  # a pipe holds no more
 FRAMES: Final = 3  # of the main thread's stack, in the reason
@@ -43,7 +43,7 @@ class Child:
     pipe: int = -1  # read end
     start_s: float = 0.0  # when it was started, or will be
     beat_s: float | None = None  # last beat, and later by all the time in which the computer did not let us run since
-    is_leaving: bool = False  # it said its last word, and beats no more
+    is_leaving: bool = False  # it said its last word, and commands nothing more
     pause_s: float = 0.0  # before its last start
     restarts: int = 0
     reason: str = ""  # of its last end or silence, in words

@@ -3,7 +3,6 @@
 A service is a name and a coroutine function that runs until it is cancelled. If it returns, it has finished; if it raises,
 it is restarted after a pause, but after PermanentFailure it stays down; the reason is kept and shown.
 Services start in the order given and are stopped one after the other in reverse order.
-
 How to add a service, and what the figures of `report` mean: docs/runtime.md.
 """
 
@@ -16,7 +15,7 @@ import os
 import signal
 import time
 from collections.abc import Awaitable, Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from contextvars import copy_context
 from pathlib import Path
 from types import ModuleType
@@ -79,14 +78,13 @@ class Runtime:
         self._place = "process" if alone else "runtime"
         self._beat_fd = beat_fd
         self._beat_s = min(BEAT_S, settings.supervisor.deadman_s / 4)
-        self._loads, self._is_up = 0, False  # libraries that are being read; whether it has ever beaten
+        self._loads, self._is_up, self._word = 0, False, b"."  # libraries being read; whether it has ever beaten, and how
         self._loop: asyncio.AbstractEventLoop
         self._first: NavigationLoop  # the same loop, where it serves navigation first
         self._plain_loop = new_loop
         self._tasks: dict[str, asyncio.Task[None]] = {}
         self._pauses: dict[int, asyncio.TimerHandle] = {}  # of readers
-        self._stop_reason = ""
-        self._stopping = asyncio.Event()
+        self._stop_reason, self._stopping = "", asyncio.Event()
         self._collector = Collector(self.window, clock)
         self._deadman: dict[str, object] = {}
         if beat_fd >= 0:
@@ -196,8 +194,7 @@ class Runtime:
             gc.freeze()
 
     def report(self) -> dict[str, object]:
-        """JSON-ready: every service, the navigation window, the loop's own callbacks, the dead-man's last event, and the time
-        since boot that all this is of."""
+        """JSON-ready: services, navigation window, the loop's own callbacks, the dead-man's last event, the time since boot."""
         now_s = self.clock.monotonic_s()
         return {
             "figures_s": round(now_s, 3),
@@ -225,14 +222,18 @@ class Runtime:
     def ends_in_order(self) -> bool:
         """Whether somebody told the program to end, and the supervisor lives to do so: whoever ends all that a dead supervisor
         started sends the same signal."""
-        if self._stop_reason not in SIGNALS:
+        try:
+            return self._stop_reason in SIGNALS and (self._beat_fd < 0 or os.write(self._beat_fd, self._word) > 0)
+        except BlockingIOError:
+            return True
+        except BrokenPipeError:
             return False
-        with suppress(BlockingIOError):
-            try:
-                return self._beat_fd < 0 or os.write(self._beat_fd, b".") > 0
-            except BrokenPipeError:
-                return False
-        return True
+
+    def leaves(self) -> None:
+        """At the end of the program: the boat is stopped, and nothing here commands it any more. Logs may take their time."""
+        if self._stop_reason:
+            self._word = LAST_WORD
+            self._say(LAST_WORD)
 
     # The life of the process.
 
@@ -378,13 +379,12 @@ class Runtime:
                 return
             self._is_up = True
             self._be_real_time()
-        self._say(b".")
+        self._say(self._word)
 
     def _say(self, word: bytes) -> None:
-        if self._beat_fd < 0:
-            return
         try:
-            os.write(self._beat_fd, word)
+            if self._beat_fd >= 0:
+                os.write(self._beat_fd, word)
         except BlockingIOError:
             pass  # the supervisor is slow, not dead
         except OSError:

@@ -146,6 +146,7 @@ async def _sail(runtime: Runtime, last: contextlib.AsyncExitStack) -> None:
         keeping = VoyageKeeping(settings, clock, boat)
         last.push_async_callback(keeping.close)
         links.callback(lambda: keeping.end(runtime.ends_in_order()))
+        links.callback(runtime.leaves)
         links.callback(boat.helm.stop, "shutdown")  # undone first of all
         for source in boat.sources:
             links.enter_context(runtime.navigating(source.input.fileno(), partial(boat.on_navigation, source)))

@@ -33,7 +33,7 @@ def completed(script: str, *words: str) -> list[str]:
         (("delfim", "--v"), ["--version"]),
         (("delfim", "sim", "--lock"), ["--lockstep"]),
         (("delfim", "sim", "etc/delfimx.toml", "--no"), ["--no-browser"]),
-        (("delfim", "log", ""), ["ls", "cat", "info", "plot", "export", "replay", "repair", "fetch"]),
+        (("delfim", "log", ""), ["ls", "cat", "info", "plot", "export", "replay", "repair", "audit", "fetch"]),
         (("delfim", "log", "re"), ["replay", "repair"]),
         (("delfim", "can", "dump", "-t", ""), ["a", "d", "z", "A"]),
         (("delfim", "shore", "--encapsulation", "c"), ["cslip"]),

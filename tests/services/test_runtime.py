@@ -448,6 +448,29 @@ def test_the_supervisor_hears_that_the_services_have_ended_before_the_threads_ha
     assert (code, said.strip(b".")) == (0, LAST_WORD)
 
 
+def test_from_when_the_boat_is_stopped_the_supervisor_hears_that_the_program_leaves() -> None:
+    """What comes after, logs above all, may hold the loop for longer than a dead-man waits."""
+    reader, writer = os.pipe()
+    os.set_blocking(reader, False)
+    said = list[bytes]()
+
+    async def sailing(runtime: Runtime) -> None:
+        runtime.leaves()  # not yet: nobody ends the program
+        try:
+            await forever(runtime)
+        finally:
+            said.append(os.read(reader, 1000))
+            runtime.leaves()
+            assert not runtime.ends_in_order(), "a test is no signal"
+            runtime._beat()
+            said.append(os.read(reader, 1000))
+
+    ran(LoadedService("sailing", sailing), LoadedService("stopper", stopper), beat_fd=writer)
+    os.close(reader)
+    os.close(writer)
+    assert (set(said[0]), said[1]) == ({ord(".")}, 2 * LAST_WORD)
+
+
 def test_the_last_deadman_event_is_shown(tmp_path: Path) -> None:
     event = {"reason": "beat stopped for 1.0 s: dead-man", "at_s": 1500.0}
     (tmp_path / "supervisor.json").write_text(json.dumps({"deadman": event}))
