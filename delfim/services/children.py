@@ -12,7 +12,8 @@ from typing import Final, Literal, NamedTuple
 
 from delfim.services.cgroup import Limits
 
-LAST_WORD: Final = b"e"  # in the pipe after the beats: the boat is stopped or the services have ended, the process ends next
+LEAVES: Final = b"l"  # in the pipe in place of the beats: the boat is stopped, and the services end
+LAST_WORD: Final = b"e"  # and after all beats: the services have ended, the process ends next
 STACKS_SIGNAL: Final[signal.Signals] = getattr(signal, "SIGUSR2", signal.SIGTERM)  # asks for that; Windows runs no children
 STACKS_BYTES: Final = 65536  # a pipe holds no more
 FRAMES: Final = 3  # of the main thread's stack, in the reason

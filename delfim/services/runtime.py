@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 from delfim import config
 from delfim.clock import Clock
 from delfim.errors import DelfimError, PermanentFailure, in_words
-from delfim.services.children import LAST_WORD
+from delfim.services.children import LAST_WORD, LEAVES
 from delfim.services.garbage import Collector
 from delfim.services.priority import ACCOUNT, Account, NavigationLoop, Practice
 from delfim.services.privileges import asked, real_time, set_privileges
@@ -232,8 +232,8 @@ class Runtime:
     def leaves(self) -> None:
         """At the end of the program: the boat is stopped, and nothing here commands it any more. Logs may take their time."""
         if self._stop_reason:
-            self._word = LAST_WORD
-            self._say(LAST_WORD)
+            self._word = LEAVES
+            self._say(LEAVES)
 
     # The life of the process.
 

@@ -21,7 +21,7 @@ from math import inf
 from pathlib import Path
 from typing import Final, Literal, cast, get_args
 
-from delfim.services.children import LAST_WORD, STACKS_SIGNAL, Child, Supervised, ended, process_state, stood
+from delfim.services.children import LAST_WORD, LEAVES, STACKS_SIGNAL, Child, Supervised, ended, process_state, stood
 from delfim.services.shutdown import Word, listening
 from delfim.services.supervisorfile import write_state
 from delfim.services.watchdog import Watchdog
@@ -339,9 +339,9 @@ class Supervisor:
         if child.program.guard and self._is_cut and child.beat_s is not None:  # since its first one it has written neutral
             self._is_cut = False
             log.warning("%s: beats again: %s", child.program.name, self._cut(False))
-        child.beat_s, child.is_leaving = now_s, told.endswith(LAST_WORD)
-        if child.program.critical and child.is_leaving:  # it commands nothing more: the propellers are ours
-            self._stop_due_s = now_s
+        child.beat_s, child.is_leaving = now_s, told.endswith((LEAVES, LAST_WORD))
+        if child.program.critical and child.is_leaving:  # it commands nothing more: the propellers are ours, when it is silent
+            self._stop_due_s = now_s + (0.0 if told.endswith(LAST_WORD) else self._deadman_s)
         elif child.program.critical and self._stop_due_s is not None:
             self._stop_due_s = None
             self._calm()

@@ -20,7 +20,7 @@ from delfim import config
 from delfim.clock import Clock, ManualClock, SystemClock
 from delfim.errors import BusError, PermanentFailure
 from delfim.services import runtime as module
-from delfim.services.children import LAST_WORD
+from delfim.services.children import LAST_WORD, LEAVES
 from delfim.services.runtime import LoadedService, Runtime
 from delfim.services.supervisor import EXIT_PERMANENT
 
@@ -468,7 +468,7 @@ def test_from_when_the_boat_is_stopped_the_supervisor_hears_that_the_program_lea
     ran(LoadedService("sailing", sailing), LoadedService("stopper", stopper), beat_fd=writer)
     os.close(reader)
     os.close(writer)
-    assert (set(said[0]), said[1]) == ({ord(".")}, 2 * LAST_WORD)
+    assert (set(said[0]), said[1]) == ({ord(".")}, 2 * LEAVES)
 
 
 def test_the_last_deadman_event_is_shown(tmp_path: Path) -> None:

@@ -175,6 +175,7 @@ while True:
         (".", 30.0, 0.0, 31.0, 31.0),
         (".", 0.0, 30.0, 31.0, 31.0),
         (".e", 0.0, 0.0, 0.0, supervisor.END_CRITICAL_S),
+        (".l", 0.0, 0.0, 1.0, supervisor.END_CRITICAL_S),
     ],
 )
 def test_the_stop_frames_come_when_the_deadman_is_due_and_the_kill_a_moment_later(
@@ -188,7 +189,8 @@ def test_the_stop_frames_come_when_the_deadman_is_due_and_the_kill_a_moment_late
 ) -> None:
     """On a clock of its own, that waiting alone moves: what the contract of 1.2 s leaves is the computer's, not ours. While the
     computer stands still, or we are held between a wait and a look, nobody beats, and nobody is killed for that. A runtime
-    whose services have ended in order has time for its threads, and the supervisor stops the propellers meanwhile."""
+    whose services have ended in order has time for its threads, and the supervisor stops the propellers meanwhile; one that has
+    stopped the boat has time for its logs, and the supervisor stops the propellers when the deadman is due."""
     clock, look = ManualClock(100.0), select.select
     stops_s, kills_s, killpg = list[float](), list[float](), os.killpg
     program = children.Supervised("runtime", (sys.executable, "-c", BEATS_ONCE, said), critical=True)
