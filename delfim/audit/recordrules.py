@@ -133,6 +133,8 @@ def way_plausible(e: Evidence) -> Iterator[Finding]:
         troubled |= (e.t_s >= from_s) & (e.t_s < to_s + WAY_S + 1.0)
     for alarm in e.named("navigation_jumping", "navigation_twice", "navigation_silent", "navigation_frozen", "gnss_poor"):
         troubled |= (e.t_s > alarm.begin_s - WAY_S) & (e.t_s < alarm.end_s + WAY_S)
+    for jump in np.flatnonzero(np.hypot(np.diff(north_m), np.diff(east_m)) > float(e.setting("navigation.jump_m"))):
+        troubled |= (e.t_s > e.t_s[jump]) & (e.t_s < e.t_s[jump] + WAY_S + 1.0)  # positions-steady judges it
     number = int(WAY_S / max(float(np.median(steps_s)), 0.01)) if len(steps_s) else 0
     if not 0 < number < len(e.t_s):
         raise Unjudged(f"it is shorter than {WAY_S:g} s")
@@ -243,7 +245,7 @@ RULES: Final = (
     ),
     Rule(
         "way-plausible",
-        "Positions go where the speeds say, unless a trouble of navigation is told.",
+        "Positions go where the speeds say, but for a jump that jump_m and jump_mps allow, unless a trouble is told.",
         "failsafe.md#the-table",
         way_plausible,
     ),

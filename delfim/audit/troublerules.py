@@ -103,7 +103,7 @@ def home_after_pause(e: Evidence) -> Iterator[Finding]:
         warned_s = alarm.told[-1].t_s if alarm.told[-1].action == "warn" else math.inf
         near = (each for each in e.modes if pauses[0].t_s - SAME_S < each.t_s < min(warned_s, over_s) + LOOK_S)
         entered = any(each.mode != "hold" or each.reason.startswith("operator") for each in near)
-        if not entered and (warned_s > over_s - SURE_S or last_s - warned_s > clear_s + SURE_S):
+        if not entered and (warned_s > over_s + SURE_S or last_s - warned_s > clear_s + SURE_S):
             yield Finding(over_s, f"{alarm.name}: the pause is over, and the boat does not go home")
 
 
