@@ -13,7 +13,6 @@ from typing import Any, Final
 
 import delfim
 from delfim import config, tables
-from delfim.audit import auditor
 from delfim.campaign.measures import MEASURES, RunTape, Sailed, Truth
 from delfim.campaign.runplan import Batch, Plan, broken_of, laid, parted
 from delfim.clock import ManualClock
@@ -113,6 +112,8 @@ def one(plan: Plan, number: int, point: int, seed: int) -> dict[str, Any]:
 
 def _audited(plan: Plan, point: int, seed: int) -> tuple[Sailed, list[str]]:
     """The same with its log, which the second auditor judges; what it finds is among the failures."""
+    from delfim.audit import auditor  # it needs numpy, which a run that nobody audits does not
+
     with TemporaryDirectory(prefix="delfim-audit-") as folder:
         sailed, failures = sailed_run(plan, point, seed, log=folder)
         return sailed, [*failures, *(f"audit: {words}" for words in auditor.complaints(folder))]
