@@ -20,7 +20,7 @@ from delfim.logging.keptwriter import LENGTH, RECORD_MAX, SLOTS, slot, unpacked
 
 PROGRAM: Final = (sys.executable, "-m", "delfim.logging.keptwriter")
 PIPE_BYTES: Final = 1 << 20
-CLOSE_S: Final = 0.8  # less than a service has for its end
+CLOSE_S: Final = 0.3  # the logs need the rest of the time that a program has for its end
 LOOK_S: Final = 0.01
 
 log = logging.getLogger(__name__)
