@@ -24,11 +24,9 @@ from delfim.services.jail import Jail
 PART: Final = ".part"  # behind the name of what is not all here yet
 LOOK_BYTES: Final = 1 << 20
 INODES_SHARE: Final = 0.25  # of the disk's inodes stay with the logs
+BEING_WRITTEN: Final = "another client is writing it"
 
 log = logging.getLogger(__name__)
-
-
-BEING_WRITTEN: Final = "another client is writing it"
 
 
 class NoRoom(DelfimError):

@@ -3,6 +3,7 @@
 import asyncio
 import errno
 import os
+import subprocess
 import threading
 from pathlib import Path
 from types import SimpleNamespace
@@ -66,6 +67,15 @@ def until(keeper: Keeper, directory: Path, record: bytes) -> None:
     raise AssertionError(f"{record!r} was not kept in {directory}")
 
 
+def keeping(directory: Path) -> tuple[Keeper, subprocess.Popen[bytes]]:
+    """A keeper that has kept its first record, and its child."""
+    keeper = Keeper([str(directory)], "voyage", KEY, 0)
+    keeper.put(b"first")
+    until(keeper, directory, b"first")
+    assert keeper._child is not None
+    return keeper, keeper._child
+
+
 def test_the_newest_record_is_kept_in_both_places_and_goes_on_in_the_next_run(tmp_path):
     places = [tmp_path / "memory", tmp_path / "disk"]
     for place in places:
@@ -97,11 +107,7 @@ def test_a_place_that_fails_does_not_keep_the_record_from_the_other(tmp_path):
 
 
 def test_a_writer_that_died_is_started_again(tmp_path):
-    keeper = Keeper([str(tmp_path)], "voyage", KEY, 0)
-    keeper.put(b"before")
-    until(keeper, tmp_path, b"before")
-    child = keeper._child
-    assert child is not None
+    keeper, child = keeping(tmp_path)
     child.kill()
     while keeper._child is not None:
         keeper.poll()
@@ -112,15 +118,12 @@ def test_a_writer_that_died_is_started_again(tmp_path):
 
 def test_a_pipe_that_is_full_does_not_hold_the_caller(tmp_path):
     """The child is stopped: of all that it is given it gets what the pipe holds, and the next record says the rest."""
-    keeper = Keeper([str(tmp_path)], "voyage", KEY, 0)
-    keeper.put(b"first")
-    until(keeper, tmp_path, b"first")
-    assert keeper._child is not None
-    os.kill(keeper._child.pid, 19)
+    keeper, child = keeping(tmp_path)
+    os.kill(child.pid, 19)
     taken = [keeper.put(bytes(400_000)) for _ in range(20)]
     assert True in taken
     assert taken[-1] is False
-    os.kill(keeper._child.pid, 18)
+    os.kill(child.pid, 18)
     while not keeper.put(b"last"):
         keeper.poll()
         NEVER.wait(0.01)
@@ -130,11 +133,7 @@ def test_a_pipe_that_is_full_does_not_hold_the_caller(tmp_path):
 
 def test_the_loop_turns_while_the_child_writes_its_last(tmp_path):
     """The child is stopped, with more in hand than the pipe holds, and goes on when the loop says so."""
-    keeper = Keeper([str(tmp_path)], "voyage", KEY, 0)
-    keeper.put(b"first")
-    until(keeper, tmp_path, b"first")
-    child = keeper._child
-    assert child is not None
+    keeper, child = keeping(tmp_path)
     os.kill(child.pid, 19)
     last = bytes(4 << 20)
     assert keeper.put(last)
@@ -153,11 +152,7 @@ def test_the_loop_turns_while_the_child_writes_its_last(tmp_path):
 
 
 def test_a_child_that_hangs_is_not_waited_for(tmp_path):
-    keeper = Keeper([str(tmp_path)], "voyage", KEY, 0)
-    keeper.put(b"first")
-    until(keeper, tmp_path, b"first")
-    child = keeper._child
-    assert child is not None
+    keeper, child = keeping(tmp_path)
     os.kill(child.pid, 19)
     keeper.put(b"last")
     asyncio.run(keeper.close(0.0))
