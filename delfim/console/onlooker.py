@@ -53,17 +53,21 @@ class Voyage:
     def _watch(self, show: Show, boat: "subprocess.Popen[bytes]") -> None:
         socket = self._settings.console.socket
         with _connected(socket, boat) as operator, _connected(socket, boat) as onlooker:
-            try:
-                operator.ask("mission", text=canonical(self._mission))
-            except Refused as refused:
-                if not self._asked.console:
-                    raise
-                print(f"delfim: {refused}; it is the console's now", file=sys.stderr, flush=True)
-                self._played_s = time.monotonic()
+            if self._played_s is None:  # a boat that was started again goes on with its own, and a command would end that
+                self._load(operator)
             self._began_s = time.monotonic() if self._last is None else self._began_s
             for state in self._watched(operator, onlooker):
                 self._last = state
                 show(state, self._words())
+
+    def _load(self, operator: Link) -> None:
+        try:
+            operator.ask("mission", text=canonical(self._mission))
+        except Refused as refused:
+            if not self._asked.console:
+                raise
+            print(f"delfim: {refused}; it is the console's now", file=sys.stderr, flush=True)
+            self._played_s = time.monotonic()
 
     def _watched(self, operator: Link, onlooker: Link) -> Iterator[dict[str, Any]]:
         alive_s, is_under_way = 0.0, False

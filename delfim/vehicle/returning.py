@@ -93,8 +93,6 @@ class Returning:
             self._give_up(f"kill: {state.killed.reason}")
         elif now_s - self._began_s > self._limits.within_s:
             self._give_up("the boat could not go on for too long")
-        elif state.computer.is_starting:  # no dead-man watches the program yet: every mode would be refused
-            state.restarted = f"{self._was()}; waits for the dead-man"
         elif "position" not in state.motion.has or now_s - state.navigation_s > self._helm.settings.navigation.stale_s:
             state.restarted = f"{self._was()}; waits for navigation"
         elif why := self._elsewhere(back):

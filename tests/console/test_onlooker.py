@@ -78,3 +78,13 @@ def test_with_a_console_a_stop_while_the_mission_is_loaded_leaves_the_boat_to_it
     assert capsys.readouterr().err == f"delfim: {words}; it is the console's now\n"
     with pytest.raises(Refused):
         sailed(boat, monkeypatch)
+
+
+def test_with_a_console_a_boat_that_was_started_again_is_left_to_what_it_keeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same mission, sent again, would be a command: it ends the return to the voyage."""
+    boat = Boat([state("play", "operator")] * 3, state("play", "operator"))
+    its = sailed(boat, monkeypatch, console=True)
+    assert boat.asked.count("mission") == boat.asked.count("play") == 1
+    boat.published = [state("hold", "restarted: it was in play on leg 1")] * 3
+    its._watch(lambda state, words: None, boat)  # type: ignore[arg-type]
+    assert boat.asked.count("mission") == boat.asked.count("play") == 1
