@@ -3,6 +3,7 @@
 import ctypes
 import mmap
 import os
+import sys
 
 import pytest
 from hypothesis import given
@@ -111,11 +112,15 @@ def test_a_link_in_the_place_of_a_file_is_not_followed(jail, tmp_path, monkeypat
     assert jail.status("folder/file").st_size != (tmp_path / "secret").stat().st_size
 
 
-def test_a_chain_of_links_is_refused_in_words(jail, tmp_path):
+def test_a_chain_of_links_is_refused_in_words_or_walked_to_its_end(jail, tmp_path):
+    """Python before 3.13 follows links by recursion and gives up; later ones do not mind how many there are."""
     for number in range(1500):
         (tmp_path / f"root/{number}").symlink_to(str(number + 1))
-    with pytest.raises(DelfimError, match="chain of links"):
-        jail.real("0")
+    try:
+        end = jail.real("0")
+    except DelfimError as error:
+        end = str(error)
+    assert end == ("a chain of links" if sys.version_info < (3, 13) else str(tmp_path / "root/1500"))
 
 
 def test_a_file_is_not_read_ahead(jail, tmp_path):
