@@ -43,6 +43,13 @@ SAID_CHARACTERS: Final = 200  # of one line in the log
 log = logging.getLogger(__name__)
 
 
+async def _within(seconds: float, event: asyncio.Event) -> None:
+    """Wait for something, at most so long."""
+    with contextlib.suppress(TimeoutError):
+        async with asyncio.timeout(seconds):
+            await event.wait()
+
+
 class Payload(asyncio.SubprocessProtocol):
     """One program: its process, its lines, its figures."""
 
@@ -115,10 +122,9 @@ class Payload(asyncio.SubprocessProtocol):
                 os.close(feed)
                 processes.end(pid, signal.SIGTERM)
                 await processes.empty(pid, END_S)
-            self._kill(pid)
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(END_S):  # its last words may still be in the pipe
-                    await self._silent.wait()
+                self._kill(pid)
+                await _within(END_S, self._ended)  # the loop has to hear of it before it ends itself
+            await _within(END_S, self._silent)  # its last words may still be in the pipe
         code = transport.get_returncode()
         assert code is not None
         return code, self._limits.exceeded(self._group) or ended(code)

@@ -7,6 +7,7 @@ import gzip
 import json
 import os
 import shutil
+import signal
 import socket
 import subprocess
 import sys
@@ -163,6 +164,33 @@ def test_the_example_in_c_measures_the_way(tmp_path: Path, open_folder: Path) ->
             assert figures["values"]["way way_m"]["value"] > 0.5
 
     run(test)
+
+
+def test_a_program_that_does_not_want_to_end_is_dead_before_the_service_is(tmp_path: Path, monkeypatch: Any) -> None:
+    """The loop may end next: what it does not know to be dead by then it calls running."""
+    codes, run_, made = list[int | None](), payload.Payload.run, payload.Payload.connection_made
+    started = list[asyncio.SubprocessTransport]()
+
+    async def watched(self: payload.Payload) -> None:
+        try:
+            await run_(self)
+        finally:
+            codes.append(started[-1].get_returncode())
+
+    def noted(self: payload.Payload, transport: asyncio.SubprocessTransport) -> None:
+        started.append(transport)
+        made(self, transport)
+
+    monkeypatch.setattr(payload.Payload, "run", watched)
+    monkeypatch.setattr(payload.Payload, "connection_made", noted)
+
+    async def test() -> None:
+        deaf = ("/bin/sh", "-c", """trap '' TERM; while :; do echo '{"x": 1}'; sleep 0.1; done""")
+        async with carried(tmp_path, deaf=deaf) as suite:
+            await suite.until(lambda it: it["lines"]["deaf"]["reported"])
+
+    run(test)
+    assert codes == [-signal.SIGKILL]
 
 
 def test_a_program_that_crashes_is_started_again_and_says_why_and_the_other_runs_on(tmp_path: Path) -> None:
