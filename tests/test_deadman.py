@@ -60,6 +60,11 @@ class Suite(NamedTuple):
                     raise
             NEVER.wait(0.05)  # a refusal is a line of the system log, which drops the lines of a program that floods it
 
+    def system_log(self) -> str:
+        """As `delfim log cat system` prints it."""
+        words = [sys.executable, "-m", "delfim", "log", "cat", "system", str(self.folder / "log")]
+        return subprocess.run(words, capture_output=True, text=True).stdout
+
     def stopped(self, since: float) -> float:
         """How long after `since` the bus carried a stop for the starboard propeller."""
         while True:
@@ -128,12 +133,12 @@ def test_the_system_log_tells_all_of_it(suite):
     while suite.runtime_pid() == pid or suite.asked("state")["mode"] != "idle":
         pass
     suite.asked("stop")
+    while '{"command":"stop"}: done' not in suite.system_log():  # its writer has what the others leave of the processor
+        NEVER.wait(0.1)
     suite.supervisor.send_signal(signal.SIGTERM)
     suite.supervisor.wait(60)
-    told = subprocess.run(
-        [sys.executable, "-m", "delfim", "log", "cat", "system", str(suite.folder / "log")], capture_output=True, text=True
-    )
-    lines = iter(told.stdout.splitlines())
+    told = suite.system_log()
+    lines = iter(told.splitlines())
     for words in (
         r"info     supervisor\[\d+\]: delfim .* starts .*/etc/delfimx.toml, sha256 [0-9a-f]{64}, with other values of can",
         r"info     supervisor\[\d+\]: runtime: started as process",
@@ -148,7 +153,7 @@ def test_the_system_log_tells_all_of_it(suite):
         r"warning  runtime\[\d+\]: stopping: SIGTERM",
         r"info     supervisor\[\d+\]: runtime: ended",
     ):
-        assert any(re.search(words, line) for line in lines), f"{words}\n{told.stdout}"
+        assert any(re.search(words, line) for line in lines), f"{words}\n{told}"
 
 
 @pytest.mark.parametrize("suite", [("taskset", "-c", str(min(os.sched_getaffinity(0))))], indirect=True)

@@ -1,5 +1,6 @@
 """The programs of the supervisor: starting one with a pipe to beat on, and finding out where a silent one stands."""
 
+import contextlib
 import logging
 import os
 import re
@@ -79,6 +80,12 @@ class Child:
                 os.sched_setscheduler(self.pid, os.SCHED_IDLE, os.sched_param(0))
             except OSError as error:
                 log.warning("%s: SCHED_IDLE: %s; going on without it", program.name, error.strerror)
+
+    def hurry(self) -> None:
+        """From now on it competes for the processor, if we may decide that: who has little time to end must get some of it."""
+        if not self.is_urgent:
+            with contextlib.suppress(OSError):
+                os.sched_setscheduler(self.pid, os.SCHED_OTHER, os.sched_param(0))
 
     def stacks(self) -> str:
         """Where its threads stand, as it wrote into its pipe; empty where it did not."""

@@ -376,6 +376,7 @@ class Supervisor:
         if child.state == "waiting":
             self._change(child, "stopped")
         if child.pid:
+            child.hurry()
             os.kill(child.pid, signal.SIGTERM)
         until_s = time.monotonic() + patience_s
         while child.pid and (now_s := time.monotonic()) < until_s + KILL_S:

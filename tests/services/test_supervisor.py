@@ -468,6 +468,9 @@ def test_programs_are_idle_but_the_critical_one_and_have_a_session_of_their_own(
         pid = suite.state()["programs"][name]["pid"]
         assert os.sched_getscheduler(pid) == policy
         assert os.getsid(pid) == pid
+    suite.terminate()
+    assert suite.events(word="end")
+    assert os.geteuid() or not suite.events(word="idles"), "who has little time to end competes for the processor"
 
 
 def test_a_guard_starts_at_once_is_not_idle_and_ends_last(suite: Suite) -> None:
