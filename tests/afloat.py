@@ -38,4 +38,4 @@ def running(tmp_path: Path, port: int, *more: str, package: Path = ROOT) -> Iter
     finally:
         for program in reversed(programs):
             program.send_signal(signal.SIGTERM)
-            program.wait(30)
+            program.wait(200)

@@ -107,7 +107,7 @@ def voyage(folder: Path, bus: str) -> None:
         print(json.dumps(shown, indent=1))
         with open_can(bus) as onlooker:
             onlooker.bind(*TransferReceiver((NODE_STATUS, RAW_COMMAND)).filters)
-            onlooker.settimeout(60)
+            onlooker.settimeout(200)
             while often(onlooker) <= 12:  # navigation alone would give five or six; a busy computer may take some time for it
                 pass
         asked(command, "stop")

@@ -50,7 +50,7 @@ class Suite(NamedTuple):
 
     def asked(self, command: str, **words: object) -> dict:
         """The answer to a command, as soon as the vehicle carries it out."""
-        until = time.monotonic() + 60
+        until = time.monotonic() + 200
         while True:
             try:
                 with Link(self.folder / "command") as link:
@@ -93,7 +93,7 @@ def suite(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Suite]:
     supervisor = subprocess.Popen(command)
     with open_can(bus) as socket:
         socket.bind(CanAddress(messages.PROPELLER_STARBOARD))
-        socket.settimeout(60)
+        socket.settimeout(200)
         boat = Suite(tmp_path, socket, hang, supervisor)
         boat.asked("manual", starboard=0.5, port=0.5)
         while not messages.unpack_propeller_command(socket.recvmsg().data).run:
@@ -101,7 +101,7 @@ def suite(tmp_path: Path, request: pytest.FixtureRequest) -> Iterator[Suite]:
         yield boat
     for process in (supervisor, nodes):
         process.send_signal(signal.SIGTERM)
-        process.wait(60)
+        process.wait(200)
 
 
 @pytest.mark.parametrize("how", ["python", "interpreter lock", "memory", "SIGSTOP", "SIGKILL"])
@@ -136,7 +136,7 @@ def test_the_system_log_tells_all_of_it(suite):
     while '{"command":"stop"}: done' not in suite.system_log():  # its writer has what the others leave of the processor
         NEVER.wait(0.1)
     suite.supervisor.send_signal(signal.SIGTERM)
-    suite.supervisor.wait(60)
+    suite.supervisor.wait(200)
     told = suite.system_log()
     lines = iter(told.splitlines())
     for words in (

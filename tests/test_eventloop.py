@@ -70,7 +70,9 @@ def test_what_a_command_over_ssh_leaves_in_a_session_of_its_own_keeps_nobody_wai
     try:
         while "ssh://" not in daemon.stderr.readline():
             pass
-        done = subprocess.run([*ssh, "-p", str(port), "ana@127.0.0.1", left], stdin=subprocess.DEVNULL, timeout=60, check=False)
+        done = subprocess.run(
+            [*ssh, "-p", str(port), "ana@127.0.0.1", left], stdin=subprocess.DEVNULL, timeout=200, check=False
+        )
         assert done.returncode == 0
     finally:
         with contextlib.suppress(OSError, ValueError):

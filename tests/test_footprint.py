@@ -38,13 +38,13 @@ def nodes(tmp_path: Path) -> Iterator[tuple[CanSocket, list[str]]]:
     words = [VEHICLE, *(word for key, value in settings.items() for word in ("--set", f"{key}={value}"))]
     process = subprocess.Popen([sys.executable, "-m", "delfim", "nodes", *words])
     with open_can(bus) as socket:
-        socket.settimeout(60)
+        socket.settimeout(200)
         socket.bind(CanAddress(messages.sysstat_arb(messages.Node.PROPELLER_STARBOARD)))
         socket.recvmsg()
         socket.bind(CanAddress(messages.PROPELLER_STARBOARD))
         yield socket, words
     process.terminate()
-    process.wait(20)
+    process.wait(200)
 
 
 def test_from_its_start_to_the_first_command_and_all_its_memory(nodes):
@@ -59,7 +59,7 @@ def test_from_its_start_to_the_first_command_and_all_its_memory(nodes):
         status = Path(f"/proc/{runtime.pid}/status").read_text()
     finally:
         runtime.send_signal(signal.SIGTERM)
-        runtime.wait(20)
+        runtime.wait(200)
     found = re.search(r"VmRSS:\s+(\d+) kB", status)
     assert found
     memory_mb = int(found[1]) / 1024

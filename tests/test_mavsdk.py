@@ -172,5 +172,5 @@ def test_connect_watch_upload_download_start_hold_return_disarm(tmp_path):
         modes = asyncio.run(asyncio.wait_for(sailed(path), 240))
     assert modes == ["idle", "play", "hold", "play", "hold", "play", "home", "idle"]
     words = [sys.executable, "-m", "delfim", "log", "replay", str(tmp_path / "log")]
-    replayed = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    replayed = subprocess.run(words, capture_output=True, text=True, timeout=200, check=False)
     assert "all the same, bit by bit" in replayed.stdout, replayed

@@ -44,9 +44,9 @@ class Suite(NamedTuple):
 
     def page(self) -> tuple[dict[str, Any], str]:
         """(as JSON, as a person reads it)."""
-        with urllib.request.urlopen(f"{self.address}api/state", timeout=10) as answer:
+        with urllib.request.urlopen(f"{self.address}api/state", timeout=200) as answer:
             state = json.load(answer)
-        with urllib.request.urlopen(self.address, timeout=10) as answer:
+        with urllib.request.urlopen(self.address, timeout=200) as answer:
             return state, unescape(re.sub("<[^>]*>", "", answer.read().decode()))
 
     def service(self, place: str) -> tuple[dict[str, Any], str]:
@@ -64,7 +64,7 @@ class Suite(NamedTuple):
             assert messages.unpack_propeller_command(self.bus.recvmsg().data).run
 
 
-def until(condition: Callable[[], object], within_s: float = 60.0) -> None:
+def until(condition: Callable[[], object], within_s: float = 200.0) -> None:
     """Wait for it."""
     deadline_s = time.monotonic() + within_s
     while True:
@@ -105,7 +105,7 @@ def sailing(folder: Path, place: str) -> Iterator[Suite]:
     try:
         with open_can(bus) as can:
             can.bind(CanAddress(messages.PROPELLER_STARBOARD))
-            can.settimeout(60)
+            can.settimeout(200)
             until(lambda: asked(folder, "heading", heading_deg=180.0, speed_mps=1.5))
             while not messages.unpack_propeller_command(can.recvmsg().data).run:
                 pass
@@ -115,7 +115,7 @@ def sailing(folder: Path, place: str) -> Iterator[Suite]:
     finally:
         for process in (supervisor, nodes):
             process.send_signal(signal.SIGTERM)
-            process.wait(20)
+            process.wait(200)
 
 
 def asked(folder: Path, command: str, **words: object) -> bool:

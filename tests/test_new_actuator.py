@@ -135,7 +135,7 @@ def test_an_actuator_that_cannot_be_told_keeps_no_other_from_its_stop(monkeypatc
     settings = msgspec.structs.replace(settings, thrusters=(first, settings.thrusters[1]))
     with open_can(settings.can.interface) as bus, contextlib.closing(PropellerStop(settings)) as stop:
         bus.bind(CanAddress(messages.PROPELLER_PORT))
-        bus.settimeout(60)
+        bus.settimeout(200)
         with pytest.raises(DelfimError, match="no such line"):
             stop()
         assert not messages.unpack_propeller_command(bus.recvmsg().data).run

@@ -62,4 +62,4 @@ def test_a_new_node_hears_and_answers_on_the_bus(tmp_path):
                     continue
         finally:
             nodes.send_signal(signal.SIGTERM)
-            nodes.wait(30)
+            nodes.wait(200)

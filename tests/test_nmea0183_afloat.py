@@ -173,7 +173,7 @@ def gpsd(tmp_path: Path) -> Iterator[tuple[Pty, int]]:
     program = subprocess.Popen(words)
     yield device, number
     program.terminate()
-    program.wait(10)
+    program.wait(200)
 
 
 class Listener:
@@ -221,7 +221,7 @@ def test_the_boat_tells_other_instruments_where_it_is(tmp_path):
             assert state["nmea0183.out.sonar"]["lost"] == state["nmea0183.out.plotter"]["lost"] == 0
     finally:
         daemon.terminate()
-        daemon.wait(10)
+        daemon.wait(200)
     assert (told["lat"], told["lon"]) == pytest.approx((state["latitude_deg"], state["longitude_deg"]), abs=1e-4)
     read = [pynmea2.parse(line.decode(), check=True) for line in heard.split(b"\r\n")[1:-1]]
     assert {each.sentence_type for each in read} == {"HDT", "RMC"}, "the rate of turn is unknown, so it is not told"

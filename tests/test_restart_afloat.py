@@ -51,7 +51,7 @@ class Boat:
     def end(self) -> None:
         for program in (self.supervisor, self._nodes):
             program.send_signal(signal.SIGTERM)
-            program.wait(60)
+            program.wait(200)
 
     def runtime(self) -> int:
         return int(json.loads((self.folder / "run/supervisor.json").read_text())["programs"]["runtime"]["pid"])
@@ -62,7 +62,7 @@ class Boat:
 
     def asked(self, command: str, **words: Any) -> dict[str, Any]:
         """The answer, as soon as the vehicle obeys."""
-        until_s = time.monotonic() + 60
+        until_s = time.monotonic() + 200
         while True:
             try:
                 with Link(self.folder / "command") as link:
@@ -74,7 +74,7 @@ class Boat:
 
     def until(self, is_so: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
         """The state, once this is so."""
-        until_s = time.monotonic() + 60
+        until_s = time.monotonic() + 200
         while not is_so(state := self.asked("state")):
             assert time.monotonic() < until_s, (state["mode"], state["reason"], state["notices"], state["checks"])
             NEVER.wait(0.05)
@@ -82,7 +82,7 @@ class Boat:
 
     def kept(self, words: bytes) -> None:
         """Wait until this stands in the newest record beside the logs."""
-        until_s = time.monotonic() + 60
+        until_s = time.monotonic() + 200
         while words not in (newest([str(self.folder / "log")], VOYAGE, b"")[1] or b""):
             assert time.monotonic() < until_s
             NEVER.wait(0.02)
@@ -138,7 +138,7 @@ def test_a_killed_supervisor_takes_nothing_of_the_voyage_with_it(boat):
 
 def test_a_boat_that_is_told_to_end_stays_idle_with_its_mission_aboard(boat):
     boat.supervisor.terminate()
-    boat.supervisor.wait(60)
+    boat.supervisor.wait(200)
     boat.start()
     state = boat.until(lambda state: check(state, "fence")["ok"] and state["mission"] == "Doca")
     assert state["mode"] == "idle"

@@ -33,7 +33,7 @@ class Suite(NamedTuple):
 
     def asked(self, command: str, **words: object) -> None:
         """As soon as the vehicle carries it out."""
-        until = time.monotonic() + 30
+        until = time.monotonic() + 200
         while True:
             try:
                 with Link(self.folder / "command") as link:
@@ -45,7 +45,7 @@ class Suite(NamedTuple):
 
     def shut_down(self) -> subprocess.CompletedProcess[str]:
         command = [sys.executable, "-m", "delfim", "shutdown", VEHICLE, *self.words]
-        return subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+        return subprocess.run(command, capture_output=True, text=True, timeout=200, check=False)
 
     def until_safe(self) -> tuple[list[ShutdownStage], PropellerCommand]:
         """The bus up to the word that the power may be cut: the stages told, the last command to a propeller."""
@@ -78,7 +78,7 @@ def suite(tmp_path: Path) -> Iterator[Suite]:
     processes = [subprocess.Popen([sys.executable, "-m", "delfim", what, VEHICLE, *words]) for what in ("nodes", "supervise")]
     with open_can(bus) as socket:
         socket.bind(CanAddress(messages.PROPELLER_STARBOARD), CanAddress(messages.SHUTDOWN_ACKNOWLEDGE))
-        socket.settimeout(30)
+        socket.settimeout(200)
         boat = Suite(tmp_path, words, socket, processes[1])
         boat.asked("manual", starboard=0.5, port=0.5)
         while not messages.unpack_propeller_command(socket.recvmsg().data).run:
@@ -87,7 +87,7 @@ def suite(tmp_path: Path) -> Iterator[Suite]:
     for process in processes:
         if process.poll() is None:
             process.send_signal(signal.SIGTERM)
-        process.wait(30)
+        process.wait(200)
 
 
 def test_the_command_waits_until_the_power_may_be_cut(suite: Suite) -> None:
@@ -96,7 +96,7 @@ def test_the_command_waits_until_the_power_may_be_cut(suite: Suite) -> None:
     stages, last = suite.until_safe()
     assert stages == [ShutdownStage.SAFE]
     assert not last.run
-    assert suite.supervisor.wait(30) == 0
+    assert suite.supervisor.wait(200) == 0
     assert not (suite.folder / "log/running").exists(), "an end in order"
     again = suite.shut_down()
     assert again.returncode == 2
@@ -121,4 +121,4 @@ def test_who_drives_and_who_powers_the_boat_may_end_it(suite: Suite, how: str) -
     stages, last = suite.until_safe()
     assert stages == ([ShutdownStage.BEGUN] if how == "frame" else []) + [ShutdownStage.SAFE]
     assert not last.run
-    assert suite.supervisor.wait(30) == 0
+    assert suite.supervisor.wait(200) == 0

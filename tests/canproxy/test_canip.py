@@ -156,7 +156,7 @@ class Side:
             each.close()
 
     async def read(self) -> bytes:
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             return await asyncio.get_running_loop().sock_recv(self.device, 65_536)
 
 
@@ -172,7 +172,7 @@ def sides(source_known: bool = True) -> Iterator[tuple[Side, Side]]:
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(200):
         while not condition():
             await asyncio.sleep(0.001)
 

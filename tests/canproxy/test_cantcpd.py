@@ -786,7 +786,7 @@ def test_a_sleeping_client_loses_its_oldest_frames_and_nobody_else_does(name: st
 def test_seven_of_eight_clients_lose_nothing_on_a_full_bus_while_one_sleeps() -> None:
     """7,700 frames a second, as long as bench/cantcpd.py is patient."""
     command = [sys.executable, str(ROOT / "bench/cantcpd.py"), "--clients", "8", "--seconds", "1"]
-    told = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True).stdout
+    told = subprocess.run(command, capture_output=True, text=True, timeout=200, check=True).stdout
     assert told.splitlines()[1].endswith("[0, 0, 0, 0, 0, 0, 0]"), told
 
 

@@ -447,7 +447,7 @@ def transports(**second: object) -> Iterator[tuple[DsorTransport, DsorTransport,
 
 
 async def until(condition: Callable[[], bool]) -> None:
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(200):
         while not condition():
             await asyncio.sleep(0.001)
 

@@ -51,7 +51,7 @@ def routed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
         assert os.read(beat, 1), "it has opened its buses"
         yield
         process.terminate()
-        assert process.wait(30) == 0
+        assert process.wait(200) == 0
     os.close(beat)
 
 

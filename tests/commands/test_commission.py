@@ -195,7 +195,7 @@ def test_a_person_is_asked_what_has_no_option(tmp_path: Path) -> None:
     words = [sys.executable, "-m", "delfim", "commission", SEA, "--output", str(tmp_path / "out"), "--network", "10.77.0.2/24"]
     with subprocess.Popen([*words, "--interface", "eth1"], stdin=theirs, stdout=subprocess.PIPE, text=True) as process:
         os.write(ours, b"Boat9\n9\n\n\n\n\nana\n")  # the radio, both of its addresses and the image stay
-        said, _ = process.communicate(timeout=60)
+        said, _ = process.communicate(timeout=200)
     os.close(ours)
     os.close(theirs)
     assert process.returncode == 0, said

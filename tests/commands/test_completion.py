@@ -22,7 +22,7 @@ def completed(script: str, *words: str) -> list[str]:
     tried = f"COMP_WORDS=({listed}); COMP_CWORD={len(words) - 1}; _delfim delfim '{words[-1]}' '{words[-2]}'"
     said = f'{script}\n{tried}\nprintf "%s\\n" "${{COMPREPLY[@]}}"'
     assert BASH is not None
-    done = subprocess.run([BASH, "--norc", "-u"], input=said, capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run([BASH, "--norc", "-u"], input=said, capture_output=True, text=True, check=True, timeout=200)
     return done.stdout.split()
 
 

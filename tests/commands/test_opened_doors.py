@@ -176,7 +176,7 @@ def test_the_console_hears_the_boat(aboard: Aboard) -> None:
             asyncio.run(hears(url))
         finally:
             console.terminate()
-            console.wait(30)
+            console.wait(200)
 
 
 def test_a_boat_that_no_console_can_reach_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

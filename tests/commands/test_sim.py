@@ -36,7 +36,7 @@ def sim(tmp_path: Path, *words: str, **options: object) -> subprocess.Popen[str]
 
 
 def ended(process: subprocess.Popen[str]) -> tuple[str, str]:
-    out, err = process.communicate(timeout=60)
+    out, err = process.communicate(timeout=200)
     assert process.returncode == 0, err
     return out, err
 
@@ -108,7 +108,7 @@ def test_a_killed_simulation_leaves_nothing_behind(tmp_path):
     with Link(where) as link:
         link.ask("state")
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=30)
+    process.communicate(timeout=200)
     with pytest.raises(Exception, match="no vehicle"):
         Link(where)
 
@@ -164,7 +164,7 @@ def test_what_surrounds_the_loop_breaks_by_command_and_is_whole_again(tmp_path, 
         assert whole["mode"] == lost["mode"], "nothing is resumed by itself"
     finally:
         process.send_signal(signal.SIGTERM)
-        process.communicate(timeout=30)
+        process.communicate(timeout=200)
 
 
 def until(process: subprocess.Popen[str], condition: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
@@ -212,7 +212,7 @@ def test_a_folder_or_a_bus_of_another_simulation_is_refused(tmp_path):
         (("--output", str(tmp_path / "out")), f"--output {tmp_path}/out: another simulation runs there; name another folder"),
         (("--output", str(tmp_path / "other")), "is in use by another simulation"),
     ):
-        _, err = sim(tmp_path, "--json", *words, "--for", "1").communicate(timeout=30)
+        _, err = sim(tmp_path, "--json", *words, "--for", "1").communicate(timeout=200)
         assert why in err
         assert "Traceback" not in err
     interrupted(first)
@@ -242,7 +242,7 @@ def test_with_a_console_a_stop_ends_nothing_and_the_address_is_told(tmp_path, ty
         taken.listen()
         busy = taken.getsockname()[1]
         wanted = sim(tmp_path, "--console", "--page", f"127.0.0.1:{busy}")
-        _, err = wanted.communicate(timeout=60)
+        _, err = wanted.communicate(timeout=200)
         assert wanted.returncode == 2
         assert re.search(rf"--page: 127.0.0.1:{busy}: another program has it, .*--page ADDRESS:PORT", err)
         assert "the console did not start" in err
@@ -318,7 +318,7 @@ def test_lockstep_sails_the_whole_mission_and_repeats_itself_byte_for_byte(tmp_p
 )
 def test_mistakes_are_one_line_on_standard_error(tmp_path, words, reason):
     process = delfim(*words, cwd=tmp_path, env=os.environ | {"PYTHONPATH": str(ROOT)})
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=200)
     assert process.returncode in (2, 100)
     assert reason in err
     assert err.count("\n") == 1
@@ -336,7 +336,7 @@ def test_mistakes_are_one_line_on_standard_error(tmp_path, words, reason):
 )
 def test_the_command_line_explains_itself(words, told):
     process = delfim(*words)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=200)
     assert told in out + err
     assert "Traceback" not in err
 
@@ -367,9 +367,9 @@ def test_black_box_and_page_work_in_processes_of_their_own_and_a_guest_steers(tm
                 if seen["computer"]:  # its process has come up
                     break
     guest.terminate()
-    guest.communicate(timeout=30)
+    guest.communicate(timeout=200)
     process.send_signal(signal.SIGTERM)
-    process.communicate(timeout=30)
+    process.communicate(timeout=200)
     assert modes, "grex was entered"
     assert modes[-1]["reference"]["heading_deg"] == pytest.approx(180.0), "course 150, 30 to starboard"
     assert set(modes[-1]["services"]) == {"cantcpd", "powerd", "vehicle"}, "the others are not in this process"

@@ -153,7 +153,7 @@ def afloat(
     finally:
         for program in reversed(programs):
             program.send_signal(signal.SIGTERM)
-            program.wait(30)
+            program.wait(200)
 
 
 class Radio:
@@ -263,7 +263,7 @@ class Gateway:
     def end(self, how: signal.Signals) -> None:
         assert self._program is not None
         self._program.send_signal(how)
-        self._program.wait(30)
+        self._program.wait(200)
         cast(Any, self._program.stdout).close()
 
 

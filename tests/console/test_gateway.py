@@ -44,7 +44,7 @@ class Opened:
 
     async def until(self, page: aiohttp.ClientWebSocketResponse, is_so: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """The next message of which something is so."""
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while True:
                 message = await page.receive_json()
                 self.heard.append(message)
@@ -139,10 +139,10 @@ def test_a_closed_page_releases_what_it_steered(tmp_path: Path) -> None:
                 await sea.until(page, lambda m: boat_in(m, 1))
                 for n in range(3):
                     await page.send_json({"t": "input", "boat": 1, "n": n, "port_pct": 30, "starboard_pct": 30})
-                async with asyncio.timeout(60):
+                async with asyncio.timeout(200):
                     while len(sea.boats[0].thrust) < 3:
                         await asyncio.sleep(0.01)
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(200):
                 while sea.boats[0].thrust[-1] != (0, 0):
                     await asyncio.sleep(0.01)
             assert sea.boats[0].thrust == [(300, 0)] * 3 + [(0, 0)]
@@ -478,7 +478,7 @@ def test_two_hundred_sockets_that_say_nothing_or_nonsense_cost_bounded_memory_an
 
 
 async def _visited(url: str) -> None:
-    async with visitor() as session, asyncio.timeout(60), session.get(url) as answer:
+    async with visitor() as session, asyncio.timeout(200), session.get(url) as answer:
         assert answer.status in (200, 404), "404 where the page was not built"
 
 
@@ -591,7 +591,7 @@ async def _steered(url: str, boat_end: socket.socket, gateway: "subprocess.Popen
             boat.hear(boat_end.recv(2048))
 
     loop.add_reader(boat_end, readable)
-    async with visitor() as session, asyncio.timeout(60), session.ws_connect(await let_in(session, url) + "ws") as page:
+    async with visitor() as session, asyncio.timeout(200), session.ws_connect(await let_in(session, url) + "ws") as page:
         while not boat.heartbeats:
             with contextlib.suppress(OSError):
                 boat.tick()
@@ -627,7 +627,7 @@ def test_a_gateway_that_slept_sends_nothing_old_when_it_wakes(tmp_path: Path) ->
             await sea.until(page, lambda m: boat_in(m, 1))
             await ask("manual")
             await steer(0)
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(200):
                 while not boat.thrust:
                     await asyncio.sleep(0.01)
             clock.advance(8.0)
@@ -679,11 +679,11 @@ def test_a_gateway_that_is_ended_in_order_says_zero_and_keeps_the_session(tmp_pa
         async with opened(tmp_path, sessions=tmp_path / "sessions") as sea, sea.session.ws_connect(sea.url + "ws") as page:
             await sea.until(page, lambda m: boat_in(m, 1))
             await page.send_json({"t": "input", "boat": 1, "n": 0, "port_pct": 30, "starboard_pct": 30})
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(200):
                 while not sea.boats[0].thrust:
                     await asyncio.sleep(0.01)
             sea.gateway.fleet.release_all("the console ended")
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(200):
                 while sea.boats[0].thrust[-1] != (0, 0):
                     await asyncio.sleep(0.01)
 

@@ -55,7 +55,7 @@ class Console:
 
     async def until(self, expression: str) -> None:
         """Until it is so in the page; boats speak meanwhile."""
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while not await self.page.value(expression):
                 for boat in self.boats:
                     boat.tick()
@@ -174,7 +174,7 @@ def test_space_stops_while_a_name_is_typed_and_letters_are_no_modes(visit: Calla
             await it.page.press(key)
         await it.page.press(" ")
         await it.until("document.querySelector('.popup').hidden")
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while not boat.obeyed:
                 await asyncio.sleep(0.02)
         assert {command for command, *_ in boat.obeyed} == {mavlink.MAV_CMD_DO_SET_MODE}
@@ -233,7 +233,7 @@ def test_what_is_aboard_is_drawn_and_a_mode_that_would_sail_it_asks_first(visit:
 
 async def until(it: Console, boat: FakeBoat, commands: int) -> None:
     """Until the boat has obeyed so many."""
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(200):
         while len(boat.obeyed) < commands:
             boat.tick()
             await asyncio.sleep(0.02)

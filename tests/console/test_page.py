@@ -64,7 +64,7 @@ def sail() -> Sail:
 
 async def shown(page: Page, gateway: Standin, expression: str) -> None:
     """Wait until an expression is true in the page, while the boats go on being told."""
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(200):
         while not await page.value(expression):
             await gateway.frame()
             await asyncio.sleep(0.02)
@@ -826,7 +826,7 @@ def test_ten_boats_with_an_hour_of_track_each_are_drawn_thirty_times_a_second_wh
         gateway.history = {each["id"]: hour(each) for each in boats}
         async with sailing(gateway) as page:
             drawn = [await second_of_moving(page, gateway, how) for _ in range(2)]
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(200):
                 while max(drawn) < 30:
                     drawn.append(await second_of_moving(page, gateway, how))
             print(f"{how}: {max(drawn)} drawings of the map in a second")
@@ -844,7 +844,7 @@ def test_a_page_that_asked_elsewhere_or_missed_something_would_be_noticed() -> N
             assert (page.complaints, foreign(page, gateway)) == ([], [])
             for number, address in enumerate(("http://198.51.100.7/chart.png", "missing.png"), 1):
                 await page.value(f"new Promise(done => Object.assign(new Image(), {{onerror: done, src: {address!r}}}))")
-                async with asyncio.timeout(60):
+                async with asyncio.timeout(200):
                     while len(page.complaints) < number:
                         await page.value("document.title")
             assert foreign(page, gateway) == ["http://198.51.100.7/chart.png"]

@@ -53,7 +53,7 @@ def test_a_boat_is_found_and_commanded_over_a_serial_line() -> None:
 
 
 async def until(is_so: Callable[[], object]) -> None:
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(200):
         while not is_so():
             await asyncio.sleep(0.02)
 

@@ -161,7 +161,7 @@ def test_the_map_with_two_hundred_vessels_follows_the_hand(sail: Sail, how: str,
         await tell(gateway, *(each | ({"boats": near} if i % 4 == 0 else {}) for i, each in enumerate(crowd)))
         await shown(page, gateway, "delfim.vessels().length === 200")
         drawn = [0]
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while max(drawn) < wanted:
                 await gateway.look()
                 drawn.append(await second_of_moving(page, gateway, how))

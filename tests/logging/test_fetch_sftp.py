@@ -49,7 +49,7 @@ def boat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
         (home / ".ssh/known_hosts").write_text(known + "\n")
         monkeypatch.setenv("HOME", str(home))
         yield f"boat:secret@127.0.0.1:{port}"
-        server.communicate(timeout=20)
+        server.communicate(timeout=200)
 
 
 def test_the_tree_arrives_by_sftp(boat, tmp_path):

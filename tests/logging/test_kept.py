@@ -179,7 +179,7 @@ def test_each_call_may_fail_and_the_next_record_is_written(tmp_path, monkeypatch
     newest_record.put(b"lost")
     thread = threading.Thread(target=keep, args=(newest_record, str(tmp_path), "voyage", KEY))
     thread.start()
-    assert failed.wait(60)
+    assert failed.wait(200)
     newest_record.put(b"kept")
     newest_record.end()
     thread.join(60)

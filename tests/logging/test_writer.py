@@ -192,7 +192,7 @@ for number in range(500):
 print(log._child.pid, flush=True)
 os.kill(os.getpid(), signal.SIGKILL)
 """
-    parent = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False, timeout=30)
+    parent = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False, timeout=200)
     assert parent.returncode == -signal.SIGKILL  # and its output has ended, so the child that shares it has ended too
     assert numbers(tmp_path / "log") == list(range(500))
     assert read_log(files(tmp_path / "log")[0])[1] == ""

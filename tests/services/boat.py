@@ -86,7 +86,7 @@ async def served(settings: config.Vehicle, serve: Callable[[Runtime], Awaitable[
     runtime = Runtime(settings, SystemClock(), alone=True)
     task = asyncio.create_task(serve(runtime))
     try:
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while name not in runtime.board and not task.done():
                 await asyncio.sleep(0.01)
         if task.done():
@@ -94,6 +94,6 @@ async def served(settings: config.Vehicle, serve: Callable[[Runtime], Awaitable[
         yield runtime
     finally:
         task.cancel()
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             with contextlib.suppress(asyncio.CancelledError):
                 await task

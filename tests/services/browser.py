@@ -125,7 +125,7 @@ class Page:
         answer = await self.call("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
         return answer["result"].get("value")
 
-    async def until(self, expression: str, timeout_s: float = 60.0) -> None:
+    async def until(self, expression: str, timeout_s: float = 200.0) -> None:
         """Wait until an expression is true in the page."""
         try:
             async with asyncio.timeout(timeout_s):

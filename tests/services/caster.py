@@ -23,7 +23,7 @@ class Base:
 
     def __init__(self) -> None:
         self._door = socket.create_server(("127.0.0.1", 0))
-        self._door.settimeout(30)
+        self._door.settimeout(200)
         self.port = self._door.getsockname()[1]
         self._line: socket.socket | None = None
 
@@ -53,4 +53,4 @@ def casting(port: int, user: str = "ana:secret") -> Iterator[Base]:
     finally:
         base.close()
         program.kill()
-        program.wait(10)
+        program.wait(200)

@@ -28,7 +28,7 @@ def broker(folder: Path, port: int = 0, settings: str = "allow_anonymous true\n"
         program = subprocess.Popen((PROGRAM, "-c", file), stdout=log, stderr=log)
         (folder / f"mosquitto-{port}.pid").write_text(str(program.pid))
         try:
-            deadline_s = time.monotonic() + 30
+            deadline_s = time.monotonic() + 200
             while True:
                 with contextlib.suppress(OSError):
                     socket.create_connection(("127.0.0.1", port), 1).close()
@@ -39,7 +39,7 @@ def broker(folder: Path, port: int = 0, settings: str = "allow_anonymous true\n"
             yield port
         finally:
             program.kill()
-            program.wait(10)
+            program.wait(200)
 
 
 def certified(folder: Path) -> str:

@@ -64,7 +64,7 @@ class Rover:
         return dict(self._runtime.board["corrections"]())
 
     async def until(self, wanted: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while not wanted(figures := self.figures):
                 await asyncio.sleep(0.01)
         return figures
@@ -72,7 +72,7 @@ class Rover:
     async def receives(self, wanted: bytes, say: Callable[[], object] = lambda: None) -> bytes:
         """What the receiver hears, until this is part of it; `say` is called now and then."""
         found = b""
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while wanted not in (found := found + self.receiver.heard()):
                 say()
                 await asyncio.sleep(0.01)
@@ -185,7 +185,7 @@ def test_the_caster_is_told_where_the_boat_is(tmp_path):
 
         server = await asyncio.start_server(caster, "127.0.0.1", 0)
         async with server, roving(tmp_path, f"ntrip://127.0.0.1:{server.sockets[0].getsockname()[1]}/VRS", gga_s=0.05) as rover:
-            async with asyncio.timeout(30):
+            async with asyncio.timeout(200):
                 while heard.count(b"$GPGGA,") < 3:
                     await asyncio.sleep(0.01)
             assert b",3841.441088,N,00912.917844,W,4,10," in heard
@@ -286,7 +286,7 @@ def test_a_receiver_that_does_not_take_corrections_gets_the_newest_and_holds_up_
         assert port.dropped > 60
         assert sum(map(len, port._waiting)) <= WAITING_BYTES
         found = b""
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(200):
             while not found.endswith(pieces[-1]):
                 found += receiver.heard()
                 await asyncio.sleep(0)
@@ -309,7 +309,7 @@ def test_a_connection_to_the_receiver_is_made_anew(tmp_path):
             writer.close()
 
         server = await asyncio.start_server(receiver, "127.0.0.1", 0)
-        async with server, asyncio.timeout(30):
+        async with server, asyncio.timeout(200):
             port = ReceiverPort(f"tcp:127.0.0.1:{server.sockets[0].getsockname()[1]}", 9600, shared=False)
             for _ in range(2):
                 while port.trouble:

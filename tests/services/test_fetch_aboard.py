@@ -27,7 +27,7 @@ async def fetched(url: str, place: Path, **environment: str) -> str:
         env=os.environ | {"HOME": str(place / "home")} | environment,
         stdin=asyncio.subprocess.DEVNULL, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.STDOUT,
     )  # fmt: skip
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(200):
         told = (await child.communicate())[0].decode()
     assert child.returncode == 0, told
     return told

@@ -45,7 +45,7 @@ def settings(port: int, folder: Path, listen: str = "127.0.0.1:14560", **table: 
 
 
 async def until(is_so: Callable[[], object]) -> None:
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(200):
         while not is_so():
             await asyncio.sleep(0.01)
 
@@ -65,7 +65,7 @@ async def following(*lines: BrokerLine) -> AsyncIterator[None]:
 
 async def heard(port: int, topic: str, count: int) -> list[tuple[str, bytes, bool]]:
     """The first messages of a topic, as another program hears them, and whether each was retained."""
-    async with asyncio.timeout(60), aiomqtt.Client("127.0.0.1", port) as client:
+    async with asyncio.timeout(200), aiomqtt.Client("127.0.0.1", port) as client:
         await client.subscribe(topic)
         found = []
         async for each in client.messages:
@@ -216,7 +216,7 @@ def test_a_line_that_cannot_say_goodbye_is_cancelled_at_once_all_the_same(monkey
         following = asyncio.create_task(line_of(1).follow())
         await begun.wait()
         following.cancel()
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             await asyncio.wait([following])
         assert following.cancelled()
 
@@ -238,7 +238,7 @@ def test_a_cancellation_that_comes_with_an_answer_is_not_lost() -> None:
         sending = asyncio.create_task(line._send(Client()))  # type: ignore[arg-type]
         await until(lambda: not line._kept)
         sending.cancel()
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             await asyncio.wait([sending])
 
     asyncio.run(main())
@@ -306,7 +306,7 @@ def test_a_broker_that_sends_more_than_anybody_asked_for_is_left_at_once(packet:
 
         server = await asyncio.start_server(talk, "127.0.0.1", 0)
         line = line_of(server.sockets[0].getsockname()[1])
-        async with server, asyncio.timeout(60), asyncio.TaskGroup() as group:
+        async with server, asyncio.timeout(200), asyncio.TaskGroup() as group:
             following = group.create_task(line.follow())
             await until(lambda: line.counts["connected"] == 2 and line.reason)
             following.cancel()

@@ -44,7 +44,7 @@ class Files:
             stdout=asyncio.subprocess.PIPE,
             stderr=asyncio.subprocess.STDOUT,
         )
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             out = (await child.communicate(said.encode()))[0].decode()
         assert code is None or child.returncode == code, (words, child.returncode, out)
         return out
@@ -76,7 +76,7 @@ class Raw:
     async def answer(self) -> str:
         """A whole reply, lines joined; empty when the server hung up."""
         lines = []
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while True:
                 line = (await self.reader.readline()).decode()
                 lines.append(line)
@@ -336,7 +336,7 @@ def test_an_upload_that_breaks_off_is_not_there_but_can_be_resumed(tmp_path):
         assert (await ftp.say("STOR upload/x")).startswith("150")
         data.write(CONTENT[:5000])
         await data.drain()
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while not (there.staging / "x.part").exists() or (there.staging / "x.part").stat().st_size < 5000:
                 await asyncio.sleep(0.01)
         second = await (await there.raw()).login("writer", "open")
@@ -484,7 +484,7 @@ def test_who_says_nothing_or_reads_nothing_is_hung_up(tmp_path, monkeypatch):
     async def test(there: Files) -> None:
         slow = await there.raw()
         await slow.answer()
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             with contextlib.suppress(ConnectionError):
                 while True:
                     slow.writer.write(b"x")

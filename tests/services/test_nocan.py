@@ -27,7 +27,9 @@ def refused():
 
 
 def tried(program: str) -> None:
-    done = subprocess.run([sys.executable, "-c", f'{BEFORE}{program}print("well")'], capture_output=True, text=True, timeout=30)
+    done = subprocess.run(
+        [sys.executable, "-c", f'{BEFORE}{program}print("well")'], capture_output=True, text=True, timeout=200
+    )
     assert done.stdout == "well\n", done.stderr
 
 

@@ -36,7 +36,7 @@ async def heard(place: Caster, credentials: str = "") -> bytes:
     """All that a caster sends."""
     stream = await open_stream(place)
     try:
-        async with asyncio.timeout(30):
+        async with asyncio.timeout(200):
             await stream.begin(place, credentials, b"")
             return b"".join([data async for data in stream.pieces()])
     finally:

@@ -25,7 +25,7 @@ IDENTITY = bytes(range(16))
 def devices(tmp_path):
     with open_can(f"canloop:numbers-{os.getpid()}-{tmp_path.name[-8:]}") as bus:
         bus.bind(ANYTHING)
-        bus.settimeout(60)
+        bus.settimeout(200)
         yield bus
 
 

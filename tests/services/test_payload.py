@@ -51,7 +51,7 @@ class Suite:
 
     async def until(self, condition: Callable[[dict[str, Any]], object]) -> dict[str, Any]:
         """Sail on until the figures are so."""
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while not condition(figures := self.figures):
                 self.state["cycle"] += 1
                 self.state["utc_ns"] += 200_000_000
@@ -327,7 +327,7 @@ def test_without_the_vehicle_the_programs_run_and_the_page_says_so(tmp_path: Pat
     async def test() -> None:
         tables = {"well": config.PayloadTable(command=("/bin/sh", "-c", """echo '{"on": 1}'; cat >/dev/null"""))}
         async with served(vehicle_file(tmp_path, payload=tables), payload.serve, "payload") as runtime:
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(200):
                 while not (figures := dict(runtime.board["payload"]()))["values"]:
                     await asyncio.sleep(0.01)
             assert figures["troubles"] == {"navigation": "the vehicle does not answer: No such file or directory"}

@@ -235,7 +235,7 @@ async def guests_door(table: config.GuestTable) -> AsyncIterator[list[bytes]]:
 
 
 async def until(is_so: Callable[[], object]) -> None:
-    async with asyncio.timeout(60):
+    async with asyncio.timeout(200):
         while not is_so():
             await asyncio.sleep(0.02)
 

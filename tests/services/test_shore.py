@@ -55,7 +55,7 @@ class Program:
 
     def end(self) -> int:
         self._process.send_signal(signal.SIGTERM)
-        self.said += self._process.communicate(timeout=20)[1]
+        self.said += self._process.communicate(timeout=200)[1]
         return self._process.returncode
 
 

@@ -46,7 +46,7 @@ class Boat:
 
     async def ssh(self, *words: str, stdin: bytes = b"", key: str = "key", user: str = "ana") -> tuple[int, bytes, bytes]:
         child = await self.start("ssh", *self.options(key), "-p", str(self.port), f"{user}@127.0.0.1", *words)
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             out, err = await child.communicate(stdin)
         assert child.returncode is not None
         return child.returncode, out, err
@@ -55,7 +55,7 @@ class Boat:
         """SFTP commands."""
         words = ("-q", *self.options(), "-P", str(self.port), "-b", "-", "ana@127.0.0.1")
         child = await self.start("sftp", *words)
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             out, err = await child.communicate("\n".join(commands).encode() + b"\n")
         assert child.returncode is not None
         return child.returncode, (out + err).decode()
@@ -116,7 +116,7 @@ def test_output_comes_while_the_program_runs(tmp_path, keys):
         child = await there.start("ssh", *there.options(), "-p", str(there.port), "ana@127.0.0.1", words)
         assert child.stdin is not None
         assert child.stdout is not None
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             for number in range(3):
                 child.stdin.write(b"%d\n" % number)
                 assert await child.stdout.readline() == b"got %d\n" % number
@@ -140,7 +140,7 @@ def test_a_shell_on_a_terminal(tmp_path, keys):
     async def test(there: Boat) -> None:
         child = await there.start("ssh", "-tt", *there.options(), "-p", str(there.port), "ana@127.0.0.1", env={"TERM": "vt100"})
         words = b"echo $TERM; tty; stty size; ps -o tty= -p $$; exit 3\n"
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             out, _ = await child.communicate(words)
         assert child.returncode == 3
         assert b"vt100" in out
@@ -154,7 +154,7 @@ def test_a_terminal_can_interrupt_and_changes_its_size(tmp_path, keys):
         options: Any = {"known_hosts": None, "client_keys": [keys["key"]], "username": "ana"}
         async with asyncssh.connect("127.0.0.1", there.port, **options) as link:
             shell = await link.create_process(term_type="xterm", term_size=(80, 24), encoding=None)
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(200):
                 shell.stdin.write(b"PS1='say> '; stty -echo; echo rea''dy\n")
                 await shell.stdout.readuntil(b"ready\r\nsay> ")
                 shell.stdin.write(b"stty size\n")
@@ -177,7 +177,7 @@ def test_programs_end_when_their_client_goes_away(tmp_path, keys):
         mark = tmp_path / "pid"
         words = f"trap '' HUP; echo $$ > {mark}; while true; do sleep 0.1; done"
         child = await there.start("ssh", *there.options(), "-p", str(there.port), "ana@127.0.0.1", words)
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while not mark.exists() or not mark.read_text().strip():
                 await asyncio.sleep(0.02)
             child.kill()
@@ -207,7 +207,7 @@ def test_a_flood_of_window_sizes_and_signals_is_heeded_at_once_and_keeps_nothing
                     if not number % 10:
                         shell.send_signal(("URG", "CONT", "WINCH")[number % 3])
                 shell.change_terminal_size(99, 77)
-                async with asyncio.timeout(60):
+                async with asyncio.timeout(200):
                     assert (await shell.stdout.readline()).strip() == b"done"
         assert (await there.ssh("echo served"))[1] == b"served\n"
 
@@ -433,7 +433,7 @@ def test_key_exchanges_that_cost_the_loop_are_not_offered(tmp_path, keys):
 def test_connections_and_programs_are_limited(tmp_path, keys):
     async def test(there: Boat) -> None:
         held = [await asyncio.open_connection("127.0.0.1", there.port, local_addr=("127.0.0.2", 0)) for _ in range(3)]
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             hellos = [await reader.readline() for reader, _ in held[:2]]
             assert all(hello.startswith(b"SSH-2.0-Delfim") for hello in hellos)
             with contextlib.suppress(ConnectionError):
@@ -463,7 +463,7 @@ def test_who_does_not_log_in_is_hung_up_while_others_work(tmp_path, keys, monkey
         reader, writer = await asyncio.open_connection("127.0.0.1", there.port)
         began_s = time.monotonic()
         writer.write(b"SSH-2.0-slow")
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             with contextlib.suppress(ConnectionError):
                 while await reader.read(1000):
                     pass

@@ -125,7 +125,7 @@ def test_an_upload_whose_client_is_killed_is_a_part(tmp_path):
             await data.drain()
             data.close()
             client.writer.close()
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             while in_use(there.staging):
                 await asyncio.sleep(0.01)
         assert {path.name for path in there.staging.iterdir()} == {f"{number}.part" for number in range(3)}
@@ -148,7 +148,7 @@ def held(do, doing, go_on):  # type: ignore[no-untyped-def]
     def slow(*arguments):  # type: ignore[no-untyped-def]
         found = do(*arguments)
         doing.set()
-        assert go_on.wait(60)
+        assert go_on.wait(200)
         return found
 
     return slow
@@ -163,7 +163,7 @@ def test_a_client_that_vanishes_while_its_file_is_opened_leaves_it_to_the_next(t
         _, data = await first.passive()
         first.writer.write(b"STOR upload/x\r\n")
         await vanished(first.writer, doing, go_on)
-        async with asyncio.timeout(60):
+        async with asyncio.timeout(200):
             second = await (await there.raw()).login("writer", "open")
             while (await second.say("DELE upload/x.part")).startswith("550 another"):
                 await asyncio.sleep(0.01)
@@ -195,7 +195,7 @@ def test_a_visitor_who_vanishes_while_his_file_is_opened_leaves_nothing_open(tmp
             _, writer = await asyncio.open_connection("127.0.0.1", port)
             writer.write(b"GET /logs/x.log HTTP/1.1\r\nHost: 127.0.0.1\r\n\r\n")
             await vanished(writer, doing, go_on)
-            async with asyncio.timeout(60):
+            async with asyncio.timeout(200):
                 while in_use(tmp_path / "log"):
                     await asyncio.sleep(0.01)
 
@@ -208,7 +208,7 @@ def test_who_is_cancelled_waits_for_the_call_that_has_begun_and_takes_back_the_o
 
     def call(name: str) -> None:
         began.set()
-        go_on.wait(60)
+        go_on.wait(200)
         ended.append(name)
 
     async def main() -> None:
@@ -254,7 +254,7 @@ class Client:
             os.close(fd)
 
     def work(self, count: int) -> None:
-        self.over.wait(60)
+        self.over.wait(200)
         for _ in range(count):
             path, other = (f"/upload/{self.random.choice(NAMES)}" for _ in range(2))
             deeds = (

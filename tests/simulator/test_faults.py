@@ -372,20 +372,20 @@ def test_running_nodes_break_by_command(tmp_path: Path):
             [sys.executable, "-m", "delfim", "fault", "--for", "2", *words, str(vehicle), "sensor_bad", "gps"],
             capture_output=True,
             text=True,
-            timeout=30,
+            timeout=200,
             check=True,
         )
         assert asked.stdout == "delfim: sensor_bad gps for 2 s\n"
     finally:
         nodes.terminate()
-        assert nodes.wait(10) == 0
+        assert nodes.wait(200) == 0
     assert not Path(place).exists()
 
 
 def until(happened) -> None:
     import time
 
-    limit = time.monotonic() + 20.0
+    limit = time.monotonic() + 200
     while not happened():
         assert time.monotonic() < limit
 

@@ -162,7 +162,7 @@ def test_the_command_tells_by_its_exit_code_and_how_to_repeat(tmp_path, seconds,
     file = tmp_path / "test.toml"
     file.write_text(f'{SAILING}\n[[expect]]\nmode = "heading"\nwithin_s = {seconds}\n')
     words = [sys.executable, "-m", "delfim", "sim", str(VEHICLE), "--scenario", str(file), "--seed", "4"]
-    ran = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
+    ran = subprocess.run(words, capture_output=True, text=True, timeout=200, check=False)
     assert ran.returncode == code
     assert "mode       heading  operator" in ran.stdout
     assert (f"again: delfim sim {VEHICLE} --scenario {file} --seed 4" in ran.stderr) is bool(code)

@@ -182,7 +182,7 @@ def keyboard(path: str, *typed: bytes) -> str:
         with contextlib.suppress(OSError):  # the other end is closed
             while more := os.read(here, 4096):
                 shown += more
-        assert process.wait(20) == 0
+        assert process.wait(200) == 0
     os.close(here)
     return shown.decode()
 
@@ -212,7 +212,7 @@ def test_the_prompt_tells_that_somebody_is_there_while_it_waits(boat, tmp_path):
         with subprocess.Popen(
             [sys.executable, "-c", f"from delfim.console.drive import run; run({path!r}, [])"], stdin=subprocess.PIPE
         ) as process:
-            told = heard.wait(20)
+            told = heard.wait(200)
             process.communicate()
             return told and process.returncode == 0
 

@@ -39,7 +39,7 @@ def test_profile_stamps_follow_each_other_and_begin_with_the_kernels(boat, make_
     for _ in range(COLD_CYCLES + 1):
         boat.navigate()
     assert boat.vehicle.latency.n == 1, "a program that comes up is slow, and spoils no figure"
-    until_s = time.monotonic() + 60.0
+    until_s = time.monotonic() + 200
     while boat.state.profile.t0 > boat.state.profile.t1 and time.monotonic() < until_s:
         boat.navigate()  # until the kernel stamps what arrives: it begins a moment after the first program asks for it
     p = boat.state.profile

@@ -89,7 +89,7 @@ def test_a_recorded_boat_drives_the_vehicle_at_its_own_speed_and_silence_stops_i
             player.stdin.write(b"go\n")
             player.stdin.flush()
             positions, ages_s, chosen = [], [], set()
-            until = time.monotonic() + 60
+            until = time.monotonic() + 200
             while (len(positions) < 3 or state.mode is not Mode.IDLE) and time.monotonic() < until:
                 if select.select([bus.fileno()], [], [], 0.1)[0] and boat.on_navigation(source):
                     n = state.navigation
