@@ -20,7 +20,7 @@ from delfim.clock import SystemClock
 from delfim.services.nmea2000d import BoatDevice
 from delfim.services.web.api import State
 
-PATIENCE_S = 60.0
+PATIENCE_S = 200.0
 
 
 class Pair:

@@ -14,7 +14,7 @@ from delfim.console.link import Link
 from tests.afloat import running
 
 PORT = 21_000 + os.getpid() % 10_000  # below those that the kernel gives away
-PATIENCE_S = 30.0
+PATIENCE_S = 200.0
 MISSION = """QGC WPL 110
 0\t1\t0\t16\t0\t0\t0\t0\t38.6907\t-9.2153\t0\t1
 1\t0\t3\t16\t5\t3\t0\t0\t38.6909\t-9.2149\t0\t1

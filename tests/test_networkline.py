@@ -10,7 +10,7 @@ from delfim.allowance import BURST_S, PIECE_BYTES, SECOND_BYTES
 from delfim.networkline import NetworkLine
 
 LOOPBACK = ("127.0.0.0/8", "::1/128")
-PATIENCE_S = 10.0
+PATIENCE_S = 200.0
 
 
 class Clock:

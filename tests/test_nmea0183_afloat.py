@@ -32,7 +32,7 @@ from delfim.vehicle.state import State
 from tests.afloat import running
 from tests.enlarged import ROOT
 
-PATIENCE_S = 60.0
+PATIENCE_S = 200.0
 
 
 class Pty:

@@ -16,7 +16,7 @@ from delfim.canproxy.socket import ANYTHING, CanAddress
 from delfim.console.link import Link
 from tests.afloat import running
 
-PATIENCE_S = 60.0
+PATIENCE_S = 200.0
 DISPLAY = 7
 logging.getLogger("nmea2000").setLevel(logging.ERROR)
 

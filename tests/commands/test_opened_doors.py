@@ -27,7 +27,7 @@ SHIPPED = [*sorted((ROOT / "etc/boats").glob("*.toml")), ROOT / "etc/delfimx.tom
 OURS = [f"{motors} {sensors}" for motors, sensors in product(MOTORS, SENSORS)]
 BOAT, SHORE = "192.168.5.10", "192.168.5.20"
 WORDS = ("--yes", "--users", "ana", "--radio", "", "--console", SHORE, "--network", f"{BOAT}/24")
-PATIENCE_S = 60.0
+PATIENCE_S = 200.0
 HAS_NETWORKS = all(map(shutil.which, ("unshare", "lftp", "ssh", "curl"))) and not subprocess.call(("unshare", "-n", "true"))
 
 

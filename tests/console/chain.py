@@ -24,7 +24,7 @@ from tests.services.browser import Page, tab
 
 ROOT = Path(__file__).parents[2]
 VEHICLE = ROOT / "etc/delfimx.toml"
-PATIENCE_S = 60.0
+PATIENCE_S = 200.0
 BERTHS = ((38.6907, -9.2153), (38.6907, -9.2165), (38.6907, -9.2177))  # a hundred metres apart
 
 

@@ -166,7 +166,7 @@ class Standin:
         for socket in list(self.sockets):
             await socket.close()
 
-    async def until(self, wanted: Callable[[Message], bool], timeout_s: float = 60.0) -> Message:
+    async def until(self, wanted: Callable[[Message], bool], timeout_s: float = 200.0) -> Message:
         """The first message since the last `forget` that is as wanted; frames go on meanwhile."""
         try:
             async with asyncio.timeout(timeout_s):

@@ -74,7 +74,7 @@ def numbers(directory: Path) -> list[int]:
     return [int(line.split()[0]) for line in lines if line.endswith(b"\n")]
 
 
-def until(log: PipeLog, true: Callable[[], bool], timeout_s: float = 10.0) -> None:
+def until(log: PipeLog, true: Callable[[], bool], timeout_s: float = 200.0) -> None:
     """Read the writer's reports until something is true."""
     while not true():
         assert select.select([log.status_fileno()], [], [], timeout_s)[0], f"the writer is silent: {log.status()}"

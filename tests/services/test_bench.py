@@ -29,7 +29,7 @@ from tests.services.test_outlet import chip, pulse_us
 from tests.vehicle.played_devices import PlayedVesc
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 60.0
+PATIENCE_S = 200.0
 ROWS = ", ".join(
     f'{{name="{name}", driver="DRIVER", address={address}, y_m={y_m}, thrust_n=[-50.0, 50.0], rpm_max=1500.0, rate_per_s=1.0}}'
     for address, name, y_m in ((0, "starboard", 0.5), (1, "port", -0.5))

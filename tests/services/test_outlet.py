@@ -32,7 +32,7 @@ from delfim.services.pulseports import SysfsPort, open_port
 from tests.mutations import cut, flipped, spliced
 
 ROOT = Path(__file__).parents[2]
-PATIENCE_S = 60.0
+PATIENCE_S = 200.0
 HALF = (0.5, -0.25, *(0.0,) * (CHANNELS - 2))
 REST = (0.0,) * CHANNELS
 

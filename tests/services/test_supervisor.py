@@ -97,11 +97,11 @@ class Suite:
 
     def ended(self) -> int:
         """Its exit code, when it has one."""
-        _, self.said = self.process.communicate(timeout=60)
+        _, self.said = self.process.communicate(timeout=200)
         return self.process.returncode
 
 
-def until(condition: Callable[[], object], within_s: float = 60.0) -> None:
+def until(condition: Callable[[], object], within_s: float = 200.0) -> None:
     """Wait for it."""
     deadline_s = time.monotonic() + within_s
     while not condition():
