@@ -48,8 +48,15 @@ async def carried(connection: Any) -> AsyncIterator[Any]:
         connection.response("452" if isinstance(error, NoRoom) else "426", words)
         raise Answered from None
     finally:
-        stream.writer.transport.abort()
+        cut(stream.writer.transport)
         del connection.carrying
+
+
+def cut(transport: asyncio.WriteTransport) -> None:
+    """End a data connection at once, if it has not ended: asyncio's is not to be aborted once it has sent its last bytes after it
+    was closed, and says so by the lack of its loop."""
+    with contextlib.suppress(AttributeError):
+        transport.abort()
 
 
 async def abor(connection: Any, rest: Any) -> bool:
@@ -57,7 +64,7 @@ async def abor(connection: Any, rest: Any) -> bool:
     if not connection.idle.is_set():
         connection.aborted = True
         if connection.future.carrying.done():
-            connection.carrying.writer.transport.abort()
+            cut(connection.carrying.writer.transport)
         elif connection.awaited and not connection["data_connection"].done():
             connection["data_connection"].set_exception(ConnectionAbortedError("aborted"))
         await connection.idle.wait()

@@ -6,6 +6,7 @@ import ftplib
 import io
 import os
 import shutil
+import socket
 import ssl
 import textwrap
 import time
@@ -60,7 +61,7 @@ class Files:
     async def ftplib(self, do: Callable[[ftplib.FTP], Any], user: str = "reader", password: str = "sesame") -> Any:
         def session() -> Any:
             with ftplib.FTP() as ftp:
-                ftp.connect("127.0.0.1", self.port, timeout=10)
+                ftp.connect("127.0.0.1", self.port, timeout=200)
                 ftp.login(user, password)
                 return do(ftp)
 
@@ -451,6 +452,24 @@ def test_no_data_connection_is_told_and_commands_go_on(tmp_path, monkeypatch):
         assert (await ftp.say("NOOP")).startswith("200")
 
     run(tmp_path, test)
+
+
+def test_a_data_connection_that_sent_its_last_bytes_after_it_was_closed_has_ended_in_order():
+    """Its transport is not to be aborted any more; an exception there hung up on a client that had all of its file."""
+
+    async def test() -> None:
+        near, far = socket.socketpair()
+        with far:
+            _, writer = await asyncio.open_connection(sock=near)
+            writer.write(bytes(1 << 20))
+            writer.close()
+            far.setblocking(False)
+            while await asyncio.get_running_loop().sock_recv(far, 1 << 16):
+                pass
+            await writer.wait_closed()
+            ftpdata.cut(writer.transport)
+
+    asyncio.run(test())
 
 
 def test_commands_sent_all_at_once_are_carried_out_one_after_the_other(tmp_path):
