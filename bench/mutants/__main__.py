@@ -1,13 +1,15 @@
 """Changes the safety core, one place at a time, and asks its tests: `make mutants` (docs/mutants.md).
 
-    python -m bench.mutants [FILE.py ...] [--since REVISION] [-j N] [--cpu SECONDS]
+    python -m bench.mutants [FILE.py ...] [--since REVISION] [--at-most N] [-j N] [--cpu SECONDS]
 
-Without files, the whole core. With --since only changes of lines that differ from that revision. What was tried of the same
-file by the same tests is not tried again (run/mutants). It fails at a change that no test notices and that has no reason in
+Without files, the whole core. With --since only changes of lines that differ from that revision. The tests that import the file
+are asked first, and all others about what is left. What was tried of the same file by the same tests is not tried again
+(run/mutants). It fails at a change that no test notices and that has no reason in
 tests/survivors.toml, and at a reason for a change that does not survive any more.
 """
 
 import argparse
+import hashlib
 import re
 import subprocess
 import sys
@@ -64,24 +66,38 @@ def tried(file: str, found: list[Change], numbers: list[int], choice: Choice, le
         list(pool.map(work, range(min(jobs, len(open_ones)))))
 
 
-def run(files: Sequence[str], since: str | None, jobs: int, cpu_s: float) -> int:
+def drawn(files: Sequence[str], since: str | None, at_most: int | None) -> dict[str, list[int]]:
+    """The changes to try of each file; where there are too many, always the same ones of them."""
+    names = list[tuple[str, int, str]]()
+    for file in files:
+        lines = None if since is None else touched(file, since)
+        for number, each in enumerate(changes(Path(file).read_text())[1]):
+            if lines is None or lines & set(range(each.line, each.end + 1)):
+                names.append((file, number, each.name))
+    if at_most is not None and len(names) > at_most:
+        print(f"of {len(names)} changes {at_most} are tried", flush=True)
+        names = sorted(sorted(names, key=lambda it: hashlib.sha256(f"{it[0]} {it[2]}".encode()).digest())[:at_most])
+    return {file: [number for name, number, _ in names if name == file] for file in files}
+
+
+def run(numbers: dict[str, list[int]], jobs: int, cpu_s: float, *, whole: bool) -> int:
     """Tries all, prints the figures and what has no reason, or no survivor; 1 if there is any."""
     rows, complaints = list[Figures](), list[str]()
-    why = reasons()
-    for file in files:
+    why, watched = reasons(), frozenset((*CORE, *numbers))
+    for file, those in numbers.items():
         source = Path(file).read_text()
         _, found = changes(source)
-        lines = None if since is None else touched(file, since)
-        numbers = [n for n, each in enumerate(found) if lines is None or lines & set(range(each.line, each.end + 1))]
-        ledger = Ledger(file, source)
-        if numbers:
-            tried(file, found, numbers, Choice(file, refreshed(), cpu_s), ledger, jobs)
-        survivors = [found[n] for n in numbers if ledger.survived(found[n])]
-        told = why.get(file, {})
-        rows.append(Figures(file, len(found), len(numbers), len(survivors), sum(each.name in told for each in survivors)))
+        ledger, told = Ledger(file, source), why.get(file, {})
+        if those:
+            own = refreshed(watched, file)
+            tried(file, found, those, Choice(file, own or refreshed(watched), cpu_s), ledger, jobs)
+            if left := [n for n in those if ledger.survived(found[n]) and found[n].name not in told]:
+                tried(file, found, left, Choice(file, refreshed(watched), cpu_s), ledger, jobs)
+        survivors = [found[n] for n in those if ledger.survived(found[n])]
+        rows.append(Figures(file, len(found), len(those), len(survivors), sum(each.name in told for each in survivors)))
         complaints += [f"{file}:{each.line}: no test notices '{each.name}'" for each in survivors if each.name not in told]
-        alive, names = {each.name for each in survivors}, {found[n].name for n in numbers}
-        gone = [name for name in told if name not in alive and (since is None or name in names)]
+        alive, names = {each.name for each in survivors}, {found[n].name for n in those}
+        gone = [name for name in told if name not in alive and (whole or name in names)]
         complaints += [f"{file}: tests/survivors.toml has a reason for '{name}', which does not survive" for name in gone]
     print(shown(rows))
     print(*complaints, sep="\n")
@@ -92,10 +108,12 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m bench.mutants", description=__doc__.split("\n\n")[0])
     parser.add_argument("files", nargs="*", default=list(CORE), metavar="FILE.py")
     parser.add_argument("--since", metavar="REVISION", help="only changes of lines that differ from it")
+    parser.add_argument("--at-most", type=int, metavar="N", help="of more changes, a sample that is always the same")
     parser.add_argument("-j", type=int, default=2, help="so many side by side (%(default)s)")
     parser.add_argument("--cpu", type=float, default=CPU_S, help="seconds of tests for a change (%(default)s)")
     told = parser.parse_args(words)
-    return run(told.files, told.since, told.j, told.cpu)
+    numbers = drawn(told.files, told.since, told.at_most)
+    return run(numbers, told.j, told.cpu, whole=told.since is None and told.at_most is None)
 
 
 if __name__ == "__main__":

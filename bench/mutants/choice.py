@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from bench.mutants.changes import MODULE
-from bench.mutants.core import CORE, NOT_ASKED, TESTS
+from bench.mutants.core import NOT_ASKED, TESTS
 from bench.mutants.reach import digest
 
 REACH: Final = Path("run/mutants/reach.jsonl")
@@ -21,15 +21,17 @@ Reach = dict[str, dict[str, Any]]  # file of tests: what is called when it is im
 
 
 @cache
-def refreshed() -> Reach:
-    """The map of all tests, after those that are new or have changed have been run once."""
+def refreshed(watched: frozenset[str], about: str = "") -> Reach:
+    """The map of all tests, or of those that import a file, after those that are new, have changed, or were not asked about
+    the watched files have been run once."""
     files = [str(path) for words in TESTS for path in sorted(Path().glob(words)) if path.name not in NOT_ASKED]
-    known = _known()
+    files = [name for name in files if not about or _is_about(Path(name).read_text(), about)]
+    known = {file: row for file, row in _known().items() if watched <= set(row.get("files", ()))}
     stale = [file for file in files if file not in known or known[file]["digest"] != digest(Path(file))]
     if stale:
         print(f"watching {len(stale)} files of tests once: {REACH}", flush=True)
         REACH.parent.mkdir(parents=True, exist_ok=True)
-        told = json.dumps({"output": str(REACH), "tests": stale, "files": CORE})
+        told = json.dumps({"output": str(REACH), "tests": stale, "files": sorted(watched)})
         quiet = subprocess.DEVNULL
         subprocess.run([sys.executable, "-m", "bench.mutants.reach"], input=told, text=True, check=True, stdout=quiet)
         known = _known()

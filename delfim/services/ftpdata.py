@@ -53,8 +53,8 @@ async def carried(connection: Any) -> AsyncIterator[Any]:
 
 
 def cut(transport: asyncio.WriteTransport) -> None:
-    """End a data connection at once, if it has not ended: asyncio's is not to be aborted once it has sent its last bytes after it
-    was closed, and says so by the lack of its loop."""
+    """End a data connection at once, if it has not ended: asyncio's is not to be aborted once it has sent its last bytes after
+    it was closed, and says so by the lack of its loop."""
     with contextlib.suppress(AttributeError):
         transport.abort()
 
