@@ -24,7 +24,7 @@ NORTH_M = 1 / 111_111
 PLACES = ((30.0, 25.0), (55.0, -5.0), (30.0, -35.0))  # metres north and east of the boat: what this person draws
 WITHIN_M = 3.0  # of what was meant, when it comes back from the boat
 ITEM = "[...document.querySelectorAll('.popup .item .title')].find(each => each.firstChild.data.includes({!r}))"
-
+TEXT = "document.body.innerText"
 
 Picture = Callable[[str], Awaitable[None]]
 Size = tuple[int, int, bool]  # width, height, night
@@ -40,7 +40,10 @@ class Visit:
 
     async def sees(self, words: str) -> None:
         """These words are on the screen, and nothing covers them."""
-        await self.page.until(VISIBLE % repr(words), PATIENCE_S)
+        try:
+            await self.page.until(VISIBLE % repr(words), PATIENCE_S)
+        except AssertionError:
+            raise AssertionError(f"{words!r} is not to be seen; the screen says {await self.page.value(TEXT)!r}") from None
 
     async def taps(self, at: tuple[float, float]) -> None:
         if self._touch:
