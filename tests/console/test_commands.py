@@ -442,6 +442,9 @@ async def planned(sea: Sea) -> None:
     await badge(page, "same")
 
 
+SHOWN_DEG = "Number(/hdg (\\d+)/.exec(document.querySelector('.selected').textContent)[1])"
+
+
 @pytest.mark.parametrize("way", ROWS)
 def test_what_the_page_says_is_what_the_vehicle_obeys(sea: tuple[asyncio.Runner, Sea], way: str) -> None:
     runner, its = sea
@@ -450,6 +453,9 @@ def test_what_the_page_says_is_what_the_vehicle_obeys(sea: tuple[asyncio.Runner,
     async def story() -> None:
         page, boat = await its.at_rest(2)
         await select(page, 2)
+        if row.told and "turned_deg" in row.told:  # of the heading that it has when the menu is chosen from
+            await boat.until(lambda state: abs(state["turn_dps"]) < 0.5)
+            await page.until(f"Math.abs({SHOWN_DEG} - {boat.state()['heading_deg']}) < 1.5")  # as the page knows it
         began_ns, before = time.time_ns(), boat.state() | {"origin": await page.value("window.origin")}
         await row.way(its, page, boat)
         if row.told is not None:
@@ -503,4 +509,5 @@ async def obeyed(boat: Boat, began_ns: int, before: dict[str, Any], wanted: dict
                 heard = [each for each in boat.told() if each["taken_ns"] > began_ns and each["command"] == wanted["command"]]
                 await asyncio.sleep(0.05)
     except TimeoutError:
-        raise AssertionError(f"wanted {wanted}, and it was told {boat.told()[-5:]}") from None
+        told = [each for each in boat.told() if each["taken_ns"] > began_ns]
+        raise AssertionError(f"wanted {wanted}, and it was told {told}; its heading was {before['heading_deg']}") from None

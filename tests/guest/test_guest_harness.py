@@ -32,7 +32,7 @@ def test_the_host_is_not_changed_but_for_the_shared_folder(can_guest: Guest, tmp
 
 
 def test_a_command_that_hangs_is_ended_and_the_guest_goes_on(can_guest: Guest) -> None:
-    assert can_guest.run("echo before; sleep 60", timeout_s=0.5) == Result(124, "before\n")
+    assert can_guest.run("echo before; sleep 60", timeout_s=3.0) == Result(124, "before\n")
     assert can_guest.run("echo after") == Result(0, "after\n")
 
 
