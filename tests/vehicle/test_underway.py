@@ -141,6 +141,16 @@ def test_a_mission_that_leads_through_the_fence_ahead_is_refused_and_the_old_one
     assert len(boat.state.setpoint.plan.waypoints) == 3
 
 
+def test_a_mission_that_is_sailed_is_not_taken_away_and_its_zones_outlast_it(boat):
+    helm = sailing(boat, *LINE, fence=config.Zones(keep_out=(reef(-60.0, 0.0),)))
+    assert boat.vehicle.on_command(console.Unload()) == "unload refused: the mission is being played; stop or hold first"
+    assert boat.state.setpoint.plan is not None
+    boat.vehicle.on_command(console.SetMode("hold"))
+    assert boat.vehicle.on_command(console.Unload()) is None
+    assert (boat.state.setpoint.plan, helm.plans.mission) == (None, None)
+    assert boat.vehicle.on_command(console.Goto(*place(-60.0, 0.0))) == "goto refused: the way leads through reef"
+
+
 def test_a_path_goes_on_with_other_pieces_ahead(boat):
     sailing(boat, *LINE, mode="path")
     assert (boat.state.mode, boat.vehicle.helm.memory.leg) == (Mode.PATH, 0)
