@@ -816,7 +816,7 @@ class TrafficUnclear(Trouble, frozen=True):
 
 class AisSilent(Silence, frozen=True):
     """No report of other vessels, from a receiver that has given some. With a transponder of one's own on the bus: not even its
-    own report."""
+    own report; where `traffic.mmsi` names it, none since the start counts, too."""
 
     after_s: Seconds = 180.0  # age of the last one
     own_s: Seconds = 30.0  # age of the own transponder's last one

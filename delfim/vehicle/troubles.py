@@ -236,6 +236,8 @@ def traffic_unclear(look: Look) -> str | None:
 def ais_silent(look: Look) -> str | None:
     now, limits = look.state.traffic, look.settings.failsafe.ais_silent
     own_age_s, age_s = look.now_s - now.own_s, look.now_s - now.heard_s
+    if look.settings.traffic.mmsi and now.own_s == now.heard_s == NEVER_S and look.state.mode is not Mode.IDLE:
+        return "AIS never heard, not even the own transponder: other vessels are not seen"
     if now.own_s > NEVER_S:
         is_silent = own_age_s > limits.own_s and age_s > limits.own_s
         return f"AIS silent: own transponder not heard for {own_age_s:.0f} s" if is_silent else None

@@ -316,6 +316,22 @@ def test_ais_is_silent_after_its_age_or_that_of_the_boats_own_transponder(heard_
 
 
 @pytest.mark.parametrize(
+    ("mmsi", "mode", "heard_s", "is_told"),
+    [
+        (263000009, Mode.PLAY, -1e9, True),
+        (0, Mode.PLAY, -1e9, False),
+        (263000009, Mode.IDLE, -1e9, False),
+        (263000009, Mode.PLAY, 1.0, False),
+    ],
+)
+def test_a_receiver_that_never_spoke_is_told_where_the_boat_has_a_transponder(mmsi, mode, heard_s, is_told) -> None:
+    here, settings = state(mode), WITH(SETTINGS, traffic=WITH(SETTINGS.traffic, mmsi=mmsi))
+    here.traffic = Traffic(heard_s=heard_s if heard_s < 0.0 else NOW_S - heard_s)
+    words = "AIS never heard, not even the own transponder: other vessels are not seen" if is_told else None
+    assert seen(Trigger.AIS_SILENT, here, settings=settings) == words
+
+
+@pytest.mark.parametrize(
     ("age_s", "refuses", "run", "words"),
     [
         (None, "", True, "the motors may turn: the outlet, which writes their pulses, has not answered yet"),
