@@ -356,7 +356,9 @@ def test_it_beats_at_least_every_tenth_of_a_second_and_says_when_nobody_listens(
             await asyncio.sleep(module.BEAT_S)
             beats.append(len(os.read(reader, 100)))
         os.close(reader)
-        await forever(runtime)
+        with contextlib.suppress(TimeoutError):
+            await asyncio.wait_for(forever(runtime), 10.0)
+        runtime.stop("it was not told")
 
     runtime, code = ran(LoadedService("listening", listening), beat_fd=writer)
     os.close(writer)
