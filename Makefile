@@ -56,6 +56,10 @@ seeds: $(MORE) ## sail a campaign of 1,000 runs of mixed faults (docs/campaigns.
 mutants: $(MORE) ## change the safety core, one place at a time, and see that a test notices (docs/mutants.md; ARGS="--since HEAD~1")
 	PYTHONPATH=. $(BIN)/python -m bench.mutants $(ARGS)
 
+.PHONY: safety
+safety: $(READY) ## prove what is new or stale in the safety case, and write its page (docs/safety-case.md; ARGS=--all: prove everything again)
+	PYTHONPATH=. $(BIN)/python -m safety $(ARGS)
+
 .PHONY: encounters
 encounters: $(MORE) ## sail DNV's encounters and Imazu's with and without the guard (docs/encounters.md; ARGS="--seeds 100")
 	$(BIN)/python -m bench.record $(ARGS)
@@ -64,11 +68,12 @@ encounters: $(MORE) ## sail DNV's encounters and Imazu's with and without the gu
 oracles: $(READY) ## make anew what the tests hold today's behaviour against (CONTRIBUTING.md; ARGS="boats telemetry": some of it)
 	PYTHONPATH=. $(BIN)/python -m tests.oracles $(ARGS)
 
-check: $(READY) $(NPM) ## style, types and the direction of imports
+check: $(READY) $(NPM) ## style, types, the direction of imports, and the links and proofs of the safety case
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	PYTHONPATH=. $(BIN)/python -m safety --check
 	$(WEB)/node_modules/.bin/tsc --noEmit --project $(WEB)
 
 page: $(NPM) ## build the console's page from its sources again, as it is shipped
