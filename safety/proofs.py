@@ -120,6 +120,8 @@ def unproven(links: list[Link], proofs: Proofs) -> list[Link]:
 def prove(links: list[Link]) -> Iterator[tuple[Link, str]]:
     """Tries each change with its test alone. What speaks against the link, in words; empty: it is proven."""
     by_file = defaultdict[str, list[Link]](list)
+    if not links:
+        return
     for link in links:
         by_file[link.code].append(link)
     folder = copied(TREE)
