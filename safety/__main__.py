@@ -9,9 +9,12 @@ what nobody thought about, which proof is missing or stale, and whether page and
 
 import argparse
 import sys
+import tomllib
 from collections.abc import Sequence
 
-from safety.case import Case, holes, read
+import msgspec
+
+from safety.case import RECORDS, Case, holes, read
 from safety.page import stale, write
 from safety.proofs import digest, keep, kept, key, missing, prove, unproven
 
@@ -52,7 +55,12 @@ def main(words: Sequence[str] | None = None) -> int:
     parser = argparse.ArgumentParser(prog="python -m safety", description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--check", action="store_true", help="prove nothing, and say what is wrong")
     parser.add_argument("--all", action="store_true", help="prove everything again")
-    asked, case = parser.parse_args(words), read()
+    asked = parser.parse_args(words)
+    try:
+        case = read()
+    except (msgspec.ValidationError, tomllib.TOMLDecodeError) as error:
+        print(f"{RECORDS}: {error}")
+        return 1
     against = [] if asked.check else proven(case, asked.all)
     if not asked.check:
         write(case)

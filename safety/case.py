@@ -33,7 +33,7 @@ class Unsafe(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     when: Text
     hazards: Annotated[list[str], msgspec.Meta(min_length=1)]
     constraint: Text
-    held: Annotated[list[Link], msgspec.Meta(min_length=1)]
+    held: list[Link] = []
 
 
 class ControlAction(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -78,7 +78,7 @@ class Case(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 def read(path: Path = RECORDS) -> Case:
-    """Raises msgspec.ValidationError or tomllib.TOMLDecodeError with the place, a constraint without a test included."""
+    """Raises msgspec.ValidationError or tomllib.TOMLDecodeError with the place."""
     return msgspec.convert(tomllib.loads(path.read_text()), Case)
 
 
@@ -99,5 +99,6 @@ def holes(case: Case) -> list[str]:
         found += [f"{name}: '{kind}' is harmless and is not" for kind in KINDS if kind in told and kind in action.harmless]
         for each in action.unsafe:
             ids.append(each.id)
+            found += [] if each.held else [f"{each.id}: no function and no test holds it: {each.constraint}"]
             found += [f"{each.id}: there is no hazard {hazard}" for hazard in each.hazards if hazard not in case.hazards]
     return found + [f"{name} stands twice" for name in sorted({name for name in ids if ids.count(name) > 1})]

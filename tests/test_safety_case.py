@@ -55,6 +55,7 @@ def told(*changes: tuple[str, Any]) -> Case:
         ("actions/thrust/harmless", {}, [f"thrust: nothing about '{kind}'" for kind in KINDS if kind != "given"]),
         ("actions/thrust/harmless/given", "because", ["thrust: 'given' is harmless and is not"]),
         ("actions/thrust/unsafe/0/hazards", ["H1", "H7"], ["U1: there is no hazard H7"]),
+        ("actions/thrust/unsafe/0/held", [], ["U1: no function and no test holds it: c"]),
         (
             "actions/thrust/unsafe",
             [msgspec.to_builtins(each) for each in told().actions["thrust"].unsafe] * 2,
@@ -68,9 +69,9 @@ def test_what_the_records_leave_out_is_said(place: str, value: object, words: li
 
 
 @pytest.mark.parametrize(
-    ("place", "value"), [("held", []), ("hazards", []), ("constraint", ""), ("kind", "sometimes"), ("by", "me")]
+    ("place", "value"), [("held", [{}]), ("hazards", []), ("constraint", ""), ("kind", "sometimes"), ("by", "me")]
 )
-def test_a_constraint_without_a_test_is_no_record(place: str, value: object) -> None:
+def test_what_is_no_record_is_refused(place: str, value: object) -> None:
     with pytest.raises(msgspec.ValidationError):
         told((f"actions/thrust/unsafe/0/{place}", value))
 
