@@ -69,5 +69,5 @@ class Worker:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._program.kill()
-        self._program.wait()
+        with self._program:  # waits, and closes its pipes
+            self._program.kill()
