@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from bench.mutants import ledger, reach
+from bench.mutants import choice, ledger, reach
 from bench.mutants.changes import changed, changes, functions
 from bench.mutants.choice import Choice
 from bench.mutants.core import CORE
@@ -126,6 +126,24 @@ def test_the_files_own_tests_are_asked_first_and_within_a_time(tmp_path: Path) -
     choice.noticed(frozenset({"limited"}), f"{other}::quick")
     assert choice.tests(frozenset({"limited"}))[0] == f"{other}::quick"
     assert Choice("delfim/vehicle/gate.py", known, 0.5).tests(frozenset({"limited"})) == [f"{own}::short"], "never none"
+
+
+def test_tests_are_watched_again_where_they_changed_or_were_not_asked_about_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = list[dict[str, Any]]()
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(choice, "TESTS", ("test_*.py",))
+    monkeypatch.setattr(choice, "REACH", tmp_path / "reach.jsonl")
+    monkeypatch.setattr(choice.subprocess, "run", lambda *_, **how: asked.append(json.loads(how["input"])))
+    for name, files in (("test_a.py", ["gate.py", "kills.py"]), ("test_b.py", ["gate.py"]), ("test_c.py", ["gate.py"])):
+        (tmp_path / name).write_text("new")
+        row = {"file": name, "digest": "old" if name == "test_c.py" else reach.digest(tmp_path / name), "files": files}
+        with (tmp_path / "reach.jsonl").open("a") as log:
+            log.write(f"{json.dumps(row | {'tests': {}, 'imported': {}})}\n")
+    for files, stale in ((["gate.py"], ["test_c.py"]), (["gate.py", "kills.py"], ["test_b.py", "test_c.py"])):
+        choice.refreshed(frozenset(files))
+        assert asked.pop() == {"output": str(tmp_path / "reach.jsonl"), "tests": stale, "files": files}
 
 
 def test_what_was_tried_is_known_until_the_file_or_its_tests_change(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
