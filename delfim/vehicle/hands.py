@@ -20,7 +20,5 @@ class Hand(LoopInput, Protocol):
 
 def change(name: str, reason: str, state: State) -> Iterator[console.Kill]:
     """The order of a switch that says kill for this reason, or does not (empty), if that is new."""
-    if reason and name not in state.killed.held:
-        yield console.Kill(name, reason, "on")
-    elif not reason and name in state.killed.held:
-        yield console.Kill(name, switch="off")
+    if bool(reason) != (name in state.killed.held):
+        yield console.Kill(name, reason, "on") if reason else console.Kill(name, switch="off")

@@ -5,8 +5,10 @@ import pytest
 from delfim import config
 from delfim.modes import Mode
 from delfim.vehicle import console
+from delfim.vehicle.handset import Debounced, Handset, fraction, open_handset
+from delfim.vehicle.links import Links
 from delfim.vehicle.loop import HELD_BY_HAND
-from delfim.vehicle.state import HANDSET, Line, Plan, StartConditions, Waypoint
+from delfim.vehicle.state import HANDSET, Killed, Line, Plan, StartConditions, State, Waypoint
 from tests.vehicle import receivers
 
 DEVICE = "/dev/receiver"
@@ -336,3 +338,189 @@ def test_a_wrong_hand_set_is_refused_in_words(table, reason):
 def test_ends_of_a_stick_that_do_not_rise_are_refused():
     with pytest.raises(ValueError, match="reversed exchanges the ends"):
         config.Stick(1, low_us=2012.0, high_us=988.0)
+
+
+def pulses(**us):
+    """Of 16 channels; c5=2000.0 is the fifth one."""
+    return tuple(us.get(f"c{channel}", 1500.0) for channel in range(1, 17))
+
+
+class Alone:
+    """A hand-set without a boat: its line and its decoder are played, and so is the door that its orders go through."""
+
+    def __init__(self, **more):
+        self.pieces, self.lost, self.quality_pct, self.does_obey = [], "", None, True
+        table = config.HandsetTable(device=DEVICE, kill=config.Switch(KILL), **more)
+        self.handset, self.state = Handset(table, self, self), State()
+
+    def read(self):
+        return self.pieces.pop(0) if self.pieces else b""
+
+    def feed(self, piece):
+        return [piece]
+
+    def at(self, now_s, *pieces):
+        """What it orders after these positions came."""
+        self.pieces += pieces
+        self.handset.read(self.state, now_s)
+        found = []
+        for order in self.handset.orders(self.state, now_s):
+            found.append(order)
+            if isinstance(order, (console.Manual, console.SetMode)) and self.does_obey:
+                self.state.mode = Mode.MANUAL
+            elif isinstance(order, console.Take):
+                self.state.operator = HANDSET
+        return found
+
+
+AT_REST, HELD_AHEAD = pulses(c5=ON, c6=OFF), pulses(c5=ON, c6=OFF, c3=2012.0)
+LET_GO = pulses(c5=OFF, c6=OFF)
+
+
+@pytest.mark.parametrize(
+    ("seen", "on", "is_known"),
+    [
+        ("", False, False),
+        ("00", False, False),
+        ("000", False, True),
+        ("11", False, False),
+        ("111", True, True),
+        ("11-11", False, False),
+        ("11-111", True, True),
+        ("111-00", True, True),
+        ("111-000", False, True),
+        ("110110", False, False),
+    ],
+)
+@pytest.mark.parametrize("way", ["high", "low"])
+def test_how_a_switch_is_read(seen, on, is_known, way):
+    switch, us = Debounced(config.Switch(TAKE, way)), {"1": 1700.0, "0": 1300.0, "-": 1500.0}
+    if way == "low":
+        us |= {"1": 1300.0, "0": 1700.0}
+    for _ in range(2):  # what was seen before it was forgotten does not count
+        switch.forget()
+        for each in seen:
+            switch.see(pulses(c5=us[each]))
+        assert (switch.on, switch.is_known) == (on, is_known)
+
+
+def test_a_switch_that_there_is_not_is_off():
+    switch = Debounced(config.Switch())
+    for _ in range(9):
+        switch.see(pulses(c16=ON))
+    assert (switch.on, switch.is_known) == (False, True)
+
+
+@pytest.mark.parametrize(
+    ("us", "neutral", "part"),
+    [(1700.0, 0.1, 0.5), (1200.0, 0.1, -0.5), (1700.0, 0.5, 0.0), (1200.0, 0.5, 0.0), (1400.0, 0.1, 0.0)]
+    + [(2100.0, 0.1, 1.0), (900.0, 0.1, -1.0), (1400.5, 0.0, 0.5 / 600.0)],
+)
+def test_each_way_of_a_stick_counts_by_itself(us, neutral, part):
+    stick, reversed_stick = (config.Stick(2, 1000.0, 1400.0, 2000.0, reversed=each) for each in (False, True))
+    assert fraction(stick, pulses(c2=us), neutral) == part
+    assert fraction(reversed_stick, pulses(c2=us), neutral) == -part
+
+
+def test_both_protocols_have_a_speed_and_a_form():
+    opened = []
+    for table in ({"protocol": "sbus"}, {"protocol": "sbus", "baud": 1}, {}, {"baud": 2}):
+        open_handset(config.HandsetTable(device=DEVICE, **table), Links(None, lambda *line: opened.append(line)))
+    assert opened == [(DEVICE, 100_000, "8E2"), (DEVICE, 1, "8E2"), (DEVICE, 420_000), (DEVICE, 2)]
+
+
+def test_sticks_that_move_are_told_sooner_than_sticks_that_rest():
+    hand = Alone()
+    assert hand.at(0.0, *[AT_REST] * 3) == [console.Take(), console.SetMode("manual")]
+    told = {now_s: hand.at(now_s, AT_REST) for now_s in (0.0, 0.125, 0.1875, 0.2, 0.375)}
+    assert told == {0.0: [console.Manual(0.0, 0.0)], 0.125: [], 0.1875: [], 0.2: [console.Manual(0.0, 0.0)], 0.375: []}
+    hand.at(1.0, AT_REST)
+    assert hand.at(1.04, HELD_AHEAD) == []
+    hand.at(2.0, AT_REST)
+    assert hand.at(2.0625, HELD_AHEAD) == [console.Manual(1.0, 1.0)]
+    hand = Alone()
+    hand.at(0.0, *[AT_REST] * 3)
+    hand.at(0.0, AT_REST)
+    assert hand.at(0.05, HELD_AHEAD) == [console.Manual(1.0, 1.0)]
+
+
+@pytest.mark.parametrize(
+    ("throttle_us", "steer_us", "told"),
+    [
+        (1500.0 + 0.2 * 512.0, 1500.0 + 0.3 * 512.0, (-0.1, 0.5)),
+        (2012.0, 2012.0, (0.0, 1.0)),
+        (2012.0, 988.0, (1.0, 0.0)),
+        (988.0, 2012.0, (-1.0, 0.0)),
+        (988.0, 988.0, (0.0, -1.0)),
+        (1500.0 + 512.0 / 3.0, 1500.0, (0.33, 0.33)),
+    ],
+)
+def test_throttle_and_steer_are_mixed(throttle_us, steer_us, told):
+    hand = Alone()
+    hand.at(0.0, *[AT_REST] * 3)
+    hand.at(0.0, AT_REST)
+    assert hand.at(1.0, pulses(c5=ON, c6=OFF, c3=throttle_us, c1=steer_us)) == [console.Manual(*told)]
+
+
+def test_a_line_that_floods_is_read_a_little_at_a_time():
+    hand = Alone()
+    hand.pieces = [AT_REST] * 9
+    hand.at(0.0)
+    assert len(hand.pieces) == 5
+
+
+def test_who_never_heard_the_hand_set_that_has_the_boat_leaves_and_silence_begins_after_its_time():
+    hand = Alone()
+    hand.state.operator = HANDSET
+    assert hand.at(0.0) == [console.Leave("hand-set not heard yet")]
+    assert hand.at(1.0, AT_REST) == []
+    assert hand.at(1.5) == []
+    assert hand.at(1.51) == [console.Leave("hand-set silent")]
+
+
+def test_a_boat_that_it_has_at_the_start_waits_for_the_sticks_and_its_kill_for_the_switch():
+    hand = Alone()
+    hand.state.operator, hand.state.mode = HANDSET, Mode.MANUAL
+    assert hand.at(0.0, *[HELD_AHEAD] * 3) == [console.Manual(0.0, 0.0)]
+    hand = Alone()
+    hand.state.killed = Killed("kill", HANDSET)
+    assert console.Clear() not in hand.at(0.0, *[AT_REST] * 3)
+
+
+def test_the_sticks_wait_in_the_middle_each_time_that_the_boat_is_taken():
+    hand = Alone()
+    hand.at(0.0, *[LET_GO] * 3)
+    hand.state.killed = Killed("kill", HANDSET)
+    assert hand.at(0.0, *[AT_REST] * 3) == [console.Clear(), console.Take(), console.SetMode("manual")]
+    hand.at(0.0, AT_REST)
+    hand.state.operator = ""
+    assert hand.at(0.0, AT_REST) == [console.Take(), console.SetMode("manual")], "the switch has not moved"
+    hand.at(1.0, AT_REST)
+    hand.at(1.0, *[LET_GO] * 3)
+    hand.state.operator = ""
+    hand.at(2.0, *[HELD_AHEAD] * 3)
+    assert hand.at(2.0, HELD_AHEAD) == [console.Manual(0.0, 0.0)]
+
+
+def test_after_a_stop_it_is_alive_with_sticks_in_the_middle_and_drives_again_once():
+    hand = Alone()
+    hand.at(0.0, *[AT_REST] * 3)
+    hand.at(0.0, AT_REST)
+    hand.state.mode = Mode.IDLE
+    assert hand.at(1.0, AT_REST) == [console.Alive()]
+    hand.does_obey = False
+    assert hand.at(2.0, HELD_AHEAD) == [console.Manual(1.0, 1.0)]
+    assert hand.at(3.0, HELD_AHEAD) == [console.Alive()], "it was refused"
+    assert hand.at(4.0, AT_REST) == [console.Alive()]
+    hand.does_obey = True
+    assert hand.at(5.0, HELD_AHEAD) == [console.Manual(1.0, 1.0)]
+    assert hand.at(6.0, HELD_AHEAD) == [console.Manual(1.0, 1.0)], "it drives"
+
+
+def test_where_its_kill_switch_was_before_it_was_lost_is_forgotten():
+    hand = Alone()
+    assert hand.at(0.0, *[pulses(c5=OFF, c6=ON)] * 3) == [console.Kill(HANDSET, "its kill switch", "on")]
+    hand.state.killed = Killed("kill", HANDSET, (HANDSET,))
+    assert hand.at(1.0) == [console.Kill(HANDSET, switch="off")]
+    hand.state.killed = Killed("kill", HANDSET)
+    assert hand.at(1.1, LET_GO) == []

@@ -38,7 +38,6 @@ def test_every_value_arrives_in_pieces_of_any_size(values, size):
         stream = 3 * frame
         found = [pulses for at in range(0, len(stream), size) for pulses in decoder.feed(stream[at : at + size])]
         assert found == [in_us(values)] * 3
-        assert not decoder.bad
 
 
 @pytest.mark.parametrize("end", [0x00, 0x04, 0x14, 0x24, 0x34])
@@ -60,6 +59,19 @@ def test_positions_that_sbus_repeats_for_a_lost_frame_are_not_fresh():
     decoder.feed(2 * receivers.sbus({}))
     assert decoder.feed(receivers.sbus({}, flags=0x04)) == []
     assert not decoder.lost
+    assert len(decoder.feed(receivers.sbus({}, flags=0x03))) == 1, "these two are switches"
+    assert not decoder.lost
+
+
+def test_sbus_counts_again_after_two_frames_in_a_row():
+    decoder, frame = Sbus(), receivers.MIDDLE_SBUS
+    assert decoder.feed(frame) == []
+    assert decoder.feed(frame[:5]) == []
+    assert len(decoder.feed(frame[5:])) == 2
+    assert decoder.feed(b"\x0e" + frame[1:]) == []
+    assert decoder.feed(frame) == []
+    assert len(decoder.feed(frame)) == 2
+    assert len(Sbus().feed(b"\x0f" + 2 * frame)) == 2
 
 
 def test_crsf_tells_a_lost_radio_by_its_quality():
@@ -72,8 +84,13 @@ def test_crsf_tells_a_lost_radio_by_its_quality():
 
 
 def test_other_frames_of_crsf_are_passed_over():
-    battery = receivers.crsf_frame(0x08, bytes(8))
-    assert Crsf().feed(battery + receivers.MIDDLE_CRSF + battery) == [ALL_MIDDLE]
+    shortest, longest = receivers.crsf_frame(0xAB, b""), receivers.crsf_frame(0x08, receivers.MIDDLE_CRSF + bytes(34))
+    assert Crsf().feed(shortest + b"\x30" + receivers.MIDDLE_CRSF + longest) == [ALL_MIDDLE]
+
+
+@pytest.mark.parametrize("address", [0xC8, 0x00, 0xEA, 0xEC, 0xEE])
+def test_crsf_begins_with_one_of_its_addresses_and_a_length_that_it_may_have(address):
+    assert Crsf().feed(bytes((address, 63)) + bytes((address,)) + receivers.MIDDLE_CRSF[1:]) == [ALL_MIDDLE]
 
 
 @pytest.mark.parametrize("bit", range(8))
@@ -114,4 +131,3 @@ def test_a_noisy_line_costs_frames_and_gives_no_wrong_ones_by_crsf():
     found = decoder.feed(bytes(stream))
     assert set(found) == {in_us(receivers.values({1: 1700.0}))}
     assert len(found) > 400
-    assert decoder.bad

@@ -106,7 +106,7 @@ class Handset:
             if has:
                 yield console.Leave(f"{HANDSET} {lost}")
         elif not self._take.is_known:
-            return
+            pass
         elif not self._take.on:
             self._was_off = True
             if has:
@@ -139,7 +139,6 @@ class Handset:
         yield console.SetMode("manual")
         if state.mode is not Mode.MANUAL:
             yield console.Stop()
-        self._drove = state.mode is Mode.MANUAL
 
     def _driving(self, state: State, now_s: float) -> Iterator[console.Commands]:
         """After anything that ended manual mode, the sticks go to the middle before they drive again."""

@@ -15,7 +15,6 @@ class Decoder(Protocol):
 
     lost: str  # why the last frame says that the radio is lost, in words; empty: it does not
     quality_pct: int | None  # of the radio, as the receiver tells it; None: it does not
-    bad: int  # how often the bytes were no frame
 
     def feed(self, data: bytes) -> list[Pulses]: ...  # of each frame that came whole and fresh from the hand-set
 

@@ -36,9 +36,8 @@ class Crsf:
     """A `Decoder`."""
 
     def __init__(self) -> None:
-        self.lost, self.bad = "", 0
+        self.lost, self._rest = "", b""
         self.quality_pct: int | None = None
-        self._rest, self._in_step = b"", False
 
     def feed(self, data: bytes) -> list[Pulses]:
         """Channels that come while the quality is 0 % are not fresh, and are left out."""
@@ -49,13 +48,10 @@ class Crsf:
             if fits and end > len(data):
                 break
             if fits and checksum(data[at + 2 : end - 1]) == data[end - 1]:
-                self._in_step = True
                 found += self._taken(data[at + 2 : end - 1])
                 at = end
-                continue
-            self.bad += self._in_step
-            self._in_step = False
-            at += 1
+            else:
+                at += 1
         self._rest = data[at:]
         return found
 

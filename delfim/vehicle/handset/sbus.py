@@ -24,8 +24,7 @@ class Sbus:
     quality_pct: int | None = None  # SBUS does not tell it
 
     def __init__(self) -> None:
-        self.lost, self.bad = "", 0
-        self._rest, self._in_step = b"", False
+        self.lost, self._rest, self._in_step = "", b"", False
 
     def feed(self, data: bytes) -> list[Pulses]:
         """Frames that the receiver repeats because one was lost on the air are not fresh, and are left out."""
@@ -39,11 +38,9 @@ class Sbus:
                 if not flags & (FAILSAFE | FRAME_LOST):
                     found.append(unpack(data[at + 1 : at + 1 + PACKED]))
                 at += LENGTH
-                continue
-            self.bad += self._in_step
-            self._in_step, needed = False, 2 * LENGTH
-            head = data.find(HEAD, at + 1)
-            at = head if head >= 0 else len(data)
+            else:
+                self._in_step, needed = False, 2 * LENGTH
+                at += 1
         self._rest = data[at:]
         return found
 
