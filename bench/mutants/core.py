@@ -8,6 +8,6 @@ TESTS: Final = (  # files that take long, and see nothing that others do not see
     "tests/vehicle/test_*.py",
     *("tests/services/test_outlet.py", "tests/services/test_supervisor.py", "tests/services/test_shutdown.py"),
     *("tests/services/test_door.py", "tests/test_deadman.py", "tests/test_security.py", "tests/test_new_trigger.py"),
-    *("tests/commands/test_opened_doors.py", "tests/services/test_supervisor_turns.py", "tests/services/test_stop.py"),
+    *("tests/services/test_supervisor_turns.py", "tests/services/test_stop.py", "tests/services/test_doors.py"),
 )
 NOT_ASKED: Final = "test_qgroundcontrol.py", "test_mavlink_fuzz.py"

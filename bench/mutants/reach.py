@@ -106,7 +106,7 @@ def main(output: str, tests: list[str], files: list[str]) -> int:
         if child == 0:
             plugin = Map()
             pytest.main([*OPTIONS, name], plugins=[plugin])
-            row = {"file": name, "digest": digest(Path(name)), "files": files}
+            row: dict[str, object] = {"file": name, "digest": digest(Path(name)), "files": files}
             row |= {"imported": plugin.imported, "tests": plugin.tests}
             with open(output, "a") as log:
                 log.write(json.dumps(row) + "\n")
