@@ -99,7 +99,6 @@ class Supervisor:
         self._requests = listening(requests) if requests else None
         self.word: Word | Literal[""] = ""
         self.reason = ""
-        self._wake = -1  # readable when a signal came
         self._is_ending = False
         self._turn_s = time.monotonic()  # when the last wait was over
 
@@ -120,10 +119,8 @@ class Supervisor:
         return EXIT_PERMANENT if failed and not self.word else 0
 
     def _catch_signals(self) -> None:
-        wake, woken = os.pipe()
-        os.set_blocking(wake, False)
+        self._wake, woken = os.pipe()  # readable when a signal came
         os.set_blocking(woken, False)
-        self._wake = wake
         signal.set_wakeup_fd(woken, warn_on_full_buffer=False)
         signal.signal(signal.SIGCHLD, lambda *_: None)
         for number in self._signals:
@@ -239,7 +236,7 @@ class Supervisor:
             if now_s >= self._deadline_s(child):
                 self._overdue(child, now_s)
             elif child.state != "running" or child.is_urgent or child.is_silent or child.beat_s is None:
-                continue
+                pass
             elif now_s - child.beat_s > self._deadman_s:
                 self._noted(child, "does not answer", is_silent=True)
 
@@ -349,6 +346,9 @@ class Supervisor:
     def _end(self) -> None:
         """In order and bounded: the critical program first, which stops the propellers itself; then they are stopped again."""
         self._is_ending = True
+        for child in self._children:
+            if child.state == "waiting":  # no longer: who is due, and not started, would keep us from waiting
+                self._change(child, "stopped")
         critical = [child for child in self._children if child.program.critical]
         for child in critical + [child for child in reversed(self._children) if not child.program.critical]:
             if child.program.guard:
@@ -373,8 +373,6 @@ class Supervisor:
             self._end_child(child, END_S)
 
     def _end_child(self, child: Child, patience_s: float) -> None:
-        if child.state == "waiting":
-            self._change(child, "stopped")
         if child.pid:
             child.hurry()
             os.kill(child.pid, signal.SIGTERM)
