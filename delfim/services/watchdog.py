@@ -10,7 +10,7 @@ class Watchdog:
     """A device, "" for none; if it does not exist there is none."""
 
     def __init__(self, device: str) -> None:
-        self._fd = -1
+        self._fd: int | None = None
         if device and os.path.exists(device):
             try:
                 self._fd = os.open(device, os.O_WRONLY)
@@ -18,9 +18,9 @@ class Watchdog:
                 log.error("%s: %s; going on without it", device, error.strerror)
 
     def stroke(self, word: bytes) -> None:
-        if self._fd >= 0:
+        if self._fd is not None:
             try:
                 os.write(self._fd, word)
             except OSError as error:
                 log.error("hardware watchdog: %s; going on without it", error.strerror)
-                self._fd = -1
+                self._fd = None
