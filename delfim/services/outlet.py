@@ -80,7 +80,6 @@ class Channels:
         self._neutral = {each: table.neutral_us for each, table in self._tables.items()}
         self._port: PulsePort | None = None
         self._again_s = -inf
-        self._armed_s = inf
         self.state, self.trouble = "stopped", "not open yet"
 
     def put(self, fractions: tuple[float, ...] | None, now_s: float) -> None:
@@ -91,7 +90,7 @@ class Channels:
                     return
                 self._again_s = now_s + REOPEN_S
                 self._port = self._open(self._pwm, self._neutral)
-                self._armed_s = now_s + self._pwm.arm_s
+                self._armed_s = now_s + self._pwm.arm_s  # until then it stays neutral
                 self._tell("")
             self.state = "stopped" if fractions is None else "arming" if now_s < self._armed_s else "running"
             running = fractions if self.state == "running" else None
@@ -139,14 +138,16 @@ class OutletServer:
         while not (why := ended()):
             channels.put(guard.fractions(now_s := time.monotonic()), now_s)
             readable, _, _ = select.select([self._listening, *self._clients], [], [], TICK_S)
-            spoke = [each for each in readable if each is not self._listening and self._hear(each)]
+            spoke = [each for each in readable if each is not self._listening]
+            for each in spoke:
+                self._hear(each)
             if self._listening in readable:
                 self._accept()
             if spoke:
                 channels.put(guard.fractions(now_s := time.monotonic()), now_s)
                 answer = pack_answer(PulseAnswer(guard.counter, channels.state, channels.trouble))
                 for each in spoke:
-                    with suppress(OSError):  # somebody who does not read gets no answers
+                    with suppress(OSError):  # somebody who is gone, or does not read, gets no answers
                         each.send(answer, socket.MSG_DONTWAIT)
         channels.close()
         return why
@@ -164,20 +165,18 @@ class OutletServer:
             else:  # not one of those that may hold motors
                 client.close()
 
-    def _hear(self, client: socket.socket) -> bool:
-        """All that a client sent; False where it is gone."""
+    def _hear(self, client: socket.socket) -> None:
+        """All that a client sent, or that it is gone."""
         try:
             for _ in range(RECORDS):
                 if not (data := client.recv(RECORD_BYTES)):
                     self._lose(client)
-                    return False
+                    break
                 self._take(client, data)
         except BlockingIOError:
-            return True
+            pass
         except OSError:
             self._lose(client)
-            return False
-        return True
 
     def _take(self, client: socket.socket, data: bytes) -> None:
         try:
@@ -193,8 +192,9 @@ class OutletServer:
         client.close()
 
 
-def serve(path: Path, pwm: config.Pwm, channels: tuple[int, ...], beat_fd: int = -1) -> None:
-    """The life of the process, until SIGTERM, SIGINT or the end of the supervisor. Raises OSError where it cannot listen."""
+def serve(path: Path, pwm: config.Pwm, channels: tuple[int, ...], beat_fd: int) -> None:
+    """The life of the process, until SIGTERM, SIGINT or the end of the supervisor. `beat_fd`: its pipe, -1 for none. Raises
+    OSError where it cannot listen."""
     asked = list[str]()
     for number in (signal.SIGTERM, signal.SIGINT):
         signal.signal(number, lambda number, _: asked.append(signal.Signals(number).name))

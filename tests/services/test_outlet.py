@@ -8,9 +8,11 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from random import Random
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -27,7 +29,7 @@ from delfim.pulses import (
     unpack_answer,
     unpack_command,
 )
-from delfim.services.outlet import REOPEN_S, Channels, Guard
+from delfim.services.outlet import Channels, Guard, OutletServer, serve
 from delfim.services.pulseports import SysfsPort, open_port
 from tests.mutations import cut, flipped, spliced
 
@@ -87,6 +89,9 @@ def test_silence_stops_until_there_is_a_new_command() -> None:
     assert heard.after(0.02) is None
     assert heard.after(0.0, told(1)) is None
     assert heard.after(0.0, told(2)) == HALF
+    guard = Guard()
+    guard.hear("runtime", told(1), 0.0)
+    assert guard.fractions(SILENT_S) == HALF
 
 
 def test_a_sender_that_repeats_itself_keeps_no_motor_running() -> None:
@@ -105,6 +110,7 @@ def test_the_end_of_the_one_who_commands_stops_and_another_end_does_not() -> Non
     assert heard.after(0.0) == HALF
     heard.guard.lose("runtime")
     assert heard.after(0.0) is None
+    assert heard.after(0.0, told(1)) == HALF, "it is connected again, and counts anew"
 
 
 def test_anybody_stops_and_the_last_who_commands_holds_the_motors() -> None:
@@ -193,7 +199,7 @@ class FlakyPort:
     """Hardware that fails when it is told to."""
 
     def __init__(self) -> None:
-        self.written, self.fails, self.opened = dict[int, float](), False, 0
+        self.written, self.fails, self.opened, self.closed = dict[int, float](), False, 0, 0
 
     def open(self, pwm: config.Pwm, pulses_us: dict[int, float]) -> "FlakyPort":
         self.opened += 1
@@ -206,12 +212,13 @@ class FlakyPort:
         self.written = dict(pulses_us)
 
     def close(self) -> None:
-        pass
+        self.closed += 1
 
 
-def test_an_esc_is_armed_by_neutral_and_again_after_a_fault() -> None:
+def test_an_esc_is_armed_by_neutral_and_again_after_a_fault(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level("INFO")
     port = FlakyPort()
-    channels = Channels(config.Pwm(arm_s=3.0), (0, 1), port.open)
+    channels = Channels(config.Pwm(arm_s=3.0, chip="pca9685:1"), (0, 1), port.open)
     channels.put(HALF, 10.0)
     assert (channels.state, port.written) == ("arming", {0: 1500.0, 1: 1500.0})
     channels.put(HALF, 13.0)
@@ -219,12 +226,242 @@ def test_an_esc_is_armed_by_neutral_and_again_after_a_fault() -> None:
     port.fails = True
     channels.put(HALF, 13.1)
     assert (channels.state, channels.trouble) == ("stopped", "Remote I/O error")
+    assert port.closed == 1
     channels.put(HALF, 13.2)  # it was opened at 10.0
     port.fails = False
-    channels.put(HALF, 13.2 + REOPEN_S)
+    channels.put(HALF, 14.1)
+    assert (channels.state, port.opened) == ("stopped", 2)
+    channels.put(HALF, 14.2)
     assert (channels.state, channels.trouble, port.written) == ("arming", "", {0: 1500.0, 1: 1500.0})
     channels.put(None, 20.0)
     assert (channels.state, port.written) == ("stopped", {0: 1500.0, 1: 1500.0})
+    channels.put(HALF, 21.0)
+    channels.close()
+    assert (port.written, port.closed) == ({0: 1500.0, 1: 1500.0}, 2)
+    told = [("INFO", "outlet: pca9685:1 is open"), ("ERROR", "outlet: Remote I/O error")]
+    assert [(each.levelname, each.message) for each in caplog.records] == [*told, told[0]]
+    Channels(config.Pwm(), (0,), port.open).put(None, 0.0)
+    port.fails = True
+    never = Channels(config.Pwm(), (0,), port.open)
+    never.close()
+    assert (never.trouble, port.closed) == ("Remote I/O error", 2)
+
+
+class Served:
+    """A server with its socket, on a clock that waiting moves; each step of `steps` is done before a turn."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, place: Path) -> None:
+        self.path, self.port, self.now_s, self.waits_s, self.steps = place / "outlet", FlakyPort(), 100.0, list[float](), 0
+        clock, look = SimpleNamespace(monotonic=lambda: self.now_s), select.select
+
+        def waits(read: list[object], write: list[object], error: list[object], wait_s: float) -> object:
+            self.waits_s.append(wait_s)
+            found = look(read, write, error, 0.0)
+            self.now_s += 0.0 if found[0] else wait_s
+            return found
+
+        monkeypatch.setattr("delfim.services.outlet.time", clock)
+        monkeypatch.setattr("delfim.services.outlet.select", SimpleNamespace(select=waits))
+        self.channels = Channels(config.Pwm(arm_s=0.0), (0, 1), self.port.open)
+        self.path.touch()  # an outlet that was killed leaves its socket
+        self.server = OutletServer(self.path, self.channels)
+        assert not self.server._listening.getblocking()
+        self.clients = list[socket.socket]()
+
+    def client(self) -> socket.socket:
+        client = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        client.setblocking(False)
+        client.connect(str(self.path))
+        self.clients.append(client)
+        return client
+
+    def run(self, steps: Iterator[None]) -> str:
+        def ended() -> str:
+            self.steps += 1
+            assert self.steps < 1000
+            assert not any(each.getblocking() for each in self.server._clients)
+            return next(steps, "over") or ""  # type: ignore[func-returns-value]
+
+        return self.server.serve(ended)
+
+    def pulses(self) -> list[float]:
+        return list(self.port.written.values())
+
+
+@pytest.fixture
+def served(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Served]:
+    served = Served(monkeypatch, tmp_path)
+    yield served
+    served.server.close()
+    for client in served.clients:
+        client.close()
+
+
+RUNS, RESTS = [1700.0, 1400.0], [1500.0, 1500.0]
+
+
+def test_the_server_writes_the_pulses_of_the_last_word_at_once_and_answers(served: Served) -> None:
+    def steps() -> Iterator[None]:
+        yield
+        assert served.waits_s == [0.1]
+        client = served.client()
+        yield
+        client.send(told(1, fractions=REST))
+        client.send(told(2))
+        at_s = served.now_s
+        yield
+        assert (served.pulses(), served.now_s) == (RUNS, at_s), "not a turn later"
+        assert unpack_answer(client.recv(1000)) == PulseAnswer(2, "running", "")
+        with pytest.raises(BlockingIOError):
+            client.recv(1000)
+        while served.now_s < at_s + SILENT_S - 0.05:
+            yield
+        assert served.pulses() == RUNS
+        for _ in range(3):
+            yield
+        assert served.pulses() == RESTS
+        client.send(told(3))
+        yield
+        assert served.pulses() == RUNS
+
+    assert served.run(steps()) == "over"
+    assert served.pulses() == RESTS
+    assert served.path.stat().st_mode & 0o777 == 0o600
+
+
+def test_the_server_keeps_to_four_clients_and_lets_go_of_those_that_are_gone(served: Served) -> None:
+    def steps() -> Iterator[None]:
+        clients = []
+        for _ in range(5):
+            clients.append(served.client())
+            yield
+        for client in clients:
+            with contextlib.suppress(BrokenPipeError):
+                client.send(told(1))
+        yield
+        assert [len(client.recv(1000)) > 0 for client in clients] == [True] * 4 + [False]
+        clients[3].close()
+        at_s = served.now_s
+        yield
+        assert (served.pulses(), served.now_s) == (RESTS, at_s), "it commanded last"
+        clients.append(served.client())
+        yield
+        clients[-1].send(told(1))
+        yield
+        assert clients[-1].recv(1000)
+        clients[0].close()
+        yield
+        assert served.pulses() == RUNS
+
+    served.run(steps())
+
+
+def test_one_who_floods_or_talks_nonsense_gets_one_turn(served: Served, caplog: pytest.LogCaptureFixture) -> None:
+    def steps() -> Iterator[None]:
+        client, other = served.client(), served.client()
+        yield
+        yield
+        client.send(b"x")
+        yield
+        assert unpack_answer(client.recv(1000)).counter == 0
+        assert len(caplog.messages) == 1
+        for number in range(65):
+            client.send(told(number))
+        yield
+        assert served.server._guard.counter == 63
+        yield
+        assert served.server._guard.counter == 64
+        client.send(told(65) + bytes(300))
+        client.send(b"x")
+        yield
+        assert served.server._guard.counter == 64
+        assert len(caplog.messages) == 1
+        assert caplog.messages[0].startswith("outlet: ")
+        assert caplog.messages[0].endswith("; the next ones are not told")
+        other.send(told(1))
+        yield
+        assert unpack_answer(other.recv(1000)).counter == 1
+
+    caplog.set_level("ERROR")
+    served.run(steps())
+
+
+def test_clients_that_are_reset_or_do_not_read_hold_up_nobody(served: Served) -> None:
+    def steps() -> Iterator[None]:
+        client, deaf = served.client(), served.client()
+        yield
+        yield
+        for number in range(400):  # its answers fill the socket
+            deaf.send(told(number))
+            yield
+        client.send(told(1))
+        yield
+        assert served.pulses() == RUNS
+        broken: Any = Broken()
+        served.server._clients.append(broken)
+        served.server._hear(broken)
+        assert (closed, broken in served.server._clients) == ([broken], False)
+
+    class Broken:
+        def recv(self, size: int) -> bytes:
+            raise ConnectionResetError
+
+        def close(self) -> None:
+            closed.append(self)
+
+    closed = list[object]()
+    served.run(steps())
+
+
+@pytest.mark.parametrize("how", ["signal", "supervisor"])
+def test_the_process_beats_until_a_signal_or_the_end_of_its_supervisor(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, how: str
+) -> None:
+    reading, beat_fd = os.pipe()
+    os.set_blocking(reading, False)
+    looks, closed = list[str](), list[OutletServer]()
+
+    def turns(server: OutletServer, ended: Callable[[], str]) -> str:
+        assert not os.get_blocking(beat_fd)
+        looks.append(ended())
+        assert os.read(reading, 10) == b"."
+        while select.select([], [beat_fd], [], 0.0)[1]:
+            os.write(beat_fd, bytes(4096))
+        looks.append(ended())
+        if how == "signal":
+            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGTERM)
+        else:
+            os.close(reading)
+        return ended()
+
+    monkeypatch.setattr(OutletServer, "serve", turns)
+    monkeypatch.setattr(OutletServer, "close", lambda server: (closed.append(server), server._listening.close()))
+    handlers = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    caplog.set_level("INFO")
+    try:
+        serve(tmp_path / "outlet", config.Pwm(), (0,), beat_fd)
+    finally:
+        for number, handler in handlers.items():
+            signal.signal(number, handler)
+        os.close(beat_fd)
+    assert looks == ["", ""]
+    assert caplog.messages == [f"outlet: stops: {'SIGINT' if how == 'signal' else 'the supervisor is gone'}"]
+    assert len(closed) == 1
+    if how == "signal":
+        os.close(reading)
+
+
+def test_a_pipe_may_be_file_0_and_without_one_there_is_no_beat(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done = list[object]()
+    played = {"write": lambda fd, data: done.append((fd, data)), "set_blocking": lambda fd, blocks: done.append((fd, blocks))}
+    monkeypatch.setattr("delfim.services.outlet.os", SimpleNamespace(chmod=os.chmod, **played))
+    monkeypatch.setattr("delfim.services.outlet.signal.signal", lambda number, handler: done.append(number))
+    monkeypatch.setattr(OutletServer, "serve", lambda server, ended: done.append(ended()))
+    for beat_fd in (0, -1):
+        serve(tmp_path / "outlet", config.Pwm(), (0,), beat_fd)
+    numbers = [signal.SIGTERM, signal.SIGINT]
+    assert done == [*numbers, (0, False), (0, b"."), "", *numbers, ""]
 
 
 ROWS = ", ".join(
