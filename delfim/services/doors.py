@@ -97,7 +97,7 @@ def _instruments(settings: config.Vehicle) -> Iterator[Entrance]:
 def _cantcpd(settings: config.Vehicle) -> Iterator[Entrance]:
     table = settings.cantcpd
     for listen in (*table.listen, *table.slcan):
-        watching, sending = _beyond(table.watch), [each for each in _beyond(table.transmit) if _beyond(table.watch)]
+        watching, sending = _beyond(table.watch), _beyond(table.transmit)
         if config.is_loopback(listen) or not watching:
             may = "read the buses and send frames" if table.transmit else "read the buses"
             yield Entrance("cantcpd", listen, "here", EVERY, may)
