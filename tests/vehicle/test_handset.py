@@ -413,8 +413,10 @@ def test_a_switch_that_there_is_not_is_off():
 
 @pytest.mark.parametrize(
     ("us", "neutral", "part"),
-    [(1700.0, 0.1, 0.5), (1200.0, 0.1, -0.5), (1700.0, 0.5, 0.0), (1200.0, 0.5, 0.0), (1400.0, 0.1, 0.0)]
-    + [(2100.0, 0.1, 1.0), (900.0, 0.1, -1.0), (1400.5, 0.0, 0.5 / 600.0)],
+    [
+        *((1700.0, 0.1, 0.5), (1200.0, 0.1, -0.5), (1700.0, 0.5, 0.0), (1200.0, 0.5, 0.0)),
+        *((1400.0, 0.1, 0.0), (2100.0, 0.1, 1.0), (900.0, 0.1, -1.0), (1400.5, 0.0, 0.5 / 600.0)),
+    ],
 )
 def test_each_way_of_a_stick_counts_by_itself(us, neutral, part):
     stick, reversed_stick = (config.Stick(2, 1000.0, 1400.0, 2000.0, reversed=each) for each in (False, True))

@@ -1,15 +1,27 @@
 """Signatures and clocks: whatever clocks, replays and restarts do, no frame is obeyed twice, and nobody whose clock is right is
 shut out for long."""
 
+import hashlib
 import json
 
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule
 
-from delfim.clock import ManualClock
+from delfim.clock import MADE_NS, ManualClock
 from delfim.vehicle.mavlink import wire
-from delfim.vehicle.mavlink.signing import OFF_S, PER_S, STREAMS, Kept, Signing, read_stamps, write_stamps
+from delfim.vehicle.mavlink.signing import (
+    EPOCH_NS,
+    OFF_S,
+    PER_S,
+    STREAMS,
+    FrameVerdict,
+    Kept,
+    Signing,
+    read_stamps,
+    write_stamps,
+)
 from delfim.vehicle.mavlink.wire import dialect
 
 KEY = bytes(range(32))
@@ -117,6 +129,162 @@ def test_two_computers_with_one_number_are_each_judged_by_its_own_clock():
     assert boat.judge(beat(second, 250), ("192.0.2.8", 14550)).age_s == 0.0
     again = boat.judge(beat(first, 250), ("192.0.2.7", 14550))
     assert again.fault == "replayed"
+
+
+def signed(number: int, system: int = 250, component: int = 190, link: int = 0) -> bytes:
+    """A frame with this stamp."""
+    frame = bytearray(beat(Signing(KEY, at()), system, component)[:-13]) + bytes((link,)) + number.to_bytes(6, "little")
+    return bytes(frame + hashlib.sha256(KEY + frame).digest()[:6])
+
+
+NOW = 37_492_960_000_000  # of the stamps, at NOW_NS
+MINUTE = 6_000_000
+
+
+def test_stamps_count_ten_microseconds_since_2015_and_grow():
+    clock = at()
+    boat = Signing(KEY, clock)
+    assert [boat.stamp() for _ in range(3)] == [NOW, NOW + 1, NOW + 2]
+    clock.advance(1.0)
+    assert boat.stamp() == NOW + 100_000
+    assert Signing(KEY, ManualClock(time_ns=1_420_070_400_000_010_000)).stamp() == 1
+    assert Signing(KEY, ManualClock(time_ns=1_420_070_400_000_000_000)).stamp() == 1, "0 is sent by nobody"
+    assert Signing(KEY, ManualClock(time_ns=0)).stamp() == 1
+
+
+@pytest.mark.parametrize(
+    ("off", "fault", "off_s"),
+    [
+        (0, "", 0.0),
+        (MINUTE, "", 0.0),
+        (MINUTE + 1, "ahead", 60.00001),
+        (-MINUTE, "", 0.0),
+        (-MINUTE - 1, "replayed", -60.00001),
+    ],
+)
+def test_a_new_speakers_clock_is_off_by_a_minute_at_most(off: int, fault: str, off_s: float):
+    boat = Signing(KEY, at())
+    assert boat.judge(signed(NOW + off)) == FrameVerdict(fault, 0.0, off_s)
+    assert boat.kept() == Kept(0, 0, [] if fault else [((0, 250, 190), NOW + off)])
+
+
+def test_a_known_speaker_may_be_behind_and_is_known_by_link_system_and_component():
+    boat = Signing(KEY, at())
+    assert boat.judge(signed(NOW - MINUTE)).fault == ""
+    assert boat.judge(signed(NOW - MINUTE)).fault == "replayed"
+    assert boat.judge(signed(NOW - MINUTE - 1)).fault == "replayed"
+    assert boat.judge(signed(NOW - MINUTE + 1)).fault == ""
+    for other in ({"system": 251}, {"component": 191}, {"link": 1}):
+        assert boat.judge(signed(NOW - MINUTE, **other)).fault == ""
+    boat._clock.advance(1000.0)
+    assert boat.judge(signed(NOW - MINUTE + 2)).fault == ""
+
+
+def test_before_the_time_is_known_nobody_is_ahead_and_nobody_is_told_off():
+    boat = Signing(KEY, at(), is_right=lambda: False)
+    assert boat.judge(signed(NOW + 10 * MINUTE)) == FrameVerdict("")
+    assert boat.judge(signed(NOW - 2 * MINUTE, 251)) == FrameVerdict("replayed")
+    made = Signing(KEY, ManualClock(time_ns=MADE_NS))
+    assert made.judge(signed((MADE_NS - EPOCH_NS) // 10_000 + 2 * MINUTE)).fault == "ahead"
+    before = Signing(KEY, ManualClock(time_ns=MADE_NS - 1))
+    assert before.judge(signed((MADE_NS - EPOCH_NS) // 10_000 + 2 * MINUTE)).fault == ""
+
+
+@pytest.mark.parametrize(
+    ("off_s", "words"),
+    [
+        (0.0, ""),
+        (0.5, "signs 0 minutes ahead of"),
+        (-90.0, "signs 2 minutes behind"),
+        (172_799.0, "signs 2,880 minutes ahead of"),
+        (172_800.0, "signs 2 days ahead of"),
+        (-86_400_000.0, "signs 1,000 days behind"),
+    ],
+)
+def test_how_far_a_clock_is_off_is_said_in_minutes_or_days(off_s: float, words: str):
+    rest = " the clock here, and is not believed: one of the two clocks is wrong" if words else ""
+    assert FrameVerdict("ahead", 0.0, off_s).words == words + rest
+
+
+def test_of_more_speakers_than_there_is_room_for_the_newest_are_known():
+    boat = Signing(KEY, at(), streams=2)
+    assert boat.judge(signed(NOW + 2, 1)).fault == ""
+    assert boat.judge(signed(NOW + 5, 2)).fault == ""
+    assert boat.judge(signed(NOW + 2, 3)).fault == "replayed", "not newer than the oldest"
+    assert boat.judge(signed(NOW + 3, 3)).fault == ""
+    assert boat.kept() == Kept(0, NOW + 2, [((0, 2, 190), NOW + 5), ((0, 3, 190), NOW + 3)])
+    assert boat.judge(signed(NOW + 2, 4)).fault == "replayed", "no newer than what was forgotten"
+    assert boat.judge(signed(NOW + 4, 2)).fault == "replayed"
+    many = Signing(KEY, at())
+    assert {many.judge(signed(NOW + number, 1 + number)).fault for number in range(65)} == {""}
+    assert len(many.heard) == 64
+    kept = Signing(KEY, at(), Kept(0, NOW + 9, [((0, 1, 190), 1), ((0, 2, 190), 2), ((0, 3, 190), 3)]), streams=2)
+    assert kept.kept() == Kept(0, NOW + 9, [((0, 1, 190), 1), ((0, 2, 190), 2)])
+    assert kept.judge(signed(NOW + 9, 4)).fault == "replayed"
+    assert kept.judge(signed(NOW + 10, 4)).fault == ""
+
+
+def test_stamps_from_the_future_are_cut_when_the_time_is_known():
+    for kept in (Kept(0, NOW + 9 * MINUTE), Kept(0, 5, [((0, 1, 190), NOW + 9 * MINUTE), ((0, 2, 190), NOW)])):
+        boat = Signing(KEY, at(), kept)
+        assert boat.judge(signed(NOW + 3, 3)).fault in ("", "replayed")
+        cut = dict(boat.kept().heard)
+        assert boat.kept().forgotten == min(kept.forgotten, NOW + MINUTE)
+        assert [cut[stream] for stream, _ in kept.heard] == [NOW + MINUTE, NOW][: len(kept.heard)]
+    known = False
+    boat = Signing(KEY, at(), is_right=lambda: known)
+    boat.judge(signed(NOW + 9 * MINUTE, 1), "a")
+    boat.judge(signed(NOW, 2), "a")
+    boat._clock.advance(3.0)
+    known = True
+    assert boat.judge(signed(NOW + 100_000, 2), "a").age_s == pytest.approx(2.0, abs=1e-3), "who was right is known to be late"
+    boat._clock.advance(120.0)
+    assert boat.judge(signed(NOW + 122 * 100_000, 1), "a").age_s == 0.0, "who was wrong begins anew"
+
+
+def test_the_age_of_a_frame_is_what_it_took_longer_than_the_fastest_of_its_way():
+    clock = at()
+    boat = Signing(KEY, clock)
+    assert boat.judge(signed(NOW), "a").age_s == 0.0
+    clock.advance(1.5)
+    assert boat.judge(signed(NOW + 100_000), "a").age_s == pytest.approx(0.5 - 1.5e-4, abs=1e-6)
+    assert boat.judge(signed(NOW + 100_001), "b").age_s == 0.0, "another way"
+    clock.advance(0.5)
+    assert boat.judge(signed(NOW + 210_000), "a").age_s == 0.0, "faster than all before"
+    clock.advance(1000.0)
+    assert boat.judge(signed(NOW + 210_000 + 100_000_000), "a").age_s == 0.0, "as fast: clocks drift by no more than 0.1 s"
+    clock.advance(1.0)
+    assert boat.judge(signed(NOW + 100_300_000), "a").age_s == pytest.approx(0.1 - 1e-4, abs=1e-6)
+
+
+def test_so_many_ways_are_known():
+    clock = at()
+    boat = Signing(KEY, clock, streams=2)
+    for number in range(8):
+        boat.judge(signed(NOW + number), number)
+    clock.advance(1.0)
+    assert boat.judge(signed(NOW + 8), 0).age_s > 0.9, "eight of them"
+    clock.advance(1.0)
+    assert boat.judge(signed(NOW + 9), "another").age_s == 0.0
+    assert boat.judge(signed(NOW + 10), 1).age_s == 0.0, "the one that was heard of longest ago is forgotten"
+    assert boat.judge(signed(NOW + 11), 3).age_s > 1.9
+
+
+def test_a_clock_that_is_set_back_goes_on_by_less_than_a_minute_and_begins_anew_by_more():
+    for back_s, first in ((59.0, NOW + 1), (60.0, NOW + 1), (60.001, NOW - 6_000_100), (-5.0, NOW + 500_000)):
+        clock = at()
+        boat = Signing(KEY, clock)
+        boat.stamp()
+        clock.step(-back_s)
+        assert boat.stamp() in (first, first + 1)
+        clock.advance(1.0)
+        assert boat.stamp() in (first + 100_000, first + 99_999)
+    clock, known = at(), False
+    boat = Signing(KEY, clock, Kept(NOW + MINUTE * 9), is_right=lambda: known)
+    clock.advance(2.0)
+    assert boat.stamp() == NOW + MINUTE * 9 + 200_000, "where the run before ended"
+    known = True
+    assert boat.stamp() == NOW + 200_001
 
 
 class Clocks(RuleBasedStateMachine):
