@@ -7,6 +7,7 @@ are one zone: the boat is in any of them, and has the clearance that the best of
 
 import math
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 from typing import Final, NamedTuple
 
 from delfim import geodesy
@@ -41,34 +42,33 @@ class Zone(NamedTuple):
     name: str
     keep_in: bool
     sides: tuple[Side, ...]
+    box: Box  # around the zone
     north_m: float = 0.0  # centre of the circle
     east_m: float = 0.0
     radius_m: float = 0.0
-    box: Box = (-math.inf, -math.inf, math.inf, math.inf)  # around the zone
     parts: tuple[Part, ...] = ()
     areas: tuple["Zone", ...] = ()
 
 
 def polygon(name: str, keep_in: bool, corners: Sequence[Point]) -> Zone:
     """A zone from the corners of a polygon, in either direction."""
-    ends = [*corners[1:], corners[0]]
-    sides = tuple((*a, b[0] - a[0], b[1] - a[1], *b) for a, b in zip(corners, ends, strict=True))
     around = [*corners, corners[0]]
+    sides = tuple((*a, b[0] - a[0], b[1] - a[1], *b) for a, b in pairwise(around))
     parts = [Part(box_of(around[at : at + PART + 1]), sides[at : at + PART]) for at in range(0, len(sides), PART)]
-    return Zone(name, keep_in, sides, box=box_of(corners), parts=tuple(parts))
+    return Zone(name, keep_in, sides, box_of(corners), parts=tuple(parts))
 
 
 def circle(name: str, keep_in: bool, centre: Point, radius_m: float) -> Zone:
     (n, e), r = centre, radius_m
-    return Zone(name, keep_in, (), n, e, r, (n - r, e - r, n + r, e + r))
+    return Zone(name, keep_in, (), (n - r, e - r, n + r, e + r), n, e, r)
 
 
 def together(name: str, areas: Sequence[Zone]) -> Zone:
     """Areas to stay in as one zone; a single one is itself."""
     if len(areas) == 1:
         return areas[0]
-    souths, wests, norths, easts = zip(*(area.box for area in areas), strict=True)
-    return Zone(name, True, (), box=(min(souths), min(wests), max(norths), max(easts)), areas=tuple(areas))
+    around = box_of([corner for area in areas for corner in (area.box[:2], area.box[2:])])
+    return Zone(name, True, (), around, areas=tuple(areas))
 
 
 def box_of(points: Sequence[Point]) -> Box:
@@ -162,8 +162,6 @@ def least(zone: Zone, a: Point, b: Point, within_m: float = math.inf) -> tuple[f
             and (side[1] <= east or side[5] <= east)
             and (side[1] >= west or side[5] >= west)
         ]
-        if not near:
-            continue  # the box around the sides is near, but none of them
         smallest = min(smallest, _edge_m(near, *a), _edge_m(near, *b))
         for n, e, _, _, to_n, to_e in near:
             if geodesy.segments_meet(a, b, (n, e), (to_n, to_e)):
@@ -212,8 +210,8 @@ def _covered(area: Zone, near: Sequence[Side], a: Point, b: Point, room_m: float
     bad = sorted(each for side in near if (each := _near_side(a, b, side, room_m)) is not None)
     free, at = list[Stretch](), 0.0
     for first, last in [*bad, (1.0, 1.0)]:
-        if first > at or not bad:
-            free.append((at, max(first, at)))
+        if first > at:
+            free.append((at, first))
         at = max(at, last)
     return (each for each in free if may(area, *_on_way(a, b, (each[0] + each[1]) / 2.0)))  # the edge is in none of them
 

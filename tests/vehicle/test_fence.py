@@ -15,7 +15,7 @@ from delfim.vehicle.fence import Fence, stopping_m
 from delfim.vehicle.legs import complaint
 from delfim.vehicle.mission import canonical, digest, parse_mission
 from delfim.vehicle.state import Arc, Line, Motion, Plan, Waypoint
-from delfim.vehicle.zones import LOOKS, Zone, circle, clearance_m, least, polygon, searched, together
+from delfim.vehicle.zones import LOOKS, circle, clearance_m, least, polygon, searched, together
 
 LIMITS = config.FenceTable()
 WITH = msgspec.structs.replace
@@ -27,7 +27,7 @@ def whole(work, *arguments: object):
 
 ALL = frozenset({"position", "heading", "velocity"})
 SQUARE = polygon("square", True, [(-50.0, -50.0), (50.0, -50.0), (50.0, 50.0), (-50.0, 50.0)])
-ROCK = Zone("rock", False, (), 0.0, 100.0, 10.0)
+ROCK = circle("rock", False, (0.0, 100.0), 10.0)
 WALL = polygon("wall", False, [(20.0, -40.0), (20.5, -40.0), (20.5, 40.0), (20.0, 40.0)])
 
 metres = st.floats(-150.0, 150.0, allow_nan=False)
@@ -104,7 +104,7 @@ def test_the_least_clearance_of_a_way_is_that_of_its_worst_point(corners, a, b, 
 @settings(deadline=None)
 @given(points, points, st.floats(1.0, 60.0))
 def test_the_same_around_a_circle(a, b, radius_m):
-    zone = Zone("", False, (), 10.0, -20.0, radius_m)
+    zone = circle("", False, (10.0, -20.0), radius_m)
     ways = [clearance_m(zone, a[0] + (b[0] - a[0]) * i / 200, a[1] + (b[1] - a[1]) * i / 200) for i in range(201)]
     assert least(zone, a, b)[0] == pytest.approx(min(ways), abs=math.dist(a, b) / 200 + 1e-9)
 
