@@ -138,9 +138,11 @@ def sensor_bad(look: Look) -> str | None:
 def unheard(settings: config.Sensors, state: State, now_s: float) -> str | None:
     """The first required value of a sensor that is not there, in words."""
     for name in settings.required:
-        at_s = state.measured.get(name, (0.0, -math.inf))[1]
-        if now_s - at_s > settings.stale_s:
-            return f"{name} silent for {now_s - at_s:.1f} s" if at_s > -math.inf else f"{name} not heard yet"
+        if name not in state.measured:
+            return f"{name} not heard yet"
+        age_s = now_s - state.measured[name][1]
+        if age_s > settings.stale_s:
+            return f"{name} silent for {age_s:.1f} s"
     return None
 
 
@@ -155,10 +157,8 @@ def battery_low(look: Look) -> str | None:
 
 
 def thruster(look: Look) -> str | None:
-    state, astray = look.state, look.inputs.astray
-    if not (astray or state.failed):
-        return None
-    words = ", ".join({**astray, **state.failed}.values())
+    state = look.state
+    words = ", ".join({**look.inputs.astray, **state.failed}.values())
     return f"{words}: {state.unsteerable}" if words and state.unsteerable else words or None
 
 
@@ -191,8 +191,9 @@ def fence(look: Look) -> str | None:
 
 def fence_left(look: Look) -> str | None:
     around, motion = look.inputs.fence, look.state.motion
-    is_watched = around is not None and look.state.mode is not Mode.IDLE and "position" in motion.has
-    return left(around, motion) if around is not None and is_watched else None
+    if around is None or look.state.mode is Mode.IDLE or "position" not in motion.has:
+        return None
+    return left(around, motion)
 
 
 def gnss_poor(look: Look) -> str | None:
@@ -383,17 +384,17 @@ def unstopped(settings: config.Vehicle, state: State, now_s: float) -> tuple[str
     return () if state.actuation.run else tuple(astray(settings, state, now_s))
 
 
-def _revolving(settings: config.Vehicle, row: config.ThrusterTable, thrust: float | None, rpm: float) -> str:
-    """Why a propeller does not turn as commanded, in words; empty: it does. `thrust` None: it is switched off."""
+def _revolving(settings: config.Vehicle, row: config.ThrusterTable, thrust: float | None, rpm: float) -> str | None:
+    """Why a propeller does not turn as commanded, in words; None: it does. `thrust` None: it is switched off."""
     limits, most_rpm = settings.failsafe.thruster, settings.rpm_max(row)
     if thrust is None:
-        return f"turns {rpm:.0f} instead of 0 rpm" if abs(rpm) > limits.idle_rpm else ""
+        return f"turns {rpm:.0f} instead of 0 rpm" if abs(rpm) > limits.idle_rpm else None
     if most_rpm:
         wanted_rpm = thrust * most_rpm
         is_off = abs(rpm - wanted_rpm) > limits.error_rpm + limits.error * abs(wanted_rpm)
-        return f"turns {rpm:.0f} instead of {wanted_rpm:.0f} rpm" if is_off else ""
+        return f"turns {rpm:.0f} instead of {wanted_rpm:.0f} rpm" if is_off else None
     if abs(thrust) < SURE:
-        return ""
+        return None
     if abs(rpm) < 1.0:
         return f"stands still at {thrust:.0%} thrust"
-    return f"turns {rpm:.0f} rpm at {thrust:.0%} thrust" if rpm * thrust < 0.0 else ""
+    return f"turns {rpm:.0f} rpm at {thrust:.0%} thrust" if rpm * thrust < 0.0 else None

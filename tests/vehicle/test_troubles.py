@@ -10,9 +10,22 @@ import pytest
 from delfim import config
 from delfim.messages import BatteriesStatus, Fault, PropellerStatus, Status
 from delfim.modes import Mode
+from delfim.vehicle.inputhealth import KINDS, InputHealth
 from delfim.vehicle.state import Actuation, HandsetReport, Killed, Reference, State, ThrusterReport
 from delfim.vehicle.target import CourseOrder, Danger, Traffic
-from delfim.vehicle.troubles import Inputs, Look, Trigger, astray, charge, low, troubles, unstopped, voltage
+from delfim.vehicle.troubles import (
+    Inputs,
+    Look,
+    Trigger,
+    astray,
+    charge,
+    handset_missed,
+    low,
+    outlet_missed,
+    troubles,
+    unstopped,
+    voltage,
+)
 from tests.vehicle.test_failsafe import FENCE, OUTWARDS, RULES, WELL, state
 
 NOW_S = 100.0
@@ -95,6 +108,23 @@ def test_positions_jump_for_half_a_second_and_are_forgotten_when_they_are_old(ju
     assert seen(Trigger.NAVIGATION_JUMPING, here, settings=settings) == ("position jumped by 42 m" if is_told else None)
 
 
+def test_an_input_of_the_estimator_is_told_although_its_navigation_goes_on() -> None:
+    """Of the estimator that made the present navigation."""
+    here = state(Mode.PLAY)
+    inputs = [InputHealth(kind, *(NOW_S,) * 3, heard=9, value=(1.0,)) for kind in KINDS]
+    inputs[2] = InputHealth("heading", NOW_S - 1.1, NOW_S, heard=9)
+    inputs[0] = InputHealth("position", NOW_S, NOW_S - 3.1, jumping_s=NOW_S - 1.0, jumped_s=NOW_S, jump=41.6, heard=9)
+    here.inputs[here.source] = tuple(inputs)
+    told = {
+        Trigger.NAVIGATION_SILENT: "heading silent for 1.1 s",
+        Trigger.NAVIGATION_FROZEN: "position frozen for 3.1 s",
+        Trigger.NAVIGATION_JUMPING: "position jumped by 42 m",
+    }
+    assert {trigger: seen(trigger, here) for trigger in told} == told
+    here.inputs = {"another": tuple(inputs)}
+    assert [seen(trigger, here) for trigger in told] == [None] * 3
+
+
 @pytest.mark.parametrize(("ages_s", "is_told"), [((1.0, 0.0), False), ((10.0, 1.0, 0.0), True), ((10.1, 1.0, 0.0), False)])
 def test_two_senders_are_three_messages_that_do_not_follow(ages_s, is_told) -> None:
     here = state(Mode.PLAY)
@@ -117,12 +147,16 @@ def test_two_senders_are_three_messages_that_do_not_follow(ages_s, is_told) -> N
 def test_a_kill_says_whether_the_thrusters_have_power(reports, has_power) -> None:
     here = state(Mode.IDLE)
     here.thrusters = {str(at): ThrusterReport(NOW_S - age_s, voltage_v=volts) for at, (age_s, volts) in enumerate(reports)}
-    assert seen(Trigger.KILL, here) is None
-    here.killed = Killed("pressed")
-    assert seen(Trigger.KILL, here) == "kill: pressed" + ("" if has_power else "; the thrusters have no power")
     bad = PropellerStatus(Status.BAD, Fault(0), 0, 1.0, 20, 0), NOW_S
     here.sysstat |= {"propeller_starboard": bad, "propeller_port": bad}
+    assert seen(Trigger.KILL, here) is None
+    assert seen(Trigger.SENSOR_BAD, here) == "propeller starboard bad: no reason given", "nobody cut their power"
+    here.killed = Killed("pressed")
+    assert seen(Trigger.KILL, here) == "kill: pressed" + ("" if has_power else "; the thrusters have no power")
     assert (seen(Trigger.SENSOR_BAD, here) is None) is not has_power, "it is no fault of theirs"
+
+
+UNHEARD = "gps has not reported"
 
 
 def test_what_lies_idle_is_told_of_nodes_that_are_bad_and_of_values_that_are_required() -> None:
@@ -133,6 +167,12 @@ def test_what_lies_idle_is_told_of_nodes_that_are_bad_and_of_values_that_are_req
     assert seen(Trigger.SENSOR_BAD, here, settings=settings) is None
     here.measured["depth_m"] = 3.0, NOW_S - 5.1
     assert seen(Trigger.SENSOR_BAD, here, settings=settings) == "depth_m silent for 5.1 s"
+    nodes, here.measured["depth_m"] = here.sysstat.pop("gps"), (3.0, NOW_S)
+    for cycles, mode, words in ((24, Mode.IDLE, None), (25, Mode.IDLE, UNHEARD), (24, Mode.PLAY, UNHEARD)):
+        here.cycles, here.mode = cycles, mode
+        assert seen(Trigger.SENSOR_BAD, here, settings=settings) == words, "five seconds at five a second"
+    here.sysstat["gps"], here.cycles, here.mode = (nodes[0], NOW_S - 9.0), 24, Mode.IDLE
+    assert seen(Trigger.SENSOR_BAD, here, settings=settings) == "gps silent for 9.0 s"
 
 
 @pytest.mark.parametrize(
@@ -151,6 +191,7 @@ def test_the_hand_set_is_silent_after_its_age(age_s, lost, words) -> None:
     here.handset = None if age_s is None else report
     assert seen(Trigger.HANDSET_SILENT, here) == words
     assert seen(Trigger.HANDSET_SILENT, here, settings=WITH(SETTINGS, handset=config.HandsetTable())) is None
+    assert handset_missed(config.HandsetTable(), here.handset, NOW_S) == ""
 
 
 def batteries(
@@ -347,7 +388,7 @@ def test_motors_may_turn_when_their_outlet_does_not_answer(age_s, refuses, run, 
     here.actuation = here.actuation._replace(run=run)
     here.thrusters = {} if age_s is None else {"bow": ThrusterReport(NOW_S - age_s, refuses=refuses)}
     assert seen(Trigger.OUTLET, here) == words
-    assert seen(Trigger.OUTLET, here, settings=WITH(SETTINGS, thrusters=SETTINGS.thrusters[:2])) is None
+    assert outlet_missed(WITH(SETTINGS, thrusters=SETTINGS.thrusters[:2]), here, NOW_S) == ""
 
 
 def test_what_others_found_is_told_in_their_words() -> None:
@@ -396,6 +437,7 @@ NODE = SETTINGS.thrusters[0]
         (PLAIN, 0.5, True, ThrusterReport(0.0, -1.0), "propeller turns -1 rpm at 50% thrust"),
         (PLAIN, -0.5, True, ThrusterReport(0.0, -1.0), None),
         (POD, 0.4, True, ThrusterReport(0.0, angle_rad=math.radians(29.9)), None),
+        (POD, 0.4, True, ThrusterReport(0.0, angle_rad=math.radians(-10.0)), None),
         (POD, 0.4, True, ThrusterReport(0.0, angle_rad=math.radians(31.0)), "thruster stands at 31 instead of 10 degrees"),
         (POD, 0.4, True, ThrusterReport(0.0, angle_rad=math.radians(-11.0)), "thruster stands at -11 instead of 10 degrees"),
         (
@@ -416,3 +458,5 @@ def test_a_thruster_is_astray_beyond_its_limits(row, thrust, run, report, words)
     found = {} if words is None else {row.name: f"{row.name} {words}"}
     assert astray(settings, here, NOW_S) == found
     assert unstopped(settings, here, NOW_S) == (() if run else tuple(found))
+    here.actuation = Actuation((), (), run)
+    assert astray(settings, here, NOW_S) == {}, "nothing was commanded yet"
